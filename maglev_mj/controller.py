@@ -1,0 +1,73 @@
+"""The sampled controller: velocity estimate, laws, sum, command. It knows no engine, socket or clock."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from maglev_mj.errors import ParameterError
+from maglev_mj.frames import AXES, Command, Component, Sample
+from maglev_mj.laws import FiniteDifference, Law, VelocityEstimator
+from maglev_mj.parameters import number
+
+__all__ = ["Controller"]
+
+
+class Controller:
+    """Sum of laws, evaluated once a sample, for one device or for a batch of any shape.
+
+    Args:
+        laws: The laws; their wrenches add up. Those with pulses must share one pulse width, because a
+            command carries one.
+        period: Sample period [s].
+        velocity: Velocity estimator; the paper's finite difference by default.
+
+    Raises:
+        ParameterError: If the period is not above 0, or the laws' pulse widths differ.
+    """
+
+    def __init__(
+        self, laws: Sequence[Law], *, period: float, velocity: VelocityEstimator | None = None
+    ) -> None:
+        self.period = number("period", period, above=0.0)
+        self._laws = tuple(laws)
+        widths = {law.pulse_width for law in self._laws if law.pulse_width > 0.0}
+        if len(widths) > 1:
+            raise ParameterError(f"laws must share one pulse_width, not {sorted(widths)}")
+        self._pulse_width = widths.pop() if widths else 0.0
+        self._velocity = velocity or FiniteDifference()
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget every sample seen."""
+        self._states: list[Any] = [law.start() for law in self._laws]
+        self._velocity_state: Any = None
+
+    def step(self, sample: Sample) -> Command:
+        """Answer one sample.
+
+        Raises:
+            ParameterError: If the first sample after a reset does not fit the laws' parameters.
+        """
+        position = sample.position
+        if self._velocity_state is None:
+            self._check(position)
+        velocity, self._velocity_state = self._velocity(position, self._velocity_state, self.period)
+        wrench: list[Component] = [0.0] * 6
+        pulse: Sequence[Component] | None = None
+        states = self._states
+        for place, law in enumerate(self._laws):
+            states[place], extra = law(position, velocity, states[place], wrench)
+            if extra is not None:
+                pulse = extra if pulse is None else [one + other for one, other in zip(pulse, extra)]
+        return Command(wrench) if pulse is None else Command(wrench, pulse, self._pulse_width)
+
+    def _check(self, position: Sequence[Component]) -> None:
+        if len(position) != len(AXES):
+            raise ParameterError(f"a sample must have {len(AXES)} position components, not {len(position)}")
+        batch = np.shape(position[0])
+        for law in self._laws:
+            if law.batch not in ((), batch):
+                raise ParameterError(f"samples must have the batch shape {law.batch} of the laws, not {batch}")

@@ -1,0 +1,42 @@
+"""The errors this package raises: one base, a few children. Messages name the value and what is allowed."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from maglev_mj.frames import Command, Sample
+
+__all__ = ["DivergenceError", "MaglevError", "ModelError", "ParameterError", "PlantError"]
+
+
+class MaglevError(Exception):
+    """Base of every error raised on purpose by this package.
+
+    Attributes:
+        cycles: The last (sample, command) pairs before the error, oldest first; empty outside a control loop.
+    """
+
+    cycles: tuple[tuple[Sample, Command], ...] = ()
+
+
+class ParameterError(MaglevError, ValueError):
+    """A parameter is outside what is allowed, or has a shape that does not fit."""
+
+
+class ModelError(MaglevError):
+    """A model file is missing, does not compile, or lacks a named element."""
+
+
+class PlantError(MaglevError):
+    """A plant cannot go on: it is closed, got a command that is not finite, or its engine warned."""
+
+
+class DivergenceError(PlantError):
+    """The flotor left its range by a wide margin, or its state is no longer a number.
+
+    Attributes:
+        partial: What an experiment had recorded up to there, in its own result type; None outside one.
+    """
+
+    partial: Any = None

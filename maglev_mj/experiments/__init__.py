@@ -1,0 +1,1 @@
+"""Experiments: a plant, laws and figures put together, one module each."""

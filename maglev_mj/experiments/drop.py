@@ -1,0 +1,245 @@
+"""The flotor dropped on a stiff wall: figures 3 and 4 of Salcudean and Vlaar (1997)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from maglev_mj.controller import Controller
+from maglev_mj.errors import DivergenceError, ParameterError
+from maglev_mj.exact import analog_wall
+from maglev_mj.frames import AXES, Array
+from maglev_mj.laws import Hold, Wall
+from maglev_mj.loop import run
+from maglev_mj.metrics import BounceSummary, percentiles, summarise_bounce
+from maglev_mj.parameters import number
+from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant, Timing
+from maglev_mj.spec import GRAVITY, Spec
+from maglev_mj.trace import Trace
+
+__all__ = ["DropParameters", "DropResult", "DropSweep", "analog_drop", "run_drop", "sweep_drop"]
+
+PLANTS = ("exact", "mujoco")
+_ESCAPE = 0.045
+_MOST_TICKS = 10_000_000
+_HELD = tuple(axis for axis in AXES if axis != "z")
+_INERTIA = {"rx": Spec.tilt_inertia.value, "ry": Spec.tilt_inertia.value, "rz": Spec.spin_inertia.value}
+
+
+@dataclass(frozen=True, kw_only=True)
+class DropParameters:
+    """A drop on a wall that fills z <= 0; the five other axes are held.
+
+    Attributes:
+        plant: "mujoco" or "exact".
+        height: Drop height above the wall [m].
+        phase: The samples are at (k + phase) period after release; in [0, 1).
+        period: Sample period [s].
+        delay: From a sample to its command taking effect [s].
+        stiffness: Wall stiffness [N/m].
+        damping: Wall damping [N s/m].
+        pulse: Further damping in the braking pulse [N s/m]; 0 for none.
+        pulse_width: How long the pulse lasts [s].
+        mass: Moving mass [kg].
+        force_limit: Largest force of the actuators along z [N]; None for no limit.
+        quantize: Resolution of the position sensor [m]; 0 for an ideal one.
+        duration: Simulated time from release [s].
+
+    Raises:
+        ParameterError: If a value is outside its bounds.
+    """
+
+    plant: str = "mujoco"
+    height: float = Spec.translation_range.value
+    phase: float = 0.0
+    period: float = 0.005
+    delay: float = Spec.transport_delay.value
+    stiffness: float = 6000.0
+    damping: float = 80.0
+    pulse: float = 220.0
+    pulse_width: float = 0.003
+    mass: float = Spec.moving_mass.value
+    force_limit: float | None = None
+    quantize: float = 0.0
+    duration: float = 0.4
+
+    def __post_init__(self) -> None:
+        if self.plant not in PLANTS:
+            raise ParameterError(f"plant must be one of {', '.join(PLANTS)}, not {self.plant!r}")
+        number("height", self.height, above=0.0, below=_ESCAPE)
+        number("phase", self.phase, at_least=0.0, below=1.0)
+        number("period", self.period, above=0.0)
+        number("delay", self.delay, at_least=0.0)
+        number("stiffness", self.stiffness, at_least=0.0)
+        number("damping", self.damping, at_least=0.0)
+        number("pulse", self.pulse, at_least=0.0)
+        number("pulse_width", self.pulse_width, above=0.0)
+        number("mass", self.mass, above=0.0)
+        if self.force_limit is not None:
+            number("force_limit", self.force_limit, above=0.0)
+        number("quantize", self.quantize, at_least=0.0)
+        number("duration", self.duration, above=0.0)
+        if self.duration / self.period > _MOST_TICKS:
+            raise ParameterError(f"duration must be at most {_MOST_TICKS:g} periods, not {self.duration:g} s")
+
+    @property
+    def rest(self) -> float:
+        """Where weight and wall balance [m]; NaN without stiffness."""
+        return -self.mass * GRAVITY / self.stiffness if self.stiffness > 0.0 else math.nan
+
+
+@dataclass(frozen=True, eq=False)
+class DropResult:
+    """One drop: its parameters, the motion, and the figures."""
+
+    parameters: DropParameters
+    trace: Trace
+    summary: BounceSummary
+
+    def series(self, step: float = 1e-3) -> tuple[Array, Array, Array, Array]:
+        """Return time [s], z [m], velocity [m/s] and control force [N] on a grid of `step` [s], (M,) each."""
+        end = float(self.trace.time[-1])
+        time = np.arange(math.floor(end / step + 1e-9) + 1) * step
+        pose, twist, wrench = self.trace.at(time)
+        return time, pose[:, 2], twist[:, 2], wrench[:, 2]
+
+    def as_json(self) -> dict[str, Any]:
+        """Return parameters, time series every millisecond and summary, ready for JSON."""
+        time, z, _, force = self.series()
+        return {
+            "parameters": asdict(self.parameters),
+            "time": np.round(time, 9).tolist(),
+            "z": z.tolist(),
+            "force": force.tolist(),
+            "summary": _plain(self.summary),
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class DropSweep:
+    """The same drop at several phases: phases (N,) and each figure (N,)."""
+
+    parameters: DropParameters
+    phases: Array
+    summary: BounceSummary
+
+    def as_json(self) -> dict[str, Any]:
+        """Return one summary a phase, and the median, 5th and 95th percentile of each figure."""
+        rows = [BounceSummary(*row) for row in zip(*self.summary, strict=True)]
+        return {
+            "phases": [{"phase": float(phase), **_plain(row)} for phase, row in zip(self.phases, rows, strict=True)],
+            "median": _plain(percentiles(self.summary, 50.0)),
+            "percentile_5": _plain(percentiles(self.summary, 5.0)),
+            "percentile_95": _plain(percentiles(self.summary, 95.0)),
+        }
+
+
+def run_drop(parameters: DropParameters) -> DropResult:
+    """Drop the flotor once.
+
+    Raises:
+        DivergenceError: If the flotor leaves its range by a wide margin; its `partial` attribute is the
+            DropResult up to there.
+    """
+    with _plant(parameters, parameters.phase) as plant:
+        try:
+            run(plant, _controller(parameters), _ticks(parameters, parameters.phase))
+        except DivergenceError as error:
+            error.partial = _result(parameters, plant.trace())
+            raise
+        return _result(parameters, plant.trace().until(parameters.duration))
+
+
+def sweep_drop(parameters: DropParameters, phases: int | Sequence[float]) -> DropSweep:
+    """Drop the flotor at many phases: a batch on the exact plant, one after the other on MuJoCo.
+
+    Args:
+        parameters: The drop; its own phase is not used.
+        phases: How many, evenly spread over a period, or the phases themselves.
+
+    Raises:
+        ParameterError: If there is no phase, or one is outside [0, 1).
+        DivergenceError: If a flotor leaves its range by a wide margin.
+    """
+    chosen = _phases(phases)
+    if parameters.plant == "exact":
+        with _plant(parameters, chosen) as plant:
+            run(plant, _controller(parameters), _ticks(parameters, float(chosen.min())))
+            trace = plant.trace().until(parameters.duration)
+        return DropSweep(parameters, chosen, summarise_bounce(trace, parameters.rest))
+    rows = [run_drop(replace(parameters, phase=float(phase))).summary for phase in chosen]
+    return DropSweep(parameters, chosen, BounceSummary(*(np.array(figure) for figure in zip(*rows, strict=True))))
+
+
+def analog_drop(parameters: DropParameters, time: Array) -> tuple[Array, Array, Array]:
+    """Return z [m], velocity [m/s] and force [N] of the same drop on the ideal analog wall; see `analog_wall`."""
+    return analog_wall(
+        time,
+        height=parameters.height,
+        stiffness=parameters.stiffness,
+        damping=parameters.damping,
+        mass=parameters.mass,
+    )
+
+
+def _phases(phases: int | Sequence[float]) -> Array:
+    if isinstance(phases, int):
+        if phases < 1:
+            raise ParameterError(f"phases must be at least 1, not {phases}")
+        return np.arange(phases) / phases
+    chosen = np.asarray(phases, dtype=np.float64)
+    if chosen.ndim != 1 or not chosen.size:
+        raise ParameterError(f"phases must be a number or a list of phases, not {phases!r}")
+    return chosen
+
+
+def _ticks(parameters: DropParameters, phase: float) -> int:
+    """Return how many samples to answer so that the run reaches its duration."""
+    return max(math.ceil(parameters.duration / parameters.period - phase + 1e-9), 1)
+
+
+def _plant(parameters: DropParameters, phase: float | Array) -> SampledPlant:
+    limit = None if parameters.force_limit is None else [np.inf, np.inf, parameters.force_limit] + [np.inf] * 3
+    quantum = None if parameters.quantize == 0.0 else [0.0, 0.0, parameters.quantize] + [0.0] * 3
+    plant = ExactPlant if parameters.plant == "exact" else MuJoCoPlant
+    return plant(
+        Timing(period=parameters.period, delay=parameters.delay, phase=phase),
+        mass=parameters.mass,
+        pose=[0.0, 0.0, parameters.height, 0.0, 0.0, 0.0],
+        wrench_limit=limit,
+        quantum=quantum,
+        escape=(_ESCAPE, 1.0),
+        record=True,
+    )
+
+
+def _controller(parameters: DropParameters) -> Controller:
+    wall = Wall(
+        axes="z",
+        lower=0.0,
+        stiffness=parameters.stiffness,
+        damping=parameters.damping,
+        pulse=parameters.pulse,
+        pulse_width=parameters.pulse_width,
+        force_limit=math.inf if parameters.force_limit is None else parameters.force_limit,
+    )
+    hold = Hold.critically_damped(
+        _HELD,
+        inertia=[_INERTIA.get(axis, parameters.mass) for axis in _HELD],
+        period=parameters.period,
+        delay=parameters.delay,
+    )
+    return Controller([wall, hold], period=parameters.period)
+
+
+def _result(parameters: DropParameters, trace: Trace) -> DropResult:
+    return DropResult(parameters, trace, summarise_bounce(trace, parameters.rest))
+
+
+def _plain(summary: BounceSummary) -> dict[str, float | None]:
+    """Return plain numbers, None for what is not there."""
+    return {name: float(value) if math.isfinite(value) else None for name, value in summary._asdict().items()}

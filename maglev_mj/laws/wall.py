@@ -1,0 +1,187 @@
+"""The stiff wall: a one-sided sampled spring and damper, and the braking pulse on entry."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from maglev_mj.errors import ParameterError
+from maglev_mj.frames import AXES, Array, Component
+from maglev_mj.parameters import axis_indices, number, numbers, per_axis
+
+__all__ = ["Wall"]
+
+
+class _Braking(NamedTuple):
+    """What one face needs for its braking pulse."""
+
+    pulse: Component
+    limit: Component
+
+
+_Face: TypeAlias = tuple[int, float, Component, Component, Component, _Braking | None]
+"""One plane of the wall: axis, normal, edge, stiffness, damping, braking.
+
+The axis is free where normal * (x - edge) > 0.
+"""
+
+_FaceState: TypeAlias = tuple[Component, Component | None]
+"""Whether the flotor was free of the face at the last sample, and the braking force that is still owed."""
+
+_FREE: _FaceState = (True, None)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Wall:
+    """PD wall below `lower`, above `upper` or both, with a braking pulse on the sample that finds it entered.
+
+    Inside, f = -stiffness (x - edge) - damping v. On the sample k with x[k-1] free and x[k] inside, the force
+    is -(pulse + damping) v for `pulse_width` and the PD value after it. Where that exceeds `force_limit`, the
+    rest of the impulse follows on the next samples, for as long as the flotor still moves inward.
+
+    Each parameter is a number for all of the law's axes, one number an axis, or (N, axes) for N devices. Add
+    two laws where the two sides need gains of their own.
+
+    Args:
+        axes: Names from AXES; all six by default.
+        lower: The wall fills x <= lower [m, rad]; -inf for none.
+        upper: The wall fills x >= upper [m, rad]; inf for none.
+        stiffness: Stiffness [N/m, N m/rad].
+        damping: Damping [N s/m, N m s/rad].
+        pulse: Further damping in the braking pulse [N s/m, N m s/rad]; 0 for none. Stopping within the pulse
+            takes pulse + damping = inertia / pulse_width.
+        pulse_width: How long the pulse lasts [s]; a number.
+        force_limit: Largest force that the actuators give [N, N m], so that the law knows what is left of a
+            pulse; the plant applies the limit itself. Other laws on the axis are not counted.
+
+    Raises:
+        ParameterError: If a gain, the width or the limit is negative, no side is given, `lower` is not below
+            `upper`, or a shape does not fit.
+
+    Source: Salcudean & Vlaar 1997, eq. (3), (8) and (9), with one delay less as in the simulation of figure 3.
+    """
+
+    axes: str | Sequence[str] = AXES
+    lower: ArrayLike = -math.inf
+    upper: ArrayLike = math.inf
+    stiffness: ArrayLike
+    damping: ArrayLike
+    pulse: ArrayLike = 0.0
+    pulse_width: float = 0.0
+    force_limit: ArrayLike = math.inf
+
+    batch: tuple[int, ...] = field(init=False)
+    _faces: tuple[_Face, ...] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        indices = axis_indices(self.axes)
+        lower = numbers("wall lower", self.lower, finite=False)
+        upper = numbers("wall upper", self.upper, finite=False)
+        if not (lower < upper).all():
+            raise ParameterError(f"wall lower must be below upper, not {self.lower!r} and {self.upper!r}")
+        gains = [
+            numbers("wall stiffness", self.stiffness, at_least=0.0),
+            numbers("wall damping", self.damping, at_least=0.0),
+            numbers("wall pulse", self.pulse, at_least=0.0),
+            numbers("wall force_limit", self.force_limit, at_least=0.0, finite=False),
+        ]
+        width = number("wall pulse_width", self.pulse_width, at_least=0.0)
+        if width == 0.0 and gains[2].any():
+            raise ParameterError("wall pulse_width must be above 0 where there is a pulse, not 0")
+        faces = _faces(indices, 1.0, lower, gains) + _faces(indices, -1.0, upper, gains)
+        if not faces:
+            raise ParameterError("wall needs a finite lower or upper, not -inf and inf")
+        shapes = (value.shape[:-1] for value in (lower, upper, *gains))
+        object.__setattr__(self, "batch", np.broadcast_shapes(*shapes))
+        object.__setattr__(self, "pulse_width", width)
+        object.__setattr__(self, "_faces", faces)
+
+    def start(self) -> tuple[_FaceState, ...]:
+        """Return the state before the first sample: a flotor first seen inside has not entered."""
+        return ((False, None),) * len(self._faces)
+
+    def __call__(
+        self,
+        position: Sequence[Component],
+        velocity: Sequence[Component],
+        state: tuple[_FaceState, ...],
+        wrench: list[Component],
+    ) -> tuple[tuple[_FaceState, ...], list[Component] | None]:
+        """Answer one sample; see `Law`."""
+        pulses: list[Component] | None = None
+        following = []
+        for (axis, normal, edge, stiffness, damping, braking), (free, owed) in zip(self._faces, state):
+            offset = position[axis] - edge
+            inside = normal * offset <= 0.0
+            if inside is False or not _any(inside):
+                following.append(_FREE)
+                continue
+            speed = velocity[axis]
+            force = inside * -(stiffness * offset + damping * speed)
+            wrench[axis] = wrench[axis] + force
+            if braking is None:
+                owed = None
+            elif owed is not None or _any(inside & free):
+                entered = inside & free
+                inward = inside & (normal * speed < 0.0)
+                pulse, owed = _brake(braking, damping * speed, speed, force, entered, inward, owed)
+                pulses = pulses or [0.0] * len(AXES)
+                pulses[axis] = pulses[axis] + pulse
+            following.append((_not(inside), owed))
+        return tuple(following), pulses
+
+
+def _faces(indices: tuple[int, ...], normal: float, edges: Array, gains: list[Array]) -> tuple[_Face, ...]:
+    """Return a face for each axis that has an edge on this side."""
+    count = len(indices)
+    edge_of = per_axis("wall lower and upper", edges, count)
+    gains_of = zip(*(per_axis("wall parameter", gain, count) for gain in gains), strict=True)
+    faces: list[_Face] = []
+    for axis, edge, axis_gains in zip(indices, edge_of, gains_of, strict=True):
+        finite = np.isfinite(edge)
+        if np.any(finite) and not np.all(finite):
+            raise ParameterError("wall edges of one axis must be finite on all devices or on none")
+        if np.all(finite):
+            stiffness, damping, pulse, limit = axis_gains
+            braking = _Braking(pulse, limit) if np.any(pulse > 0.0) else None
+            faces.append((axis, normal, edge, stiffness, damping, braking))
+    return tuple(faces)
+
+
+def _brake(
+    braking: _Braking,
+    damping_force: Component,
+    speed: Component,
+    force: Component,
+    entered: Component,
+    inward: Component,
+    owed: Component | None,
+) -> tuple[Component, Component | None]:
+    """Return the pulse on top of the PD force, and what the limit leaves for the samples to come."""
+    pulse, limit = braking
+    wanted = entered * (pulse > 0.0) * (-(pulse * speed + damping_force) - force)
+    if owed is not None:
+        wanted = wanted + (inward & _not(entered)) * owed
+    # beyond the limit with the pulse, less what the PD force alone has beyond it
+    left = _beyond(force + wanted, limit) - _beyond(force, limit)
+    return wanted - left, left if _any(left != 0.0) else None
+
+
+def _beyond(force: Component, limit: Component) -> Component:
+    """Return the part of a force that a limit cuts off; exactly 0 within the limit."""
+    if force.__class__ is float and limit.__class__ is float:
+        return force - min(max(force, -limit), limit)
+    return force - np.minimum(np.maximum(force, -limit), limit)
+
+
+def _any(mask: Component) -> bool:
+    return mask if mask.__class__ is bool else bool(mask.any())
+
+
+def _not(mask: Component) -> Component:
+    return not mask if mask.__class__ is bool else ~mask

@@ -1,0 +1,107 @@
+"""Figures of one motion along one axis: how deep, how hard, how long, how much energy."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from maglev_mj.frames import Array
+from maglev_mj.trace import Trace
+
+__all__ = ["BounceSummary", "EnergyBalance", "energy_balance", "percentiles", "summarise_bounce"]
+
+
+class BounceSummary(NamedTuple):
+    """How a flotor met a wall; each figure (...), one for each device.
+
+    Attributes:
+        penetration: Greatest depth behind the wall [m].
+        rebound: Greatest height above the wall after the first contact [m], 0 if it never leaves.
+        peak_force: Largest force of the actuators on the axis, either sign [N].
+        settling_time: Time from release after which the position stays within 2 % of the way from start to
+            rest around the rest [s]; NaN if it does not, or if there is no rest.
+        final_z: Position at the end [m].
+    """
+
+    penetration: Array
+    rebound: Array
+    peak_force: Array
+    settling_time: Array
+    final_z: Array
+
+
+class EnergyBalance(NamedTuple):
+    """Where the energy went between the first and the last knot [J]; each (...)."""
+
+    kinetic: Array
+    """Gain in kinetic energy."""
+    actuators: Array
+    """Work of the actuators."""
+    gravity: Array
+    """Work of gravity."""
+
+
+def summarise_bounce(trace: Trace, rest: float, *, axis: int = 2, wall: float = 0.0) -> BounceSummary:
+    """Summarise a drop on a wall that fills x <= `wall`.
+
+    Positions are extremes of the exact curve, not of samples of it.
+
+    Args:
+        trace: The motion.
+        rest: Where the flotor comes to rest [m]; NaN for nowhere.
+        axis: Index into AXES.
+        wall: Position of the wall [m].
+    """
+    turn_time, turn = (part[..., axis] for part in trace.turning_points())
+    times = np.concatenate([trace.time, turn_time])
+    places = np.concatenate([trace.pose[..., axis], turn])
+    touched = np.where(places <= wall, times, np.inf).min(axis=0)
+    after = times >= touched
+    highest = np.where(after, places - wall, 0.0).max(axis=0)
+    return BounceSummary(
+        penetration=np.maximum(wall - places.min(axis=0), 0.0),
+        rebound=np.maximum(highest, 0.0),
+        peak_force=np.abs(trace.wrench[..., axis]).max(axis=0),
+        settling_time=_settling_time(trace, rest, axis),
+        final_z=trace.pose[-1, ..., axis],
+    )
+
+
+def _settling_time(trace: Trace, rest: float, axis: int, share: float = 0.02, step: float = 1e-4) -> Array:
+    """Return when the position last enters the band around `rest`, interpolated on a grid of `step` [s]."""
+    end = float(trace.time[-1].min())
+    grid = np.minimum(step * np.arange(int(np.ceil(end / step)) + 1), end)
+    away = np.abs(trace.at(grid)[0][..., axis] - rest)
+    band = share * np.abs(trace.pose[0, ..., axis] - rest)
+    outside = ~(away <= band)
+    last = len(grid) - 1 - np.argmax(outside[::-1], axis=0)
+    following = np.minimum(last + 1, len(grid) - 1)
+    before, behind = (np.take_along_axis(away, index[None], axis=0)[0] for index in (last, following))
+    fall = np.where(before > behind, before - behind, 1.0)
+    entered = grid[last] + (grid[following] - grid[last]) * np.clip((before - band) / fall, 0.0, 1.0)
+    settled = np.where(outside.any(axis=0), entered, 0.0)
+    return np.where(outside[-1], np.nan, settled)
+
+
+def energy_balance(trace: Trace, mass: float, gravity: float, *, axis: int = 2) -> EnergyBalance:
+    """Add up work and energy along one axis; exact under a wrench constant between knots.
+
+    Args:
+        trace: The motion.
+        mass: Mass or moment of inertia on the axis [kg, kg m²].
+        gravity: Acceleration of free fall against the axis [m/s²].
+        axis: Index into AXES.
+    """
+    travel = np.diff(trace.pose[..., axis], axis=0)
+    speed = trace.twist[..., axis]
+    return EnergyBalance(
+        kinetic=0.5 * mass * (speed[-1] ** 2 - speed[0] ** 2),
+        actuators=(trace.wrench[:-1, ..., axis] * travel).sum(axis=0),
+        gravity=-mass * gravity * (trace.pose[-1, ..., axis] - trace.pose[0, ..., axis]),
+    )
+
+
+def percentiles(summary: BounceSummary, share: float) -> BounceSummary:
+    """Return a percentile of each figure over the devices; NaN where a figure is missing on any."""
+    return BounceSummary(*(np.percentile(figure, share) for figure in summary))

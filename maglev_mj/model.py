@@ -1,0 +1,174 @@
+"""The MJCF device: files, names to indices, and what a compiled model says about itself."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from maglev_mj.coils import CoilMap
+from maglev_mj.errors import ModelError
+from maglev_mj.frames import Array
+from maglev_mj.parameters import number
+
+__all__ = ["COILS", "Device", "load", "model_path", "scenes"]
+
+COILS = tuple(f"{kind}{arm}" for kind in ("vertical", "horizontal") for arm in range(3))
+"""Actuator names, in the order of the six currents."""
+
+
+def _folder() -> Path:
+    """Return the folder of MJCF files: inside the installed package, or at the top of the repository."""
+    package = Path(__file__).resolve().parent
+    inside = package / "model"
+    return inside if inside.is_dir() else package.parent / "model"
+
+
+def scenes() -> list[str]:
+    """Return the names of the models at hand."""
+    return sorted(path.stem for path in _folder().glob("*.xml"))
+
+
+def model_path(name: str) -> Path:
+    """Return the MJCF file of a model.
+
+    Raises:
+        ModelError: If there is none of that name.
+    """
+    path = _folder() / f"{name}.xml"
+    if not path.is_file():
+        raise ModelError(f"model must be one of {', '.join(scenes())}, not {name!r}")
+    return path
+
+
+@dataclass(frozen=True, eq=False)
+class Device:
+    """A compiled model with its named parts resolved.
+
+    Attributes:
+        model: The compiled model.
+        flotor: Body index of the flotor.
+        position_address: Index of x in qpos; y, z and the quaternion follow.
+        velocity_address: Index of the x velocity in qvel; five more follow.
+        coils: Wrench map of the six coils, the first six actuators, at centre; None without coils.
+        driver_time_constant: The model's current driver time constant [s], whether or not it is switched on.
+    """
+
+    model: mujoco.MjModel
+    flotor: int
+    position_address: int
+    velocity_address: int
+    coils: CoilMap | None
+    driver_time_constant: float
+
+    @property
+    def mass(self) -> float:
+        """Moving mass, the handle included [kg]."""
+        return float(self.model.body_subtreemass[self.flotor])
+
+    @property
+    def inertia(self) -> Array:
+        """Moments of inertia of flotor and handle about stator axes through the centre [kg m²], (3,)."""
+        data = mujoco.MjData(self.model)
+        mujoco.mj_forward(self.model, data)
+        mass_matrix = np.zeros((self.model.nv, self.model.nv))
+        mujoco.mj_fullM(self.model, data, mass_matrix)
+        start = self.velocity_address + 3
+        return np.diag(mass_matrix)[start : start + 3].copy()
+
+
+def load(name: str, *, lean: bool = True, driver_lag: bool = False, coils: bool = True, mass: float | None = None) -> Device:
+    """Compile a model and resolve its names.
+
+    Args:
+        name: A model file's name without its ending, such as "drop".
+        lean: Leave out the sites that no actuator uses: no equation of motion reads them.
+        driver_lag: Give every coil its driver's first-order lag.
+        coils: False removes the coils, for an ideal wrench.
+        mass: Moving mass in place of the model's [kg]; the inertia stays.
+
+    Raises:
+        ModelError: If the file is missing, does not compile, or lacks the flotor, its joints or its coils.
+        ParameterError: If the mass is not above 0.
+    """
+    path = model_path(name)
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+        constant = float(spec.numeric("driver_time_constant").data[0])
+        if not coils:
+            for actuator in list(spec.actuators):
+                spec.delete(actuator)
+        if driver_lag:
+            for actuator in spec.actuators:
+                actuator.dyntype = mujoco.mjtDyn.mjDYN_FILTER
+                actuator.dynprm[0] = constant
+        if lean:
+            used = {end for actuator in spec.actuators for end in (actuator.target, actuator.refsite)}
+            for site in list(spec.sites):
+                if site.name not in used:
+                    spec.delete(site)
+        model = spec.compile()
+        flotor = model.body("flotor").id
+        joints = [model.joint(joint) for joint in ("x", "y", "z", "rotation")]
+        order = [model.actuator(coil).id for coil in COILS] if coils else []
+    except (ValueError, KeyError, AttributeError, IndexError) as error:
+        raise ModelError(f"model {name!r} cannot be used: {' '.join(str(error).split())}") from error
+    addresses = [int(joint.qposadr[0]) for joint in joints]
+    first = addresses[0]
+    if addresses != [first, first + 1, first + 2, first + 3]:
+        raise ModelError(f"model {name!r} must list the flotor's joints as x, y, z, rotation")
+    if order != list(range(len(order))):
+        raise ModelError(f"model {name!r} must list its coils first, as {', '.join(COILS)}")
+    if mass is not None:
+        model.body_mass[flotor] = number("mass", mass, above=0.0)
+        mujoco.mj_setConst(model, mujoco.MjData(model))
+    return Device(
+        model=model,
+        flotor=flotor,
+        position_address=first,
+        velocity_address=int(joints[0].dofadr[0]),
+        coils=_coil_map(model, int(joints[0].dofadr[0])) if coils else None,
+        driver_time_constant=constant,
+    )
+
+
+def _coil_map(model: mujoco.MjModel, first: int) -> CoilMap:
+    """Read the wrench of one ampere in each coil from the model at its reference pose."""
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    moment = np.zeros((model.nu, model.nv))
+    mujoco.mju_sparse2dense(moment, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind)
+    columns = [moment[coil, first : first + 6] * model.actuator_gainprm[coil, 0] for coil in range(len(COILS))]
+    return CoilMap(np.stack(columns, axis=-1))
+
+
+def envelope(device: Device) -> tuple[float, float]:
+    """Return radius and height [m] of the upright cylinder that holds the device without its handle."""
+    model = device.model
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    handle = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, "handle")
+    radius, low, high = 0.0, math.inf, -math.inf
+    for geom in range(model.ngeom):
+        if model.geom_bodyid[geom] == handle or model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_PLANE:
+            continue
+        centre, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
+        signs = np.array(np.meshgrid(*[(-1.0, 1.0)] * 3)).reshape(3, -1).T
+        corners = (centre + signs * half) @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
+        low, high = min(low, corners[:, 2].min()), max(high, corners[:, 2].max())
+        if model.geom_type[geom] in (mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_CAPSULE):
+            radius = max(radius, _round_reach(model, data, geom))
+        else:
+            radius = max(radius, float(np.hypot(corners[:, 0], corners[:, 1]).max()))
+    return radius, high - low
+
+
+def _round_reach(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> float:
+    """Return how far from the z axis a cylinder or capsule reaches."""
+    size, axis = model.geom_size[geom], data.geom_xmat[geom].reshape(3, 3)[:, 2]
+    along = size[1] * np.hypot(axis[0], axis[1])
+    ends = [data.geom_xpos[geom][:2] + sign * size[1] * axis[:2] for sign in (-1, 1)] if along else [data.geom_xpos[geom][:2]]
+    return float(max(np.hypot(*end) for end in ends) + size[0])

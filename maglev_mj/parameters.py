@@ -1,0 +1,106 @@
+"""Checks that parameters share: each failure is one line that names the value and what is allowed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from maglev_mj.errors import ParameterError
+from maglev_mj.frames import AXES, Array, Component
+
+__all__ = ["axis_indices", "number", "numbers", "per_axis"]
+
+
+def number(
+    name: str,
+    value: object,
+    *,
+    above: float = -math.inf,
+    at_least: float = -math.inf,
+    below: float = math.inf,
+    at_most: float = math.inf,
+) -> float:
+    """Return `value` as a finite float within the bounds.
+
+    Raises:
+        ParameterError: If it is no number, not finite, or outside the bounds.
+    """
+    try:
+        result = float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        result = math.nan
+    if not (above < result < below and at_least <= result <= at_most and math.isfinite(result)):
+        words = [
+            f"{word} {bound:g}"
+            for word, bound in (
+                ("above", above),
+                ("at least", at_least),
+                ("below", below),
+                ("at most", at_most),
+            )
+            if math.isfinite(bound)
+        ]
+        allowed = "a finite number" + (" " + " and ".join(words) if words else "")
+        raise ParameterError(f"{name} must be {allowed}, not {value!r}")
+    return result
+
+
+def numbers(name: str, value: ArrayLike, *, at_least: float = -math.inf, finite: bool = True) -> Array:
+    """Return `value` as a float array, each entry checked as `number` checks one.
+
+    Args:
+        name: What to call it in the message.
+        value: Number or array.
+        at_least: Least value allowed.
+        finite: False lets infinity pass; NaN never passes.
+
+    Raises:
+        ParameterError: If an entry is not a number, not finite, or too small.
+    """
+    try:
+        array = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ParameterError(f"{name} must be a number or an array of numbers, not {value!r}") from None
+    good = array >= at_least
+    if finite:
+        good &= np.isfinite(array)
+    if not good.all():
+        kind = "finite and " if finite else ""
+        bound = f"at least {at_least:g}" if math.isfinite(at_least) else "a number"
+        raise ParameterError(f"{name} must be {kind}{bound} everywhere, not {array[~good].flat[0]:g}")
+    return array
+
+
+def axis_indices(axes: str | Sequence[str]) -> tuple[int, ...]:
+    """Return the indices of `axes`: one name, or several as a sequence.
+
+    Raises:
+        ParameterError: If a name is unknown, is given twice, or none is given.
+    """
+    names = (axes,) if isinstance(axes, str) else tuple(axes)
+    for name in names:
+        if name not in AXES:
+            raise ParameterError(f"axis must be one of {', '.join(AXES)}, not {name!r}")
+    if not names or len(set(names)) != len(names):
+        raise ParameterError(f"axes must be one or more different names of {', '.join(AXES)}, not {names!r}")
+    return tuple(AXES.index(name) for name in names)
+
+
+def per_axis(name: str, values: Array, count: int) -> tuple[Component, ...]:
+    """Split a checked parameter into `count` components, one for each axis of a law.
+
+    A number serves all axes; (count,) gives one each; (..., count) also differs from device to device.
+
+    Raises:
+        ParameterError: If the last dimension is not `count`.
+    """
+    if values.ndim == 0:
+        return (float(values),) * count
+    if values.shape[-1] != count:
+        raise ParameterError(f"{name} must have a last dimension of {count} (one for each axis), not {values.shape}")
+    if values.ndim == 1:
+        return tuple(values.tolist())
+    return tuple(np.ascontiguousarray(np.moveaxis(values, -1, 0)))

@@ -1,0 +1,299 @@
+"""The plant's contract, and the timing that every simulated plant shares."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from maglev_mj.errors import DivergenceError, ParameterError, PlantError
+from maglev_mj.frames import Array, Command, Component, Sample, components, join
+from maglev_mj.parameters import number, numbers
+from maglev_mj.trace import Trace, TraceRecorder
+
+__all__ = ["Plant", "SampledPlant", "Timing"]
+
+
+class Plant(Protocol):
+    """What a control loop asks of a plant, simulated or real."""
+
+    def read(self) -> Sample:
+        """Wait for the next sampling instant and return what is measured there."""
+
+    def write(self, command: Command) -> Command:
+        """Send the answer to the last sample; return it as applied, after every limit."""
+
+    def close(self) -> None:
+        """Let go of the plant; safe to call at any time, and more than once."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Timing:
+    """When samples are taken and when commands take effect, counted in whole ticks.
+
+    Sample k is taken at (k + phase) period after release; its command takes effect `delay` later.
+
+    Args:
+        period: Sample period [s], above 0.
+        delay: Transport delay [s], 0 or more; may exceed the period.
+        phase: In [0, 1); (N,) for N devices that differ.
+
+    Raises:
+        ParameterError: If a value is outside its bounds.
+    """
+
+    period: float = 0.005
+    delay: float = 0.0015
+    phase: ArrayLike = 0.0
+    whole: int = field(init=False)
+    """Whole periods in the delay."""
+    rest: float = field(init=False)
+    """What remains of the delay [s], in [0, period)."""
+    negligible: float = field(init=False)
+    """Stretches shorter than this [s] are rounding, not time."""
+
+    def __post_init__(self) -> None:
+        period = number("period", self.period, above=0.0)
+        delay = number("delay", self.delay, at_least=0.0)
+        phase = numbers("phase", self.phase, at_least=0.0)
+        if not (phase < 1.0).all():
+            raise ParameterError(f"phase must be at least 0 and below 1, not {float(phase.max()):g}")
+        # a delay within rounding of a whole number of periods is that number
+        whole = math.floor(delay / period + 1e-9)
+        rest = max(delay - whole * period, 0.0)
+        object.__setattr__(self, "period", period)
+        object.__setattr__(self, "delay", delay)
+        object.__setattr__(self, "phase", phase if phase.ndim else float(phase))
+        object.__setattr__(self, "whole", whole)
+        object.__setattr__(self, "negligible", 1e-9 * period)
+        object.__setattr__(self, "rest", rest if rest > 1e-9 * period else 0.0)
+
+    def time(self, tick: int, offset: Component = 0.0) -> Any:
+        """Return the time [s] of an instant `offset` after sample `tick`; never a running sum."""
+        return (tick + self.phase) * self.period + offset
+
+
+class SampledPlant(ABC):
+    """A simulated device under piecewise constant wrench.
+
+    Between two samples the wrench changes at most three times: where a pulse of the command before runs
+    out, where the next command takes effect (which ends such a pulse too), and where its own pulse runs out.
+    A subclass only has to carry
+    its state from one of these switches to the next.
+
+    Args:
+        timing: Sample period, delay and phase.
+        batch: Shape of the batch, () for one device.
+        wrench_limit: Largest wrench, (..., 6) or a number [N, N m]; infinite entries and None for no limit.
+        quantum: Sensor resolution, (6,) [m, rad]; zero entries and None for an ideal sensor.
+        escape: Distance and angle from the centre [m, rad] beyond which the run has diverged.
+        record: Keep every switch for `trace()`.
+        longest_step: Longest stretch between two recorded or computed states [s]; None for no bound.
+    """
+
+    def __init__(
+        self,
+        timing: Timing,
+        batch: tuple[int, ...],
+        *,
+        wrench_limit: ArrayLike | None = None,
+        quantum: ArrayLike | None = None,
+        escape: tuple[float, float] = (0.045, 1.0),
+        record: bool = False,
+        longest_step: float | None = None,
+    ) -> None:
+        self.timing = timing
+        self.batch = batch
+        self._limit = None if wrench_limit is None else _six("wrench_limit", wrench_limit)
+        self._limits = self._limit is not None
+        self._quantum = None if quantum is None else _six("quantum", quantum)
+        distance, angle = (number("escape", value, above=0.0) for value in escape)
+        self._escape = distance * distance, angle * angle
+        self._longest_step = longest_step
+        self._recorder = TraceRecorder(timing.time) if record else None
+        self._run = self._advance if self._recorder is None and longest_step is None else self._run_in_pieces
+        self._tick = -1
+        self._offset: Component = 0.0
+        # one place for each command on its way; None where none was written
+        self._queue: deque[tuple[Any, Any, float] | None] = deque([None] * timing.whole)
+        self._drive = self._prepare([0.0] * 6)
+        self._tail: tuple[Any, float] | None = None
+        self._closed = False
+
+    @abstractmethod
+    def _prepare(self, force: Sequence[Component]) -> Any:
+        """Turn a wrench into what `_advance` takes."""
+
+    @abstractmethod
+    def _advance(self, duration: Component, drive: Any) -> None:
+        """Carry the state over `duration` [s] under a constant drive."""
+
+    @abstractmethod
+    def _position(self) -> list[Component]:
+        """Return the components of the true pose; raise if the state is not sound."""
+
+    @abstractmethod
+    def _state(self, drive: Any) -> tuple[Array, Array, Array]:
+        """Return pose, twist and the wrench on the flotor at this instant, (..., 6) each."""
+
+    def read(self) -> Sample:
+        """Carry the device to the next sampling instant and return what is measured there.
+
+        Raises:
+            DivergenceError: If the flotor has left its range by a wide margin.
+            PlantError: If the plant is closed or the engine warned.
+        """
+        timing = self.timing
+        if self._closed:
+            raise PlantError("the plant is closed")
+        if self._tick >= 0:
+            self._offset = 0.0
+            self._period(timing.period, timing.rest, timing.negligible)
+        elif np.any(timing.phase):  # free fall from release to the first sample, which is tick 0
+            ahead = timing.phase * timing.period
+            self._offset = -ahead
+            self._run(ahead, self._drive)
+        self._tick = tick = self._tick + 1
+        position = self._position()
+        if self._quantum is not None:
+            position = _quantized(position, self._quantum)
+        return Sample(tick, (tick + timing.phase) * timing.period, position)
+
+    def write(self, command: Command) -> Command:
+        """Queue the answer to the last sample; return it as applied, after the limits.
+
+        Raises:
+            PlantError: If the command is not finite, or no sample was read.
+        """
+        if self._closed or self._tick < 0:
+            raise PlantError("the plant is closed" if self._closed else "write() needs a sample: call read() first")
+        if self._limits:
+            command = self._limited(command)
+        force, extra, width = command
+        held = pulsed = self._prepare(force)
+        if extra is None:
+            self._check_finite(force)
+            width = 0.0
+        else:
+            total = [one + other for one, other in zip(force, extra)]
+            self._check_finite(total)
+            pulsed = self._prepare(total)
+            if not 0.0 < width < math.inf:
+                raise PlantError(f"pulse_width must be finite and above 0, not {width:g}")
+        if len(self._queue) > self.timing.whole:  # a second answer to the same sample replaces the first
+            self._queue.pop()
+        self._queue.append((held, pulsed, width))
+        return command
+
+    def close(self) -> None:
+        """Let go of the plant; safe to call at any time, and more than once."""
+        self._closed = True
+
+    def trace(self) -> Trace:
+        """Return the motion recorded since release.
+
+        Raises:
+            PlantError: If the plant was made without `record=True`, or nothing has happened yet.
+        """
+        if self._recorder is None or self._tick < 0:
+            raise PlantError("nothing is recorded: make the plant with record=True and read at least one sample")
+        return self._recorder.finish(self._tick, *self._state(self._drive))
+
+    def __iter__(self) -> Iterator[Sample]:
+        while True:
+            yield self.read()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _period(self, period: float, rest: float, negligible: float) -> None:
+        """Carry the state over one sample period, from switch to switch."""
+        queue, run = self._queue, self._run
+        if len(queue) == self.timing.whole:  # no answer to the last sample: the command in effect holds
+            queue.append(None)
+        start = 0.0
+        if self._tail is not None:
+            pulsed, start = self._tail
+            self._tail = None
+            run(start, pulsed)
+        if rest - start > negligible:
+            run(rest - start, self._drive)
+        left = period - rest
+        entry = queue.popleft()
+        if entry is not None:
+            self._drive, pulsed, width = entry
+            if width > 0.0:
+                inside = min(width, left)
+                run(inside, pulsed)
+                left -= inside
+                after = min(width - inside, rest)  # the next command ends what is left of a pulse
+                if after > negligible:
+                    self._tail = pulsed, after
+        if left > negligible:
+            run(left, self._drive)
+
+    def _run_in_pieces(self, duration: Component, drive: Any) -> None:
+        """Advance over one stretch, recorded, and in pieces where a longest step is set."""
+        longest = self._longest_step
+        pieces = 1 if longest is None else max(math.ceil(float(np.max(duration)) / longest), 1)
+        for piece in range(pieces):
+            if self._recorder is not None:
+                offset = self._offset + duration * (piece / pieces)
+                self._recorder.add(self._tick if self._tick >= 0 else 0, offset, *self._state(drive))
+            self._advance(duration / pieces, drive)
+        self._offset = self._offset + duration
+
+    def _limited(self, command: Command) -> Command:
+        """Clip the held wrench, and the wrench in the pulse, each on its own."""
+        limit = self._limit
+        if limit is None:
+            return command
+        wrench = np.clip(command.wrench, -limit, limit)
+        if command.extra is None:
+            return Command(components(wrench))
+        total = np.clip(command.wrench + command.pulse, -limit, limit)
+        return Command(components(wrench), components(total - wrench), command.pulse_width)
+
+    def _check_finite(self, force: Sequence[Component]) -> None:
+        x, y, z, rx, ry, rz = force
+        total = x + y + z + rx + ry + rz  # short of overflow, a sum is finite only if all its terms are
+        if not (math.isfinite(total) if total.__class__ is float else np.all(np.isfinite(total))):
+            raise PlantError(f"command at tick {self._tick} must be finite, not {join(force)}")
+
+    def _check_escape(self, position: Sequence[Component]) -> None:
+        """Raise if a flotor is far outside its range; NaN counts as outside."""
+        x, y, z, rx, ry, rz = position
+        distance, angle = x * x + y * y + z * z, rx * rx + ry * ry + rz * rz
+        inside = (distance < self._escape[0]) & (angle < self._escape[1])
+        if inside is True or np.all(inside):
+            return
+        far, turned = (float(np.sqrt(np.max(value))) for value in (distance, angle))
+        raise DivergenceError(
+            f"the flotor is {far:.3g} m and {turned:.3g} rad from its centre at "
+            f"{float(np.max(self.timing.time(self._tick))):.4g} s; a run has diverged beyond "
+            f"{self._escape[0] ** 0.5:.3g} m or {self._escape[1] ** 0.5:.3g} rad"
+        )
+
+
+def _six(name: str, value: ArrayLike) -> Array:
+    """Return a per-axis parameter that is 0 or more, (..., 6) or a number for all axes."""
+    array = numbers(name, value, at_least=0.0, finite=False)
+    if array.ndim and array.shape[-1] != 6:
+        raise ParameterError(f"{name} must be a number or have the shape (..., 6), not {array.shape}")
+    return array
+
+
+def _quantized(position: Sequence[Component], quantum: Array) -> list[Component]:
+    """Round to whole steps of the sensor; a step of 0 leaves the coordinate as it is."""
+    pose = join(position)
+    step = np.where(quantum > 0.0, quantum, 1.0)
+    return components(np.where(quantum > 0.0, np.rint(pose / step) * step, pose))

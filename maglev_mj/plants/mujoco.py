@@ -1,0 +1,147 @@
+"""The MuJoCo plant: the device model, stepped only from force switch to force switch."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+
+from maglev_mj.errors import ParameterError, PlantError
+from maglev_mj.frames import Array, Command, quaternion, rotation_vector
+from maglev_mj.model import COILS, load
+from maglev_mj.parameters import number, numbers
+from maglev_mj.plants.base import SampledPlant, Timing
+from maglev_mj.spec import GRAVITY
+
+__all__ = ["MuJoCoPlant"]
+
+class MuJoCoPlant(SampledPlant):
+    """The device in MuJoCo, RK4 with a step boundary at every switch: exact to rounding in translation.
+
+    Args:
+        timing: Sample period, delay and phase (a number).
+        scene: Name of the model.
+        mass: Moving mass in place of the model's [kg].
+        pose: Pose at release [m, rad], (6,).
+        twist: Velocity at release, the angular part in flotor axes [m/s, rad/s], (6,).
+        gravity: Acceleration of free fall along -z [m/s²].
+        coils: True sends each wrench through the six coils by their map at centre; False applies it to the
+            flotor itself, as an ideal actuator would.
+        current_limit: Largest current in any coil [A]; None for no limit.
+        driver_lag: Switch the current drivers' first-order lag on.
+        longest_step: Longest integration step [s]; None for as long as the wrench is constant, and a
+            quarter of the drivers' time constant where their lag is on.
+        wrench_limit: See `SampledPlant`, as for the remaining ones.
+        quantum: Sensor resolution.
+        escape: Distance and angle at which a run counts as diverged.
+        record: Keep every switch for `trace()`.
+
+    Raises:
+        ParameterError: If a value is outside its bounds or the shapes do not fit.
+        ModelError: If the scene cannot be used.
+    """
+
+    def __init__(
+        self,
+        timing: Timing | None = None,
+        *,
+        scene: str = "drop",
+        mass: float | None = None,
+        pose: ArrayLike = (0.0,) * 6,
+        twist: ArrayLike = (0.0,) * 6,
+        gravity: float = GRAVITY,
+        coils: bool = True,
+        current_limit: float | None = None,
+        driver_lag: bool = False,
+        longest_step: float | None = None,
+        wrench_limit: ArrayLike | None = None,
+        quantum: ArrayLike | None = None,
+        escape: tuple[float, float] = (0.045, 1.0),
+        record: bool = False,
+    ) -> None:
+        timing = timing or Timing()
+        start, motion = numbers("pose", pose), numbers("twist", twist)
+        if start.shape != (6,) or motion.shape != (6,) or np.ndim(timing.phase):
+            raise ParameterError(
+                f"a MuJoCo plant is one device: pose and twist must be (6,) and phase a number, "
+                f"not {start.shape}, {motion.shape} and {np.shape(timing.phase)}"
+            )
+        if not coils and (driver_lag or current_limit is not None):
+            raise ParameterError("current_limit and driver_lag need coils=True")
+        self.device = load(scene, mass=mass, driver_lag=driver_lag, coils=coils)
+        self.current_limit = None if current_limit is None else number("current_limit", current_limit, at_least=0.0)
+        model = self.device.model
+        model.opt.integrator = mujoco.mjtIntegrator.mjINT_RK4
+        model.opt.gravity[:] = 0.0, 0.0, -number("gravity", gravity)
+        # an automatic reset would make a diverging run look stable, and the plant limits currents itself
+        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET | mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL
+        self._data = mujoco.MjData(model)
+        self._model, self._options = model, model.opt
+        self._qpos = self._data.qpos[self.device.position_address :][:7]
+        self._qvel = self._data.qvel[self.device.velocity_address :][:6]
+        self._qpos[:3], self._qpos[3:] = start[:3], quaternion(start[3:])
+        self._qvel[:] = motion
+        # live views: reaching for them through the data object costs as much as using them
+        self._currents = self._data.ctrl[: len(COILS)]
+        self._wrench = np.zeros(6) if coils else self._data.xfrc_applied[self.device.flotor]
+        self._inverse_map = None if self.device.coils is None else self.device.coils.current_per_wrench
+        self._applied: Sequence[float] | None = None
+        self._warnings = self._data.warning.number
+        self._no_warnings = self._warnings.tobytes()
+        if driver_lag and longest_step is None:
+            longest_step = 0.25 * self.device.driver_time_constant
+        super().__init__(
+            timing,
+            batch=(),
+            wrench_limit=wrench_limit,
+            quantum=quantum,
+            escape=escape,
+            record=record,
+            longest_step=longest_step,
+        )
+        self._limits = self._limits or self.current_limit is not None
+
+    def _limited(self, command: Command) -> Command:
+        command = super()._limited(command)
+        limit, coils = self.current_limit, self.device.coils
+        if limit is None or coils is None:
+            return command
+        wrench = coils.limited(command.wrench, limit)
+        if command.extra is None:
+            return Command(wrench.tolist())
+        total = coils.limited(command.wrench + command.pulse, limit)
+        return Command(wrench.tolist(), (total - wrench).tolist(), command.pulse_width)
+
+    def _prepare(self, force: Sequence[float]) -> Sequence[float]:
+        return force
+
+    def _advance(self, duration: float, drive: Sequence[float]) -> None:
+        if drive is not self._applied:
+            self._applied = drive
+            self._wrench[:] = drive
+            if self._inverse_map is not None:
+                self._inverse_map.dot(self._wrench, out=self._currents)
+        self._options.timestep = duration
+        mujoco.mj_step(self._model, self._data)
+
+    def _position(self) -> list[float]:
+        if self._warnings.tobytes() != self._no_warnings:
+            raise PlantError(f"MuJoCo warns at {self.timing.time(self._tick):.4g} s: {self._warning_names()}")
+        x, y, z, q0, q1, q2, q3 = self._qpos.tolist()
+        position = [x, y, z, *rotation_vector(q0, q1, q2, q3)]
+        self._check_escape(position)
+        return position
+
+    def _warning_names(self) -> str:
+        counts = self._warnings.tolist()
+        return ", ".join(mujoco.mjtWarning(kind).name for kind, count in enumerate(counts) if count)
+
+    def _state(self, drive: Sequence[float]) -> tuple[Array, Array, Array]:
+        x, y, z, *turn = self._qpos.tolist()
+        wrench = np.array(drive)
+        if self._model.na and self.device.coils is not None:  # the drivers lag: their currents, not the commanded
+            wrench = self.device.coils.wrench(self._data.act)
+        return np.array([x, y, z, *rotation_vector(*turn)]), self._qvel.copy(), wrench

@@ -1,0 +1,162 @@
+"""What the compiled device yields, beside what the paper prints in Table 1."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from maglev_mj.experiments.bandwidth import position_bandwidth
+from maglev_mj.frames import AXES
+from maglev_mj.model import COILS, Device, envelope, load
+from maglev_mj.spec import GRAVITY, Spec
+
+__all__ = ["DeviceReport", "Row", "device_report"]
+
+
+@dataclass(frozen=True)
+class Row:
+    """One figure: what the paper prints, what the model yields, in which unit, and a remark."""
+
+    name: str
+    paper: str
+    model: str
+    unit: str
+    remark: str = ""
+
+
+@dataclass(frozen=True)
+class DeviceReport:
+    """Table 1 and what follows from the model.
+
+    Attributes:
+        table: Rows of Table 1 and section 2.
+        figures: Figures measured on the model, SI units.
+        contradictions: Where the paper does not agree with itself.
+    """
+
+    table: tuple[Row, ...]
+    figures: dict[str, Any]
+    contradictions: tuple[str, ...]
+
+
+def device_report() -> DeviceReport:
+    """Compile the device and measure it.
+
+    Source: Salcudean & Vlaar 1997, Table 1 and section 2.
+    """
+    figures = _measure(load("maglev", lean=False))
+    return DeviceReport(_table(figures), figures, _contradictions(figures))
+
+
+def _measure(device: Device) -> dict[str, Any]:
+    model, coils = device.model, device.coils
+    assert coils is not None  # the device is loaded with its coils
+    radius, height = envelope(device)
+    gains = model.actuator_gainprm[: len(COILS), 0]
+    peak = float(model.actuator_ctrlrange[: len(COILS), 1].min())
+    arms = np.linalg.norm(coils.wrench_per_current[3:] / gains, axis=0)
+    loop = {"period": 1.0 / Spec.control_rate.value, "delay": Spec.transport_delay.value}
+    hover = coils.currents(np.array([0.0, 0.0, device.mass * GRAVITY, 0.0, 0.0, 0.0]))
+    return {
+        "radius": radius,
+        "height": height,
+        "stator_mass": float(model.body("stator").mass[0]),
+        "flotor_mass": float(model.body("flotor").mass[0]),
+        "moving_mass": device.mass,
+        "inertia": device.inertia.tolist(),
+        "translation_range": float(model.joint("z").range[1]),
+        "rotation_range": math.degrees(float(model.joint("rotation").range[1])),
+        "translation_bandwidth": position_bandwidth("z", stiffness=6000.0, damping=80.0, **loop),
+        "rotation_bandwidth": position_bandwidth("rx", stiffness=8.0, damping=0.1, **loop),
+        "driver_bandwidth": 1.0 / (2.0 * math.pi * device.driver_time_constant),
+        "force_constant": float(gains.min()),
+        "peak_current": peak,
+        "hover_current": float(np.abs(hover).max()),
+        "largest_at_continuous_current": coils.largest_wrench(Spec.continuous_current.value).tolist(),
+        "largest_at_peak_current": coils.largest_wrench(peak).tolist(),
+        "wrench_map": coils.wrench_per_current.tolist(),
+        "mean_arm": float(arms.mean()),
+        "condition_number": coils.condition_number(float(arms.mean())),
+        "condition_number_si": coils.condition_number(1.0),
+    }
+
+
+def _table(figures: dict[str, Any]) -> tuple[Row, ...]:
+    spec = Spec()
+    plant = "an option of the plants"
+    return (
+        Row("envelope, radius", f"{spec.radius.value * 1e3:g}", f"{figures['radius'] * 1e3:.1f}", "mm"),
+        Row("envelope, height", f"{spec.height.value * 1e3:g}", f"{figures['height'] * 1e3:.1f}", "mm", "without handle"),
+        Row("stator mass", f"{spec.stator_mass.value:g}", f"{figures['stator_mass']:g}", "kg"),
+        Row("flotor mass", f"{spec.flotor_mass.value:g}", f"{figures['flotor_mass']:g}", "kg"),
+        Row("moving mass", f"{spec.moving_mass.value:g}", f"{figures['moving_mass']:g}", "kg", "handle included"),
+        Row("payload, continuous", f"{spec.payload.value:g}", f"{_payload(figures):.2f}", "kg", "see below"),
+        Row("translation range ±", f"{spec.translation_range.value * 1e3:g}",
+            f"{figures['translation_range'] * 1e3:g}", "mm"),
+        Row("rotation range ±", f"{spec.rotation_range.value:g}", f"{figures['rotation_range']:g}", "deg"),
+        Row("resolution, translation", "< 5", "5", "µm", plant),
+        Row("resolution, rotation", "< 10", "10", "µrad", plant),
+        Row("force frequency response", "> 3", f"{figures['driver_bandwidth'] / 1e3:g}", "kHz", "see below"),
+        Row("position response, translation", "> 30", f"{figures['translation_bandwidth']:.1f}", "Hz",
+            "hold 6000 N/m, 80 N s/m at 200 Hz, 1.5 ms"),
+        Row("position response, rotation", "> 15", f"{figures['rotation_bandwidth']:.1f}", "Hz",
+            "hold 8 N m/rad, 0.1 N m s/rad"),
+        Row("actuator force constant", f"{spec.force_constant.value:g}", f"{figures['force_constant']:g}", "N/A"),
+        Row("continuous current, per coil", f"{spec.continuous_current.value:g}", "3", "A", "used for the figures below"),
+        Row("peak current, per coil", f"{spec.peak_current.value:g}", f"{figures['peak_current']:g}", "A"),
+        Row("largest force along z", f"{spec.largest_vertical_force.value:g}",
+            f"{figures['largest_at_peak_current'][2]:.1f}", "N", "section 2"),
+    )
+
+
+def _payload(figures: dict[str, Any]) -> float:
+    """Return the mass [kg] that can be held up beside the flotor's own at the continuous current."""
+    return float(figures["largest_at_continuous_current"][2] / GRAVITY - figures["flotor_mass"])
+
+
+def _contradictions(figures: dict[str, Any]) -> tuple[str, ...]:
+    spec = Spec()
+    load_ = (spec.payload.value + spec.flotor_mass.value) * GRAVITY
+    per_ampere = figures["largest_at_continuous_current"][2] / spec.continuous_current.value
+    return (
+        f"A payload of 2 kg with the flotor's 0.65 kg takes {load_ / per_ampere:.2f} A in each vertical coil, "
+        f"above the 3 A continuous; at 3 A the payload is {_payload(figures):.2f} kg.",
+        "Table 1 gives a force response above 3 kHz; section 2 has the currents controlled to about 2 kHz. "
+        "The model's driver lag follows section 2.",
+        "Table 1 gives 10 A as the peak per coil; section 2 gives 10 A as the drivers' continuous maximum.",
+    )
+
+
+def render(report: DeviceReport) -> str:
+    """Return the report as text for a terminal."""
+    lines = ["The UBC maglev joystick: what the paper prints and what the compiled model yields", ""]
+    lines.append(f"  {'':<32}{'paper':>8}{'model':>9}  unit")
+    for row in report.table:
+        remark = f"   {row.remark}" if row.remark else ""
+        lines.append(f"  {row.name:<32}{row.paper:>8}{row.model:>9}  {row.unit:<5}{remark}".rstrip())
+    figures = report.figures
+    inertia = ", ".join(f"{value * 1e4:.2f}" for value in figures["inertia"])
+    lines += [
+        "",
+        f"  inertia about x, y, z with handle  {inertia}  1e-4 kg m² (assumed)",
+        f"  hover current, each vertical coil  {figures['hover_current']:.2f} A at {figures['moving_mass']:g} kg",
+        "",
+        f"  {'largest pure force or torque':<32}" + "".join(f"{axis:>9}" for axis in AXES),
+    ]
+    for name, key in (("at 3 A", "largest_at_continuous_current"), ("at 10 A", "largest_at_peak_current")):
+        lines.append(f"  {name:<32}" + "".join(f"{value:>9.3g}" for value in figures[key]) + "  N, N m")
+    lines += ["", "  wrench map, N/A and N m/A for one ampere in each coil (coil places are assumed)"]
+    lines.append(f"  {'':<6}" + "".join(f"{coil:>13}" for coil in COILS))
+    for axis, row in zip(AXES, figures["wrench_map"], strict=True):
+        lines.append(f"  {axis:<6}" + "".join(f"{value + 0.0:>13.4f}" for value in np.round(row, 12)))
+    lines += [
+        f"  condition number {figures['condition_number']:.2f} with torques over the mean arm of "
+        f"{figures['mean_arm'] * 1e3:.1f} mm, {figures['condition_number_si']:.1f} in SI units",
+        "",
+        "  where the paper contradicts itself",
+    ]
+    lines += [f"  - {text}" for text in report.contradictions]
+    return "\n".join(lines)

@@ -1,0 +1,126 @@
+"""The motion between samples: every switch of the force, and the exact curve through them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from maglev_mj.errors import ParameterError
+from maglev_mj.frames import Array, Component
+from maglev_mj.parameters import numbers
+
+__all__ = ["Trace", "TraceRecorder"]
+
+
+class TraceRecorder:
+    """Collects the state at each switch; `time(tick, offset)` turns integer ticks into seconds at the end."""
+
+    def __init__(self, time: Callable[[int, Component], Any]) -> None:
+        self._time = time
+        self._rows: list[tuple[int, Component, Array, Array, Array]] = []
+
+    def add(self, tick: int, offset: Component, pose: Array, twist: Array, wrench: Array) -> None:
+        """Keep the state at `offset` [s] after sample `tick` and the wrench that acts from there on."""
+        self._rows.append((tick, offset, pose, twist, wrench))
+
+    def finish(self, tick: int, pose: Array, twist: Array, wrench: Array) -> Trace:
+        """Return everything kept so far, closed by the state at sample `tick`."""
+        rows = [*self._rows, (tick, 0.0, pose, twist, wrench)]
+        batch = pose.shape[:-1]
+        times = [np.broadcast_to(self._time(row[0], row[1]), batch) for row in rows]
+        return Trace(np.stack(times), *(np.stack([row[part] for row in rows]) for part in (2, 3, 4)))
+
+
+@dataclass(frozen=True, eq=False)
+class Trace:
+    """Motion as knots: the state at each switch, and the wrench that acts from each knot to the next.
+
+    Under a wrench that is constant between knots the motion is a parabola, which the cubic Hermite curve
+    through position and velocity at both ends reproduces exactly; evaluation between knots adds no error.
+
+    Attributes:
+        time: Knot times since release [s], (K, ...).
+        pose: Pose at the knots [m, rad], (K, ..., 6).
+        twist: Velocity at the knots [m/s, rad/s], (K, ..., 6).
+        wrench: Wrench of the actuators from each knot on [N, N m], (K, ..., 6); gravity is not in it.
+    """
+
+    time: Array
+    pose: Array
+    twist: Array
+    wrench: Array
+
+    def at(self, time: ArrayLike) -> tuple[Array, Array, Array]:
+        """Evaluate at given times.
+
+        Args:
+            time: Times since release [s], (M,), within the trace.
+
+        Returns:
+            Pose, twist and wrench, (M, ..., 6) each. At a switch the wrench is the one that begins there.
+
+        Raises:
+            ParameterError: If a time is outside the trace.
+        """
+        times = np.atleast_1d(numbers("time", time))
+        first, last = float(self.time[0].max()), float(self.time[-1].min())
+        if times.size and not (first - 1e-12 <= times.min() and times.max() <= last + 1e-12):
+            raise ParameterError(f"time must be from {first:g} to {last:g}, not {times.min():g} to {times.max():g}")
+        knots = self.time.reshape(len(self.time), -1)
+        # a picosecond past the knot still counts as the knot: switch times and grid times round differently
+        index = np.stack([np.searchsorted(column, times + 1e-12, side="right") - 1 for column in knots.T], axis=-1)
+        index = np.clip(index, 0, len(knots) - 2).reshape(times.shape + self.time.shape[1:])
+        start, end = (np.take_along_axis(self.time, index + shift, axis=0) for shift in (0, 1))
+        width = np.where(end > start, end - start, 1.0)
+        where = (times.reshape((-1,) + (1,) * (self.time.ndim - 1)) - start)[..., None]
+        wide = index[..., None]
+        x0, x1, v0, v1 = (
+            np.take_along_axis(values, wide + shift, axis=0)
+            for values in (self.pose, self.twist)
+            for shift in (0, 1)
+        )
+        wrench = np.take_along_axis(self.wrench, wide, axis=0)
+        h = width[..., None]
+        s = where / h
+        # the cubic beyond the parabola through x0, v0, v1; zero but for rounding under a constant wrench
+        bend = (x1 - x0) - 0.5 * h * (v0 + v1)
+        pose = x0 + h * s * (v0 + 0.5 * s * (v1 - v0)) + bend * s * s * (3.0 - 2.0 * s)
+        twist = v0 + s * (v1 - v0) + bend * 6.0 * s * (1.0 - s) / h
+        final = np.abs(times.reshape(where.shape[:1] + (1,) * (where.ndim - 1)) - self.time[-1][..., None]) <= 1e-12
+        return pose, twist, np.where(final, self.wrench[-1], wrench)
+
+    def until(self, end: float) -> Trace:
+        """Return the trace cut off at `end` [s]; knots beyond it become copies of the state there.
+
+        Raises:
+            ParameterError: If `end` is outside the trace.
+        """
+        pose, twist, wrench = self.at(end)
+        beyond = self.time > end
+        wide = beyond[..., None]
+        cut = Trace(
+            np.where(beyond, end, self.time),
+            np.where(wide, pose, self.pose),
+            np.where(wide, twist, self.twist),
+            np.where(wide, wrench, self.wrench),
+        )
+        keep = np.flatnonzero(~beyond.reshape(len(beyond), -1).all(axis=1))
+        last = min(int(keep[-1]) + 2, len(beyond)) if keep.size else 1
+        return Trace(cut.time[:last], cut.pose[:last], cut.twist[:last], cut.wrench[:last])
+
+    def turning_points(self) -> tuple[Array, Array]:
+        """Return the times and poses at which each coordinate turns between knots.
+
+        Returns:
+            Times and positions, (K - 1, ..., 6) each; where a coordinate does not turn between two knots, the
+            first of these knots stands instead. Exact under a constant wrench.
+        """
+        h = np.diff(self.time, axis=0)[..., None]
+        v0, v1 = self.twist[:-1], self.twist[1:]
+        turns = v0 * v1 < 0.0
+        share = np.where(turns, v0 / np.where(turns, v0 - v1, 1.0), 0.0)
+        return self.time[:-1][..., None] + share * h, self.pose[:-1] + 0.5 * share * h * v0
