@@ -110,7 +110,7 @@ def phase_plane(runs: Iterable[tuple[str, DropResult]], path: Path) -> Path:
         )
     parameters = shown[0][1].parameters
     if parameters.stiffness > 0.0:
-        time = np.arange(int(parameters.duration / 1e-4) + 1) * 1e-4
+        time = shown[0][1].series(1e-4)[0]
         z, velocity, _ = analog_drop(parameters, time)
         panel.plot(z * 1e3, velocity, color=_IDEAL, linestyle=":", linewidth=1.8, label="analog wall, 10 kHz filter")
     panel.axvline(0.0, color="#b9b2a3", linewidth=1.2)
@@ -137,8 +137,12 @@ def phases(sweeps: Iterable[tuple[str, DropSweep]], path: Path) -> Path:
         figures = (sweep.summary.penetration * 1e3, sweep.summary.rebound * 1e3, sweep.summary.peak_force)
         for panel, values in zip(panels, figures, strict=True):
             panel.plot(
-                sweep.phases, values, color=(_WITH, _WITHOUT)[place % 2], linewidth=1.7,
-                linestyle=("-", "--")[place % 2], label=label,
+                sweep.phases,
+                values,
+                color=(_WITH, _WITHOUT)[place % 2],
+                linewidth=1.7,
+                linestyle=("-", "--")[place % 2],
+                label=label,
             )
     for panel, name in zip(panels, ("penetration (mm)", "rebound (mm)", "peak force (N)"), strict=True):
         panel.set_title(name, loc="left", fontsize=10.5)

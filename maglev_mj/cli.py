@@ -79,11 +79,32 @@ def _add_drop_options(parser: argparse.ArgumentParser) -> None:
         default = getattr(defaults, name)
         shown = "none" if default is None else f"{default:g}"
         parser.add_argument(
-            f"--{name.replace('_', '-')}", type=float, default=default, metavar="X", help=f"{text} (default {shown})"
+            f"--{name.replace('_', '-')}", type=_number, default=default, metavar="X", help=f"{text} (default {shown})"
         )
-    parser.add_argument("--phases", type=int, metavar="N", help="also sweep N phases, evenly spread over a period")
-    parser.add_argument("--json", metavar="FILE", help="write parameters, motion and figures as JSON; - for standard output")
+    parser.add_argument(
+        "--carry",
+        action="store_true",
+        help="carry the braking that the force limit cuts off over to the next samples; otherwise it is lost",
+    )
+    parser.add_argument("--phases", type=_count, metavar="N", help="also sweep N phases, evenly spread over a period")
+    parser.add_argument(
+        "--json", metavar="FILE", help="write parameters, motion and figures as JSON; - for standard output"
+    )
     parser.add_argument("--out", metavar="DIR", type=Path, help="write pictures to this folder")
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"must be a number, not {text!r}") from None
+
+
+def _count(text: str) -> int:
+    try:
+        return int(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"must be a whole number, not {text!r}") from None
 
 
 def _info(options: argparse.Namespace) -> int:
@@ -136,9 +157,7 @@ def _write_json(target: str, data: dict[str, Any]) -> None:
         Path(target).write_text(text + "\n", encoding="utf-8")
 
 
-def _pictures(
-    result: DropResult, plain: DropParameters | None, sweep: DropSweep | None, folder: Path
-) -> list[Path]:
+def _pictures(result: DropResult, plain: DropParameters | None, sweep: DropSweep | None, folder: Path) -> list[Path]:
     """Draw figures 3 and 4 and the spread over phases, with and without the pulse where there is one."""
     runs, variants = [("with pulse" if plain else "no pulse", result)], [result.parameters]
     if plain is not None:
@@ -147,7 +166,8 @@ def _pictures(
     sweeps = []
     for (label, _), variant in zip(runs, variants, strict=True):
         ready = sweep if variant is result.parameters else None
-        sweeps.append((label, ready or sweep_drop(replace(variant, plant="exact"), _PICTURED_PHASES)))
+        count = _PICTURED_PHASES if sweep is None else sweep.phases.size
+        sweeps.append((label, ready or sweep_drop(replace(variant, plant="exact"), count)))
     folder.mkdir(parents=True, exist_ok=True)
     return [
         charts.time_series(runs, folder / "drop_time.png"),

@@ -28,9 +28,7 @@ class Controller:
         ParameterError: If the period is not above 0, or the laws' pulse widths differ.
     """
 
-    def __init__(
-        self, laws: Sequence[Law], *, period: float, velocity: VelocityEstimator | None = None
-    ) -> None:
+    def __init__(self, laws: Sequence[Law], *, period: float, velocity: VelocityEstimator | None = None) -> None:
         self.period = number("period", period, above=0.0)
         self._laws = tuple(laws)
         widths = {law.pulse_width for law in self._laws if law.pulse_width > 0.0}

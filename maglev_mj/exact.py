@@ -108,7 +108,8 @@ def _in_wall(k: float, b: float, m: float, g: float, rate: float) -> Motion:
 
     def motion(state: Array, time: Array) -> Array:
         modes = inverse @ (state - rest) * np.exp(np.multiply.outer(time, values))
-        return rest + (modes @ vectors.T).real
+        states: Array = rest + (modes @ vectors.T).real
+        return states
 
     return motion
 

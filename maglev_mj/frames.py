@@ -7,9 +7,9 @@ axes. The leading ``...`` is the batch: nothing for one device, (N,) for N of th
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from types import ModuleType
-from typing import Any, NamedTuple, TypeAlias
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +29,8 @@ comparisons appear, which IEEE 754 rounds alike in both, so the results agree bi
 """
 
 
-class Sample(NamedTuple):
+@dataclass(slots=True, eq=False)
+class Sample:
     """What the controller sees at a sampling instant.
 
     Attributes:
@@ -48,7 +49,8 @@ class Sample(NamedTuple):
         return join(self.position)
 
 
-class Command(NamedTuple):
+@dataclass(slots=True, eq=False)
+class Command:
     """What the controller answers: a wrench held until the next command takes effect.
 
     Attributes:
@@ -85,7 +87,12 @@ def join(parts: Sequence[Component]) -> Array:
 
 
 def rotation_vector(
-    w: Component, x: Component, y: Component, z: Component, functions: ModuleType = math
+    w: Component,
+    x: Component,
+    y: Component,
+    z: Component,
+    sqrt: Callable[[Component], Component] = math.sqrt,
+    atan2: Callable[[Component, Component], Component] = math.atan2,
 ) -> tuple[Component, Component, Component]:
     """Convert a unit quaternion into a rotation vector [rad].
 
@@ -94,14 +101,15 @@ def rotation_vector(
         x: First vector part.
         y: Second vector part.
         z: Third vector part.
-        functions: `math` for floats, `numpy` for arrays.
+        sqrt: `numpy.sqrt` for arrays.
+        atan2: `numpy.atan2` for arrays.
 
     Returns:
         Three components; the angle is in [0, 2 pi), so nothing wraps within a turn.
     """
     # the offset keeps 0/0 away and is far below the rounding of any rotation that is not zero
-    sine = functions.sqrt(x * x + y * y + z * z) + 1e-300
-    scale = 2.0 * (functions.atan2(sine, w) / sine)
+    sine = sqrt(x * x + y * y + z * z) + 1e-300
+    scale = 2.0 * (atan2(sine, w) / sine)
     return scale * x, scale * y, scale * z
 
 

@@ -41,12 +41,12 @@ def run(
     count = int(number("ticks", ticks, at_least=1))
     cycles: deque[tuple[Sample, Command]] = deque(maxlen=_KEPT)
     sample = None
-    read, step, write = plant.read, controller.step, plant.write
+    read, step, write, keep = plant.read, controller.step, plant.write, cycles.append
     try:
         for _ in range(count):
             sample = read()
             command = write(step(sample))
-            cycles.append((sample, command))
+            keep((sample, command))
             if observe is not None:
                 observe(sample, command)
         return read()

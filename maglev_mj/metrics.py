@@ -104,4 +104,4 @@ def energy_balance(trace: Trace, mass: float, gravity: float, *, axis: int = 2) 
 
 def percentiles(summary: BounceSummary, share: float) -> BounceSummary:
     """Return a percentile of each figure over the devices; NaN where a figure is missing on any."""
-    return BounceSummary(*(np.percentile(figure, share) for figure in summary))
+    return BounceSummary(*(np.asarray(np.percentile(figure, share)) for figure in summary))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +15,7 @@ from maglev_mj.errors import ModelError
 from maglev_mj.frames import Array
 from maglev_mj.parameters import number
 
-__all__ = ["COILS", "Device", "load", "model_path", "scenes"]
+__all__ = ["COILS", "Device", "envelope", "load", "model_path", "scenes"]
 
 COILS = tuple(f"{kind}{arm}" for kind in ("vertical", "horizontal") for arm in range(3))
 """Actuator names, in the order of the six currents."""
@@ -80,7 +81,9 @@ class Device:
         return np.diag(mass_matrix)[start : start + 3].copy()
 
 
-def load(name: str, *, lean: bool = True, driver_lag: bool = False, coils: bool = True, mass: float | None = None) -> Device:
+def load(
+    name: str, *, lean: bool = True, driver_lag: bool = False, coils: bool = True, mass: float | None = None
+) -> Device:
     """Compile a model and resolve its names.
 
     Args:
@@ -150,25 +153,20 @@ def envelope(device: Device) -> tuple[float, float]:
     model = device.model
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
-    handle = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, "handle")
+    handle = model.body("handle").id
+    box = int(mujoco.mjtGeom.mjGEOM_BOX)
     radius, low, high = 0.0, math.inf, -math.inf
-    for geom in range(model.ngeom):
-        if model.geom_bodyid[geom] == handle or model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_PLANE:
-            continue
-        centre, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
-        signs = np.array(np.meshgrid(*[(-1.0, 1.0)] * 3)).reshape(3, -1).T
-        corners = (centre + signs * half) @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
+    signs = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
+    for geom in np.flatnonzero(model.geom_bodyid != handle):
+        turn, centre = data.geom_xmat[geom].reshape(3, 3).T, data.geom_xpos[geom]
+        bounds = model.geom_aabb[geom]
+        corners = (bounds[:3] + signs * bounds[3:]) @ turn + centre
         low, high = min(low, corners[:, 2].min()), max(high, corners[:, 2].max())
-        if model.geom_type[geom] in (mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_CAPSULE):
-            radius = max(radius, _round_reach(model, data, geom))
-        else:
-            radius = max(radius, float(np.hypot(corners[:, 0], corners[:, 1]).max()))
-    return radius, high - low
-
-
-def _round_reach(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> float:
-    """Return how far from the z axis a cylinder or capsule reaches."""
-    size, axis = model.geom_size[geom], data.geom_xmat[geom].reshape(3, 3)[:, 2]
-    along = size[1] * np.hypot(axis[0], axis[1])
-    ends = [data.geom_xpos[geom][:2] + sign * size[1] * axis[:2] for sign in (-1, 1)] if along else [data.geom_xpos[geom][:2]]
-    return float(max(np.hypot(*end) for end in ends) + size[0])
+        size = model.geom_size[geom]
+        if model.geom_type[geom] == box:
+            reach = np.hypot(corners[:, 0], corners[:, 1]).max()
+        else:  # round about its own z axis: the ends of the axis, and the radius beyond them
+            ends = centre[:2] + np.outer((-size[1], size[1]), turn[2, :2])
+            reach = np.hypot(ends[:, 0], ends[:, 1]).max() + size[0]
+        radius = max(radius, float(reach))
+    return radius, float(high - low)

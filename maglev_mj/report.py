@@ -85,31 +85,33 @@ def _measure(device: Device) -> dict[str, Any]:
 
 
 def _table(figures: dict[str, Any]) -> tuple[Row, ...]:
-    spec = Spec()
-    plant = "an option of the plants"
+    spec, mm, option = Spec(), 1e3, "an option of the plants"
+    moving, weak, strong = figures["moving_mass"], spec.continuous_current.value, figures["peak_current"]
+    largest = figures["largest_at_peak_current"][2]
+    hold = "hold 6000 N/m, 80 N s/m at 200 Hz, 1.5 ms"
     return (
-        Row("envelope, radius", f"{spec.radius.value * 1e3:g}", f"{figures['radius'] * 1e3:.1f}", "mm"),
-        Row("envelope, height", f"{spec.height.value * 1e3:g}", f"{figures['height'] * 1e3:.1f}", "mm", "without handle"),
-        Row("stator mass", f"{spec.stator_mass.value:g}", f"{figures['stator_mass']:g}", "kg"),
-        Row("flotor mass", f"{spec.flotor_mass.value:g}", f"{figures['flotor_mass']:g}", "kg"),
-        Row("moving mass", f"{spec.moving_mass.value:g}", f"{figures['moving_mass']:g}", "kg", "handle included"),
-        Row("payload, continuous", f"{spec.payload.value:g}", f"{_payload(figures):.2f}", "kg", "see below"),
-        Row("translation range ±", f"{spec.translation_range.value * 1e3:g}",
-            f"{figures['translation_range'] * 1e3:g}", "mm"),
-        Row("rotation range ±", f"{spec.rotation_range.value:g}", f"{figures['rotation_range']:g}", "deg"),
-        Row("resolution, translation", "< 5", "5", "µm", plant),
-        Row("resolution, rotation", "< 10", "10", "µrad", plant),
-        Row("force frequency response", "> 3", f"{figures['driver_bandwidth'] / 1e3:g}", "kHz", "see below"),
-        Row("position response, translation", "> 30", f"{figures['translation_bandwidth']:.1f}", "Hz",
-            "hold 6000 N/m, 80 N s/m at 200 Hz, 1.5 ms"),
-        Row("position response, rotation", "> 15", f"{figures['rotation_bandwidth']:.1f}", "Hz",
-            "hold 8 N m/rad, 0.1 N m s/rad"),
-        Row("actuator force constant", f"{spec.force_constant.value:g}", f"{figures['force_constant']:g}", "N/A"),
-        Row("continuous current, per coil", f"{spec.continuous_current.value:g}", "3", "A", "used for the figures below"),
-        Row("peak current, per coil", f"{spec.peak_current.value:g}", f"{figures['peak_current']:g}", "A"),
-        Row("largest force along z", f"{spec.largest_vertical_force.value:g}",
-            f"{figures['largest_at_peak_current'][2]:.1f}", "N", "section 2"),
+        _row("envelope, radius", spec.radius.value * mm, figures["radius"] * mm, "mm"),
+        _row("envelope, height", spec.height.value * mm, figures["height"] * mm, "mm", "without handle"),
+        _row("stator mass", spec.stator_mass.value, figures["stator_mass"], "kg"),
+        _row("flotor mass", spec.flotor_mass.value, figures["flotor_mass"], "kg"),
+        _row("moving mass", spec.moving_mass.value, moving, "kg", "handle included"),
+        _row("payload, continuous", spec.payload.value, _payload(figures), "kg", "see below"),
+        _row("translation range ±", spec.translation_range.value * mm, figures["translation_range"] * mm, "mm"),
+        _row("rotation range ±", spec.rotation_range.value, figures["rotation_range"], "deg"),
+        _row("resolution, translation", "< 5", spec.translation_resolution.value * 1e6, "µm", option),
+        _row("resolution, rotation", "< 10", spec.rotation_resolution.value * 1e6, "µrad", option),
+        _row("force frequency response", "> 3", figures["driver_bandwidth"] / 1e3, "kHz", "see below"),
+        _row("position response, translation", "> 30", figures["translation_bandwidth"], "Hz", hold),
+        _row("position response, rotation", "> 15", figures["rotation_bandwidth"], "Hz", "8 N m/rad, 0.1 N m s/rad"),
+        _row("actuator force constant", spec.force_constant.value, figures["force_constant"], "N/A"),
+        _row("continuous current, per coil", weak, weak, "A", "taken for the figures below"),
+        _row("peak current, per coil", spec.peak_current.value, strong, "A"),
+        _row("largest force along z", spec.largest_vertical_force.value, largest, "N", "section 2"),
     )
+
+
+def _row(name: str, paper: float | str, model: float, unit: str, remark: str = "") -> Row:
+    return Row(name, paper if isinstance(paper, str) else f"{paper:g}", f"{model:.4g}", unit, remark)
 
 
 def _payload(figures: dict[str, Any]) -> float:

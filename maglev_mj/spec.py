@@ -22,8 +22,7 @@ class Quantity:
     source: str
 
 
-def _table(value: float, unit: str) -> Quantity:
-    return Quantity(value, unit, "Table 1")
+TABLE = "Table 1"
 
 
 @dataclass(frozen=True)
@@ -33,21 +32,21 @@ class Spec:
     Source: Salcudean & Vlaar 1997, Table 1 and section 2.
     """
 
-    radius: Quantity = _table(0.066, "m")
-    height: Quantity = _table(0.110, "m")
-    stator_mass: Quantity = _table(2.0, "kg")
-    flotor_mass: Quantity = _table(0.65, "kg")
-    payload: Quantity = _table(2.0, "kg")
-    translation_range: Quantity = _table(0.0045, "m")
-    rotation_range: Quantity = _table(6.0, "deg")
-    translation_resolution: Quantity = _table(5e-6, "m")
-    rotation_resolution: Quantity = _table(10e-6, "rad")
-    force_frequency_response: Quantity = _table(3000.0, "Hz")
-    translation_bandwidth: Quantity = _table(30.0, "Hz")
-    rotation_bandwidth: Quantity = _table(15.0, "Hz")
-    force_constant: Quantity = _table(2.0, "N/A")
-    continuous_current: Quantity = _table(3.0, "A")
-    peak_current: Quantity = _table(10.0, "A")
+    radius: Quantity = Quantity(0.066, "m", TABLE)
+    height: Quantity = Quantity(0.110, "m", TABLE)
+    stator_mass: Quantity = Quantity(2.0, "kg", TABLE)
+    flotor_mass: Quantity = Quantity(0.65, "kg", TABLE)
+    payload: Quantity = Quantity(2.0, "kg", TABLE)
+    translation_range: Quantity = Quantity(0.0045, "m", TABLE)
+    rotation_range: Quantity = Quantity(6.0, "deg", TABLE)
+    translation_resolution: Quantity = Quantity(5e-6, "m", TABLE)
+    rotation_resolution: Quantity = Quantity(10e-6, "rad", TABLE)
+    force_frequency_response: Quantity = Quantity(3000.0, "Hz", TABLE)
+    translation_bandwidth: Quantity = Quantity(30.0, "Hz", TABLE)
+    rotation_bandwidth: Quantity = Quantity(15.0, "Hz", TABLE)
+    force_constant: Quantity = Quantity(2.0, "N/A", TABLE)
+    continuous_current: Quantity = Quantity(3.0, "A", TABLE)
+    peak_current: Quantity = Quantity(10.0, "A", TABLE)
     moving_mass: Quantity = Quantity(0.7, "kg", "section 2, every experiment; the handle included")
     driver_bandwidth: Quantity = Quantity(2000.0, "Hz", "section 2")
     largest_vertical_force: Quantity = Quantity(60.0, "N", "section 2")

@@ -79,9 +79,7 @@ class Trace:
         where = (times.reshape((-1,) + (1,) * (self.time.ndim - 1)) - start)[..., None]
         wide = index[..., None]
         x0, x1, v0, v1 = (
-            np.take_along_axis(values, wide + shift, axis=0)
-            for values in (self.pose, self.twist)
-            for shift in (0, 1)
+            np.take_along_axis(values, wide + shift, axis=0) for values in (self.pose, self.twist) for shift in (0, 1)
         )
         wrench = np.take_along_axis(self.wrench, wide, axis=0)
         h = width[..., None]

@@ -43,12 +43,12 @@ def position_bandwidth(
 
     ticks = max(math.ceil(1.0 / period), 100)
     others = [name for name in AXES if name != axis]
-    laws = [
-        Hold(axes=axis, stiffness=stiffness, damping=damping, target=step),
-        Hold.critically_damped(others, inertia=[0.7] * 2 + [9e-4] * 3 if index < 3 else [0.7] * 3 + [9e-4] * 2,
-                               period=period, delay=delay),
-    ]
     with MuJoCoPlant(Timing(period=period, delay=delay), gravity=0.0) as plant:
+        inertia = np.delete([plant.device.mass] * 3 + plant.device.inertia.tolist(), index)
+        laws = [
+            Hold(axes=axis, stiffness=stiffness, damping=damping, target=step),
+            Hold.critically_damped(others, inertia=inertia, period=period, delay=delay),
+        ]
         run(plant, Controller(laws, period=period), ticks, observe=observe)
     response = np.abs(np.fft.rfft(np.diff(positions, append=positions[-1]), 8 * ticks)) / step
     frequencies = np.fft.rfftfreq(8 * ticks, period)

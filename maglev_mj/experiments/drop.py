@@ -46,6 +46,7 @@ class DropParameters:
         pulse_width: How long the pulse lasts [s].
         mass: Moving mass [kg].
         force_limit: Largest force of the actuators along z [N]; None for no limit.
+        carry: Whether braking that the limit cuts off a pulse follows on the next samples, or is lost.
         quantize: Resolution of the position sensor [m]; 0 for an ideal one.
         duration: Simulated time from release [s].
 
@@ -64,6 +65,7 @@ class DropParameters:
     pulse_width: float = 0.003
     mass: float = Spec.moving_mass.value
     force_limit: float | None = None
+    carry: bool = False
     quantize: float = 0.0
     duration: float = 0.4
 
@@ -103,7 +105,7 @@ class DropResult:
     def series(self, step: float = 1e-3) -> tuple[Array, Array, Array, Array]:
         """Return time [s], z [m], velocity [m/s] and control force [N] on a grid of `step` [s], (M,) each."""
         end = float(self.trace.time[-1])
-        time = np.arange(math.floor(end / step + 1e-9) + 1) * step
+        time: Array = np.arange(math.floor(end / step + 1e-9) + 1, dtype=np.float64) * step
         pose, twist, wrench = self.trace.at(time)
         return time, pose[:, 2], twist[:, 2], wrench[:, 2]
 
@@ -225,7 +227,7 @@ def _controller(parameters: DropParameters) -> Controller:
         damping=parameters.damping,
         pulse=parameters.pulse,
         pulse_width=parameters.pulse_width,
-        force_limit=math.inf if parameters.force_limit is None else parameters.force_limit,
+        force_limit=parameters.force_limit if parameters.force_limit and parameters.carry else math.inf,
     )
     hold = Hold.critically_damped(
         _HELD,

@@ -54,7 +54,5 @@ class Law(Protocol):
 class VelocityEstimator(Protocol):
     """What the controller asks of a velocity estimate."""
 
-    def __call__(
-        self, position: Sequence[Component], state: Any, period: float
-    ) -> tuple[Sequence[Component], Any]:
+    def __call__(self, position: Sequence[Component], state: Any, period: float) -> tuple[Sequence[Component], Any]:
         """Return six velocity components and the next state; `state` is None at the first sample."""

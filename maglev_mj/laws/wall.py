@@ -101,24 +101,24 @@ class Wall:
         object.__setattr__(self, "pulse_width", width)
         object.__setattr__(self, "_faces", faces)
 
-    def start(self) -> tuple[_FaceState, ...]:
+    def start(self) -> Sequence[_FaceState]:
         """Return the state before the first sample: a flotor first seen inside has not entered."""
-        return ((False, None),) * len(self._faces)
+        return [(False, None)] * len(self._faces)
 
     def __call__(
         self,
         position: Sequence[Component],
         velocity: Sequence[Component],
-        state: tuple[_FaceState, ...],
+        state: Sequence[_FaceState],
         wrench: list[Component],
-    ) -> tuple[tuple[_FaceState, ...], list[Component] | None]:
+    ) -> tuple[Sequence[_FaceState], list[Component] | None]:
         """Answer one sample; see `Law`."""
         pulses: list[Component] | None = None
         following = []
         for (axis, normal, edge, stiffness, damping, braking), (free, owed) in zip(self._faces, state):
             offset = position[axis] - edge
             inside = normal * offset <= 0.0
-            if inside is False or not _any(inside):
+            if inside is not True and not _any(inside):
                 following.append(_FREE)
                 continue
             speed = velocity[axis]
@@ -126,14 +126,14 @@ class Wall:
             wrench[axis] = wrench[axis] + force
             if braking is None:
                 owed = None
-            elif owed is not None or _any(inside & free):
+            elif owed is not None or (free is not False and _any(inside & free)):
                 entered = inside & free
                 inward = inside & (normal * speed < 0.0)
                 pulse, owed = _brake(braking, damping * speed, speed, force, entered, inward, owed)
                 pulses = pulses or [0.0] * len(AXES)
                 pulses[axis] = pulses[axis] + pulse
-            following.append((_not(inside), owed))
-        return tuple(following), pulses
+            following.append((False if inside is True else ~inside, owed))
+        return following, pulses
 
 
 def _faces(indices: tuple[int, ...], normal: float, edges: Array, gains: list[Array]) -> tuple[_Face, ...]:

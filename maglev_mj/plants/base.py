@@ -7,6 +7,7 @@ from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from math import isfinite
 from typing import Any, Protocol, Self
 
 import numpy as np
@@ -50,7 +51,7 @@ class Timing:
 
     period: float = 0.005
     delay: float = 0.0015
-    phase: ArrayLike = 0.0
+    phase: Component = 0.0
     whole: int = field(init=False)
     """Whole periods in the delay."""
     rest: float = field(init=False)
@@ -175,20 +176,21 @@ class SampledPlant(ABC):
             raise PlantError("the plant is closed" if self._closed else "write() needs a sample: call read() first")
         if self._limits:
             command = self._limited(command)
-        force, extra, width = command
-        held = pulsed = self._prepare(force)
-        if extra is None:
-            self._check_finite(force)
-            width = 0.0
-        else:
-            total = [one + other for one, other in zip(force, extra)]
-            self._check_finite(total)
-            pulsed = self._prepare(total)
+        total = force = command.force
+        width = 0.0
+        if command.extra is not None:
+            total = [one + other for one, other in zip(force, command.extra)]
+            width = command.pulse_width
             if not 0.0 < width < math.inf:
                 raise PlantError(f"pulse_width must be finite and above 0, not {width:g}")
+        x, y, z, rx, ry, rz = total
+        check = x + y + z + rx + ry + rz  # short of overflow, a sum is finite only if all its terms are
+        if not (isfinite(check) if check.__class__ is float else np.all(np.isfinite(check))):
+            raise PlantError(f"command at tick {self._tick} must be finite, not {join(total)}")
+        held = self._prepare(force)
         if len(self._queue) > self.timing.whole:  # a second answer to the same sample replaces the first
             self._queue.pop()
-        self._queue.append((held, pulsed, width))
+        self._queue.append((held, self._prepare(total) if width else held, width))
         return command
 
     def close(self) -> None:
@@ -263,24 +265,19 @@ class SampledPlant(ABC):
         total = np.clip(command.wrench + command.pulse, -limit, limit)
         return Command(components(wrench), components(total - wrench), command.pulse_width)
 
-    def _check_finite(self, force: Sequence[Component]) -> None:
-        x, y, z, rx, ry, rz = force
-        total = x + y + z + rx + ry + rz  # short of overflow, a sum is finite only if all its terms are
-        if not (math.isfinite(total) if total.__class__ is float else np.all(np.isfinite(total))):
-            raise PlantError(f"command at tick {self._tick} must be finite, not {join(force)}")
-
     def _check_escape(self, position: Sequence[Component]) -> None:
         """Raise if a flotor is far outside its range; NaN counts as outside."""
         x, y, z, rx, ry, rz = position
         distance, angle = x * x + y * y + z * z, rx * rx + ry * ry + rz * rz
-        inside = (distance < self._escape[0]) & (angle < self._escape[1])
+        largest_distance, largest_angle = self._escape
+        inside = (distance < largest_distance) & (angle < largest_angle)
         if inside is True or np.all(inside):
             return
         far, turned = (float(np.sqrt(np.max(value))) for value in (distance, angle))
         raise DivergenceError(
             f"the flotor is {far:.3g} m and {turned:.3g} rad from its centre at "
             f"{float(np.max(self.timing.time(self._tick))):.4g} s; a run has diverged beyond "
-            f"{self._escape[0] ** 0.5:.3g} m or {self._escape[1] ** 0.5:.3g} rad"
+            f"{math.sqrt(largest_distance):.3g} m or {math.sqrt(largest_angle):.3g} rad"
         )
 
 

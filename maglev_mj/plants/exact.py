@@ -82,9 +82,7 @@ class ExactPlant(SampledPlant):
 
     def _prepare(self, force: Sequence[Component]) -> list[Component]:
         """Return the acceleration [m/s², rad/s²] of each axis, gravity included."""
-        return [
-            push * inverse + fall for push, inverse, fall in zip(force, self._inverse_inertia, self._gravity)
-        ]
+        return [push * inverse + fall for push, inverse, fall in zip(force, self._inverse_inertia, self._gravity)]
 
     def _advance(self, duration: Component, drive: list[Component]) -> None:
         position, velocity = self._place, self._velocity
