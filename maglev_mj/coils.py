@@ -14,29 +14,49 @@ __all__ = ["CoilMap"]
 
 @dataclass(frozen=True, eq=False)
 class CoilMap:
-    """The linear map between six coil currents and the wrench on the flotor at its centre.
+    """The linear map between six coil currents and the wrench on the flotor.
 
-    The map is that of the centred flotor. The coils turn with the flotor while the forces keep their
-    directions, so at an angle the true wrench differs: by under 1 % up to 1 degree.
+    The magnets stay with the stator and the coils go with the flotor: a force keeps its direction in stator
+    axes, and its point of application turns. Without an angle given, the map is that of the upright flotor.
 
     Args:
-        wrench_per_current: Columns are the wrench of one ampere in each coil [N/A, N m/A], (6, 6).
+        points: Where each coil's force applies, from the flotor's centre of mass, in flotor axes [m], (6, 3).
+        directions: Unit direction of each force in stator axes, (6, 3).
+        force_constants: Force of one ampere [N/A], (6,).
 
     Raises:
-        ModelError: If the map is not (6, 6), or singular: the coils then cannot give every wrench.
+        ModelError: If there are not six coils, or they cannot give every wrench.
     """
 
-    wrench_per_current: Array
+    points: Array
+    directions: Array
+    force_constants: Array
+    wrench_per_current: Array = field(init=False)
     current_per_wrench: Array = field(init=False)
+    _turning: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        if self.wrench_per_current.shape != (6, 6):
-            raise ModelError(f"six coils are needed for six axes, not a map of shape {self.wrench_per_current.shape}")
-        try:
-            inverse = np.linalg.inv(self.wrench_per_current)
-        except np.linalg.LinAlgError:
-            raise ModelError("the six coils cannot give every wrench: their map is singular") from None
-        object.__setattr__(self, "current_per_wrench", inverse)
+        if self.points.shape != (6, 3) or self.directions.shape != (6, 3):
+            raise ModelError(f"six coils are needed for six axes, not {len(self.points)}")
+        forces = self.directions * self.force_constants[:, None]
+        upright = np.concatenate([forces.T, np.cross(self.points, forces).T])
+        if np.linalg.matrix_rank(upright) < len(upright):
+            raise ModelError("the six coils cannot give every wrench: their map is singular")
+        # torque a of coil j is linear in the rotation matrix: eps_abc R_bk p_jk f_jc
+        levi_civita = np.zeros((3, 3, 3))
+        for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+            levi_civita[i, j, k], levi_civita[i, k, j] = 1.0, -1.0
+        turning = np.einsum("abc,jk,jc->ajbk", levi_civita, self.points, forces).reshape(18, 9)
+        object.__setattr__(self, "wrench_per_current", upright)
+        object.__setattr__(self, "current_per_wrench", np.linalg.inv(upright))
+        object.__setattr__(self, "_turning", turning)
+
+    def inverse_at(self, rotation: Array) -> Array:
+        """Return currents per wrench [A/N, A/(N m)], (6, 6), for a flotor turned by a rotation matrix (9,)."""
+        turned = self.wrench_per_current.copy()
+        turned[3:] = self._turning.dot(rotation).reshape(3, 6)
+        inverse: Array = np.linalg.inv(turned)
+        return inverse
 
     def currents(self, wrench: Array) -> Array:
         """Return the currents [A] (..., 6) that give a wrench [N, N m] (..., 6)."""
@@ -45,10 +65,6 @@ class CoilMap:
     def wrench(self, currents: Array) -> Array:
         """Return the wrench [N, N m] (..., 6) that currents [A] (..., 6) give."""
         return currents @ self.wrench_per_current.T
-
-    def limited(self, wrench: Array, limit: float) -> Array:
-        """Return the wrench (..., 6) that is left when no current may exceed a limit [A]."""
-        return self.wrench(np.clip(self.currents(wrench), -limit, limit))
 
     def largest_wrench(self, current: float) -> Array:
         """Return the largest pure force or torque on each axis [N, N m], (6,), the others being zero.

@@ -133,19 +133,23 @@ def load(
         flotor=flotor,
         position_address=first,
         velocity_address=int(joints[0].dofadr[0]),
-        coils=_coil_map(model, int(joints[0].dofadr[0])) if coils else None,
+        coils=_coil_map(model, flotor) if coils else None,
         driver_time_constant=constant,
     )
 
 
-def _coil_map(model: mujoco.MjModel, first: int) -> CoilMap:
-    """Read the wrench of one ampere in each coil from the model at its reference pose."""
+def _coil_map(model: mujoco.MjModel, flotor: int) -> CoilMap:
+    """Read where each coil's force applies and where it points from the model at its reference pose."""
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
-    moment = np.zeros((model.nu, model.nv))
-    mujoco.mju_sparse2dense(moment, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind)
-    columns = [moment[coil, first : first + 6] * model.actuator_gainprm[coil, 0] for coil in range(len(COILS))]
-    return CoilMap(np.stack(columns, axis=-1))
+    coils, magnets = model.actuator_trnid[: len(COILS)].T
+    gear = model.actuator_gear[: len(COILS), :3]
+    axes = data.site_xmat[magnets].reshape(-1, 3, 3)
+    return CoilMap(
+        points=data.site_xpos[coils] - data.subtree_com[flotor],
+        directions=np.einsum("jab,jb->ja", axes, gear),
+        force_constants=model.actuator_gainprm[: len(COILS), 0].copy(),
+    )
 
 
 def envelope(device: Device) -> tuple[float, float]:

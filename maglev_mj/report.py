@@ -57,7 +57,7 @@ def _measure(device: Device) -> dict[str, Any]:
     radius, height = envelope(device)
     gains = model.actuator_gainprm[: len(COILS), 0]
     peak = float(model.actuator_ctrlrange[: len(COILS), 1].min())
-    arms = np.linalg.norm(coils.wrench_per_current[3:] / gains, axis=0)
+    arms = np.linalg.norm(np.cross(coils.points, coils.directions), axis=1)
     loop = {"period": 1.0 / Spec.control_rate.value, "delay": Spec.transport_delay.value}
     hover = coils.currents(np.array([0.0, 0.0, device.mass * GRAVITY, 0.0, 0.0, 0.0]))
     return {

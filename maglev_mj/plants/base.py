@@ -205,7 +205,8 @@ class SampledPlant(ABC):
         """
         if self._recorder is None or self._tick < 0:
             raise PlantError("nothing is recorded: make the plant with record=True and read at least one sample")
-        return self._recorder.finish(self._tick, *self._state(self._drive))
+        drive = self._drive if self._tail is None else self._tail[0]
+        return self._recorder.finish(self._tick, *self._state(drive))
 
     def __iter__(self) -> Iterator[Sample]:
         while True:
@@ -268,16 +269,18 @@ class SampledPlant(ABC):
     def _check_escape(self, position: Sequence[Component]) -> None:
         """Raise if a flotor is far outside its range; NaN counts as outside."""
         x, y, z, rx, ry, rz = position
-        distance, angle = x * x + y * y + z * z, rx * rx + ry * ry + rz * rz
-        largest_distance, largest_angle = self._escape
-        inside = (distance < largest_distance) & (angle < largest_angle)
-        if inside is True or np.all(inside):
+        distance, angle = self._escape
+        if x.__class__ is float:
+            if x * x + y * y + z * z < distance and rx * rx + ry * ry + rz * rz < angle:
+                return
+        elif np.all((x * x + y * y + z * z < distance) & (rx * rx + ry * ry + rz * rz < angle)):
             return
-        far, turned = (float(np.sqrt(np.max(value))) for value in (distance, angle))
+        far = float(np.sqrt(np.max(x * x + y * y + z * z)))
+        turned = float(np.sqrt(np.max(rx * rx + ry * ry + rz * rz)))
         raise DivergenceError(
             f"the flotor is {far:.3g} m and {turned:.3g} rad from its centre at "
             f"{float(np.max(self.timing.time(self._tick))):.4g} s; a run has diverged beyond "
-            f"{math.sqrt(largest_distance):.3g} m or {math.sqrt(largest_angle):.3g} rad"
+            f"{math.sqrt(distance):.3g} m or {math.sqrt(angle):.3g} rad"
         )
 
 

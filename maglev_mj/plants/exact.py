@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -29,7 +30,7 @@ class ExactPlant(SampledPlant):
         pose: Pose at release [m, rad], (..., 6).
         twist: Velocity at release [m/s, rad/s], (..., 6).
         gravity: Acceleration of free fall along -z [m/s²].
-        driver_lag: Time constant of the current drivers [s]; None for ideal drivers.
+        driver_lag: Switch the current drivers' first-order lag on.
         wrench_limit: See `SampledPlant`, as for the remaining ones.
         quantum: Sensor resolution.
         escape: Distance and angle at which a run counts as diverged.
@@ -48,7 +49,7 @@ class ExactPlant(SampledPlant):
         pose: ArrayLike = (0.0,) * 6,
         twist: ArrayLike = (0.0,) * 6,
         gravity: float = GRAVITY,
-        driver_lag: float | None = None,
+        driver_lag: bool = False,
         wrench_limit: ArrayLike | None = None,
         quantum: ArrayLike | None = None,
         escape: tuple[float, float] = (0.045, 1.0),
@@ -65,7 +66,7 @@ class ExactPlant(SampledPlant):
         body = [number("mass", mass, above=0.0)] * 3 + [number("inertia", value, above=0.0) for value in moments]
         self._inverse_inertia = [1.0 / value for value in body]
         self._gravity = (0.0, 0.0, -number("gravity", gravity), 0.0, 0.0, 0.0)
-        self._lag = None if driver_lag is None else number("driver_lag", driver_lag, above=0.0)
+        self._lag = 1.0 / (2.0 * math.pi * Spec.driver_bandwidth.value) if driver_lag else None
         self._place, self._velocity = components(start), components(motion)
         # acceleration that the drivers give now; it trails the drive where there is a lag
         self._actual: list[Component] = list(self._gravity)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Sequence
 from functools import partial
+from typing import Any, TypeAlias
 
 import mujoco
 import numpy as np
@@ -20,6 +21,13 @@ from maglev_mj.spec import GRAVITY
 __all__ = ["MuJoCoPlant"]
 
 
+Drive: TypeAlias = tuple[Sequence[float], Any]
+"""A wrench, and the map from it to the currents; None for a wrench applied to the flotor itself."""
+
+_UPRIGHT = 1e-9
+"""Angle [rad] up to which the coils' map is that of the upright flotor: its error is below any figure here."""
+
+
 class MuJoCoPlant(SampledPlant):
     """The device in MuJoCo, RK4 with a step boundary at every switch: exact to rounding in translation.
 
@@ -30,8 +38,8 @@ class MuJoCoPlant(SampledPlant):
         pose: Pose at release [m, rad], (6,).
         twist: Velocity at release, the angular part in flotor axes [m/s, rad/s], (6,).
         gravity: Acceleration of free fall along -z [m/s²].
-        coils: True sends each wrench through the six coils by their map at centre; False applies it to the
-            flotor itself, as an ideal actuator would.
+        coils: True sends each wrench through the six coils, by their map at the flotor's angle when the sample
+            was taken; False applies it to the flotor itself, as an ideal actuator would.
         current_limit: Largest current in any coil [A]; None for no limit.
         driver_lag: Switch the current drivers' first-order lag on.
         longest_step: Longest integration step [s]; None for as long as the wrench is constant, and a
@@ -92,8 +100,11 @@ class MuJoCoPlant(SampledPlant):
         self._wrench = np.zeros(6) if coils else self._data.xfrc_applied[self.device.flotor]
         # as `self._wrench[:] = drive`, in half the time
         self._fill = partial(struct.pack_into, "6d", self._wrench.data, 0)
-        self._inverse_map = None if self.device.coils is None else self.device.coils.current_per_wrench
-        self._applied: Sequence[float] | None = None
+        self._coils = self.device.coils
+        # None without coils; the map of the upright flotor until it is seen to turn
+        self._inverse_map: Any = None if self._coils is None else self._coils.current_per_wrench
+        self._rotation = np.zeros(9)
+        self._applied: Drive | None = None
         self._warnings = self._data.warning.number
         self._no_warnings = self._warnings.tobytes()
         if driver_lag and longest_step is None:
@@ -111,24 +122,30 @@ class MuJoCoPlant(SampledPlant):
 
     def _limited(self, command: Command) -> Command:
         command = super()._limited(command)
-        limit, coils = self.current_limit, self.device.coils
-        if limit is None or coils is None:
+        if self.current_limit is None:
             return command
-        wrench = coils.limited(command.wrench, limit)
+        wrench = self._within_current_limit(command.wrench)
         if command.extra is None:
             return Command(wrench.tolist())
-        total = coils.limited(command.wrench + command.pulse, limit)
+        total = self._within_current_limit(command.wrench + command.pulse)
         return Command(wrench.tolist(), (total - wrench).tolist(), command.pulse_width)
 
-    def _prepare(self, force: Sequence[float]) -> Sequence[float]:
-        return force
+    def _within_current_limit(self, wrench: Array) -> Array:
+        """Return the wrench that is left when every current is clipped."""
+        currents = np.clip(self._inverse_map.dot(wrench), -self.current_limit, self.current_limit)
+        left: Array = np.linalg.solve(self._inverse_map, currents)
+        return left
 
-    def _advance(self, duration: float, drive: Sequence[float]) -> None:
+    def _prepare(self, force: Sequence[float]) -> Drive:
+        return force, self._inverse_map
+
+    def _advance(self, duration: float, drive: Drive) -> None:
         if drive is not self._applied:
             self._applied = drive
-            self._fill(*drive)
-            if self._inverse_map is not None:
-                self._inverse_map.dot(self._wrench, out=self._currents)
+            force, inverse_map = drive
+            self._fill(*force)
+            if inverse_map is not None:
+                inverse_map.dot(self._wrench, out=self._currents)
         self._options.timestep = duration
         self._step()
 
@@ -139,15 +156,19 @@ class MuJoCoPlant(SampledPlant):
         rx, ry, rz = rotation_vector(q0, q1, q2, q3)
         position = [x, y, z, rx, ry, rz]
         self._check_escape(position)
+        if self._coils is not None and (abs(rx) > _UPRIGHT or abs(ry) > _UPRIGHT or abs(rz) > _UPRIGHT):
+            mujoco.mju_quat2Mat(self._rotation, self._qpos[3:])
+            self._inverse_map = self._coils.inverse_at(self._rotation)
         return position
 
     def _warning_names(self) -> str:
         counts = self._warnings.tolist()
         return ", ".join(mujoco.mjtWarning(kind).name for kind, count in enumerate(counts) if count)
 
-    def _state(self, drive: Sequence[float]) -> tuple[Array, Array, Array]:
+    def _state(self, drive: Drive) -> tuple[Array, Array, Array]:
         x, y, z, *turn = self._qpos.tolist()
-        wrench = np.array(drive)
-        if self._model.na and self.device.coils is not None:  # the drivers lag: their currents, not the commanded
-            wrench = self.device.coils.wrench(self._data.act)
+        force, inverse_map = drive
+        wrench = np.array(force)
+        if self._model.na:  # the drivers lag: their currents, not the commanded ones
+            wrench = np.linalg.solve(inverse_map, self._data.act)
         return np.array([x, y, z, *rotation_vector(*turn)]), self._qvel.copy(), wrench

@@ -1,0 +1,186 @@
+"""The drop experiment against a second implementation of its semantics, and its figures."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from maglev_mj.errors import DivergenceError, ParameterError
+from maglev_mj.experiments.drop import DropParameters, analog_drop, run_drop, sweep_drop
+from maglev_mj.metrics import BounceSummary
+
+G = 9.81
+
+
+def reference(p: DropParameters, times: list[float]) -> tuple[list[float], list[float]]:
+    """Return z and force at given times, by the issue of commands as a list of switches: no shared code."""
+    switches: list[tuple[float, float]] = [(0.0, 0.0)]
+
+    def state(at: float) -> tuple[float, float, float]:
+        z, v, f = p.height, 0.0, 0.0
+        for place, (start, force) in enumerate(switches):
+            if start > at:
+                break
+            end = min(switches[place + 1][0] if place + 1 < len(switches) else at, at)
+            step, a, f = end - start, force / p.mass - G, force
+            z, v = z + v * step + 0.5 * a * step * step, v + a * step
+        return z, v, f
+
+    def clip(force: float) -> float:
+        return force if p.force_limit is None else min(max(force, -p.force_limit), p.force_limit)
+
+    before = math.nan
+    for k in range(int(p.duration / p.period) + 1):
+        at = (k + p.phase) * p.period
+        z = state(at)[0]
+        if p.quantize:
+            z = round(z / p.quantize) * p.quantize
+        moved = 0.0 if k == 0 else z - before
+        held = -p.stiffness * z - p.damping / p.period * moved if z <= 0.0 else 0.0
+        effect = at + p.delay
+        while switches[-1][0] >= effect:  # the next command ends what is left of a pulse
+            switches.pop()
+        if k > 0 and before > 0.0 >= z and p.pulse > 0.0:
+            switches.append((effect, clip(-(p.pulse + p.damping) / p.period * moved)))
+            effect += p.pulse_width
+        switches.append((effect, clip(held)))
+        before = z
+    rows = [state(at + 1e-13) for at in times]
+    return [row[0] for row in rows], [row[2] for row in rows]
+
+
+@pytest.mark.parametrize("plant", ["exact", "mujoco"])
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"phase": 0.37, "height": 3e-3},
+        {"pulse": 0.0, "phase": 0.9},
+        {"force_limit": 60.0},
+        {"delay": 0.0, "phase": 0.21},
+        {"delay": 0.005, "stiffness": 3000.0, "damping": 55.0, "phase": 0.6},
+        {"delay": 0.004, "stiffness": 3000.0, "damping": 55.0, "phase": 0.6},
+        {"delay": 0.007, "stiffness": 1500.0, "damping": 35.0, "pulse": 50.0},
+        {"quantize": 5e-6, "phase": 0.13},
+        {"period": 0.001, "delay": 0.0005, "pulse_width": 0.0009, "mass": 0.65},
+        {"period": 0.002, "delay": 0.0015, "pulse_width": 0.01, "duration": 0.2},
+    ],
+)
+def test_drop_means_what_it_says(plant: str, changes: dict[str, Any]) -> None:
+    parameters = DropParameters(plant=plant, **changes)
+    time, z, _, force = run_drop(parameters).series()
+    expected_z, expected_force = reference(parameters, time.tolist())
+    np.testing.assert_allclose(z, expected_z, rtol=0.0, atol=1e-11)
+    np.testing.assert_allclose(force, expected_force, rtol=0.0, atol=1e-6)
+
+
+def test_json_has_what_is_promised() -> None:
+    data = run_drop(DropParameters()).as_json()
+    assert list(data) == ["parameters", "time", "z", "force", "summary"]
+    assert data["time"] == [round(k * 1e-3, 9) for k in range(401)]
+    assert len(data["z"]) == len(data["force"]) == 401
+    assert data["z"][0] == 0.0045
+    assert data["force"][0] == 0.0
+    assert set(data["summary"]) == {"penetration", "rebound", "peak_force", "settling_time", "final_z"}
+    assert data["parameters"]["stiffness"] == 6000.0
+    assert data["summary"]["final_z"] == pytest.approx(data["z"][-1])
+
+
+def test_summary_is_that_of_a_fine_grid() -> None:
+    for phase in (0.0, 0.3, 0.7):
+        result = run_drop(DropParameters(plant="exact", phase=phase))
+        summary = result.summary
+        time, z, _, force = result.series(1e-5)
+        assert summary.penetration == pytest.approx(-z.min(), abs=1e-8)
+        assert summary.penetration >= -z.min()
+        assert summary.peak_force == pytest.approx(np.abs(force).max(), rel=1e-12)
+        contact = int(np.argmax(z <= 0.0))
+        assert summary.rebound == pytest.approx(max(z[contact:].max(), 0.0), abs=1e-8)
+        rest = result.parameters.rest
+        outside = np.flatnonzero(np.abs(z - rest) > 0.02 * (0.0045 - rest))
+        assert summary.settling_time == pytest.approx(time[outside[-1]], abs=2e-4)
+
+
+def test_a_drop_that_does_not_settle_says_so() -> None:
+    result = run_drop(DropParameters(plant="exact", duration=0.05))
+    assert math.isnan(result.summary.settling_time)
+    assert result.as_json()["summary"]["settling_time"] is None
+    bare = run_drop(DropParameters(plant="exact", stiffness=0.0, damping=0.0, pulse=0.0, duration=0.02))
+    assert math.isnan(bare.summary.settling_time)
+    assert bare.summary.penetration == 0.0
+
+
+@pytest.mark.parametrize("plant", ["exact", "mujoco"])
+def test_sweep_equals_single_drops(plant: str) -> None:
+    parameters = DropParameters(plant=plant, duration=0.2, force_limit=60.0, carry=True)
+    sweep = sweep_drop(parameters, 8)
+    assert sweep.phases.tolist() == [k / 8 for k in range(8)]
+    for place, phase in enumerate(sweep.phases):
+        single = run_drop(replace(parameters, phase=float(phase))).summary
+        for name, value in single._asdict().items():
+            assert getattr(sweep.summary, name)[place] == pytest.approx(float(value), rel=1e-9, nan_ok=True)
+    data = sweep.as_json()
+    assert len(data["phases"]) == 8
+    depths = [row["penetration"] for row in data["phases"]]
+    assert data["median"]["penetration"] == pytest.approx(np.median(depths))
+    assert data["percentile_5"]["penetration"] == pytest.approx(np.percentile(depths, 5))
+    assert data["percentile_95"]["penetration"] == pytest.approx(np.percentile(depths, 95))
+
+
+@pytest.mark.parametrize("height", [1e-3, 2e-3, 3e-3, 4.5e-3])
+def test_the_pulse_lessens_penetration_at_every_phase(height: float) -> None:
+    """The paper's claim, over 100 phases; rebound goes the other way (see scripts/pulse_effect.py)."""
+    drop = DropParameters(plant="exact", height=height)
+    for limit in (None, 60.0):
+        limited = replace(drop, force_limit=limit)
+        with_pulse = sweep_drop(limited, 100).summary
+        without = sweep_drop(replace(limited, pulse=0.0), 100).summary
+        assert (with_pulse.penetration < without.penetration).all()
+    if height == 4.5e-3:
+        with_pulse, without = (sweep_drop(replace(drop, pulse=pulse), 100).summary for pulse in (220.0, 0.0))
+        assert np.median(with_pulse.rebound) > np.median(without.rebound)
+
+
+def test_a_diverging_drop_keeps_what_it_recorded() -> None:
+    for plant in ("exact", "mujoco"):
+        with pytest.raises(DivergenceError, match="diverged") as caught:
+            run_drop(DropParameters(plant=plant, delay=0.005, duration=3.0))
+        partial = caught.value.partial
+        time, z, _, _ = partial.series()
+        assert time[-1] > 0.3
+        assert np.abs(z).max() > 0.02
+        assert len(caught.value.cycles) == 50
+
+
+def test_analog_drop_is_gentler_than_the_sampled_one() -> None:
+    parameters = DropParameters(plant="exact", pulse=0.0)
+    time = np.arange(0.0, 0.4, 1e-4)
+    z, _, _ = analog_drop(parameters, time)
+    assert -z.min() < sweep_drop(parameters, 20).summary.penetration.min()
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"plant": "real"}, "plant must be one of exact, mujoco, not 'real'"),
+        ({"height": 0.0}, "height must be a finite number above 0 and below 0.045, not 0.0"),
+        ({"phase": 1.0}, "phase .* at least 0 and below 1, not 1.0"),
+        ({"pulse_width": 0.0}, "pulse_width"),
+        ({"force_limit": 0.0}, "force_limit"),
+        ({"duration": math.inf}, "duration"),
+        ({"period": 1e-12}, "at most 1e.07 periods"),
+    ],
+)
+def test_bad_parameters_are_refused(changes: dict[str, Any], words: str) -> None:
+    with pytest.raises(ParameterError, match=words):
+        DropParameters(**changes)
+    with pytest.raises(ParameterError, match="phases must be at least 1, not 0"):
+        sweep_drop(DropParameters(plant="exact"), 0)
+
+
+def test_summary_fields_are_the_public_ones() -> None:
+    assert BounceSummary._fields == ("penetration", "rebound", "peak_force", "settling_time", "final_z")

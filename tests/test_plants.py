@@ -1,0 +1,273 @@
+"""One contract, two plants: timing, limits, sensors, lag, and errors."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from maglev_mj import Command, ExactPlant, MuJoCoPlant, Timing, run
+from maglev_mj.controller import Controller
+from maglev_mj.errors import DivergenceError, ModelError, ParameterError, PlantError
+from maglev_mj.laws import Hold, Wall
+from maglev_mj.plants import SampledPlant
+from maglev_mj.trace import Trace
+
+PLANTS: list[type[Any]] = [ExactPlant, MuJoCoPlant]
+both = pytest.mark.parametrize("plant_type", PLANTS)
+M, G, T = 0.7, 9.81, 0.005
+LAG = 1.0 / (2.0 * math.pi * 2000.0)
+
+
+def push(force: float, pulse: float | None = None, width: float = 0.0) -> Command:
+    """Return a command along z."""
+    extra = None if pulse is None else [0.0, 0.0, pulse, 0.0, 0.0, 0.0]
+    return Command([0.0, 0.0, force, 0.0, 0.0, 0.0], extra, width)
+
+
+def forces(plant: SampledPlant, times: list[float]) -> list[float]:
+    return plant.trace().at(times)[2][:, 2].tolist()  # type: ignore[no-any-return]
+
+
+@both
+def test_free_fall_is_a_parabola(plant_type: Callable[..., SampledPlant]) -> None:
+    plant = plant_type(Timing(period=T, phase=0.3), pose=[0, 0, 4e-3, 0, 0, 0], record=True)
+    for tick in range(5):
+        sample = plant.read()
+        time = (tick + 0.3) * T
+        assert sample.tick == tick
+        assert sample.time == time
+        assert sample.position[2] == pytest.approx(4e-3 - 0.5 * G * time**2, abs=1e-16)
+    times = np.linspace(0.0, 4.3 * T, 50)
+    pose, twist, _ = plant.trace().at(times)
+    np.testing.assert_allclose(pose[:, 2], 4e-3 - 0.5 * G * times**2, atol=2e-17)
+    np.testing.assert_allclose(twist[:, 2], -G * times, atol=1e-15)
+
+
+@both
+@pytest.mark.parametrize("delay", [0.0, 0.0015, 0.005, 0.0065, 0.0125])
+def test_a_command_takes_effect_exactly_one_delay_after_its_sample(
+    plant_type: Callable[..., SampledPlant], delay: float
+) -> None:
+    plant = plant_type(Timing(period=T, delay=delay, phase=0.4), gravity=0.0, record=True)
+    for tick in range(6):
+        plant.read()
+        plant.write(push(float(tick + 1)))
+    plant.read()
+    tiny = 1e-7
+    for tick in range(3):
+        at = (tick + 0.4) * T + delay
+        assert forces(plant, [at - tiny, at, at + T - tiny]) == [float(tick), tick + 1.0, tick + 1.0]
+
+
+@both
+@pytest.mark.parametrize("delay", [0.0, 0.0015, 0.004, 0.005])
+@pytest.mark.parametrize("width", [0.0005, 0.003, 0.005, 0.02])
+def test_a_pulse_lasts_its_width_or_until_the_next_command(
+    plant_type: Callable[..., SampledPlant], delay: float, width: float
+) -> None:
+    plant = plant_type(Timing(period=T, delay=delay), gravity=0.0, record=True)
+    for tick in range(4):
+        plant.read()
+        plant.write(push(1.0, 5.0, width) if tick == 0 else push(2.0))
+    plant.read()
+    lasts, tiny = min(width, T), 1e-7
+    assert forces(plant, [delay + tiny, delay + lasts - tiny]) == [6.0, 6.0]
+    after = forces(plant, [delay + lasts + tiny, delay + T + tiny])
+    assert after == [1.0 if width < T else 2.0, 2.0]
+    momentum = M * plant.trace().at(delay + T)[1][0, 2]
+    assert momentum == pytest.approx(1.0 * T + 5.0 * lasts, rel=1e-12)
+
+
+@both
+def test_instants_are_counted_never_summed(plant_type: Callable[..., SampledPlant]) -> None:
+    """0.1 ms summed 20 000 times is off by far more than one rounding."""
+    period = 1e-4
+    plant = plant_type(Timing(period=period, delay=0.0, phase=0.7), gravity=0.0)
+    for tick in range(20_000):
+        sample = plant.read()
+        assert sample.time == (tick + 0.7) * period
+
+
+@both
+def test_without_an_answer_the_last_command_holds(plant_type: Callable[..., SampledPlant]) -> None:
+    plant = plant_type(Timing(period=T, delay=0.001), gravity=0.0, record=True)
+    plant.read()
+    plant.write(push(1.0))
+    for _ in range(4):
+        plant.read()
+    plant.write(push(7.0))
+    plant.write(push(3.0))  # a second answer to the same sample replaces the first
+    plant.read()
+    assert forces(plant, [0.0005, 0.0035, 0.0195, 0.0215]) == [0.0, 1.0, 1.0, 3.0]
+
+
+@both
+def test_write_returns_what_was_applied(plant_type: Callable[..., SampledPlant]) -> None:
+    plant = plant_type(Timing(period=T, delay=0.0), wrench_limit=[math.inf] * 2 + [60.0] + [1.0] * 3, record=True)
+    plant.read()
+    applied = plant.write(push(50.0, 30.0, 0.002))
+    assert applied.force[2] == 50.0
+    assert applied.extra is not None
+    assert applied.extra[2] == 10.0
+    plant.read()
+    assert forces(plant, [0.0, 0.001, 0.0025]) == pytest.approx([60.0, 60.0, 50.0], rel=1e-14)
+    plant.write(Command([100.0, 0.0, -70.0, -2.0, 0.5, 0.0]))
+    assert plant.write(Command([100.0, 0.0, -70.0, -2.0, 0.5, 0.0])).wrench.tolist() == [100, 0, -60, -1, 0.5, 0]
+
+
+@both
+def test_quantized_sensor_reads_whole_steps(plant_type: Callable[..., SampledPlant]) -> None:
+    quantum = [5e-6, 0.0, 5e-6, 10e-6, 10e-6, 0.0]
+    pose = [1.2345e-4, 1.2345e-4, 2e-3, 1.2345e-3, 0.0, 0.0]
+    sample = plant_type(Timing(period=T), pose=pose, quantum=quantum, gravity=0.0).read()
+    expected = [np.rint(x / q) * q if q else x for x, q in zip(pose, quantum, strict=True)]
+    np.testing.assert_allclose(sample.position, expected, rtol=1e-12)
+    assert sample.position[0] == pytest.approx(25 * 5e-6, rel=1e-12)
+
+
+@both
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+def test_a_command_that_is_not_finite_is_refused(plant_type: Callable[..., SampledPlant], bad: float) -> None:
+    plant = plant_type()
+    plant.read()
+    with pytest.raises(PlantError, match="must be finite"):
+        plant.write(push(bad))
+    with pytest.raises(PlantError, match="must be finite"):
+        plant.write(push(1.0, bad, 0.001))
+    with pytest.raises(PlantError, match="pulse_width must be finite and above 0, not 0"):
+        plant.write(push(1.0, 1.0))
+
+
+@both
+def test_a_flotor_far_outside_its_range_has_diverged(plant_type: Callable[..., SampledPlant]) -> None:
+    plant = plant_type(twist=[0.0, 0.0, 2.0, 0.0, 0.0, 0.0], gravity=0.0)
+    with pytest.raises(DivergenceError, match=r"the flotor is 0.05 m and 0 rad from its centre at 0.025 s"):
+        for _ in range(20):
+            plant.read()
+    plant = plant_type(twist=[0.0, 0.0, 0.0, 50.0, 0.0, 0.0], gravity=0.0)
+    with pytest.raises(DivergenceError, match=r"is 0 m and 1[.\d]* rad"):
+        for _ in range(20):
+            plant.read()
+
+
+def test_nan_counts_as_diverged() -> None:
+    plant = MuJoCoPlant()
+    plant.read()
+    plant._qvel[2] = math.nan
+    with pytest.raises(PlantError):
+        plant.read()
+
+
+def test_a_new_engine_warning_is_an_error_and_nothing_resets() -> None:
+    plant = MuJoCoPlant(escape=(1e12, 1e12), gravity=0.0)
+    plant.read()
+    plant._qvel[2] = 1e11  # beyond the engine's own bound: it warns, and would reset by default
+    with pytest.raises(PlantError, match=r"MuJoCo warns at 0.005 s: mjWARN_BADQVEL"):
+        plant.read()
+    assert abs(plant._qvel[2]) > 1e10
+
+
+@both
+def test_closed_plants_stay_closed(plant_type: Callable[..., SampledPlant]) -> None:
+    with plant_type() as plant:
+        with pytest.raises(PlantError, match="call read"):
+            plant.write(push(0.0))
+        plant.read()
+    plant.close()
+    with pytest.raises(PlantError, match="closed"):
+        plant.read()
+    with pytest.raises(PlantError, match="closed"):
+        plant.write(push(0.0))
+    with pytest.raises(PlantError, match="record=True"):
+        plant.trace()
+
+
+def test_bad_parameters_are_refused_with_the_value() -> None:
+    for options, words in (
+        ({"period": 0.0}, "period must be a finite number above 0, not 0.0"),
+        ({"delay": -0.001}, "delay must be a finite number at least 0, not -0.001"),
+        ({"phase": 1.0}, "phase must be at least 0 and below 1, not 1"),
+        ({"phase": math.nan}, "phase"),
+        ({"period": "fast"}, "period must be a finite number above 0, not 'fast'"),
+    ):
+        with pytest.raises(ParameterError, match=words):
+            Timing(**options)  # type: ignore[arg-type]
+    with pytest.raises(ParameterError, match="mass must be a finite number above 0"):
+        ExactPlant(mass=0.0)
+    with pytest.raises(ParameterError, match="must fit"):
+        ExactPlant(pose=np.zeros((3, 6)), twist=np.zeros((2, 6)))
+    with pytest.raises(ParameterError, match="one device"):
+        MuJoCoPlant(pose=np.zeros((3, 6)))
+    with pytest.raises(ParameterError, match="need coils"):
+        MuJoCoPlant(coils=False, current_limit=3.0)
+    with pytest.raises(ModelError, match="model must be one of drop, .*, not 'moon'"):
+        MuJoCoPlant(scene="moon")
+
+
+def bounce(plant: SampledPlant, gravity_free: bool = False) -> Trace:
+    wall = Wall(axes="z", lower=0.0, stiffness=6000.0, damping=80.0, pulse=220.0, pulse_width=0.003)
+    run(plant, Controller([wall], period=plant.timing.period), 60)
+    return plant.trace()
+
+
+def test_exact_batch_equals_single_devices() -> None:
+    """The same commands bit for bit; the motion to rounding, because a pulse of one splits the step of all."""
+    phases, heights = np.linspace(0.0, 0.95, 20), np.linspace(1e-3, 4e-3, 20)
+    pose = np.zeros((20, 6))
+    pose[:, 2] = heights
+    together = bounce(ExactPlant(Timing(phase=phases), pose=pose, record=True))
+    for device in range(20):
+        alone = bounce(ExactPlant(Timing(phase=phases[device]), pose=pose[device], record=True))
+        times = np.linspace(0.0, 0.29, 300)
+        np.testing.assert_allclose(together.at(times)[0][:, device], alone.at(times)[0], atol=1e-15)
+
+
+def test_driver_lag_in_closed_form_is_what_small_steps_converge_to() -> None:
+    """The engine's error under lag falls with the fourth power of its step, towards the exact plant."""
+    options: dict[str, Any] = {"pose": [0, 0, 2e-3, 0, 0, 0], "record": True}
+    exact = bounce(ExactPlant(Timing(), driver_lag=True, **options))
+    times = np.arange(0.0, 0.3, 0.005)
+    errors = []
+    steps = LAG * np.array([1.0, 0.5, 0.25])
+    for step in steps:
+        engine = bounce(MuJoCoPlant(Timing(), driver_lag=True, longest_step=step, **options))
+        errors.append(np.abs(engine.at(times)[0] - exact.at(times)[0]).max())
+    slopes = np.diff(np.log(errors)) / np.diff(np.log(steps))
+    assert errors[-1] < 1e-8
+    assert (slopes > 3.5).all(), (errors, slopes)
+
+
+def test_driver_lag_delays_the_force_by_its_time_constant() -> None:
+    for plant in (
+        ExactPlant(Timing(delay=0.0), gravity=0.0, driver_lag=True, record=True),
+        MuJoCoPlant(Timing(delay=0.0), gravity=0.0, driver_lag=True, record=True),
+    ):
+        plant.read()
+        plant.write(push(1.0))
+        plant.read()
+        # momentum after a step of force: F (t - lag), once the transient is over
+        assert M * plant.trace().at(T)[1][0, 2] == pytest.approx(T - LAG, rel=1e-6)
+
+
+def test_current_limit_caps_each_coil() -> None:
+    plant = MuJoCoPlant(current_limit=10.0)
+    plant.read()
+    assert plant.write(push(100.0)).force[2] == pytest.approx(60.0)
+    assert plant.write(push(59.0)).force[2] == pytest.approx(59.0)
+    tilted = plant.write(Command([0.0, 0.0, 50.0, 1.0, 0.0, 0.0]))  # needs more than 10 A in one coil
+    assert plant.device.coils is not None
+    assert np.abs(plant.device.coils.currents(tilted.wrench)).max() <= 10.0 + 1e-12
+    assert tilted.force[2] < 50.0
+
+
+@pytest.mark.parametrize("coils", [True, False])
+def test_hold_brings_all_six_axes_to_their_target(coils: bool) -> None:
+    target = np.array([1e-3, -5e-4, 8e-4, 0.02, -0.01, 0.015])
+    plant = MuJoCoPlant(coils=coils, gravity=0.0)
+    hold = Hold.critically_damped(inertia=[M] * 3 + [9e-4] * 3, period=T, delay=0.0015, target=target)
+    sample = run(plant, Controller([hold], period=T), 400)
+    np.testing.assert_allclose(sample.position, target, atol=1e-9)
