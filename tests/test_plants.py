@@ -114,7 +114,7 @@ def test_write_returns_what_was_applied(plant_type: Callable[..., SampledPlant])
     assert applied.extra is not None
     assert applied.extra[2] == 10.0
     plant.read()
-    assert forces(plant, [0.0, 0.001, 0.0025]) == pytest.approx([60.0, 60.0, 50.0], rel=1e-14)
+    assert forces(plant, [0.0, 0.001, 0.0025]) == [60.0, 60.0, 50.0]
     plant.write(Command([100.0, 0.0, -70.0, -2.0, 0.5, 0.0]))
     assert plant.write(Command([100.0, 0.0, -70.0, -2.0, 0.5, 0.0])).wrench.tolist() == [100, 0, -60, -1, 0.5, 0]
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,6 +16,10 @@ from maglev_mj.plants.base import SampledPlant, Timing
 from maglev_mj.spec import GRAVITY, Spec
 
 __all__ = ["ExactPlant"]
+
+
+Drive: TypeAlias = tuple[list[Component], Sequence[Component]]
+"""Acceleration of each axis, gravity included [m/s², rad/s²], and the force behind it [N, N m]."""
 
 
 class ExactPlant(SampledPlant):
@@ -81,25 +86,28 @@ class ExactPlant(SampledPlant):
             longest_step=0.25 * self._lag if record and self._lag is not None else None,
         )
 
-    def _prepare(self, force: Sequence[Component]) -> list[Component]:
-        """Return the acceleration [m/s², rad/s²] of each axis, gravity included."""
-        return [push * inverse + fall for push, inverse, fall in zip(force, self._inverse_inertia, self._gravity)]
+    def _prepare(self, force: Sequence[Component]) -> Drive:
+        acceleration = [
+            push * inverse + fall for push, inverse, fall in zip(force, self._inverse_inertia, self._gravity)
+        ]
+        return acceleration, force
 
-    def _advance(self, duration: Component, drive: list[Component]) -> None:
-        position, velocity = self._place, self._velocity
+    def _advance(self, duration: Component, drive: Drive) -> None:
+        accelerations = drive[0]
         if self._lag is not None:
-            self._advance_lagged(duration, drive, self._lag)
+            self._advance_lagged(duration, accelerations, self._lag)
             return
+        position, velocity = self._place, self._velocity
         half = 0.5 * duration
-        for axis, acceleration in enumerate(drive):
+        for axis, acceleration in enumerate(accelerations):
             speed = velocity[axis]
             position[axis] = position[axis] + duration * (speed + half * acceleration)
             velocity[axis] = speed + duration * acceleration
 
-    def _advance_lagged(self, duration: Component, drive: list[Component], lag: float) -> None:
-        """Acceleration drive + (actual - drive) exp(-t/lag), integrated twice."""
+    def _advance_lagged(self, duration: Component, accelerations: list[Component], lag: float) -> None:
+        """Integrate drive + (actual - drive) exp(-t/lag) twice."""
         faded = -np.expm1(-duration / lag)
-        for axis, acceleration in enumerate(drive):
+        for axis, acceleration in enumerate(accelerations):
             missing = self._actual[axis] - acceleration
             gained = missing * lag * faded
             position, speed = self._place[axis], self._velocity[axis]
@@ -112,12 +120,13 @@ class ExactPlant(SampledPlant):
         self._check_escape(self._place)
         return self._place.copy()
 
-    def _state(self, drive: list[Component]) -> tuple[Array, Array, Array]:
-        now = drive if self._lag is None else self._actual
-        force = [
-            (acceleration - fall) / inverse
-            for acceleration, fall, inverse in zip(now, self._gravity, self._inverse_inertia)
-        ]
+    def _state(self, drive: Drive) -> tuple[Array, Array, Array]:
+        force = drive[1]
+        if self._lag is not None:
+            force = [
+                (acceleration - fall) / inverse
+                for acceleration, fall, inverse in zip(self._actual, self._gravity, self._inverse_inertia)
+            ]
         shape = (*self.batch, 6)
         pose, twist, wrench = (np.broadcast_to(join(part), shape) for part in (self._place, self._velocity, force))
         return pose, twist, wrench

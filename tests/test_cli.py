@@ -1,0 +1,116 @@
+"""The command line as a person types it."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from maglev_mj import cli
+from maglev_mj.experiments.drop import DropParameters, run_drop
+
+
+def test_drop_prints_one_screen(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["drop", "--phases", "5"]) == 0
+    out = capsys.readouterr().out
+    for words in (
+        "penetration",
+        "rebound",
+        "peak force",
+        "settling time",
+        "with pulse",
+        "without",
+        "differ by at most",
+    ):
+        assert words in out
+    assert len(out.splitlines()) <= 24
+    assert max(map(len, out.splitlines())) <= 110
+
+
+def test_drop_json_on_standard_output_is_nothing_but_json(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["drop", "--plant", "exact", "--json", "-", "--phases", "3", "--force-limit", "60"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert data["parameters"] == DropParameters(plant="exact", force_limit=60.0).__dict__
+    assert data["z"] == run_drop(DropParameters(plant="exact", force_limit=60.0)).series()[1].tolist()
+    assert max(data["force"]) <= 60.0
+    assert [row["phase"] for row in data["sweep"]["phases"]] == [0.0, 1 / 3, 2 / 3]
+
+
+def test_drop_writes_json_and_pictures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("matplotlib")
+    arguments = ["drop", "--json", str(tmp_path / "drop.json"), "--out", str(tmp_path / "new" / "folder")]
+    assert cli.main(arguments) == 0
+    assert json.loads((tmp_path / "drop.json").read_text())["summary"]["penetration"] > 0.0
+    pictures = sorted((tmp_path / "new" / "folder").glob("*.png"))
+    assert [picture.name for picture in pictures] == ["drop_phase_plane.png", "drop_phases.png", "drop_time.png"]
+    assert all(picture.stat().st_size > 10_000 for picture in pictures)
+    out = capsys.readouterr().out
+    assert all(f"wrote {picture}" in out for picture in pictures)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--period", "-1"], "period must be a finite number above 0, not -1.0"),
+        (["--delay", "soon"], "argument --delay: must be a number, not 'soon'"),
+        (["--phase", "1"], "phase must be a finite number at least 0 and below 1, not 1.0"),
+        (["--plant", "real"], "plant must be one of exact, mujoco, not 'real'"),
+        (["--phases", "0"], "phases must be at least 1, not 0"),
+        (["--phases", "many"], "argument --phases: must be a whole number, not 'many'"),
+        (["--mass", "nan"], "mass must be a finite number above 0, not nan"),
+        (["--force-limit", "0"], "force_limit must be a finite number above 0, not 0.0"),
+        (["--stiffness", "-5"], "stiffness must be a finite number at least 0, not -5.0"),
+        (["--speed", "5"], "unrecognized arguments: --speed 5"),
+    ],
+)
+def test_bad_input_gets_one_line_and_status_2(
+    arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    try:
+        status = cli.main(["drop", *arguments])
+    except SystemExit as exit_:
+        status = int(exit_.code or 0)
+    captured = capsys.readouterr()
+    assert status == 2
+    assert captured.out == ""
+    assert words in captured.err
+    assert len(captured.err.splitlines()) == 1
+
+
+def test_a_diverging_drop_says_so_and_keeps_its_record(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    target = tmp_path / "drop.json"
+    assert cli.main(["drop", "--delay", "0.005", "--duration", "3", "--json", str(target)]) == 1
+    assert "a run has diverged" in capsys.readouterr().err
+    data = json.loads(target.read_text())
+    assert "diverged" in data
+    assert len(data["z"]) > 300
+
+
+def test_a_file_that_cannot_be_written_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["drop", "--json", str(tmp_path / "no" / "such" / "folder.json")]) == 1
+    assert "folder.json" in capsys.readouterr().err
+
+
+def test_info(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["info"]) == 0
+    assert "where the paper contradicts itself" in capsys.readouterr().out
+    assert cli.main(["info", "--json", "-"]) == 0
+    figures = json.loads(capsys.readouterr().out)["figures"]
+    assert figures["hover_current"] == pytest.approx(1.14, abs=5e-3)
+
+
+def test_without_matplotlib_pictures_say_what_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    assert cli.main(["drop", "--out", str(tmp_path)]) == 1
+    assert "pip install 'maglev-mj[charts]'" in capsys.readouterr().err
+
+
+def test_core_needs_no_matplotlib() -> None:
+    """Nothing imports it until a picture is asked for."""
+    code = "import sys, maglev_mj.cli; sys.exit('matplotlib' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

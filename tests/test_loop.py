@@ -1,0 +1,87 @@
+"""The control loop: what it does, and what it leaves behind when something breaks."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from maglev_mj import Command, Controller, ExactPlant, Hold, MuJoCoPlant, Sample, Timing, run
+from maglev_mj.errors import DivergenceError, ParameterError, PlantError
+
+
+class Recorder(ExactPlant):
+    """A plant that remembers what was written."""
+
+    def __init__(self) -> None:
+        super().__init__(Timing(), gravity=0.0, twist=[0, 0, 0.01, 0, 0, 0])
+        self.written: list[Command] = []
+
+    def write(self, command: Command) -> Command:
+        self.written.append(command)
+        return super().write(command)
+
+
+class Broken(Controller):
+    """A controller that fails or answers nonsense at sample 60."""
+
+    def __init__(self, answer: float | BaseException) -> None:
+        super().__init__([Hold(stiffness=100.0, damping=1.0)], period=0.005)
+        self.answer = answer
+
+    def step(self, sample: Sample) -> Command:
+        if sample.tick == 60:
+            if isinstance(self.answer, BaseException):
+                raise self.answer
+            return Command([self.answer] * 6)
+        return super().step(sample)
+
+
+def test_run_answers_every_sample_and_reads_once_more() -> None:
+    plant, seen = Recorder(), []
+    controller = Controller([Hold(stiffness=100.0, damping=1.0)], period=0.005)
+    last = run(plant, controller, 10, observe=lambda sample, command: seen.append((sample.tick, command)))
+    assert last.tick == 10
+    assert [tick for tick, _ in seen] == list(range(10))
+    assert [command for _, command in seen] == plant.written
+    assert run(plant, controller, 5).tick == 16
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf])
+def test_a_command_that_is_no_number_ends_in_zero_and_carries_the_last_cycles(bad: float) -> None:
+    plant = Recorder()
+    with pytest.raises(PlantError, match="command at tick 60 must be finite") as caught:
+        run(plant, Broken(bad), 100)
+    assert list(plant.written[-1].force) == [0.0] * 6
+    assert [sample.tick for sample, _ in caught.value.cycles] == list(range(10, 60))
+    plant.read()  # the plant is still there, with zero on its way
+
+
+def test_any_exception_ends_in_zero_and_is_the_one_reported() -> None:
+    plant = Recorder()
+    with pytest.raises(ZeroDivisionError):
+        run(plant, Broken(ZeroDivisionError()), 100)
+    assert list(plant.written[-1].force) == [0.0] * 6
+    plant = Recorder()
+    with pytest.raises(KeyboardInterrupt):
+        run(plant, Broken(KeyboardInterrupt()), 100)
+    assert list(plant.written[-1].force) == [0.0] * 6
+
+
+def test_a_closed_plant_does_not_hide_the_error() -> None:
+    plant = Recorder()
+    plant.close()
+    with pytest.raises(PlantError, match="closed"):
+        run(plant, Broken(0.0), 100)
+
+
+def test_divergence_carries_its_cycles() -> None:
+    unstable = Controller([Hold(axes="z", stiffness=20_000.0, damping=10.0)], period=0.005)
+    with pytest.raises(DivergenceError) as caught:
+        run(MuJoCoPlant(pose=[0, 0, 1e-3, 0, 0, 0]), unstable, 1000)
+    assert 0 < len(caught.value.cycles) <= 50
+
+
+def test_ticks_must_be_positive() -> None:
+    with pytest.raises(ParameterError, match="ticks must be a finite number at least 1, not 0"):
+        run(Recorder(), Broken(0.0), 0)

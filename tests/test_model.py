@@ -1,0 +1,329 @@
+"""The device model: Table 1, symmetry, every scene runs clean, and no more than a scene needs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+from maglev_mj import Controller, Hold, MuJoCoPlant, Timing, Wall, model, run
+from maglev_mj.coils import CoilMap
+from maglev_mj.errors import ModelError, ParameterError
+from maglev_mj.experiments.bandwidth import position_bandwidth
+from maglev_mj.frames import Array, quaternion
+from maglev_mj.model import COILS, Device, envelope, load, model_path, scenes
+from maglev_mj.report import device_report, render
+from maglev_mj.spec import GRAVITY, Spec
+
+SPEC = Spec()
+
+
+@pytest.fixture(scope="module")
+def device() -> Device:
+    return load("maglev", lean=False)
+
+
+def coil_map(device: Device) -> CoilMap:
+    assert device.coils is not None
+    return device.coils
+
+
+# -- Table 1, row by row ---------------------------------------------------------------------------------
+
+
+def test_envelope(device: Device) -> None:
+    radius, height = envelope(device)
+    assert radius == pytest.approx(SPEC.radius.value, abs=1e-9)
+    assert height == pytest.approx(SPEC.height.value, abs=1e-9)
+
+
+def test_masses(device: Device) -> None:
+    assert device.model.body("stator").mass[0] == SPEC.stator_mass.value
+    assert device.model.body("flotor").mass[0] == SPEC.flotor_mass.value
+    assert device.mass == pytest.approx(SPEC.moving_mass.value, rel=1e-15)
+    assert load("drop").mass == device.mass
+
+
+def test_payload_of_table_1_contradicts_its_current(device: Device) -> None:
+    """2 kg beside the 0.65 kg flotor takes 4.33 A a coil, not 3 A."""
+    coils = coil_map(device)
+    lifted = coils.largest_wrench(SPEC.continuous_current.value)[2] / GRAVITY - SPEC.flotor_mass.value
+    assert lifted == pytest.approx(1.185, abs=1e-3)
+    assert lifted < SPEC.payload.value
+    weight = (SPEC.payload.value + SPEC.flotor_mass.value) * GRAVITY
+    assert np.abs(coils.currents(np.array([0, 0, weight, 0, 0, 0]))).max() == pytest.approx(4.33, abs=5e-3)
+
+
+def test_ranges(device: Device) -> None:
+    for axis in "xyz":
+        joint = device.model.joint(axis)
+        assert joint.range.tolist() == [-SPEC.translation_range.value, SPEC.translation_range.value]
+    assert math.degrees(device.model.joint("rotation").range[1]) == pytest.approx(SPEC.rotation_range.value)
+
+
+def test_range_is_a_stop_in_the_device() -> None:
+    """Pushed with 60 N against its range the flotor stays inside it but for the stop's own softness."""
+    device = load("maglev")
+    data = mujoco.MjData(device.model)
+    data.ctrl[:3] = 10.0
+    for _ in range(2000):
+        mujoco.mj_step(device.model, data)
+    assert data.qpos[2] == pytest.approx(SPEC.translation_range.value, abs=5e-5)
+
+
+def test_resolution_is_what_a_plant_with_table_1_s_sensor_reads() -> None:
+    quantum = [SPEC.translation_resolution.value] * 3 + [SPEC.rotation_resolution.value] * 3
+    pose = np.linspace(1e-4, 2e-4, 6)
+    read = MuJoCoPlant(pose=pose, quantum=quantum, gravity=0.0).read().pose
+    assert np.abs(read - pose).max() <= max(quantum) / 2
+    np.testing.assert_allclose(read / quantum, np.rint(read / quantum), atol=1e-9)
+
+
+def test_driver_bandwidth_is_that_of_the_text(device: Device) -> None:
+    """2 kHz (section 2), where Table 1 says more than 3 kHz: the gain of the compiled filter at 2 kHz is -3 dB."""
+    assert device.driver_time_constant == pytest.approx(1.0 / (2.0 * math.pi * SPEC.driver_bandwidth.value), rel=1e-12)
+    plant = MuJoCoPlant(Timing(period=5e-6, delay=0.0), driver_lag=True, gravity=0.0, longest_step=5e-6, record=True)
+    frequency = SPEC.driver_bandwidth.value
+    commands = []
+    for tick in range(1000):
+        plant.read()
+        command = Controller([Hold(axes="z", stiffness=0.0, damping=0.0)], period=5e-6).step(plant.read())
+        command.force = [0.0, 0.0, math.sin(2.0 * math.pi * frequency * tick * 1e-5), 0.0, 0.0, 0.0]
+        commands.append(plant.write(command))
+    trace = plant.trace()
+    settled = trace.wrench[trace.time > 5e-3, 2]
+    assert settled.max() == pytest.approx(math.sqrt(0.5), rel=0.02)
+
+
+def test_closed_loop_position_response() -> None:
+    """Above 30 Hz in translation and 15 Hz in rotation, with the paper's own gains, rate and delay."""
+    loop = {"period": 1.0 / SPEC.control_rate.value, "delay": SPEC.transport_delay.value}
+    for axis in ("x", "z"):
+        assert position_bandwidth(axis, stiffness=6000.0, damping=80.0, **loop) > SPEC.translation_bandwidth.value
+    for axis in ("rx", "ry", "rz"):
+        assert position_bandwidth(axis, stiffness=8.0, damping=0.1, **loop) > SPEC.rotation_bandwidth.value
+
+
+def test_measured_bandwidth_is_that_of_the_sampled_loop() -> None:
+    """Against the closed-loop frequency response by z-transform, at T_d = 0: B/(A) of the PD on a double integrator."""
+    k, b, period, mass = 3000.0, 60.0, 0.002, 0.7
+    frequencies = np.linspace(1.0, 200.0, 40_000)
+    z = np.exp(2j * np.pi * frequencies * period)
+    plant = period**2 / (2.0 * mass) * (z + 1.0) / (z - 1.0) ** 2
+    feedback = k + b / period * (1.0 - 1.0 / z)
+    response = np.abs(k * plant / (1.0 + plant * feedback))
+    expected = frequencies[np.argmax(response < math.sqrt(0.5))]
+    measured = position_bandwidth("z", stiffness=k, damping=b, period=period, delay=0.0)
+    assert measured == pytest.approx(expected, rel=0.01)
+
+
+def test_force_constant_and_currents(device: Device) -> None:
+    compiled = device.model
+    assert (compiled.actuator_gainprm[:6, 0] == SPEC.force_constant.value).all()
+    assert (compiled.actuator_ctrlrange[:6] == [-SPEC.peak_current.value, SPEC.peak_current.value]).all()
+    data = mujoco.MjData(compiled)
+    data.ctrl[:] = 25.0
+    mujoco.mj_forward(compiled, data)
+    assert (data.actuator_force == SPEC.force_constant.value * SPEC.peak_current.value).all()
+
+
+def test_largest_forces(device: Device) -> None:
+    coils = coil_map(device)
+    assert coils.largest_wrench(10.0)[2] == pytest.approx(SPEC.largest_vertical_force.value)
+    assert coils.largest_wrench(3.0)[2] == pytest.approx(18.0)
+    for index, largest in enumerate(coils.largest_wrench(10.0)):
+        wrench = np.zeros(6)
+        wrench[index] = largest
+        assert np.abs(coils.currents(wrench)).max() == pytest.approx(10.0)
+
+
+def test_hover_current(device: Device) -> None:
+    hover = coil_map(device).currents(np.array([0, 0, device.mass * GRAVITY, 0, 0, 0]))
+    np.testing.assert_allclose(hover, [1.14, 1.14, 1.14, 0, 0, 0], atol=5e-3)
+    at_065 = coil_map(device).currents(np.array([0, 0, 0.65 * GRAVITY, 0, 0, 0]))
+    assert at_065[0] == pytest.approx(1.06, abs=5e-3)
+
+
+# -- geometry and map ------------------------------------------------------------------------------------
+
+
+def test_device_has_threefold_symmetry(device: Device) -> None:
+    turn = np.array([[-0.5, -math.sqrt(0.75), 0.0], [math.sqrt(0.75), -0.5, 0.0], [0.0, 0.0, 1.0]])
+    coils = coil_map(device)
+    for kind in (0, 3):
+        for arm in range(3):
+            one, following = kind + arm, kind + (arm + 1) % 3
+            np.testing.assert_allclose(coils.points[following], turn @ coils.points[one], atol=1e-15)
+            np.testing.assert_allclose(coils.directions[following], turn @ coils.directions[one], atol=1e-15)
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.02, 0.1])
+def test_coil_map_is_the_engine_s_at_any_angle(device: Device, angle: float) -> None:
+    compiled, data = device.model, mujoco.MjData(device.model)
+    vector = angle * np.array([0.6, -0.48, 0.64])
+    data.qpos[3:7] = quaternion(vector)
+    data.qpos[:3] = [1e-3, -2e-3, 3e-3]
+    mujoco.mj_forward(compiled, data)
+    moment = np.zeros((6, 6))
+    mujoco.mju_sparse2dense(moment, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind)
+    rotation = np.zeros(9)
+    mujoco.mju_quat2Mat(rotation, data.qpos[3:7])
+    engine = moment.T * SPEC.force_constant.value
+    engine[3:] = rotation.reshape(3, 3) @ engine[3:]  # the engine's torque is in flotor axes
+    np.testing.assert_allclose(coil_map(device).inverse_at(rotation) @ engine, np.eye(6), atol=1e-12)
+
+
+def test_coils_that_cannot_give_every_wrench_are_refused(device: Device) -> None:
+    coils = coil_map(device)
+    with pytest.raises(ModelError, match="singular"):
+        CoilMap(coils.points, np.tile([0.0, 0.0, 1.0], (6, 1)), coils.force_constants)
+    with pytest.raises(ModelError, match="six coils are needed for six axes, not 5"):
+        CoilMap(coils.points[:5], coils.directions[:5], coils.force_constants[:5])
+    with pytest.raises(ParameterError, match="current must be at least 0"):
+        coils.largest_wrench(-1.0)
+
+
+def test_centre_of_mass_is_at_the_origin(device: Device) -> None:
+    data = mujoco.MjData(device.model)
+    mujoco.mj_forward(device.model, data)
+    np.testing.assert_allclose(data.subtree_com[device.flotor], 0.0, atol=1e-17)
+
+
+# -- every model file ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", scenes())
+def test_every_scene_runs_with_noise_and_without_a_warning(name: str) -> None:
+    compiled = load(name, lean=False).model
+    data = mujoco.MjData(compiled)
+    random = np.random.default_rng(5)
+    for _ in range(500):
+        data.ctrl[:] = random.normal(scale=1.0, size=compiled.nu)
+        mujoco.mj_step(compiled, data)
+    assert not data.warning.number.any()
+    assert np.isfinite(data.qpos).all()
+
+
+def test_unknown_and_broken_models_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(ModelError, match="model must be one of drop, maglev, scene, not 'nothing'"):
+        model_path("nothing")
+    with pytest.raises(ParameterError, match="mass must be"):
+        load("drop", mass=-1.0)
+    text = model_path("maglev").read_text(encoding="utf-8")
+    monkeypatch.setattr(model, "_folder", lambda: tmp_path)
+    (tmp_path / "bad.xml").write_text(text.replace('name="vertical1"', 'name="upright"'), encoding="utf-8")
+    with pytest.raises(ModelError, match="model 'bad' cannot be used: .*vertical1"):
+        load("bad")
+    (tmp_path / "worse.xml").write_text("<mujoco><nonsense/></mujoco>", encoding="utf-8")
+    with pytest.raises(ModelError, match="model 'worse' cannot be used: .*nonsense"):
+        load("worse")
+
+
+# -- no more than a scene needs --------------------------------------------------------------------------
+
+
+def drop_bits(scene: str = "drop", **options: Any) -> tuple[Array, ...]:
+    """Return every switch of a drop: times, poses, velocities, wrenches."""
+    plant = MuJoCoPlant(Timing(phase=0.3), scene=scene, pose=[0, 0, 4e-3, 0, 0, 0], record=True, **options)
+    wall = Wall(axes="z", lower=0.0, stiffness=6000.0, damping=80.0, pulse=220.0, pulse_width=0.003)
+    others = ("x", "y", "rx", "ry", "rz")
+    hold = Hold.critically_damped(others, inertia=[0.7] * 2 + [9e-4] * 3, period=0.005, delay=0.0015)
+    run(plant, Controller([wall, hold], period=0.005), 80)
+    trace = plant.trace()
+    return trace.time, trace.pose, trace.twist, trace.wrench
+
+
+@pytest.fixture
+def variant(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., tuple[Array, ...]]:
+    """Return a function that runs the drop on a changed copy of its scene."""
+
+    def run_changed(*changes: tuple[str, str], lean: bool = True) -> tuple[Array, ...]:
+        text = model_path("drop").read_text(encoding="utf-8")
+        for old, new in changes:
+            assert old in text, old
+            text = text.replace(old, new)
+        (tmp_path / "drop.xml").write_text(text, encoding="utf-8")
+        (tmp_path / "maglev.xml").write_text(model_path("maglev").read_text(encoding="utf-8"), encoding="utf-8")
+        with monkeypatch.context() as patch:
+            patch.setattr(model, "_folder", lambda: tmp_path)
+            if not lean:
+                patch.setattr("maglev_mj.plants.mujoco.load", lambda *a, **k: load(*a, **k, lean=False))
+            return drop_bits()
+
+    return run_changed
+
+
+def test_drop_scene_compiles_to_the_bare_mechanics() -> None:
+    compiled = load("drop").model
+    assert (compiled.nbody, compiled.njnt, compiled.nv, compiled.nu) == (2, 4, 6, 6)  # world and flotor
+    nothing = ("ngeom", "nlight", "ncam", "nmesh", "nmat", "ntex", "nsensor", "ntendon", "neq", "nkey", "na")
+    assert {name: getattr(compiled, name) for name in nothing} == dict.fromkeys(nothing, 0)
+    used = set(compiled.actuator_trnid.ravel())
+    assert used == set(range(compiled.nsite))  # every site is an end of a coil
+    off = mujoco.mjtDisableBit
+    for flag in (off.mjDSBL_CONTACT, off.mjDSBL_CONSTRAINT, off.mjDSBL_AUTORESET):
+        assert compiled.opt.disableflags & flag
+
+
+def test_what_the_drop_leaves_out_would_not_change_one_bit(variant: Callable[..., tuple[Array, ...]]) -> None:
+    bits = drop_bits()
+    put_back = {
+        "sites of LEDs, diodes and stator": variant(lean=False),
+        "shapes and materials": variant(('discardvisual="true"', "")),
+        "contacts": variant(('contact="disable" ', "")),
+        "joint limits": variant(('constraint="disable" ', "")),
+        "the stator as a body of its own": variant(('fusestatic="true"', "")),
+    }
+    different = [
+        name
+        for name, other in put_back.items()
+        if name != "the stator as a body of its own"
+        and any(one.tobytes() != two.tobytes() for one, two in zip(bits, other, strict=True))
+    ]
+    assert not different
+    # with the handle as a body of its own, mass and inertia are summed in another order: equal to rounding only
+    for one, two in zip(bits, put_back["the stator as a body of its own"], strict=True):
+        np.testing.assert_allclose(one, two, rtol=0.0, atol=1e-12)
+
+
+def test_what_the_drop_keeps_does_change_it(variant: Callable[..., tuple[Array, ...]]) -> None:
+    """Why it stays: the integrator is exact; the coils carry the force; x, y and rotation are held, not absent."""
+    bits = drop_bits()
+
+    # the plant sets RK4 itself, so that no scene can bring the engine's default back
+    assert all(a.tobytes() == b.tobytes() for a, b in zip(bits, variant(('integrator="RK4"', "")), strict=True))
+    euler = MuJoCoPlant(pose=[0, 0, 4e-3, 0, 0, 0])
+    euler.device.model.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER
+    exact = MuJoCoPlant(pose=[0, 0, 4e-3, 0, 0, 0])
+    for _ in range(4):
+        gap = abs(euler.read().position[2] - exact.read().position[2])
+    assert gap > 1e-4  # one Euler step of 5 ms is off by half a step times the change of speed
+
+    no_coils = MuJoCoPlant(coils=False)
+    assert no_coils.device.model.nu == 0
+    assert no_coils.device.coils is None
+
+    tilted = MuJoCoPlant(pose=[5e-4, -5e-4, 0, 0.01, 0.01, 0.01], gravity=0.0)
+    hold = Hold.critically_damped(inertia=[0.7] * 3 + [9e-4] * 3, period=0.005, delay=0.0015)
+    start = tilted.read().pose
+    end = run(tilted, Controller([hold], period=0.005), 40).pose
+    assert (np.abs(end)[[0, 1, 3, 4, 5]] < 0.5 * np.abs(start)[[0, 1, 3, 4, 5]]).all()
+
+
+# -- the report ------------------------------------------------------------------------------------------
+
+
+def test_report_prints_table_1_beside_the_model() -> None:
+    report = device_report()
+    text = render(report)
+    for words in ("wrench map", "condition number", "hover current", "at 3 A", "at 10 A", "4.33 A", *COILS):
+        assert words in text
+    assert all(len(line) <= 200 for line in text.splitlines())
+    names = [row.name for row in report.table]
+    assert len(names) == len(set(names)) == 17
+    assert report.figures["condition_number"] == pytest.approx(2.02, abs=0.01)
