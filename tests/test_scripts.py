@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
+from ctypes.util import find_library
 from pathlib import Path
 
 import pytest
@@ -24,6 +25,15 @@ def test_figures(name: str, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     assert f"{name}.png" in run_script(f"{name}.py", str(tmp_path))
     assert (tmp_path / f"{name}.png").stat().st_size > 10_000
+
+
+@pytest.mark.skipif(find_library("OSMesa") is None, reason="drawing off screen needs OSMesa (Debian: libosmesa6)")
+def test_render_device(tmp_path: Path) -> None:
+    image = pytest.importorskip("matplotlib.image")
+    assert "device.png" in run_script("render_device.py", str(tmp_path / "device.png"))
+    picture = image.imread(tmp_path / "device.png")
+    assert picture.shape[:2] == (1050, 1400)
+    assert picture[..., :3].std() > 0.1  # a device, not an empty sky
 
 
 def test_pulse_effect_prints_every_height_and_limit() -> None:

@@ -1,0 +1,34 @@
+# `make demo` and `make test` set up what they need in .venv, from Python 3.11 or newer alone.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/.ready
+
+.PHONY: demo test check lint types wheel clean
+
+demo: $(READY)  ## drop the flotor: a summary here, pictures in figures/
+	$(BIN)/maglev-mj drop --phases 100 --out figures
+
+test: $(READY)  ## run all tests
+	$(BIN)/python -m pytest
+
+check: lint types test  ## what a change must pass
+
+lint: $(READY)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: $(READY)
+	$(BIN)/mypy
+
+wheel: $(READY)
+	$(BIN)/python -m pip --disable-pip-version-check wheel --quiet --no-deps --wheel-dir dist .
+
+clean:
+	rm -rf $(VENV) build dist figures .mypy_cache .pytest_cache .ruff_cache
+
+$(READY): pyproject.toml requirements.lock
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed: make PYTHON=...")'
+	@$(PYTHON) -m venv $(VENV) || { echo 'No venv module: on Debian, apt install python3-venv'; exit 1; }
+	$(BIN)/python -m pip --disable-pip-version-check install --quiet --constraint requirements.lock --editable '.[dev]'
+	@touch $@

@@ -1,0 +1,34 @@
+"""A picture of the device, as the README shows it.
+
+Off screen, MuJoCo draws with OSMesa (Debian: libosmesa6) or EGL (libegl1, libgl1); MUJOCO_GL=egl chooses the latter.
+"""
+
+import os
+import sys
+from pathlib import Path
+
+os.environ.setdefault("MUJOCO_GL", "osmesa")
+
+import mujoco
+from matplotlib.image import imsave
+
+from maglev_mj.model import model_path
+
+target = Path(sys.argv[1] if len(sys.argv) > 1 else "figures/device.png")
+target.parent.mkdir(parents=True, exist_ok=True)
+
+model = mujoco.MjModel.from_xml_path(str(model_path("scene")))
+data = mujoco.MjData(model)
+mujoco.mj_forward(model, data)
+
+camera = mujoco.MjvCamera()
+mujoco.mjv_defaultFreeCamera(model, camera)
+camera.lookat[:] = 0.0, 0.0, 0.012
+camera.distance, camera.azimuth, camera.elevation = 0.26, 205.0, -22.0
+
+with mujoco.Renderer(model, 1050, 1400) as renderer:
+    renderer.update_scene(data, camera)
+    image = renderer.render()
+
+imsave(target, image)
+print("wrote", target)
