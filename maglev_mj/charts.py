@@ -11,7 +11,7 @@ import numpy as np
 from maglev_mj.errors import MaglevError
 from maglev_mj.experiments.drop import DropResult, DropSweep, analog_drop
 
-__all__ = ["ChartsMissingError", "phase_plane", "phases", "time_series"]
+__all__ = ["ChartsMissingError", "phase_plane", "phases", "require", "time_series"]
 
 _WITH, _WITHOUT, _IDEAL, _GRID = "#0b6e99", "#d1495b", "#5a5f66", "#e3e5e8"
 
@@ -20,12 +20,23 @@ class ChartsMissingError(MaglevError):
     """matplotlib is not installed."""
 
 
-def _figure(rows: int, columns: int, size: tuple[float, float], **options: Any) -> tuple[Any, list[Any]]:
+def require() -> None:
+    """Check that pictures can be drawn.
+
+    Raises:
+        ChartsMissingError: If matplotlib is not installed.
+    """
     try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
+        import matplotlib.figure  # noqa: F401 - only whether it is there
     except ImportError:
         raise ChartsMissingError("pictures need matplotlib: pip install 'maglev-mj[charts]'") from None
+
+
+def _figure(rows: int, columns: int, size: tuple[float, float], **options: Any) -> tuple[Any, list[Any]]:
+    require()
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=size, layout="constrained")
     FigureCanvasAgg(figure)
     axes = list(np.atleast_1d(figure.subplots(rows, columns, **options)).ravel())

@@ -15,8 +15,9 @@ import numpy as np
 import maglev_mj
 from maglev_mj import charts
 from maglev_mj.errors import DivergenceError, MaglevError, ParameterError
-from maglev_mj.experiments.drop import PLANTS, DropParameters, DropResult, DropSweep, run_drop, sweep_drop
-from maglev_mj.report import device_report, render
+from maglev_mj.experiments.drop import PLANTS, DropParameters, DropResult, run_drop, sweep_drop
+from maglev_mj.report import device_report
+from maglev_mj.tables import device_table, drop_table
 
 __all__ = ["main"]
 
@@ -112,35 +113,65 @@ def _info(options: argparse.Namespace) -> int:
     if options.json is not None:
         _write_json(options.json, {"figures": report.figures, "contradictions": report.contradictions})
     if options.json != "-":
-        print(render(report))
+        print(device_table(report))
     return 0
 
 
 def _drop(options: argparse.Namespace) -> int:
-    chosen = {field.name: getattr(options, field.name) for field in fields(DropParameters)}
-    parameters = DropParameters(**chosen)
+    parameters = DropParameters(**{field.name: getattr(options, field.name) for field in fields(DropParameters)})
     if options.phases is not None and options.phases < 1:
         raise ParameterError(f"phases must be at least 1, not {options.phases}")
     try:
-        result = run_drop(parameters)
+        study = _DropStudy(parameters, options.phases, alone=options.json == "-" and options.out is None)
     except DivergenceError as error:
         _keep_partial(error, options)
         raise
-    sweep = None if options.phases is None else sweep_drop(parameters, options.phases)
     if options.json is not None:
-        data = result.as_json()
-        if sweep is not None:
-            data["sweep"] = sweep.as_json()
+        data = study.results[0].as_json()
+        if study.sweeps:
+            data["sweep"] = study.sweeps[0].as_json()
         _write_json(options.json, data)
-    plain = None
-    if parameters.pulse > 0.0 and (options.json != "-" or options.out is not None):
-        plain = replace(parameters, pulse=0.0)
-    pictures = [] if options.out is None else _pictures(result, plain, sweep, options.out)
+    pictures = [] if options.out is None else study.draw(options.out)
     if options.json != "-":
-        print(_drop_summary(result, plain, sweep))
+        print(drop_table(study.labels, study.results, study.sweeps, study.gap()))
         for path in pictures:
             print(f"  wrote {path}")
     return 0
+
+
+class _DropStudy:
+    """A drop, the same without its pulse unless it is wanted alone or has none, and their sweeps."""
+
+    def __init__(self, parameters: DropParameters, phases: int | None, *, alone: bool) -> None:
+        self.labels, variants = ["with pulse"], [parameters]
+        if parameters.pulse == 0.0:
+            self.labels = ["no pulse"]
+        elif not alone:
+            self.labels.append("without pulse")
+            variants.append(replace(parameters, pulse=0.0))
+        self.results = [run_drop(variant) for variant in variants]
+        self.sweeps = [] if phases is None else [sweep_drop(variant, phases) for variant in variants]
+
+    def gap(self) -> float:
+        """Return how far the two plants are apart on this drop [m]."""
+        result = self.results[0]
+        other = "exact" if result.parameters.plant == "mujoco" else "mujoco"
+        twin = run_drop(replace(result.parameters, plant=other))
+        return float(np.abs(result.series()[1] - twin.series()[1]).max())
+
+    def draw(self, folder: Path) -> list[Path]:
+        """Draw figures 3 and 4 and the spread over phases; return the files."""
+        charts.require()
+        sweeps = self.sweeps or [
+            sweep_drop(replace(result.parameters, plant="exact"), _PICTURED_PHASES) for result in self.results
+        ]
+        folder.mkdir(parents=True, exist_ok=True)
+        runs = list(zip(self.labels, self.results, strict=True))
+        return [
+            charts.time_series(runs, folder / "drop_time.png"),
+            charts.phase_plane(runs, folder / "drop_phase_plane.png"),
+            charts.phases(list(zip(self.labels, sweeps, strict=True)), folder / "drop_phases.png"),
+        ]
 
 
 def _keep_partial(error: DivergenceError, options: argparse.Namespace) -> None:
@@ -155,67 +186,6 @@ def _write_json(target: str, data: dict[str, Any]) -> None:
         print(text)
     else:
         Path(target).write_text(text + "\n", encoding="utf-8")
-
-
-def _pictures(result: DropResult, plain: DropParameters | None, sweep: DropSweep | None, folder: Path) -> list[Path]:
-    """Draw figures 3 and 4 and the spread over phases, with and without the pulse where there is one."""
-    runs, variants = [("with pulse" if plain else "no pulse", result)], [result.parameters]
-    if plain is not None:
-        runs.append(("without pulse", run_drop(plain)))
-        variants.append(plain)
-    sweeps = []
-    for (label, _), variant in zip(runs, variants, strict=True):
-        ready = sweep if variant is result.parameters else None
-        count = _PICTURED_PHASES if sweep is None else sweep.phases.size
-        sweeps.append((label, ready or sweep_drop(replace(variant, plant="exact"), count)))
-    folder.mkdir(parents=True, exist_ok=True)
-    return [
-        charts.time_series(runs, folder / "drop_time.png"),
-        charts.phase_plane(runs, folder / "drop_phase_plane.png"),
-        charts.phases(sweeps, folder / "drop_phases.png"),
-    ]
-
-
-def _drop_summary(result: DropResult, plain: DropParameters | None, sweep: DropSweep | None) -> str:
-    """Return a table for the terminal: this drop, the one without pulse, the other plant, the spread."""
-    parameters = result.parameters
-    other = run_drop(replace(parameters, plant="exact" if parameters.plant == "mujoco" else "mujoco"))
-    gap = float(np.abs(result.series()[1] - other.series()[1]).max())
-    limit = "none" if parameters.force_limit is None else f"{parameters.force_limit:g} N"
-    columns = [("with pulse" if plain else "no pulse", result.summary)]
-    if plain is not None:
-        columns.append(("without", run_drop(plain).summary))
-    if sweep is not None:
-        spread = sweep.as_json()
-    lines = [
-        f"Drop of {parameters.height * 1e3:g} mm on a wall of {parameters.stiffness:g} N/m and "
-        f"{parameters.damping:g} N s/m, plant {parameters.plant}",
-        f"  {1.0 / parameters.period:g} Hz, delay {parameters.delay * 1e3:g} ms, mass {parameters.mass:g} kg, pulse "
-        f"{parameters.pulse:g} N s/m for {parameters.pulse_width * 1e3:g} ms, force limit {limit}",
-        "",
-    ]
-    head = "".join(f"{name:>14}" for name, _ in columns)
-    if sweep is not None:
-        head += f"{'median of ' + str(sweep.phases.size):>18}{'5 to 95 %':>18}"
-    lines.append(f"  {'':<20}{head}")
-    for name, label, scale, unit in (
-        ("penetration", "penetration", 1e3, "mm"),
-        ("rebound", "rebound", 1e3, "mm"),
-        ("peak_force", "peak force", 1.0, "N"),
-        ("settling_time", "settling time, 2 %", 1e3, "ms"),
-        ("final_z", "final height", 1e3, "mm"),
-    ):
-        cells = "".join(f"{_cell(getattr(summary, name), scale):>14}" for _, summary in columns)
-        if sweep is not None:
-            low, middle, high = (spread[key][name] for key in ("percentile_5", "median", "percentile_95"))
-            cells += f"{_cell(middle, scale):>18}{_cell(low, scale) + ' to ' + _cell(high, scale):>18}"
-        lines.append(f"  {label:<20}{cells}  {unit}")
-    lines += ["", f"  MuJoCo and the exact plant differ by at most {gap:.1e} m"]
-    return "\n".join(lines)
-
-
-def _cell(value: Any, scale: float) -> str:
-    return "-" if value is None or not np.isfinite(value) else f"{float(value) * scale:.3f}"
 
 
 if __name__ == "__main__":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import cast
 
 import numpy as np
 
@@ -55,8 +56,7 @@ class CoilMap:
         """Return currents per wrench [A/N, A/(N m)], (6, 6), for a flotor turned by a rotation matrix (9,)."""
         turned = self.wrench_per_current.copy()
         turned[3:] = self._turning.dot(rotation).reshape(3, 6)
-        inverse: Array = np.linalg.inv(turned)
-        return inverse
+        return cast(Array, np.linalg.inv(turned))
 
     def currents(self, wrench: Array) -> Array:
         """Return the currents [A] (..., 6) that give a wrench [N, N m] (..., 6)."""

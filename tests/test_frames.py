@@ -51,6 +51,7 @@ def test_rotation_vector_agrees_with_the_engine() -> None:
 
 def test_one_source_serves_floats_and_arrays() -> None:
     quaternions = np.array([quaternion(v) for v in np.random.default_rng(4).normal(size=(50, 3))])
-    batch = np.stack(rotation_vector(*quaternions.T, sqrt=np.sqrt, atan2=np.atan2), axis=-1)
+    w, x, y, z = quaternions.T
+    batch = np.stack(rotation_vector(w, x, y, z, np.sqrt, np.atan2), axis=-1)
     single = [rotation_vector(*row) for row in quaternions.tolist()]
     np.testing.assert_allclose(batch, single, rtol=1e-15)

@@ -25,7 +25,8 @@ FLOORS = {
     "experiments": 6,
     "report": 7,
     "charts": 7,
-    "cli": 8,
+    "tables": 8,
+    "cli": 9,
 }
 ALLOWED = {
     "mujoco": {"model", "plants"},

@@ -17,8 +17,9 @@ from maglev_mj.errors import ModelError, ParameterError
 from maglev_mj.experiments.bandwidth import position_bandwidth
 from maglev_mj.frames import Array, quaternion
 from maglev_mj.model import COILS, Device, envelope, load, model_path, scenes
-from maglev_mj.report import device_report, render
+from maglev_mj.report import device_report
 from maglev_mj.spec import GRAVITY, Spec
+from maglev_mj.tables import device_table
 
 SPEC = Spec()
 
@@ -217,10 +218,10 @@ def test_unknown_and_broken_models_are_named(tmp_path: Path, monkeypatch: pytest
     text = model_path("maglev").read_text(encoding="utf-8")
     monkeypatch.setattr(model, "_folder", lambda: tmp_path)
     (tmp_path / "bad.xml").write_text(text.replace('name="vertical1"', 'name="upright"'), encoding="utf-8")
-    with pytest.raises(ModelError, match="model 'bad' cannot be used: .*vertical1"):
+    with pytest.raises(ModelError, match=r"model 'bad' cannot be used: .*vertical1"):
         load("bad")
     (tmp_path / "worse.xml").write_text("<mujoco><nonsense/></mujoco>", encoding="utf-8")
-    with pytest.raises(ModelError, match="model 'worse' cannot be used: .*nonsense"):
+    with pytest.raises(ModelError, match=r"model 'worse' cannot be used: .*nonsense"):
         load("worse")
 
 
@@ -320,7 +321,7 @@ def test_what_the_drop_keeps_does_change_it(variant: Callable[..., tuple[Array, 
 
 def test_report_prints_table_1_beside_the_model() -> None:
     report = device_report()
-    text = render(report)
+    text = device_table(report)
     for words in ("wrench map", "condition number", "hover current", "at 3 A", "at 10 A", "4.33 A", *COILS):
         assert words in text
     assert all(len(line) <= 200 for line in text.splitlines())

@@ -134,11 +134,11 @@ def test_the_paper_s_characteristic_polynomial_is_the_case_of_one_sample_delay()
 
 def drop_analog(time: np.ndarray[Any, np.dtype[np.float64]], **changes: float) -> Any:
     options = {"height": 3e-3, "stiffness": 6000.0, "damping": 80.0, "mass": M} | changes
-    return analog_wall(time, **options)  # type: ignore[arg-type]
+    return analog_wall(time, **options)
 
 
 def test_analog_wall_satisfies_its_differential_equations() -> None:
-    """z' = v and m v' = f - m g by central differences of second order; f' = rate (wall(z, v) - f)."""
+    """Z' = v and m v' = f - m g by central differences of second order; f' = rate (wall(z, v) - f)."""
     step = 1e-7
     time = np.linspace(0.0, 0.4, 4001)[1:-1]
     before, now, after = (drop_analog(np.sort(time + shift)) for shift in (-step, 0.0, step))

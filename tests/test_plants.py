@@ -195,7 +195,7 @@ def test_bad_parameters_are_refused_with_the_value() -> None:
         ({"period": "fast"}, "period must be a finite number above 0, not 'fast'"),
     ):
         with pytest.raises(ParameterError, match=words):
-            Timing(**options)  # type: ignore[arg-type]
+            Timing(**options)
     with pytest.raises(ParameterError, match="mass must be a finite number above 0"):
         ExactPlant(mass=0.0)
     with pytest.raises(ParameterError, match="must fit"):
@@ -204,7 +204,7 @@ def test_bad_parameters_are_refused_with_the_value() -> None:
         MuJoCoPlant(pose=np.zeros((3, 6)))
     with pytest.raises(ParameterError, match="need coils"):
         MuJoCoPlant(coils=False, current_limit=3.0)
-    with pytest.raises(ModelError, match="model must be one of drop, .*, not 'moon'"):
+    with pytest.raises(ModelError, match=r"model must be one of drop, .*, not 'moon'"):
         MuJoCoPlant(scene="moon")
 
 

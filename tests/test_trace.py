@@ -36,7 +36,7 @@ def test_cut_and_bounds() -> None:
     assert (np.diff(cut.time) >= 0.0).all()
     np.testing.assert_array_equal(cut.pose[-1], trace.at(0.1234)[0][0])
     for bad in (-0.001, 1.0):
-        with pytest.raises(ParameterError, match="time must be from 0 to 0.2015"):
+        with pytest.raises(ParameterError, match=r"time must be from 0 to 0.2015"):
             trace.at(bad)
     with pytest.raises(ParameterError):
         trace.until(5.0)

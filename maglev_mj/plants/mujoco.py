@@ -124,15 +124,15 @@ class MuJoCoPlant(SampledPlant):
         command = super()._limited(command)
         if self.current_limit is None:
             return command
-        wrench = self._within_current_limit(command.wrench)
+        wrench = self._with_limited_currents(command.wrench, self.current_limit)
         if command.extra is None:
             return Command(wrench.tolist())
-        total = self._within_current_limit(command.wrench + command.pulse)
+        total = self._with_limited_currents(command.wrench + command.pulse, self.current_limit)
         return Command(wrench.tolist(), (total - wrench).tolist(), command.pulse_width)
 
-    def _within_current_limit(self, wrench: Array) -> Array:
-        """Return the wrench that is left when every current is clipped."""
-        currents = np.clip(self._inverse_map.dot(wrench), -self.current_limit, self.current_limit)
+    def _with_limited_currents(self, wrench: Array, limit: float) -> Array:
+        """Return the wrench that is left when every current is clipped to the limit [A]."""
+        currents = np.clip(self._inverse_map.dot(wrench), -limit, limit)
         left: Array = np.linalg.solve(self._inverse_map, currents)
         return left
 

@@ -1,0 +1,100 @@
+"""Results as text for a terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from maglev_mj.experiments.drop import DropResult, DropSweep
+from maglev_mj.frames import AXES
+from maglev_mj.metrics import percentiles
+from maglev_mj.model import COILS
+from maglev_mj.report import DeviceReport
+
+__all__ = ["device_table", "drop_table"]
+
+_FIGURES = (
+    ("penetration", "penetration", 1e3, "mm"),
+    ("rebound", "rebound", 1e3, "mm"),
+    ("peak_force", "peak force", 1.0, "N"),
+    ("settling_time", "settling, 2 %", 1e3, "ms"),
+    ("final_z", "final height", 1e3, "mm"),
+)
+
+
+def drop_table(labels: Sequence[str], results: Sequence[DropResult], sweeps: Sequence[DropSweep], gap: float) -> str:
+    """Return the figures of one or two drops, and of their sweeps if there are any, as text.
+
+    Args:
+        labels: What to call each drop.
+        results: The drops; the first one's parameters head the table.
+        sweeps: A sweep for each drop, or nothing.
+        gap: Greatest distance between the two plants on the first drop [m].
+    """
+    p = results[0].parameters
+    limit = "none" if p.force_limit is None else f"{p.force_limit:g} N"
+    lines = [
+        f"Drop of {p.height * 1e3:g} mm on a wall of {p.stiffness:g} N/m and {p.damping:g} N s/m, plant {p.plant}",
+        f"  {1.0 / p.period:g} Hz, delay {p.delay * 1e3:g} ms, mass {p.mass:g} kg, "
+        f"pulse {p.pulse:g} N s/m for {p.pulse_width * 1e3:g} ms, force limit {limit}",
+        "",
+    ]
+    one, many = 15, 26
+    if sweeps:
+        over = f"over {sweeps[0].phases.size} phases: median (5 to 95 %)"
+        lines.append(
+            " " * 15 + f"{f'at phase {p.phase:g}':>{one}}" + " " * one * (len(labels) - 1) + f"   {over:>{many}}"
+        )
+    head = "".join(f"{label:>{one}}" for label in labels)
+    lines.append(" " * 15 + head + "".join(f"{label:>{many}}" for label in labels[: len(sweeps)]))
+    spreads = [[percentiles(sweep.summary, share) for share in (50.0, 5.0, 95.0)] for sweep in sweeps]
+    for name, label, scale, unit in _FIGURES:
+        cells = "".join(f"{_cell(getattr(result.summary, name), scale):>{one}}" for result in results)
+        for spread in spreads:
+            middle, low, high = (_cell(getattr(summary, name), scale) for summary in spread)
+            cells += f"{f'{middle} ({low} to {high})':>{many}}"
+        lines.append(f"  {label:<13}{cells}  {unit}")
+    lines += ["", f"  MuJoCo and the exact plant differ by at most {gap:.1e} m"]
+    return "\n".join(lines)
+
+
+def _cell(value: Any, scale: float) -> str:
+    """Return a figure to four digits; a dash for one that is not there."""
+    number = float(value) * scale
+    if not np.isfinite(number):
+        return "-"
+    return f"{number:.0f}" if abs(number) >= 100.0 else f"{number:.1f}" if abs(number) >= 10.0 else f"{number:.2f}"
+
+
+def device_table(report: DeviceReport) -> str:
+    """Return the report as text for a terminal."""
+    lines = ["The UBC maglev joystick: what the paper prints and what the compiled model yields", ""]
+    lines.append(f"  {'':<32}{'paper':>8}{'model':>9}  unit")
+    for row in report.table:
+        remark = f"   {row.remark}" if row.remark else ""
+        lines.append(f"  {row.name:<32}{row.paper:>8}{row.model:>9}  {row.unit:<5}{remark}".rstrip())
+    figures = report.figures
+    inertia = ", ".join(f"{value * 1e4:.2f}" for value in figures["inertia"])
+    lines += [
+        "",
+        f"  inertia about x, y, z with handle  {inertia}  1e-4 kg m² (assumed)",
+        f"  hover current, each vertical coil  {figures['hover_current']:.2f} A at {figures['moving_mass']:g} kg",
+        "",
+        f"  {'largest pure force or torque':<32}" + "".join(f"{axis:>9}" for axis in AXES),
+    ]
+    for name, key in (("at 3 A", "largest_at_continuous_current"), ("at 10 A", "largest_at_peak_current")):
+        lines.append(f"  {name:<32}" + "".join(f"{value:>9.3g}" for value in figures[key]) + "  N, N m")
+    lines += ["", "  wrench map, N/A and N m/A for one ampere in each coil (coil places are assumed)"]
+    lines.append(f"  {'':<6}" + "".join(f"{coil:>13}" for coil in COILS))
+    for axis, row in zip(AXES, figures["wrench_map"], strict=True):
+        lines.append(f"  {axis:<6}" + "".join(f"{value + 0.0:>13.4f}" for value in np.round(row, 12)))
+    lines += [
+        f"  condition number {figures['condition_number']:.2f} with torques over the mean arm of "
+        f"{figures['mean_arm'] * 1e3:.1f} mm, {figures['condition_number_si']:.1f} in SI units",
+        "",
+        "  where the paper contradicts itself",
+    ]
+    lines += [f"  - {text}" for text in report.contradictions]
+    return "\n".join(lines)
