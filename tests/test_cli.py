@@ -20,7 +20,7 @@ def test_drop_prints_one_screen(capsys: pytest.CaptureFixture[str]) -> None:
         "penetration",
         "rebound",
         "peak force",
-        "settling time",
+        "settling, 2 %",
         "with pulse",
         "without",
         "differ by at most",
