@@ -34,7 +34,7 @@ class _Parser(argparse.ArgumentParser):
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return the exit status: 0, 1 for a run that failed, 2 for bad input."""
     parser = _parser()
-    options = parser.parse_args(arguments)
+    options = parser.parse_args(_joined(sys.argv[1:] if arguments is None else arguments))
     try:
         status: int = options.run(options)
         return status
@@ -44,6 +44,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (MaglevError, OSError) as error:
         print(f"maglev-mj {options.command}: {error}", file=sys.stderr)
         return 1
+
+
+def _joined(arguments: Sequence[str]) -> list[str]:
+    """Join an option and a negative number after it: argparse takes -1e-3 and -inf for options of their own."""
+    joined: list[str] = []
+    for argument in arguments:
+        if joined and joined[-1].startswith("--") and "=" not in joined[-1] and _is_negative_number(argument):
+            joined[-1] += f"={argument}"
+        else:
+            joined.append(argument)
+    return joined
+
+
+def _is_negative_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return text.startswith("-")
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -119,8 +138,6 @@ def _info(options: argparse.Namespace) -> int:
 
 def _drop(options: argparse.Namespace) -> int:
     parameters = DropParameters(**{field.name: getattr(options, field.name) for field in fields(DropParameters)})
-    if options.phases is not None and options.phases < 1:
-        raise ParameterError(f"phases must be at least 1, not {options.phases}")
     try:
         study = _DropStudy(parameters, options.phases, alone=options.json == "-" and options.out is None)
     except DivergenceError as error:
@@ -150,7 +167,11 @@ class _DropStudy:
             self.labels.append("without pulse")
             variants.append(replace(parameters, pulse=0.0))
         self.results = [run_drop(variant) for variant in variants]
-        self.sweeps = [] if phases is None else [sweep_drop(variant, phases) for variant in variants]
+        try:
+            self.sweeps = [] if phases is None else [sweep_drop(variant, phases) for variant in variants]
+        except DivergenceError as error:
+            error.partial = self.results[0]  # the drop itself is worth keeping
+            raise
 
     def gap(self) -> float:
         """Return how far the two plants are apart on this drop [m]."""

@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike
 
+from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.parameters import number, numbers
 from maglev_mj.spec import GRAVITY
@@ -18,9 +19,18 @@ __all__ = ["analog_wall", "damping_ratio", "restitution", "stopping_gain"]
 def damping_ratio(stiffness: float, damping: float, mass: float) -> float:
     """Return b / (2 sqrt(k m)) of a spring-damper wall under a rigid mass.
 
+    Args:
+        stiffness: Stiffness k [N/m], above 0.
+        damping: Damping b [N s/m].
+        mass: Mass m [kg], above 0.
+
+    Raises:
+        ParameterError: If a value is outside its bounds.
+
     Source: Salcudean & Vlaar 1997, section 3.
     """
-    return damping / (2.0 * math.sqrt(stiffness * mass))
+    k, m = number("stiffness", stiffness, above=0.0), number("mass", mass, above=0.0)
+    return number("damping", damping, at_least=0.0) / (2.0 * math.sqrt(k * m))
 
 
 def restitution(ratio: ArrayLike) -> Array:
@@ -29,9 +39,14 @@ def restitution(ratio: ArrayLike) -> Array:
     Args:
         ratio: Damping ratio, in [0, 1).
 
+    Raises:
+        ParameterError: If a ratio is outside its bounds.
+
     Source: Salcudean & Vlaar 1997, section 3: r = exp(-2 pi rho / sqrt(1 - rho²)).
     """
-    rho = np.asarray(ratio, dtype=np.float64)
+    rho = numbers("ratio", ratio, at_least=0.0)
+    if not (rho < 1.0).all():
+        raise ParameterError(f"ratio must be below 1 for a bounce, not {rho.max():g}")
     kept: Array = np.exp(-2.0 * np.pi * rho / np.sqrt(1.0 - rho**2))
     return kept
 
@@ -77,6 +92,8 @@ def analog_wall(
     Source: Salcudean & Vlaar 1997, eq. (1) and figure 4.
     """
     times = np.atleast_1d(numbers("time", time, at_least=0.0))
+    if times.ndim > 1 or (np.diff(times) < 0.0).any():
+        raise ParameterError("time must be (M,) and ascending")
     k, b = number("stiffness", stiffness, above=0.0), number("damping", damping, at_least=0.0)
     m, g = number("mass", mass, above=0.0), number("gravity", gravity, above=0.0)
     rate = 2.0 * math.pi * number("bandwidth", bandwidth, above=0.0)

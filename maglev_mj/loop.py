@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 
 from maglev_mj.controller import Controller
-from maglev_mj.errors import MaglevError
+from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import Command, Sample
 from maglev_mj.parameters import number
-from maglev_mj.plants.base import Plant
+from maglev_mj.plants import Plant
 
 __all__ = ["run"]
 
@@ -28,40 +29,49 @@ def run(
     Args:
         plant: Any plant; it is left open.
         controller: Any controller; it is not reset.
-        ticks: Samples to answer, at least 1.
+        ticks: Samples to answer, a whole number of at least 1.
         observe: Called with each sample and the command as applied.
 
     Returns:
         The sample after the last answer, which closes the last period.
 
     Raises:
-        MaglevError: Whatever went wrong, with the last cycles in `cycles`; the plant was commanded zero first,
-            for any other exception too.
+        ParameterError: If `ticks` is not a whole number of at least 1, or the periods differ.
+        MaglevError: Whatever went wrong, with the last cycles in `cycles`. The plant was commanded zero first, or
+            closed where even that failed; for any other exception too.
     """
-    count = int(number("ticks", ticks, at_least=1))
+    if number("ticks", ticks, at_least=1) != int(ticks):
+        raise ParameterError(f"ticks must be a whole number, not {ticks:g}")
+    if controller.period != plant.period:
+        raise ParameterError(
+            f"period must be the plant's {plant.period:g} in the controller, not {controller.period:g}"
+        )
     cycles: deque[tuple[Sample, Command]] = deque(maxlen=_KEPT)
-    sample = None
+    sample = command = None
     read, step, write, keep = plant.read, controller.step, plant.write, cycles.append
     try:
-        for _ in range(count):
+        for _ in range(int(ticks)):
+            command = None
             sample = read()
-            command = write(step(sample))
-            keep((sample, command))
+            command = step(sample)
+            applied = write(command)
+            keep((sample, applied))
             if observe is not None:
-                observe(sample, command)
+                observe(sample, applied)
         return read()
     except BaseException as error:
-        _release(plant, sample)
+        _release(plant)
         if isinstance(error, MaglevError):
+            if sample is not None and command is not None and (not cycles or cycles[-1][0] is not sample):
+                keep((sample, command))  # the answer that was refused
             error.cycles = tuple(cycles)
         raise
 
 
-def _release(plant: Plant, sample: Sample | None) -> None:
-    """Command zero if the plant still listens; the error that brought us here is the one to report."""
-    if sample is None:
-        return
+def _release(plant: Plant) -> None:
+    """Command zero, or close the plant if it no longer listens; the error that brought us here is the one to report."""
     try:
         plant.write(Command([0.0] * 6))
-    except MaglevError:
-        plant.close()
+    except Exception:
+        with suppress(Exception):
+            plant.close()

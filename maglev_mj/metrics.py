@@ -53,27 +53,28 @@ def summarise_bounce(trace: Trace, rest: float, *, axis: int = 2, wall: float = 
         axis: Index into AXES.
         wall: Position of the wall [m].
     """
-    turn_time, turn = (part[..., axis] for part in trace.turning_points())
-    times = np.concatenate([trace.time, turn_time])
-    places = np.concatenate([trace.pose[..., axis], turn])
+    line = trace.along(axis)
+    turn_time, turn = (part[..., 0] for part in line.turning_points())
+    times = np.concatenate([line.time, turn_time])
+    places = np.concatenate([line.pose[..., 0], turn])
     touched = np.where(places <= wall, times, np.inf).min(axis=0)
     after = times >= touched
     highest = np.where(after, places - wall, 0.0).max(axis=0)
     return BounceSummary(
         penetration=np.maximum(wall - places.min(axis=0), 0.0),
         rebound=np.maximum(highest, 0.0),
-        peak_force=np.abs(trace.wrench[..., axis]).max(axis=0),
-        settling_time=_settling_time(trace, rest, axis),
-        final_z=trace.pose[-1, ..., axis],
+        peak_force=np.abs(line.wrench[:-1, ..., 0]).max(axis=0),  # the last knot's force has not acted yet
+        settling_time=_settling_time(line, rest),
+        final_z=line.pose[-1, ..., 0],
     )
 
 
-def _settling_time(trace: Trace, rest: float, axis: int, share: float = 0.02, step: float = 1e-4) -> Array:
+def _settling_time(line: Trace, rest: float, share: float = 0.02, step: float = 1e-4) -> Array:
     """Return when the position last enters the band around `rest`, interpolated on a grid of `step` [s]."""
-    end = float(trace.time[-1].min())
+    end = float(line.time[-1].min())
     grid = np.minimum(step * np.arange(int(np.ceil(end / step)) + 1), end)
-    away = np.abs(trace.at(grid)[0][..., axis] - rest)
-    band = share * np.abs(trace.pose[0, ..., axis] - rest)
+    away = np.abs(line.at(grid)[0][..., 0] - rest)
+    band = share * np.abs(line.pose[0, ..., 0] - rest)
     outside = ~(away <= band)
     last = len(grid) - 1 - np.argmax(outside[::-1], axis=0)
     following = np.minimum(last + 1, len(grid) - 1)
@@ -103,5 +104,17 @@ def energy_balance(trace: Trace, mass: float, gravity: float, *, axis: int = 2) 
 
 
 def percentiles(summary: BounceSummary, share: float) -> BounceSummary:
-    """Return a percentile of each figure over the devices; NaN where a figure is missing on any."""
-    return BounceSummary(*(np.asarray(np.percentile(figure, share)) for figure in summary))
+    """Return a percentile of each figure over the devices.
+
+    A settling time that is missing counts as later than every other; where the percentile falls among the
+    missing, it is NaN.
+    """
+    return BounceSummary(*(_percentile(figure, share) for figure in summary))
+
+
+def _percentile(values: Array, share: float) -> Array:
+    late = np.where(np.isnan(values), np.inf, values)
+    if np.isinf(np.percentile(late, share, method="higher")):
+        return np.array(np.nan)
+    finite = np.where(np.isinf(late), np.finfo(float).max, late)  # keeps its rank without spoiling the interpolation
+    return np.asarray(np.percentile(finite, share))

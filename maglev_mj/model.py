@@ -91,7 +91,7 @@ def load(
         lean: Leave out the sites that no actuator uses: no equation of motion reads them.
         driver_lag: Give every coil its driver's first-order lag.
         coils: False removes the coils, for an ideal wrench.
-        mass: Moving mass in place of the model's [kg]; the inertia stays.
+        mass: Moving mass in place of the model's [kg], shared out as before; each body's own inertia stays.
 
     Raises:
         ModelError: If the file is missing, does not compile, or lacks the flotor, its joints or its coils.
@@ -126,7 +126,11 @@ def load(
     if order != list(range(len(order))):
         raise ModelError(f"model {name!r} must list its coils first, as {', '.join(COILS)}")
     if mass is not None:
-        model.body_mass[flotor] = number("mass", mass, above=0.0)
+        carried = {flotor}
+        for body in range(flotor + 1, model.nbody):
+            if int(model.body_parentid[body]) in carried:
+                carried.add(body)
+        model.body_mass[sorted(carried)] *= number("mass", mass, above=0.0) / model.body_subtreemass[flotor]
         mujoco.mj_setConst(model, mujoco.MjData(model))
     return Device(
         model=model,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Array, Component
 
-__all__ = ["axis_indices", "number", "numbers", "per_axis"]
+__all__ = ["axis_indices", "batch_shape", "number", "numbers", "per_axis"]
 
 
 def number(
@@ -87,6 +87,19 @@ def axis_indices(axes: str | Sequence[str]) -> tuple[int, ...]:
     if not names or len(set(names)) != len(names):
         raise ParameterError(f"axes must be one or more different names of {', '.join(AXES)}, not {names!r}")
     return tuple(AXES.index(name) for name in names)
+
+
+def batch_shape(what: str, values: Iterable[Array]) -> tuple[int, ...]:
+    """Return the batch shape that parameters (..., axes) share.
+
+    Raises:
+        ParameterError: If they do not fit one another.
+    """
+    shapes = [value.shape[:-1] for value in values]
+    try:
+        return np.broadcast_shapes(*shapes)
+    except ValueError:
+        raise ParameterError(f"{what} parameters must fit one batch shape, not {sorted(set(shapes))}") from None
 
 
 def per_axis(name: str, values: Array, count: int) -> tuple[Component, ...]:

@@ -85,7 +85,7 @@ def _measure(device: Device) -> dict[str, Any]:
 
 def _table(figures: dict[str, Any]) -> tuple[Row, ...]:
     spec, mm, option = Spec(), 1e3, "an option of the plants"
-    moving, weak, strong = figures["moving_mass"], spec.continuous_current.value, figures["peak_current"]
+    moving, strong = figures["moving_mass"], figures["peak_current"]
     largest = figures["largest_at_peak_current"][2]
     hold = "hold 6000 N/m, 80 N s/m at 200 Hz, 1.5 ms"
     return (
@@ -97,20 +97,22 @@ def _table(figures: dict[str, Any]) -> tuple[Row, ...]:
         _row("payload, continuous", spec.payload.value, _payload(figures), "kg", "see below"),
         _row("translation range ±", spec.translation_range.value * mm, figures["translation_range"] * mm, "mm"),
         _row("rotation range ±", spec.rotation_range.value, figures["rotation_range"], "deg"),
-        _row("resolution, translation", "< 5", spec.translation_resolution.value * 1e6, "µm", option),
-        _row("resolution, rotation", "< 10", spec.rotation_resolution.value * 1e6, "µrad", option),
+        _row("resolution, translation", "< 5", None, "µm", option),
+        _row("resolution, rotation", "< 10", None, "µrad", option),
         _row("force frequency response", "> 3", figures["driver_bandwidth"] / 1e3, "kHz", "see below"),
         _row("position response, translation", "> 30", figures["translation_bandwidth"], "Hz", hold),
         _row("position response, rotation", "> 15", figures["rotation_bandwidth"], "Hz", "8 N m/rad, 0.1 N m s/rad"),
         _row("actuator force constant", spec.force_constant.value, figures["force_constant"], "N/A"),
-        _row("continuous current, per coil", weak, weak, "A", "taken for the figures below"),
+        _row("continuous current, per coil", spec.continuous_current.value, None, "A", "a thermal limit"),
         _row("peak current, per coil", spec.peak_current.value, strong, "A"),
         _row("largest force along z", spec.largest_vertical_force.value, largest, "N", "section 2"),
     )
 
 
-def _row(name: str, paper: float | str, model: float, unit: str, remark: str = "") -> Row:
-    return Row(name, paper if isinstance(paper, str) else f"{paper:g}", f"{model:.4g}", unit, remark)
+def _row(name: str, paper: float | str, model: float | None, unit: str, remark: str = "") -> Row:
+    """Return a row; a dash stands where a rigid-body model has no such figure."""
+    printed = paper if isinstance(paper, str) else f"{paper:g}"
+    return Row(name, printed, "-" if model is None else f"{model:.4g}", unit, remark)
 
 
 def _payload(figures: dict[str, Any]) -> float:
@@ -122,9 +124,11 @@ def _contradictions(figures: dict[str, Any]) -> tuple[str, ...]:
     spec = Spec()
     load_ = (spec.payload.value + spec.flotor_mass.value) * GRAVITY
     per_ampere = figures["largest_at_continuous_current"][2] / spec.continuous_current.value
+    payload, flotor, weak = spec.payload.value, spec.flotor_mass.value, spec.continuous_current.value
+    needed = load_ / per_ampere
     return (
-        f"A payload of 2 kg with the flotor's 0.65 kg takes {load_ / per_ampere:.2f} A in each vertical coil, "
-        f"above the 3 A continuous; at 3 A the payload is {_payload(figures):.2f} kg.",
+        f"A payload of {payload:g} kg with the flotor's {flotor:g} kg takes {needed:.2f} A in each vertical "
+        f"coil, above the {weak:g} A continuous, at which the payload is {_payload(figures):.2f} kg.",
         "Table 1 gives a force response above 3 kHz; section 2 has the currents controlled to about 2 kHz. "
         "The model's driver lag follows section 2.",
         "Table 1 gives 10 A as the peak per coil; section 2 gives 10 A as the drivers' continuous maximum.",

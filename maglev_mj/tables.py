@@ -12,6 +12,7 @@ from maglev_mj.frames import AXES
 from maglev_mj.metrics import percentiles
 from maglev_mj.model import COILS
 from maglev_mj.report import DeviceReport
+from maglev_mj.spec import Spec
 
 __all__ = ["device_table", "drop_table"]
 
@@ -56,6 +57,13 @@ def drop_table(labels: Sequence[str], results: Sequence[DropResult], sweeps: Seq
             middle, low, high = (_cell(getattr(summary, name), scale) for summary in spread)
             cells += f"{f'{middle} ({low} to {high})':>{many}}"
         lines.append(f"  {label:<13}{cells}  {unit}")
+    for sweep, label in zip(sweeps, labels):
+        settled = int(np.isfinite(sweep.summary.settling_time).sum())
+        if settled < sweep.phases.size:
+            lines.append(f"  {label}: settled within {p.duration:g} s at {settled} of {sweep.phases.size} phases")
+    peak, device = float(results[0].summary.peak_force), Spec.largest_vertical_force.value
+    if peak > device * (1.0 + 1e-9):
+        lines += ["", f"  The device gives {device:g} N along z, less than this peak: see --force-limit {device:g}"]
     lines += ["", f"  MuJoCo and the exact plant differ by at most {gap:.1e} m"]
     return "\n".join(lines)
 
@@ -84,7 +92,10 @@ def device_table(report: DeviceReport) -> str:
         "",
         f"  {'largest pure force or torque':<32}" + "".join(f"{axis:>9}" for axis in AXES),
     ]
-    for name, key in (("at 3 A", "largest_at_continuous_current"), ("at 10 A", "largest_at_peak_current")):
+    for name, key in (
+        (f"at {Spec.continuous_current.value:g} A", "largest_at_continuous_current"),
+        (f"at {figures['peak_current']:g} A", "largest_at_peak_current"),
+    ):
         lines.append(f"  {name:<32}" + "".join(f"{value:>9.3g}" for value in figures[key]) + "  N, N m")
     lines += ["", "  wrench map, N/A and N m/A for one ampere in each coil (coil places are assumed)"]
     lines.append(f"  {'':<6}" + "".join(f"{coil:>13}" for coil in COILS))

@@ -40,7 +40,8 @@ class Trace:
     """Motion as knots: the state at each switch, and the wrench that acts from each knot to the next.
 
     Under a wrench that is constant between knots the motion is a parabola, which the cubic Hermite curve
-    through position and velocity at both ends reproduces exactly; evaluation between knots adds no error.
+    through position and velocity at both ends reproduces exactly; evaluation between knots adds no error. For
+    rotation that holds about one axis at a time; about several it is off by the second order of the angle.
 
     Attributes:
         time: Knot times since release [s], (K, ...).
@@ -67,6 +68,8 @@ class Trace:
             ParameterError: If a time is outside the trace.
         """
         times = np.atleast_1d(numbers("time", time))
+        if times.ndim > 1:
+            raise ParameterError(f"time must be a number or (M,), not {times.shape}")
         first, last = float(self.time[0].max()), float(self.time[-1].min())
         if times.size and not (first - 1e-12 <= times.min() and times.max() <= last + 1e-12):
             raise ParameterError(f"time must be from {first:g} to {last:g}, not {times.min():g} to {times.max():g}")
@@ -90,6 +93,11 @@ class Trace:
         twist = v0 + s * (v1 - v0) + bend * 6.0 * s * (1.0 - s) / h
         final = np.abs(times.reshape(where.shape[:1] + (1,) * (where.ndim - 1)) - self.time[-1][..., None]) <= 1e-12
         return pose, twist, np.where(final, self.wrench[-1], wrench)
+
+    def along(self, axis: int) -> Trace:
+        """Return one coordinate of the motion: the last dimension is 1."""
+        parts = (part[..., axis : axis + 1] for part in (self.pose, self.twist, self.wrench))
+        return Trace(self.time, *parts)
 
     def until(self, end: float) -> Trace:
         """Return the trace cut off at `end` [s]; knots beyond it become copies of the state there.

@@ -54,15 +54,21 @@ def test_drop_writes_json_and_pictures(tmp_path: Path, capsys: pytest.CaptureFix
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--period", "-1"], "period must be a finite number above 0, not -1.0"),
+        (["--period", "-1"], "period must be a finite number at least 1e-06 and at most 1, not -1.0"),
+        (["--period", "-1e-3"], "period must be a finite number at least 1e-06 and at most 1, not -0.001"),
+        (["--height", "-inf"], "height must be a finite number above 0 and below 0.045, not -inf"),
         (["--delay", "soon"], "argument --delay: must be a number, not 'soon'"),
+        (["--delay", "1e308"], "delay must be a finite number at least 0 and at most 1, not 1e+308"),
+        (["--delay", "0.5", "--period", "1e-6", "--duration", "0.1"], "delay must be at most 10000 periods"),
         (["--phase", "1"], "phase must be a finite number at least 0 and below 1, not 1.0"),
         (["--plant", "real"], "plant must be one of exact, mujoco, not 'real'"),
-        (["--phases", "0"], "phases must be at least 1, not 0"),
+        (["--phases", "0"], "phases must be at least 1 and at most 10000, not 0"),
         (["--phases", "many"], "argument --phases: must be a whole number, not 'many'"),
-        (["--mass", "nan"], "mass must be a finite number above 0, not nan"),
-        (["--force-limit", "0"], "force_limit must be a finite number above 0, not 0.0"),
-        (["--stiffness", "-5"], "stiffness must be a finite number at least 0, not -5.0"),
+        (["--mass", "nan"], "mass must be a finite number at least 0.001 and at most 1000, not nan"),
+        (["--force-limit", "0"], "force_limit must be a finite number above 0 and at most 1e+06, not 0.0"),
+        (["--stiffness", "-5"], "stiffness must be a finite number at least 0 and at most 1e+08, not -5.0"),
+        (["--carry"], "carry needs a force_limit"),
+        (["--period", "1e-6", "--duration", "10"], "duration must be at most 1000000 periods, not 10 s"),
         (["--speed", "5"], "unrecognized arguments: --speed 5"),
     ],
 )
@@ -87,6 +93,39 @@ def test_a_diverging_drop_says_so_and_keeps_its_record(tmp_path: Path, capsys: p
     data = json.loads(target.read_text())
     assert "diverged" in data
     assert len(data["z"]) > 300
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["--mass", "0.001", "--stiffness", "1e8"],
+        ["--stiffness", "1e8", "--plant", "exact"],
+        ["--damping", "1e6", "--period", "1", "--duration", "20"],
+    ],
+)
+def test_a_wild_run_says_one_line_and_leaves_no_log(
+    arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["drop", *arguments]) in (0, 1)
+    assert len(capfd.readouterr().err.splitlines()) <= 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_table_says_when_the_device_could_not_do_it(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["drop", "--plant", "exact"]) == 0
+    assert "The device gives 60 N along z, less than this peak: see --force-limit 60" in capsys.readouterr().out
+    assert cli.main(["drop", "--plant", "exact", "--force-limit", "60"]) == 0
+    assert "less than this peak" not in capsys.readouterr().out
+
+
+def test_the_table_shows_the_sweep_as_it_is(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["drop", "--plant", "exact", "--phases", "100"]) == 0
+    rows = {line[2:13].strip(): line for line in capsys.readouterr().out.splitlines()}
+    assert "1.74 (1.22 to 2.54)" in rows["penetration"]
+    assert "2.94 (2.41 to 3.58)" in rows["penetration"]
+    assert cli.main(["drop", "--plant", "exact", "--phases", "20", "--duration", "0.13"]) == 0
+    assert "with pulse: settled within 0.13 s at 19 of 20 phases" in capsys.readouterr().out
 
 
 def test_a_file_that_cannot_be_written_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

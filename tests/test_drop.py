@@ -11,7 +11,7 @@ import pytest
 
 from maglev_mj.errors import DivergenceError, ParameterError
 from maglev_mj.experiments.drop import DropParameters, analog_drop, run_drop, sweep_drop
-from maglev_mj.metrics import BounceSummary
+from maglev_mj.metrics import BounceSummary, percentiles
 
 G = 9.81
 
@@ -172,14 +172,66 @@ def test_analog_drop_is_gentler_than_the_sampled_one() -> None:
         ({"pulse_width": 0.0}, "pulse_width"),
         ({"force_limit": 0.0}, "force_limit"),
         ({"duration": math.inf}, "duration"),
-        ({"period": 1e-12}, "at most 1e.07 periods"),
+        ({"period": 1e-6, "duration": 5.0}, "at most 1000000 periods"),
+        ({"height": "tall"}, "height must be .* not 'tall'"),
+        ({"carry": "no"}, "carry must be True or False, not 'no'"),
+        ({"carry": True}, "carry needs a force_limit"),
     ],
 )
 def test_bad_parameters_are_refused(changes: dict[str, Any], words: str) -> None:
     with pytest.raises(ParameterError, match=words):
         DropParameters(**changes)
-    with pytest.raises(ParameterError, match="phases must be at least 1, not 0"):
-        sweep_drop(DropParameters(plant="exact"), 0)
+
+
+def test_bad_phases_are_refused() -> None:
+    for phases, words in (
+        (0, "phases must be at least 1 and at most 10000, not 0"),
+        ([0.1, 1.0], "phase must be at least 0 and below 1, not 1"),
+        ([[0.1]], "a whole number or a list"),
+        (["a"], "phases must be a number or an array"),
+    ):
+        with pytest.raises(ParameterError, match=words):
+            sweep_drop(DropParameters(plant="exact"), phases)  # type: ignore[arg-type]
+    assert sweep_drop(DropParameters(plant="exact"), np.int64(2)).phases.tolist() == [0.0, 0.5]  # type: ignore[arg-type]
+
+
+def test_parameters_are_stored_as_checked() -> None:
+    assert DropParameters(height="0.003", duration=1).height == 0.003  # type: ignore[arg-type]
+    assert type(DropParameters(duration=1).duration) is float
+    assert DropParameters(pulse=0.0, pulse_width=0.0).pulse_width == 0.0
+
+
+def test_a_flotor_that_escapes_after_the_end_is_no_failure() -> None:
+    for plant in ("exact", "mujoco"):
+        parameters = DropParameters(plant=plant, period=0.12, duration=0.05)
+        assert run_drop(parameters).summary.final_z == pytest.approx(0.0045 - 0.5 * G * 0.05**2)
+        assert sweep_drop(parameters, [0.0, 0.5]).summary.final_z.shape == (2,)
+
+
+def test_unsettled_phases_count_as_late() -> None:
+    nan = math.nan
+    times = np.array([0.1, 0.2, 0.3, 0.4, nan])
+    summary = BounceSummary(times, times, times, times, times)
+    assert [float(percentiles(summary, share).settling_time) for share in (0, 25, 50, 75)] == [0.1, 0.2, 0.3, 0.4]
+    assert math.isnan(float(percentiles(summary, 80).settling_time))
+    sweep = sweep_drop(DropParameters(plant="exact", duration=0.13), 20)
+    data = sweep.as_json()
+    assert data["settled"] == 19
+    finite = np.sort(sweep.summary.settling_time[np.isfinite(sweep.summary.settling_time)])
+    assert data["median"]["settling_time"] == pytest.approx((finite[9] + finite[10]) / 2)
+    assert data["percentile_95"]["settling_time"] is None
+
+
+def test_a_force_that_has_not_acted_is_no_peak() -> None:
+    """The pulse takes effect at 36.5 ms: a run that ends there has not felt it."""
+    assert run_drop(DropParameters(plant="exact", duration=0.0365)).summary.peak_force == 0.0
+    assert run_drop(DropParameters(plant="exact", duration=0.0366)).summary.peak_force > 90.0
+
+
+def test_analog_drop_is_that_of_the_parameters() -> None:
+    z, v, f = analog_drop(DropParameters(height=2e-3, stiffness=5000.0), np.array([0.0, 2.0]))
+    assert (z[0], v[0], f[0]) == (2e-3, 0.0, 0.0)
+    assert z[1] == pytest.approx(-0.7 * G / 5000.0, rel=1e-6)
 
 
 def test_summary_fields_are_the_public_ones() -> None:

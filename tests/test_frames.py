@@ -47,11 +47,3 @@ def test_rotation_vector_agrees_with_the_engine() -> None:
         expected = np.zeros(3)
         mujoco.mju_quat2Vel(expected, np.array(quaternion(vector)), 1.0)
         np.testing.assert_allclose(rotation_vector(*quaternion(vector)), expected, rtol=1e-13, atol=1e-16)
-
-
-def test_one_source_serves_floats_and_arrays() -> None:
-    quaternions = np.array([quaternion(v) for v in np.random.default_rng(4).normal(size=(50, 3))])
-    w, x, y, z = quaternions.T
-    batch = np.stack(rotation_vector(w, x, y, z, np.sqrt, np.atan2), axis=-1)
-    single = [rotation_vector(*row) for row in quaternions.tolist()]
-    np.testing.assert_allclose(batch, single, rtol=1e-15)

@@ -199,6 +199,9 @@ def test_critically_damped_hold_is_stable_at_every_delay(period: float, share: f
     hold = Hold.critically_damped("z", inertia=0.7, period=period, delay=share * period)
     stiffness, damping = float(np.max(hold.stiffness)), float(np.max(hold.damping))
     assert largest_modulus(stiffness, damping, period=period, delay=share * period, mass=0.7) < 0.999
+    frequency = min(50.0, 0.25 / (period * (1.0 + share)))
+    assert stiffness == pytest.approx(0.7 * frequency**2)
+    assert damping == pytest.approx(2.0 * 0.7 * frequency)
 
 
 @pytest.mark.parametrize(
@@ -218,6 +221,13 @@ def test_critically_damped_hold_is_stable_at_every_delay(period: float, share: f
 def test_bad_walls_are_refused_with_the_value(options: dict[str, Any], words: str) -> None:
     with pytest.raises(ParameterError, match=words):
         wall(**options)
+
+
+def test_parameters_of_different_batches_are_refused() -> None:
+    with pytest.raises(ParameterError, match=r"wall parameters must fit one batch shape, not \[.*\(2,\), \(3,\)\]"):
+        Wall(lower=np.zeros((2, 6)), stiffness=np.ones((3, 6)), damping=0.0)
+    with pytest.raises(ParameterError, match="hold parameters must fit one batch shape"):
+        Hold(stiffness=np.ones((2, 6)), damping=np.ones((3, 6)))
 
 
 def test_laws_with_different_pulse_widths_are_refused() -> None:

@@ -53,7 +53,7 @@ def test_a_command_that_is_no_number_ends_in_zero_and_carries_the_last_cycles(ba
     with pytest.raises(PlantError, match="command at tick 60 must be finite") as caught:
         run(plant, Broken(bad), 100)
     assert list(plant.written[-1].force) == [0.0] * 6
-    assert [sample.tick for sample, _ in caught.value.cycles] == list(range(10, 60))
+    assert [sample.tick for sample, _ in caught.value.cycles] == list(range(11, 61))
     plant.read()  # the plant is still there, with zero on its way
 
 
@@ -82,6 +82,27 @@ def test_divergence_carries_its_cycles() -> None:
     assert 0 < len(caught.value.cycles) <= 50
 
 
-def test_ticks_must_be_positive() -> None:
+def test_ticks_must_be_whole_and_positive() -> None:
     with pytest.raises(ParameterError, match="ticks must be a finite number at least 1, not 0"):
         run(Recorder(), Broken(0.0), 0)
+    with pytest.raises(ParameterError, match=r"ticks must be a whole number, not 2.7"):
+        run(Recorder(), Broken(0.0), 2.7)  # type: ignore[arg-type]
+
+
+def test_controller_and_plant_must_share_a_period() -> None:
+    with pytest.raises(ParameterError, match=r"period must be the plant's 0.005 in the controller, not 0.001"):
+        run(Recorder(), Controller([], period=0.001), 3)
+
+
+def test_a_plant_that_fails_to_release_is_closed_and_the_first_error_reported() -> None:
+    class Deaf(Recorder):
+        def write(self, command: Command) -> Command:
+            if self._tick == 60:
+                raise OSError("the wire is cut")
+            return super().write(command)
+
+    plant = Deaf()
+    with pytest.raises(ZeroDivisionError):
+        run(plant, Broken(ZeroDivisionError()), 100)
+    with pytest.raises(PlantError, match="closed"):
+        plant.read()

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from maglev_mj import AXES, Controller, ExactPlant, Hold, MuJoCoPlant, Timing, Wall, run
+from maglev_mj.errors import ParameterError
 from maglev_mj.exact import analog_wall, damping_ratio, restitution, stopping_gain
 from maglev_mj.metrics import energy_balance
 from maglev_mj.trace import Trace
@@ -22,6 +23,16 @@ def test_restitution_formula_not_the_remark() -> None:
     assert restitution(0.1) == pytest.approx(0.532, abs=5e-4)
     assert restitution(0.248) == pytest.approx(0.2, abs=1e-3)
     assert restitution(0.0) == 1.0
+
+
+def test_closed_forms_refuse_what_they_do_not_cover() -> None:
+    for call, words in (
+        (lambda: restitution(2.0), "ratio must be below 1 for a bounce, not 2"),
+        (lambda: damping_ratio(-1.0, 1.0, 1.0), "stiffness must be"),
+        (lambda: drop_analog(np.array([0.4, 0.1])), "time must be .* ascending"),
+    ):
+        with pytest.raises(ParameterError, match=words):
+            call()
 
 
 @pytest.mark.parametrize("ratio", [0.05, 0.1, 0.248, 0.5, 0.9])

@@ -6,12 +6,14 @@ import math
 from collections.abc import Callable
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 
 from maglev_mj import Command, ExactPlant, MuJoCoPlant, Timing, run
 from maglev_mj.controller import Controller
 from maglev_mj.errors import DivergenceError, ModelError, ParameterError, PlantError
+from maglev_mj.frames import Array, quaternion
 from maglev_mj.laws import Hold, Wall
 from maglev_mj.plants import SampledPlant
 from maglev_mj.trace import Trace
@@ -134,8 +136,16 @@ def test_quantized_sensor_reads_whole_steps(plant_type: Callable[..., SampledPla
 def test_a_command_that_is_not_finite_is_refused(plant_type: Callable[..., SampledPlant], bad: float) -> None:
     plant = plant_type()
     plant.read()
-    with pytest.raises(PlantError, match="must be finite"):
+    with pytest.raises(PlantError, match=f"command at tick 0 must be finite, not {bad} along z"):
         plant.write(push(bad))
+    limited = plant_type(wrench_limit=60.0)
+    limited.read()
+    with pytest.raises(PlantError, match="must be finite"):
+        limited.write(push(bad))
+    with pytest.raises(PlantError, match="must have 6 components, not 3"):
+        plant.write(Command([0.0] * 3))
+    with pytest.raises(PlantError, match=r"batch shape \(\) of the plant, not \(2,\)"):
+        plant.write(Command([np.zeros(2)] * 6))
     with pytest.raises(PlantError, match="must be finite"):
         plant.write(push(1.0, bad, 0.001))
     with pytest.raises(PlantError, match="pulse_width must be finite and above 0, not 0"):
@@ -152,6 +162,49 @@ def test_a_flotor_far_outside_its_range_has_diverged(plant_type: Callable[..., S
     with pytest.raises(DivergenceError, match=r"is 0 m and 1[.\d]* rad"):
         for _ in range(20):
             plant.read()
+
+
+def test_the_diverged_device_of_a_batch_is_named() -> None:
+    twist = np.zeros((5, 6))
+    twist[3, 2] = 20.0
+    plant = ExactPlant(twist=twist, pose=np.zeros((5, 6)), gravity=0.0)
+    plant.read()
+    with pytest.raises(DivergenceError, match=r"the flotor is 0.1 m .* at 0.005 s \(device 3 of \(5,\)\)"):
+        plant.read()
+    commanded = ExactPlant(pose=np.zeros((5, 6)))
+    commanded.read()
+    force = np.zeros(5)
+    force[4] = math.nan
+    with pytest.raises(PlantError, match=r"not nan along z, device \(.*4.*\)"):
+        commanded.write(Command([0.0, 0.0, force, 0.0, 0.0, 0.0]))
+
+
+def test_angular_velocity_is_in_stator_axes_in_and_out() -> None:
+    """A small turn about stator axes adds to the pose as the twist says, at any tilt."""
+    tilt, spin = np.array([0.1, -0.08, 0.05]), np.array([1.0, 2.0, -1.5])
+    plant = MuJoCoPlant(Timing(period=1e-6), pose=[0, 0, 0, *tilt], twist=[0, 0, 0, *spin], gravity=0.0, record=True)
+    plant.read()
+    plant.read()
+    before, after = (_matrix(pose[3:]) for pose in plant.trace().pose[[0, -1]])
+    turned = after @ before.T
+    rate = np.array([turned[2, 1] - turned[1, 2], turned[0, 2] - turned[2, 0], turned[1, 0] - turned[0, 1]]) / 2e-6
+    np.testing.assert_allclose(rate, spin, rtol=1e-5)
+    np.testing.assert_allclose(plant.trace().twist[0, 3:], spin, rtol=1e-12)
+
+
+def _matrix(vector: Array) -> Array:
+    matrix = np.zeros(9)
+    mujoco.mju_quat2Mat(matrix, np.array(quaternion(vector)))
+    return matrix.reshape(3, 3)
+
+
+def test_the_coils_map_is_upright_again_when_the_flotor_is() -> None:
+    plant = MuJoCoPlant(Timing(), pose=[0, 0, 0, 0.1, 0, 0], twist=[0, 0, 0, -20.0, 0, 0], gravity=0.0)
+    plant.read()
+    assert plant.device.coils is not None
+    assert plant._inverse_map is not plant.device.coils.current_per_wrench
+    assert abs(plant.read().position[3]) < 1e-12
+    assert plant._inverse_map is plant.device.coils.current_per_wrench
 
 
 def test_nan_counts_as_diverged() -> None:
@@ -198,8 +251,21 @@ def test_bad_parameters_are_refused_with_the_value() -> None:
             Timing(**options)
     with pytest.raises(ParameterError, match="mass must be a finite number above 0"):
         ExactPlant(mass=0.0)
-    with pytest.raises(ParameterError, match="must fit"):
-        ExactPlant(pose=np.zeros((3, 6)), twist=np.zeros((2, 6)))
+    shapes: list[tuple[dict[str, Any], str]] = [
+        ({"pose": np.zeros((3, 6)), "twist": np.zeros((2, 6))}, "must fit one batch"),
+        ({"pose": 0.001}, r"pose and twist must be \(..., 6\)"),
+        ({"pose": [0.001]}, r"pose and twist must be \(..., 6\)"),
+        ({"wrench_limit": np.ones((3, 6))}, r"wrench_limit must be a number or have the shape \(6,\), not \(3, 6\)"),
+        ({"quantum": math.inf}, "quantum must be finite"),
+        ({"quantum": np.ones((3, 6))}, "quantum must be"),
+    ]
+    for door, words in shapes:
+        with pytest.raises(ParameterError, match=words):
+            ExactPlant(**door)
+    with pytest.raises(ParameterError, match="longest_step must be a finite number above 0, not 0"):
+        MuJoCoPlant(longest_step=0.0)
+    with pytest.raises(ParameterError, match=r"delay must be at most 10000 periods of 0.005 s, not 1e.12 s"):
+        Timing(delay=1e12)
     with pytest.raises(ParameterError, match="one device"):
         MuJoCoPlant(pose=np.zeros((3, 6)))
     with pytest.raises(ParameterError, match="need coils"):
@@ -208,7 +274,7 @@ def test_bad_parameters_are_refused_with_the_value() -> None:
         MuJoCoPlant(scene="moon")
 
 
-def bounce(plant: SampledPlant, gravity_free: bool = False) -> Trace:
+def bounce(plant: SampledPlant) -> Trace:
     wall = Wall(axes="z", lower=0.0, stiffness=6000.0, damping=80.0, pulse=220.0, pulse_width=0.003)
     run(plant, Controller([wall], period=plant.timing.period), 60)
     return plant.trace()

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from maglev_mj import Controller, ExactPlant, MuJoCoPlant, Timing, Wall, run
+from maglev_mj import Command, Controller, ExactPlant, MuJoCoPlant, Timing, Wall, run
 from maglev_mj.errors import ParameterError
 from maglev_mj.trace import Trace
 
@@ -27,6 +27,17 @@ def test_curve_between_switches_is_what_smaller_steps_give() -> None:
 def test_wrench_at_a_switch_is_the_one_that_begins_there() -> None:
     trace = bounce()
     assert np.array_equal(trace.at(trace.time)[2], trace.wrench)
+
+
+def test_wrench_at_the_very_end_is_the_last_one() -> None:
+    plant = ExactPlant(Timing(period=0.005, delay=0.005), gravity=0.0, record=True)
+    for tick in range(3):
+        plant.read()
+        plant.write(Command([0.0, 0.0, float(tick + 1), 0.0, 0.0, 0.0]))
+    plant.read()
+    trace = plant.trace().until(0.01)  # ends on the instant at which the second command takes effect
+    assert trace.wrench[-1, 2] == 2.0
+    assert trace.at(0.01)[2][0, 2] == 2.0
 
 
 def test_cut_and_bounds() -> None:

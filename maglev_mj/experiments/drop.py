@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from numbers import Integral
 from typing import Any
 
 import numpy as np
@@ -16,8 +17,8 @@ from maglev_mj.frames import AXES, Array
 from maglev_mj.laws import Hold, Wall
 from maglev_mj.loop import run
 from maglev_mj.metrics import BounceSummary, percentiles, summarise_bounce
-from maglev_mj.parameters import number
-from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant, Timing
+from maglev_mj.parameters import number, numbers
+from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant, Timing, engine_warnings_silenced
 from maglev_mj.spec import GRAVITY, Spec
 from maglev_mj.trace import Trace
 
@@ -25,7 +26,9 @@ __all__ = ["DropParameters", "DropResult", "DropSweep", "analog_drop", "run_drop
 
 PLANTS = ("exact", "mujoco")
 _ESCAPE = 0.045
-_MOST_TICKS = 10_000_000
+_MOST_TICKS = 1_000_000
+_MOST_PHASES = 10_000
+_TOGETHER = 64
 _HELD = tuple(axis for axis in AXES if axis != "z")
 _INERTIA = {"rx": Spec.tilt_inertia.value, "ry": Spec.tilt_inertia.value, "rz": Spec.spin_inertia.value}
 
@@ -72,21 +75,33 @@ class DropParameters:
     def __post_init__(self) -> None:
         if self.plant not in PLANTS:
             raise ParameterError(f"plant must be one of {', '.join(PLANTS)}, not {self.plant!r}")
-        number("height", self.height, above=0.0, below=_ESCAPE)
-        number("phase", self.phase, at_least=0.0, below=1.0)
-        number("period", self.period, above=0.0)
-        number("delay", self.delay, at_least=0.0)
-        number("stiffness", self.stiffness, at_least=0.0)
-        number("damping", self.damping, at_least=0.0)
-        number("pulse", self.pulse, at_least=0.0)
-        number("pulse_width", self.pulse_width, above=0.0)
-        number("mass", self.mass, above=0.0)
-        if self.force_limit is not None:
-            number("force_limit", self.force_limit, above=0.0)
-        number("quantize", self.quantize, at_least=0.0)
-        number("duration", self.duration, above=0.0)
+        # wide bounds: what lies beyond is a slip of the keyboard, and overflows before it says anything
+        bounds: dict[str, dict[str, float]] = {
+            "height": {"above": 0.0, "below": _ESCAPE},
+            "phase": {"at_least": 0.0, "below": 1.0},
+            "period": {"at_least": 1e-6, "at_most": 1.0},
+            "delay": {"at_least": 0.0, "at_most": 1.0},
+            "stiffness": {"at_least": 0.0, "at_most": 1e8},
+            "damping": {"at_least": 0.0, "at_most": 1e6},
+            "pulse": {"at_least": 0.0, "at_most": 1e6},
+            "pulse_width": {"at_least": 0.0, "at_most": 1.0},
+            "mass": {"at_least": 1e-3, "at_most": 1e3},
+            "force_limit": {"above": 0.0, "at_most": 1e6},
+            "quantize": {"at_least": 0.0, "at_most": 1.0},
+            "duration": {"above": 0.0, "at_most": 1000.0},
+        }
+        for name, allowed in bounds.items():
+            value = getattr(self, name)
+            if name != "force_limit" or value is not None:
+                object.__setattr__(self, name, number(name, value, **allowed))
+        if self.pulse > 0.0 and self.pulse_width == 0.0:
+            raise ParameterError("pulse_width must be above 0 where there is a pulse, not 0.0")
+        if not isinstance(self.carry, bool):
+            raise ParameterError(f"carry must be True or False, not {self.carry!r}")
+        if self.carry and self.force_limit is None:
+            raise ParameterError("carry needs a force_limit: without one nothing is cut off a pulse")
         if self.duration / self.period > _MOST_TICKS:
-            raise ParameterError(f"duration must be at most {_MOST_TICKS:g} periods, not {self.duration:g} s")
+            raise ParameterError(f"duration must be at most {_MOST_TICKS} periods, not {self.duration:g} s")
 
     @property
     def rest(self) -> float:
@@ -104,6 +119,7 @@ class DropResult:
 
     def series(self, step: float = 1e-3) -> tuple[Array, Array, Array, Array]:
         """Return time [s], z [m], velocity [m/s] and control force [N] on a grid of `step` [s], (M,) each."""
+        number("step", step, above=0.0)
         end = float(self.trace.time[-1])
         time: Array = np.arange(math.floor(end / step + 1e-9) + 1, dtype=np.float64) * step
         pose, twist, wrench = self.trace.at(time)
@@ -130,9 +146,10 @@ class DropSweep:
     summary: BounceSummary
 
     def as_json(self) -> dict[str, Any]:
-        """Return one summary a phase, and the median, 5th and 95th percentile of each figure."""
+        """Return one summary a phase, the median, 5th and 95th percentile of each figure, and how many settled."""
         rows = [BounceSummary(*row) for row in zip(*self.summary, strict=True)]
         return {
+            "settled": int(np.isfinite(self.summary.settling_time).sum()),
             "phases": [{"phase": float(phase), **_plain(row)} for phase, row in zip(self.phases, rows, strict=True)],
             "median": _plain(percentiles(self.summary, 50.0)),
             "percentile_5": _plain(percentiles(self.summary, 5.0)),
@@ -147,13 +164,7 @@ def run_drop(parameters: DropParameters) -> DropResult:
         DivergenceError: If the flotor leaves its range by a wide margin; its `partial` attribute is the
             DropResult up to there.
     """
-    with _plant(parameters, parameters.phase) as plant:
-        try:
-            run(plant, _controller(parameters), _ticks(parameters, parameters.phase))
-        except DivergenceError as error:
-            error.partial = _result(parameters, plant.trace())
-            raise
-        return _result(parameters, plant.trace().until(parameters.duration))
+    return _result(parameters, _trace(parameters, parameters.phase))
 
 
 def sweep_drop(parameters: DropParameters, phases: int | Sequence[float]) -> DropSweep:
@@ -169,12 +180,15 @@ def sweep_drop(parameters: DropParameters, phases: int | Sequence[float]) -> Dro
     """
     chosen = _phases(phases)
     if parameters.plant == "exact":
-        with _plant(parameters, chosen) as plant:
-            run(plant, _controller(parameters), _ticks(parameters, float(chosen.min())))
-            trace = plant.trace().until(parameters.duration)
-        return DropSweep(parameters, chosen, summarise_bounce(trace, parameters.rest))
-    rows = [run_drop(replace(parameters, phase=float(phase))).summary for phase in chosen]
-    return DropSweep(parameters, chosen, BounceSummary(*(np.array(figure) for figure in zip(*rows, strict=True))))
+        parts = [
+            summarise_bounce(_trace(parameters, chosen[start : start + _TOGETHER]), parameters.rest)
+            for start in range(0, chosen.size, _TOGETHER)
+        ]
+        figures = [np.concatenate(figure) for figure in zip(*parts, strict=True)]
+    else:
+        rows = [run_drop(replace(parameters, phase=float(phase))).summary for phase in chosen]
+        figures = [np.array(figure) for figure in zip(*rows, strict=True)]
+    return DropSweep(parameters, chosen, BounceSummary(*figures))
 
 
 def analog_drop(parameters: DropParameters, time: Array) -> tuple[Array, Array, Array]:
@@ -188,14 +202,28 @@ def analog_drop(parameters: DropParameters, time: Array) -> tuple[Array, Array, 
     )
 
 
+def _trace(parameters: DropParameters, phase: float | Array) -> Trace:
+    """Run one drop, or one for each phase, and return the motion up to the end of its duration."""
+    with _plant(parameters, phase) as plant, engine_warnings_silenced():
+        try:
+            run(plant, _controller(parameters), _ticks(parameters, float(np.min(phase))))
+        except DivergenceError as error:
+            trace = plant.trace()
+            if float(trace.time[-1].min()) < parameters.duration:
+                if np.ndim(phase) == 0:
+                    error.partial = _result(parameters, trace)
+                raise
+        return plant.trace().until(parameters.duration)
+
+
 def _phases(phases: int | Sequence[float]) -> Array:
-    if isinstance(phases, int):
-        if phases < 1:
-            raise ParameterError(f"phases must be at least 1, not {phases}")
-        return np.arange(phases) / phases
-    chosen = np.asarray(phases, dtype=np.float64)
+    if isinstance(phases, Integral):
+        if not 1 <= int(phases) <= _MOST_PHASES:
+            raise ParameterError(f"phases must be at least 1 and at most {_MOST_PHASES}, not {phases}")
+        return np.arange(int(phases)) / int(phases)
+    chosen = numbers("phases", phases, at_least=0.0)
     if chosen.ndim != 1 or not chosen.size:
-        raise ParameterError(f"phases must be a number or a list of phases, not {phases!r}")
+        raise ParameterError(f"phases must be a whole number or a list of phases, not {phases!r}")
     return chosen
 
 
@@ -227,6 +255,7 @@ def _controller(parameters: DropParameters) -> Controller:
         damping=parameters.damping,
         pulse=parameters.pulse,
         pulse_width=parameters.pulse_width,
+        # a law that knows of no limit carries nothing over
         force_limit=parameters.force_limit if parameters.force_limit and parameters.carry else math.inf,
     )
     hold = Hold.critically_damped(

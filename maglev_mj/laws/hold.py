@@ -6,11 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Self
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from maglev_mj.frames import AXES, Component
-from maglev_mj.parameters import axis_indices, number, numbers, per_axis
+from maglev_mj.parameters import axis_indices, batch_shape, number, numbers, per_axis
 
 __all__ = ["Hold"]
 
@@ -48,7 +47,7 @@ class Hold:
             numbers("hold target", self.target),
         ]
         split = [per_axis("hold parameter", value, len(indices)) for value in values]
-        object.__setattr__(self, "batch", np.broadcast_shapes(*(value.shape[:-1] for value in values)))
+        object.__setattr__(self, "batch", batch_shape("hold", values))
         object.__setattr__(self, "_gains", tuple(zip(indices, *split, strict=True)))
 
     @classmethod

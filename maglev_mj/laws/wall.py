@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Array, Component
-from maglev_mj.parameters import axis_indices, number, numbers, per_axis
+from maglev_mj.parameters import axis_indices, batch_shape, number, numbers, per_axis
 
 __all__ = ["Wall"]
 
@@ -82,22 +82,22 @@ class Wall:
         indices = axis_indices(self.axes)
         lower = numbers("wall lower", self.lower, finite=False)
         upper = numbers("wall upper", self.upper, finite=False)
-        if not (lower < upper).all():
-            raise ParameterError(f"wall lower must be below upper, not {self.lower!r} and {self.upper!r}")
         gains = [
             numbers("wall stiffness", self.stiffness, at_least=0.0),
             numbers("wall damping", self.damping, at_least=0.0),
             numbers("wall pulse", self.pulse, at_least=0.0),
             numbers("wall force_limit", self.force_limit, at_least=0.0, finite=False),
         ]
+        batch = batch_shape("wall", (lower, upper, *gains))
+        if not (lower < upper).all():
+            raise ParameterError(f"wall lower must be below upper, not {self.lower!r} and {self.upper!r}")
         width = number("wall pulse_width", self.pulse_width, at_least=0.0)
         if width == 0.0 and gains[2].any():
             raise ParameterError("wall pulse_width must be above 0 where there is a pulse, not 0")
         faces = _faces(indices, 1.0, lower, gains) + _faces(indices, -1.0, upper, gains)
         if not faces:
             raise ParameterError("wall needs a finite lower or upper, not -inf and inf")
-        shapes = (value.shape[:-1] for value in (lower, upper, *gains))
-        object.__setattr__(self, "batch", np.broadcast_shapes(*shapes))
+        object.__setattr__(self, "batch", batch)
         object.__setattr__(self, "pulse_width", width)
         object.__setattr__(self, "_faces", faces)
 

@@ -1,4 +1,4 @@
-"""The plant's contract, and the timing that every simulated plant shares."""
+"""What every simulated plant shares: samples, delay, pulses, limits, the sensor, and errors."""
 
 from __future__ import annotations
 
@@ -6,78 +6,19 @@ import math
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
 from math import isfinite
-from typing import Any, Protocol, Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from maglev_mj.errors import DivergenceError, ParameterError, PlantError
-from maglev_mj.frames import Array, Command, Component, Sample, components, join
+from maglev_mj.frames import AXES, Array, Command, Component, Sample, components, join
 from maglev_mj.parameters import number, numbers
+from maglev_mj.plants.contract import Timing
 from maglev_mj.trace import Trace, TraceRecorder
 
-__all__ = ["Plant", "SampledPlant", "Timing"]
-
-
-class Plant(Protocol):
-    """What a control loop asks of a plant, simulated or real."""
-
-    def read(self) -> Sample:
-        """Wait for the next sampling instant and return what is measured there."""
-
-    def write(self, command: Command) -> Command:
-        """Send the answer to the last sample; return it as applied, after every limit."""
-
-    def close(self) -> None:
-        """Let go of the plant; safe to call at any time, and more than once."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Timing:
-    """When samples are taken and when commands take effect, counted in whole ticks.
-
-    Sample k is taken at (k + phase) period after release; its command takes effect `delay` later.
-
-    Args:
-        period: Sample period [s], above 0.
-        delay: Transport delay [s], 0 or more; may exceed the period.
-        phase: In [0, 1); (N,) for N devices that differ.
-
-    Raises:
-        ParameterError: If a value is outside its bounds.
-    """
-
-    period: float = 0.005
-    delay: float = 0.0015
-    phase: Component = 0.0
-    whole: int = field(init=False)
-    """Whole periods in the delay."""
-    rest: float = field(init=False)
-    """What remains of the delay [s], in [0, period)."""
-    negligible: float = field(init=False)
-    """Stretches shorter than this [s] are rounding, not time."""
-
-    def __post_init__(self) -> None:
-        period = number("period", self.period, above=0.0)
-        delay = number("delay", self.delay, at_least=0.0)
-        phase = numbers("phase", self.phase, at_least=0.0)
-        if not (phase < 1.0).all():
-            raise ParameterError(f"phase must be at least 0 and below 1, not {float(phase.max()):g}")
-        # a delay within rounding of a whole number of periods is that number
-        whole = math.floor(delay / period + 1e-9)
-        rest = max(delay - whole * period, 0.0)
-        object.__setattr__(self, "period", period)
-        object.__setattr__(self, "delay", delay)
-        object.__setattr__(self, "phase", phase if phase.ndim else float(phase))
-        object.__setattr__(self, "whole", whole)
-        object.__setattr__(self, "negligible", 1e-9 * period)
-        object.__setattr__(self, "rest", rest if rest > 1e-9 * period else 0.0)
-
-    def time(self, tick: int, offset: Component = 0.0) -> Any:
-        """Return the time [s] of an instant `offset` after sample `tick`; never a running sum."""
-        return (tick + self.phase) * self.period + offset
+__all__ = ["SampledPlant"]
 
 
 class SampledPlant(ABC):
@@ -85,8 +26,7 @@ class SampledPlant(ABC):
 
     Between two samples the wrench changes at most three times: where a pulse of the command before runs
     out, where the next command takes effect (which ends such a pulse too), and where its own pulse runs out.
-    A subclass only has to carry
-    its state from one of these switches to the next.
+    A subclass only has to carry its state from one of these switches to the next.
 
     Args:
         timing: Sample period, delay and phase.
@@ -111,12 +51,12 @@ class SampledPlant(ABC):
     ) -> None:
         self.timing = timing
         self.batch = batch
-        self._limit = None if wrench_limit is None else _six("wrench_limit", wrench_limit)
+        self._limit = None if wrench_limit is None else _six("wrench_limit", wrench_limit, batch)
         self._limits = self._limit is not None
-        self._quantum = None if quantum is None else _six("quantum", quantum)
+        self._quantum = None if quantum is None else _six("quantum", quantum, (), finite=True)
         distance, angle = (number("escape", value, above=0.0) for value in escape)
         self._escape = distance * distance, angle * angle
-        self._longest_step = longest_step
+        self._longest_step = None if longest_step is None else number("longest_step", longest_step, above=0.0)
         self._recorder = TraceRecorder(timing.time) if record else None
         self._run = self._advance if self._recorder is None and longest_step is None else self._run_in_pieces
         self._tick = -1
@@ -174,19 +114,21 @@ class SampledPlant(ABC):
         """
         if self._closed or self._tick < 0:
             raise PlantError("the plant is closed" if self._closed else "write() needs a sample: call read() first")
-        if self._limits:
-            command = self._limited(command)
-        total = force = command.force
         width = 0.0
+        total = command.force
         if command.extra is not None:
-            total = [one + other for one, other in zip(force, command.extra)]
+            total = [one + other for one, other in zip(total, command.extra)]
             width = command.pulse_width
             if not 0.0 < width < math.inf:
                 raise PlantError(f"pulse_width must be finite and above 0, not {width:g}")
-        x, y, z, rx, ry, rz = total
-        check = x + y + z + rx + ry + rz  # short of overflow, a sum is finite only if all its terms are
-        if not (isfinite(check) if check.__class__ is float else np.all(np.isfinite(check))):
-            raise PlantError(f"command at tick {self._tick} must be finite, not {join(total)}")
+        check = sum(total)  # short of overflow, a sum is finite only if all its terms are
+        if len(total) != 6 or not (isfinite(check) if check.__class__ is float else self._sound(check)):
+            self._refuse(total)
+        if self._limits:
+            command = self._limited(command)
+            if width:
+                total = [one + other for one, other in zip(command.force, command.extra or ())]
+        force = command.force
         held = self._prepare(force)
         if len(self._queue) > self.timing.whole:  # a second answer to the same sample replaces the first
             self._queue.pop()
@@ -207,6 +149,11 @@ class SampledPlant(ABC):
             raise PlantError("nothing is recorded: make the plant with record=True and read at least one sample")
         drive = self._drive if self._tail is None else self._tail[0]
         return self._recorder.finish(self._tick, *self._state(drive))
+
+    @property
+    def period(self) -> float:
+        """Sample period [s]."""
+        return self.timing.period
 
     def __iter__(self) -> Iterator[Sample]:
         while True:
@@ -266,29 +213,49 @@ class SampledPlant(ABC):
         total = np.clip(command.wrench + command.pulse, -limit, limit)
         return Command(components(wrench), components(total - wrench), command.pulse_width)
 
+    def _sound(self, total: Any) -> bool:
+        """Return whether the sum of a command's components is finite and of this plant's shape."""
+        return np.shape(total) in ((), self.batch) and bool(np.isfinite(total).all())
+
+    def _refuse(self, force: Sequence[Component]) -> None:
+        """Raise with the first thing that is wrong with a command."""
+        if len(force) != 6:
+            raise PlantError(f"a command must have 6 components, not {len(force)}")
+        wrench = join(force)
+        if wrench.shape[:-1] not in ((), self.batch):
+            raise PlantError(f"a command must have the batch shape {self.batch} of the plant, not {wrench.shape[:-1]}")
+        place = tuple(np.argwhere(~np.isfinite(wrench))[0])
+        device = f", device {place[:-1]}" if len(place) > 1 else ""
+        axis = AXES[place[-1]]
+        raise PlantError(f"command at tick {self._tick} must be finite, not {wrench[place]:g} along {axis}{device}")
+
     def _check_escape(self, position: Sequence[Component]) -> None:
         """Raise if a flotor is far outside its range; NaN counts as outside."""
         x, y, z, rx, ry, rz = position
-        distance, angle = self._escape
+        largest_distance, largest_angle = self._escape
+        distance, angle = x * x + y * y + z * z, rx * rx + ry * ry + rz * rz
         if x.__class__ is float:
-            if x * x + y * y + z * z < distance and rx * rx + ry * ry + rz * rz < angle:
+            if distance < largest_distance and angle < largest_angle:
                 return
-        elif np.all((x * x + y * y + z * z < distance) & (rx * rx + ry * ry + rz * rz < angle)):
+        elif np.all((distance < largest_distance) & (angle < largest_angle)):
             return
-        far = float(np.sqrt(np.max(x * x + y * y + z * z)))
-        turned = float(np.sqrt(np.max(rx * rx + ry * ry + rz * rz)))
+        far, turned, time = np.broadcast_arrays(np.sqrt(distance), np.sqrt(angle), self.timing.time(self._tick))
+        out = ~((far**2 < largest_distance) & (turned**2 < largest_angle))
+        place = tuple(np.argwhere(out)[0]) if out.ndim else ()
+        device = f" (device {', '.join(map(str, place))} of {self.batch})" if place else ""
         raise DivergenceError(
-            f"the flotor is {far:.3g} m and {turned:.3g} rad from its centre at "
-            f"{float(np.max(self.timing.time(self._tick))):.4g} s; a run has diverged beyond "
-            f"{math.sqrt(distance):.3g} m or {math.sqrt(angle):.3g} rad"
+            f"the flotor is {far[place]:.3g} m and {turned[place]:.3g} rad from its centre "
+            f"at {time[place]:.4g} s{device}; a run has diverged beyond "
+            f"{math.sqrt(largest_distance):.3g} m or {math.sqrt(largest_angle):.3g} rad"
         )
 
 
-def _six(name: str, value: ArrayLike) -> Array:
+def _six(name: str, value: ArrayLike, batch: tuple[int, ...], *, finite: bool = False) -> Array:
     """Return a per-axis parameter that is 0 or more, (..., 6) or a number for all axes."""
-    array = numbers(name, value, at_least=0.0, finite=False)
-    if array.ndim and array.shape[-1] != 6:
-        raise ParameterError(f"{name} must be a number or have the shape (..., 6), not {array.shape}")
+    array = numbers(name, value, at_least=0.0, finite=finite)
+    if array.shape not in ((), (6,), (*batch, 6)):
+        allowed = "(6,)" if not batch else f"(6,) or {(*batch, 6)}"
+        raise ParameterError(f"{name} must be a number or have the shape {allowed}, not {array.shape}")
     return array
 
 

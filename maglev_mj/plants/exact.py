@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Component, components, join
 from maglev_mj.parameters import number, numbers
-from maglev_mj.plants.base import SampledPlant, Timing
+from maglev_mj.plants.base import SampledPlant
+from maglev_mj.plants.contract import Timing
 from maglev_mj.spec import GRAVITY, Spec
 
 __all__ = ["ExactPlant"]
@@ -61,13 +62,19 @@ class ExactPlant(SampledPlant):
         record: bool = False,
     ) -> None:
         timing = timing or Timing()
-        try:
-            moments = np.broadcast_to(numbers("inertia", inertia, at_least=0.0), 3).tolist()
-            start, motion, _ = np.broadcast_arrays(
-                numbers("pose", pose), numbers("twist", twist), np.empty((*np.shape(timing.phase), 6))
+        start, motion = numbers("pose", pose), numbers("twist", twist)
+        moments = numbers("inertia", inertia, at_least=0.0)
+        shapes = (start.shape, motion.shape, (*np.shape(timing.phase), 6))
+        if moments.shape != (3,) or any(shape[-1:] != (6,) for shape in shapes):
+            raise ParameterError(
+                f"pose and twist must be (..., 6) and inertia (3,), not {start.shape}, {motion.shape} and "
+                f"{moments.shape}"
             )
-        except ValueError as error:
-            raise ParameterError(f"pose, twist, phase and inertia must fit (..., 6) and (3,): {error}") from None
+        try:
+            shape = np.broadcast_shapes(*shapes)
+        except ValueError:
+            raise ParameterError(f"pose, twist and phase must fit one batch, not {shapes}") from None
+        start, motion = np.broadcast_to(start, shape), np.broadcast_to(motion, shape)
         body = [number("mass", mass, above=0.0)] * 3 + [number("inertia", value, above=0.0) for value in moments]
         self._inverse_inertia = [1.0 / value for value in body]
         self._gravity = (0.0, 0.0, -number("gravity", gravity), 0.0, 0.0, 0.0)

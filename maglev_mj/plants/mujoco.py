@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from functools import partial
 from typing import Any, TypeAlias
 
@@ -15,10 +16,11 @@ from maglev_mj.errors import ParameterError, PlantError
 from maglev_mj.frames import Array, Command, quaternion, rotation_vector
 from maglev_mj.model import COILS, load
 from maglev_mj.parameters import number, numbers
-from maglev_mj.plants.base import SampledPlant, Timing
+from maglev_mj.plants.base import SampledPlant
+from maglev_mj.plants.contract import Timing
 from maglev_mj.spec import GRAVITY
 
-__all__ = ["MuJoCoPlant"]
+__all__ = ["MuJoCoPlant", "engine_warnings_silenced"]
 
 
 Drive: TypeAlias = tuple[Sequence[float], Any]
@@ -28,15 +30,31 @@ _UPRIGHT = 1e-9
 """Angle [rad] up to which the coils' map is that of the upright flotor: its error is below any figure here."""
 
 
+@contextmanager
+def engine_warnings_silenced() -> Iterator[None]:
+    """Keep the engine's warnings off the terminal and out of its log file; a plant raises them as errors anyway.
+
+    The engine has one warning handler for the whole process, which is put back at the end.
+    """
+    handler = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda _: None)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(handler)
+
+
 class MuJoCoPlant(SampledPlant):
     """The device in MuJoCo, RK4 with a step boundary at every switch: exact to rounding in translation.
+
+    Nothing is limited unless asked for: the device gives 60 N along z, which takes `current_limit=10`.
 
     Args:
         timing: Sample period, delay and phase (a number).
         scene: Name of the model.
         mass: Moving mass in place of the model's [kg].
         pose: Pose at release [m, rad], (6,).
-        twist: Velocity at release, the angular part in flotor axes [m/s, rad/s], (6,).
+        twist: Velocity at release [m/s, rad/s], (6,).
         gravity: Acceleration of free fall along -z [m/s²].
         coils: True sends each wrench through the six coils, by their map at the flotor's angle when the sample
             was taken; False applies it to the flotor itself, as an ideal actuator would.
@@ -94,7 +112,12 @@ class MuJoCoPlant(SampledPlant):
         self._qpos = self._data.qpos[self.device.position_address :][:7]
         self._qvel = self._data.qvel[self.device.velocity_address :][:6]
         self._qpos[:3], self._qpos[3:] = start[:3], quaternion(start[3:])
-        self._qvel[:] = motion
+        self._rotation = np.zeros(9)
+        mujoco.mju_quat2Mat(self._rotation, self._qpos[3:])
+        self._qvel[:3], self._qvel[3:] = (
+            motion[:3],
+            motion[3:] @ self._rotation.reshape(3, 3),
+        )  # the engine's: flotor axes
         # live views: reaching for them through the data object costs as much as using them
         self._currents = self._data.ctrl[: len(COILS)]
         self._wrench = np.zeros(6) if coils else self._data.xfrc_applied[self.device.flotor]
@@ -103,7 +126,6 @@ class MuJoCoPlant(SampledPlant):
         self._coils = self.device.coils
         # None without coils; the map of the upright flotor until it is seen to turn
         self._inverse_map: Any = None if self._coils is None else self._coils.current_per_wrench
-        self._rotation = np.zeros(9)
         self._applied: Drive | None = None
         self._warnings = self._data.warning.number
         self._no_warnings = self._warnings.tobytes()
@@ -156,9 +178,12 @@ class MuJoCoPlant(SampledPlant):
         rx, ry, rz = rotation_vector(q0, q1, q2, q3)
         position = [x, y, z, rx, ry, rz]
         self._check_escape(position)
-        if self._coils is not None and (abs(rx) > _UPRIGHT or abs(ry) > _UPRIGHT or abs(rz) > _UPRIGHT):
-            mujoco.mju_quat2Mat(self._rotation, self._qpos[3:])
-            self._inverse_map = self._coils.inverse_at(self._rotation)
+        if self._coils is not None:
+            if abs(rx) > _UPRIGHT or abs(ry) > _UPRIGHT or abs(rz) > _UPRIGHT:
+                mujoco.mju_quat2Mat(self._rotation, self._qpos[3:])
+                self._inverse_map = self._coils.inverse_at(self._rotation)
+            else:
+                self._inverse_map = self._coils.current_per_wrench
         return position
 
     def _warning_names(self) -> str:
@@ -171,4 +196,6 @@ class MuJoCoPlant(SampledPlant):
         wrench = np.array(force)
         if self._model.na:  # the drivers lag: their currents, not the commanded ones
             wrench = np.linalg.solve(inverse_map, self._data.act)
-        return np.array([x, y, z, *rotation_vector(*turn)]), self._qvel.copy(), wrench
+        mujoco.mju_quat2Mat(self._rotation, self._qpos[3:])
+        twist = np.concatenate([self._qvel[:3], self._rotation.reshape(3, 3) @ self._qvel[3:]])
+        return np.array([x, y, z, *rotation_vector(*turn)]), twist, wrench

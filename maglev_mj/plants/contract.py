@@ -1,0 +1,80 @@
+"""The contract between a control loop and a plant, and when things happen in it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+from maglev_mj.errors import ParameterError
+from maglev_mj.frames import Command, Component, Sample
+from maglev_mj.parameters import number, numbers
+
+__all__ = ["Plant", "Timing"]
+
+_MOST_PERIODS = 10_000
+
+
+class Plant(Protocol):
+    """What a control loop asks of a plant, simulated or real."""
+
+    @property
+    def period(self) -> float:
+        """Sample period [s]."""
+
+    def read(self) -> Sample:
+        """Wait for the next sampling instant and return what is measured there."""
+
+    def write(self, command: Command) -> Command:
+        """Send the answer to the last sample; return it as applied, after every limit."""
+
+    def close(self) -> None:
+        """Let go of the plant; safe to call at any time, and more than once."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Timing:
+    """When samples are taken and when commands take effect, counted in whole ticks.
+
+    Sample k is taken at (k + phase) period after release; its command takes effect `delay` later.
+
+    Args:
+        period: Sample period [s], above 0.
+        delay: Transport delay [s], 0 or more; may exceed the period, up to 10 000 times.
+        phase: In [0, 1); (N,) for N devices that differ.
+
+    Raises:
+        ParameterError: If a value is outside its bounds.
+    """
+
+    period: float = 0.005
+    delay: float = 0.0015
+    phase: Component = 0.0
+    whole: int = field(init=False)
+    """Whole periods in the delay."""
+    rest: float = field(init=False)
+    """What remains of the delay [s], in [0, period)."""
+    negligible: float = field(init=False)
+    """Stretches shorter than this [s] are rounding, not time."""
+
+    def __post_init__(self) -> None:
+        period = number("period", self.period, above=0.0)
+        delay = number("delay", self.delay, at_least=0.0)
+        phase = numbers("phase", self.phase, at_least=0.0)
+        if not (phase < 1.0).all():
+            raise ParameterError(f"phase must be at least 0 and below 1, not {float(phase.max()):g}")
+        if delay / period > _MOST_PERIODS:
+            raise ParameterError(f"delay must be at most {_MOST_PERIODS} periods of {period:g} s, not {delay:g} s")
+        # a delay within rounding of a whole number of periods is that number
+        whole = math.floor(delay / period + 1e-9)
+        rest = max(delay - whole * period, 0.0)
+        object.__setattr__(self, "period", period)
+        object.__setattr__(self, "delay", delay)
+        object.__setattr__(self, "phase", phase if phase.ndim else float(phase))
+        object.__setattr__(self, "whole", whole)
+        object.__setattr__(self, "negligible", 1e-9 * period)
+        object.__setattr__(self, "rest", rest if rest > 1e-9 * period else 0.0)
+
+    def time(self, tick: int, offset: Component = 0.0) -> Any:
+        """Return the time [s] of an instant `offset` after sample `tick`; never a running sum."""
+        return (tick + self.phase) * self.period + offset
