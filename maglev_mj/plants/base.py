@@ -229,16 +229,16 @@ class SampledPlant(ABC):
         axis = AXES[place[-1]]
         raise PlantError(f"command at tick {self._tick} must be finite, not {wrench[place]:g} along {axis}{device}")
 
-    def _check_escape(self, position: Sequence[Component]) -> None:
-        """Raise if a flotor is far outside its range; NaN counts as outside."""
+    def _check_escape(self, position: Sequence[Component]) -> Component:
+        """Raise if a flotor is far outside its range, as NaN is; otherwise return the square of its angle."""
         x, y, z, rx, ry, rz = position
         largest_distance, largest_angle = self._escape
         distance, angle = x * x + y * y + z * z, rx * rx + ry * ry + rz * rz
         if x.__class__ is float:
             if distance < largest_distance and angle < largest_angle:
-                return
+                return angle
         elif np.all((distance < largest_distance) & (angle < largest_angle)):
-            return
+            return angle
         far, turned, time = np.broadcast_arrays(np.sqrt(distance), np.sqrt(angle), self.timing.time(self._tick))
         out = ~((far**2 < largest_distance) & (turned**2 < largest_angle))
         place = tuple(np.argwhere(out)[0]) if out.ndim else ()

@@ -126,6 +126,7 @@ class MuJoCoPlant(SampledPlant):
         self._coils = self.device.coils
         # None without coils; the map of the upright flotor until it is seen to turn
         self._inverse_map: Any = None if self._coils is None else self._coils.current_per_wrench
+        self._turned = False
         self._applied: Drive | None = None
         self._warnings = self._data.warning.number
         self._no_warnings = self._warnings.tobytes()
@@ -177,9 +178,10 @@ class MuJoCoPlant(SampledPlant):
         x, y, z, q0, q1, q2, q3 = self._qpos.tolist()
         rx, ry, rz = rotation_vector(q0, q1, q2, q3)
         position = [x, y, z, rx, ry, rz]
-        self._check_escape(position)
-        if self._coils is not None:
-            if abs(rx) > _UPRIGHT or abs(ry) > _UPRIGHT or abs(rz) > _UPRIGHT:
+        turned = self._check_escape(position) > _UPRIGHT * _UPRIGHT
+        if (turned or self._turned) and self._coils is not None:
+            self._turned = turned
+            if turned:
                 mujoco.mju_quat2Mat(self._rotation, self._qpos[3:])
                 self._inverse_map = self._coils.inverse_at(self._rotation)
             else:
