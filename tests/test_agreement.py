@@ -114,7 +114,7 @@ def test_rotations_about_several_axes_differ_by_the_second_order_of_the_angle() 
             motions.append(np.stack([plant.trace().at(t)[0][0] for t in np.arange(40) * 0.005]))
         gaps.append(np.abs(motions[0] - motions[1]).max())
     slopes = np.diff(np.log(gaps)) / np.log(0.5)
-    assert gaps[0] < 3e-4
+    assert gaps[0] < 5e-5
     assert (slopes > 1.8).all(), (gaps, slopes)
 
 
