@@ -43,6 +43,11 @@ class Controller:
         self._states: list[Any] = [law.start() for law in self._laws]
         self._velocity_state: Any = None
 
+    @property
+    def states(self) -> tuple[Any, ...]:
+        """The state of each law after the last sample, in the order in which they were given."""
+        return tuple(self._states)
+
     def step(self, sample: Sample) -> Command:
         """Answer one sample.
 

@@ -10,11 +10,30 @@ from collections.abc import Sequence
 from typing import Any, Protocol
 
 from maglev_mj.frames import Component
+from maglev_mj.laws.bristle import Dahl, ElastoPlastic, HaywardArmstrong, LuGre
+from maglev_mj.laws.friction import Friction, FrictionState, ImplicitCoulomb, SpringReset, StickSlip
 from maglev_mj.laws.hold import Hold
-from maglev_mj.laws.velocity import FiniteDifference
+from maglev_mj.laws.velocity import AdaptiveWindow, FiniteDifference, LowPass
 from maglev_mj.laws.wall import Wall
 
-__all__ = ["FiniteDifference", "Hold", "Law", "VelocityEstimator", "Wall"]
+__all__ = [
+    "AdaptiveWindow",
+    "Dahl",
+    "ElastoPlastic",
+    "FiniteDifference",
+    "Friction",
+    "FrictionState",
+    "HaywardArmstrong",
+    "Hold",
+    "ImplicitCoulomb",
+    "Law",
+    "LowPass",
+    "LuGre",
+    "SpringReset",
+    "StickSlip",
+    "VelocityEstimator",
+    "Wall",
+]
 
 
 class Law(Protocol):

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
-from maglev_mj.frames import Component
+from maglev_mj.errors import ParameterError
+from maglev_mj.frames import AXES, Component
+from maglev_mj.laws.friction import choose
+from maglev_mj.parameters import number
 
-__all__ = ["FiniteDifference"]
+__all__ = ["AdaptiveWindow", "FiniteDifference", "LowPass"]
 
 
 @dataclass(frozen=True)
@@ -32,3 +37,84 @@ class FiniteDifference:
             (ry - ry0) / period,
             (rz - rz0) / period,
         ), position
+
+
+@dataclass(frozen=True)
+class LowPass:
+    """Finite difference behind a first-order low-pass, v += (1 - exp(-2 pi f T)) (difference - v).
+
+    Args:
+        cutoff: Cut-off f of the filter [Hz].
+
+    Raises:
+        ParameterError: If the cut-off is not above 0.
+    """
+
+    cutoff: float = 50.0
+
+    def __post_init__(self) -> None:
+        number("cutoff", self.cutoff, above=0.0)
+
+    def __call__(self, position: Sequence[Component], state: Any, period: float) -> tuple[Sequence[Component], Any]:
+        """Return the filtered velocity, zero at the first sample, and the next state."""
+        previous, velocity = (position, (0.0,) * len(position)) if state is None else state
+        share = -math.expm1(-2.0 * math.pi * self.cutoff * period)
+        filtered = [
+            speed + share * ((now - before) / period - speed)
+            for now, before, speed in zip(position, previous, velocity)
+        ]
+        return filtered, (position, filtered)
+
+
+@dataclass(frozen=True)
+class AdaptiveWindow:
+    """First-order adaptive windowing: the slope over the longest window whose chord passes every sample in it.
+
+    A sample counts as passed if it lies within `noise` of the chord from the window's first sample to its last.
+    Over a quantized sensor the window grows at low speed, so that the velocity's own step shrinks with it, and
+    shortens where the motion bends.
+
+    Args:
+        noise: Half-width of the band around the chord [m, rad]: the sensor's resolution, for each of the six
+            components.
+        longest: Longest window [samples], at least 1.
+
+    Raises:
+        ParameterError: If a value is outside its bounds.
+
+    Source: Janabi-Sharifi, Hayward & Chen 2000, the end-fit variant; from recollection.
+    """
+
+    noise: Sequence[float] = (5e-6,) * 3 + (10e-6,) * 3
+    longest: int = 16
+
+    def __post_init__(self) -> None:
+        number("longest", self.longest, at_least=1)
+        if len(self.noise) != len(AXES):
+            raise ParameterError(f"noise must have {len(AXES)} numbers, not {len(self.noise)}")
+        for value in self.noise:
+            number("noise", value, at_least=0.0)
+
+    def __call__(self, position: Sequence[Component], state: Any, period: float) -> tuple[Sequence[Component], Any]:
+        """Return the velocity over each component's own window, zero at the first sample, and the next state."""
+        past: list[Sequence[Component]] = [] if state is None else state
+        history = [position, *past[: self.longest]]
+        velocity = [self._slope([sample[axis] for sample in history], self.noise[axis], period) for axis in range(6)]
+        return velocity, history
+
+    @staticmethod
+    def _slope(samples: list[Component], noise: float, period: float) -> Component:
+        """Return the slope over the longest window that fits; samples are newest first."""
+        newest = samples[0]
+        if len(samples) == 1:
+            return newest - newest
+        slope = (newest - samples[1]) / period
+        fits = slope == slope
+        for width in range(2, len(samples)):
+            chord = (newest - samples[width]) / (width * period)
+            for age in range(1, width):
+                fits = fits & (abs(newest - age * period * chord - samples[age]) <= noise)
+            if fits is False:
+                break
+            slope = choose(fits, chord, slope)
+        return slope

@@ -1,0 +1,178 @@
+"""Friction as the deflection of a bristle: Dahl, LuGre, elasto-plastic, Hayward and Armstrong.
+
+All four carry a stretch z behind the position x; the anchor of the `FrictionState` is x - z. Their differential
+equations in z are driven by the travel dx of a sample, over which the velocity counts as constant.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from maglev_mj.errors import ParameterError
+from maglev_mj.frames import Component
+from maglev_mj.laws.friction import Friction, FrictionState, apply, choose
+from maglev_mj.parameters import number
+
+__all__ = ["Dahl", "ElastoPlastic", "HaywardArmstrong", "LuGre"]
+
+_SLIDING_SHARE = 0.95
+"""A bristle nears its limit without ever reaching it: from this share of it on the axis counts as sliding."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Bristle(Friction):
+    """A friction law whose state is one stretch."""
+
+    @abstractmethod
+    def stretch(
+        self, z: Component, travel: Component, velocity: Component, parameters: dict[str, Component]
+    ) -> Component:
+        """Return the stretch [m, rad] after a travel [m, rad] from the stretch before it."""
+
+    def force(
+        self, before: Component, z: Component, velocity: Component, parameters: dict[str, Component]
+    ) -> Component:
+        """Return the force of the bristle [N, N m]."""
+        return -(parameters["stiffness"] * z)
+
+    def axis(
+        self, position: Component, velocity: Component, state: FrictionState, parameters: dict[str, Component]
+    ) -> tuple[Component, FrictionState]:
+        """Answer one sample of one axis; see `Friction`."""
+        last, before = (position, 0.0) if state.memory is None else state.memory
+        z = self.stretch(before, position - last, velocity, parameters)
+        force = self.force(before, z, velocity, parameters)
+        sticks = parameters["stiffness"] * abs(z) < _SLIDING_SHARE * parameters["breakaway"]
+        return force, FrictionState(sticks, position - z, (position, z))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Dahl(_Bristle):
+    """Dahl's model, dz = dx (1 - sgn(dx) z / z_c) with z_c = breakaway / stiffness; solved exactly for each travel.
+
+    Source: Dahl 1968, in the form of Olsson et al. 1998; formula recalled and derived again.
+    """
+
+    def stretch(
+        self, z: Component, travel: Component, velocity: Component, parameters: dict[str, Component]
+    ) -> Component:
+        """Return the stretch after a travel; see `_Bristle`."""
+        limit = parameters["breakaway"] / parameters["stiffness"]
+        return _relaxed(z, travel, limit)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LuGre(_Bristle):
+    """LuGre, dz/dt = v - stiffness |v| z / g(v), g falling from breakaway to Coulomb; F = s0 z + s1 dz/dt.
+
+    Args:
+        period: Sample period [s].
+        coulomb: Friction in fast sliding, as a share of `breakaway`, in (0, 1].
+        stribeck: Speed at which friction falls from breakaway to Coulomb [m/s, rad/s], above 0.
+        bristle_damping: Damping s1 of the bristle [N s/m, N m s/rad].
+
+    Source: Canudas de Wit, Olsson, Astrom & Lischinsky 1995; formula recalled.
+    """
+
+    period: float
+    coulomb: float = 0.8
+    stribeck: ArrayLike = 0.01
+    bristle_damping: ArrayLike = 0.0
+
+    _POSITIVE: ClassVar[tuple[str, ...]] = ("stiffness", "breakaway", "stribeck")
+    _OTHER: ClassVar[tuple[str, ...]] = ("damping", "bristle_damping")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        number("period", self.period, above=0.0)
+        number("coulomb", self.coulomb, above=0.0, at_most=1.0)
+
+    def stretch(
+        self, z: Component, travel: Component, velocity: Component, parameters: dict[str, Component]
+    ) -> Component:
+        """Return the stretch after a travel; see `_Bristle`."""
+        ratio = velocity / parameters["stribeck"]
+        share = self.coulomb + (1.0 - self.coulomb) * apply(np.exp, -(ratio * ratio))
+        return _relaxed(z, travel, share * parameters["breakaway"] / parameters["stiffness"])
+
+    def force(
+        self, before: Component, z: Component, velocity: Component, parameters: dict[str, Component]
+    ) -> Component:
+        """Return the force of the bristle with its damping; see `_Bristle`."""
+        return -(parameters["stiffness"] * z + parameters["bristle_damping"] * ((z - before) / self.period))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ElastoPlastic(_Bristle):
+    """Elasto-plastic, dz = dx (1 - alpha(z) z / z_ss): purely elastic up to a share of the limit, so no creep there.
+
+    alpha rises from 0 to 1 over half a sine between elastic * z_ss and z_ss where z and dx have one sign, and is 0
+    where they have not.
+
+    Args:
+        elastic: Share of the largest stretch up to which the bristle is purely elastic, in (0, 1).
+
+    Source: Dupont, Hayward, Armstrong & Altpeter 2002; formula recalled.
+    """
+
+    elastic: float = 0.7
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        number("elastic", self.elastic, above=0.0, below=1.0)
+
+    def stretch(
+        self, z: Component, travel: Component, velocity: Component, parameters: dict[str, Component]
+    ) -> Component:
+        """Return the stretch after a travel; see `_Bristle`."""
+        limit = parameters["breakaway"] / parameters["stiffness"]
+        share = abs(z) / limit
+        middle = (share - 0.5 * (1.0 + self.elastic)) / (1.0 - self.elastic)
+        rising = 0.5 + 0.5 * apply(np.sin, np.pi * choose(middle < -0.5, -0.5, choose(middle > 0.5, 0.5, middle)))
+        alpha = choose(z * travel > 0.0, rising, 0.0)
+        moved = z + travel * (1.0 - alpha * share)
+        return choose(moved > limit, limit, choose(moved < -limit, -limit, moved))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class HaywardArmstrong(_Bristle):
+    """Displacement-based friction without drift: the anchor follows by alpha(z) |dx| z, and never lags beyond z_max.
+
+    alpha(z) = 1/z_max z^8 / (z_stick^8 + z^8): next to nothing while stuck, so small load cycles do not creep.
+
+    Args:
+        stick: z_stick as a share of z_max, in (0, 1).
+
+    Source: Hayward & Armstrong 2000; formula recalled.
+    """
+
+    stick: float = 0.7
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 0.0 < number("stick", self.stick) < 1.0:
+            raise ParameterError(f"stick must be above 0 and below 1, not {self.stick:g}")
+
+    def stretch(
+        self, z: Component, travel: Component, velocity: Component, parameters: dict[str, Component]
+    ) -> Component:
+        """Return the stretch after a travel; see `_Bristle`."""
+        limit = parameters["breakaway"] / parameters["stiffness"]
+        moved = z + travel
+        square = moved * moved / (limit * limit)
+        fourth = square * square
+        eighth = fourth * fourth
+        alpha = eighth / (self.stick**8 + eighth) / limit
+        followed = moved - alpha * abs(travel) * moved
+        return choose(followed > limit, limit, choose(followed < -limit, -limit, followed))
+
+
+def _relaxed(z: Component, travel: Component, limit: Component) -> Component:
+    """Solve dz = dx - |dx| z / limit over one travel: towards the limit in the direction of travel."""
+    end = choose(travel > 0.0, limit, -limit)
+    return end + (z - end) * apply(np.exp, -abs(travel) / limit)
