@@ -10,8 +10,11 @@ import numpy as np
 
 from maglev_mj.errors import MaglevError
 from maglev_mj.experiments.drop import DropResult, DropSweep, analog_drop
+from maglev_mj.experiments.six_axes import SixAxesResult
+from maglev_mj.experiments.stick_slip import StickSlipResult, exact_stick_slip
+from maglev_mj.frames import AXES
 
-__all__ = ["ChartsMissingError", "phase_plane", "phases", "require", "time_series"]
+__all__ = ["ChartsMissingError", "phase_plane", "phases", "require", "staircase", "stick_slip", "time_series"]
 
 _WITH, _WITHOUT, _IDEAL, _GRID = "#0b6e99", "#d1495b", "#5a5f66", "#e3e5e8"
 
@@ -129,6 +132,65 @@ def phase_plane(runs: Iterable[tuple[str, DropResult]], path: Path) -> Path:
     panel.set_ylabel("velocity (m/s)")
     panel.legend(frameon=False, loc="best")
     panel.set_title(_describe(shown[0][1]), loc="left", fontsize=10.5)
+    return _save(figure, path)
+
+
+def stick_slip(result: StickSlipResult, path: Path) -> Path:
+    """Draw position and velocity against Karnopp's friction itself, as figure 8 does.
+
+    Args:
+        result: The run.
+        path: PNG to write.
+
+    Raises:
+        ChartsMissingError: If matplotlib is not installed.
+    """
+    figure, (upper, lower) = _figure(2, 1, (8.0, 6.4), sharex=True)
+    p, series = result.parameters, result.series(1e-4)
+    time, length = series["time"], "mm" if p.axis in AXES[:3] else "mrad"
+    exact = exact_stick_slip(p, time)
+    upper.plot(time, series["position"] * 1e3, color=_WITH, linewidth=1.7, label=f"{p.law}, {1.0 / p.period:g} Hz")
+    anchor = np.where(series["state"] > 0.0, series["stick_position"], np.nan)
+    upper.plot(time, anchor * 1e3, color=_WITHOUT, linewidth=1.4, linestyle="--", label="stick position")
+    upper.plot(time, exact.position * 1e3, color=_IDEAL, linewidth=1.8, linestyle=":", label="Karnopp, exact")
+    lower.plot(time, series["velocity"] * 1e3, color=_WITH, linewidth=1.5)
+    lower.plot(time, exact.velocity * 1e3, color=_IDEAL, linewidth=1.8, linestyle=":")
+    upper.set_ylabel(f"position along {p.axis} ({length})")
+    lower.set_ylabel(f"velocity ({length}/s)")
+    lower.set_xlabel("time (s)")
+    lower.set_xlim(0.0, float(time[-1]))
+    upper.legend(frameon=False, loc="lower right")
+    upper.set_title(
+        f"spring {p.spring:.4g}, breakaway {p.breakaway:.4g}, stiffness {p.stiffness:.4g}, damping {p.damping:.4g} "
+        f"(SI), delay {p.delay * 1e3:g} ms ({p.plant})",
+        loc="left",
+        fontsize=10.5,
+    )
+    return _save(figure, path)
+
+
+def staircase(result: SixAxesResult, path: Path) -> Path:
+    """Draw position against stick position on six axes, as figure 9 does.
+
+    Args:
+        result: The run.
+        path: PNG to write.
+
+    Raises:
+        ChartsMissingError: If matplotlib is not installed.
+    """
+    figure, panels = _figure(3, 2, (10.5, 7.5), sharex=True)
+    order = [panel for column in (panels[0::2], panels[1::2]) for panel in column]
+    for index, (axis, panel) in enumerate(zip(AXES, order, strict=True)):
+        unit = "mm" if index < 3 else "mrad"
+        anchor = np.where(result.stuck[:, index], result.anchor[:, index], np.nan)
+        panel.plot(result.time, result.position[:, index] * 1e3, color=_WITH, linewidth=1.0, label="position")
+        panel.step(result.time, anchor * 1e3, color=_WITHOUT, linewidth=1.5, where="post", label="stick position")
+        panel.set_title(f"{axis} ({unit}): {int(result.slips[index])} slips", loc="left", fontsize=10.5)
+        panel.set_xlim(0.0, float(result.time[-1]))
+    for panel in panels[-2:]:
+        panel.set_xlabel("time (s)")
+    panels[0].legend(frameon=False, loc="best")
     return _save(figure, path)
 
 

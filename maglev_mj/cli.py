@@ -1,4 +1,4 @@
-"""The command line: `maglev-mj info`, `maglev-mj drop`."""
+"""The command line: `maglev-mj info`, `maglev-mj drop`, `maglev-mj stick-slip`."""
 
 from __future__ import annotations
 
@@ -15,26 +15,21 @@ import numpy as np
 import maglev_mj
 from maglev_mj import charts
 from maglev_mj.errors import DivergenceError, MaglevError, ParameterError
-from maglev_mj.experiments.drop import PLANTS, DropParameters, DropResult, run_drop, sweep_drop
+from maglev_mj.experiments.drop import DropParameters, run_drop, sweep_drop
+from maglev_mj.experiments.stick_slip import StickSlipParameters, run_stick_slip
+from maglev_mj.options import Parser, add_drop_options, add_stick_slip_options, joined
 from maglev_mj.report import device_report
-from maglev_mj.tables import device_table, drop_table
+from maglev_mj.tables import device_table, drop_table, stick_slip_table
 
 __all__ = ["main"]
 
 _PICTURED_PHASES = 50
 
 
-class _Parser(argparse.ArgumentParser):
-    """An argument parser whose complaint is one line."""
-
-    def error(self, message: str) -> Any:
-        self.exit(2, f"{self.prog}: {message}\n")
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return the exit status: 0, 1 for a run that failed, 2 for bad input."""
     parser = _parser()
-    options = parser.parse_args(_joined(sys.argv[1:] if arguments is None else arguments))
+    options = parser.parse_args(joined(sys.argv[1:] if arguments is None else arguments))
     try:
         status: int = options.run(options)
         return status
@@ -46,85 +41,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 1
 
 
-def _joined(arguments: Sequence[str]) -> list[str]:
-    """Join an option and a negative number after it: argparse takes -1e-3 and -inf for options of their own."""
-    joined: list[str] = []
-    for argument in arguments:
-        if joined and joined[-1].startswith("--") and "=" not in joined[-1] and _is_negative_number(argument):
-            joined[-1] += f"={argument}"
-        else:
-            joined.append(argument)
-    return joined
-
-
-def _is_negative_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return text.startswith("-")
-
-
 def _parser() -> argparse.ArgumentParser:
-    parser = _Parser(prog="maglev-mj", description=maglev_mj.__doc__)
+    parser = Parser(prog="maglev-mj", description=maglev_mj.__doc__)
     parser.add_argument("--version", action="version", version=f"maglev-mj {maglev_mj.__version__}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="command")
     info = commands.add_parser("info", help="Table 1 of the paper beside what the model yields")
     info.add_argument("--json", metavar="FILE", help="write the figures as JSON; - for standard output")
     info.set_defaults(run=_info)
     drop = commands.add_parser("drop", help="drop the flotor on a stiff wall (figures 3 and 4)")
-    _add_drop_options(drop)
+    add_drop_options(drop)
     drop.set_defaults(run=_drop)
+    friction = commands.add_parser("stick-slip", help="pull the flotor out of rendered friction (figure 8)")
+    add_stick_slip_options(friction)
+    friction.set_defaults(run=_stick_slip)
     return parser
-
-
-def _add_drop_options(parser: argparse.ArgumentParser) -> None:
-    defaults = DropParameters()
-    helps = {
-        "height": "drop height above the wall [m]",
-        "phase": "the samples are at (k + phase) period after release, in [0, 1)",
-        "period": "sample period [s]",
-        "delay": "from a sample to its command taking effect [s]",
-        "stiffness": "wall stiffness [N/m]",
-        "damping": "wall damping [N s/m]",
-        "pulse": "further damping in the braking pulse [N s/m]; 0 for none",
-        "pulse_width": "how long the pulse lasts [s]",
-        "mass": "moving mass [kg]",
-        "force_limit": "largest force of the actuators along z [N]; the device's is 60",
-        "quantize": "resolution of the position sensor [m]",
-        "duration": "simulated time from release [s]",
-    }
-    parser.add_argument("--plant", default=defaults.plant, help=f"{' or '.join(PLANTS)} (default {defaults.plant})")
-    for name, text in helps.items():
-        default = getattr(defaults, name)
-        shown = "none" if default is None else f"{default:g}"
-        parser.add_argument(
-            f"--{name.replace('_', '-')}", type=_number, default=default, metavar="X", help=f"{text} (default {shown})"
-        )
-    parser.add_argument(
-        "--carry",
-        action="store_true",
-        help="carry the braking that the force limit cuts off over to the next samples; otherwise it is lost",
-    )
-    parser.add_argument("--phases", type=_count, metavar="N", help="also sweep N phases, evenly spread over a period")
-    parser.add_argument(
-        "--json", metavar="FILE", help="write parameters, motion and figures as JSON; - for standard output"
-    )
-    parser.add_argument("--out", metavar="DIR", type=Path, help="write pictures to this folder")
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"must be a number, not {text!r}") from None
-
-
-def _count(text: str) -> int:
-    try:
-        return int(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"must be a whole number, not {text!r}") from None
 
 
 def _info(options: argparse.Namespace) -> int:
@@ -151,6 +81,29 @@ def _drop(options: argparse.Namespace) -> int:
     pictures = [] if options.out is None else study.draw(options.out)
     if options.json != "-":
         print(drop_table(study.labels, study.results, study.sweeps, study.gap()))
+        for path in pictures:
+            print(f"  wrote {path}")
+    return 0
+
+
+def _stick_slip(options: argparse.Namespace) -> int:
+    parameters = StickSlipParameters(
+        **{field.name: getattr(options, field.name) for field in fields(StickSlipParameters)}
+    )
+    try:
+        result = run_stick_slip(parameters)
+    except DivergenceError as error:
+        _keep_partial(error, options)
+        raise
+    if options.json is not None:
+        _write_json(options.json, result.as_json())
+    pictures = []
+    if options.out is not None:
+        charts.require()
+        options.out.mkdir(parents=True, exist_ok=True)
+        pictures.append(charts.stick_slip(result, options.out / "stick_slip.png"))
+    if options.json != "-":
+        print(stick_slip_table(result))
         for path in pictures:
             print(f"  wrote {path}")
     return 0
@@ -197,7 +150,7 @@ class _DropStudy:
 
 def _keep_partial(error: DivergenceError, options: argparse.Namespace) -> None:
     """Write what was recorded before the run diverged."""
-    if isinstance(error.partial, DropResult) and options.json is not None:
+    if error.partial is not None and options.json is not None:
         _write_json(options.json, {**error.partial.as_json(), "diverged": str(error)})
 
 

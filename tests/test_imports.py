@@ -21,11 +21,13 @@ FLOORS = {
     "plants": 4,
     "loop": 5,
     "exact": 5,
+    "karnopp": 5,
     "metrics": 5,
     "experiments": 6,
     "report": 7,
     "charts": 7,
     "tables": 8,
+    "options": 8,
     "cli": 9,
 }
 ALLOWED = {

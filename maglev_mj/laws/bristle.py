@@ -168,7 +168,7 @@ class HaywardArmstrong(_Bristle):
         fourth = square * square
         eighth = fourth * fourth
         alpha = eighth / (self.stick**8 + eighth) / limit
-        followed = moved - alpha * abs(travel) * moved
+        followed = moved / (1.0 + alpha * abs(travel))  # implicit: never past the flotor, however long the travel
         return choose(followed > limit, limit, choose(followed < -limit, -limit, followed))
 
 

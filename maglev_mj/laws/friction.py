@@ -74,8 +74,9 @@ class Friction(ABC):
         object.__setattr__(self, "batch", batch_shape("friction", values.values()))
         object.__setattr__(self, "_of_axis", of_axis)
 
-    def start(self) -> None:
+    def start(self) -> tuple[FrictionState, ...] | None:
         """Return the state before the first sample: none; at the first sample the law sticks where it is."""
+        return None
 
     def begin(self, position: Component) -> FrictionState:
         """Return the state of one axis at the first sample: stuck, unstretched."""

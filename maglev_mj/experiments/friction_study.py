@@ -1,0 +1,184 @@
+"""What friction laws do where they are tried hardest: small load cycles, creeping loads, speed, closed cycles."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from maglev_mj.controller import Controller
+from maglev_mj.experiments.stick_slip import LAWS, VELOCITIES
+from maglev_mj.frames import Array, Command, Component, Sample
+from maglev_mj.laws import Friction
+from maglev_mj.loop import run
+from maglev_mj.plants import ExactPlant, Timing
+
+__all__ = ["LoadOutcome", "chatter", "creep", "cycle_work", "friction_law", "mean_friction", "under_load"]
+
+STIFFNESS, DAMPING, BREAKAWAY, V_MIN = 6000.0, 80.0, 2.0, 0.005
+"""Figure 8's values [N/m, N s/m, N, m/s]: what the functions here use unless told otherwise."""
+
+
+def friction_law(name: str, period: float, *, damping: float = DAMPING, stiffness: float = STIFFNESS) -> Friction:
+    """Return a friction law along x by its name in LAWS, with figure 8's breakaway force and v_min."""
+    own = {} if name == "stick-slip" else {"period": period}
+    return LAWS[name](v_min=V_MIN, axes="x", stiffness=stiffness, damping=damping, breakaway=BREAKAWAY, **own)
+
+
+class _Load:
+    """A force along x that the controller adds, one value a sample; the last one stays."""
+
+    batch: tuple[int, ...] = ()
+    pulse_width = 0.0
+
+    def __init__(self, forces: Array) -> None:
+        self.forces: list[float] = forces.tolist()
+
+    def start(self) -> int:
+        """Return the number of the first sample."""
+        return 0
+
+    def __call__(
+        self, position: Sequence[Component], velocity: Sequence[Component], state: int, wrench: list[Component]
+    ) -> tuple[int, None]:
+        """Add the force of this sample; see `Law`."""
+        wrench[0] = wrench[0] + self.forces[min(state, len(self.forces) - 1)]
+        return state + 1, None
+
+
+class LoadOutcome(NamedTuple):
+    """What a law did under a load: at each sample, position [m], stick position [m], and whether it stuck."""
+
+    position: Array
+    anchor: Array
+    stuck: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
+
+    @property
+    def transitions(self) -> int:
+        """Changes between stuck and sliding."""
+        return int((self.stuck[1:] != self.stuck[:-1]).sum())
+
+
+def under_load(
+    name: str, forces: Array, *, period: float, delay: float, quantize: float = 0.0, velocity: str = "difference"
+) -> LoadOutcome:
+    """Put a force along x on a flotor at rest that a friction law holds, on the exact plant.
+
+    Args:
+        name: Name from LAWS.
+        forces: Force at each sample [N], (K,).
+        period: Sample period [s].
+        delay: Transport delay [s].
+        quantize: Resolution of the sensor [m].
+        velocity: Name from VELOCITIES.
+    """
+    controller = Controller(
+        [friction_law(name, period), _Load(forces)], period=period, velocity=VELOCITIES[velocity](quantize)
+    )
+    rows: list[tuple[float, float, bool]] = []
+
+    def observe(sample: Sample, _: Command) -> None:
+        (state,) = controller.states[0]
+        rows.append((sample.position[0], float(state.anchor), bool(state.stuck)))
+
+    quantum = [quantize, 0.0, 0.0, 0.0, 0.0, 0.0] if quantize else None
+    # a law that drifts does so beyond the device's range too: that is what is measured
+    far = (1e6, 1e6)
+    with ExactPlant(Timing(period=period, delay=delay), gravity=0.0, quantum=quantum, escape=far) as plant:
+        run(plant, controller, len(forces), observe=observe)
+    return LoadOutcome(*(np.array(column) for column in zip(*rows, strict=True)))
+
+
+def creep(
+    name: str, *, period: float, delay: float, cycles: int = 1000, mean: float = 0.3, amplitude: float = 0.3
+) -> float:
+    """Return how far the flotor drifts over small load cycles that never reach the breakaway force [m].
+
+    The load is mean + amplitude sin, at 20 Hz; the first 20 cycles settle and are not counted.
+
+    Args:
+        name: Name from LAWS.
+        period: Sample period [s].
+        delay: Transport delay [s].
+        cycles: Cycles counted.
+        mean: Mean load [N].
+        amplitude: Amplitude of the load [N].
+    """
+    length = round(0.05 / period)
+    ticks = np.arange((cycles + 20) * length + 1)
+    forces = mean + amplitude * np.sin(2.0 * np.pi * ticks / length)
+    position = under_load(name, forces, period=period, delay=delay).position
+    return float(position[-1] - position[20 * length])
+
+
+def chatter(
+    name: str,
+    *,
+    period: float,
+    delay: float,
+    load: float = 1.02 * BREAKAWAY,
+    rise: float = 1.0,
+    duration: float = 0.1,
+    quantize: float = 0.0,
+    velocity: str = "difference",
+) -> int:
+    """Return how often a law changes state under a load that rises slowly to just above its breakaway force.
+
+    Args:
+        name: Name from LAWS.
+        period: Sample period [s].
+        delay: Transport delay [s].
+        load: Load at the end [N].
+        rise: How long it takes to rise there from 0 [s].
+        duration: How long it stays there [s].
+        quantize: Resolution of the sensor [m].
+        velocity: Name from VELOCITIES.
+    """
+    ticks = np.arange(round((rise + duration) / period))
+    forces = load * np.minimum(ticks * period / rise, 1.0)
+    outcome = under_load(name, forces, period=period, delay=delay, quantize=quantize, velocity=velocity)
+    return outcome.transitions
+
+
+def mean_friction(name: str, speed: float, *, period: float, travel: float = 0.02) -> float:
+    """Return the mean friction against a steady motion [N], viscous damping apart, after breakaway."""
+    positions = np.arange(0.0, travel, speed * period)
+    forces = _driven(friction_law(name, period, damping=0.0), positions, period)
+    return float(-np.mean(forces[len(forces) // 4 :]))
+
+
+def cycle_work(name: str, amplitude: float, *, period: float, frequency: float = 5.0, cycles: int = 40) -> float:
+    """Return the work that a law does on a hand that moves it to and fro, a cycle [J]; above 0 it makes energy.
+
+    Each force is held for one period while the hand moves on; there is no viscous damping. The first quarter of
+    the cycles is not counted.
+
+    Args:
+        name: Name from LAWS.
+        amplitude: Amplitude of the motion [m].
+        period: Sample period [s].
+        frequency: Frequency of the motion [Hz].
+        cycles: Cycles moved.
+    """
+    length = round(1.0 / frequency / period)
+    positions = amplitude * np.sin(2.0 * np.pi * np.arange(cycles * length + 1) / length)
+    forces = _driven(friction_law(name, period, damping=0.0), positions, period)
+    first = cycles // 4
+    return float(np.sum((forces[:-1] * np.diff(positions))[first * length :]) / (cycles - first))
+
+
+def _driven(law: Friction, positions: Array, period: float) -> Array:
+    """Return the force of a law at each sample of a prescribed motion along x."""
+    controller = Controller([law], period=period)
+    forces = [
+        controller.step(Sample(tick, tick * period, [place, 0.0, 0.0, 0.0, 0.0, 0.0])).force[0]
+        for tick, place in enumerate(positions.tolist())
+    ]
+    return np.array(forces)
+
+
+def hop_speed(period: float) -> float:
+    """Return the speed above which a spring that resets gives no mean friction [m/s]: breakaway / (stiffness T)."""
+    return BREAKAWAY / (STIFFNESS * period) if period > 0.0 else math.inf

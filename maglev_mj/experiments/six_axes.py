@@ -1,0 +1,126 @@
+"""All six axes in stick-slip while a hand moves the flotor: figure 9 of Salcudean and Vlaar (1997)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from maglev_mj.controller import Controller
+from maglev_mj.frames import Array, Command, Component, Sample
+from maglev_mj.laws import StickSlip
+from maglev_mj.loop import run
+from maglev_mj.parameters import number
+from maglev_mj.plants import ExactPlant, MuJoCoPlant, Timing
+from maglev_mj.spec import Spec
+
+__all__ = ["SixAxesResult", "run_six_axes"]
+
+_INERTIA = np.array([Spec.moving_mass.value] * 3 + [Spec.tilt_inertia.value] * 2 + [Spec.spin_inertia.value])
+_RADIUS = np.sqrt(_INERTIA / Spec.moving_mass.value)
+"""1 for a translation, the radius of gyration for a rotation: scales figure 8's values to every axis."""
+
+
+class _Hand:
+    """A spring on each axis whose far end moves smoothly: a sum of three seeded sines, slow enough to stick."""
+
+    batch: tuple[int, ...] = ()
+    pulse_width = 0.0
+
+    def __init__(self, seed: int, period: float, ticks: int, stiffness: Array, reach: Array) -> None:
+        random = np.random.default_rng(seed)
+        frequency = random.uniform(0.1, 0.6, (3, 6))
+        phase = random.uniform(0.0, 2.0 * math.pi, (3, 6))
+        time = np.arange(ticks + 1)[:, None, None] * period
+        waves = np.sin(2.0 * math.pi * frequency * time + phase) - np.sin(phase)
+        self.targets: list[list[float]] = (reach / 3.0 * waves.sum(axis=1)).tolist()
+        self.stiffness: list[float] = stiffness.tolist()
+
+    def start(self) -> int:
+        """Return the number of the first sample."""
+        return 0
+
+    def __call__(
+        self, position: Sequence[Component], velocity: Sequence[Component], state: int, wrench: list[Component]
+    ) -> tuple[int, None]:
+        """Pull towards the hand; see `Law`."""
+        for axis, (stiffness, target) in enumerate(zip(self.stiffness, self.targets[state])):
+            wrench[axis] = wrench[axis] + stiffness * (target - position[axis])
+        return state + 1, None
+
+
+@dataclass(frozen=True, eq=False)
+class SixAxesResult:
+    """What the samples saw.
+
+    Attributes:
+        time: Sample times [s], (K,).
+        position: Positions [m, rad], (K, 6).
+        anchor: Stick positions [m, rad], (K, 6).
+        stuck: Whether each axis sticks, (K, 6).
+        expected_resolution: breakaway / stiffness of each axis [m, rad], (6,).
+    """
+
+    time: Array
+    position: Array
+    anchor: Array
+    stuck: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
+    expected_resolution: Array
+
+    @property
+    def resolution(self) -> Array:
+        """Greatest distance from the stick position at which each axis still stuck [m, rad], (6,)."""
+        stretch: Array = np.where(self.stuck, np.abs(self.position - self.anchor), 0.0).max(axis=0)
+        return stretch
+
+    @property
+    def slips(self) -> Array:
+        """How often each axis broke away, (6,)."""
+        count: Array = (self.stuck[:-1] & ~self.stuck[1:]).sum(axis=0)
+        return count
+
+
+def run_six_axes(
+    *, plant: str = "mujoco", seed: int = 1, duration: float = 12.0, period: float = 0.005, delay: float = 0.0015
+) -> SixAxesResult:
+    """Move the flotor about by a smooth seeded hand, with figure 8's stick-slip on every axis.
+
+    On rotation axes figure 8's values are taken at the radius of gyration. Gravity is compensated.
+
+    Args:
+        plant: "mujoco" or "exact".
+        seed: Seed of the hand's motion.
+        duration: Simulated time [s].
+        period: Sample period [s].
+        delay: Transport delay [s].
+
+    Raises:
+        ParameterError: If a value is outside its bounds.
+    """
+    ticks = max(round(number("duration", duration, above=0.0, at_most=1000.0) / number("period", period, above=0.0)), 1)
+    stiffness, breakaway = 6000.0 * _RADIUS**2, 2.0 * _RADIUS
+    law = StickSlip(stiffness=stiffness, damping=80.0 * _RADIUS**2, breakaway=breakaway, v_min=0.005 / _RADIUS)
+    # the hand reaches as far as the device goes: 3.5 mm, and 4.5 degrees
+    reach = np.array([3.5e-3] * 3 + [math.radians(4.5)] * 3)
+    hand = _Hand(seed, period, ticks, 1500.0 * _RADIUS**2, reach)
+    controller = Controller([law, hand], period=period)
+    rows: list[tuple[float, list[float], list[float], list[bool]]] = []
+
+    def observe(sample: Sample, _: Command) -> None:
+        states = controller.states[0]
+        rows.append(
+            (
+                float(sample.time),
+                list(sample.position),
+                [state.anchor for state in states],
+                [bool(state.stuck) for state in states],
+            )
+        )
+
+    kind = ExactPlant if plant == "exact" else MuJoCoPlant
+    with kind(Timing(period=period, delay=delay), gravity=0.0) as device:
+        run(device, controller, ticks, observe=observe)
+    time, position, anchor, stuck = (np.array(column) for column in zip(*rows, strict=True))
+    return SixAxesResult(time, position, anchor, stuck, breakaway / stiffness)

@@ -1,0 +1,18 @@
+"""Figure 9: all six axes in stick-slip while a smooth seeded hand moves the flotor, a staircase on each axis."""
+
+import sys
+from pathlib import Path
+
+from maglev_mj import AXES, charts
+from maglev_mj.experiments.six_axes import run_six_axes
+
+folder = Path(sys.argv[1] if len(sys.argv) > 1 else "figures")
+folder.mkdir(parents=True, exist_ok=True)
+
+result = run_six_axes()
+print(f"{'axis':>6}{'slips':>8}{'resolution':>14}{'breakaway / stiffness':>24}")
+for index, axis in enumerate(AXES):
+    measured, expected = result.resolution[index] * 1e3, result.expected_resolution[index] * 1e3
+    unit = "mm" if index < 3 else "mrad"
+    print(f"{axis:>6}{result.slips[index]:>8}{measured:>14.4f}{expected:>24.4f} {unit}")
+print("wrote", charts.staircase(result, folder / "fig9_six_axes.png"))
