@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,16 @@ from maglev_mj.experiments.six_axes import SixAxesResult
 from maglev_mj.experiments.stick_slip import StickSlipResult, exact_stick_slip
 from maglev_mj.frames import AXES
 
-__all__ = ["ChartsMissingError", "phase_plane", "phases", "require", "staircase", "stick_slip", "time_series"]
+__all__ = [
+    "ChartsMissingError",
+    "friction_laws",
+    "phase_plane",
+    "phases",
+    "require",
+    "staircase",
+    "stick_slip",
+    "time_series",
+]
 
 _WITH, _WITHOUT, _IDEAL, _GRID = "#0b6e99", "#d1495b", "#5a5f66", "#e3e5e8"
 
@@ -191,6 +200,37 @@ def staircase(result: SixAxesResult, path: Path) -> Path:
     for panel in panels[-2:]:
         panel.set_xlabel("time (s)")
     panels[0].legend(frameon=False, loc="best")
+    return _save(figure, path)
+
+
+def friction_laws(rows: Sequence[Mapping[str, Any]], path: Path) -> Path:
+    """Draw the error of each friction law over the rate, for an ideal and a quantized sensor.
+
+    Args:
+        rows: Each with law, rate [Hz], quantize [m], velocity (an estimator's name) and error [m].
+        path: PNG to write.
+
+    Raises:
+        ChartsMissingError: If matplotlib is not installed.
+    """
+    cases = [(0.0, "difference"), (5e-6, "difference"), (5e-6, "low-pass"), (5e-6, "adaptive")]
+    figure, panels = _figure(1, len(cases), (13.0, 4.2), sharex=True, sharey=True)
+    colors = ("#0b6e99", "#d1495b", "#7a8b3c", "#8d6cab", "#e3973b", "#4f5a65", "#3aa6a0")
+    names = list(dict.fromkeys(row["law"] for row in rows))
+    for panel, (quantize, velocity) in zip(panels, cases, strict=True):
+        for name, color in zip(names, colors, strict=False):
+            chosen = [r for r in rows if (r["law"], r["quantize"], r["velocity"]) == (name, quantize, velocity)]
+            rates, errors = [r["rate"] for r in chosen], [r["error"] * 1e3 for r in chosen]
+            panel.loglog(rates, errors, color=color, marker="o", markersize=4, linewidth=1.5, label=name)
+        sensor = "ideal sensor" if quantize == 0.0 else "5 µm sensor"
+        panel.set_title(f"{sensor}, {velocity}", loc="left", fontsize=10.5)
+        panel.set_xlabel("rate (Hz)")
+        ticks = sorted({row["rate"] for row in rows})
+        panel.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+        panel.minorticks_off()
+        panel.set_yticks([0.05, 0.1, 0.2, 0.5, 1.0], ["0.05", "0.1", "0.2", "0.5", "1"])
+    panels[0].set_ylabel("greatest error (mm)")
+    figure.legend(*panels[0].get_legend_handles_labels(), frameon=False, loc="outside lower center", ncols=len(names))
     return _save(figure, path)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -11,6 +12,7 @@ import pytest
 
 from maglev_mj import cli
 from maglev_mj.experiments.drop import DropParameters, run_drop
+from maglev_mj.experiments.stick_slip import LAWS, VELOCITIES
 
 
 def test_drop_prints_one_screen(capsys: pytest.CaptureFixture[str]) -> None:
@@ -131,6 +133,83 @@ def test_the_table_shows_the_sweep_as_it_is(capsys: pytest.CaptureFixture[str]) 
 def test_a_file_that_cannot_be_written_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["drop", "--json", str(tmp_path / "no" / "such" / "folder.json")]) == 1
     assert "folder.json" in capsys.readouterr().err
+
+
+def test_stick_slip_prints_one_screen_and_writes_json_and_a_picture(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("matplotlib")
+    target = tmp_path / "run.json"
+    assert cli.main(["stick-slip", "--json", str(target), "--out", str(tmp_path)]) == 0
+    out = capsys.readouterr().out
+    for words in ("peak speed", "sticks last at", "161.1809", "Karnopp", "stick_slip.png"):
+        assert words in out
+    assert len(out.splitlines()) <= 24
+    data = json.loads(target.read_text())
+    series = ("time", "position", "velocity", "stick_position", "state", "force")
+    assert list(data) == ["parameters", *series, "events", "summary"]
+    assert all(len(data[name]) == 301 for name in series)
+    assert [(event["kind"], set(event)) for event in data["events"]] == [
+        ("slip", {"time", "kind", "position"}),
+        ("stick", {"time", "kind", "position"}),
+    ]
+    assert set(data["summary"]) == {
+        "peak_speed",
+        "stick_time",
+        "stick_position",
+        "final_position",
+        "transitions",
+        "ripple",
+    }
+    assert data["parameters"]["spring"] == 1000.0
+    assert data["state"][0] == "stuck"
+    assert "sliding" in data["state"]
+    assert (tmp_path / "stick_slip.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [[f"--law={law}", "--plant=exact"] for law in LAWS]
+    + [[f"--velocity={name}", "--axis=ry", "--quantize=1e-5", "--period=0.001"] for name in VELOCITIES],
+)
+def test_stick_slip_runs_every_law_velocity_and_axis(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["stick-slip", *arguments, "--json", "-"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert abs(data["summary"]["final_position"]) > 0.0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--law", "glue"], "law must be one of stick-slip, spring-reset, dahl, .*, not 'glue'"),
+        (["--velocity", "guess"], "velocity must be one of difference, low-pass, adaptive, not 'guess'"),
+        (["--axis", "w"], "axis must be one of x, y, z, rx, ry, rz, not 'w'"),
+        (["--breakaway", "0"], "breakaway must be a finite number above 0 .* not 0.0"),
+        (["--v-min", "-1e-3"], "v_min must be a finite number above 0 .* not -0.001"),
+        (["--spring", "nan"], "spring must be .* not nan"),
+        (["--target", "x"], "argument --target: must be a number, not 'x'"),
+    ],
+)
+def test_bad_stick_slip_input_gets_one_line_and_status_2(
+    arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    try:
+        status = cli.main(["stick-slip", *arguments])
+    except SystemExit as exit_:
+        status = int(exit_.code or 0)
+    captured = capsys.readouterr()
+    assert status == 2
+    assert captured.out == ""
+    assert re.search(words, captured.err)
+    assert len(captured.err.splitlines()) == 1
+
+
+def test_a_diverging_stick_slip_keeps_its_record(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    target = tmp_path / "run.json"
+    arguments = ["stick-slip", "--spring", "30000", "--duration", "2", "--json", str(target)]
+    assert cli.main(arguments) == 1
+    assert "a run has diverged" in capsys.readouterr().err
+    assert "diverged" in json.loads(target.read_text())
 
 
 def test_info(capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import subprocess
 import sys
@@ -20,7 +21,7 @@ def run_script(name: str, *arguments: str) -> str:
     return done.stdout
 
 
-@pytest.mark.parametrize("name", ["fig3_drop", "fig4_phase_plane"])
+@pytest.mark.parametrize("name", ["fig3_drop", "fig4_phase_plane", "fig8_stick_slip", "fig9_six_axes"])
 def test_figures(name: str, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     assert f"{name}.png" in run_script(f"{name}.py", str(tmp_path))
@@ -39,6 +40,16 @@ def test_render_device(tmp_path: Path) -> None:
 def test_pulse_effect_prints_every_height_and_limit() -> None:
     out = run_script("pulse_effect.py")
     assert out.count("penetration") == out.count("rebound") == out.count("settling_time") == 12
+
+
+def test_friction_laws_prints_and_writes_every_law(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    out = run_script("friction_laws.py", "--quick", str(tmp_path))
+    data = json.loads((tmp_path / "friction_laws.json").read_text())
+    assert len(data["spring"]) == 7 * 2 * 4
+    assert len(data["hard"]) == 7 * 2 * 2
+    assert out.count("kikuuwe") == 5
+    assert (tmp_path / "friction_laws.png").stat().st_size > 10_000
 
 
 def test_bench_loop_prints_its_ratios() -> None:

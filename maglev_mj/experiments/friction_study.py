@@ -2,20 +2,37 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from maglev_mj.controller import Controller
-from maglev_mj.experiments.stick_slip import LAWS, VELOCITIES
+from maglev_mj.experiments.stick_slip import (
+    LAWS,
+    VELOCITIES,
+    StickSlipParameters,
+    exact_stick_slip,
+    run_stick_slip,
+)
 from maglev_mj.frames import Array, Command, Component, Sample
 from maglev_mj.laws import Friction
 from maglev_mj.loop import run
 from maglev_mj.plants import ExactPlant, Timing
 
-__all__ = ["LoadOutcome", "chatter", "creep", "cycle_work", "friction_law", "mean_friction", "under_load"]
+__all__ = [
+    "LoadOutcome",
+    "SpringOutcome",
+    "against_exact",
+    "chatter",
+    "creep",
+    "cycle_work",
+    "exact_motion",
+    "friction_law",
+    "mean_friction",
+    "under_load",
+]
 
 STIFFNESS, DAMPING, BREAKAWAY, V_MIN = 6000.0, 80.0, 2.0, 0.005
 """Figure 8's values [N/m, N s/m, N, m/s]: what the functions here use unless told otherwise."""
@@ -62,7 +79,14 @@ class LoadOutcome(NamedTuple):
 
 
 def under_load(
-    name: str, forces: Array, *, period: float, delay: float, quantize: float = 0.0, velocity: str = "difference"
+    name: str,
+    forces: Array,
+    *,
+    period: float,
+    delay: float,
+    quantize: float = 0.0,
+    velocity: str = "difference",
+    stiffness: float = STIFFNESS,
 ) -> LoadOutcome:
     """Put a force along x on a flotor at rest that a friction law holds, on the exact plant.
 
@@ -73,9 +97,12 @@ def under_load(
         delay: Transport delay [s].
         quantize: Resolution of the sensor [m].
         velocity: Name from VELOCITIES.
+        stiffness: Stiffness of the law [N/m].
     """
     controller = Controller(
-        [friction_law(name, period), _Load(forces)], period=period, velocity=VELOCITIES[velocity](quantize)
+        [friction_law(name, period, stiffness=stiffness), _Load(forces)],
+        period=period,
+        velocity=VELOCITIES[velocity](quantize),
     )
     rows: list[tuple[float, float, bool]] = []
 
@@ -92,7 +119,14 @@ def under_load(
 
 
 def creep(
-    name: str, *, period: float, delay: float, cycles: int = 1000, mean: float = 0.3, amplitude: float = 0.3
+    name: str,
+    *,
+    period: float,
+    delay: float,
+    cycles: int = 1000,
+    mean: float = 0.3,
+    amplitude: float = 0.3,
+    quantize: float = 0.0,
 ) -> float:
     """Return how far the flotor drifts over small load cycles that never reach the breakaway force [m].
 
@@ -105,11 +139,12 @@ def creep(
         cycles: Cycles counted.
         mean: Mean load [N].
         amplitude: Amplitude of the load [N].
+        quantize: Resolution of the sensor [m].
     """
     length = round(0.05 / period)
     ticks = np.arange((cycles + 20) * length + 1)
     forces = mean + amplitude * np.sin(2.0 * np.pi * ticks / length)
-    position = under_load(name, forces, period=period, delay=delay).position
+    position = under_load(name, forces, period=period, delay=delay, quantize=quantize).position
     return float(position[-1] - position[20 * length])
 
 
@@ -149,7 +184,9 @@ def mean_friction(name: str, speed: float, *, period: float, travel: float = 0.0
     return float(-np.mean(forces[len(forces) // 4 :]))
 
 
-def cycle_work(name: str, amplitude: float, *, period: float, frequency: float = 5.0, cycles: int = 40) -> float:
+def cycle_work(
+    name: str, amplitude: float, *, period: float, frequency: float = 5.0, cycles: int = 40, quantize: float = 0.0
+) -> float:
     """Return the work that a law does on a hand that moves it to and fro, a cycle [J]; above 0 it makes energy.
 
     Each force is held for one period while the hand moves on; there is no viscous damping. The first quarter of
@@ -161,10 +198,12 @@ def cycle_work(name: str, amplitude: float, *, period: float, frequency: float =
         period: Sample period [s].
         frequency: Frequency of the motion [Hz].
         cycles: Cycles moved.
+        quantize: Resolution of the sensor [m].
     """
     length = round(1.0 / frequency / period)
     positions = amplitude * np.sin(2.0 * np.pi * np.arange(cycles * length + 1) / length)
-    forces = _driven(friction_law(name, period, damping=0.0), positions, period)
+    seen = np.rint(positions / quantize) * quantize if quantize else positions
+    forces = _driven(friction_law(name, period, damping=0.0), seen, period)
     first = cycles // 4
     return float(np.sum((forces[:-1] * np.diff(positions))[first * length :]) / (cycles - first))
 
@@ -179,6 +218,54 @@ def _driven(law: Friction, positions: Array, period: float) -> Array:
     return np.array(forces)
 
 
-def hop_speed(period: float) -> float:
-    """Return the speed above which a spring that resets gives no mean friction [m/s]: breakaway / (stiffness T)."""
-    return BREAKAWAY / (STIFFNESS * period) if period > 0.0 else math.inf
+SLIDING_SHARE = {"stick-slip": 0.0, "spring-reset": 0.0, "lugre": 0.8}
+"""Friction in steady sliding that a law stands for, as a share of breakaway; 1 for the others.
+
+The spring that resets is meant as stick-slip; what it gives is a sawtooth.
+"""
+
+
+class SpringOutcome(NamedTuple):
+    """Figure 8's case with one law: how far from the exact motion, and how restless."""
+
+    error: float
+    """Greatest distance from the exact motion of the friction that the law stands for [m]."""
+    final_error: float
+    """The same at the end [m]."""
+    transitions: int
+    ripple: float
+
+
+def against_exact(
+    name: str, *, period: float, delay: float, quantize: float = 0.0, velocity: str = "difference"
+) -> SpringOutcome:
+    """Run figure 8's case with one law on the exact plant and compare it with exact friction.
+
+    Stick-slip and spring reset are held against Karnopp's friction, the others against Coulomb friction, under which
+    the spring pulls the flotor towards the point where it equals the friction.
+
+    Args:
+        name: Name from LAWS.
+        period: Sample period [s].
+        delay: Transport delay [s].
+        quantize: Resolution of the sensor [m].
+        velocity: Name from VELOCITIES.
+    """
+    parameters = StickSlipParameters(
+        plant="exact", law=name, period=period, delay=delay, quantize=quantize, velocity=velocity
+    )
+    result = run_stick_slip(parameters)
+    series = result.series(1e-3)
+    gap = np.abs(series["position"] - exact_motion(name, series["time"]))
+    return SpringOutcome(float(gap.max()), float(gap[-1]), len(result.events), result.summary.ripple)
+
+
+def exact_motion(name: str, time: Array) -> Array:
+    """Return where exact friction of a law's kind has the flotor in figure 8's case [m], (M,)."""
+    parameters = StickSlipParameters()
+    share = SLIDING_SHARE.get(name, 1.0)
+    if share == 0.0:
+        return exact_stick_slip(parameters, time).position
+    # Coulomb friction against a motion that never turns back is a constant force: the spring's end moved by f / k
+    shifted = (parameters.target or 0.0) - share * BREAKAWAY / (parameters.spring or 1.0)
+    return exact_stick_slip(replace(parameters, target=shifted, breakaway=1e-9, v_min=1e-12), time).position

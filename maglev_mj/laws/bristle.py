@@ -15,13 +15,10 @@ from numpy.typing import ArrayLike
 
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Component
-from maglev_mj.laws.friction import Friction, FrictionState, apply, choose
+from maglev_mj.laws.friction import SLIDING_SHARE, Friction, FrictionState, apply, choose
 from maglev_mj.parameters import number
 
 __all__ = ["Dahl", "ElastoPlastic", "HaywardArmstrong", "LuGre"]
-
-_SLIDING_SHARE = 0.95
-"""A bristle nears its limit without ever reaching it: from this share of it on the axis counts as sliding."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -47,7 +44,7 @@ class _Bristle(Friction):
         last, before = (position, 0.0) if state.memory is None else state.memory
         z = self.stretch(before, position - last, velocity, parameters)
         force = self.force(before, z, velocity, parameters)
-        sticks = parameters["stiffness"] * abs(z) < _SLIDING_SHARE * parameters["breakaway"]
+        sticks = parameters["stiffness"] * abs(z) < SLIDING_SHARE * parameters["breakaway"]
         return force, FrictionState(sticks, position - z, (position, z))
 
 

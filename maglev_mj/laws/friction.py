@@ -20,6 +20,13 @@ from maglev_mj.parameters import axis_indices, batch_shape, number, numbers, per
 __all__ = ["Friction", "FrictionState", "ImplicitCoulomb", "SpringReset", "StickSlip", "apply", "choose"]
 
 
+SLIDING_SHARE = 0.95
+"""Share of its limit from which on a force counts as sliding friction.
+
+A bristle nears its limit without ever reaching it, and a quantized position makes a sliding one rest for a sample.
+"""
+
+
 class FrictionState(NamedTuple):
     """What a friction law remembers of one axis."""
 
@@ -229,9 +236,8 @@ class ImplicitCoulomb(Friction):
         limit = parameters["breakaway"]
         force = choose(trial > limit, limit, choose(trial < -limit, -limit, trial))
         stretch = (force + drag * before) / stiff
-        sticks = abs(trial) <= limit
-        anchor = choose(sticks, state.anchor, position - stretch)
-        return -force, FrictionState(sticks, anchor, stretch)
+        anchor = choose(abs(trial) <= limit, state.anchor, position - stretch)
+        return -force, FrictionState(abs(trial) < SLIDING_SHARE * limit, anchor, stretch)
 
 
 def choose(mask: Component, yes: Component, no: Component) -> Component:

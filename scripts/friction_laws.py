@@ -1,0 +1,120 @@
+"""Friction laws compared: figure 8's case and four hard tests, from 200 Hz to 5 kHz, at the same delay.
+
+Prints two tables, writes every figure to friction_laws.json and a picture to friction_laws.png.
+"""
+
+import json
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+from maglev_mj import Controller, Sample, charts
+from maglev_mj.experiments.friction_study import against_exact, chatter, creep, cycle_work, friction_law, mean_friction
+from maglev_mj.experiments.stick_slip import LAWS
+
+QUICK = "--quick" in sys.argv  # two rates and fewer load cycles
+RATES = (200, 1000) if QUICK else (200, 500, 1000, 2000, 5000)
+CASES = (
+    ("ideal, difference", 0.0, "difference"),
+    ("5 µm, difference", 5e-6, "difference"),
+    ("5 µm, low-pass", 5e-6, "low-pass"),
+    ("5 µm, adaptive", 5e-6, "adaptive"),
+)
+DELAY = 0.0015
+CYCLES = 50 if QUICK else 200
+
+
+def microseconds(name: str, period: float) -> float:
+    """Return the cost of one controller tick with this law alone [µs], the least of five runs."""
+    samples = [Sample(k, k * period, [1e-3 * (k % 7), 0.0, 0.0, 0.0, 0.0, 0.0]) for k in range(2000)]
+    costs = []
+    for _ in range(5):
+        controller = Controller([friction_law(name, period)], period=period)
+        start = time.perf_counter()
+        for sample in samples:
+            controller.step(sample)
+        costs.append((time.perf_counter() - start) / len(samples) * 1e6)
+    return min(costs)
+
+
+def spring_rows() -> list[dict[str, Any]]:
+    """Return figure 8's case for each law, rate, sensor and, with the quantized one, velocity estimate."""
+    rows = []
+    for name in LAWS:
+        for rate in RATES:
+            for quantize, velocity in (
+                (0.0, "difference"),
+                (5e-6, "difference"),
+                (5e-6, "low-pass"),
+                (5e-6, "adaptive"),
+            ):
+                outcome = against_exact(name, period=1 / rate, delay=DELAY, quantize=quantize, velocity=velocity)
+                rows.append(
+                    {"law": name, "rate": rate, "quantize": quantize, "velocity": velocity, **outcome._asdict()}
+                )
+    return rows
+
+
+def hard_rows() -> list[dict[str, Any]]:
+    """Return the hard tests for each law at each rate, with the ideal sensor and the quantized one."""
+    rows = []
+    for name in LAWS:
+        for rate in RATES:
+            period, cost = 1 / rate, microseconds(name, 1 / rate)
+            for quantize in (0.0, 5e-6):
+                rows.append(
+                    {
+                        "law": name,
+                        "rate": rate,
+                        "quantize": quantize,
+                        "creep": creep(name, period=period, delay=DELAY, cycles=CYCLES, quantize=quantize),
+                        "chatter": chatter(name, period=period, delay=DELAY, quantize=quantize),
+                        "friction_slow": mean_friction(name, 0.01, period=period),
+                        "friction_fast": mean_friction(name, 0.1, period=period),
+                        "work_stuck": cycle_work(name, 2e-4, period=period, quantize=quantize),
+                        "work_sliding": cycle_work(name, 1e-3, period=period, quantize=quantize),
+                        "microseconds": cost,
+                    }
+                )
+    return rows
+
+
+def main() -> None:
+    """Print the tables, write data and picture."""
+    folder = Path(next((argument for argument in sys.argv[1:] if not argument.startswith("--")), "figures"))
+    folder.mkdir(parents=True, exist_ok=True)
+    springs, hard = spring_rows(), hard_rows()
+    (folder / "friction_laws.json").write_text(json.dumps({"spring": springs, "hard": hard}, indent=1) + "\n")
+
+    print(f"Figure 8's case, delay {DELAY * 1e3:g} ms: greatest distance from exact friction in mm (changes of state)")
+    print(f"  {'law':<19}{'sensor, velocity':<20}" + "".join(f"{rate:>12} Hz" for rate in RATES))
+    for name in LAWS:
+        for label, quantize, velocity in CASES:
+            chosen = [r for r in springs if (r["law"], r["quantize"], r["velocity"]) == (name, quantize, velocity)]
+            cells = "".join(f"{r['error'] * 1e3:>10.3f} ({r['transitions']:>2})" for r in chosen)
+            print(f"  {name if velocity == 'difference' and not quantize else '':<19}{label:<20}{cells}")
+    print()
+    print(f"Hard tests at 200 Hz and 1 kHz: creep over {CYCLES} load cycles; changes of state at a load just above")
+    print(
+        "breakaway; mean friction at 10 and 100 mm/s; work a cycle, stuck and sliding (above 0: the law makes energy)"
+    )
+    print(
+        f"  {'law':<19}{'rate, sensor':<16}{'creep µm':>11}{'changes':>9}{'10 mm/s N':>11}{'100 mm/s N':>12}"
+        f"{'stuck µJ':>10}{'sliding µJ':>12}{'tick µs':>9}"
+    )
+    for r in hard:
+        if r["rate"] in (200, 1000):
+            where = f"{r['rate']} Hz, {'5 µm' if r['quantize'] else 'ideal'}"
+            print(
+                f"  {r['law']:<19}{where:<16}{r['creep'] * 1e6:>11.2f}{r['chatter']:>9}{r['friction_slow']:>11.2f}"
+                f"{r['friction_fast']:>12.2f}{r['work_stuck'] * 1e6:>10.2f}{r['work_sliding'] * 1e6:>12.0f}"
+                f"{r['microseconds']:>9.1f}"
+            )
+    print()
+    print("wrote", folder / "friction_laws.json")
+    print("wrote", charts.friction_laws(springs, folder / "friction_laws.png"))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,400 @@
+"""Friction: exact Karnopp, its emulation, the other laws and the velocity estimators, against closed forms."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from maglev_mj import AXES, Controller, Sample
+from maglev_mj.errors import ParameterError
+from maglev_mj.experiments.six_axes import run_six_axes
+from maglev_mj.experiments.stick_slip import LAWS, StickSlipParameters, exact_stick_slip, run_stick_slip
+from maglev_mj.frames import Array, components
+from maglev_mj.karnopp import karnopp
+from maglev_mj.laws import (
+    AdaptiveWindow,
+    Dahl,
+    ElastoPlastic,
+    Friction,
+    HaywardArmstrong,
+    ImplicitCoulomb,
+    LowPass,
+    LuGre,
+    SpringReset,
+    StickSlip,
+)
+from tests.closed_loop import largest_modulus
+
+T, K, F = 0.005, 6000.0, 2.0
+FIGURE_8: dict[str, Any] = {"spring": 1000.0, "damping": 80.0, "breakaway": 2.0, "v_min": 0.005, "mass": 0.7}
+
+
+# -- exact Karnopp ---------------------------------------------------------------------------------------
+
+
+def test_exact_karnopp_on_figure_8() -> None:
+    motion = karnopp(np.arange(0.0, 0.3, 1e-5), targets=[(0.0, 0.003)], **FIGURE_8)
+    assert motion.velocity.max() == pytest.approx(0.0310, abs=5e-5)
+    assert motion.time[motion.velocity.argmax()] == pytest.approx(0.0227, abs=5e-5)
+    slip, stick = motion.events
+    assert (slip.kind, slip.time, slip.position) == ("slip", 0.0, 0.0)
+    assert stick.kind == "stick"
+    assert stick.time == pytest.approx(0.1612, abs=5e-5)
+    assert stick.position == pytest.approx(2.6500e-3, abs=1e-9)  # 1e-6 of a millimetre and of the figure alike
+    assert motion.position[-1] == stick.position
+    assert motion.velocity[-1] == 0.0
+
+
+def test_exact_karnopp_satisfies_its_equation_while_sliding() -> None:
+    """M x'' = k_s (x_t - x) - k_v x' by central differences, through two jumps of the target."""
+    targets = [(0.0, 0.003), (0.05, -0.002), (0.6, 0.004)]
+    step = 1e-6
+    time = np.arange(0.001, 0.9, 1e-3) + 5e-4
+    before, now, after = (karnopp(time + shift, targets=targets, **FIGURE_8) for shift in (-step, 0.0, step))
+    away = (before.stuck == after.stuck) & ~now.stuck
+    end = np.select([time < 0.05, time < 0.6], [0.003, -0.002], 0.004)
+    force = 1000.0 * (end - now.position) - 80.0 * now.velocity
+    acceleration = (after.velocity - before.velocity) / (2 * step)
+    assert away.sum() > 300
+    np.testing.assert_allclose(0.7 * acceleration[away], force[away], atol=1e-6)
+    speed = (after.position - before.position) / (2 * step)
+    np.testing.assert_allclose(speed[away], now.velocity[away], atol=1e-9)
+    assert [event.kind for event in now.events] == ["slip", "stick", "slip", "stick"]
+
+
+def test_stuck_means_at_rest_below_breakaway() -> None:
+    motion = karnopp(np.linspace(0.0, 0.2, 50), targets=[(0.0, 0.0019)], **FIGURE_8)
+    assert motion.events == ()
+    assert not motion.position.any()
+    assert motion.stuck.all()
+    assert karnopp([0.2], targets=[(0.0, 0.0021)], **FIGURE_8).events[0].kind == "slip"
+
+
+@pytest.mark.parametrize("damping", [0.0, 2.0 * math.sqrt(700.0), 20.0])
+def test_every_kind_of_damping_has_its_closed_form(damping: float) -> None:
+    """Undamped, critically damped and underdamped against the matrix exponential by many small steps."""
+    options = FIGURE_8 | {"damping": damping, "breakaway": 0.1, "v_min": 1e-9}
+    end, count = 0.03, 4096
+    motion = karnopp([end], targets=[(0.0, 0.003)], **options)
+    h = end / count
+    matrix = np.array([[0.0, 1.0], [-1000.0 / 0.7, -damping / 0.7]]) * h
+    one = (
+        np.eye(2) + matrix + matrix @ matrix / 2 + matrix @ matrix @ matrix / 6 + np.linalg.matrix_power(matrix, 4) / 24
+    )
+    state = np.linalg.matrix_power(one, count) @ [-0.003, 0.0]
+    assert motion.position[0] == pytest.approx(0.003 + state[0], abs=1e-12)
+    assert motion.velocity[0] == pytest.approx(state[1], abs=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"targets": []}, "targets must start at 0"),
+        ({"targets": [(0.1, 1.0)]}, "targets must start at 0"),
+        ({"targets": [(0.0, 1.0), (0.0, 2.0)]}, "ascend"),
+        ({"spring": 0.0}, "spring must be a finite number above 0, not 0.0"),
+        ({"time": [0.2, 0.1]}, "ascending"),
+    ],
+)
+def test_exact_karnopp_refuses_bad_input(changes: dict[str, Any], words: str) -> None:
+    options: dict[str, Any] = {"time": [0.1], "targets": [(0.0, 0.003)]} | FIGURE_8 | changes
+    with pytest.raises(ParameterError, match=words):
+        karnopp(options.pop("time"), **options)
+
+
+# -- the emulation ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("plant", ["exact", "mujoco"])
+def test_emulation_breaks_away_once_and_sticks_once(plant: str) -> None:
+    result = run_stick_slip(StickSlipParameters(plant=plant))
+    assert [event.kind for event in result.events] == ["slip", "stick"]
+    exact = exact_stick_slip(result.parameters, np.array([0.3]))
+    assert abs(result.summary.final_position - exact.position[0]) < 1e-4
+    assert result.events[0].time < 5 * T
+    assert result.summary.ripple < 1e-5
+
+
+def test_a_full_period_of_delay_limit_cycles_as_the_stuck_loop_s_eigenvalues_say() -> None:
+    """Stuck, spring and law are one PD of 7000 N/m and 80 N s/m: stable at 1.5 ms, not at 5 ms; 2.96 ms between."""
+    for delay in (0.0, 0.0015, 0.0025, 0.0033, 0.004, 0.005):
+        modulus = largest_modulus(K + 1000.0, 80.0, period=T, delay=delay, mass=0.7)
+        summary = run_stick_slip(StickSlipParameters(plant="exact", delay=delay, duration=3.0)).summary
+        if modulus < 1.0:
+            assert delay <= 0.0025
+            assert summary.ripple < 1e-7
+            assert summary.transitions == 2
+        else:
+            assert delay >= 0.0033
+            assert summary.ripple > 2e-4
+            assert summary.transitions > 4
+    swing = run_stick_slip(StickSlipParameters(plant="exact", delay=0.005, duration=3.0)).series()["position"][-500:]
+    assert np.ptp(swing) == pytest.approx(1e-3, rel=0.35)  # the paper's notes say about 1 mm
+
+
+@pytest.mark.parametrize("axis", AXES)
+def test_every_axis_sticks_and_slips_as_x_does(axis: str) -> None:
+    """In units of the radius of gyration all six axes give one curve."""
+    along = run_stick_slip(StickSlipParameters(plant="exact", axis=axis))
+    reference = run_stick_slip(StickSlipParameters(plant="exact"))
+    radius = math.sqrt(along.parameters.inertia / 0.7)
+    for name in ("position", "velocity", "stick_position"):
+        np.testing.assert_allclose(along.series()[name] * radius, reference.series()[name], atol=1e-12)
+    assert len(along.events) == 2
+
+
+@pytest.mark.parametrize("axis", ["x", "rz"])
+@pytest.mark.parametrize("law", LAWS)
+def test_plants_agree_on_every_law(law: str, axis: str) -> None:
+    """Within 1e-12 m in translation; in rotation the coils turn by 4.7 degrees: 1e-4 rad."""
+    parameters = StickSlipParameters(plant="exact", law=law, axis=axis)
+    exact = run_stick_slip(parameters).series()["position"]
+    engine = run_stick_slip(replace(parameters, plant="mujoco")).series()["position"]
+    assert np.abs(engine - exact).max() < (1e-12 if axis == "x" else 1e-4)
+
+
+@pytest.mark.parametrize("plant", ["exact", "mujoco"])
+def test_resolution_of_figure_9_is_breakaway_over_stiffness(plant: str) -> None:
+    for seed in (1, 2, 3):
+        result = run_six_axes(plant=plant, seed=seed, duration=30.0)
+        np.testing.assert_allclose(result.resolution, result.expected_resolution, rtol=0.05)
+        assert (result.resolution <= result.expected_resolution).all()
+        assert (result.slips >= 3).all()
+    assert result.expected_resolution[0] == pytest.approx(0.333e-3, abs=1e-6)
+
+
+# -- laws against closed forms ---------------------------------------------------------------------------
+
+
+def drive(law: Friction, positions: Array, period: float = T) -> tuple[Array, Array]:
+    """Return force and stick position along x for a prescribed motion."""
+    controller = Controller([law], period=period)
+    forces, anchors = [], []
+    for tick, place in enumerate(positions.tolist()):
+        forces.append(controller.step(Sample(tick, tick * period, [place] + [0.0] * 5)).force[0])
+        anchors.append(float(controller.states[0][0].anchor))
+    return np.array(forces), np.array(anchors)
+
+
+def test_stick_slip_changes_state_once_a_sample() -> None:
+    law = StickSlip(axes="x", stiffness=K, breakaway=F, v_min=0.005)
+    force, anchor = drive(law, np.array([0.0, 3e-4, 4e-4, 4.1e-4, 4.2e-4, 3.0e-4]))
+    np.testing.assert_allclose(force, [0.0, -1.8, 0.0, 0.0, -0.06, 0.66], atol=1e-12)
+    np.testing.assert_allclose(anchor, [0.0, 0.0, 4e-4, 4.1e-4, 4.1e-4, 4.1e-4], atol=1e-15)
+
+
+def test_coupled_axes_break_away_by_their_norm() -> None:
+    """At 45 degrees each axis holds 1.7 N: more than 2 N together, less than 2 N alone."""
+    pose = [1.7 / K, 1.7 / K, 0.0, 0.0, 0.0, 0.0]
+    for coupled, expected in ((True, 0.0), (False, -1.7)):
+        law = StickSlip(axes=("x", "y"), stiffness=K, breakaway=F, v_min=0.005, coupled=coupled)
+        controller = Controller([law], period=T)
+        controller.step(Sample(0, 0.0, [0.0] * 6))
+        force = controller.step(Sample(1, T, pose)).force
+        assert force[:2] == pytest.approx([expected, expected])
+
+
+def test_coupled_friction_is_the_same_in_every_direction() -> None:
+    random = np.random.default_rng(3)
+    path = np.cumsum(random.normal(scale=1e-4, size=(200, 2)), axis=0)
+    turn = np.array([[0.8, -0.6], [0.6, 0.8]])
+
+    def forces(points: Array) -> Array:
+        law = StickSlip(axes=("x", "y"), stiffness=K, damping=80.0, breakaway=F, v_min=0.02, coupled=True)
+        controller = Controller([law], period=T)
+        steps = [controller.step(Sample(k, k * T, [*p, 0.0, 0.0, 0.0, 0.0])) for k, p in enumerate(points.tolist())]
+        return np.array([step.wrench[:2] for step in steps])
+
+    np.testing.assert_allclose(forces(path @ turn.T), forces(path) @ turn.T, atol=1e-10)
+    with pytest.raises(ParameterError, match="coupled axes share"):
+        StickSlip(axes=("x", "y"), stiffness=[K, K], breakaway=F, v_min=0.005, coupled=True)
+
+
+def test_spring_reset_is_a_sawtooth() -> None:
+    """At a slow speed the force rises to the limit and drops to 0: mean breakaway / 2."""
+    law = SpringReset(axes="x", stiffness=K, breakaway=F)
+    force, _ = drive(law, np.arange(0.0, 5e-3, 1e-7))
+    assert -force.min() == pytest.approx(F, rel=1e-3)
+    assert -force.mean() == pytest.approx(F / 2, rel=0.01)
+
+
+def test_dahl_is_its_closed_form_for_any_sampling() -> None:
+    """Z = z_c (1 - exp(-x / z_c)) from rest, however coarse the samples."""
+    limit = F / K
+    for count in (3, 30):
+        positions = np.linspace(0.0, 2e-3, count)
+        force, _ = drive(Dahl(axes="x", stiffness=K, breakaway=F), positions)
+        np.testing.assert_allclose(force, -F * (1.0 - np.exp(-positions / limit)), atol=1e-12)
+
+
+def test_lugre_slides_at_its_stribeck_curve_and_damps_its_bristle() -> None:
+    for speed in (0.002, 0.01, 0.1):
+        law = LuGre(axes="x", stiffness=K, breakaway=F, period=T, coulomb=0.6, stribeck=0.01)
+        force, _ = drive(law, np.arange(0.0, 0.05, speed * T))
+        expected = F * (0.6 + 0.4 * math.exp(-((speed / 0.01) ** 2)))
+        assert -force[-1] == pytest.approx(expected, rel=1e-9)
+    damped = LuGre(axes="x", stiffness=K, breakaway=F, period=T, bristle_damping=30.0)
+    plain = LuGre(axes="x", stiffness=K, breakaway=F, period=T)
+    step = np.array([0.0, 1e-5])
+    (_, one), (_, other) = drive(damped, step)[0], drive(plain, step)[0]
+    z = -other / K
+    assert one - other == pytest.approx(-30.0 * z / T)
+
+
+def test_elasto_plastic_is_a_spring_up_to_its_share_and_coulomb_beyond() -> None:
+    law = ElastoPlastic(axes="x", stiffness=K, breakaway=F, elastic=0.7)
+    inside = 0.69 * F / K * np.sin(np.linspace(0.0, 20.0, 400))
+    force, _ = drive(law, inside)
+    np.testing.assert_allclose(force, -K * inside, atol=1e-12)  # no drift at all
+    sliding, _ = drive(law, np.linspace(0.0, 5e-3, 500))
+    assert sliding[-1] == pytest.approx(-F, rel=1e-6)
+    assert (np.abs(sliding) <= F * (1 + 1e-12)).all()
+
+
+def test_hayward_armstrong_slides_at_breakaway_and_hardly_moves_when_stuck() -> None:
+    law = HaywardArmstrong(axes="x", stiffness=K, breakaway=F)
+    sliding, _ = drive(law, np.linspace(0.0, 5e-3, 5000))
+    assert sliding[-1] == pytest.approx(-F, rel=1e-6)
+    small = 0.2 * F / K * np.sin(np.linspace(0.0, 40.0 * math.pi, 4000))
+    _, anchor = drive(law, small)
+    assert np.abs(anchor).max() < 0.01 * F / K
+    far, _ = drive(law, np.array([0.0, 1e-2, 2e-2]))  # one sample's travel of many z_max: never past the flotor
+    assert (far <= 0.0).all()
+    assert (far >= -F).all()
+
+
+@pytest.mark.parametrize("element_damping", [0.0, 20.0])
+def test_implicit_coulomb_is_sat_of_the_implicit_spring_damper(element_damping: float) -> None:
+    """In stretch form: f = sat(F, (K + B/T)(e + dx) - B e / T), and e' from f = K e' + B (e' - e) / T."""
+    law = ImplicitCoulomb(axes="x", stiffness=K, breakaway=F, period=T, element_damping=element_damping)
+    path = np.cumsum(np.random.default_rng(5).normal(scale=1e-4, size=300))
+    force, _ = drive(law, path)
+    stretch, drag = 0.0, element_damping / T
+    for k in range(1, len(path)):
+        trial = (K + drag) * (stretch + path[k] - path[k - 1]) - drag * stretch
+        expected = min(max(trial, -F), F)
+        stretch = (expected + drag * stretch) / (K + drag)
+        assert force[k] == pytest.approx(-expected, abs=1e-9)
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_batch_of_1000_equals_single_devices_bit_for_bit(name: str) -> None:
+    count, ticks = 1000, 40
+    random = np.random.default_rng(9)
+    stiffness = random.uniform(1000.0, 8000.0, (count, 6))
+    damping, breakaway = random.uniform(0.0, 80.0, (count, 6)), random.uniform(0.5, 3.0, (count, 6))
+
+    def controller(device: Any) -> Controller:
+        own = {"v_min": 0.02, **({} if name == "stick-slip" else {"period": T})}
+        chosen = {"stiffness": stiffness[device], "damping": damping[device], "breakaway": breakaway[device]}
+        return Controller([LAWS[name](axes=AXES, **own, **chosen)], period=T)
+
+    phase, speed = random.uniform(0, 6.28, (count, 6)), random.uniform(0.01, 0.6, (count, 6))
+    poses = [1e-3 * np.sin(phase + speed * tick) for tick in range(ticks)]
+    together = controller(slice(None))
+    wrench = np.stack([together.step(Sample(k, k * T, components(pose))).wrench for k, pose in enumerate(poses)])
+    stuck = np.array(together.states[0][0].stuck)
+    assert 0 < stuck.sum() < count
+    for device in range(count):
+        alone = controller(device)
+        for tick, pose in enumerate(poses):
+            single = alone.step(Sample(tick, tick * T, pose[device].tolist())).wrench
+            assert single.tobytes() == wrench[tick, device].tobytes()
+
+
+def test_coupled_batch_equals_single_devices_bit_for_bit() -> None:
+    random = np.random.default_rng(10)
+    path = np.cumsum(random.normal(scale=2e-4, size=(40, 1000, 6)), axis=0)
+
+    def controller() -> Controller:
+        law = StickSlip(axes=("x", "y", "z"), stiffness=K, damping=80.0, breakaway=F, v_min=0.05, coupled=True)
+        return Controller([law], period=T)
+
+    together = controller()
+    wrench = [together.step(Sample(k, k * T, components(pose))).wrench for k, pose in enumerate(path)]
+    for device in range(0, 1000, 7):
+        alone = controller()
+        for tick, pose in enumerate(path):
+            single = alone.step(Sample(tick, tick * T, pose[device].tolist())).wrench
+            assert single.tobytes() == wrench[tick][device].tobytes()
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"stiffness": 0.0}, "stiffness must be above 0 everywhere, not 0"),
+        ({"breakaway": -1.0}, "breakaway must be finite and at least 0 everywhere, not -1"),
+        ({"damping": math.inf}, "damping must be finite"),
+        ({"v_min": 0.0}, "v_min must be above 0"),
+        ({"axes": "q"}, "axis must be one of"),
+    ],
+)
+def test_bad_friction_is_refused_with_the_value(options: dict[str, Any], words: str) -> None:
+    with pytest.raises(ParameterError, match=words):
+        StickSlip(**dict({"axes": "x", "stiffness": K, "breakaway": F, "v_min": 0.005}, **options))
+
+
+# -- velocity estimators ---------------------------------------------------------------------------------
+
+
+def estimates(estimator: Any, positions: Any, period: float) -> Array:
+    """Return the velocity along x that an estimator makes of positions."""
+    state, out = None, []
+    for place in positions.tolist():
+        velocity, state = estimator([place, 0.0, 0.0, 0.0, 0.0, 0.0], state, period)
+        out.append(float(velocity[0]))
+    return np.array(out)
+
+
+def test_low_pass_follows_a_step_of_speed_exponentially() -> None:
+    period, cutoff, speed = 1e-3, 40.0, 0.1
+    seen = estimates(LowPass(cutoff), speed * period * np.arange(60), period)
+    expected = speed * (1.0 - np.exp(-2.0 * math.pi * cutoff * period * np.arange(60)))
+    np.testing.assert_allclose(seen, expected, atol=1e-15)
+
+
+@pytest.mark.parametrize("speed", [0.003, 0.01, 0.03])
+def test_adaptive_window_reads_slow_speeds_off_a_quantized_sensor(speed: float) -> None:
+    """At 5 kHz and 5 µm the difference has steps of 25 mm/s; over 16 samples the chord's step is 1.6 mm/s."""
+    period, quantum = 2e-4, 5e-6
+    seen = np.rint(speed * period * np.arange(400) / quantum) * quantum
+    steps = np.diff(seen) / period
+    assert np.abs(steps - speed).max() > 0.4 * 25e-3 * (1 - speed / 0.1)
+    window = estimates(AdaptiveWindow(noise=(quantum,) * 6), seen, period)[20:]
+    assert np.abs(window - speed).max() <= quantum / (16 * period) * 1.001
+
+
+def test_adaptive_window_is_exact_on_a_ramp_and_short_where_the_motion_bends() -> None:
+    period = 1e-3
+    ramp = 0.02 * period * np.arange(40)
+    np.testing.assert_allclose(estimates(AdaptiveWindow(noise=(1e-9,) * 6), ramp, period)[1:], 0.02, atol=1e-12)
+    corner = np.concatenate([np.zeros(30), 0.1 * period * np.arange(1, 11)])
+    after = estimates(AdaptiveWindow(noise=(1e-6,) * 6), corner, period)[30:]
+    np.testing.assert_allclose(after, 0.1, rtol=0.011)  # the window does not reach back past the corner
+
+
+def test_estimators_serve_batches_and_single_devices_alike() -> None:
+    path = np.cumsum(np.random.default_rng(11).normal(scale=1e-5, size=(60, 50)), axis=0)
+    for estimator in (LowPass(), AdaptiveWindow(noise=(1e-5,) * 6)):
+        state: Any = None
+        together = []
+        for places in path:
+            velocity, state = estimator([places] + [np.zeros(50)] * 5, state, T)
+            together.append(np.array(velocity[0]))
+        for device in range(50):
+            alone = estimates(estimator, path[:, device], T)
+            assert alone.tobytes() == np.array([row[device] for row in together]).tobytes()
+
+
+def test_estimators_refuse_bad_parameters() -> None:
+    for make, words in (
+        (lambda: LowPass(0.0), "cutoff must be"),
+        (lambda: AdaptiveWindow(longest=0), "longest must be"),
+        (lambda: AdaptiveWindow(noise=(1.0,)), "noise must have 6 numbers, not 1"),
+    ):
+        with pytest.raises(ParameterError, match=words):
+            make()
