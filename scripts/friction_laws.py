@@ -25,6 +25,11 @@ DELAY = 0.0015
 CYCLES = 50 if QUICK else 200
 
 
+def fixed(value: float) -> str:
+    """Return a figure with two digits after the point, and no sign on a zero."""
+    return f"{round(value, 2) + 0.0:.2f}"
+
+
 def microseconds(name: str, period: float) -> float:
     """Return the cost of one controller tick with this law alone [µs], the least of five runs."""
     samples = [Sample(k, k * period, [1e-3 * (k % 7), 0.0, 0.0, 0.0, 0.0, 0.0]) for k in range(2000)]
@@ -107,8 +112,8 @@ def main() -> None:
         if r["rate"] in (200, 1000):
             where = f"{r['rate']} Hz, {'5 µm' if r['quantize'] else 'ideal'}"
             print(
-                f"  {r['law']:<19}{where:<16}{r['creep'] * 1e6:>11.2f}{r['chatter']:>9}{r['friction_slow']:>11.2f}"
-                f"{r['friction_fast']:>12.2f}{r['work_stuck'] * 1e6:>10.2f}{r['work_sliding'] * 1e6:>12.0f}"
+                f"  {r['law']:<19}{where:<16}{fixed(r['creep'] * 1e6):>11}{r['chatter']:>9}{fixed(r['friction_slow']):>11}"
+                f"{fixed(r['friction_fast']):>12}{r['work_stuck'] * 1e6:>10.2f}{r['work_sliding'] * 1e6:>12.0f}"
                 f"{r['microseconds']:>9.1f}"
             )
     print()
