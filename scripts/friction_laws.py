@@ -111,9 +111,10 @@ def main() -> None:
     for r in hard:
         if r["rate"] in (200, 1000):
             where = f"{r['rate']} Hz, {'5 µm' if r['quantize'] else 'ideal'}"
+            friction = f"{fixed(r['friction_slow']):>11}{fixed(r['friction_fast']):>12}"
+            work = f"{r['work_stuck'] * 1e6:>10.2f}{r['work_sliding'] * 1e6:>12.0f}"
             print(
-                f"  {r['law']:<19}{where:<16}{fixed(r['creep'] * 1e6):>11}{r['chatter']:>9}{fixed(r['friction_slow']):>11}"
-                f"{fixed(r['friction_fast']):>12}{r['work_stuck'] * 1e6:>10.2f}{r['work_sliding'] * 1e6:>12.0f}"
+                f"  {r['law']:<19}{where:<16}{fixed(r['creep'] * 1e6):>11}{r['chatter']:>9}{friction}{work}"
                 f"{r['microseconds']:>9.1f}"
             )
     print()
