@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -81,77 +82,115 @@ def karnopp(
     if times.ndim > 1 or (np.diff(times) < 0.0).any():
         raise ParameterError("time must be (M,) and ascending")
     starts = [number("target time", start, at_least=0.0) for start, _ in targets]
+    ends = [number("target", target) for _, target in targets]
     if not starts or starts[0] != 0.0 or sorted(set(starts)) != starts:
         raise ParameterError(f"targets must start at 0 and ascend in time, not {starts}")
     k, m = number("spring", spring, above=0.0), number("mass", mass, above=0.0)
     b = number("damping", damping, at_least=0.0)
     limit, slow = number("breakaway", breakaway, above=0.0), number("v_min", v_min, above=0.0)
     slide = _sliding(k, b, m)
-    scan = 0.005 * min(math.sqrt(m / k), m / b if b > 0.0 else math.inf)
+    scan = 0.005 * math.sqrt(m / k)
     end = float(times[-1]) if times.size else 0.0
 
     position, velocity, stuck = np.zeros_like(times), np.zeros_like(times), np.ones(times.shape, dtype=np.bool_)
     events: list[FrictionEvent] = []
     x, v, sticks = 0.0, 0.0, True
-    for place, (start, target) in enumerate(targets):
-        stop = min(targets[place + 1][0] if place + 1 < len(targets) else math.inf, end)
+    for place, (start, target) in enumerate(zip(starts, ends, strict=True)):
+        if start > end:
+            break
+        # samples on a jump belong to what begins there
+        stop = starts[place + 1] if place + 1 < len(starts) else math.inf
         now = start
         if sticks and abs(k * (target - x)) > limit:
             sticks = False
             events.append(FrictionEvent(now, "slip", x))
         if not sticks:
-
-            def rests(at: Array, x: float = x, v: float = v, target: float = target) -> Mask:
-                offset, speed = slide(x - target, v, at)
-                return (np.abs(speed) < slow) & (np.abs(k * offset) <= limit)
-
-            length = _first(rests, scan, stop - now)
-            here = (times >= now) & (times <= min(now + length, stop))
-            offset, speed = slide(x - target, v, times[here] - now)
+            move = functools.partial(slide, x - target, v)
+            length = _first_rest(move, slow, limit / k, scan, min(stop, end) - now)
+            here = (times >= now) & (times < min(now + length, stop))
+            offset, speed = move(times[here] - now)
             position[here], velocity[here], stuck[here] = target + offset, speed, False
-            offset, speed = slide(x - target, v, np.array([min(length, stop - now)]))
+            offset, speed = move(np.array([min(length, min(stop, end) - now)]))
             x, v = float(target + offset[0]), float(speed[0])
-            if length <= stop - now:
+            if math.isfinite(length):
                 now, v, sticks = now + length, 0.0, True
                 events.append(FrictionEvent(now, "stick", x))
         if sticks:
-            here = (times > now) & (times <= stop) if events else (times <= stop)
+            here = (times >= now) & (times < stop)
             position[here], velocity[here], stuck[here] = x, 0.0, True
-        if stop >= end:
-            break
     return KarnoppMotion(times, position, velocity, stuck, tuple(events))
 
 
 def _sliding(k: float, b: float, m: float) -> Callable[[float, float, Array], tuple[Array, Array]]:
-    """Return the map from offset and speed to those a time later, for m x'' = -k x - b x'."""
-    decay = 0.5 * b / m
-    root = complex(decay * decay - k / m) ** 0.5
+    """Return the map from offset and speed to those a time later, for m x'' = -k x - b x'.
+
+    Each case in its own form, none of which grows: overdamped, critically damped, underdamped.
+    """
+    decay, square = 0.5 * b / m, (0.5 * b / m) ** 2 - k / m
+    rate = math.sqrt(abs(square))
 
     def slide(offset: float, speed: float, time: Array) -> tuple[Array, Array]:
-        angle = root * time
-        even = np.cosh(angle)
-        odd = time * np.where(np.abs(angle) > 1e-12, np.sinh(angle) / np.where(angle == 0.0, 1.0, angle), 1.0)
-        fade = np.exp(-decay * time)
-        moved = fade * (offset * even + (speed + decay * offset) * odd)
-        faster = fade * (speed * even - (decay * speed + k / m * offset) * odd)
-        return moved.real, faster.real
+        if square > 0.0:
+            fast = decay + rate
+            slow = k / m / fast  # decay - rate without its cancellation
+            one, two = np.exp(-slow * time), np.exp(-fast * time)
+            odd = -one * np.expm1(-(fast - slow) * time) / (fast - slow)
+            even = 0.5 * (one + two)
+        elif square < 0.0:
+            fade = np.exp(-decay * time)
+            odd, even = fade * np.sin(rate * time) / rate, fade * np.cos(rate * time)
+        else:
+            even = np.exp(-decay * time)
+            odd = time * even
+        moved = offset * even + (speed + decay * offset) * odd
+        return moved, speed * even - (decay * speed + k / m * offset) * odd
 
     return slide
 
 
-def _first(holds: Callable[[Array], Mask], scan: float, longest: float) -> float:
-    """Return when a condition first holds: scanned, then bisected to rounding; infinity if not by `longest`."""
+def _first_rest(
+    move: Callable[[Array], tuple[Array, Array]], slow: float, reach: float, scan: float, longest: float
+) -> float:
+    """Return when the speed is first below `slow` with the offset within `reach`; infinity if not by `longest`.
+
+    Scanned on a grid that resolves the motion, then bisected to rounding. A turning point between two grid points
+    is looked at on its own: the speed may be small there for much less than a grid step.
+    """
+
+    def rests(time: Array) -> Mask:
+        offset, speed = move(time)
+        return (np.abs(speed) < slow) & (np.abs(offset) <= reach)
+
     for start in np.arange(0.0, longest, 256 * scan):
         grid = start + scan * np.arange(0, 257)
-        found = np.flatnonzero(holds(grid))
-        if found.size:
-            high = float(grid[found[0]])
-            low = max(high - scan, 0.0)
-            for _ in range(60):
-                middle = 0.5 * (low + high)
-                if holds(np.array([middle]))[0]:
-                    high = middle
-                else:
-                    low = middle
-            return high if high <= longest else math.inf
+        _, speed = move(grid)
+        held = rests(grid)
+        turns = np.append(speed[:-1] * speed[1:] < 0.0, False)
+        for place in np.flatnonzero(held | turns):
+            low, high = float(grid[place]), float(grid[place])
+            if held[place]:
+                low = max(high - scan, 0.0)
+            else:
+                turned = functools.partial(_has_turned, move, float(speed[place]))
+                high = _bisect(turned, low, low + scan)
+                if not rests(np.array([high]))[0]:
+                    continue
+            first = _bisect(lambda t: bool(rests(t)[0]), low, high)
+            return first if first <= longest else math.inf
     return math.inf
+
+
+def _has_turned(move: Callable[[Array], tuple[Array, Array]], speed: float, time: Array) -> bool:
+    """Return whether the motion no longer goes the way that a speed points."""
+    return bool(move(time)[1][0] * speed <= 0.0)
+
+
+def _bisect(holds: Callable[[Array], bool], low: float, high: float) -> float:
+    """Return where a condition that holds at `high` begins to hold, to rounding."""
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        if holds(np.array([middle])):
+            high = middle
+        else:
+            low = middle
+    return high

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from maglev_mj.experiments.drop import DropResult, DropSweep
-from maglev_mj.experiments.stick_slip import StickSlipResult, exact_stick_slip
+from maglev_mj.experiments.stick_slip import SLIDES_AT, StickSlipResult, exact_stick_slip
 from maglev_mj.frames import AXES
 from maglev_mj.metrics import percentiles
 from maglev_mj.model import COILS
@@ -70,11 +70,12 @@ def drop_table(labels: Sequence[str], results: Sequence[DropResult], sweeps: Seq
 
 
 def stick_slip_table(result: StickSlipResult) -> str:
-    """Return the figures of a stick-slip run beside those of Karnopp's friction itself, as text."""
+    """Return the figures of a stick-slip run beside those of the exact friction that its law stands for, as text."""
     p, figures = result.parameters, result.summary
     length, force, unit = ("mm", "N", "N/m") if p.axis in AXES[:3] else ("mrad", "N m", "N m/rad")
     motion = exact_stick_slip(p, result.series(1e-4)["time"])
     sticks = [event for event in motion.events if event.kind == "stick"]
+    exact = "Coulomb" if SLIDES_AT.get(p.law, 1.0) else "Karnopp"
     tail = motion.position[motion.time >= p.duration - 0.05]
     rows = (
         ("peak speed", figures.peak_speed, float(np.abs(motion.velocity).max()), f"{length}/s"),
@@ -88,7 +89,7 @@ def stick_slip_table(result: StickSlipResult) -> str:
         f"  {1.0 / p.period:g} Hz, delay {p.delay * 1e3:g} ms, velocity {p.velocity}, "
         f"breakaway {p.breakaway:g} {force}",
         "",
-        f"  {'':<20}{'rendered':>12}{'Karnopp':>12}",
+        f"  {'':<20}{'rendered':>12}{exact:>12}",
     ]
     lines += [f"  {name:<20}{_fine(one):>12}{_fine(two):>12}  {unit}" for name, one, two, unit in rows]
     lines.append(f"  {'changes of state':<20}{figures.transitions:>12}{len(motion.events):>12}")

@@ -56,6 +56,7 @@ def test_chatter_just_above_breakaway() -> None:
     assert chatter("stick-slip", velocity="low-pass", **hard) <= 3
     for name in ("dahl", "elasto-plastic", "hayward-armstrong", "kikuuwe"):
         assert chatter(name, **hard) <= 2
+    assert chatter("lugre", **hard) > 100  # its Stribeck curve jumps with every step of the velocity
 
 
 def test_creep_under_1000_small_load_cycles() -> None:
@@ -104,9 +105,12 @@ def test_a_held_spring_makes_energy_over_a_closed_cycle() -> None:
             assert cycle_work(name, amplitude, period=period) < 0.0
         for name in LAWS:
             assert cycle_work(name, 1e-3, period=period) < 0.0
-        # a damper b takes pi b w A² a cycle: equal to the gain at b = K T / 2
-        damper = 0.5 * STIFFNESS * period
-        assert math.pi * damper * 2.0 * math.pi * frequency * amplitude**2 == pytest.approx(gain)
+        # held for a sample, a damper of K T / 2 on the last difference takes a little less than the spring makes
+        passive = 0.5 * STIFFNESS * period
+        for name in ("stick-slip", "spring-reset", "elasto-plastic", "kikuuwe"):
+            assert abs(cycle_work(name, amplitude, period=period, damping=passive)) < 0.02 * gain
+            assert cycle_work(name, amplitude, period=period, damping=1.05 * passive) < 0.0
+            assert cycle_work(name, amplitude, period=period, damping=0.5 * passive) > 0.4 * gain
 
 
 def literal_karnopp(*, breakaway_condition: bool) -> tuple[int, float]:
@@ -128,7 +132,7 @@ def literal_karnopp(*, breakaway_condition: bool) -> tuple[int, float]:
 
 
 def test_literal_karnopp_toggles_at_breakaway() -> None:
-    """Read as printed, eq. (11) sticks again at once, because the mass has hardly moved: 4999 changes of state.
+    """Read as printed, eq. (11) sticks again at once, because the mass has hardly moved: 5000 changes of state.
 
     Cured by asking also for |f_ext| <= f_max before sticking: one breakaway, and the exact motion.
     """

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -28,7 +27,6 @@ __all__ = [
     "chatter",
     "creep",
     "cycle_work",
-    "exact_motion",
     "friction_law",
     "mean_friction",
     "under_load",
@@ -40,8 +38,7 @@ STIFFNESS, DAMPING, BREAKAWAY, V_MIN = 6000.0, 80.0, 2.0, 0.005
 
 def friction_law(name: str, period: float, *, damping: float = DAMPING, stiffness: float = STIFFNESS) -> Friction:
     """Return a friction law along x by its name in LAWS, with figure 8's breakaway force and v_min."""
-    own = {} if name == "stick-slip" else {"period": period}
-    return LAWS[name](v_min=V_MIN, axes="x", stiffness=stiffness, damping=damping, breakaway=BREAKAWAY, **own)
+    return LAWS[name](v_min=V_MIN, period=period, axes="x", stiffness=stiffness, damping=damping, breakaway=BREAKAWAY)
 
 
 class _Load:
@@ -185,12 +182,18 @@ def mean_friction(name: str, speed: float, *, period: float, travel: float = 0.0
 
 
 def cycle_work(
-    name: str, amplitude: float, *, period: float, frequency: float = 5.0, cycles: int = 40, quantize: float = 0.0
+    name: str,
+    amplitude: float,
+    *,
+    period: float,
+    frequency: float = 5.0,
+    cycles: int = 40,
+    quantize: float = 0.0,
+    damping: float = 0.0,
 ) -> float:
     """Return the work that a law does on a hand that moves it to and fro, a cycle [J]; above 0 it makes energy.
 
-    Each force is held for one period while the hand moves on; there is no viscous damping. The first quarter of
-    the cycles is not counted.
+    Each force is held for one period while the hand moves on. The first quarter of the cycles is not counted.
 
     Args:
         name: Name from LAWS.
@@ -199,11 +202,12 @@ def cycle_work(
         frequency: Frequency of the motion [Hz].
         cycles: Cycles moved.
         quantize: Resolution of the sensor [m].
+        damping: Viscous damping of the law [N s/m].
     """
     length = round(1.0 / frequency / period)
     positions = amplitude * np.sin(2.0 * np.pi * np.arange(cycles * length + 1) / length)
     seen = np.rint(positions / quantize) * quantize if quantize else positions
-    forces = _driven(friction_law(name, period, damping=0.0), seen, period)
+    forces = _driven(friction_law(name, period, damping=damping), seen, period)
     first = cycles // 4
     return float(np.sum((forces[:-1] * np.diff(positions))[first * length :]) / (cycles - first))
 
@@ -216,13 +220,6 @@ def _driven(law: Friction, positions: Array, period: float) -> Array:
         for tick, place in enumerate(positions.tolist())
     ]
     return np.array(forces)
-
-
-SLIDING_SHARE = {"stick-slip": 0.0, "spring-reset": 0.0, "lugre": 0.8}
-"""Friction in steady sliding that a law stands for, as a share of breakaway; 1 for the others.
-
-The spring that resets is meant as stick-slip; what it gives is a sawtooth.
-"""
 
 
 class SpringOutcome(NamedTuple):
@@ -241,8 +238,8 @@ def against_exact(
 ) -> SpringOutcome:
     """Run figure 8's case with one law on the exact plant and compare it with exact friction.
 
-    Stick-slip and spring reset are held against Karnopp's friction, the others against Coulomb friction, under which
-    the spring pulls the flotor towards the point where it equals the friction.
+    Stick-slip and spring reset are held against Karnopp's friction, the others against Coulomb friction; see
+    `exact_stick_slip`.
 
     Args:
         name: Name from LAWS.
@@ -256,16 +253,5 @@ def against_exact(
     )
     result = run_stick_slip(parameters)
     series = result.series(1e-3)
-    gap = np.abs(series["position"] - exact_motion(name, series["time"]))
+    gap = np.abs(series["position"] - exact_stick_slip(parameters, series["time"]).position)
     return SpringOutcome(float(gap.max()), float(gap[-1]), len(result.events), result.summary.ripple)
-
-
-def exact_motion(name: str, time: Array) -> Array:
-    """Return where exact friction of a law's kind has the flotor in figure 8's case [m], (M,)."""
-    parameters = StickSlipParameters()
-    share = SLIDING_SHARE.get(name, 1.0)
-    if share == 0.0:
-        return exact_stick_slip(parameters, time).position
-    # Coulomb friction against a motion that never turns back is a constant force: the spring's end moved by f / k
-    shifted = (parameters.target or 0.0) - share * BREAKAWAY / (parameters.spring or 1.0)
-    return exact_stick_slip(replace(parameters, target=shifted, breakaway=1e-9, v_min=1e-12), time).position

@@ -70,10 +70,15 @@ class SixAxesResult:
     expected_resolution: Array
 
     @property
-    def resolution(self) -> Array:
-        """Greatest distance from the stick position at which each axis still stuck [m, rad], (6,)."""
-        stretch: Array = np.where(self.stuck, np.abs(self.position - self.anchor), 0.0).max(axis=0)
-        return stretch
+    def resolution(self) -> tuple[Array, Array]:
+        """Bounds of the distance from the stick position at which each axis breaks away [m, rad], (6,) each.
+
+        Before every slip one sample still sticks and the next one does not: the greatest of the former and the least
+        of the latter hold the true distance between them.
+        """
+        stretch = np.abs(self.position[1:] - self.anchor[:-1])
+        held, gone = self.stuck[:-1] & self.stuck[1:], self.stuck[:-1] & ~self.stuck[1:]
+        return np.where(held, stretch, 0.0).max(axis=0), np.where(gone, stretch, np.inf).min(axis=0)
 
     @property
     def slips(self) -> Array:

@@ -11,6 +11,7 @@ import numpy as np
 
 from maglev_mj.controller import Controller
 from maglev_mj.errors import DivergenceError, ParameterError
+from maglev_mj.experiments.drop import escaped_later
 from maglev_mj.frames import AXES, Array, Command, Sample
 from maglev_mj.karnopp import FrictionEvent, KarnoppMotion, karnopp
 from maglev_mj.laws import (
@@ -49,7 +50,7 @@ _MOST_TICKS = 1_000_000
 _INERTIA = [Spec.moving_mass.value] * 3 + [Spec.tilt_inertia.value] * 2 + [Spec.spin_inertia.value]
 
 LAWS: Mapping[str, Callable[..., Friction]] = {
-    "stick-slip": StickSlip,
+    "stick-slip": lambda *, period, **common: StickSlip(**common),
     "spring-reset": lambda *, v_min, period, **common: SpringReset(**common),
     "dahl": lambda *, v_min, period, **common: Dahl(**common),
     "lugre": lambda *, v_min, period, **common: LuGre(period=period, stribeck=v_min, **common),
@@ -58,6 +59,12 @@ LAWS: Mapping[str, Callable[..., Friction]] = {
     "kikuuwe": lambda *, v_min, period, **common: ImplicitCoulomb(period=period, **common),
 }
 """Friction laws by name; each takes the axes and the common parameters, and drops what it has no use for."""
+
+SLIDES_AT = {"stick-slip": 0.0, "spring-reset": 0.0, "lugre": 0.8}
+"""Friction in steady sliding that a law stands for, as a share of breakaway; 1 for the others.
+
+The spring that resets is meant as stick-slip; what it gives is a sawtooth.
+"""
 
 VELOCITIES: Mapping[str, Callable[[float], VelocityEstimator]] = {
     "difference": lambda quantum: FiniteDifference(),
@@ -206,8 +213,8 @@ class StickSlipResult:
         """Figures of the run."""
         index = AXES.index(self.parameters.axis)
         line = self.trace.along(index)
-        last = self.series(1e-4)
-        tail = last["position"][last["time"] >= last["time"][-1] - 0.05]
+        end = float(line.time[-1])
+        tail = line.at(np.linspace(max(end - 0.05, 0.0), end, 501))[0][:, 0]
         sticks = [event.time for event in self.events if event.kind == "stick"]
         return StickSlipSummary(
             peak_speed=float(np.abs(line.twist).max()),  # greatest at a knot: the speed is linear between them
@@ -241,7 +248,7 @@ def run_stick_slip(parameters: StickSlipParameters) -> StickSlipResult:
     p = parameters
     index = AXES.index(p.axis)
     common = {"axes": p.axis, "stiffness": p.stiffness, "damping": p.damping, "breakaway": p.breakaway}
-    friction = LAWS[p.law](v_min=p.v_min, **({} if p.law == "stick-slip" else {"period": p.period}), **common)
+    friction = LAWS[p.law](v_min=p.v_min, period=p.period, **common)
     spring = Hold(axes=p.axis, stiffness=p.spring or 0.0, damping=0.0, target=p.target or 0.0)
     others = [name for name in AXES if name != p.axis]
     hold = Hold.critically_damped(others, inertia=np.delete(_INERTIA, index), period=p.period, delay=p.delay)
@@ -258,7 +265,7 @@ def run_stick_slip(parameters: StickSlipParameters) -> StickSlipResult:
             trace = plant.trace().until(p.duration)
         except DivergenceError as error:
             trace = plant.trace()
-            if float(trace.time[-1]) < p.duration:
+            if not escaped_later(trace, p.duration):
                 error.partial = _result(p, trace, rows)
                 raise
             trace = trace.until(p.duration)
@@ -266,15 +273,24 @@ def run_stick_slip(parameters: StickSlipParameters) -> StickSlipResult:
 
 
 def exact_stick_slip(parameters: StickSlipParameters, time: Array) -> KarnoppMotion:
-    """Return what Karnopp's friction itself does with the same spring, mass and damping; see `karnopp`."""
+    """Return what the friction that a law stands for does itself with the same spring, mass and damping.
+
+    Karnopp's for the laws that slide freely; for the others Coulomb friction, which against a motion that never turns
+    back is a constant force: the spring's end moved by f / k.
+    """
     p = parameters
+    spring, target, breakaway, v_min = p.spring or 0.0, p.target or 0.0, p.breakaway or 0.0, p.v_min or 0.0
+    share = SLIDES_AT.get(p.law, 1.0)
+    if share > 0.0 and abs(spring * target) > breakaway:
+        target -= math.copysign(share * breakaway / spring, target)
+        breakaway, v_min = 1e-9 * breakaway, 1e-9 * v_min
     return karnopp(
         time,
-        targets=[(0.0, p.target or 0.0)],
-        spring=p.spring or 0.0,
+        targets=[(0.0, target)],
+        spring=spring,
         damping=p.damping or 0.0,
-        breakaway=p.breakaway or 0.0,
-        v_min=p.v_min or 0.0,
+        breakaway=breakaway,
+        v_min=v_min,
         mass=p.inertia,
     )
 

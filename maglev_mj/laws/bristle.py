@@ -37,6 +37,10 @@ class _Bristle(Friction):
         """Return the force of the bristle [N, N m]."""
         return -(parameters["stiffness"] * z)
 
+    def limit(self, velocity: Component, parameters: dict[str, Component]) -> Component:
+        """Return the force at which the bristle slides at this velocity [N, N m]."""
+        return parameters["breakaway"]
+
     def axis(
         self, position: Component, velocity: Component, state: FrictionState, parameters: dict[str, Component]
     ) -> tuple[Component, FrictionState]:
@@ -44,7 +48,7 @@ class _Bristle(Friction):
         last, before = (position, 0.0) if state.memory is None else state.memory
         z = self.stretch(before, position - last, velocity, parameters)
         force = self.force(before, z, velocity, parameters)
-        sticks = parameters["stiffness"] * abs(z) < SLIDING_SHARE * parameters["breakaway"]
+        sticks = parameters["stiffness"] * abs(z) < SLIDING_SHARE * self.limit(velocity, parameters)
         return force, FrictionState(sticks, position - z, (position, z))
 
 
@@ -93,9 +97,13 @@ class LuGre(_Bristle):
         self, z: Component, travel: Component, velocity: Component, parameters: dict[str, Component]
     ) -> Component:
         """Return the stretch after a travel; see `_Bristle`."""
+        return _relaxed(z, travel, self.limit(velocity, parameters) / parameters["stiffness"])
+
+    def limit(self, velocity: Component, parameters: dict[str, Component]) -> Component:
+        """Return the Stribeck curve at this velocity [N, N m]; see `_Bristle`."""
         ratio = velocity / parameters["stribeck"]
         share = self.coulomb + (1.0 - self.coulomb) * apply(np.exp, -(ratio * ratio))
-        return _relaxed(z, travel, share * parameters["breakaway"] / parameters["stiffness"])
+        return share * parameters["breakaway"]
 
     def force(
         self, before: Component, z: Component, velocity: Component, parameters: dict[str, Component]

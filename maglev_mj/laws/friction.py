@@ -121,8 +121,8 @@ class StickSlip(Friction):
 
     Args:
         v_min: Speed below which a sliding axis sticks [m/s, rad/s], above 0.
-        coupled: Treat the law's axes as one vector, as a block on a table: breakaway and speed are norms, and
-            all axes stick and slide together. Every parameter is then one number for all axes.
+        coupled: Treat the law's axes, translations then, as one vector, as a block on a table: breakaway and
+            speed are norms, and all axes stick and slide together. Every parameter is one number for all axes.
 
     Source: Salcudean & Vlaar 1997, eq. (12)-(13).
     """
@@ -136,6 +136,8 @@ class StickSlip(Friction):
         super().__post_init__()
         if self.coupled and any(np.ndim(getattr(self, name)) for name in (*self._POSITIVE, *self._OTHER)):
             raise ParameterError("coupled axes share their parameters: give one number for each")
+        if self.coupled and not set(self.indices) <= {0, 1, 2}:
+            raise ParameterError(f"coupled axes must be translations, of x, y, z, not {self.axes!r}")
 
     def axis(
         self, position: Component, velocity: Component, state: FrictionState, parameters: dict[str, Component]
