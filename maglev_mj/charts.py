@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 
 from maglev_mj.errors import MaglevError
+from maglev_mj.experiments.choices import SLIDES_AT
 from maglev_mj.experiments.drop import DropResult, DropSweep, analog_drop
 from maglev_mj.experiments.six_axes import SixAxesResult
-from maglev_mj.experiments.stick_slip import SLIDES_AT, StickSlipResult, exact_stick_slip
+from maglev_mj.experiments.stick_slip import StickSlipResult, exact_stick_slip
 from maglev_mj.frames import AXES
 
 __all__ = [

@@ -7,8 +7,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from maglev_mj.experiments.drop import PLANTS, DropParameters
-from maglev_mj.experiments.stick_slip import LAWS, VELOCITIES, StickSlipParameters
+from maglev_mj.experiments.choices import LAWS, PLANTS, VELOCITIES
+from maglev_mj.experiments.drop import DropParameters
+from maglev_mj.experiments.stick_slip import StickSlipParameters
 from maglev_mj.frames import AXES
 
 __all__ = ["Parser", "add_drop_options", "add_stick_slip_options", "joined"]

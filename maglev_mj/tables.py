@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from maglev_mj.experiments.choices import SLIDES_AT
 from maglev_mj.experiments.drop import DropResult, DropSweep
-from maglev_mj.experiments.stick_slip import SLIDES_AT, StickSlipResult, exact_stick_slip
+from maglev_mj.experiments.stick_slip import StickSlipResult, exact_stick_slip
 from maglev_mj.frames import AXES
 from maglev_mj.metrics import percentiles
 from maglev_mj.model import COILS

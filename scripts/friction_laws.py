@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from maglev_mj import Controller, Sample, charts
+from maglev_mj.experiments.choices import LAWS, VELOCITIES
 from maglev_mj.experiments.friction_study import against_exact, chatter, creep, cycle_work, friction_law, mean_friction
-from maglev_mj.experiments.stick_slip import LAWS, VELOCITIES
 
 QUICK = "--quick" in sys.argv  # two rates and fewer load cycles
 RATES = (200, 1000) if QUICK else (200, 500, 1000, 2000, 5000)

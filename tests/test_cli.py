@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from maglev_mj import cli
+from maglev_mj.experiments.choices import LAWS, VELOCITIES
 from maglev_mj.experiments.drop import DropParameters, run_drop
-from maglev_mj.experiments.stick_slip import LAWS, VELOCITIES
 
 
 def test_drop_prints_one_screen(capsys: pytest.CaptureFixture[str]) -> None:

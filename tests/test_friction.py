@@ -11,8 +11,9 @@ import pytest
 
 from maglev_mj import AXES, Controller, Sample
 from maglev_mj.errors import DivergenceError, ParameterError
+from maglev_mj.experiments.choices import LAWS
 from maglev_mj.experiments.six_axes import run_six_axes
-from maglev_mj.experiments.stick_slip import LAWS, StickSlipParameters, exact_stick_slip, run_stick_slip
+from maglev_mj.experiments.stick_slip import StickSlipParameters, exact_stick_slip, run_stick_slip
 from maglev_mj.frames import Array, components
 from maglev_mj.karnopp import karnopp
 from maglev_mj.laws import (

@@ -13,6 +13,7 @@ import numpy as np
 from maglev_mj.controller import Controller
 from maglev_mj.errors import DivergenceError, ParameterError
 from maglev_mj.exact import analog_wall
+from maglev_mj.experiments.choices import PLANTS
 from maglev_mj.frames import AXES, Array
 from maglev_mj.laws import Hold, Wall
 from maglev_mj.loop import run
@@ -24,7 +25,6 @@ from maglev_mj.trace import Trace
 
 __all__ = ["DropParameters", "DropResult", "DropSweep", "analog_drop", "run_drop", "sweep_drop"]
 
-PLANTS = ("exact", "mujoco")
 _ESCAPE = 0.045
 _MOST_TICKS = 1_000_000
 _MOST_PHASES = 10_000

@@ -8,13 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from maglev_mj.controller import Controller
-from maglev_mj.experiments.stick_slip import (
-    LAWS,
-    VELOCITIES,
-    StickSlipParameters,
-    exact_stick_slip,
-    run_stick_slip,
-)
+from maglev_mj.experiments.choices import LAWS, VELOCITIES
+from maglev_mj.experiments.stick_slip import StickSlipParameters, exact_stick_slip, run_stick_slip
 from maglev_mj.frames import Array, Command, Component, Sample
 from maglev_mj.laws import Friction
 from maglev_mj.loop import run

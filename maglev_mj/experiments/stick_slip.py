@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, NamedTuple
 
@@ -11,24 +10,11 @@ import numpy as np
 
 from maglev_mj.controller import Controller
 from maglev_mj.errors import DivergenceError, ParameterError
+from maglev_mj.experiments.choices import LAWS, PLANTS, SLIDES_AT, VELOCITIES
 from maglev_mj.experiments.drop import escaped_later
 from maglev_mj.frames import AXES, Array, Command, Sample
 from maglev_mj.karnopp import FrictionEvent, KarnoppMotion, karnopp
-from maglev_mj.laws import (
-    AdaptiveWindow,
-    Dahl,
-    ElastoPlastic,
-    FiniteDifference,
-    Friction,
-    HaywardArmstrong,
-    Hold,
-    ImplicitCoulomb,
-    LowPass,
-    LuGre,
-    SpringReset,
-    StickSlip,
-    VelocityEstimator,
-)
+from maglev_mj.laws import Hold
 from maglev_mj.loop import run
 from maglev_mj.parameters import axis_indices, number
 from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant, Timing, engine_warnings_silenced
@@ -36,8 +22,6 @@ from maglev_mj.spec import Spec
 from maglev_mj.trace import Trace
 
 __all__ = [
-    "LAWS",
-    "VELOCITIES",
     "StickSlipParameters",
     "StickSlipResult",
     "StickSlipSummary",
@@ -45,33 +29,8 @@ __all__ = [
     "run_stick_slip",
 ]
 
-PLANTS = ("exact", "mujoco")
 _MOST_TICKS = 1_000_000
 _INERTIA = [Spec.moving_mass.value] * 3 + [Spec.tilt_inertia.value] * 2 + [Spec.spin_inertia.value]
-
-LAWS: Mapping[str, Callable[..., Friction]] = {
-    "stick-slip": lambda *, period, **common: StickSlip(**common),
-    "spring-reset": lambda *, v_min, period, **common: SpringReset(**common),
-    "dahl": lambda *, v_min, period, **common: Dahl(**common),
-    "lugre": lambda *, v_min, period, **common: LuGre(period=period, stribeck=v_min, **common),
-    "elasto-plastic": lambda *, v_min, period, **common: ElastoPlastic(**common),
-    "hayward-armstrong": lambda *, v_min, period, **common: HaywardArmstrong(**common),
-    "kikuuwe": lambda *, v_min, period, **common: ImplicitCoulomb(period=period, **common),
-}
-"""Friction laws by name; each takes the axes and the common parameters, and drops what it has no use for."""
-
-SLIDES_AT = {"stick-slip": 0.0, "spring-reset": 0.0, "lugre": 0.8}
-"""Friction in steady sliding that a law stands for, as a share of breakaway; 1 for the others.
-
-The spring that resets is meant as stick-slip; what it gives is a sawtooth.
-"""
-
-VELOCITIES: Mapping[str, Callable[[float], VelocityEstimator]] = {
-    "difference": lambda quantum: FiniteDifference(),
-    "low-pass": lambda quantum: LowPass(),
-    "adaptive": lambda quantum: AdaptiveWindow(noise=(max(quantum, 1e-12),) * 6),
-}
-"""Velocity estimators by name, made for a sensor's resolution [m, rad]."""
 
 _AT_TRANSLATION = {"spring": 1000.0, "target": 0.003, "stiffness": 6000.0, "damping": 80.0, "breakaway": 2.0}
 _AT_TRANSLATION["v_min"] = 0.005
