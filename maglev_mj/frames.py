@@ -19,6 +19,7 @@ __all__ = ["AXES", "Array", "Command", "Component", "Sample", "components", "joi
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 
 Array: TypeAlias = NDArray[np.float64]
+Mask: TypeAlias = NDArray[np.bool_]
 
 Component: TypeAlias = Any
 """One coordinate of one device (a float) or of N devices (an array (N,)).

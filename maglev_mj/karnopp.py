@@ -6,19 +6,16 @@ import functools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from maglev_mj.errors import ParameterError
-from maglev_mj.frames import Array
+from maglev_mj.frames import Array, Mask
 from maglev_mj.parameters import number, numbers
 
 __all__ = ["FrictionEvent", "KarnoppMotion", "karnopp"]
-
-
-Mask: TypeAlias = NDArray[np.bool_]
 
 
 class FrictionEvent(NamedTuple):

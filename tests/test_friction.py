@@ -224,6 +224,8 @@ def test_resolution_of_figure_9_is_breakaway_over_stiffness(plant: str) -> None:
         assert (stuck < gone).all()
         assert (result.slips >= 3).all()
     assert result.expected_resolution[0] == pytest.approx(0.333e-3, abs=1e-6)
+    with pytest.raises(ParameterError, match="plant must be one of exact, mujoco, not 'real'"):
+        run_six_axes(plant="real")
 
 
 # -- laws against closed forms ---------------------------------------------------------------------------

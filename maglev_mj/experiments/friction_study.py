@@ -10,7 +10,7 @@ import numpy as np
 from maglev_mj.controller import Controller
 from maglev_mj.experiments.choices import LAWS, VELOCITIES
 from maglev_mj.experiments.stick_slip import StickSlipParameters, exact_stick_slip, run_stick_slip
-from maglev_mj.frames import Array, Command, Component, Sample
+from maglev_mj.frames import Array, Command, Component, Mask, Sample
 from maglev_mj.laws import Friction
 from maglev_mj.loop import run
 from maglev_mj.plants import ExactPlant, Timing
@@ -62,7 +62,7 @@ class LoadOutcome(NamedTuple):
 
     position: Array
     anchor: Array
-    stuck: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
+    stuck: Mask
 
     @property
     def transitions(self) -> int:

@@ -9,7 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from maglev_mj.controller import Controller
-from maglev_mj.frames import Array, Command, Component, Sample
+from maglev_mj.errors import ParameterError
+from maglev_mj.experiments.choices import PLANTS
+from maglev_mj.frames import Array, Command, Component, Mask, Sample
 from maglev_mj.laws import StickSlip
 from maglev_mj.loop import run
 from maglev_mj.parameters import number
@@ -66,7 +68,7 @@ class SixAxesResult:
     time: Array
     position: Array
     anchor: Array
-    stuck: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
+    stuck: Mask
     expected_resolution: Array
 
     @property
@@ -104,6 +106,8 @@ def run_six_axes(
     Raises:
         ParameterError: If a value is outside its bounds.
     """
+    if plant not in PLANTS:
+        raise ParameterError(f"plant must be one of {', '.join(PLANTS)}, not {plant!r}")
     ticks = max(round(number("duration", duration, above=0.0, at_most=1000.0) / number("period", period, above=0.0)), 1)
     stiffness, breakaway = 6000.0 * _RADIUS**2, 2.0 * _RADIUS
     law = StickSlip(stiffness=stiffness, damping=80.0 * _RADIUS**2, breakaway=breakaway, v_min=0.005 / _RADIUS)

@@ -12,7 +12,7 @@ from maglev_mj.controller import Controller
 from maglev_mj.errors import DivergenceError, ParameterError
 from maglev_mj.experiments.choices import LAWS, PLANTS, SLIDES_AT, VELOCITIES
 from maglev_mj.experiments.drop import escaped_later
-from maglev_mj.frames import AXES, Array, Command, Sample
+from maglev_mj.frames import AXES, Array, Command, Mask, Sample
 from maglev_mj.karnopp import FrictionEvent, KarnoppMotion, karnopp
 from maglev_mj.laws import Hold
 from maglev_mj.loop import run
@@ -148,7 +148,7 @@ class StickSlipResult:
     trace: Trace
     sample_time: Array
     anchor: Array
-    stuck: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
+    stuck: Mask
     events: tuple[FrictionEvent, ...]
 
     def series(self, step: float = 1e-3) -> dict[str, Array]:

@@ -105,11 +105,20 @@ class Friction(ABC):
         """Answer one sample; see `Law`."""
         before = state or tuple(self.begin(position[index]) for index in self.indices)
         after = []
-        for index, memory, parameters in zip(self.indices, before, self._of_axis):
-            force, following = self.axis(position[index], velocity[index], memory, parameters)
+        answers = self.answers(position, velocity, before)
+        for index, (force, following), parameters in zip(self.indices, answers, self._of_axis):
             wrench[index] = wrench[index] + (force - parameters["damping"] * velocity[index])
             after.append(following)
         return tuple(after), None
+
+    def answers(
+        self, position: Sequence[Component], velocity: Sequence[Component], before: tuple[FrictionState, ...]
+    ) -> list[tuple[Component, FrictionState]]:
+        """Return what `axis` does for each of the law's axes; a law that couples them does it here."""
+        return [
+            self.axis(position[index], velocity[index], memory, parameters)
+            for index, memory, parameters in zip(self.indices, before, self._of_axis)
+        ]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -146,27 +155,20 @@ class StickSlip(Friction):
         pull = parameters["stiffness"] * (state.anchor - position)
         return self._decide(position, pull, abs(pull), abs(velocity), state, parameters)
 
-    def __call__(
-        self,
-        position: Sequence[Component],
-        velocity: Sequence[Component],
-        state: tuple[FrictionState, ...] | None,
-        wrench: list[Component],
-    ) -> tuple[tuple[FrictionState, ...], None]:
-        """Answer one sample; see `Law`."""
+    def answers(
+        self, position: Sequence[Component], velocity: Sequence[Component], before: tuple[FrictionState, ...]
+    ) -> list[tuple[Component, FrictionState]]:
+        """Answer one sample of all axes; see `Friction`."""
         if not self.coupled:
-            return super().__call__(position, velocity, state, wrench)
-        before = state or tuple(self.begin(position[index]) for index in self.indices)
+            return super().answers(position, velocity, before)
         shared = self._of_axis[0]
         pulls = [shared["stiffness"] * (memory.anchor - position[index]) for index, memory in zip(self.indices, before)]
         pull = apply(np.sqrt, sum(part * part for part in pulls))
         speed = apply(np.sqrt, sum(velocity[index] * velocity[index] for index in self.indices))
-        after = []
-        for index, memory, part in zip(self.indices, before, pulls):
-            force, following = self._decide(position[index], part, pull, speed, memory, shared)
-            wrench[index] = wrench[index] + (force - shared["damping"] * velocity[index])
-            after.append(following)
-        return tuple(after), None
+        return [
+            self._decide(position[index], part, pull, speed, memory, shared)
+            for index, memory, part in zip(self.indices, before, pulls)
+        ]
 
     def _decide(
         self,
