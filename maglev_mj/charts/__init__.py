@@ -1,0 +1,16 @@
+"""Pictures of results; the only room that needs matplotlib (the extra `charts`)."""
+
+from maglev_mj.charts.drawing import ChartsMissingError, require
+from maglev_mj.charts.drop import phase_plane, phases, time_series
+from maglev_mj.charts.friction import friction_laws, staircase, stick_slip
+
+__all__ = [
+    "ChartsMissingError",
+    "friction_laws",
+    "phase_plane",
+    "phases",
+    "require",
+    "staircase",
+    "stick_slip",
+    "time_series",
+]
