@@ -28,7 +28,9 @@ FLOORS = {
     "charts": 7,
     "tables": 8,
     "options": 8,
-    "cli": 9,
+    "output": 8,
+    "commands": 9,
+    "cli": 10,
 }
 ALLOWED = {
     "mujoco": {"model", "plants"},

@@ -1,0 +1,8 @@
+"""The commands of `maglev-mj`, one a module: its options and what it runs."""
+
+from maglev_mj.commands import drop, info, stick_slip
+
+__all__ = ["COMMANDS"]
+
+COMMANDS = (info, drop, stick_slip)
+"""In the order in which the help lists them."""
