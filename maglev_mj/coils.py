@@ -53,7 +53,11 @@ class CoilMap:
         object.__setattr__(self, "_turning", turning)
 
     def inverse_at(self, rotation: Array) -> Array:
-        """Return currents per wrench [A/N, A/(N m)], (6, 6), for a flotor turned by a rotation matrix (9,)."""
+        """Return currents per wrench [A/N, A/(N m)], (..., 6, 6), for flotors turned by rotation matrices (..., 9)."""
+        if rotation.ndim > 1:
+            many = np.repeat(self.wrench_per_current[None], len(rotation), axis=0)
+            many[:, 3:] = (rotation @ self._turning.T).reshape(-1, 3, 6)
+            return cast(Array, np.linalg.inv(many))
         turned = self.wrench_per_current.copy()
         turned[3:] = self._turning.dot(rotation).reshape(3, 6)
         return cast(Array, np.linalg.inv(turned))

@@ -87,15 +87,16 @@ def join(parts: Sequence[Component]) -> Array:
     return np.stack(np.broadcast_arrays(*parts), axis=-1)
 
 
-_Function: TypeAlias = Callable[..., float]
+_Function: TypeAlias = Callable[..., Any]
 
 
 def rotation_vector(
-    w: float, x: float, y: float, z: float, sqrt: _Function = math.sqrt, atan2: _Function = math.atan2
-) -> tuple[float, float, float]:
-    """Convert one unit quaternion into a rotation vector [rad]; its angle is in [0, 2 pi).
+    w: Component, x: Component, y: Component, z: Component, sqrt: _Function = math.sqrt, atan2: _Function = math.atan2
+) -> tuple[Any, Any, Any]:
+    """Convert a unit quaternion into a rotation vector [rad]; its angle is in [0, 2 pi).
 
-    The last two arguments only make the functions local, which the control tick is grateful for.
+    For N of them, as arrays, the last two arguments are numpy's. Being arguments they are also local, which the
+    control tick is grateful for.
     """
     # the offset keeps 0/0 away and is far below the rounding of any rotation that is not zero
     sine = sqrt(x * x + y * y + z * z) + 1e-300

@@ -11,8 +11,9 @@ import mujoco
 import numpy as np
 
 from maglev_mj.coils import CoilMap
-from maglev_mj.errors import ModelError
-from maglev_mj.frames import Array
+from maglev_mj.errors import ModelError, ParameterError
+from maglev_mj.frames import AXES, Array
+from maglev_mj.hand import Hand
 from maglev_mj.parameters import number
 
 __all__ = ["COILS", "Device", "envelope", "load", "model_path", "scenes"]
@@ -82,7 +83,13 @@ class Device:
 
 
 def load(
-    name: str, *, lean: bool = True, driver_lag: bool = False, coils: bool = True, mass: float | None = None
+    name: str,
+    *,
+    lean: bool = True,
+    driver_lag: bool = False,
+    coils: bool = True,
+    mass: float | None = None,
+    hand: Hand | None = None,
 ) -> Device:
     """Compile a model and resolve its names.
 
@@ -92,10 +99,11 @@ def load(
         driver_lag: Give every coil its driver's first-order lag.
         coils: False removes the coils, for an ideal wrench.
         mass: Moving mass in place of the model's [kg], shared out as before; each body's own inertia stays.
+        hand: A hand on the flotor; numbers, and translations only.
 
     Raises:
         ModelError: If the file is missing, does not compile, or lacks the flotor, its joints or its coils.
-        ParameterError: If the mass is not above 0.
+        ParameterError: If the mass is not above 0, or the hand is for a batch or on a rotation.
     """
     path = model_path(name)
     try:
@@ -113,6 +121,8 @@ def load(
             for site in list(spec.sites):
                 if site.name not in used:
                     spec.delete(site)
+        if hand is not None:
+            _hold(spec, hand)
         model = spec.compile()
         flotor = model.body("flotor").id
         joints = [model.joint(joint) for joint in ("x", "y", "z", "rotation")]
@@ -140,6 +150,27 @@ def load(
         coils=_coil_map(model, flotor) if coils else None,
         driver_time_constant=constant,
     )
+
+
+def _hold(spec: mujoco.MjSpec, hand: Hand) -> None:
+    """Put a hand on the flotor's slides: on the joints where it is held, as a body on a tendon where it is free."""
+    if hand.shape or max(hand.indices) > 2:
+        raise ParameterError(f"hand must have one mass and lead along x, y or z in MuJoCo, not {hand!r}")
+    mass, damping, stiffness = float(hand.mass), float(hand.damping), float(hand.stiffness)  # type: ignore[arg-type]
+    free = spec.worldbody.add_body(name="hand", gravcomp=1.0) if hand.free else None
+    if free is not None:
+        free.mass, free.inertia, free.explicitinertial = mass, [mass * 1e-4] * 3, True
+    for index in hand.indices:
+        axis = AXES[index]
+        joint = spec.joint(axis)
+        if free is None:
+            joint.armature, joint.damping[0], joint.stiffness[0] = mass, damping, stiffness
+            continue
+        other = free.add_joint(name=f"hand_{axis}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=joint.axis)
+        tendon = spec.add_tendon(name=f"grip_{axis}", springlength=[0.0, 0.0])
+        tendon.damping[0], tendon.stiffness[0] = damping, stiffness
+        tendon.wrap_joint(axis, 1.0)
+        tendon.wrap_joint(other.name, -1.0)
 
 
 def _coil_map(model: mujoco.MjModel, flotor: int) -> CoilMap:

@@ -17,6 +17,7 @@ from maglev_mj.errors import ModelError, ParameterError
 from maglev_mj.experiments.bandwidth import position_bandwidth
 from maglev_mj.frames import Array, quaternion
 from maglev_mj.model import COILS, Device, envelope, load, model_path, scenes
+from maglev_mj.plants import Sensor
 from maglev_mj.report import device_report
 from maglev_mj.spec import GRAVITY, Spec
 from maglev_mj.tables import device_table
@@ -80,7 +81,7 @@ def test_range_is_a_stop_in_the_device() -> None:
 def test_resolution_is_what_a_plant_with_table_1_s_sensor_reads() -> None:
     quantum = [SPEC.translation_resolution.value] * 3 + [SPEC.rotation_resolution.value] * 3
     pose = np.linspace(1e-4, 2e-4, 6)
-    read = MuJoCoPlant(pose=pose, quantum=quantum, gravity=0.0).read().pose
+    read = MuJoCoPlant(pose=pose, sensor=Sensor(quantum=quantum), gravity=0.0).read().pose
     assert np.abs(read - pose).max() <= max(quantum) / 2
     np.testing.assert_allclose(read / quantum, np.rint(read / quantum), atol=1e-9)
 

@@ -15,7 +15,7 @@ from maglev_mj.controller import Controller
 from maglev_mj.errors import DivergenceError, ModelError, ParameterError, PlantError
 from maglev_mj.frames import Array, quaternion
 from maglev_mj.laws import Hold, Wall
-from maglev_mj.plants import SampledPlant
+from maglev_mj.plants import SampledPlant, Sensor
 from maglev_mj.trace import Trace
 
 PLANTS: list[type[Any]] = [ExactPlant, MuJoCoPlant]
@@ -125,7 +125,7 @@ def test_write_returns_what_was_applied(plant_type: Callable[..., SampledPlant])
 def test_quantized_sensor_reads_whole_steps(plant_type: Callable[..., SampledPlant]) -> None:
     quantum = [5e-6, 0.0, 5e-6, 10e-6, 10e-6, 0.0]
     pose = [1.2345e-4, 1.2345e-4, 2e-3, 1.2345e-3, 0.0, 0.0]
-    sample = plant_type(Timing(period=T), pose=pose, quantum=quantum, gravity=0.0).read()
+    sample = plant_type(Timing(period=T), pose=pose, sensor=Sensor(quantum=quantum), gravity=0.0).read()
     expected = [np.rint(x / q) * q if q else x for x, q in zip(pose, quantum, strict=True)]
     np.testing.assert_allclose(sample.position, expected, rtol=1e-12)
     assert sample.position[0] == pytest.approx(25 * 5e-6, rel=1e-12)
@@ -256,12 +256,17 @@ def test_bad_parameters_are_refused_with_the_value() -> None:
         ({"pose": 0.001}, r"pose and twist must be \(..., 6\)"),
         ({"pose": [0.001]}, r"pose and twist must be \(..., 6\)"),
         ({"wrench_limit": np.ones((3, 6))}, r"wrench_limit must be a number or have the shape \(6,\), not \(3, 6\)"),
-        ({"quantum": math.inf}, "quantum must be finite"),
-        ({"quantum": np.ones((3, 6))}, "quantum must be"),
     ]
     for door, words in shapes:
         with pytest.raises(ParameterError, match=words):
             ExactPlant(**door)
+    for sensor, words in (
+        ({"quantum": math.inf}, "quantum must be finite"),
+        ({"quantum": np.ones((3, 6))}, "quantum must be"),
+        ({"noise": -1e-6}, "noise must be finite and at least 0 everywhere, not -1e-06"),
+    ):
+        with pytest.raises(ParameterError, match=words):
+            Sensor(**sensor)
     with pytest.raises(ParameterError, match="longest_step must be a finite number above 0, not 0"):
         MuJoCoPlant(longest_step=0.0)
     with pytest.raises(ParameterError, match=r"delay must be at most 10000 periods of 0.005 s, not 1e.12 s"):

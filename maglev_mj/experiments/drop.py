@@ -19,7 +19,7 @@ from maglev_mj.laws import Hold, Wall
 from maglev_mj.loop import run
 from maglev_mj.metrics import BounceSummary, percentiles, summarise_bounce
 from maglev_mj.parameters import number, numbers
-from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant, Timing, engine_warnings_silenced
+from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant, Sensor, Timing, engine_warnings_silenced
 from maglev_mj.spec import GRAVITY, Spec
 from maglev_mj.trace import Trace
 
@@ -244,14 +244,14 @@ def _ticks(parameters: DropParameters, phase: float) -> int:
 
 def _plant(parameters: DropParameters, phase: float | Array) -> SampledPlant:
     limit = None if parameters.force_limit is None else [np.inf, np.inf, parameters.force_limit] + [np.inf] * 3
-    quantum = None if parameters.quantize == 0.0 else [0.0, 0.0, parameters.quantize] + [0.0] * 3
+    sensor = Sensor(quantum=[0.0, 0.0, parameters.quantize] + [0.0] * 3) if parameters.quantize else None
     plant = ExactPlant if parameters.plant == "exact" else MuJoCoPlant
     return plant(
         Timing(period=parameters.period, delay=parameters.delay, phase=phase),
         mass=parameters.mass,
         pose=[0.0, 0.0, parameters.height, 0.0, 0.0, 0.0],
         wrench_limit=limit,
-        quantum=quantum,
+        sensor=sensor,
         escape=(_ESCAPE, 1.0),
         record=True,
     )

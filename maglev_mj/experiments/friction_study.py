@@ -13,7 +13,7 @@ from maglev_mj.experiments.stick_slip import StickSlipParameters, exact_stick_sl
 from maglev_mj.frames import Array, Command, Component, Mask, Sample
 from maglev_mj.laws import Friction
 from maglev_mj.loop import run
-from maglev_mj.plants import ExactPlant, Timing
+from maglev_mj.plants import ExactPlant, Sensor, Timing
 
 __all__ = [
     "LoadOutcome",
@@ -102,10 +102,10 @@ def under_load(
         (state,) = controller.states[0]
         rows.append((sample.position[0], float(state.anchor), bool(state.stuck)))
 
-    quantum = [quantize, 0.0, 0.0, 0.0, 0.0, 0.0] if quantize else None
+    sensor = Sensor(quantum=[quantize, 0.0, 0.0, 0.0, 0.0, 0.0]) if quantize else None
     # a law that drifts does so beyond the device's range too: that is what is measured
     far = (1e6, 1e6)
-    with ExactPlant(Timing(period=period, delay=delay), gravity=0.0, quantum=quantum, escape=far) as plant:
+    with ExactPlant(Timing(period=period, delay=delay), gravity=0.0, sensor=sensor, escape=far) as plant:
         run(plant, controller, len(forces), observe=observe)
     return LoadOutcome(*(np.array(column) for column in zip(*rows, strict=True)))
 

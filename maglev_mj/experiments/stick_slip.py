@@ -17,7 +17,7 @@ from maglev_mj.karnopp import FrictionEvent, KarnoppMotion, karnopp
 from maglev_mj.laws import Hold
 from maglev_mj.loop import run
 from maglev_mj.parameters import axis_indices, number
-from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant, Timing, engine_warnings_silenced
+from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant, Sensor, Timing, engine_warnings_silenced
 from maglev_mj.spec import Spec
 from maglev_mj.trace import Trace
 
@@ -255,10 +255,10 @@ def exact_stick_slip(parameters: StickSlipParameters, time: Array) -> KarnoppMot
 
 
 def _plant(parameters: StickSlipParameters, index: int) -> SampledPlant:
-    quantum = None if parameters.quantize == 0.0 else [parameters.quantize * (axis == index) for axis in range(6)]
+    sensor = Sensor(quantum=np.eye(6)[index] * parameters.quantize) if parameters.quantize else None
     plant = ExactPlant if parameters.plant == "exact" else MuJoCoPlant
     timing = Timing(period=parameters.period, delay=parameters.delay)
-    return plant(timing, gravity=0.0, quantum=quantum, record=True)
+    return plant(timing, gravity=0.0, sensor=sensor, record=True)
 
 
 def _result(

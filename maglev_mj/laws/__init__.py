@@ -13,7 +13,8 @@ from maglev_mj.frames import Component
 from maglev_mj.laws.bristle import Dahl, ElastoPlastic, HaywardArmstrong, LuGre
 from maglev_mj.laws.friction import Friction, FrictionState, ImplicitCoulomb, SpringReset, StickSlip
 from maglev_mj.laws.hold import Hold
-from maglev_mj.laws.velocity import AdaptiveWindow, FiniteDifference, LowPass
+from maglev_mj.laws.linear import LinearController
+from maglev_mj.laws.velocity import AdaptiveWindow, FiniteDifference, LowPass, Window
 from maglev_mj.laws.wall import Wall
 
 __all__ = [
@@ -27,12 +28,14 @@ __all__ = [
     "Hold",
     "ImplicitCoulomb",
     "Law",
+    "LinearController",
     "LowPass",
     "LuGre",
     "SpringReset",
     "StickSlip",
     "VelocityEstimator",
     "Wall",
+    "Window",
 ]
 
 

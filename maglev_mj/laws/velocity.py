@@ -7,12 +7,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+from numpy.typing import ArrayLike
+
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Component
 from maglev_mj.laws.friction import choose
+from maglev_mj.laws.linear import LinearController
 from maglev_mj.parameters import number
 
-__all__ = ["AdaptiveWindow", "FiniteDifference", "LowPass"]
+__all__ = ["AdaptiveWindow", "FiniteDifference", "LowPass", "Window"]
 
 
 @dataclass(frozen=True)
@@ -37,6 +41,10 @@ class FiniteDifference:
             (ry - ry0) / period,
             (rz - rz0) / period,
         ), position
+
+    def linear(self, period: ArrayLike) -> LinearController:
+        """Return the estimate of one coordinate as a linear system that remembers the last position."""
+        return Window(samples=1).linear(period)
 
 
 @dataclass(frozen=True)
@@ -64,6 +72,47 @@ class LowPass:
             for now, before, speed in zip(position, previous, velocity)
         ]
         return filtered, (position, filtered)
+
+    def linear(self, period: ArrayLike) -> LinearController:
+        """Return the estimate of one coordinate as a linear system: last position, last estimate."""
+        time = np.asarray(period, dtype=np.float64)
+        share = -np.expm1(-2.0 * math.pi * self.cutoff * time)
+        zero, one = np.zeros_like(time), np.ones_like(time)
+        give = np.stack([-share / time, 1.0 - share], axis=-1)
+        advance = np.stack([np.stack([zero, zero], axis=-1), give], axis=-2)
+        return LinearController(advance, np.stack([one, share / time], axis=-1), give, share / time)
+
+
+@dataclass(frozen=True)
+class Window:
+    """Slope of the chord over a fixed number of samples, as if at rest before the first.
+
+    Args:
+        samples: Length of the window [samples], at least 1; 1 is the finite difference.
+
+    Raises:
+        ParameterError: If it is not a whole number of at least 1.
+    """
+
+    samples: int = 3
+
+    def __post_init__(self) -> None:
+        if number("samples", self.samples, at_least=1) != int(self.samples):
+            raise ParameterError(f"samples must be a whole number, not {self.samples!r}")
+
+    def __call__(self, position: Sequence[Component], state: Any, period: float) -> tuple[Sequence[Component], Any]:
+        """Return (x[k] - x[k-n]) / (n T) for each component, zero at the first sample, and the next state."""
+        past = (position,) * int(self.samples) if state is None else state
+        time = len(past) * period
+        velocity = [(now - before) / time for now, before in zip(position, past[-1])]
+        return velocity, (position, *past[:-1])
+
+    def linear(self, period: ArrayLike) -> LinearController:
+        """Return the estimate of one coordinate as a linear system that remembers the last positions."""
+        time, count = np.asarray(period, dtype=np.float64), int(self.samples)
+        advance, take = np.eye(count, k=-1), np.eye(count)[0]
+        oldest = np.eye(count)[-1]
+        return LinearController(advance, take, -oldest / (count * time[..., None]), 1.0 / (count * time))
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Iterator, Sequence
 from math import isfinite
-from typing import Any, Self
+from typing import Any, Self, TypedDict
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,9 +16,21 @@ from maglev_mj.errors import DivergenceError, ParameterError, PlantError
 from maglev_mj.frames import AXES, Array, Command, Component, Sample, components, join
 from maglev_mj.parameters import number, numbers
 from maglev_mj.plants.contract import Timing
+from maglev_mj.plants.sensor import Sensor
 from maglev_mj.trace import Trace, TraceRecorder
 
-__all__ = ["SampledPlant"]
+__all__ = ["PlantKeywords", "SampledPlant"]
+
+
+class PlantKeywords(TypedDict, total=False):
+    """The keywords of `SampledPlant` that its subclasses pass on."""
+
+    wrench: ArrayLike
+    wrench_limit: ArrayLike | None
+    sensor: Sensor | None
+    escape: tuple[float, float]
+    record: bool
+    longest_step: float | None
 
 
 class SampledPlant(ABC):
@@ -31,8 +43,9 @@ class SampledPlant(ABC):
     Args:
         timing: Sample period, delay and phase.
         batch: Shape of the batch, () for one device.
+        wrench: What the actuators give at release, until the first command takes effect, (..., 6) [N, N m].
         wrench_limit: Largest wrench, (..., 6) or a number [N, N m]; infinite entries and None for no limit.
-        quantum: Sensor resolution, (6,) [m, rad]; zero entries and None for an ideal sensor.
+        sensor: How the pose is measured; None for an ideal sensor.
         escape: Distance and angle from the centre [m, rad] beyond which the run has diverged.
         record: Keep every switch for `trace()`.
         longest_step: Longest stretch between two recorded or computed states [s]; None for no bound.
@@ -43,17 +56,18 @@ class SampledPlant(ABC):
         timing: Timing,
         batch: tuple[int, ...],
         *,
+        wrench: ArrayLike = 0.0,
         wrench_limit: ArrayLike | None = None,
-        quantum: ArrayLike | None = None,
+        sensor: Sensor | None = None,
         escape: tuple[float, float] = (0.045, 1.0),
         record: bool = False,
         longest_step: float | None = None,
     ) -> None:
         self.timing = timing
         self.batch = batch
-        self._limit = None if wrench_limit is None else _six("wrench_limit", wrench_limit, batch)
+        self._limit = None if wrench_limit is None else self.six("wrench_limit", wrench_limit)
         self._limits = self._limit is not None
-        self._quantum = None if quantum is None else _six("quantum", quantum, (), finite=True)
+        self._measure = None if sensor is None else sensor.start()
         distance, angle = (number("escape", value, above=0.0) for value in escape)
         self._escape = distance * distance, angle * angle
         self._longest_step = None if longest_step is None else number("longest_step", longest_step, above=0.0)
@@ -63,9 +77,10 @@ class SampledPlant(ABC):
         self._offset: Component = 0.0
         # one place for each command on its way; None where none was written
         self._queue: deque[tuple[Any, Any, float] | None] = deque([None] * timing.whole)
-        self._drive = self._prepare([0.0] * 6)
+        self._drive = self._prepare(components(self.six("wrench", wrench, at_least=-math.inf, finite=True)))
         self._tail: tuple[Any, float] | None = None
         self._closed = False
+        self._jitters = timing.jitter > 0.0
 
     @abstractmethod
     def _prepare(self, force: Sequence[Component]) -> Any:
@@ -95,15 +110,16 @@ class SampledPlant(ABC):
             raise PlantError("the plant is closed")
         if self._tick >= 0:
             self._offset = 0.0
-            self._period(timing.period, timing.rest, timing.negligible)
+            rest = timing.rest_at(self._tick) if self._jitters else timing.rest
+            self._period(timing.period, rest, timing.negligible)
         elif np.any(timing.phase):  # free fall from release to the first sample, which is tick 0
             ahead = timing.phase * timing.period
             self._offset = -ahead
             self._run(ahead, self._drive)
         self._tick = tick = self._tick + 1
         position = self._position()
-        if self._quantum is not None:
-            position = _quantized(position, self._quantum)
+        if self._measure is not None:
+            position = self._measure(position)
         return Sample(tick, (tick + timing.phase) * timing.period, position)
 
     def write(self, command: Command) -> Command:
@@ -173,8 +189,10 @@ class SampledPlant(ABC):
         start = 0.0
         if self._tail is not None:
             pulsed, start = self._tail
+            start = min(start, rest)  # the next command ends what is left of a pulse
             self._tail = None
-            run(start, pulsed)
+            if start > negligible:
+                run(start, pulsed)
         if rest - start > negligible:
             run(rest - start, self._drive)
         left = period - rest
@@ -185,9 +203,8 @@ class SampledPlant(ABC):
                 inside = min(width, left)
                 run(inside, pulsed)
                 left -= inside
-                after = min(width - inside, rest)  # the next command ends what is left of a pulse
-                if after > negligible:
-                    self._tail = pulsed, after
+                if width - inside > negligible:
+                    self._tail = pulsed, width - inside
         if left > negligible:
             run(left, self._drive)
 
@@ -201,6 +218,18 @@ class SampledPlant(ABC):
                 self._recorder.add(self._tick if self._tick >= 0 else 0, offset, *self._state(drive))
             self._advance(duration / pieces, drive)
         self._offset = self._offset + duration
+
+    def six(self, name: str, value: ArrayLike, *, at_least: float = 0.0, finite: bool = False) -> Array:
+        """Return a parameter of each axis, checked: (6,), or (..., 6) for the batch; a number serves all axes.
+
+        Raises:
+            ParameterError: If an entry is too small or the shape does not fit.
+        """
+        array = numbers(name, value, at_least=at_least, finite=finite)
+        if array.shape not in ((), (6,), (*self.batch, 6)):
+            allowed = "(6,)" if not self.batch else f"(6,) or {(*self.batch, 6)}"
+            raise ParameterError(f"{name} must be a number or have the shape {allowed}, not {array.shape}")
+        return np.broadcast_to(array, (6,)) if array.ndim == 0 else array
 
     def _limited(self, command: Command) -> Command:
         """Clip the held wrench, and the wrench in the pulse, each on its own."""
@@ -248,19 +277,3 @@ class SampledPlant(ABC):
             f"at {time[place]:.4g} s{device}; a run has diverged beyond "
             f"{math.sqrt(largest_distance):.3g} m or {math.sqrt(largest_angle):.3g} rad"
         )
-
-
-def _six(name: str, value: ArrayLike, batch: tuple[int, ...], *, finite: bool = False) -> Array:
-    """Return a per-axis parameter that is 0 or more, (..., 6) or a number for all axes."""
-    array = numbers(name, value, at_least=0.0, finite=finite)
-    if array.shape not in ((), (6,), (*batch, 6)):
-        allowed = "(6,)" if not batch else f"(6,) or {(*batch, 6)}"
-        raise ParameterError(f"{name} must be a number or have the shape {allowed}, not {array.shape}")
-    return array
-
-
-def _quantized(position: Sequence[Component], quantum: Array) -> list[Component]:
-    """Round to whole steps of the sensor; a step of 0 leaves the coordinate as it is."""
-    pose = join(position)
-    step = np.where(quantum > 0.0, quantum, 1.0)
-    return components(np.where(quantum > 0.0, np.rint(pose / step) * step, pose))

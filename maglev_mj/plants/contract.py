@@ -6,6 +6,8 @@ import math
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
+import numpy as np
+
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Command, Component, Sample
 from maglev_mj.parameters import number, numbers
@@ -42,6 +44,9 @@ class Timing:
         period: Sample period [s], above 0.
         delay: Transport delay [s], 0 or more; may exceed the period, up to 10 000 times.
         phase: In [0, 1); (N,) for N devices that differ.
+        jitter: The delay of each command is drawn evenly from delay ± jitter [s], the same for a whole batch.
+            Commands must stay in order and in their period.
+        seed: Of the jitter: the same seed gives the same run.
 
     Raises:
         ParameterError: If a value is outside its bounds.
@@ -50,6 +55,8 @@ class Timing:
     period: float = 0.005
     delay: float = 0.0015
     phase: Component = 0.0
+    jitter: float = 0.0
+    seed: int = 0
     whole: int = field(init=False)
     """Whole periods in the delay."""
     rest: float = field(init=False)
@@ -68,12 +75,26 @@ class Timing:
         # a delay within rounding of a whole number of periods is that number
         whole = math.floor(delay / period + 1e-9)
         rest = max(delay - whole * period, 0.0)
+        rest = rest if rest > 1e-9 * period else 0.0
+        jitter = number("jitter", self.jitter, at_least=0.0)
+        if jitter > min(rest, period - rest):
+            room = min(rest, period - rest)
+            raise ParameterError(f"jitter must be at most {room:g} s at this delay and period, not {jitter:g}")
+        object.__setattr__(self, "jitter", jitter)
         object.__setattr__(self, "period", period)
         object.__setattr__(self, "delay", delay)
         object.__setattr__(self, "phase", phase if phase.ndim else float(phase))
         object.__setattr__(self, "whole", whole)
         object.__setattr__(self, "negligible", 1e-9 * period)
-        object.__setattr__(self, "rest", rest if rest > 1e-9 * period else 0.0)
+        object.__setattr__(self, "rest", rest)
+
+    def rest_at(self, tick: int) -> float:
+        """Return what remains of the delay [s] after whole periods, for the command that takes effect after `tick`."""
+        if self.jitter == 0.0:
+            return self.rest
+        # from tick and seed alone, so that it does not matter who asks, nor in which order
+        draw = np.random.default_rng((self.seed, tick)).uniform(-1.0, 1.0)
+        return float(self.rest + self.jitter * draw)
 
     def time(self, tick: int, offset: Component = 0.0) -> Any:
         """Return the time [s] of an instant `offset` after sample `tick`; never a running sum."""

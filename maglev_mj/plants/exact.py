@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TypeAlias
+from typing import Any, TypeAlias, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Component, components, join
+from maglev_mj.hand import Hand
 from maglev_mj.parameters import number, numbers
-from maglev_mj.plants.base import SampledPlant
+from maglev_mj.plants.axes import AxisMotion, FreeAxis, HeldAxis, LaggedAxis, RubbingAxis
+from maglev_mj.plants.base import PlantKeywords, SampledPlant
 from maglev_mj.plants.contract import Timing
 from maglev_mj.spec import GRAVITY, Spec
 
@@ -27,7 +29,7 @@ class ExactPlant(SampledPlant):
     """One device or N of them, each coordinate a mass under a constant force: no integrator at all.
 
     Exact for translation, and for rotation about one principal axis; the coupling between rotations, of
-    second order in the angle, is left out. A first-order driver lag has a closed form too.
+    second order in the angle, is left out. Driver lag, a hand and dry friction have closed forms too.
 
     Args:
         timing: Sample period, delay and phase; (N,) phases go with a pose (N, 6).
@@ -37,10 +39,10 @@ class ExactPlant(SampledPlant):
         twist: Velocity at release [m/s, rad/s], (..., 6).
         gravity: Acceleration of free fall along -z [m/s²].
         driver_lag: Switch the current drivers' first-order lag on.
-        wrench_limit: See `SampledPlant`, as for the remaining ones.
-        quantum: Sensor resolution.
-        escape: Distance and angle at which a run counts as diverged.
-        record: Keep every switch for `trace()`.
+        hand: A hand on the flotor.
+        dry_friction: Coulomb friction of the device itself [N, N m], (..., 6) or a number; not together with
+            driver lag, nor on an axis that a hand holds.
+        keywords: Those of `SampledPlant`: wrench, wrench_limit, sensor, escape, record.
 
     Raises:
         ParameterError: If a value is outside its bounds or the shapes do not fit.
@@ -56,42 +58,48 @@ class ExactPlant(SampledPlant):
         twist: ArrayLike = (0.0,) * 6,
         gravity: float = GRAVITY,
         driver_lag: bool = False,
-        wrench_limit: ArrayLike | None = None,
-        quantum: ArrayLike | None = None,
-        escape: tuple[float, float] = (0.045, 1.0),
-        record: bool = False,
+        hand: Hand | None = None,
+        dry_friction: ArrayLike | None = None,
+        **keywords: Unpack[PlantKeywords],
     ) -> None:
         timing = timing or Timing()
-        start, motion = numbers("pose", pose), numbers("twist", twist)
-        moments = numbers("inertia", inertia, at_least=0.0)
-        shapes = (start.shape, motion.shape, (*np.shape(timing.phase), 6))
-        if moments.shape != (3,) or any(shape[-1:] != (6,) for shape in shapes):
-            raise ParameterError(
-                f"pose and twist must be (..., 6) and inertia (3,), not {start.shape}, {motion.shape} and "
-                f"{moments.shape}"
-            )
-        try:
-            shape = np.broadcast_shapes(*shapes)
-        except ValueError:
-            raise ParameterError(f"pose, twist and phase must fit one batch, not {shapes}") from None
-        start, motion = np.broadcast_to(start, shape), np.broadcast_to(motion, shape)
-        body = [number("mass", mass, above=0.0)] * 3 + [number("inertia", value, above=0.0) for value in moments]
+        start, motion, body = _start(timing, pose, twist, mass, inertia)
         self._inverse_inertia = [1.0 / value for value in body]
         self._gravity = (0.0, 0.0, -number("gravity", gravity), 0.0, 0.0, 0.0)
-        self._lag = 1.0 / (2.0 * math.pi * Spec.driver_bandwidth.value) if driver_lag else None
+        self._weight = [fall * inertia for fall, inertia in zip(self._gravity, body)]
         self._place, self._velocity = components(start), components(motion)
-        # acceleration that the drivers give now; it trails the drive where there is a lag
-        self._actual: list[Component] = list(self._gravity)
-        super().__init__(
-            timing,
-            batch=start.shape[:-1],
-            wrench_limit=wrench_limit,
-            quantum=quantum,
-            escape=escape,
-            record=record,
+        self._lag = 1.0 / (2.0 * math.pi * Spec.driver_bandwidth.value) if driver_lag else 0.0
+        if keywords.get("record") and self._lag:
             # only the recorded curve needs the pieces: the state itself is exact over any stretch
-            longest_step=0.25 * self._lag if record and self._lag is not None else None,
-        )
+            keywords["longest_step"] = 0.25 * self._lag
+        super().__init__(timing, batch=start.shape[:-1], **keywords)
+        self._axes: list[AxisMotion] | None = None
+        if driver_lag or hand is not None or dry_friction is not None:
+            self._axes = self._special_axes(body, hand, dry_friction)
+
+    def _special_axes(self, body: list[float], hand: Hand | None, dry_friction: ArrayLike | None) -> list[AxisMotion]:
+        """Return how each axis moves where that is not as a free mass."""
+        rub = None if dry_friction is None else self.six("dry_friction", dry_friction, finite=True)
+        held = hand.indices if hand is not None else ()
+        if hand is not None and hand.shape not in ((), self.batch):
+            raise ParameterError(f"hand must be one, or one for each device of {self.batch}, not {hand.shape}")
+        if rub is not None and self._lag:
+            raise ParameterError("dry_friction must be without driver_lag: the two have no closed form together")
+        frictions = [0.0] * 6 if rub is None else components(np.broadcast_to(rub, (*rub.shape[:-1], 6)))
+        axes: list[AxisMotion] = []
+        start = zip(self._place, self._velocity, self._drive[1], body, frictions, strict=True)
+        for index, (place, velocity, force, inertia, friction) in enumerate(start):
+            if index in held and np.any(np.asarray(friction) > 0.0):
+                raise ParameterError("dry_friction must be 0 on an axis that a hand holds")
+            if hand is not None and index in held:
+                axes.append(HeldAxis(place, velocity, force, inertia, hand, self._lag))
+            elif self._lag:
+                axes.append(LaggedAxis(place, velocity, force, inertia, self._lag))
+            elif np.any(np.asarray(friction) > 0.0):
+                axes.append(RubbingAxis(place, velocity, force, inertia, friction))
+            else:
+                axes.append(FreeAxis(place, velocity, force, inertia))
+        return axes
 
     def _prepare(self, force: Sequence[Component]) -> Drive:
         acceleration = [
@@ -100,28 +108,17 @@ class ExactPlant(SampledPlant):
         return acceleration, force
 
     def _advance(self, duration: Component, drive: Drive) -> None:
-        accelerations = drive[0]
-        if self._lag is not None:
-            self._advance_lagged(duration, accelerations, self._lag)
-            return
         position, velocity = self._place, self._velocity
+        if self._axes is not None:
+            for index, (moving, command, weight) in enumerate(zip(self._axes, drive[1], self._weight)):
+                moving.advance(duration, command, weight)
+                position[index], velocity[index] = moving.place, moving.velocity
+            return
         half = 0.5 * duration
-        for axis, acceleration in enumerate(accelerations):
+        for axis, acceleration in enumerate(drive[0]):
             speed = velocity[axis]
             position[axis] = position[axis] + duration * (speed + half * acceleration)
             velocity[axis] = speed + duration * acceleration
-
-    def _advance_lagged(self, duration: Component, accelerations: list[Component], lag: float) -> None:
-        """Integrate drive + (actual - drive) exp(-t/lag) twice."""
-        faded = -np.expm1(-duration / lag)
-        for axis, acceleration in enumerate(accelerations):
-            missing = self._actual[axis] - acceleration
-            gained = missing * lag * faded
-            position, speed = self._place[axis], self._velocity[axis]
-            travel = speed + 0.5 * duration * acceleration + missing * lag
-            self._place[axis] = position + duration * travel - lag * gained
-            self._velocity[axis] = speed + duration * acceleration + gained
-            self._actual[axis] = acceleration + missing * (1.0 - faded)
 
     def _position(self) -> list[Component]:
         self._check_escape(self._place)
@@ -129,11 +126,27 @@ class ExactPlant(SampledPlant):
 
     def _state(self, drive: Drive) -> tuple[Array, Array, Array]:
         force = drive[1]
-        if self._lag is not None:
-            force = [
-                (acceleration - fall) / inverse
-                for acceleration, fall, inverse in zip(self._actual, self._gravity, self._inverse_inertia)
-            ]
+        if self._axes is not None and self._lag:
+            force = [axis.actual for axis in self._axes]
         shape = (*self.batch, 6)
         pose, twist, wrench = (np.broadcast_to(join(part), shape) for part in (self._place, self._velocity, force))
         return pose, twist, wrench
+
+
+def _start(
+    timing: Timing, pose: ArrayLike, twist: ArrayLike, mass: float, inertia: ArrayLike
+) -> tuple[Array, Array, list[Any]]:
+    """Return checked pose and twist at release, of one shape, and mass and moments of inertia for the six axes."""
+    start, motion = numbers("pose", pose), numbers("twist", twist)
+    moments = numbers("inertia", inertia, at_least=0.0)
+    shapes = (start.shape, motion.shape, (*np.shape(timing.phase), 6))
+    if moments.shape != (3,) or any(shape[-1:] != (6,) for shape in shapes):
+        raise ParameterError(
+            f"pose and twist must be (..., 6) and inertia (3,), not {start.shape}, {motion.shape} and {moments.shape}"
+        )
+    try:
+        shape = np.broadcast_shapes(*shapes)
+    except ValueError:
+        raise ParameterError(f"pose, twist and phase must fit one batch, not {shapes}") from None
+    body = [number("mass", mass, above=0.0)] * 3 + [number("inertia", value, above=0.0) for value in moments]
+    return np.broadcast_to(start, shape), np.broadcast_to(motion, shape), body

@@ -6,27 +6,38 @@ import struct
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, Unpack
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
 from maglev_mj.errors import ParameterError, PlantError
-from maglev_mj.frames import Array, Command, quaternion, rotation_vector
-from maglev_mj.model import COILS, load
+from maglev_mj.frames import AXES, Array, Command, quaternion, rotation_vector
+from maglev_mj.hand import Hand
+from maglev_mj.model import COILS, Device, load
 from maglev_mj.parameters import number, numbers
-from maglev_mj.plants.base import SampledPlant
+from maglev_mj.plants.base import PlantKeywords, SampledPlant
 from maglev_mj.plants.contract import Timing
 from maglev_mj.spec import GRAVITY
 
-__all__ = ["MuJoCoPlant", "engine_warnings_silenced"]
+__all__ = [
+    "INTEGRATORS",
+    "UPRIGHT",
+    "MuJoCoPlant",
+    "engine_warnings_silenced",
+    "longest_step",
+    "prepared",
+    "start_state",
+]
 
 
 Drive: TypeAlias = tuple[Sequence[float], Any]
 """A wrench, and the map from it to the currents; None for a wrench applied to the flotor itself."""
 
-_UPRIGHT = 1e-9
+_HAND_STEP = 5e-4
+
+UPRIGHT = 1e-9
 """Angle [rad] up to which the coils' map is that of the upright flotor: its error is below any figure here."""
 
 
@@ -44,8 +55,67 @@ def engine_warnings_silenced() -> Iterator[None]:
         mujoco.set_mju_user_warning(handler)
 
 
+_KINDS = mujoco.mjtIntegrator.__members__
+INTEGRATORS = {name.removeprefix("mjINT_").lower(): kind for name, kind in _KINDS.items()}
+"""The engine's integrators by name."""
+
+
+def prepared(
+    scene: str,
+    *,
+    mass: float | None = None,
+    gravity: float = GRAVITY,
+    coils: bool = True,
+    driver_lag: bool = False,
+    hand: Hand | None = None,
+    integrator: str = "rk4",
+) -> Device:
+    """Load a device and set its model up for a plant.
+
+    Raises:
+        ParameterError: If a value is outside its bounds.
+        ModelError: If the scene cannot be used.
+    """
+    if integrator not in INTEGRATORS:
+        raise ParameterError(f"integrator must be one of {', '.join(INTEGRATORS)}, not {integrator!r}")
+    device = load(scene, mass=mass, driver_lag=driver_lag, coils=coils, hand=hand)
+    options = device.model.opt
+    options.integrator = INTEGRATORS[integrator]
+    options.gravity[:] = 0.0, 0.0, -number("gravity", gravity)
+    # an automatic reset would make a diverging run look stable, and the plant limits currents itself
+    options.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET | mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL
+    return device
+
+
+def start_state(device: Device, pose: Array, twist: Array) -> tuple[Array, Array]:
+    """Return qpos and qvel of a device at release; a free hand starts where the flotor is, as fast.
+
+    Args:
+        device: The device.
+        pose: Pose of the flotor [m, rad], (6,).
+        twist: Its velocity [m/s, rad/s], (6,).
+    """
+    model = device.model
+    position, velocity, rotation = np.zeros(model.nq), np.zeros(model.nv), np.zeros(9)
+    first, start = device.position_address, device.velocity_address
+    position[first : first + 3], position[first + 3 : first + 7] = pose[:3], quaternion(pose[3:])
+    mujoco.mju_quat2Mat(rotation, position[first + 3 : first + 7])
+    # the engine turns about the flotor's axes
+    velocity[start : start + 3], velocity[start + 3 : start + 6] = twist[:3], twist[3:] @ rotation.reshape(3, 3)
+    for index, axis in enumerate(AXES[:3]):
+        if (hand := mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, f"hand_{axis}")) >= 0:
+            position[model.jnt_qposadr[hand]], velocity[model.jnt_dofadr[hand]] = pose[index], twist[index]
+    return position, velocity
+
+
+def longest_step(device: Device, driver_lag: bool, hand: Hand | None) -> float | None:
+    """Return the integration step [s] that a device needs beyond its switches; None for none."""
+    needed = [0.25 * device.driver_time_constant] * driver_lag + [_HAND_STEP] * (hand is not None)
+    return min(needed, default=None)
+
+
 class MuJoCoPlant(SampledPlant):
-    """The device in MuJoCo, RK4 with a step boundary at every switch: exact to rounding in translation.
+    """The device in MuJoCo, by default RK4 with a step boundary at every switch: exact to rounding in translation.
 
     Nothing is limited unless asked for: the device gives 60 N along z, which takes `current_limit=10`.
 
@@ -60,12 +130,11 @@ class MuJoCoPlant(SampledPlant):
             was taken; False applies it to the flotor itself, as an ideal actuator would.
         current_limit: Largest current in any coil [A]; None for no limit.
         driver_lag: Switch the current drivers' first-order lag on.
-        longest_step: Longest integration step [s]; None for as long as the wrench is constant, and a
-            quarter of the drivers' time constant where their lag is on.
-        wrench_limit: See `SampledPlant`, as for the remaining ones.
-        quantum: Sensor resolution.
-        escape: Distance and angle at which a run counts as diverged.
-        record: Keep every switch for `trace()`.
+        hand: A hand on the flotor, along x, y or z.
+        integrator: One of `INTEGRATORS`.
+        keywords: Those of `SampledPlant`: wrench, wrench_limit, sensor, escape, record, longest_step. The longest
+            integration step is None for as long as the wrench is constant, and by default a quarter of the
+            drivers' time constant where their lag is on, 0.5 ms where a hand is.
 
     Raises:
         ParameterError: If a value is outside its bounds or the shapes do not fit.
@@ -84,11 +153,9 @@ class MuJoCoPlant(SampledPlant):
         coils: bool = True,
         current_limit: float | None = None,
         driver_lag: bool = False,
-        longest_step: float | None = None,
-        wrench_limit: ArrayLike | None = None,
-        quantum: ArrayLike | None = None,
-        escape: tuple[float, float] = (0.045, 1.0),
-        record: bool = False,
+        hand: Hand | None = None,
+        integrator: str = "rk4",
+        **keywords: Unpack[PlantKeywords],
     ) -> None:
         timing = timing or Timing()
         start, motion = numbers("pose", pose), numbers("twist", twist)
@@ -99,25 +166,18 @@ class MuJoCoPlant(SampledPlant):
             )
         if not coils and (driver_lag or current_limit is not None):
             raise ParameterError("current_limit and driver_lag need coils=True")
-        self.device = load(scene, mass=mass, driver_lag=driver_lag, coils=coils)
+        self.device = prepared(
+            scene, mass=mass, gravity=gravity, coils=coils, driver_lag=driver_lag, hand=hand, integrator=integrator
+        )
         self.current_limit = None if current_limit is None else number("current_limit", current_limit, at_least=0.0)
         model = self.device.model
-        model.opt.integrator = mujoco.mjtIntegrator.mjINT_RK4
-        model.opt.gravity[:] = 0.0, 0.0, -number("gravity", gravity)
-        # an automatic reset would make a diverging run look stable, and the plant limits currents itself
-        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET | mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL
         self._data = mujoco.MjData(model)
         self._model, self._options = model, model.opt
         self._step = partial(mujoco.mj_step, model, self._data)
         self._qpos = self._data.qpos[self.device.position_address :][:7]
         self._qvel = self._data.qvel[self.device.velocity_address :][:6]
-        self._qpos[:3], self._qpos[3:] = start[:3], quaternion(start[3:])
+        self._data.qpos[:], self._data.qvel[:] = start_state(self.device, start, motion)
         self._rotation = np.zeros(9)
-        mujoco.mju_quat2Mat(self._rotation, self._qpos[3:])
-        self._qvel[:3], self._qvel[3:] = (
-            motion[:3],
-            motion[3:] @ self._rotation.reshape(3, 3),
-        )  # the engine's: flotor axes
         # live views: reaching for them through the data object costs as much as using them
         self._currents = self._data.ctrl[: len(COILS)]
         self._wrench = np.zeros(6) if coils else self._data.xfrc_applied[self.device.flotor]
@@ -130,17 +190,11 @@ class MuJoCoPlant(SampledPlant):
         self._applied: Drive | None = None
         self._warnings = self._data.warning.number
         self._no_warnings = self._warnings.tobytes()
-        if driver_lag and longest_step is None:
-            longest_step = 0.25 * self.device.driver_time_constant
-        super().__init__(
-            timing,
-            batch=(),
-            wrench_limit=wrench_limit,
-            quantum=quantum,
-            escape=escape,
-            record=record,
-            longest_step=longest_step,
-        )
+        if keywords.get("longest_step") is None:
+            keywords["longest_step"] = longest_step(self.device, driver_lag, hand)
+        super().__init__(timing, batch=(), **keywords)
+        if driver_lag:
+            self._data.act[:] = self._inverse_map @ np.array(self._drive[0])
         self._limits = self._limits or self.current_limit is not None
 
     def _limited(self, command: Command) -> Command:
@@ -178,7 +232,7 @@ class MuJoCoPlant(SampledPlant):
         x, y, z, q0, q1, q2, q3 = self._qpos.tolist()
         rx, ry, rz = rotation_vector(q0, q1, q2, q3)
         position = [x, y, z, rx, ry, rz]
-        turned = self._check_escape(position) > _UPRIGHT * _UPRIGHT
+        turned = self._check_escape(position) > UPRIGHT * UPRIGHT
         if (turned or self._turned) and self._coils is not None:
             self._turned = turned
             if turned:

@@ -1,0 +1,130 @@
+"""The hand that holds the flotor, as a mass, a damper and a spring; and how both move under a held force."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from maglev_mj.errors import ParameterError
+from maglev_mj.frames import Array
+from maglev_mj.parameters import axis_indices, numbers
+
+__all__ = ["Hand", "exponential", "motion", "transition"]
+
+_TERMS = 14
+_VALUES = ("mass", "damping", "stiffness")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Hand:
+    """A hand on the flotor, linear and passive; its weight is its owner's to carry.
+
+    Held: the mass moves with the flotor, and spring and damper lead to a forearm that stands still.
+    Free: the mass is joined to the flotor by spring and damper alone, as a hand at the end of a loose arm.
+
+    Each value is a number, or (N,) for N devices.
+
+    Args:
+        mass: Mass [kg].
+        damping: Damping [N s/m].
+        stiffness: Stiffness [N/m].
+        free: Whether the hand is free rather than held.
+        axes: Names from AXES along which it acts; the translations by default.
+
+    Raises:
+        ParameterError: If a value is negative or not finite, the shapes do not fit, or a free hand has no mass.
+    """
+
+    mass: ArrayLike = 0.0
+    damping: ArrayLike = 0.0
+    stiffness: ArrayLike = 0.0
+    free: bool = False
+    axes: str | Sequence[str] = ("x", "y", "z")
+    indices: tuple[int, ...] = field(init=False)
+    """Indices of the axes into AXES."""
+    shape: tuple[int, ...] = field(init=False)
+    """Batch shape of the values."""
+
+    def __post_init__(self) -> None:
+        values = [numbers(f"hand {name}", getattr(self, name), at_least=0.0) for name in _VALUES]
+        try:
+            shape = np.broadcast_shapes(*(value.shape for value in values))
+        except ValueError:
+            shapes = sorted({value.shape for value in values})
+            raise ParameterError(f"hand mass, damping and stiffness must fit one shape, not {shapes}") from None
+        if self.free and not (values[0] > 0.0).all():
+            raise ParameterError("hand mass must be above 0 for a free hand, not 0")
+        object.__setattr__(self, "indices", axis_indices(self.axes))
+        object.__setattr__(self, "shape", shape)
+
+
+def motion(mass: ArrayLike, hand: Hand | None = None, lag: float = 0.0) -> tuple[Array, Array]:
+    """Return the continuous equations s' = A s + B (u, w) of a flotor along one axis.
+
+    The state s is position and velocity of the flotor, then those of a free hand, then the force that the
+    drivers give where they lag; u is the force commanded and w any other force on the flotor.
+
+    Args:
+        mass: Mass of the flotor [kg], (...,).
+        hand: The hand; None for none.
+        lag: Time constant of the drivers [s]; 0 for none.
+
+    Returns:
+        A (..., n, n) and B (..., n, 2).
+    """
+    hand = hand or Hand()
+    hand_mass, damping, stiffness = (np.asarray(getattr(hand, name), dtype=np.float64) for name in _VALUES)
+    flotor = np.asarray(mass, dtype=np.float64)
+    total = flotor if hand.free else flotor + hand_mass
+    size = 2 + 2 * hand.free + (lag > 0.0)
+    shape = np.broadcast_shapes(total.shape, hand.shape)
+    a, b = np.zeros((*shape, size, size)), np.zeros((*shape, size, 2))
+    a[..., 0, 1] = 1.0
+    a[..., 1, 0], a[..., 1, 1] = -stiffness / total, -damping / total
+    if hand.free:
+        a[..., 1, 2], a[..., 1, 3] = stiffness / total, damping / total
+        a[..., 2, 3] = 1.0
+        a[..., 3, 0], a[..., 3, 1] = stiffness / hand_mass, damping / hand_mass
+        a[..., 3, 2], a[..., 3, 3] = -stiffness / hand_mass, -damping / hand_mass
+    b[..., 1, 1] = 1.0 / total
+    if lag > 0.0:
+        a[..., 1, -1] = 1.0 / total
+        a[..., -1, -1], b[..., -1, 0] = -1.0 / lag, 1.0 / lag
+    else:
+        b[..., 1, 0] = 1.0 / total
+    return a, b
+
+
+def transition(a: Array, b: Array, duration: ArrayLike) -> tuple[Array, Array]:
+    """Carry s' = A s + B u over a duration [s], (...,), under constant u: s <- Phi s + Gamma u.
+
+    Returns:
+        Phi (..., n, n) and Gamma (..., n, m).
+    """
+    time = np.asarray(duration, dtype=np.float64)[..., None, None]
+    size, inputs = b.shape[-2:]
+    shape = np.broadcast_shapes(a.shape[:-2], b.shape[:-2], time.shape[:-2])
+    whole = np.zeros((*shape, size + inputs, size + inputs))
+    whole[..., :size, :size], whole[..., :size, size:] = a * time, b * time
+    result = exponential(whole)
+    return result[..., :size, :size], result[..., :size, size:]
+
+
+def exponential(matrix: Array) -> Array:
+    """Return the exponential of square matrices (..., n, n): Taylor's series, scaled and squared.
+
+    Exact to rounding for the small matrices here; numpy has none, and scipy's would be a dependency for this alone.
+    """
+    largest = float(np.abs(matrix).sum(axis=-1).max(initial=0.0))
+    squarings = max(int(np.ceil(np.log2(largest / 0.25))), 0) if largest > 0.0 else 0
+    scaled = matrix / 2.0**squarings
+    identity = np.broadcast_to(np.eye(matrix.shape[-1]), matrix.shape)
+    result = identity
+    for term in range(_TERMS, 0, -1):
+        result = identity + scaled @ result / term
+    for _ in range(squarings):
+        result = result @ result
+    return np.asarray(result)

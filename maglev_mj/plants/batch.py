@@ -1,0 +1,134 @@
+"""N devices in MuJoCo at once, on the engine's own threads."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TypeAlias, Unpack
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+from numpy.typing import ArrayLike
+
+from maglev_mj.errors import ParameterError, PlantError
+from maglev_mj.frames import Array, Component, components, join, rotation_vector
+from maglev_mj.hand import Hand
+from maglev_mj.model import COILS
+from maglev_mj.parameters import number, numbers
+from maglev_mj.plants.base import PlantKeywords, SampledPlant
+from maglev_mj.plants.contract import Timing
+from maglev_mj.plants.mujoco import UPRIGHT, longest_step, prepared, start_state
+from maglev_mj.spec import GRAVITY
+
+__all__ = ["MuJoCoBatchPlant"]
+
+Drive: TypeAlias = tuple[Array, Array]
+"""Wrenches (N, 6) and the controls that give them, (N, 6)."""
+
+
+class MuJoCoBatchPlant(SampledPlant):
+    """N devices, each as in `MuJoCoPlant` with its coils: one engine call carries all of them on.
+
+    Args:
+        timing: Sample period, delay and phase; (N,) phases go with poses (N, 6).
+        scene: Name of the model.
+        mass: Moving mass in place of the model's [kg].
+        pose: Poses at release [m, rad], (N, 6).
+        twist: Velocities at release [m/s, rad/s], (N, 6) or (6,).
+        gravity: Acceleration of free fall along -z [m/s²].
+        driver_lag: Switch the current drivers' first-order lag on.
+        hand: A hand on each flotor, all alike.
+        integrator: One of `INTEGRATORS`.
+        threads: How many threads step the devices; 0 for one a processor.
+        keywords: As for `MuJoCoPlant`.
+
+    Raises:
+        ParameterError: If a value is outside its bounds or the shapes do not fit.
+        ModelError: If the scene cannot be used.
+    """
+
+    def __init__(
+        self,
+        timing: Timing | None = None,
+        *,
+        scene: str = "drop",
+        mass: float | None = None,
+        pose: ArrayLike,
+        twist: ArrayLike = (0.0,) * 6,
+        gravity: float = GRAVITY,
+        driver_lag: bool = False,
+        hand: Hand | None = None,
+        integrator: str = "rk4",
+        threads: int = 0,
+        **keywords: Unpack[PlantKeywords],
+    ) -> None:
+        timing = timing or Timing()
+        start, motion = numbers("pose", pose), numbers("twist", twist)
+        if start.ndim != 2 or start.shape[1] != 6 or np.shape(timing.phase) not in ((), start.shape[:1]):
+            raise ParameterError(
+                f"pose must be (N, 6) and phase a number or (N,), not {start.shape} and {np.shape(timing.phase)}"
+            )
+        if motion.shape not in ((6,), start.shape):
+            raise ParameterError(f"twist must be (6,) or {start.shape}, not {motion.shape}")
+        count = int(number("threads", threads, at_least=0))
+        self.device = prepared(
+            scene, mass=mass, gravity=gravity, driver_lag=driver_lag, hand=hand, integrator=integrator
+        )
+        assert self.device.coils is not None  # it is loaded with its coils
+        self._coils = self.device.coils
+        self._engine = Batch(self.device.model, len(start), count)
+        for row, (place, speed) in enumerate(zip(start, np.broadcast_to(motion, start.shape), strict=True)):
+            self._engine.qpos[row], self._engine.qvel[row] = start_state(self.device, place, speed)
+        self._qpos = self._engine.bind("qpos")[:, self.device.position_address :][:, :7]
+        self._qvel = self._engine.bind("qvel")[:, self.device.velocity_address :][:, :6]
+        self._currents = self._engine.bind("ctrl")[:, : len(COILS)]
+        self._timestep = self._engine.expand("opt.timestep")
+        # inverse maps of the coils, (N, 6, 6) while any flotor is turned
+        self._inverse_map: Array = self._coils.current_per_wrench
+        if keywords.get("longest_step") is None:
+            keywords["longest_step"] = longest_step(self.device, driver_lag, hand)
+        super().__init__(timing, batch=start.shape[:1], **keywords)
+        if driver_lag:
+            self._engine.bind("act")[:] = self._drive[1]
+
+    def _prepare(self, force: Sequence[Component]) -> Drive:
+        wrench = np.broadcast_to(join(force), (*self.batch, 6))
+        return wrench, np.matmul(self._inverse_map, wrench[..., None])[..., 0]
+
+    def _advance(self, duration: Component, drive: Drive) -> None:
+        self._currents[:] = drive[1]
+        self._timestep[:] = np.reshape(duration, (-1, *(1,) * (self._timestep.ndim - 1)))
+        self._engine.step()
+
+    def _position(self) -> list[Component]:
+        if self._engine.warning.any():
+            raise PlantError(f"MuJoCo warns at tick {self._tick}, in {int(self._engine.warning.any(-1).sum())} devices")
+        position = self._components()
+        squared = self._check_escape(position)
+        self._inverse_map = self._coils.current_per_wrench if (squared < UPRIGHT**2).all() else self._maps()
+        return position
+
+    def _components(self) -> list[Component]:
+        x, y, z, q0, q1, q2, q3 = components(self._qpos)
+        return [x, y, z, *rotation_vector(q0, q1, q2, q3, np.sqrt, np.arctan2)]
+
+    def _maps(self) -> Array:
+        """Return the inverse map of the coils of each device at its own angle, (N, 6, 6)."""
+        return self._coils.inverse_at(self._rotations().reshape(-1, 9))
+
+    def _rotations(self) -> Array:
+        """Return each flotor's rotation matrix, (N, 3, 3)."""
+        matrices = np.empty((len(self._qpos), 9))
+        for matrix, turn in zip(matrices, self._qpos[:, 3:], strict=True):
+            mujoco.mju_quat2Mat(matrix, turn)
+        return matrices.reshape(-1, 3, 3)
+
+    def _state(self, drive: Drive) -> tuple[Array, Array, Array]:
+        pose = join(self._components())
+        spin = np.einsum("nab,nb->na", self._rotations(), self._qvel[:, 3:])
+        wrench = drive[0]
+        if self.device.model.na:  # the drivers lag: their currents, not the commanded ones
+            currents = self._engine.bind("act")
+            maps = np.broadcast_to(self._inverse_map, (*self.batch, 6, 6))
+            wrench = np.linalg.solve(maps, currents[..., None])[..., 0]
+        return pose, np.column_stack([self._qvel[:, :3], spin]), wrench

@@ -1,0 +1,192 @@
+"""The sampled loop inside the wall as one matrix, exact for any delay.
+
+Between switches of the force the flotor obeys linear equations, so the state at one sample follows from that
+at the last by a matrix: flotor (and hand, and driver) state, commands on their way, and the controller's own
+memory. The loop inside the wall is stable if all eigenvalues of that matrix are inside the unit circle.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import TypeAlias, TypedDict
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from maglev_mj.errors import ParameterError
+from maglev_mj.frames import Array
+from maglev_mj.hand import Hand, motion, transition
+from maglev_mj.laws import FiniteDifference, LinearController, LowPass, VelocityEstimator, Window
+from maglev_mj.parameters import number, numbers
+from maglev_mj.spec import Spec
+
+__all__ = ["Design", "LoopKeywords", "SampledLoop", "pd"]
+
+MOST_PERIODS = 10
+_TOGETHER = 1 << 16
+
+Design: TypeAlias = Callable[[Array, Array, Array], LinearController]
+"""From stiffness, damping and sample period, (...,) each, to the controller inside the wall."""
+
+
+class LoopKeywords(TypedDict, total=False):
+    """The keywords of `SampledLoop`, which the functions of `stability` take."""
+
+    period: ArrayLike
+    delay: ArrayLike
+    mass: ArrayLike
+    hand: Hand | None
+    driver_lag: float
+    velocity: VelocityEstimator
+    prediction: ArrayLike
+    design: Design | None
+
+
+def pd(velocity: VelocityEstimator | None = None, prediction: ArrayLike = 0.0) -> Design:
+    """Return the PD wall of eq. (3) as a design.
+
+    Args:
+        velocity: Linear velocity estimate; the finite difference by default.
+        prediction: How far ahead the position is carried along that velocity [s]: half a period for the
+            half-sample prediction of Gillespie & Cutkosky 1996.
+
+    Raises:
+        ParameterError: If the estimate is not linear.
+    """
+    estimator = velocity or FiniteDifference()
+    if not isinstance(estimator, (FiniteDifference, LowPass, Window)):
+        names = "FiniteDifference, LowPass, Window"
+        raise ParameterError(f"velocity must be linear ({names}) for a closed-loop matrix, not {estimator!r}")
+    ahead = numbers("prediction", prediction, at_least=0.0)
+
+    def design(stiffness: Array, damping: Array, period: Array) -> LinearController:
+        speed = estimator.linear(period)
+        gain = damping + stiffness * ahead
+        give = -gain[..., None] * speed.give
+        return LinearController(speed.advance, speed.take, give, -stiffness - gain * speed.direct)
+
+    return design
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SampledLoop:
+    """Everything around the gains: each value a number, or an array that broadcasts with the gains.
+
+    Args:
+        period: Sample period T [s].
+        delay: From a sample to its command taking effect [s], up to 10 periods.
+        mass: Mass of the flotor with its handle [kg].
+        hand: The hand on it; None for a flotor let go.
+        driver_lag: Time constant of the current drivers [s]; 0 for none.
+        velocity: Linear velocity estimate of the PD wall; None for the finite difference.
+        prediction: How far ahead the PD wall carries the position along the velocity [s].
+        design: Another linear controller in place of the PD wall.
+
+    Raises:
+        ParameterError: If a value is outside its bounds.
+    """
+
+    period: ArrayLike = 1.0 / Spec.control_rate.value
+    delay: ArrayLike = Spec.transport_delay.value
+    mass: ArrayLike = Spec.moving_mass.value
+    hand: Hand | None = None
+    driver_lag: float = 0.0
+    velocity: VelocityEstimator | None = None
+    prediction: ArrayLike = 0.0
+    design: Design | None = None
+    shape: tuple[int, ...] = field(init=False)
+    """What period, delay, mass and hand broadcast to."""
+
+    def __post_init__(self) -> None:
+        for name in ("period", "delay", "mass"):
+            values = numbers(name, getattr(self, name), at_least=0.0)
+            if name != "delay" and not (values > 0.0).all():
+                raise ParameterError(f"{name} must be above 0 everywhere, not 0")
+            object.__setattr__(self, name, values)
+        number("driver_lag", self.driver_lag, at_least=0.0)
+        ratio = np.asarray(self.delay) / np.asarray(self.period)
+        if not (ratio <= MOST_PERIODS * (1.0 + 1e-9)).all():
+            raise ParameterError(f"delay must be at most {MOST_PERIODS} periods, not {float(ratio.max()):g} periods")
+        parts = (self.period, self.delay, self.mass, np.empty(self.hand.shape if self.hand else ()))
+        object.__setattr__(self, "shape", np.broadcast_shapes(*(np.shape(part) for part in parts)))
+
+    def matrix(self, stiffness: ArrayLike, damping: ArrayLike) -> Array:
+        """Return the closed-loop matrix (..., n, n).
+
+        Its state is that of `motion`, then the commands on their way, newest first, then the controller's.
+        """
+        k, b = np.asarray(stiffness, dtype=np.float64), np.asarray(damping, dtype=np.float64)
+        design = self.design or pd(self.velocity, self.prediction)
+        law = design(k, b, np.asarray(self.period))
+        phi, old, new, whole, waiting = self._flotor()
+        first, size = phi.shape[-1], phi.shape[-1] + waiting + law.advance.shape[-1]
+        own = slice(first + waiting, size)
+        shape = np.broadcast_shapes(law.give.shape[:-1], law.direct.shape, law.advance.shape[:-2], self.shape)
+        m = np.zeros((*shape, size, size))
+        command = np.zeros((*shape, size))
+        command[..., 0], command[..., own] = law.direct, law.give
+        m[..., :first, :first] = phi
+        for age in range(waiting + 1):  # the command `age` samples old
+            share = np.where(whole == age, new.T, 0.0).T + np.where(whole + 1 == age, old.T, 0.0).T
+            if age == 0:
+                m[..., :first, :] += share[..., :, None] * command[..., None, :]
+            else:
+                m[..., :first, first + age - 1] += share
+        if waiting:
+            m[..., first, :] = command
+            for place in range(first + 1, first + waiting):
+                m[..., place, place - 1] = 1.0
+        m[..., own, 0], m[..., own, own] = law.take, law.advance
+        return m
+
+    def _flotor(self) -> tuple[Array, Array, Array, Array, int]:
+        """Return the flotor's own map, the shares of old and new command, whole periods, commands waiting."""
+        period, delay = np.asarray(self.period), np.asarray(self.delay)
+        whole = np.floor(delay / period + 1e-9)
+        rest = np.maximum(delay - whole * period, 0.0)
+        rest = np.where(rest > 1e-9 * period, rest, 0.0)
+        a, b = motion(self.mass, self.hand, self.driver_lag)
+        before, old = transition(a, b[..., :1], rest)
+        after, new = transition(a, b[..., :1], period - rest)
+        waiting = int((whole + (rest > 0.0)).max())
+        return after @ before, (after @ old)[..., 0], new[..., 0], whole, waiting
+
+    def modulus(self, stiffness: ArrayLike, damping: ArrayLike) -> Array:
+        """Return the largest eigenvalue modulus, broadcast over gains and loop."""
+        k = numbers("stiffness", stiffness, at_least=0.0)
+        b = numbers("damping", damping, at_least=0.0)
+        shape = np.broadcast_shapes(k.shape, b.shape, self.shape)
+        k, b = (np.broadcast_to(gain, shape).reshape(-1) for gain in (k, b))
+        result = np.empty(k.size)
+        for start in range(0, k.size, _TOGETHER):
+            part = slice(start, start + _TOGETHER)
+            matrices = self._part(shape, part).matrix(k[part], b[part])
+            result[part] = np.abs(np.linalg.eigvals(matrices)).max(axis=-1)
+        return result.reshape(shape)
+
+    def _each(self, change: Callable[[Array], Array]) -> SampledLoop:
+        """Return the loop with a change made to each of its arrays."""
+        hand = self.hand
+        if hand is not None:
+            mass, damping, stiffness = (change(np.asarray(part)) for part in (hand.mass, hand.damping, hand.stiffness))
+            hand = replace(hand, mass=mass, damping=damping, stiffness=stiffness)
+        period, delay, mass = (change(np.asarray(part)) for part in (self.period, self.delay, self.mass))
+        ahead = change(np.asarray(self.prediction))
+        return replace(self, hand=hand, period=period, delay=delay, mass=mass, prediction=ahead)
+
+    def _part(self, shape: tuple[int, ...], part: slice) -> SampledLoop:
+        """Return the loop of some of the flattened gains."""
+        if not self.shape and np.ndim(self.prediction) == 0:
+            return self
+        return self._each(lambda value: np.broadcast_to(value, shape).reshape(-1)[part] if value.ndim else value)
+
+    def widened(self) -> SampledLoop:
+        """Return the loop with a last dimension of 1 on each of its arrays, for a search along it."""
+        return self._each(lambda value: value[..., None] if value.ndim else value)
+
+    @property
+    def moving_mass(self) -> Array:
+        """What the wall feels of flotor and hand [kg]."""
+        held = 0.0 if self.hand is None or self.hand.free else self.hand.mass
+        return np.asarray(np.asarray(self.mass) + held)

@@ -1,0 +1,143 @@
+"""Where the rendered wall is stable: eigenvalues of the exact closed loop, and searches for their boundary."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple, Unpack
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from maglev_mj.errors import ParameterError
+from maglev_mj.frames import Array
+from maglev_mj.parameters import numbers
+from maglev_mj.sampled import LoopKeywords, SampledLoop
+
+__all__ = [
+    "StiffestWall",
+    "characteristic_polynomial",
+    "critical_delay",
+    "largest_modulus",
+    "largest_stable_stiffness",
+]
+
+_DECADES = 5.0
+_HALVINGS = 45
+
+
+class StiffestWall(NamedTuple):
+    """The largest stable stiffness [N/m] and the damping [N s/m] at which it is reached, (...,) each."""
+
+    stiffness: Array
+    damping: Array
+
+
+def characteristic_polynomial(stiffness: ArrayLike, damping: ArrayLike, *, period: float, mass: float) -> Array:
+    """Return the coefficients of eq. (6), highest power first, (..., 5): the PD wall with a full period of delay.
+
+    Source: Salcudean & Vlaar 1997, eq. (6)-(7).
+    """
+    cp = period**2 * numbers("stiffness", stiffness) / (2.0 * mass)
+    cv = period * numbers("damping", damping) / (2.0 * mass)
+    one = np.ones(np.broadcast_shapes(cp.shape, cv.shape))
+    return np.stack([one, -2.0 * one, one + cp + cv, cp * one, -cv * one], axis=-1)
+
+
+def largest_modulus(stiffness: ArrayLike, damping: ArrayLike, **loop: Unpack[LoopKeywords]) -> Array:
+    """Return the largest eigenvalue modulus of the closed loop inside the wall; below 1 it is stable.
+
+    Args:
+        stiffness: Wall stiffness [N/m], (...,).
+        damping: Wall damping [N s/m], (...,).
+        loop: Keywords of `SampledLoop`: period, delay, mass and so on; they broadcast with the gains.
+
+    Raises:
+        ParameterError: If a value is outside its bounds.
+    """
+    return SampledLoop(**loop).modulus(stiffness, damping)
+
+
+def largest_stable_stiffness(damping: ArrayLike | None = None, **loop: Unpack[LoopKeywords]) -> Array | StiffestWall:
+    """Return the largest stable stiffness [N/m] at each damping, or over all dampings.
+
+    Args:
+        damping: Wall damping [N s/m], (...,); None searches over all of them.
+        loop: Keywords of `SampledLoop`; they broadcast with the damping.
+
+    Returns:
+        The stiffness (...,), 0 where none is stable; for `damping=None` stiffness and damping.
+
+    Raises:
+        ParameterError: If a value is outside its bounds.
+    """
+    around = SampledLoop(**loop)
+    if damping is None:
+        return _stiffest(around)
+    return _boundary(around, numbers("damping", damping, at_least=0.0))
+
+
+def _boundary(loop: SampledLoop, damping: Array) -> Array:
+    """Find the last stable stiffness of a scan over the decades below 4 m/T², then halve the step to it."""
+    shape = np.broadcast_shapes(damping.shape, loop.shape)
+    wide, b = loop.widened(), np.broadcast_to(damping, shape)[..., None]
+    scale = 4.0 * wide.moving_mass / np.asarray(wide.period) ** 2
+    grid = np.broadcast_to(scale, (*shape, 1)) * np.logspace(-_DECADES, 0.0, 200)
+    stable = wide.modulus(grid, b) < 1.0
+    last = stable.shape[-1] - 1 - np.argmax(stable[..., ::-1], axis=-1)
+    pick = np.minimum(np.stack([last, last + 1], axis=-1), stable.shape[-1] - 1)
+    low, high = np.moveaxis(np.take_along_axis(grid, pick, axis=-1), -1, 0)
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        good = wide.modulus(middle[..., None], b)[..., 0] < 1.0
+        low, high = np.where(good, middle, low), np.where(good, high, middle)
+    return np.where(stable.any(axis=-1), low, 0.0)
+
+
+def _stiffest(loop: SampledLoop) -> StiffestWall:
+    """Search the damping, from a coarse grid to a fine one."""
+    wide = loop.widened()
+    scale = np.broadcast_to(4.0 * loop.moving_mass / np.asarray(loop.period), loop.shape)[..., None]
+    grid = scale * np.logspace(-4.0, 0.0, 60)
+    while True:
+        stiffness = _boundary(wide, grid)
+        best = np.argmax(stiffness, axis=-1)[..., None]
+        low, high = (np.take_along_axis(grid, np.clip(best + step, 0, grid.shape[-1] - 1), axis=-1) for step in (-1, 1))
+        if (high - low <= 1e-6 * high).all():
+            found = (np.take_along_axis(values, best, axis=-1)[..., 0] for values in (stiffness, grid))
+            return StiffestWall(*found)
+        grid = low + (high - low) * np.linspace(0.0, 1.0, 15)
+
+
+def critical_delay(stiffness: ArrayLike, damping: ArrayLike, **loop: Unpack[LoopKeywords]) -> Array:
+    """Return the delay [s] at which the wall stops being stable.
+
+    Args:
+        stiffness: Wall stiffness [N/m], (...,).
+        damping: Wall damping [N s/m], (...,).
+        loop: Keywords of `SampledLoop` but the delay; they broadcast with the gains.
+
+    Returns:
+        The shortest delay that is too long, (...,): 0 where the wall is unstable without delay, infinity where it
+        is stable up to 3 periods.
+
+    Raises:
+        ParameterError: If a value is outside its bounds, or a delay is given.
+    """
+    if "delay" in loop:
+        raise ParameterError(f"delay must be left out of critical_delay, which looks for it, not {loop['delay']!r}")
+    loop["delay"] = 0.0
+    around = SampledLoop(**loop)
+    k, b = numbers("stiffness", stiffness, at_least=0.0), numbers("damping", damping, at_least=0.0)
+    shape = np.broadcast_shapes(k.shape, b.shape, around.shape)
+    k, b = np.broadcast_to(k, shape)[..., None], np.broadcast_to(b, shape)[..., None]
+    wide = around.widened()
+    grid = np.broadcast_to(np.asarray(wide.period), (*shape, 1)) * np.linspace(0.0, 3.0, 121)
+    unstable = replace(wide, delay=grid).modulus(k, b) >= 1.0
+    first = np.argmax(unstable, axis=-1)
+    pick = np.stack([np.maximum(first - 1, 0), first], axis=-1)
+    low, high = np.moveaxis(np.take_along_axis(grid, pick, axis=-1), -1, 0)
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        good = replace(wide, delay=middle[..., None]).modulus(k, b)[..., 0] < 1.0
+        low, high = np.where(good, middle, low), np.where(good, high, middle)
+    return np.where(unstable.any(axis=-1), high, np.inf)
