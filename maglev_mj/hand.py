@@ -15,33 +15,35 @@ from maglev_mj.parameters import axis_indices, numbers
 __all__ = ["Hand", "exponential", "motion", "transition"]
 
 _TERMS = 14
-_VALUES = ("mass", "damping", "stiffness")
+_VALUES = ("mass", "damping", "stiffness", "grip_damping", "grip_stiffness")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Hand:
     """A hand on the flotor, linear and passive; its weight is its owner's to carry.
 
-    Held: the mass moves with the flotor, and spring and damper lead to a forearm that stands still.
-    Free: the mass is joined to the flotor by spring and damper alone, as a hand at the end of a loose arm.
-
-    Each value is a number, or (N,) for N devices.
+    A mass on an arm that stands still, a spring and a damper. The grip is rigid, so that the mass moves with the
+    flotor, or a spring and a damper of its own. Without an arm (no stiffness, no damping) a hand in such a grip is
+    free. Each value is a number, or (N,) for N devices.
 
     Args:
-        mass: Mass [kg].
-        damping: Damping [N s/m].
-        stiffness: Stiffness [N/m].
-        free: Whether the hand is free rather than held.
+        mass: Mass of the hand [kg].
+        damping: Damping of the arm [N s/m].
+        stiffness: Stiffness of the arm [N/m].
+        grip_damping: Damping of the grip [N s/m].
+        grip_stiffness: Stiffness of the grip [N/m]; None for a rigid grip.
         axes: Names from AXES along which it acts; the translations by default.
 
     Raises:
-        ParameterError: If a value is negative or not finite, the shapes do not fit, or a free hand has no mass.
+        ParameterError: If a value is negative or not finite, the shapes do not fit, a hand in a soft grip has no mass,
+            or a rigid grip has damping.
     """
 
     mass: ArrayLike = 0.0
     damping: ArrayLike = 0.0
     stiffness: ArrayLike = 0.0
-    free: bool = False
+    grip_damping: ArrayLike = 0.0
+    grip_stiffness: ArrayLike | None = None
     axes: str | Sequence[str] = ("x", "y", "z")
     indices: tuple[int, ...] = field(init=False)
     """Indices of the axes into AXES."""
@@ -49,22 +51,36 @@ class Hand:
     """Batch shape of the values."""
 
     def __post_init__(self) -> None:
-        values = [numbers(f"hand {name}", getattr(self, name), at_least=0.0) for name in _VALUES]
+        values = [numbers(f"hand {name}", value, at_least=0.0) for name, value in zip(_VALUES, self.values)]
         try:
             shape = np.broadcast_shapes(*(value.shape for value in values))
         except ValueError:
             shapes = sorted({value.shape for value in values})
-            raise ParameterError(f"hand mass, damping and stiffness must fit one shape, not {shapes}") from None
-        if self.free and not (values[0] > 0.0).all():
-            raise ParameterError("hand mass must be above 0 for a free hand, not 0")
+            raise ParameterError(f"hand values must fit one shape, not {shapes}") from None
+        if self.soft and not (values[0] > 0.0).all():
+            raise ParameterError("hand mass must be above 0 in a grip with a stiffness, not 0")
+        if not self.soft and values[3].any():
+            raise ParameterError("hand grip_damping must be 0 in a rigid grip: give it a grip_stiffness")
         object.__setattr__(self, "indices", axis_indices(self.axes))
         object.__setattr__(self, "shape", shape)
+
+    @property
+    def soft(self) -> bool:
+        """Whether the grip gives, so that the hand has a motion of its own."""
+        return self.grip_stiffness is not None
+
+    @property
+    def values(self) -> tuple[Array, ...]:
+        """Mass, damping, stiffness, damping and stiffness of the grip; the last 0 where it is rigid."""
+        grip = 0.0 if self.grip_stiffness is None else self.grip_stiffness
+        parts = (self.mass, self.damping, self.stiffness, self.grip_damping, grip)
+        return tuple(np.asarray(part, dtype=np.float64) for part in parts)
 
 
 def motion(mass: ArrayLike, hand: Hand | None = None, lag: float = 0.0) -> tuple[Array, Array]:
     """Return the continuous equations s' = A s + B (u, w) of a flotor along one axis.
 
-    The state s is position and velocity of the flotor, then those of a free hand, then the force that the
+    The state s is position and velocity of the flotor, then those of a hand in a soft grip, then the force that the
     drivers give where they lag; u is the force commanded and w any other force on the flotor.
 
     Args:
@@ -76,19 +92,22 @@ def motion(mass: ArrayLike, hand: Hand | None = None, lag: float = 0.0) -> tuple
         A (..., n, n) and B (..., n, 2).
     """
     hand = hand or Hand()
-    hand_mass, damping, stiffness = (np.asarray(getattr(hand, name), dtype=np.float64) for name in _VALUES)
+    hand_mass, damping, stiffness, grip_damping, grip_stiffness = hand.values
     flotor = np.asarray(mass, dtype=np.float64)
-    total = flotor if hand.free else flotor + hand_mass
-    size = 2 + 2 * hand.free + (lag > 0.0)
+    total = flotor if hand.soft else flotor + hand_mass
+    size = 2 + 2 * hand.soft + (lag > 0.0)
     shape = np.broadcast_shapes(total.shape, hand.shape)
     a, b = np.zeros((*shape, size, size)), np.zeros((*shape, size, 2))
     a[..., 0, 1] = 1.0
-    a[..., 1, 0], a[..., 1, 1] = -stiffness / total, -damping / total
-    if hand.free:
-        a[..., 1, 2], a[..., 1, 3] = stiffness / total, damping / total
+    if hand.soft:
+        a[..., 1, 0], a[..., 1, 1] = -grip_stiffness / total, -grip_damping / total
+        a[..., 1, 2], a[..., 1, 3] = grip_stiffness / total, grip_damping / total
         a[..., 2, 3] = 1.0
-        a[..., 3, 0], a[..., 3, 1] = stiffness / hand_mass, damping / hand_mass
-        a[..., 3, 2], a[..., 3, 3] = -stiffness / hand_mass, -damping / hand_mass
+        a[..., 3, 0], a[..., 3, 1] = grip_stiffness / hand_mass, grip_damping / hand_mass
+        a[..., 3, 2] = -(grip_stiffness + stiffness) / hand_mass
+        a[..., 3, 3] = -(grip_damping + damping) / hand_mass
+    else:
+        a[..., 1, 0], a[..., 1, 1] = -stiffness / total, -damping / total
     b[..., 1, 1] = 1.0 / total
     if lag > 0.0:
         a[..., 1, -1] = 1.0 / total

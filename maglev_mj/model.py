@@ -153,24 +153,25 @@ def load(
 
 
 def _hold(spec: mujoco.MjSpec, hand: Hand) -> None:
-    """Put a hand on the flotor's slides: on the joints where it is held, as a body on a tendon where it is free."""
+    """Put a hand on the flotor's slides: on the joints themselves in a rigid grip, else as a body on a tendon."""
     if hand.shape or max(hand.indices) > 2:
         raise ParameterError(f"hand must have one mass and lead along x, y or z in MuJoCo, not {hand!r}")
-    mass, damping, stiffness = float(hand.mass), float(hand.damping), float(hand.stiffness)  # type: ignore[arg-type]
-    free = spec.worldbody.add_body(name="hand", gravcomp=1.0) if hand.free else None
-    if free is not None:
-        free.mass, free.inertia, free.explicitinertial = mass, [mass * 1e-4] * 3, True
+    mass, damping, stiffness, grip_damping, grip_stiffness = (float(value) for value in hand.values)
+    body = spec.worldbody.add_body(name="hand", gravcomp=1.0) if hand.soft else None
+    if body is not None:
+        body.mass, body.inertia, body.explicitinertial = mass, [mass * 1e-4] * 3, True
     for index in hand.indices:
         axis = AXES[index]
         joint = spec.joint(axis)
-        if free is None:
-            joint.armature, joint.damping[0], joint.stiffness[0] = mass, damping, stiffness
-            continue
-        other = free.add_joint(name=f"hand_{axis}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=joint.axis)
-        tendon = spec.add_tendon(name=f"grip_{axis}", springlength=[0.0, 0.0])
-        tendon.damping[0], tendon.stiffness[0] = damping, stiffness
-        tendon.wrap_joint(axis, 1.0)
-        tendon.wrap_joint(other.name, -1.0)
+        if body is not None:
+            tendon = spec.add_tendon(name=f"grip_{axis}", springlength=[0.0, 0.0])
+            tendon.damping[0], tendon.stiffness[0] = grip_damping, grip_stiffness
+            tendon.wrap_joint(axis, 1.0)
+            joint = body.add_joint(name=f"hand_{axis}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=joint.axis)
+            tendon.wrap_joint(joint.name, -1.0)
+        else:
+            joint.armature = mass
+        joint.damping[0], joint.stiffness[0] = damping, stiffness
 
 
 def _coil_map(model: mujoco.MjModel, flotor: int) -> CoilMap:

@@ -169,8 +169,9 @@ class SampledLoop:
         """Return the loop with a change made to each of its arrays."""
         hand = self.hand
         if hand is not None:
-            mass, damping, stiffness = (change(np.asarray(part)) for part in (hand.mass, hand.damping, hand.stiffness))
-            hand = replace(hand, mass=mass, damping=damping, stiffness=stiffness)
+            mass, damping, stiffness, grip_damping, grip_stiffness = (change(value) for value in hand.values)
+            grip = grip_stiffness if hand.soft else None
+            hand = Hand(mass=mass, damping=damping, stiffness=stiffness, grip_damping=grip_damping, grip_stiffness=grip)
         period, delay, mass = (change(np.asarray(part)) for part in (self.period, self.delay, self.mass))
         ahead = change(np.asarray(self.prediction))
         return replace(self, hand=hand, period=period, delay=delay, mass=mass, prediction=ahead)
@@ -188,5 +189,5 @@ class SampledLoop:
     @property
     def moving_mass(self) -> Array:
         """What the wall feels of flotor and hand [kg]."""
-        held = 0.0 if self.hand is None or self.hand.free else self.hand.mass
+        held = 0.0 if self.hand is None or self.hand.soft else self.hand.mass
         return np.asarray(np.asarray(self.mass) + held)

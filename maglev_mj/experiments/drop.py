@@ -14,8 +14,8 @@ from maglev_mj.controller import Controller
 from maglev_mj.errors import DivergenceError, ParameterError
 from maglev_mj.exact import analog_wall
 from maglev_mj.experiments.choices import PLANTS
-from maglev_mj.frames import AXES, Array
-from maglev_mj.laws import Hold, Wall
+from maglev_mj.experiments.wall_controller import wall_controller
+from maglev_mj.frames import Array
 from maglev_mj.loop import run
 from maglev_mj.metrics import BounceSummary, percentiles, summarise_bounce
 from maglev_mj.parameters import number, numbers
@@ -29,8 +29,6 @@ _ESCAPE = 0.045
 _MOST_TICKS = 1_000_000
 _MOST_PHASES = 10_000
 _TOGETHER = 64
-_HELD = tuple(axis for axis in AXES if axis != "z")
-_INERTIA = {"rx": Spec.tilt_inertia.value, "ry": Spec.tilt_inertia.value, "rz": Spec.spin_inertia.value}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -258,23 +256,17 @@ def _plant(parameters: DropParameters, phase: float | Array) -> SampledPlant:
 
 
 def _controller(parameters: DropParameters) -> Controller:
-    wall = Wall(
-        axes="z",
-        lower=0.0,
+    return wall_controller(
         stiffness=parameters.stiffness,
         damping=parameters.damping,
         pulse=parameters.pulse,
         pulse_width=parameters.pulse_width,
         # a law that knows of no limit carries nothing over
         force_limit=parameters.force_limit if parameters.force_limit and parameters.carry else math.inf,
-    )
-    hold = Hold.critically_damped(
-        _HELD,
-        inertia=[_INERTIA.get(axis, parameters.mass) for axis in _HELD],
         period=parameters.period,
         delay=parameters.delay,
+        mass=parameters.mass,
     )
-    return Controller([wall, hold], period=parameters.period)
 
 
 def _result(parameters: DropParameters, trace: Trace) -> DropResult:

@@ -22,6 +22,7 @@ class _Braking(NamedTuple):
 
     pulse: Component
     limit: Component
+    gate: Component
 
 
 _Face: TypeAlias = tuple[int, float, Component, Component, Component, _Braking | None]
@@ -56,11 +57,13 @@ class Wall:
         pulse: Further damping in the braking pulse [N s/m, N m s/rad]; 0 for none. Stopping within the pulse
             takes pulse + damping = inertia / pulse_width.
         pulse_width: How long the pulse lasts [s]; a number.
+        pulse_gate: Approach speed from which on a pulse is given [m/s, rad/s]; 0 for always. Without it noise
+            fires pulses at a flotor that lies at the edge.
         force_limit: Largest force that the actuators give [N, N m], so that the law knows what is left of a
             pulse; the plant applies the limit itself. Other laws on the axis are not counted.
 
     Raises:
-        ParameterError: If a gain, the width or the limit is negative, no side is given, `lower` is not below
+        ParameterError: If a gain, the width, the gate or the limit is negative, no side is given, `lower` is not below
             `upper`, or a shape does not fit.
 
     Source: Salcudean & Vlaar 1997, eq. (3), (8) and (9), with one delay less as in the simulation of figure 3.
@@ -73,6 +76,7 @@ class Wall:
     damping: ArrayLike
     pulse: ArrayLike = 0.0
     pulse_width: float = 0.0
+    pulse_gate: ArrayLike = 0.0
     force_limit: ArrayLike = math.inf
 
     batch: tuple[int, ...] = field(init=False)
@@ -87,6 +91,7 @@ class Wall:
             numbers("wall damping", self.damping, at_least=0.0),
             numbers("wall pulse", self.pulse, at_least=0.0),
             numbers("wall force_limit", self.force_limit, at_least=0.0, finite=False),
+            numbers("wall pulse_gate", self.pulse_gate, at_least=0.0),
         ]
         batch = batch_shape("wall", (lower, upper, *gains))
         if not (lower < upper).all():
@@ -127,7 +132,7 @@ class Wall:
             if braking is None:
                 owed = None
             elif owed is not None or (free is not False and _any(inside & free)):
-                entered = inside & free
+                entered = inside & free & (normal * speed <= -braking.gate)
                 inward = inside & (normal * speed < 0.0)
                 pulse, owed = _brake(braking, damping * speed, speed, force, entered, inward, owed)
                 pulses = pulses or [0.0] * len(AXES)
@@ -147,8 +152,8 @@ def _faces(indices: tuple[int, ...], normal: float, edges: Array, gains: list[Ar
         if np.any(finite) and not np.all(finite):
             raise ParameterError("wall edges of one axis must be finite on all devices or on none")
         if np.all(finite):
-            stiffness, damping, pulse, limit = axis_gains
-            braking = _Braking(pulse, limit) if np.any(pulse > 0.0) else None
+            stiffness, damping, pulse, limit, gate = axis_gains
+            braking = _Braking(pulse, limit, gate) if np.any(pulse > 0.0) else None
             faces.append((axis, normal, edge, stiffness, damping, braking))
     return tuple(faces)
 
@@ -163,7 +168,7 @@ def _brake(
     owed: Component | None,
 ) -> tuple[Component, Component | None]:
     """Return the pulse on top of the PD force, and what the limit leaves for the samples to come."""
-    pulse, limit = braking
+    pulse, limit = braking.pulse, braking.limit
     wanted = entered * (pulse > 0.0) * (-(pulse * speed + damping_force) - force)
     if owed is not None:
         wanted = wanted + (inward & _not(entered)) * owed

@@ -88,7 +88,7 @@ def prepared(
 
 
 def start_state(device: Device, pose: Array, twist: Array) -> tuple[Array, Array]:
-    """Return qpos and qvel of a device at release; a free hand starts where the flotor is, as fast.
+    """Return qpos and qvel of a device at release; a hand in a soft grip starts where the flotor is, as fast.
 
     Args:
         device: The device.
