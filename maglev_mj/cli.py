@@ -9,17 +9,22 @@ import maglev_mj
 from maglev_mj.commands import COMMANDS
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.options import Parser, joined
+from maglev_mj.study import StudyInterrupted
 
 __all__ = ["main"]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; return the exit status: 0, 1 for a run that failed, 2 for bad input."""
+    """Run the command line; return the exit status: 0, 1 for a run that failed, 2 for bad input, 130 for Ctrl-C."""
     parser = _parser()
     options = parser.parse_args(joined(sys.argv[1:] if arguments is None else arguments))
     try:
         status: int = options.run(options)
         return status
+    except KeyboardInterrupt as stopped:
+        if not isinstance(stopped, StudyInterrupted):  # which has said where its cells are
+            print(f"maglev-mj {options.command}: stopped", file=sys.stderr)
+        return 130
     except ParameterError as error:
         print(f"maglev-mj {options.command}: {error}", file=sys.stderr)
         return 2

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import argparse
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-__all__ = ["Parser", "add_options", "add_outputs", "count", "joined"]
+from maglev_mj.errors import ParameterError
+from maglev_mj.study import Workers, dask_workers, local_workers
+
+__all__ = ["Parser", "add_options", "add_outputs", "add_workers", "chosen_workers", "count", "joined"]
 
 
 class Parser(argparse.ArgumentParser):
@@ -19,22 +23,18 @@ class Parser(argparse.ArgumentParser):
 
 
 def joined(arguments: Sequence[str]) -> list[str]:
-    """Join an option and a negative number after it: argparse takes -1e-3 and -inf for options of their own."""
+    """Join an option and a negative number after it: argparse takes -1e-3, -5:3 and -inf for options of their own.
+
+    What it does know for a number stays as it is, so that an option of several values gets them all.
+    """
     result: list[str] = []
     for argument in arguments:
-        if result and result[-1].startswith("--") and "=" not in result[-1] and _is_negative_number(argument):
+        odd = re.match(r"-(\.?\d|inf|nan)", argument) and not re.fullmatch(r"-\d+|-\d*\.\d+", argument)
+        if odd and result and result[-1].startswith("--") and "=" not in result[-1]:
             result[-1] += f"={argument}"
         else:
             result.append(argument)
     return result
-
-
-def _is_negative_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return text.startswith("-")
 
 
 def add_options(
@@ -59,6 +59,27 @@ def add_outputs(parser: argparse.ArgumentParser) -> None:
         "--json", metavar="FILE", help="write parameters, motion and figures as JSON; - for standard output"
     )
     parser.add_argument("--out", metavar="DIR", type=Path, help="write pictures to this folder")
+
+
+def add_workers(parser: argparse.ArgumentParser, record: str) -> None:
+    """Add --record, --workers and --scheduler.
+
+    Args:
+        parser: Of the command.
+        record: What the record is for.
+    """
+    parser.add_argument("--record", metavar="FILE", type=Path, help=f"{record}; one JSON object a line")
+    parser.add_argument("--workers", type=count, metavar="N", help="processes on this machine; 0 for this one alone")
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="run on the Dask cluster of this scheduler instead")
+
+
+def chosen_workers(options: argparse.Namespace, default: int | None) -> Workers:
+    """Return the workers asked for; `default` processes, None for one a processor, unless told."""
+    if options.scheduler is not None:
+        if options.workers is not None:
+            raise ParameterError(f"workers must be left to the scheduler where there is one, not {options.workers}")
+        return dask_workers(options.scheduler)
+    return local_workers(default if options.workers is None else options.workers)
 
 
 def _number(text: str) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import NamedTuple, Unpack
+from typing import NamedTuple, Unpack, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,6 +19,7 @@ __all__ = [
     "critical_delay",
     "largest_modulus",
     "largest_stable_stiffness",
+    "stiffest_wall",
 ]
 
 _DECADES = 5.0
@@ -57,6 +58,14 @@ def largest_modulus(stiffness: ArrayLike, damping: ArrayLike, **loop: Unpack[Loo
     return SampledLoop(**loop).modulus(stiffness, damping)
 
 
+@overload
+def largest_stable_stiffness(damping: ArrayLike, **loop: Unpack[LoopKeywords]) -> Array: ...
+
+
+@overload
+def largest_stable_stiffness(damping: None = None, **loop: Unpack[LoopKeywords]) -> StiffestWall: ...
+
+
 def largest_stable_stiffness(damping: ArrayLike | None = None, **loop: Unpack[LoopKeywords]) -> Array | StiffestWall:
     """Return the largest stable stiffness [N/m] at each damping, or over all dampings.
 
@@ -70,10 +79,9 @@ def largest_stable_stiffness(damping: ArrayLike | None = None, **loop: Unpack[Lo
     Raises:
         ParameterError: If a value is outside its bounds.
     """
-    around = SampledLoop(**loop)
     if damping is None:
-        return _stiffest(around)
-    return _boundary(around, numbers("damping", damping, at_least=0.0))
+        return stiffest_wall(**loop)
+    return _boundary(SampledLoop(**loop), numbers("damping", damping, at_least=0.0))
 
 
 def _boundary(loop: SampledLoop, damping: Array) -> Array:
@@ -93,10 +101,19 @@ def _boundary(loop: SampledLoop, damping: Array) -> Array:
     return np.where(stable.any(axis=-1), low, 0.0)
 
 
-def _stiffest(loop: SampledLoop) -> StiffestWall:
-    """Search the damping, from a coarse grid to a fine one."""
-    wide = loop.widened()
-    scale = np.broadcast_to(4.0 * loop.moving_mass / np.asarray(loop.period), loop.shape)[..., None]
+def stiffest_wall(**loop: Unpack[LoopKeywords]) -> StiffestWall:
+    """Return the largest stable stiffness over all dampings, and the damping at which it is reached.
+
+    Args:
+        loop: Keywords of `SampledLoop`.
+
+    Raises:
+        ParameterError: If a value is outside its bounds.
+    """
+    around = SampledLoop(**loop)
+    wide = around.widened()
+    # from a coarse grid of dampings to a fine one
+    scale = np.broadcast_to(4.0 * around.moving_mass / np.asarray(around.period), around.shape)[..., None]
     grid = scale * np.logspace(-4.0, 0.0, 60)
     while True:
         stiffness = _boundary(wide, grid)

@@ -7,8 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from maglev_mj import bounds
 from maglev_mj.experiments.choices import SLIDES_AT
 from maglev_mj.experiments.drop import DropResult, DropSweep
+from maglev_mj.experiments.stability_map import StabilityMap
 from maglev_mj.experiments.stick_slip import StickSlipResult, exact_stick_slip
 from maglev_mj.frames import AXES
 from maglev_mj.metrics import percentiles
@@ -16,7 +18,7 @@ from maglev_mj.model import COILS
 from maglev_mj.report import DeviceReport
 from maglev_mj.spec import Spec
 
-__all__ = ["device_table", "drop_table", "stick_slip_table"]
+__all__ = ["device_table", "drop_table", "stability_table", "stick_slip_table"]
 
 _FIGURES = (
     ("penetration", "penetration", 1e3, "mm"),
@@ -94,6 +96,35 @@ def stick_slip_table(result: StickSlipResult) -> str:
     ]
     lines += [f"  {name:<20}{_fine(one):>12}{_fine(two):>12}  {unit}" for name, one, two, unit in rows]
     lines.append(f"  {'changes of state':<20}{figures.transitions:>12}{len(motion.events):>12}")
+    return "\n".join(lines)
+
+
+def stability_table(result: StabilityMap) -> str:
+    """Return the stiffest wall, the published bounds at its damping, and how theory and simulation agree, as text."""
+    p, best = result.parameters, result.maximum
+    stiffest, damping = float(best.stiffness), float(best.damping)
+    hand = "no hand" if p.hand == "none" else f"hand {p.hand}"
+    lines = [
+        f"Stability of a PD wall, {1.0 / p.period:g} Hz, delay {p.delay * 1e3:g} ms, mass {p.mass:g} kg, {hand}",
+        "",
+        f"  stiffest stable wall  {stiffest:>9.0f} N/m at {damping:.1f} N s/m",
+        "  at this damping, without a hand's share, the published bounds are (times the stiffest wall)",
+    ]
+    for name, bound, sense in (
+        ("Colgate & Schenkel", bounds.colgate(damping, period=p.period), "passive, no delay: none on a bare flotor"),
+        ("Gil et al.", bounds.gil(damping, period=p.period, delay=p.delay), "stable, low damping"),
+        ("Minsky et al.", bounds.minsky(damping, period=p.period), "stable, no delay, low damping"),
+    ):
+        lines.append(f"    {name:<20}{float(bound):>9.0f} N/m  {float(bound) / stiffest:>5.2f}   {sense}")
+    stable = int((result.modulus < 1.0).sum())
+    lines += ["", f"  grid: {stable} of {result.modulus.size} cells stable by theory"]
+    if result.simulated is not None and result.misjudged is not None:
+        differ = int(((result.modulus < 1.0) != result.simulated).sum())
+        lines += [
+            f"  simulated ({p.plant}): {int(result.simulated.sum())} stable; {differ} verdicts differ from theory, "
+            f"{int(result.misjudged.sum())} of them",
+            f"  further than 0.5 % of a gain from the boundary ({int(result.near.sum())} cells are nearer)",
+        ]
     return "\n".join(lines)
 
 

@@ -3,6 +3,7 @@
 from maglev_mj.charts.drawing import ChartsMissingError, require
 from maglev_mj.charts.drop import phase_plane, phases, time_series
 from maglev_mj.charts.friction import friction_laws, staircase, stick_slip
+from maglev_mj.charts.stability import stability_map
 
 __all__ = [
     "ChartsMissingError",
@@ -10,6 +11,7 @@ __all__ = [
     "phase_plane",
     "phases",
     "require",
+    "stability_map",
     "staircase",
     "stick_slip",
     "time_series",

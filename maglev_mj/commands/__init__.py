@@ -1,8 +1,8 @@
 """The commands of `maglev-mj`, one a module: its options and what it runs."""
 
-from maglev_mj.commands import drop, info, stick_slip
+from maglev_mj.commands import drop, info, stability, stick_slip
 
 __all__ = ["COMMANDS"]
 
-COMMANDS = (info, drop, stick_slip)
+COMMANDS = (info, drop, stick_slip, stability)
 """In the order in which the help lists them."""

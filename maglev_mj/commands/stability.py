@@ -1,0 +1,93 @@
+"""`maglev-mj stability`: where a wall is stable, by theory and by simulation."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from maglev_mj import charts
+from maglev_mj.errors import ParameterError
+from maglev_mj.experiments.choices import HANDS, PLANTS
+from maglev_mj.experiments.stability_map import StabilityParameters, run_stability
+from maglev_mj.options import add_options, add_workers, chosen_workers, count
+from maglev_mj.output import keep_landed, write_json
+from maglev_mj.progress import Progress
+from maglev_mj.study import Record, StudyInterrupted
+from maglev_mj.tables import stability_table
+
+__all__ = ["add_command"]
+
+_FALLBACK = Path("stability-cells.jsonl")
+
+
+def add_command(commands: Any) -> None:
+    """Add the command to the parser's."""
+    parser = commands.add_parser("stability", help="where a wall is stable, by theory and by simulation (figure 2)")
+    for name, unit in (("damping", "N s/m"), ("stiffness", "N/m")):
+        parser.add_argument(
+            f"--{name}",
+            nargs="+",
+            metavar="X",
+            help=f"wall {name} [{unit}]: LOW HIGH, LOW:HIGH, or one value (default: what shows the stable region)",
+        )
+    made = StabilityParameters()
+    parser.add_argument("--grid", type=count, default=made.grid, metavar="N", help=f"points an axis ({made.grid})")
+    helps = {
+        "period": "sample period [s]",
+        "delay": "from a sample to its command taking effect [s]",
+        "mass": "moving mass [kg]",
+    }
+    hands = (*HANDS, "or MASS,DAMPING,STIFFNESS[,GRIP_DAMPING,GRIP_STIFFNESS]")
+    add_options(parser, {"plant": ("none", *PLANTS), "hand": hands}, helps, StabilityParameters)
+    parser.add_argument("--json", metavar="FILE", help="write the map as JSON; - for standard output")
+    parser.add_argument("--out", metavar="DIR", type=Path, help="write the picture to this folder")
+    add_workers(parser, "cells done are kept here and not done again")
+    parser.set_defaults(run=_stability)
+
+
+def _stability(options: argparse.Namespace) -> int:
+    parameters = StabilityParameters(
+        damping=_range("damping", options.damping),
+        stiffness=_range("stiffness", options.stiffness),
+        **{name: getattr(options, name) for name in ("grid", "period", "delay", "mass", "hand", "plant")},
+    )
+    if options.out is not None:
+        charts.require()
+        for name in ("damping", "stiffness"):
+            if (limits := getattr(parameters, name)) is not None and limits[0] == limits[1]:
+                raise ParameterError(f"{name} must be a range for a picture, not {limits[0]:g} alone")
+    workers = chosen_workers(options, default=0)
+    progress = Progress("stability")
+    try:
+        result = run_stability(parameters, record=Record(options.record), workers=workers, progress=progress)
+    except StudyInterrupted as stopped:
+        progress.close()
+        keep_landed("stability", stopped, options.record, _FALLBACK)
+        raise
+    progress.close()
+    if options.json is not None:
+        write_json(options.json, result.as_json())
+    pictures = []
+    if options.out is not None:
+        options.out.mkdir(parents=True, exist_ok=True)
+        pictures.append(charts.stability_map(result, options.out / "stability.png"))
+    if options.json != "-":
+        print(stability_table(result))
+        for path in pictures:
+            print(f"  wrote {path}")
+    return 0
+
+
+def _range(name: str, words: list[str] | None) -> tuple[float, float] | None:
+    """Return the ends of a range, given as one word or two."""
+    if words is None:
+        return None
+    parts = words[0].split(":") if len(words) == 1 else words
+    try:
+        values = [float(part) for part in parts]
+    except ValueError:
+        values = []
+    if not 1 <= len(values) <= 2:
+        raise ParameterError(f"{name} must be LOW HIGH, LOW:HIGH, or one value, not {' '.join(words)!r}")
+    return values[0], values[-1]

@@ -1,0 +1,290 @@
+"""Many cells of a study on many workers: what is done lands in a file, what is there is not done again.
+
+A cell is a dict of plain values that says everything its result depends on. The record is one JSON object a line,
+written by the parent alone, so a worker that dies takes nothing with it but the cells it had in hand.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+from collections import deque
+from collections.abc import Callable, Sequence
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any, TypeAlias
+
+from maglev_mj.errors import MaglevError, ParameterError
+
+__all__ = ["Cell", "Record", "StudyInterrupted", "Workers", "dask_workers", "inline", "local_workers", "run_cells"]
+
+Cell: TypeAlias = dict[str, Any]
+
+_ATTEMPTS = 2
+
+
+class StudyInterrupted(KeyboardInterrupt):
+    """The study was stopped by hand.
+
+    Attributes:
+        landed: Cells and results so far.
+    """
+
+    def __init__(self, landed: list[tuple[Cell, Any]]) -> None:
+        super().__init__(f"stopped with {len(landed)} cells done")
+        self.landed = landed
+
+
+class _Inline(Executor):
+    """Runs each job at once, in this process."""
+
+    def submit(self, function: Callable[..., Any], /, *args: Any, **keywords: Any) -> Future[Any]:
+        future: Future[Any] = Future()
+        try:
+            future.set_result(function(*args, **keywords))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+
+@dataclass(frozen=True)
+class Workers:
+    """Where cells run.
+
+    Attributes:
+        make: Makes an executor; again if the one before has broken.
+        window: How many jobs are handed out at a time.
+        deaths: Errors that mean that a worker died, rather than that a cell failed.
+    """
+
+    make: Callable[[], Executor]
+    window: int
+    deaths: tuple[type[BaseException], ...] = (BrokenProcessPool,)
+
+
+def inline() -> Workers:
+    """Return no workers: this process does it all, one job after the other."""
+    return Workers(_Inline, 1)
+
+
+def local_workers(count: int | None = None) -> Workers:
+    """Return processes of this machine: one a processor unless told, none for 0.
+
+    Raises:
+        ParameterError: If the count is negative.
+    """
+    if count is not None and count < 0:
+        raise ParameterError(f"workers must be at least 0, not {count}")
+    number = len(os.sched_getaffinity(0)) if count is None and hasattr(os, "sched_getaffinity") else count
+    number = (os.cpu_count() or 1) if number is None else number
+    if number == 0:
+        return inline()
+
+    def make() -> Executor:
+        # spawned, not forked: MuJoCo's threads do not survive a fork
+        return ProcessPoolExecutor(number, mp_context=get_context("spawn"), initializer=_leave_interrupts_to_parent)
+
+    return Workers(make, 2 * number)
+
+
+def _leave_interrupts_to_parent() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def dask_workers(address: str) -> Workers:
+    """Return the workers of a Dask cluster whose scheduler is at `address`.
+
+    Raises:
+        MaglevError: If Dask is not installed, or nothing answers there.
+    """
+    try:
+        from distributed import Client, KilledWorker
+    except ImportError:
+        raise MaglevError("a cluster needs Dask: pip install 'maglev-mj[distributed]'") from None
+    try:
+        client = Client(address, timeout="10s", set_as_default=False)
+    except (OSError, TimeoutError, ValueError) as error:
+        raise MaglevError(f"scheduler must be the address of a Dask scheduler, not {address!r}: {error}") from None
+    window = 4 * max(sum(client.nthreads().values()), 1)
+    return Workers(lambda: client.get_executor(pure=False), window, (BrokenProcessPool, KilledWorker))
+
+
+class Record:
+    """Results by cell: in a file if there is one, in memory in any case.
+
+    Args:
+        path: JSON lines, read now and added to later; made when the first result lands. None for memory alone.
+
+    Raises:
+        ParameterError: If the file is no record.
+    """
+
+    def __init__(self, path: Path | None = None) -> None:
+        self.path = path
+        self._results: dict[str, Any] = {}
+        self._torn = False
+        if path is not None and path.exists():
+            self._read(path)
+
+    def _read(self, path: Path) -> None:
+        lines = path.read_text(encoding="utf-8").split("\n")
+        self._torn = bool(lines[-1])
+        for number, line in enumerate(lines, start=1):
+            try:
+                entry = json.loads(line) if line else None
+                if entry is not None:
+                    self._results[_key(entry["cell"])] = entry["result"]
+            except (ValueError, TypeError, KeyError):
+                # the last line may be half of what a process wrote as it died; any other is not ours
+                if number < len(lines):
+                    raise ParameterError(f"record must hold one cell a line, not {line[:40]!r} in {path}") from None
+
+    def __contains__(self, cell: Cell) -> bool:
+        return _key(cell) in self._results
+
+    def __getitem__(self, cell: Cell) -> Any:
+        return self._results[_key(cell)]
+
+    def add(self, pairs: Sequence[tuple[Cell, Any]]) -> None:
+        """Keep results, and write them where there is a file."""
+        self._results.update((_key(cell), result) for cell, result in pairs)
+        if self.path is None:
+            return
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        text = "".join(json.dumps({"cell": cell, "result": result}) + "\n" for cell, result in pairs)
+        with self.path.open("a", encoding="utf-8") as file:
+            file.write(("\n" if self._torn else "") + text)
+        self._torn = False
+
+
+def _key(cell: Cell) -> str:
+    return json.dumps(cell, sort_keys=True)
+
+
+def run_cells(
+    function: Callable[[list[Cell]], list[Any]],
+    cells: Sequence[Cell],
+    *,
+    record: Record | None = None,
+    workers: Workers | None = None,
+    together: int = 1,
+    progress: Callable[[int, int], None] | None = None,
+) -> list[Any]:
+    """Return the result of each cell, computing those that the record lacks.
+
+    Args:
+        function: From some cells to a result for each, all JSON; importable by name, for it runs in other processes.
+        cells: The study.
+        record: Where results are kept; None for memory.
+        workers: Where cells run; None for this process.
+        together: How many cells make one job.
+        progress: Told how many cells are done, and of how many.
+
+    Returns:
+        A result a cell, in order. A cell that kills its worker twice when it runs alone gets {"error": ...}, which
+        is not recorded, so that a rerun tries again.
+
+    Raises:
+        StudyInterrupted: On Ctrl-C, after the jobs in hand have landed.
+    """
+    study = _Study(function, record or Record(), workers or inline(), progress)
+    missing = list({_key(cell): cell for cell in cells if cell not in study.record}.values())
+    study.total = len({_key(cell) for cell in cells})
+    study.done = study.total - len(missing)
+    study.waiting.extend(missing[start : start + together] for start in range(0, len(missing), together))
+    try:
+        study.run()
+    except KeyboardInterrupt:
+        study.stop()
+        raise StudyInterrupted([(cell, study.record[cell]) for cell in cells if cell in study.record]) from None
+    return [study.record[cell] if cell in study.record else study.dead[_key(cell)] for cell in cells]
+
+
+class _Study:
+    """The jobs of one study: waiting, in hand, and those under suspicion since a worker died."""
+
+    def __init__(
+        self,
+        function: Callable[[list[Cell]], list[Any]],
+        record: Record,
+        workers: Workers,
+        progress: Callable[[int, int], None] | None,
+    ) -> None:
+        self.function, self.record, self.workers, self.progress = function, record, workers, progress
+        self.total = self.done = 0
+        self.waiting: deque[list[Cell]] = deque()
+        self.suspects: deque[Cell] = deque()
+        self.dead: dict[str, Any] = {}
+        self._deaths: dict[str, int] = {}
+        self._hand: dict[Future[list[Any]], list[Cell]] = {}
+        self._pool: Executor | None = None
+
+    def run(self) -> None:
+        """Run everything."""
+        try:
+            while self.waiting or self.suspects or self._hand:
+                alone = bool(self.suspects)
+                self._hand_out(alone)
+                finished, _ = wait(self._hand, return_when=FIRST_COMPLETED)
+                broken = [job for future in finished if (job := self._land(future)) is not None]
+                if broken:
+                    self._after_death(broken, alone)
+        finally:
+            self._drop_pool()
+
+    def stop(self) -> None:
+        """Call back the jobs not begun, and wait for the others."""
+        for future in list(self._hand):
+            if future.cancel():
+                del self._hand[future]
+        wait(self._hand)
+        for future in list(self._hand):
+            self._land(future)
+
+    def _hand_out(self, alone: bool) -> None:
+        """Give out jobs up to the window; a suspect alone, so that a death has one culprit."""
+        if self._pool is None:
+            self._pool = self.workers.make()
+        while len(self._hand) < (1 if alone else self.workers.window) and (self.suspects if alone else self.waiting):
+            job = [self.suspects.popleft()] if alone else self.waiting.popleft()
+            self._hand[self._pool.submit(self.function, job)] = job
+
+    def _land(self, future: Future[list[Any]]) -> list[Cell] | None:
+        """Keep the results of a job that is over; return the job if its worker died."""
+        job = self._hand.pop(future)
+        try:
+            results = future.result()
+        except self.workers.deaths:
+            return job
+        self.record.add(list(zip(job, results, strict=True)))
+        self._count(len(job))
+        return None
+
+    def _count(self, cells: int) -> None:
+        self.done += cells
+        if self.progress is not None:
+            self.progress(self.done, self.total)
+
+    def _after_death(self, broken: list[list[Cell]], alone: bool) -> None:
+        """Let the rest of what was in hand end, make a new pool, and suspect what was lost."""
+        wait(self._hand)
+        broken += [job for future in list(self._hand) if (job := self._land(future)) is not None]
+        self._drop_pool()
+        for cell in (cell for job in broken for cell in job):
+            deaths = self._deaths[_key(cell)] = self._deaths.get(_key(cell), 0) + alone
+            if deaths < _ATTEMPTS:
+                self.suspects.append(cell)
+            else:
+                self.dead[_key(cell)] = {"error": f"its worker died {deaths} times"}
+                self._count(1)
+
+    def _drop_pool(self) -> None:
+        if self._pool is not None:
+            with suppress(RuntimeError):
+                self._pool.shutdown(wait=False, cancel_futures=True)
+            self._pool = None
