@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from maglev_mj.errors import ParameterError
-from maglev_mj.study import Workers, dask_workers, local_workers
+from maglev_mj.workers import Workers, dask_workers, local_workers
 
 __all__ = ["Parser", "add_options", "add_outputs", "add_workers", "chosen_workers", "count", "joined"]
 

@@ -8,20 +8,16 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 from collections import deque
 from collections.abc import Callable, Sequence
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import suppress
-from dataclasses import dataclass
-from multiprocessing import get_context
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.errors import ParameterError
+from maglev_mj.workers import Workers, inline
 
-__all__ = ["Cell", "Record", "StudyInterrupted", "Workers", "dask_workers", "inline", "local_workers", "run_cells"]
+__all__ = ["Cell", "Record", "StudyInterrupted", "run_cells"]
 
 Cell: TypeAlias = dict[str, Any]
 
@@ -40,80 +36,6 @@ class StudyInterrupted(KeyboardInterrupt):
         self.landed = landed
 
 
-class _Inline(Executor):
-    """Runs each job at once, in this process."""
-
-    def submit(self, function: Callable[..., Any], /, *args: Any, **keywords: Any) -> Future[Any]:
-        future: Future[Any] = Future()
-        try:
-            future.set_result(function(*args, **keywords))
-        except Exception as error:
-            future.set_exception(error)
-        return future
-
-
-@dataclass(frozen=True)
-class Workers:
-    """Where cells run.
-
-    Attributes:
-        make: Makes an executor; again if the one before has broken.
-        window: How many jobs are handed out at a time.
-        deaths: Errors that mean that a worker died, rather than that a cell failed.
-    """
-
-    make: Callable[[], Executor]
-    window: int
-    deaths: tuple[type[BaseException], ...] = (BrokenProcessPool,)
-
-
-def inline() -> Workers:
-    """Return no workers: this process does it all, one job after the other."""
-    return Workers(_Inline, 1)
-
-
-def local_workers(count: int | None = None) -> Workers:
-    """Return processes of this machine: one a processor unless told, none for 0.
-
-    Raises:
-        ParameterError: If the count is negative.
-    """
-    if count is not None and count < 0:
-        raise ParameterError(f"workers must be at least 0, not {count}")
-    number = len(os.sched_getaffinity(0)) if count is None and hasattr(os, "sched_getaffinity") else count
-    number = (os.cpu_count() or 1) if number is None else number
-    if number == 0:
-        return inline()
-
-    def make() -> Executor:
-        # spawned, not forked: MuJoCo's threads do not survive a fork
-        return ProcessPoolExecutor(number, mp_context=get_context("spawn"), initializer=_leave_interrupts_to_parent)
-
-    return Workers(make, 2 * number)
-
-
-def _leave_interrupts_to_parent() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-
-def dask_workers(address: str) -> Workers:
-    """Return the workers of a Dask cluster whose scheduler is at `address`.
-
-    Raises:
-        MaglevError: If Dask is not installed, or nothing answers there.
-    """
-    try:
-        from distributed import Client, KilledWorker
-    except ImportError:
-        raise MaglevError("a cluster needs Dask: pip install 'maglev-mj[distributed]'") from None
-    try:
-        client = Client(address, timeout="10s", set_as_default=False)
-    except (OSError, TimeoutError, ValueError) as error:
-        raise MaglevError(f"scheduler must be the address of a Dask scheduler, not {address!r}: {error}") from None
-    window = 4 * max(sum(client.nthreads().values()), 1)
-    return Workers(lambda: client.get_executor(pure=False), window, (BrokenProcessPool, KilledWorker))
-
-
 class Record:
     """Results by cell: in a file if there is one, in memory in any case.
 
@@ -127,22 +49,23 @@ class Record:
     def __init__(self, path: Path | None = None) -> None:
         self.path = path
         self._results: dict[str, Any] = {}
-        self._torn = False
+        self._end: int | None = None  # where the last whole line ends, if there is half a line behind it
         if path is not None and path.exists():
             self._read(path)
 
     def _read(self, path: Path) -> None:
-        lines = path.read_text(encoding="utf-8").split("\n")
-        self._torn = bool(lines[-1])
-        for number, line in enumerate(lines, start=1):
+        data = path.read_bytes()
+        whole = data.rfind(b"\n") + 1
+        for line in data[:whole].decode("utf-8", errors="replace").splitlines():
             try:
-                entry = json.loads(line) if line else None
-                if entry is not None:
-                    self._results[_key(entry["cell"])] = entry["result"]
+                entry = json.loads(line)
+                self._results[_key(entry["cell"])] = entry["result"]
             except (ValueError, TypeError, KeyError):
-                # the last line may be half of what a process wrote as it died; any other is not ours
-                if number < len(lines):
-                    raise ParameterError(f"record must hold one cell a line, not {line[:40]!r} in {path}") from None
+                raise ParameterError(f"record must hold one cell a line, not {line[:40]!r} in {path}") from None
+        if whole < len(data):  # what a process wrote as it died; only ours begins like this
+            if not data[whole:].startswith(b'{"cell"'[: len(data) - whole]):
+                raise ParameterError(f"record must end with a whole line, not {data[whole:][:40]!r} in {path}")
+            self._end = whole
 
     def __contains__(self, cell: Cell) -> bool:
         return _key(cell) in self._results
@@ -157,9 +80,11 @@ class Record:
             return
         self.path.parent.mkdir(parents=True, exist_ok=True)
         text = "".join(json.dumps({"cell": cell, "result": result}) + "\n" for cell, result in pairs)
+        if self._end is not None:
+            os.truncate(self.path, self._end)
+            self._end = None
         with self.path.open("a", encoding="utf-8") as file:
-            file.write(("\n" if self._torn else "") + text)
-        self._torn = False
+            file.write(text)
 
 
 def _key(cell: Cell) -> str:
@@ -285,6 +210,5 @@ class _Study:
 
     def _drop_pool(self) -> None:
         if self._pool is not None:
-            with suppress(RuntimeError):
-                self._pool.shutdown(wait=False, cancel_futures=True)
+            self._pool.shutdown(wait=False, cancel_futures=True)
             self._pool = None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,7 @@ from maglev_mj.model import COILS
 from maglev_mj.report import DeviceReport
 from maglev_mj.spec import Spec
 
-__all__ = ["device_table", "drop_table", "stability_table", "stick_slip_table"]
+__all__ = ["device_table", "drop_table", "stability_table", "stick_slip_table", "sweep_table"]
 
 _FIGURES = (
     ("penetration", "penetration", 1e3, "mm"),
@@ -125,6 +125,36 @@ def stability_table(result: StabilityMap) -> str:
             f"{int(result.misjudged.sum())} of them",
             f"  further than 0.5 % of a gain from the boundary ({int(result.near.sum())} cells are nearer)",
         ]
+    return "\n".join(lines)
+
+
+def sweep_table(
+    scene: str, varied: Mapping[str, Sequence[Any]], results: Sequence[Mapping[str, Any]], known: int, path: str
+) -> str:
+    """Return how many cells were computed and the spread of each figure over them, as text.
+
+    Args:
+        scene: What was swept.
+        varied: Values of the parameters that vary.
+        results: Figures of each cell, or {"error": ...}.
+        known: How many cells the record held already.
+        path: Where the record is.
+    """
+    failed = [result["error"] for result in results if "error" in result]
+    over = ", ".join(f"{name} ({len(values)})" for name, values in varied.items()) or "nothing"
+    lines = [
+        f"Sweep of {scene} over {over}: {len(results)} cells, {known} of them already in {path}",
+        "",
+        f"  {'':<20}{'least':>12}{'median':>12}{'greatest':>12}   cells",
+    ]
+    good = [result for result in results if "error" not in result]
+    for name in good[0] if good else ():
+        values = [float(result[name]) for result in good if isinstance(result[name], int | float)]
+        if values:
+            spread = "".join(f"{share:>12.4g}" for share in np.percentile(values, [0.0, 50.0, 100.0]))
+            lines.append(f"  {name:<20}{spread}   {len(values)}")
+    if failed:
+        lines += ["", f"  {len(failed)} cells failed, the first because {failed[0]}"]
     return "\n".join(lines)
 
 

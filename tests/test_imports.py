@@ -13,6 +13,7 @@ FLOORS = {
     "frames": 0,
     "spec": 0,
     "parameters": 1,
+    "workers": 1,
     "laws": 2,
     "coils": 2,
     "hand": 2,
@@ -42,6 +43,7 @@ ALLOWED = {
     "mujoco": {"model", "plants"},
     "glfw": set(),
     "matplotlib": {"charts"},
+    "distributed": {"workers"},
 }
 
 

@@ -16,7 +16,8 @@ from maglev_mj.frames import Array, Mask
 from maglev_mj.parameters import number
 from maglev_mj.sampled import MOST_PERIODS, LoopKeywords
 from maglev_mj.spec import Spec
-from maglev_mj.study import Cell, Record, Workers, run_cells
+from maglev_mj.study import Cell, Record, run_cells
+from maglev_mj.workers import Workers
 
 __all__ = ["StabilityMap", "StabilityParameters", "run_stability", "simulate_walls"]
 

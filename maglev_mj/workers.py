@@ -1,0 +1,116 @@
+"""Where the jobs of a study run: in this process, in processes of this machine, on a cluster."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+from collections.abc import Callable
+from concurrent.futures import Executor, Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from multiprocessing import get_context
+from typing import Any
+
+from maglev_mj.errors import MaglevError, ParameterError
+
+__all__ = ["Workers", "dask_workers", "inline", "local_workers"]
+
+_PATIENCE = 5.0
+
+
+class _Inline(Executor):
+    """Runs each job at once, in this process."""
+
+    def submit(self, function: Callable[..., Any], /, *args: Any, **keywords: Any) -> Future[Any]:
+        future: Future[Any] = Future()
+        try:
+            future.set_result(function(*args, **keywords))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+
+@dataclass(frozen=True)
+class Workers:
+    """Where cells run.
+
+    Attributes:
+        make: Makes an executor; again if the one before has broken.
+        window: How many jobs are handed out at a time.
+        deaths: Errors that mean that a worker died, rather than that a cell failed.
+    """
+
+    make: Callable[[], Executor]
+    window: int
+    deaths: tuple[type[BaseException], ...] = (BrokenProcessPool,)
+
+
+def inline() -> Workers:
+    """Return no workers: this process does it all, one job after the other."""
+    return Workers(_Inline, 1)
+
+
+def local_workers(count: int | None = None) -> Workers:
+    """Return processes of this machine: one a processor unless told, none for 0.
+
+    Raises:
+        ParameterError: If the count is negative.
+    """
+    if count is not None and count < 0:
+        raise ParameterError(f"workers must be at least 0, not {count}")
+    number = len(os.sched_getaffinity(0)) if count is None and hasattr(os, "sched_getaffinity") else count
+    number = (os.cpu_count() or 1) if number is None else number
+    if number == 0:
+        return inline()
+
+    def make() -> Executor:
+        # spawned, not forked: MuJoCo's threads do not survive a fork
+        return ProcessPoolExecutor(number, mp_context=get_context("spawn"), initializer=_leave_interrupts_to_parent)
+
+    return Workers(make, 2 * number)
+
+
+def _leave_interrupts_to_parent() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def dask_workers(address: str) -> Workers:
+    """Return the workers of a Dask cluster whose scheduler is at `address`.
+
+    Raises:
+        MaglevError: If Dask is not installed, or nothing answers there.
+    """
+    try:
+        from distributed import Client, KilledWorker
+        from distributed.core import connect
+    except ImportError:
+        raise MaglevError("a cluster needs Dask: pip install 'maglev-mj[distributed]'") from None
+
+    async def knock() -> None:  # a client that finds nobody would go on trying as the program ends
+        door = await connect(address, timeout=_PATIENCE)
+        await door.close()
+
+    try:
+        asyncio.run(knock())
+        client = Client(address, set_as_default=False)
+    except (OSError, TimeoutError, ValueError) as error:
+        raise MaglevError(f"scheduler must be the address of a Dask scheduler, not {address!r}: {error}") from None
+    window = 4 * max(sum(client.nthreads().values()), 1)
+    client.close()
+    return Workers(lambda: _Cluster(Client(address, set_as_default=False)), window, (KilledWorker,))
+
+
+class _Cluster(Executor):
+    """A Dask client as an executor that leaves nothing open behind it."""
+
+    def __init__(self, client: Any) -> None:
+        self._client, self._inner = client, client.get_executor(pure=False)
+
+    def submit(self, function: Callable[..., Any], /, *args: Any, **keywords: Any) -> Future[Any]:
+        future: Future[Any] = self._inner.submit(function, *args, **keywords)
+        return future
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        self._inner.shutdown(wait=wait and not cancel_futures)
+        self._client.close()

@@ -1,0 +1,250 @@
+"""The study engine: what lands stays, what is there is not done again, a worker's death costs its own cells only."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from concurrent.futures import Executor
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.experiments.scenes import cell_of, run_scene_cells
+from maglev_mj.progress import Progress
+from maglev_mj.study import Cell, Record, StudyInterrupted, run_cells
+from maglev_mj.workers import Workers, dask_workers, inline, local_workers
+
+
+def squares(cells: list[Cell]) -> list[Any]:
+    return [{"square": cell["x"] ** 2} for cell in cells]
+
+
+def drop_cells(count: int) -> list[Cell]:
+    return [cell_of("drop", {"plant": "exact", "phase": number / count, "height": 0.003}) for number in range(count)]
+
+
+def deadly(cells: list[Cell]) -> list[Any]:
+    """Kill the worker on a cell marked always, or marked once and not yet seen."""
+    for cell in cells:
+        if cell.get("kill") == "always":
+            os.kill(os.getpid(), signal.SIGKILL)
+        if cell.get("kill") == "once" and not (seen := Path(cell["note"])).exists():
+            seen.touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+    return squares(cells)
+
+
+def test_a_rerun_computes_only_what_is_missing(tmp_path: Path) -> None:
+    path, calls = tmp_path / "record.jsonl", []
+
+    def counted(cells: list[Cell]) -> list[Any]:
+        calls.append(len(cells))
+        return squares(cells)
+
+    cells: list[Cell] = [{"x": x} for x in range(10)]
+    first = run_cells(counted, cells[:6], record=Record(path), together=4)
+    second = run_cells(counted, cells, record=Record(path), together=4)
+    assert calls == [4, 2, 4]
+    assert second[:6] == first and second == squares(cells)
+    assert len(path.read_text().splitlines()) == 10
+
+
+def test_cells_given_twice_run_once_and_come_back_in_order() -> None:
+    cells: list[Cell] = [{"x": 3}, {"x": 1}, {"x": 3}]
+    assert run_cells(squares, cells) == [{"square": 9}, {"square": 1}, {"square": 9}]
+
+
+@pytest.mark.parametrize("torn", ['{"cell": {"x": 1}, "resu', '{"cell": {"x": 1}, "result": {"square": 1}}'])
+def test_a_line_torn_by_a_dying_process_is_no_obstacle(tmp_path: Path, torn: str) -> None:
+    path = tmp_path / "record.jsonl"
+    path.write_text(json.dumps({"cell": {"x": 0}, "result": {"square": 0}}) + "\n" + torn)
+    cells: list[Cell] = [{"x": x} for x in range(3)]
+    assert run_cells(squares, cells, record=Record(path)) == squares(cells)
+    # read again, every cell is there
+    again = Record(path)
+    assert all(cell in again for cell in cells)
+
+
+def test_a_file_that_is_no_record_is_refused_and_left_alone(tmp_path: Path) -> None:
+    path = tmp_path / "notes.txt"
+    for text, words in (
+        ("dear diary\nnothing\n", "record must hold one cell a line, not 'dear diary'"),
+        ("x", "end with"),
+    ):
+        path.write_text(text)
+        with pytest.raises(ParameterError, match=words):
+            Record(path)
+        assert path.read_text() == text
+
+
+def test_local_processes_equal_this_one() -> None:
+    cells = drop_cells(12)
+    assert run_cells(run_scene_cells, cells, workers=local_workers(2), together=2) == run_scene_cells(cells)
+
+
+def test_a_dead_worker_costs_its_own_cells_which_run_again(tmp_path: Path) -> None:
+    cells: list[Cell] = [{"x": x} for x in range(20)]
+    cells[7] |= {"kill": "once", "note": str(tmp_path / "seen")}
+    assert run_cells(deadly, cells, workers=local_workers(2), together=2) == squares(cells)
+
+
+def test_a_cell_that_always_kills_is_named_and_tried_again_by_a_rerun(tmp_path: Path) -> None:
+    path = tmp_path / "record.jsonl"
+    cells: list[Cell] = [{"x": x} for x in range(8)]
+    cells[3] |= {"kill": "always"}
+    results = run_cells(deadly, cells, record=Record(path), workers=local_workers(2), together=2)
+    assert results[3] == {"error": "its worker died 2 times"}
+    assert [results[place] for place in range(8) if place != 3] == [{"square": x**2} for x in range(8) if x != 3]
+    assert cells[3] not in Record(path)
+
+
+def test_an_error_in_the_function_is_raised_with_what_had_landed_kept(tmp_path: Path) -> None:
+    def broken(cells: list[Cell]) -> list[Any]:
+        if cells[0]["x"] == 2:
+            raise RuntimeError("a bug")
+        return squares(cells)
+
+    record = Record(tmp_path / "record.jsonl")
+    with pytest.raises(RuntimeError, match="a bug"):
+        run_cells(broken, [{"x": x} for x in range(5)], record=record)
+    assert {"x": 1} in Record(tmp_path / "record.jsonl")
+
+
+def test_a_run_that_diverges_is_a_result(tmp_path: Path) -> None:
+    unstable = cell_of("drop", {"plant": "exact", "stiffness": 50000.0, "damping": 0.0, "duration": 2.0})
+    (result,) = run_cells(run_scene_cells, [unstable])
+    assert "diverged" in result["error"]
+
+
+def test_an_interrupt_keeps_what_has_landed(tmp_path: Path) -> None:
+    def interrupted(cells: list[Cell]) -> list[Any]:
+        if cells[0]["x"] == 3:
+            raise KeyboardInterrupt
+        return squares(cells)
+
+    path = tmp_path / "record.jsonl"
+    with pytest.raises(StudyInterrupted) as stopped:
+        run_cells(interrupted, [{"x": x} for x in range(6)], record=Record(path))
+    assert [cell["x"] for cell, _ in stopped.value.landed] == [0, 1, 2]
+    assert len(path.read_text().splitlines()) == 3
+
+
+@pytest.mark.parametrize("workers", ["0", "2"])
+def test_ctrl_c_on_the_command_line_ends_cleanly_and_goes_on(tmp_path: Path, workers: str) -> None:
+    """One line on stderr, no traceback from any process, status 130; the rerun computes the rest."""
+    record = tmp_path / "cells.jsonl"
+    command = [sys.executable, "-m", "maglev_mj.cli", "sweep", "wall", "--vary", "delay=0:0.005:12"]
+    command += ["--set", "plant=exact", "--record", str(record), "--workers", workers]
+    process = subprocess.Popen(
+        command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=True
+    )
+    deadline = time.monotonic() + 60.0
+    while not (record.exists() and record.stat().st_size) and time.monotonic() < deadline:
+        time.sleep(0.01)
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to every process of the group
+    _, said = process.communicate(timeout=60)
+    assert process.returncode == 130, said
+    assert "Traceback" not in said
+    assert "maglev-mj sweep: stopped; " in said.splitlines()[-1]
+    done = len(record.read_text().splitlines())
+    assert 1 <= done < 12
+    again = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert again.returncode == 0 and f"12 cells, {done} of them already in" in again.stdout
+
+
+def test_bad_workers_are_refused() -> None:
+    with pytest.raises(ParameterError, match="workers must be at least 0, not -1"):
+        local_workers(-1)
+    assert local_workers(0).window == inline().window == 1
+    with pytest.raises(MaglevError, match="address of a Dask scheduler, not 'moon'"):
+        dask_workers("moon")
+
+
+def test_progress_is_quiet_for_short_runs_and_speaks_in_long_ones() -> None:
+    class Screen:
+        def __init__(self, terminal: bool) -> None:
+            self.text, self.terminal = "", terminal
+
+        def isatty(self) -> bool:
+            return self.terminal
+
+        def write(self, text: str) -> None:
+            self.text += text
+
+        def flush(self) -> None: ...
+
+    quiet: Any = Screen(terminal=True)
+    short = Progress("map", quiet)
+    short(1, 2)
+    short.close()
+    assert quiet.text == ""
+    for terminal, wanted in ((True, "[###"), (False, "map: 1 of 4\n")):
+        screen: Any = Screen(terminal)
+        progress = Progress("map", screen, quiet=0.0, every=0.0)
+        progress(1, 4)
+        progress(4, 4)
+        progress.close()
+        assert wanted in screen.text
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Any:
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as made:
+        yield made
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_dask_equals_local_also_with_a_worker_killed_half_way(cluster: Any) -> None:
+    cells = drop_cells(60)
+    local = run_cells(run_scene_cells, cells, workers=local_workers(2), together=3)
+    assert run_cells(run_scene_cells, cells, workers=dask_workers(cluster.scheduler_address), together=3) == local
+
+    killed: list[int] = []
+
+    def progress(done: int, total: int) -> None:
+        if done >= total // 2 and not killed:
+            nanny = next(iter(cluster.workers.values()))
+            killed.append(nanny.pid)
+            os.kill(nanny.pid, signal.SIGKILL)
+
+    workers = dask_workers(cluster.scheduler_address)
+    again = run_cells(slowly, cells, workers=workers, together=3, progress=progress)
+    assert killed and again == local
+
+
+def slowly(cells: list[Cell]) -> list[Any]:
+    """As the drop, but long enough that both workers have cells in hand when one is killed."""
+    time.sleep(0.1)
+    return run_scene_cells(cells)
+
+
+def test_the_window_bounds_what_is_in_hand() -> None:
+    class Watching(Executor):
+        most = 0
+
+        def __init__(self) -> None:
+            self.open, self.lock = 0, threading.Lock()
+
+        def submit(self, function: Any, /, *args: Any, **keywords: Any) -> Any:
+            from concurrent.futures import Future
+
+            future: Future[Any] = Future()
+            Watching.most += 1
+
+            def work() -> None:
+                time.sleep(0.01)
+                Watching.most -= 1
+                future.set_result(function(*args, **keywords))
+
+            assert Watching.most <= 3
+            threading.Thread(target=work).start()
+            return future
+
+    cells: list[Cell] = [{"x": x} for x in range(20)]
+    assert run_cells(squares, cells, workers=Workers(Watching, 3)) == squares(cells)
