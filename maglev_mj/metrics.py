@@ -2,14 +2,26 @@
 
 from __future__ import annotations
 
+from collections import deque
 from typing import NamedTuple
 
 import numpy as np
 
-from maglev_mj.frames import Array
+from maglev_mj.frames import Array, Command, Sample
+from maglev_mj.parameters import number
+from maglev_mj.plants import Timing
 from maglev_mj.trace import Trace
 
-__all__ = ["BounceSummary", "EnergyBalance", "energy_balance", "percentiles", "summarise_bounce"]
+__all__ = [
+    "BounceSummary",
+    "EnergyBalance",
+    "Hardness",
+    "PassivityObserver",
+    "energy_balance",
+    "perceived_hardness",
+    "percentiles",
+    "summarise_bounce",
+]
 
 
 class BounceSummary(NamedTuple):
@@ -101,6 +113,103 @@ def energy_balance(trace: Trace, mass: float, gravity: float, *, axis: int = 2) 
         actuators=(trace.wrench[:-1, ..., axis] * travel).sum(axis=0),
         gravity=-mass * gravity * (trace.pose[-1, ..., axis] - trace.pose[0, ..., axis]),
     )
+
+
+class PassivityObserver:
+    """Adds up the energy that the rendered environment takes in, axis by axis; below 0 it has made energy.
+
+    Hand it to `run` as `observe`. Over each period the force is the mean of what was in effect, old command, new
+    command and pulse each for its share, over the way between the samples: exact where one force acts throughout,
+    which is so without delay and pulse, and off by the second order of the period elsewhere.
+
+    Args:
+        timing: Of the plant.
+
+    Attributes:
+        energy: Taken in so far [J], (..., 6).
+        least: The least it has been [J], (..., 6).
+
+    Source: Hannaford & Ryu 2002, with the force paired with the way that it acted over.
+    """
+
+    def __init__(self, timing: Timing) -> None:
+        self._timing = timing
+        self._commands: deque[Command | None] = deque([None] * (timing.whole + 2), maxlen=timing.whole + 2)
+        self._pose: Array | None = None
+        self.energy: Array = np.zeros(6)
+        self.least: Array = np.zeros(6)
+
+    def __call__(self, sample: Sample, command: Command) -> None:
+        """Take in one sample and the command that answered it."""
+        pose = sample.pose
+        if self._pose is not None:
+            self.energy = self.energy - self._mean_force() * (pose - self._pose)
+            self.least = np.minimum(self.least, self.energy)
+        self._pose = pose
+        self._commands.append(command)
+
+    def _mean_force(self) -> Array | float:
+        """Return the mean force over the period behind the last sample kept."""
+        timing, (older, newer) = self._timing, (self._commands[0], self._commands[1])
+        left = timing.period - timing.rest
+        total: Array | float = 0.0
+        if older is not None:
+            tail = min(max(older.pulse_width - left, 0.0), timing.rest)
+            total = timing.rest * older.wrench + tail * older.pulse
+        if newer is not None:
+            total = total + left * newer.wrench + min(newer.pulse_width, left) * newer.pulse
+        return total / timing.period
+
+
+class Hardness(NamedTuple):
+    """How hard a tap feels [N/m], (...,) each.
+
+    Attributes:
+        rate: Rate-hardness: how fast the force rises over the first window after contact, over the speed of impact.
+        extended: The same for the fastest rise over any window that begins within the first contact.
+    """
+
+    rate: Array
+    extended: Array
+
+
+def perceived_hardness(trace: Trace, window: float, *, axis: int = 2, wall: float = 0.0) -> Hardness:
+    """Return the hardness of the first contact with a wall that fills x <= `wall`.
+
+    A force that is held between samples rises at once, so its rate is that of its mean over a window, which is
+    (f(t + window) - f(t)) / window.
+
+    Args:
+        trace: The motion; NaN comes out where a device does not touch the wall.
+        window: Length of the window [s].
+        axis: Index into AXES.
+        wall: Position of the wall [m].
+
+    Raises:
+        ParameterError: If the window is not above 0.
+
+    Source: Lawrence, Pao, Dougherty, Salada & Pavlou 2000; Han & Choi 2010. Definitions recalled; the window is ours.
+    """
+    width = number("window", window, above=0.0)
+    line = trace.along(axis)
+    end = float(line.time[-1].min())
+    grid = np.arange(int(np.floor(end / 1e-4)) + 1) * 1e-4
+    pose, twist, wrench = (part[..., 0] for part in line.at(grid))
+    inside = pose <= wall
+    touched = inside.any(axis=0)
+    contact = np.argmax(inside, axis=0)
+    away = ~inside & (np.arange(len(grid)).reshape((-1,) + (1,) * (inside.ndim - 1)) > contact)
+    leaves = np.where(away.any(axis=0), np.argmax(away, axis=0), len(grid) - 1)
+    shift = max(round(width / 1e-4), 1)
+    rise = np.zeros_like(wrench)
+    rise[:-shift] = (wrench[shift:] - wrench[:-shift]) / width
+    place = np.arange(len(grid)).reshape((-1,) + (1,) * (rise.ndim - 1))
+    during = (place >= contact) & (place <= leaves)
+    speed = np.abs(np.take_along_axis(twist, contact[None], axis=0)[0])
+    first = np.take_along_axis(rise, contact[None], axis=0)[0]
+    most = np.where(during, rise, -np.inf).max(axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return Hardness(*(np.where(touched & (speed > 0.0), part / speed, np.nan) for part in (first, most)))
 
 
 def percentiles(summary: BounceSummary, share: float) -> BounceSummary:

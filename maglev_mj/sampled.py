@@ -21,7 +21,7 @@ from maglev_mj.laws import FiniteDifference, LinearController, LowPass, Velocity
 from maglev_mj.parameters import number, numbers
 from maglev_mj.spec import Spec
 
-__all__ = ["Design", "LoopKeywords", "SampledLoop", "pd"]
+__all__ = ["Design", "LoopKeywords", "SampledLoop", "pd", "rendered_stiffness"]
 
 MOST_PERIODS = 10
 _TOGETHER = 1 << 16
@@ -67,6 +67,13 @@ def pd(velocity: VelocityEstimator | None = None, prediction: ArrayLike = 0.0) -
         return LinearController(speed.advance, speed.take, give, -stiffness - gain * speed.direct)
 
     return design
+
+
+def rendered_stiffness(controller: LinearController) -> Array:
+    """Return what a linear wall resists a slow push with [N/m], (...,): minus force over position, both still."""
+    still = np.eye(controller.advance.shape[-1]) - controller.advance
+    memory = np.linalg.solve(still, np.broadcast_to(controller.take, controller.give.shape)[..., None])
+    return np.asarray(-(np.matmul(controller.give[..., None, :], memory)[..., 0, 0] + controller.direct))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -119,7 +126,7 @@ class SampledLoop:
         k, b = np.asarray(stiffness, dtype=np.float64), np.asarray(damping, dtype=np.float64)
         design = self.design or pd(self.velocity, self.prediction)
         law = design(k, b, np.asarray(self.period))
-        phi, old, new, whole, waiting = self._flotor()
+        phi, old, new, whole, waiting = self.flotor()
         first, size = phi.shape[-1], phi.shape[-1] + waiting + law.advance.shape[-1]
         own = slice(first + waiting, size)
         shape = np.broadcast_shapes(law.give.shape[:-1], law.direct.shape, law.advance.shape[:-2], self.shape)
@@ -140,8 +147,32 @@ class SampledLoop:
         m[..., own, 0], m[..., own, own] = law.take, law.advance
         return m
 
-    def _flotor(self) -> tuple[Array, Array, Array, Array, int]:
-        """Return the flotor's own map, the shares of old and new command, whole periods, commands waiting."""
+    def compliance(self, stiffness: ArrayLike, damping: ArrayLike, frequency: float) -> Array:
+        """Return the sampled position over a hand's force at a frequency [m/N], complex, (...,).
+
+        The hand's force is taken as held from sample to sample.
+
+        Args:
+            stiffness: Wall stiffness [N/m], (...,).
+            damping: Wall damping [N s/m], (...,).
+            frequency: Frequency [Hz], below half the sample rate; a number, and so must the period be.
+        """
+        matrix = self.matrix(stiffness, damping)
+        _, push = transition(*motion(self.mass, self.hand, self.driver_lag), self.period)
+        enters = np.zeros((*push.shape[:-2], matrix.shape[-1]))
+        enters[..., : push.shape[-2]] = push[..., 1]
+        turn = np.exp(2j * np.pi * number("frequency", frequency) * float(self.period))  # type: ignore[arg-type]
+        moved = turn * np.eye(matrix.shape[-1]) - matrix
+        state = np.linalg.solve(moved, np.broadcast_to(enters, matrix.shape[:-1])[..., None])
+        return np.asarray(state[..., 0, 0])
+
+    def flotor(self) -> tuple[Array, Array, Array, Array, int]:
+        """Return the flotor's map over a period, and how old and new command enter it.
+
+        Returns:
+            Map (..., n, n), shares of the command in effect before and after the switch (..., n) each, whole periods
+            in the delay (...,), and how many commands are on their way at most.
+        """
         period, delay = np.asarray(self.period), np.asarray(self.delay)
         whole = np.floor(delay / period + 1e-9)
         rest = np.maximum(delay - whole * period, 0.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple, Unpack, overload
 
@@ -15,10 +16,13 @@ from maglev_mj.sampled import LoopKeywords, SampledLoop
 
 __all__ = [
     "StiffestWall",
+    "boundary_of",
     "characteristic_polynomial",
     "critical_delay",
     "largest_modulus",
     "largest_stable_stiffness",
+    "least_dynamic_stiffness",
+    "stiffest_of",
     "stiffest_wall",
 ]
 
@@ -81,11 +85,14 @@ def largest_stable_stiffness(damping: ArrayLike | None = None, **loop: Unpack[Lo
     """
     if damping is None:
         return stiffest_wall(**loop)
-    return _boundary(SampledLoop(**loop), numbers("damping", damping, at_least=0.0))
+    return boundary_of(SampledLoop(**loop), numbers("damping", damping, at_least=0.0))
 
 
-def _boundary(loop: SampledLoop, damping: Array) -> Array:
-    """Find the last stable stiffness of a scan over the decades below 4 m/T², then halve the step to it."""
+def boundary_of(loop: SampledLoop, damping: Array) -> Array:
+    """Return the largest stable stiffness of a loop at each damping: `largest_stable_stiffness` for any SampledLoop.
+
+    The last stable stiffness of a scan over the decades below 4 m/T², and then halvings of the step to the next.
+    """
     shape = np.broadcast_shapes(damping.shape, loop.shape)
     wide, b = loop.widened(), np.broadcast_to(damping, shape)[..., None]
     scale = 4.0 * wide.moving_mass / np.asarray(wide.period) ** 2
@@ -110,13 +117,17 @@ def stiffest_wall(**loop: Unpack[LoopKeywords]) -> StiffestWall:
     Raises:
         ParameterError: If a value is outside its bounds.
     """
-    around = SampledLoop(**loop)
+    return stiffest_of(SampledLoop(**loop))
+
+
+def stiffest_of(around: SampledLoop) -> StiffestWall:
+    """Return the largest stable stiffness of a loop over all dampings: `stiffest_wall` for any SampledLoop."""
     wide = around.widened()
     # from a coarse grid of dampings to a fine one
     scale = np.broadcast_to(4.0 * around.moving_mass / np.asarray(around.period), around.shape)[..., None]
     grid = scale * np.logspace(-4.0, 0.0, 60)
     while True:
-        stiffness = _boundary(wide, grid)
+        stiffness = boundary_of(wide, grid)
         best = np.argmax(stiffness, axis=-1)[..., None]
         low, high = (np.take_along_axis(grid, np.clip(best + step, 0, grid.shape[-1] - 1), axis=-1) for step in (-1, 1))
         if (high - low <= 1e-6 * high).all():
@@ -158,3 +169,35 @@ def critical_delay(stiffness: ArrayLike, damping: ArrayLike, **loop: Unpack[Loop
         good = replace(wide, delay=middle[..., None]).modulus(k, b)[..., 0] < 1.0
         low, high = np.where(good, middle, low), np.where(good, high, middle)
     return np.where(unstable.any(axis=-1), high, np.inf)
+
+
+def least_dynamic_stiffness(
+    stiffness: ArrayLike,
+    damping: ArrayLike,
+    *,
+    frequencies: Sequence[float] | None = None,
+    **loop: Unpack[LoopKeywords],
+) -> Array:
+    """Return how much force a hand needs at least for each metre, over all frequencies [N/m]; 0 for an unstable wall.
+
+    It counts stiffness and stability margin at once: a wall near its boundary gives way at its resonance.
+
+    Args:
+        stiffness: Wall stiffness [N/m], (...,).
+        damping: Wall damping [N s/m], (...,).
+        frequencies: Where to look [Hz]; None for 0 and 50 more up to half the sample rate.
+        loop: Keywords of `SampledLoop`; the period is a number.
+
+    Raises:
+        ParameterError: If a value is outside its bounds.
+    """
+    around = SampledLoop(**loop)
+    stable = around.modulus(stiffness, damping) < 1.0
+    if frequencies is None:
+        half = 0.5 / float(np.asarray(around.period))
+        frequencies = [0.0, *np.geomspace(0.01 * half, 0.999 * half, 50)]
+    k, b = np.asarray(stiffness, dtype=np.float64), np.asarray(damping, dtype=np.float64)
+    gives = np.zeros(stable.shape)
+    for frequency in frequencies:
+        gives = np.maximum(gives, np.abs(around.compliance(k, b, frequency)))
+    return np.where(stable, 1.0 / gives, 0.0)

@@ -14,6 +14,8 @@ from maglev_mj.laws.bristle import Dahl, ElastoPlastic, HaywardArmstrong, LuGre
 from maglev_mj.laws.friction import Friction, FrictionState, ImplicitCoulomb, SpringReset, StickSlip
 from maglev_mj.laws.hold import Hold
 from maglev_mj.laws.linear import LinearController
+from maglev_mj.laws.passivity import PassivityController
+from maglev_mj.laws.prediction import ObserverWall, PredictiveWall
 from maglev_mj.laws.velocity import AdaptiveWindow, FiniteDifference, LowPass, Window
 from maglev_mj.laws.wall import Wall
 
@@ -31,6 +33,9 @@ __all__ = [
     "LinearController",
     "LowPass",
     "LuGre",
+    "ObserverWall",
+    "PassivityController",
+    "PredictiveWall",
     "SpringReset",
     "StickSlip",
     "VelocityEstimator",

@@ -4,10 +4,12 @@ from maglev_mj.plants.base import PlantKeywords, SampledPlant
 from maglev_mj.plants.batch import MuJoCoBatchPlant
 from maglev_mj.plants.contract import Plant, Timing
 from maglev_mj.plants.exact import ExactPlant
-from maglev_mj.plants.mujoco import MuJoCoPlant, engine_warnings_silenced
+from maglev_mj.plants.mujoco import INTEGRATORS, MuJoCoPlant, engine_warnings_silenced
 from maglev_mj.plants.sensor import Sensor
+from maglev_mj.plants.steps import one_step
 
 __all__ = [
+    "INTEGRATORS",
     "ExactPlant",
     "MuJoCoBatchPlant",
     "MuJoCoPlant",
@@ -17,4 +19,5 @@ __all__ = [
     "Sensor",
     "Timing",
     "engine_warnings_silenced",
+    "one_step",
 ]

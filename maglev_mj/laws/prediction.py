@@ -1,0 +1,249 @@
+"""Walls that look ahead: along a straight line, or by a model of the flotor with the delay as states."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from maglev_mj.errors import ParameterError
+from maglev_mj.frames import AXES, Array, Component
+from maglev_mj.laws.friction import choose
+from maglev_mj.laws.linear import LinearController
+from maglev_mj.parameters import axis_indices, batch_shape, number, numbers, per_axis
+
+__all__ = ["ObserverWall", "PredictiveWall"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PredictiveWall:
+    """The mean force of the ideal wall over the coming hold, along the straight line that the samples foretell.
+
+    Inside the wall that is half-sample prediction, f = -K (x + v (T_d + T/2)) - B v; where the line crosses the edge
+    within the hold, only the part inside counts, which gives the crossing its own time.
+
+    Each gain is a number for all of the law's axes, one number an axis, or (N, axes) for N devices.
+
+    Args:
+        axes: Names from AXES; all six by default.
+        lower: The wall fills x <= lower [m, rad].
+        stiffness: Stiffness K [N/m, N m/rad].
+        damping: Damping B [N s/m, N m s/rad].
+        period: Sample period T [s].
+        delay: Transport delay T_d [s].
+
+    Raises:
+        ParameterError: If a value is outside its bounds or a shape does not fit.
+
+    Source: after Gillespie & Cutkosky 1996, who predict half a sample and treat the crossing by deadbeat control;
+        the mean over the hold is this project's.
+    """
+
+    axes: str | Sequence[str] = AXES
+    lower: ArrayLike = 0.0
+    stiffness: ArrayLike
+    damping: ArrayLike = 0.0
+    period: float
+    delay: float = 0.0
+
+    batch: tuple[int, ...] = field(init=False)
+    pulse_width: float = field(init=False, default=0.0)
+    _gains: tuple[tuple[int, Component, Component, Component], ...] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        indices = axis_indices(self.axes)
+        values = [
+            numbers("wall lower", self.lower),
+            numbers("wall stiffness", self.stiffness, at_least=0.0),
+            numbers("wall damping", self.damping, at_least=0.0),
+        ]
+        split = [per_axis("wall parameter", value, len(indices)) for value in values]
+        number("period", self.period, above=0.0)
+        number("delay", self.delay, at_least=0.0)
+        object.__setattr__(self, "batch", batch_shape("wall", values))
+        object.__setattr__(self, "_gains", tuple(zip(indices, *split, strict=True)))
+
+    def start(self) -> None:
+        """Return the state before the first sample: there is none."""
+
+    def __call__(
+        self, position: Sequence[Component], velocity: Sequence[Component], state: None, wrench: list[Component]
+    ) -> tuple[None, None]:
+        """Answer one sample; see `Law`."""
+        period, delay = self.period, self.delay
+        for axis, edge, stiffness, damping in self._gains:
+            speed = velocity[axis]
+            begin = position[axis] - edge + speed * delay
+            end = begin + speed * period
+            deep, deeper = begin * (begin < 0.0), end * (end < 0.0)
+            travel = begin - end
+            rests = travel == 0.0
+            share = (deep - deeper) / (travel + rests) + rests * (begin <= 0.0)
+            wrench[axis] = wrench[axis] - share * (0.5 * stiffness * (deep + deeper) + damping * speed)
+        return None, None
+
+
+class _Belief(NamedTuple):
+    """What the observer holds true at a sample.
+
+    The forces are its own, newest first: those on their way, that in effect, and the one before.
+    """
+
+    place: Component
+    speed: Component
+    unknown: Component  # acceleration by forces that the model does not know
+    forces: tuple[Component, ...]
+
+
+_Gain: TypeAlias = tuple[int, Component, Component, Component, Component]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ObserverWall:
+    """A wall fed back from the state that a model foretells for the moment at which the command takes effect.
+
+    The model is a mass under the law's own forces, those still on their way included, so that the delay is a state
+    of the design rather than a surprise; an observer with all poles at one place corrects it by the samples. A
+    force that the model does not know, such as a hand's, biases it: the wall yields more than its gain says, unless
+    the observer estimates that force too (`disturbance`).
+
+    Each gain is a number for all of the law's axes, one number an axis, or (N, axes) for N devices.
+
+    Args:
+        axes: Names from AXES; all six by default.
+        lower: The wall fills x <= lower [m, rad].
+        stiffness: Gain on the position at the moment of effect [N/m, N m/rad].
+        damping: Gain on the velocity then [N s/m, N m s/rad].
+        inertia: Mass or moment of inertia that the model has [kg, kg m²].
+        period: Sample period [s].
+        delay: Transport delay that the model has [s].
+        pole: Where the observer's poles are, in [0, 1); 0 for deadbeat.
+        disturbance: Whether the observer estimates a constant unknown force.
+        force_limit: What the actuators give at most [N, N m]; a number. Without it the model believes in forces that
+            are cut off, and a hard impact throws the flotor out.
+
+    Raises:
+        ParameterError: If a value is outside its bounds or a shape does not fit.
+
+    Source: the design that Salcudean & Vlaar 1997 report from Vlaar 1994, delay as poles at the origin; gains and
+        observer are this project's, the observer's gains those of a fading-memory filter.
+    """
+
+    axes: str | Sequence[str] = AXES
+    lower: ArrayLike = 0.0
+    stiffness: ArrayLike
+    damping: ArrayLike
+    inertia: ArrayLike
+    period: float
+    delay: float
+    pole: float = 0.0
+    disturbance: bool = False
+    force_limit: float = math.inf
+
+    batch: tuple[int, ...] = field(init=False)
+    pulse_width: float = field(init=False, default=0.0)
+    _gains: tuple[_Gain, ...] = field(init=False, repr=False)
+    _whole: int = field(init=False, repr=False)
+    _rest: float = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        indices = axis_indices(self.axes)
+        values = [
+            numbers("wall lower", self.lower),
+            numbers("wall stiffness", self.stiffness, at_least=0.0),
+            numbers("wall damping", self.damping, at_least=0.0),
+            numbers("wall inertia", self.inertia, at_least=0.0),
+        ]
+        if not (values[3] > 0.0).all():
+            raise ParameterError("wall inertia must be above 0 everywhere, not 0")
+        split = [per_axis("wall parameter", value, len(indices)) for value in values]
+        if not self.force_limit > 0.0:
+            raise ParameterError(f"wall force_limit must be above 0, not {self.force_limit!r}")
+        number("pole", self.pole, at_least=0.0, below=1.0)
+        period, delay = number("period", self.period, above=0.0), number("delay", self.delay, at_least=0.0)
+        object.__setattr__(self, "batch", batch_shape("wall", values))
+        object.__setattr__(self, "_gains", tuple(zip(indices, *split, strict=True)))
+        object.__setattr__(self, "_whole", math.floor(delay / period + 1e-9))
+        object.__setattr__(self, "_rest", max(delay - self._whole * period, 0.0))
+
+    def start(self) -> list[_Belief | None]:
+        """Return the state before the first sample: the observer starts at rest where it first sees the flotor."""
+        return [None] * len(self._gains)
+
+    def __call__(
+        self,
+        position: Sequence[Component],
+        velocity: Sequence[Component],
+        state: Sequence[_Belief | None],
+        wrench: list[Component],
+    ) -> tuple[list[_Belief | None], None]:
+        """Answer one sample; see `Law`. The controller's own velocity estimate is not used."""
+        following: list[_Belief | None] = []
+        for (axis, edge, stiffness, damping, inertia), belief in zip(self._gains, state):
+            offset = position[axis] - edge
+            if belief is None:
+                known = _Belief(offset, 0.0, 0.0, (0.0,) * (self._whole + 2))
+            else:
+                known = self._corrected(belief, offset, inertia)
+            place, speed = self._at_effect(known, inertia)
+            force = (place <= 0.0) * -(stiffness * place + damping * speed)
+            wrench[axis] = wrench[axis] + force
+            given = force if self.force_limit == math.inf else _limited(force, self.force_limit)
+            following.append(known._replace(forces=(given, *known.forces[:-1])))
+        return following, None
+
+    def linear(self, stiffness: Array, damping: Array) -> LinearController:
+        """Return the law inside the wall as a linear system, with gains (...,) and the inertia of its first axis.
+
+        Its memory is place, speed, unknown acceleration, and the forces newest first.
+        """
+        inertia = np.asarray(self._gains[0][4])
+        size = 3 + self._whole + 2
+        shape = np.broadcast_shapes(stiffness.shape, damping.shape, inertia.shape)
+        columns = []
+        for part in np.eye(size + 1):  # each entry of the memory in turn, then the position
+            belief = _Belief(part[0], part[1], part[2], tuple(part[3:size]))
+            known = self._corrected(belief, part[size], inertia)
+            place, speed = self._at_effect(known, inertia)
+            force = -(stiffness * place + damping * speed)
+            rows = (known.place, known.speed, known.unknown, force, *known.forces[:-1], force)
+            columns.append(np.stack([np.broadcast_to(row, shape) for row in rows], axis=-1))
+        whole = np.stack(columns, axis=-1)
+        return LinearController(
+            whole[..., :size, :size], whole[..., :size, size], whole[..., size, :size], whole[..., size, size]
+        )
+
+    def _corrected(self, belief: _Belief, seen: Component, inertia: Component) -> _Belief:
+        """Carry the belief over one period, and correct it by what is seen: all poles at one place."""
+        place, speed, unknown, forces = belief
+        pole, period = self.pole, self.period
+        place, speed = _moved(place, speed, unknown + forces[-1] / inertia, self._rest)
+        place, speed = _moved(place, speed, unknown + forces[-2] / inertia, period - self._rest)
+        missed = seen - place
+        if self.disturbance:
+            first, second = 1.0 - pole**3, 1.5 * (1.0 - pole) ** 2 * (1.0 + pole)
+            unknown = unknown + (1.0 - pole) ** 3 / period**2 * missed
+        else:
+            first, second = 1.0 - pole**2, (1.0 - pole) ** 2
+            unknown = 0.0 * missed
+        return _Belief(place + first * missed, speed + second / period * missed, unknown, forces)
+
+    def _at_effect(self, belief: _Belief, inertia: Component) -> tuple[Component, Component]:
+        """Return place and speed when the command of this sample takes effect."""
+        place, speed, unknown, forces = belief
+        place, speed = _moved(place, speed, unknown + forces[-2] / inertia, self._rest)
+        for force in forces[-3::-1]:
+            place, speed = _moved(place, speed, unknown + force / inertia, self.period)
+        return place, speed
+
+
+def _limited(force: Component, limit: float) -> Component:
+    return choose(force > limit, limit + 0.0 * force, choose(force < -limit, -limit + 0.0 * force, force))
+
+
+def _moved(place: Component, speed: Component, acceleration: Component, duration: float) -> tuple[Component, Component]:
+    return place + duration * (speed + 0.5 * duration * acceleration), speed + duration * acceleration
