@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from maglev_mj.errors import ParameterError
-from maglev_mj.frames import Array
+from maglev_mj.frames import Array, Component
 from maglev_mj.parameters import axis_indices, numbers
 
 __all__ = ["Hand", "exponential", "motion", "transition"]
@@ -68,6 +68,11 @@ class Hand:
     def soft(self) -> bool:
         """Whether the grip gives, so that the hand has a motion of its own."""
         return self.grip_stiffness is not None
+
+    def place(self, flotor: Component) -> Component:
+        """Return where the hand is when arm and grip balance with the flotor at a place [m]."""
+        _, _, arm, _, grip = self.values
+        return flotor * np.where(arm + grip > 0.0, grip / np.where(arm + grip > 0.0, arm + grip, 1.0), 1.0)
 
     @property
     def values(self) -> tuple[Array, ...]:

@@ -256,10 +256,10 @@ def random_delay_rate(stiffness: float, damping: float, delays: ArrayLike, loop:
     """
     keywords: LoopKeywords = {**(loop or {}), "delay": delays}
     matrices = SampledLoop(**keywords).matrix(stiffness, damping)
-    state, total = np.ones(matrices.shape[-1]), 0.0
+    state, sizes = np.ones(matrices.shape[-1]), []
     for matrix in matrices:
         state = matrix @ state
-        size = float(np.linalg.norm(state))
-        total += float(np.log(size))
-        state = state / size
-    return float(np.exp(total / len(matrices)))
+        sizes.append(float(np.linalg.norm(state)))
+        state = state / sizes[-1]
+    # the first tenth turns the state into the direction that grows
+    return float(np.exp(np.mean(np.log(sizes[len(sizes) // 10 :]))))

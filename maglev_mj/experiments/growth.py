@@ -84,8 +84,9 @@ class RestingWall:
         """Return where weight, wall and arm balance [m]."""
         arm = 0.0
         if self.hand is not None:
-            _, _, stiff, _, grip = (float(value) for value in self.hand.values)
-            arm = stiff if not self.hand.soft else stiff * grip / (stiff + grip) if stiff + grip > 0.0 else 0.0
+            stiff = float(self.hand.values[2])
+            # through a soft grip the arm is felt as far as the hand follows
+            arm = stiff * float(self.hand.place(1.0)) if self.hand.soft else stiff
         return -self.mass * GRAVITY / (stiffness + arm)
 
     def start(self, stiffness: Array, damping: Array) -> tuple[SampledPlant, Controller]:

@@ -15,22 +15,24 @@ from maglev_mj.parameters import axis_indices, batch_shape, number, numbers, per
 
 __all__ = ["PassivityController"]
 
-_AxisState: TypeAlias = tuple[Component, Component, Component]
-"""Energy taken in so far [J], position and force of the last sample."""
+_AxisState: TypeAlias = tuple[Component, Component, tuple[Component, ...]]
+"""Energy taken in so far [J], position of the last sample, and forces up to it, newest first."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PassivityController:
     """A law to put last: it watches the energy of what the laws before it have rendered, and damps what they make.
 
-    At each sample the energy taken in over the last period is -f[k-1] (x[k] - x[k-1]), which is what a hold without
-    delay exchanges, its own damping included. Where the sum is below 0, a damper is added that would dissipate the
-    lack over one period at the present speed, up to `most`: more would not be stable under the delay.
+    The energy taken in over the last period is -f (x[k] - x[k-1]), its own damping included, with f the force then in
+    effect, or the mean of two where a delay has them change in between. Where the sum is below 0, a damper is added
+    that would dissipate the lack over one period at the present speed, up to `most`: more would not be stable under
+    the delay. Without delay that makes any wall passive; a delay lets the damper come too late.
 
     Args:
         axes: Names from AXES; all six by default.
         period: Sample period [s].
         most: Largest damping added [N s/m, N m s/rad]; a number, one an axis, or (N, axes).
+        delay: Transport delay [s].
         slow: Speed below which nothing is added [m/s, rad/s]: there the damper would have to be infinite.
 
     Raises:
@@ -42,23 +44,28 @@ class PassivityController:
     axes: str | Sequence[str] = AXES
     period: float
     most: ArrayLike
+    delay: float = 0.0
     slow: float = 1e-4
 
     batch: tuple[int, ...] = field(init=False)
     pulse_width: float = field(init=False, default=0.0)
+    _whole: int = field(init=False, repr=False)
+    _rest: float = field(init=False, repr=False)
     _limits: tuple[tuple[int, Component], ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         indices = axis_indices(self.axes)
         most = numbers("most", self.most, at_least=0.0)
-        number("period", self.period, above=0.0)
+        period, delay = number("period", self.period, above=0.0), number("delay", self.delay, at_least=0.0)
+        object.__setattr__(self, "_whole", math.floor(delay / period + 1e-9))
+        object.__setattr__(self, "_rest", max(delay - self._whole * period, 0.0))
         number("slow", self.slow, above=0.0)
         object.__setattr__(self, "batch", batch_shape("passivity controller", [most]))
         object.__setattr__(self, "_limits", tuple(zip(indices, per_axis("most", most, len(indices)), strict=True)))
 
     def start(self) -> list[_AxisState]:
         """Return the state before the first sample."""
-        return [(0.0, math.nan, 0.0)] * len(self._limits)
+        return [(0.0, math.nan, (0.0,) * (self._whole + 2))] * len(self._limits)
 
     def __call__(
         self,
@@ -69,10 +76,11 @@ class PassivityController:
     ) -> tuple[list[_AxisState], None]:
         """Answer one sample; see `Law`. The first entry of each axis's state is its energy."""
         following: list[_AxisState] = []
-        for (axis, most), (energy, place, force) in zip(self._limits, state):
+        for (axis, most), (energy, place, forces) in zip(self._limits, state):
             now, rendered = position[axis], wrench[axis]
             moved = choose(place == place, now - place, 0.0 * now)  # no energy before the first sample
-            energy = energy - force * moved
+            share = self._rest / self.period
+            energy = energy - (share * forces[-1] + (1.0 - share) * forces[-2]) * moved
             speed = velocity[axis]
             fast = (speed > self.slow) | (speed < -self.slow)
             power = self.period * speed * speed
@@ -80,5 +88,5 @@ class PassivityController:
             added = choose(wanted < most, wanted, most + 0.0 * now)
             total = rendered - added * speed
             wrench[axis] = total
-            following.append((energy, now, total))
+            following.append((energy, now, (total, *forces[:-1])))
         return following, None

@@ -71,7 +71,7 @@ class HeldAxis:
     def __init__(
         self, place: Component, velocity: Component, actual: Component, inertia: float, hand: Hand, lag: float
     ) -> None:
-        self._state: list[Component] = [place, velocity, *([place, velocity] if hand.soft else [])]
+        self._state: list[Component] = [place, velocity, *([hand.place(place), velocity] if hand.soft else [])]
         self._lags = lag > 0.0
         if self._lags:
             self._state.append(actual)

@@ -78,7 +78,7 @@ class MuJoCoBatchPlant(SampledPlant):
         self._coils = self.device.coils
         self._engine = Batch(self.device.model, len(start), count)
         for row, (place, speed) in enumerate(zip(start, np.broadcast_to(motion, start.shape), strict=True)):
-            self._engine.qpos[row], self._engine.qvel[row] = start_state(self.device, place, speed)
+            self._engine.qpos[row], self._engine.qvel[row] = start_state(self.device, place, speed, hand)
         self._qpos = self._engine.bind("qpos")[:, self.device.position_address :][:, :7]
         self._qvel = self._engine.bind("qvel")[:, self.device.velocity_address :][:, :6]
         self._currents = self._engine.bind("ctrl")[:, : len(COILS)]
@@ -109,7 +109,7 @@ class MuJoCoBatchPlant(SampledPlant):
         return position
 
     def _components(self) -> list[Component]:
-        x, y, z, q0, q1, q2, q3 = components(self._qpos)
+        x, y, z, q0, q1, q2, q3 = components(self._qpos.copy())  # a batch of one would hand out live views
         return [x, y, z, *rotation_vector(q0, q1, q2, q3, np.sqrt, np.arctan2)]
 
     def _maps(self) -> Array:

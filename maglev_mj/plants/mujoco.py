@@ -87,13 +87,14 @@ def prepared(
     return device
 
 
-def start_state(device: Device, pose: Array, twist: Array) -> tuple[Array, Array]:
-    """Return qpos and qvel of a device at release; a hand in a soft grip starts where the flotor is, as fast.
+def start_state(device: Device, pose: Array, twist: Array, hand: Hand | None) -> tuple[Array, Array]:
+    """Return qpos and qvel of a device at release; a hand in a soft grip starts in balance, as fast as the flotor.
 
     Args:
         device: The device.
         pose: Pose of the flotor [m, rad], (6,).
         twist: Its velocity [m/s, rad/s], (6,).
+        hand: The hand on it.
     """
     model = device.model
     position, velocity, rotation = np.zeros(model.nq), np.zeros(model.nv), np.zeros(9)
@@ -103,8 +104,10 @@ def start_state(device: Device, pose: Array, twist: Array) -> tuple[Array, Array
     # the engine turns about the flotor's axes
     velocity[start : start + 3], velocity[start + 3 : start + 6] = twist[:3], twist[3:] @ rotation.reshape(3, 3)
     for index, axis in enumerate(AXES[:3]):
-        if (hand := mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, f"hand_{axis}")) >= 0:
-            position[model.jnt_qposadr[hand]], velocity[model.jnt_dofadr[hand]] = pose[index], twist[index]
+        if hand is not None and hand.soft and index in hand.indices:
+            joint = model.joint(f"hand_{axis}").id
+            position[model.jnt_qposadr[joint]] = hand.place(pose[index])
+            velocity[model.jnt_dofadr[joint]] = twist[index]
     return position, velocity
 
 
@@ -176,7 +179,7 @@ class MuJoCoPlant(SampledPlant):
         self._step = partial(mujoco.mj_step, model, self._data)
         self._qpos = self._data.qpos[self.device.position_address :][:7]
         self._qvel = self._data.qvel[self.device.velocity_address :][:6]
-        self._data.qpos[:], self._data.qvel[:] = start_state(self.device, start, motion)
+        self._data.qpos[:], self._data.qvel[:] = start_state(self.device, start, motion, hand)
         self._rotation = np.zeros(9)
         # live views: reaching for them through the data object costs as much as using them
         self._currents = self._data.ctrl[: len(COILS)]

@@ -1,0 +1,171 @@
+"""Simulated walls against the exact map: over whole grids, with hands, and with integrators that shift the boundary."""
+
+import itertools
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from maglev_mj.errors import ParameterError
+from maglev_mj.experiments.choices import HANDS, hand_called
+from maglev_mj.experiments.failures import random_delay_rate
+from maglev_mj.experiments.growth import RestingWall, measure_growth
+from maglev_mj.experiments.integrators import SteppedLoop, stiffest_simulated
+from maglev_mj.experiments.stability_map import StabilityParameters, run_stability
+from maglev_mj.hand import Hand
+from maglev_mj.laws import LowPass, Window
+from maglev_mj.plants import Timing
+from maglev_mj.sampled import SampledLoop
+from maglev_mj.stability import boundary_of, critical_delay, largest_modulus, largest_stable_stiffness, stiffest_wall
+
+T, M = 0.005, 0.7
+DELAYS = (0.0, 0.0015, 0.003, 0.005)
+
+
+@pytest.mark.parametrize("delay", DELAYS)
+@pytest.mark.parametrize(("plant", "grid"), [("exact", 60), ("mujoco", 24)])
+def test_every_cell_of_the_map_settles_or_grows_as_theory_has_it(plant: str, grid: int, delay: float) -> None:
+    """But for those within half a percent of the boundary; 60 x 60 on MuJoCo: `maglev-mj stability --plant mujoco`."""
+    result = run_stability(StabilityParameters(plant=plant, grid=grid, delay=delay))
+    assert result.simulated is not None and result.misjudged is not None
+    assert not result.misjudged.any()
+    share = result.simulated.mean()
+    assert 0.3 < share < 0.7 and result.near.mean() < 0.05  # a map of both kinds, with little left out
+
+
+def test_growth_is_the_modulus() -> None:
+    """Over a random sample, away from pairs of modes that beat."""
+    random = np.random.default_rng(4)
+    k, b = random.uniform(500.0, 9000.0, 300), random.uniform(10.0, 100.0, 300)
+    growth = measure_growth(k, b, RestingWall(delay=0.0015))
+    modulus = largest_modulus(k, b, period=T, delay=0.0015)
+    long = growth.ticks > 200
+    assert long.sum() > 100
+    np.testing.assert_allclose(np.log(growth.rate[long]), np.log(modulus[long]), atol=0.01)
+
+
+@pytest.mark.parametrize("plant", ["exact", "mujoco"])
+def test_hands_shift_the_boundary_as_the_map_says(plant: str) -> None:
+    """Over the published range and beyond: 2 % below the boundary it settles, 2 % above it grows."""
+    published = [hand_called(name) for name in HANDS]
+    corners = [
+        Hand(mass=mass, damping=damping, stiffness=stiffness)
+        for mass in (0.02, 0.6)
+        for damping in (0.0, 28.0)
+        for stiffness in (40.0, 1050.0)
+    ]
+    soft = [Hand(mass=0.2, damping=10.0, stiffness=200.0, grip_damping=2.0, grip_stiffness=800.0)]
+    boundaries = []
+    for hand in published + corners + soft:
+        b = np.array([30.0, 90.0])
+        boundary = largest_stable_stiffness(b, period=T, delay=0.0015, hand=hand)
+        boundaries.append(boundary)
+        walls = RestingWall(plant=plant, delay=0.0015, hand=hand)
+        assert measure_growth(0.98 * boundary, b, walls).stable.all()
+        assert not measure_growth(1.02 * boundary, b, walls).stable.any()
+    assert np.ptp(np.array(boundaries), axis=0).min() > 1000.0  # the hands do make a difference
+
+
+@pytest.mark.parametrize("plant", ["exact", "mujoco"])
+def test_velocity_estimates_shift_the_boundary_as_the_map_says(plant: str) -> None:
+    b = np.array([30.0])
+    for estimate in (LowPass(50.0), Window(3)):
+        boundary = largest_stable_stiffness(b, period=T, delay=0.0015, velocity=estimate)
+        walls = RestingWall(plant=plant, delay=0.0015, velocity=estimate)
+        assert measure_growth(0.95 * boundary, b, walls).stable.all()
+        assert not measure_growth(1.05 * boundary, b, walls).stable.any()
+
+
+def test_driver_lag_shifts_the_boundary_as_the_map_says() -> None:
+    """By 3 %, on the exact plant; that MuJoCo moves likewise is in test_stability, to rounding."""
+    b = np.array([30.0])
+    lag = 1.0 / (2.0 * np.pi * 2000.0)
+    boundary = largest_stable_stiffness(b, period=T, delay=0.0015, driver_lag=lag)
+    walls = RestingWall(delay=0.0015, driver_lag=True)
+    assert measure_growth(0.99 * boundary, b, walls).stable.all()
+    assert not measure_growth(1.01 * boundary, b, walls).stable.any()
+
+
+def shifts(integrator: str, steps: NDArray[np.float64], delay: float) -> NDArray[np.float64]:
+    exact = float(stiffest_wall(period=T, delay=delay).stiffness)
+    found = [float(stiffest_simulated(integrator, step, period=T, delay=delay).stiffness) for step in steps]
+    return np.array(found) / exact - 1.0
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.0015, 0.005])
+def test_semi_implicit_steps_overstate_the_boundary_to_first_order(delay: float) -> None:
+    """Numerical damping makes an unstable wall look stable, at every step, by an amount in proportion to it."""
+    steps = np.array([2e-5, 5e-5, 1e-4])
+    for integrator in ("euler", "implicit", "implicitfast", "discrete"):
+        shift = shifts(integrator, steps, delay)
+        assert (shift > 0.0).all()
+        slope = np.polyfit(np.log(steps), np.log(shift), 1)[0]
+        assert slope == pytest.approx(1.0, abs=0.05)
+    assert shifts("euler", np.array([5e-4]), delay)[0] > 0.05
+    assert np.abs(shifts("rk4", np.array([1e-4, 1e-3, T]), delay)).max() < 1e-9
+
+
+def test_steps_that_miss_the_switch_lengthen_the_delay() -> None:
+    """RK4 at 1 ms sees a delay of 1.5 ms as 2 ms."""
+    found = stiffest_simulated("rk4", 1e-3, period=T, delay=0.0015, aligned=False).stiffness
+    assert found == pytest.approx(float(stiffest_wall(period=T, delay=0.002).stiffness), rel=1e-6)
+
+
+def test_a_simulation_in_closed_loop_agrees_with_the_measured_shift() -> None:
+    """MuJoCo itself, with Euler at 0.5 ms, settles in walls that are unstable."""
+    b = np.array([60.0, 90.0, 110.0])
+    exact = largest_stable_stiffness(b, period=T, delay=0.0015)
+    loop = SteppedLoop(period=T, delay=0.0015, integrator="euler", step=5e-4)
+    shifted = boundary_of(loop, b)
+    assert (shifted > 1.03 * exact).all()
+    euler = RestingWall(plant="mujoco", delay=0.0015, integrator="euler", longest_step=5e-4)
+    assert measure_growth(0.995 * shifted, b, euler).stable.all()
+    assert not measure_growth(1.005 * shifted, b, euler).stable.any()
+    rk4 = RestingWall(plant="mujoco", delay=0.0015)
+    assert not measure_growth(0.995 * shifted, b, rk4).stable.any()
+
+
+def test_one_sample_of_delay_just_above_the_boundary_diverges_when_foretold() -> None:
+    """Ten-thousandfold after ln(10 000) / ln(modulus) samples, give or take the transient at the start."""
+    best = stiffest_wall(period=T, delay=T)
+    k = float(best.stiffness) * np.array([1.01, 1.02, 1.05, 1.1, 1.2])
+    b = np.full(5, float(best.damping))
+    for plant in ("exact", "mujoco"):
+        growth = measure_growth(k, b, RestingWall(plant=plant, delay=T))
+        assert not growth.stable.any()
+        predicted = np.log(1e4) / np.log(largest_modulus(k, b, period=T, delay=T))
+        np.testing.assert_allclose(growth.ticks, predicted, rtol=0.2, atol=32)
+        assert (np.diff(growth.ticks) < 0).all()
+
+
+def test_random_delay_acts_as_its_mean_and_not_as_its_worst() -> None:
+    """A third of the delays may be too long; only the mean being too long makes the loop grow, in the plant too."""
+    k, b = 6000.0, 80.0
+    critical = float(critical_delay(k, b, period=T))
+    for mean, jitter in ((0.003, 0.0015), (0.003, 0.002), (0.0034, 0.001), (0.0034, 0.0015)):
+        delays = [Timing(delay=mean, jitter=jitter, seed=0).rest_at(tick) for tick in range(6000)]
+        assert np.mean(np.array(delays) > critical) > 0.25
+        rate = random_delay_rate(k, b, delays)
+        assert (rate < 1.0) == (mean < critical)
+        growth = measure_growth([k], [b], RestingWall(delay=mean, jitter=jitter))
+        assert bool(growth.stable[0]) == (mean < critical)
+
+
+def test_delays_that_alternate_are_never_worse_than_the_worse_of_the_two() -> None:
+    """Over a sweep of gains and pairs of delays: no resonance between the loop and its jitter."""
+    for k, b in itertools.product((2000.0, 6000.0, 9500.0), (20.0, 60.0, 100.0, 140.0)):
+        for low, high in itertools.combinations(np.arange(0.0005, 0.005, 0.0005), 2):
+            one, other = SampledLoop(period=T, delay=np.array([low, high])).matrix(k, b)
+            both = np.abs(np.linalg.eigvals(one @ other)).max() ** 0.5
+            assert both <= largest_modulus(k, b, period=T, delay=[low, high]).max() + 1e-9
+
+
+def test_bad_resting_walls_are_refused() -> None:
+    with pytest.raises(ParameterError, match="plant must be one of exact, mujoco, not 'moon'"):
+        RestingWall(plant="moon")
+    with pytest.raises(ParameterError, match="nowhere to rest"):
+        measure_growth([0.0], [10.0], RestingWall())
+    with pytest.raises(ParameterError, match="integrator must be one of"):
+        measure_growth([1000.0], [10.0], RestingWall(plant="mujoco", integrator="magic"))
+    with pytest.raises(ParameterError, match=r"jitter must be at most 0.0015 s at this delay and period, not 0.002"):
+        Timing(delay=0.0015, jitter=0.002)
