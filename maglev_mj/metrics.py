@@ -6,9 +6,10 @@ from collections import deque
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from maglev_mj.frames import Array, Command, Sample
-from maglev_mj.parameters import number
+from maglev_mj.parameters import number, numbers
 from maglev_mj.plants import Timing
 from maglev_mj.trace import Trace
 
@@ -118,22 +119,28 @@ def energy_balance(trace: Trace, mass: float, gravity: float, *, axis: int = 2) 
 class PassivityObserver:
     """Adds up the energy that the rendered environment takes in, axis by axis; below 0 it has made energy.
 
-    Hand it to `run` as `observe`. Over each period the force is the mean of what was in effect, old command, new
-    command and pulse each for its share, over the way between the samples: exact where one force acts throughout,
-    which is so without delay and pulse, and off by the second order of the period elsewhere.
+    Hand it to `run` as `observe`. Between two samples up to four forces act in turn: the older command and what is
+    left of its pulse, the newer command and its pulse. How the way between the samples splits among them follows
+    from the inertia, exactly where no other force acts; without it the way is taken as straight, which is exact only
+    where one force acts throughout, so without delay and pulse.
 
     Args:
         timing: Of the plant.
+        inertia: Mass and moments of inertia of the six axes [kg, kg m²], (6,); None for a straight line.
 
     Attributes:
         energy: Taken in so far [J], (..., 6).
         least: The least it has been [J], (..., 6).
 
-    Source: Hannaford & Ryu 2002, with the force paired with the way that it acted over.
+    Raises:
+        ParameterError: If an inertia is not above 0.
+
+    Source: Hannaford & Ryu 2002, with each force paired with the way that it acted over.
     """
 
-    def __init__(self, timing: Timing) -> None:
+    def __init__(self, timing: Timing, inertia: ArrayLike | None = None) -> None:
         self._timing = timing
+        self._inertia = np.inf if inertia is None else numbers("inertia", inertia, at_least=1e-12)
         self._commands: deque[Command | None] = deque([None] * (timing.whole + 2), maxlen=timing.whole + 2)
         self._pose: Array | None = None
         self.energy: Array = np.zeros(6)
@@ -143,22 +150,34 @@ class PassivityObserver:
         """Take in one sample and the command that answered it."""
         pose = sample.pose
         if self._pose is not None:
-            self.energy = self.energy - self._mean_force() * (pose - self._pose)
+            self.energy = self.energy - self._work(pose - self._pose)
             self.least = np.minimum(self.least, self.energy)
         self._pose = pose
         self._commands.append(command)
 
-    def _mean_force(self) -> Array | float:
-        """Return the mean force over the period behind the last sample kept."""
-        timing, (older, newer) = self._timing, (self._commands[0], self._commands[1])
+    def _work(self, moved: Array) -> Array:
+        """Return the work of the forces over the period behind the last sample kept."""
+        timing, older, newer = self._timing, self._commands[0], self._commands[1]
         left = timing.period - timing.rest
-        total: Array | float = 0.0
-        if older is not None:
-            tail = min(max(older.pulse_width - left, 0.0), timing.rest)
-            total = timing.rest * older.wrench + tail * older.pulse
-        if newer is not None:
-            total = total + left * newer.wrench + min(newer.pulse_width, left) * newer.pulse
-        return total / timing.period
+        stretches = [*_forces(older, timing.rest, gone=left), *_forces(newer, left, gone=0.0)]
+        # speed at the start, such that the stretches add up to the way between the samples
+        place, speed = np.zeros_like(moved), np.zeros_like(moved)
+        for duration, force in stretches:
+            place = place + duration * (speed + 0.5 * duration * force / self._inertia)
+            speed = speed + duration * force / self._inertia
+        speed, work = (moved - place) / timing.period, np.zeros_like(moved)
+        for duration, force in stretches:
+            work = work + force * duration * (speed + 0.5 * duration * force / self._inertia)
+            speed = speed + duration * force / self._inertia
+        return work
+
+
+def _forces(command: Command | None, stretch: float, *, gone: float) -> list[tuple[float, Array | float]]:
+    """Return the forces of one command over a stretch [s] that begins when it has been in effect for `gone` [s]."""
+    if command is None:
+        return [(stretch, 0.0)]
+    pulsed = min(max(command.pulse_width - gone, 0.0), stretch)
+    return [(pulsed, command.wrench + command.pulse), (stretch - pulsed, command.wrench)]
 
 
 class Hardness(NamedTuple):
@@ -166,7 +185,7 @@ class Hardness(NamedTuple):
 
     Attributes:
         rate: Rate-hardness: how fast the force rises over the first window after contact, over the speed of impact.
-        extended: The same for the fastest rise over any window that begins within the first contact.
+        extended: The same for the fastest rise over any window that overlaps the first contact.
     """
 
     rate: Array
@@ -197,14 +216,14 @@ def perceived_hardness(trace: Trace, window: float, *, axis: int = 2, wall: floa
     pose, twist, wrench = (part[..., 0] for part in line.at(grid))
     inside = pose <= wall
     touched = inside.any(axis=0)
-    contact = np.argmax(inside, axis=0)
+    contact = np.maximum(np.argmax(inside, axis=0) - 1, 0)  # before the force begins to rise
     away = ~inside & (np.arange(len(grid)).reshape((-1,) + (1,) * (inside.ndim - 1)) > contact)
     leaves = np.where(away.any(axis=0), np.argmax(away, axis=0), len(grid) - 1)
     shift = max(round(width / 1e-4), 1)
     rise = np.zeros_like(wrench)
     rise[:-shift] = (wrench[shift:] - wrench[:-shift]) / width
     place = np.arange(len(grid)).reshape((-1,) + (1,) * (rise.ndim - 1))
-    during = (place >= contact) & (place <= leaves)
+    during = (place >= contact - shift) & (place <= leaves)
     speed = np.abs(np.take_along_axis(twist, contact[None], axis=0)[0])
     first = np.take_along_axis(rise, contact[None], axis=0)[0]
     most = np.where(during, rise, -np.inf).max(axis=0)

