@@ -14,6 +14,7 @@ import numpy as np
 
 from maglev_mj import AXES, Controller, ExactPlant, Hold, MuJoCoPlant, Sample, Timing, Wall, run
 from maglev_mj.frames import components
+from maglev_mj.stability import largest_modulus
 
 REPEATS = 15 if "--quick" in sys.argv else 60
 TICKS = 400
@@ -119,6 +120,10 @@ def main() -> None:
     print(f"  MuJoCo closed loop / exact batch, a device  {np.median(loop / batch):9.1f}   (at least 30)")
     print(f"  six-axis tick                               {np.median(tick) * 1e6:9.2f} µs (at most 10)")
     print(f"  six-axis tick, batch, a device              {np.median(tick_batch) * 1e6:9.3f} µs (at most 1)")
+    count = 100 if "--quick" in sys.argv else 1000
+    gains = np.linspace(1.0, 20000.0, count)[:, None], np.linspace(1.0, 200.0, count)
+    whole = timed(lambda: largest_modulus(*gains, period=TIMING.period, delay=TIMING.delay))
+    print(f"  modulus of {count**2:>7} closed loops             {whole:9.2f} s  (a million: at most 10)")
 
 
 if __name__ == "__main__":

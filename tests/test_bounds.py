@@ -76,11 +76,12 @@ def test_friction_by_abbott_and_okamura_silences_the_hum_of_a_coarse_sensor(stif
     friction = 0.5 * stiffness * step
     bound = bounds.abbott_okamura(period=T, physical_damping=1e9, dry_friction=friction, quantum=step)
     assert bound == pytest.approx(stiffness)
-    quiet, tenth, half = hum(friction * np.array([1.0, 0.1, 0.5]), stiffness=stiffness, damping=damping, quantum=step)
+    shares = friction * np.array([1.0, 0.1, 0.5])
+    quiet, tenth, half = hum(shares, stiffness=stiffness, damping=damping, quantum=step).swing
     assert quiet == 0.0
     assert tenth > 0.2 * step
     assert half < step
-    assert hum(0.0, stiffness=stiffness, damping=damping, quantum=step)[0] > 0.4 * step
+    assert hum(0.0, stiffness=stiffness, damping=damping, quantum=step).swing[0] > 0.4 * step
 
 
 def test_abbott_okamura_takes_the_weaker_of_its_two() -> None:

@@ -21,7 +21,9 @@ def run_script(name: str, *arguments: str) -> str:
     return done.stdout
 
 
-@pytest.mark.parametrize("name", ["fig3_drop", "fig4_phase_plane", "fig8_stick_slip", "fig9_six_axes"])
+@pytest.mark.parametrize(
+    "name", ["fig2_stability", "fig3_drop", "fig4_phase_plane", "fig8_stick_slip", "fig9_six_axes"]
+)
 def test_figures(name: str, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     assert f"{name}.png" in run_script(f"{name}.py", str(tmp_path))
@@ -50,6 +52,30 @@ def test_friction_laws_prints_and_writes_every_law(tmp_path: Path) -> None:
     assert len(data["hard"]) == 7 * 2 * 2
     assert out.count("kikuuwe") == 5
     assert (tmp_path / "friction_laws.png").stat().st_size > 10_000
+
+
+def test_stability_bounds_prints_and_writes_its_figures(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    out = run_script("stability_bounds.py", "--quick", str(tmp_path))
+    data = json.loads((tmp_path / "stability_bounds.json").read_text())
+    assert len(data["bounds"]) == 12 and len(data["integrators"]) == 3 * 5 + 2
+    assert out.count("euler") == 4
+    assert (tmp_path / "stability_bounds.png").stat().st_size > 10_000
+
+
+def test_where_methods_fail_draws_its_panels(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    run_script("where_methods_fail.py", "--quick", str(tmp_path))
+    panels = json.loads((tmp_path / "where_methods_fail.json").read_text())
+    assert len(panels) == 8 and all(panel["curves"] for panel in panels)
+    assert (tmp_path / "where_methods_fail.png").stat().st_size > 10_000
+
+
+def test_better_walls_prints_and_writes_its_figures(tmp_path: Path) -> None:
+    out = run_script("better_walls.py", "--quick", str(tmp_path))
+    data = json.loads((tmp_path / "better_walls.json").read_text())
+    assert len(data["designs"]) == 15 and len(data["bounces"]) == 6 and len(data["hum"]) == 2
+    assert out.count("observer") >= 7
 
 
 def test_bench_loop_prints_its_ratios() -> None:

@@ -3,14 +3,17 @@
 from maglev_mj.charts.drawing import ChartsMissingError, require
 from maglev_mj.charts.drop import phase_plane, phases, time_series
 from maglev_mj.charts.friction import friction_laws, staircase, stick_slip
-from maglev_mj.charts.stability import stability_map
+from maglev_mj.charts.stability import Panel, figure_2, small_multiples, stability_map
 
 __all__ = [
     "ChartsMissingError",
+    "Panel",
+    "figure_2",
     "friction_laws",
     "phase_plane",
     "phases",
     "require",
+    "small_multiples",
     "stability_map",
     "staircase",
     "stick_slip",

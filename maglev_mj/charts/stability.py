@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from maglev_mj.charts.drawing import FIRST, IDEAL, MANY, SECOND, new_figure, sav
 from maglev_mj.experiments.stability_map import StabilityMap
 from maglev_mj.frames import Array
 
-__all__ = ["level_sets", "lines", "stability_map"]
+__all__ = ["Panel", "figure_2", "level_sets", "small_multiples", "stability_map"]
 
 _LEVELS = np.array([0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 1.0])
 
@@ -72,20 +73,94 @@ def stability_map(result: StabilityMap, path: Path) -> Path:
     return save(figure, path)
 
 
-def lines(
-    panel: Any, x: Sequence[float] | Array, curves: Sequence[tuple[str, Any]], *, labels: tuple[str, str], **style: Any
-) -> None:
-    """Draw labelled curves over one abscissa, each in its own colour.
+def figure_2(cases: Sequence[tuple[str, Array, Array, Array, tuple[float, float]]], path: Path) -> Path:
+    """Draw level sets of the largest modulus over (c_p, c_v), as figure 2 does, the maximum of c_p marked.
 
     Args:
-        panel: matplotlib axes.
-        x: Abscissa, (M,).
-        curves: Label and ordinates (M,) of each.
-        labels: What the two axes say.
-        style: Of every curve.
+        cases: Title, values of c_v (B,) and c_p (K,), modulus (K, B), and the maximum (c_v, c_p) of each panel.
+        path: PNG to write.
+
+    Raises:
+        ChartsMissingError: If matplotlib is not installed.
     """
-    for place, (label, y) in enumerate(curves):
-        color = MANY[place % len(MANY)]
-        panel.plot(x, y, label=label, color=color, **{"linewidth": 1.7, **style})
-    panel.set_xlabel(labels[0])
-    panel.set_ylabel(labels[1])
+    figure, panels = new_figure(1, len(cases), (5.6 * len(cases), 5.0))
+    for panel, (title, cv, cp, modulus, top) in zip(panels, cases, strict=True):
+        level_sets(panel, cv, cp, modulus)
+        panel.plot(*top, "*", color=SECOND, markersize=14)
+        panel.annotate(
+            f"$c_p$ = {top[1]:.4f}, $c_v$ = {top[0]:.4f}",
+            top,
+            textcoords="offset points",
+            xytext=(10, 6),
+            fontsize=9.5,
+        )
+        panel.set_xlabel("$c_v = T k_v / 2m$")
+        panel.set_ylabel("$c_p = T^2 k_p / 2m$")
+        panel.set_title(title, loc="left", fontsize=10.5)
+    return save(figure, path)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Panel:
+    """One picture among several.
+
+    Attributes:
+        title: Above it.
+        labels: What the two axes say.
+        curves: Label, abscissa and ordinate of each.
+        log: Which axes are logarithmic: "", "x", "y" or "xy".
+        level: Where a thin horizontal line is drawn; None for none.
+        top: Upper end of the ordinate; None for what the curves need.
+        marked: Whether points are marked.
+    """
+
+    title: str
+    labels: tuple[str, str]
+    curves: Sequence[tuple[str, Any, Any]]
+    log: str = ""
+    level: float | None = None
+    top: float | None = None
+    marked: bool = False
+
+
+def small_multiples(panels: Sequence[Panel], path: Path, columns: int = 2) -> Path:
+    """Draw several panels of curves.
+
+    Args:
+        panels: What to draw, row by row.
+        path: PNG to write.
+        columns: How many stand side by side.
+
+    Raises:
+        ChartsMissingError: If matplotlib is not installed.
+    """
+    rows = -(-len(panels) // columns)
+    figure, axes = new_figure(rows, columns, (5.0 * columns, 3.7 * rows))
+    for axis, panel in zip(axes, panels):
+        for place, (label, x, y) in enumerate(panel.curves):
+            axis.plot(
+                x,
+                y,
+                label=label,
+                color=MANY[place % len(MANY)],
+                linewidth=1.7,
+                linestyle=("-", "--", "-.", ":")[place // 2 % 4],
+                marker="o" if panel.marked else None,
+                markersize=4,
+            )
+        if "x" in panel.log:
+            axis.set_xscale("log")
+        if "y" in panel.log:
+            axis.set_yscale("log")
+        if panel.level is not None:
+            axis.axhline(panel.level, color=IDEAL, linewidth=1.0, linestyle=":")
+        if panel.top is not None:
+            axis.set_ylim(0.0 if "y" not in panel.log else None, panel.top)
+        axis.set_title(panel.title, loc="left", fontsize=10.5)
+        axis.set_xlabel(panel.labels[0])
+        axis.set_ylabel(panel.labels[1])
+        if any(label for label, _, _ in panel.curves):
+            axis.legend(frameon=True, framealpha=0.85, edgecolor="none", fontsize=8.5)
+    for axis in axes[len(panels) :]:
+        axis.set_axis_off()
+    return save(figure, path)

@@ -17,13 +17,13 @@ from maglev_mj.experiments.choices import PLANTS
 from maglev_mj.experiments.wall_controller import wall_controller
 from maglev_mj.frames import Array
 from maglev_mj.loop import run
-from maglev_mj.metrics import BounceSummary, percentiles, summarise_bounce
+from maglev_mj.metrics import BounceSummary, Hardness, perceived_hardness, percentiles, summarise_bounce
 from maglev_mj.parameters import number, numbers
 from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant, Sensor, Timing, engine_warnings_silenced
 from maglev_mj.spec import GRAVITY, Spec
 from maglev_mj.trace import Trace
 
-__all__ = ["DropParameters", "DropResult", "DropSweep", "analog_drop", "run_drop", "sweep_drop"]
+__all__ = ["DropParameters", "DropResult", "DropSweep", "analog_drop", "run_drop", "sweep_drop", "sweep_hardness"]
 
 _ESCAPE = 0.045
 _MOST_TICKS = 1_000_000
@@ -187,6 +187,21 @@ def sweep_drop(parameters: DropParameters, phases: int | Sequence[float]) -> Dro
         rows = [run_drop(replace(parameters, phase=float(phase))).summary for phase in chosen]
         figures = [np.array(figure) for figure in zip(*rows, strict=True)]
     return DropSweep(parameters, chosen, BounceSummary(*figures))
+
+
+def sweep_hardness(parameters: DropParameters, phases: int | Sequence[float], window: float) -> Hardness:
+    """Return how hard the first contact feels at many phases, (N,) each, on the exact plant.
+
+    Args:
+        parameters: The drop; its own phase and plant are not used.
+        phases: As for `sweep_drop`.
+        window: Length of the window that the force's rise is taken over [s].
+
+    Raises:
+        ParameterError: If a value is outside its bounds.
+        DivergenceError: If a flotor leaves its range by a wide margin.
+    """
+    return perceived_hardness(_trace(replace(parameters, plant="exact"), _phases(phases)), window)
 
 
 def analog_drop(parameters: DropParameters, time: Array) -> tuple[Array, Array, Array]:

@@ -17,7 +17,7 @@ from maglev_mj.plants import ExactPlant, SampledPlant, Sensor, Timing
 from maglev_mj.sampled import LoopKeywords, SampledLoop
 from maglev_mj.spec import GRAVITY, Spec
 
-__all__ = ["Chatter", "hum", "press_at_edge", "random_delay_rate", "rattle", "swing_after_drop"]
+__all__ = ["Chatter", "Hum", "hum", "press_at_edge", "random_delay_rate", "rattle", "swing_after_drop"]
 
 _FAR = (1e9, 1.0)
 _MASS = Spec.moving_mass.value
@@ -206,9 +206,22 @@ def swing_after_drop(
     return np.asarray(np.ptp(places[-round(1.0 / period) :], axis=0).reshape(-1, phases).max(axis=1))
 
 
+class Hum(NamedTuple):
+    """What a wall does to a flotor at rest in it, the worst start.
+
+    Attributes:
+        swing: Swing of the position [m].
+        force: Standard deviation of the force [N].
+    """
+
+    swing: Array
+    force: Array
+
+
 def hum(
     frictions: ArrayLike,
     *,
+    law: Law | None = None,
     stiffness: float = 6000.0,
     damping: float = 80.0,
     quantum: float = 5e-6,
@@ -216,18 +229,22 @@ def hum(
     period: float = _PERIOD,
     duration: float = 4.0,
     offsets: int = 32,
-) -> Array:
-    """Rest the flotor in a wall over a sensor with steps; return its swing in the last quarter, worst start [m].
+) -> Hum:
+    """Rest the flotor in a wall over a sensor with steps, and look at the last quarter of the time.
 
     Args:
         frictions: Coulomb friction of the device itself [N], (M,).
-        stiffness: Wall stiffness [N/m].
+        law: The wall along z; None for PD.
+        stiffness: Wall stiffness, the rendered one of another law [N/m].
         damping: Wall damping [N s/m].
         quantum: Step of the sensor [m].
         delay: Transport delay [s].
         period: Sample period [s].
         duration: Simulated time [s].
         offsets: How many starts over two steps of the sensor.
+
+    Returns:
+        A figure a friction, (M,) each.
     """
     friction, offset = _every(frictions, offsets)
     weight = _MASS * GRAVITY
@@ -239,10 +256,12 @@ def hum(
         sensor=Sensor(quantum=np.eye(6)[2] * quantum),
         record=True,
     )
-    controller = wall_controller(stiffness=stiffness, damping=damping, period=period, delay=delay, mass=_MASS)
-    _watched(plant, controller, duration, friction.size)
-    places = plant.trace().pose[..., 2]
-    return np.asarray(np.ptp(places[-len(places) // 4 :], axis=0).reshape(-1, offsets).max(axis=1))
+    wall = law or Wall(axes="z", lower=0.0, stiffness=stiffness, damping=damping)
+    _watched(plant, around_wall(wall, period=period, delay=delay, mass=_MASS), duration, friction.size)
+    trace = plant.trace()
+    late = slice(-len(trace.time) // 4, -1)
+    swing, force = np.ptp(trace.pose[late, :, 2], axis=0), np.std(trace.wrench[late, :, 2], axis=0)
+    return Hum(*(part.reshape(-1, offsets).max(axis=1) for part in (swing, force)))
 
 
 def random_delay_rate(stiffness: float, damping: float, delays: ArrayLike, loop: LoopKeywords | None = None) -> float:

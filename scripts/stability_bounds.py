@@ -1,0 +1,80 @@
+"""Published bounds beside the exact boundary, and what a simulation's time step makes of that boundary."""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from maglev_mj import bounds, charts
+from maglev_mj.experiments.integrators import INTEGRATORS, stiffest_simulated
+from maglev_mj.frames import Array
+from maglev_mj.hand import Hand
+from maglev_mj.stability import largest_stable_stiffness, stiffest_wall
+
+QUICK = "--quick" in sys.argv  # fewer time steps
+PERIOD = 0.005
+OWN = 20.0  # damping of the device or the hand, in one of the panels [N s/m]
+folder = Path(next((word for word in sys.argv[1:] if not word.startswith("--")), "figures"))
+folder.mkdir(parents=True, exist_ok=True)
+
+panels, rows = [], []
+print("times the exact boundary, at 200 Hz and 0.7 kg (above 1: optimistic, below: conservative)")
+print(f"  {'delay, own damping':<24}{'B N s/m':>8}{'exact N/m':>11}{'Gil':>7}{'Minsky':>8}{'Colgate':>9}")
+for delay, own in ((0.0, 0.0), (0.0015, 0.0), (0.005, 0.0), (0.0, OWN)):
+    top = 1.6 * float(stiffest_wall(period=PERIOD, delay=delay, hand=Hand(damping=own)).damping)
+    damping = np.linspace(0.5, top, 120)
+    exact = largest_stable_stiffness(damping, period=PERIOD, delay=delay, hand=Hand(damping=own))
+    gil = bounds.gil(damping, period=PERIOD, delay=delay, physical_damping=own)
+    minsky = bounds.minsky(damping, period=PERIOD, physical_damping=own)
+    colgate = bounds.colgate(damping, period=PERIOD, physical_damping=own)
+    curves = [("exact", damping, exact), ("Gil et al.", damping, gil), ("Minsky et al.", damping, minsky)]
+    if own or delay == 0.0:
+        curves.append(("Colgate & Schenkel (passivity)", damping, colgate))
+    title = f"delay {delay * 1e3:g} ms, damping of its own {own:g} N s/m"
+    labels = ("virtual damping B (N s/m)", "largest stiffness (N/m)")
+    panels.append(charts.Panel(title=title, labels=labels, curves=curves, top=1.6 * float(exact.max())))
+    for place in (5.0, 20.0, 60.0):
+        at = {name: float(np.interp(place, damping, values)) for name, _, values in curves}
+        base = at["exact"]
+        rows.append({"delay": delay, "own_damping": own, "damping": place, **at})
+        passive = f"{at['Colgate & Schenkel (passivity)'] / base:>9.2f}" if len(at) == 4 else f"{'-':>9}"
+        print(
+            f"  {f'{delay * 1e3:g} ms, {own:g} N s/m':<24}{place:>8g}{base:>11.0f}{at['Gil et al.'] / base:>7.2f}"
+            f"{at['Minsky et al.'] / base:>8.2f}{passive}"
+        )
+
+steps = np.array([1e-5, 1e-4, 5e-4, 1e-3, 5e-3] if QUICK else [1e-5, 2e-5, 5e-5, 1e-4, 2e-4, 5e-4, 1e-3, 2.5e-3, 5e-3])
+shifts: list[dict[str, object]] = []
+
+
+def shift(kind: str, delay: float, aligned: bool) -> Array:
+    """Return how much stiffer than the exact one a simulation's stiffest wall is, in percent, and print it."""
+    exact_best = float(stiffest_wall(period=PERIOD, delay=delay).stiffness)
+    found = [stiffest_simulated(kind, step, period=PERIOD, delay=delay, aligned=aligned).stiffness for step in steps]
+    percent = np.round((np.array(found, dtype=np.float64) / exact_best - 1.0) * 100.0, 6) + 0.0
+    row = {"integrator": kind, "delay": delay, "aligned": aligned}
+    shifts.append({**row, "step": steps.tolist(), "percent": percent.tolist()})
+    name = f"{kind}, {delay * 1e3:g} ms" + ("" if aligned else ", fixed step")
+    print(f"  {name:<26}" + "".join(f"{value:>10.2f}" for value in percent))
+    return percent
+
+
+print()
+print("stiffest wall that a simulation calls stable, over the exact one, in percent, by time step in ms")
+print(f"  {'integrator, delay':<26}" + "".join(f"{step * 1e3:>10g}" for step in steps))
+curves = []
+for delay in (0.0, 0.0015, 0.005):
+    for kind in INTEGRATORS:
+        percent = shift(kind, delay, aligned=True)
+        if kind == "euler":  # the other semi-implicit ones are the same to the last digit here
+            curves.append((f"delay {delay * 1e3:g} ms", steps * 1e3, percent))
+labels = ("time step (ms)", "stiffest wall too stiff by (%)")
+title = "Euler, implicit, discrete; steps end at switches. RK4: 0"
+panels.append(charts.Panel(title=title, labels=labels, curves=curves, log="xy", marked=True))
+fixed = [(kind, steps * 1e3, shift(kind, 0.0015, aligned=False)) for kind in ("rk4", "euler")]
+title = "fixed step, the switch seen late (delay 1.5 ms)"
+panels.append(charts.Panel(title=title, labels=labels, curves=fixed, log="x", level=0.0, marked=True))
+(folder / "stability_bounds.json").write_text(json.dumps({"bounds": rows, "integrators": shifts}, indent=1) + "\n")
+print("wrote", folder / "stability_bounds.json")
+print("wrote", charts.small_multiples(panels, folder / "stability_bounds.png"))

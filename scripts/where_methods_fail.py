@@ -1,0 +1,175 @@
+"""Where walls fail, and what cures it: eight panels, each over phases, seeds or a sweep."""
+
+import itertools
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from maglev_mj import Timing, Wall, charts
+from maglev_mj.experiments.corner import corner
+from maglev_mj.experiments.failures import hum, press_at_edge, random_delay_rate, rattle, swing_after_drop
+from maglev_mj.experiments.growth import RestingWall, measure_growth
+from maglev_mj.hand import Hand
+from maglev_mj.laws import ObserverWall
+from maglev_mj.stability import largest_modulus, stiffest_wall
+
+QUICK = "--quick" in sys.argv  # fewer points
+folder = Path(next((word for word in sys.argv[1:] if not word.startswith("--")), "figures"))
+folder.mkdir(parents=True, exist_ok=True)
+T, DELAY, MASS = 0.005, 0.0015, 0.7
+COUNT = 4 if QUICK else 10
+
+
+def panel(title: str, x: str, y: str, curves: list[tuple[str, Any, Any]], **options: Any) -> charts.Panel:
+    """Return a panel of curves with its axes named."""
+    return charts.Panel(title=title, labels=(x, y), curves=curves, **options)
+
+
+def just_above_the_boundary() -> charts.Panel:
+    """With one sample of delay: how many samples to grow ten-thousandfold, foretold and simulated."""
+    best = stiffest_wall(period=T, delay=T)
+    over = np.geomspace(0.01, 0.3, COUNT)
+    stiffness, damping = float(best.stiffness) * (1.0 + over), np.full(COUNT, float(best.damping))
+    foretold = np.log(1e4) / np.log(largest_modulus(stiffness, damping, period=T, delay=T))
+    curves = [("foretold by the modulus", over * 100.0, foretold)]
+    for plant in ("exact", "mujoco"):
+        seen = measure_growth(stiffness, damping, RestingWall(plant=plant, delay=T)).ticks
+        curves.append((f"simulated, {plant}", over * 100.0, seen))
+    return panel(
+        "one sample of delay, just above the boundary",
+        "stiffness above it (%)",
+        "samples to grow 10 000-fold",
+        curves,
+        log="xy",
+    )
+
+
+def jitter() -> charts.Panel:
+    """6000 N/m and 80 N s/m under delays drawn afresh each sample, spread evenly around their mean."""
+    means = np.linspace(0.0025, 0.004, COUNT)
+    curves = [("no jitter", means * 1e3, largest_modulus(6000.0, 80.0, period=T, delay=means))]
+    for spread in (0.5e-3, 1e-3):
+        rates = []
+        for mean in means:
+            timing = Timing(delay=float(mean), jitter=spread)
+            rates.append(random_delay_rate(6000.0, 80.0, [timing.rest_at(tick) for tick in range(4000)]))
+        curves.append((f"± {spread * 1e3:g} ms", means * 1e3, np.array(rates)))
+    return panel(
+        "delay jitter acts as its mean (6000 N/m, 80 N s/m)", "mean delay (ms)", "growth a sample", curves, level=1.0
+    )
+
+
+def chatter() -> charts.Panel:
+    """Press lightly at the edge of the paper's wall, over a 5 µm sensor with noise: how often the pulse fires."""
+    presses = np.geomspace(0.003, 1.0, COUNT)
+    curves = []
+    for noise, gate in ((0.0, 0.0), (2e-6, 0.0), (5e-6, 0.0), (2e-6, 0.005), (5e-6, 0.01)):
+        fired = [float(press_at_edge(float(press), gate, noise=noise, phases=20).pulses[0]) for press in presses]
+        name = f"noise {noise * 1e6:g} µm, " + (f"gate {gate * 1e3:g} mm/s" if gate else "no gate")
+        curves.append((name, presses, np.array(fired)))
+    return panel(
+        "the pulse chatters under a light press",
+        "press of the hand (N)",
+        "pulses a second",
+        curves,
+        log="x",
+        marked=True,
+    )
+
+
+def gaps() -> charts.Panel:
+    """Two walls of 6000 N/m and 80 N s/m with 60 N: how fast the flotor still moves in the fourth second."""
+    widths = np.geomspace(1e-5, 5e-3, COUNT + 2)
+    curves = []
+    for pulse, delay in ((220.0, 0.0), (220.0, DELAY), (220.0, 0.003), (MASS / 0.003 - 80.0, DELAY), (0.0, 0.003)):
+        name = f"pulse {pulse:.0f} N s/m, delay {delay * 1e3:g} ms"
+        curves.append((name, widths * 1e3, np.maximum(rattle(widths, pulse=pulse, delay=delay), 1e-6)))
+    return panel(
+        "two walls closer together than the bounce",
+        "gap between the walls (mm)",
+        "speed that stays (m/s)",
+        curves,
+        log="xy",
+        marked=True,
+    )
+
+
+def saturation() -> charts.Panel:
+    """Drop on an observer wall of 27 000 N/m gain under a force limit: swing that stays, by drop height."""
+    heights = np.geomspace(2e-4, 9e-3, COUNT + 2)
+    curves = []
+    for limit, known in ((20.0, False), (30.0, False), (60.0, False), (60.0, True)):
+        law = ObserverWall(
+            axes="z",
+            stiffness=27097.0,
+            damping=238.0,
+            inertia=MASS,
+            period=T,
+            delay=DELAY,
+            force_limit=limit if known else np.inf,
+        )
+        swing = swing_after_drop(heights, law, force_limit=limit)
+        name = f"observer, {limit:g} N" + (", limit in its model" if known else "")
+        curves.append((name, heights * 1e3, np.maximum(swing * 1e3, 1e-6)))
+    paper = Wall(axes="z", lower=0.0, stiffness=6000.0, damping=80.0)
+    swing = swing_after_drop(heights, paper, force_limit=20.0)
+    curves.append(("PD 6000 N/m, 20 N", heights * 1e3, np.maximum(swing * 1e3, 1e-6)))
+    return panel(
+        "saturation: the region of attraction",
+        "drop height (mm)",
+        "swing that stays (mm)",
+        curves,
+        log="xy",
+        marked=True,
+    )
+
+
+def quantization() -> charts.Panel:
+    """Swing of a flotor at rest over a 5 µm sensor, by friction of its own over Abbott and Okamura's."""
+    shares = np.linspace(0.0, 1.2, COUNT + 3)
+    curves = []
+    for stiffness, damping in ((2000.0, 30.0), (4000.0, 60.0), (6000.0, 80.0)):
+        swing = hum(shares * 0.5 * stiffness * 5e-6, stiffness=stiffness, damping=damping).swing
+        curves.append((f"{stiffness:g} N/m, {damping:g} N s/m", shares, swing * 1e6))
+    return panel(
+        "a coarse sensor hums unless there is friction",
+        "friction over K quantum / 2",
+        "swing (µm)",
+        curves,
+        marked=True,
+    )
+
+
+def hands() -> charts.Panel:
+    """Put the paper's wall in a clamp, and let go of a wall tuned with the hand on."""
+    share = np.linspace(0.0, 1.0, 60)
+    clamp = Hand(stiffness=20000.0 * share)
+    arm = Hand(mass=0.554 * share, damping=6.45 * share, stiffness=135.0 * share)
+    curves = [
+        (f"{k:g} N/m, {b:g} N s/m: {name}", share, largest_modulus(k, b, period=T, delay=DELAY, hand=hand))
+        for k, b, name, hand in ((6000.0, 80.0, "a clamp of 20 000 N/m", clamp), (9000.0, 130.0, "an arm's hold", arm))
+    ]
+    return panel("hands too stiff, and hands that let go", "share of the hand", "largest modulus", curves, level=1.0)
+
+
+def corners() -> charts.Panel:
+    """Kinetic energy of a flotor thrown into a corner of two walls and a rotation."""
+    curves = []
+    for plant, spin in itertools.product(("exact", "mujoco"), (0.0, 0.5)):
+        _, energy = corner(plant, [2e-3, 1e-3, 3e-3, 0.0, 0.02, 0.0], [-0.1, 0.0, -0.15, spin, -1.0, spin])
+        name = f"{plant}, {'turning about three axes' if spin else 'about one'}"
+        curves.append((name, np.arange(len(energy)) * T, np.maximum(energy, 1e-12)))
+    return panel("a corner: x, z and ry at once", "time (s)", "kinetic energy (J)", curves, log="y")
+
+
+panels = [make() for make in (just_above_the_boundary, jitter, chatter, gaps, saturation, quantization, hands, corners)]
+data = [
+    {"title": one.title, "labels": one.labels, "curves": [[name, list(x), list(y)] for name, x, y in one.curves]}
+    for one in panels
+]
+(folder / "where_methods_fail.json").write_text(json.dumps(data, indent=1) + "\n")
+print("wrote", folder / "where_methods_fail.json")
+print("wrote", charts.small_multiples(panels, folder / "where_methods_fail.png"))
