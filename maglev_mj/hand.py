@@ -72,7 +72,9 @@ class Hand:
     def place(self, flotor: Component) -> Component:
         """Return where the hand is when arm and grip balance with the flotor at a place [m]."""
         _, _, arm, _, grip = self.values
-        return flotor * np.where(arm + grip > 0.0, grip / np.where(arm + grip > 0.0, arm + grip, 1.0), 1.0)
+        total = arm + grip
+        share = np.where(total > 0.0, grip / np.where(total > 0.0, total, 1.0), 1.0)
+        return flotor * (share if share.ndim else float(share))
 
     @property
     def values(self) -> tuple[Array, ...]:

@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 
+from maglev_mj.cli import main
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.experiments.scenes import cell_of, run_scene_cells
 from maglev_mj.progress import Progress
@@ -216,6 +217,18 @@ def test_dask_equals_local_also_with_a_worker_killed_half_way(cluster: Any) -> N
     workers = dask_workers(cluster.scheduler_address)
     again = run_cells(slowly, cells, workers=workers, together=3, progress=progress)
     assert killed and again == local
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_the_command_runs_on_a_cluster(cluster: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    common = ["sweep", "drop", "--vary", "phase=0:0.9:6", "--set", "plant=exact", "--json", "-"]
+    here = [*common, "--record", str(tmp_path / "here.jsonl"), "--workers", "0"]
+    there = [*common, "--record", str(tmp_path / "there.jsonl"), "--scheduler", cluster.scheduler_address]
+    results = []
+    for arguments in (here, there):
+        assert main(arguments) == 0
+        results.append(capsys.readouterr().out)
+    assert results[0] == results[1]
 
 
 def slowly(cells: list[Cell]) -> list[Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -95,30 +95,21 @@ class RestingWall:
         pose, wrench = np.zeros((stiffness.size, 6)), np.zeros((stiffness.size, 6))
         pose[:, 2], wrench[:, 2] = rest + _MOVED, -stiffness * rest
         timing = Timing(period=self.period, delay=self.delay, jitter=self.jitter)
-        made: SampledPlant
-        if self.plant == "exact":
-            made = ExactPlant(
-                timing,
-                pose=pose,
-                wrench=wrench,
-                mass=self.mass,
-                hand=self.hand,
-                driver_lag=self.driver_lag,
-                escape=_FAR,
+        common: dict[str, Any] = {
+            "pose": pose,
+            "wrench": wrench,
+            "mass": self.mass,
+            "hand": self.hand,
+            "driver_lag": self.driver_lag,
+            "escape": _FAR,
+        }
+        made: SampledPlant = (
+            ExactPlant(timing, **common)
+            if self.plant == "exact"
+            else MuJoCoBatchPlant(
+                timing, integrator=self.integrator, longest_step=self.longest_step, threads=self.threads, **common
             )
-        else:
-            made = MuJoCoBatchPlant(
-                timing,
-                pose=pose,
-                wrench=wrench,
-                mass=self.mass,
-                hand=self.hand,
-                driver_lag=self.driver_lag,
-                integrator=self.integrator,
-                longest_step=self.longest_step,
-                threads=self.threads,
-                escape=_FAR,
-            )
+        )
         controller = wall_controller(
             stiffness=stiffness,
             damping=damping,
