@@ -10,11 +10,13 @@ from numpy.typing import ArrayLike
 
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Component
-from maglev_mj.parameters import axis_indices, numbers
+from maglev_mj.parameters import axis_indices, common_shape, numbers
 
 __all__ = ["Hand", "exponential", "motion", "transition"]
 
 _TERMS = 14
+_LEAST_MASS = 1e-3
+_MOST = {"mass": 1e3, "damping": 1e6, "stiffness": 1e7, "grip_damping": 1e5, "grip_stiffness": 1e7}
 _VALUES = ("mass", "damping", "stiffness", "grip_damping", "grip_stiffness")
 
 
@@ -35,8 +37,8 @@ class Hand:
         axes: Names from AXES along which it acts; the translations by default.
 
     Raises:
-        ParameterError: If a value is negative or not finite, the shapes do not fit, a hand in a soft grip has no mass,
-            or a rigid grip has damping.
+        ParameterError: If a value is negative or too large, the shapes do not fit, a hand in a soft grip has less than
+            a gram or no spring to it, or a rigid grip has damping.
     """
 
     mass: ArrayLike = 0.0
@@ -51,15 +53,19 @@ class Hand:
     """Batch shape of the values."""
 
     def __post_init__(self) -> None:
-        values = [numbers(f"hand {name}", value, at_least=0.0) for name, value in zip(_VALUES, self.values)]
-        try:
-            shape = np.broadcast_shapes(*(value.shape for value in values))
-        except ValueError:
-            shapes = sorted({value.shape for value in values})
-            raise ParameterError(f"hand values must fit one shape, not {shapes}") from None
-        if self.soft and not (values[0] > 0.0).all():
-            raise ParameterError("hand mass must be above 0 in a grip with a stiffness, not 0")
-        if not self.soft and values[3].any():
+        for name in _VALUES:
+            if (given := getattr(self, name)) is not None and not (
+                (checked := numbers(f"hand {name}", given, at_least=0.0)) <= _MOST[name]
+            ).all():
+                raise ParameterError(f"hand {name} must be at most {_MOST[name]:g} everywhere, not {checked.max():g}")
+        shape = common_shape("hand values", *(value.shape for value in self.values))
+        mass, _, _, grip_damping, grip_stiffness = self.values
+        if self.soft and not ((mass >= _LEAST_MASS).all() and (grip_stiffness > 0.0).all()):
+            # without a spring to it the hand could be anywhere, which no wall is to blame for
+            raise ParameterError(
+                f"hand mass must be at least {_LEAST_MASS:g} and grip_stiffness above 0 in a soft grip"
+            )
+        if not self.soft and grip_damping.any():
             raise ParameterError("hand grip_damping must be 0 in a rigid grip: give it a grip_stiffness")
         object.__setattr__(self, "indices", axis_indices(self.axes))
         object.__setattr__(self, "shape", shape)

@@ -205,13 +205,14 @@ def perceived_hardness(trace: Trace, window: float, *, axis: int = 2, wall: floa
         wall: Position of the wall [m].
 
     Raises:
-        ParameterError: If the window is not above 0.
+        ParameterError: If the window is not above 0, or longer than the trace.
 
     Source: Lawrence, Pao, Dougherty, Salada & Pavlou 2000; Han & Choi 2010. Definitions recalled; the window is ours.
     """
     width = number("window", window, above=0.0)
     line = trace.along(axis)
     end = float(line.time[-1].min())
+    number("window", window, below=end)
     grid = np.arange(int(np.floor(end / 1e-4)) + 1) * 1e-4
     pose, twist, wrench = (part[..., 0] for part in line.at(grid))
     inside = pose <= wall

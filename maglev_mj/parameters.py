@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Array, Component
 
-__all__ = ["axis_indices", "batch_shape", "number", "numbers", "per_axis"]
+__all__ = ["axis_indices", "batch_shape", "common_shape", "number", "numbers", "per_axis"]
 
 
 def number(
@@ -100,6 +100,18 @@ def batch_shape(what: str, values: Iterable[Array]) -> tuple[int, ...]:
         return np.broadcast_shapes(*shapes)
     except ValueError:
         raise ParameterError(f"{what} parameters must fit one batch shape, not {sorted(set(shapes))}") from None
+
+
+def common_shape(what: str, *shapes: tuple[int, ...]) -> tuple[int, ...]:
+    """Return what shapes broadcast to.
+
+    Raises:
+        ParameterError: If they do not.
+    """
+    try:
+        return np.broadcast_shapes(*shapes)
+    except ValueError:
+        raise ParameterError(f"{what} must fit one shape, not {', '.join(map(str, sorted(set(shapes))))}") from None
 
 
 def per_axis(name: str, values: Array, count: int) -> tuple[Component, ...]:

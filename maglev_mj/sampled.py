@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import TypeAlias, TypedDict
+from typing import Any, TypeAlias, TypedDict
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,7 +18,7 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.hand import Hand, motion, transition
 from maglev_mj.laws import FiniteDifference, LinearController, LowPass, VelocityEstimator, Window
-from maglev_mj.parameters import number, numbers
+from maglev_mj.parameters import common_shape, number, numbers
 from maglev_mj.spec import Spec
 
 __all__ = ["Design", "LoopKeywords", "SampledLoop", "pd", "rendered_stiffness"]
@@ -103,7 +103,7 @@ class SampledLoop:
     prediction: ArrayLike = 0.0
     design: Design | None = None
     shape: tuple[int, ...] = field(init=False)
-    """What period, delay, mass and hand broadcast to."""
+    """What period, delay, mass, prediction and hand broadcast to."""
 
     def __post_init__(self) -> None:
         for name in ("period", "delay", "mass"):
@@ -112,11 +112,19 @@ class SampledLoop:
                 raise ParameterError(f"{name} must be above 0 everywhere, not 0")
             object.__setattr__(self, name, values)
         number("driver_lag", self.driver_lag, at_least=0.0)
+        common_shape("period and delay", np.shape(self.period), np.shape(self.delay))
         ratio = np.asarray(self.delay) / np.asarray(self.period)
         if not (ratio <= MOST_PERIODS * (1.0 + 1e-9)).all():
             raise ParameterError(f"delay must be at most {MOST_PERIODS} periods, not {float(ratio.max()):g} periods")
-        parts = (self.period, self.delay, self.mass, np.empty(self.hand.shape if self.hand else ()))
-        object.__setattr__(self, "shape", np.broadcast_shapes(*(np.shape(part) for part in parts)))
+        object.__setattr__(self, "prediction", numbers("prediction", self.prediction, at_least=0.0))
+        shapes = [np.shape(part) for part in (self.period, self.delay, self.mass, self.prediction)]
+        object.__setattr__(
+            self, "shape", common_shape("period, delay, mass, prediction, hand", *shapes, self._hand_shape)
+        )
+
+    @property
+    def _hand_shape(self) -> tuple[int, ...]:
+        return () if self.hand is None else self.hand.shape
 
     def matrix(self, stiffness: ArrayLike, damping: ArrayLike) -> Array:
         """Return the closed-loop matrix (..., n, n).
@@ -135,7 +143,7 @@ class SampledLoop:
         command[..., 0], command[..., own] = law.direct, law.give
         m[..., :first, :first] = phi
         for age in range(waiting + 1):  # the command `age` samples old
-            share = np.where(whole == age, new.T, 0.0).T + np.where(whole + 1 == age, old.T, 0.0).T
+            share = np.where((whole == age)[..., None], new, 0.0) + np.where((whole + 1 == age)[..., None], old, 0.0)
             if age == 0:
                 m[..., :first, :] += share[..., :, None] * command[..., None, :]
             else:
@@ -187,12 +195,12 @@ class SampledLoop:
         """Return the largest eigenvalue modulus, broadcast over gains and loop."""
         k = numbers("stiffness", stiffness, at_least=0.0)
         b = numbers("damping", damping, at_least=0.0)
-        shape = np.broadcast_shapes(k.shape, b.shape, self.shape)
+        shape = common_shape("stiffness, damping and loop", k.shape, b.shape, self.shape)
         k, b = (np.broadcast_to(gain, shape).reshape(-1) for gain in (k, b))
         result = np.empty(k.size)
         for start in range(0, k.size, _TOGETHER):
             part = slice(start, start + _TOGETHER)
-            matrices = self._part(shape, part).matrix(k[part], b[part])
+            matrices = self.part(shape, part).matrix(k[part], b[part])
             result[part] = np.abs(np.linalg.eigvals(matrices)).max(axis=-1)
         return result.reshape(shape)
 
@@ -207,9 +215,9 @@ class SampledLoop:
         ahead = change(np.asarray(self.prediction))
         return replace(self, hand=hand, period=period, delay=delay, mass=mass, prediction=ahead)
 
-    def _part(self, shape: tuple[int, ...], part: slice) -> SampledLoop:
-        """Return the loop of some of the flattened gains."""
-        if not self.shape and np.ndim(self.prediction) == 0:
+    def part(self, shape: tuple[int, ...], part: Any) -> SampledLoop:
+        """Return the loop of some of the flattened gains: a slice of them, or their indices."""
+        if not self.shape:
             return self
         return self._each(lambda value: np.broadcast_to(value, shape).reshape(-1)[part] if value.ndim else value)
 
@@ -219,6 +227,6 @@ class SampledLoop:
 
     @property
     def moving_mass(self) -> Array:
-        """What the wall feels of flotor and hand [kg]."""
-        held = 0.0 if self.hand is None or self.hand.soft else self.hand.mass
+        """Mass of flotor and hand together [kg]."""
+        held = 0.0 if self.hand is None else self.hand.mass
         return np.asarray(np.asarray(self.mass) + held)

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from maglev_mj.errors import ParameterError
-from maglev_mj.frames import Array
-from maglev_mj.parameters import numbers
+from maglev_mj.frames import Array, Mask
+from maglev_mj.parameters import common_shape, number, numbers
 from maglev_mj.sampled import LoopKeywords, SampledLoop
 
 __all__ = [
@@ -19,6 +19,7 @@ __all__ = [
     "boundary_of",
     "characteristic_polynomial",
     "critical_delay",
+    "is_stable",
     "largest_modulus",
     "largest_stable_stiffness",
     "least_dynamic_stiffness",
@@ -26,8 +27,14 @@ __all__ = [
     "stiffest_wall",
 ]
 
-_DECADES = 5.0
+_DECADES = 7.0
 _HALVINGS = 45
+_ROUNDING = 1e-12
+
+
+def is_stable(modulus: ArrayLike) -> Mask:
+    """Return whether a loop of this largest modulus settles; rounding does not make the marginal one stable."""
+    return np.asarray(modulus) < 1.0 - _ROUNDING
 
 
 class StiffestWall(NamedTuple):
@@ -91,19 +98,19 @@ def largest_stable_stiffness(damping: ArrayLike | None = None, **loop: Unpack[Lo
 def boundary_of(loop: SampledLoop, damping: Array) -> Array:
     """Return the largest stable stiffness of a loop at each damping: `largest_stable_stiffness` for any SampledLoop.
 
-    The last stable stiffness of a scan over the decades below 4 m/T², and then halvings of the step to the next.
+    The last stable stiffness of a scan over the decades below 8 m/T², and then halvings of the step to the next.
     """
-    shape = np.broadcast_shapes(damping.shape, loop.shape)
+    shape = common_shape("damping and loop", damping.shape, loop.shape)
     wide, b = loop.widened(), np.broadcast_to(damping, shape)[..., None]
-    scale = 4.0 * wide.moving_mass / np.asarray(wide.period) ** 2
-    grid = np.broadcast_to(scale, (*shape, 1)) * np.logspace(-_DECADES, 0.0, 200)
-    stable = wide.modulus(grid, b) < 1.0
+    scale = 8.0 * wide.moving_mass / np.asarray(wide.period) ** 2
+    grid = np.broadcast_to(scale, (*shape, 1)) * np.logspace(-_DECADES, 0.0, 280)
+    stable = is_stable(wide.modulus(grid, b))
     last = stable.shape[-1] - 1 - np.argmax(stable[..., ::-1], axis=-1)
     pick = np.minimum(np.stack([last, last + 1], axis=-1), stable.shape[-1] - 1)
     low, high = np.moveaxis(np.take_along_axis(grid, pick, axis=-1), -1, 0)
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
-        good = wide.modulus(middle[..., None], b)[..., 0] < 1.0
+        good = is_stable(wide.modulus(middle[..., None], b)[..., 0])
         low, high = np.where(good, middle, low), np.where(good, high, middle)
     return np.where(stable.any(axis=-1), low, 0.0)
 
@@ -124,7 +131,7 @@ def stiffest_of(around: SampledLoop) -> StiffestWall:
     """Return the largest stable stiffness of a loop over all dampings: `stiffest_wall` for any SampledLoop."""
     wide = around.widened()
     # from a coarse grid of dampings to a fine one
-    scale = np.broadcast_to(4.0 * around.moving_mass / np.asarray(around.period), around.shape)[..., None]
+    scale = np.broadcast_to(8.0 * around.moving_mass / np.asarray(around.period), around.shape)[..., None]
     grid = scale * np.logspace(-4.0, 0.0, 60)
     while True:
         stiffness = boundary_of(wide, grid)
@@ -156,17 +163,17 @@ def critical_delay(stiffness: ArrayLike, damping: ArrayLike, **loop: Unpack[Loop
     loop["delay"] = 0.0
     around = SampledLoop(**loop)
     k, b = numbers("stiffness", stiffness, at_least=0.0), numbers("damping", damping, at_least=0.0)
-    shape = np.broadcast_shapes(k.shape, b.shape, around.shape)
+    shape = common_shape("stiffness, damping and loop", k.shape, b.shape, around.shape)
     k, b = np.broadcast_to(k, shape)[..., None], np.broadcast_to(b, shape)[..., None]
     wide = around.widened()
     grid = np.broadcast_to(np.asarray(wide.period), (*shape, 1)) * np.linspace(0.0, 3.0, 121)
-    unstable = replace(wide, delay=grid).modulus(k, b) >= 1.0
+    unstable = ~is_stable(replace(wide, delay=grid).modulus(k, b))
     first = np.argmax(unstable, axis=-1)
     pick = np.stack([np.maximum(first - 1, 0), first], axis=-1)
     low, high = np.moveaxis(np.take_along_axis(grid, pick, axis=-1), -1, 0)
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
-        good = replace(wide, delay=middle[..., None]).modulus(k, b)[..., 0] < 1.0
+        good = is_stable(replace(wide, delay=middle[..., None]).modulus(k, b)[..., 0])
         low, high = np.where(good, middle, low), np.where(good, high, middle)
     return np.where(unstable.any(axis=-1), high, np.inf)
 
@@ -192,12 +199,20 @@ def least_dynamic_stiffness(
         ParameterError: If a value is outside its bounds.
     """
     around = SampledLoop(**loop)
-    stable = around.modulus(stiffness, damping) < 1.0
+    if np.ndim(around.period):
+        raise ParameterError(f"period must be one number here, not {np.shape(around.period)}")
+    stable = is_stable(around.modulus(stiffness, damping))
+    half = 0.5 / float(np.asarray(around.period))
     if frequencies is None:
-        half = 0.5 / float(np.asarray(around.period))
         frequencies = [0.0, *np.geomspace(0.01 * half, 0.999 * half, 50)]
-    k, b = np.asarray(stiffness, dtype=np.float64), np.asarray(damping, dtype=np.float64)
-    gives = np.zeros(stable.shape)
-    for frequency in frequencies:
-        gives = np.maximum(gives, np.abs(around.compliance(k, b, frequency)))
-    return np.where(stable, 1.0 / gives, 0.0)
+    if not len(frequencies):
+        raise ParameterError("frequencies must be at least one, not none")
+    chosen = [number("frequency", frequency, at_least=0.0, below=half) for frequency in frequencies]
+    result, gives = np.zeros(stable.size), np.zeros(np.count_nonzero(stable))
+    where = np.flatnonzero(stable)  # an unstable wall has no steady answer
+    k, b = (np.broadcast_to(gain, stable.shape).reshape(-1)[where] for gain in (stiffness, damping))
+    part = around.part(stable.shape, where)
+    for frequency in chosen if where.size else ():
+        gives = np.maximum(gives, np.abs(part.compliance(k, b, frequency)))
+    result[where] = 1.0 / gives
+    return result.reshape(stable.shape)

@@ -17,6 +17,7 @@ from maglev_mj.metrics import percentiles
 from maglev_mj.model import COILS
 from maglev_mj.report import DeviceReport
 from maglev_mj.spec import Spec
+from maglev_mj.stability import is_stable
 
 __all__ = ["device_table", "drop_table", "stability_table", "stick_slip_table", "sweep_table"]
 
@@ -107,7 +108,9 @@ def stability_table(result: StabilityMap) -> str:
     lines = [
         f"Stability of a PD wall, {1.0 / p.period:g} Hz, delay {p.delay * 1e3:g} ms, mass {p.mass:g} kg, {hand}",
         "",
-        f"  stiffest stable wall  {stiffest:>9.0f} N/m at {damping:.1f} N s/m",
+        f"  stiffest stable wall  {stiffest:>9.0f} N/m at {damping:.1f} N s/m"
+        if stiffest > 0.0
+        else "  no wall is stable",
         "  at this damping, without a hand's share, the published bounds are (times the stiffest wall)",
     ]
     for name, bound, sense in (
@@ -115,11 +118,12 @@ def stability_table(result: StabilityMap) -> str:
         ("Gil et al.", bounds.gil(damping, period=p.period, delay=p.delay), "stable, low damping"),
         ("Minsky et al.", bounds.minsky(damping, period=p.period), "stable, no delay, low damping"),
     ):
-        lines.append(f"    {name:<20}{float(bound):>9.0f} N/m  {float(bound) / stiffest:>5.2f}   {sense}")
-    stable = int((result.modulus < 1.0).sum())
+        ratio = f"{float(bound) / stiffest:.2f}" if stiffest > 0.0 else "-"
+        lines.append(f"    {name:<20}{float(bound):>9.0f} N/m  {ratio:>5}   {sense}")
+    stable = int(is_stable(result.modulus).sum())
     lines += ["", f"  grid: {stable} of {result.modulus.size} cells stable by theory"]
     if result.simulated is not None and result.misjudged is not None:
-        differ = int(((result.modulus < 1.0) != result.simulated).sum())
+        differ = int((is_stable(result.modulus) != result.simulated).sum())
         lines += [
             f"  simulated ({p.plant}): {int(result.simulated.sum())} stable; {differ} verdicts differ from theory, "
             f"{int(result.misjudged.sum())} of them",

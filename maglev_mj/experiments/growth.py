@@ -1,4 +1,4 @@
-"""Does a simulated wall settle or grow? The flotor rests in it, is moved by a nanometre, and the samples tell."""
+"""Does a simulated wall settle or grow? The flotor rests in it, is moved a little, and the samples tell."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from maglev_mj.spec import GRAVITY, Spec
 
 __all__ = ["Growth", "RestingWall", "measure_growth"]
 
-_MOVED = 1e-9
+_MOVED = 1e-6
 _DECIDED = 1e4
 _BLOCK = 16
-_FAR = (1e6, 1.0)
+_FAR = (1e15, 1.0)
 _PATIENCE = (128, 512, 2048, 8192)
 
 
@@ -34,7 +34,8 @@ class Growth(NamedTuple):
 
     Attributes:
         stable: Whether the motion dies out.
-        rate: Factor by which it grows from one sample to the next, from its largest values.
+        rate: Factor by which it grows from one sample to the next, from its largest values; rough where a few samples
+            decide.
         ticks: Samples it took to tell.
     """
 
@@ -79,6 +80,8 @@ class RestingWall:
     def __post_init__(self) -> None:
         if self.plant not in PLANTS:
             raise ParameterError(f"plant must be one of {', '.join(PLANTS)}, not {self.plant!r}")
+        if self.hand is not None and self.hand.shape:
+            raise ParameterError(f"hand must be one for all walls, not {self.hand.shape}")
 
     def rest(self, stiffness: Array) -> Array:
         """Return where weight, wall and arm balance [m]."""
@@ -90,10 +93,10 @@ class RestingWall:
         return -self.mass * GRAVITY / (stiffness + arm)
 
     def start(self, stiffness: Array, damping: Array) -> tuple[SampledPlant, Controller]:
-        """Return N flotors a nanometre off their rest, held up by the wall's force, and their controller."""
+        """Return N flotors a millionth off their rest, held up by the wall's force, and their controller."""
         rest = self.rest(stiffness)
         pose, wrench = np.zeros((stiffness.size, 6)), np.zeros((stiffness.size, 6))
-        pose[:, 2], wrench[:, 2] = rest + _MOVED, -stiffness * rest
+        pose[:, 2], wrench[:, 2] = rest * (1.0 + _MOVED), -stiffness * rest
         timing = Timing(period=self.period, delay=self.delay, jitter=self.jitter)
         common: dict[str, Any] = {
             "pose": pose,
@@ -124,9 +127,9 @@ class RestingWall:
 def measure_growth(stiffness: ArrayLike, damping: ArrayLike, walls: RestingWall) -> Growth:
     """Simulate walls in closed loop, each with the flotor resting in it, and tell whether a small motion grows.
 
-    The flotor starts a nanometre off its rest under gravity. A loop is decided when that has become ten thousand
-    times larger or smaller, so that the wall's edge and rounding are both far away; one that takes longer than
-    8192 samples is decided by whether its last quarter is larger than its second.
+    The flotor starts off its rest under gravity by a millionth of its depth. A loop is decided when that has become
+    ten thousand times larger or smaller, so that the wall's edge and rounding are both far away; one that takes longer
+    than 8192 samples is decided by whether its last quarter is larger than its second.
 
     Args:
         stiffness: Wall stiffness [N/m], above 0, (N,).
@@ -153,12 +156,12 @@ def measure_growth(stiffness: ArrayLike, damping: ArrayLike, walls: RestingWall)
 
 
 def _sizes(plant: SampledPlant, controller: Controller, rest: Array, ticks: int) -> Array:
-    """Run and return the largest distance from rest in each block of samples [m], (blocks, N)."""
+    """Run and return the largest distance from rest in each block of samples, over that at the start, (blocks, N)."""
     blocks = np.zeros((ticks // _BLOCK, rest.size))
 
     def observe(sample: Sample, _: Command) -> None:
         row = blocks[sample.tick // _BLOCK]
-        np.maximum(row, np.abs(sample.position[2] - rest), out=row)
+        np.maximum(row, np.abs(sample.position[2] / rest - 1.0) / _MOVED, out=row)
 
     with plant, engine_warnings_silenced():
         run(plant, controller, ticks, observe=observe)
@@ -167,14 +170,16 @@ def _sizes(plant: SampledPlant, controller: Controller, rest: Array, ticks: int)
 
 def _judge(sizes: Array, *, last: bool) -> tuple[Growth, Mask]:
     """Return what the sizes of the blocks say of each loop, and where that is certain."""
-    gone = sizes < _MOVED / _DECIDED
-    either = gone | (sizes > _DECIDED * _MOVED)
+    gone = sizes < 1.0 / _DECIDED
+    either = gone | (sizes > _DECIDED)
     decided: Mask = np.any(either, axis=0)
     pick = np.where(decided, np.argmax(either, axis=0), len(sizes) - 1)
     column = np.arange(sizes.shape[1])
     stable = gone[pick, column]
     with np.errstate(divide="ignore"):
-        rate = np.exp(np.log(sizes[pick, column] / sizes[0]) / np.maximum(pick * _BLOCK, 1))
+        # from the first block to the one that decides; within the first, from the start
+        since = np.where(pick > 0, sizes[0], 1.0)
+        rate = np.exp(np.log(sizes[pick, column] / since) / np.where(pick > 0, pick, 1.0) / _BLOCK)
     if last:
         quarter = len(sizes) // 4
         early, late = sizes[quarter : 2 * quarter].max(axis=0), sizes[-quarter:].max(axis=0)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+import maglev_mj
 import maglev_mj.stability as theory
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.experiments.choices import PLANTS, hand_called
@@ -113,7 +114,7 @@ class StabilityMap:
     @property
     def misjudged(self) -> Mask | None:
         """Cells further than half a percent from the boundary where simulation and theory differ, (K, B)."""
-        return None if self.simulated is None else ((self.modulus < 1.0) != self.simulated) & ~self.near
+        return None if self.simulated is None else (theory.is_stable(self.modulus) != self.simulated) & ~self.near
 
     def as_json(self) -> dict[str, Any]:
         """Return everything, ready for JSON."""
@@ -148,13 +149,21 @@ def run_stability(
     stiffness = _axis(p.stiffness, p.grid, 1.25 * float(best.stiffness))
     k, b = stiffness[:, None], damping[None, :]
     modulus = theory.largest_modulus(k, b, **loop)
-    near = np.zeros(modulus.shape, dtype=bool)
+    stable, near = theory.is_stable(modulus), np.zeros(modulus.shape, dtype=bool)
     for share in (1.0 - _NEAR, 1.0 + _NEAR):
-        near |= (theory.largest_modulus(share * k, b, **loop) < 1.0) != (modulus < 1.0)
-        near |= (theory.largest_modulus(k, share * b, **loop) < 1.0) != (modulus < 1.0)
+        near |= theory.is_stable(theory.largest_modulus(share * k, b, **loop)) != stable
+        near |= theory.is_stable(theory.largest_modulus(k, share * b, **loop)) != stable
     simulated = None
     if p.plant != "none":
-        common = {"plant": p.plant, "period": p.period, "delay": p.delay, "mass": p.mass, "hand": p.hand}
+        common = {
+            "scene": "stability",
+            "version": maglev_mj.__version__,
+            "plant": p.plant,
+            "period": p.period,
+            "delay": p.delay,
+            "mass": p.mass,
+            "hand": p.hand,
+        }
         # the slow cells, near the boundary, together
         order = np.argsort(np.abs(np.log(np.maximum(modulus, 1e-9))).ravel())[::-1]
         places = [np.unravel_index(place, modulus.shape) for place in order]
@@ -185,13 +194,8 @@ def simulate_walls(cells: list[Cell]) -> list[dict[str, Any]]:
     for around, places in groups.items():
         named = dict(zip(_AROUND, around, strict=True))
         stiffness, damping = (np.array([cells[place][gain] for place in places]) for gain in ("stiffness", "damping"))
-        try:
-            walls = RestingWall(**{**named, "hand": hand_called(named["hand"])})
-            growth = measure_growth(stiffness, damping, walls)
-        except MaglevError as error:
-            for place in places:
-                results[place] = {"error": str(error)}
-            continue
+        walls = RestingWall(**{**named, "hand": hand_called(named["hand"])})
+        growth = measure_growth(stiffness, damping, walls)
         for place, stable, rate, ticks in zip(places, *growth, strict=True):
             results[place] = {"stable": bool(stable), "rate": float(rate), "ticks": int(ticks)}
     return results
@@ -200,9 +204,9 @@ def simulate_walls(cells: list[Cell]) -> list[dict[str, Any]]:
 _AROUND = ("plant", "period", "delay", "mass", "hand")
 
 
-def _stable(result: dict[str, Any]) -> bool:
-    if "error" in result:
-        raise MaglevError(f"a cell could not be simulated: {result['error']}")
+def _stable(result: Any) -> bool:
+    if not isinstance(result, dict) or "stable" not in result:
+        raise MaglevError(f"a cell has no verdict: {result!r}")
     return bool(result["stable"])
 
 

@@ -80,6 +80,7 @@ class Timing:
         if jitter > min(rest, period - rest):
             room = min(rest, period - rest)
             raise ParameterError(f"jitter must be at most {room:g} s at this delay and period, not {jitter:g}")
+        number("seed", self.seed, at_least=0)
         object.__setattr__(self, "jitter", jitter)
         object.__setattr__(self, "period", period)
         object.__setattr__(self, "delay", delay)

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Component, components, join
-from maglev_mj.parameters import numbers
+from maglev_mj.parameters import number, numbers
 
 __all__ = ["Sensor"]
 
@@ -38,6 +38,8 @@ class Sensor:
             if values.shape not in ((), (6,)):
                 raise ParameterError(f"{name} must be a number or have the shape (6,), not {values.shape}")
             object.__setattr__(self, name, np.broadcast_to(values, (6,)))
+
+        number("seed", self.seed, at_least=0)
 
     def start(self) -> Callable[[Sequence[Component]], list[Component]]:
         """Return what turns the components of the true pose into those measured, from the seed on."""
