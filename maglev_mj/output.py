@@ -4,20 +4,46 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import sys
 from pathlib import Path
 from typing import Any
 
-from maglev_mj.errors import DivergenceError
+from maglev_mj.errors import DivergenceError, ParameterError
 from maglev_mj.study import Record, StudyInterrupted
 
-__all__ = ["keep_landed", "keep_partial", "write_json"]
+__all__ = ["check_outputs", "keep_landed", "keep_partial", "write_json"]
 
 
 def keep_partial(error: DivergenceError, options: argparse.Namespace) -> None:
     """Write what was recorded before the run diverged."""
     if error.partial is not None and options.json is not None:
         write_json(options.json, {**error.partial.as_json(), "diverged": str(error)})
+
+
+def check_outputs(*, json: str | None = None, record: Path | None = None, out: Path | None = None) -> None:
+    """Check before a long run that what it is to write can be written.
+
+    Args:
+        json: File for JSON, or "-".
+        record: File for cells.
+        out: Folder for pictures.
+
+    Raises:
+        ParameterError: If a file is a folder, is in no folder, may not be written, or is meant for two things.
+    """
+    files = {"record": record, "json": None if json in (None, "-") else Path(str(json))}
+    for name, path in files.items():
+        if path is None:
+            continue
+        if path.is_dir() or not path.parent.is_dir():
+            raise ParameterError(f"{name} must be a file in a folder that is there, not {str(path)!r}")
+        if not os.access(path if path.exists() else path.parent, os.W_OK):
+            raise ParameterError(f"{name} must be a file that may be written, not {str(path)!r}")
+    if record is not None and files["json"] is not None and record.resolve() == files["json"].resolve():
+        raise ParameterError(f"json and record must be two files, not {str(record)!r} for both")
+    if out is not None and out.exists() and not out.is_dir():
+        raise ParameterError(f"out must be a folder, not {str(out)!r}")
 
 
 def keep_landed(command: str, stopped: StudyInterrupted, path: Path | None, fallback: Path) -> None:

@@ -85,7 +85,8 @@ def largest_stable_stiffness(damping: ArrayLike | None = None, **loop: Unpack[Lo
         loop: Keywords of `SampledLoop`; they broadcast with the damping.
 
     Returns:
-        The stiffness (...,), 0 where none is stable; for `damping=None` stiffness and damping.
+        The stiffness (...,), 0 where none is stable, and 8 m/T² at most, where the search ends; for `damping=None`
+        stiffness and damping.
 
     Raises:
         ParameterError: If a value is outside its bounds.

@@ -7,10 +7,10 @@ written by the parent alone, so a worker that dies takes nothing with it but the
 from __future__ import annotations
 
 import json
-import os
 from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -22,6 +22,7 @@ __all__ = ["Cell", "Record", "StudyInterrupted", "run_cells"]
 Cell: TypeAlias = dict[str, Any]
 
 _ATTEMPTS = 2
+_BEGINNING = '{"cell": {'
 
 
 class StudyInterrupted(KeyboardInterrupt):
@@ -49,23 +50,21 @@ class Record:
     def __init__(self, path: Path | None = None) -> None:
         self.path = path
         self._results: dict[str, Any] = {}
-        self._end: int | None = None  # where the last whole line ends, if there is half a line behind it
+        self._whole = True  # whether the file ends with a line's end
         if path is not None and path.exists():
             self._read(path)
 
     def _read(self, path: Path) -> None:
-        data = path.read_bytes()
-        whole = data.rfind(b"\n") + 1
-        for line in data[:whole].decode("utf-8", errors="replace").splitlines():
+        text = path.read_text(encoding="utf-8", errors="replace")
+        self._whole = text.endswith("\n") or not text
+        for line in text.splitlines():
             try:
                 entry = json.loads(line)
                 self._results[_key(entry["cell"])] = entry["result"]
             except (ValueError, TypeError, KeyError):
-                raise ParameterError(f"record must hold one cell a line, not {line[:40]!r} in {path}") from None
-        if whole < len(data):  # what a process wrote as it died; only ours begins like this
-            if not data[whole:].startswith(b'{"cell"'[: len(data) - whole]):
-                raise ParameterError(f"record must end with a whole line, not {data[whole:][:40]!r} in {path}")
-            self._end = whole
+                # half a line is what a process leaves that dies as it writes; anything else is not a record
+                if line.strip() and not line.startswith(_BEGINNING[: len(line)]):
+                    raise ParameterError(f"record must hold one cell a line, not {line[:40]!r} in {path}") from None
 
     def __contains__(self, cell: Cell) -> bool:
         return _key(cell) in self._results
@@ -80,11 +79,10 @@ class Record:
             return
         self.path.parent.mkdir(parents=True, exist_ok=True)
         text = "".join(json.dumps({"cell": cell, "result": result}) + "\n" for cell, result in pairs)
-        if self._end is not None:
-            os.truncate(self.path, self._end)
-            self._end = None
-        with self.path.open("a", encoding="utf-8") as file:
-            file.write(text)
+        # one write to the end of the file, so that two programs with one record do not mix their lines
+        with self.path.open("ab", buffering=0) as file:
+            file.write((("" if self._whole else "\n") + text).encode())
+        self._whole = True
 
 
 def _key(cell: Cell) -> str:
@@ -115,7 +113,7 @@ def run_cells(
         is not recorded, so that a rerun tries again.
 
     Raises:
-        StudyInterrupted: On Ctrl-C, after the jobs in hand have landed.
+        StudyInterrupted: On Ctrl-C, after the jobs in hand have landed. They land too where a job fails with an error.
     """
     study = _Study(function, record or Record(), workers or inline(), progress)
     missing = list({_key(cell): cell for cell in cells if cell not in study.record}.values())
@@ -127,6 +125,11 @@ def run_cells(
     except KeyboardInterrupt:
         study.stop()
         raise StudyInterrupted([(cell, study.record[cell]) for cell in cells if cell in study.record]) from None
+    except Exception:
+        study.stop()
+        raise
+    finally:
+        study.close()
     return [study.record[cell] if cell in study.record else study.dead[_key(cell)] for cell in cells]
 
 
@@ -151,16 +154,13 @@ class _Study:
 
     def run(self) -> None:
         """Run everything."""
-        try:
-            while self.waiting or self.suspects or self._hand:
-                alone = bool(self.suspects)
-                self._hand_out(alone)
-                finished, _ = wait(self._hand, return_when=FIRST_COMPLETED)
-                broken = [job for future in finished if (job := self._land(future)) is not None]
-                if broken:
-                    self._after_death(broken, alone)
-        finally:
-            self._drop_pool()
+        while self.waiting or self.suspects or self._hand:
+            alone = bool(self.suspects)
+            self._hand_out(alone)
+            finished, _ = wait(self._hand, return_when=FIRST_COMPLETED)
+            broken = [job for future in finished if (job := self._land(future)) is not None]
+            if broken:
+                self._after_death(broken, alone)
 
     def stop(self) -> None:
         """Call back the jobs not begun, and wait for the others."""
@@ -169,7 +169,8 @@ class _Study:
                 del self._hand[future]
         wait(self._hand)
         for future in list(self._hand):
-            self._land(future)
+            with suppress(Exception):  # the first failure is on its way up already
+                self._land(future)
 
     def _hand_out(self, alone: bool) -> None:
         """Give out jobs up to the window; a suspect alone, so that a death has one culprit."""
@@ -199,7 +200,7 @@ class _Study:
         """Let the rest of what was in hand end, make a new pool, and suspect what was lost."""
         wait(self._hand)
         broken += [job for future in list(self._hand) if (job := self._land(future)) is not None]
-        self._drop_pool()
+        self.close()
         for cell in (cell for job in broken for cell in job):
             deaths = self._deaths[_key(cell)] = self._deaths.get(_key(cell), 0) + alone
             if deaths < _ATTEMPTS:
@@ -208,7 +209,8 @@ class _Study:
                 self.dead[_key(cell)] = {"error": f"its worker died {deaths} times"}
                 self._count(1)
 
-    def _drop_pool(self) -> None:
+    def close(self) -> None:
+        """Let go of the workers."""
         if self._pool is not None:
             self._pool.shutdown(wait=False, cancel_futures=True)
             self._pool = None

@@ -79,7 +79,8 @@ def dask_workers(address: str) -> Workers:
     """Return the workers of a Dask cluster whose scheduler is at `address`.
 
     Raises:
-        MaglevError: If Dask is not installed, or nothing answers there.
+        ParameterError: If nothing answers there.
+        MaglevError: If Dask is not installed.
     """
     try:
         from distributed import Client, KilledWorker
@@ -95,7 +96,7 @@ def dask_workers(address: str) -> Workers:
         asyncio.run(knock())
         client = Client(address, set_as_default=False)
     except (OSError, TimeoutError, ValueError) as error:
-        raise MaglevError(f"scheduler must be the address of a Dask scheduler, not {address!r}: {error}") from None
+        raise ParameterError(f"scheduler must be the address of a Dask scheduler, not {address!r}: {error}") from None
     window = 4 * max(sum(client.nthreads().values()), 1)
     client.close()
     return Workers(lambda: _Cluster(Client(address, set_as_default=False)), window, (KilledWorker,))

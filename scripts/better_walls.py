@@ -1,12 +1,12 @@
 """Walls better than PD: what stiffness each design reaches, with its model right, wrong by 20 %, and under hands.
 
-Prints three tables, writes every figure to better_walls.json. Figures are the best over a grid of gains of the least
+Prints three tables, writes every figure to better_walls.json. Figures are the best over the gains of the least
 dynamic stiffness, the force a hand needs at least for each metre at any frequency; 0 where the loop is unstable.
 """
 
+import argparse
 import itertools
 import json
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -20,11 +20,15 @@ from maglev_mj.laws import Law, ObserverWall, PassivityController, PredictiveWal
 from maglev_mj.sampled import Design, rendered_stiffness
 from maglev_mj.stability import least_dynamic_stiffness, stiffest_wall
 
-QUICK = "--quick" in sys.argv  # a coarser grid of gains
-PERIOD, MASS = 0.005, 0.7
-SIZE = 16 if QUICK else 40
-folder = Path(next((word for word in sys.argv[1:] if not word.startswith("--")), "figures"))
+parser = argparse.ArgumentParser(description=__doc__)
+parser.add_argument("folder", nargs="?", default="figures", type=Path, help="where files go")
+parser.add_argument("--quick", action="store_true", help="a coarser search")
+options = parser.parse_args()
+folder = options.folder
 folder.mkdir(parents=True, exist_ok=True)
+
+PERIOD, MASS = 0.005, 0.7
+FIRST = 16 if options.quick else 40
 
 
 def observer_wall(delay: float, pole: float, disturbance: bool, *, stiffness: float, damping: float) -> ObserverWall:
@@ -47,13 +51,18 @@ def observer(delay: float, pole: float, disturbance: bool) -> Design:
     return lambda stiffness, damping, period: law.linear(stiffness, damping)
 
 
-def best(delay: float, design: Design | None) -> dict[str, float]:
-    """Return the best nominal figure, the best worst case, and the gains of the latter."""
-    stiffness = np.geomspace(300.0, 110000.0, SIZE)[:, None] * np.ones(SIZE)
-    damping = np.linspace(5.0, 280.0, SIZE)[None, :] * np.ones((SIZE, 1))
+CASES = {
+    "nominal": [(1.0, 1.0, "none")],
+    "wrong_by_20_percent": [(mass, late, "none") for mass in (0.8, 1.0, 1.2) for late in (0.8, 1.0, 1.2)],
+    "under_hands": [(1.0, 1.0, hand) for hand in HANDS],
+}
+CASES["all"] = CASES["wrong_by_20_percent"] + CASES["under_hands"]
 
-    def reached(mass: float = 1.0, late: float = 1.0, hand: str = "none") -> Array:
-        return least_dynamic_stiffness(
+
+def worst(case: str, delay: float, design: Design | None, stiffness: Array, damping: Array) -> Array:
+    """Return the least of the least dynamic stiffnesses over mass and delay off by factors, and hands."""
+    reached = [
+        least_dynamic_stiffness(
             stiffness,
             damping,
             period=PERIOD,
@@ -62,20 +71,24 @@ def best(delay: float, design: Design | None) -> dict[str, float]:
             hand=hand_called(hand),
             design=design,
         )
+        for mass, late, hand in CASES[case]
+    ]
+    return np.asarray(np.minimum.reduce(reached))
 
-    nominal = reached()
-    wrong = np.minimum.reduce([reached(m, d) for m, d in itertools.product((0.8, 1.0, 1.2), (0.8, 1.0, 1.2))])
-    held = np.minimum.reduce([reached(hand=hand) for hand in HANDS])
-    both = np.minimum(wrong, held)
-    place = np.unravel_index(int(both.argmax()), both.shape)
-    return {
-        "nominal": float(nominal.max()),
-        "wrong_by_20_percent": float(wrong.max()),
-        "under_hands": float(held.max()),
-        "all": float(both.max()),
-        "stiffness": float(stiffness[place]),
-        "damping": float(damping[place]),
-    }
+
+def best(case: str, delay: float, design: Design | None) -> tuple[float, float, float]:
+    """Return the best worst case over the gains, and the gains: a grid, then finer ones around the best of it."""
+    (low, high), (least, most) = (300.0, 110000.0), (5.0, 280.0)
+    figure, gains = 0.0, (low, least)
+    for size in (FIRST, 12, 12, 12):
+        stiffness, damping = np.geomspace(low, high, size), np.linspace(least, most, size)
+        found = worst(case, delay, design, stiffness[:, None], damping[None, :])
+        row, column = divmod(int(found.argmax()), size)
+        if found[row, column] > figure:
+            figure, gains = float(found[row, column]), (float(stiffness[row]), float(damping[column]))
+        low, high = (float(stiffness[min(max(row + step, 0), size - 1)]) for step in (-2, 2))
+        least, most = (float(damping[min(max(column + step, 0), size - 1)]) for step in (-2, 2))
+    return figure, *gains
 
 
 def returned(laws: list[Law], delay: float) -> Array:
@@ -104,10 +117,10 @@ for delay in (0.0, 0.0015, 0.005):
     designs += [(f"observer, poles at {pole:g}", observer(delay, pole, False)) for pole in (0.0, 0.4)]
     designs += [(f"with disturbance, poles at {pole:g}", observer(delay, pole, True)) for pole in (0.0, 0.4)]
     for name, design in designs:
-        row = best(delay, design)
-        rows.append({"delay": delay, "design": name, **row})
-        figures = "".join(f"{row[key]:>9.0f}" for key in ("nominal", "wrong_by_20_percent", "under_hands", "all"))
-        gains = f"{row['stiffness']:.0f} N/m, {row['damping']:.0f} N s/m"
+        found = {case: best(case, delay, design) for case in CASES}
+        rows.append({"delay": delay, "design": name, **found})
+        figures = "".join(f"{found[case][0]:>9.0f}" for case in CASES)
+        gains = f"{found['all'][1]:.0f} N/m, {found['all'][2]:.0f} N s/m"
         print(f"  {f'{delay * 1e3:g} ms, {name}':<38}{figures}   {gains}")
 
 print()
@@ -122,9 +135,9 @@ for delay, stiffness in itertools.product((0.0, 0.0015, 0.005), (1000.0, 4000.0)
         "predicted": [PredictiveWall(axes="z", stiffness=stiffness, period=PERIOD, delay=delay)],
         "passivity control": [plain, control],
     }
-    found = {name: returned(laws, delay) for name, laws in walls.items()}
-    bounces.append({"delay": delay, "stiffness": stiffness, **{name: part.tolist() for name, part in found.items()}})
-    spans = [f"{part.min():.2f} to {part.max():.2f}" for part in found.values()]
+    shares = {name: returned(laws, delay) for name, laws in walls.items()}
+    bounces.append({"delay": delay, "stiffness": stiffness, **{name: part.tolist() for name, part in shares.items()}})
+    spans = [f"{part.min():.2f} to {part.max():.2f}" for part in shares.values()]
     print(f"  {f'{delay * 1e3:g} ms, {stiffness:g} N/m':<24}{spans[0]:>14}{spans[1]:>14}{spans[2]:>20}")
 
 print()

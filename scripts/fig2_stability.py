@@ -1,6 +1,6 @@
 """Figure 2: level sets of the largest root modulus over (c_p, c_v), with one sample of delay and with the device's."""
 
-import sys
+import argparse
 from pathlib import Path
 
 import numpy as np
@@ -8,8 +8,12 @@ import numpy as np
 from maglev_mj import charts
 from maglev_mj.stability import largest_modulus, stiffest_wall
 
-folder = Path(sys.argv[1] if len(sys.argv) > 1 else "figures")
+parser = argparse.ArgumentParser(description=__doc__)
+parser.add_argument("folder", nargs="?", default="figures", type=Path, help="where files go")
+options = parser.parse_args()
+folder = options.folder
 folder.mkdir(parents=True, exist_ok=True)
+
 
 PERIOD, MASS = 0.005, 0.7
 cases = []

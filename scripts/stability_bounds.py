@@ -1,7 +1,7 @@
 """Published bounds beside the exact boundary, and what a simulation's time step makes of that boundary."""
 
+import argparse
 import json
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -12,11 +12,15 @@ from maglev_mj.frames import Array
 from maglev_mj.hand import Hand
 from maglev_mj.stability import largest_stable_stiffness, stiffest_wall
 
-QUICK = "--quick" in sys.argv  # fewer time steps
+parser = argparse.ArgumentParser(description=__doc__)
+parser.add_argument("folder", nargs="?", default="figures", type=Path, help="where files go")
+parser.add_argument("--quick", action="store_true", help="fewer time steps")
+options = parser.parse_args()
+folder = options.folder
+folder.mkdir(parents=True, exist_ok=True)
+
 PERIOD = 0.005
 OWN = 20.0  # damping of the device or the hand, in one of the panels [N s/m]
-folder = Path(next((word for word in sys.argv[1:] if not word.startswith("--")), "figures"))
-folder.mkdir(parents=True, exist_ok=True)
 
 panels, rows = [], []
 print("times the exact boundary, at 200 Hz and 0.7 kg (above 1: optimistic, below: conservative)")
@@ -44,7 +48,9 @@ for delay, own in ((0.0, 0.0), (0.0015, 0.0), (0.005, 0.0), (0.0, OWN)):
             f"{at['Minsky et al.'] / base:>8.2f}{passive}"
         )
 
-steps = np.array([1e-5, 1e-4, 5e-4, 1e-3, 5e-3] if QUICK else [1e-5, 2e-5, 5e-5, 1e-4, 2e-4, 5e-4, 1e-3, 2.5e-3, 5e-3])
+steps = np.array(
+    [1e-5, 1e-4, 5e-4, 1e-3, 5e-3] if options.quick else [1e-5, 2e-5, 5e-5, 1e-4, 2e-4, 5e-4, 1e-3, 2.5e-3, 5e-3]
+)
 shifts: list[dict[str, object]] = []
 
 

@@ -1,8 +1,8 @@
 """Where walls fail, and what cures it: eight panels, each over phases, seeds or a sweep."""
 
+import argparse
 import itertools
 import json
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +16,15 @@ from maglev_mj.hand import Hand
 from maglev_mj.laws import ObserverWall
 from maglev_mj.stability import largest_modulus, stiffest_wall
 
-QUICK = "--quick" in sys.argv  # fewer points
-folder = Path(next((word for word in sys.argv[1:] if not word.startswith("--")), "figures"))
+parser = argparse.ArgumentParser(description=__doc__)
+parser.add_argument("folder", nargs="?", default="figures", type=Path, help="where files go")
+parser.add_argument("--quick", action="store_true", help="fewer points")
+options = parser.parse_args()
+folder = options.folder
 folder.mkdir(parents=True, exist_ok=True)
+
 T, DELAY, MASS = 0.005, 0.0015, 0.7
-COUNT = 4 if QUICK else 10
+COUNT = 4 if options.quick else 10
 
 
 def panel(title: str, x: str, y: str, curves: list[tuple[str, Any, Any]], **options: Any) -> charts.Panel:
@@ -66,7 +70,7 @@ def chatter() -> charts.Panel:
     """Press lightly at the edge of the paper's wall, over a 5 µm sensor with noise: how often the pulse fires."""
     presses = np.geomspace(0.003, 1.0, COUNT)
     curves = []
-    for noise, gate in ((0.0, 0.0), (2e-6, 0.0), (5e-6, 0.0), (2e-6, 0.005), (5e-6, 0.01)):
+    for noise, gate in ((0.0, 0.0), (2e-6, 0.0), (5e-6, 0.0), (2e-6, 0.007), (5e-6, 0.01)):
         fired = [float(press_at_edge(float(press), gate, noise=noise, phases=20).pulses[0]) for press in presses]
         name = f"noise {noise * 1e6:g} µm, " + (f"gate {gate * 1e3:g} mm/s" if gate else "no gate")
         curves.append((name, presses, np.array(fired)))

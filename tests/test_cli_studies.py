@@ -80,11 +80,29 @@ def test_sweep_covers_the_grid(tmp_path: Path, capsys: pytest.CaptureFixture[str
         (["stability", "--workers", "-1", "--plant", "exact"], "workers must be at least 0, not -1"),
         (["sweep", "moon"], "scene must be one of drop, stick-slip, wall, not 'moon'"),
         (["sweep", "drop", "--vary", "colour=1"], "parameter of drop must be one of plant, height"),
-        (["sweep", "drop", "--vary", "height=1:2"], "height must vary as LOW:HIGH:COUNT or A,B,C, not '1:2'"),
+        (["sweep", "drop", "--vary", "height=1:2"], "height must vary as LOW:HIGH:COUNT, A,B,C or A;B;C, not '1:2'"),
         (["sweep", "drop", "--vary", "height"], "a parameter must be given as NAME=VALUE, not 'height'"),
         (["sweep", "drop", "--set", "mass=0"], "mass must be a finite number at least 0.001"),
         (["sweep", "drop", "--set", "mass=1", "--vary", "mass=1,2"], "mass must be either set or varied, not both"),
         (["sweep", "drop", "--vary", "height=0:1:2000", "--vary", "phase=0:1:2000"], "at most 1000000 cells"),
+        (["sweep", "drop", "--vary", "height=0:1:100000000000"], "height must vary as LOW:HIGH:COUNT"),
+        (["sweep", "drop", "--vary", "height=0:inf:3"], "height must vary as LOW:HIGH:COUNT"),
+        (["sweep", "drop", "--set", "mass=1", "--set", "mass=2"], "mass must be given once, not as 1 and 2"),
+        (["sweep", "drop", "--set", "mass=true"], "mass must be a finite number, not 'true'"),
+        (["sweep", "drop", "--set", "carry=2"], "carry must be true or false, not '2'"),
+        (["sweep", "wall", "--set", "hand=5"], "hand must be one of none, arm"),
+        (["sweep", "stick-slip", "--set", "axis=1"], "axis must be one of x, y, z, rx, ry, rz, not '1'"),
+        (["stability", "--hand", "1e-300,0,0,0,1e10"], "hand grip_stiffness must be at most 1e+07"),
+        (["stability", "--hand", "0,0,1e300"], "hand stiffness must be at most 1e+07"),
+        (["stability", "--hand", "0.2,0,0,1,0"], "grip_stiffness above 0 in a soft grip"),
+        (
+            ["stability", "--json", "missing/map.json"],
+            "json must be a file in a folder that is there, not 'missing/map.json'",
+        ),
+        (["stability", "--record", "."], "record must be a file in a folder that is there, not '.'"),
+        (["stability", "--record", "a", "--json", "./a"], "json and record must be two files, not 'a' for both"),
+        (["sweep", "wall", "--json", "wall-sweep.jsonl"], "json and record must be two files"),
+        (["sweep", "wall", "--scheduler", "moon"], "scheduler must be the address of a Dask scheduler, not 'moon'"),
         (["sweep", "wall", "--workers", "2", "--scheduler", "tcp://x:1"], "workers must be left to the scheduler"),
     ],
 )
@@ -96,3 +114,21 @@ def test_bad_studies_are_one_line_and_status_2(
     said = capsys.readouterr()
     assert said.out == "" and len(said.err.splitlines()) == 1 and words in said.err
     assert not list(tmp_path.iterdir())
+
+
+def test_hands_can_be_varied_by_their_numbers(tmp_path: Path, monkeypatch: Any) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["sweep", "wall", "--vary", "hand=0.2,18,271;none", "--workers", "0", "--json", "all.json"]) == 0
+    cells = json.loads((tmp_path / "all.json").read_text())["cells"]
+    assert [cell["cell"]["hand"] for cell in cells] == ["0.2,18,271", "none"]
+    assert cells[0]["result"]["stiffest_wall"] > cells[1]["result"]["stiffest_wall"]
+
+
+def test_a_map_that_begins_at_no_stiffness_agrees_with_itself(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["stability", "--stiffness", "0:10000", "--damping", "0:200", "--grid", "21", "--plant", "exact"]) == 0
+    assert "0 verdicts differ" in capsys.readouterr().out
+
+
+def test_a_map_without_a_stable_wall_is_still_a_map(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["stability", "--hand", "0,0,5e4", "--grid", "3"]) == 0
+    assert "no wall is stable" in capsys.readouterr().out

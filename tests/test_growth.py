@@ -33,6 +33,19 @@ def test_every_cell_of_the_map_settles_or_grows_as_theory_has_it(plant: str, gri
     assert 0.3 < share < 0.7 and result.near.mean() < 0.05  # a map of both kinds, with little left out
 
 
+@pytest.mark.parametrize("period", [1e-4, 1e-3, 0.1])
+def test_the_verdict_does_not_depend_on_the_rate(period: float) -> None:
+    """At 10 kHz the flotor sinks in by 0.3 µm, at 10 Hz by 0.1 m: the map is the same."""
+    result = run_stability(StabilityParameters(plant="exact", grid=16, period=period, delay=0.3 * period))
+    assert result.misjudged is not None and not result.misjudged.any()
+
+
+def test_the_rate_of_walls_that_grow_fast_is_above_one() -> None:
+    growth = measure_growth([6000.0, 3e5], [80.0, 80.0], RestingWall())
+    assert growth.stable.tolist() == [True, False]
+    assert growth.rate[1] > 1.5
+
+
 def test_growth_is_the_modulus() -> None:
     """Over a random sample, away from pairs of modes that beat."""
     random = np.random.default_rng(4)

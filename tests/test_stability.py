@@ -18,6 +18,7 @@ from maglev_mj.spec import Spec
 from maglev_mj.stability import (
     characteristic_polynomial,
     critical_delay,
+    is_stable,
     largest_modulus,
     largest_stable_stiffness,
     least_dynamic_stiffness,
@@ -98,8 +99,31 @@ def test_gains_and_loop_broadcast() -> None:
         one = Hand(mass=np.asarray(hand.mass)[column], damping=5.0)
         alone = largest_modulus(3000.0, 40.0, period=T, delay=delays[row, 0], hand=one)
         assert together[row, column] == pytest.approx(float(alone), rel=1e-12)
+    # as arrays of two dimensions, where a transposed axis would show
+    pairs = np.array([[0.0, 0.006, 0.002], [0.001, 0.0015, 0.012]])
+    for function in (largest_modulus, least_dynamic_stiffness):
+        whole = function(1500.0, 40.0, period=T, delay=pairs)
+        single = [[float(function(1500.0, 40.0, period=T, delay=delay)) for delay in row] for row in pairs]
+        np.testing.assert_allclose(whole, single, rtol=1e-9)
+    ahead = largest_modulus(3000.0, 40.0, period=T, delay=0.0, prediction=[0.0, 0.001])
+    assert ahead.shape == (2,) and ahead[0] != ahead[1]
     best = stiffest_wall(period=T, delay=delays[:, 0])
     assert best.stiffness.shape == (4,) and (np.diff(best.stiffness) < 0.0).all()
+
+
+def test_without_stiffness_no_wall_is_stable() -> None:
+    assert not is_stable(largest_modulus(0.0, np.linspace(0.0, 150.0, 61), period=T, delay=0.0015)).any()
+    assert least_dynamic_stiffness([0.0, 1000.0], 40.0, period=T, delay=0.0015)[0] == 0.0
+
+
+def test_the_search_goes_as_far_as_a_heavy_hand_takes_it() -> None:
+    for hand in (Hand(mass=50.0, grip_stiffness=1e6), Hand(mass=5.0, grip_stiffness=3e6)):
+        best = stiffest_wall(period=T, delay=0.0015, hand=hand)
+        around = largest_stable_stiffness(
+            float(best.damping) * np.linspace(0.9, 1.1, 9), period=T, delay=0.0015, hand=hand
+        )
+        assert (around <= best.stiffness * (1.0 + 1e-6)).all()
+    assert largest_stable_stiffness(0.001, period=T, delay=0.0015) == pytest.approx(0.001 / 0.004, rel=1e-3)
 
 
 def test_half_sample_prediction_is_a_shift_of_the_damping() -> None:
@@ -192,6 +216,7 @@ def test_bad_loops_are_refused_with_the_value() -> None:
         ({"mass": -0.7}, "mass must be finite and at least 0 everywhere, not -0.7"),
         ({"velocity": AdaptiveWindow()}, "velocity must be linear"),
         ({"driver_lag": -1.0}, "driver_lag must be"),
+        ({"delay": [0.0, 0.001], "period": [T] * 3}, "period and delay must fit one shape"),
     ]
     for loop, words in cases:
         with pytest.raises(ParameterError, match=words):

@@ -75,7 +75,7 @@ def test_a_file_that_is_no_record_is_refused_and_left_alone(tmp_path: Path) -> N
     path = tmp_path / "notes.txt"
     for text, words in (
         ("dear diary\nnothing\n", "record must hold one cell a line, not 'dear diary'"),
-        ("x", "end with"),
+        ("x", "one cell a line, not 'x'"),
     ):
         path.write_text(text)
         with pytest.raises(ParameterError, match=words):
@@ -120,6 +120,32 @@ def test_a_run_that_diverges_is_a_result(tmp_path: Path) -> None:
     unstable = cell_of("drop", {"plant": "exact", "stiffness": 50000.0, "damping": 0.0, "duration": 2.0})
     (result,) = run_cells(run_scene_cells, [unstable])
     assert "diverged" in result["error"]
+
+
+def fails_at_two(cells: list[Cell]) -> list[Any]:
+    if cells[0]["x"] == 2:
+        raise RuntimeError("a bug")
+    time.sleep(0.2)
+    return squares(cells)
+
+
+def test_what_is_in_hand_lands_where_another_job_fails(tmp_path: Path) -> None:
+    path = tmp_path / "record.jsonl"
+    cells: list[Cell] = [{"x": x} for x in range(4)]
+    with pytest.raises(RuntimeError, match="a bug"):
+        run_cells(fails_at_two, cells, record=Record(path), workers=local_workers(2))
+    assert all(cell in Record(path) for cell in cells[:2])
+
+
+def test_two_programs_with_one_record_lose_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "record.jsonl"
+    path.write_text('{"cell": {"x": 0}, "result"')  # a third one died
+    one, other = Record(path), Record(path)
+    for number in range(1, 6):
+        one.add([({"x": number}, {"square": number**2})])
+        other.add([({"x": -number}, {"square": number**2})])
+    kept = Record(path)
+    assert all({"x": number} in kept for number in range(-5, 6) if number)
 
 
 def test_an_interrupt_keeps_what_has_landed(tmp_path: Path) -> None:

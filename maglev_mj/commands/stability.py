@@ -11,7 +11,7 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.experiments.choices import HANDS, PLANTS
 from maglev_mj.experiments.stability_map import StabilityParameters, run_stability
 from maglev_mj.options import add_options, add_workers, chosen_workers, count
-from maglev_mj.output import keep_landed, write_json
+from maglev_mj.output import check_outputs, keep_landed, write_json
 from maglev_mj.progress import Progress
 from maglev_mj.study import Record, StudyInterrupted
 from maglev_mj.tables import stability_table
@@ -57,6 +57,7 @@ def _stability(options: argparse.Namespace) -> int:
         for name in ("damping", "stiffness"):
             if (limits := getattr(parameters, name)) is not None and limits[0] == limits[1]:
                 raise ParameterError(f"{name} must be a range for a picture, not {limits[0]:g} alone")
+    check_outputs(json=options.json, record=options.record, out=options.out)
     workers = chosen_workers(options, default=0)
     progress = Progress("stability")
     try:

@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 
 from maglev_mj.errors import ParameterError
-from maglev_mj.experiments.scenes import SCENES, cell_of, run_scene_cells
+from maglev_mj.experiments.scenes import SCENES, cell_of, run_scene_cells, value_of
 from maglev_mj.options import add_workers, chosen_workers
-from maglev_mj.output import keep_landed, write_json
+from maglev_mj.output import check_outputs, keep_landed, write_json
+from maglev_mj.parameters import number
 from maglev_mj.progress import Progress
 from maglev_mj.study import Cell, Record, StudyInterrupted, run_cells
 from maglev_mj.tables import sweep_table
@@ -31,7 +32,7 @@ def add_command(commands: Any) -> None:
         action="append",
         default=[],
         metavar="NAME=VALUES",
-        help="a parameter and its values: LOW:HIGH:COUNT evenly spread, or A,B,C; repeat for a grid",
+        help="its values: LOW:HIGH:COUNT evenly spread, A,B,C, or A;B;C where values have commas; repeat for a grid",
     )
     parser.add_argument(
         "--set", action="append", default=[], metavar="NAME=VALUE", help="a parameter that is not its default"
@@ -46,16 +47,18 @@ def add_command(commands: Any) -> None:
 
 
 def _sweep(options: argparse.Namespace) -> int:
-    fixed = dict(_assignment(word) for word in options.set)
-    varied = {name: _values(name, text) for name, text in map(_assignment, options.vary)}
+    scene = options.scene
+    fixed = {name: value_of(scene, name, text) for name, text in _assignments(options.set).items()}
+    varied = {name: _values(scene, name, text) for name, text in _assignments(options.vary).items()}
     if both := sorted(set(fixed) & set(varied)):
         raise ParameterError(f"{both[0]} must be either set or varied, not both")
-    cells = _cells(options.scene, {name: _value(text) for name, text in fixed.items()}, varied)
-    path = options.record or Path(f"{options.scene}-sweep.jsonl")
+    cells = _cells(scene, fixed, varied)
+    path = options.record or Path(f"{scene}-sweep.jsonl")
+    check_outputs(json=options.json, record=path)
     record = Record(path)
     known = sum(cell in record for cell in cells)
     workers = chosen_workers(options, default=None)
-    progress = Progress(f"sweep {options.scene}")
+    progress = Progress(f"sweep {scene}")
     # enough jobs for every worker to get several, few enough that handing them out costs nothing
     together = max(min((len(cells) - known) // (8 * workers.window), 50), 1)
     try:
@@ -69,9 +72,9 @@ def _sweep(options: argparse.Namespace) -> int:
     progress.close()
     if options.json is not None:
         rows = [{"cell": cell, "result": result} for cell, result in zip(cells, results, strict=True)]
-        write_json(options.json, {"scene": options.scene, "varied": varied, "cells": rows})
+        write_json(options.json, {"scene": scene, "varied": varied, "cells": rows})
     if options.json != "-":
-        print(sweep_table(options.scene, varied, results, known, str(path)))
+        print(sweep_table(scene, varied, results, known, str(path)))
     return 0
 
 
@@ -85,30 +88,30 @@ def _cells(scene: str, fixed: dict[str, Any], varied: dict[str, list[Any]]) -> l
     ]
 
 
-def _assignment(word: str) -> tuple[str, str]:
-    name, equals, text = word.partition("=")
-    if not (name and equals and text):
-        raise ParameterError(f"a parameter must be given as NAME=VALUE, not {word!r}")
-    return name.replace("-", "_"), text
+def _assignments(words: list[str]) -> dict[str, str]:
+    """Return parameters and the text of their values."""
+    result: dict[str, str] = {}
+    for word in words:
+        name, equals, text = word.partition("=")
+        name = name.replace("-", "_")
+        if not (name and equals and text):
+            raise ParameterError(f"a parameter must be given as NAME=VALUE, not {word!r}")
+        if name in result:
+            raise ParameterError(f"{name} must be given once, not as {result[name]} and {text}")
+        result[name] = text
+    return result
 
 
-def _values(name: str, text: str) -> list[Any]:
+def _values(scene: str, name: str, text: str) -> list[Any]:
     """Return the values of a parameter that varies."""
     parts = text.split(":")
     if len(parts) == 1:
-        return [_value(part) for part in text.split(",")]
+        return [value_of(scene, name, part) for part in text.split(";" if ";" in text else ",")]
     try:
-        low, high, count = float(parts[0]), float(parts[1]), int(parts[2])
+        low, high, count = number(name, parts[0]), number(name, parts[1]), int(parts[2])
     except (ValueError, IndexError):
         count = 0
-    if len(parts) != 3 or count < 1:
-        raise ParameterError(f"{name} must vary as LOW:HIGH:COUNT or A,B,C, not {text!r}")
+    if len(parts) != 3 or not 1 <= count <= _MOST_CELLS:
+        raise ParameterError(f"{name} must vary as LOW:HIGH:COUNT, A,B,C or A;B;C, not {text!r}")
+    value_of(scene, name, parts[0])  # is there such a parameter, and is it a number?
     return [float(value) for value in np.linspace(low, high, count)]
-
-
-def _value(text: str) -> Any:
-    """Return a number, a truth value, or the word itself."""
-    try:
-        return float(text)
-    except ValueError:
-        return {"true": True, "false": False}.get(text.lower(), text)

@@ -20,7 +20,7 @@ from maglev_mj.sampled import MOST_PERIODS, LoopKeywords
 from maglev_mj.spec import Spec
 from maglev_mj.study import Cell
 
-__all__ = ["SCENES", "Scene", "WallParameters", "cell_of", "run_scene_cells"]
+__all__ = ["SCENES", "Scene", "WallParameters", "cell_of", "run_scene_cells", "value_of"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,16 +108,37 @@ def cell_of(scene: str, values: Mapping[str, Any]) -> Cell:
     """Return the cell of a scene: every parameter, checked, with what makes the result repeatable.
 
     Raises:
-        ParameterError: If there is no such scene or parameter, or a value is outside its bounds.
+        ParameterError: If there is no such scene, or a value is outside its bounds.
     """
-    if scene not in SCENES:
-        raise ParameterError(f"scene must be one of {', '.join(SCENES)}, not {scene!r}")
-    made = SCENES[scene].parameters
-    names = [item.name for item in fields(made)]
-    for name in values:
-        if name not in names:
-            raise ParameterError(f"parameter of {scene} must be one of {', '.join(names)}, not {name!r}")
+    made = _scene(scene).parameters
     return {"scene": scene, "version": maglev_mj.__version__, **asdict(made(**values))}
+
+
+def value_of(scene: str, name: str, text: str) -> Any:
+    """Return what a word stands for as the value of a parameter: a number, a truth value, or a name.
+
+    Raises:
+        ParameterError: If there is no such scene or parameter, or the word is not of its kind.
+    """
+    kinds = {item.name: str(item.type) for item in fields(_scene(scene).parameters)}
+    if name not in kinds:
+        raise ParameterError(f"parameter of {scene} must be one of {', '.join(kinds)}, not {name!r}")
+    kind = kinds[name]
+    if kind == "str":
+        return text
+    if kind == "bool":
+        if text.lower() not in ("true", "false"):
+            raise ParameterError(f"{name} must be true or false, not {text!r}")
+        return text.lower() == "true"
+    if "None" in kind and text.lower() == "none":
+        return None
+    return number(name, text)
+
+
+def _scene(name: str) -> Scene:
+    if name not in SCENES:
+        raise ParameterError(f"scene must be one of {', '.join(SCENES)}, not {name!r}")
+    return SCENES[name]
 
 
 def run_scene_cells(cells: list[Cell]) -> list[dict[str, Any]]:

@@ -145,8 +145,9 @@ def run_stability(
     """
     p, loop = parameters, parameters.loop
     best = theory.stiffest_wall(**loop)
-    damping = _axis(p.damping, p.grid, 2.2 * float(best.damping))
-    stiffness = _axis(p.stiffness, p.grid, 1.25 * float(best.stiffness))
+    some = float(best.stiffness) > 0.0  # without a stable wall there is nothing to frame
+    damping = _axis(p.damping, p.grid, 2.2 * float(best.damping) if some else p.mass / p.period)
+    stiffness = _axis(p.stiffness, p.grid, 1.25 * float(best.stiffness) if some else p.mass / p.period**2)
     k, b = stiffness[:, None], damping[None, :]
     modulus = theory.largest_modulus(k, b, **loop)
     stable, near = theory.is_stable(modulus), np.zeros(modulus.shape, dtype=bool)
