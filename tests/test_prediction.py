@@ -123,6 +123,11 @@ def test_the_observer_wall_is_several_times_stiffer_with_errors_of_20_percent_to
             if mass == delay == 1.0:
                 best[name, "nominal"] = float(found.max())
         best[name, "wrong"] = float(worst.max())
+    # what the stability page says of PD: 4900 N/m, 48 % of the boundary's 10 173
+    fine = least_dynamic_stiffness(
+        np.linspace(4500.0, 5400.0, 31)[:, None], np.linspace(70.0, 100.0, 31), period=T, delay=0.0015
+    )
+    assert fine.max() == pytest.approx(4900.0, rel=0.02)
     assert best["observer", "nominal"] > 4.0 * best["pd", "nominal"]
     assert best["observer", "wrong"] > 2.5 * best["pd", "wrong"]
 
