@@ -25,6 +25,7 @@ __all__ = ["StabilityMap", "StabilityParameters", "run_stability", "simulate_wal
 _NEAR = 0.005
 _TOGETHER = 240
 _MOST_CELLS = 1000
+_AROUND = ("plant", "period", "delay", "mass", "hand")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -156,23 +157,7 @@ def run_stability(
         near |= theory.is_stable(theory.largest_modulus(k, share * b, **loop)) != stable
     simulated = None
     if p.plant != "none":
-        common = {
-            "scene": "stability",
-            "version": maglev_mj.__version__,
-            "plant": p.plant,
-            "period": p.period,
-            "delay": p.delay,
-            "mass": p.mass,
-            "hand": p.hand,
-        }
-        # the slow cells, near the boundary, together
-        order = np.argsort(np.abs(np.log(np.maximum(modulus, 1e-9))).ravel())[::-1]
-        places = [np.unravel_index(place, modulus.shape) for place in order]
-        cells: list[Cell] = [
-            {**common, "stiffness": float(stiffness[row]), "damping": float(damping[column])}
-            for row, column in places
-            if stiffness[row] > 0.0
-        ]
+        cells = _cells(p, stiffness, damping, modulus)
         results = run_cells(
             simulate_walls, cells, record=record, workers=workers, together=_TOGETHER, progress=progress
         )
@@ -180,6 +165,24 @@ def run_stability(
         simulated = np.array([[verdict.get((row, column), False) for column in damping] for row in stiffness])
     boundary = theory.largest_stable_stiffness(damping, **loop)
     return StabilityMap(p, damping, stiffness, modulus, boundary, best, simulated, near)
+
+
+def _cells(p: StabilityParameters, stiffness: Array, damping: Array, modulus: Array) -> list[Cell]:
+    """Return the cells to simulate, the slow ones near the boundary together and last."""
+    around = {name: getattr(p, name) for name in _AROUND}
+    order = np.argsort(np.abs(np.log(np.maximum(modulus, 1e-9))).ravel())[::-1]
+    places = [np.unravel_index(place, modulus.shape) for place in order]
+    return [
+        {
+            "scene": "stability",
+            "version": maglev_mj.__version__,
+            **around,
+            "stiffness": float(stiffness[row]),
+            "damping": float(damping[column]),
+        }
+        for row, column in places
+        if stiffness[row] > 0.0
+    ]
 
 
 def simulate_walls(cells: list[Cell]) -> list[dict[str, Any]]:
@@ -200,9 +203,6 @@ def simulate_walls(cells: list[Cell]) -> list[dict[str, Any]]:
         for place, stable, rate, ticks in zip(places, *growth, strict=True):
             results[place] = {"stable": bool(stable), "rate": float(rate), "ticks": int(ticks)}
     return results
-
-
-_AROUND = ("plant", "period", "delay", "mass", "hand")
 
 
 def _stable(result: Any) -> bool:
