@@ -48,9 +48,7 @@ for delay, own in ((0.0, 0.0), (0.0015, 0.0), (0.005, 0.0), (0.0, OWN)):
             f"{at['Minsky et al.'] / base:>8.2f}{passive}"
         )
 
-steps = np.array(
-    [1e-5, 1e-4, 5e-4, 1e-3, 5e-3] if options.quick else [1e-5, 2e-5, 5e-5, 1e-4, 2e-4, 5e-4, 1e-3, 2.5e-3, 5e-3]
-)
+steps = np.array([1e-4, 1e-3] if options.quick else [1e-5, 2e-5, 5e-5, 1e-4, 2e-4, 5e-4, 1e-3, 2.5e-3, 5e-3])
 shifts: list[dict[str, object]] = []
 
 
