@@ -28,13 +28,15 @@ class Progress:
         self._terminal = self._stream.isatty()
         self._every = 0.1 if self._terminal else every
         self._first: int | None = None
+        self._last = 0
         self._shown = False
 
     def __call__(self, done: int, total: int) -> None:
         """Say how far it is, if it is time to."""
         now = time.monotonic()
-        if self._first is None:
-            self._first = done
+        if self._first is None or done < self._last:  # a second part of the work begins
+            self._start, self._first = now, done
+        self._last = done
         if now < self._next and not (self._shown and self._terminal and done >= total):
             return
         self._next, self._shown = now + self._every, True

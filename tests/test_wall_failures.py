@@ -6,6 +6,7 @@ import pytest
 from maglev_mj.bounds import gil
 from maglev_mj.experiments.corner import corner
 from maglev_mj.experiments.failures import press_at_edge, rattle
+from maglev_mj.experiments.growth import RestingWall, measure_growth
 from maglev_mj.hand import Hand
 from maglev_mj.stability import critical_delay, largest_modulus, largest_stable_stiffness
 
@@ -111,3 +112,17 @@ def test_mass_alone_never_undoes_a_stable_wall() -> None:
     stable = largest_modulus(k, b, period=T, delay=0.0015) < 1.0
     for m in mass:
         assert (largest_modulus(k[stable], b[stable], period=T, delay=0.0015, hand=Hand(mass=m)) < 1.0).all()
+
+
+def test_clamps_and_letting_go_are_so_in_simulation_too() -> None:
+    """Both plants settle or grow as the modulus says, held, clamped and let go."""
+    arm = Hand(mass=0.554, damping=6.45, stiffness=135.0)
+    cases = [
+        (6000.0, 80.0, None, True),
+        (6000.0, 80.0, Hand(stiffness=12000.0), False),
+        (9000.0, 130.0, arm, True),
+        (9000.0, 130.0, None, False),
+    ]
+    for plant in ("exact", "mujoco"):
+        for k, b, hand, settles in cases:
+            assert bool(measure_growth([k], [b], RestingWall(plant=plant, hand=hand)).stable[0]) == settles

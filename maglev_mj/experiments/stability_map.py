@@ -24,6 +24,7 @@ __all__ = ["StabilityMap", "StabilityParameters", "run_stability", "simulate_wal
 
 _NEAR = 0.005
 _TOGETHER = 240
+_AT_ONCE = 50_000
 _MOST_CELLS = 1000
 _AROUND = ("plant", "period", "delay", "mass", "hand")
 
@@ -100,7 +101,7 @@ class StabilityMap:
         boundary: Largest stable stiffness at each damping [N/m], (B,).
         maximum: The stiffest wall over all dampings, in the grid or not.
         simulated: Whether the simulated wall settles, (K, B); None for theory alone.
-        near: Where half a percent of a gain changes the theory's verdict, (K, B).
+        near: Where half a percent of a gain changes the theory's verdict, (K, B); nowhere for theory alone.
     """
 
     parameters: StabilityParameters
@@ -150,13 +151,12 @@ def run_stability(
     damping = _axis(p.damping, p.grid, 2.2 * float(best.damping) if some else p.mass / p.period)
     stiffness = _axis(p.stiffness, p.grid, 1.25 * float(best.stiffness) if some else p.mass / p.period**2)
     k, b = stiffness[:, None], damping[None, :]
-    modulus = theory.largest_modulus(k, b, **loop)
-    stable, near = theory.is_stable(modulus), np.zeros(modulus.shape, dtype=bool)
-    for share in (1.0 - _NEAR, 1.0 + _NEAR):
-        near |= theory.is_stable(theory.largest_modulus(share * k, b, **loop)) != stable
-        near |= theory.is_stable(theory.largest_modulus(k, share * b, **loop)) != stable
-    simulated = None
+    modulus = _moduli(stiffness, damping, loop, progress)
+    simulated, near = None, np.zeros(modulus.shape, dtype=bool)
     if p.plant != "none":
+        for share in (1.0 - _NEAR, 1.0 + _NEAR):
+            for moved in (theory.largest_modulus(share * k, b, **loop), theory.largest_modulus(k, share * b, **loop)):
+                near |= theory.is_stable(moved) != theory.is_stable(modulus)
         cells = _cells(p, stiffness, damping, modulus)
         results = run_cells(
             simulate_walls, cells, record=record, workers=workers, together=_TOGETHER, progress=progress
@@ -165,6 +165,17 @@ def run_stability(
         simulated = np.array([[verdict.get((row, column), False) for column in damping] for row in stiffness])
     boundary = theory.largest_stable_stiffness(damping, **loop)
     return StabilityMap(p, damping, stiffness, modulus, boundary, best, simulated, near)
+
+
+def _moduli(stiffness: Array, damping: Array, loop: LoopKeywords, progress: Callable[[int, int], None] | None) -> Array:
+    """Return the largest modulus of each cell, a few rows at a time for the sake of the progress."""
+    rows = max(_AT_ONCE // damping.size, 1)
+    parts = []
+    for start in range(0, stiffness.size, rows):
+        parts.append(theory.largest_modulus(stiffness[start : start + rows, None], damping, **loop))
+        if progress is not None:
+            progress(min(start + rows, stiffness.size) * damping.size, stiffness.size * damping.size)
+    return np.concatenate(parts)
 
 
 def _cells(p: StabilityParameters, stiffness: Array, damping: Array, modulus: Array) -> list[Cell]:
