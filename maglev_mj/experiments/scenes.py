@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, fields
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -62,9 +63,15 @@ class WallParameters:
             object.__setattr__(self, name, number(name, getattr(self, name), **allowed))
 
 
+@lru_cache(maxsize=1024)
+def _stiffest(period: float, delay: float, mass: float, hand: str) -> theory.StiffestWall:
+    """Return what does not depend on the gains, once for all of them."""
+    return theory.stiffest_wall(period=period, delay=delay, mass=mass, hand=hand_called(hand))
+
+
 def _wall(p: WallParameters) -> dict[str, Any]:
     loop: LoopKeywords = {"period": p.period, "delay": p.delay, "mass": p.mass, "hand": hand_called(p.hand)}
-    stiffest = theory.stiffest_wall(**loop)
+    stiffest = _stiffest(p.period, p.delay, p.mass, p.hand)
     figures: dict[str, Any] = {
         "modulus": float(theory.largest_modulus(p.stiffness, p.damping, **loop)),
         "largest_stiffness": float(theory.largest_stable_stiffness(p.damping, **loop)),
