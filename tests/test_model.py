@@ -261,7 +261,7 @@ def variant(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., tu
         with monkeypatch.context() as patch:
             patch.setattr(model, "_folder", lambda: tmp_path)
             if not lean:
-                patch.setattr("maglev_mj.plants.mujoco.load", lambda *a, **k: load(*a, **k, lean=False))
+                patch.setattr("maglev_mj.plants.engine.load", lambda *a, **k: load(*a, **k, lean=False))
             return drop_bits()
 
     return run_changed

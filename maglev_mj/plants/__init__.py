@@ -3,8 +3,9 @@
 from maglev_mj.plants.base import PlantKeywords, SampledPlant
 from maglev_mj.plants.batch import MuJoCoBatchPlant
 from maglev_mj.plants.contract import Plant, Timing
+from maglev_mj.plants.engine import INTEGRATORS, engine_warnings_silenced
 from maglev_mj.plants.exact import ExactPlant
-from maglev_mj.plants.mujoco import INTEGRATORS, MuJoCoPlant, engine_warnings_silenced
+from maglev_mj.plants.mujoco import MuJoCoPlant
 from maglev_mj.plants.sensor import Sensor
 from maglev_mj.plants.steps import one_step
 

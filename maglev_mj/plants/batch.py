@@ -17,7 +17,7 @@ from maglev_mj.model import COILS
 from maglev_mj.parameters import number, numbers
 from maglev_mj.plants.base import PlantKeywords, SampledPlant
 from maglev_mj.plants.contract import Timing
-from maglev_mj.plants.mujoco import UPRIGHT, longest_step, prepared, start_state
+from maglev_mj.plants.engine import UPRIGHT, longest_step, prepared, start_state
 from maglev_mj.spec import GRAVITY
 
 __all__ = ["MuJoCoBatchPlant"]

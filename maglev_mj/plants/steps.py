@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from maglev_mj.frames import Array
-from maglev_mj.plants.mujoco import prepared
+from maglev_mj.plants.engine import prepared
 
 __all__ = ["one_step"]
 
