@@ -35,7 +35,8 @@ class Controller:
         if len(widths) > 1:
             raise ParameterError(f"laws must share one pulse_width, not {sorted(widths)}")
         self._pulse_width = widths.pop() if widths else 0.0
-        self._velocity = velocity or FiniteDifference()
+        self._estimate = (velocity or FiniteDifference()).__call__
+        self._calls = tuple(enumerate(law.__call__ for law in self._laws))
         self.reset()
 
     def reset(self) -> None:
@@ -57,11 +58,11 @@ class Controller:
         position = sample.position
         if self._velocity_state is None:
             self._check(position)
-        velocity, self._velocity_state = self._velocity(position, self._velocity_state, self.period)
-        wrench: list[Component] = [0.0] * 6
+        velocity, self._velocity_state = self._estimate(position, self._velocity_state, self.period)
+        wrench: list[Component] = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
         pulse: Sequence[Component] | None = None
         states = self._states
-        for place, law in enumerate(self._laws):
+        for place, law in self._calls:
             states[place], extra = law(position, velocity, states[place], wrench)
             if extra is not None:
                 pulse = extra if pulse is None else [one + other for one, other in zip(pulse, extra)]
@@ -72,5 +73,5 @@ class Controller:
             raise ParameterError(f"a sample must have {len(AXES)} position components, not {len(position)}")
         batch = np.shape(position[0])
         for law in self._laws:
-            if law.batch not in ((), batch):
+            if law.batch and law.batch != batch:
                 raise ParameterError(f"samples must have the batch shape {law.batch} of the laws, not {batch}")

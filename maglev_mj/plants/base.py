@@ -80,7 +80,12 @@ class SampledPlant(ABC):
         self._drive = self._prepare(components(self.six("wrench", wrench, at_least=-math.inf, finite=True)))
         self._tail: tuple[Any, float] | None = None
         self._closed = False
-        self._jitters = timing.jitter > 0.0
+        # the timing's numbers at hand, for they are used on every tick
+        self._period, self._rest, self._whole = timing.period, timing.rest, timing.whole
+        self._negligible, self._phase, self._jitters = timing.negligible, timing.phase, timing.jitter > 0.0
+        self._ahead = timing.phase * timing.period if np.any(timing.phase) else None
+        # whether drives are alike where their first parts, six floats, are
+        self._comparable = not batch
 
     @abstractmethod
     def _prepare(self, force: Sequence[Component]) -> Any:
@@ -105,22 +110,20 @@ class SampledPlant(ABC):
             DivergenceError: If the flotor has left its range by a wide margin.
             PlantError: If the plant is closed or the engine warned.
         """
-        timing = self.timing
         if self._closed:
             raise PlantError("the plant is closed")
-        if self._tick >= 0:
+        tick = self._tick
+        if tick >= 0:
             self._offset = 0.0
-            rest = timing.rest_at(self._tick) if self._jitters else timing.rest
-            self._period(timing.period, rest, timing.negligible)
-        elif np.any(timing.phase):  # free fall from release to the first sample, which is tick 0
-            ahead = timing.phase * timing.period
-            self._offset = -ahead
-            self._run(ahead, self._drive)
-        self._tick = tick = self._tick + 1
+            self._carry_on(self.timing.rest_at(tick) if self._jitters else self._rest)
+        elif self._ahead is not None:  # free fall from release to the first sample, which is tick 0
+            self._offset = -self._ahead
+            self._run(self._ahead, self._drive)
+        self._tick = tick = tick + 1
         position = self._position()
         if self._measure is not None:
             position = self._measure(position)
-        return Sample(tick, (tick + timing.phase) * timing.period, position)
+        return Sample(tick, (tick + self._phase) * self._period, position)
 
     def write(self, command: Command) -> Command:
         """Queue the answer to the last sample; return it as applied, after the limits.
@@ -146,7 +149,7 @@ class SampledPlant(ABC):
                 total = [one + other for one, other in zip(command.force, command.extra or ())]
         force = command.force
         held = self._prepare(force)
-        if len(self._queue) > self.timing.whole:  # a second answer to the same sample replaces the first
+        if len(self._queue) > self._whole:  # a second answer to the same sample replaces the first
             self._queue.pop()
         self._queue.append((held, self._prepare(total) if width else held, width))
         return command
@@ -181,22 +184,20 @@ class SampledPlant(ABC):
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _period(self, period: float, rest: float, negligible: float) -> None:
-        """Carry the state over one sample period, from switch to switch."""
-        queue, run = self._queue, self._run
-        if len(queue) == self.timing.whole:  # no answer to the last sample: the command in effect holds
+    def _carry_on(self, rest: float) -> None:
+        """Carry the state over one sample period, from switch to switch; the next command takes effect at `rest`."""
+        queue, run, negligible = self._queue, self._run, self._negligible
+        if len(queue) == self._whole:  # no answer to the last sample: the command in effect holds
             queue.append(None)
-        start = 0.0
-        if self._tail is not None:
-            pulsed, start = self._tail
-            start = min(start, rest)  # the next command ends what is left of a pulse
-            self._tail = None
-            if start > negligible:
-                run(start, pulsed)
-        if rest - start > negligible:
-            run(rest - start, self._drive)
-        left = period - rest
         entry = queue.popleft()
+        if self._tail is not None:
+            self._after_pulse(rest)
+        elif entry is None or (self._comparable and entry[2] == 0.0 and entry[0][0] == self._drive[0]):
+            run(self._period, self._drive)  # no switch, so no step for one
+            return
+        elif rest > negligible:
+            run(rest, self._drive)
+        left = self._period - rest
         if entry is not None:
             self._drive, pulsed, width = entry
             if width > 0.0:
@@ -207,6 +208,17 @@ class SampledPlant(ABC):
                     self._tail = pulsed, width - inside
         if left > negligible:
             run(left, self._drive)
+
+    def _after_pulse(self, rest: float) -> None:
+        """Carry the state up to the next command where a pulse of the one before is still on; that command ends it."""
+        assert self._tail is not None
+        pulsed, width = self._tail
+        self._tail = None
+        width = min(width, rest)
+        if width > self._negligible:
+            self._run(width, pulsed)
+        if rest - width > self._negligible:
+            self._run(rest - width, self._drive)
 
     def _run_in_pieces(self, duration: Component, drive: Any) -> None:
         """Advance over one stretch, recorded, and in pieces where a longest step is set."""

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import struct
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, TypeAlias, Unpack
 
@@ -26,6 +27,9 @@ __all__ = ["MuJoCoPlant"]
 
 Drive: TypeAlias = tuple[Sequence[float], Any]
 """A wrench, and the map from it to the currents; None for a wrench applied to the flotor itself."""
+
+
+_ENGINE_BOUND = 1e10
 
 
 class MuJoCoPlant(SampledPlant):
@@ -91,6 +95,7 @@ class MuJoCoPlant(SampledPlant):
         self._qpos = self._data.qpos[self.device.position_address :][:7]
         self._qvel = self._data.qvel[self.device.velocity_address :][:6]
         self._data.qpos[:], self._data.qvel[:] = start_state(self.device, start, motion, hand)
+        self._read_pose: Callable[[], Sequence[float]] = self._qpos.tolist
         self._rotation = np.zeros(9)
         # live views: reaching for them through the data object costs as much as using them
         self._currents = self._data.ctrl[: len(COILS)]
@@ -101,15 +106,17 @@ class MuJoCoPlant(SampledPlant):
         # None without coils; the map of the upright flotor until it is seen to turn
         self._inverse_map: Any = None if self._coils is None else self._coils.current_per_wrench
         self._turned = False
+        self._upright = math.inf if self._coils is None else UPRIGHT * UPRIGHT
         self._applied: Drive | None = None
         self._warnings = self._data.warning.number
-        self._no_warnings = self._warnings.tobytes()
         if keywords.get("longest_step") is None:
             keywords["longest_step"] = longest_step(self.device, driver_lag, hand)
         super().__init__(timing, batch=(), **keywords)
         if driver_lag:
             self._data.act[:] = self._inverse_map @ np.array(self._drive[0])
         self._limits = self._limits or self.current_limit is not None
+        # the engine warns of what is not finite or beyond 1e10, which is an escape too unless that is wider still
+        self._watched = max(self._escape) > _ENGINE_BOUND
 
     def _limited(self, command: Command) -> Command:
         command = super()._limited(command)
@@ -141,31 +148,44 @@ class MuJoCoPlant(SampledPlant):
         self._step()
 
     def _position(self) -> list[float]:
-        if self._warnings.tobytes() != self._no_warnings:
-            raise PlantError(f"MuJoCo warns at {self.timing.time(self._tick):.4g} s: {self._warning_names()}")
-        x, y, z, q0, q1, q2, q3 = self._qpos.tolist()
+        if self._watched:
+            self._check_warnings()
+        x, y, z, q0, q1, q2, q3 = self._read_pose()
         rx, ry, rz = rotation_vector(q0, q1, q2, q3)
+        turned = rx * rx + ry * ry + rz * rz
+        far, far_turned = self._escape
         position = [x, y, z, rx, ry, rz]
-        turned = self._check_escape(position) > UPRIGHT * UPRIGHT
-        if (turned or self._turned) and self._coils is not None:
-            self._turned = turned
-            if turned:
-                mujoco.mju_quat2Mat(self._rotation, self._qpos[3:])
-                self._inverse_map = self._coils.inverse_at(self._rotation)
-            else:
-                self._inverse_map = self._coils.current_per_wrench
+        if not (x * x + y * y + z * z < far and turned < far_turned):
+            self._check_warnings()
+            self._check_escape(position)
+        if turned > self._upright or self._turned:
+            self._follow_turn(turned > self._upright)
         return position
 
-    def _warning_names(self) -> str:
+    def _follow_turn(self, turned: bool) -> None:
+        """Renew the coils' map for a flotor that is turned, or is upright again."""
+        assert self._coils is not None
+        self._turned = turned
+        self._comparable = not turned  # the map differs from sample to sample
+        if turned:
+            mujoco.mju_quat2Mat(self._rotation, self._qpos[3:])
+            self._inverse_map = self._coils.inverse_at(self._rotation)
+        else:
+            self._inverse_map = self._coils.current_per_wrench
+
+    def _check_warnings(self) -> None:
+        """Raise what the engine warned of."""
         counts = self._warnings.tolist()
-        return ", ".join(mujoco.mjtWarning(kind).name for kind, count in enumerate(counts) if count)
+        if any(counts):
+            names = ", ".join(mujoco.mjtWarning(kind).name for kind, count in enumerate(counts) if count)
+            raise PlantError(f"MuJoCo warns at {self.timing.time(self._tick):.4g} s: {names}")
 
     def _state(self, drive: Drive) -> tuple[Array, Array, Array]:
-        x, y, z, *turn = self._qpos.tolist()
+        x, y, z, q0, q1, q2, q3 = self._read_pose()
         force, inverse_map = drive
         wrench = np.array(force)
         if self._model.na:  # the drivers lag: their currents, not the commanded ones
             wrench = np.linalg.solve(inverse_map, self._data.act)
         mujoco.mju_quat2Mat(self._rotation, self._qpos[3:])
         twist = np.concatenate([self._qvel[:3], self._rotation.reshape(3, 3) @ self._qvel[3:]])
-        return np.array([x, y, z, *rotation_vector(*turn)]), twist, wrench
+        return np.array([x, y, z, *rotation_vector(q0, q1, q2, q3)]), twist, wrench
