@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from maglev_mj.frames import Command, Sample
 
-__all__ = ["DivergenceError", "MaglevError", "ModelError", "ParameterError", "PlantError"]
+__all__ = ["DivergenceError", "MaglevError", "ModelError", "ParameterError", "PlantError", "SensingError"]
 
 
 class MaglevError(Exception):
@@ -30,6 +30,10 @@ class ModelError(MaglevError):
 
 class PlantError(MaglevError):
     """A plant cannot go on: it is closed, got a command that is not finite, or its engine warned."""
+
+
+class SensingError(MaglevError):
+    """No pose was found for what the sensors say."""
 
 
 class DivergenceError(PlantError):

@@ -14,7 +14,20 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["AXES", "Array", "Command", "Component", "Sample", "components", "join", "quaternion", "rotation_vector"]
+__all__ = [
+    "AXES",
+    "Array",
+    "Command",
+    "Component",
+    "Mask",
+    "Sample",
+    "components",
+    "join",
+    "quaternion",
+    "quaternions",
+    "rotation_matrix",
+    "rotation_vector",
+]
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 
@@ -110,3 +123,21 @@ def quaternion(vector: Sequence[float] | Array) -> tuple[float, float, float, fl
     angle = math.sqrt(x * x + y * y + z * z)
     scale = 0.5 if angle < 1e-12 else math.sin(0.5 * angle) / angle
     return math.cos(0.5 * angle), scale * x, scale * y, scale * z
+
+
+def quaternions(vectors: Array) -> tuple[Array, Array, Array, Array]:
+    """Convert rotation vectors [rad], (..., 3), into unit quaternions (w, x, y, z), (...) each."""
+    half = 0.5 * np.linalg.norm(vectors, axis=-1)
+    scale = 0.5 * np.sinc(half / np.pi)  # sin(half) / (2 half), 1/2 at zero
+    return np.cos(half), scale * vectors[..., 0], scale * vectors[..., 1], scale * vectors[..., 2]
+
+
+def rotation_matrix(vectors: Array) -> Array:
+    """Convert rotation vectors [rad], (..., 3), into rotation matrices, (..., 3, 3)."""
+    w, x, y, z = quaternions(vectors)
+    rows = (
+        (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)),
+        (2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)),
+        (2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)),
+    )
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import mujoco
@@ -15,8 +16,9 @@ from maglev_mj.errors import ModelError, ParameterError
 from maglev_mj.frames import AXES, Array
 from maglev_mj.hand import Hand
 from maglev_mj.parameters import number
+from maglev_mj.sensing import Beams
 
-__all__ = ["COILS", "Device", "envelope", "load", "model_path", "scenes"]
+__all__ = ["COILS", "Detail", "Device", "beams", "envelope", "load", "model_path", "scenes"]
 
 COILS = tuple(f"{kind}{arm}" for kind in ("vertical", "horizontal") for arm in range(3))
 """Actuator names, in the order of the six currents."""
@@ -82,6 +84,33 @@ class Device:
         return np.diag(mass_matrix)[start : start + 3].copy()
 
 
+@dataclass(frozen=True, kw_only=True)
+class Detail:
+    """What the device has beyond a rigid flotor in free space with ideal coils.
+
+    Args:
+        force_falloff: Share of its force constant that a coil has lost when it is as far from its magnets' centre,
+            along its force, as the device's range goes; the loss goes with the square of the distance. Assumed.
+        stops: The metal stops at the ends of the range.
+        flexible: The handle swings against the flotor along z, at 1 kHz and with a hundredth of critical damping; the
+            frequency is the paper's, the shape and the damping are assumed.
+
+    Raises:
+        ParameterError: If the falloff is not in [0, 1].
+    """
+
+    force_falloff: float = 0.0
+    stops: bool = False
+    flexible: bool = False
+
+    def __post_init__(self) -> None:
+        number("force_falloff", self.force_falloff, at_least=0.0, at_most=1.0)
+
+
+_MODE = 1000.0
+_MODE_DAMPING = 0.01
+
+
 def load(
     name: str,
     *,
@@ -90,6 +119,7 @@ def load(
     coils: bool = True,
     mass: float | None = None,
     hand: Hand | None = None,
+    detail: Detail | None = None,
 ) -> Device:
     """Compile a model and resolve its names.
 
@@ -100,6 +130,7 @@ def load(
         coils: False removes the coils, for an ideal wrench.
         mass: Moving mass in place of the model's [kg], shared out as before; each body's own inertia stays.
         hand: A hand on the flotor; numbers, and translations only.
+        detail: What else the device has.
 
     Raises:
         ModelError: If the file is missing, does not compile, or lacks the flotor, its joints or its coils.
@@ -123,6 +154,8 @@ def load(
                     spec.delete(site)
         if hand is not None:
             _hold(spec, hand)
+        if detail is not None and detail.flexible:
+            _bend(spec)
         model = spec.compile()
         flotor = model.body("flotor").id
         joints = [model.joint(joint) for joint in ("x", "y", "z", "rotation")]
@@ -150,6 +183,15 @@ def load(
         coils=_coil_map(model, flotor) if coils else None,
         driver_time_constant=constant,
     )
+
+
+def _bend(spec: mujoco.MjSpec) -> None:
+    """Let the handle swing against the flotor along z, at the flotor's first mode."""
+    handle, flotor = spec.body("handle"), spec.body("flotor")
+    reduced = handle.mass * flotor.mass / (handle.mass + flotor.mass)
+    rate = 2.0 * math.pi * _MODE
+    joint = handle.add_joint(name="bend", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[0.0, 0.0, 1.0])
+    joint.stiffness[0], joint.damping[0] = reduced * rate**2, 2.0 * _MODE_DAMPING * reduced * rate
 
 
 def _hold(spec: mujoco.MjSpec, hand: Hand) -> None:
@@ -185,6 +227,32 @@ def _coil_map(model: mujoco.MjModel, flotor: int) -> CoilMap:
         points=data.site_xpos[coils] - data.subtree_com[flotor],
         directions=np.einsum("jab,jb->ja", axes, gear),
         force_constants=model.actuator_gainprm[: len(COILS), 0].copy(),
+    )
+
+
+@lru_cache(maxsize=1)
+def beams() -> Beams:
+    """Return the geometry of the device's LEDs and position sensing diodes.
+
+    Raises:
+        ModelError: If the model lacks one.
+    """
+    try:
+        spec = mujoco.MjSpec.from_file(str(model_path("maglev")))
+        model = spec.compile()
+        flotor = model.body("flotor").id
+        leds, diodes = ([model.site(f"{kind}{arm}").id for arm in range(3)] for kind in ("led", "psd"))
+    except (ValueError, KeyError) as error:
+        raise ModelError(f"model 'maglev' cannot be used: {' '.join(str(error).split())}") from error
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    centre = data.subtree_com[flotor]
+    axes = data.site_xmat.reshape(-1, 3, 3)
+    return Beams(
+        leds=data.site_xpos[leds] - centre,
+        directions=axes[leds][:, :, 2],
+        diodes=data.site_xpos[diodes] - centre,
+        across=axes[diodes][:, :, :2].swapaxes(1, 2).copy(),
     )
 
 

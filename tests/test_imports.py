@@ -16,6 +16,7 @@ FLOORS = {
     "workers": 1,
     "laws": 2,
     "coils": 2,
+    "sensing": 2,
     "hand": 2,
     "trace": 2,
     "controller": 3,

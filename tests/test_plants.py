@@ -274,7 +274,7 @@ def test_bad_parameters_are_refused_with_the_value() -> None:
     with pytest.raises(ParameterError, match="one device"):
         MuJoCoPlant(pose=np.zeros((3, 6)))
     with pytest.raises(ParameterError, match="need coils"):
-        MuJoCoPlant(coils=False, current_limit=3.0)
+        MuJoCoPlant(coils=False, driver_lag=True)
     with pytest.raises(ModelError, match=r"model must be one of drop, .*, not 'moon'"):
         MuJoCoPlant(scene="moon")
 

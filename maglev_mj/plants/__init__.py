@@ -7,7 +7,7 @@ from maglev_mj.plants.corrected import CorrectedPlant
 from maglev_mj.plants.engine import INTEGRATORS, engine_warnings_silenced
 from maglev_mj.plants.exact import ExactPlant
 from maglev_mj.plants.mujoco import MuJoCoPlant
-from maglev_mj.plants.sensor import Sensor
+from maglev_mj.plants.sensor import PoseSensor, Sensor, SpotSensor
 from maglev_mj.plants.steps import one_step
 
 __all__ = [
@@ -18,8 +18,10 @@ __all__ = [
     "MuJoCoPlant",
     "Plant",
     "PlantKeywords",
+    "PoseSensor",
     "SampledPlant",
     "Sensor",
+    "SpotSensor",
     "Timing",
     "engine_warnings_silenced",
     "one_step",

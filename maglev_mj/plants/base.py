@@ -16,7 +16,7 @@ from maglev_mj.errors import DivergenceError, ParameterError, PlantError
 from maglev_mj.frames import AXES, Array, Command, Component, Sample, components, join
 from maglev_mj.parameters import number, numbers
 from maglev_mj.plants.contract import Timing
-from maglev_mj.plants.sensor import Sensor
+from maglev_mj.plants.sensor import PoseSensor
 from maglev_mj.trace import Trace, TraceRecorder
 
 __all__ = ["PlantKeywords", "SampledPlant"]
@@ -27,7 +27,7 @@ class PlantKeywords(TypedDict, total=False):
 
     wrench: ArrayLike
     wrench_limit: ArrayLike | None
-    sensor: Sensor | None
+    sensor: PoseSensor | None
     escape: tuple[float, float]
     record: bool
     longest_step: float | None
@@ -58,14 +58,14 @@ class SampledPlant(ABC):
         *,
         wrench: ArrayLike = 0.0,
         wrench_limit: ArrayLike | None = None,
-        sensor: Sensor | None = None,
+        sensor: PoseSensor | None = None,
         escape: tuple[float, float] = (0.045, 1.0),
         record: bool = False,
         longest_step: float | None = None,
     ) -> None:
         self.timing = timing
         self.batch = batch
-        self._limit = None if wrench_limit is None else self.six("wrench_limit", wrench_limit)
+        self._limit = None if wrench_limit is None else components(self.six("wrench_limit", wrench_limit))
         self._limits = self._limit is not None
         self._measure = None if sensor is None else sensor.start()
         distance, angle = (number("escape", value, above=0.0) for value in escape)
@@ -169,6 +169,10 @@ class SampledPlant(ABC):
         drive = self._drive if self._tail is None else self._tail[0]
         return self._recorder.finish(self._tick, *self._state(drive))
 
+    def state(self) -> tuple[Array, Array]:
+        """Return the true pose and twist at the last sample, whatever the sensor made of them, (..., 6) each."""
+        return self._state(self._drive)[:2]
+
     @property
     def period(self) -> float:
         """Sample period [s]."""
@@ -248,11 +252,11 @@ class SampledPlant(ABC):
         limit = self._limit
         if limit is None:
             return command
-        wrench = np.clip(command.wrench, -limit, limit)
+        force = [_clipped(one, most) for one, most in zip(command.force, limit)]
         if command.extra is None:
-            return Command(components(wrench))
-        total = np.clip(command.wrench + command.pulse, -limit, limit)
-        return Command(components(wrench), components(total - wrench), command.pulse_width)
+            return Command(force)
+        total = (_clipped(one + other, most) for one, other, most in zip(command.force, command.extra, limit))
+        return Command(force, [one - other for one, other in zip(total, force)], command.pulse_width)
 
     def _sound(self, total: Any) -> bool:
         """Return whether the sum of a command's components is finite and of this plant's shape."""
@@ -289,3 +293,10 @@ class SampledPlant(ABC):
             f"at {time[place]:.4g} s{device}; a run has diverged beyond "
             f"{math.sqrt(largest_distance):.3g} m or {math.sqrt(largest_angle):.3g} rad"
         )
+
+
+def _clipped(force: Component, limit: Component) -> Component:
+    """Return a component within its limit."""
+    if force.__class__ is float and limit.__class__ is float:
+        return min(max(force, -limit), limit)
+    return np.minimum(np.maximum(force, -limit), limit)

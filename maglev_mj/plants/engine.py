@@ -11,13 +11,21 @@ import numpy as np
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Array, quaternion
 from maglev_mj.hand import Hand
-from maglev_mj.model import Device, load
+from maglev_mj.model import COILS, Detail, Device, load
 from maglev_mj.parameters import number
-from maglev_mj.spec import GRAVITY
+from maglev_mj.spec import GRAVITY, Spec
 
-__all__ = ["INTEGRATORS", "UPRIGHT", "engine_warnings_silenced", "longest_step", "prepared", "start_state"]
+__all__ = [
+    "INTEGRATORS",
+    "UPRIGHT",
+    "FadingCoils",
+    "engine_warnings_silenced",
+    "longest_step",
+    "prepared",
+    "start_state",
+]
 
-_HAND_STEP = 5e-4
+_HAND_STEP, _STOP_STEP, _FALLOFF_STEP, _BEND_STEP = 5e-4, 2.5e-4, 2.5e-4, 5e-5
 
 UPRIGHT = 1e-9
 """Angle [rad] up to which the coils' map is that of the upright flotor: its error is below any figure here."""
@@ -51,6 +59,7 @@ def prepared(
     driver_lag: bool = False,
     hand: Hand | None = None,
     integrator: str = "rk4",
+    detail: Detail | None = None,
 ) -> Device:
     """Load a device and set its model up for a plant.
 
@@ -60,12 +69,14 @@ def prepared(
     """
     if integrator not in INTEGRATORS:
         raise ParameterError(f"integrator must be one of {', '.join(INTEGRATORS)}, not {integrator!r}")
-    device = load(scene, mass=mass, driver_lag=driver_lag, coils=coils, hand=hand)
+    device = load(scene, mass=mass, driver_lag=driver_lag, coils=coils, hand=hand, detail=detail)
     options = device.model.opt
     options.integrator = INTEGRATORS[integrator]
     options.gravity[:] = 0.0, 0.0, -number("gravity", gravity)
     # an automatic reset would make a diverging run look stable, and the plant limits currents itself
     options.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET | mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL
+    if detail is not None and detail.stops:
+        options.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
     return device
 
 
@@ -93,7 +104,47 @@ def start_state(device: Device, pose: Array, twist: Array, hand: Hand | None) ->
     return position, velocity
 
 
-def longest_step(device: Device, driver_lag: bool, hand: Hand | None) -> float | None:
+def longest_step(device: Device, driver_lag: bool, hand: Hand | None, detail: Detail | None = None) -> float | None:
     """Return the integration step [s] that a device needs beyond its switches; None for none."""
+    detail = detail or Detail()
     needed = [0.25 * device.driver_time_constant] * driver_lag + [_HAND_STEP] * (hand is not None)
+    needed += (
+        [_STOP_STEP] * detail.stops + [_BEND_STEP] * detail.flexible + [_FALLOFF_STEP] * (detail.force_falloff > 0)
+    )
     return min(needed, default=None)
+
+
+class FadingCoils:
+    """A step of the engine with coils that push the less the further they are from their magnets' centre.
+
+    The force constants of a step are those half way through it, so that the error is of second order in the step.
+
+    Args:
+        device: With its coils.
+        data: Its state.
+        falloff: See `Detail`.
+    """
+
+    def __init__(self, device: Device, data: mujoco.MjData, falloff: float) -> None:
+        self._model, self._data, self._falloff = device.model, data, falloff
+        self._centre = _lengths_at_centre(device)
+        self._flat = device.model.actuator_gainprm[: len(COILS), 0].copy()
+        self._range = Spec.translation_range.value
+
+    def __call__(self) -> None:
+        """Make the step."""
+        model, data, coils = self._model, self._data, slice(len(COILS))
+        mujoco.mj_fwdPosition(model, data)
+        mujoco.mj_fwdVelocity(model, data)
+        half_way = data.actuator_length[coils] + 0.5 * model.opt.timestep * data.actuator_velocity[coils]
+        stroke = (half_way - self._centre) / self._range
+        model.actuator_gainprm[coils, 0] = self._flat * (1.0 - self._falloff * stroke * stroke)
+        mujoco.mj_step(model, data)
+
+
+def _lengths_at_centre(device: Device) -> Array:
+    """Return where each coil is along its force with the flotor at centre [m], (6,)."""
+    data = mujoco.MjData(device.model)
+    mujoco.mj_forward(device.model, data)
+    lengths: Array = data.actuator_length[: len(COILS)].copy()
+    return lengths

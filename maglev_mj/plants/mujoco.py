@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Callable, Sequence
-from functools import partial
+from functools import lru_cache, partial
 from typing import Any, TypeAlias, Unpack
 
 import mujoco
@@ -15,11 +15,11 @@ from numpy.typing import ArrayLike
 from maglev_mj.errors import ParameterError, PlantError
 from maglev_mj.frames import Array, Command, rotation_vector
 from maglev_mj.hand import Hand
-from maglev_mj.model import COILS
+from maglev_mj.model import COILS, Detail, load
 from maglev_mj.parameters import number, numbers
 from maglev_mj.plants.base import PlantKeywords, SampledPlant
 from maglev_mj.plants.contract import Timing
-from maglev_mj.plants.engine import UPRIGHT, longest_step, prepared, start_state
+from maglev_mj.plants.engine import UPRIGHT, FadingCoils, longest_step, prepared, start_state
 from maglev_mj.spec import GRAVITY
 
 __all__ = ["MuJoCoPlant"]
@@ -46,10 +46,12 @@ class MuJoCoPlant(SampledPlant):
         gravity: Acceleration of free fall along -z [m/s²].
         coils: True sends each wrench through the six coils, by their map at the flotor's angle when the sample
             was taken; False applies it to the flotor itself, as an ideal actuator would.
-        current_limit: Largest current in any coil [A]; None for no limit.
+        current_limit: Largest current in any coil [A]; None for no limit. Without coils, what it leaves of a wrench is
+            that of coils that stay upright.
         driver_lag: Switch the current drivers' first-order lag on.
         hand: A hand on the flotor, along x, y or z.
         integrator: One of `INTEGRATORS`.
+        detail: What else the device has.
         keywords: Those of `SampledPlant`: wrench, wrench_limit, sensor, escape, record, longest_step. The longest
             integration step is None for as long as the wrench is constant, and by default a quarter of the
             drivers' time constant where their lag is on, 0.5 ms where a hand is.
@@ -73,6 +75,7 @@ class MuJoCoPlant(SampledPlant):
         driver_lag: bool = False,
         hand: Hand | None = None,
         integrator: str = "rk4",
+        detail: Detail | None = None,
         **keywords: Unpack[PlantKeywords],
     ) -> None:
         timing = timing or Timing()
@@ -82,16 +85,26 @@ class MuJoCoPlant(SampledPlant):
                 f"a MuJoCo plant is one device: pose and twist must be (6,) and phase a number, "
                 f"not {start.shape}, {motion.shape} and {np.shape(timing.phase)}"
             )
-        if not coils and (driver_lag or current_limit is not None):
-            raise ParameterError("current_limit and driver_lag need coils=True")
+        detail = detail or Detail()
+        if not coils and (driver_lag or detail != Detail()):
+            raise ParameterError("driver_lag and detail need coils=True")
         self.device = prepared(
-            scene, mass=mass, gravity=gravity, coils=coils, driver_lag=driver_lag, hand=hand, integrator=integrator
+            scene,
+            mass=mass,
+            gravity=gravity,
+            coils=coils,
+            driver_lag=driver_lag,
+            hand=hand,
+            integrator=integrator,
+            detail=detail,
         )
         self.current_limit = None if current_limit is None else number("current_limit", current_limit, at_least=0.0)
         model = self.device.model
         self._data = mujoco.MjData(model)
         self._model, self._options = model, model.opt
-        self._step = partial(mujoco.mj_step, model, self._data)
+        self._step: Callable[[], object] = partial(mujoco.mj_step, model, self._data)
+        if detail.force_falloff:
+            self._step = FadingCoils(self.device, self._data, detail.force_falloff)
         self._qpos = self._data.qpos[self.device.position_address :][:7]
         self._qvel = self._data.qvel[self.device.velocity_address :][:6]
         self._data.qpos[:], self._data.qvel[:] = start_state(self.device, start, motion, hand)
@@ -110,28 +123,35 @@ class MuJoCoPlant(SampledPlant):
         self._applied: Drive | None = None
         self._warnings = self._data.warning.number
         if keywords.get("longest_step") is None:
-            keywords["longest_step"] = longest_step(self.device, driver_lag, hand)
+            keywords["longest_step"] = longest_step(self.device, driver_lag, hand, detail)
         super().__init__(timing, batch=(), **keywords)
         if driver_lag:
             self._data.act[:] = self._inverse_map @ np.array(self._drive[0])
-        self._limits = self._limits or self.current_limit is not None
+        if self.current_limit is not None:
+            self._limits = True
+            self._limiting_map: Any = None if coils else _upright_map(scene)
         # the engine warns of what is not finite or beyond 1e10, which is an escape too unless that is wider still
-        self._watched = max(self._escape) > _ENGINE_BOUND
+        self._watched = max(self._escape) > _ENGINE_BOUND or detail.stops
 
     def _limited(self, command: Command) -> Command:
         command = super()._limited(command)
         if self.current_limit is None:
             return command
-        wrench = self._with_limited_currents(command.wrench, self.current_limit)
+        force = self._with_limited_currents(command.force)
         if command.extra is None:
-            return Command(wrench.tolist())
-        total = self._with_limited_currents(command.wrench + command.pulse, self.current_limit)
-        return Command(wrench.tolist(), (total - wrench).tolist(), command.pulse_width)
+            return Command(force)
+        total = self._with_limited_currents([one + other for one, other in zip(command.force, command.extra)])
+        return Command(force, [one - other for one, other in zip(total, force)], command.pulse_width)
 
-    def _with_limited_currents(self, wrench: Array, limit: float) -> Array:
-        """Return the wrench that is left when every current is clipped to the limit [A]."""
-        currents = np.clip(self._inverse_map.dot(wrench), -limit, limit)
-        left: Array = np.linalg.solve(self._inverse_map, currents)
+    def _with_limited_currents(self, force: Sequence[float]) -> Sequence[float]:
+        """Return the wrench that is left when every current is clipped; the wrench itself where none is."""
+        inverse_map = self._inverse_map if self._limiting_map is None else self._limiting_map
+        limit = self.current_limit or 0.0
+        currents = inverse_map.dot(force)
+        listed = currents.tolist()
+        if max(listed) <= limit and min(listed) >= -limit:
+            return force
+        left: list[float] = np.linalg.solve(inverse_map, np.clip(currents, -limit, limit)).tolist()
         return left
 
     def _prepare(self, force: Sequence[float]) -> Drive:
@@ -189,3 +209,11 @@ class MuJoCoPlant(SampledPlant):
         mujoco.mju_quat2Mat(self._rotation, self._qpos[3:])
         twist = np.concatenate([self._qvel[:3], self._rotation.reshape(3, 3) @ self._qvel[3:]])
         return np.array([x, y, z, *rotation_vector(q0, q1, q2, q3)]), twist, wrench
+
+
+@lru_cache(maxsize=8)
+def _upright_map(scene: str) -> Array:
+    """Return the currents per wrench of a scene's coils at centre, (6, 6)."""
+    coils = load(scene).coils
+    assert coils is not None  # it is loaded with them
+    return coils.current_per_wrench

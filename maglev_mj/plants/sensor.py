@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,8 +12,19 @@ from numpy.typing import ArrayLike
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Component, components, join
 from maglev_mj.parameters import number, numbers
+from maglev_mj.sensing import Beams
 
-__all__ = ["Sensor"]
+__all__ = ["PoseSensor", "Sensor", "SpotSensor"]
+
+Measure: TypeAlias = Callable[[Sequence[Component]], list[Component]]
+"""From the components of the true pose to those measured."""
+
+
+class PoseSensor(Protocol):
+    """What a plant asks of a sensor."""
+
+    def start(self) -> Measure:
+        """Return what turns the components of the true pose into those measured, from the beginning on."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -41,7 +53,7 @@ class Sensor:
 
         number("seed", self.seed, at_least=0)
 
-    def start(self) -> Callable[[Sequence[Component]], list[Component]]:
+    def start(self) -> Measure:
         """Return what turns the components of the true pose into those measured, from the seed on."""
         quantum, noise = np.asarray(self.quantum), np.asarray(self.noise)
         generator = np.random.default_rng(self.seed) if noise.any() else None
@@ -52,5 +64,38 @@ class Sensor:
             if generator is not None:
                 pose = pose + noise * generator.standard_normal(pose.shape)
             return components(np.where(quantum > 0.0, np.rint(pose / step) * step, pose))
+
+        return measure
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SpotSensor:
+    """The device's own sensor: where three beams meet three diodes, in steps, and Newton's pose from that.
+
+    Args:
+        beams: The geometry, as `model.beams` reads it.
+        quantum: Resolution of a spot's place [m]; 0 for none.
+
+    Raises:
+        ParameterError: If the resolution is negative.
+    """
+
+    beams: Beams
+    quantum: float = 0.0
+
+    def __post_init__(self) -> None:
+        number("quantum", self.quantum, at_least=0.0)
+
+    def start(self) -> Measure:
+        """Return what turns the components of the true pose into those measured; each search begins at the last."""
+        last: Array | None = None
+
+        def measure(position: Sequence[Component]) -> list[Component]:
+            nonlocal last
+            spots = self.beams.spots(join(position))
+            if self.quantum > 0.0:
+                spots = np.rint(spots / self.quantum) * self.quantum
+            last = self.beams.pose(spots, last)
+            return components(last)
 
         return measure
