@@ -66,7 +66,6 @@ class SampledPlant(ABC):
         self.timing = timing
         self.batch = batch
         self._limit = None if wrench_limit is None else components(self.six("wrench_limit", wrench_limit))
-        self._limits = self._limit is not None
         self._measure = None if sensor is None else sensor.start()
         distance, angle = (number("escape", value, above=0.0) for value in escape)
         self._escape = distance * distance, angle * angle
@@ -84,6 +83,7 @@ class SampledPlant(ABC):
         self._period, self._rest, self._whole = timing.period, timing.rest, timing.whole
         self._negligible, self._phase, self._jitters = timing.negligible, timing.phase, timing.jitter > 0.0
         self._ahead = timing.phase * timing.period if np.any(timing.phase) else None
+        self._limits = self._limit is not None
         # whether drives are alike where their first parts, six floats, are
         self._comparable = not batch
 
@@ -92,8 +92,8 @@ class SampledPlant(ABC):
         """Turn a wrench into what `_advance` takes."""
 
     @abstractmethod
-    def _advance(self, duration: Component, drive: Any) -> None:
-        """Carry the state over `duration` [s] under a constant drive."""
+    def _advance(self, duration: Component, drive: Any, pieces: int = 1) -> None:
+        """Carry the state over `duration` [s] under a constant drive, an engine in so many steps."""
 
     @abstractmethod
     def _position(self) -> list[Component]:
@@ -147,8 +147,7 @@ class SampledPlant(ABC):
             command = self._limited(command)
             if width:
                 total = [one + other for one, other in zip(command.force, command.extra or ())]
-        force = command.force
-        held = self._prepare(force)
+        held = self._prepare(command.force)
         if len(self._queue) > self._whole:  # a second answer to the same sample replaces the first
             self._queue.pop()
         self._queue.append((held, self._prepare(total) if width else held, width))
@@ -216,8 +215,7 @@ class SampledPlant(ABC):
     def _after_pulse(self, rest: float) -> None:
         """Carry the state up to the next command where a pulse of the one before is still on; that command ends it."""
         assert self._tail is not None
-        pulsed, width = self._tail
-        self._tail = None
+        (pulsed, width), self._tail = self._tail, None
         width = min(width, rest)
         if width > self._negligible:
             self._run(width, pulsed)
@@ -227,11 +225,12 @@ class SampledPlant(ABC):
     def _run_in_pieces(self, duration: Component, drive: Any) -> None:
         """Advance over one stretch, recorded, and in pieces where a longest step is set."""
         longest = self._longest_step
-        pieces = 1 if longest is None else max(math.ceil(float(np.max(duration)) / longest), 1)
+        pieces = 1 if longest is None else max(math.ceil(float(np.max(duration)) / longest - 1e-9), 1)
+        if self._recorder is None:
+            return self._advance(duration, drive, pieces)
         for piece in range(pieces):
-            if self._recorder is not None:
-                offset = self._offset + duration * (piece / pieces)
-                self._recorder.add(self._tick if self._tick >= 0 else 0, offset, *self._state(drive))
+            offset = self._offset + duration * (piece / pieces)
+            self._recorder.add(max(self._tick, 0), offset, *self._state(drive))
             self._advance(duration / pieces, drive)
         self._offset = self._offset + duration
 
@@ -249,13 +248,12 @@ class SampledPlant(ABC):
 
     def _limited(self, command: Command) -> Command:
         """Clip the held wrench, and the wrench in the pulse, each on its own."""
-        limit = self._limit
-        if limit is None:
+        if self._limit is None:
             return command
-        force = [_clipped(one, most) for one, most in zip(command.force, limit)]
+        force = [_clipped(one, most) for one, most in zip(command.force, self._limit)]
         if command.extra is None:
             return Command(force)
-        total = (_clipped(one + other, most) for one, other, most in zip(command.force, command.extra, limit))
+        total = (_clipped(one + other, most) for one, other, most in zip(command.force, command.extra, self._limit))
         return Command(force, [one - other for one, other in zip(total, force)], command.pulse_width)
 
     def _sound(self, total: Any) -> bool:

@@ -95,10 +95,10 @@ class MuJoCoBatchPlant(SampledPlant):
         wrench = np.broadcast_to(join(force), (*self.batch, 6))
         return wrench, np.matmul(self._inverse_map, wrench[..., None])[..., 0]
 
-    def _advance(self, duration: Component, drive: Drive) -> None:
+    def _advance(self, duration: Component, drive: Drive, pieces: int = 1) -> None:
         self._currents[:] = drive[1]
-        self._timestep[:] = np.reshape(duration, (-1, *(1,) * (self._timestep.ndim - 1)))
-        self._engine.step()
+        self._timestep[:] = np.reshape(duration, (-1, *(1,) * (self._timestep.ndim - 1))) / pieces
+        self._engine.step(nstep=pieces)
 
     def _position(self) -> list[Component]:
         if self._engine.warning.any():

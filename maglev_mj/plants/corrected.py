@@ -44,9 +44,9 @@ class CorrectedPlant(MuJoCoPlant):
         self._before: Sequence[float] = self._read_velocity()
         self._over = _NOT_OVER
 
-    def _advance(self, duration: float, drive: Drive) -> None:
-        MuJoCoPlant._advance(self, duration, drive)
-        half = 0.5 * duration
+    def _advance(self, duration: float, drive: Drive, pieces: int = 1) -> None:
+        MuJoCoPlant._advance(self, duration, drive, pieces)
+        half = 0.5 * duration / pieces
         u0, v0, w0, p0, q0, r0 = self._before
         self._before = u, v, w, p, q, r = self._read_velocity()
         x, y, z, rx, ry, rz = self._over

@@ -131,15 +131,21 @@ class FadingCoils:
         self._flat = device.model.actuator_gainprm[: len(COILS), 0].copy()
         self._range = Spec.translation_range.value
 
-    def __call__(self) -> None:
-        """Make the step."""
+    def __call__(self, steps: int = 1) -> None:
+        """Make some steps."""
         model, data, coils = self._model, self._data, slice(len(COILS))
-        mujoco.mj_fwdPosition(model, data)
-        mujoco.mj_fwdVelocity(model, data)
-        half_way = data.actuator_length[coils] + 0.5 * model.opt.timestep * data.actuator_velocity[coils]
-        stroke = (half_way - self._centre) / self._range
-        model.actuator_gainprm[coils, 0] = self._flat * (1.0 - self._falloff * stroke * stroke)
-        mujoco.mj_step(model, data)
+        gains, length, speed = (
+            model.actuator_gainprm[coils, 0],
+            data.actuator_length[coils],
+            data.actuator_velocity[coils],
+        )
+        half = 0.5 * model.opt.timestep
+        for _ in range(steps):
+            mujoco.mj_fwdPosition(model, data)
+            mujoco.mj_fwdVelocity(model, data)
+            stroke = (length + half * speed - self._centre) / self._range
+            gains[:] = self._flat * (1.0 - self._falloff * stroke * stroke)
+            mujoco.mj_step(model, data)
 
 
 def _lengths_at_centre(device: Device) -> Array:

@@ -106,7 +106,7 @@ class ExactPlant(SampledPlant):
         one, by_x, by_y, by_z, fall = self._body
         return (fx * one, fy * one, fz * one + fall, tx * by_x, ty * by_y, tz * by_z), force
 
-    def _advance(self, duration: Component, drive: Drive) -> None:
+    def _advance(self, duration: Component, drive: Drive, pieces: int = 1) -> None:
         if self._axes is not None:
             position, velocity = self._place.copy(), self._velocity
             self._place = position

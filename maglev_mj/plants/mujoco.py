@@ -102,7 +102,7 @@ class MuJoCoPlant(SampledPlant):
         model = self.device.model
         self._data = mujoco.MjData(model)
         self._model, self._options = model, model.opt
-        self._step: Callable[[], object] = partial(mujoco.mj_step, model, self._data)
+        self._step: Callable[..., object] = partial(mujoco.mj_step, model, self._data)
         if detail.force_falloff:
             self._step = FadingCoils(self.device, self._data, detail.force_falloff)
         self._qpos = self._data.qpos[self.device.position_address :][:7]
@@ -157,15 +157,19 @@ class MuJoCoPlant(SampledPlant):
     def _prepare(self, force: Sequence[float]) -> Drive:
         return force, self._inverse_map
 
-    def _advance(self, duration: float, drive: Drive) -> None:
+    def _advance(self, duration: float, drive: Drive, pieces: int = 1) -> None:
         if drive is not self._applied:
             self._applied = drive
             force, inverse_map = drive
             self._fill(*force)
             if inverse_map is not None:
                 inverse_map.dot(self._wrench, out=self._currents)
-        self._options.timestep = duration
-        self._step()
+        if pieces == 1:
+            self._options.timestep = duration
+            self._step()
+        else:
+            self._options.timestep = duration / pieces
+            self._step(pieces)
 
     def _position(self) -> list[float]:
         if self._watched:

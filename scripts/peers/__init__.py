@@ -1,0 +1,38 @@
+"""The task of `peers.task` as users of other simulators would write it, one module a simulator.
+
+Each module reads as an example of its own kind, and none imports another's package.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Iterable
+
+from peers.task import Task, Variant
+
+__all__ = ["PEERS", "Task", "Variant", "available"]
+
+PEERS = ("mujoco", "drake", "pybullet", "scipy", "control", "bdsim")
+
+
+def available(names: Iterable[str] | None = None) -> tuple[list[Variant], list[str]]:
+    """Return the variants of every peer that is installed, and a line for each that is not.
+
+    Args:
+        names: Peers from PEERS; None for all.
+
+    Raises:
+        ValueError: If there is no peer of such a name.
+    """
+    variants: list[Variant] = []
+    missing: list[str] = []
+    for name in PEERS if names is None else names:
+        if name not in PEERS:
+            raise ValueError(f"peer must be one of {', '.join(PEERS)}, not {name!r}")
+        try:
+            module = importlib.import_module(f"peers.{name}_peer")
+        except ImportError:
+            missing.append(f"{name} is not installed and left out: pip install 'maglev-mj[peers]'")
+        else:
+            variants += module.variants()
+    return variants, missing
