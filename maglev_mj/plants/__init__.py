@@ -3,7 +3,7 @@
 from maglev_mj.plants.base import PlantKeywords, SampledPlant
 from maglev_mj.plants.batch import MuJoCoBatchPlant
 from maglev_mj.plants.contract import Plant, Timing
-from maglev_mj.plants.corrected import CorrectedPlant
+from maglev_mj.plants.corrected import CorrectedBatchPlant, CorrectedPlant
 from maglev_mj.plants.engine import INTEGRATORS, engine_warnings_silenced
 from maglev_mj.plants.exact import ExactPlant
 from maglev_mj.plants.mujoco import MuJoCoPlant
@@ -12,6 +12,7 @@ from maglev_mj.plants.steps import one_step
 
 __all__ = [
     "INTEGRATORS",
+    "CorrectedBatchPlant",
     "CorrectedPlant",
     "ExactPlant",
     "MuJoCoBatchPlant",

@@ -277,7 +277,7 @@ class SampledPlant(ABC):
         x, y, z, rx, ry, rz = position
         largest_distance, largest_angle = self._escape
         distance, angle = x * x + y * y + z * z, rx * rx + ry * ry + rz * rz
-        if x.__class__ is float:
+        if distance.__class__ is float and angle.__class__ is float:
             if distance < largest_distance and angle < largest_angle:
                 return angle
         elif np.all((distance < largest_distance) & (angle < largest_angle)):

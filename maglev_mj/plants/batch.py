@@ -36,6 +36,7 @@ class MuJoCoBatchPlant(SampledPlant):
         pose: Poses at release [m, rad], (N, 6).
         twist: Velocities at release [m/s, rad/s], (N, 6) or (6,).
         gravity: Acceleration of free fall along -z [m/s²].
+        coils: See `MuJoCoPlant`.
         driver_lag: Switch the current drivers' first-order lag on.
         hand: A hand on each flotor, all alike.
         integrator: One of `INTEGRATORS`.
@@ -56,6 +57,7 @@ class MuJoCoBatchPlant(SampledPlant):
         pose: ArrayLike,
         twist: ArrayLike = (0.0,) * 6,
         gravity: float = GRAVITY,
+        coils: bool = True,
         driver_lag: bool = False,
         hand: Hand | None = None,
         integrator: str = "rk4",
@@ -71,20 +73,24 @@ class MuJoCoBatchPlant(SampledPlant):
         if motion.shape not in ((6,), start.shape):
             raise ParameterError(f"twist must be (6,) or {start.shape}, not {motion.shape}")
         count = int(number("threads", threads, at_least=0))
+        if driver_lag and not coils:
+            raise ParameterError("driver_lag needs coils=True")
         self.device = prepared(
-            scene, mass=mass, gravity=gravity, driver_lag=driver_lag, hand=hand, integrator=integrator
+            scene, mass=mass, gravity=gravity, coils=coils, driver_lag=driver_lag, hand=hand, integrator=integrator
         )
-        assert self.device.coils is not None  # it is loaded with its coils
-        self._coils = self.device.coils
         self._engine = Batch(self.device.model, len(start), count)
         for row, (place, speed) in enumerate(zip(start, np.broadcast_to(motion, start.shape), strict=True)):
             self._engine.qpos[row], self._engine.qvel[row] = start_state(self.device, place, speed, hand)
         self._qpos = self._engine.bind("qpos")[:, self.device.position_address :][:, :7]
         self._qvel = self._engine.bind("qvel")[:, self.device.velocity_address :][:, :6]
-        self._currents = self._engine.bind("ctrl")[:, : len(COILS)]
+        self._controls = (
+            self._engine.bind("ctrl")[:, : len(COILS)]
+            if coils
+            else self._engine.bind("xfrc_applied").reshape(len(start), -1, 6)[:, self.device.flotor]
+        )
         self._timestep = self._engine.expand("opt.timestep")
-        # inverse maps of the coils, (N, 6, 6) while any flotor is turned
-        self._inverse_map: Array = self._coils.current_per_wrench
+        # inverse maps of the coils, (N, 6, 6) while any flotor is turned; None without coils
+        self._inverse_map = None if self.device.coils is None else self.device.coils.current_per_wrench
         if keywords.get("longest_step") is None:
             keywords["longest_step"] = longest_step(self.device, driver_lag, hand)
         super().__init__(timing, batch=start.shape[:1], **keywords)
@@ -93,10 +99,12 @@ class MuJoCoBatchPlant(SampledPlant):
 
     def _prepare(self, force: Sequence[Component]) -> Drive:
         wrench = np.broadcast_to(join(force), (*self.batch, 6))
+        if self._inverse_map is None:
+            return wrench, wrench
         return wrench, np.matmul(self._inverse_map, wrench[..., None])[..., 0]
 
     def _advance(self, duration: Component, drive: Drive, pieces: int = 1) -> None:
-        self._currents[:] = drive[1]
+        self._controls[:] = drive[1]
         self._timestep[:] = np.reshape(duration, (-1, *(1,) * (self._timestep.ndim - 1))) / pieces
         self._engine.step(nstep=pieces)
 
@@ -105,30 +113,28 @@ class MuJoCoBatchPlant(SampledPlant):
             raise PlantError(f"MuJoCo warns at tick {self._tick}, in {int(self._engine.warning.any(-1).sum())} devices")
         position = self._components()
         squared = self._check_escape(position)
-        self._inverse_map = self._coils.current_per_wrench if (squared < UPRIGHT**2).all() else self._maps()
+        if (coils := self.device.coils) is not None:
+            upright = (squared < UPRIGHT**2).all()
+            self._inverse_map = coils.current_per_wrench if upright else coils.inverse_at(self._rotations())
         return position
 
     def _components(self) -> list[Component]:
         x, y, z, q0, q1, q2, q3 = components(self._qpos.copy())  # a batch of one would hand out live views
         return [x, y, z, *rotation_vector(q0, q1, q2, q3, np.sqrt, np.arctan2)]
 
-    def _maps(self) -> Array:
-        """Return the inverse map of the coils of each device at its own angle, (N, 6, 6)."""
-        return self._coils.inverse_at(self._rotations().reshape(-1, 9))
-
     def _rotations(self) -> Array:
-        """Return each flotor's rotation matrix, (N, 3, 3)."""
+        """Return each flotor's rotation matrix, (N, 9)."""
         matrices = np.empty((len(self._qpos), 9))
         for matrix, turn in zip(matrices, self._qpos[:, 3:], strict=True):
             mujoco.mju_quat2Mat(matrix, turn)
-        return matrices.reshape(-1, 3, 3)
+        return matrices
 
     def _state(self, drive: Drive) -> tuple[Array, Array, Array]:
         pose = join(self._components())
-        spin = np.einsum("nab,nb->na", self._rotations(), self._qvel[:, 3:])
+        spin = np.einsum("nab,nb->na", self._rotations().reshape(-1, 3, 3), self._qvel[:, 3:])
         wrench = drive[0]
         if self.device.model.na:  # the drivers lag: their currents, not the commanded ones
             currents = self._engine.bind("act")
-            maps = np.broadcast_to(self._inverse_map, (*self.batch, 6, 6))
+            maps = np.broadcast_to(np.asarray(self._inverse_map), (*self.batch, 6, 6))
             wrench = np.linalg.solve(maps, currents[..., None])[..., 0]
         return pose, np.column_stack([self._qvel[:, :3], spin]), wrench

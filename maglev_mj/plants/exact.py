@@ -67,7 +67,7 @@ class ExactPlant(SampledPlant):
         fall = -number("gravity", gravity)
         self._body = (*(1.0 / value for value in body[2:]), fall)
         self._weight = (0.0, 0.0, fall * body[2], 0.0, 0.0, 0.0)
-        self._place, self._velocity = components(start), components(motion)
+        self._place, self._velocity = _shared(components(start)), _shared(components(motion))
         self._lag = 1.0 / (2.0 * math.pi * Spec.driver_bandwidth.value) if driver_lag else 0.0
         if keywords.get("record") and self._lag:
             # only the recorded curve needs the pieces: the state itself is exact over any stretch
@@ -114,8 +114,8 @@ class ExactPlant(SampledPlant):
                 moving.advance(duration, command, weight)
                 position[index], velocity[index] = moving.place, moving.velocity
             return
-        # written out, as in `FiniteDifference`: this runs two or three times a tick
         half = 0.5 * duration
+        # written out, as in `FiniteDifference`: this runs two or three times a tick
         ax, ay, az, arx, ary, arz = drive[0]
         x, y, z, rx, ry, rz = self._place
         u, v, w, p, q, r = self._velocity
@@ -166,3 +166,14 @@ def _start(
         raise ParameterError(f"pose, twist and phase must fit one batch, not {shapes}") from None
     body = [number("mass", mass, above=0.0)] * 3 + [number("inertia", value, above=0.0) for value in moments]
     return np.broadcast_to(start, shape), np.broadcast_to(motion, shape), body
+
+
+def _shared(parts: list[Component]) -> list[Component]:
+    """Return components of a batch with a number for each that all devices agree on: it stays one as they move alike.
+
+    One of them stays an array in any case, so that a batch is seen to be one.
+    """
+    shared = [float(part.flat[0]) if np.ndim(part) and (part == part.flat[0]).all() else part for part in parts]
+    if np.ndim(parts[0]) and not any(np.ndim(part) for part in shared):
+        shared[2] = parts[2]
+    return shared
