@@ -18,10 +18,11 @@ __all__ = ["Wall"]
 
 
 class _Braking(NamedTuple):
-    """What one face needs for its braking pulse."""
+    """What one face needs for its braking pulse; `some` is None where every device has one, `limit` where none has."""
 
     pulse: Component
-    limit: Component
+    some: Component | None
+    limit: Component | None
     gate: Component
 
 
@@ -122,19 +123,21 @@ class Wall:
         following = []
         for (axis, normal, edge, stiffness, damping, braking), (free, owed) in zip(self._faces, state):
             offset = position[axis] - edge
-            inside = normal * offset <= 0.0
+            inside = offset <= 0.0 if normal > 0.0 else offset >= 0.0
             if inside is not True and not _any(inside):
                 following.append(_FREE)
                 continue
             speed = velocity[axis]
-            force = inside * -(stiffness * offset + damping * speed)
+            damped = damping * speed
+            force = inside * -(stiffness * offset + damped)
             wrench[axis] = wrench[axis] + force
             if braking is None:
                 owed = None
             elif owed is not None or (free is not False and _any(inside & free)):
-                entered = inside & free & (normal * speed <= -braking.gate)
-                inward = inside & (normal * speed < 0.0)
-                pulse, owed = _brake(braking, damping * speed, speed, force, entered, inward, owed)
+                approach = normal * speed
+                entered = inside & free & (approach <= -braking.gate)
+                inward = False if owed is None else inside & (approach < 0.0)
+                pulse, owed = _brake(braking, damped, speed, force, entered, inward, owed)
                 pulses = pulses or [0.0] * len(AXES)
                 pulses[axis] = pulses[axis] + pulse
             following.append((False if inside is True else ~inside, owed))
@@ -153,8 +156,9 @@ def _faces(indices: tuple[int, ...], normal: float, edges: Array, gains: list[Ar
             raise ParameterError("wall edges of one axis must be finite on all devices or on none")
         if np.all(finite):
             stiffness, damping, pulse, limit, gate = axis_gains
-            braking = _Braking(pulse, limit, gate) if np.any(pulse > 0.0) else None
-            faces.append((axis, normal, edge, stiffness, damping, braking))
+            some, limited = pulse > 0.0, not np.all(np.isinf(limit))
+            braking = _Braking(pulse, None if np.all(some) else some, limit if limited else None, gate)
+            faces.append((axis, normal, edge, stiffness, damping, braking if np.any(some) else None))
     return tuple(faces)
 
 
@@ -168,10 +172,12 @@ def _brake(
     owed: Component | None,
 ) -> tuple[Component, Component | None]:
     """Return the pulse on top of the PD force, and what the limit leaves for the samples to come."""
-    pulse, limit = braking.pulse, braking.limit
-    wanted = entered * (pulse > 0.0) * (-(pulse * speed + damping_force) - force)
+    pulse, some, limit, _ = braking
+    wanted = (entered if some is None else entered & some) * (-(pulse * speed + damping_force) - force)
     if owed is not None:
         wanted = wanted + (inward & _not(entered)) * owed
+    if limit is None:
+        return wanted, None
     # beyond the limit with the pulse, less what the PD force alone has beyond it
     left = _beyond(force + wanted, limit) - _beyond(force, limit)
     return wanted - left, left if _any(left != 0.0) else None
