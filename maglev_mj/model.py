@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -121,7 +122,7 @@ def load(
     hand: Hand | None = None,
     detail: Detail | None = None,
 ) -> Device:
-    """Compile a model and resolve its names.
+    """Compile a model and resolve its names; compiled once, every call gets a copy of its own.
 
     Args:
         name: A model file's name without its ending, such as "drop".
@@ -137,6 +138,25 @@ def load(
         ParameterError: If the mass is not above 0, or the hand is for a batch or on a rotation.
     """
     path = model_path(name)
+    written = tuple(sorted((other.name, other.stat().st_mtime_ns) for other in path.parent.glob("*.xml")))
+    moving = None if mass is None else number("mass", mass, above=0.0)
+    device = _compiled(path, written, lean, driver_lag, coils, moving, hand, detail or Detail())
+    return replace(device, model=copy(device.model))
+
+
+@lru_cache(maxsize=32)
+def _compiled(
+    path: Path,
+    written: tuple[tuple[str, int], ...],
+    lean: bool,
+    driver_lag: bool,
+    coils: bool,
+    mass: float | None,
+    hand: Hand | None,
+    detail: Detail,
+) -> Device:
+    """See `load`; `written` says when the files were, so that one that is changed is compiled again."""
+    name = path.stem
     try:
         spec = mujoco.MjSpec.from_file(str(path))
         constant = float(spec.numeric("driver_time_constant").data[0])
@@ -154,7 +174,7 @@ def load(
                     spec.delete(site)
         if hand is not None:
             _hold(spec, hand)
-        if detail is not None and detail.flexible:
+        if detail.flexible:
             _bend(spec)
         model = spec.compile()
         flotor = model.body("flotor").id
@@ -173,7 +193,7 @@ def load(
         for body in range(flotor + 1, model.nbody):
             if int(model.body_parentid[body]) in carried:
                 carried.add(body)
-        model.body_mass[sorted(carried)] *= number("mass", mass, above=0.0) / model.body_subtreemass[flotor]
+        model.body_mass[sorted(carried)] *= mass / model.body_subtreemass[flotor]
         mujoco.mj_setConst(model, mujoco.MjData(model))
     return Device(
         model=model,

@@ -3,13 +3,17 @@
 from maglev_mj.charts.drawing import ChartsMissingError, require
 from maglev_mj.charts.drop import phase_plane, phases, time_series
 from maglev_mj.charts.friction import friction_laws, staircase, stick_slip
+from maglev_mj.charts.precision import WorkPoint, WorkPrecision, pareto, work_precision
 from maglev_mj.charts.stability import Panel, figure_2, small_multiples, stability_map
 
 __all__ = [
     "ChartsMissingError",
     "Panel",
+    "WorkPoint",
+    "WorkPrecision",
     "figure_2",
     "friction_laws",
+    "pareto",
     "phase_plane",
     "phases",
     "require",
@@ -18,4 +22,5 @@ __all__ = [
     "staircase",
     "stick_slip",
     "time_series",
+    "work_precision",
 ]

@@ -25,7 +25,7 @@ class SteppedLoop(SampledLoop):
     delay is within one period, and there is neither hand nor driver lag.
 
     Args:
-        integrator: One of `INTEGRATORS`.
+        integrator: One of `INTEGRATORS`, or "corrected" for Euler's with its half-step correction.
         step: Longest time step [s].
         aligned: True ends a step at each switch of the force, in equal steps; False steps at a fixed step, and the
             new command is first seen by the step that begins after it takes effect, as in a plain simulation loop.
@@ -64,7 +64,10 @@ class SteppedLoop(SampledLoop):
 
 @lru_cache(maxsize=256)
 def _steps(integrator: str, mass: float, step: float, count: int) -> tuple[Array, Array]:
-    one, push = one_step(integrator, mass, step)
+    one, push = one_step("euler" if integrator == "corrected" else integrator, mass, step)
+    if integrator == "corrected":  # the position goes back by half a step of the speed gained
+        one[0] -= 0.5 * step * (one[1] - [0.0, 1.0])
+        push[0] -= 0.5 * step * push[1]
     total, share = np.eye(2), np.zeros(2)
     for _ in range(count):
         total, share = one @ total, one @ share + push
@@ -77,7 +80,7 @@ def stiffest_simulated(
     """Return the stiffest wall that a simulation with this integrator and step takes for stable.
 
     Args:
-        integrator: One of `INTEGRATORS`.
+        integrator: As for `SteppedLoop`.
         step: Longest time step [s].
         period: Sample period [s].
         delay: Transport delay [s], up to a period.

@@ -101,6 +101,8 @@ class MuJoCoPlant(SampledPlant):
         self.current_limit = None if current_limit is None else number("current_limit", current_limit, at_least=0.0)
         model = self.device.model
         self._data = mujoco.MjData(model)
+        mujoco.mj_step(model, self._data)  # the first step fetches its memory, which would make the first tick late
+        mujoco.mj_resetData(model, self._data)
         self._model, self._options = model, model.opt
         self._step: Callable[..., object] = partial(mujoco.mj_step, model, self._data)
         if detail.force_falloff:

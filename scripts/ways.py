@@ -1,0 +1,172 @@
+"""Ways to simulate a scene, with this package and with others: what to time, and how far each is off."""
+
+from __future__ import annotations
+
+import math
+import statistics
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from peers import Task, available
+
+from maglev_mj import run
+from maglev_mj.charts import WorkPoint, pareto
+from maglev_mj.experiments.ladder import FidelityScene, Motion, apart, motion_of, plant_of
+from maglev_mj.frames import Array
+from maglev_mj.plants import CorrectedBatchPlant, ExactPlant, MuJoCoBatchPlant, SampledPlant, Timing
+from maglev_mj.spec import GRAVITY, Spec
+
+__all__ = ["Way", "as_json", "measure", "our_ways", "peer_ways", "points_of"]
+
+PERIOD, DELAY = 0.005, 0.0015
+CLOSED_FORM = ("drop", "drop-no-pulse", "press", "stick-slip")
+SEMI_IMPLICIT = ("euler", "implicit", "implicitfast", "discrete")
+
+
+@dataclass
+class Way:
+    """One way to simulate a scene: what to time, for how much simulated time, and how far off it is."""
+
+    name: str
+    group: str
+    prepare: Callable[[], Callable[[], object]]
+    error: float
+    simulated: float
+    integrator: str | None = None
+    step: float | None = None
+    energy: float | None = None
+    cost: float = math.inf
+
+
+def loop(make: Callable[[], SampledPlant], scene: FidelityScene) -> Callable[[], object]:
+    """Return the closed loop on a new plant, ready to run."""
+    return partial(run, make(), scene.controller(), scene.ticks)
+
+
+def batch_of(scene: FidelityScene, kind: Callable[..., SampledPlant], count: int, **options: Any) -> SampledPlant:
+    """Return many devices in one scene."""
+    poses, twists = np.tile(scene.pose, (count, 1)), np.tile(scene.twist, (count, 1))
+    timing = Timing(period=PERIOD, delay=DELAY)
+    return kind(timing, pose=poses, twist=twists, gravity=scene.gravity, hand=scene.hand, **options)
+
+
+def energy_error(motion: Motion, truth: Motion) -> float:
+    """Return the largest error of the mechanical energy along z, as a share of that of a fall from the range's end."""
+    mass, fall = Spec.moving_mass.value, Spec.translation_range.value
+    kept = [0.5 * mass * one.twist[:, 2] ** 2 + mass * GRAVITY * one.pose[:, 2] for one in (motion, truth)]
+    return float(np.abs(kept[0] - kept[1]).max() / (mass * GRAVITY * fall))
+
+
+def single_ways(scene: FidelityScene, quick: bool) -> Iterator[tuple[str, str, str, float | None]]:
+    """Yield rung, group, integrator and longest step of every single device worth looking at."""
+    steps = (1e-3, 1e-4) if quick else (2.5e-3, 1e-3, 5e-4, 1e-4, 2e-5)
+    for integrator in ("corrected", "rk4", *SEMI_IMPLICIT):
+        yield "body", "MuJoCo, body", integrator, None
+        for step in steps if integrator in ("corrected", "rk4", "euler") else steps[:2]:
+            yield "body", "MuJoCo, body", integrator, step
+    for integrator in ("corrected", "rk4"):
+        yield "turning", "MuJoCo, full device", integrator, None
+
+
+def our_ways(scene: FidelityScene, quick: bool) -> list[Way]:
+    """Return every way to simulate a scene with this package."""
+    truths = {
+        "turning": motion_of(scene, plant_of(scene, "turning", longest_step=2e-5)),
+        "body": motion_of(
+            scene, plant_of(scene, "axes") if scene.name in CLOSED_FORM else plant_of(scene, "body", longest_step=2e-5)
+        ),
+    }
+    truth, duration = truths["body"], scene.ticks * PERIOD
+    exact = partial(plant_of, scene, "axes")
+    error = apart(motion_of(scene, exact()).pose, truth.pose)
+    ways = [Way("exact", "exact", partial(loop, exact, scene), error, duration, "exact", None, 0.0)]
+    for rung, group, integrator, step in single_ways(scene, quick):
+        make = partial(plant_of, scene, rung, integrator=integrator, longest_step=step)
+        motion = motion_of(scene, make())
+        name = f"{integrator}, {'a step a segment' if step is None else f'{step * 1e3:g} ms'}"
+        name += ", coils" if rung == "turning" else ""
+        energy = energy_error(motion, truths[rung]) if scene.name.startswith("drop") else None
+        error = apart(motion.pose, truths[rung].pose)
+        ways.append(Way(name, group, partial(loop, make, scene), error, duration, integrator, step, energy))
+    count = 100 if quick else 1000
+    many: tuple[tuple[str, str, Callable[..., SampledPlant], dict[str, Any]], ...] = (
+        ("exact", "exact", ExactPlant, {}),
+        ("corrected", "MuJoCo, batch", CorrectedBatchPlant, {"coils": False}),
+        ("rk4", "MuJoCo, batch", MuJoCoBatchPlant, {"coils": False}),
+    )
+    for name, group, kind, options in many:
+        make = partial(batch_of, scene, kind, count, **options)
+        error = apart(poses_of(scene, make()), truth.pose)
+        ways.append(Way(f"{name}, {count} at once", group, partial(loop, make, scene), error, duration * count))
+    return ways
+
+
+def poses_of(scene: FidelityScene, plant: SampledPlant) -> Array:
+    """Return the poses of the last device of a batch at the samples, (K, 6)."""
+    poses: list[Array] = []
+    run(plant, scene.controller(), scene.ticks, observe=lambda *_: poses.append(plant.state()[0][-1]))
+    return np.array([*poses, plant.state()[0][-1]])
+
+
+def peer_ways(scene: FidelityScene, task: Task, quick: bool) -> tuple[list[Way], list[str]]:
+    """Return the ways of those who would take another simulator, and a line for each that is not installed."""
+    truth = motion_of(scene, plant_of(scene, "axes", inertia=task.inertia)).pose
+    variants, missing = available()
+    ways = []
+    for variant in variants:
+        simulate = variant.build(task)
+        start = time.perf_counter()
+        poses = simulate()
+        if quick and time.perf_counter() - start > 0.1:
+            continue
+        error = apart(np.where(np.isnan(poses), truth, poses), truth)
+        group = "MuJoCo by hand" if variant.peer == "mujoco" else variant.peer
+        ways.append(Way(variant.name, group, partial(_same, simulate), error, task.duration))
+    return ways, missing
+
+
+def _same(simulate: Callable[[], object]) -> Callable[[], object]:
+    """Return a peer's run as it is: it begins anew by itself."""
+    return simulate
+
+
+def measure(ways: list[Way], repeats: int) -> None:
+    """Time every way in turn, again and again; what takes long is timed less often."""
+    times: list[list[float]] = [[] for _ in ways]
+    for repeat in range(repeats):
+        for way, kept in zip(ways, times, strict=True):
+            if repeat > 1 and kept[0] > 0.1:
+                continue
+            work = way.prepare()
+            start = time.perf_counter()
+            work()
+            kept.append(time.perf_counter() - start)
+    for way, kept in zip(ways, times, strict=True):
+        way.cost = statistics.median(kept) / way.simulated
+
+
+def as_json(ways: list[Way]) -> dict[str, Any]:
+    """Return the ways of one scene and the names of those that nothing beats."""
+    rows = [
+        {
+            "name": way.name,
+            "group": way.group,
+            "microseconds_a_millisecond": way.cost * 1e3,
+            "real_time_factor": 1.0 / way.cost,
+            "error": way.error,
+            "energy_error": way.energy,
+            "integrator": way.integrator,
+            "step": way.step,
+        }
+        for way in ways
+    ]
+    return {"ways": rows, "front": [point.name for point in pareto(points_of(ways))]}
+
+
+def points_of(ways: list[Way]) -> list[WorkPoint]:
+    """Return the ways as points of a chart."""
+    return [WorkPoint(way.name, way.group, way.cost, way.error) for way in ways if math.isfinite(way.error)]
