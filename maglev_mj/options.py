@@ -11,7 +11,7 @@ from typing import Any
 from maglev_mj.errors import ParameterError
 from maglev_mj.workers import Workers, dask_workers, local_workers
 
-__all__ = ["Parser", "add_options", "add_outputs", "add_workers", "chosen_workers", "count", "joined"]
+__all__ = ["Parser", "add_options", "add_outputs", "add_workers", "chosen_workers", "count", "joined", "number_option"]
 
 
 class Parser(argparse.ArgumentParser):
@@ -50,7 +50,7 @@ def add_options(
         default = parameters.__dataclass_fields__[name].default
         shown = "none" if getattr(made, name) is None else f"{getattr(made, name):g}"
         option = f"--{name.replace('_', '-')}"
-        parser.add_argument(option, type=_number, default=default, metavar="X", help=f"{text} (default {shown})")
+        parser.add_argument(option, type=number_option, default=default, metavar="X", help=f"{text} (default {shown})")
 
 
 def add_outputs(parser: argparse.ArgumentParser) -> None:
@@ -82,7 +82,8 @@ def chosen_workers(options: argparse.Namespace, default: int | None) -> Workers:
     return local_workers(default if options.workers is None else options.workers)
 
 
-def _number(text: str) -> float:
+def number_option(text: str) -> float:
+    """Return an option's number."""
     try:
         return float(text)
     except ValueError:

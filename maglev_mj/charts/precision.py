@@ -7,11 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from maglev_mj.charts.drawing import IDEAL, MANY, SECOND, new_figure, save
+from maglev_mj.charts.drawing import GRID, MANY, SECOND, new_figure, save
 
 __all__ = ["WorkPoint", "WorkPrecision", "pareto", "work_precision"]
 
-_LEAST = 1e-14
+_ROUNDING = 1e-13
+_BAND, _ROW = 1e-7, 0.45
 
 
 @dataclass(frozen=True)
@@ -21,14 +22,16 @@ class WorkPoint:
     Attributes:
         name: Of the way.
         group: Ways of one kind share a colour and a line of the legend.
-        cost: Of a simulated second [s].
-        error: [m].
+        cost: Of a simulated second [s], of each device where there are many.
+        error: [m]; what is below 1e-13 counts as rounding.
+        many: Whether that takes many devices at once.
     """
 
     name: str
     group: str
     cost: float
     error: float
+    many: bool = False
 
 
 @dataclass(frozen=True)
@@ -43,13 +46,15 @@ def pareto(points: Sequence[WorkPoint]) -> list[WorkPoint]:
     """Return the points that no other beats in both cost and error, the cheapest first; rounding counts as no error."""
     front: list[WorkPoint] = []
     for point in sorted(points, key=lambda one: (one.cost, one.error)):
-        if not front or max(point.error, _LEAST) < max(front[-1].error, _LEAST):
+        if not front or max(point.error, _ROUNDING) < max(front[-1].error, _ROUNDING):
             front.append(point)
     return front
 
 
 def work_precision(panels: Sequence[WorkPrecision], path: Path, columns: int = 3) -> Path:
-    """Draw error over cost for each panel, the front that nothing beats drawn and named.
+    """Draw error over cost for each panel, with the front that nothing beats, for one device and for many at once.
+
+    What is exact to rounding is below the line, a row for each group.
 
     Args:
         panels: What to draw, row by row.
@@ -60,52 +65,60 @@ def work_precision(panels: Sequence[WorkPrecision], path: Path, columns: int = 3
         ChartsMissingError: If matplotlib is not installed.
     """
     rows = -(-len(panels) // columns)
-    figure, axes = new_figure(
-        rows, columns, (5.2 * columns if columns > 1 else 9.5, (4.4 if columns > 1 else 6.4) * rows)
-    )
+    size = (5.2 * columns, 4.5 * rows) if columns > 1 else (10.0, 6.8)
+    figure, axes = new_figure(rows, columns, size)
     groups = list(dict.fromkeys(point.group for panel in panels for point in panel.points))
     for axis, panel in zip(axes, panels):
-        for group in groups:
+        for place, group in enumerate(groups):
             mine = [point for point in panel.points if point.group == group]
             axis.plot(
                 [1e3 * point.cost for point in mine],
-                [1e6 * max(point.error, _LEAST) for point in mine],
-                "osD^vPX"[groups.index(group) // len(MANY) % 7],
-                color=MANY[groups.index(group) % len(MANY)],
-                markersize=5,
+                [_height(point, groups) for point in mine],
+                linestyle="none",
+                marker="osD^vPX<>hpd"[place % 12],
+                color=MANY[place % len(MANY)],
+                markersize=5.5,
                 alpha=0.85,
                 label=group,
             )
-        _draw_front(axis, pareto(panel.points))
-        axis.set_xscale("log")
-        axis.set_yscale("log")
-        axis.axvline(1e3, color=IDEAL, linewidth=1.0, linestyle=":")
-        axis.set_title(panel.title, loc="left", fontsize=10.5)
-        axis.set_xlabel("cost (µs a simulated ms)")
-        axis.set_ylabel("largest error (µm)")
+        for many, style in ((False, "-"), (True, "--")):
+            _draw_front(axis, pareto([point for point in panel.points if point.many is many]), groups, style)
+        _furnish(axis, panel.title, len(groups))
     for axis in axes[len(panels) :]:
         axis.set_axis_off()
     labels = axes[0].get_legend_handles_labels()
-    figure.legend(*labels, loc="outside lower center", ncols=min(len(groups), 7), frameon=False, fontsize=9.5)
+    figure.legend(*labels, loc="outside lower center", ncols=min(len(groups), 6), frameon=False, fontsize=9.5)
     return save(figure, path)
 
 
-def _draw_front(axis: Any, front: Sequence[WorkPoint]) -> None:
+def _height(point: WorkPoint, groups: Sequence[str]) -> float:
+    """Return where a point is drawn [µm]: at its error, or in its group's row below the line."""
+    if point.error > _ROUNDING:
+        return 1e6 * point.error
+    row: float = _BAND * 10.0 ** (-_ROW * (groups.index(point.group) + 1))
+    return row
+
+
+def _furnish(axis: Any, title: str, rows: int) -> None:
+    """Scale and label a panel."""
+    axis.set_xscale("log")
+    axis.set_yscale("log")
+    low, high = axis.get_ylim()
+    bottom = _BAND * 10.0 ** (-_ROW * (rows + 1))
+    axis.set_ylim(min(low, bottom), max(high, 1e3))
+    axis.axhspan(bottom * 1e-3, _BAND, color=GRID, alpha=0.5, zorder=-1)
+    ticks = [10.0**power for power in range(-6, 6, 2) if 10.0**power < axis.get_ylim()[1]]
+    axis.set_yticks([*ticks, _BAND * 10.0 ** (-_ROW * 0.5 * (rows + 1))])
+    axis.set_yticklabels([f"{tick:g}" for tick in ticks] + ["exact to\nrounding"])
+    axis.minorticks_off()
+    axis.set_title(title, loc="left", fontsize=10.5)
+    axis.set_xlabel("cost (µs a simulated ms and device; real time is 1000)")
+    axis.set_ylabel("largest error (µm)")
+
+
+def _draw_front(axis: Any, front: Sequence[WorkPoint], groups: Sequence[str], style: str) -> None:
     """Draw the front as steps and name its points."""
-    axis.step(
-        [1e3 * point.cost for point in front],
-        [1e6 * max(point.error, _LEAST) for point in front],
-        where="post",
-        color=SECOND,
-        linewidth=1.2,
-        zorder=0,
-    )
-    for point in front:
-        axis.annotate(
-            point.name,
-            (1e3 * point.cost, 1e6 * max(point.error, _LEAST)),
-            textcoords="offset points",
-            xytext=(6, 5),
-            fontsize=8,
-            color=SECOND,
-        )
+    places = [(1e3 * point.cost, _height(point, groups)) for point in front]
+    axis.step(*zip(*places, strict=True), where="post", color=SECOND, linewidth=1.2, linestyle=style, zorder=0)
+    for point, place in zip(front, places, strict=True):
+        axis.annotate(point.name, place, textcoords="offset points", xytext=(7, 5), fontsize=8, color=SECOND, zorder=3)

@@ -115,12 +115,15 @@ class FidelityResult(NamedTuple):
         }
 
 
-def measure_fidelity(scene: str, tolerance: float | None = None) -> FidelityResult:
+def measure_fidelity(
+    scene: str, tolerance: float | None = None, *, progress: Callable[[int, int], None] | None = None
+) -> FidelityResult:
     """Climb the ladder in a scene, and choose the least model and the cheapest step that keep a tolerance.
 
     Args:
         scene: Name from FIDELITY_SCENES.
         tolerance: Greatest displacement of a coil that does not matter [m]; the scene's own by default.
+        progress: Told how many motions are done, and of how many.
 
     Raises:
         ParameterError: If there is no such scene, or the tolerance is not above 0.
@@ -129,16 +132,40 @@ def measure_fidelity(scene: str, tolerance: float | None = None) -> FidelityResu
         raise ParameterError(f"scene must be one of {', '.join(FIDELITY_SCENES)}, not {scene!r}")
     chosen = FIDELITY_SCENES[scene]
     kept = chosen.tolerance if tolerance is None else number("tolerance", tolerance, above=0.0)
-    rungs = measure_rungs(chosen)
+    told = _Told(progress)
+    rungs = measure_rungs(chosen, done=told)
     rung = next(row for row in rungs if row.missing < kept)
-    steps = measure_steps(chosen, rung.rung)
+    steps = measure_steps(chosen, rung.rung, done=told)
     good = [row for row in steps if row.error + rung.missing < kept]
     return FidelityResult(chosen, kept, rungs, rung, steps, min(good, key=lambda row: row.cost, default=None))
 
 
-def measure_rungs(scene: FidelityScene, *, repeats: int = 5) -> tuple[RungResult, ...]:
-    """Return what each rung changes in a scene and what it costs, each with its own default step."""
-    motions = [_motion(scene, rung.name) for rung in RUNGS]
+class _Told:
+    """Counts motions for a progress bar."""
+
+    def __init__(self, progress: Callable[[int, int], None] | None) -> None:
+        self._progress, self._count = progress, 0
+
+    def __call__(self) -> None:
+        self._count += 1
+        if self._progress is not None:
+            self._progress(self._count, len(RUNGS) + len(STEPPINGS))
+
+
+def measure_rungs(
+    scene: FidelityScene, *, repeats: int = 5, done: Callable[[], object] = lambda: None
+) -> tuple[RungResult, ...]:
+    """Return what each rung changes in a scene and what it costs, each with its own default step.
+
+    Args:
+        scene: The scene.
+        repeats: How often each is timed.
+        done: Called after each motion.
+    """
+    motions = []
+    for rung in RUNGS:
+        motions.append(_motion(scene, rung.name))
+        done()
     costs = measure_costs(scene, [partial(plant_of, scene, rung.name) for rung in RUNGS], repeats)
     rows = []
     for place, (rung, motion, cost) in enumerate(zip(RUNGS, motions, costs, strict=True)):
@@ -149,8 +176,17 @@ def measure_rungs(scene: FidelityScene, *, repeats: int = 5) -> tuple[RungResult
     return tuple(rows)
 
 
-def measure_steps(scene: FidelityScene, rung: str, *, repeats: int = 3) -> tuple[StepResult, ...]:
-    """Return error and cost of each integrator and step on a rung; of the closed form alone on the lowest."""
+def measure_steps(
+    scene: FidelityScene, rung: str, *, repeats: int = 3, done: Callable[[], object] = lambda: None
+) -> tuple[StepResult, ...]:
+    """Return error and cost of each integrator and step on a rung; of the closed form alone on the lowest.
+
+    Args:
+        scene: The scene.
+        rung: Name from RUNGS.
+        repeats: How often each is timed.
+        done: Called after each motion.
+    """
     if place_of(rung) == 0:
         (cost,) = measure_costs(scene, [partial(plant_of, scene, rung)], repeats)
         return (StepResult("closed form", None, 0.0, cost),)
@@ -162,6 +198,7 @@ def measure_steps(scene: FidelityScene, rung: str, *, repeats: int = 3) -> tuple
             errors[integrator, step] = apart(motion.pose, truth)
         except (PlantError, SensingError):  # it diverged
             errors[integrator, step] = math.inf
+        done()
     sound = [key for key, error in errors.items() if math.isfinite(error)]
     makers = [partial(plant_of, scene, rung, integrator=kind, longest_step=step) for kind, step in sound]
     costs = dict(zip(sound, measure_costs(scene, makers, repeats), strict=True))
