@@ -17,7 +17,6 @@ from maglev_mj.plants.mujoco import Drive, MuJoCoPlant
 
 __all__ = ["CorrectedBatchPlant", "CorrectedPlant"]
 
-_NOT_OVER = (0.0,) * 6
 _NOTHING = 1e-12
 """Angle [rad] that is rounding."""
 
@@ -32,46 +31,55 @@ class CorrectedPlant(MuJoCoPlant):
 
     Args:
         args: As for `MuJoCoPlant`.
-        integrator: "euler", "implicit", "implicitfast" or "discrete": on a free body their steps are one and the same.
-        keywords: As for `MuJoCoPlant`.
+        keywords: As for `MuJoCoPlant`; the integrator is "euler", whose step the other semi-implicit ones share on a
+            free body.
 
     Raises:
-        ParameterError: As for `MuJoCoPlant`, and for "rk4".
+        ParameterError: As for `MuJoCoPlant`, and for another integrator.
     """
 
-    def __init__(self, *args: Any, integrator: str = "euler", **keywords: Any) -> None:
-        super().__init__(*args, integrator=_semi_implicit(integrator), **keywords)
+    def __init__(self, *args: Any, **keywords: Any) -> None:
+        super().__init__(*args, **_with_euler(keywords))
         self._read_engine, self._read_pose = self._read_pose, self._read_corrected
         self._read_velocity = self._qvel.tolist
+        self._read_acceleration = self._data.qacc[self.device.velocity_address :][:6].tolist
         self._put = partial(struct.pack_into, "7d", self._qpos.data, 0)
-        self._before: Sequence[float] = self._read_velocity()
-        self._over = _NOT_OVER
+        # with damping in the engine the velocity gains something else than the step times the acceleration
+        self._damped = bool(self._model.dof_damping.any() or self._model.tendon_damping.any())
+        # how far each stretch since the last correction went too far: a factor, and what it is a factor of
+        self._stretches: list[tuple[float, Sequence[float]]] = []
 
     def _advance(self, duration: float, drive: Drive, pieces: int = 1) -> None:
-        MuJoCoPlant._advance(self, duration, drive, pieces)  # by name: super() takes longer
-        half = 0.5 * duration / pieces
-        u0, v0, w0, p0, q0, r0 = self._before
-        self._before = u, v, w, p, q, r = self._read_velocity()
-        x, y, z, rx, ry, rz = self._over
-        self._over = (
-            x + half * (u - u0),
-            y + half * (v - v0),
-            z + half * (w - w0),
-            rx + half * (p - p0),
-            ry + half * (q - q0),
-            rz + half * (r - r0),
-        )
+        if pieces > 1 or self._damped:
+            before = self._read_velocity()
+            MuJoCoPlant._advance(self, duration, drive, pieces)
+            gained = [after - earlier for after, earlier in zip(self._read_velocity(), before)]
+            self._stretches.append((0.5 * duration / pieces, gained))
+            return
+        if drive is not self._applied:
+            self._apply(drive)
+        self._options.timestep = duration
+        self._step()
+        self._stretches.append((0.5 * duration * duration, self._read_acceleration()))
 
     def _read_corrected(self) -> Sequence[float]:
         """Move the flotor back by what the steps since the last correction are ahead; return where it is then."""
         x, y, z, w, a, b, c = self._read_engine()
-        dx, dy, dz, rx, ry, rz = self._over
-        self._over = _NOT_OVER
+        if not self._stretches:
+            return x, y, z, w, a, b, c
+        rx = ry = rz = 0.0
+        for factor, (u, v, up, p, q, r) in self._stretches:
+            x -= factor * u
+            y -= factor * v
+            z -= factor * up
+            rx += factor * p
+            ry += factor * q
+            rz += factor * r
+        self._stretches.clear()
         if rx * rx + ry * ry + rz * rz > _NOTHING * _NOTHING:
             w, a, b, c = _turned_back(w, a, b, c, rx, ry, rz)
-        pose = x - dx, y - dy, z - dz, w, a, b, c
-        self._put(*pose)
-        return pose
+        self._put(x, y, z, w, a, b, c)
+        return x, y, z, w, a, b, c
 
 
 class CorrectedBatchPlant(MuJoCoBatchPlant):
@@ -79,15 +87,14 @@ class CorrectedBatchPlant(MuJoCoBatchPlant):
 
     Args:
         args: As for `MuJoCoBatchPlant`.
-        integrator: As for `CorrectedPlant`.
-        keywords: As for `MuJoCoBatchPlant`.
+        keywords: As for `MuJoCoBatchPlant`; the integrator is "euler".
 
     Raises:
-        ParameterError: As for `MuJoCoBatchPlant`, and for "rk4".
+        ParameterError: As for `MuJoCoBatchPlant`, and for another integrator.
     """
 
-    def __init__(self, *args: Any, integrator: str = "euler", **keywords: Any) -> None:
-        super().__init__(*args, integrator=_semi_implicit(integrator), **keywords)
+    def __init__(self, *args: Any, **keywords: Any) -> None:
+        super().__init__(*args, **_with_euler(keywords))
 
     def _advance(self, duration: Component, drive: BatchDrive, pieces: int = 1) -> None:
         before = self._qvel.copy()
@@ -100,10 +107,11 @@ class CorrectedBatchPlant(MuJoCoBatchPlant):
             self._qpos[:, 3:] = np.stack(_turned_back(w, a, b, c, *over[:, 3:].T), axis=-1)
 
 
-def _semi_implicit(integrator: str) -> str:
-    if integrator == "rk4":
-        raise ParameterError("integrator must be a semi-implicit one to be corrected, not 'rk4'")
-    return integrator
+def _with_euler(keywords: dict[str, Any]) -> dict[str, Any]:
+    """Return a plant's keywords with Euler's integrator."""
+    if keywords.setdefault("integrator", "euler") != "euler":
+        raise ParameterError(f"integrator must be euler, which is what is corrected, not {keywords['integrator']!r}")
+    return keywords
 
 
 def _turned_back(

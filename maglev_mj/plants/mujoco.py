@@ -159,13 +159,17 @@ class MuJoCoPlant(SampledPlant):
     def _prepare(self, force: Sequence[float]) -> Drive:
         return force, self._inverse_map
 
+    def _apply(self, drive: Drive) -> None:
+        """Hand a drive to the engine."""
+        self._applied = drive
+        force, inverse_map = drive
+        self._fill(*force)
+        if inverse_map is not None:
+            inverse_map.dot(self._wrench, out=self._currents)
+
     def _advance(self, duration: float, drive: Drive, pieces: int = 1) -> None:
         if drive is not self._applied:
-            self._applied = drive
-            force, inverse_map = drive
-            self._fill(*force)
-            if inverse_map is not None:
-                inverse_map.dot(self._wrench, out=self._currents)
+            self._apply(drive)
         if pieces == 1:
             self._options.timestep = duration
             self._step()
