@@ -21,6 +21,7 @@ __all__ = [
     "Component",
     "Mask",
     "Sample",
+    "clipped",
     "components",
     "join",
     "quaternion",
@@ -93,6 +94,13 @@ def components(values: Array) -> list[Component]:
     if values.ndim == 1:
         return values.tolist()  # type: ignore[no-any-return]
     return list(np.ascontiguousarray(np.moveaxis(values, -1, 0)))
+
+
+def clipped(value: Component, limit: Component) -> Component:
+    """Return a component no further from zero than its limit."""
+    if value.__class__ is float and limit.__class__ is float:
+        return min(max(value, -limit), limit)
+    return np.minimum(np.maximum(value, -limit), limit)
 
 
 def join(parts: Sequence[Component]) -> Array:

@@ -8,18 +8,24 @@ import statistics
 import sys
 import time
 from collections.abc import Callable
+from typing import Any
 
 import mujoco
 import numpy as np
+from peers import Task, mujoco_peer
 
 from maglev_mj import AXES, Controller, ExactPlant, Hold, MuJoCoPlant, Sample, Timing, Wall, run
 from maglev_mj.frames import components
+from maglev_mj.plants import CorrectedPlant
 from maglev_mj.stability import largest_modulus
 
 REPEATS = 15 if "--quick" in sys.argv else 60
 TICKS = 400
 BATCH = 1000
 TIMING = Timing(period=0.005, delay=0.0015)
+START = [0.5e-3, -0.3e-3, 4.5e-3, 0.0, 0.0, 0.0]
+TASK = Task()
+BY_HAND = {variant.name: variant.build(TASK) for variant in mujoco_peer.variants() if "slides and ball" in variant.name}
 
 
 def drop_controller() -> Controller:
@@ -55,16 +61,16 @@ def timed(work: Callable[[], object]) -> float:
     return time.perf_counter() - start
 
 
-def mujoco_loop(tilt: float = 0.0) -> float:
+def mujoco_loop(kind: type[MuJoCoPlant] = MuJoCoPlant, tilt: float = 0.0, **options: Any) -> float:
     """Return the time of one tick of the closed loop on MuJoCo [s], for a flotor released at a tilt [rad]."""
-    plant = MuJoCoPlant(TIMING, pose=[0, 0, 0.0045, tilt, tilt, tilt])
+    plant = kind(TIMING, pose=[*START[:3], tilt, tilt, tilt], **options)
     controller = drop_controller()
     return timed(lambda: run(plant, controller, TICKS)) / TICKS
 
 
-def bare_steps() -> float:
+def bare_steps(**options: Any) -> float:
     """Return the time of as many mj_step calls as one tick of the closed loop makes [s]."""
-    model = MuJoCoPlant(TIMING).device.model
+    model = MuJoCoPlant(TIMING, **options).device.model
     data = mujoco.MjData(model)
     model.opt.timestep = 0.5 * TIMING.period
     step = mujoco.mj_step
@@ -76,10 +82,14 @@ def bare_steps() -> float:
     return timed(steps) / TICKS
 
 
+def by_hand(name: str) -> float:
+    """Return the time of one tick of a loop on bare MuJoCo as a careful user writes it, without any check [s]."""
+    return timed(BY_HAND[name]) / TASK.ticks
+
+
 def exact_loop(batch: tuple[int, ...] = ()) -> float:
     """Return the time of one tick of the closed loop on the exact plant, for each device [s]."""
-    pose = np.zeros((*batch, 6))
-    pose[..., 2] = 0.0045
+    pose = np.broadcast_to(START, (*batch, 6))
     plant = ExactPlant(TIMING, pose=pose)
     controller = drop_controller()
     return timed(lambda: run(plant, controller, TICKS)) / TICKS / math.prod(batch)
@@ -92,11 +102,18 @@ def controller_tick(batch: tuple[int, ...], count: int) -> float:
 
 
 WORK: dict[str, Callable[[], float]] = {
-    "closed loop, MuJoCo": mujoco_loop,
-    "bare mj_step, as many": bare_steps,
-    "closed loop, MuJoCo, released tilted": lambda: mujoco_loop(0.01),
-    "closed loop, exact plant": exact_loop,
-    f"closed loop, exact plant, {BATCH} at once": lambda: exact_loop((BATCH,)),
+    "RK4, coils: closed loop": mujoco_loop,
+    "RK4, coils: bare mj_step, as many": bare_steps,
+    "RK4, coils, tilted: closed loop": lambda: mujoco_loop(tilt=0.01),
+    "RK4, body: closed loop": lambda: mujoco_loop(coils=False),
+    "RK4, body: bare mj_step, as many": lambda: bare_steps(coils=False),
+    "RK4, body: written by hand": lambda: by_hand("split, RK4, slides and ball"),
+    "corrected Euler, body: closed loop": lambda: mujoco_loop(CorrectedPlant, coils=False),
+    "corrected Euler, body: bare mj_step, as many": lambda: bare_steps(coils=False, integrator="euler"),
+    "corrected Euler, body: written by hand": lambda: by_hand("split, Euler, half-kick, slides and ball"),
+    "corrected Euler, body, 0.5 ms: closed loop": lambda: mujoco_loop(CorrectedPlant, coils=False, longest_step=5e-4),
+    "exact plant: closed loop": exact_loop,
+    f"exact plant, {BATCH} at once: closed loop": lambda: exact_loop((BATCH,)),
     "six-axis tick, wall + pulse + hold": lambda: controller_tick((), 1000),
     f"six-axis tick, {BATCH} at once": lambda: controller_tick((BATCH,), 40),
 }
@@ -108,22 +125,26 @@ def main() -> None:
     for _ in range(REPEATS):
         for name, work in WORK.items():
             times[name].append(work())
-    medians = {name: statistics.median(values) * 1e6 for name, values in times.items()}
     print(f"medians of {REPEATS} interleaved repeats; a tick is {TIMING.period * 1e3:g} simulated ms")
-    for name, median in medians.items():
-        print(f"  {name:<44}{median:9.3f} µs a tick and device")
-    loop, bare, tilted, exact, batch, tick, tick_batch = (np.array(values) for values in times.values())
+    for name, values in times.items():
+        print(f"  {name:<48}{statistics.median(values) * 1e6:9.3f} µs a tick and device")
     print("medians of the ratios, pair by pair")
-    print(f"  MuJoCo closed loop / bare steps             {np.median(loop / bare):9.2f}   (at most 1.5)")
-    print(f"  the same, tilted: the coils' map each tick  {np.median(tilted / bare):9.2f}")
-    print(f"  MuJoCo closed loop / exact plant            {np.median(loop / exact):9.2f}")
-    print(f"  MuJoCo closed loop / exact batch, a device  {np.median(loop / batch):9.1f}   (at least 30)")
-    print(f"  six-axis tick                               {np.median(tick) * 1e6:9.2f} µs (at most 10)")
-    print(f"  six-axis tick, batch, a device              {np.median(tick_batch) * 1e6:9.3f} µs (at most 1)")
+    for one in WORK:
+        kind, _, what = one.partition(": ")
+        for other in ("bare mj_step, as many", "written by hand"):
+            if what == "closed loop" and f"{kind}: {other}" in times:
+                ratio = np.median(np.array(times[one]) / np.array(times[f"{kind}: {other}"]))
+                print(f"  {kind + ', closed loop / ' + other:<64}{ratio:9.2f}")
+    exact = np.array(times["exact plant: closed loop"])
+    for kind in ("RK4, coils", "corrected Euler, body"):
+        loop = np.array(times[f"{kind}: closed loop"])
+        batch = np.array(times[f"exact plant, {BATCH} at once: closed loop"])
+        print(f"  {kind + ', closed loop / exact plant':<64}{np.median(loop / exact):9.2f}")
+        print(f"  {kind + ', closed loop / exact batch, a device':<64}{np.median(loop / batch):9.1f}")
     count = 100 if "--quick" in sys.argv else 1000
     gains = np.linspace(1.0, 20000.0, count)[:, None], np.linspace(1.0, 200.0, count)
     whole = timed(lambda: largest_modulus(*gains, period=TIMING.period, delay=TIMING.delay))
-    print(f"  modulus of {count**2:>7} closed loops             {whole:9.2f} s  (a million: at most 10)")
+    print(f"  modulus of {count**2:>7} closed loops: {whole:.2f} s")
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
 """Speed against accuracy: what each way to simulate a scene costs, and how far it is off.
 
 Draws a chart of every scene, one of the drop with what a user would take instead, and curves of what the step does
-to the stability boundary and to the energy of a bounce; writes every figure to speed_accuracy.json. Costs are medians of
-repeats in turn within this one run, so that their ratios hold on a machine that is not alone.
+to the stability boundary and to the energy of a bounce; writes every figure to speed_accuracy.json. Costs are medians
+of repeats in turn within this one run, so that their ratios hold on a machine that is not alone.
 """
 
 from __future__ import annotations

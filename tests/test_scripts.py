@@ -79,7 +79,7 @@ def test_better_walls_prints_and_writes_its_figures(tmp_path: Path) -> None:
 
 
 def test_bench_loop_prints_its_ratios() -> None:
-    assert "MuJoCo closed loop / bare steps" in run_script("bench_loop.py", "--quick")
+    assert "RK4, coils, closed loop / bare mj_step" in run_script("bench_loop.py", "--quick")
 
 
 def test_readme_example_runs() -> None:

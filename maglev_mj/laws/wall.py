@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from maglev_mj.errors import ParameterError
-from maglev_mj.frames import AXES, Array, Component
+from maglev_mj.frames import AXES, Array, Component, clipped
 from maglev_mj.parameters import axis_indices, batch_shape, number, numbers, per_axis
 
 __all__ = ["Wall"]
@@ -179,15 +179,9 @@ def _brake(
     if limit is None:
         return wanted, None
     # beyond the limit with the pulse, less what the PD force alone has beyond it
-    left = _beyond(force + wanted, limit) - _beyond(force, limit)
+    whole = force + wanted
+    left = (whole - clipped(whole, limit)) - (force - clipped(force, limit))
     return wanted - left, left if _any(left != 0.0) else None
-
-
-def _beyond(force: Component, limit: Component) -> Component:
-    """Return the part of a force that a limit cuts off; exactly 0 within the limit."""
-    if force.__class__ is float and limit.__class__ is float:
-        return force - min(max(force, -limit), limit)
-    return force - np.minimum(np.maximum(force, -limit), limit)
 
 
 def _any(mask: Component) -> bool:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from maglev_mj.errors import DivergenceError, ParameterError, PlantError
-from maglev_mj.frames import AXES, Array, Command, Component, Sample, components, join
+from maglev_mj.frames import AXES, Array, Command, Component, Sample, clipped, components, join
 from maglev_mj.parameters import number, numbers
 from maglev_mj.plants.contract import Timing
 from maglev_mj.plants.sensor import PoseSensor
@@ -224,8 +224,10 @@ class SampledPlant(ABC):
 
     def _run_in_pieces(self, duration: Component, drive: Any) -> None:
         """Advance over one stretch, recorded, and in pieces where a longest step is set."""
-        longest = self._longest_step
-        pieces = 1 if longest is None else max(math.ceil(float(np.max(duration)) / longest - 1e-9), 1)
+        pieces = 1
+        if self._longest_step is not None:
+            whole = duration if duration.__class__ is float else float(np.max(duration))
+            pieces = max(math.ceil(whole / self._longest_step - 1e-9), 1)
         if self._recorder is None:
             return self._advance(duration, drive, pieces)
         for piece in range(pieces):
@@ -250,10 +252,10 @@ class SampledPlant(ABC):
         """Clip the held wrench, and the wrench in the pulse, each on its own."""
         if self._limit is None:
             return command
-        force = [_clipped(one, most) for one, most in zip(command.force, self._limit)]
+        force = [clipped(one, most) for one, most in zip(command.force, self._limit)]
         if command.extra is None:
             return Command(force)
-        total = (_clipped(one + other, most) for one, other, most in zip(command.force, command.extra, self._limit))
+        total = (clipped(one + other, most) for one, other, most in zip(command.force, command.extra, self._limit))
         return Command(force, [one - other for one, other in zip(total, force)], command.pulse_width)
 
     def _sound(self, total: Any) -> bool:
@@ -291,10 +293,3 @@ class SampledPlant(ABC):
             f"at {time[place]:.4g} s{device}; a run has diverged beyond "
             f"{math.sqrt(largest_distance):.3g} m or {math.sqrt(largest_angle):.3g} rad"
         )
-
-
-def _clipped(force: Component, limit: Component) -> Component:
-    """Return a component within its limit."""
-    if force.__class__ is float and limit.__class__ is float:
-        return min(max(force, -limit), limit)
-    return np.minimum(np.maximum(force, -limit), limit)

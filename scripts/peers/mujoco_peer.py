@@ -21,7 +21,7 @@ import numpy as np
 from peers.mujoco_flotor import INTEGRATORS, SEMI_IMPLICIT, Flotor, turned_back
 from peers.task import Array, Task, Variant, rotation_vector
 
-__all__ = ["slow_variants", "variants"]
+__all__ = ["variants"]
 
 _STEPS = (5e-3, 1e-3, 5e-4, 1e-4, 1e-5)
 _NOTES = {
@@ -33,11 +33,6 @@ _NOTES = {
 def variants() -> list[Variant]:
     """Return the ways to simulate the task in MuJoCo."""
     return [*_on_a_grid(), *_at_switches(), *_timed_by_engine()]
-
-
-def slow_variants() -> list[Variant]:
-    """Return further ways, half a second a run."""
-    return [_grid("Euler", 1e-6)]
 
 
 def _variant(name: str, build: Callable[[Task], Callable[[], Array]], note: str = "") -> Variant:
