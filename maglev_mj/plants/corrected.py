@@ -95,16 +95,21 @@ class CorrectedBatchPlant(MuJoCoBatchPlant):
 
     def __init__(self, *args: Any, **keywords: Any) -> None:
         super().__init__(*args, **_with_euler(keywords))
+        self._over: Any = 0.0
 
     def _advance(self, duration: Component, drive: BatchDrive, pieces: int = 1) -> None:
         before = self._qvel.copy()
         super()._advance(duration, drive, pieces)
-        half = np.reshape(0.5 * np.asarray(duration) / pieces, (-1, 1))
-        over = half * (self._qvel - before)
-        self._qpos[:, :3] -= over[:, :3]
-        if (np.abs(over[:, 3:]) > _NOTHING).any():
-            w, a, b, c = self._qpos[:, 3:].T.copy()
-            self._qpos[:, 3:] = np.stack(_turned_back(w, a, b, c, *over[:, 3:].T), axis=-1)
+        self._over = self._over + np.reshape(0.5 * np.asarray(duration) / pieces, (-1, 1)) * (self._qvel - before)
+
+    def _components(self) -> list[Component]:
+        over, self._over = self._over, 0.0
+        if np.ndim(over):
+            self._qpos[:, :3] -= over[:, :3]
+            if (np.abs(over[:, 3:]) > _NOTHING).any():
+                w, a, b, c = self._qpos[:, 3:].T.copy()
+                self._qpos[:, 3:] = np.stack(_turned_back(w, a, b, c, *over[:, 3:].T), axis=-1)
+        return super()._components()
 
 
 def _with_euler(keywords: dict[str, Any]) -> dict[str, Any]:

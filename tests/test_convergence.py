@@ -1,0 +1,208 @@
+"""Each integrator has the order that it is said to have, and the corrected one is exact where that is said."""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pytest
+
+from maglev_mj import Controller, ExactPlant, MuJoCoPlant, Timing, run
+from maglev_mj.errors import ParameterError
+from maglev_mj.experiments.integrators import INTEGRATORS, stiffest_simulated
+from maglev_mj.experiments.ladder import FIDELITY_SCENES, apart, motion_of, plant_of
+from maglev_mj.experiments.wall_controller import wall_controller
+from maglev_mj.frames import Array, Command, Sample, quaternions, rotation_matrix, rotation_vector
+from maglev_mj.hand import Hand
+from maglev_mj.model import load
+from maglev_mj.plants import CorrectedBatchPlant, CorrectedPlant, MuJoCoBatchPlant
+
+SEMI_IMPLICIT = [name for name in INTEGRATORS if name != "rk4"]
+ORDERS = [*((name, 1.0) for name in SEMI_IMPLICIT), ("rk4", 4.0)]
+
+
+def slope(steps: list[float], errors: list[float]) -> float:
+    return float(np.polyfit(np.log(steps), np.log(errors), 1)[0])
+
+
+def drop_controller(**gains: Any) -> Controller:
+    gains = {"stiffness": 6000.0, "damping": 80.0, "pulse": 220.0, "pulse_width": 0.003} | gains
+    return wall_controller(period=0.005, delay=0.0015, mass=0.7, **gains)
+
+
+def free_top(time: Any, attitude: Array, spin: Array) -> Array:
+    """Return the attitude of a free symmetric top as a rotation vector, (K, 3), closed form.
+
+    It turns about its angular momentum at |L| / A and, the other way, about its own axis at (C - A) / A w_z:
+    R(t) = exp(L/A t) R(0) exp(-(C - A)/A w_z t e_z).
+    """
+    a, _, c = load("drop").inertia
+    start = rotation_matrix(attitude)
+    body = start.T @ spin
+    momentum = start @ (np.array([a, a, c]) * body)
+    around = rotation_matrix(time[:, None] * momentum / a)
+    own = rotation_matrix(time[:, None] * np.array([0.0, 0.0, -(c - a) / a * body[2]]))
+    turns = around @ start @ own
+    w = 0.5 * np.sqrt(1.0 + np.trace(turns, axis1=1, axis2=2))
+    x, y, z = ((turns[:, i, j] - turns[:, j, i]) / (4.0 * w) for i, j in ((2, 1), (0, 2), (1, 0)))
+    return np.stack(rotation_vector(w, x, y, z, np.sqrt, np.arctan2), axis=-1)
+
+
+@pytest.mark.parametrize(("integrator", "order"), ORDERS)
+def test_a_free_twist_converges_to_the_symmetric_top(integrator: str, order: float) -> None:
+    scene = FIDELITY_SCENES["twist"]
+    time = np.arange(scene.ticks + 1) * 0.005
+    truth = free_top(time, np.array(scene.pose[3:]), np.array(scene.twist[3:]))
+    steps, errors = [5e-3, 2.5e-3, 1.25e-3], []
+    for step in steps:
+        # one step a stretch at most, the delay on the grid
+        timing = Timing(period=0.005, delay=0.0)
+        plant = MuJoCoPlant(
+            timing,
+            pose=scene.pose,
+            twist=scene.twist,
+            gravity=0.0,
+            coils=False,
+            integrator=integrator,
+            longest_step=step,
+        )
+        errors.append(float(np.abs(motion_of(scene, plant).pose[:, 3:] - truth).max()))
+    assert slope(steps, errors) == pytest.approx(order, abs=0.12)
+    assert errors[-1] < (1e-9 if integrator == "rk4" else 1e-4)
+
+
+@pytest.mark.parametrize(("integrator", "order"), [*ORDERS, ("corrected", 1.0)])
+def test_a_flotor_in_a_hand_converges_to_its_closed_form(integrator: str, order: float) -> None:
+    hand, pose = Hand(mass=0.2, damping=2.0, stiffness=400.0), [1e-3, 0.0, 3e-3, 0.0, 0.0, 0.0]
+    steps, errors = [2.5e-3, 1.25e-3, 6.25e-4, 3.125e-4], []
+    timing = Timing(period=0.005, delay=0.0)
+
+    def places(plant: Any) -> Array:
+        seen: list[Array] = []
+        run(plant, Controller([], period=0.005), 40, observe=lambda sample, _: seen.append(sample.pose))
+        return np.array(seen)
+
+    truth = places(ExactPlant(timing, pose=pose, hand=hand))
+    kind: Any = CorrectedPlant if integrator == "corrected" else partial(MuJoCoPlant, integrator=integrator)
+    for step in steps:
+        moved = places(kind(timing, pose=pose, hand=hand, coils=False, longest_step=step))
+        errors.append(float(np.abs(moved - truth).max()))
+    assert slope(steps, errors) == pytest.approx(order, abs=0.12)
+
+
+@pytest.mark.parametrize("integrator", SEMI_IMPLICIT)
+def test_raw_steps_of_a_drop_are_off_in_proportion_to_the_step(integrator: str) -> None:
+    # a fall of whole steps: h/2 v ahead, before there is any wall
+    steps, errors = [1e-3, 5e-4, 2.5e-4], []
+    for step in steps:
+        plant = MuJoCoPlant(Timing(delay=0.0), pose=[0, 0, 4.5e-3, 0, 0, 0], integrator=integrator, longest_step=step)
+        last = run(plant, Controller([], period=0.005), 5)
+        errors.append(4.5e-3 - 0.5 * 9.81 * 0.025**2 - float(last.pose[2]))
+    np.testing.assert_allclose(errors, [0.5 * step * 9.81 * 0.025 for step in steps], rtol=1e-9)
+
+
+@pytest.mark.parametrize("longest", [None, 5e-4])
+def test_corrected_steps_are_exact_in_translation_at_every_phase(longest: float | None) -> None:
+    worst, start = 0.0, [5e-4, -3e-4, 4.5e-3, 0.0, 0.0, 0.0]
+    for phase in np.arange(20) / 20.0:
+        timing = Timing(phase=phase)
+        traces = []
+        exact = ExactPlant(timing, pose=start, record=True)
+        for plant in (exact, CorrectedPlant(timing, pose=start, record=True, longest_step=longest)):
+            run(plant, drop_controller(), 60)
+            traces.append(plant.trace())
+        times = np.linspace(0.0, 0.3, 400)
+        (pose, twist, force), (other, moved, same) = (trace.at(times) for trace in traces)
+        worst = max(worst, float(np.abs(pose - other)[:, :3].max()))
+        np.testing.assert_allclose(moved[:, :3], twist[:, :3], atol=1e-13)
+        np.testing.assert_allclose(same, force, atol=1e-9)
+    assert worst < 1e-14
+
+
+def test_corrected_steps_turn_as_exactly_about_one_axis() -> None:
+    start = [0.0, 0.0, 4.5e-3, 0.03, 0.0, 0.0]
+    exact = ExactPlant(Timing(), inertia=load("drop").inertia, pose=start)
+    corrected = CorrectedPlant(Timing(), coils=False, pose=start)
+    poses = [run(plant, drop_controller(), 60).pose for plant in (exact, corrected)]
+    np.testing.assert_allclose(poses[1], poses[0], atol=1e-12)
+
+
+@pytest.mark.parametrize("coils", [True, False])
+def test_a_corrected_batch_moves_as_its_devices_do(coils: bool) -> None:
+    random = np.random.default_rng(3)
+    pose = random.uniform(-1.0, 1.0, (6, 6)) * [1e-3, 1e-3, 2e-3, 0.02, 0.02, 0.02] + [0, 0, 3e-3, 0, 0, 0]
+    spin = random.uniform(-0.1, 0.1, (6, 6))
+    batch = CorrectedBatchPlant(Timing(), pose=pose, twist=spin, coils=coils)
+    last = run(batch, drop_controller(), 40).pose
+    for device in range(6):
+        single = run(
+            CorrectedPlant(Timing(), pose=pose[device], twist=spin[device], coils=coils), drop_controller(), 40
+        )
+        np.testing.assert_allclose(last[device, :3], single.pose[:3], atol=1e-15)
+        # where one device has a pulse all end a step, and the error of rotations depends on the steps
+        np.testing.assert_allclose(last[device, 3:], single.pose[3:], atol=1e-7)
+
+
+def test_a_batch_without_coils_moves_as_its_devices_do() -> None:
+    pose = np.array([[5e-4, 0.0, 4.5e-3, 0.02, -0.01, 0.0], [0.0, -3e-4, 3e-3, 0.0, 0.01, 0.02]])
+    last = run(MuJoCoBatchPlant(Timing(), pose=pose, coils=False), drop_controller(), 40).pose
+    for device in range(2):
+        single = MuJoCoPlant(Timing(), pose=pose[device], coils=False)
+        np.testing.assert_allclose(last[device], run(single, drop_controller(), 40).pose, atol=1e-13)
+    with pytest.raises(ParameterError, match="driver_lag needs coils"):
+        MuJoCoBatchPlant(pose=pose, coils=False, driver_lag=True)
+
+
+def test_only_euler_is_corrected() -> None:
+    for kind in (CorrectedPlant, partial(CorrectedBatchPlant, pose=np.zeros((2, 6)))):
+        with pytest.raises(ParameterError, match="integrator must be euler, which is what is corrected, not 'rk4'"):
+            kind(integrator="rk4")
+
+
+def test_corrected_steps_do_not_shift_the_boundary() -> None:
+    theory = stiffest_simulated("rk4", 2.5e-3, period=0.005, delay=0.0015)
+    for step in (5e-3, 1e-3, 3e-4):
+        found = stiffest_simulated("corrected", step, period=0.005, delay=0.0015)
+        assert math.isclose(float(found.stiffness), float(theory.stiffness), rel_tol=1e-9)
+
+
+def test_a_sweep_of_drops_ends_alike_on_the_corrected_batch_and_on_the_exact_one() -> None:
+    stiffness, damping = (grid.ravel() for grid in np.meshgrid(np.linspace(500, 16000, 10), np.linspace(20, 180, 10)))
+    pose = np.tile([0.0, 0.0, 4.5e-3, 0.0, 0.0, 0.0], (100, 1))
+    heights = []
+    for kind in (ExactPlant, CorrectedBatchPlant, partial(CorrectedBatchPlant, coils=False)):
+        seen: list[Array] = []
+
+        def keep(sample: Sample, _: Command, seen: list[Array] = seen) -> None:
+            seen.append(sample.position[2])
+
+        plant: Any = kind(Timing(), pose=pose, escape=(1e6, 1.0))
+        run(plant, drop_controller(stiffness=stiffness, damping=damping), 80, observe=keep)
+        heights.append(np.array(seen))
+    for other in heights[1:]:
+        np.testing.assert_allclose(other, heights[0], atol=1e-11)
+
+
+def test_rotation_matrices_are_the_engine_s() -> None:
+    import mujoco
+
+    vectors = np.random.default_rng(0).uniform(-1.0, 1.0, (50, 3))
+    vectors[0] = 0.0
+    for vector, matrix, turn in zip(
+        vectors, rotation_matrix(vectors), np.stack(quaternions(vectors), axis=-1), strict=True
+    ):
+        known, wanted = np.zeros(4), np.zeros(9)
+        angle = float(np.linalg.norm(vector))
+        mujoco.mju_axisAngle2Quat(known, vector / angle if angle else np.array([1.0, 0.0, 0.0]), angle)
+        mujoco.mju_quat2Mat(wanted, known)
+        np.testing.assert_allclose(turn, known, atol=1e-15)
+        np.testing.assert_allclose(matrix.ravel(), wanted, atol=1e-15)
+
+
+def test_the_answer_of_the_six_axes_is_converged() -> None:
+    scene = FIDELITY_SCENES["six-axes"]
+    motions = [motion_of(scene, plant_of(scene, "body", longest_step=step)).pose for step in (1e-3, 5e-4, 2.5e-4)]
+    coarse, fine = apart(motions[0], motions[1]), apart(motions[1], motions[2])
+    assert fine < 1e-12 and (fine < coarse / 8.0 or coarse < 1e-14)

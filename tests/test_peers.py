@@ -1,0 +1,126 @@
+"""The peers of the chart simulate the task that this package does, each as exactly as it says."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from maglev_mj import ExactPlant, Timing, run
+from maglev_mj.charts import WorkPoint, pareto
+from maglev_mj.experiments.wall_controller import wall_controller
+from maglev_mj.frames import Array
+
+SCRIPTS = Path(__file__).resolve().parent.parent / "scripts"
+
+EXACT = {
+    "mujoco": ("split, RK4", "split, Euler, half-kick", "Euler, steps of 0.5 ms, corrected", "RK4, steps of 0.5 ms"),
+    "drake": ("scripted, RK2", "LeafSystem, RK2"),
+    "pybullet": ("step a segment, corrected",),
+    "scipy": ("solve_ivp a segment, RK45, one step",),
+    "control": ("ss, sampled for each length, A x + B u",),
+}
+"""Variants that are exact to rounding in translation."""
+
+
+@pytest.fixture(autouse=True)
+def _peers_at_hand(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(SCRIPTS))
+
+
+def truth(task: Any) -> tuple[Array, Array]:
+    """Return poses at the samples, (81, 6), and the held and pulsed wrenches answered, (80, 2, 6)."""
+    plant = ExactPlant(Timing(), inertia=task.inertia, pose=task.pose)
+    controller = wall_controller(
+        stiffness=6000.0, damping=80.0, pulse=220.0, pulse_width=0.003, period=0.005, delay=0.0015, mass=0.7
+    )
+    poses: list[Array] = []
+    wrenches: list[Array] = []
+
+    def keep(sample: Any, command: Any) -> None:
+        poses.append(sample.pose)
+        wrenches.append(np.array([command.wrench, command.wrench + command.pulse]))
+
+    last = run(plant, controller, task.ticks, observe=keep)
+    return np.array([*poses, last.pose]), np.array(wrenches)
+
+
+def test_the_law_that_the_peers_share_is_the_controller_s() -> None:
+    from peers import Task
+
+    task = Task(tilt=0.03)
+    poses, wrenches = truth(task)
+    law = task.law()
+    for pose, (held, pulsed) in zip(poses[:-1], wrenches, strict=True):
+        force, pulse = law(pose.tolist())
+        np.testing.assert_allclose(force, held, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(pulse or force, pulsed, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("peer", EXACT)
+@pytest.mark.filterwarnings("default")
+def test_a_peer_that_is_said_to_be_exact_is(peer: str, capfd: pytest.CaptureFixture[str]) -> None:
+    from peers import Task, available
+
+    variants, missing = available([peer])
+    if missing:
+        assert missing == [f"{peer} is not installed and left out: pip install 'maglev-mj[peers]'"]
+        pytest.skip(missing[0])
+    named = {variant.name: variant for variant in variants}
+    task = Task()
+    poses, _ = truth(task)
+    for name in EXACT[peer]:
+        simulate = named[name].build(task)
+        for _ in range(2):  # a run begins anew
+            assert np.abs(simulate() - poses).max() < 1e-13, name
+    with pytest.raises(ValueError, match="peer must be one of mujoco, drake"):
+        available(["gazebo"])
+
+
+def test_steps_that_miss_what_they_should_not_are_seen_to() -> None:
+    from peers import Task, available
+
+    task = Task()
+    poses, _ = truth(task)
+    named = {variant.name: variant for variant in available(["mujoco"])[0]}
+    raw, native, callback = (
+        float(np.abs(named[name].build(task)() - poses).max())
+        for name in ("Euler, steps of 0.1 ms", "native delay, RK4, steps of 0.5 ms", "callback, RK4, steps of 0.5 ms")
+    )
+    assert raw == pytest.approx(81e-6, rel=0.05)
+    # the last stage of RK4 sees the command that begins where it ends
+    assert native == pytest.approx(180e-6, rel=0.1) and callback == pytest.approx(180e-6, rel=0.1)
+
+
+def test_a_way_that_another_beats_in_both_is_not_on_the_front() -> None:
+    points = [
+        WorkPoint("cheap", "a", 1.0, 1e-3),
+        WorkPoint("beaten", "a", 2.0, 2e-3),
+        WorkPoint("rounding", "b", 3.0, 2e-17),
+        WorkPoint("better rounding", "b", 4.0, 1e-18),
+        WorkPoint("dear", "b", 5.0, 1e-6),
+    ]
+    assert [point.name for point in pareto(points)] == ["cheap", "rounding"]
+
+
+def test_the_chart_holds_every_scene_and_says_what_is_missing(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    import subprocess
+
+    command = [sys.executable, str(SCRIPTS / "speed_accuracy.py"), str(tmp_path), "--quick"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
+    assert done.returncode == 0, done.stderr
+    data = json.loads((tmp_path / "speed_accuracy.json").read_text())
+    assert list(data["scenes"]) == ["drop", "drop-no-pulse", "press", "stick-slip", "twist", "six-axes"]
+    for scene in data["scenes"].values():
+        errors = {way["name"]: way["error"] for way in scene["ways"]}
+        assert scene["front"] and set(scene["front"]) <= set(errors)
+        assert errors["rk4, a step a segment"] < 1e-9 < errors["euler, a step a segment"]
+    assert data["sweep"]["misjudged"]["MuJoCo, corrected"] == 0 < data["sweep"]["misjudged"]["MuJoCo, raw euler"]
+    assert data["boundary"]["orders"]["euler"] == pytest.approx(1.0, abs=0.1)
+    for name in ("speed_accuracy", "speed_accuracy_peers", "speed_accuracy_steps"):
+        assert (tmp_path / f"{name}.png").stat().st_size > 10_000
