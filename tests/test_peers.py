@@ -34,10 +34,9 @@ def _peers_at_hand(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def truth(task: Any) -> tuple[Array, Array]:
     """Return poses at the samples, (81, 6), and the held and pulsed wrenches answered, (80, 2, 6)."""
-    plant = ExactPlant(Timing(), inertia=task.inertia, pose=task.pose)
-    controller = wall_controller(
-        stiffness=6000.0, damping=80.0, pulse=220.0, pulse_width=0.003, period=0.005, delay=0.0015, mass=0.7
-    )
+    plant = ExactPlant(Timing(delay=task.delay), inertia=task.inertia, pose=task.pose)
+    gains: dict[str, Any] = {"stiffness": 6000.0, "damping": 80.0, "pulse": 220.0, "pulse_width": task.pulse_width}
+    controller = wall_controller(period=0.005, delay=task.delay, mass=0.7, **gains)
     poses: list[Array] = []
     wrenches: list[Array] = []
 
@@ -94,6 +93,18 @@ def test_steps_that_miss_what_they_should_not_are_seen_to() -> None:
     assert raw == pytest.approx(81e-6, rel=0.05)
     # the last stage of RK4 sees the command that begins where it ends
     assert native == pytest.approx(180e-6, rel=0.1) and callback == pytest.approx(180e-6, rel=0.1)
+
+
+def test_only_steps_that_end_at_the_switches_are_exact_off_the_grid() -> None:
+    from peers import Task, available
+
+    task = Task(delay=0.00137, pulse_width=0.00271)
+    poses, _ = truth(task)
+    named = {variant.name: variant for variant in available(["mujoco"])[0]}
+    for name in ("RK4, steps of 0.5 ms", "Euler, steps of 0.5 ms, corrected"):
+        assert np.abs(named[name].build(task)() - poses).max() > 1e-4
+    for name in ("split, RK4", "split, Euler, half-kick"):
+        assert np.abs(named[name].build(task)() - poses).max() < 1e-13
 
 
 def test_a_way_that_another_beats_in_both_is_not_on_the_front() -> None:

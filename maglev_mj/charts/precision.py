@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -81,8 +82,9 @@ def work_precision(panels: Sequence[WorkPrecision], path: Path, columns: int = 3
                 alpha=0.85,
                 label=group,
             )
-        for many, style in ((False, "-"), (True, "--")):
-            _draw_front(axis, pareto([point for point in panel.points if point.many is many]), groups, style)
+        named: list[tuple[float, float]] = []
+        for many, style in ((True, "--"), (False, "-")):
+            _draw_front(axis, pareto([point for point in panel.points if point.many is many]), groups, style, named)
         _furnish(axis, panel.title, len(groups))
     for axis in axes[len(panels) :]:
         axis.set_axis_off()
@@ -116,9 +118,15 @@ def _furnish(axis: Any, title: str, rows: int) -> None:
     axis.set_ylabel("largest error (µm)")
 
 
-def _draw_front(axis: Any, front: Sequence[WorkPoint], groups: Sequence[str], style: str) -> None:
-    """Draw the front as steps and name its points."""
+def _draw_front(
+    axis: Any, front: Sequence[WorkPoint], groups: Sequence[str], style: str, named: list[tuple[float, float]]
+) -> None:
+    """Draw the front as steps and name its points, but for those whose name would lie on one of `named`."""
     places = [(1e3 * point.cost, _height(point, groups)) for point in front]
     axis.step(*zip(*places, strict=True), where="post", color=SECOND, linewidth=1.2, linestyle=style, zorder=0)
     for point, place in zip(front, places, strict=True):
+        cost, error = (math.log10(part) for part in place)
+        if any(abs(cost - x) < 2.0 and abs(error - y) < 0.6 for x, y in named):
+            continue
+        named.append((cost, error))
         axis.annotate(point.name, place, textcoords="offset points", xytext=(7, 5), fontsize=8, color=SECOND, zorder=3)
