@@ -51,6 +51,8 @@ class CoilMap:
         object.__setattr__(self, "wrench_per_current", upright)
         object.__setattr__(self, "current_per_wrench", np.linalg.inv(upright))
         object.__setattr__(self, "_turning", turning)
+        for array in (self.points, self.directions, self.force_constants, upright, self.current_per_wrench):
+            array.setflags(write=False)  # many plants share one map
 
     def inverse_at(self, rotation: Array) -> Array:
         """Return currents per wrench [A/N, A/(N m)], (..., 6, 6), for flotors turned by rotation matrices (..., 9)."""

@@ -13,13 +13,14 @@ import mujoco
 import numpy as np
 
 from maglev_mj.coils import CoilMap
+from maglev_mj.detail import Detail
 from maglev_mj.errors import ModelError, ParameterError
 from maglev_mj.frames import AXES, Array
 from maglev_mj.hand import Hand
 from maglev_mj.parameters import number
 from maglev_mj.sensing import Beams
 
-__all__ = ["COILS", "Detail", "Device", "beams", "envelope", "load", "model_path", "scenes"]
+__all__ = ["COILS", "Device", "beams", "envelope", "load", "model_path", "scenes"]
 
 COILS = tuple(f"{kind}{arm}" for kind in ("vertical", "horizontal") for arm in range(3))
 """Actuator names, in the order of the six currents."""
@@ -47,6 +48,11 @@ def model_path(name: str) -> Path:
     if not path.is_file():
         raise ModelError(f"model must be one of {', '.join(scenes())}, not {name!r}")
     return path
+
+
+def _written() -> tuple[tuple[str, int], ...]:
+    """Return the MJCF files and when each was written, so that one that is changed is read again."""
+    return tuple(sorted((str(path), path.stat().st_mtime_ns) for path in _folder().glob("*.xml")))
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,29 +91,6 @@ class Device:
         return np.diag(mass_matrix)[start : start + 3].copy()
 
 
-@dataclass(frozen=True, kw_only=True)
-class Detail:
-    """What the device has beyond a rigid flotor in free space with ideal coils.
-
-    Args:
-        force_falloff: Share of its force constant that a coil has lost when it is as far from its magnets' centre,
-            along its force, as the device's range goes; the loss goes with the square of the distance. Assumed.
-        stops: The metal stops at the ends of the range.
-        flexible: The handle swings against the flotor along z, at 1 kHz and with a hundredth of critical damping; the
-            frequency is the paper's, the shape and the damping are assumed.
-
-    Raises:
-        ParameterError: If the falloff is not in [0, 1].
-    """
-
-    force_falloff: float = 0.0
-    stops: bool = False
-    flexible: bool = False
-
-    def __post_init__(self) -> None:
-        number("force_falloff", self.force_falloff, at_least=0.0, at_most=1.0)
-
-
 _MODE = 1000.0
 _MODE_DAMPING = 0.01
 
@@ -138,9 +121,8 @@ def load(
         ParameterError: If the mass is not above 0, or the hand is for a batch or on a rotation.
     """
     path = model_path(name)
-    written = tuple(sorted((other.name, other.stat().st_mtime_ns) for other in path.parent.glob("*.xml")))
     moving = None if mass is None else number("mass", mass, above=0.0)
-    device = _compiled(path, written, lean, driver_lag, coils, moving, hand, detail or Detail())
+    device = _compiled(path, _written(), lean, driver_lag, coils, moving, hand, detail or Detail())
     return replace(device, model=copy(device.model))
 
 
@@ -155,7 +137,7 @@ def _compiled(
     hand: Hand | None,
     detail: Detail,
 ) -> Device:
-    """See `load`; `written` says when the files were, so that one that is changed is compiled again."""
+    """See `load`."""
     name = path.stem
     try:
         spec = mujoco.MjSpec.from_file(str(path))
@@ -175,7 +157,7 @@ def _compiled(
         if hand is not None:
             _hold(spec, hand)
         if detail.flexible:
-            _bend(spec)
+            _bend(spec, mass)
         model = spec.compile()
         flotor = model.body("flotor").id
         joints = [model.joint(joint) for joint in ("x", "y", "z", "rotation")]
@@ -205,10 +187,11 @@ def _compiled(
     )
 
 
-def _bend(spec: mujoco.MjSpec) -> None:
-    """Let the handle swing against the flotor along z, at the flotor's first mode."""
+def _bend(spec: mujoco.MjSpec, mass: float | None) -> None:
+    """Let the handle swing against the flotor along z, at the flotor's first mode, for a moving mass [kg]."""
     handle, flotor = spec.body("handle"), spec.body("flotor")
-    reduced = handle.mass * flotor.mass / (handle.mass + flotor.mass)
+    whole = handle.mass + flotor.mass
+    reduced = handle.mass * flotor.mass / whole * (1.0 if mass is None else mass / whole)
     rate = 2.0 * math.pi * _MODE
     joint = handle.add_joint(name="bend", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[0.0, 0.0, 1.0])
     joint.stiffness[0], joint.damping[0] = reduced * rate**2, 2.0 * _MODE_DAMPING * reduced * rate
@@ -250,13 +233,18 @@ def _coil_map(model: mujoco.MjModel, flotor: int) -> CoilMap:
     )
 
 
-@lru_cache(maxsize=1)
 def beams() -> Beams:
     """Return the geometry of the device's LEDs and position sensing diodes.
 
     Raises:
         ModelError: If the model lacks one.
     """
+    return _beams(_written())
+
+
+@lru_cache(maxsize=1)
+def _beams(written: tuple[tuple[str, int], ...]) -> Beams:
+    """See `beams`."""
     try:
         spec = mujoco.MjSpec.from_file(str(model_path("maglev")))
         model = spec.compile()

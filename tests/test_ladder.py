@@ -12,12 +12,12 @@ import pytest
 
 from maglev_mj import Controller, ExactPlant, Hold, MuJoCoPlant, Timing, run
 from maglev_mj.cli import main
+from maglev_mj.detail import Detail
 from maglev_mj.errors import ParameterError
 from maglev_mj.experiments.fidelity import measure_fidelity, measure_rungs, measure_steps
 from maglev_mj.experiments.ladder import FIDELITY_SCENES, RUNGS, apart, motion_of, plant_of
 from maglev_mj.experiments.wall_controller import wall_controller
 from maglev_mj.frames import Array, Command
-from maglev_mj.model import Detail
 from maglev_mj.spec import Spec
 
 LAG = 1.0 / (2.0 * math.pi * Spec.driver_bandwidth.value)

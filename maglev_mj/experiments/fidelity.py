@@ -38,6 +38,7 @@ __all__ = [
 ]
 
 _REFERENCE_STEP = 2e-5
+_LEAST_TIME = 2e-3
 
 STEPPINGS: tuple[tuple[str, float | None], ...] = tuple(
     (integrator, step)
@@ -104,7 +105,9 @@ class FidelityResult(NamedTuple):
 
     def as_json(self) -> dict[str, Any]:
         """Return everything, ready for JSON; null for what is infinite."""
-        steps = [row._asdict() | {"error": row.error if math.isfinite(row.error) else None} for row in self.steps]
+        steps = [
+            {name: None if value == math.inf else value for name, value in row._asdict().items()} for row in self.steps
+        ]
         return {
             "scene": self.scene.name,
             "tolerance": self.tolerance,
@@ -210,16 +213,24 @@ def measure_costs(
 ) -> tuple[float, ...]:
     """Return what a simulated second costs on each plant [s], the controller included.
 
-    Medians over repeats in turn, so that their ratios hold on a machine that is not alone.
+    Medians over repeats in turn, so that their ratios hold on a machine that is not alone; short runs count several
+    times a turn, after one that warms the processor's caches.
     """
     times: list[list[float]] = [[] for _ in makers]
     for _ in range(repeats):
         for kept, make in zip(times, makers, strict=True):
-            plant, controller = make(), scene.controller()
-            start = time.perf_counter()
-            run(plant, controller, scene.ticks)
-            kept.append((time.perf_counter() - start) / (scene.ticks * plant.period))
+            first, plant = _timed(scene, make)
+            again = min(math.ceil(_LEAST_TIME / first), 10)
+            kept += [_timed(scene, make)[0] / (scene.ticks * plant.period) for _ in range(again)]
     return tuple(statistics.median(kept) for kept in times)
+
+
+def _timed(scene: FidelityScene, make: Callable[[], SampledPlant]) -> tuple[float, SampledPlant]:
+    """Return how long a run takes [s], on a new plant, and that plant."""
+    plant, controller = make(), scene.controller()
+    start = time.perf_counter()
+    run(plant, controller, scene.ticks)
+    return time.perf_counter() - start, plant
 
 
 def _motion(scene: FidelityScene, rung: str, **options: Any) -> Motion:

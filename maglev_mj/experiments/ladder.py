@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from maglev_mj.controller import Controller
+from maglev_mj.detail import Detail
 from maglev_mj.errors import ParameterError
 from maglev_mj.experiments.choices import hand_called
 from maglev_mj.experiments.wall_controller import wall_controller
@@ -18,7 +19,6 @@ from maglev_mj.frames import AXES, Array, Command, Sample
 from maglev_mj.hand import Hand
 from maglev_mj.laws import Hold, StickSlip
 from maglev_mj.loop import run
-from maglev_mj.model import Detail, beams
 from maglev_mj.plants import CorrectedPlant, ExactPlant, MuJoCoPlant, SampledPlant, Sensor, SpotSensor, Timing
 from maglev_mj.spec import GRAVITY, Spec
 
@@ -56,7 +56,7 @@ RUNGS: tuple[Rung, ...] = (
     Rung("lag", "drivers of 2 kHz, as 80 µs more of delay", {}, {"delay": _DELAY + _LAG}),
     Rung("falloff", "a tenth of the force lost at the end of the range", {"detail": Detail(force_falloff=0.1)}),
     Rung("steps", "a sensor of 5 µm and 10 µrad", {"sensor": Sensor(quantum=(5e-6,) * 3 + (10e-6,) * 3)}),
-    Rung("spots", "LEDs and diodes of 0.8 µm, the pose by Newton", {"sensor": SpotSensor(beams=beams(), quantum=8e-7)}),
+    Rung("spots", "LEDs and diodes of 0.8 µm, the pose by Newton", {"sensor": SpotSensor(quantum=8e-7)}),
     Rung("jitter", "conversions that vary by 0.1 ms either way", {}, {"jitter": 1e-4}),
     Rung("stops", "metal stops", {"detail": Detail(force_falloff=0.1, stops=True)}),
     Rung("filter", "the drivers' lag as the filter that it is", {"driver_lag": True}, {"delay": _DELAY}),

@@ -26,8 +26,8 @@ class CorrectedPlant(MuJoCoPlant):
 
     A semi-implicit step of h moves the flotor by h times the velocity at its end, where a constant force moves it by h
     times the mean: (h/2) dv too far. That is taken off at each sample. Translation is exact to rounding, as with
-    RK4, at a third of its cost; rotation is off by the second order of the step. Under a force that changes within a
-    step, as a hand's and lagging drivers' do, an error of first order in the step stays.
+    RK4, and a step costs a third of its. What changes within a step, a hand's force, lagging drivers, the torques of
+    turning about several axes, leaves an error of first order in the step.
 
     Args:
         args: As for `MuJoCoPlant`.
@@ -62,11 +62,8 @@ class CorrectedPlant(MuJoCoPlant):
         self._step()
         self._stretches.append((0.5 * duration * duration, self._read_acceleration()))
 
-    def _read_corrected(self) -> Sequence[float]:
-        """Move the flotor back by what the steps since the last correction are ahead; return where it is then."""
+    def _look(self) -> tuple[float, float, float, float, float, float, float]:
         x, y, z, w, a, b, c = self._read_engine()
-        if not self._stretches:
-            return x, y, z, w, a, b, c
         rx = ry = rz = 0.0
         for factor, (u, v, up, p, q, r) in self._stretches:
             x -= factor * u
@@ -75,11 +72,16 @@ class CorrectedPlant(MuJoCoPlant):
             rx += factor * p
             ry += factor * q
             rz += factor * r
-        self._stretches.clear()
         if rx * rx + ry * ry + rz * rz > _NOTHING * _NOTHING:
             w, a, b, c = _turned_back(w, a, b, c, rx, ry, rz)
-        self._put(x, y, z, w, a, b, c)
         return x, y, z, w, a, b, c
+
+    def _read_corrected(self) -> Sequence[float]:
+        """Move the flotor back by what the steps since the last correction are ahead; return where it is then."""
+        pose = self._look()
+        self._stretches.clear()
+        self._put(*pose)
+        return pose
 
 
 class CorrectedBatchPlant(MuJoCoBatchPlant):

@@ -8,10 +8,11 @@ from contextlib import contextmanager
 import mujoco
 import numpy as np
 
+from maglev_mj.detail import Detail
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Array, quaternion
 from maglev_mj.hand import Hand
-from maglev_mj.model import COILS, Detail, Device, load
+from maglev_mj.model import COILS, Device, load
 from maglev_mj.parameters import number
 from maglev_mj.spec import GRAVITY, Spec
 
@@ -143,9 +144,17 @@ class FadingCoils:
         for _ in range(steps):
             mujoco.mj_fwdPosition(model, data)
             mujoco.mj_fwdVelocity(model, data)
-            stroke = (length + half * speed - self._centre) / self._range
-            gains[:] = self._flat * (1.0 - self._falloff * stroke * stroke)
+            gains[:] = self._flat * self._share(length + half * speed)
             mujoco.mj_step(model, data)
+
+    def share(self) -> Array:
+        """Return what share of its force each coil gives where the flotor is, (6,)."""
+        mujoco.mj_fwdPosition(self._model, self._data)
+        return self._share(self._data.actuator_length[: len(COILS)])
+
+    def _share(self, length: Array) -> Array:
+        stroke = (length - self._centre) / self._range
+        return 1.0 - self._falloff * stroke * stroke
 
 
 def _lengths_at_centre(device: Device) -> Array:

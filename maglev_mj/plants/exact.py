@@ -138,7 +138,7 @@ class ExactPlant(SampledPlant):
 
     def _position(self) -> list[Component]:
         self._check_escape(self._place)
-        return self._place
+        return self._place.copy()
 
     def _state(self, drive: Drive) -> tuple[Array, Array, Array]:
         force = drive[1]
@@ -173,7 +173,7 @@ def _shared(parts: list[Component]) -> list[Component]:
 
     One of them stays an array in any case, so that a batch is seen to be one.
     """
-    shared = [float(part.flat[0]) if np.ndim(part) and (part == part.flat[0]).all() else part for part in parts]
+    shared = [float(part.flat[0]) if np.size(part) > 1 and (part == part.flat[0]).all() else part for part in parts]
     if np.ndim(parts[0]) and not any(np.ndim(part) for part in shared):
         shared[2] = parts[2]
     return shared

@@ -5,17 +5,18 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Callable, Sequence
-from functools import lru_cache, partial
+from functools import partial
 from typing import Any, TypeAlias, Unpack
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
+from maglev_mj.detail import Detail
 from maglev_mj.errors import ParameterError, PlantError
 from maglev_mj.frames import Array, Command, rotation_vector
 from maglev_mj.hand import Hand
-from maglev_mj.model import COILS, Detail, load
+from maglev_mj.model import COILS, load
 from maglev_mj.parameters import number, numbers
 from maglev_mj.plants.base import PlantKeywords, SampledPlant
 from maglev_mj.plants.contract import Timing
@@ -131,9 +132,13 @@ class MuJoCoPlant(SampledPlant):
             self._data.act[:] = self._inverse_map @ np.array(self._drive[0])
         if self.current_limit is not None:
             self._limits = True
-            self._limiting_map: Any = None if coils else _upright_map(scene)
-        # the engine warns of what is not finite or beyond 1e10, which is an escape too unless that is wider still
-        self._watched = max(self._escape) > _ENGINE_BOUND or detail.stops
+            upright = load(scene).coils
+            assert upright is not None  # it is loaded with them
+            self._limiting_map: Any = None if coils else upright.current_per_wrench
+        # it warns of positions and velocities that are not finite or beyond 1e10, each an escape too unless that is
+        # wider still; and of controls, which it then leaves out
+        self._warns_unseen = max(self._escape) > _ENGINE_BOUND or detail.stops
+        self._refused = memoryview(self._warnings)[int(mujoco.mjtWarning.mjWARN_BADCTRL) :]
 
     def _limited(self, command: Command) -> Command:
         command = super()._limited(command)
@@ -157,7 +162,7 @@ class MuJoCoPlant(SampledPlant):
         return left
 
     def _prepare(self, force: Sequence[float]) -> Drive:
-        return force, self._inverse_map
+        return tuple(force), self._inverse_map  # the caller may use its list again
 
     def _apply(self, drive: Drive) -> None:
         """Hand a drive to the engine."""
@@ -178,7 +183,7 @@ class MuJoCoPlant(SampledPlant):
             self._step(pieces)
 
     def _position(self) -> list[float]:
-        if self._watched:
+        if self._warns_unseen or self._refused[0]:
             self._check_warnings()
         x, y, z, q0, q1, q2, q3 = self._read_pose()
         rx, ry, rz = rotation_vector(q0, q1, q2, q3)
@@ -195,8 +200,8 @@ class MuJoCoPlant(SampledPlant):
     def _follow_turn(self, turned: bool) -> None:
         """Renew the coils' map for a flotor that is turned, or is upright again."""
         assert self._coils is not None
+        self._comparable = not (turned or self._turned)  # the map differs from sample to sample
         self._turned = turned
-        self._comparable = not turned  # the map differs from sample to sample
         if turned:
             mujoco.mju_quat2Mat(self._rotation, self._qpos[3:])
             self._inverse_map = self._coils.inverse_at(self._rotation)
@@ -210,20 +215,18 @@ class MuJoCoPlant(SampledPlant):
             names = ", ".join(mujoco.mjtWarning(kind).name for kind, count in enumerate(counts) if count)
             raise PlantError(f"MuJoCo warns at {self.timing.time(self._tick):.4g} s: {names}")
 
+    def _look(self) -> Sequence[float]:
+        """Return where the flotor is, x y z and a quaternion, and change nothing."""
+        return self._read_pose()
+
     def _state(self, drive: Drive) -> tuple[Array, Array, Array]:
-        x, y, z, q0, q1, q2, q3 = self._read_pose()
+        x, y, z, q0, q1, q2, q3 = self._look()
         force, inverse_map = drive
         wrench = np.array(force)
-        if self._model.na:  # the drivers lag: their currents, not the commanded ones
-            wrench = np.linalg.solve(inverse_map, self._data.act)
-        mujoco.mju_quat2Mat(self._rotation, self._qpos[3:])
+        if self._model.na or isinstance(self._step, FadingCoils):  # not what was commanded
+            currents = self._data.act if self._model.na else inverse_map @ wrench
+            share = self._step.share() if isinstance(self._step, FadingCoils) else 1.0
+            wrench = np.linalg.solve(inverse_map, currents * share)
+        mujoco.mju_quat2Mat(self._rotation, np.array([q0, q1, q2, q3]))
         twist = np.concatenate([self._qvel[:3], self._rotation.reshape(3, 3) @ self._qvel[3:]])
         return np.array([x, y, z, *rotation_vector(q0, q1, q2, q3)]), twist, wrench
-
-
-@lru_cache(maxsize=8)
-def _upright_map(scene: str) -> Array:
-    """Return the currents per wrench of a scene's coils at centre, (6, 6)."""
-    coils = load(scene).coils
-    assert coils is not None  # it is loaded with them
-    return coils.current_per_wrench

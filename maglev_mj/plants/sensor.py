@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Component, components, join
+from maglev_mj.model import beams
 from maglev_mj.parameters import number, numbers
 from maglev_mj.sensing import Beams
 
@@ -73,14 +74,14 @@ class SpotSensor:
     """The device's own sensor: where three beams meet three diodes, in steps, and Newton's pose from that.
 
     Args:
-        beams: The geometry, as `model.beams` reads it.
+        beams: The geometry; that of the model by default.
         quantum: Resolution of a spot's place [m]; 0 for none.
 
     Raises:
         ParameterError: If the resolution is negative.
     """
 
-    beams: Beams
+    beams: Beams | None = None
     quantum: float = 0.0
 
     def __post_init__(self) -> None:
@@ -89,13 +90,14 @@ class SpotSensor:
     def start(self) -> Measure:
         """Return what turns the components of the true pose into those measured; each search begins at the last."""
         last: Array | None = None
+        geometry = self.beams or beams()
 
         def measure(position: Sequence[Component]) -> list[Component]:
             nonlocal last
-            spots = self.beams.spots(join(position))
+            spots = geometry.spots(join(position))
             if self.quantum > 0.0:
                 spots = np.rint(spots / self.quantum) * self.quantum
-            last = self.beams.pose(spots, last)
+            last = geometry.pose(spots, last)
             return components(last)
 
         return measure
