@@ -24,7 +24,7 @@ TICKS = 400
 BATCH = 1000
 TIMING = Timing(period=0.005, delay=0.0015)
 START = [0.5e-3, -0.3e-3, 4.5e-3, 0.0, 0.0, 0.0]
-TASK = Task()
+TASK = Task(ticks=TICKS)
 BY_HAND = {variant.name: variant.build(TASK) for variant in mujoco_peer.variants() if "slides and ball" in variant.name}
 
 

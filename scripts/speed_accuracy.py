@@ -26,7 +26,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import mujoco
 import numpy as np
 from peers import Task
-from ways import Way, as_json, measure, our_ways, peer_ways, points_of
+from ways import SEMI_IMPLICIT, Way, as_json, measure, our_ways, peer_ways, points_of
 
 from maglev_mj import run
 from maglev_mj.charts import Panel, WorkPrecision, small_multiples, work_precision
@@ -214,7 +214,7 @@ def draw(folder: Path, ways: dict[str, list[Way]], everyone: list[Way], data: di
         [(name, boundary["steps"], np.abs(boundary["shifts"][name]).tolist()) for name in boundary["orders"]]
     )
     energies = []
-    for kind in ("euler", "implicit", "implicitfast", "discrete"):
+    for kind in SEMI_IMPLICIT:
         mine = [way for way in ways["drop-no-pulse"] if way.integrator == kind and way.step and way.group != "exact"]
         mine.sort(key=lambda way: way.step or 0.0)
         energies.append((kind, [way.step for way in mine], [way.energy for way in mine]))

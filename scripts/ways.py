@@ -20,7 +20,7 @@ from maglev_mj.frames import Array
 from maglev_mj.plants import CorrectedBatchPlant, ExactPlant, MuJoCoBatchPlant, SampledPlant, Timing
 from maglev_mj.spec import GRAVITY, Spec
 
-__all__ = ["Way", "as_json", "measure", "our_ways", "peer_ways", "points_of"]
+__all__ = ["SEMI_IMPLICIT", "Way", "as_json", "measure", "our_ways", "peer_ways", "points_of"]
 
 PERIOD, DELAY = 0.005, 0.0015
 CLOSED_FORM = ("drop", "drop-no-pulse", "press", "stick-slip")
@@ -62,7 +62,7 @@ def energy_error(motion: Motion, truth: Motion) -> float:
     return float(np.abs(kept[0] - kept[1]).max() / (mass * GRAVITY * fall))
 
 
-def single_ways(scene: FidelityScene, quick: bool) -> Iterator[tuple[str, str, str, float | None]]:
+def single_ways(quick: bool) -> Iterator[tuple[str, str, str, float | None]]:
     """Yield rung, group, integrator and longest step of every single device worth looking at."""
     steps = (1e-3, 1e-4) if quick else (2.5e-3, 1e-3, 5e-4, 1e-4, 1e-5, 1e-6)
     for integrator in ("corrected", "rk4", *SEMI_IMPLICIT):
@@ -86,7 +86,7 @@ def our_ways(scene: FidelityScene, quick: bool) -> list[Way]:
     exact = partial(plant_of, scene, "axes")
     error = apart(motion_of(scene, exact()).pose, truth.pose)
     ways = [Way("exact", "exact", partial(loop, exact, scene), error, duration, "exact", None, 0.0)]
-    for rung, group, integrator, step in single_ways(scene, quick):
+    for rung, group, integrator, step in single_ways(quick):
         make = partial(plant_of, scene, rung, integrator=integrator, longest_step=step)
         motion = motion_of(scene, make())
         name = f"{integrator}, {'a step a segment' if step is None else f'{step * 1e3:g} ms'}"
@@ -134,7 +134,7 @@ def peer_ways(scene: FidelityScene, task: Task, quick: bool) -> tuple[list[Way],
 
 
 def _same(simulate: Callable[[], object]) -> Callable[[], object]:
-    """Return a peer's run as it is: it begins anew by itself."""
+    """Prepare nothing: a peer's run begins anew by itself."""
     return simulate
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -14,7 +15,7 @@ from maglev_mj import Controller, ExactPlant, Hold, MuJoCoPlant, Timing, run
 from maglev_mj.cli import main
 from maglev_mj.detail import Detail
 from maglev_mj.errors import ParameterError
-from maglev_mj.experiments.fidelity import measure_fidelity, measure_rungs, measure_steps
+from maglev_mj.experiments.fidelity import FidelityResult, RungResult, measure_fidelity, measure_rungs, measure_steps
 from maglev_mj.experiments.ladder import FIDELITY_SCENES, RUNGS, apart, motion_of, plant_of
 from maglev_mj.experiments.wall_controller import wall_controller
 from maglev_mj.frames import Array, Command
@@ -71,6 +72,15 @@ def test_a_coil_loses_force_with_the_square_of_its_stroke(height: float, left: f
     assert steady(plant, 7.0) == pytest.approx(10.0 * left, rel=1e-5)
 
 
+def test_a_trace_holds_the_force_that_is_left() -> None:
+    detail = Detail(force_falloff=0.1)
+    plant = MuJoCoPlant(
+        pose=[0, 0, 4.5e-3, 0, 0, 0], wrench=[0, 0, 7, 0, 0, 0], gravity=0.0, detail=detail, record=True
+    )
+    plant.read()
+    assert plant.trace().wrench[0][2] == pytest.approx(6.3)
+
+
 def test_falloff_converges_with_the_second_power_of_the_step() -> None:
     def last(step: float) -> float:
         timing, detail = Timing(delay=0.0), Detail(force_falloff=0.5)
@@ -90,8 +100,9 @@ def test_the_stops_hold_a_flotor_without_currents() -> None:
     assert last[2] == pytest.approx(-4.5e-3, abs=5e-6)
 
 
-def test_the_handle_swings_at_a_kilohertz() -> None:
-    plant = MuJoCoPlant(Timing(), gravity=0.0, detail=Detail(flexible=True))
+@pytest.mark.parametrize("mass", [0.7, 1.4])
+def test_the_handle_swings_at_a_kilohertz(mass: float) -> None:
+    plant = MuJoCoPlant(Timing(), mass=mass, gravity=0.0, detail=Detail(flexible=True))
     model = plant.device.model
     model.dof_damping[:] = 0.0
     # mass matrix and stiffness of z and the bend: the one mode that is not a motion of the whole
@@ -102,7 +113,7 @@ def test_the_handle_swings_at_a_kilohertz() -> None:
     stiffness = np.diag([0.0, float(model.joint("bend").stiffness[0])])
     squared = np.linalg.eigvals(np.linalg.solve(full[np.ix_(pair, pair)], stiffness))
     assert math.sqrt(squared.max()) / (2.0 * math.pi) == pytest.approx(1000.0, rel=1e-9)
-    assert plant.device.mass == pytest.approx(0.7)
+    assert plant.device.mass == pytest.approx(mass)
 
 
 def test_currents_are_limited_without_coils_as_with_upright_ones() -> None:
@@ -125,7 +136,7 @@ def test_detail_needs_coils_and_sense() -> None:
         Detail(force_falloff=2.0)
 
 
-def test_a_looser_tolerance_is_never_dearer() -> None:
+def test_a_looser_tolerance_takes_a_lower_rung() -> None:
     tight, loose = measure_fidelity("twist"), measure_fidelity("twist", 2e-4)
     assert tight.rung.rung == "body" and loose.rung.rung == "axes"
     assert tight.cheapest is not None and tight.cheapest.error + tight.rung.missing < 1e-5
@@ -136,11 +147,15 @@ def test_a_looser_tolerance_is_never_dearer() -> None:
 
 
 def test_a_step_that_diverges_is_no_choice() -> None:
-    rows = measure_steps(FIDELITY_SCENES["twist"], "filter", repeats=1)
+    scene = replace(FIDELITY_SCENES["six-axes"], ticks=10)
+    rows = measure_steps(scene, "filter", repeats=1)
     diverged = [row for row in rows if not math.isfinite(row.error)]
     # beyond twice the drivers' time constant Euler's activation grows
-    assert all(row.step is not None and row.step > 2.0 * LAG for row in diverged)
+    assert diverged and all(row.step is not None and row.step > 2.0 * LAG for row in diverged)
     assert {row.step for row in rows if math.isfinite(row.error)} >= {None, 1e-4, 5e-5}
+    rung = RungResult("filter", "", 0.0, 0.0, 0.0, 1.0)
+    result = FidelityResult(scene, 1e-5, (rung,), rung, rows, None)
+    assert json.loads(json.dumps(result.as_json(), allow_nan=False))["steps"][rows.index(diverged[0])]["cost"] is None
 
 
 def test_every_rung_can_be_built_for_every_scene() -> None:

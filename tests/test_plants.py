@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import mujoco
@@ -15,7 +16,7 @@ from maglev_mj.controller import Controller
 from maglev_mj.errors import DivergenceError, ModelError, ParameterError, PlantError
 from maglev_mj.frames import Array, quaternion
 from maglev_mj.laws import Hold, Wall
-from maglev_mj.plants import SampledPlant, Sensor
+from maglev_mj.plants import CorrectedPlant, SampledPlant, Sensor
 from maglev_mj.trace import Trace
 
 PLANTS: list[type[Any]] = [ExactPlant, MuJoCoPlant]
@@ -342,3 +343,68 @@ def test_hold_brings_all_six_axes_to_their_target(coils: bool) -> None:
     hold = Hold.critically_damped(inertia=[M] * 3 + [9e-4] * 3, period=T, delay=0.0015, target=target)
     sample = run(plant, Controller([hold], period=T), 400)
     np.testing.assert_allclose(sample.position, target, atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", [ExactPlant, MuJoCoPlant, CorrectedPlant])
+def test_a_list_that_is_used_again_is_a_new_command(kind: Any) -> None:
+    places = []
+    for fresh in (True, False):
+        plant, force = kind(gravity=0.0), [0.0] * 6
+        for tick in range(6):
+            plant.read()
+            force[2] = float(tick)
+            plant.write(Command(list(force) if fresh else force))
+        places.append(plant.read().position[2])
+    assert places[0] == places[1] > 8e-4
+    plant = kind(gravity=0.0)
+    for _ in range(3):  # an array will do as well
+        plant.read()
+        array: Any = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+        plant.write(Command(array))
+
+
+@pytest.mark.parametrize("kind", [ExactPlant, MuJoCoPlant, CorrectedPlant])
+def test_what_is_done_to_a_sample_does_not_move_the_flotor(kind: Any) -> None:
+    plant = kind(gravity=0.0)
+    plant.read().position[2] = 1.0
+    assert plant.read().position[2] == 0.0
+
+
+def test_a_command_that_the_engine_refuses_is_an_error() -> None:
+    plant = MuJoCoPlant()
+    with pytest.raises(PlantError, match="mjWARN_BADCTRL"):
+        for _ in range(4):
+            plant.read()
+            plant.write(Command([0.0, 0.0, 1e13, 0.0, 0.0, 0.0]))
+
+
+@pytest.mark.parametrize("kind", [MuJoCoPlant, CorrectedPlant])
+def test_recording_changes_nothing(kind: Any) -> None:
+    hold = Hold(axes=("rx", "ry", "rz"), stiffness=[1.0] * 3, damping=[0.05] * 3)
+    last = [
+        run(
+            kind(pose=[0, 0, 1e-3, 0.02, -0.01, 0.03], twist=[0, 0, 0, 4, -3, 5], gravity=0.0, record=record),
+            Controller([hold], period=0.005),
+            20,
+        ).pose
+        for record in (False, True)
+    ]
+    np.testing.assert_allclose(last[1], last[0], atol=1e-15)
+
+
+def test_a_constant_command_is_one_step_a_period() -> None:
+    steps = []
+    for forces in ([1.0] * 6, [1.0, 2.0] * 3):
+        plant = MuJoCoPlant(gravity=0.0, coils=False)
+        count: list[float] = []
+        plant._step = partial(count.append, 0.0)
+        for force in forces:
+            plant.read()
+            plant.write(Command([0.0, 0.0, force, 0.0, 0.0, 0.0]))
+        plant.read()
+        steps.append(len(count))
+    assert steps == [7, 12]  # the first command is new in both
+
+
+def test_an_empty_batch_is_a_batch() -> None:
+    assert ExactPlant(pose=np.zeros((0, 6))).read().pose.shape == (0, 6)
