@@ -226,7 +226,7 @@ def fidelity_table(result: FidelityResult) -> str:
     lines = [
         f"Fidelity of {scene.name}: {scene.says}",
         f"  to be kept: {_micro(result.tolerance)}, as the greatest displacement of a coil{own}",
-        "  each rung adds a piece of the device to those above it here; lacks still: what the rungs below here would change",
+        "  each line adds a piece of the device to those above it; lacks still: what the lines below it would change",
         "",
         f"    {'rung':<10}{'adds':<54}{'changes by':>12}{'lacks still':>13}{'peak force':>12}{'cost':>9}",
     ]
