@@ -150,10 +150,7 @@ def _compiled(
                 actuator.dyntype = mujoco.mjtDyn.mjDYN_FILTER
                 actuator.dynprm[0] = constant
         if lean:
-            used = {end for actuator in spec.actuators for end in (actuator.target, actuator.refsite)}
-            for site in list(spec.sites):
-                if site.name not in used:
-                    spec.delete(site)
+            _leave_out_sites(spec)
         if hand is not None:
             _hold(spec, hand)
         if detail.flexible:
@@ -171,12 +168,7 @@ def _compiled(
     if order != list(range(len(order))):
         raise ModelError(f"model {name!r} must list its coils first, as {', '.join(COILS)}")
     if mass is not None:
-        carried = {flotor}
-        for body in range(flotor + 1, model.nbody):
-            if int(model.body_parentid[body]) in carried:
-                carried.add(body)
-        model.body_mass[sorted(carried)] *= mass / model.body_subtreemass[flotor]
-        mujoco.mj_setConst(model, mujoco.MjData(model))
+        _share_out(model, flotor, mass)
     return Device(
         model=model,
         flotor=flotor,
@@ -185,6 +177,24 @@ def _compiled(
         coils=_coil_map(model, flotor) if coils else None,
         driver_time_constant=constant,
     )
+
+
+def _leave_out_sites(spec: mujoco.MjSpec) -> None:
+    """Leave out the sites that no actuator uses."""
+    used = {end for actuator in spec.actuators for end in (actuator.target, actuator.refsite)}
+    for site in list(spec.sites):
+        if site.name not in used:
+            spec.delete(site)
+
+
+def _share_out(model: mujoco.MjModel, flotor: int, mass: float) -> None:
+    """Give the flotor and what it carries another mass [kg], shared out as before."""
+    carried = {flotor}
+    for body in range(flotor + 1, model.nbody):
+        if int(model.body_parentid[body]) in carried:
+            carried.add(body)
+    model.body_mass[sorted(carried)] *= mass / model.body_subtreemass[flotor]
+    mujoco.mj_setConst(model, mujoco.MjData(model))
 
 
 def _bend(spec: mujoco.MjSpec, mass: float | None) -> None:

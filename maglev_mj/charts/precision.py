@@ -13,6 +13,7 @@ from maglev_mj.charts.drawing import GRID, MANY, SECOND, new_figure, save
 __all__ = ["WorkPoint", "WorkPrecision", "pareto", "work_precision"]
 
 _ROUNDING = 1e-13
+_BEHIND = {"facecolor": "white", "alpha": 0.75, "edgecolor": "none", "pad": 0.8}
 _BAND, _ROW = 1e-7, 0.45
 
 
@@ -129,4 +130,13 @@ def _draw_front(
         if any(abs(cost - x) < 2.0 and abs(error - y) < 0.6 for x, y in named):
             continue
         named.append((cost, error))
-        axis.annotate(point.name, place, textcoords="offset points", xytext=(7, 5), fontsize=8, color=SECOND, zorder=3)
+        axis.annotate(
+            point.name,
+            place,
+            textcoords="offset points",
+            xytext=(7, 5),
+            fontsize=8,
+            color=SECOND,
+            zorder=3,
+            bbox=_BEHIND,
+        )

@@ -100,31 +100,8 @@ class MuJoCoPlant(SampledPlant):
             detail=detail,
         )
         self.current_limit = None if current_limit is None else number("current_limit", current_limit, at_least=0.0)
-        model = self.device.model
-        self._data = mujoco.MjData(model)
-        mujoco.mj_step(model, self._data)  # the first step fetches its memory, which would make the first tick late
-        mujoco.mj_resetData(model, self._data)
-        self._model, self._options = model, model.opt
-        self._step: Callable[..., object] = partial(mujoco.mj_step, model, self._data)
-        if detail.force_falloff:
-            self._step = FadingCoils(self.device, self._data, detail.force_falloff)
-        self._qpos = self._data.qpos[self.device.position_address :][:7]
-        self._qvel = self._data.qvel[self.device.velocity_address :][:6]
+        self._open(detail)
         self._data.qpos[:], self._data.qvel[:] = start_state(self.device, start, motion, hand)
-        self._read_pose: Callable[[], Sequence[float]] = self._qpos.tolist
-        self._rotation = np.zeros(9)
-        # live views: reaching for them through the data object costs as much as using them
-        self._currents = self._data.ctrl[: len(COILS)]
-        self._wrench = np.zeros(6) if coils else self._data.xfrc_applied[self.device.flotor]
-        # as `self._wrench[:] = drive`, in half the time
-        self._fill = partial(struct.pack_into, "6d", self._wrench.data, 0)
-        self._coils = self.device.coils
-        # None without coils; the map of the upright flotor until it is seen to turn
-        self._inverse_map: Any = None if self._coils is None else self._coils.current_per_wrench
-        self._turned = False
-        self._upright = math.inf if self._coils is None else UPRIGHT * UPRIGHT
-        self._applied: Drive | None = None
-        self._warnings = self._data.warning.number
         if keywords.get("longest_step") is None:
             keywords["longest_step"] = longest_step(self.device, driver_lag, hand, detail)
         super().__init__(timing, batch=(), **keywords)
@@ -138,6 +115,32 @@ class MuJoCoPlant(SampledPlant):
         # it warns of positions and velocities that are not finite or beyond 1e10, each an escape too unless that is
         # wider still; and of controls, which it then leaves out
         self._warns_unseen = max(self._escape) > _ENGINE_BOUND or detail.stops
+
+    def _open(self, detail: Detail) -> None:
+        """Make the engine's state, and live views of it: reaching for them on each tick costs as much as using them."""
+        model, coils = self.device.model, self.device.coils
+        self._data = mujoco.MjData(model)
+        mujoco.mj_step(model, self._data)  # the first step fetches its memory, which would make the first tick late
+        mujoco.mj_resetData(model, self._data)
+        self._model, self._options = model, model.opt
+        self._step: Callable[..., object] = partial(mujoco.mj_step, model, self._data)
+        if detail.force_falloff:
+            self._step = FadingCoils(self.device, self._data, detail.force_falloff)
+        self._qpos = self._data.qpos[self.device.position_address :][:7]
+        self._qvel = self._data.qvel[self.device.velocity_address :][:6]
+        self._read_pose: Callable[[], Sequence[float]] = self._qpos.tolist
+        self._rotation = np.zeros(9)
+        self._currents = self._data.ctrl[: len(COILS)]
+        self._wrench = self._data.xfrc_applied[self.device.flotor] if coils is None else np.zeros(6)
+        # as `self._wrench[:] = drive`, in half the time
+        self._fill = partial(struct.pack_into, "6d", self._wrench.data, 0)
+        self._applied: Drive | None = None
+        self._coils = coils
+        # None without coils; the map of the upright flotor until it is seen to turn
+        self._inverse_map: Any = None if coils is None else coils.current_per_wrench
+        self._turned = False
+        self._upright = math.inf if coils is None else UPRIGHT * UPRIGHT
+        self._warnings = self._data.warning.number
         self._refused = memoryview(self._warnings)[int(mujoco.mjtWarning.mjWARN_BADCTRL) :]
 
     def _limited(self, command: Command) -> Command:
