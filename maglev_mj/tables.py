@@ -10,7 +10,7 @@ import numpy as np
 from maglev_mj import bounds
 from maglev_mj.experiments.choices import SLIDES_AT
 from maglev_mj.experiments.drop import DropResult, DropSweep
-from maglev_mj.experiments.fidelity import FidelityResult, RungResult, StepResult
+from maglev_mj.experiments.fidelity import FidelityResult, RungResult, StepResult, stepping_name
 from maglev_mj.experiments.stability_map import StabilityMap
 from maglev_mj.experiments.stick_slip import StickSlipResult, exact_stick_slip
 from maglev_mj.frames import AXES
@@ -278,9 +278,7 @@ _STEPS_SHOWN = 12
 
 
 def _stepping(step: StepResult) -> str:
-    if step.integrator == "closed form":
-        return step.integrator
-    return f"{step.integrator}, {'a step a segment' if step.step is None else f'{step.step * 1e3:g} ms'}"
+    return step.integrator if step.integrator == "closed form" else stepping_name(step.integrator, step.step)
 
 
 def _newtons(change: float) -> str:

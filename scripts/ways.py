@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-import statistics
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -15,14 +14,16 @@ from peers import Task, available
 
 from maglev_mj import run
 from maglev_mj.charts import WorkPoint, pareto
-from maglev_mj.experiments.ladder import FidelityScene, Motion, apart, motion_of, plant_of
+from maglev_mj.experiments.fidelity import closed_loop, median_times, stepping_name
+from maglev_mj.experiments.integrators import stiffest_simulated
+from maglev_mj.experiments.ladder import DELAY, PERIOD, FidelityScene, Motion, apart, motion_of, plant_of
 from maglev_mj.frames import Array
 from maglev_mj.plants import CorrectedBatchPlant, ExactPlant, MuJoCoBatchPlant, SampledPlant, Timing
 from maglev_mj.spec import GRAVITY, Spec
+from maglev_mj.stability import stiffest_wall
 
-__all__ = ["SEMI_IMPLICIT", "Way", "as_json", "measure", "our_ways", "peer_ways", "points_of"]
+__all__ = ["SEMI_IMPLICIT", "Way", "as_json", "boundary_shift", "measure", "our_ways", "peer_ways", "points_of"]
 
-PERIOD, DELAY = 0.005, 0.0015
 CLOSED_FORM = ("drop", "drop-no-pulse", "press", "stick-slip")
 _LEAST_STEP = {"euler": 1e-6, "corrected": 1e-5, "rk4": 1e-5}
 SEMI_IMPLICIT = ("euler", "implicit", "implicitfast", "discrete")
@@ -41,11 +42,6 @@ class Way:
     step: float | None = None
     energy: float | None = None
     cost: float = math.inf
-
-
-def loop(make: Callable[[], SampledPlant], scene: FidelityScene) -> Callable[[], object]:
-    """Return the closed loop on a new plant, ready to run."""
-    return partial(run, make(), scene.controller(), scene.ticks)
 
 
 def batch_of(scene: FidelityScene, kind: Callable[..., SampledPlant], count: int, **options: Any) -> SampledPlant:
@@ -85,15 +81,14 @@ def our_ways(scene: FidelityScene, quick: bool) -> list[Way]:
     truth, duration = truths["body"], scene.ticks * PERIOD
     exact = partial(plant_of, scene, "axes")
     error = apart(motion_of(scene, exact()).pose, truth.pose)
-    ways = [Way("exact", "exact", partial(loop, exact, scene), error, duration, "exact", None, 0.0)]
+    ways = [Way("exact", "exact", partial(closed_loop, exact, scene), error, duration, "exact", None, 0.0)]
     for rung, group, integrator, step in single_ways(quick):
         make = partial(plant_of, scene, rung, integrator=integrator, longest_step=step)
         motion = motion_of(scene, make())
-        name = f"{integrator}, {'a step a segment' if step is None else f'{step * 1e3:g} ms'}"
-        name += ", coils" if rung == "turning" else ""
+        name = stepping_name(integrator, step) + (", coils" if rung == "turning" else "")
         energy = energy_error(motion, truths[rung]) if scene.name.startswith("drop") else None
         error = apart(motion.pose, truths[rung].pose)
-        ways.append(Way(name, group, partial(loop, make, scene), error, duration, integrator, step, energy))
+        ways.append(Way(name, group, partial(closed_loop, make, scene), error, duration, integrator, step, energy))
     count = 100 if quick else 1000
     many: tuple[tuple[str, str, Callable[..., SampledPlant], dict[str, Any]], ...] = (
         ("exact", "exact", ExactPlant, {}),
@@ -103,7 +98,7 @@ def our_ways(scene: FidelityScene, quick: bool) -> list[Way]:
     for name, group, kind, options in many:
         make = partial(batch_of, scene, kind, count, **options)
         error = apart(poses_of(scene, make()), truth.pose)
-        ways.append(Way(f"{name}, {count} at once", group, partial(loop, make, scene), error, duration * count))
+        ways.append(Way(f"{name}, {count} at once", group, partial(closed_loop, make, scene), error, duration * count))
     return ways
 
 
@@ -139,20 +134,23 @@ def _same(simulate: Callable[[], object]) -> Callable[[], object]:
 
 
 def measure(ways: list[Way], repeats: int) -> None:
-    """Time every way in turn, again and again; what takes long is timed less often."""
-    times: list[list[float]] = [[] for _ in ways]
-    for repeat in range(repeats):
-        for way, kept in zip(ways, times, strict=True):
-            if repeat > 1 and kept[0] > 0.1:
-                continue
-            if repeat and kept[0] < 0.05:  # what the others left in the processor's caches is not this way's cost
-                way.prepare()()
-            work = way.prepare()
-            start = time.perf_counter()
-            work()
-            kept.append(time.perf_counter() - start)
-    for way, kept in zip(ways, times, strict=True):
-        way.cost = statistics.median(kept) / way.simulated
+    """Time every way in turn."""
+    for way, taken in zip(ways, median_times([way.prepare for way in ways], repeats), strict=True):
+        way.cost = taken / way.simulated
+
+
+@cache
+def boundary_shift(integrator: str, step: float, aligned: bool = True) -> float:
+    """Return by what share an integrator with a step [s] shifts the stiffest stable wall, at the scenes' timing."""
+    if integrator == "exact":
+        return 0.0
+    found = stiffest_simulated(integrator, step, period=PERIOD, delay=DELAY, aligned=aligned)
+    return float(found.stiffness) / _stiffest() - 1.0
+
+
+@cache
+def _stiffest() -> float:
+    return float(stiffest_wall(period=PERIOD, delay=DELAY).stiffness)
 
 
 def as_json(ways: list[Way]) -> dict[str, Any]:
@@ -165,6 +163,7 @@ def as_json(ways: list[Way]) -> dict[str, Any]:
             "real_time_factor": 1.0 / way.cost,
             "error": way.error,
             "energy_error": way.energy,
+            "boundary_shift": None if way.integrator is None else boundary_shift(way.integrator, way.step or PERIOD),
             "integrator": way.integrator,
             "step": way.step,
         }

@@ -14,6 +14,7 @@ import numpy as np
 from maglev_mj.errors import ParameterError, PlantError, SensingError
 from maglev_mj.experiments.ladder import (
     FIDELITY_SCENES,
+    PERIOD,
     RUNGS,
     FidelityScene,
     Motion,
@@ -31,14 +32,17 @@ __all__ = [
     "FidelityResult",
     "RungResult",
     "StepResult",
+    "closed_loop",
     "measure_costs",
     "measure_fidelity",
     "measure_rungs",
     "measure_steps",
+    "median_times",
+    "stepping_name",
 ]
 
 _REFERENCE_STEP = 2e-5
-_LEAST_TIME = 2e-3
+_SHORT, _LONG = 2e-3, 0.1
 
 STEPPINGS: tuple[tuple[str, float | None], ...] = tuple(
     (integrator, step)
@@ -211,26 +215,45 @@ def measure_steps(
 def measure_costs(
     scene: FidelityScene, makers: Sequence[Callable[[], SampledPlant]], repeats: int
 ) -> tuple[float, ...]:
-    """Return what a simulated second costs on each plant [s], the controller included.
+    """Return what a simulated second costs on each plant [s], the controller included; see `median_times`."""
+    times = median_times([partial(closed_loop, make, scene) for make in makers], repeats)
+    return tuple(taken / (scene.ticks * PERIOD) for taken in times)
 
-    Medians over repeats in turn, so that their ratios hold on a machine that is not alone; short runs count several
-    times a turn, after one that warms the processor's caches.
+
+def closed_loop(make: Callable[[], SampledPlant], scene: FidelityScene) -> Callable[[], object]:
+    """Return a scene in closed loop on a new plant, ready to run."""
+    return partial(run, make(), scene.controller(), scene.ticks)
+
+
+def median_times(prepare: Sequence[Callable[[], Callable[[], object]]], repeats: int) -> tuple[float, ...]:
+    """Return how long each piece of work takes [s].
+
+    Medians over repeats in turn, so that their ratios hold on a machine that is not alone. Short work counts several
+    times a turn, after once that warms the processor's caches; what takes long has two turns only.
+
+    Args:
+        prepare: Each makes its work ready, which is not timed, and returns it.
+        repeats: Turns.
     """
-    times: list[list[float]] = [[] for _ in makers]
-    for _ in range(repeats):
-        for kept, make in zip(times, makers, strict=True):
-            first, plant = _timed(scene, make)
-            again = min(math.ceil(_LEAST_TIME / first), 10)
-            kept += [_timed(scene, make)[0] / (scene.ticks * plant.period) for _ in range(again)]
+    times: list[list[float]] = [[] for _ in prepare]
+    for turn in range(repeats):
+        for kept, make in zip(times, prepare, strict=True):
+            if turn > 1 and kept[0] > _LONG:
+                continue
+            first = _timed(make())
+            kept += [first] if first > _LONG else [_timed(make()) for _ in range(min(math.ceil(_SHORT / first), 10))]
     return tuple(statistics.median(kept) for kept in times)
 
 
-def _timed(scene: FidelityScene, make: Callable[[], SampledPlant]) -> tuple[float, SampledPlant]:
-    """Return how long a run takes [s], on a new plant, and that plant."""
-    plant, controller = make(), scene.controller()
+def _timed(work: Callable[[], object]) -> float:
     start = time.perf_counter()
-    run(plant, controller, scene.ticks)
-    return time.perf_counter() - start, plant
+    work()
+    return time.perf_counter() - start
+
+
+def stepping_name(integrator: str, step: float | None) -> str:
+    """Return what an integrator with a longest step [s] is called."""
+    return f"{integrator}, {'a step a segment' if step is None else f'{step * 1e3:g} ms'}"
 
 
 def _motion(scene: FidelityScene, rung: str, **options: Any) -> Motion:

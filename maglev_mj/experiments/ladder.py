@@ -22,14 +22,28 @@ from maglev_mj.loop import run
 from maglev_mj.plants import CorrectedPlant, ExactPlant, MuJoCoPlant, SampledPlant, Sensor, SpotSensor, Timing
 from maglev_mj.spec import GRAVITY, Spec
 
-__all__ = ["FIDELITY_SCENES", "RUNGS", "FidelityScene", "Motion", "Rung", "apart", "motion_of", "plant_of"]
+__all__ = [
+    "DELAY",
+    "FIDELITY_SCENES",
+    "PERIOD",
+    "RUNGS",
+    "FidelityScene",
+    "Motion",
+    "Rung",
+    "apart",
+    "motion_of",
+    "place_of",
+    "plant_of",
+]
 
-_PERIOD, _DELAY = 1.0 / Spec.control_rate.value, Spec.transport_delay.value
+PERIOD, DELAY = 1.0 / Spec.control_rate.value, Spec.transport_delay.value
+"""Of every scene [s]."""
+
 _MASS = Spec.moving_mass.value
 _INERTIA = (*(_MASS,) * 3, Spec.tilt_inertia.value, Spec.tilt_inertia.value, Spec.spin_inertia.value)
 _COIL_RADIUS = 0.046
 _LAG = 1.0 / (2.0 * math.pi * Spec.driver_bandwidth.value)
-_WALL: dict[str, Any] = {"stiffness": 6000.0, "damping": 80.0, "period": _PERIOD, "delay": _DELAY, "mass": _MASS}
+_WALL: dict[str, Any] = {"stiffness": 6000.0, "damping": 80.0, "period": PERIOD, "delay": DELAY, "mass": _MASS}
 
 
 class Rung(NamedTuple):
@@ -53,13 +67,13 @@ RUNGS: tuple[Rung, ...] = (
     Rung("body", "a rigid body with an ideal wrench", {"coils": False}),
     Rung("coils", "six coils that do not turn, 10 A each", {"current_limit": Spec.peak_current.value}),
     Rung("turning", "coils that turn with the flotor", {"coils": True}),
-    Rung("lag", "drivers of 2 kHz, as 80 µs more of delay", {}, {"delay": _DELAY + _LAG}),
+    Rung("lag", "drivers of 2 kHz, as 80 µs more of delay", {}, {"delay": DELAY + _LAG}),
     Rung("falloff", "a tenth of the force lost at the end of the range", {"detail": Detail(force_falloff=0.1)}),
     Rung("steps", "a sensor of 5 µm and 10 µrad", {"sensor": Sensor(quantum=(5e-6,) * 3 + (10e-6,) * 3)}),
     Rung("spots", "LEDs and diodes of 0.8 µm, the pose by Newton", {"sensor": SpotSensor(quantum=8e-7)}),
     Rung("jitter", "conversions that vary by 0.1 ms either way", {}, {"jitter": 1e-4}),
     Rung("stops", "metal stops", {"detail": Detail(force_falloff=0.1, stops=True)}),
-    Rung("filter", "the drivers' lag as the filter that it is", {"driver_lag": True}, {"delay": _DELAY}),
+    Rung("filter", "the drivers' lag as the filter that it is", {"driver_lag": True}, {"delay": DELAY}),
     Rung("flexible", "a handle that swings at 1 kHz", {"detail": Detail(force_falloff=0.1, stops=True, flexible=True)}),
 )
 """From the least model to the most, each with all that is below it."""
@@ -99,12 +113,12 @@ class FidelityScene:
 def _stick_slip() -> Controller:
     friction = StickSlip(axes="x", stiffness=6000.0, damping=80.0, breakaway=2.0, v_min=0.005)
     spring = Hold(axes="x", stiffness=1000.0, damping=0.0, target=0.003)
-    others = Hold.critically_damped(AXES[1:], inertia=_INERTIA[1:], period=_PERIOD, delay=_DELAY)
-    return Controller([friction, spring, others], period=_PERIOD)
+    others = Hold.critically_damped(AXES[1:], inertia=_INERTIA[1:], period=PERIOD, delay=DELAY)
+    return Controller([friction, spring, others], period=PERIOD)
 
 
 def _centring() -> Controller:
-    return Controller([Hold.critically_damped(inertia=_INERTIA, period=_PERIOD, delay=_DELAY)], period=_PERIOD)
+    return Controller([Hold.critically_damped(inertia=_INERTIA, period=PERIOD, delay=DELAY)], period=PERIOD)
 
 
 _HIGH = (0.0, 0.0, 0.0045, 0.0, 0.0, 0.0)
@@ -156,7 +170,7 @@ FIDELITY_SCENES: Mapping[str, FidelityScene] = {
             tolerance=1e-5,
             reason="two steps of the sensor",
             rung="body",
-            controller=lambda: Controller([], period=_PERIOD),
+            controller=lambda: Controller([], period=PERIOD),
             ticks=8,
             pose=(0.0, 0.0, 0.0, -0.04, 0.03, -0.02),
             twist=(0.0, 0.0, 0.0, 2.0, -1.5, 2.7),
@@ -179,7 +193,7 @@ FIDELITY_SCENES: Mapping[str, FidelityScene] = {
             tolerance=1e-4,
             reason="well below the 0.5 mm over which the stop gives",
             rung="stops",
-            controller=lambda: Controller([], period=_PERIOD),
+            controller=lambda: Controller([], period=PERIOD),
             ticks=16,
         ),
     )
@@ -213,7 +227,7 @@ def plant_of(scene: FidelityScene, rung: str, *, integrator: str = "rk4", **keyw
         ParameterError: If there is no such rung.
     """
     options: dict[str, Any] = {"pose": scene.pose, "twist": scene.twist, "gravity": scene.gravity, "hand": scene.hand}
-    when: dict[str, Any] = {"period": _PERIOD, "delay": _DELAY}
+    when: dict[str, Any] = {"period": PERIOD, "delay": DELAY}
     for each in RUNGS[: place_of(rung) + 1]:
         options |= each.options
         when |= each.timing

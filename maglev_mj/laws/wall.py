@@ -18,10 +18,10 @@ __all__ = ["Wall"]
 
 
 class _Braking(NamedTuple):
-    """What one face needs for its braking pulse; `some` is None where every device has one, `limit` where none has."""
+    """What one face needs for its braking pulse; `some` says which devices have one, `limit` is None where none has."""
 
     pulse: Component
-    some: Component | None
+    some: Component
     limit: Component | None
     gate: Component
 
@@ -157,7 +157,7 @@ def _faces(indices: tuple[int, ...], normal: float, edges: Array, gains: list[Ar
         if np.all(finite):
             stiffness, damping, pulse, limit, gate = axis_gains
             some, limited = pulse > 0.0, not np.all(np.isinf(limit))
-            braking = _Braking(pulse, None if np.all(some) else some, limit if limited else None, gate)
+            braking = _Braking(pulse, some, limit if limited else None, gate)
             faces.append((axis, normal, edge, stiffness, damping, braking if np.any(some) else None))
     return tuple(faces)
 
@@ -173,7 +173,7 @@ def _brake(
 ) -> tuple[Component, Component | None]:
     """Return the pulse on top of the PD force, and what the limit leaves for the samples to come."""
     pulse, some, limit, _ = braking
-    wanted = (entered if some is None else entered & some) * (-(pulse * speed + damping_force) - force)
+    wanted = (entered & some) * (-(pulse * speed + damping_force) - force)
     if owed is not None:
         wanted = wanted + (inward & _not(entered)) * owed
     if limit is None:
