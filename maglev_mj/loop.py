@@ -12,9 +12,76 @@ from maglev_mj.frames import Command, Sample
 from maglev_mj.parameters import number
 from maglev_mj.plants import Plant
 
-__all__ = ["run"]
+__all__ = ["ControlLoop", "run"]
 
 _KEPT = 50
+
+
+class ControlLoop:
+    """Read, control, write: a plant and a controller, driven for so many samples at a time.
+
+    Args:
+        plant: Any plant; it is left open.
+        controller: Any controller; it is not reset.
+        observe: Called with each sample and the command as applied.
+
+    Raises:
+        ParameterError: If the periods differ.
+    """
+
+    def __init__(
+        self, plant: Plant, controller: Controller, *, observe: Callable[[Sample, Command], object] | None = None
+    ) -> None:
+        if controller.period != plant.period:
+            raise ParameterError(
+                f"period must be the plant's {plant.period:g} in the controller, not {controller.period:g}"
+            )
+        self._plant, self._controller, self._observe = plant, controller, observe
+        self._cycles: deque[tuple[Sample, Command]] = deque(maxlen=_KEPT)
+
+    def cycle(self, count: int = 1) -> None:
+        """Answer some samples.
+
+        Raises:
+            MaglevError: Whatever went wrong, with the last cycles in `cycles`. The plant was commanded zero first, or
+                closed where even that failed; for any other exception too.
+        """
+        sample = command = None
+        plant, observe = self._plant, self._observe
+        read, step, write, keep = plant.read, self._controller.step, plant.write, self._cycles.append
+        try:
+            for _ in range(count):
+                command = None
+                sample = read()
+                command = step(sample)
+                applied = write(command)
+                keep((sample, applied))
+                if observe is not None:
+                    observe(sample, applied)
+        except BaseException as error:
+            self._stop(error, sample, command)
+            raise
+
+    def finish(self) -> Sample:
+        """Return the sample after the last answer, which closes the last period.
+
+        Raises:
+            MaglevError: As `cycle`.
+        """
+        try:
+            return self._plant.read()
+        except BaseException as error:
+            self._stop(error, None, None)
+            raise
+
+    def _stop(self, error: BaseException, sample: Sample | None, command: Command | None) -> None:
+        """Let go of the plant, and give the error the last cycles."""
+        _release(self._plant)
+        if isinstance(error, MaglevError):
+            cycles = self._cycles
+            if sample is not None and command is not None and (not cycles or cycles[-1][0] is not sample):
+                cycles.append((sample, command))  # the answer that was refused
+            error.cycles = tuple(cycles)
 
 
 def run(
@@ -37,35 +104,13 @@ def run(
 
     Raises:
         ParameterError: If `ticks` is not a whole number of at least 1, or the periods differ.
-        MaglevError: Whatever went wrong, with the last cycles in `cycles`. The plant was commanded zero first, or
-            closed where even that failed; for any other exception too.
+        MaglevError: As `ControlLoop.cycle`.
     """
     if number("ticks", ticks, at_least=1) != int(ticks):
         raise ParameterError(f"ticks must be a whole number, not {ticks:g}")
-    if controller.period != plant.period:
-        raise ParameterError(
-            f"period must be the plant's {plant.period:g} in the controller, not {controller.period:g}"
-        )
-    cycles: deque[tuple[Sample, Command]] = deque(maxlen=_KEPT)
-    sample = command = None
-    read, step, write, keep = plant.read, controller.step, plant.write, cycles.append
-    try:
-        for _ in range(int(ticks)):
-            command = None
-            sample = read()
-            command = step(sample)
-            applied = write(command)
-            keep((sample, applied))
-            if observe is not None:
-                observe(sample, applied)
-        return read()
-    except BaseException as error:
-        _release(plant)
-        if isinstance(error, MaglevError):
-            if sample is not None and command is not None and (not cycles or cycles[-1][0] is not sample):
-                keep((sample, command))  # the answer that was refused
-            error.cycles = tuple(cycles)
-        raise
+    loop = ControlLoop(plant, controller, observe=observe)
+    loop.cycle(int(ticks))
+    return loop.finish()
 
 
 def _release(plant: Plant) -> None:

@@ -13,9 +13,9 @@ import numpy as np
 
 from maglev_mj import ExactPlant, Timing, Wall, run
 from maglev_mj.controller import Controller
-from maglev_mj.experiments.choices import HANDS, hand_called
 from maglev_mj.experiments.failures import hum
 from maglev_mj.frames import Array
+from maglev_mj.hand import HANDS, hand_called
 from maglev_mj.laws import Law, ObserverWall, PassivityController, PredictiveWall
 from maglev_mj.sampled import Design, rendered_stiffness
 from maglev_mj.stability import least_dynamic_stiffness, stiffest_wall

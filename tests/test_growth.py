@@ -7,12 +7,11 @@ import pytest
 from numpy.typing import NDArray
 
 from maglev_mj.errors import ParameterError
-from maglev_mj.experiments.choices import HANDS, hand_called
 from maglev_mj.experiments.failures import random_delay_rate
 from maglev_mj.experiments.growth import RestingWall, measure_growth
 from maglev_mj.experiments.integrators import SteppedLoop, stiffest_simulated
 from maglev_mj.experiments.stability_map import StabilityParameters, run_stability
-from maglev_mj.hand import Hand
+from maglev_mj.hand import HANDS, Hand, hand_called
 from maglev_mj.laws import LowPass, Window
 from maglev_mj.plants import Timing
 from maglev_mj.sampled import SampledLoop

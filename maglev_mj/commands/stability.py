@@ -8,8 +8,9 @@ from typing import Any
 
 from maglev_mj import charts
 from maglev_mj.errors import ParameterError
-from maglev_mj.experiments.choices import HANDS, PLANTS
+from maglev_mj.experiments.choices import PLANTS
 from maglev_mj.experiments.stability_map import StabilityParameters, run_stability
+from maglev_mj.hand import HANDS
 from maglev_mj.options import add_options, add_workers, chosen_workers, count
 from maglev_mj.output import check_outputs, keep_landed, write_json
 from maglev_mj.progress import Progress

@@ -13,10 +13,9 @@ import numpy as np
 from maglev_mj.controller import Controller
 from maglev_mj.detail import Detail
 from maglev_mj.errors import ParameterError
-from maglev_mj.experiments.choices import hand_called
 from maglev_mj.experiments.wall_controller import wall_controller
 from maglev_mj.frames import AXES, Array, Command, Sample
-from maglev_mj.hand import Hand
+from maglev_mj.hand import Hand, hand_called
 from maglev_mj.laws import Hold, StickSlip
 from maglev_mj.loop import run
 from maglev_mj.plants import CorrectedPlant, ExactPlant, MuJoCoPlant, SampledPlant, Sensor, SpotSensor, Timing

@@ -28,8 +28,8 @@ class AxisMotion(Protocol):
     def actual(self) -> Component:
         """Force of the actuators now [N, N m]; it trails the command where the drivers lag."""
 
-    def advance(self, duration: Component, command: Component, weight: Component) -> None:
-        """Go on for `duration` [s] under a commanded force and a weight [N, N m]."""
+    def advance(self, duration: Component, command: Component, weight: Component, effort: Component) -> None:
+        """Go on for `duration` [s] under a commanded force, a weight, and what a hand's muscles exert [N, N m]."""
 
 
 class FreeAxis:
@@ -39,9 +39,9 @@ class FreeAxis:
         self.place, self.velocity, self.actual = place, velocity, actual
         self._inverse = 1.0 / inertia
 
-    def advance(self, duration: Component, command: Component, weight: Component) -> None:
+    def advance(self, duration: Component, command: Component, weight: Component, effort: Component) -> None:
         """See `AxisMotion`."""
-        acceleration = (command + weight) * self._inverse
+        acceleration = (command + weight + effort) * self._inverse
         self.place = self.place + duration * (self.velocity + 0.5 * duration * acceleration)
         self.velocity = self.velocity + duration * acceleration
         self.actual = command
@@ -54,10 +54,10 @@ class LaggedAxis:
         self.place, self.velocity, self.actual = place, velocity, actual
         self._inverse, self._lag = 1.0 / inertia, lag
 
-    def advance(self, duration: Component, command: Component, weight: Component) -> None:
+    def advance(self, duration: Component, command: Component, weight: Component, effort: Component) -> None:
         """See `AxisMotion`; the exponential is integrated twice."""
         lag, faded = self._lag, -np.expm1(-duration / self._lag)
-        acceleration, missing = (command + weight) * self._inverse, (self.actual - command) * self._inverse
+        acceleration, missing = (command + weight + effort) * self._inverse, (self.actual - command) * self._inverse
         gained = missing * lag * faded
         travel = self.velocity + 0.5 * duration * acceleration + missing * lag
         self.place = self.place + duration * travel - lag * gained
@@ -89,12 +89,12 @@ class HeldAxis:
         """Velocity of the flotor [m/s]."""
         return self._state[1]
 
-    def advance(self, duration: Component, command: Component, weight: Component) -> None:
+    def advance(self, duration: Component, command: Component, weight: Component, effort: Component) -> None:
         """See `AxisMotion`."""
         phi, gamma = self._transition(duration)
         self._state = [
-            sum((one * part for one, part in zip(row, self._state)), push[0] * command + push[1] * weight)
-            for row, push in zip(phi, gamma)
+            sum((one * part for one, part in zip(row, self._state)), by[0] * command + by[1] * weight + by[2] * effort)
+            for row, by in zip(phi, gamma)
         ]
         self.actual = self._state[-1] if self._lags else command
 
@@ -132,9 +132,9 @@ class RubbingAxis:
         self.place, self.velocity, self.actual = place, velocity, actual
         self._inverse, self._friction = 1.0 / inertia, friction
 
-    def advance(self, duration: Component, command: Component, weight: Component) -> None:
+    def advance(self, duration: Component, command: Component, weight: Component, effort: Component) -> None:
         """See `AxisMotion`."""
-        force, speed, rub = np.asarray(command + weight), np.asarray(self.velocity), self._friction
+        force, speed, rub = np.asarray(command + weight + effort), np.asarray(self.velocity), self._friction
         breaks = np.where(np.abs(force) > rub, np.sign(force), 0.0)
         sense = np.where(speed != 0.0, np.sign(speed), breaks)
         first = np.where(sense != 0.0, force - sense * rub, 0.0) * self._inverse

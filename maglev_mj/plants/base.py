@@ -12,14 +12,18 @@ from typing import Any, Self, TypedDict
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.errors import DivergenceError, ParameterError, PlantError
-from maglev_mj.frames import AXES, Array, Command, Component, Sample, clipped, components, join
+from maglev_mj.errors import ParameterError, PlantError
+from maglev_mj.frames import Array, Command, Component, Sample, clipped, components
+from maglev_mj.hand import HandForce
 from maglev_mj.parameters import number, numbers
+from maglev_mj.plants.complaints import escaped, refusal
 from maglev_mj.plants.contract import Timing
 from maglev_mj.plants.sensor import PoseSensor
 from maglev_mj.trace import Trace, TraceRecorder
 
 __all__ = ["PlantKeywords", "SampledPlant"]
+
+_NO_EFFORT: Sequence[Component] = (0.0,) * 6
 
 
 class PlantKeywords(TypedDict, total=False):
@@ -31,6 +35,7 @@ class PlantKeywords(TypedDict, total=False):
     escape: tuple[float, float]
     record: bool
     longest_step: float | None
+    hand_force: HandForce | None
 
 
 class SampledPlant(ABC):
@@ -49,6 +54,8 @@ class SampledPlant(ABC):
         escape: Distance and angle from the centre [m, rad] beyond which the run has diverged.
         record: Keep every switch for `trace()`.
         longest_step: Longest stretch between two recorded or computed states [s]; None for no bound.
+        hand_force: What the muscles of a hand exert, from the first sample on: on the flotor, or on the hand's own
+            mass where its grip is soft.
     """
 
     def __init__(
@@ -62,6 +69,7 @@ class SampledPlant(ABC):
         escape: tuple[float, float] = (0.045, 1.0),
         record: bool = False,
         longest_step: float | None = None,
+        hand_force: HandForce | None = None,
     ) -> None:
         self.timing = timing
         self.batch = batch
@@ -72,6 +80,7 @@ class SampledPlant(ABC):
         self._longest_step = None if longest_step is None else number("longest_step", longest_step, above=0.0)
         self._recorder = TraceRecorder(timing.time) if record else None
         self._run = self._advance if self._recorder is None and longest_step is None else self._run_in_pieces
+        self._hand_force, self._effort = hand_force, _NO_EFFORT
         self._tick = -1
         self._offset: Component = 0.0
         # one place for each command on its way; None where none was written
@@ -100,6 +109,10 @@ class SampledPlant(ABC):
         """Return the components of the true pose; raise if the state is not sound."""
 
     @abstractmethod
+    def _exert(self, effort: Sequence[Component]) -> None:
+        """Let a hand's muscles exert a wrench from now on."""
+
+    @abstractmethod
     def _state(self, drive: Any) -> tuple[Array, Array, Array]:
         """Return pose, twist and the wrench on the flotor at this instant, (..., 6) each."""
 
@@ -121,9 +134,15 @@ class SampledPlant(ABC):
             self._run(self._ahead, self._drive)
         self._tick = tick = tick + 1
         position = self._position()
+        time = (tick + self._phase) * self._period
+        if self._hand_force is not None:
+            self._effort = self._hand_force(tick, time, self.state)
+            if len(self._effort) != 6 or not self._sound(sum(self._effort)):
+                raise refusal(self._effort, tick, self.batch, "a hand's wrench")
+            self._exert(self._effort)
         if self._measure is not None:
             position = self._measure(position)
-        return Sample(tick, (tick + self._phase) * self._period, position)
+        return Sample(tick, time, position)
 
     def write(self, command: Command) -> Command:
         """Queue the answer to the last sample; return it as applied, after the limits.
@@ -142,7 +161,7 @@ class SampledPlant(ABC):
                 raise PlantError(f"pulse_width must be finite and above 0, not {width:g}")
         check = sum(total)  # short of overflow, a sum is finite only if all its terms are
         if len(total) != 6 or not (isfinite(check) if check.__class__ is float else self._sound(check)):
-            self._refuse(total)
+            raise refusal(total, self._tick, self.batch)
         if self._limits:
             command = self._limited(command)
             if width:
@@ -171,6 +190,11 @@ class SampledPlant(ABC):
     def state(self) -> tuple[Array, Array]:
         """Return the true pose and twist at the last sample, whatever the sensor made of them, (..., 6) each."""
         return self._state(self._drive)[:2]
+
+    @property
+    def hand_wrench(self) -> Sequence[Component]:
+        """What the muscles of the hand exert since the last sample, six components [N, N m]."""
+        return self._effort
 
     @property
     def period(self) -> float:
@@ -262,18 +286,6 @@ class SampledPlant(ABC):
         """Return whether the sum of a command's components is finite and of this plant's shape."""
         return np.shape(total) in ((), self.batch) and bool(np.isfinite(total).all())
 
-    def _refuse(self, force: Sequence[Component]) -> None:
-        """Raise with the first thing that is wrong with a command."""
-        if len(force) != 6:
-            raise PlantError(f"a command must have 6 components, not {len(force)}")
-        wrench = join(force)
-        if wrench.shape[:-1] not in ((), self.batch):
-            raise PlantError(f"a command must have the batch shape {self.batch} of the plant, not {wrench.shape[:-1]}")
-        place = tuple(np.argwhere(~np.isfinite(wrench))[0])
-        device = f", device {place[:-1]}" if len(place) > 1 else ""
-        axis = AXES[place[-1]]
-        raise PlantError(f"command at tick {self._tick} must be finite, not {wrench[place]:g} along {axis}{device}")
-
     def _check_escape(self, position: Sequence[Component]) -> Component:
         """Raise if a flotor is far outside its range, as NaN is; otherwise return the square of its angle."""
         x, y, z, rx, ry, rz = position
@@ -284,12 +296,4 @@ class SampledPlant(ABC):
                 return angle
         elif np.all((distance < largest_distance) & (angle < largest_angle)):
             return angle
-        far, turned, time = np.broadcast_arrays(np.sqrt(distance), np.sqrt(angle), self.timing.time(self._tick))
-        out = ~((far**2 < largest_distance) & (turned**2 < largest_angle))
-        place = tuple(np.argwhere(out)[0]) if out.ndim else ()
-        device = f" (device {', '.join(map(str, place))} of {self.batch})" if place else ""
-        raise DivergenceError(
-            f"the flotor is {far[place]:.3g} m and {turned[place]:.3g} rad from its centre "
-            f"at {time[place]:.4g} s{device}; a run has diverged beyond "
-            f"{math.sqrt(largest_distance):.3g} m or {math.sqrt(largest_angle):.3g} rad"
-        )
+        raise escaped(distance, angle, self._escape, self.timing.time(self._tick), self.batch)

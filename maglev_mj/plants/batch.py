@@ -17,7 +17,7 @@ from maglev_mj.model import COILS
 from maglev_mj.parameters import number, numbers
 from maglev_mj.plants.base import PlantKeywords, SampledPlant
 from maglev_mj.plants.contract import Timing
-from maglev_mj.plants.engine import UPRIGHT, longest_step, prepared, start_state
+from maglev_mj.plants.engine import UPRIGHT, effort_addresses, longest_step, prepared, start_state
 from maglev_mj.spec import GRAVITY
 
 __all__ = ["MuJoCoBatchPlant"]
@@ -89,6 +89,8 @@ class MuJoCoBatchPlant(SampledPlant):
             else self._engine.bind("xfrc_applied").reshape(len(start), -1, 6)[:, self.device.flotor]
         )
         self._timestep = self._engine.expand("opt.timestep")
+        self._efforts = self._engine.bind("qfrc_applied")
+        self._effort_addresses = effort_addresses(self.device, hand)
         # inverse maps of the coils, (N, 6, 6) while any flotor is turned; None without coils
         self._inverse_map = None if self.device.coils is None else self.device.coils.current_per_wrench
         if keywords.get("longest_step") is None:
@@ -107,6 +109,15 @@ class MuJoCoBatchPlant(SampledPlant):
         self._controls[:] = drive[1]
         self._timestep[:] = np.reshape(duration, (-1, *(1,) * (self._timestep.ndim - 1))) / pieces
         self._engine.step(nstep=pieces)
+
+    def _exert(self, effort: Sequence[Component]) -> None:
+        wrench = np.broadcast_to(join(effort), (*self.batch, 6))
+        self._efforts[:, list(self._effort_addresses)] = wrench[:, :3]
+        start = self.device.velocity_address + 3
+        # about the flotors' axes
+        self._efforts[:, start : start + 3] = np.einsum(
+            "na,nab->nb", wrench[:, 3:], self._rotations().reshape(-1, 3, 3)
+        )
 
     def _position(self) -> list[Component]:
         if self._engine.warning.any():

@@ -20,6 +20,7 @@ __all__ = [
     "INTEGRATORS",
     "UPRIGHT",
     "FadingCoils",
+    "effort_addresses",
     "engine_warnings_silenced",
     "longest_step",
     "prepared",
@@ -103,6 +104,17 @@ def start_state(device: Device, pose: Array, twist: Array, hand: Hand | None) ->
             position[model.jnt_qposadr[joint]] = hand.place(pose[index])
             velocity[model.jnt_dofadr[joint]] = twist[index]
     return position, velocity
+
+
+def effort_addresses(device: Device, hand: Hand | None) -> tuple[int, int, int]:
+    """Return the indices into qvel on which a hand's muscles act along x, y and z: its own where its grip is soft."""
+    first, second, third = (
+        int(device.model.joint(f"hand_{axis}").dofadr[0])
+        if hand is not None and hand.soft and index in hand.indices
+        else device.velocity_address + index
+        for index, axis in enumerate(AXES[:3])
+    )
+    return first, second, third
 
 
 def longest_step(device: Device, driver_lag: bool, hand: Hand | None, detail: Detail | None = None) -> float | None:

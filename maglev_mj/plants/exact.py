@@ -74,6 +74,7 @@ class ExactPlant(SampledPlant):
             keywords["longest_step"] = 0.25 * self._lag
         super().__init__(timing, batch=start.shape[:-1], **keywords)
         self._axes: list[AxisMotion] | None = None
+        self._pull: tuple[Component, ...] | None = None
         if driver_lag or hand is not None or dry_friction is not None:
             self._axes = self._special_axes(body, hand, dry_friction)
 
@@ -110,13 +111,18 @@ class ExactPlant(SampledPlant):
         if self._axes is not None:
             position, velocity = self._place.copy(), self._velocity
             self._place = position
-            for index, (moving, command, weight) in enumerate(zip(self._axes, drive[1], self._weight)):
-                moving.advance(duration, command, weight)
+            for index, (moving, command, weight, effort) in enumerate(
+                zip(self._axes, drive[1], self._weight, self._effort)
+            ):
+                moving.advance(duration, command, weight, effort)
                 position[index], velocity[index] = moving.place, moving.velocity
             return
         half = 0.5 * duration
         # written out, as in `FiniteDifference`: this runs two or three times a tick
         ax, ay, az, arx, ary, arz = drive[0]
+        if (pull := self._pull) is not None:
+            ax, ay, az = ax + pull[0], ay + pull[1], az + pull[2]
+            arx, ary, arz = arx + pull[3], ary + pull[4], arz + pull[5]
         x, y, z, rx, ry, rz = self._place
         u, v, w, p, q, r = self._velocity
         self._place = [
@@ -135,6 +141,11 @@ class ExactPlant(SampledPlant):
             q + duration * ary,
             r + duration * arz,
         ]
+
+    def _exert(self, effort: Sequence[Component]) -> None:
+        one, by_x, by_y, by_z, _ = self._body
+        fx, fy, fz, tx, ty, tz = effort
+        self._pull = fx * one, fy * one, fz * one, tx * by_x, ty * by_y, tz * by_z
 
     def _position(self) -> list[Component]:
         self._check_escape(self._place)

@@ -20,7 +20,7 @@ from maglev_mj.model import COILS, load
 from maglev_mj.parameters import number, numbers
 from maglev_mj.plants.base import PlantKeywords, SampledPlant
 from maglev_mj.plants.contract import Timing
-from maglev_mj.plants.engine import UPRIGHT, FadingCoils, longest_step, prepared, start_state
+from maglev_mj.plants.engine import UPRIGHT, FadingCoils, effort_addresses, longest_step, prepared, start_state
 from maglev_mj.spec import GRAVITY
 
 __all__ = ["MuJoCoPlant"]
@@ -53,8 +53,8 @@ class MuJoCoPlant(SampledPlant):
         hand: A hand on the flotor, along x, y or z.
         integrator: One of `INTEGRATORS`.
         detail: What else the device has.
-        keywords: Those of `SampledPlant`: wrench, wrench_limit, sensor, escape, record, longest_step. The longest
-            integration step is None for as long as the wrench is constant, and by default a quarter of the
+        keywords: Those of `SampledPlant`: wrench, wrench_limit, sensor, escape, record, hand_force, longest_step. The
+            longest integration step is None for as long as the wrench is constant, and by default a quarter of the
             drivers' time constant where their lag is on, 0.5 ms where a hand is.
 
     Raises:
@@ -100,7 +100,7 @@ class MuJoCoPlant(SampledPlant):
             detail=detail,
         )
         self.current_limit = None if current_limit is None else number("current_limit", current_limit, at_least=0.0)
-        self._open(detail)
+        self._open(detail, hand)
         self._data.qpos[:], self._data.qvel[:] = start_state(self.device, start, motion, hand)
         if keywords.get("longest_step") is None:
             keywords["longest_step"] = longest_step(self.device, driver_lag, hand, detail)
@@ -116,7 +116,7 @@ class MuJoCoPlant(SampledPlant):
         # wider still; and of controls, which it then leaves out
         self._warns_unseen = max(self._escape) > _ENGINE_BOUND or detail.stops
 
-    def _open(self, detail: Detail) -> None:
+    def _open(self, detail: Detail, hand: Hand | None) -> None:
         """Make the engine's state, and live views of it: reaching for them on each tick costs as much as using them."""
         model, coils = self.device.model, self.device.coils
         self._data = mujoco.MjData(model)
@@ -129,6 +129,9 @@ class MuJoCoPlant(SampledPlant):
         self._qpos = self._data.qpos[self.device.position_address :][:7]
         self._qvel = self._data.qvel[self.device.velocity_address :][:6]
         self._read_pose: Callable[[], Sequence[float]] = self._qpos.tolist
+        self._push_on = self._data.qfrc_applied
+        self._effort_addresses = effort_addresses(self.device, hand)
+        self._turning = slice(self.device.velocity_address + 3, self.device.velocity_address + 6)
         self._rotation = np.zeros(9)
         self._currents = self._data.ctrl[: len(COILS)]
         self._wrench = self._data.xfrc_applied[self.device.flotor] if coils is None else np.zeros(6)
@@ -184,6 +187,28 @@ class MuJoCoPlant(SampledPlant):
         else:
             self._options.timestep = duration / pieces
             self._step(pieces)
+
+    @property
+    def currents(self) -> Array:
+        """Currents in the six coils at the last sample [A], (6,); those commanded where the drivers lag.
+
+        Raises:
+            PlantError: If the plant has no coils.
+        """
+        if self._coils is None:
+            raise PlantError("there are no currents: the plant was made with coils=False")
+        currents: Array = self._currents.copy()
+        return currents
+
+    def _exert(self, effort: Sequence[float]) -> None:
+        push = self._push_on
+        for place, address in enumerate(self._effort_addresses[:3]):
+            push[address] = effort[place]
+        if any(effort[3:]):
+            mujoco.mju_quat2Mat(self._rotation, self._qpos[3:])
+            push[self._turning] = np.dot(effort[3:], self._rotation.reshape(3, 3))  # about the flotor's axes
+        else:
+            push[self._turning] = 0.0
 
     def _position(self) -> list[float]:
         if self._warns_unseen or self._refused[0]:

@@ -91,10 +91,11 @@ class Hand:
 
 
 def motion(mass: ArrayLike, hand: Hand | None = None, lag: float = 0.0) -> tuple[Array, Array]:
-    """Return the continuous equations s' = A s + B (u, w) of a flotor along one axis.
+    """Return the continuous equations s' = A s + B (u, w, e) of a flotor along one axis.
 
     The state s is position and velocity of the flotor, then those of a hand in a soft grip, then the force that the
-    drivers give where they lag; u is the force commanded and w any other force on the flotor.
+    drivers give where they lag; u is the force commanded, w any other force on the flotor, and e what the hand's
+    muscles exert.
 
     Args:
         mass: Mass of the flotor [kg], (...,).
@@ -102,7 +103,7 @@ def motion(mass: ArrayLike, hand: Hand | None = None, lag: float = 0.0) -> tuple
         lag: Time constant of the drivers [s]; 0 for none.
 
     Returns:
-        A (..., n, n) and B (..., n, 2).
+        A (..., n, n) and B (..., n, 3).
     """
     hand = hand or Hand()
     hand_mass, damping, stiffness, grip_damping, grip_stiffness = hand.values
@@ -110,7 +111,7 @@ def motion(mass: ArrayLike, hand: Hand | None = None, lag: float = 0.0) -> tuple
     total = flotor if hand.soft else flotor + hand_mass
     size = 2 + 2 * hand.soft + (lag > 0.0)
     shape = np.broadcast_shapes(total.shape, hand.shape)
-    a, b = np.zeros((*shape, size, size)), np.zeros((*shape, size, 2))
+    a, b = np.zeros((*shape, size, size)), np.zeros((*shape, size, 3))
     a[..., 0, 1] = 1.0
     if hand.soft:
         a[..., 1, 0], a[..., 1, 1] = -grip_stiffness / total, -grip_damping / total
@@ -122,6 +123,10 @@ def motion(mass: ArrayLike, hand: Hand | None = None, lag: float = 0.0) -> tuple
     else:
         a[..., 1, 0], a[..., 1, 1] = -stiffness / total, -damping / total
     b[..., 1, 1] = 1.0 / total
+    if hand.soft:
+        b[..., 3, 2] = 1.0 / hand_mass
+    else:
+        b[..., 1, 2] = 1.0 / total
     if lag > 0.0:
         a[..., 1, -1] = 1.0 / total
         a[..., -1, -1], b[..., -1, 0] = -1.0 / lag, 1.0 / lag

@@ -1,0 +1,203 @@
+"""Hands: what they exert, how the plants take it, and that one can be given again."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from maglev_mj import Controller, ExactPlant, Hold, MuJoCoPlant, Timing, Wall, run
+from maglev_mj.errors import ParameterError, PlantError
+from maglev_mj.frames import Array, Component, rotation_matrix
+from maglev_mj.hand import (
+    HANDS,
+    PUBLISHED_RANGE,
+    ConstantForce,
+    GuidedHand,
+    Hand,
+    Path,
+    RecordedHand,
+    SpringHand,
+    hand_called,
+)
+from maglev_mj.model import load
+from maglev_mj.plants import CorrectedPlant, MuJoCoBatchPlant, SampledPlant
+from maglev_mj.spec import Spec
+
+MASS = Spec.moving_mass.value
+TILT, _, SPIN = load("drop").inertia
+TIMING = Timing(period=0.004, delay=0.0013)
+IDLE: Any = Controller([], period=TIMING.period)
+
+
+def poses(plant: SampledPlant, controller: Controller, ticks: int) -> Array:
+    """Return the true poses at the samples, (ticks + 1, ..., 6)."""
+    seen: list[Array] = []
+    run(plant, controller, ticks, observe=lambda *_: seen.append(plant.state()[0]))
+    return np.array([*seen, plant.state()[0]])
+
+
+@pytest.mark.parametrize("kind", [ExactPlant, MuJoCoPlant, CorrectedPlant])
+def test_a_constant_force_gives_the_parabola(kind: Any) -> None:
+    push = np.array([0.3, -0.2, 0.1, 0.0, 0.0, 4e-4])
+    own = {"inertia": (TILT, TILT, SPIN)} if kind is ExactPlant else {}
+    plant = kind(TIMING, gravity=0.0, hand_force=ConstantForce(push), **own)
+    time = TIMING.period * np.arange(26)[:, None]
+    expected = 0.5 * time**2 * push / [MASS, MASS, MASS, TILT, TILT, SPIN]
+    assert_allclose(poses(plant, IDLE, 25), expected, rtol=0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("phase", [0.0, 0.37])
+def test_a_hand_acts_from_the_first_sample(phase: float) -> None:
+    plant = ExactPlant(Timing(phase=phase), gravity=0.0, hand_force=ConstantForce([1, 0, 0, 0, 0, 0]))
+    assert poses(plant, Controller([], period=0.005), 1)[-1, 0] == pytest.approx(0.5 / MASS * 0.005**2, rel=1e-12)
+
+
+def test_a_torque_is_about_stator_axes() -> None:
+    """A flotor turned by a quarter about z, twisted about the stator's x."""
+    start = [0.0, 0.0, 0.0, 0.0, 0.0, 0.5 * math.pi]
+    plant = MuJoCoPlant(
+        TIMING, gravity=0.0, pose=start, escape=(0.045, 3.0), hand_force=ConstantForce([0, 0, 0, 1e-3, 0, 0])
+    )
+    run(plant, IDLE, 10)
+    pose, twist = plant.state()
+    assert_allclose(twist[3:], [1e-3 / TILT * 0.04, 0.0, 0.0], atol=1e-6)
+    turn = rotation_matrix(pose[3:]) @ rotation_matrix(np.array(start[3:])).T
+    assert turn[2, 1] == pytest.approx(0.5 * 1e-3 / TILT * 0.04**2, rel=1e-3)
+
+
+@pytest.mark.parametrize("name", [name for name in HANDS if name != "none"])
+@pytest.mark.parametrize("lag", [False, True])
+def test_both_plants_agree_on_a_guided_hand(name: str, lag: bool) -> None:
+    """Hit and press a wall, the grip rigid or soft."""
+    hand = hand_called(name)
+    assert hand is not None
+    down, up = [0.002, 0.0, -0.015, 0.0, 0.0, 0.0], [0.0, -0.001, 0.003, 0.0, 0.0, 0.0]
+    guided = GuidedHand(hand=hand, path=Path([0.0, 0.1, 0.2, 0.35], [up, down, up, down]))
+    walls = Wall(axes="z", lower=0.0, stiffness=3000.0, damping=60.0)
+    hold = Hold(axes=("rx", "ry", "rz"), stiffness=0.6, damping=0.03)
+    paths = [
+        poses(
+            kind(TIMING, gravity=0.0, pose=up, hand=hand, hand_force=guided, driver_lag=lag),
+            Controller([walls, hold], period=TIMING.period),
+            120,
+        )
+        for kind in (ExactPlant, MuJoCoPlant)
+    ]
+    assert np.abs(paths[0] - paths[1]).max() < (2e-7 if lag else 2e-8)
+    assert paths[0][:, 2].min() < -1e-4
+
+
+def test_a_guided_hand_comes_to_rest_where_springs_balance() -> None:
+    hand, target = Hand(mass=0.3, damping=20.0, stiffness=500.0, grip_damping=3.0, grip_stiffness=2000.0), 0.004
+    guided = GuidedHand(hand=hand, path=Path([0.0], [[target, 0, 0, 0, 0, 0]]))
+    plant = ExactPlant(TIMING, gravity=0.0, hand=hand, hand_force=guided)
+    rest = poses(plant, Controller([Hold(axes="x", stiffness=800.0, damping=30.0)], period=TIMING.period), 2000)[-1]
+    pull = 1.0 / (1.0 / 500.0 + 1.0 / 2000.0)  # the two springs in a row
+    assert rest[0] == pytest.approx(target * pull / (pull + 800.0), rel=1e-9)
+
+
+def test_a_path_is_of_minimum_jerk() -> None:
+    path = Path([0.5, 1.5], [[0.0] * 6, [1.0, 2.0, 0.0, 0.0, 0.0, -1.0]])
+    assert path.at(0.1) == [0.0] * 6
+    assert path.at(2.0) == [1.0, 2.0, 0.0, 0.0, 0.0, -1.0]
+    assert path.at(1.0)[:2] == pytest.approx([0.5, 1.0])
+    time = np.linspace(0.5, 1.5, 2001)
+    x = np.array([path.at(t)[0] for t in time])
+    speed = np.gradient(x, time)
+    assert speed.max() == pytest.approx(1.875, rel=1e-5)  # 15/8 of the mean speed
+    assert np.abs(np.gradient(speed, time)).max() == pytest.approx(10.0 / math.sqrt(3.0), rel=1e-3)
+    assert path.end == 1.5
+
+
+def test_the_springs_hand_pulls_as_its_stiffness_says() -> None:
+    hand = SpringHand(stiffness=300.0, damping=15.0, turning_stiffness=0.5, turning_damping=0.02)
+    plant = MuJoCoPlant(TIMING, gravity=0.0, hand_force=hand)
+    controller = Controller(
+        [Hold(stiffness=[700.0] * 3 + [1.5] * 3, damping=[30.0] * 3 + [0.05] * 3)], period=TIMING.period
+    )
+    hand.target = [0.006, -0.003, 0.002, 0.1, 0.0, -0.05]
+    assert_allclose(poses(plant, controller, 800)[-1, :3], 0.3 * np.array(hand.target[:3]), rtol=1e-9)
+    assert_allclose(plant.state()[0][3:], 0.25 * np.array(hand.target[3:]), rtol=2e-3, atol=1e-12)
+    hand.target = None
+    assert np.abs(poses(plant, controller, 800)[-1]).max() < 1e-12
+
+
+def test_the_springs_hand_pulls_no_harder_than_its_limits() -> None:
+    hand = SpringHand(stiffness=1e4, force_limit=5.0, turning_stiffness=1e3, torque_limit=0.2, target=[1.0] * 6)
+    wrench = np.array(hand(0, 0.0, lambda: (np.zeros(6), np.zeros(6))))
+    assert np.linalg.norm(wrench[:3]) == pytest.approx(5.0)
+    assert np.linalg.norm(wrench[3:]) == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize("kind", [ExactPlant, MuJoCoPlant])
+def test_a_recorded_hand_gives_the_same_motion_bit_for_bit(kind: Any) -> None:
+    hand, wrenches = SpringHand(), []
+    laws = [
+        Wall(
+            axes=("x", "y", "z"),
+            lower=-0.003,
+            upper=0.003,
+            stiffness=3000.0,
+            damping=50.0,
+            pulse=100.0,
+            pulse_width=0.002,
+        )
+    ]
+    random = np.random.default_rng(3)
+
+    def wandering(tick: int, time: Component, state: Any) -> Any:
+        if tick % 25 == 0:
+            hand.target = [*random.uniform(-0.01, 0.01, 3), *random.uniform(-0.2, 0.2, 3)]
+        wrenches.append(hand(tick, time, state))
+        return wrenches[-1]
+
+    def motion(force: Any) -> Array:
+        plant = kind(TIMING, gravity=0.0, hand_force=force)
+        return poses(plant, Controller(laws, period=TIMING.period), 300)
+
+    first = motion(wandering)
+    assert np.abs(first).max() > 0.003
+    assert (motion(RecordedHand(wrenches)) == first).all()
+
+
+def test_a_batch_takes_a_hand_like_one_device() -> None:
+    start = np.array([[0.001, 0.0, 0.0, 0.02, 0.0, 0.01], [0.0, 0.002, 0.0, 0.0, -0.03, 0.0]])
+    push = ConstantForce([0.4, 0.1, -0.2, 1e-3, 0.0, -1e-3])
+    batch = poses(MuJoCoBatchPlant(TIMING, pose=start, gravity=0.0, hand_force=push), IDLE, 12)
+    exact = poses(ExactPlant(TIMING, pose=start, gravity=0.0, hand_force=push), IDLE, 12)
+    for device in range(2):
+        alone = poses(MuJoCoPlant(TIMING, pose=start[device], gravity=0.0, hand_force=push), IDLE, 12)
+        assert_allclose(batch[:, device], alone, atol=1e-15)
+        assert_allclose(exact[:, device, :3], alone[:, :3], atol=1e-14)
+
+
+def test_published_hands_are_within_the_published_range() -> None:
+    for name in HANDS:
+        if (hand := hand_called(name)) is not None:
+            for what, (least, most) in PUBLISHED_RANGE.items():
+                assert least <= float(np.asarray(getattr(hand, what))) <= most, (name, what)
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: ConstantForce([1.0, 2.0]), r"hand wrench must be \(6,\), not \(2,\)"),
+        (lambda: ConstantForce([math.nan] * 6), "hand wrench must be finite"),
+        (lambda: Path([0.0, 0.0], [[0.0] * 6] * 2), "times must increase"),
+        (lambda: Path([0.0], [[0.0] * 5]), r"poses \(N, 6\)"),
+        (lambda: GuidedHand(hand=Hand(mass=0.1), path=Path([0.0], [[0.0] * 6])), "stiffness above 0"),
+        (lambda: SpringHand(stiffness=-1.0), "hand stiffness must be .* at least 0, not -1.0"),
+        (lambda: RecordedHand([[0.0] * 5]), r"must be \(N, 6\), not \(1, 5\)"),
+    ],
+)
+def test_a_hand_that_cannot_be_is_refused(make: Any, words: str) -> None:
+    with pytest.raises(ParameterError, match=words):
+        make()
+
+
+def test_a_hand_that_gives_nonsense_stops_the_run() -> None:
+    plant = MuJoCoPlant(TIMING, hand_force=lambda tick, time, state: [0.0] * 5 + [math.inf])
+    with pytest.raises(PlantError, match="hand's wrench at tick 0 must be finite, not inf along rz"):
+        plant.read()
