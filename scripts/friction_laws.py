@@ -91,8 +91,8 @@ def hard_rows() -> list[dict[str, Any]]:
                         "chatter": chatter(name, period=period, delay=DELAY, quantize=quantize),
                         "friction_slow": mean_friction(name, 0.01, period=period),
                         "friction_fast": mean_friction(name, 0.1, period=period),
-                        "work_stuck": cycle_work(name, 2e-4, period=period, quantize=quantize),
-                        "work_sliding": cycle_work(name, 1e-3, period=period, quantize=quantize),
+                        "work_stuck": cycle_work(name, 2e-4, period=period, delay=DELAY, quantize=quantize),
+                        "work_sliding": cycle_work(name, 1e-3, period=period, delay=DELAY, quantize=quantize),
                         "microseconds": cost,
                     }
                 )

@@ -231,6 +231,15 @@ def test_resolution_of_figure_9_is_breakaway_over_stiffness(plant: str) -> None:
         run_six_axes(plant="real")
 
 
+@pytest.mark.parametrize("plant", ["exact", "mujoco"])
+def test_the_hand_of_figure_9_does_not_wait_for_the_delay(plant: str) -> None:
+    """It first pulls at the second sample, and the law first answers at the third: up to there no delay shows."""
+    first = [run_six_axes(plant=plant, duration=0.015, delay=delay).position for delay in (0.0, 0.0015, 0.005)]
+    assert (first[0][2] != 0.0).all()
+    for other in first[1:]:
+        np.testing.assert_array_equal(other, first[0])
+
+
 # -- laws against closed forms ---------------------------------------------------------------------------
 
 

@@ -91,27 +91,62 @@ def test_spring_reset_buzzes_and_loses_its_friction_at_speed() -> None:
         assert under_load(name, step, period=period, delay=DELAY).transitions <= 4
 
 
-def test_a_held_spring_makes_energy_over_a_closed_cycle() -> None:
-    """Stuck, every law is a spring whose force is held for a sample: it gives pi T/2 K w A² a cycle to the hand.
+def held_spring_gain(amplitude: float, frequency: float, *, period: float, delay: float, damping: float) -> float:
+    """Return what a spring and a damper on the last difference, both late and held, give to a sine a cycle [J].
+
+    Summed over a cycle of 1 / (frequency T) samples, each force times the way from when it takes effect to the next.
+    """
+    turn = 2.0 * math.pi * frequency
+    spring = STIFFNESS * math.sin(turn * (delay + 0.5 * period))
+    damper = 2.0 * damping / period * math.sin(0.5 * turn * period) * math.cos(turn * (period + delay))
+    return (spring - damper) * amplitude**2 / (frequency * period) * math.sin(0.5 * turn * period)
+
+
+@pytest.mark.parametrize("delay", [0.0, DELAY])
+def test_a_held_spring_makes_energy_over_a_closed_cycle(delay: float) -> None:
+    """Stuck, every law is a spring whose force is late and held: it gives pi (T/2 + delay) K w A² a cycle to the hand.
 
     For the pure springs that is a closed form. Dahl and LuGre lose more than that. Sliding, every law takes energy.
-    Cured by viscous damping of K T / 2, the passivity bound of a sampled spring.
+    Cured by viscous damping of K (T/2 + delay): without delay the passivity bound of a sampled spring.
     """
     amplitude, frequency = 2e-4, 5.0
     for period in (5e-3, 1e-3):
-        gain = math.pi * (0.5 * period) * STIFFNESS * 2.0 * math.pi * frequency * amplitude**2
+        case: dict[str, Any] = {"period": period, "delay": delay}
+        late = 0.5 * period + delay
+        gain = math.pi * late * STIFFNESS * 2.0 * math.pi * frequency * amplitude**2
         for name in ("stick-slip", "spring-reset", "elasto-plastic", "kikuuwe"):
-            assert cycle_work(name, amplitude, period=period) == pytest.approx(gain, rel=0.01)
+            assert cycle_work(name, amplitude, **case) == pytest.approx(gain, rel=0.01)
         for name in ("dahl", "lugre"):
-            assert cycle_work(name, amplitude, period=period) < 0.0
+            assert cycle_work(name, amplitude, **case) < 0.0
         for name in LAWS:
-            assert cycle_work(name, 1e-3, period=period) < 0.0
-        # held for a sample, a damper of K T / 2 on the last difference takes a little less than the spring makes
-        passive = 0.5 * STIFFNESS * period
+            assert cycle_work(name, 1e-3, **case) < 0.0
+        # late and held, a damper of that size on the last difference takes a little less than the spring makes
+        passive = late * STIFFNESS
         for name in ("stick-slip", "spring-reset", "elasto-plastic", "kikuuwe"):
-            assert abs(cycle_work(name, amplitude, period=period, damping=passive)) < 0.02 * gain
-            assert cycle_work(name, amplitude, period=period, damping=1.05 * passive) < 0.0
-            assert cycle_work(name, amplitude, period=period, damping=0.5 * passive) > 0.4 * gain
+            assert abs(cycle_work(name, amplitude, damping=passive, **case)) < 0.02 * gain
+            assert cycle_work(name, amplitude, damping=1.05 * passive, **case) < 0.0
+            assert cycle_work(name, amplitude, damping=0.5 * passive, **case) > 0.4 * gain
+            for damping in (0.0, 0.5 * passive, passive):
+                expected = held_spring_gain(amplitude, frequency, damping=damping, **case)
+                assert cycle_work(name, amplitude, damping=damping, **case) == pytest.approx(expected, rel=1e-8)
+
+
+def test_hayward_armstrong_loses_what_it_makes_only_without_delay() -> None:
+    """From 1 kHz on its loss outweighs half a period of lateness, but at no rate 1.5 ms more."""
+    assert cycle_work("hayward-armstrong", 2e-4, period=1e-3, delay=0.0) < 0.0
+    for period in (5e-3, 1e-3, 2e-4):
+        assert cycle_work("hayward-armstrong", 2e-4, period=period, delay=DELAY) > 2e-5
+
+
+def test_a_load_does_not_wait_for_the_delay() -> None:
+    """The hand's force acts from its own sample on; what the law answers to the first move comes a delay later."""
+    period, force = 1e-3, 0.2
+    for delay in (0.0, 4e-4, 1e-3):
+        position = under_load("stick-slip", np.full(3, force), period=period, delay=delay).position
+        assert position[1] == pytest.approx(0.5 * force / 0.7 * period**2, rel=1e-12)
+        answer = STIFFNESS * position[1] + 80.0 * position[1] / period
+        expected = 0.5 * (force * (2.0 * period) ** 2 - answer * (period - delay) ** 2) / 0.7
+        assert position[2] == pytest.approx(expected, rel=1e-12)
 
 
 def literal_karnopp(*, breakaway_condition: bool) -> tuple[int, float]:

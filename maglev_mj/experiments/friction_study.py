@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -10,7 +9,8 @@ import numpy as np
 from maglev_mj.controller import Controller
 from maglev_mj.experiments.choices import LAWS, VELOCITIES
 from maglev_mj.experiments.stick_slip import StickSlipParameters, exact_stick_slip, run_stick_slip
-from maglev_mj.frames import Array, Command, Component, Mask, Sample
+from maglev_mj.frames import AXES, Array, Command, Mask, Sample
+from maglev_mj.hand import RecordedHand
 from maglev_mj.laws import Friction
 from maglev_mj.loop import run
 from maglev_mj.plants import ExactPlant, Sensor, Timing
@@ -36,27 +36,6 @@ def friction_law(name: str, period: float, *, damping: float = DAMPING, stiffnes
     return LAWS[name](v_min=V_MIN, period=period, axes="x", stiffness=stiffness, damping=damping, breakaway=BREAKAWAY)
 
 
-class _Load:
-    """A force along x that the controller adds, one value a sample; the last one stays."""
-
-    batch: tuple[int, ...] = ()
-    pulse_width = 0.0
-
-    def __init__(self, forces: Array) -> None:
-        self.forces: list[float] = forces.tolist()
-
-    def start(self) -> int:
-        """Return the number of the first sample."""
-        return 0
-
-    def __call__(
-        self, position: Sequence[Component], velocity: Sequence[Component], state: int, wrench: list[Component]
-    ) -> tuple[int, None]:
-        """Add the force of this sample; see `Law`."""
-        wrench[0] = wrench[0] + self.forces[min(state, len(self.forces) - 1)]
-        return state + 1, None
-
-
 class LoadOutcome(NamedTuple):
     """What a law did under a load: at each sample, position [m], stick position [m], and whether it stuck."""
 
@@ -80,11 +59,13 @@ def under_load(
     velocity: str = "difference",
     stiffness: float = STIFFNESS,
 ) -> LoadOutcome:
-    """Put a force along x on a flotor at rest that a friction law holds, on the exact plant.
+    """Push along x on a flotor at rest that a friction law holds, on the exact plant.
+
+    The push is a hand's, so it acts at once; what the law answers comes after the delay.
 
     Args:
         name: Name from LAWS.
-        forces: Force at each sample [N], (K,).
+        forces: What the hand exerts from each sample to the next [N], (K,); the run is as long.
         period: Sample period [s].
         delay: Transport delay [s].
         quantize: Resolution of the sensor [m].
@@ -92,10 +73,10 @@ def under_load(
         stiffness: Stiffness of the law [N/m].
     """
     controller = Controller(
-        [friction_law(name, period, stiffness=stiffness), _Load(forces)],
-        period=period,
-        velocity=VELOCITIES[velocity](quantize),
+        [friction_law(name, period, stiffness=stiffness)], period=period, velocity=VELOCITIES[velocity](quantize)
     )
+    wrenches = np.zeros((len(forces), len(AXES)))
+    wrenches[:, 0] = forces
     rows: list[tuple[float, float, bool]] = []
 
     def observe(sample: Sample, _: Command) -> None:
@@ -105,7 +86,8 @@ def under_load(
     sensor = Sensor(quantum=[quantize, 0.0, 0.0, 0.0, 0.0, 0.0]) if quantize else None
     # a law that drifts does so beyond the device's range too: that is what is measured
     far = (1e6, 1e6)
-    with ExactPlant(Timing(period=period, delay=delay), gravity=0.0, sensor=sensor, escape=far) as plant:
+    timing, hand = Timing(period=period, delay=delay), RecordedHand(wrenches)
+    with ExactPlant(timing, gravity=0.0, sensor=sensor, escape=far, hand_force=hand) as plant:
         run(plant, controller, len(forces), observe=observe)
     return LoadOutcome(*(np.array(column) for column in zip(*rows, strict=True)))
 
@@ -181,6 +163,7 @@ def cycle_work(
     amplitude: float,
     *,
     period: float,
+    delay: float,
     frequency: float = 5.0,
     cycles: int = 40,
     quantize: float = 0.0,
@@ -188,20 +171,26 @@ def cycle_work(
 ) -> float:
     """Return the work that a law does on a hand that moves it to and fro, a cycle [J]; above 0 it makes energy.
 
-    Each force is held for one period while the hand moves on. The first quarter of the cycles is not counted.
+    Each force takes effect after the delay and is held for one period, while the hand moves on. The first quarter of
+    the cycles is not counted.
 
     Args:
         name: Name from LAWS.
         amplitude: Amplitude of the motion [m].
         period: Sample period [s].
+        delay: Transport delay [s].
         frequency: Frequency of the motion [Hz].
         cycles: Cycles moved.
         quantize: Resolution of the sensor [m].
         damping: Viscous damping of the law [N s/m].
     """
     length = round(1.0 / frequency / period)
-    positions = amplitude * np.sin(2.0 * np.pi * np.arange(cycles * length + 1) / length)
-    seen = np.rint(positions / quantize) * quantize if quantize else positions
+    phases = 2.0 * np.pi * np.arange(cycles * length + 1) / length
+    seen = amplitude * np.sin(phases)
+    if quantize:
+        seen = np.rint(seen / quantize) * quantize
+    # the hand moves as it will; it is the law's force that comes late
+    positions = amplitude * np.sin(phases + 2.0 * np.pi * delay / (length * period))
     forces = _driven(friction_law(name, period, damping=damping), seen, period)
     first = cycles // 4
     return float(np.sum((forces[:-1] * np.diff(positions))[first * length :]) / (cycles - first))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,31 +26,24 @@ _RADIUS = np.sqrt(_INERTIA / Spec.moving_mass.value)
 
 
 class _Hand:
-    """A spring on each axis whose far end moves smoothly: a sum of three seeded sines, slow enough to stick."""
+    """A spring on each axis whose far end moves smoothly: a sum of three seeded sines, slow enough to stick.
 
-    batch: tuple[int, ...] = ()
-    pulse_width = 0.0
+    It pulls at the flotor from where that truly is, held from one sample to the next. The spring of a rotation turns by
+    one component of the rotation vector, about that axis of the stator.
+    """
 
-    def __init__(self, seed: int, period: float, ticks: int, stiffness: Array, reach: Array) -> None:
+    def __init__(self, seed: int, stiffness: Array, reach: Array) -> None:
         random = np.random.default_rng(seed)
-        frequency = random.uniform(0.1, 0.6, (3, 6))
-        phase = random.uniform(0.0, 2.0 * math.pi, (3, 6))
-        time = np.arange(ticks + 1)[:, None, None] * period
-        waves = np.sin(2.0 * math.pi * frequency * time + phase) - np.sin(phase)
-        self.targets: list[list[float]] = (reach / 3.0 * waves.sum(axis=1)).tolist()
-        self.stiffness: list[float] = stiffness.tolist()
+        self._frequency = random.uniform(0.1, 0.6, (3, 6))
+        self._phase = random.uniform(0.0, 2.0 * math.pi, (3, 6))
+        self._stiffness, self._reach = stiffness, reach
 
-    def start(self) -> int:
-        """Return the number of the first sample."""
-        return 0
-
-    def __call__(
-        self, position: Sequence[Component], velocity: Sequence[Component], state: int, wrench: list[Component]
-    ) -> tuple[int, None]:
-        """Pull towards the hand; see `Law`."""
-        for axis, (stiffness, target) in enumerate(zip(self.stiffness, self.targets[state])):
-            wrench[axis] = wrench[axis] + stiffness * (target - position[axis])
-        return state + 1, None
+    def __call__(self, tick: int, time: Component, state: Callable[[], tuple[Array, Array]]) -> Sequence[Component]:
+        """Pull towards where the far end is now; see `HandForce`."""
+        waves = np.sin(2.0 * math.pi * self._frequency * time + self._phase) - np.sin(self._phase)
+        target = self._reach / 3.0 * waves.sum(axis=0)
+        pull: list[Component] = (self._stiffness * (target - state()[0])).tolist()
+        return pull
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,8 +106,9 @@ def run_six_axes(
     law = StickSlip(stiffness=stiffness, damping=80.0 * _RADIUS**2, breakaway=breakaway, v_min=0.005 / _RADIUS)
     # the hand reaches as far as the device goes: 3.5 mm, and 4.5 degrees
     reach = np.array([3.5e-3] * 3 + [math.radians(4.5)] * 3)
-    hand = _Hand(seed, period, ticks, 1500.0 * _RADIUS**2, reach)
-    controller = Controller([law, hand], period=period)
+    # no damping of its own: held for a period it takes K T / 2 = 3.75 N s/m off the law's 80
+    hand = _Hand(seed, 1500.0 * _RADIUS**2, reach)
+    controller = Controller([law], period=period)
     rows: list[tuple[float, list[float], list[float], list[bool]]] = []
 
     def observe(sample: Sample, _: Command) -> None:
@@ -129,7 +123,7 @@ def run_six_axes(
         )
 
     kind = ExactPlant if plant == "exact" else MuJoCoPlant
-    with kind(Timing(period=period, delay=delay), gravity=0.0) as device:
+    with kind(Timing(period=period, delay=delay), gravity=0.0, hand_force=hand) as device:
         run(device, controller, ticks, observe=observe)
     time, position, anchor, stuck = (np.array(column) for column in zip(*rows, strict=True))
     return SixAxesResult(time, position, anchor, stuck, breakaway / stiffness)
