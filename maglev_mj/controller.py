@@ -24,24 +24,27 @@ class Controller:
         period: Sample period [s].
         velocity: Velocity estimator; the paper's finite difference by default.
 
+    Attributes:
+        laws: The laws, in the order in which they were given.
+
     Raises:
         ParameterError: If the period is not above 0, or the laws' pulse widths differ.
     """
 
     def __init__(self, laws: Sequence[Law], *, period: float, velocity: VelocityEstimator | None = None) -> None:
         self.period = number("period", period, above=0.0)
-        self._laws = tuple(laws)
-        widths = {law.pulse_width for law in self._laws if law.pulse_width > 0.0}
+        self.laws = tuple(laws)
+        widths = {law.pulse_width for law in self.laws if law.pulse_width > 0.0}
         if len(widths) > 1:
             raise ParameterError(f"laws must share one pulse_width, not {sorted(widths)}")
         self._pulse_width = widths.pop() if widths else 0.0
         self._estimate = (velocity or FiniteDifference()).__call__
-        self._calls = tuple(enumerate(law.__call__ for law in self._laws))
+        self._calls = tuple(enumerate(law.__call__ for law in self.laws))
         self.reset()
 
     def reset(self) -> None:
         """Forget every sample seen."""
-        self._states: list[Any] = [law.start() for law in self._laws]
+        self._states: list[Any] = [law.start() for law in self.laws]
         self._velocity_state: Any = None
 
     @property
@@ -73,6 +76,6 @@ class Controller:
             raise ParameterError(f"a sample must have {len(AXES)} position components, not {len(position)}")
         single = all(part.__class__ is float for part in position)
         batch = () if single else np.broadcast_shapes(*map(np.shape, position))
-        for law in self._laws:
+        for law in self.laws:
             if law.batch and law.batch != batch:
                 raise ParameterError(f"samples must have the batch shape {law.batch} of the laws, not {batch}")

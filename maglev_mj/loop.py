@@ -5,16 +5,27 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
+from typing import Protocol
 
-from maglev_mj.controller import Controller
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import Command, Sample
 from maglev_mj.parameters import number
 from maglev_mj.plants import Plant
 
-__all__ = ["ControlLoop", "run"]
+__all__ = ["Answers", "ControlLoop", "run"]
 
 _KEPT = 50
+
+
+class Answers(Protocol):
+    """What a loop asks of a controller, or of what stands in front of one."""
+
+    @property
+    def period(self) -> float:
+        """Sample period [s]."""
+
+    def step(self, sample: Sample) -> Command:
+        """Answer one sample."""
 
 
 class ControlLoop:
@@ -30,7 +41,7 @@ class ControlLoop:
     """
 
     def __init__(
-        self, plant: Plant, controller: Controller, *, observe: Callable[[Sample, Command], object] | None = None
+        self, plant: Plant, controller: Answers, *, observe: Callable[[Sample, Command], object] | None = None
     ) -> None:
         if controller.period != plant.period:
             raise ParameterError(
@@ -86,7 +97,7 @@ class ControlLoop:
 
 def run(
     plant: Plant,
-    controller: Controller,
+    controller: Answers,
     ticks: int,
     *,
     observe: Callable[[Sample, Command], object] | None = None,

@@ -5,13 +5,27 @@ from __future__ import annotations
 import argparse
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from maglev_mj.errors import ParameterError
+from maglev_mj.scenes import Settings
 from maglev_mj.workers import Workers, dask_workers, local_workers
 
-__all__ = ["Parser", "add_options", "add_outputs", "add_workers", "chosen_workers", "count", "joined", "number_option"]
+__all__ = [
+    "Parser",
+    "add_options",
+    "add_outputs",
+    "add_recording",
+    "add_settings",
+    "add_workers",
+    "chosen_settings",
+    "chosen_workers",
+    "count",
+    "joined",
+    "number_option",
+]
 
 
 class Parser(argparse.ArgumentParser):
@@ -61,6 +75,11 @@ def add_outputs(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", metavar="DIR", type=Path, help="write pictures to this folder")
 
 
+def add_recording(parser: argparse.ArgumentParser) -> None:
+    """Add --record, for a recording that `replay` shows and checks."""
+    parser.add_argument("--record", metavar="FILE", type=Path, help="write a recording for `maglev-mj replay`")
+
+
 def add_workers(parser: argparse.ArgumentParser, record: str) -> None:
     """Add --record, --workers and --scheduler.
 
@@ -96,3 +115,23 @@ def count(text: str) -> int:
         return int(text)
     except ValueError:
         raise argparse.ArgumentTypeError(f"must be a whole number, not {text!r}") from None
+
+
+def add_settings(parser: argparse.ArgumentParser) -> None:
+    """Add the options for what may be changed while a scene runs; see `Settings`."""
+    for name in ("wall", "pulse", "friction"):
+        parser.add_argument(f"--{name}", action=argparse.BooleanOptionalAction, default=None, help="on from the start")
+    helps = {
+        "stiffness": "of walls and friction [N/m]",
+        "damping": "likewise [N s/m]",
+        "period": "sample period [s]",
+        "delay": "from a sample to its command taking effect [s]",
+    }
+    add_options(parser, {}, helps, Settings)
+
+
+def chosen_settings(options: argparse.Namespace, settings: Settings) -> Settings:
+    """Return a scene's settings with what was chosen in place of its own."""
+    given = {name: getattr(options, name) for name in ("wall", "pulse", "friction", "stiffness", "damping")}
+    given |= {"period": options.period, "delay": options.delay}
+    return replace(settings, **{name: value for name, value in given.items() if value is not None})

@@ -12,13 +12,25 @@ from typing import Any
 from maglev_mj.errors import DivergenceError, ParameterError
 from maglev_mj.study import Record, StudyInterrupted
 
-__all__ = ["check_outputs", "keep_landed", "keep_partial", "write_json"]
+__all__ = ["check_file", "check_outputs", "keep_landed", "keep_partial", "write_json"]
 
 
 def keep_partial(error: DivergenceError, options: argparse.Namespace) -> None:
     """Write what was recorded before the run diverged."""
     if error.partial is not None and options.json is not None:
         write_json(options.json, {**error.partial.as_json(), "diverged": str(error)})
+
+
+def check_file(name: str, path: Path) -> None:
+    """Check that a file can be written.
+
+    Raises:
+        ParameterError: If it is a folder, is in no folder, or may not be written.
+    """
+    if path.is_dir() or not path.parent.is_dir():
+        raise ParameterError(f"{name} must be a file in a folder that is there, not {str(path)!r}")
+    if not os.access(path if path.exists() else path.parent, os.W_OK):
+        raise ParameterError(f"{name} must be a file that may be written, not {str(path)!r}")
 
 
 def check_outputs(*, json: str | None = None, record: Path | None = None, out: Path | None = None) -> None:
@@ -34,12 +46,8 @@ def check_outputs(*, json: str | None = None, record: Path | None = None, out: P
     """
     files = {"record": record, "json": None if json in (None, "-") else Path(str(json))}
     for name, path in files.items():
-        if path is None:
-            continue
-        if path.is_dir() or not path.parent.is_dir():
-            raise ParameterError(f"{name} must be a file in a folder that is there, not {str(path)!r}")
-        if not os.access(path if path.exists() else path.parent, os.W_OK):
-            raise ParameterError(f"{name} must be a file that may be written, not {str(path)!r}")
+        if path is not None:
+            check_file(name, path)
     if record is not None and files["json"] is not None and record.resolve() == files["json"].resolve():
         raise ParameterError(f"json and record must be two files, not {str(record)!r} for both")
     if out is not None and out.exists() and not out.is_dir():

@@ -6,6 +6,7 @@ import json
 import re
 import subprocess
 import sys
+from dataclasses import asdict
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,7 @@ import pytest
 from maglev_mj import cli
 from maglev_mj.experiments.choices import LAWS, VELOCITIES
 from maglev_mj.experiments.drop import DropParameters, run_drop
+from maglev_mj.experiments.press import PressParameters, run_press
 
 
 def test_drop_prints_one_screen(capsys: pytest.CaptureFixture[str]) -> None:
@@ -210,6 +212,85 @@ def test_a_diverging_stick_slip_keeps_its_record(tmp_path: Path, capsys: pytest.
     assert cli.main(arguments) == 1
     assert "a run has diverged" in capsys.readouterr().err
     assert "diverged" in json.loads(target.read_text())
+
+
+def test_press_prints_one_screen_and_writes_json_and_a_picture(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("matplotlib")
+    target, folder = tmp_path / "press.json", tmp_path / "new" / "folder"
+    arguments = ["press", "--plant", "exact", "--phases", "3", "--json", str(target), "--out", str(folder)]
+    assert cli.main(arguments) == 0
+    out = capsys.readouterr().out
+    for words in ("approach", "entries", "all hits at 3 phases", "energy taken", "without pulse", "differ by at most"):
+        assert words in out
+    table = out[: out.index("  wrote")].splitlines()
+    assert len(table) <= 24
+    assert max(map(len, table)) <= 110
+    assert f"wrote {folder / 'press.png'}" in out
+    assert (folder / "press.png").stat().st_size > 10_000
+    data = json.loads(target.read_text())
+    assert data["parameters"] == asdict(PressParameters(plant="exact"))
+    assert len(data["summary"]["penetration"]) == 4
+    assert len(data["sweep"]["phases"]) == 3
+
+
+def test_press_json_on_standard_output_is_nothing_but_json(capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["press", "--plant", "exact", "--hand", "0.3,20,500,3,2000", "--hits", "2", "--pulse", "0"]
+    assert cli.main([*arguments, "--force-limit", "60", "--json", "-"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    expected = run_press(PressParameters(plant="exact", hand="0.3,20,500,3,2000", hits=2, pulse=0.0, force_limit=60.0))
+    assert data == json.loads(json.dumps(expected.as_json()))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--hand", "none"], "hand must have an arm of some stiffness, by which it presses, not 'none'"),
+        (["--hand", "fist"], "hand must be one of none, arm, stylus, fingertip, or mass,damping,stiffness"),
+        (["--hits", "0"], "hits must be a finite number at least 1 and at most 1000, not 0"),
+        (["--hits", "2.5"], "argument --hits: must be a whole number, not '2.5'"),
+        (["--interval", "0.01"], "interval must be a finite number at least 0.04 and at most 100, not 0.01"),
+        (["--press", "-1e-3"], "press must be a finite number above 0 and at most 1e+06, not -0.001"),
+        (["--press", "60", "--force-limit", "60"], "press must be below the force_limit of 60 N"),
+        (["--pulse-gate", "nan"], "pulse_gate must be a finite number at least 0 and at most 1000, not nan"),
+        (["--stiffness", "0"], "stiffness must be a finite number above 0 and at most 1e+08, not 0.0"),
+        (["--duration", "1"], "duration must be a finite number above 1.905 and at most 100000, not 1.0"),
+        (["--phases", "0", "--plant", "exact"], "phases must be a finite number at least 1 and at most 10000, not 0"),
+        (["--json", "no/such/folder.json"], "json must be a file in a folder that is there, not 'no/such/folder.json'"),
+        (["--carry"], "unrecognized arguments: --carry"),
+    ],
+)
+def test_bad_press_input_gets_one_line_and_status_2(
+    arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    try:
+        status = cli.main(["press", *arguments])
+    except SystemExit as exit_:
+        status = int(exit_.code or 0)
+    captured = capsys.readouterr()
+    assert status == 2
+    assert captured.out == ""
+    assert words in captured.err
+    assert len(captured.err.splitlines()) == 1
+
+
+def test_a_diverging_press_says_so_and_keeps_its_record(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    target = tmp_path / "press.json"
+    assert cli.main(["press", "--hand", "fingertip", "--delay", "0.005", "--json", str(target)]) == 1
+    assert "a run has diverged" in capsys.readouterr().err
+    data = json.loads(target.read_text())
+    assert "diverged" in data and len(data["z"]) > 500
+
+
+def test_the_press_table_says_what_the_device_could_not_do(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["press", "--plant", "exact", "--height", "0.006", "--hits", "8", "--interval", "0.3"]) == 0
+    out = capsys.readouterr().out
+    assert "The device gives 60 N along z, less than this peak: see --force-limit 60" in out
+    assert "The device moves 4.5 mm either way, less than these" in out
+    assert "and 2 more: see --json" in out
+    assert cli.main(["press", "--plant", "exact"]) == 0
+    assert "The device" not in capsys.readouterr().out
 
 
 def test_info(capsys: pytest.CaptureFixture[str]) -> None:

@@ -22,7 +22,7 @@ def run_script(name: str, *arguments: str) -> str:
 
 
 @pytest.mark.parametrize(
-    "name", ["fig2_stability", "fig3_drop", "fig4_phase_plane", "fig8_stick_slip", "fig9_six_axes"]
+    "name", ["fig2_stability", "fig3_drop", "fig4_phase_plane", "fig6_press", "fig8_stick_slip", "fig9_six_axes"]
 )
 def test_figures(name: str, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")

@@ -4,6 +4,7 @@ from maglev_mj.charts.drawing import ChartsMissingError, require
 from maglev_mj.charts.drop import phase_plane, phases, time_series
 from maglev_mj.charts.friction import friction_laws, staircase, stick_slip
 from maglev_mj.charts.precision import WorkPoint, WorkPrecision, pareto, work_precision
+from maglev_mj.charts.press import figure_6
 from maglev_mj.charts.stability import Panel, figure_2, small_multiples, stability_map
 
 __all__ = [
@@ -12,6 +13,7 @@ __all__ = [
     "WorkPoint",
     "WorkPrecision",
     "figure_2",
+    "figure_6",
     "friction_laws",
     "pareto",
     "phase_plane",

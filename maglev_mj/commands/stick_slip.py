@@ -11,8 +11,9 @@ from maglev_mj.errors import DivergenceError
 from maglev_mj.experiments.choices import LAWS, PLANTS, VELOCITIES
 from maglev_mj.experiments.stick_slip import StickSlipParameters, run_stick_slip
 from maglev_mj.frames import AXES
-from maglev_mj.options import add_options, add_outputs
-from maglev_mj.output import keep_partial, write_json
+from maglev_mj.options import add_options, add_outputs, add_recording
+from maglev_mj.output import check_file, keep_partial, write_json
+from maglev_mj.replay import record_experiment
 from maglev_mj.tables import stick_slip_table
 
 __all__ = ["add_command"]
@@ -42,6 +43,7 @@ def _add_stick_slip_options(parser: argparse.ArgumentParser) -> None:
     names = {"plant": PLANTS, "law": tuple(LAWS), "velocity": tuple(VELOCITIES), "axis": AXES}
     add_options(parser, names, helps, StickSlipParameters)
     add_outputs(parser)
+    add_recording(parser)
     parser.epilog = (
         "On a rotation axis values are in N m/rad, rad, N m s/rad, N m and rad/s, and the defaults are those of a "
         "translation at the radius of gyration. Gravity is compensated; the other axes are held."
@@ -52,6 +54,9 @@ def _stick_slip(options: argparse.Namespace) -> int:
     parameters = StickSlipParameters(
         **{field.name: getattr(options, field.name) for field in fields(StickSlipParameters)}
     )
+    if options.record is not None:
+        check_file("record", options.record)
+        record_experiment("stick-slip", parameters).save(options.record)
     try:
         result = run_stick_slip(parameters)
     except DivergenceError as error:

@@ -13,98 +13,29 @@ import numpy as np
 from maglev_mj.controller import Controller
 from maglev_mj.errors import DivergenceError, ParameterError
 from maglev_mj.exact import analog_wall
-from maglev_mj.experiments.choices import PLANTS
+from maglev_mj.experiments.drop_parameters import ESCAPE, DropParameters
 from maglev_mj.experiments.wall_controller import wall_controller
 from maglev_mj.frames import Array
+from maglev_mj.hand import HandForce
 from maglev_mj.loop import run
 from maglev_mj.metrics import BounceSummary, Hardness, perceived_hardness, percentiles, summarise_bounce
 from maglev_mj.parameters import number, numbers
 from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant, Sensor, Timing, engine_warnings_silenced
-from maglev_mj.spec import GRAVITY, Spec
 from maglev_mj.trace import Trace
 
-__all__ = ["DropParameters", "DropResult", "DropSweep", "analog_drop", "run_drop", "sweep_drop", "sweep_hardness"]
+__all__ = [
+    "DropParameters",
+    "DropResult",
+    "DropSweep",
+    "analog_drop",
+    "drop_parts",
+    "run_drop",
+    "sweep_drop",
+    "sweep_hardness",
+]
 
-_ESCAPE = 0.045
-_MOST_TICKS = 1_000_000
 _MOST_PHASES = 10_000
 _TOGETHER = 64
-
-
-@dataclass(frozen=True, kw_only=True)
-class DropParameters:
-    """A drop on a wall that fills z <= 0; the five other axes are held.
-
-    Attributes:
-        plant: "mujoco" or "exact".
-        height: Drop height above the wall [m].
-        phase: The samples are at (k + phase) period after release; in [0, 1).
-        period: Sample period [s].
-        delay: From a sample to its command taking effect [s].
-        stiffness: Wall stiffness [N/m].
-        damping: Wall damping [N s/m].
-        pulse: Further damping in the braking pulse [N s/m]; 0 for none.
-        pulse_width: How long the pulse lasts [s].
-        mass: Moving mass [kg].
-        force_limit: Largest force of the actuators along z [N]; None for no limit.
-        carry: Whether braking that the limit cuts off a pulse follows on the next samples, or is lost.
-        quantize: Resolution of the position sensor [m]; 0 for an ideal one.
-        duration: Simulated time from release [s].
-
-    Raises:
-        ParameterError: If a value is outside its bounds.
-    """
-
-    plant: str = "mujoco"
-    height: float = Spec.translation_range.value
-    phase: float = 0.0
-    period: float = 0.005
-    delay: float = Spec.transport_delay.value
-    stiffness: float = 6000.0
-    damping: float = 80.0
-    pulse: float = 220.0
-    pulse_width: float = 0.003
-    mass: float = Spec.moving_mass.value
-    force_limit: float | None = None
-    carry: bool = False
-    quantize: float = 0.0
-    duration: float = 0.4
-
-    def __post_init__(self) -> None:
-        if self.plant not in PLANTS:
-            raise ParameterError(f"plant must be one of {', '.join(PLANTS)}, not {self.plant!r}")
-        # wide bounds: what lies beyond is a slip of the keyboard, and overflows before it says anything
-        bounds: dict[str, dict[str, float]] = {
-            "height": {"above": 0.0, "below": _ESCAPE},
-            "phase": {"at_least": 0.0, "below": 1.0},
-            "period": {"at_least": 1e-6, "at_most": 1.0},
-            "delay": {"at_least": 0.0, "at_most": 1.0},
-            "stiffness": {"at_least": 0.0, "at_most": 1e8},
-            "damping": {"at_least": 0.0, "at_most": 1e6},
-            "pulse": {"at_least": 0.0, "at_most": 1e6},
-            "pulse_width": {"at_least": 0.0, "at_most": 1.0},
-            "mass": {"at_least": 1e-3, "at_most": 1e3},
-            "force_limit": {"above": 0.0, "at_most": 1e6},
-            "quantize": {"at_least": 0.0, "at_most": 1.0},
-            "duration": {"above": 0.0, "at_most": 1000.0},
-        }
-        for name, allowed in bounds.items():
-            value = getattr(self, name)
-            if name != "force_limit" or value is not None:
-                object.__setattr__(self, name, number(name, value, **allowed))
-        if self.pulse > 0.0 and self.pulse_width == 0.0:
-            raise ParameterError("pulse_width must be above 0 where there is a pulse, not 0.0")
-        if not isinstance(self.carry, bool):
-            raise ParameterError(f"carry must be True or False, not {self.carry!r}")
-        if self.carry and self.force_limit is None:
-            raise ParameterError("carry needs a force_limit: without one nothing is cut off a pulse")
-        if self.duration / self.period > _MOST_TICKS:
-            raise ParameterError(f"duration must be at most {_MOST_TICKS} periods, not {self.duration:g} s")
-
-    @property
-    def rest(self) -> float:
-        """Where weight and wall balance [m]; NaN without stiffness."""
-        return -self.mass * GRAVITY / self.stiffness if self.stiffness > 0.0 else math.nan
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,7 +167,7 @@ def escaped_later(trace: Trace, duration: float) -> bool:
     """
     if float(trace.time[-1].min()) < duration:
         return False
-    return bool((np.linalg.norm(trace.until(duration).pose[..., :3], axis=-1) < _ESCAPE).all())
+    return bool((np.linalg.norm(trace.until(duration).pose[..., :3], axis=-1) < ESCAPE).all())
 
 
 def _phases(phases: int | Sequence[float]) -> Array:
@@ -255,7 +186,13 @@ def _ticks(parameters: DropParameters, phase: float) -> int:
     return max(math.ceil(parameters.duration / parameters.period - phase + 1e-9), 1)
 
 
-def _plant(parameters: DropParameters, phase: float | Array) -> SampledPlant:
+def drop_parts(parameters: DropParameters, hand_force: HandForce | None = None) -> tuple[SampledPlant, Controller, int]:
+    """Return what a drop is made of: the plant, in a hand if there is one, the controller, and how many samples."""
+    plant = _plant(parameters, parameters.phase, hand_force)
+    return plant, _controller(parameters), _ticks(parameters, parameters.phase)
+
+
+def _plant(parameters: DropParameters, phase: float | Array, hand_force: HandForce | None = None) -> SampledPlant:
     limit = None if parameters.force_limit is None else [np.inf, np.inf, parameters.force_limit] + [np.inf] * 3
     sensor = Sensor(quantum=[0.0, 0.0, parameters.quantize] + [0.0] * 3) if parameters.quantize else None
     plant = ExactPlant if parameters.plant == "exact" else MuJoCoPlant
@@ -265,8 +202,9 @@ def _plant(parameters: DropParameters, phase: float | Array) -> SampledPlant:
         pose=[0.0, 0.0, parameters.height, 0.0, 0.0, 0.0],
         wrench_limit=limit,
         sensor=sensor,
-        escape=(_ESCAPE, 1.0),
+        escape=(ESCAPE, 1.0),
         record=True,
+        hand_force=hand_force,
     )
 
 

@@ -13,6 +13,7 @@ from maglev_mj.errors import DivergenceError, ParameterError
 from maglev_mj.experiments.choices import LAWS, PLANTS, SLIDES_AT, VELOCITIES
 from maglev_mj.experiments.drop import escaped_later
 from maglev_mj.frames import AXES, Array, Command, Mask, Sample
+from maglev_mj.hand import HandForce
 from maglev_mj.karnopp import FrictionEvent, KarnoppMotion, karnopp
 from maglev_mj.laws import Hold
 from maglev_mj.loop import run
@@ -27,6 +28,7 @@ __all__ = [
     "StickSlipSummary",
     "exact_stick_slip",
     "run_stick_slip",
+    "stick_slip_parts",
 ]
 
 _MOST_TICKS = 1_000_000
@@ -206,21 +208,16 @@ def run_stick_slip(parameters: StickSlipParameters) -> StickSlipResult:
     """
     p = parameters
     index = AXES.index(p.axis)
-    common = {"axes": p.axis, "stiffness": p.stiffness, "damping": p.damping, "breakaway": p.breakaway}
-    friction = LAWS[p.law](v_min=p.v_min, period=p.period, **common)
-    spring = Hold(axes=p.axis, stiffness=p.spring or 0.0, damping=0.0, target=p.target or 0.0)
-    others = [name for name in AXES if name != p.axis]
-    hold = Hold.critically_damped(others, inertia=np.delete(_INERTIA, index), period=p.period, delay=p.delay)
-    controller = Controller([friction, spring, hold], period=p.period, velocity=VELOCITIES[p.velocity](p.quantize))
+    plant, controller, ticks = stick_slip_parts(p)
     rows: list[tuple[float, float, float, bool]] = []
 
     def observe(sample: Sample, _: Command) -> None:
         (state,) = controller.states[0]
         rows.append((float(sample.time), sample.position[index], float(state.anchor), bool(state.stuck)))
 
-    with _plant(p, index) as plant, engine_warnings_silenced():
+    with plant, engine_warnings_silenced():
         try:
-            run(plant, controller, max(math.ceil(p.duration / p.period + 1e-9), 1), observe=observe)
+            run(plant, controller, ticks, observe=observe)
             trace = plant.trace().until(p.duration)
         except DivergenceError as error:
             trace = plant.trace()
@@ -229,6 +226,22 @@ def run_stick_slip(parameters: StickSlipParameters) -> StickSlipResult:
                 raise
             trace = trace.until(p.duration)
     return _result(p, trace, rows)
+
+
+def stick_slip_parts(
+    parameters: StickSlipParameters, hand_force: HandForce | None = None
+) -> tuple[SampledPlant, Controller, int]:
+    """Return what a run is made of: the plant, in a hand if there is one, the controller, and how many samples."""
+    p = parameters
+    common = {"axes": p.axis, "stiffness": p.stiffness, "damping": p.damping, "breakaway": p.breakaway}
+    friction = LAWS[p.law](v_min=p.v_min, period=p.period, **common)
+    spring = Hold(axes=p.axis, stiffness=p.spring or 0.0, damping=0.0, target=p.target or 0.0)
+    index = AXES.index(p.axis)
+    others = [name for name in AXES if name != p.axis]
+    hold = Hold.critically_damped(others, inertia=np.delete(_INERTIA, index), period=p.period, delay=p.delay)
+    controller = Controller([friction, spring, hold], period=p.period, velocity=VELOCITIES[p.velocity](p.quantize))
+    ticks = max(math.ceil(p.duration / p.period + 1e-9), 1)
+    return _plant(p, index, hand_force), controller, ticks
 
 
 def exact_stick_slip(parameters: StickSlipParameters, time: Array) -> KarnoppMotion:
@@ -254,11 +267,11 @@ def exact_stick_slip(parameters: StickSlipParameters, time: Array) -> KarnoppMot
     )
 
 
-def _plant(parameters: StickSlipParameters, index: int) -> SampledPlant:
+def _plant(parameters: StickSlipParameters, index: int, hand_force: HandForce | None) -> SampledPlant:
     sensor = Sensor(quantum=np.eye(6)[index] * parameters.quantize) if parameters.quantize else None
     plant = ExactPlant if parameters.plant == "exact" else MuJoCoPlant
     timing = Timing(period=parameters.period, delay=parameters.delay)
-    return plant(timing, gravity=0.0, sensor=sensor, record=True)
+    return plant(timing, gravity=0.0, sensor=sensor, record=True, hand_force=hand_force)
 
 
 def _result(

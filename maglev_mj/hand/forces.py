@@ -155,7 +155,7 @@ class SpringHand:
         turning_damping: Their damping [N m s/rad].
         force_limit: Largest force [N].
         torque_limit: Largest torque [N m].
-        target: Where it pulls to [m, rad], (6,); None where it has let go.
+        target: Where it pulls to [m, rad], (6,), or the path along which that moves; None where it has let go.
 
     Raises:
         ParameterError: If a value is negative.
@@ -167,7 +167,7 @@ class SpringHand:
     turning_damping: float = 0.02
     force_limit: float = 20.0
     torque_limit: float = 0.4
-    target: Sequence[float] | None = None
+    target: Sequence[float] | Path | None = None
 
     def __post_init__(self) -> None:
         for name in ("stiffness", "damping", "turning_stiffness", "turning_damping", "force_limit", "torque_limit"):
@@ -178,6 +178,8 @@ class SpringHand:
         target = self.target
         if target is None:
             return _NOTHING
+        if isinstance(target, Path):
+            target = target.at(float(time))
         pose, twist = (part.tolist() for part in state())
         force = [
             self.stiffness * (goal - place) - self.damping * speed

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from typing import Any, Protocol
 
 from maglev_mj.frames import Component
+from maglev_mj.laws.bias import Bias
 from maglev_mj.laws.bristle import Dahl, ElastoPlastic, HaywardArmstrong, LuGre
 from maglev_mj.laws.friction import Friction, FrictionState, ImplicitCoulomb, SpringReset, StickSlip
 from maglev_mj.laws.hold import Hold
@@ -21,6 +22,7 @@ from maglev_mj.laws.wall import Wall
 
 __all__ = [
     "AdaptiveWindow",
+    "Bias",
     "Dahl",
     "ElastoPlastic",
     "FiniteDifference",

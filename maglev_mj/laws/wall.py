@@ -107,6 +107,11 @@ class Wall:
         object.__setattr__(self, "pulse_width", width)
         object.__setattr__(self, "_faces", faces)
 
+    @property
+    def faces(self) -> tuple[tuple[int, float, Component], ...]:
+        """Each plane of the wall: index into AXES, normal, edge; the axis is free where normal (x - edge) > 0."""
+        return tuple(face[:3] for face in self._faces)
+
     def start(self) -> Sequence[_FaceState]:
         """Return the state before the first sample: a flotor first seen inside has not entered."""
         return [(False, None)] * len(self._faces)

@@ -6,6 +6,7 @@ from maglev_mj.plants.contract import Plant, Timing
 from maglev_mj.plants.corrected import CorrectedBatchPlant, CorrectedPlant
 from maglev_mj.plants.engine import INTEGRATORS, engine_warnings_silenced
 from maglev_mj.plants.exact import ExactPlant
+from maglev_mj.plants.metered import MeteredPlant
 from maglev_mj.plants.mujoco import MuJoCoPlant
 from maglev_mj.plants.sensor import PoseSensor, Sensor, SpotSensor
 from maglev_mj.plants.steps import one_step
@@ -15,6 +16,7 @@ __all__ = [
     "CorrectedBatchPlant",
     "CorrectedPlant",
     "ExactPlant",
+    "MeteredPlant",
     "MuJoCoBatchPlant",
     "MuJoCoPlant",
     "Plant",

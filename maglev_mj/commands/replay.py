@@ -1,0 +1,39 @@
+"""`maglev-mj replay`: a recording shown in a window, or checked bit for bit."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from maglev_mj.recording import Recording, verify
+from maglev_mj.replay import Replay, rebuild
+from maglev_mj.tables import verdict_table
+
+__all__ = ["add_command"]
+
+
+def add_command(commands: Any) -> None:
+    """Add the command to the parser's."""
+    replay = commands.add_parser("replay", help="show a recording, or check it bit for bit")
+    replay.add_argument("file", metavar="FILE", type=Path, help="what view, drop, press or stick-slip recorded")
+    replay.add_argument(
+        "--check",
+        action="store_true",
+        help="feed the samples to the controller and the hand to the plant; status 1 if any number differs",
+    )
+    replay.set_defaults(run=_replay)
+
+
+def _replay(options: argparse.Namespace) -> int:
+    recording = Recording.load(options.file)
+    if options.check:
+        verdict = verify(recording, rebuild)
+        print(verdict_table(verdict))
+        return 0 if verdict.same else 1
+    session = Replay(recording)
+    # imported here: it loads the library that opens windows
+    from maglev_mj.viewer.window import show
+
+    show(session)
+    return 0

@@ -1,0 +1,161 @@
+"""Figures of a hand that hits a wall several times and then presses against it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from maglev_mj.frames import Array
+from maglev_mj.metrics import energy_balance
+from maglev_mj.trace import Trace
+
+__all__ = ["HIT_FIGURES", "PressSummary", "press_percentiles", "summarise_press"]
+
+_STEP = 1e-4
+_TAIL = 0.2
+
+
+class PressSummary(NamedTuple):
+    """What hits and press came to; each figure of the hits (..., hits), each of the press and the energy (...,).
+
+    A hit lasts from the beginning of its stroke to that of the next one, bounces included; where the run ends before
+    it begins, its figures are NaN, and so are the press's where the run ends before its time.
+
+    Attributes:
+        penetration: Greatest depth behind the wall [m].
+        approach_speed: Speed with which the flotor first enters the wall [m/s]; NaN where it does not.
+        peak_force: Largest force of the actuators along z, either sign [N].
+        contact_time: How long the flotor is behind the wall [s].
+        contacts: How often it enters the wall: 1 for a clean hit, more where it bounces.
+        final_force: Mean force of the actuators over the last 20 % of the press [N].
+        final_depth: Mean depth over the same time [m].
+        force_ripple: Force over the same time, peak to peak [N].
+        ripple: Position over the same time, peak to peak [m].
+        absorbed: Energy that the wall has taken from the flotor over the whole run [J]; below 0 it has made energy.
+            What the wall's spring stores at the end is in it.
+    """
+
+    penetration: Array
+    approach_speed: Array
+    peak_force: Array
+    contact_time: Array
+    contacts: Array
+    final_force: Array
+    final_depth: Array
+    force_ripple: Array
+    ripple: Array
+    absorbed: Array
+
+
+HIT_FIGURES = PressSummary._fields[:5]
+"""Names of the figures that each hit has one of."""
+
+
+class _Motion(NamedTuple):
+    """One run along z on the knots, a fine grid and the bounds of all windows together."""
+
+    time: Array
+    place: Array
+    speed: Array
+    force: Array
+    turn_time: Array
+    turn: Array
+
+
+def summarise_press(trace: Trace, strokes: Sequence[float], settled: float, end: float, mass: float) -> PressSummary:
+    """Summarise one run on a wall that fills z <= 0.
+
+    Positions are extremes of the recorded curve, not of samples of it, and speeds those at the crossing itself.
+
+    Args:
+        trace: The motion of one device.
+        strokes: When each stroke begins [s], in order, that of the press last.
+        settled: When the hand has come to where it presses from [s].
+        end: When the run was to end [s].
+        mass: Mass of the flotor [kg].
+    """
+    tail = end - _TAIL * (end - settled)
+    motion = _refined(trace, [*strokes, tail])
+    hits = [_hit(motion, start, finish) for start, finish in pairwise(strokes)]
+    press = _press(motion, tail) if motion.time[-1] >= end - 1e-9 else (np.nan,) * 4
+    absorbed = -energy_balance(trace, mass, 0.0).actuators
+    figures = [*np.array(hits).T, *(np.array(figure) for figure in press), np.asarray(absorbed)]
+    return PressSummary(*figures)
+
+
+def press_percentiles(summary: PressSummary, share: float, *, pooled: bool = False) -> PressSummary:
+    """Return a percentile of each figure over the phases, leaving out those that are not there.
+
+    Args:
+        summary: Figures (N, hits) and (N,).
+        share: Which percentile, in per cent.
+        pooled: Take the hits together with the phases; otherwise each hit has its own.
+    """
+    return PressSummary(
+        *(
+            np.apply_along_axis(_percentile, 0, figure.ravel() if pooled else figure, share)
+            for figure in (np.asarray(figure) for figure in summary)
+        )
+    )
+
+
+def _percentile(values: Array, share: float) -> ArrayLike:
+    known = values[np.isfinite(values)]
+    return float(np.percentile(known, share)) if known.size else np.nan
+
+
+def _refined(trace: Trace, bounds: Sequence[float]) -> _Motion:
+    line = trace.along(2)
+    first, last = float(line.time[0]), float(line.time[-1])
+    inside = [bound for bound in bounds if first <= bound <= last]
+    time = np.unique(np.concatenate([line.time, np.arange(first, last, _STEP), inside]))
+    fine = Trace(time, *line.at(time))
+    turn_time, turn = fine.turning_points()
+    return _Motion(time, fine.pose[:, 0], fine.twist[:, 0], fine.wrench[:-1, 0], turn_time[:, 0], turn[:, 0])
+
+
+def _hit(motion: _Motion, start: float, end: float) -> tuple[float, ...]:
+    """Return the figures of one hit in the order of `HIT_FIGURES`."""
+    if start >= motion.time[-1]:
+        return (np.nan,) * len(HIT_FIGURES)
+    place, speed, width = motion.place, motion.speed, np.diff(motion.time)
+    piece = (motion.time[:-1] >= start) & (motion.time[:-1] < end)
+    lowest = np.min(motion.turn[piece], initial=float(place[:-1][piece].min()))
+    before, after = place[:-1], place[1:]
+    entries = np.flatnonzero(piece & (before > 0.0) & (after <= 0.0))
+    approach = np.nan
+    if entries.size:
+        # v² = v0² - 2 a z0, exact under a constant force
+        first = entries[0]
+        acceleration = (speed[first + 1] - speed[first]) / width[first]
+        approach = np.sqrt(max(speed[first] ** 2 - 2.0 * acceleration * before[first], 0.0))
+    # the share of each piece behind the wall, the edge crossed in a straight line
+    behind, whole = np.maximum(-before, 0.0) + np.maximum(-after, 0.0), np.abs(before) + np.abs(after)
+    inside = np.divide(behind, whole, out=np.ones_like(whole), where=whole > 0.0)
+    peak = np.abs(motion.force[piece]).max()
+    return (
+        max(-float(lowest), 0.0),
+        float(approach),
+        float(peak),
+        float((inside * width)[piece].sum()),
+        float(entries.size),
+    )
+
+
+def _press(motion: _Motion, start: float) -> tuple[float, ...]:
+    """Return the figures of the press: force, depth, and the ripple of both."""
+    piece = motion.time[:-1] >= start
+    width, force = np.diff(motion.time)[piece], motion.force[piece]
+    middle = 0.5 * (motion.place[:-1] + motion.place[1:])[piece]
+    places = np.concatenate([motion.place[motion.time >= start], motion.turn[piece]])
+    whole = width.sum()
+    return (
+        float((force * width).sum() / whole),
+        -float((middle * width).sum() / whole),
+        float(np.ptp(force)),
+        float(np.ptp(places)),
+    )

@@ -1,0 +1,50 @@
+"""A wrench that never changes, such as the one that carries the flotor's weight."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from numpy.typing import ArrayLike
+
+from maglev_mj.errors import ParameterError
+from maglev_mj.frames import AXES, Component
+from maglev_mj.parameters import numbers, per_axis
+
+__all__ = ["Bias"]
+
+
+@dataclass(frozen=True, eq=False)
+class Bias:
+    """A constant wrench on top of what the other laws give.
+
+    Args:
+        wrench: The wrench [N, N m], (..., 6).
+
+    Raises:
+        ParameterError: If it is not finite, or its last dimension is not six.
+    """
+
+    wrench: ArrayLike
+
+    batch: tuple[int, ...] = field(init=False)
+    pulse_width: float = field(init=False, default=0.0)
+    _parts: tuple[Component, ...] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        wrench = numbers("bias wrench", self.wrench)
+        if wrench.shape[-1:] != (len(AXES),):
+            raise ParameterError(f"bias wrench must be (..., 6), not {wrench.shape}")
+        object.__setattr__(self, "batch", wrench.shape[:-1])
+        object.__setattr__(self, "_parts", per_axis("bias wrench", wrench, len(AXES)))
+
+    def start(self) -> None:
+        """Return the state before the first sample: a bias has none."""
+
+    def __call__(
+        self, position: Sequence[Component], velocity: Sequence[Component], state: None, wrench: list[Component]
+    ) -> tuple[None, None]:
+        """Answer one sample; see `Law`."""
+        for axis, part in enumerate(self._parts):
+            wrench[axis] = wrench[axis] + part
+        return None, None

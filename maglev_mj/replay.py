@@ -1,0 +1,208 @@
+"""Recordings made, run again and shown: what a recording's setup says, turned into plant and controller."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, replace
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from maglev_mj.controller import Controller
+from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.experiments.drop import DropParameters, drop_parts
+from maglev_mj.experiments.press import PressParameters, press_parts
+from maglev_mj.experiments.stick_slip import StickSlipParameters, stick_slip_parts
+from maglev_mj.frames import Array, Sample
+from maglev_mj.hand import HandForce, SpringHand
+from maglev_mj.laws import Friction, Wall
+from maglev_mj.loop import ControlLoop
+from maglev_mj.model import load
+from maglev_mj.plants import SampledPlant, engine_warnings_silenced
+from maglev_mj.recording import Recorder, Recording, RecordingError, Setup, Stretch
+from maglev_mj.scenes import SCENES, Scene, Settings, scene_called
+from maglev_mj.scenes.parts import WEIGHT
+from maglev_mj.session import View
+
+__all__ = ["EXPERIMENTS", "Replay", "rebuild", "record_experiment"]
+
+_SHOWN = 2.0
+
+_Parts: TypeAlias = Callable[[Any, HandForce | None], tuple[SampledPlant, Controller, int]]
+
+EXPERIMENTS: Mapping[str, tuple[type[Any], _Parts, str]] = {
+    "drop": (DropParameters, drop_parts, "drop"),
+    "press": (PressParameters, press_parts, "press"),
+    "stick-slip": (StickSlipParameters, stick_slip_parts, "table"),
+}
+"""What can be recorded without a window: its parameters, what it is made of, and the scene that shows it."""
+
+
+def rebuild(setup: Setup, hand: HandForce | None) -> tuple[SampledPlant, Controller]:
+    """Make plant and controller from a recording's setup.
+
+    Args:
+        setup: The setup.
+        hand: The hand on the flotor; None for the run's own, if it has one.
+
+    Raises:
+        RecordingError: If it is no setup that is known here.
+    """
+    try:
+        kind = setup["kind"]
+        if kind == "scene":
+            scene, settings = scene_called(setup["scene"]), Settings.from_json(setup["settings"])
+            start = {name: setup[name] for name in ("pose", "twist", "wrench")}
+            return scene.plant(settings, hand_force=hand, **start), scene.controller(settings)
+        parameters, parts, _ = EXPERIMENTS[kind]
+        plant, controller, _ = parts(parameters(**setup["parameters"]), hand)
+        return plant, controller
+    except (KeyError, TypeError, ParameterError) as error:
+        raise RecordingError(f"a recording's setup cannot be made here: {error}") from None
+
+
+def record_experiment(kind: str, parameters: Any) -> Recording:
+    """Run an experiment and record it; where it fails, up to there.
+
+    Args:
+        kind: One of EXPERIMENTS.
+        parameters: Its parameters.
+    """
+    _, parts, _ = EXPERIMENTS[kind]
+    plant, controller, ticks = parts(parameters, None)
+    recorder = Recorder(plant, controller, {"kind": kind, "parameters": asdict(parameters)})
+    with plant, engine_warnings_silenced():
+        try:
+            ControlLoop(plant, recorder, observe=recorder.observe).cycle(ticks)
+        except MaglevError:
+            pass  # the experiment itself says what happened
+    return Recording([recorder.stretch()])
+
+
+class Replay:
+    """A recording to be shown in real time, over and over.
+
+    Args:
+        recording: The recording, of at least one sample.
+
+    Attributes:
+        hand: There is none to be moved; the recorded one acts.
+
+    Raises:
+        RecordingError: If there is nothing in it, or its setup is not known here.
+    """
+
+    def __init__(self, recording: Recording) -> None:
+        self.hand = SpringHand()
+        self._stretches = [_Shown(stretch) for stretch in recording.stretches if len(stretch.tick)]
+        if not self._stretches:
+            raise RecordingError("there is nothing in the recording")
+        self._place, self._owed, self._paused = (0, 0), 0.0, False
+
+    def tick(self, elapsed: float) -> int:
+        """Go on by as much as real time has [s]; return how many samples that were."""
+        if self._paused:
+            return 0
+        self._owed += elapsed
+        shown = 0
+        while self._owed >= self._now.period:
+            self._owed -= self._now.period
+            self._next()
+            shown += 1
+        return shown
+
+    def act(self, action: str) -> None:
+        """Pause, or start over for "centre" and "drop"; nothing else can be changed in a recording."""
+        if action == "pause":
+            self._paused = not self._paused
+        elif action in ("centre", "drop"):
+            self._place = 0, 0
+
+    def view(self) -> View:
+        """Return what there was to see."""
+        return self._now.view(self._place[1], "PAUSED" if self._paused else "REPLAY")
+
+    def close(self) -> None:
+        """Do nothing: a recording stays as it is."""
+
+    @property
+    def _now(self) -> _Shown:
+        return self._stretches[self._place[0]]
+
+    def _next(self) -> None:
+        stretch, row = self._place
+        if row + 1 < len(self._now.pose):
+            self._place = stretch, row + 1
+        else:
+            self._place = (stretch + 1) % len(self._stretches), 0
+
+
+class _Shown:
+    """A stretch of a recording, and what there was to see at each of its samples."""
+
+    def __init__(self, stretch: Stretch) -> None:
+        self.scene, self.settings = _scene_of(stretch.setup)
+        self.period, self.pose = self.settings.period, stretch.position
+        self._time, self._hand = stretch.time, stretch.hand
+        carried = np.array(WEIGHT if self.settings.weightless and stretch.setup["kind"] == "scene" else [0.0] * 6)
+        self._force = stretch.applied[:, :6] - carried
+        coils = load("drop").coils
+        assert coils is not None
+        self._currents = stretch.applied[:, :6] @ coils.current_per_wrench.T
+        way = np.diff(stretch.position, axis=0, prepend=stretch.position[:1])
+        self._work = np.cumsum((np.roll(stretch.hand, 1, axis=0) * way).sum(axis=1))
+        laws = self.scene.laws(self.settings)
+        self._faces = tuple(face for law in laws if isinstance(law, Wall) for face in law.faces)
+        self._anchors = _anchors(stretch)
+        axis = self.scene.axis_index
+        place = stretch.position[:, axis]
+        speed = np.diff(place, prepend=place[0]) / self.period
+        self._rows = np.column_stack([stretch.time, place, speed, self._force[:, axis], stretch.hand[:, axis]])
+
+    def view(self, row: int, note: str) -> View:
+        """Return what there was to see at a sample."""
+        first = max(row - round(_SHOWN / self.period), 0)
+        return View(
+            scene=self.scene,
+            settings=self.settings,
+            time=float(self._time[row]),
+            pose=self.pose[row],
+            force=self._force[row],
+            hand=self._hand[row],
+            currents=self._currents[row],
+            faces=self._faces,
+            anchors=None if self._anchors is None else self._anchors[row],
+            history=self._rows[first : row + 1],
+            work=float(self._work[row]),
+            taken=float("nan"),
+            cost=0.0,
+            missed=0,
+            notes=(note,),
+        )
+
+
+def _scene_of(setup: Setup) -> tuple[Scene, Settings]:
+    """Return the scene that shows a stretch, and its settings."""
+    if setup["kind"] == "scene":
+        return scene_called(setup["scene"]), Settings.from_json(setup["settings"])
+    parameters, _, name = EXPERIMENTS[setup["kind"]]
+    made = parameters(**setup["parameters"])
+    scene = SCENES[name]
+    gains = {name: getattr(made, name) for name in ("stiffness", "damping", "period", "delay")}
+    return scene, replace(scene.settings, pulse=getattr(made, "pulse", 0.0) > 0.0, **gains)
+
+
+def _anchors(stretch: Stretch) -> Array | None:
+    """Return where the flotor stuck at each sample, as the controller saw it, (N, 6); None without friction."""
+    plant, controller = rebuild(stretch.setup, None)
+    plant.close()
+    found = [(place, law.indices) for place, law in enumerate(controller.laws) if isinstance(law, Friction)]
+    if not found:
+        return None
+    which, indices = found[0]
+    anchors = np.full(stretch.position.shape, np.nan)
+    for row, place in enumerate(stretch.position.tolist()):
+        controller.step(Sample(row, 0.0, place))
+        for index, state in zip(indices, controller.states[which], strict=True):
+            anchors[row, index] = state.anchor if state.stuck else np.nan
+    return anchors

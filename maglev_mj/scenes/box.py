@@ -1,0 +1,51 @@
+"""A box of stiff walls on all six axes, and nothing else: the flotor floats in it."""
+
+import math
+
+from maglev_mj.frames import AXES
+from maglev_mj.hand import Path
+from maglev_mj.laws import Law
+from maglev_mj.scenes.parts import friction, shared, spring, wall, weight
+from maglev_mj.scenes.scene import Scene
+from maglev_mj.scenes.settings import Settings
+
+__all__ = ["BOX", "BOX_WALLS"]
+
+_AIR = 1.0
+
+BOX_WALLS = (0.003,) * 3 + (math.radians(4.0),) * 3
+"""How far each wall is from the centre [m, rad]."""
+
+
+def _laws(settings: Settings) -> list[Law]:
+    # a little damping, as of air, so that the flotor comes to rest within a minute
+    laws: list[Law] = [*weight(settings), spring(AXES, stiffness=0.0, damping=_AIR)]
+    gains = shared(settings)
+    if settings.wall:
+        laws.append(wall(gains, AXES, lower=[-edge for edge in BOX_WALLS], upper=BOX_WALLS))
+    if settings.friction:
+        laws.append(friction(gains))
+    return laws
+
+
+BOX = Scene(
+    name="box",
+    says="a box of walls on all six axes",
+    laws=_laws,
+    axis="x",
+    script=Path(
+        [0.2, 0.5, 0.9, 1.4, 1.9, 2.4, 3.0],
+        [
+            [x * 1e-3, y * 1e-3, z * 1e-3, 0.0, turn, 0.0]
+            for x, y, z, turn in (
+                (0, 0, 0, 0),
+                (14, 0, 0, 0.2),
+                (14, 10, -10, 0),
+                (-14, 10, -10, -0.2),
+                (-14, -12, 8, 0),
+                (6, -12, 8, 0.1),
+                (0, 0, 0, 0),
+            )
+        ],
+    ),
+)

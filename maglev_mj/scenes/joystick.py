@@ -1,0 +1,53 @@
+"""The joystick: drawn softly to its centre on all six axes, in a box of walls, with stick-slip on a key."""
+
+import math
+
+from maglev_mj.frames import AXES
+from maglev_mj.hand import Path
+from maglev_mj.laws import Law
+from maglev_mj.scenes.parts import friction, shared, spring, wall, weight
+from maglev_mj.scenes.scene import Scene
+from maglev_mj.scenes.settings import Settings
+
+__all__ = ["CENTRING", "JOYSTICK"]
+
+CENTRING = 300.0
+"""Stiffness of the spring to the centre [N/m]."""
+
+_DAMPING = 12.0
+_EDGES = (0.0035,) * 3 + (math.radians(4.5),) * 3
+
+
+def _laws(settings: Settings) -> list[Law]:
+    laws: list[Law] = [*weight(settings), spring(AXES, stiffness=CENTRING, damping=_DAMPING)]
+    gains = shared(settings)
+    if settings.wall:
+        laws.append(wall(gains, AXES, lower=[-edge for edge in _EDGES], upper=_EDGES))
+    if settings.friction:
+        laws.append(friction(gains))
+    return laws
+
+
+JOYSTICK = Scene(
+    name="joystick",
+    says="soft centring on six axes in a box of walls; friction on a key",
+    laws=_laws,
+    axis="x",
+    script=Path(
+        [0.3, 0.8, 1.0, 1.6, 2.1, 2.6, 3.2, 3.8, 4.2],
+        [
+            [x * 1e-3, y * 1e-3, z * 1e-3, tilt, nod, spin]
+            for x, y, z, tilt, nod, spin in (
+                (0, 0, 0, 0, 0, 0),
+                (16, 0, 0, 0, 0.15, 0),
+                (16, 0, 0, 0, 0.15, 0),
+                (0, 16, 0, -0.15, 0, 0),
+                (-16, 0, 0, 0, -0.15, 0),
+                (0, -16, 6, 0.15, 0, 0.2),
+                (0, 0, -18, 0, 0, -0.2),
+                (0, 0, 0, 0, 0, 0),
+                (0, 0, 0, 0, 0, 0),
+            )
+        ],
+    ),
+)

@@ -1,0 +1,7 @@
+"""A scene in real time, without a window: pacing, what keys change, recording, and what there is to see."""
+
+from maglev_mj.session.energy import EnergyAccount
+from maglev_mj.session.pacing import Pacer
+from maglev_mj.session.session import ACTIONS, Session, Showable, View
+
+__all__ = ["ACTIONS", "EnergyAccount", "Pacer", "Session", "Showable", "View"]

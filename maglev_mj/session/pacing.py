@@ -1,0 +1,72 @@
+"""Keeping up with real time: how many control ticks a stretch of it asks for, within a budget."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from maglev_mj.parameters import number
+
+__all__ = ["Pacer"]
+
+_ROUNDING = 1e-9
+
+
+class Pacer:
+    """Makes as many control ticks as real time has gone by, later ones in the next frame where the budget is spent.
+
+    A machine that stalls catches up from frame to frame. What it is behind by more than `patience` is given up:
+    simulated time then slows down, and the ticks are counted as missed.
+
+    Args:
+        budget: Real time that the ticks of one frame may take [s].
+        patience: How far simulated time may be behind [s].
+        clock: Returns real time [s].
+
+    Attributes:
+        owed: Real time that has not been simulated yet [s].
+        missed: Ticks given up so far.
+        late: Whether ticks were given up in the last frame.
+        cost: Real time of one tick in the last frame that had any [s].
+    """
+
+    def __init__(
+        self, *, budget: float = 0.012, patience: float = 0.25, clock: Callable[[], float] = time.perf_counter
+    ) -> None:
+        self.budget = number("budget", budget, above=0.0)
+        self.patience = number("patience", patience, at_least=0.0)
+        self._clock = clock
+        self.owed, self.missed, self.late, self.cost = 0.0, 0, False, 0.0
+
+    def advance(self, elapsed: float, period: float, tick: Callable[[], object]) -> int:
+        """Make the ticks that are due.
+
+        Args:
+            elapsed: Real time since the last call [s].
+            period: Sample period [s].
+            tick: Makes one tick.
+
+        Returns:
+            How many were made.
+        """
+        self.owed += elapsed
+        start, made = self._clock(), 0
+        least = period * (1.0 - _ROUNDING)
+        while self.owed >= least:
+            tick()
+            made += 1
+            self.owed -= period
+            if self._clock() - start >= self.budget:
+                break
+        if made:
+            self.cost = (self._clock() - start) / made
+        beyond = int((self.owed - self.patience) / period + _ROUNDING)
+        self.late = beyond > 0
+        if self.late:
+            self.missed += beyond
+            self.owed -= beyond * period
+        return made
+
+    def forgive(self) -> None:
+        """Forget what is owed: after a pause, or where nothing can be made."""
+        self.owed, self.late = 0.0, False

@@ -1,0 +1,289 @@
+"""A scene that runs in real time and can be changed while it does; it knows neither window nor keys."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.frames import Array
+from maglev_mj.hand import SpringHand
+from maglev_mj.recording import Recording
+from maglev_mj.scenes import SCENES, Scene, Settings, scene_called
+from maglev_mj.scenes.parts import WEIGHT
+from maglev_mj.session.actions import CHANGES
+from maglev_mj.session.pacing import Pacer
+from maglev_mj.session.stretch import LiveStretch
+
+__all__ = ["ACTIONS", "Session", "Showable", "View"]
+
+ACTIONS = (*CHANGES, "next scene", "drop", "centre", "pause", "record")
+"""What `Session.act` knows."""
+
+_SHOWN = 2.0
+_MADE = -0.1
+_ZERO = (0.0,) * 6
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class View:
+    """What there is to see at an instant.
+
+    Attributes:
+        scene: The scene.
+        settings: Its settings.
+        time: Time of the session [s].
+        pose: Of the flotor [m, rad], (6,).
+        force: Wrench of the device after every limit, beyond what carries the flotor [N, N m], (6,).
+        hand: Wrench of the hand [N, N m], (6,).
+        currents: In the coils [A], (6,).
+        faces: Every wall: index into AXES, normal, edge.
+        anchors: Where the flotor sticks [m, rad], (6,), NaN where it does not; None without friction.
+        history: The last two seconds on the scene's axis: time, position, velocity, force of the device and of the
+            hand, (N, 5).
+        work: Of the hand [J].
+        taken: What the rendered world has taken in [J].
+        cost: Real time of a tick [s].
+        missed: Ticks given up.
+        notes: What a person should know now, such as that the session is paused.
+    """
+
+    scene: Scene
+    settings: Settings
+    time: float
+    pose: Array
+    force: Array
+    hand: Array
+    currents: Array
+    faces: Sequence[tuple[int, float, float]]
+    anchors: Array | None
+    history: Array
+    work: float
+    taken: float
+    cost: float
+    missed: int
+    notes: Sequence[str]
+
+
+class Showable(Protocol):
+    """What a window or a clip can show."""
+
+    hand: SpringHand
+
+    def tick(self, elapsed: float) -> int:
+        """Go on by as much as real time has [s]; return how many control ticks that were."""
+
+    def act(self, action: str) -> None:
+        """Do what a key asks for."""
+
+    def view(self) -> View:
+        """Return what there is to see."""
+
+    def close(self) -> None:
+        """Keep what is recorded."""
+
+
+class Session:
+    """A scene that runs in real time and can be changed while it does.
+
+    Whatever is changed, plant and controller are made anew at the pose and speed of the moment, so that every stretch
+    between two changes is a run like any other: it can be recorded, and run again.
+
+    Args:
+        scene: Name of the first scene.
+        settings: In place of that scene's own.
+        hand: The hand on it.
+        folder: Where recordings go.
+        pacer: Keeps up with real time.
+
+    Attributes:
+        recordings: Files written so far.
+
+    Raises:
+        ParameterError: If there is no such scene.
+    """
+
+    def __init__(
+        self,
+        scene: str = "joystick",
+        *,
+        settings: Settings | None = None,
+        hand: SpringHand | None = None,
+        folder: Path = Path(),
+        pacer: Pacer | None = None,
+    ) -> None:
+        self.hand = hand or SpringHand()
+        self.recordings: list[Path] = []
+        self._folder, self._pacer = folder, pacer or Pacer()
+        self._scene = scene_called(scene)
+        self._settings = settings or self._scene.settings
+        self._history: deque[tuple[float, ...]] = deque()
+        self._kept: list[LiveStretch] | None = None
+        self._paused, self._stopped, self._wrote = False, "", ""
+        self._stretch = self._begin(self._scene.pose)
+
+    def tick(self, elapsed: float) -> int:
+        """Go on by as much as real time has, within the pacer's budget.
+
+        Args:
+            elapsed: Real time since the last call [s].
+
+        Returns:
+            How many control ticks were made; none while paused or stopped.
+        """
+        if self._paused or self._stopped:
+            self._pacer.forgive()
+            return 0
+        before = self._stretch.ticks
+        try:
+            self._pacer.advance(elapsed, self._settings.period, self._one)
+        except MaglevError as error:
+            self._stopped = str(error)
+        return self._stretch.ticks - before
+
+    def act(self, action: str) -> None:
+        """Do one of ACTIONS.
+
+        Raises:
+            ParameterError: If it is none.
+        """
+        if action not in ACTIONS:
+            raise ParameterError(f"action must be one of {', '.join(ACTIONS)}, not {action!r}")
+        if action in CHANGES:
+            self._settings = CHANGES[action](self._settings)
+            self._go_on()
+        elif action == "pause":
+            self._paused = not self._paused
+        elif action == "record":
+            self._record()
+        elif action == "next scene":
+            names = list(SCENES)
+            self._scene = SCENES[names[(names.index(self._scene.name) + 1) % len(names)]]
+            self._settings = self._scene.settings
+            self._restart(self._scene.pose)
+        else:
+            lift = action == "drop"
+            weightless = False if lift else self._scene.settings.weightless
+            self._settings = Settings.from_json({**self._settings.as_json(), "weightless": weightless})
+            self._restart(self._scene.lifted if lift else self._scene.pose)
+
+    def view(self) -> View:
+        """Return what there is to see."""
+        stretch = self._stretch
+        history = np.array(self._history).reshape(-1, 5)
+        return View(
+            scene=self._scene,
+            settings=self._settings,
+            time=stretch.time,
+            pose=stretch.pose,
+            force=stretch.rendered,
+            hand=np.array(stretch.plant.hand_wrench),
+            currents=stretch.plant.currents,
+            faces=stretch.faces,
+            anchors=stretch.anchors,
+            history=history,
+            work=stretch.energy.hand,
+            taken=stretch.energy.taken,
+            cost=self._pacer.cost,
+            missed=self._pacer.missed,
+            notes=self._notes(),
+        )
+
+    def close(self) -> None:
+        """Keep what is recorded, and let go of the plant."""
+        if self._kept is not None:
+            self._record()
+        self._stretch.plant.close()
+
+    def _one(self) -> None:
+        """Make one tick; stop a world that makes energy."""
+        self._stretch.tick()
+        if self._stretch.energy.stored < _MADE:
+            made = -self._stretch.energy.stored
+            raise MaglevError(f"the rendered world made {made * 1e3:.0f} mJ more than it took: it is unstable")
+
+    def _begin(self, pose: Sequence[float], *, going_on: bool = False) -> LiveStretch:
+        """Return a new stretch, at rest or as the last one left it."""
+        began = 0.0
+        twist: Sequence[float] = _ZERO
+        wrench: Sequence[float] = WEIGHT if self._settings.weightless else _ZERO
+        if going_on:
+            twist, wrench, began = self._stretch.twist.tolist(), self._stretch.force, self._stretch.time
+        stretch = LiveStretch(
+            self._scene,
+            self._settings,
+            self.hand,
+            pose=pose,
+            twist=twist,
+            wrench=wrench,
+            record=self._kept is not None,
+            began=began,
+            keep=self._keep,
+        )
+        if self._kept is not None:
+            self._kept.append(stretch)
+        return stretch
+
+    def _go_on(self) -> None:
+        """Make plant and controller anew where the flotor is; one that was stopped starts again."""
+        if self._stopped:
+            self._restart(self._scene.pose)
+        else:
+            self._stretch = self._begin(self._stretch.pose.tolist(), going_on=True)
+
+    def _restart(self, pose: Sequence[float]) -> None:
+        self._stopped = ""
+        self._history.clear()
+        self._pacer.forgive()
+        self._stretch = self._begin(pose)
+
+    def _keep(self, row: tuple[float, ...]) -> None:
+        history = self._history
+        history.append(row)
+        while history[0][0] < row[0] - _SHOWN:
+            history.popleft()
+
+    def _record(self) -> None:
+        """Start recording, or write what was recorded."""
+        if self._kept is None:
+            self._kept = []
+            self._go_on()
+            return
+        kept, self._kept = self._kept, None
+        stretches = [stretch.recorder.stretch() for stretch in kept if stretch.recorder is not None and stretch.ticks]
+        path = _new_file(self._folder)
+        Recording(stretches).save(path)
+        self.recordings.append(path)
+        self._wrote = f"wrote {path}"
+        if not self._stopped:
+            self._go_on()
+
+    def _notes(self) -> list[str]:
+        notes = []
+        if self._stopped:
+            notes.append(f"STOPPED: {self._stopped}")
+        elif self._paused:
+            notes.append("PAUSED")
+        if self._pacer.late:
+            notes.append("TOO SLOW: this machine cannot keep up, simulated time slows down")
+        if self._kept is not None:
+            notes.append("RECORDING")
+        elif self._wrote:
+            notes.append(self._wrote)
+        return notes
+
+
+def _new_file(folder: Path, now: Callable[[], float] = time.time) -> Path:
+    """Return a name for a recording that no file has yet."""
+    stem = datetime.fromtimestamp(now()).strftime("maglev-%Y%m%d-%H%M%S")
+    path, count = folder / f"{stem}.npz", 1
+    while path.exists():
+        path, count = folder / f"{stem}-{count}.npz", count + 1
+    return path

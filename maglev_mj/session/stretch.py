@@ -1,0 +1,124 @@
+"""A stretch of a session under unchanged settings: one plant, one controller, one loop."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from maglev_mj.frames import AXES, Array, Command, Sample
+from maglev_mj.hand import HandForce
+from maglev_mj.laws import Friction, Wall
+from maglev_mj.loop import Answers, ControlLoop
+from maglev_mj.recording import Recorder
+from maglev_mj.scenes import Scene, Settings
+from maglev_mj.scenes.parts import WEIGHT
+from maglev_mj.session.energy import EnergyAccount
+
+__all__ = ["LiveStretch", "scene_setup"]
+
+_ZERO = (0.0,) * 6
+
+
+def scene_setup(
+    scene: Scene, settings: Settings, pose: Sequence[float], twist: Sequence[float], wrench: Sequence[float]
+) -> dict[str, Any]:
+    """Return what a stretch is made from, ready for JSON."""
+    return {
+        "kind": "scene",
+        "scene": scene.name,
+        "settings": settings.as_json(),
+        "pose": [float(part) for part in pose],
+        "twist": [float(part) for part in twist],
+        "wrench": [float(part) for part in wrench],
+    }
+
+
+class LiveStretch:
+    """A scene running under one choice of settings, from a given state on.
+
+    Args:
+        scene: The scene.
+        settings: Its settings.
+        hand: The hand.
+        pose: Where the flotor starts [m, rad].
+        twist: How fast [m/s, rad/s].
+        wrench: What the coils give until the first command takes effect [N, N m].
+        record: Whether to keep every sample.
+        began: Time of the session at which it starts [s].
+        keep: Called after each tick with a row of history.
+
+    Attributes:
+        energy: Where the energy went.
+        faces: Every wall: index into AXES, normal, edge.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        settings: Settings,
+        hand: HandForce,
+        *,
+        pose: Sequence[float],
+        twist: Sequence[float] = _ZERO,
+        wrench: Sequence[float],
+        record: bool,
+        began: float,
+        keep: Callable[[tuple[float, ...]], object],
+    ) -> None:
+        setup = scene_setup(scene, settings, pose, twist, wrench)
+        self.plant = scene.plant(settings, pose=pose, twist=twist, wrench=wrench, hand_force=hand)
+        self.controller = scene.controller(settings)
+        self.recorder = Recorder(self.plant, self.controller, setup) if record else None
+        self._carried = np.array(WEIGHT if settings.weightless else _ZERO)
+        self.energy = EnergyAccount(np.array(pose), self._carried)
+        laws = self.controller.laws
+        self.faces = tuple(face for law in laws if isinstance(law, Wall) for face in law.faces)
+        self._friction = next(
+            ((place, law.indices) for place, law in enumerate(laws) if isinstance(law, Friction)), None
+        )
+        answers: Answers = self.recorder or self.controller
+        self._loop = ControlLoop(self.plant, answers, observe=self._observe)
+        self._axis, self._keep, self._began = scene.axis_index, keep, began
+        self.ticks, self._settings = 0, settings
+        self.pose, self.twist = np.array(pose, dtype=np.float64), np.array(twist, dtype=np.float64)
+        self.force: Sequence[float] = wrench
+
+    def tick(self) -> None:
+        """Answer one sample."""
+        self._loop.cycle()
+        self.ticks += 1
+
+    @property
+    def time(self) -> float:
+        """Time of the session [s]."""
+        return self._began + self.ticks * self._settings.period
+
+    @property
+    def anchors(self) -> Array | None:
+        """Where the flotor sticks [m, rad], (6,), NaN on axes without friction; None where there is none at all."""
+        if self._friction is None or self.controller.states[self._friction[0]] is None:
+            return None
+        place, indices = self._friction
+        anchors = np.full(len(AXES), np.nan)
+        for index, state in zip(indices, self.controller.states[place], strict=True):
+            anchors[index] = state.anchor if state.stuck else np.nan
+        return anchors
+
+    @property
+    def rendered(self) -> Array:
+        """Wrench of the device beyond what carries the flotor [N, N m], (6,)."""
+        rendered: Array = np.array(self.force) - self._carried
+        return rendered
+
+    def _observe(self, sample: Sample, applied: Command) -> None:
+        if self.recorder is not None:
+            self.recorder.observe(sample, applied)
+        plant, axis = self.plant, self._axis
+        self.pose, self.twist = plant.state()
+        effort = plant.hand_wrench
+        self.energy.add(self.pose, effort, plant.work)
+        self.force = applied.force
+        force = float(applied.force[axis] - self._carried[axis])
+        self._keep((self.time, float(self.pose[axis]), float(self.twist[axis]), force, float(effort[axis])))

@@ -1,0 +1,23 @@
+"""Results as text for a terminal, one module a subject."""
+
+from maglev_mj.tables.device import device_table
+from maglev_mj.tables.drop import drop_table
+from maglev_mj.tables.fidelity import fidelity_table, ladder_table
+from maglev_mj.tables.press import press_table
+from maglev_mj.tables.stability import stability_table
+from maglev_mj.tables.stick_slip import stick_slip_table
+from maglev_mj.tables.sweep import sweep_table
+from maglev_mj.tables.view import show_table, verdict_table
+
+__all__ = [
+    "device_table",
+    "drop_table",
+    "fidelity_table",
+    "ladder_table",
+    "press_table",
+    "show_table",
+    "stability_table",
+    "stick_slip_table",
+    "sweep_table",
+    "verdict_table",
+]

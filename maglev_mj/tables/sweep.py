@@ -1,0 +1,40 @@
+"""A sweep over a grid as text."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+__all__ = ["sweep_table"]
+
+
+def sweep_table(
+    scene: str, varied: Mapping[str, Sequence[Any]], results: Sequence[Mapping[str, Any]], known: int, path: str
+) -> str:
+    """Return how many cells were computed and the spread of each figure over them, as text.
+
+    Args:
+        scene: What was swept.
+        varied: Values of the parameters that vary.
+        results: Figures of each cell, or {"error": ...}.
+        known: How many cells the record held already.
+        path: Where the record is.
+    """
+    failed = [result["error"] for result in results if "error" in result]
+    over = ", ".join(f"{name} ({len(values)})" for name, values in varied.items()) or "nothing"
+    lines = [
+        f"Sweep of {scene} over {over}: {len(results)} cells, {known} of them already in {path}",
+        "",
+        f"  {'':<20}{'least':>12}{'median':>12}{'greatest':>12}   cells",
+    ]
+    good = [result for result in results if "error" not in result]
+    for name in good[0] if good else ():
+        values = [float(result[name]) for result in good if isinstance(result[name], int | float)]
+        if values:
+            spread = "".join(f"{share:>12.4g}" for share in np.percentile(values, [0.0, 50.0, 100.0]))
+            lines.append(f"  {name:<20}{spread}   {len(values)}")
+    if failed:
+        lines += ["", f"  {len(failed)} cells failed, the first because {failed[0]}"]
+    return "\n".join(lines)

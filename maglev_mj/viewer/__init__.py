@@ -1,0 +1,1 @@
+"""What a person sees: the scene with its forces and plots, in a window or as a file."""

@@ -1,0 +1,84 @@
+"""Pictures and clips as files: PNG by the core alone, GIF and MP4 by imageio."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from maglev_mj.errors import MaglevError, ParameterError
+
+__all__ = ["CLIPS", "ClipsMissingError", "checked_name", "write_clip", "write_picture"]
+
+CLIPS = (".gif", ".mp4")
+"""Endings of files that move."""
+
+Pixels = NDArray[np.uint8]
+
+
+class ClipsMissingError(MaglevError):
+    """imageio is not installed."""
+
+
+def checked_name(path: Path) -> Path:
+    """Return a file's name if its ending says what to write.
+
+    Raises:
+        ParameterError: If it does not.
+        ClipsMissingError: If what writes it is not installed.
+    """
+    if path.suffix not in (".png", *CLIPS):
+        raise ParameterError(f"out must end in .png, .gif or .mp4, not {str(path)!r}")
+    if path.suffix in CLIPS:
+        _imageio()
+    return path
+
+
+def write_picture(pixels: Pixels, path: Path) -> None:
+    """Write a PNG file.
+
+    Args:
+        pixels: The picture, (height, width, 3).
+        path: The file.
+    """
+    height, width, _ = pixels.shape
+    rows = np.zeros((height, 1 + 3 * width), dtype=np.uint8)  # each row after its filter, which is none
+    rows[:, 1:] = pixels.reshape(height, -1)
+    head = struct.pack(">2I5B", width, height, 8, 2, 0, 0, 0)
+    parts = ((b"IHDR", head), (b"IDAT", zlib.compress(rows.tobytes(), 6)), (b"IEND", b""))
+    chunks = b"".join(
+        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data)) for kind, data in parts
+    )
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + chunks)
+
+
+def write_clip(frames: Iterable[Pixels], path: Path, rate: int) -> None:
+    """Write a GIF or MP4 file.
+
+    Args:
+        frames: The pictures, (height, width, 3) each, of even height and width.
+        path: The file.
+        rate: Pictures a second.
+
+    Raises:
+        ClipsMissingError: If imageio is not installed.
+    """
+    imageio = _imageio()
+    options = {"duration": 1000.0 / rate, "loop": 0} if path.suffix == ".gif" else {"fps": rate, "macro_block_size": 2}
+    with imageio.get_writer(path, **options) as writer:
+        for frame in frames:
+            writer.append_data(np.ascontiguousarray(frame))
+
+
+def _imageio() -> Any:
+    try:
+        import imageio.v2
+        import imageio_ffmpeg  # noqa: F401 - only whether it is there
+    except ImportError:
+        raise ClipsMissingError("clips need imageio with ffmpeg: pip install 'maglev-mj[clips]'") from None
+    return imageio.v2

@@ -1,0 +1,117 @@
+"""The same picture without a window: shapes, plots and words, drawn into an array."""
+
+from __future__ import annotations
+
+import os
+from typing import Any, Self
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from maglev_mj.errors import MaglevError
+from maglev_mj.session import View
+from maglev_mj.viewer.overlay import help_text, status_text
+from maglev_mj.viewer.plots import Plots
+from maglev_mj.viewer.scenery import Scenery
+
+__all__ = ["DisplayError", "OffscreenPainter", "arranged"]
+
+_SHADOWS, _SAMPLES = 2048, 4
+_SMALL = 600
+
+
+class DisplayError(MaglevError):
+    """There is nothing to draw with or to draw on."""
+
+
+def arranged(width: int, height: int) -> list[Any]:
+    """Return where the four plots go in a picture: a column at its right."""
+    wide, high = int(0.27 * width), height // 4
+    return [mujoco.MjrRect(width - wide, height - (place + 1) * high, wide, high) for place in range(4)]
+
+
+class OffscreenPainter:
+    """Draws views of one scene into arrays, by OSMesa or EGL as MUJOCO_GL says; by OSMesa where it says nothing.
+
+    Args:
+        name: Name of the scene.
+        width: Of the pictures [pixels].
+        height: Likewise.
+        plots: Whether plots and words are in them.
+
+    Raises:
+        DisplayError: If there is no library to draw with.
+        ModelError: If the scene cannot be used.
+    """
+
+    def __init__(self, name: str, width: int, height: int, *, plots: bool = True) -> None:
+        self.scenery = Scenery(name)
+        self._plots = Plots() if plots else None
+        self._whole = mujoco.MjrRect(0, 0, width, height)
+        model = self.scenery.model
+        model.vis.global_.offwidth, model.vis.global_.offheight = width, height
+        model.vis.quality.shadowsize, model.vis.quality.offsamples = _SHADOWS, _SAMPLES
+        self._gl = _context(width, height)
+        self._gl.make_current()
+        self._scene = mujoco.MjvScene(model, 2000)
+        self._option, self._camera = mujoco.MjvOption(), mujoco.MjvCamera()
+        mujoco.mjv_defaultFreeCamera(model, self._camera)
+        scales = mujoco.mjtFontScale
+        scale = scales.mjFONTSCALE_50 if height < _SMALL else scales.mjFONTSCALE_100
+        self._render = mujoco.MjrContext(model, scale)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._render)
+
+    def wait(self, view: View) -> None:
+        """Wait until all that the plots need is known."""
+        if self._plots is not None:
+            self._plots.wait(view)
+
+    def picture(self, view: View) -> NDArray[np.uint8]:
+        """Return a picture, (height, width, 3)."""
+        scenery, scene, whole, render = self.scenery, self._scene, self._whole, self._render
+        self._gl.make_current()
+        scenery.place(view)
+        everything = mujoco.mjtCatBit.mjCAT_ALL.value
+        mujoco.mjv_updateScene(scenery.model, scenery.data, self._option, None, self._camera, everything, scene)
+        scenery.decorate(scene, view)
+        mujoco.mjr_render(whole, scene, render)
+        if self._plots is not None:
+            for rectangle, figure in zip(arranged(whole.width, whole.height), self._plots.update(view), strict=True):
+                mujoco.mjr_figure(rectangle, figure, render)
+            font, grid = mujoco.mjtFont.mjFONT_NORMAL, mujoco.mjtGridPos
+            left = mujoco.MjrRect(0, 0, whole.width - int(0.27 * whole.width), whole.height)
+            mujoco.mjr_overlay(font, grid.mjGRID_TOPLEFT, left, *status_text(view), render)
+            mujoco.mjr_overlay(font, grid.mjGRID_BOTTOMLEFT, left, *help_text(), render)
+        pixels = np.empty((whole.height, whole.width, 3), dtype=np.uint8)
+        mujoco.mjr_readPixels(pixels, None, whole, render)
+        return pixels[::-1]
+
+    def close(self) -> None:
+        """Let go of what it draws with."""
+        self._render.free()
+        self._gl.free()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def _context(width: int, height: int) -> Any:
+    """Return an OpenGL context that needs no screen."""
+    backend = os.environ.get("MUJOCO_GL", "").lower() or "osmesa"
+    try:
+        if backend == "egl":
+            from mujoco.egl import GLContext
+        elif backend == "osmesa":
+            from mujoco.osmesa import GLContext
+        else:
+            raise DisplayError(f"MUJOCO_GL must be osmesa or egl for a picture without a window, not {backend!r}")
+        return GLContext(width, height)
+    except (ImportError, AttributeError, OSError, RuntimeError, TypeError) as error:
+        need = "libegl1 and libgl1" if backend == "egl" else "libosmesa6"
+        raise DisplayError(
+            f"pictures need {backend}, on Debian {need} (MUJOCO_GL=egl or osmesa chooses): {error}"
+        ) from error

@@ -1,0 +1,79 @@
+"""The words on the screen: scene, gains, rate and delay, what it costs, where the energy went, and the keys."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import glfw
+
+from maglev_mj.session import View
+from maglev_mj.viewer.scenery import ARROW
+
+__all__ = ["KEYS", "SCREENSHOT", "help_text", "status_text"]
+
+SCREENSHOT = "screenshot"
+
+KEYS: Mapping[int, str] = {
+    glfw.KEY_ENTER: "next scene",
+    glfw.KEY_6: "wall",
+    glfw.KEY_7: "pulse",
+    glfw.KEY_8: "friction",
+    glfw.KEY_9: "drop",
+    glfw.KEY_SLASH: "centre",
+    glfw.KEY_UP: "stiffness up",
+    glfw.KEY_DOWN: "stiffness down",
+    glfw.KEY_PERIOD: "damping up",
+    glfw.KEY_COMMA: "damping down",
+    glfw.KEY_F9: "rate up",
+    glfw.KEY_F8: "rate down",
+    glfw.KEY_APOSTROPHE: "delay up",
+    glfw.KEY_SEMICOLON: "delay down",
+    glfw.KEY_SPACE: "pause",
+    glfw.KEY_F10: "record",
+    glfw.KEY_F12: SCREENSHOT,
+}
+"""What each key does; the engine's viewer has letters, 0 to 5, F1 to F7, Tab, [ ], - =, Page Up, left and right."""
+
+_HELP = (
+    ("Ctrl + right drag", "push (Shift: sideways)"),
+    ("Ctrl + left drag", "twist"),
+    ("Enter", "next scene"),
+    ("6   7   8", "wall, pulse, friction"),
+    ("Up  Down", "stiffness"),
+    (".   ,", "damping"),
+    ("F9  F8", "rate"),
+    ("'   ;", "delay"),
+    ("9   /", "drop, centre"),
+    ("Space", "pause"),
+    ("F10  F12", "record, screenshot"),
+)
+
+
+def help_text() -> tuple[str, str]:
+    """Return the keys and what they do, a column each."""
+    keys, does = zip(*_HELP, strict=True)
+    return "\n".join(keys), "\n".join(does)
+
+
+def status_text(view: View, notes: tuple[str, ...] = ()) -> tuple[str, str]:
+    """Return what a person wants to know of a session, names and values a column each.
+
+    Args:
+        view: What there is to see.
+        notes: Further notes, such as the last screenshot.
+    """
+    settings = view.settings
+    on = [name for name in ("wall", "pulse", "friction") if getattr(settings, name)]
+    taken = f"world took {view.taken * 1e3:.1f}" if view.taken >= 0.0 else f"world MADE {-view.taken * 1e3:.1f}"
+    rows = [
+        ("scene", f"{view.scene.name}: {view.scene.says}"),
+        ("on", ", ".join(on) or "nothing"),
+        ("gains", f"{settings.stiffness:.0f} N/m  {settings.damping:.3g} N s/m"),
+        ("rate", f"{1.0 / settings.period:.0f} Hz, delay {settings.delay * 1e3:.1f} ms"),
+        ("tick", f"{view.cost * 1e6:.0f} us, {view.missed} missed, {view.time:.1f} s"),
+        ("energy", f"hand gave {view.work * 1e3:.1f} mJ, {taken} mJ"),
+        ("arrows", f"green hand, red device, 5 N = {5e3 * ARROW:.0f} mm"),
+        *(("", note) for note in (*view.notes, *notes)),
+    ]
+    names, values = zip(*rows, strict=True)
+    return "\n".join(names), "\n".join(values)

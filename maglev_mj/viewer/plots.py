@@ -1,0 +1,146 @@
+"""The live plots: position and force over the last two seconds, the phase plane, and the gains on the stability map."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Sequence
+from typing import Any, TypeAlias
+
+import mujoco
+import numpy as np
+
+from maglev_mj.frames import Array
+from maglev_mj.scenes import Settings
+from maglev_mj.scenes.parts import MASS
+from maglev_mj.session import View
+from maglev_mj.stability import largest_stable_stiffness
+
+__all__ = ["Plots"]
+
+_SECONDS = 2.0
+_POINTS = 500
+_DAMPINGS = 32
+_BLUE, _RED, _GREEN, _GREY = (0.16, 0.52, 0.80), (0.90, 0.35, 0.33), (0.25, 0.72, 0.42), (0.62, 0.66, 0.70)
+
+_Line: TypeAlias = tuple[tuple[float, float, float], Any, Any]
+"""Colour, x and y of a line."""
+
+_Range: TypeAlias = tuple[float, float]
+
+
+class Plots:
+    """Four figures of the engine's own kind, renewed from a view."""
+
+    def __init__(self) -> None:
+        self._boundary = _Boundary()
+        self.figures = [mujoco.MjvFigure() for _ in range(4)]
+        for figure in self.figures:
+            _prepare(figure)
+
+    def update(self, view: View) -> list[Any]:
+        """Return the figures: position, force, phase plane, stability map."""
+        position, force, plane, gains = self.figures
+        turning = view.scene.axis_index > 2
+        unit, torque = ("mrad", "N m") if turning else ("mm", "N")
+        time, place, speed, device, hand = _thinned(view.history).T
+        when, axis = time - (time[-1] if time.size else 0.0), view.scene.axis
+        across = (-_SECONDS, 0.0)
+        edges = [edge * 1e3 for index, _, edge in view.faces if index == view.scene.axis_index]
+        lines: list[_Line] = [(_GREY, [-_SECONDS, 0.0], [edge, edge]) for edge in edges]
+        lines.append((_BLUE, when, place * 1e3))
+        _draw(position, f"{axis} [{unit}], grey: wall", lines, across, _span(place * 1e3, edges, 1.0))
+        lines = [(_RED, when, device), (_GREEN, when, hand)]
+        _draw(force, f"red device, green hand [{torque}]", lines, across, _span(np.r_[device, hand], [], 4.0))
+        lines = [(_GREY, [edge, edge], [-1e6, 1e6]) for edge in edges] + [(_BLUE, place * 1e3, speed * 1e3)]
+        x_range, y_range = _span(place * 1e3, edges, 1.0), _span(speed * 1e3, [], 30.0)
+        _draw(plane, f"speed [{unit}/s] over {axis} [{unit}]", lines, x_range, y_range)
+        self._draw_gains(gains, view.settings)
+        return self.figures
+
+    def wait(self, view: View) -> None:
+        """Wait until the stability map of a view is known."""
+        self._boundary.wait(view.settings)
+
+    def _draw_gains(self, figure: Any, settings: Settings) -> None:
+        """Draw the boundary of what is stable, and a cross where the gains are."""
+        known = self._boundary.of(settings)
+        dampings, stiffnesses = known if known is not None else (np.zeros(0), np.zeros(0))
+        width = _round_up(max(float(dampings.max(initial=0.0)), 1.1 * settings.damping))
+        height = _round_up(1e-3 * max(float(stiffnesses.max(initial=0.0)), 1.1 * settings.stiffness))
+        x, y, dx, dy = settings.damping, settings.stiffness * 1e-3, 0.04 * width, 0.06 * height
+        lines: list[_Line] = [
+            (_GREY, dampings, stiffnesses * 1e-3),
+            (_RED, [x - dx, x + dx, x, x, x], [y, y, y, y - dy, y + dy]),
+        ]
+        _draw(figure, "stable below: kN/m over N s/m", lines, (0.0, width), (0.0, height))
+
+
+class _Boundary:
+    """The largest stable stiffness over the damping for a rate and a delay, reckoned beside the session."""
+
+    def __init__(self) -> None:
+        self._known: dict[tuple[float, float], tuple[Array, Array] | None] = {}
+
+    def of(self, settings: Settings) -> tuple[Array, Array] | None:
+        """Return dampings [N s/m] and stiffnesses [N/m]; None while they are not known yet."""
+        key = settings.period, settings.delay
+        if key not in self._known:
+            self._known[key] = None
+            threading.Thread(target=self._reckon, args=key, daemon=True).start()
+        return self._known[key]
+
+    def wait(self, settings: Settings) -> None:
+        """Reckon at once what is not known yet."""
+        key = settings.period, settings.delay
+        if self._known.get(key) is None:
+            self._reckon(*key)
+
+    def _reckon(self, period: float, delay: float) -> None:
+        # no damping beyond this is stable, whatever the stiffness
+        most = 0.5 * np.pi * MASS / (0.5 * period + delay) * 1.1
+        dampings = np.linspace(0.0, most, _DAMPINGS)
+        stiffnesses = largest_stable_stiffness(dampings, period=period, delay=delay)
+        end = int(np.flatnonzero(stiffnesses)[-1]) + 2
+        self._known[period, delay] = dampings[:end], stiffnesses[:end]
+
+
+def _prepare(figure: Any) -> None:
+    mujoco.mjv_defaultFigure(figure)
+    figure.figurergba[:] = 0.10, 0.12, 0.15, 0.80
+    figure.panergba[:] = 0.14, 0.16, 0.20, 0.60
+    figure.legendrgba[:] = 0.0, 0.0, 0.0, 0.0
+    figure.textrgb[:] = 0.92, 0.93, 0.95
+    figure.gridrgb[:] = 0.34, 0.37, 0.42
+    figure.linewidth, figure.gridwidth = 2.0, 1.0
+    figure.gridsize[:] = 3, 3
+    figure.flg_legend = figure.flg_extend = 0
+    figure.xformat = figure.yformat = "%.4g"
+    figure.minwidth = "-100"
+
+
+def _draw(figure: Any, title: str, lines: Sequence[_Line], across: _Range, up: _Range) -> None:
+    figure.title = title
+    figure.linepnt[:] = 0
+    for index, (colour, x, y) in enumerate(lines):
+        x, y = np.asarray(x, dtype=np.float32), np.asarray(y, dtype=np.float32)
+        figure.linergb[index] = colour
+        figure.linepnt[index] = x.size
+        figure.linedata[index, : 2 * x.size : 2] = x
+        figure.linedata[index, 1 : 2 * x.size : 2] = np.clip(y, *up)
+    figure.range[0], figure.range[1] = across, up
+
+
+def _thinned(history: Array) -> Array:
+    """Return at most so many rows as a figure holds."""
+    return history[:: -(-len(history) // _POINTS)] if len(history) > _POINTS else history
+
+
+def _span(values: Array, others: Sequence[float], least: float) -> _Range:
+    """Return a range that holds all values, of a size that the engine does not round up itself: 1, 2 or 5."""
+    bound = _round_up(max(float(np.abs(values).max(initial=0.0)), *(abs(other) for other in others), least))
+    return -bound, bound
+
+
+def _round_up(value: float) -> float:
+    step = 10.0 ** np.floor(np.log10(value))
+    return float(next(step * size for size in (1.0, 2.0, 5.0, 10.0) if step * size >= 0.999 * value))

@@ -1,0 +1,77 @@
+"""A scene with its scripted hand, drawn into a file."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from maglev_mj.hand import SpringHand
+from maglev_mj.plants import engine_warnings_silenced
+from maglev_mj.scenes import Scene, Settings
+from maglev_mj.session import Pacer, Session
+from maglev_mj.viewer.clip import CLIPS, write_clip, write_picture
+from maglev_mj.viewer.offscreen import OffscreenPainter
+
+__all__ = ["render"]
+
+_UNSCRIPTED = 0.6
+_TAIL = 0.4
+_FOR_EVER = 3600.0
+
+
+def render(
+    scene: Scene,
+    settings: Settings,
+    path: Path,
+    *,
+    seconds: float | None = None,
+    width: int = 1200,
+    height: int = 750,
+    rate: int = 20,
+    plots: bool = True,
+) -> int:
+    """Run a scene in the scripted hand and write a picture or a clip of it.
+
+    Args:
+        scene: The scene.
+        settings: Its settings.
+        path: File that ends in .png, .gif or .mp4.
+        seconds: When the picture is taken, or how long the clip is [s]; None for half the script, or all of it.
+        width: Pixels.
+        height: Pixels.
+        rate: Pictures a second of a clip.
+        plots: Whether plots and words are in it.
+
+    Returns:
+        How many pictures were drawn.
+
+    Raises:
+        DisplayError: If there is no library to draw with.
+        ClipsMissingError: If a clip is asked for, and what writes it is not installed.
+    """
+    moving = path.suffix in CLIPS
+    whole = _UNSCRIPTED if scene.script is None else scene.script.end + _TAIL
+    end = seconds if seconds is not None else whole if moving else 0.5 * whole
+    session = Session(
+        scene.name,
+        settings=settings,
+        hand=SpringHand(target=scene.script),
+        pacer=Pacer(budget=_FOR_EVER, patience=_FOR_EVER),  # no hurry
+    )
+    drawn = max(round(end * rate), 1) if moving else 1
+    with OffscreenPainter(scene.name, width, height, plots=plots) as painter, engine_warnings_silenced():
+        painter.wait(session.view())
+        if not moving:
+            session.tick(end)
+            write_picture(painter.picture(session.view()), path)
+        else:
+            write_clip(_pictures(session, painter, drawn, 1.0 / rate), path, rate)
+    session.close()
+    return drawn
+
+
+def _pictures(session: Session, painter: OffscreenPainter, count: int, step: float) -> Iterator[Any]:
+    for _ in range(count):
+        yield painter.picture(session.view())
+        session.tick(step)

@@ -1,0 +1,277 @@
+"""The window: MuJoCo's own viewer, with the mouse as the hand and a session behind it."""
+
+from __future__ import annotations
+
+import os
+import queue
+import sys
+import threading
+import time
+import warnings
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from statistics import median
+from typing import Any, NamedTuple
+
+import glfw
+import mujoco
+
+from maglev_mj.frames import Array, rotation_matrix, rotation_vector
+from maglev_mj.plants import engine_warnings_silenced
+from maglev_mj.session import Showable, View
+from maglev_mj.viewer.clip import write_picture
+from maglev_mj.viewer.offscreen import DisplayError, OffscreenPainter, arranged
+from maglev_mj.viewer.overlay import KEYS, SCREENSHOT, help_text, status_text
+from maglev_mj.viewer.plots import Plots
+from maglev_mj.viewer.scenery import GRIP, Scenery
+
+__all__ = ["ShowReport", "require_display", "show"]
+
+_FRAME = 1.0 / 60.0
+_NAP = 0.001
+_LONGEST_PAUSE = 1.0
+_SHADOWS, _SAMPLES = 2048, 4
+_PICTURE = 1600, 1000
+
+
+class ShowReport(NamedTuple):
+    """What a session in a window came to.
+
+    Attributes:
+        frames: Frames shown.
+        frame_cost: Median time from a view to its being drawn [s], beside the control ticks.
+        wall_time: Time that the window was open [s].
+        simulated: Time simulated meanwhile [s].
+        ticks: Control ticks made.
+        missed: Ticks given up.
+    """
+
+    frames: int
+    frame_cost: float
+    wall_time: float
+    simulated: float
+    ticks: int
+    missed: int
+
+
+class _Mouse(NamedTuple):
+    """Whether the mouse pushes or twists, where it draws the grip to [m], and how it turns the flotor, a quaternion."""
+
+    pushes: bool
+    twists: bool
+    place: Array
+    turn: tuple[float, float, float, float]
+
+
+def require_display() -> None:
+    """Check that a window can be opened.
+
+    Raises:
+        DisplayError: If there is no display, or no library to open a window with.
+    """
+    instead = "use `maglev-mj render SCENE --out FILE.png` for a picture, or `maglev-mj drop --out DIR`"
+    if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise DisplayError(f"a window needs a display, and neither DISPLAY nor WAYLAND_DISPLAY is set: {instead}")
+    with warnings.catch_warnings():  # it warns of what is raised here
+        warnings.simplefilter("ignore")
+        if not glfw.init():
+            raise DisplayError(f"a window cannot be opened on this display: {instead}")
+
+
+def show(session: Showable, *, folder: Path = Path(), duration: float | None = None) -> ShowReport:
+    """Open a window on a session and keep it in real time until the window is closed.
+
+    Args:
+        session: What to show.
+        folder: Where screenshots go.
+        duration: Close the window after so much real time [s]; None waits for the person.
+
+    Returns:
+        What it came to.
+
+    Raises:
+        DisplayError: If a window cannot be opened.
+    """
+    require_display()
+    window = _Window(session, folder)
+    try:
+        with engine_warnings_silenced():
+            return window.run(duration)
+    finally:
+        try:
+            session.close()
+        finally:
+            window.close()
+
+
+class _Window:
+    """One window on a session.
+
+    Three threads: this one makes the control ticks, one of ours hands each view to the engine's viewer, and the viewer
+    draws in its own. Handing over waits for a frame to be drawn, which must not hold up the ticks.
+    """
+
+    def __init__(self, session: Showable, folder: Path) -> None:
+        self._session, self._folder = session, folder
+        self._plots = Plots()
+        self._pressed: queue.SimpleQueue[int] = queue.SimpleQueue()
+        self._views: queue.Queue[View | None] = queue.Queue(maxsize=1)
+        self._mouse: _Mouse | None = None
+        self._note = ""
+        self._costs: list[float] = []
+        self._scenery = _scenery(session.view().scene.name)
+        before = set(threading.enumerate())
+        # imported here: it asks for a display as soon as it is
+        import mujoco.viewer
+
+        self._handle = mujoco.viewer.launch_passive(
+            self._scenery.model,
+            self._scenery.data,
+            key_callback=self._pressed.put,
+            show_left_ui=False,
+            show_right_ui=False,
+        )
+        self._frame_camera()
+        self._painter = threading.Thread(target=self._paint, name="painter")
+        self._threads = [thread for thread in threading.enumerate() if thread not in before]
+        self._painter.start()
+
+    def run(self, duration: float | None, clock: Callable[[], float] = time.perf_counter) -> ShowReport:
+        """Make the ticks, until the window is closed."""
+        session, handle = self._session, self._handle
+        started = last = clock()
+        shown, ticks, since = -_FRAME, 0, session.view().time
+        while handle.is_running() and (duration is None or last - started < duration):
+            now = clock()
+            ticks += session.tick(min(now - last, _LONGEST_PAUSE))  # a suspended machine owes nothing
+            last = now
+            self._press_keys()
+            self._guide_hand()
+            if now - shown >= _FRAME and self._views.empty():
+                self._views.put(session.view())
+                shown = now
+            time.sleep(_NAP)
+        view = session.view()
+        costs = self._costs
+        return ShowReport(
+            frames=len(costs),
+            frame_cost=median(costs) if costs else 0.0,
+            wall_time=last - started,
+            simulated=view.time - since,
+            ticks=ticks,
+            missed=view.missed,
+        )
+
+    def close(self) -> None:
+        """Close the window, and wait for the threads that draw: they must not outlive the program."""
+        self._handle.close()
+        while self._painter.is_alive():
+            with suppress(queue.Full):
+                self._views.put(None, timeout=0.1)
+            self._painter.join(0.1)
+        for thread in self._threads:
+            thread.join(10.0)
+
+    def _press_keys(self) -> None:
+        """Do what the keys pressed since the last tick ask for."""
+        while not self._pressed.empty():
+            action = KEYS.get(self._pressed.get())
+            if action == SCREENSHOT:
+                threading.Thread(target=self._picture, args=(self._session.view(),)).start()
+            elif action is not None:
+                self._session.act(action)
+
+    def _guide_hand(self) -> None:
+        """Let the hand pull to where the mouse is, or let go."""
+        mouse, self._mouse = self._mouse, None
+        if mouse is None:
+            return
+        hand, pose = self._session.hand, self._session.view().pose
+        if not (mouse.pushes or mouse.twists):
+            if hand.target is not None:
+                hand.target = None
+            return
+        goal = mouse.place - rotation_matrix(pose[3:]) @ GRIP if mouse.pushes else pose[:3]
+        turned = rotation_vector(*mouse.turn) if mouse.twists else pose[3:]
+        hand.target = [float(part) for part in (*goal, *turned)]
+
+    def _paint(self) -> None:
+        """Hand over view after view, until there is none."""
+        while (view := self._views.get()) is not None:
+            begun = time.perf_counter()
+            try:
+                self._draw(view)
+            except mujoco.UnexpectedError:  # the window was closed meanwhile
+                return
+            self._costs.append(time.perf_counter() - begun)
+
+    def _draw(self, view: View) -> None:
+        handle = self._handle
+        if not handle.is_running():
+            return
+        if view.scene.name != self._scenery.name:
+            self._scenery = _scenery(view.scene.name)
+            # the handle offers no way to change the model; the simulation behind it, which opened it, does
+            handle._get_sim().load(self._scenery.model, self._scenery.data, "")
+            self._frame_camera()
+        scenery = self._scenery
+        with handle.lock():
+            scenery.place(view)
+            scene = handle.user_scn
+            scene.ngeom = 0
+            scenery.decorate(scene, view)
+            self._mouse = _mouse(handle.perturb)
+            handle.perturb.select = scenery.flotor  # always in reach, without a double click
+            handle.perturb.localpos[:] = GRIP
+        rectangle = handle.viewport
+        if rectangle is not None and rectangle.width > 0:
+            places = arranged(rectangle.width, rectangle.height)
+            handle.set_figures(list(zip(places, self._plots.update(view), strict=True)))
+        font, grid = mujoco.mjtFont.mjFONT_NORMAL, mujoco.mjtGridPos
+        notes = (self._note,) if self._note else ()
+        status = (font, grid.mjGRID_TOPLEFT, *status_text(view, notes))
+        handle.set_texts([status, (font, grid.mjGRID_BOTTOMLEFT, *help_text())])
+        handle.sync()
+
+    def _frame_camera(self) -> None:
+        """Point the camera as the scene's file says."""
+        with self._handle.lock():
+            mujoco.mjv_defaultFreeCamera(self._scenery.model, self._handle.cam)
+
+    def _picture(self, view: View) -> None:
+        """Write what is to be seen, larger than the window and without its edges."""
+        path = _new_picture(self._folder)
+        try:
+            with OffscreenPainter(view.scene.name, *_PICTURE) as painter:
+                write_picture(painter.picture(view), path)
+            self._note = f"wrote {path}"
+        except (DisplayError, OSError) as error:
+            self._note = f"no screenshot: {error}"
+
+
+def _mouse(perturb: Any) -> _Mouse:
+    """Return what the mouse does to the flotor."""
+    active = int(perturb.active)
+    return _Mouse(
+        pushes=bool(active & int(mujoco.mjtPertBit.mjPERT_TRANSLATE)),
+        twists=bool(active & int(mujoco.mjtPertBit.mjPERT_ROTATE)),
+        place=perturb.refselpos.copy(),
+        turn=tuple(perturb.refquat.tolist()),
+    )
+
+
+def _scenery(name: str) -> Scenery:
+    """Return a scene to look at, drawn as finely as a window needs."""
+    scenery = Scenery(name)
+    quality: Any = scenery.model.vis.quality
+    quality.shadowsize, quality.offsamples = _SHADOWS, _SAMPLES
+    return scenery
+
+
+def _new_picture(folder: Path) -> Path:
+    """Return a name for a picture that no file has yet."""
+    count = 1
+    while (path := folder / f"maglev-{count:03d}.png").exists():
+        count += 1
+    return path
