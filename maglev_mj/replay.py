@@ -87,6 +87,7 @@ class Replay:
 
     Attributes:
         hand: There is none to be moved; the recorded one acts.
+        simulated: Time shown so far [s].
 
     Raises:
         RecordingError: If there is nothing in it, or its setup is not known here.
@@ -94,6 +95,7 @@ class Replay:
 
     def __init__(self, recording: Recording) -> None:
         self.hand = SpringHand()
+        self.simulated = 0.0
         self._stretches = [_Shown(stretch) for stretch in recording.stretches if len(stretch.tick)]
         if not self._stretches:
             raise RecordingError("there is nothing in the recording")
@@ -107,6 +109,7 @@ class Replay:
         shown = 0
         while self._owed >= self._now.period:
             self._owed -= self._now.period
+            self.simulated += self._now.period
             self._next()
             shown += 1
         return shown

@@ -31,7 +31,7 @@ class Pacer:
     """
 
     def __init__(
-        self, *, budget: float = 0.012, patience: float = 0.25, clock: Callable[[], float] = time.perf_counter
+        self, *, budget: float = 0.012, patience: float = 0.5, clock: Callable[[], float] = time.perf_counter
     ) -> None:
         self.budget = number("budget", budget, above=0.0)
         self.patience = number("patience", patience, at_least=0.0)

@@ -76,6 +76,7 @@ class Showable(Protocol):
     """What a window or a clip can show."""
 
     hand: SpringHand
+    simulated: float
 
     def tick(self, elapsed: float) -> int:
         """Go on by as much as real time has [s]; return how many control ticks that were."""
@@ -105,6 +106,7 @@ class Session:
 
     Attributes:
         recordings: Files written so far.
+        simulated: Time simulated so far [s].
 
     Raises:
         ParameterError: If there is no such scene.
@@ -121,6 +123,7 @@ class Session:
     ) -> None:
         self.hand = hand or SpringHand()
         self.recordings: list[Path] = []
+        self.simulated = 0.0
         self._folder, self._pacer = folder, pacer or Pacer()
         self._scene = scene_called(scene)
         self._settings = settings or self._scene.settings
@@ -146,7 +149,9 @@ class Session:
             self._pacer.advance(elapsed, self._settings.period, self._one)
         except MaglevError as error:
             self._stopped = str(error)
-        return self._stretch.ticks - before
+        made = self._stretch.ticks - before
+        self.simulated += made * self._settings.period
+        return made
 
     def act(self, action: str) -> None:
         """Do one of ACTIONS.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from importlib import import_module
 from typing import Any, Self
 
 import mujoco
@@ -15,19 +16,25 @@ from maglev_mj.viewer.overlay import help_text, status_text
 from maglev_mj.viewer.plots import Plots
 from maglev_mj.viewer.scenery import Scenery
 
-__all__ = ["DisplayError", "OffscreenPainter", "arranged"]
+__all__ = ["DisplayError", "OffscreenPainter", "arranged", "column"]
 
 _SHADOWS, _SAMPLES = 2048, 4
-_SMALL = 600
+_NEEDS = {"osmesa": "on Debian libosmesa6", "egl": "on Debian libegl1 and libgl1", "glfw": "and a display"}
+_SMALL, _HELPED = 600, 500
 
 
 class DisplayError(MaglevError):
     """There is nothing to draw with or to draw on."""
 
 
+def column(width: int) -> int:
+    """Return how wide the column of plots is in a picture so wide, in pixels; their titles need some room."""
+    return max(int(0.27 * width), min(250, width // 2))
+
+
 def arranged(width: int, height: int) -> list[Any]:
     """Return where the four plots go in a picture: a column at its right."""
-    wide, high = int(0.27 * width), height // 4
+    wide, high = column(width), height // 4
     return [mujoco.MjrRect(width - wide, height - (place + 1) * high, wide, high) for place in range(4)]
 
 
@@ -39,20 +46,22 @@ class OffscreenPainter:
         width: Of the pictures [pixels].
         height: Likewise.
         plots: Whether plots and words are in them.
+        backend: What to draw with: osmesa, egl, or glfw, which needs a display; None for what MUJOCO_GL says. A
+            program in which a window was opened can only use glfw.
 
     Raises:
         DisplayError: If there is no library to draw with.
         ModelError: If the scene cannot be used.
     """
 
-    def __init__(self, name: str, width: int, height: int, *, plots: bool = True) -> None:
+    def __init__(self, name: str, width: int, height: int, *, plots: bool = True, backend: str | None = None) -> None:
         self.scenery = Scenery(name)
         self._plots = Plots() if plots else None
         self._whole = mujoco.MjrRect(0, 0, width, height)
         model = self.scenery.model
         model.vis.global_.offwidth, model.vis.global_.offheight = width, height
         model.vis.quality.shadowsize, model.vis.quality.offsamples = _SHADOWS, _SAMPLES
-        self._gl = _context(width, height)
+        self._gl = _context(width, height, backend or os.environ.get("MUJOCO_GL", "").lower() or "osmesa")
         self._gl.make_current()
         self._scene = mujoco.MjvScene(model, 2000)
         self._option, self._camera = mujoco.MjvOption(), mujoco.MjvCamera()
@@ -80,9 +89,10 @@ class OffscreenPainter:
             for rectangle, figure in zip(arranged(whole.width, whole.height), self._plots.update(view), strict=True):
                 mujoco.mjr_figure(rectangle, figure, render)
             font, grid = mujoco.mjtFont.mjFONT_NORMAL, mujoco.mjtGridPos
-            left = mujoco.MjrRect(0, 0, whole.width - int(0.27 * whole.width), whole.height)
+            left = mujoco.MjrRect(0, 0, whole.width - column(whole.width), whole.height)
             mujoco.mjr_overlay(font, grid.mjGRID_TOPLEFT, left, *status_text(view), render)
-            mujoco.mjr_overlay(font, grid.mjGRID_BOTTOMLEFT, left, *help_text(), render)
+            if whole.height >= _HELPED:
+                mujoco.mjr_overlay(font, grid.mjGRID_BOTTOMLEFT, left, *help_text(), render)
         pixels = np.empty((whole.height, whole.width, 3), dtype=np.uint8)
         mujoco.mjr_readPixels(pixels, None, whole, render)
         return pixels[::-1]
@@ -99,19 +109,11 @@ class OffscreenPainter:
         self.close()
 
 
-def _context(width: int, height: int) -> Any:
-    """Return an OpenGL context that needs no screen."""
-    backend = os.environ.get("MUJOCO_GL", "").lower() or "osmesa"
+def _context(width: int, height: int, backend: str) -> Any:
+    """Return an OpenGL context without a window to be seen."""
+    if backend not in _NEEDS:
+        raise DisplayError(f"MUJOCO_GL must be one of {', '.join(_NEEDS)} for a picture, not {backend!r}")
     try:
-        if backend == "egl":
-            from mujoco.egl import GLContext
-        elif backend == "osmesa":
-            from mujoco.osmesa import GLContext
-        else:
-            raise DisplayError(f"MUJOCO_GL must be osmesa or egl for a picture without a window, not {backend!r}")
-        return GLContext(width, height)
+        return import_module(f"mujoco.{backend}").GLContext(width, height)
     except (ImportError, AttributeError, OSError, RuntimeError, TypeError) as error:
-        need = "libegl1 and libgl1" if backend == "egl" else "libosmesa6"
-        raise DisplayError(
-            f"pictures need {backend}, on Debian {need} (MUJOCO_GL=egl or osmesa chooses): {error}"
-        ) from error
+        raise DisplayError(f"pictures need {backend}, {_NEEDS[backend]}; MUJOCO_GL chooses: {error}") from error

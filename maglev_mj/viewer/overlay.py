@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import glfw
@@ -12,6 +13,8 @@ from maglev_mj.viewer.scenery import ARROW
 __all__ = ["KEYS", "SCREENSHOT", "help_text", "status_text"]
 
 SCREENSHOT = "screenshot"
+
+_NOTHING = 5e-5
 
 KEYS: Mapping[int, str] = {
     glfw.KEY_ENTER: "next scene",
@@ -35,7 +38,7 @@ KEYS: Mapping[int, str] = {
 """What each key does; the engine's viewer has letters, 0 to 5, F1 to F7, Tab, [ ], - =, Page Up, left and right."""
 
 _HELP = (
-    ("Ctrl + right drag", "push (Shift: sideways)"),
+    ("Ctrl + right drag", "push (Shift: level)"),
     ("Ctrl + left drag", "twist"),
     ("Enter", "next scene"),
     ("6   7   8", "wall, pulse, friction"),
@@ -64,14 +67,18 @@ def status_text(view: View, notes: tuple[str, ...] = ()) -> tuple[str, str]:
     """
     settings = view.settings
     on = [name for name in ("wall", "pulse", "friction") if getattr(settings, name)]
-    taken = f"world took {view.taken * 1e3:.1f}" if view.taken >= 0.0 else f"world MADE {-view.taken * 1e3:.1f}"
+    taken = (
+        f"world MADE {-view.taken * 1e3:.1f} mJ" if view.taken < -_NOTHING else f"world took {view.taken * 1e3:.1f} mJ"
+    )
+    if math.isnan(view.taken):  # a recording does not say
+        taken = "world not known"
     rows = [
         ("scene", f"{view.scene.name}: {view.scene.says}"),
         ("on", ", ".join(on) or "nothing"),
         ("gains", f"{settings.stiffness:.0f} N/m  {settings.damping:.3g} N s/m"),
         ("rate", f"{1.0 / settings.period:.0f} Hz, delay {settings.delay * 1e3:.1f} ms"),
         ("tick", f"{view.cost * 1e6:.0f} us, {view.missed} missed, {view.time:.1f} s"),
-        ("energy", f"hand gave {view.work * 1e3:.1f} mJ, {taken} mJ"),
+        ("energy", f"hand gave {view.work * 1e3:.1f} mJ, {taken}"),
         ("arrows", f"green hand, red device, 5 N = {5e3 * ARROW:.0f} mm"),
         *(("", note) for note in (*view.notes, *notes)),
     ]

@@ -33,6 +33,7 @@ _NAP = 0.001
 _LONGEST_PAUSE = 1.0
 _SHADOWS, _SAMPLES = 2048, 4
 _PICTURE = 1600, 1000
+_HELPED = 560
 
 
 class ShowReport(NamedTuple):
@@ -141,7 +142,7 @@ class _Window:
         """Make the ticks, until the window is closed."""
         session, handle = self._session, self._handle
         started = last = clock()
-        shown, ticks, since = -_FRAME, 0, session.view().time
+        shown, ticks = -_FRAME, 0
         while handle.is_running() and (duration is None or last - started < duration):
             now = clock()
             ticks += session.tick(min(now - last, _LONGEST_PAUSE))  # a suspended machine owes nothing
@@ -158,7 +159,7 @@ class _Window:
             frames=len(costs),
             frame_cost=median(costs) if costs else 0.0,
             wall_time=last - started,
-            simulated=view.time - since,
+            simulated=session.simulated,
             ticks=ticks,
             missed=view.missed,
         )
@@ -231,7 +232,9 @@ class _Window:
         font, grid = mujoco.mjtFont.mjFONT_NORMAL, mujoco.mjtGridPos
         notes = (self._note,) if self._note else ()
         status = (font, grid.mjGRID_TOPLEFT, *status_text(view, notes))
-        handle.set_texts([status, (font, grid.mjGRID_BOTTOMLEFT, *help_text())])
+        tall = rectangle is not None and rectangle.height >= _HELPED  # in a small window the two would overlap
+        keys = (font, grid.mjGRID_BOTTOMLEFT, *(help_text() if tall else ("keys", "in a taller window")))
+        handle.set_texts([status, keys])
         handle.sync()
 
     def _frame_camera(self) -> None:
@@ -243,10 +246,11 @@ class _Window:
         """Write what is to be seen, larger than the window and without its edges."""
         path = _new_picture(self._folder)
         try:
-            with OffscreenPainter(view.scene.name, *_PICTURE) as painter:
+            with OffscreenPainter(view.scene.name, *_PICTURE, backend="glfw") as painter:
+                painter.wait(view)
                 write_picture(painter.picture(view), path)
             self._note = f"wrote {path}"
-        except (DisplayError, OSError) as error:
+        except (DisplayError, OSError, mujoco.FatalError) as error:
             self._note = f"no screenshot: {error}"
 
 

@@ -1,0 +1,305 @@
+"""Sessions without a window: keeping up with real time, what actions do, energy, recording."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from maglev_mj import AXES, Controller
+from maglev_mj.errors import ParameterError
+from maglev_mj.hand import ConstantForce, SpringHand
+from maglev_mj.laws import Hold, Law, StickSlip, Wall
+from maglev_mj.loop import ControlLoop
+from maglev_mj.plants import MeteredPlant, Timing
+from maglev_mj.recording import Recording, verify
+from maglev_mj.replay import rebuild
+from maglev_mj.scenes import SCENES, Settings, scene_called
+from maglev_mj.scenes.parts import INERTIA, wall
+from maglev_mj.session import ACTIONS, EnergyAccount, Pacer, Session
+from maglev_mj.stability import largest_stable_stiffness
+
+FRAME = 1.0 / 60.0
+
+
+class Clock:
+    """Real time that goes by only where a tick costs some."""
+
+    def __init__(self) -> None:
+        self.now = 0.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def paced(cost: float, frames: int, *, period: float = 0.005, elapsed: float = FRAME, **limits: float) -> Any:
+    """Return a pacer after some frames whose ticks cost so much, and how many ticks each frame had."""
+    clock = Clock()
+    pacer = Pacer(clock=clock, **limits)
+
+    def tick() -> None:
+        clock.now += cost
+
+    return pacer, [pacer.advance(elapsed, period, tick) for _ in range(frames)]
+
+
+@pytest.mark.parametrize("period", [0.005, 0.001, 0.0005])
+def test_a_machine_that_keeps_up_misses_no_tick(period: float) -> None:
+    pacer, made = paced(1e-5, 1200, period=period)
+    assert abs(sum(made) - 1200 * FRAME / period) <= 1.0
+    assert max(made) - min(made) <= 1
+    assert (pacer.missed, pacer.late) == (0, False)
+    assert pacer.cost == pytest.approx(1e-5)
+
+
+def test_a_stall_is_caught_up_frame_by_frame_within_the_budget() -> None:
+    clock, made = Clock(), []
+    pacer = Pacer(clock=clock, budget=0.012, patience=0.5)
+
+    def tick() -> None:
+        clock.now += 0.001
+
+    for elapsed in (FRAME, 0.4, *[FRAME] * 20):
+        start = clock.now
+        made.append(pacer.advance(elapsed, 0.005, tick))
+        assert clock.now - start <= 0.012 + 0.001
+    assert made[1] == 12  # the budget, though 80 are due
+    assert abs(sum(made) - (0.4 + 21 * FRAME) / 0.005) <= 1.0
+    assert pacer.missed == 0
+
+
+def test_a_machine_that_cannot_keep_up_slows_down_and_says_so() -> None:
+    pacer, made = paced(0.010, 600)  # two ticks fill the budget, three and a third are due
+    assert set(made[60:]) == {2}
+    assert pacer.late
+    due = 600 * FRAME / 0.005
+    assert sum(made) + pacer.missed == pytest.approx(due - 0.5 / 0.005, abs=2.0)
+    assert pacer.owed <= 0.5 + 0.005
+
+
+def test_what_is_forgiven_is_not_caught_up() -> None:
+    pacer, _ = paced(0.010, 10)
+    assert pacer.owed > 0.05
+    pacer.forgive()
+    assert pacer.advance(0.0, 0.005, lambda: None) == 0
+
+
+def after(session: Session, seconds: float) -> Session:
+    """Let a session go on."""
+    for _ in range(round(seconds / FRAME)):
+        session.tick(FRAME)
+    return session
+
+
+def made(scene: str = "joystick", **options: Any) -> Session:
+    """Return a session that no slow machine can make late."""
+    return Session(scene, pacer=Pacer(budget=60.0, patience=3600.0), **options)
+
+
+def stored_at_start(name: str) -> float:
+    """Return the energy in a scene's springs where it starts [J]: the corner's is drawn."""
+    scene = SCENES[name]
+    springs = [law for law in scene.laws(scene.settings) if isinstance(law, Hold)]
+    away = [np.asarray(law.target) - np.array(scene.pose)[[AXES.index(axis) for axis in law.axes]] for law in springs]
+    return sum(float((0.5 * np.asarray(law.stiffness) * way**2).sum()) for law, way in zip(springs, away, strict=True))
+
+
+@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize(("period", "delay"), [(0.005, 0.0015), (0.001, 0.0005)])
+def test_every_scene_runs_in_its_scripted_hand_and_takes_energy(name: str, period: float, delay: float) -> None:
+    scene = SCENES[name]
+    settings = Settings.from_json({**scene.settings.as_json(), "period": period, "delay": delay})
+    end = scene.script.end if scene.script is not None else 0.5
+    session = after(made(name, settings=settings, hand=SpringHand(target=scene.script)), end + 1.0)
+    view = session.view()
+    assert not view.notes
+    assert view.taken > -stored_at_start(name)
+    assert np.abs(view.pose[:3]).max() < 0.0046
+    if scene.script is not None:
+        assert abs(view.work) > 1e-4
+
+
+@pytest.mark.parametrize("name", [name for name in SCENES if name != "drop"])
+def test_a_scene_left_alone_comes_to_rest(name: str) -> None:
+    session = after(made(name), 3.0)
+    assert np.abs(np.diff(session.view().history[-50:, 1])).max() < 1e-7
+
+
+def test_pause_stops_time_and_owes_nothing() -> None:
+    session = after(made(), 0.5)
+    time = session.view().time
+    session.act("pause")
+    assert session.tick(5.0) == 0
+    assert session.view().time == time
+    assert session.view().notes == ["PAUSED"]
+    session.act("pause")
+    assert session.tick(FRAME) <= 4
+
+
+def test_actions_change_what_they_say_and_the_flotor_goes_on_from_where_it_is() -> None:
+    session = made(hand=SpringHand(target=[0.008, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    after(session, 0.137)
+    expected = {
+        "wall": ("wall", False),
+        "pulse": ("pulse", False),
+        "friction": ("friction", True),
+        "stiffness up": ("stiffness", 7500.0),
+        "damping up": ("damping", 100.0),
+        "rate up": ("period", 0.002),
+        "delay up": ("delay", 0.002),
+        "stiffness down": ("stiffness", 6000.0),
+        "damping down": ("damping", 80.0),
+        "rate down": ("period", 0.005),
+        "delay down": ("delay", 0.0015),
+    }
+    for action, (name, value) in expected.items():
+        before = session.view()
+        session.act(action)
+        now = session.view()
+        assert getattr(now.settings, name) == pytest.approx(value)
+        assert (now.pose == before.pose).all()
+        assert now.time == before.time
+        after(session, 0.05)
+    assert session.view().time == pytest.approx(0.137 + 11 * 0.05, abs=0.01)
+
+
+def test_gains_rate_and_delay_stay_within_what_can_be() -> None:
+    session = made()
+    for action in ("stiffness", "damping", "rate", "delay"):
+        for sense in ("up", "down"):
+            for _ in range(60):
+                session.act(f"{action} {sense}")
+            after(session, FRAME)
+
+
+def test_every_action_is_known_and_no_other() -> None:
+    session = made()
+    for action in ACTIONS:
+        if action != "record":
+            session.act(action)
+    with pytest.raises(ParameterError, match=r"action must be one of wall, pulse, .* not 'jump'"):
+        session.act("jump")
+
+
+def test_next_scene_goes_round() -> None:
+    session = made()
+    seen = []
+    for _ in SCENES:
+        session.act("next scene")
+        seen.append(session.view().scene.name)
+    assert seen == [*list(SCENES)[1:], "joystick"]
+
+
+def test_drop_lets_go_with_its_weight_and_centre_undoes_it() -> None:
+    session = made("box")
+    session.act("drop")
+    assert session.view().pose[2] == 0.004
+    after(session, 1.0)
+    view = session.view()
+    assert view.pose[2] == pytest.approx(-0.003 - INERTIA[0] * 9.81 / 6000.0, abs=1e-5)
+    session.act("centre")
+    assert session.view().settings.weightless
+    assert not session.view().pose.any()
+
+
+@pytest.mark.parametrize(("share", "stops"), [(0.8, False), (1.5, True)])
+def test_a_wall_that_is_unstable_is_stopped_and_restored_by_one_key(share: float, stops: bool) -> None:
+    """Beside the boundary that the closed loop's eigenvalues give, at the press that keeps the flotor in the wall."""
+    limit = float(largest_stable_stiffness(87.0, period=0.005, delay=0.0015))
+    settings = Settings(weightless=False, pulse=False, stiffness=share * limit, damping=87.0)
+    session = after(made("drop", settings=settings), 8.0)
+    (note,) = session.view().notes or [""]
+    assert note.startswith("STOPPED: the rendered world made") == stops
+    assert (session.tick(1.0) == 0) == stops
+    session.act("centre")
+    assert not session.view().notes
+    assert session.tick(FRAME) > 0
+
+
+def test_work_is_metered_whatever_else_pushes() -> None:
+    """Work of the actuators, of the hand and of weight against kinetic energy, on all six axes."""
+    plant = MeteredPlant(
+        Timing(period=0.004, delay=0.0013),
+        twist=[0.05, -0.03, 0.02, 0.3, -0.2, 0.4],
+        hand_force=ConstantForce([0.5, 0.2, 4.0, 1e-3, -2e-3, 1e-3]),
+    )
+    model_inertia = plant.device.inertia
+    laws: list[Law] = [
+        Wall(axes=("x", "z"), lower=-0.001, upper=0.001, stiffness=3000.0, damping=20.0, pulse=60.0, pulse_width=0.002),
+        Hold(axes=("y", "rx", "ry", "rz"), stiffness=[300.0, 0.4, 0.4, 0.4], damping=[5.0, 0.01, 0.01, 0.01]),
+    ]
+    controller = Controller(laws, period=0.004)
+    pose, start = plant.state()
+    account = EnergyAccount(pose, [0.0] * 6)
+    inertia = np.array([plant.device.mass] * 3 + model_inertia.tolist())
+    for _ in range(100):
+        ControlLoop(plant, controller).cycle()
+        pose, twist = plant.state()
+        account.add(pose, plant.hand_wrench, plant.work)
+    kinetic = 0.5 * float(inertia @ (twist**2 - start**2))
+    weight = -plant.device.mass * 9.81 * pose[2]
+    assert account.taken == pytest.approx(account.hand + weight - kinetic, abs=2e-6)
+    assert abs(account.taken) > 1e-3
+
+
+def test_a_recorded_session_runs_again_bit_for_bit(tmp_path: Path) -> None:
+    random = np.random.default_rng(5)
+    session = made(folder=tmp_path)
+    after(session, 0.1)
+    session.act("record")
+    for step in range(90):
+        if step % 15 == 0:
+            session.hand.target = [*random.uniform(-0.02, 0.02, 3), *random.uniform(-0.3, 0.3, 3)]
+        if step in (20, 40, 50, 60, 75):
+            session.act(["friction", "stiffness up", "rate up", "drop", "next scene"][step // 16])
+        session.tick(FRAME)
+    session.close()  # without a word about the recording: it is kept
+    (path,) = session.recordings
+    recording = Recording.load(path)
+    assert recording.ticks > 300
+    verdict = verify(recording, rebuild)
+    assert verdict.same, verdict
+
+
+def test_what_was_recorded_before_a_run_is_stopped_is_kept(tmp_path: Path) -> None:
+    settings = Settings(weightless=False, stiffness=40000.0, damping=87.0)
+    session = made("drop", settings=settings, folder=tmp_path)
+    session.act("record")
+    after(session, 1.0)
+    assert session.view().notes[0].startswith("STOPPED")
+    session.act("record")
+    recording = Recording.load(session.recordings[0])
+    assert recording.ticks > 5
+    assert verify(recording, rebuild).same
+    session.close()
+
+
+def test_walls_and_friction_on_an_axis_share_the_gains() -> None:
+    """Both together are as stiff as either alone: their sum is what the delay bounds."""
+    alone = Settings()
+    both = Settings(friction=True)
+    for name in ("joystick", "box", "corner"):
+        for settings in (alone, both):
+            laws = [law for law in SCENES[name].laws(settings) if isinstance(law, Wall | StickSlip)]
+            assert len(laws) == 1 + settings.friction
+            assert sum(float(np.max(law.stiffness)) for law in laws) == 6000.0
+            assert sum(float(np.max(law.damping)) for law in laws) == 80.0
+    assert wall(alone, "x", lower=0.0).stiffness == 6000.0
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: scene_called("pub"), "scene must be one of joystick, .* not 'pub'"),
+        (lambda: Settings(stiffness=-1.0), "stiffness must be .* not -1.0"),
+        (
+            lambda: Settings(wall=1),  # type: ignore[arg-type]
+            "wall must be True or False, not 1",
+        ),
+        (lambda: Settings.from_json({"speed": 1.0}), "settings must be of .* not speed"),
+        (lambda: Pacer(budget=0.0), "budget must be .* above 0"),
+    ],
+)
+def test_what_cannot_be_is_refused(make: Any, words: str) -> None:
+    with pytest.raises(ParameterError, match=words):
+        make()

@@ -1,0 +1,200 @@
+"""The viewer: a real window on a virtual screen, moved by xdotool; and pictures without a window."""
+
+import math
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from maglev_mj.frames import Array
+from maglev_mj.hand import SpringHand
+from maglev_mj.model import model_path
+from maglev_mj.recording import Recording, verify
+from maglev_mj.replay import rebuild
+from maglev_mj.scenes.joystick import CENTRING
+from maglev_mj.viewer.overlay import KEYS, help_text
+from maglev_mj.viewer.scenery import GRIP
+from tests.virtual_screen import MISSING, VirtualScreen, waited
+
+needs_screen = pytest.mark.skipif(bool(MISSING), reason=f"a window needs {', '.join(MISSING)} (Debian: xvfb, xdotool)")
+
+SCREEN = 900, 600
+DRAG = 30
+"""Pixels."""
+
+PRESSED = {
+    "7": ("pulse", False),
+    "8": ("friction", True),
+    "6": ("wall", False),
+    "Up": ("stiffness", 7500.0),
+    "Down": ("stiffness", 6000.0),
+    "period": ("damping", 100.0),
+    "comma": ("damping", 80.0),
+    "F9": ("period", 0.002),
+    "F8": ("period", 0.005),
+    "apostrophe": ("delay", 0.002),
+    "semicolon": ("delay", 0.0015),
+}
+"""What each key, by xdotool's name, sets which setting to, one after the other."""
+
+
+@dataclass
+class Session:
+    """What a session by mouse and keys left behind."""
+
+    status: int
+    said: str
+    folder: Path
+
+    @property
+    def recordings(self) -> list[Recording]:
+        """In the order in which they were made."""
+        return [Recording.load(path) for path in sorted(self.folder.glob("*.npz"))]
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Session]:
+    """Drag the handle and let go, press every key, and close the window."""
+    folder = tmp_path_factory.mktemp("session")
+    command = [sys.executable, "-m", "maglev_mj.cli", "view", "joystick", "--no-wall", "--out", str(folder)]
+    with VirtualScreen(*SCREEN) as screen:
+        program = subprocess.Popen(
+            command, env=screen.environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+        )
+        try:
+            window = screen.window("joystick")
+            middle = SCREEN[0] // 3, SCREEN[1] // 3
+            time.sleep(1.5)
+            screen.xdotool("mousemove", *middle)  # keys go to the window under the mouse
+            time.sleep(0.5)
+            screen.xdotool("key", "F10")
+            time.sleep(1.0)
+            screen.xdotool("keydown", "ctrl", "mousemove", *middle, "mousedown", 3)
+            time.sleep(0.4)
+            for step in range(1, 5):
+                screen.xdotool("mousemove", middle[0] + DRAG * step // 4, middle[1])
+                time.sleep(0.2)
+            time.sleep(1.5)
+            screen.xdotool("mouseup", 3, "keyup", "ctrl")
+            time.sleep(1.5)
+            screen.xdotool("key", "F10")
+            waited(lambda: list(folder.glob("*.npz")), 10.0)
+            time.sleep(1.1)  # names go by the second
+            screen.xdotool("key", "6", "key", "F10")  # the wall is back for the keys' own turn
+            for key in (*PRESSED, "9", "slash", "space", "space", "Return"):
+                time.sleep(0.5)
+                screen.xdotool("key", key)
+            time.sleep(0.5)
+            screen.xdotool("key", "F10", "key", "F12")
+            waited(lambda: list(folder.glob("*.png")), 30.0)
+            time.sleep(1.0)
+            screen.close(window)
+            said, _ = program.communicate(timeout=30)
+        finally:
+            program.kill()
+            program.communicate()
+    yield Session(program.returncode, said, folder)
+
+
+@needs_screen
+def test_closing_the_window_ends_the_program(session: Session) -> None:
+    assert session.status == 0, session.said
+    assert session.said.count("wrote") == 2  # two recordings
+    assert "real-time factor" in session.said
+
+
+@needs_screen
+def test_a_drag_moves_the_flotor_as_the_hands_stiffness_says(session: Session) -> None:
+    """Far end of the spring from pixels and camera alone; then two springs in balance."""
+    recording = session.recordings[0]
+    position = np.concatenate([stretch.position for stretch in recording.stretches])
+    hand = np.concatenate([stretch.hand for stretch in recording.stretches])
+    held = np.flatnonzero(np.abs(hand).max(axis=1) > 0.0)
+    assert held.size > 100
+    drawn = camera_drag("joystick", DRAG, SCREEN[1] * 2 // 3)
+    stiffness = SpringHand().stiffness
+    expected = drawn * stiffness / (stiffness + CENTRING)
+    settled = position[held[-20:], :3].mean(axis=0)
+    assert np.linalg.norm(settled - expected) < 0.1 * np.linalg.norm(expected)
+    assert np.linalg.norm(hand[held[-1], :3]) == pytest.approx(CENTRING * np.linalg.norm(settled), rel=0.02)
+
+
+@needs_screen
+def test_letting_go_brings_it_back(session: Session) -> None:
+    stretch = session.recordings[0].stretches[-1]
+    assert not stretch.hand[-100:].any()
+    assert np.abs(stretch.position[-1]).max() < 1e-5
+
+
+@needs_screen
+def test_a_session_by_mouse_runs_again_bit_for_bit(session: Session) -> None:
+    for recording in session.recordings:
+        verdict = verify(recording, rebuild)
+        assert verdict.same, verdict
+        assert verdict.ticks > 300
+
+
+@needs_screen
+def test_keys_do_what_the_overlay_says(session: Session) -> None:
+    stretches = session.recordings[1].stretches
+    settings = [stretch.setup["settings"] for stretch in stretches]
+    for before, after, (name, value) in zip(settings, settings[1:], PRESSED.values(), strict=False):
+        assert after[name] == pytest.approx(value)
+        assert {key for key in after if after[key] != before[key]} == {name}
+    dropped, centred, following = stretches[len(PRESSED) + 1 : len(PRESSED) + 4]
+    assert dropped.setup["pose"][2] == 0.004
+    assert not dropped.setup["settings"]["weightless"]
+    assert centred.setup["pose"] == [0.0] * 6
+    assert centred.setup["settings"]["weightless"]
+    # two halves of a second pass, and the one between the two presses of pause does not
+    assert 0.5 < len(centred.tick) * centred.setup["settings"]["period"] < 1.5
+    assert following.setup["scene"] == "drop"
+
+
+@needs_screen
+def test_a_screenshot_is_taken(session: Session) -> None:
+    (path,) = session.folder.glob("*.png")
+    assert path.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+
+
+def camera_drag(scene: str, pixels: int, height: int) -> Array:
+    """Return how far a drag to the right moves the grip [m], (3,), by the camera of a scene's file alone."""
+    model = mujoco.MjModel.from_xml_path(str(model_path(f"scenes/{scene}")))
+    azimuth, elevation = (math.radians(getattr(model.vis.global_, name)) for name in ("azimuth", "elevation"))
+    forward = np.array(
+        [math.cos(elevation) * math.cos(azimuth), math.cos(elevation) * math.sin(azimuth), math.sin(elevation)]
+    )
+    camera = model.stat.center - 1.5 * model.stat.extent * forward
+    depth = float((GRIP - camera) @ forward)
+    across = 2.0 * depth * math.tan(math.radians(0.5 * model.vis.global_.fovy))  # of the whole picture's height
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    return pixels / height * across * right / np.linalg.norm(right)
+
+
+def test_every_key_is_in_the_overlay_and_none_is_the_viewers_own() -> None:
+    assert len(help_text()[0].splitlines()) == len(help_text()[1].splitlines())
+    words = help_text()[1]
+    for action in KEYS.values():
+        assert action.removesuffix(" up").removesuffix(" down") in words
+    letters, digits, function = set(range(65, 91)), set(range(48, 54)), set(range(290, 297))
+    others = {258, 259, 256, 262, 263, 266, 45, 61, 91, 93}  # Tab Backspace Escape right left PageUp - = [ ]
+    assert not set(KEYS) & (letters | digits | function | others)
+
+
+def test_without_a_display_one_line_says_what_to_use_instead() -> None:
+    bare = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    for display in ({}, {"DISPLAY": ":4242"}):
+        done = subprocess.run(
+            [sys.executable, "-m", "maglev_mj.cli", "view"], env=bare | display, capture_output=True, text=True
+        )
+        assert done.returncode == 1
+        assert len(done.stderr.splitlines()) == 1
+        assert "render" in done.stderr
+        assert "drop --out" in done.stderr

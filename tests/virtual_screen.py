@@ -1,0 +1,93 @@
+"""A screen that nobody sees, with a mouse and keys that xdotool moves: for tests of the window."""
+
+from __future__ import annotations
+
+import ctypes
+import ctypes.util
+import os
+import shutil
+import subprocess
+import time
+from collections.abc import Callable
+from types import TracebackType
+from typing import Any, Self
+
+__all__ = ["MISSING", "VirtualScreen"]
+
+MISSING = [tool for tool in ("Xvfb", "xdotool") if shutil.which(tool) is None]
+"""What must be installed for a virtual screen, and is not."""
+
+
+class VirtualScreen:
+    """An X server of its own, for as long as the context lasts."""
+
+    def __init__(self, width: int, height: int) -> None:
+        self._size = f"{width}x{height}x24"
+
+    def __enter__(self) -> Self:
+        read, write = os.pipe()
+        self._server = subprocess.Popen(
+            ["Xvfb", "-displayfd", str(write), "-screen", "0", self._size, "-nolisten", "tcp"],
+            pass_fds=[write],
+            stderr=subprocess.DEVNULL,
+        )
+        os.close(write)
+        with os.fdopen(read) as pipe:
+            self.display = f":{pipe.readline().strip()}"
+        self.environment = {**os.environ, "DISPLAY": self.display, "LIBGL_ALWAYS_SOFTWARE": "1"}
+        self.environment.pop("WAYLAND_DISPLAY", None)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._server.terminate()
+        self._server.wait(10)
+
+    def xdotool(self, *arguments: object) -> str:
+        """Move the mouse or press keys; return what xdotool says."""
+        done = subprocess.run(
+            ["xdotool", *map(str, arguments)], env=self.environment, capture_output=True, text=True, timeout=20
+        )
+        return done.stdout.strip()
+
+    def window(self, name: str, patience: float = 60.0) -> int:
+        """Wait for a window whose name holds a word; return its number."""
+        found = waited(lambda: self.xdotool("search", "--name", name), patience)
+        return int(str(found).split()[-1])
+
+    def close(self, window: int) -> None:
+        """Ask a window to close, as its close button does; without a window manager that is a message to it."""
+        x11 = ctypes.CDLL(ctypes.util.find_library("X11") or "libX11.so.6")
+        x11.XOpenDisplay.restype = ctypes.c_void_p
+        x11.XInternAtom.restype = ctypes.c_ulong
+        server = ctypes.c_void_p(x11.XOpenDisplay(self.display.encode()))
+        atom = [x11.XInternAtom(server, name, 0) for name in (b"WM_PROTOCOLS", b"WM_DELETE_WINDOW")]
+
+        class Message(ctypes.Structure):
+            _fields_ = (
+                ("type", ctypes.c_int),
+                ("serial", ctypes.c_ulong),
+                ("send_event", ctypes.c_int),
+                ("display", ctypes.c_void_p),
+                ("window", ctypes.c_ulong),
+                ("message_type", ctypes.c_ulong),
+                ("format", ctypes.c_int),
+                ("data", ctypes.c_long * 5),
+                ("room", ctypes.c_char * 192),  # an event is a union of this size at most
+            )
+
+        message = Message(type=33, window=window, message_type=atom[0], format=32)
+        message.data[0] = atom[1]
+        x11.XSendEvent(server, ctypes.c_ulong(window), 0, ctypes.c_long(0), ctypes.byref(message))
+        x11.XFlush(server)
+        x11.XCloseDisplay(server)
+
+
+def waited(ask: Callable[[], Any], patience: float) -> Any:
+    """Return the first answer that is not empty."""
+    end = time.monotonic() + patience
+    while not (answer := ask()):
+        assert time.monotonic() < end, "waited in vain"
+        time.sleep(0.1)
+    return answer
