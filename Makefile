@@ -4,13 +4,19 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: demo test check lint types wheel clean
+SCENES := joystick drop press table box corner
+
+.PHONY: demo test pictures check lint types wheel clean
 
 demo: $(READY)  ## drop the flotor: a summary here, pictures in figures/
 	$(BIN)/maglev-mj drop --phases 100 --out figures
 
 test: $(READY)  ## run all tests
 	$(BIN)/python -m pytest
+
+pictures: $(READY)  ## draw the README's pictures of the scenes anew
+	for scene in $(SCENES); do $(BIN)/maglev-mj render $$scene --out docs/images/scene_$$scene.png --width 960 --height 600 || exit 1; done
+	$(BIN)/maglev-mj render joystick --out docs/images/joystick.gif --width 600 --height 375 --rate 12 --seconds 4.2
 
 check: lint types test  ## what a change must pass
 

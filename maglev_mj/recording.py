@@ -132,7 +132,7 @@ class Recording:
             RecordingError: If it is not there, or no whole recording.
         """
         try:
-            with np.load(path, allow_pickle=False) as file:
+            with path.open("rb") as whole, np.load(whole, allow_pickle=False) as file:
                 header = json.loads(str(file["header"]))
                 if header["format"] != _FORMAT:
                     raise RecordingError(f"recording must be of {_FORMAT!r}, not {header['format']!r}")

@@ -1,0 +1,185 @@
+"""Recordings: written, read, run again bit for bit, shown; and pictures of scenes without a window."""
+
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from maglev_mj.cli import main
+from maglev_mj.experiments.drop import DropParameters, run_drop
+from maglev_mj.recording import Recording, RecordingError, Stretch, verify
+from maglev_mj.replay import Replay, rebuild, record_experiment
+from maglev_mj.viewer.clip import write_picture
+
+
+@pytest.mark.parametrize("command", ["drop", "press", "stick-slip"])
+@pytest.mark.parametrize("plant", ["exact", "mujoco"])
+def test_any_run_is_recorded_and_checked(command: str, plant: str, tmp_path: Path, capsys: Any) -> None:
+    path = tmp_path / "run.npz"
+    json = tmp_path / "run.json"
+    assert main([command, "--plant", plant, "--record", str(path), "--json", str(json)]) == 0
+    capsys.readouterr()
+    assert main(["replay", str(path), "--check"]) == 0
+    said = capsys.readouterr().out
+    ticks = Recording.load(path).ticks
+    assert ticks > 50
+    assert said.count(f"{ticks} of {ticks}") == 2
+
+
+def test_a_recording_holds_the_run_that_the_command_shows(tmp_path: Path) -> None:
+    parameters = DropParameters(plant="exact", phase=0.3)
+    (stretch,) = record_experiment("drop", parameters).stretches
+    pose, _, _ = run_drop(parameters).trace.at(stretch.time[:-1])
+    assert np.abs(pose - stretch.position[:-1]).max() < 1e-15
+
+
+def test_a_run_that_diverges_is_recorded_up_to_there(tmp_path: Path) -> None:
+    path = tmp_path / "run.npz"
+    assert main(["drop", "--plant", "exact", "--stiffness", "4e4", "--delay", "0.005", "--record", str(path)]) == 1
+    recording = Recording.load(path)
+    assert recording.ticks > 5
+    assert verify(recording, rebuild).same
+
+
+def changed(stretch: Stretch, name: str, row: int) -> Stretch:
+    """Return a stretch with the last bit of one number changed."""
+    values = getattr(stretch, name).copy()
+    values[row, 2] = np.nextafter(values[row, 2], 1.0)
+    return replace(stretch, **{name: values})
+
+
+@pytest.mark.parametrize("name", ["position", "command"])
+def test_a_single_bit_that_differs_is_found(name: str, tmp_path: Path, capsys: Any) -> None:
+    (stretch,) = record_experiment("drop", DropParameters(plant="exact")).stretches
+    verdict = verify(Recording([changed(stretch, name, 20)]), rebuild)
+    assert not verdict.same
+    assert verdict.first == (0, 20)
+    path = tmp_path / "run.npz"
+    Recording([changed(stretch, name, 20)]).save(path)
+    assert main(["replay", str(path), "--check"]) == 1
+    assert "stretch 0, tick 20" in capsys.readouterr().out
+
+
+def test_a_hand_that_differs_moves_the_flotor_elsewhere() -> None:
+    (stretch,) = record_experiment("drop", DropParameters(plant="exact")).stretches
+    hand = stretch.hand.copy()
+    hand[10, 2] = 0.1
+    verdict = verify(Recording([replace(stretch, hand=hand)]), rebuild)
+    assert verdict.first == (0, 11)
+    assert verdict.positions == 11
+    assert verdict.commands == verdict.ticks
+
+
+def cut(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:-2000])
+
+
+def text(path: Path) -> None:
+    path.write_text("not a recording")
+
+
+def another(path: Path) -> None:
+    np.savez(path, header=np.array('{"format": "maglev_mj recording 9", "setups": []}'))
+
+
+def missing(path: Path) -> None:
+    path.unlink()
+
+
+@pytest.mark.parametrize("spoil", [cut, text, another, missing])
+def test_a_file_that_is_no_recording_is_one_line(spoil: Callable[[Path], None], tmp_path: Path, capsys: Any) -> None:
+    path = tmp_path / "run.npz"
+    record_experiment("drop", DropParameters(plant="exact")).save(path)
+    spoil(path)
+    assert main(["replay", str(path), "--check"]) == 1
+    said = capsys.readouterr().err
+    assert len(said.splitlines()) == 1
+    assert "recording" in said
+
+
+def test_a_setup_that_is_not_known_is_refused() -> None:
+    (stretch,) = record_experiment("drop", DropParameters(plant="exact")).stretches
+    with pytest.raises(RecordingError, match="cannot be made here"):
+        verify(Recording([replace(stretch, setup={"kind": "pinball"})]), rebuild)
+    with pytest.raises(RecordingError, match="nothing in the recording"):
+        Replay(Recording([]))
+
+
+@pytest.mark.parametrize("kind", ["drop", "stick-slip"])
+def test_a_replay_shows_what_was_recorded_in_real_time(kind: str, tmp_path: Path) -> None:
+    from maglev_mj.replay import EXPERIMENTS
+
+    recording = record_experiment(kind, EXPERIMENTS[kind][0](plant="exact"))
+    replay = Replay(recording)
+    shown = sum(replay.tick(0.0125) for _ in range(10))
+    view = replay.view()
+    assert shown == 25
+    assert (view.pose == recording.stretches[0].position[25]).all()
+    assert view.history.shape == (26, 5)
+    assert (view.anchors is not None) == (kind == "stick-slip")
+    replay.act("pause")
+    assert replay.tick(1.0) == 0
+    replay.act("centre")
+    assert (replay.view().pose == recording.stretches[0].position[0]).all()
+
+
+@pytest.mark.parametrize("ending", ["png", "gif", "mp4"])
+def test_a_scene_is_drawn_without_a_window(ending: str, tmp_path: Path) -> None:
+    """In a process of its own, as a program draws with one library only."""
+    path = tmp_path / f"scene.{ending}"
+    options = ["--seconds", "0.4", "--rate", "10", "--width", "320", "--height", "200"]
+    done = subprocess.run(
+        [sys.executable, "-m", "maglev_mj.cli", "render", "drop", "--out", str(path), *options],
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    import imageio.v2
+
+    if ending == "mp4":
+        import imageio_ffmpeg
+
+        assert imageio_ffmpeg.count_frames_and_secs(str(path))[0] == 4
+        return
+    frames = imageio.v2.mimread(path) if ending == "gif" else [imageio.v2.imread(path)]
+    assert len(frames) == (1 if ending == "png" else 4)
+    assert frames[0].shape[:2] == (200, 320)
+    assert float(np.asarray(frames[0], dtype=float).std()) > 10.0
+    if len(frames) > 1:
+        assert (frames[0] != frames[-1]).any()
+
+
+def test_a_picture_is_written_as_it_is(tmp_path: Path) -> None:
+    import imageio.v2
+
+    pixels = np.random.default_rng(1).integers(0, 256, (7, 5, 3), dtype=np.uint8)
+    write_picture(pixels, tmp_path / "a.png")
+    assert (imageio.v2.imread(tmp_path / "a.png") == pixels).all()
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["render", "pub", "--out", "a.png"], "scene must be one of joystick"),
+        (["render", "box", "--out", "a.bmp"], "out must end in .png, .gif or .mp4, not 'a.bmp'"),
+        (["render", "box", "--out", "nowhere/a.png"], "out must be a file in a folder that is there"),
+        (["render", "box", "--out", "a.png", "--width", "1"], "width must be .* at least 160"),
+        (["render", "box", "--out", "a.png", "--stiffness", "-1"], "stiffness must be"),
+        (["view", "pub"], "scene must be one of joystick"),
+        (["view", "box", "--seconds", "0"], "seconds must be .* above 0"),
+        (["view", "box", "--hand-stiffness", "-5"], "hand stiffness must be"),
+        (["drop", "--record", "nowhere/a.npz"], "record must be a file in a folder that is there"),
+    ],
+)
+def test_bad_input_is_one_line_and_status_2(options: list[str], words: str, capsys: Any) -> None:
+    import re
+
+    assert main(options) == 2
+    said = capsys.readouterr().err
+    assert len(said.splitlines()) == 1
+    assert re.search(words, said)
