@@ -274,6 +274,19 @@ def test_what_was_recorded_before_a_run_is_stopped_is_kept(tmp_path: Path) -> No
     session.close()
 
 
+def test_a_recording_whose_folder_is_gone_goes_elsewhere(tmp_path: Path) -> None:
+    folder = tmp_path / "gone"
+    folder.mkdir()
+    session = made(folder=folder)
+    session.act("record")
+    after(session, 0.1)
+    folder.rmdir()
+    session.close()
+    (path,) = session.recordings
+    assert Recording.load(path).ticks > 5
+    path.unlink()
+
+
 def test_walls_and_friction_on_an_axis_share_the_gains() -> None:
     """Both together are as stiff as either alone: their sum is what the delay bounds."""
     alone = Settings()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -263,8 +264,12 @@ class Session:
             return
         kept, self._kept = self._kept, None
         stretches = [stretch.recorder.stretch() for stretch in kept if stretch.recorder is not None and stretch.ticks]
-        path = _new_file(self._folder)
-        Recording(stretches).save(path)
+        recording, path = Recording(stretches), _new_file(self._folder)
+        try:
+            recording.save(path)
+        except OSError:  # the folder is gone, or full: what is recorded must not be lost
+            path = _new_file(Path(tempfile.gettempdir()))
+            recording.save(path)
         self.recordings.append(path)
         self._wrote = f"wrote {path}"
         if not self._stopped:
