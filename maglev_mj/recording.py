@@ -236,4 +236,6 @@ def _checked(array: Any, name: str) -> Array:
     columns = _COLUMNS[name]
     if array.dtype != np.float64 or array.ndim != (2 if columns else 1) or (columns and array.shape[1] != columns):
         raise ValueError(name)
+    if not np.isfinite(array).all():
+        raise ValueError(name)
     return np.asarray(array)

@@ -186,6 +186,7 @@ class _Shown:
 
 def _scene_of(setup: Setup) -> tuple[Scene, Settings]:
     """Return the scene that shows a stretch, and its settings."""
+    rebuild(setup, None)[0].close()  # complains of what is not known here
     if setup["kind"] == "scene":
         return scene_called(setup["scene"]), Settings.from_json(setup["settings"])
     parameters, _, name = EXPERIMENTS[setup["kind"]]

@@ -106,6 +106,8 @@ def test_a_setup_that_is_not_known_is_refused() -> None:
     (stretch,) = record_experiment("drop", DropParameters(plant="exact")).stretches
     with pytest.raises(RecordingError, match="cannot be made here"):
         verify(Recording([replace(stretch, setup={"kind": "pinball"})]), rebuild)
+    with pytest.raises(RecordingError, match="cannot be made here"):
+        Replay(Recording([replace(stretch, setup={"kind": "pinball"})]))
     with pytest.raises(RecordingError, match="nothing in the recording"):
         Replay(Recording([]))
 

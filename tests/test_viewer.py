@@ -92,7 +92,9 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Session]:
                 time.sleep(0.5)
                 screen.xdotool("key", key)
             time.sleep(0.5)
-            screen.xdotool("key", "F10", "key", "F12")
+            for key in ("F10", "F12"):
+                screen.xdotool("key", key)
+                time.sleep(0.5)
             waited(lambda: list(folder.glob("*.png")), 30.0)
             time.sleep(1.0)
             screen.close(window)

@@ -35,7 +35,8 @@ class VirtualScreen:
         with os.fdopen(read) as pipe:
             self.display = f":{pipe.readline().strip()}"
         self.environment = {**os.environ, "DISPLAY": self.display, "LIBGL_ALWAYS_SOFTWARE": "1"}
-        self.environment.pop("WAYLAND_DISPLAY", None)
+        for name in ("WAYLAND_DISPLAY", "MUJOCO_GL"):
+            self.environment.pop(name, None)
         return self
 
     def __exit__(

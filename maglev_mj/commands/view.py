@@ -48,6 +48,9 @@ def _view(options: argparse.Namespace) -> int:
     require_display()
     options.out.mkdir(parents=True, exist_ok=True)
     session = Session(scene.name, settings=settings, hand=hand, folder=options.out)
-    report = show(session, folder=options.out, duration=seconds)
-    print(show_table(report, session.recordings))
+    try:
+        print(show_table(show(session, folder=options.out, duration=seconds)))
+    finally:
+        for path in session.recordings:  # whatever happened, a person wants to know where they are
+            print(f"  wrote {path}")
     return 0

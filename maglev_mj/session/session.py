@@ -6,24 +6,22 @@ import tempfile
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
 from maglev_mj.errors import MaglevError, ParameterError
-from maglev_mj.frames import Array
 from maglev_mj.hand import SpringHand
 from maglev_mj.recording import Recording
-from maglev_mj.scenes import SCENES, Scene, Settings, scene_called
+from maglev_mj.scenes import SCENES, Settings, scene_called
 from maglev_mj.scenes.parts import WEIGHT
 from maglev_mj.session.actions import CHANGES
 from maglev_mj.session.pacing import Pacer
 from maglev_mj.session.stretch import LiveStretch
+from maglev_mj.session.view import View
 
-__all__ = ["ACTIONS", "Session", "Showable", "View"]
+__all__ = ["ACTIONS", "Session"]
 
 ACTIONS = (*CHANGES, "next scene", "drop", "centre", "pause", "record")
 """What `Session.act` knows."""
@@ -31,65 +29,6 @@ ACTIONS = (*CHANGES, "next scene", "drop", "centre", "pause", "record")
 _SHOWN = 2.0
 _MADE = -0.1
 _ZERO = (0.0,) * 6
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class View:
-    """What there is to see at an instant.
-
-    Attributes:
-        scene: The scene.
-        settings: Its settings.
-        time: Time of the session [s].
-        pose: Of the flotor [m, rad], (6,).
-        force: Wrench of the device after every limit, beyond what carries the flotor [N, N m], (6,).
-        hand: Wrench of the hand [N, N m], (6,).
-        currents: In the coils [A], (6,).
-        faces: Every wall: index into AXES, normal, edge.
-        anchors: Where the flotor sticks [m, rad], (6,), NaN where it does not; None without friction.
-        history: The last two seconds on the scene's axis: time, position, velocity, force of the device and of the
-            hand, (N, 5).
-        work: Of the hand [J].
-        taken: What the rendered world has taken in [J].
-        cost: Real time of a tick [s].
-        missed: Ticks given up.
-        notes: What a person should know now, such as that the session is paused.
-    """
-
-    scene: Scene
-    settings: Settings
-    time: float
-    pose: Array
-    force: Array
-    hand: Array
-    currents: Array
-    faces: Sequence[tuple[int, float, float]]
-    anchors: Array | None
-    history: Array
-    work: float
-    taken: float
-    cost: float
-    missed: int
-    notes: Sequence[str]
-
-
-class Showable(Protocol):
-    """What a window or a clip can show."""
-
-    hand: SpringHand
-    simulated: float
-
-    def tick(self, elapsed: float) -> int:
-        """Go on by as much as real time has [s]; return how many control ticks that were."""
-
-    def act(self, action: str) -> None:
-        """Do what a key asks for."""
-
-    def view(self) -> View:
-        """Return what there is to see."""
-
-    def close(self) -> None:
-        """Keep what is recorded."""
 
 
 class Session:
@@ -262,7 +201,7 @@ class Session:
             self._kept = []
             self._go_on()
             return
-        kept, self._kept = self._kept, None
+        kept = self._kept
         stretches = [stretch.recorder.stretch() for stretch in kept if stretch.recorder is not None and stretch.ticks]
         recording, path = Recording(stretches), _new_file(self._folder)
         try:
@@ -270,6 +209,7 @@ class Session:
         except OSError:  # the folder is gone, or full: what is recorded must not be lost
             path = _new_file(Path(tempfile.gettempdir()))
             recording.save(path)
+        self._kept = None  # only now, for a failed write must leave something to be written
         self.recordings.append(path)
         self._wrote = f"wrote {path}"
         if not self._stopped:

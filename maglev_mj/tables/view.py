@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from maglev_mj.recording import Verdict
@@ -14,7 +12,7 @@ if TYPE_CHECKING:
 __all__ = ["show_table", "verdict_table"]
 
 
-def show_table(report: ShowReport, recordings: Sequence[Path]) -> str:
+def show_table(report: ShowReport) -> str:
     """Return what a session in a window came to."""
     passed, frames = max(report.wall_time, 1e-9), report.frames
     factor = report.simulated / passed
@@ -23,7 +21,7 @@ def show_table(report: ShowReport, recordings: Sequence[Path]) -> str:
         f"  real-time factor {factor:.3f}",
         f"  {frames} frames, {frames / passed:.1f} a second, {report.frame_cost * 1e3:.1f} ms each",
     ]
-    return "\n".join([*lines, *(f"  wrote {path}" for path in recordings)])
+    return "\n".join(lines)
 
 
 def verdict_table(verdict: Verdict) -> str:

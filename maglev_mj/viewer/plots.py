@@ -9,6 +9,7 @@ from typing import Any, TypeAlias
 import mujoco
 import numpy as np
 
+from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.scenes import Settings
 from maglev_mj.scenes.parts import MASS
@@ -99,8 +100,11 @@ class _Boundary:
         # no damping beyond this is stable, whatever the stiffness
         most = 0.5 * np.pi * MASS / (0.5 * period + delay) * 1.1
         dampings = np.linspace(0.0, most, _DAMPINGS)
-        stiffnesses = largest_stable_stiffness(dampings, period=period, delay=delay)
-        end = int(np.flatnonzero(stiffnesses)[-1]) + 2
+        try:
+            stiffnesses = largest_stable_stiffness(dampings, period=period, delay=delay)
+        except ParameterError:  # theory goes up to ten periods of delay; beyond it there is no boundary to draw
+            stiffnesses = np.zeros_like(dampings)
+        end = int(np.flatnonzero(stiffnesses).max(initial=-2)) + 2
         self._known[period, delay] = dampings[:end], stiffnesses[:end]
 
 

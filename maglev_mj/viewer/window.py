@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import glfw
 import mujoco
 
+from maglev_mj.errors import MaglevError
 from maglev_mj.frames import Array, rotation_matrix, rotation_vector
 from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.session import Showable, View
@@ -30,6 +31,7 @@ __all__ = ["ShowReport", "require_display", "show"]
 
 _FRAME = 1.0 / 60.0
 _NAP = 0.001
+_PATIENCE = 10.0
 _LONGEST_PAUSE = 1.0
 _SHADOWS, _SAMPLES = 2048, 4
 _PICTURE = 1600, 1000
@@ -121,6 +123,8 @@ class _Window:
         self._mouse: _Mouse | None = None
         self._note = ""
         self._costs: list[float] = []
+        self._failed: Exception | None = None
+        self._pictures: list[threading.Thread] = []
         self._scenery = _scenery(session.view().scene.name)
         before = set(threading.enumerate())
         # imported here: it asks for a display as soon as it is
@@ -134,7 +138,7 @@ class _Window:
             show_right_ui=False,
         )
         self._frame_camera()
-        self._painter = threading.Thread(target=self._paint, name="painter")
+        self._painter = threading.Thread(target=self._paint, name="painter", daemon=True)
         self._threads = [thread for thread in threading.enumerate() if thread not in before]
         self._painter.start()
 
@@ -145,8 +149,10 @@ class _Window:
         shown, ticks = -_FRAME, 0
         while handle.is_running() and (duration is None or last - started < duration):
             now = clock()
-            ticks += session.tick(min(now - last, _LONGEST_PAUSE))  # a suspended machine owes nothing
+            ticks += session.tick(min(now - last, _LONGEST_PAUSE))  # a machine that was suspended owes no more
             last = now
+            if self._failed is not None:
+                raise self._failed
             self._press_keys()
             self._guide_hand()
             if now - shown >= _FRAME and self._views.empty():
@@ -167,19 +173,23 @@ class _Window:
     def close(self) -> None:
         """Close the window, and wait for the threads that draw: they must not outlive the program."""
         self._handle.close()
-        while self._painter.is_alive():
+        end = time.monotonic() + _PATIENCE
+        while self._painter.is_alive() and time.monotonic() < end:
             with suppress(queue.Full):
                 self._views.put(None, timeout=0.1)
             self._painter.join(0.1)
-        for thread in self._threads:
-            thread.join(10.0)
+        for thread in (*self._pictures, *self._threads):
+            thread.join(_PATIENCE)
 
     def _press_keys(self) -> None:
         """Do what the keys pressed since the last tick ask for."""
         while not self._pressed.empty():
             action = KEYS.get(self._pressed.get())
             if action == SCREENSHOT:
-                threading.Thread(target=self._picture, args=(self._session.view(),)).start()
+                path = _new_picture(self._folder)
+                thread = threading.Thread(target=self._picture, args=(self._session.view(), path))
+                self._pictures.append(thread)
+                thread.start()
             elif action is not None:
                 self._session.act(action)
 
@@ -188,11 +198,12 @@ class _Window:
         mouse, self._mouse = self._mouse, None
         if mouse is None:
             return
-        hand, pose = self._session.hand, self._session.view().pose
+        hand = self._session.hand
         if not (mouse.pushes or mouse.twists):
             if hand.target is not None:
                 hand.target = None
             return
+        pose = self._session.view().pose
         goal = mouse.place - rotation_matrix(pose[3:]) @ GRIP if mouse.pushes else pose[:3]
         turned = rotation_vector(*mouse.turn) if mouse.twists else pose[3:]
         hand.target = [float(part) for part in (*goal, *turned)]
@@ -203,7 +214,9 @@ class _Window:
             begun = time.perf_counter()
             try:
                 self._draw(view)
-            except mujoco.UnexpectedError:  # the window was closed meanwhile
+            except Exception as error:
+                if self._handle.is_running():  # otherwise the window was closed meanwhile
+                    self._failed = error
                 return
             self._costs.append(time.perf_counter() - begun)
 
@@ -242,15 +255,16 @@ class _Window:
         with self._handle.lock():
             mujoco.mjv_defaultFreeCamera(self._scenery.model, self._handle.cam)
 
-    def _picture(self, view: View) -> None:
+    def _picture(self, view: View, path: Path) -> None:
         """Write what is to be seen, larger than the window and without its edges."""
-        path = _new_picture(self._folder)
         try:
-            with OffscreenPainter(view.scene.name, *_PICTURE, backend="glfw") as painter:
+            # a program draws with one library only, and its window has chosen unless MUJOCO_GL had
+            backend = os.environ.get("MUJOCO_GL", "").lower() or "glfw"
+            with OffscreenPainter(view.scene.name, *_PICTURE, backend=backend) as painter:
                 painter.wait(view)
                 write_picture(painter.picture(view), path)
             self._note = f"wrote {path}"
-        except (DisplayError, OSError, mujoco.FatalError) as error:
+        except (MaglevError, OSError, mujoco.FatalError) as error:
             self._note = f"no screenshot: {error}"
 
 
