@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from typing import Any
 
@@ -46,6 +47,7 @@ class Controller:
         """Forget every sample seen."""
         self._states: list[Any] = [law.start() for law in self.laws]
         self._velocity_state: Any = None
+        self._tick = sys.maxsize
 
     @property
     def states(self) -> tuple[Any, ...]:
@@ -61,7 +63,10 @@ class Controller:
         position = sample.position
         if self._velocity_state is None:
             self._check(position)
-        velocity, self._velocity_state = self._estimate(position, self._velocity_state, self.period)
+        elapsed, self._tick = sample.tick - self._tick, sample.tick
+        # a sample that was lost on the way leaves a gap, over which the flotor moved
+        time = self.period if elapsed <= 1 else elapsed * self.period
+        velocity, self._velocity_state = self._estimate(position, self._velocity_state, time)
         wrench: list[Component] = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
         pulse: Sequence[Component] | None = None
         states = self._states

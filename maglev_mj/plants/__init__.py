@@ -2,6 +2,7 @@
 
 from maglev_mj.plants.base import PlantKeywords, SampledPlant
 from maglev_mj.plants.batch import MuJoCoBatchPlant
+from maglev_mj.plants.coil_driven import CoilDrivenPlant
 from maglev_mj.plants.contract import Plant, Timing
 from maglev_mj.plants.corrected import CorrectedBatchPlant, CorrectedPlant
 from maglev_mj.plants.engine import INTEGRATORS, engine_warnings_silenced
@@ -13,6 +14,7 @@ from maglev_mj.plants.steps import one_step
 
 __all__ = [
     "INTEGRATORS",
+    "CoilDrivenPlant",
     "CorrectedBatchPlant",
     "CorrectedPlant",
     "ExactPlant",
