@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import cast
 
@@ -10,7 +12,10 @@ import numpy as np
 from maglev_mj.errors import ModelError, ParameterError
 from maglev_mj.frames import Array
 
-__all__ = ["CoilMap"]
+__all__ = ["UPRIGHT", "CoilMap", "limited_wrench"]
+
+UPRIGHT = 1e-9
+"""Angle [rad] up to which the coils' map is that of the upright flotor: its error is below any figure here."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +69,19 @@ class CoilMap:
         turned[3:] = self._turning.dot(rotation).reshape(3, 6)
         return cast(Array, np.linalg.inv(turned))
 
+    def inverse_turned(self, rx: float, ry: float, rz: float) -> Array:
+        """Return currents per wrench [A/N, A/(N m)], (6, 6), for a flotor turned by a rotation vector [rad]."""
+        square = rx * rx + ry * ry + rz * rz
+        if square <= UPRIGHT * UPRIGHT:
+            return self.current_per_wrench
+        angle = math.sqrt(square)
+        half = math.sin(0.5 * angle) / angle
+        w, x, y, z = math.cos(0.5 * angle), half * rx, half * ry, half * rz
+        xx, yy, zz = 2.0 * x * x, 2.0 * y * y, 2.0 * z * z
+        xy, xz, yz, wx, wy, wz = 2.0 * x * y, 2.0 * x * z, 2.0 * y * z, 2.0 * w * x, 2.0 * w * y, 2.0 * w * z
+        rows = [1.0 - yy - zz, xy - wz, xz + wy, xy + wz, 1.0 - xx - zz, yz - wx, xz - wy, yz + wx, 1.0 - xx - yy]
+        return self.inverse_at(np.array(rows))
+
     def currents(self, wrench: Array) -> Array:
         """Return the currents [A] (..., 6) that give a wrench [N, N m] (..., 6)."""
         return wrench @ self.current_per_wrench.T
@@ -90,3 +108,19 @@ class CoilMap:
         """Return the 2-norm condition number with torques divided by a length [m], which makes it unitless."""
         scale = np.array([1.0, 1.0, 1.0, 1.0 / length, 1.0 / length, 1.0 / length])
         return float(np.linalg.cond(scale[:, None] * self.wrench_per_current))
+
+
+def limited_wrench(inverse_map: Array, force: Sequence[float], limit: float) -> tuple[Sequence[float], list[float]]:
+    """Return the wrench that is left when every current is clipped, and its currents.
+
+    Args:
+        inverse_map: Currents per wrench [A/N, A/(N m)], (6, 6).
+        force: The wrench [N, N m], six; it is returned itself where nothing is clipped.
+        limit: Largest current in any coil [A].
+    """
+    currents = inverse_map.dot(force)
+    listed: list[float] = currents.tolist()
+    if max(listed) <= limit and min(listed) >= -limit:
+        return force, listed
+    left = np.linalg.solve(inverse_map, np.clip(currents, -limit, limit))
+    return left.tolist(), inverse_map.dot(left).tolist()

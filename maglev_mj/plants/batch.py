@@ -10,6 +10,7 @@ import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import ArrayLike
 
+from maglev_mj.coils import UPRIGHT
 from maglev_mj.errors import ParameterError, PlantError
 from maglev_mj.frames import Array, Component, components, join, rotation_vector
 from maglev_mj.hand import Hand
@@ -17,7 +18,7 @@ from maglev_mj.model import COILS
 from maglev_mj.parameters import number, numbers
 from maglev_mj.plants.base import PlantKeywords, SampledPlant
 from maglev_mj.plants.contract import Timing
-from maglev_mj.plants.engine import UPRIGHT, effort_addresses, longest_step, prepared, start_state
+from maglev_mj.plants.engine import effort_addresses, longest_step, prepared, start_state
 from maglev_mj.spec import GRAVITY
 
 __all__ = ["MuJoCoBatchPlant"]

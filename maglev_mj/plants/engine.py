@@ -18,7 +18,6 @@ from maglev_mj.spec import GRAVITY, Spec
 
 __all__ = [
     "INTEGRATORS",
-    "UPRIGHT",
     "FadingCoils",
     "effort_addresses",
     "engine_warnings_silenced",
@@ -28,10 +27,6 @@ __all__ = [
 ]
 
 _HAND_STEP, _STOP_STEP, _FALLOFF_STEP, _BEND_STEP = 5e-4, 2.5e-4, 2.5e-4, 5e-5
-
-UPRIGHT = 1e-9
-"""Angle [rad] up to which the coils' map is that of the upright flotor: its error is below any figure here."""
-
 
 @contextmanager
 def engine_warnings_silenced() -> Iterator[None]:

@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
+from maglev_mj.coils import UPRIGHT, limited_wrench
 from maglev_mj.detail import Detail
 from maglev_mj.errors import ParameterError, PlantError
 from maglev_mj.frames import Array, Command, rotation_vector
@@ -20,7 +21,8 @@ from maglev_mj.model import COILS, load
 from maglev_mj.parameters import number, numbers
 from maglev_mj.plants.base import PlantKeywords, SampledPlant
 from maglev_mj.plants.contract import Timing
-from maglev_mj.plants.engine import UPRIGHT, FadingCoils, effort_addresses, longest_step, prepared, start_state
+from maglev_mj.plants.engine import FadingCoils, effort_addresses, longest_step, prepared, start_state
+from maglev_mj.plants.sensor import Measure
 from maglev_mj.spec import GRAVITY
 
 __all__ = ["MuJoCoPlant"]
@@ -46,7 +48,8 @@ class MuJoCoPlant(SampledPlant):
         twist: Velocity at release [m/s, rad/s], (6,).
         gravity: Acceleration of free fall along -z [m/s²].
         coils: True sends each wrench through the six coils, by their map at the flotor's angle when the sample
-            was taken; False applies it to the flotor itself, as an ideal actuator would.
+            was taken, as the sensor measured it if there is one; False applies it to the flotor itself, as an ideal
+            actuator would.
         current_limit: Largest current in any coil [A]; None for no limit. Without coils, what it leaves of a wrench is
             that of coils that stay upright.
         driver_lag: Switch the current drivers' first-order lag on.
@@ -112,6 +115,9 @@ class MuJoCoPlant(SampledPlant):
             upright = load(scene).coils
             assert upright is not None  # it is loaded with them
             self._limiting_map: Any = None if coils else upright.current_per_wrench
+        if self._measure is not None and self._coils is not None:
+            self._upright = math.inf
+            self._measure = self._as_measured(self._measure)
         # it warns of positions and velocities that are not finite or beyond 1e10, each an escape too unless that is
         # wider still; and of controls, which it then leaves out
         self._warns_unseen = max(self._escape) > _ENGINE_BOUND or detail.stops
@@ -159,13 +165,7 @@ class MuJoCoPlant(SampledPlant):
     def _with_limited_currents(self, force: Sequence[float]) -> Sequence[float]:
         """Return the wrench that is left when every current is clipped; the wrench itself where none is."""
         inverse_map = self._inverse_map if self._limiting_map is None else self._limiting_map
-        limit = self.current_limit or 0.0
-        currents = inverse_map.dot(force)
-        listed = currents.tolist()
-        if max(listed) <= limit and min(listed) >= -limit:
-            return force
-        left: list[float] = np.linalg.solve(inverse_map, np.clip(currents, -limit, limit)).tolist()
-        return left
+        return limited_wrench(inverse_map, force, self.current_limit or 0.0)[0]
 
     def _prepare(self, force: Sequence[float]) -> Drive:
         return tuple(force), self._inverse_map  # the caller may use its list again
@@ -235,6 +235,20 @@ class MuJoCoPlant(SampledPlant):
             self._inverse_map = self._coils.inverse_at(self._rotation)
         else:
             self._inverse_map = self._coils.current_per_wrench
+
+    def _as_measured(self, measure: Measure) -> Measure:
+        """Return the measurement with one thing more: the coils' map is renewed for the angle that is measured."""
+        coils = self._coils
+        assert coils is not None
+        upright = coils.current_per_wrench
+
+        def measured(position: Sequence[float]) -> list[float]:
+            known = measure(position)
+            before, self._inverse_map = self._inverse_map, coils.inverse_turned(*known[3:])
+            self._comparable = before is upright is self._inverse_map
+            return known
+
+        return measured
 
     def _check_warnings(self) -> None:
         """Raise what the engine warned of."""
