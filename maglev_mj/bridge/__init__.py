@@ -1,0 +1,1 @@
+"""The bridge to a device: its wire, a twin to try it on, and what keeps both whole."""

@@ -1,0 +1,212 @@
+"""What keeps a device and a hand whole: limits, the coils' warmth, diodes that lie, an envelope for the flotor."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from maglev_mj.bridge.states import Fault
+from maglev_mj.errors import ParameterError
+from maglev_mj.parameters import number
+from maglev_mj.spec import Spec
+
+__all__ = ["WARM", "CoilGuard", "DiodeGuard", "Envelope", "FlotorGuard", "Limits", "Warmth", "refusal"]
+
+WARM = 0.8
+"""Share of what a coil bears from which there is a warning."""
+
+_NO_FAULT = Fault(0)
+_CLOSE, _CLOSE_SHARE = 0.25, 0.1
+_IMPLAUSIBLE = 4.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limits:
+    """What a device bears; sent to the host in the handshake.
+
+    Args:
+        current: Largest current in any coil [A].
+        continuous_current: Current that a coil bears for ever [A].
+        thermal_time: Time constant of a coil's warming [s]; assumed, the paper has none.
+        spot: Largest coordinate of a spot on its diode [m]; assumed.
+        spot_speed: Largest speed of a spot [m/s]; assumed.
+        watchdog: How long a device waits for a command before it lets go [s].
+        frozen: Equal readings in a row after which a diode counts as stuck; 0 for never.
+
+    Raises:
+        ParameterError: If a value is not above 0, or `frozen` is negative or not whole.
+    """
+
+    current: float = Spec.peak_current.value
+    continuous_current: float = Spec.continuous_current.value
+    thermal_time: float = 10.0
+    spot: float = 0.012
+    spot_speed: float = 1.0
+    watchdog: float = 0.05
+    frozen: int = 40
+
+    def __post_init__(self) -> None:
+        for name in ("current", "continuous_current", "thermal_time", "spot", "spot_speed", "watchdog"):
+            object.__setattr__(self, name, number(name, getattr(self, name), above=0.0))
+        if number("frozen", self.frozen, at_least=0) != int(self.frozen):
+            raise ParameterError(f"frozen must be a whole number, not {self.frozen!r}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Envelope:
+    """Where and how fast the host lets the flotor go.
+
+    Args:
+        translation: Largest coordinate [m]; a little beyond the metal stops.
+        rotation: Largest angle [rad].
+        speed: Largest speed [m/s].
+        turning_speed: Largest angular speed [rad/s].
+
+    Raises:
+        ParameterError: If a value is not above 0.
+    """
+
+    translation: float = 0.0055
+    rotation: float = math.radians(7.5)
+    speed: float = 0.6
+    turning_speed: float = 15.0
+
+    def __post_init__(self) -> None:
+        for name in ("translation", "rotation", "speed", "turning_speed"):
+            object.__setattr__(self, name, number(name, getattr(self, name), above=0.0))
+
+
+class Warmth:
+    """How warm six coils are: 1 where the current that they bear for ever would bring them, and where they trip.
+
+    Args:
+        limits: Their thermal time and continuous current.
+
+    Attributes:
+        shares: Of the six coils.
+    """
+
+    def __init__(self, limits: Limits) -> None:
+        self.shares = [0.0] * 6
+        self._scale, self._time = limits.continuous_current**-2, limits.thermal_time
+        self._duration, self._share = 0.0, 0.0
+
+    def add(self, segments: Iterable[tuple[float, Sequence[float]]]) -> float:
+        """Let currents [A] flow for so long [s] each, in turn; return the share of the warmest coil.
+
+        θ' = ((i / i_continuous)² - θ) / τ, solved exactly for constant currents.
+        """
+        shares = self.shares
+        for duration, currents in segments:
+            if duration != self._duration:
+                self._duration, self._share = duration, -math.expm1(-duration / self._time)
+            share, scale = self._share, self._scale
+            shares = [now + share * (scale * one * one - now) for now, one in zip(shares, currents)]
+        self.shares = shares
+        return max(shares)
+
+
+def refusal(limits: Limits, held: Sequence[float], pulsed: Sequence[float], width: float) -> Fault:
+    """Return what is wrong with a command: nothing is ever clipped silently.
+
+    Args:
+        limits: Of the device.
+        held: Currents [A], six.
+        pulsed: In place of them for `width` [A], six.
+        width: How long [s].
+    """
+    if not math.isfinite(sum(held) + sum(pulsed) + width) or not 0.0 <= width <= 1.0:
+        return Fault.INVALID_COMMAND
+    # rounding on the host's side is no fault
+    most = limits.current * (1.0 + 1e-9)
+    if max(held) > most or min(held) < -most or max(pulsed) > most or min(pulsed) < -most:
+        return Fault.COIL_OVERCURRENT
+    return _NO_FAULT
+
+
+class CoilGuard:
+    """Finds a coil whose current is not the one commanded."""
+
+    _PATIENCE = 3
+
+    def __init__(self) -> None:
+        self._strikes = 0
+
+    def check(self, commanded: Sequence[float], measured: Sequence[float]) -> Fault:
+        """Compare the currents of a sample [A], six each."""
+        for wanted, found in zip(commanded, measured):
+            if not abs(wanted - found) <= _CLOSE + _CLOSE_SHARE * abs(wanted):
+                self._strikes += 1
+                return Fault.COIL_NOT_FOLLOWING if self._strikes >= self._PATIENCE else _NO_FAULT
+        self._strikes = 0
+        return _NO_FAULT
+
+
+class DiodeGuard:
+    """Finds spots that are invalid, off their diode, too fast, or that never change while the others do.
+
+    Args:
+        limits: Of the device.
+        period: Sample period [s].
+    """
+
+    def __init__(self, limits: Limits, period: float) -> None:
+        self._most, self._frozen = limits.spot, limits.frozen
+        self._step = limits.spot_speed * period
+        self._last: Sequence[float] | None = None
+        self._same = [0, 0, 0]
+
+    def check(self, spots: Sequence[float], valid: int) -> Fault:
+        """Look at a sample's spots [m], six, and which diodes say that theirs can be trusted, a bit each."""
+        most = self._most
+        if valid & 7 != 7 or not (math.isfinite(sum(spots)) and max(spots) <= most and min(spots) >= -most):
+            self._last = None
+            return Fault.SENSOR_OUT_OF_RANGE
+        last, self._last = self._last, spots
+        if last is None:
+            return _NO_FAULT
+        fastest = max([abs(one - other) for one, other in zip(spots, last)])
+        if fastest > self._step:
+            # faster than any flotor: it is the sensor that jumped
+            return Fault.FLOTOR_OVERSPEED if fastest < _IMPLAUSIBLE * self._step else Fault.SENSOR_OUT_OF_RANGE
+        return self._stuck(spots, last) if self._frozen else _NO_FAULT
+
+    def _stuck(self, spots: Sequence[float], last: Sequence[float]) -> Fault:
+        same = self._same
+        for diode in (0, 1, 2):
+            first = 2 * diode
+            frozen = spots[first] == last[first] and spots[first + 1] == last[first + 1]
+            same[diode] = same[diode] + 1 if frozen else 0
+        # one that has not changed for long while another has not stood still for half as long
+        if max(same) >= self._frozen and min(same) * 2 < self._frozen:
+            return Fault.SENSOR_FROZEN
+        return _NO_FAULT
+
+
+class FlotorGuard:
+    """Finds a flotor that is beyond its envelope.
+
+    Args:
+        envelope: Where it may be.
+    """
+
+    def __init__(self, envelope: Envelope) -> None:
+        self._far, self._turned = envelope.translation, envelope.rotation**2
+        self._fast, self._turning = envelope.speed**2, envelope.turning_speed**2
+        self._last: Sequence[float] | None = None
+
+    def check(self, position: Sequence[float], elapsed: float) -> Fault:
+        """Look at a pose [m, rad], six components, so long after the one before [s]."""
+        x, y, z, rx, ry, rz = position
+        last, self._last = self._last, position
+        fault = _NO_FAULT
+        if max(x, y, z) > self._far or min(x, y, z) < -self._far or rx * rx + ry * ry + rz * rz > self._turned:
+            fault = Fault.BOUNDARY
+        if last is None or elapsed <= 0.0:
+            return fault
+        a, b, c, d, e, f = last
+        square, turning = (x - a) ** 2 + (y - b) ** 2 + (z - c) ** 2, (rx - d) ** 2 + (ry - e) ** 2 + (rz - f) ** 2
+        if square > self._fast * elapsed * elapsed or turning > self._turning * elapsed * elapsed:
+            fault |= Fault.FLOTOR_OVERSPEED
+        return fault

@@ -1,0 +1,287 @@
+"""Frames on the wire: little-endian, packed, SI, sealed by CRC-32 and, with a key, by a tag. docs/protocol.md is the page.
+
+Nothing that arrives can raise here: what is no frame is counted by reason and dropped.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import struct
+import zlib
+from collections import Counter
+from collections.abc import Sequence
+from typing import NamedTuple, TypeAlias
+
+from maglev_mj.errors import ParameterError
+
+__all__ = [
+    "MAGIC",
+    "VERSION",
+    "Codec",
+    "Command",
+    "Control",
+    "ControlAck",
+    "Frame",
+    "Hello",
+    "HelloAck",
+    "StateReport",
+    "newer",
+]
+
+MAGIC = 0x4A4D
+"""The bytes "MJ"."""
+
+VERSION = 1
+
+_HEADER = "<HBBIIQ"
+_CRC = struct.Struct("<I")
+_TAG = 16
+_LEAST_KEY, _MOST_KEY = 16, 32
+
+
+class Hello(NamedTuple):
+    """A host asks for a session; the same nonce gets the same session."""
+
+    nonce: int
+    calibration: bytes
+
+
+class HelloAck(NamedTuple):
+    """The device answers, and says what it is.
+
+    Attributes:
+        nonce: Of the HELLO answered.
+        status: See `HelloStatus`.
+        lockstep: Whether simulated time waits for each answer.
+        version: Of the protocol that the device speaks.
+        state: See `State`.
+        device: Its number.
+        calibration: First 16 bytes of its calibration's hash.
+        period: Sample period [ns].
+        delay: From a command's arrival to its taking effect [ns].
+        watchdog: How long it waits for a command [ns].
+        current_limit: Largest current in any coil [A].
+        continuous_current: Current that a coil bears for ever [A].
+        thermal_time: Time constant of a coil's warming [s].
+        spot_limit: Largest coordinate of a spot on its diode [m].
+        spot_speed: Largest speed of a spot [m/s].
+    """
+
+    nonce: int
+    status: int
+    lockstep: int
+    version: int
+    state: int
+    device: int
+    calibration: bytes
+    period: int
+    delay: int
+    watchdog: int
+    current_limit: float
+    continuous_current: float
+    thermal_time: float
+    spot_limit: float
+    spot_speed: float
+
+
+class Control(NamedTuple):
+    """A host asks for a change of state; the same request number is done once.
+
+    Attributes:
+        request: Its number, counted up by the host.
+        operation: See `Operation`.
+        faults: For TRIP: what the host has seen.
+        hover: For ARM: currents that hold the flotor where commands are missing [A], six.
+    """
+
+    request: int
+    operation: int
+    faults: int
+    hover: tuple[float, ...]
+
+
+class ControlAck(NamedTuple):
+    """The device answers: request and operation as asked, `Result`, and its state and faults after it."""
+
+    request: int
+    operation: int
+    result: int
+    state: int
+    faults: int
+
+
+class StateReport(NamedTuple):
+    """What a device measured at a sample; its number is the frame's sequence number.
+
+    Attributes:
+        spots: Both coordinates of each of the three spots [m], six.
+        currents: Measured in the coils [A], six.
+        warmth: Each coil's share of what it bears, 1 where it trips, six.
+        state: See `State`.
+        valid: Bit k is set where diode k's spot can be trusted.
+        flags: See `Flag`.
+        faults: See `Fault`.
+        answered: Number of the sample that the command in force answers.
+        age: Of the command in force [us], 0xFFFFFFFF for none.
+    """
+
+    spots: tuple[float, ...]
+    currents: tuple[float, ...]
+    warmth: tuple[float, ...]
+    state: int
+    valid: int
+    flags: int
+    faults: int
+    answered: int
+    age: int
+
+
+class Command(NamedTuple):
+    """Currents from now on.
+
+    Attributes:
+        answers: Number of the sample answered.
+        flags: None are defined; 0.
+        held: Currents [A], six.
+        pulsed: Currents in place of those for the first `width` seconds [A], six.
+        width: How long [s]; 0 for no pulse.
+    """
+
+    answers: int
+    flags: int
+    held: tuple[float, ...]
+    pulsed: tuple[float, ...]
+    width: float
+
+
+Body: TypeAlias = Hello | HelloAck | Control | ControlAck | StateReport | Command
+
+_TYPES: dict[int, tuple[type[Body], str]] = {
+    1: (Hello, "Q16s"),
+    2: (HelloAck, "QBBBBI16sQQQ5d"),
+    3: (Control, "IB3xI6d"),
+    4: (ControlAck, "IBBBxI"),
+    5: (StateReport, "6d6f6fBBHIII"),
+    6: (Command, "II6d6dd"),
+}
+_NUMBERS = {body: number for number, (body, _) in _TYPES.items()}
+_STRUCTS = {number: struct.Struct(_HEADER + fields) for number, (_, fields) in _TYPES.items()}
+_CONTROL, _STATE, _COMMAND = 3, 5, 6
+
+
+class Frame(NamedTuple):
+    """A frame that was read.
+
+    Attributes:
+        session: Number of the session, 0 in a HELLO.
+        sequence: Counted up by the sender; in a STATE the number of the sample.
+        time: Of the sender's clock [ns].
+        body: What it says.
+    """
+
+    session: int
+    sequence: int
+    time: int
+    body: Body
+
+
+class Codec:
+    """Writes and reads frames, sealed by a key if there is one.
+
+    Args:
+        key: 16 to 32 bytes shared by both ends; None for none.
+
+    Attributes:
+        dropped: How many frames were dropped, by reason: short, magic, version, type, length, crc, tag.
+        version_met: Protocol version of the last frame that was dropped for its version; None for none.
+
+    Raises:
+        ParameterError: If the key is too short or too long.
+    """
+
+    def __init__(self, key: bytes | None = None) -> None:
+        if key is not None and not _LEAST_KEY <= len(key) <= _MOST_KEY:
+            raise ParameterError(f"key must have {_LEAST_KEY} to {_MOST_KEY} bytes, not {len(key)}")
+        self._key = key
+        self._overhead = _CRC.size + (_TAG if key is not None else 0)
+        self.dropped: Counter[str] = Counter()
+        self.version_met: int | None = None
+
+    def encode(self, session: int, sequence: int, time: int, body: Body) -> bytes:
+        """Return a frame.
+
+        Args:
+            session: Number of the session.
+            sequence: Of the frame, or of the sample; taken modulo 2³².
+            time: Of the sender's clock [ns].
+            body: What it says.
+        """
+        number = _NUMBERS[body.__class__]
+        values: Sequence[object] = body
+        if number == _COMMAND:
+            answers, flags, held, pulsed, width = body
+            values = (answers, flags, *held, *pulsed, width)  # type: ignore[misc, has-type]
+        elif number == _STATE:
+            values = (*body[0], *body[1], *body[2], *body[3:])  # type: ignore[misc]
+        elif number == _CONTROL:
+            values = (*body[:3], *body[3])  # type: ignore[misc]
+        data = _STRUCTS[number].pack(MAGIC, VERSION, number, session, sequence & 0xFFFFFFFF, time, *values)
+        if self._key is not None:
+            data += self._tag(data)
+        return data + _CRC.pack(zlib.crc32(data))
+
+    def decode(self, data: bytes) -> Frame | None:
+        """Return the frame, or None where there is none that can be trusted; the reason is counted in `dropped`."""
+        reason = self._reason(data)
+        if reason:
+            self.dropped[reason] += 1
+            return None
+        number = data[3]
+        _, _, _, session, sequence, time, *values = _STRUCTS[number].unpack_from(data)
+        if number == _STATE:
+            body: Body = StateReport(tuple(values[:6]), tuple(values[6:12]), tuple(values[12:18]), *values[18:])
+        elif number == _COMMAND:
+            body = Command(values[0], values[1], tuple(values[2:8]), tuple(values[8:14]), values[14])
+        elif number == _CONTROL:
+            body = Control(values[0], values[1], values[2], tuple(values[3:]))
+        else:
+            body = _TYPES[number][0](*values)
+        return Frame(session, sequence, time, body)
+
+    def _reason(self, data: bytes) -> str:
+        """Return why data is no frame that can be trusted; nothing where it is one."""
+        if len(data) < 4:
+            return "short"
+        if data[0] != MAGIC & 0xFF or data[1] != MAGIC >> 8:
+            return "magic"
+        # the seal first: what it does not vouch for is not looked at
+        if len(data) < self._overhead + 4 or _CRC.unpack_from(data, len(data) - 4)[0] != zlib.crc32(
+            memoryview(data)[:-4]
+        ):
+            return "crc"
+        if data[2] != VERSION:
+            self.version_met = data[2]
+            return "version"
+        shape = _STRUCTS.get(data[3])
+        if shape is None:
+            return "type"
+        if len(data) != shape.size + self._overhead:
+            return "length"
+        if self._key is not None:
+            end = len(data) - self._overhead
+            if not hmac.compare_digest(data[end : end + _TAG], self._tag(data[:end])):
+                return "tag"
+        return ""
+
+    def _tag(self, data: bytes) -> bytes:
+        assert self._key is not None
+        return hashlib.blake2s(data, digest_size=_TAG, key=self._key).digest()
+
+
+def newer(one: int, other: int) -> bool:
+    """Return whether a sequence number comes after another, by serial arithmetic on 32 bits.
+
+    Source: RFC 1982.
+    """
+    return 0 < ((one - other) & 0xFFFFFFFF) < 0x80000000
