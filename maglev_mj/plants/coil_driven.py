@@ -38,6 +38,9 @@ class CoilDrivenPlant(MuJoCoPlant):
             base is not level.
         keywords: Those of `MuJoCoPlant`, but for wrench, wrench_limit and current_limit.
 
+    Attributes:
+        segments: Which currents flowed from the sample before the last one to that, in turn: how long [s], and six [A].
+
     Raises:
         ParameterError: If gravity is not (3,), or as for `MuJoCoPlant`.
     """
@@ -64,6 +67,7 @@ class CoilDrivenPlant(MuJoCoPlant):
         self._drive = self._prepare(_NO_CURRENTS)
         # when, in ticks and seconds after one, to which currents, and those of a pulse ahead of them
         self._switches: deque[tuple[int, float, Drive, Drive, float]] = deque()
+        self.segments: list[tuple[float, Sequence[float]]] = []
 
     def drive(
         self,
@@ -110,6 +114,10 @@ class CoilDrivenPlant(MuJoCoPlant):
         """Currents that are held at the last sample, or pulsed where a pulse is on [A], six."""
         return tuple((self._drive if self._tail is None else self._tail[0])[0])
 
+    def open_coil(self, coil: int) -> None:
+        """Let a coil, 0 to 5, give no force from now on, as one whose wire is broken."""
+        self._model.actuator_gainprm[coil, 0] = 0.0
+
     def _put_coils(self, coils: CoilMap) -> None:
         """Make the model's coils those."""
         model, known = self._model, self.device.coils
@@ -125,6 +133,8 @@ class CoilDrivenPlant(MuJoCoPlant):
     def _carry_on(self, rest: float) -> None:
         """Carry the state over one sample period, from switch to switch."""
         switches, tick, done = self._switches, self._tick, 0.0
+        self.segments = []
+        self._choose_steps()
         while switches and switches[0][0] <= tick:
             _, offset, held, pulsed, width = switches.popleft()
             if self._tail is None and width == 0.0 and held[0] == self._drive[0]:
@@ -140,13 +150,16 @@ class CoilDrivenPlant(MuJoCoPlant):
             pulsed, width = self._tail
             inside = min(width, duration)
             if inside > self._negligible:
+                self.segments.append((inside, pulsed[0]))
                 self._run(inside, pulsed)
             duration -= inside
             self._tail = (pulsed, width - inside) if width - inside > self._negligible else None
         if duration > self._negligible:
+            self.segments.append((duration, self._drive[0]))
             self._run(duration, self._drive)
 
     def _state(self, drive: Drive) -> tuple[Array, Array, Array]:
         pose, twist, currents = super()._state(drive)
         assert self._map is not None
-        return pose, twist, np.linalg.solve(self._map.inverse_at(self._rotation), currents)
+        wrench: Array = np.linalg.solve(self._map.inverse_at(self._rotation), currents)
+        return pose, twist, wrench

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 import mujoco
@@ -22,11 +23,13 @@ __all__ = [
     "effort_addresses",
     "engine_warnings_silenced",
     "longest_step",
+    "near_stops",
     "prepared",
     "start_state",
 ]
 
 _HAND_STEP, _STOP_STEP, _FALLOFF_STEP, _BEND_STEP = 5e-4, 2.5e-4, 2.5e-4, 5e-5
+
 
 @contextmanager
 def engine_warnings_silenced() -> Iterator[None]:
@@ -120,6 +123,28 @@ def longest_step(device: Device, driver_lag: bool, hand: Hand | None, detail: De
         [_STOP_STEP] * detail.stops + [_BEND_STEP] * detail.flexible + [_FALLOFF_STEP] * (detail.force_falloff > 0)
     )
     return min(needed, default=None)
+
+
+_FIERCEST, _FIERCEST_TURN = 60.0, 2500.0
+"""Half the largest acceleration that coils and a hand give the flotor [m/s², rad/s²]."""
+
+_RANGE, _ANGLE = Spec.translation_range.value, math.radians(Spec.rotation_range.value)
+
+
+def near_stops(position: Sequence[float], velocity: Sequence[float], period: float) -> bool:
+    """Return whether a flotor may meet a stop within a period, which takes short steps; elsewhere they are waste.
+
+    Args:
+        position: x y z [m] and a quaternion.
+        velocity: Linear and angular [m/s, rad/s].
+        period: Sample period [s].
+    """
+    x, y, z, w, *_ = position
+    u, v, s, p, q, r = velocity
+    if max(abs(x), abs(y), abs(z)) + period * (max(abs(u), abs(v), abs(s)) + _FIERCEST * period) > _RANGE:
+        return True
+    angle = 2.0 * math.sqrt(max(1.0 - w * w, 0.0))
+    return angle + period * (math.sqrt(p * p + q * q + r * r) + _FIERCEST_TURN * period) > _ANGLE
 
 
 class FadingCoils:

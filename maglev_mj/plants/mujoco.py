@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any, TypeAlias, Unpack
 
@@ -21,7 +22,7 @@ from maglev_mj.model import COILS, load
 from maglev_mj.parameters import number, numbers
 from maglev_mj.plants.base import PlantKeywords, SampledPlant
 from maglev_mj.plants.contract import Timing
-from maglev_mj.plants.engine import FadingCoils, effort_addresses, longest_step, prepared, start_state
+from maglev_mj.plants.engine import FadingCoils, effort_addresses, longest_step, near_stops, prepared, start_state
 from maglev_mj.plants.sensor import Measure
 from maglev_mj.spec import GRAVITY
 
@@ -105,9 +106,13 @@ class MuJoCoPlant(SampledPlant):
         self.current_limit = None if current_limit is None else number("current_limit", current_limit, at_least=0.0)
         self._open(detail, hand)
         self._data.qpos[:], self._data.qvel[:] = start_state(self.device, start, motion, hand)
+        # where stops alone ask for short steps, those are for when the flotor is near one
+        free = longest_step(self.device, driver_lag, hand, replace(detail, stops=False)) is None
+        self._watches_stops = detail.stops and free and keywords.get("longest_step") is None
         if keywords.get("longest_step") is None:
             keywords["longest_step"] = longest_step(self.device, driver_lag, hand, detail)
         super().__init__(timing, batch=(), **keywords)
+        self._watches_stops &= self._recorder is None
         if driver_lag:
             self._data.act[:] = self._inverse_map @ np.array(self._drive[0])
         if self.current_limit is not None:
@@ -169,6 +174,16 @@ class MuJoCoPlant(SampledPlant):
 
     def _prepare(self, force: Sequence[float]) -> Drive:
         return tuple(force), self._inverse_map  # the caller may use its list again
+
+    def _carry_on(self, rest: float) -> None:
+        self._choose_steps()
+        super()._carry_on(rest)
+
+    def _choose_steps(self) -> None:
+        """Choose how the next period is stepped."""
+        if self._watches_stops:
+            near = near_stops(self._read_pose(), self._qvel.tolist(), self._period)
+            self._run = self._run_in_pieces if near else self._advance
 
     def _apply(self, drive: Drive) -> None:
         """Hand a drive to the engine."""

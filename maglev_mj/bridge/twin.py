@@ -1,0 +1,224 @@
+"""A device that is not there: the MuJoCo flotor with coils, amplifiers, LEDs and diodes, behind the device's wire."""
+
+from __future__ import annotations
+
+import secrets
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from maglev_mj.bridge.calibration import Calibration
+from maglev_mj.bridge.firmware import Firmware, Profile, Reading
+from maglev_mj.bridge.misfortune import Misfortune
+from maglev_mj.bridge.safety import Limits
+from maglev_mj.bridge.wire import Codec
+from maglev_mj.detail import Detail
+from maglev_mj.frames import Array
+from maglev_mj.hand import HandForce
+from maglev_mj.parameters import number
+from maglev_mj.plants import CoilDrivenPlant, SpotReader, Timing
+from maglev_mj.spec import Spec
+
+__all__ = ["REST", "Twin", "TwinParameters"]
+
+REST = (0.0, 0.0, -Spec.translation_range.value, 0.0, 0.0, 0.0)
+"""Where the flotor lies while nothing carries it [m, rad]: on its lower stop."""
+
+_ZERO = (0.0,) * 6
+_ALL = 7
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TwinParameters:
+    """What a twin is.
+
+    Args:
+        period: Sample period [s].
+        delay: From a command's arrival to its taking effect [s]; in lockstep from the sample to that.
+        lockstep: Whether simulated time waits for each answer.
+        calibration: What is known of it, whose hash a host must have.
+        truth: What it is; what is known by default.
+        pose: Where the flotor starts [m, rad], (6,); at rest by default.
+        quantum: Resolution of a spot's place [m].
+        noise: Standard deviation of a spot's noise [m]; assumed, half a step of the sensor by default.
+        seed: Of the noise.
+        limits: What it bears.
+        misfortunes: What goes wrong, and when.
+
+    Raises:
+        ParameterError: If a value is outside its bounds.
+    """
+
+    period: float = 1.0 / Spec.control_rate.value
+    delay: float = Spec.transport_delay.value
+    lockstep: bool = False
+    calibration: Calibration = field(default_factory=Calibration.nominal)
+    truth: Calibration | None = None
+    pose: ArrayLike = REST
+    quantum: float = 8e-7
+    noise: float = 4e-7
+    seed: int = 0
+    limits: Limits = field(default_factory=Limits)
+    misfortunes: Sequence[Misfortune] = ()
+
+    def __post_init__(self) -> None:
+        # whole nanoseconds, which is what the wire counts time in
+        number("period", self.period, at_least=1e-5, at_most=0.1)
+        number("delay", self.delay, at_least=0.0, at_most=0.1)
+
+    @property
+    def profile(self) -> Profile:
+        """What it says of itself."""
+        return Profile(
+            period=round(self.period * 1e9),
+            delay=round(self.delay * 1e9),
+            calibration=self.calibration.digest,
+            limits=self.limits,
+            lockstep=self.lockstep,
+        )
+
+
+class Twin:
+    """A device that is not there. Its time is the simulated one: whole sample periods [ns], and what others add to them.
+
+    Args:
+        parameters: What it is.
+        key: With which frames are sealed.
+        hand_force: The hand on it.
+        draw: See `Firmware`.
+
+    Attributes:
+        plant: The device in the engine; commanded by nobody else.
+        firmware: Its side of the wire.
+        tick: Number of the last sample; -1 before the first.
+    """
+
+    def __init__(
+        self,
+        parameters: TwinParameters,
+        *,
+        key: bytes | None = None,
+        hand_force: HandForce | None = None,
+        draw: Callable[[], int] | None = None,
+    ) -> None:
+        self.parameters = parameters
+        truth = parameters.truth or parameters.calibration
+        self.plant = _plant(parameters, truth, hand_force)
+        self._read = SpotReader(truth.beams, quantum=parameters.quantum, noise=parameters.noise, seed=parameters.seed)
+        self._offsets: list[float] = truth.spot_offsets.tolist()
+        self.codec = Codec(key)
+        self.firmware = Firmware(parameters.profile, self, self.codec, draw or _draw)
+        self.tick = -1
+        self._period, self._delay = parameters.profile.period, parameters.delay
+        self._sampled_at, self._now = 0, 0
+        self._waiting = sorted(parameters.misfortunes, key=lambda one: one.at)
+        self._live: dict[str, int] = {}
+        self._silent_until, self._ahead = -1, 0
+        self._stuck: list[float] = []
+
+    @property
+    def answered(self) -> bool:
+        """Whether the last sample has had its answer, in lockstep."""
+        return self.firmware.answered == self.tick & 0xFFFFFFFF
+
+    @property
+    def silent(self) -> bool:
+        """Whether nothing comes or goes for the moment."""
+        return self._sampled_at < self._silent_until
+
+    @property
+    def pose(self) -> Array:
+        """True pose at the last sample [m, rad], (6,)."""
+        return self.plant.state()[0]
+
+    def receive(self, data: bytes, now: int, peer: Any) -> bytes | None:
+        """Take a frame from a peer at an instant of simulated time [ns]; return what to send back, if anything."""
+        if self.silent:
+            return None
+        self._now = max(now, self._sampled_at)
+        return self.firmware.receive(data, self._now, peer)
+
+    def sample(self) -> bytes | None:
+        """Go on to the next sampling instant; return what to send to the host in session, if there is one.
+
+        Raises:
+            DivergenceError: If the flotor leaves its range by a wide margin, which metal stops do not allow.
+        """
+        position = self.plant.read().position
+        self.tick += 1
+        self._sampled_at = self._now = self.tick * self._period
+        if self._waiting:
+            self._suffer()
+        spots = [spot + offset for spot, offset in zip(self._read(position), self._offsets)]
+        valid, currents = _ALL, self.plant.applied_currents
+        measured: Sequence[float] = currents
+        if self._live:
+            spots, valid, measured = self._afflicted(spots, currents)
+        reading = Reading(spots, valid, measured, currents, self.plant.segments)
+        frame = self.firmware.sample(self.tick, self._now + self._ahead, reading)
+        return None if self.silent else frame
+
+    def drive(self, now: int, held: Sequence[float], pulsed: Sequence[float] | None, width: float) -> None:
+        """Switch the currents [A] after the conversion's delay; see `Amplifiers`."""
+        # in lockstep the answer takes no time; saying so in seconds would round
+        after = None if self.parameters.lockstep else (self._now - self._sampled_at) * 1e-9 + self._delay
+        self.plant.drive(held, pulsed, width, after=after)
+
+    def cut(self) -> None:
+        """Switch all currents off at once; see `Amplifiers`."""
+        if self.tick >= 0:
+            self.plant.drive(_ZERO, after=(self._now - self._sampled_at) * 1e-9)
+
+    def _suffer(self) -> None:
+        """Begin with what goes wrong by now."""
+        while self._waiting and self._waiting[0].at * 1e9 <= self._sampled_at:
+            one = self._waiting.pop(0)
+            if one.kind == "clock-jump":
+                self._ahead += one.which * 1_000_000
+            elif one.kind == "silence":
+                self._silent_until = self._sampled_at + one.which * 1_000_000
+            else:
+                self._live[one.kind] = one.which
+                if one.kind == "dead-coil":
+                    self.plant.open_coil(one.which)
+
+    def _afflicted(self, spots: list[float], currents: Sequence[float]) -> tuple[list[float], int, Sequence[float]]:
+        """Return spots, which of them are valid, and currents, as a device reads them that is not well."""
+        live, valid = self._live, _ALL
+        if "swapped-diodes" in live:
+            one = live["swapped-diodes"]
+            pairs = [spots[0:2], spots[2:4], spots[4:6]]
+            pairs[one], pairs[(one + 1) % 3] = pairs[(one + 1) % 3], pairs[one]
+            spots = [part for pair in pairs for part in pair]
+        if "stuck-diode" in live:
+            first = 2 * live["stuck-diode"]
+            self._stuck = self._stuck or spots[first : first + 2]
+            spots[first : first + 2] = self._stuck
+        if "invalid-diode" in live:
+            valid = _ALL & ~(1 << live["invalid-diode"])
+        measured = list(currents)
+        if "dead-coil" in live:
+            measured[live["dead-coil"]] = 0.0
+        return spots, valid, measured
+
+
+def _plant(parameters: TwinParameters, truth: Calibration, hand_force: HandForce | None) -> CoilDrivenPlant:
+    known = Calibration.nominal()
+    # the model's own numbers where they are the truth: what is set anew is rounded
+    same = np.array_equal(truth.coils.wrench_per_current, known.coils.wrench_per_current)
+    return CoilDrivenPlant(
+        Timing(period=parameters.period, delay=parameters.delay),
+        coils=None if same else truth.coils,
+        gravity=None if np.array_equal(truth.gravity, known.gravity) else truth.gravity,
+        mass=None if truth.mass == known.mass else truth.mass,
+        pose=parameters.pose,
+        detail=Detail(stops=True),
+        hand_force=hand_force,
+    )
+
+
+def _draw() -> int:
+    return secrets.randbelow(2**32 - 1) + 1
