@@ -23,6 +23,7 @@ FLOORS = {
     "controller": 3,
     "model": 3,
     "sampled": 3,
+    "tracking": 3,
     "plants": 4,
     "loop": 5,
     "exact": 5,
@@ -36,6 +37,7 @@ FLOORS = {
     "scenes": 6,
     "experiments": 7,
     "session": 7,
+    "bridge": 7,
     "report": 8,
     "charts": 8,
     "viewer": 8,
@@ -52,6 +54,7 @@ ALLOWED = {
     "matplotlib": {"charts"},
     "imageio": {"viewer"},
     "distributed": {"workers"},
+    "serial": {"bridge"},
 }
 
 

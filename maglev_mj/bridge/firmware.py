@@ -104,10 +104,10 @@ class Firmware:
         self.answered: int | None = None
         self.peer: Any = None
         self.session = 0
-        self._nonce, self._heard, self._sequence, self._request = 0, 0, 0, 0
+        self._nonce, self._heard, self._sequence = 0, 0, 0
         self._acknowledgement: ControlAck | None = None
         self._hover: Sequence[float] = _ZERO
-        self._commanded_at, self._answers, self._holding = 0, _NEVER, False
+        self._commanded_at, self._answers, self._holding, self._sampled = 0, _NEVER, False, 0
         self._coils, self._diodes = CoilGuard(), DiodeGuard(profile.limits, profile.period * 1e-9)
         self._warmth = Warmth(profile.limits)
         self._watchdog = round(profile.limits.watchdog * 1e9)
@@ -125,13 +125,19 @@ class Firmware:
         if isinstance(body, Hello):
             return self._hello(body, now, peer)
         if not isinstance(body, (Command, Control)):
-            return self._ignore("direction")
+            self.counts["direction"] += 1
+            return None
         if self.session == 0 or frame.session != self.session or peer != self.peer:
-            return self._ignore("session")
+            self.counts["session"] += 1
+            return None
         if not newer(frame.sequence, self._sequence):
-            return self._ignore("old")
+            self.counts["old"] += 1
+            return None
         self._sequence, self._heard = frame.sequence, now
-        return self._obey(body, now) if isinstance(body, Command) else self._control(body, now)
+        if isinstance(body, Control):
+            return self._control(body, now)
+        self._obey(body, now)
+        return None
 
     def sample(self, tick: int, now: int, reading: Reading) -> bytes | None:
         """Look at a sample of number `tick` at an instant [ns], act on what is wrong, and return the STATE frame.
@@ -139,6 +145,7 @@ class Firmware:
         None where there is no session. Outside the active state what the sensors say is no fault: a device that nobody
         flies may be opened and turned over.
         """
+        self._sampled = tick & 0xFFFFFFFF
         warmest = self._warmth.add(reading.segments)
         wrong = self._diodes.check(reading.spots, reading.valid)
         if self.state == State.ACTIVE:
@@ -150,7 +157,7 @@ class Firmware:
             self.trip(Fault.COIL_OVERTEMP)
         if self.session == 0:
             return None
-        age = min((now - self._commanded_at) // 1000, _NEVER - 1) if self._answers != _NEVER else _NEVER
+        age = min(max(now - self._commanded_at, 0) // 1000, _NEVER - 1) if self._answers != _NEVER else _NEVER
         report = StateReport(
             tuple(reading.spots),
             tuple(reading.measured),
@@ -196,7 +203,7 @@ class Firmware:
         if hello.calibration != self.profile.calibration:
             return self._greet(now, hello.nonce, HelloStatus.CALIBRATION)
         self.session, self._nonce, self.peer, self._heard = self._draw(), hello.nonce, peer, now
-        self._sequence, self._request, self._acknowledgement = 0, 0, None
+        self._sequence, self._acknowledgement = 0, None
         self._answers, self.answered = _NEVER, None
         return self._greet(now, hello.nonce, HelloStatus.WELCOME)
 
@@ -223,11 +230,16 @@ class Firmware:
         return self._codec.encode(session, 0, now, body)
 
     def _obey(self, command: Command, now: int) -> None:
+        if self.profile.lockstep and command.answers != self._sampled:
+            self.counts["old"] += 1
+            return None  # the answer before, sent again because it seemed lost
         self.answered = command.answers
         if self.state != State.ACTIVE:
-            return self._ignore("inactive")
+            self.counts["inactive"] += 1
+            return
         if wrong := refusal(self.profile.limits, command.held, command.pulsed, command.width):
-            return self.trip(wrong)
+            self.trip(wrong)
+            return
         self._commanded_at, self._answers, self._holding = now, command.answers, False
         self._amplifiers.drive(now, command.held, command.pulsed if command.width else None, command.width)
 
@@ -235,13 +247,14 @@ class Firmware:
         last = self._acknowledgement
         if last is None or control.request != last.request:
             if last is not None and not newer(control.request, last.request):
-                return self._ignore("old")
+                self.counts["old"] += 1
+                return None
             done = self._do(control, now)
             last = ControlAck(control.request, control.operation, 0 if done else Result.REFUSED, 0, 0)
             self._acknowledgement = last
         body = last._replace(state=self.state, faults=self.faults)
         answer = self._codec.encode(self.session, 0, now, body)
-        if control.operation == Operation.BYE:
+        if last.operation == Operation.BYE:
             self.session, self.peer = 0, None
         return answer
 
@@ -259,7 +272,7 @@ class Firmware:
         elif operation in (Operation.DISARM, Operation.BYE):
             if self.state == State.ACTIVE:
                 self._amplifiers.cut()
-                self.state = State.INACTIVE
+                self.state, self._holding = State.INACTIVE, False
         else:
             return False
         return True
@@ -277,6 +290,3 @@ class Firmware:
             return False
         self.state, self.faults = State.INACTIVE, Fault(0)
         return True
-
-    def _ignore(self, reason: str) -> None:
-        self.counts[reason] += 1

@@ -82,7 +82,7 @@ class TwinParameters:
 
 
 class Twin:
-    """A device that is not there. Its time is the simulated one: whole sample periods [ns], and what others add to them.
+    """A device that is not there. Its time [ns] is the simulated one: whole sample periods, and what others say.
 
     Args:
         parameters: What it is.

@@ -1,4 +1,4 @@
-"""A wire in virtual time: a twin and a host in one program, as fast as they go, and the same again for the same seeds."""
+"""A wire in virtual time: a twin and a host in one program, as fast as they go, the same again for the same seeds."""
 
 from __future__ import annotations
 

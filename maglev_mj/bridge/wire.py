@@ -1,4 +1,4 @@
-"""Frames on the wire: little-endian, packed, SI, sealed by CRC-32 and, with a key, by a tag. docs/protocol.md is the page.
+"""Frames on the wire: little-endian, packed, SI, sealed by CRC-32 and, with a key, by a tag; see docs/protocol.md.
 
 Nothing that arrives can raise here: what is no frame is counted by reason and dropped.
 """
@@ -219,13 +219,12 @@ class Codec:
         """
         number = _NUMBERS[body.__class__]
         values: Sequence[object] = body
-        if number == _COMMAND:
-            answers, flags, held, pulsed, width = body
-            values = (answers, flags, *held, *pulsed, width)  # type: ignore[misc, has-type]
-        elif number == _STATE:
-            values = (*body[0], *body[1], *body[2], *body[3:])  # type: ignore[misc]
-        elif number == _CONTROL:
-            values = (*body[:3], *body[3])  # type: ignore[misc]
+        if isinstance(body, Command):
+            values = (body.answers, body.flags, *body.held, *body.pulsed, body.width)
+        elif isinstance(body, StateReport):
+            values = (*body.spots, *body.currents, *body.warmth, *body[3:])
+        elif isinstance(body, Control):
+            values = (*body[:3], *body.hover)
         data = _STRUCTS[number].pack(MAGIC, VERSION, number, session, sequence & 0xFFFFFFFF, time, *values)
         if self._key is not None:
             data += self._tag(data)

@@ -9,7 +9,7 @@ from maglev_mj.plants.engine import INTEGRATORS, engine_warnings_silenced
 from maglev_mj.plants.exact import ExactPlant
 from maglev_mj.plants.metered import MeteredPlant
 from maglev_mj.plants.mujoco import MuJoCoPlant
-from maglev_mj.plants.sensor import PoseSensor, Sensor, SpotSensor
+from maglev_mj.plants.sensor import PoseSensor, Sensor, SpotReader, SpotSensor
 from maglev_mj.plants.steps import one_step
 
 __all__ = [
@@ -26,6 +26,7 @@ __all__ = [
     "PoseSensor",
     "SampledPlant",
     "Sensor",
+    "SpotReader",
     "SpotSensor",
     "Timing",
     "engine_warnings_silenced",

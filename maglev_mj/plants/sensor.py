@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol, TypeAlias
@@ -14,8 +15,9 @@ from maglev_mj.frames import Array, Component, components, join
 from maglev_mj.model import beams
 from maglev_mj.parameters import number, numbers
 from maglev_mj.sensing import Beams
+from maglev_mj.tracking import FastBeams, PoseTracker
 
-__all__ = ["PoseSensor", "Sensor", "SpotSensor"]
+__all__ = ["PoseSensor", "Sensor", "SpotReader", "SpotSensor"]
 
 Measure: TypeAlias = Callable[[Sequence[Component]], list[Component]]
 """From the components of the true pose to those measured."""
@@ -69,32 +71,105 @@ class Sensor:
         return measure
 
 
+class SpotReader:
+    """The diodes' electronics of one device: the spots of the true pose, with noise, in steps.
+
+    Args:
+        beams: The geometry.
+        quantum: Resolution of a spot's place [m]; 0 for none.
+        noise: Standard deviation of white Gaussian noise on each coordinate of a spot, ahead of its steps [m].
+        seed: Of the noise: the same seed gives the same run.
+
+    Raises:
+        ParameterError: If a value is negative.
+    """
+
+    def __init__(self, beams: Beams, quantum: float = 0.0, noise: float = 0.0, seed: int = 0) -> None:
+        self._beams = FastBeams(beams)
+        self._quantum = number("quantum", quantum, at_least=0.0)
+        self._noise = number("noise", noise, at_least=0.0)
+        number("seed", seed, at_least=0)
+        self._generator = np.random.default_rng(seed)
+
+    def __call__(self, pose: Sequence[float]) -> list[float]:
+        """Return the six coordinates of the spots [m] that are measured of the true pose, six floats [m, rad].
+
+        Raises:
+            SensingError: If a beam runs along its diode, or the pose is not finite.
+        """
+        spots = self._beams.spots(pose)
+        noise, quantum = self._noise, self._quantum
+        if noise > 0.0:
+            drawn = self._generator.standard_normal(6).tolist()
+            spots = [spot + noise * draw for spot, draw in zip(spots, drawn)]
+        if quantum > 0.0:
+            # next to this number floats are whole numbers: as np.rint, halves go to the even one, NaN stays NaN
+            spots = [(spot / quantum + _WHOLE - _WHOLE) * quantum for spot in spots]
+        return spots
+
+
+_WHOLE = 1.5 * 2.0**52
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SpotSensor:
-    """The device's own sensor: where three beams meet three diodes, in steps, and Newton's pose from that.
+    """The device's own sensor: where three beams meet three diodes, with noise, in steps, and the pose from that.
+
+    One device is measured by a `SpotReader` and a `PoseTracker`, a batch at once by `Beams`.
 
     Args:
         beams: The geometry; that of the model by default.
         quantum: Resolution of a spot's place [m]; 0 for none.
+        noise: Standard deviation of white Gaussian noise on each coordinate of a spot, ahead of its steps [m]; devices
+            of a batch draw their own.
+        seed: Of the noise: the same seed gives the same run.
 
     Raises:
-        ParameterError: If the resolution is negative.
+        ParameterError: If a value is negative.
     """
 
     beams: Beams | None = None
     quantum: float = 0.0
+    noise: float = 0.0
+    seed: int = 0
 
     def __post_init__(self) -> None:
-        number("quantum", self.quantum, at_least=0.0)
+        for name in ("quantum", "noise", "seed"):
+            number(name, getattr(self, name), at_least=0.0)
 
     def start(self) -> Measure:
-        """Return what turns the components of the true pose into those measured; each search begins at the last."""
-        last: Array | None = None
+        """Return what turns the components of the true pose into those measured; each search begins at the last.
+
+        What it returns raises SensingError where no pose fits the spots, for one device also beyond a quarter turn.
+        """
         geometry = self.beams or beams()
+        chosen: Measure | None = None
+
+        def measure(position: Sequence[Component]) -> list[Component]:
+            nonlocal chosen
+            if chosen is None:
+                chosen = self._one(geometry) if join(position).ndim == 1 else self._many(geometry)
+            return chosen(position)
+
+        return measure
+
+    def _one(self, geometry: Beams) -> Measure:
+        """Return what measures one device."""
+        reader = SpotReader(geometry, self.quantum, self.noise, self.seed)
+        # how far is too far is for the plant to say (its `escape`); no two poses within a quarter turn look alike
+        tracker = PoseTracker(geometry, farthest=math.inf, most_turned=0.5 * math.pi)
+        return lambda position: tracker(reader(position))
+
+    def _many(self, geometry: Beams) -> Measure:
+        """Return what measures a batch."""
+        generator = np.random.default_rng(self.seed)
+        last: Array | None = None
 
         def measure(position: Sequence[Component]) -> list[Component]:
             nonlocal last
             spots = geometry.spots(join(position))
+            if self.noise > 0.0:
+                spots = spots + self.noise * generator.standard_normal(spots.shape)
             if self.quantum > 0.0:
                 spots = np.rint(spots / self.quantum) * self.quantum
             last = geometry.pose(spots, last)

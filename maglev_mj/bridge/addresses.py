@@ -1,0 +1,86 @@
+"""Where the other end of a link is, and with whom one may speak there."""
+
+from __future__ import annotations
+
+import re
+import socket
+from ipaddress import IPv4Address
+from typing import NamedTuple
+
+from maglev_mj.errors import ParameterError
+
+__all__ = ["Url", "check_host", "is_loopback", "parse_url", "resolve"]
+
+BAUD = 921600
+"""Of a serial line whose address names none; 104 bytes at 200 Hz need half of it."""
+
+_UDP = re.compile(r"udp://([\w.-]+):(\d{1,5})", re.ASCII)
+_SERIAL = re.compile(r"serial://(/[^?#]+)(?:\?baud=(\d{1,8}))?", re.ASCII)
+
+
+class Url(NamedTuple):
+    """The address of a link.
+
+    Attributes:
+        scheme: "udp" or "serial".
+        place: Host, or path of the serial line.
+        number: Port, or baud rate [1/s].
+    """
+
+    scheme: str
+    place: str
+    number: int
+
+
+def parse_url(text: str, *, server: bool = False) -> Url:
+    """Return what udp://HOST:PORT or serial:///PATH?baud=RATE says.
+
+    Args:
+        text: The address.
+        server: Whether port 0, any that is free, is allowed.
+
+    Raises:
+        ParameterError: If it is neither.
+    """
+    least = 0 if server else 1
+    if (udp := _UDP.fullmatch(text)) and least <= int(udp[2]) <= 65535:
+        return Url("udp", udp[1], int(udp[2]))
+    if (serial := _SERIAL.fullmatch(text)) and int(serial[2] or BAUD) > 0:
+        return Url("serial", serial[1], int(serial[2] or BAUD))
+    raise ParameterError(
+        f"address must be udp://HOST:PORT with a port of {least} to 65535, or serial:///PATH?baud=RATE, not {text!r}"
+    )
+
+
+def resolve(host: str) -> str:
+    """Return the IPv4 address of a host.
+
+    Raises:
+        ParameterError: If it has none.
+    """
+    try:
+        found = socket.getaddrinfo(host, 0, socket.AF_INET, socket.SOCK_DGRAM) if host else []
+        return str(found[0][4][0])
+    except (OSError, ValueError, IndexError):  # a name that cannot be one is a ValueError
+        raise ParameterError(f"host must be a name or address with IPv4, not {host!r}") from None
+
+
+def is_loopback(host: str) -> bool:
+    """Return whether frames to or from a host never leave this machine.
+
+    Raises:
+        ParameterError: If it has no IPv4 address.
+    """
+    return IPv4Address(resolve(host)).is_loopback
+
+
+def check_host(host: str, key: bytes | None) -> str:
+    """Return the IPv4 address of a host that may be spoken with: this machine, or any with a key.
+
+    Raises:
+        ParameterError: If it is another and there is no key, or it has no address.
+    """
+    address = resolve(host)
+    if key is None and not is_loopback(address):
+        raise ParameterError(f"host must be a loopback address, such as 127.0.0.1, or a key be given, not {host!r}")
+    return address

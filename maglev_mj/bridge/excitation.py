@@ -1,0 +1,204 @@
+"""Small motions about the centre that tell what a device is: six axes shaken, and what was seen of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from maglev_mj.bridge.calibration import Calibration
+from maglev_mj.controller import Controller
+from maglev_mj.errors import ParameterError
+from maglev_mj.frames import AXES, Array, Command, Component, Sample
+from maglev_mj.laws import Bias, Hold, Law
+from maglev_mj.loop import run
+from maglev_mj.parameters import number, numbers
+from maglev_mj.plants import Plant
+
+__all__ = ["LINES", "CurrentPlant", "Motion", "Multisine", "Trim", "collect", "excitation"]
+
+LINES = np.array([[4.5 + axis, 10.5 + axis] for axis in range(6)])
+"""Two frequencies for each axis [Hz], (6, 2), all odd multiples of 0.5 Hz: what two of them make of a product, such as
+that of an angle and a current, has even ones and passes for nothing else."""
+
+_TRIM = 0.125
+_SETTLED = 2.0
+
+
+class Motion(NamedTuple):
+    """What was seen of a device.
+
+    Attributes:
+        poses: Measured at each sample [m, rad], (N, 6); NaN where a sample was lost.
+        currents: The answers to these samples, as applied [A], (N, 6); NaN where a sample was lost.
+    """
+
+    poses: Array
+    currents: Array
+
+
+class CurrentPlant(Plant, Protocol):
+    """A plant that says which currents it sent."""
+
+    @property
+    def last_currents(self) -> Sequence[float]:
+        """Currents held from the last answer on, after every limit [A], six."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Multisine:
+    """A wrench of sines: force = sum of amplitude sin(2 pi frequency t), in phase at the first sample.
+
+    Args:
+        frequencies: Of each axis [Hz], (6, L).
+        amplitudes: Of each [N, N m], (6, L).
+        period: Sample period [s].
+
+    Raises:
+        ParameterError: If shapes do not fit, or a frequency is not below half the sample rate.
+    """
+
+    frequencies: ArrayLike
+    amplitudes: ArrayLike
+    period: float
+
+    batch: tuple[int, ...] = field(init=False, default=())
+    pulse_width: float = field(init=False, default=0.0)
+    _sines: tuple[tuple[int, float, float], ...] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        lines, sizes = numbers("frequencies", self.frequencies, at_least=0.0), numbers("amplitudes", self.amplitudes)
+        if lines.ndim != 2 or len(lines) != len(AXES) or sizes.shape != lines.shape:
+            raise ParameterError(f"frequencies and amplitudes must be (6, L), not {lines.shape} and {sizes.shape}")
+        number("the highest frequency", float(lines.max(initial=0.0)), below=0.5 / self.period)
+        turns = 2.0 * math.pi * self.period * lines
+        sines = [(axis, float(turns[axis, line]), float(sizes[axis, line])) for axis, line in np.ndindex(*lines.shape)]
+        object.__setattr__(self, "_sines", tuple(sines))
+
+    def start(self) -> int:
+        """Return the state before the first sample: how many were answered."""
+        return 0
+
+    def __call__(
+        self, position: Sequence[Component], velocity: Sequence[Component], state: int, wrench: list[Component]
+    ) -> tuple[int, None]:
+        """Answer one sample; see `Law`."""
+        for axis, turn, size in self._sines:
+            wrench[axis] = wrench[axis] + size * math.sin(turn * state)
+        return state + 1, None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Trim:
+    """What slowly brings the flotor to the centre, however wrong its weight is known: force' = -gain x.
+
+    Args:
+        gain: Of each axis [N/m s, N m/rad s], (6,).
+        period: Sample period [s].
+
+    Raises:
+        ParameterError: If a gain is negative, or they are not six.
+    """
+
+    gain: ArrayLike
+    period: float
+
+    batch: tuple[int, ...] = field(init=False, default=())
+    pulse_width: float = field(init=False, default=0.0)
+    _steps: tuple[float, ...] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        gain = numbers("trim gain", self.gain, at_least=0.0)
+        if gain.shape != (len(AXES),):
+            raise ParameterError(f"trim gain must be (6,), not {gain.shape}")
+        object.__setattr__(self, "_steps", tuple((gain * number("period", self.period, above=0.0)).tolist()))
+
+    def start(self) -> Sequence[Any]:
+        """Return the state before the first sample: no force."""
+        return (0.0,) * len(AXES)
+
+    def __call__(
+        self,
+        position: Sequence[Component],
+        velocity: Sequence[Component],
+        state: Sequence[Any],
+        wrench: list[Component],
+    ) -> tuple[Sequence[Any], None]:
+        """Answer one sample; see `Law`."""
+        force = [before - step * place for before, step, place in zip(state, self._steps, position)]
+        for axis, part in enumerate(force):
+            wrench[axis] = wrench[axis] + part
+        return force, None
+
+
+def excitation(
+    known: Calibration,
+    *,
+    period: float,
+    delay: float,
+    translation: float = 1e-4,
+    rotation: float = 1.5e-3,
+    lines: ArrayLike = LINES,
+) -> Controller:
+    """Return a controller that hovers softly, trims itself to the centre, and shakes each axis at its own frequencies.
+
+    Args:
+        known: What is known of the device; may be wrong.
+        period: Sample period [s].
+        delay: Transport delay [s].
+        translation: Amplitude of each line on x, y and z, on a device that is as known [m].
+        rotation: The same on rx, ry and rz [rad].
+        lines: Frequencies of each axis [Hz], (6, L).
+
+    Raises:
+        ParameterError: If a value is outside its bounds.
+    """
+    body = np.concatenate([np.full(3, known.mass), known.inertia])
+    hold = Hold.critically_damped(inertia=body, period=period, delay=delay)
+    rate = np.sqrt(np.asarray(hold.stiffness) / body)
+    sizes = np.repeat([number("translation", translation, at_least=0.0), number("rotation", rotation, at_least=0.0)], 3)
+    turns = 2.0 * math.pi * numbers("lines", lines)
+    # what a critically damped hold leaves of a sine is 1 / (body (rate² + turn²))
+    forces = (body * sizes)[:, None] * (np.square(rate)[:, None] + np.square(turns))
+    weight = np.concatenate([-known.mass * known.gravity, np.zeros(3)])
+    laws: list[Law] = [
+        Bias(weight),
+        hold,
+        Trim(gain=_TRIM * np.asarray(hold.stiffness) * rate, period=period),
+        Multisine(frequencies=lines, amplitudes=forces, period=period),
+    ]
+    return Controller(laws, period=period)
+
+
+def collect(plant: CurrentPlant, controller: Controller, duration: float, *, settle: float = _SETTLED) -> Motion:
+    """Let a controller drive a plant, and return the poses and the currents.
+
+    Args:
+        plant: Any plant that says which currents it sent; hovering, or just released. It is left open.
+        controller: As from `excitation`.
+        duration: How long to look [s].
+        settle: How long to drive it ahead of that [s]: until trimmed.
+
+    Raises:
+        ParameterError: If the periods differ, or a duration is shorter than a sample.
+        MaglevError: As `run`.
+    """
+    period = plant.period
+    ahead = round(number("settle", settle, at_least=0.0) / period)
+    ticks = ahead + max(round(number("duration", duration, above=0.0) / period), 1)
+    seen: list[tuple[int, Sequence[float], Sequence[float]]] = []
+
+    def observe(sample: Sample, command: Command) -> None:
+        seen.append((sample.tick, tuple(sample.position), tuple(plant.last_currents)))
+
+    run(plant, controller, ticks, observe=observe)
+    kept = seen[ahead:]
+    first = kept[0][0]
+    motion = Motion(*(np.full((kept[-1][0] - first + 1, 6), np.nan) for _ in range(2)))
+    for tick, pose, currents in kept:
+        motion.poses[tick - first], motion.currents[tick - first] = pose, currents
+    return motion

@@ -1,0 +1,275 @@
+"""The plant that is a device at the other end of a wire: spots in, currents out; the controller knows nothing of it."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NoReturn, Self
+
+from numpy.typing import ArrayLike
+
+from maglev_mj.bridge.calibration import Calibration
+from maglev_mj.bridge.connection import Connection
+from maglev_mj.bridge.fault import BlackBox, DeviceFault
+from maglev_mj.bridge.gate import Gate
+from maglev_mj.bridge.link import Link
+from maglev_mj.bridge.safety import WARM, Envelope, FlotorGuard
+from maglev_mj.bridge.states import Fault, Operation, State, fault_names
+from maglev_mj.bridge.wire import Command as CommandFrame
+from maglev_mj.bridge.wire import Frame, StateReport
+from maglev_mj.errors import PlantError, SensingError
+from maglev_mj.frames import AXES, Command, Sample
+from maglev_mj.parameters import number
+from maglev_mj.tracking import PoseTracker
+
+__all__ = ["RemotePlant"]
+
+_ZERO = (0.0,) * 6
+_COLUMNS = (
+    *("sample", "time_ns", "state", "faults"),
+    *(f"spot{place}" for place in range(6)),
+    *AXES,
+    *(f"{kind}{place}" for kind in ("held", "pulsed") for place in range(6)),
+    "width",
+)
+
+
+class RemotePlant:
+    """A device at the other end of a wire. The controller cannot tell it from `MuJoCoPlant`.
+
+    The device is the clock: `read` waits for its next sample. A sample that was lost leaves a gap in the tick numbers.
+    Six currents leave through one gate: finite, wrench limit, current limit, warmth. Whatever goes wrong ends in zero
+    currents, a fault that is latched until `reset`, and a file with the last cycles.
+
+    Args:
+        link: The wire; see `open_link`. It is closed with the plant.
+        calibration: What is known of the device, whose hash it must have.
+        key: With which frames are sealed.
+        envelope: Where and how fast the flotor may go.
+        wrench_limit: Largest wrench, a number or (6,) [N, N m]; None for what the currents allow.
+        patience: How long to wait for the device [s]: for an answer, and for a sample.
+        folder: Where the last cycles before a fault are written.
+
+    Attributes:
+        period: Sample period [s].
+        delay: From a command's arrival to its taking effect [s].
+        lockstep: Whether the device's time waits for each answer.
+        state: Of the device, at the last sample.
+        faults: Likewise.
+        warmth: Of the six coils, the higher of what the device says and what was sent.
+        last_currents: What was sent last [A], six.
+        lost: Samples that did not arrive.
+        skipped: Samples that were answered by nobody because a newer one was there.
+        hand_wrench: Zero: nobody measures what the hand does.
+
+    Raises:
+        HandshakeError: If no device answers, or it will not have this host: another is flying it, its protocol is of
+            another version, or its calibration is another.
+        ParameterError: If a value is outside its bounds.
+    """
+
+    hand_wrench = _ZERO
+
+    def __init__(
+        self,
+        link: Link,
+        *,
+        calibration: Calibration | None = None,
+        key: bytes | None = None,
+        envelope: Envelope | None = None,
+        wrench_limit: ArrayLike | None = None,
+        patience: float = 1.0,
+        folder: Path = Path(),
+    ) -> None:
+        self.calibration = calibration or Calibration.nominal()
+        self._patience = number("patience", patience, above=0.0)
+        self._guard = FlotorGuard(envelope or Envelope())
+        self._track = PoseTracker(self.calibration.beams)
+        self._offsets: list[float] | None = self.calibration.spot_offsets.tolist()
+        if not any(self._offsets or ()):
+            self._offsets = None
+        self._box = BlackBox(folder, _COLUMNS)
+        self._line = Connection(link, self.calibration.digest, key, self._patience)
+        welcome = self._line.welcome
+        self.period, self.delay = welcome.period * 1e-9, welcome.delay * 1e-9
+        self.lockstep, self.limits = bool(welcome.lockstep), self._line.limits
+        self._period_ns = welcome.period
+        self._gate = Gate(self.calibration.coils, self.limits, wrench_limit, self.period)
+        self.warmth: list[float] = [0.0] * 6
+        self._warned = False
+        self.state, self.faults = State(welcome.state), Fault(0)
+        self.last_currents: Sequence[float] = _ZERO
+        self.lost = self.skipped = 0
+        self._first: int | None = None
+        self._tick, self._time, self._sequence = -1, 0, 0
+        self._owed = False
+        self._known: Sequence[float] = _ZERO
+        self._elapsed = 0
+        self._row: tuple[Any, ...] | None = None
+
+    def read(self) -> Sample:
+        """Wait for the device's next sample and return what is measured there; the newest, if several are there.
+
+        Raises:
+            DeviceFault: If the device is in the fault state, or what it says is not to be trusted.
+            PlantError: If the plant is closed.
+        """
+        if self._owed and self.lockstep:  # a device that waits for an answer gets the one before, without its pulse
+            self._send(self.last_currents, None, 0.0)
+        self._owed = False
+        frame = self._next_frame()
+        report: StateReport = frame.body  # type: ignore[assignment]
+        self._follow(frame)
+        if report.state == State.FAULT and self.state != State.FAULT:
+            self.state, self.faults = State.FAULT, Fault(report.faults)
+            self._fail(self.faults, "said by the device")
+        self.state, self.faults = State(report.state), Fault(report.faults)
+        spots: Sequence[float] = report.spots
+        if self._offsets is not None:
+            spots = [spot - offset for spot, offset in zip(spots, self._offsets)]
+        try:
+            position = self._track(spots)
+        except SensingError as error:
+            if self.state == State.ACTIVE:
+                self._fail(Fault.SENSOR_OUT_OF_RANGE, str(error))
+            raise
+        self._known = position
+        self._row = (frame.sequence, frame.time, report.state, report.faults, report.spots, tuple(position))
+        self._owed = True
+        wrong = self._guard.check(position, self._elapsed * self.period)
+        if self.state == State.ACTIVE:
+            if wrong:
+                self._fail(wrong, f"the flotor is at {_shown(position)}")
+            if max(self.warmth) >= WARM:
+                self._watch_warmth()
+        return Sample(self._tick, self._tick * self.period, position)
+
+    def write(self, command: Command) -> Command:
+        """Send the answer to the last sample; return it as applied, after every limit.
+
+        Raises:
+            DeviceFault: If the command is not finite.
+            PlantError: If no sample was read.
+        """
+        if self._tick < 0:
+            raise PlantError("write() needs a sample: call read() first")
+        try:
+            command, held, pulsed, width = self._gate.currents(command, self._known)
+        except PlantError as error:
+            self._fail(Fault.INVALID_COMMAND, str(error))
+        self._send(held, pulsed, width)
+        self._owed = False
+        if self._row is not None:
+            self._box.keep((*self._row, tuple(held), tuple(held if pulsed is None else pulsed), width))
+        return command
+
+    def arm(self) -> None:
+        """Let the currents flow. Where commands are missing, the device holds the flotor by those that carry it.
+
+        Raises:
+            PlantError: If the device refuses, as in the fault state.
+        """
+        self._ask(Operation.ARM, hover=self.calibration.hover.tolist())
+        self.state = State.ACTIVE
+
+    def disarm(self) -> None:
+        """Switch the currents off."""
+        self._ask(Operation.DISARM)
+        if self.state == State.ACTIVE:
+            self.state = State.INACTIVE
+
+    def estop(self) -> None:
+        """Switch the currents off in whatever state, and latch that it was asked for."""
+        self._ask(Operation.ESTOP)
+        self.state, self.faults = State.FAULT, self.faults | Fault.ESTOP
+
+    def reset(self) -> None:
+        """Leave the fault state.
+
+        Raises:
+            PlantError: If the device refuses: its coils are too warm.
+        """
+        self._ask(Operation.RESET)
+        self.state, self.faults = State.INACTIVE, Fault(0)
+
+    def trip(self, faults: Fault) -> None:
+        """Put the device into the fault state; the line may be too bad for an answer."""
+        self._line.control(Operation.TRIP, faults=faults)
+        self.state, self.faults = State.FAULT, self.faults | faults
+
+    def close(self) -> None:
+        """Switch the currents off and let go of the device; safe to call at any time, and more than once."""
+        self._line.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _ask(self, operation: Operation, *, hover: Sequence[float] = _ZERO) -> None:
+        answer = self._line.control(operation, hover=hover)
+        if answer is None:
+            raise PlantError(f"the device did not answer {operation.name} within {self._patience:g} s")
+        if answer.result:
+            raise PlantError(
+                f"the device refused {operation.name}: it is {State(answer.state).name}, faults "
+                f"{fault_names(answer.faults)}"
+            )
+
+    def _next_frame(self) -> Frame:
+        """Return the newest STATE."""
+        frame = self._line.state(self._patience)
+        if frame is None:
+            if self.state == State.ACTIVE:
+                self._fail(Fault.HOST, f"no sample from the device within {self._patience:g} s")
+            raise PlantError(f"no sample from the device within {self._patience:g} s")
+        return frame
+
+    def _follow(self, frame: Frame) -> None:
+        """Count the device's samples, and see that its clock goes as they do."""
+        if self._first is None:
+            self._first, self._elapsed = frame.sequence, 0
+        else:
+            self._elapsed = (frame.sequence - self._sequence) & 0xFFFFFFFF
+            passed = frame.time - self._time
+            if abs(passed - self._elapsed * self._period_ns) > self._period_ns // 2 and self.state == State.ACTIVE:
+                self._fail(Fault.CLOCK, f"{passed * 1e-6:.3f} ms went by in {self._elapsed} samples")
+            missing = self._elapsed - 1
+            skipped = min(self._line.skipped, missing)
+            self.skipped += skipped
+            self.lost += missing - skipped
+        self._tick += max(self._elapsed, 1)
+        self._sequence, self._time = frame.sequence, frame.time
+        report: Any = frame.body
+        self.warmth = [max(one, other) for one, other in zip(report.warmth, self._gate.warmth.shares)]
+
+    def _send(self, held: Sequence[float], pulsed: Sequence[float] | None, width: float) -> None:
+        self.last_currents = held
+        self._line.command(
+            CommandFrame(self._sequence, 0, tuple(held), tuple(held if pulsed is None else pulsed), width)
+        )
+
+    def _watch_warmth(self) -> None:
+        warmest = max(self.warmth)
+        if warmest >= 1.0:
+            self._fail(Fault.COIL_OVERTEMP, f"coil {self.warmth.index(warmest)} bears no more")
+        if not self._warned:
+            self._warned = True
+            warnings.warn(f"a coil is at {warmest:.0%} of what it bears", stacklevel=3)
+
+    def _fail(self, faults: Fault, message: str) -> NoReturn:
+        """Put the device into the fault state, keep the last cycles, and say so."""
+        if self.state != State.FAULT:
+            self.trip(faults)
+        about = {"period": self.period, "delay": self.delay, "lost": self.lost, "skipped": self.skipped}
+        if self._row is not None:
+            self._box.keep((*self._row, self.last_currents, self.last_currents, 0.0))
+        path = self._box.write(faults, message, about)
+        raise DeviceFault(faults, message, path)
+
+
+def _shown(position: Sequence[float]) -> str:
+    places = ", ".join(f"{part * 1e3:.2f}" for part in position)
+    return f"{places} (mm, mrad)"

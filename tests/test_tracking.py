@@ -1,0 +1,295 @@
+"""The pose of one device from six spots at loop speed: as exact as `Beams.pose`, and never another pose in silence."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterable
+
+import numpy as np
+import pytest
+
+from maglev_mj import tracking
+from maglev_mj.errors import ParameterError, SensingError
+from maglev_mj.frames import Array, rotation_matrix
+from maglev_mj.model import beams
+from maglev_mj.plants import SpotReader, SpotSensor
+from maglev_mj.sensing import Beams
+from maglev_mj.spec import Spec
+from maglev_mj.tracking import FARTHEST, MOST_TURNED, FastBeams, PoseTracker
+
+QUANTUM = 8e-7
+
+
+def poses(count: int, distance: float = 4.5e-3, degrees: float = 6.0, seed: int = 1) -> Array:
+    """Return seeded poses in a cube and within an angle, in no order."""
+    random = np.random.default_rng(seed)
+    axis = random.normal(size=(count, 3))
+    axis *= np.radians(random.uniform(0.0, degrees, (count, 1))) / np.linalg.norm(axis, axis=1, keepdims=True)
+    return np.concatenate([random.uniform(-distance, distance, (count, 3)), axis], axis=1)
+
+
+def path(count: int, step: float) -> Array:
+    """Return a smooth path all over the range, each pose about so far from the last [m]."""
+    random = np.random.default_rng(2)
+    rates, phases = random.uniform(0.5, 1.5, 6), random.uniform(0.0, 2.0 * math.pi, 6)
+    reach = np.array([4e-3] * 3 + [0.055] * 3)
+    return np.asarray(reach * np.sin(phases + np.outer(np.arange(count), rates) * step / reach[0]))
+
+
+def stepped(spots: Array) -> Array:
+    """Return spots in steps of a diode's resolution."""
+    return np.asarray(np.rint(spots / QUANTUM) * QUANTUM)
+
+
+def tracked(tracker: PoseTracker, spots: Iterable[Array]) -> Array:
+    """Return what a tracker makes of spots one after the other."""
+    return np.array([tracker(one.tolist()) for one in spots])
+
+
+@pytest.mark.parametrize(
+    "wanted",
+    [poses(3000), poses(3000, 9e-3, 12.0), path(2000, 1e-6), path(2000, 2e-4)],
+    ids=["anywhere", "beyond", "hovering", "moving"],
+)
+def test_it_agrees_with_newton_on_all_six(wanted: Array) -> None:
+    spots = beams().spots(wanted)
+    found = tracked(PoseTracker(beams()), spots)
+    np.testing.assert_allclose(found, beams().pose(spots), atol=1e-13)
+    np.testing.assert_allclose(found, wanted, atol=1e-13)
+
+
+@pytest.mark.parametrize("share", [1.0, 1.5])
+def test_steps_of_a_spot_stay_within_the_resolution_of_table_1(share: float) -> None:
+    wanted = poses(4000) * share
+    off = np.abs(tracked(PoseTracker(beams()), stepped(beams().spots(wanted))) - wanted)
+    assert off[:, :3].max() < Spec.translation_resolution.value == 5e-6
+    assert off[:, 3:].max() < Spec.rotation_resolution.value == 1e-5
+
+
+@pytest.mark.parametrize("share", [1, 2, 3, 4, 5, 6, 8, 10])
+def test_beyond_the_range_it_is_the_right_pose_or_an_error(share: int) -> None:
+    """Up to 45 mm along each axis and 60 degrees, by jumps from anywhere to anywhere."""
+    wanted = poses(1500, 4.5e-3 * share, 6.0 * share, seed=share)
+    tracker = PoseTracker(beams())
+    for pose, spots in zip(wanted, beams().spots(wanted)):
+        near = np.linalg.norm(pose[:3]) < FARTHEST and np.linalg.norm(pose[3:]) < MOST_TURNED
+        if near:
+            np.testing.assert_allclose(tracker(spots.tolist()), pose, atol=1e-12)
+        else:
+            with pytest.raises(SensingError, match="no pose was found for the spots"):
+                tracker(spots.tolist())
+
+
+def test_of_all_poses_with_the_same_spots_one_is_near() -> None:
+    """Newton on the full equations, from anywhere, finds no second pose within the limits."""
+    random, sensor, others = np.random.default_rng(3), beams(), 0
+    for pose in poses(30, 15e-3, 40.0):
+        spots = sensor.spots(pose)
+        for guess in np.concatenate([random.uniform(-0.03, 0.03, (30, 3)), random.normal(size=(30, 3)) * 2.0], axis=1):
+            try:
+                found = sensor.pose(spots, guess)
+            except SensingError:
+                continue
+            turn = rotation_matrix(found[3:])
+            angle = math.acos(max(-1.0, min(1.0, (np.trace(turn) - 1.0) / 2.0)))
+            if np.abs(turn - rotation_matrix(pose[3:])).max() > 1e-6:
+                others += 1
+                assert angle > 2.0 > MOST_TURNED
+    assert others > 100
+
+
+def test_half_a_turn_gives_the_same_spots_and_is_not_taken() -> None:
+    """The beams start from one point in one plane: half a turn about its normal puts every one back on its line."""
+    sensor, pose = beams(), np.array([1e-3, 2e-3, -1e-3, 0.02, -0.03, 0.05])
+    turn = rotation_matrix(pose[3:])
+    meeting = np.array([0.0, 0.0, sensor.leds[0, 2]])
+    half = turn @ np.diag([-1.0, -1.0, 1.0])
+    values, vectors = np.linalg.eig(half)  # near half a turn the axis is the eigenvector of 1
+    axis = np.real(vectors[:, np.argmin(np.abs(values - 1.0))])
+    sine = np.array([half[2, 1] - half[1, 2], half[0, 2] - half[2, 0], half[1, 0] - half[0, 1]]) @ axis
+    vector = axis * math.atan2(sine, float(np.trace(half)) - 1.0)
+    np.testing.assert_allclose(rotation_matrix(vector), half, atol=1e-12)
+    other = np.concatenate([pose[:3] + turn @ meeting - half @ meeting, vector])
+    np.testing.assert_allclose(sensor.spots(other), sensor.spots(pose), atol=1e-13)
+    tracker = PoseTracker(sensor)
+    np.testing.assert_allclose(tracker(sensor.spots(other).tolist()), pose, atol=1e-12)
+
+
+def test_newton_squares_its_error() -> None:
+    forms, start, constants = tracking._forms(beams()), tracking._UPRIGHT, []
+    for spots in beams().spots(poses(300, 9e-3, 20.0)):
+        turning = forms.dot((*spots, 1.0)).tolist()[:30]
+        root = tracking._turn(turning, start)
+        assert root is not None
+        guess, errors = start, [math.hypot(*root)]
+        while errors[-1] > 1e-7:
+            after = tracking._turn(turning, guess, close=math.inf)  # one step
+            assert after is not None and len(errors) < 6
+            guess = after
+            errors.append(math.dist(guess, root))
+        constants += [late / early**2 for early, late in itertools.pairwise(errors) if late > 1e-13]
+    # what it multiplies the square by does not depend on the size of the error; 2 suffices for steps of 1e-7 to end it
+    assert len(constants) > 500 and max(constants) < 2.0
+
+
+def test_no_pose_is_an_error_and_the_next_one_is_found_as_by_a_new_tracker() -> None:
+    sensor, wanted = beams(), poses(5)
+    spots = sensor.spots(wanted).tolist()
+    tracker, bad = PoseTracker(sensor), [[1.0, -1.0] * 3]
+    bad += [
+        [value if axis == bent else 0.0 for axis in range(6)] for bent in range(6) for value in (math.nan, math.inf)
+    ]
+    bad += [[math.nan] * 6, [-math.inf] * 6, [1e300] * 6, sensor.spots(np.array([31e-3, 0, 0, 0, 0, 0])).tolist()]
+    bad += [sensor.spots(np.array([0, 0, 0, 0, 0, 0.81])).tolist()]
+    for missing in bad:
+        tracker(spots[0])
+        with pytest.raises(SensingError, match="no pose was found for the spots"):
+            tracker(missing)
+        assert tracker(spots[1]) == PoseTracker(sensor)(spots[1])
+    tracker.reset()
+    assert tracker(spots[2]) == PoseTracker(sensor)(spots[2])
+
+
+def test_the_same_spots_give_the_same_bits() -> None:
+    spots = beams().spots(np.concatenate([path(300, 1e-4), poses(300), poses(300, 40e-3, 60.0)])).tolist()
+
+    def run() -> list[list[float] | None]:
+        tracker, found = PoseTracker(beams()), list[list[float] | None]()
+        for one in spots:
+            try:
+                found.append(tracker(one))
+            except SensingError:
+                found.append(None)
+        return found
+
+    first = run()
+    assert None in first and first == run()
+    assert all(type(part) is float for part in first[0] or ())
+
+
+@pytest.mark.parametrize("one, other", [(0, 1), (1, 2), (0, 2)])
+def test_exchanged_diodes_give_a_pose_of_those_spots_or_an_error(one: int, other: int) -> None:
+    order = [0, 1, 2]
+    order[one], order[other] = other, one
+    wanted = poses(500, 9e-3, 12.0)
+    spots = beams().spots(wanted).reshape(-1, 3, 2)[:, order].reshape(-1, 6)
+    tracker, found = PoseTracker(beams()), 0
+    for pose, seen in zip(wanted, spots):
+        try:
+            mistaken = np.array(tracker(seen.tolist()))
+        except SensingError:
+            continue
+        found += 1
+        np.testing.assert_allclose(beams().spots(mistaken), seen, atol=1e-13)
+        assert np.abs(mistaken - pose).max() > 1e-5
+    assert found > 400
+
+
+def test_it_needs_no_beams_from_one_point_in_one_plane() -> None:
+    random, good = np.random.default_rng(4), beams()
+    directions = good.directions + random.normal(size=(3, 3)) * 0.3
+    bent = Beams(
+        good.leds + random.normal(size=(3, 3)) * 5e-3,
+        directions / np.linalg.norm(directions, axis=1, keepdims=True),
+        good.diodes + random.normal(size=(3, 3)) * 5e-3,
+        np.einsum("kab,kcb->kca", rotation_matrix(random.normal(size=(3, 3)) * 0.3), good.across),
+    )
+    wanted = poses(500, 9e-3, 12.0)
+    np.testing.assert_allclose(tracked(PoseTracker(bent), bent.spots(wanted)), wanted, atol=1e-12)
+    np.testing.assert_allclose(
+        [FastBeams(bent).spots(pose.tolist()) for pose in wanted], bent.spots(wanted), atol=1e-15
+    )
+
+
+def test_fast_spots_are_the_spots() -> None:
+    fast = FastBeams(beams())
+    wanted = np.concatenate([np.zeros((1, 6)), path(200, 1e-6) * 1e-3, poses(1000, 9e-3, 45.0)])
+    np.testing.assert_allclose(
+        [fast.spots(pose.tolist()) for pose in wanted], beams().spots(wanted), rtol=0, atol=2e-16
+    )
+    turned = np.array([1e-3, 0.0, 0.0, 0.0, 0.3, math.pi - 1e-9])
+    np.testing.assert_allclose(fast.spots(turned.tolist()), beams().spots(turned), rtol=0, atol=2e-16)
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e300])
+@pytest.mark.parametrize("axis", range(6))
+def test_a_pose_that_is_none_has_no_spots(value: float, axis: int) -> None:
+    pose = [value if axis == bent else 0.0 for bent in range(6)]
+    for measure in (FastBeams(beams()).spots, SpotReader(beams(), QUANTUM), SpotSensor(beams=beams()).start()):
+        with pytest.raises(SensingError, match="no spots were found for the pose"):
+            measure(pose)
+
+
+def test_a_beam_along_its_diode_has_no_spot() -> None:
+    """At a quarter turn about y one does, exactly or but for rounding."""
+    fast, angle = FastBeams(beams()), math.pi / 2.0 - 20 * math.ulp(1.5)
+    for _ in range(40):
+        angle = math.nextafter(angle, math.inf)
+        try:
+            spots = fast.spots([0.0, 0.0, 0.0, 0.0, angle, 0.0])
+        except SensingError as error:
+            assert "a beam runs along its diode" in str(error)
+        else:
+            assert max(map(abs, spots)) > 1e10
+
+
+def test_a_plants_sensor_sees_as_far_as_the_plant_goes() -> None:
+    """To 45 mm and a radian, where a plant by default has escaped, by jumps."""
+    wanted = poses(3000, 45e-3, math.degrees(1.0))
+    measure = SpotSensor(beams=beams()).start()
+    np.testing.assert_allclose([measure(pose) for pose in wanted.tolist()], wanted, atol=1e-11)
+
+
+@pytest.mark.parametrize("wrong", [{"farthest": -1.0}, {"farthest": math.nan}, {"most_turned": 4.0}])
+def test_a_tracker_refuses_limits_that_are_none(wrong: dict[str, float]) -> None:
+    (name,) = wrong
+    with pytest.raises(ParameterError, match=f"{name} must be"):
+        PoseTracker(beams(), **wrong)
+
+
+@pytest.mark.parametrize("noise", [0.0, 3e-7])
+def test_a_sensor_is_a_reader_and_a_tracker_bit_for_bit(noise: float) -> None:
+    measure = SpotSensor(beams=beams(), quantum=QUANTUM, noise=noise, seed=5).start()
+    reader, tracker = SpotReader(beams(), QUANTUM, noise, 5), PoseTracker(beams())
+    for pose in np.concatenate([path(300, 1e-5), poses(300)]).tolist():
+        assert measure(pose) == tracker(reader(pose))
+
+
+def test_a_readers_steps_are_those_of_rint() -> None:
+    reader, fast = SpotReader(beams(), QUANTUM), FastBeams(beams())
+    for pose in poses(2000, 9e-3, 12.0).tolist():
+        assert reader(pose) == stepped(np.array(fast.spots(pose))).tolist()
+    assert [half + 1.5 * 2.0**52 - 1.5 * 2.0**52 for half in (-1.5, -0.5, 0.5, 2.5)] == [-2.0, 0.0, 0.0, 2.0]
+
+
+def test_noise_is_seeded_white_and_ahead_of_the_steps() -> None:
+    noise, pose = 1e-6, [1e-3, 0.0, -1e-3, 0.01, 0.0, 0.02]
+    one, same, other = (SpotReader(beams(), 0.0, noise, seed) for seed in (3, 3, 4))
+    quiet, drawn = np.array(FastBeams(beams()).spots(pose)), np.array([one(pose) for _ in range(2000)])
+    random = np.random.default_rng(3)
+    # six draws a call, no more: a remote device that reads alike draws alike
+    np.testing.assert_array_equal(drawn, [quiet + noise * random.standard_normal(6) for _ in range(2000)])
+    assert same(pose) == drawn[0].tolist() != other(pose)
+    both = SpotReader(beams(), QUANTUM, noise, 3)
+    np.testing.assert_array_equal([both(pose) for _ in range(50)], stepped(drawn[:50]))
+
+
+def test_noise_of_a_batch_is_each_devices_own() -> None:
+    pose = [np.full(4, value) for value in (1e-3, 0.0, -1e-3, 0.01, 0.0, 0.02)]
+    sensor = SpotSensor(beams=beams(), noise=1e-6, seed=3)
+    measured = np.stack(sensor.start()(pose), axis=-1)
+    assert len({row.tobytes() for row in measured}) == 4
+    np.testing.assert_array_equal(measured, np.stack(sensor.start()(pose), axis=-1))
+    # the first device of a batch draws as a single one does
+    alone = sensor.start()([float(part[0]) for part in pose])
+    np.testing.assert_allclose(measured[0], alone, atol=1e-13)
+
+
+@pytest.mark.parametrize("wrong", [{"noise": -1.0}, {"noise": math.nan}, {"seed": -1}, {"quantum": -1.0}])
+def test_a_reader_and_a_sensor_refuse_what_is_negative(wrong: dict[str, float]) -> None:
+    (name,) = wrong
+    with pytest.raises(ParameterError, match=f"{name} must be"):
+        SpotReader(beams(), **wrong)  # type: ignore[arg-type]
+    with pytest.raises(ParameterError, match=f"{name} must be"):
+        SpotSensor(beams=beams(), **wrong)  # type: ignore[arg-type]
