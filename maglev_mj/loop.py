@@ -14,7 +14,7 @@ from maglev_mj.plants import Plant
 
 __all__ = ["Answers", "ControlLoop", "run"]
 
-_KEPT = 50
+_KEPT = 200
 
 
 class Answers(Protocol):

@@ -15,11 +15,11 @@ from maglev_mj.controller import Controller
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Array, Command, Component, Sample
 from maglev_mj.laws import Bias, Hold, Law
-from maglev_mj.loop import run
+from maglev_mj.loop import Answers, run
 from maglev_mj.parameters import number, numbers
 from maglev_mj.plants import Plant
 
-__all__ = ["LINES", "CurrentPlant", "Motion", "Multisine", "Trim", "collect", "excitation"]
+__all__ = ["LINES", "CurrentPlant", "Motion", "Shaker", "Trim", "collect", "excitation"]
 
 LINES = np.array([[4.5 + axis, 10.5 + axis] for axis in range(6)])
 """Two frequencies for each axis [Hz], (6, 2), all odd multiples of 0.5 Hz: what two of them make of a product, such as
@@ -49,47 +49,37 @@ class CurrentPlant(Plant, Protocol):
         """Currents held from the last answer on, after every limit [A], six."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Multisine:
-    """A wrench of sines: force = sum of amplitude sin(2 pi frequency t), in phase at the first sample.
+class Shaker:
+    """A controller, and sines on top of its wrench: force += sum of amplitude sin(2 pi frequency t).
+
+    Their time is that of the samples and not the number of answers, so that they stay in step where samples are lost.
 
     Args:
+        controller: Whatever keeps the flotor near the centre; without pulses.
         frequencies: Of each axis [Hz], (6, L).
         amplitudes: Of each [N, N m], (6, L).
-        period: Sample period [s].
 
     Raises:
         ParameterError: If shapes do not fit, or a frequency is not below half the sample rate.
     """
 
-    frequencies: ArrayLike
-    amplitudes: ArrayLike
-    period: float
-
-    batch: tuple[int, ...] = field(init=False, default=())
-    pulse_width: float = field(init=False, default=0.0)
-    _sines: tuple[tuple[int, float, float], ...] = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        lines, sizes = numbers("frequencies", self.frequencies, at_least=0.0), numbers("amplitudes", self.amplitudes)
+    def __init__(self, controller: Answers, *, frequencies: ArrayLike, amplitudes: ArrayLike) -> None:
+        self._controller, self.period = controller, controller.period
+        lines, sizes = numbers("frequencies", frequencies, at_least=0.0), numbers("amplitudes", amplitudes)
         if lines.ndim != 2 or len(lines) != len(AXES) or sizes.shape != lines.shape:
             raise ParameterError(f"frequencies and amplitudes must be (6, L), not {lines.shape} and {sizes.shape}")
         number("the highest frequency", float(lines.max(initial=0.0)), below=0.5 / self.period)
-        turns = 2.0 * math.pi * self.period * lines
-        sines = [(axis, float(turns[axis, line]), float(sizes[axis, line])) for axis, line in np.ndindex(*lines.shape)]
-        object.__setattr__(self, "_sines", tuple(sines))
+        self._sines = [
+            (axis, float(lines[axis, one]), float(sizes[axis, one])) for axis, one in np.ndindex(lines.shape)
+        ]
 
-    def start(self) -> int:
-        """Return the state before the first sample: how many were answered."""
-        return 0
-
-    def __call__(
-        self, position: Sequence[Component], velocity: Sequence[Component], state: int, wrench: list[Component]
-    ) -> tuple[int, None]:
-        """Answer one sample; see `Law`."""
-        for axis, turn, size in self._sines:
-            wrench[axis] = wrench[axis] + size * math.sin(turn * state)
-        return state + 1, None
+    def step(self, sample: Sample) -> Command:
+        """Answer one sample."""
+        force = list(self._controller.step(sample).force)
+        turned = 2.0 * math.pi * sample.tick * self.period
+        for axis, frequency, size in self._sines:
+            force[axis] += size * math.sin(frequency * turned)
+        return Command(force)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -97,7 +87,7 @@ class Trim:
     """What slowly brings the flotor to the centre, however wrong its weight is known: force' = -gain x.
 
     Args:
-        gain: Of each axis [N/m s, N m/rad s], (6,).
+        gain: Of each axis [N/(m s), N m/(rad s)], (6,).
         period: Sample period [s].
 
     Raises:
@@ -143,7 +133,7 @@ def excitation(
     translation: float = 1e-4,
     rotation: float = 1.5e-3,
     lines: ArrayLike = LINES,
-) -> Controller:
+) -> Shaker:
     """Return a controller that hovers softly, trims itself to the centre, and shakes each axis at its own frequencies.
 
     Args:
@@ -162,6 +152,8 @@ def excitation(
     rate = np.sqrt(np.asarray(hold.stiffness) / body)
     sizes = np.repeat([number("translation", translation, at_least=0.0), number("rotation", rotation, at_least=0.0)], 3)
     turns = 2.0 * math.pi * numbers("lines", lines)
+    if turns.ndim != 2 or len(turns) != len(AXES):
+        raise ParameterError(f"lines must be (6, L), not {turns.shape}")
     # what a critically damped hold leaves of a sine is 1 / (body (rate² + turn²))
     forces = (body * sizes)[:, None] * (np.square(rate)[:, None] + np.square(turns))
     weight = np.concatenate([-known.mass * known.gravity, np.zeros(3)])
@@ -169,12 +161,11 @@ def excitation(
         Bias(weight),
         hold,
         Trim(gain=_TRIM * np.asarray(hold.stiffness) * rate, period=period),
-        Multisine(frequencies=lines, amplitudes=forces, period=period),
     ]
-    return Controller(laws, period=period)
+    return Shaker(Controller(laws, period=period), frequencies=lines, amplitudes=forces)
 
 
-def collect(plant: CurrentPlant, controller: Controller, duration: float, *, settle: float = _SETTLED) -> Motion:
+def collect(plant: CurrentPlant, controller: Answers, duration: float, *, settle: float = _SETTLED) -> Motion:
     """Let a controller drive a plant, and return the poses and the currents.
 
     Args:

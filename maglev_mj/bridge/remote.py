@@ -11,8 +11,10 @@ from numpy.typing import ArrayLike
 
 from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.connection import Connection
+from maglev_mj.bridge.counting import SampleCounter
 from maglev_mj.bridge.fault import BlackBox, DeviceFault
 from maglev_mj.bridge.gate import Gate
+from maglev_mj.bridge.lifecycle import Leader
 from maglev_mj.bridge.link import Link
 from maglev_mj.bridge.safety import WARM, Envelope, FlotorGuard
 from maglev_mj.bridge.states import Fault, Operation, State, fault_names
@@ -20,6 +22,7 @@ from maglev_mj.bridge.wire import Command as CommandFrame
 from maglev_mj.bridge.wire import Frame, StateReport
 from maglev_mj.errors import PlantError, SensingError
 from maglev_mj.frames import AXES, Command, Sample
+from maglev_mj.loop import ControlLoop
 from maglev_mj.parameters import number
 from maglev_mj.tracking import PoseTracker
 
@@ -59,8 +62,8 @@ class RemotePlant:
         faults: Likewise.
         warmth: Of the six coils, the higher of what the device says and what was sent.
         last_currents: What was sent last [A], six.
-        lost: Samples that did not arrive.
-        skipped: Samples that were answered by nobody because a newer one was there.
+        rest: Where the flotor lay before it took off [m, rad]; where it is landed.
+        samples: Their count, and what is missing of them.
         hand_wrench: Zero: nobody measures what the hand does.
 
     Raises:
@@ -94,18 +97,16 @@ class RemotePlant:
         welcome = self._line.welcome
         self.period, self.delay = welcome.period * 1e-9, welcome.delay * 1e-9
         self.lockstep, self.limits = bool(welcome.lockstep), self._line.limits
-        self._period_ns = welcome.period
         self._gate = Gate(self.calibration.coils, self.limits, wrench_limit, self.period)
         self.warmth: list[float] = [0.0] * 6
         self._warned = False
         self.state, self.faults = State(welcome.state), Fault(0)
         self.last_currents: Sequence[float] = _ZERO
-        self.lost = self.skipped = 0
-        self._first: int | None = None
-        self._tick, self._time, self._sequence = -1, 0, 0
+        self.rest: Sequence[float] = _ZERO
+        self.samples = SampleCounter(welcome.period)
+        self._sequence = 0
         self._owed = False
         self._known: Sequence[float] = _ZERO
-        self._elapsed = 0
         self._row: tuple[Any, ...] | None = None
 
     def read(self) -> Sample:
@@ -120,7 +121,9 @@ class RemotePlant:
         self._owed = False
         frame = self._next_frame()
         report: StateReport = frame.body  # type: ignore[assignment]
-        self._follow(frame)
+        clock = self.samples.count(frame.sequence, frame.time, self._line.skipped)
+        self.warmth = [max(one, other) for one, other in zip(report.warmth, self._gate.warmth.shares)]
+        self._sequence = frame.sequence
         if report.state == State.FAULT and self.state != State.FAULT:
             self.state, self.faults = State.FAULT, Fault(report.faults)
             self._fail(self.faults, "said by the device")
@@ -137,13 +140,16 @@ class RemotePlant:
         self._known = position
         self._row = (frame.sequence, frame.time, report.state, report.faults, report.spots, tuple(position))
         self._owed = True
-        wrong = self._guard.check(position, self._elapsed * self.period)
+        wrong = self._guard.check(position, self.samples.elapsed * self.period)
         if self.state == State.ACTIVE:
+            if clock:
+                self._fail(Fault.CLOCK, clock)
             if wrong:
                 self._fail(wrong, f"the flotor is at {_shown(position)}")
             if max(self.warmth) >= WARM:
                 self._watch_warmth()
-        return Sample(self._tick, self._tick * self.period, position)
+        tick = self.samples.tick
+        return Sample(tick, tick * self.period, position)
 
     def write(self, command: Command) -> Command:
         """Send the answer to the last sample; return it as applied, after every limit.
@@ -152,7 +158,7 @@ class RemotePlant:
             DeviceFault: If the command is not finite.
             PlantError: If no sample was read.
         """
-        if self._tick < 0:
+        if self.samples.tick < 0:
             raise PlantError("write() needs a sample: call read() first")
         try:
             command, held, pulsed, width = self._gate.currents(command, self._known)
@@ -185,16 +191,34 @@ class RemotePlant:
         self.state, self.faults = State.FAULT, self.faults | Fault.ESTOP
 
     def reset(self) -> None:
-        """Leave the fault state.
-
-        Raises:
-            PlantError: If the device refuses: its coils are too warm.
-        """
+        """Leave the fault state; a PlantError if the device refuses because its coils are too warm."""
         self._ask(Operation.RESET)
         self.state, self.faults = State.INACTIVE, Fault(0)
 
+    def takeoff(self, duration: float = 0.6) -> None:
+        """Arm, and lead the flotor from where it lies to the centre; keep hands off it.
+
+        Args:
+            duration: How long [s].
+
+        Raises:
+            DeviceFault: If it does not follow, or anything else goes wrong.
+        """
+        self.rest = list(self.read().position)
+        self.arm()
+        self._lead(self.rest, _ZERO, duration)
+
+    def land(self, duration: float = 0.6) -> None:
+        """Lead the flotor back to where it lay, and disarm.
+
+        Raises:
+            DeviceFault: As for `takeoff`.
+        """
+        self._lead(self.read().position, self.rest, duration)
+        self.disarm()
+
     def trip(self, faults: Fault) -> None:
-        """Put the device into the fault state; the line may be too bad for an answer."""
+        """Put the device into the fault state, whether or not the line is good enough for an answer."""
         self._line.control(Operation.TRIP, faults=faults)
         self.state, self.faults = State.FAULT, self.faults | faults
 
@@ -207,6 +231,20 @@ class RemotePlant:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+    def _lead(self, start: Sequence[float], end: Sequence[float], duration: float) -> None:
+        leader = Leader(
+            self.calibration,
+            start,
+            end,
+            duration=duration,
+            period=self.period,
+            delay=self.delay,
+            astray=lambda place: self._fail(
+                Fault.NOT_FOLLOWING, f"the flotor is at {_shown(place)}, not where it is led"
+            ),
+        )
+        ControlLoop(self, leader).cycle(max(round(duration / self.period), 1))
 
     def _ask(self, operation: Operation, *, hover: Sequence[float] = _ZERO) -> None:
         answer = self._line.control(operation, hover=hover)
@@ -227,24 +265,6 @@ class RemotePlant:
             raise PlantError(f"no sample from the device within {self._patience:g} s")
         return frame
 
-    def _follow(self, frame: Frame) -> None:
-        """Count the device's samples, and see that its clock goes as they do."""
-        if self._first is None:
-            self._first, self._elapsed = frame.sequence, 0
-        else:
-            self._elapsed = (frame.sequence - self._sequence) & 0xFFFFFFFF
-            passed = frame.time - self._time
-            if abs(passed - self._elapsed * self._period_ns) > self._period_ns // 2 and self.state == State.ACTIVE:
-                self._fail(Fault.CLOCK, f"{passed * 1e-6:.3f} ms went by in {self._elapsed} samples")
-            missing = self._elapsed - 1
-            skipped = min(self._line.skipped, missing)
-            self.skipped += skipped
-            self.lost += missing - skipped
-        self._tick += max(self._elapsed, 1)
-        self._sequence, self._time = frame.sequence, frame.time
-        report: Any = frame.body
-        self.warmth = [max(one, other) for one, other in zip(report.warmth, self._gate.warmth.shares)]
-
     def _send(self, held: Sequence[float], pulsed: Sequence[float] | None, width: float) -> None:
         self.last_currents = held
         self._line.command(
@@ -263,7 +283,7 @@ class RemotePlant:
         """Put the device into the fault state, keep the last cycles, and say so."""
         if self.state != State.FAULT:
             self.trip(faults)
-        about = {"period": self.period, "delay": self.delay, "lost": self.lost, "skipped": self.skipped}
+        about = {name: getattr(self.samples, name) for name in ("tick", "lost", "skipped")} | {"period": self.period}
         if self._row is not None:
             self._box.keep((*self._row, self.last_currents, self.last_currents, 0.0))
         path = self._box.write(faults, message, about)

@@ -12,6 +12,7 @@ __all__ = ["VirtualLink"]
 
 _TO_HOST, _TO_DEVICE = "to host", "to device"
 _PEER = "host"
+_NEVER = 2**63
 
 
 class VirtualLink:
@@ -47,12 +48,9 @@ class VirtualLink:
         """Return the oldest frame that has come, or None if none comes within `timeout` of simulated time [s]."""
         end = self.time + round(timeout * 1e9)
         while not self._arrived:
-            due = min(self._next_sample(), self._arrivals[0][0] if self._arrivals else end)
+            due = min(self._next_sample(), self._arrivals[0][0] if self._arrivals else _NEVER)
             if due > end or timeout <= 0.0:
                 self.time = max(self.time, end)
-                return None
-            if self._lockstep and due == end and not self._arrivals and not self._may_sample():
-                self.time = end  # nothing will happen
                 return None
             self.time = max(self.time, due)
             if self._next_sample() <= self.time:
@@ -76,7 +74,7 @@ class VirtualLink:
     def _next_sample(self) -> int:
         """Return when the device samples next [ns]."""
         if self._lockstep:
-            return self.time if self._may_sample() and not self._arrived else self.time + 10**15
+            return self.time if self._may_sample() and not self._arrived else _NEVER
         return (self._twin.tick + 1) * self._period
 
     def _sample(self) -> None:

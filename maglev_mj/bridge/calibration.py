@@ -1,0 +1,237 @@
+"""What a host knows of a device, as a file that people can read and edit."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from copy import deepcopy
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+
+from maglev_mj.coils import CoilMap
+from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.frames import Array
+from maglev_mj.model import beams, load
+from maglev_mj.parameters import number, numbers
+from maglev_mj.sensing import Beams
+from maglev_mj.spec import GRAVITY, Spec
+
+__all__ = ["Calibration", "CalibrationError"]
+
+_FORMAT = "maglev_mj calibration 1"
+_UNIT_LENGTH = 1e-9
+
+_COILS = {"points": (6, 3), "directions": (6, 3), "force_constants": (6,)}
+_BEAMS = {"leds": (3, 3), "directions": (3, 3), "diodes": (3, 3), "across": (3, 2, 3)}
+_REST = {"spot_offsets": (6,), "mass": (), "inertia": (3,), "gravity": (3,)}
+_UNITS: dict[str, Any] = {
+    "coils": {"points": "m", "directions": "1", "force_constants": "N/A"},
+    "beams": {"leds": "m", "directions": "1", "diodes": "m", "across": "1"},
+    "spot_offsets": "m",
+    "mass": "kg",
+    "inertia": "kg m^2",
+    "gravity": "m/s^2",
+}
+
+
+class CalibrationError(MaglevError):
+    """A calibration file cannot be read or written, or says what no device can be."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Calibration:
+    """What a host knows of a device: coils, beams, and the body they carry.
+
+    Args:
+        coils: Points, directions and force constants of the coils.
+        beams: Places of the LEDs and the diodes.
+        spot_offsets: What the diodes read where the beams' geometry says zero, (6,) [m]: subtracted from what is
+            measured.
+        mass: Moving mass [kg].
+        inertia: Moments of inertia about stator axes through the centre of mass, (3,) [kg m²].
+        gravity: Acceleration of free fall in stator axes, (3,) [m/s²].
+        name: What to call it; no part of the digest.
+
+    Raises:
+        ParameterError: If a value is not finite or of another shape, a direction is not of unit length, or the mass or
+            a moment of inertia is not above 0.
+    """
+
+    coils: CoilMap
+    beams: Beams
+    spot_offsets: Array
+    mass: float
+    inertia: Array
+    gravity: Array
+    name: str = "nominal"
+
+    def __post_init__(self) -> None:
+        for name, shape in _COILS.items():
+            _checked(f"coils {name}", getattr(self.coils, name), shape)
+        for name, shape in _BEAMS.items():
+            _checked(f"beams {name}", getattr(self.beams, name), shape)
+        for name in ("spot_offsets", "inertia", "gravity"):
+            object.__setattr__(self, name, _checked(name, getattr(self, name), _REST[name]))
+        object.__setattr__(self, "mass", number("mass", self.mass, above=0.0))
+        for moment in self.inertia:
+            number("inertia", float(moment), above=0.0)
+        if not isinstance(self.name, str):
+            raise ParameterError(f"name must be a text, not {self.name!r}")
+
+    @classmethod
+    def nominal(cls) -> Self:
+        """Return the calibration of the device as the model and the paper have it, level and without offsets."""
+        coils = load("drop").coils
+        assert coils is not None  # the model is loaded with them
+        tilt, spin = Spec.tilt_inertia.value, Spec.spin_inertia.value
+        return cls(
+            coils=coils,
+            beams=beams(),
+            spot_offsets=np.zeros(6),
+            mass=Spec.moving_mass.value,
+            inertia=np.array([tilt, tilt, spin]),
+            gravity=np.array([0.0, 0.0, -GRAVITY]),
+        )
+
+    @property
+    def hover(self) -> Array:
+        """Currents that carry the weight with the flotor upright at the centre [A], (6,)."""
+        return self.coils.currents(np.concatenate([-self.mass * self.gravity, np.zeros(3)]))
+
+    @property
+    def digest(self) -> bytes:
+        """Sixteen bytes of BLAKE2s over all but the name: the same after `save` and `load`, and for nothing else."""
+        values = self.as_json()
+        del values["name"]
+        text = json.dumps(values, sort_keys=True, separators=(",", ":"), allow_nan=False)
+        return hashlib.blake2s(text.encode(), digest_size=16).digest()
+
+    def as_json(self) -> dict[str, Any]:
+        """Return everything as lists, numbers and texts; floats come back bit for bit."""
+        return {
+            "format": _FORMAT,
+            "name": self.name,
+            "units": deepcopy(_UNITS),
+            "coils": {name: getattr(self.coils, name).tolist() for name in _COILS},
+            "beams": {name: getattr(self.beams, name).tolist() for name in _BEAMS},
+            **{name: np.asarray(getattr(self, name)).tolist() for name in _REST},
+        }
+
+    @classmethod
+    def from_json(cls, values: Any) -> Self:
+        """Undo `as_json`.
+
+        Raises:
+            CalibrationError: If it is another format, a value is missing or not known, or a unit is another.
+            ParameterError: As for the class.
+            ModelError: If the coils cannot give every wrench, or the beams do not tell every motion.
+        """
+        if not isinstance(values, dict) or values.get("format") != _FORMAT:
+            found = values.get("format") if isinstance(values, dict) else type(values).__name__
+            raise CalibrationError(f"format must be {_FORMAT!r}, not {found!r}")
+        parts = _entries("", values, {"format", "name", "units", "coils", "beams", *_REST})
+        if values["units"] != _UNITS:
+            raise CalibrationError(f"units must be {json.dumps(_UNITS)}, not {json.dumps(values['units'])}")
+        coils, diodes = _arrays("coils", parts, _COILS), _arrays("beams", parts, _BEAMS)
+        rest = {name: _checked(name, parts[name], shape) for name, shape in _REST.items()}
+        return cls(
+            coils=CoilMap(**coils),
+            beams=Beams(**diodes),
+            spot_offsets=rest["spot_offsets"],
+            mass=float(rest["mass"]),
+            inertia=rest["inertia"],
+            gravity=rest["gravity"],
+            name=parts["name"],
+        )
+
+    def save(self, path: str | Path) -> None:
+        """Write a file, whole or not at all: what was there before stays until all is written.
+
+        Raises:
+            CalibrationError: If it cannot be written.
+        """
+        path = Path(path)
+        partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+        try:
+            try:
+                with partial.open("w", encoding="utf-8") as file:
+                    file.write(_pretty(self.as_json()) + "\n")
+                    file.flush()
+                    os.fsync(file.fileno())  # a cut in power must not leave a name without its content
+                partial.replace(path)
+            finally:
+                partial.unlink(missing_ok=True)
+        except OSError as error:
+            raise CalibrationError(f"calibration {str(path)!r} cannot be written: {error.strerror}") from error
+
+    @classmethod
+    def load(cls, path: str | Path) -> Self:
+        """Read a file.
+
+        Raises:
+            CalibrationError: If it cannot be read, or a value in it is not as it must be; one line with file and value.
+        """
+        try:
+            # as floats, or a whole number of many digits is not one that numpy knows
+            values = json.loads(Path(path).read_text(encoding="utf-8"), parse_int=float, object_pairs_hook=_once)
+            return cls.from_json(values)
+        except OSError as error:
+            raise CalibrationError(f"calibration {str(path)!r} cannot be read: {error.strerror}") from error
+        except MaglevError as error:
+            raise CalibrationError(f"calibration {str(path)!r}: {error}") from error
+        except (ValueError, RecursionError) as error:
+            raise CalibrationError(f"calibration {str(path)!r} is not JSON: {error}") from error
+
+
+def _checked(name: str, value: Any, shape: tuple[int, ...]) -> Array:
+    """Return a value as an array of a shape, finite, read-only and the caller's own; directions of unit length."""
+    array = np.array(numbers(name, value))
+    if array.shape != shape:
+        raise ParameterError(f"{name} must be {shape}, not {array.shape}")
+    if name.endswith(("directions", "across")):
+        lengths = np.linalg.norm(array, axis=-1)
+        worst = float(lengths.flat[np.abs(lengths - 1.0).argmax()])
+        if abs(worst - 1.0) > _UNIT_LENGTH:
+            raise ParameterError(f"{name} must be of unit length within {_UNIT_LENGTH:g}, not {worst!r}")
+    array.setflags(write=False)
+    return array
+
+
+def _arrays(where: str, values: dict[str, Any], shapes: dict[str, tuple[int, ...]]) -> dict[str, Array]:
+    """Return the arrays of one part of the values, checked."""
+    given = _entries(f"{where} ", values[where], set(shapes))
+    return {name: _checked(f"{where} {name}", given[name], shape) for name, shape in shapes.items()}
+
+
+def _entries(where: str, values: Any, names: set[str]) -> dict[str, Any]:
+    """Return a dictionary that has these names and no other."""
+    if not isinstance(values, dict):
+        raise CalibrationError(f"{where.strip()} must be an object with {', '.join(sorted(names))}, not {values!r}")
+    for name in sorted(names ^ set(values)):
+        what = "is missing" if name in names else "is not known"
+        raise CalibrationError(f"{where}{name} {what}; there must be {', '.join(sorted(names))}")
+    return values
+
+
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Return a dictionary of pairs; somebody who edits one of two values of a name would wonder."""
+    names = [name for name, _ in pairs]
+    for name in names:
+        if names.count(name) > 1:
+            raise CalibrationError(f"{name} must be there once, not {names.count(name)} times")
+    return dict(pairs)
+
+
+def _pretty(value: Any, indent: str = "") -> str:
+    """Return JSON with a row of numbers, and not a single number, to the line."""
+    deeper = indent + "  "
+    if isinstance(value, dict) and value:
+        lines = [f"{deeper}{json.dumps(name)}: {_pretty(part, deeper)}" for name, part in value.items()]
+        return "{\n" + ",\n".join(lines) + f"\n{indent}}}"
+    if isinstance(value, list) and value and isinstance(value[0], list):
+        return "[\n" + ",\n".join(deeper + _pretty(part, deeper) for part in value) + f"\n{indent}]"
+    return json.dumps(value, allow_nan=False)

@@ -1,0 +1,279 @@
+"""Gravity, mass and the wrench map of a device, from small motions about the centre.
+
+What can be told apart: currents and motion of a free rigid body give its acceleration per ampere, M⁻¹ W (6, 6), and its
+acceleration of free fall. Forces in newtons need one thing of known mass: the flotor itself, or a weight laid on it.
+Torques need a moment of inertia; a controller that computes with the same one does not depend on its value.
+
+The relation fitted is exact for a sampled motion, so that no rate is too low for it. Currents are constant from switch
+to switch, and the second difference of three poses is the mean of the acceleration under a triangle two periods wide:
+
+    (x[k+1] - 2 x[k] + x[k-1]) / T² = A i[k] + K x[k] + a,
+
+with i[k] and x[k] means under that same triangle. K is the stiffness that the device has by itself: forces stay in
+stator axes and their points turn with the flotor, so that a hovering one stands on its coils like a ball on a ball.
+Without K the torques' rows of A are 1.5 % wrong. What is left out is of the order of an angle times itself.
+
+Poses are noisy and the controller answers to the noise, which biases least squares. So both sides are first projected
+on what was shaken, sines under a window that is smooth at both ends: instruments, noise has no part in them. Weights
+and standard errors are those of white noise on the poses.
+
+Source: instrumental variables as in Söderström & Stoica 1983; modulating functions as in Shinbrot 1957; from
+recollection.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from maglev_mj.bridge.calibration import Calibration
+from maglev_mj.bridge.excitation import LINES, Motion, collect, excitation
+from maglev_mj.coils import CoilMap
+from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.frames import Array
+from maglev_mj.parameters import number, numbers
+
+__all__ = [
+    "IdentificationError",
+    "Identified",
+    "Motion",
+    "added_mass",
+    "collect",
+    "excitation",
+    "find_delay",
+    "identify",
+]
+
+_SINGULAR = 1e-9
+_ROUNDS = 4
+
+
+class IdentificationError(MaglevError):
+    """The motion does not tell what was to be identified."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Identified:
+    """What the motion of a device tells of it, at the centre and upright; six rows are x y z and rx ry rz.
+
+    Attributes:
+        acceleration_per_current: A [m/s² A, rad/s² A], (6, 6).
+        stiffness: K, acceleration per displacement, (6, 6) [1/s² within a block].
+        free_acceleration: a, that without currents, (6,) [m/s², rad/s²]. A free body does not begin to turn: the last
+            three are of a cable, or of a pose that is not that of the centre of mass.
+        errors: Standard errors of A, (6, 6).
+        free_errors: Standard errors of a, (6,).
+        noise: White noise of the poses that would leave what the fit leaves of every sample, (6,) [m, rad].
+        misfit: White noise of the poses that would leave what it leaves of the lines alone, (6,) [m, rad]. Much more
+            than `noise`, and something is not as assumed: the delay is another, or something touches the flotor.
+    """
+
+    acceleration_per_current: Array
+    stiffness: Array
+    free_acceleration: Array
+    errors: Array
+    free_errors: Array
+    noise: Array
+    misfit: Array
+
+    @property
+    def gravity(self) -> Array:
+        """Acceleration of free fall in stator axes [m/s²], (3,)."""
+        return self.free_acceleration[:3].copy()
+
+    def wrench_per_current(self, mass: float, inertia: ArrayLike) -> Array:
+        """Return the wrench map W = M A [N/A, N m/A], (6, 6).
+
+        Args:
+            mass: Moving mass [kg].
+            inertia: Moments of inertia about stator axes, (3,) [kg m²].
+        """
+        return np.concatenate([np.full(3, mass), numbers("inertia", inertia)])[:, None] * self.acceleration_per_current
+
+    def calibration(self, nominal: Calibration, mass: float | None = None, *, name: str = "identified") -> Calibration:
+        """Return a calibration with this gravity, and with the coils that accelerate the flotor like this.
+
+        Directions are kept, and so is each point's place along its coil's force, of which an upright flotor tells
+        nothing: a force constant is the part of a force along its coil, and a point goes the shortest way to where the
+        torque is right.
+
+        Args:
+            nominal: All else: directions, inertia, beams and offsets, and points to begin at.
+            mass: Moving mass [kg]; that of the nominal calibration by default.
+            name: What to call it.
+
+        Raises:
+            ParameterError: If the mass is not above 0.
+            ModelError: If such coils cannot give every wrench.
+        """
+        mass = nominal.mass if mass is None else number("mass", mass, above=0.0)
+        wrenches = self.wrench_per_current(mass, nominal.inertia).T
+        directions, points = nominal.coils.directions, nominal.coils.points
+        constants = np.einsum("ja,ja->j", wrenches[:, :3], directions)
+        forces = constants[:, None] * directions
+        lacking = wrenches[:, 3:] - np.cross(points, forces)
+        moved = points + np.cross(forces, lacking) / np.square(constants)[:, None]
+        coils = CoilMap(points=moved, directions=directions, force_constants=constants)
+        return replace(nominal, coils=coils, mass=mass, gravity=self.gravity, name=name)
+
+
+def added_mass(without: Identified, carrying: Identified, added: float) -> float:
+    """Return the moving mass of a device [kg] that was identified without and with a weight.
+
+    The map is the same in both runs, A₁ A₂⁻¹ = M₁⁻¹ M₂, and the block of its translations is (1 + added/mass) times the
+    identity, wherever on the flotor the weight lies.
+
+    Args:
+        without: Identified without the weight.
+        carrying: Identified with it, pose and currents as before.
+        added: Mass of the weight [kg].
+
+    Raises:
+        ParameterError: If the added mass is not above 0.
+        IdentificationError: If the flotor did not accelerate less with the weight.
+    """
+    number("added", added, above=0.0)
+    ratio = without.acceleration_per_current @ np.linalg.inv(carrying.acceleration_per_current)
+    gained = float(np.trace(ratio[:3, :3])) / 3.0 - 1.0
+    if not gained > 0.0:
+        raise IdentificationError(f"the flotor must be heavier with the weight, not {1.0 + gained:.4g} times as heavy")
+    return added / gained
+
+
+def identify(
+    poses: ArrayLike, currents: ArrayLike, *, period: float, delay: float, lines: ArrayLike = LINES
+) -> Identified:
+    """Fit acceleration per current, stiffness and free fall to a motion.
+
+    A delay that is 0.1 ms wrong makes A 0.15 % wrong with the lines by default; so does a driver's lag that is not
+    added to it.
+
+    Args:
+        poses: Measured, one a sample and near the centre [m, rad], (N, 6); NaN where a sample was lost.
+        currents: Answers to these samples [A], (N, 6); NaN where one is not known.
+        period: Sample period [s].
+        delay: From a sample to the switch to its currents [s]; may exceed the period.
+        lines: Frequencies that were shaken [Hz]: at least two for each axis, or stiffness passes for inertia.
+
+    Raises:
+        ParameterError: If the shapes do not fit, or a number is outside its bounds.
+        IdentificationError: If the motion is too short, or does not tell all axes apart.
+    """
+    places, given = _with_gaps("poses", poses), _with_gaps("currents", currents)
+    if places.ndim != 2 or places.shape[1:] != (6,) or given.shape != places.shape:
+        raise ParameterError(f"poses and currents must both be (N, 6), not {places.shape} and {given.shape}")
+    shaken = numbers("lines", lines, at_least=0.0).ravel()
+    number("the highest line", float(shaken.max(initial=0.0)), below=0.5 / number("period", period, above=0.0))
+    whole = int(number("delay", delay, at_least=0.0) / period + 1e-9)
+    ahead = whole + 2
+    count = len(places) - ahead - 1
+    if count < 1:
+        raise IdentificationError(f"the motion must be longer than {len(places)} samples")
+    before, at, after = (places[ahead + step :][:count] for step in (-1, 0, 1))
+    bent = (before - 2.0 * at + after) / period**2
+    switched = max(delay / period - whole, 0.0)
+    first, last = 0.5 * switched**2, 0.5 * (1.0 - switched) ** 2
+    latest, middle, oldest = (given[ahead - whole - age :][:count] for age in (0, 1, 2))
+    held = last * latest + (1.0 - first - last) * middle + first * oldest
+    # the mean of a smooth motion under the triangle, to the fourth order (Numerov)
+    place = at + bent * (period**2 / 12.0)
+    known = np.concatenate([held, place, np.ones((count, 1))], axis=1)
+    there = np.isfinite(known).all(axis=1) & np.isfinite(bent).all(axis=1)
+    known[~there], bent[~there] = 0.0, 0.0
+    instruments = _instruments(count, period, shaken)
+    instruments[~there] = 0.0
+    return _fitted(known, bent, instruments, period)
+
+
+def find_delay(
+    poses: ArrayLike, currents: ArrayLike, *, period: float, near: float, reach: float = 5e-4, lines: ArrayLike = LINES
+) -> float:
+    """Return the delay [s] that explains a motion best: where the misfit, a parabola nearby, is least.
+
+    Args:
+        poses: As for `identify`.
+        currents: As for `identify`.
+        period: Sample period [s].
+        near: Where to look [s].
+        reach: How far to either side, at first [s].
+        lines: As for `identify`.
+
+    Raises:
+        ParameterError: As `identify`.
+        IdentificationError: As `identify`, or if there is no best delay within reach.
+    """
+    best, step = number("near", near, at_least=0.0), number("reach", reach, above=0.0)
+
+    def fit(delay: float) -> Identified:
+        return identify(poses, currents, period=period, delay=delay, lines=lines)
+
+    for _ in range(_ROUNDS):
+        best = max(best, step)
+        middle = fit(best)
+        below, here, above = (
+            float(np.square(one.misfit / middle.noise).sum()) for one in (fit(best - step), middle, fit(best + step))
+        )
+        bend = below - 2.0 * here + above
+        move = 0.5 * step * (below - above) / bend if bend > 0.0 else math.inf
+        if abs(move) > 2.0 * step:
+            raise IdentificationError(f"no delay within {2.0 * step:g} s of {best:g} s explains the motion best")
+        best, step = best + move, 0.3 * step
+    return max(best, 0.0)
+
+
+def _with_gaps(name: str, values: ArrayLike) -> Array:
+    """Return an array whose entries are finite, or NaN."""
+    array = np.asarray(values, dtype=np.float64)
+    if np.isinf(array).any():
+        raise ParameterError(f"{name} must be finite, or NaN where they are not known, not infinite")
+    return array
+
+
+def _instruments(count: int, period: float, lines: Array) -> Array:
+    """Return a constant, cosines and sines under a smooth window, (count, 1 + 2 lines)."""
+    phase = 2.0 * np.pi * period * np.arange(count)[:, None] * lines
+    window = np.square(np.sin(np.pi * (np.arange(count) + 1.0) / (count + 1.0)))
+    waves: Array = window[:, None] * np.concatenate([np.ones((count, 1)), np.cos(phase), np.sin(phase)], axis=1)
+    return waves
+
+
+def _whitened(values: Array, instruments: Array, period: float) -> Array:
+    """Return the moments of values with the instruments such that white noise of unit size on poses leaves it so."""
+    # what noise of the poses does to the moments: the second difference, taken of the instruments instead
+    noise = np.diff(np.pad(instruments, ((2, 2), (0, 0))), n=2, axis=0) / period**2
+    size = np.linalg.norm(noise, axis=0)
+    if len(values) < 2 * len(size) or not size.all():
+        raise IdentificationError(f"the motion must be longer than {len(values)} samples, with fewer gaps")
+    try:
+        root = np.linalg.cholesky((noise / size).T @ (noise / size))
+    except np.linalg.LinAlgError:
+        raise IdentificationError(f"{len(values)} samples are too few to tell the lines apart") from None
+    moments: Array = np.linalg.solve(root, (instruments / size).T @ values)
+    return moments
+
+
+def _fitted(known: Array, bent: Array, instruments: Array, period: float) -> Identified:
+    """Return the weighted fit of accelerations (N, 6) by what is known (N, 13), through instruments."""
+    moments = _whitened(np.concatenate([known, bent], axis=1), instruments, period)
+    told, seen = moments[:, : known.shape[1]], moments[:, known.shape[1] :]
+    scale = np.maximum(np.linalg.norm(told, axis=0), np.finfo(np.float64).tiny)  # amperes, metres and ones
+    left, values, right = np.linalg.svd(told / scale, full_matrices=False)
+    if len(values) < len(scale) or not values[-1] > _SINGULAR * values[0]:
+        raise IdentificationError("the motion must shake all six axes, each at two frequencies or more")
+    inverse = (right.T / values) @ left.T / scale[:, None]
+    found = inverse @ seen
+    spread = np.linalg.norm(seen - told @ found, axis=0) / np.sqrt(max(len(seen) - len(found), 1))
+    errors = np.linalg.norm(inverse, axis=1)[:, None] * spread
+    rest = np.linalg.norm(bent - known @ found, axis=0) / np.sqrt(np.count_nonzero(known[:, -1]))
+    return Identified(
+        acceleration_per_current=found[:6].T.copy(),
+        stiffness=found[6:12].T.copy(),
+        free_acceleration=found[12].copy(),
+        errors=errors[:6].T.copy(),
+        free_errors=errors[12].copy(),
+        noise=rest * period**2 / np.sqrt(6.0),  # (1, -2, 1) makes the noise the square root of 6 times as large
+        misfit=spread,
+    )
