@@ -37,7 +37,7 @@ FLOORS = {
     "scenes": 6,
     "experiments": 7,
     "session": 7,
-    "bridge": 7,
+    "bridge": 8,
     "report": 8,
     "charts": 8,
     "viewer": 8,

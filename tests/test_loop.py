@@ -79,7 +79,7 @@ def test_divergence_carries_its_cycles() -> None:
     unstable = Controller([Hold(axes="z", stiffness=20_000.0, damping=10.0)], period=0.005)
     with pytest.raises(DivergenceError) as caught:
         run(MuJoCoPlant(pose=[0, 0, 1e-3, 0, 0, 0]), unstable, 1000)
-    assert 0 < len(caught.value.cycles) <= 50
+    assert 0 < len(caught.value.cycles) <= 200
 
 
 def test_ticks_must_be_whole_and_positive() -> None:

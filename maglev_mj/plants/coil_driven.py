@@ -36,13 +36,14 @@ class CoilDrivenPlant(MuJoCoPlant):
         coils: What the coils are; the model's by default.
         gravity: Acceleration of free fall in stator axes [m/s²], (3,); the model's by default. Not along z where the
             base is not level.
-        keywords: Those of `MuJoCoPlant`, but for wrench, wrench_limit and current_limit.
+        keywords: Those of `MuJoCoPlant`, but for wrench, wrench_limit, current_limit and sensor: who knows the coils
+            knows the sensor too.
 
     Attributes:
         segments: Which currents flowed from the sample before the last one to that, in turn: how long [s], and six [A].
 
     Raises:
-        ParameterError: If gravity is not (3,), or as for `MuJoCoPlant`.
+        ParameterError: If gravity is not (3,), or a keyword is one of those, or as for `MuJoCoPlant`.
     """
 
     def __init__(
@@ -53,6 +54,8 @@ class CoilDrivenPlant(MuJoCoPlant):
         gravity: ArrayLike | None = None,
         **keywords: Any,
     ) -> None:
+        if wrong := {"wrench", "wrench_limit", "current_limit", "sensor"} & set(keywords):
+            raise ParameterError(f"a plant driven by currents takes no {', '.join(sorted(wrong))}")
         super().__init__(timing, **keywords)
         self._map = coils or self.device.coils
         if coils is not None:

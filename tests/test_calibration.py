@@ -1,0 +1,274 @@
+"""What a host knows of a device goes into a file and comes back to the last bit, or is refused in one line."""
+
+import hashlib
+import json
+import math
+import os
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from maglev_mj.bridge.calibration import Calibration, CalibrationError
+from maglev_mj.coils import CoilMap
+from maglev_mj.errors import ParameterError
+from maglev_mj.frames import Array
+from maglev_mj.model import beams, load
+from maglev_mj.plants import CoilDrivenPlant
+from maglev_mj.sensing import Beams
+
+_COILS = ("points", "directions", "force_constants", "wrench_per_current", "current_per_wrench")
+_BEAMS = ("leds", "directions", "diodes", "across")
+
+
+def other(seed: int) -> Calibration:
+    """Return a calibration none of whose numbers is a round one."""
+    draw = np.random.default_rng(seed)
+    nominal = Calibration.nominal()
+
+    def turned(values: Array) -> Array:
+        moved = values + draw.normal(0.0, 0.02, values.shape)
+        return np.asarray(moved / np.linalg.norm(moved, axis=-1, keepdims=True))
+
+    known, light = nominal.coils, nominal.beams
+    return Calibration(
+        coils=CoilMap(
+            points=known.points + draw.normal(0.0, 1e-3, (6, 3)),
+            directions=turned(known.directions),
+            force_constants=known.force_constants * draw.uniform(0.9, 1.1, 6),
+        ),
+        beams=Beams(
+            leds=light.leds + draw.normal(0.0, 1e-4, (3, 3)),
+            directions=turned(light.directions),
+            diodes=light.diodes + draw.normal(0.0, 1e-4, (3, 3)),
+            across=turned(light.across),
+        ),
+        spot_offsets=draw.normal(0.0, 1e-4, 6),
+        mass=draw.uniform(0.6, 0.9),
+        inertia=draw.uniform(8e-4, 1e-3, 3),
+        gravity=draw.normal((0.0, 0.0, -9.8), 0.3),
+        name=f"device [ {seed} ] of the \u201cbest\u201d sort",
+    )
+
+
+def bits(one: Calibration) -> list[bytes]:
+    parts = [getattr(one.coils, name) for name in _COILS] + [getattr(one.beams, name) for name in _BEAMS]
+    parts += [one.spot_offsets, one.inertia, one.gravity, np.float64(one.mass), one.hover]
+    return [part.tobytes() for part in parts]
+
+
+def test_the_nominal_calibration_is_the_model_to_the_last_bit() -> None:
+    one, device = Calibration.nominal(), load("drop")
+    assert device.coils is not None
+    for name in _COILS:
+        assert getattr(one.coils, name).tobytes() == getattr(device.coils, name).tobytes()
+    for name in _BEAMS:
+        assert getattr(one.beams, name).tobytes() == getattr(beams(), name).tobytes()
+    assert one.mass == pytest.approx(device.mass, rel=1e-15)
+    np.testing.assert_allclose(one.inertia, device.inertia, rtol=5e-3)  # the table's figures are rounded
+    assert one.gravity.tolist() == [0.0, 0.0, -9.81] and not one.spot_offsets.any()
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_file_gives_back_every_bit(seed: int, tmp_path: Path) -> None:
+    for one in (other(seed), Calibration.nominal()):
+        one.save(tmp_path / "device.json")
+        back = Calibration.load(tmp_path / "device.json")
+        assert bits(back) == bits(one)
+        assert back.digest == one.digest and len(one.digest) == 16
+        assert back.name == one.name
+        again = Calibration.from_json(json.loads(json.dumps(one.as_json())))
+        assert bits(again) == bits(one) and again.digest == one.digest
+
+
+def leaves(values: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+    """Return the way to every number."""
+    if isinstance(values, float):
+        return [path]
+    parts = values.items() if isinstance(values, dict) else enumerate(values) if isinstance(values, list) else ()
+    return [leaf for name, part in parts for leaf in leaves(part, (*path, name))]
+
+
+def test_the_digest_sees_every_number_and_only_those() -> None:
+    one = other(0)
+    seen = {one.digest}
+    places = leaves(one.as_json())
+    assert len(places) == 18 + 18 + 6 + 9 + 9 + 9 + 18 + 6 + 1 + 3 + 3
+    for path in places:
+        values = one.as_json()
+        parent: Any = values
+        for name in path[:-1]:
+            parent = parent[name]
+        parent[path[-1]] = math.nextafter(parent[path[-1]], math.inf)
+        seen.add(Calibration.from_json(values).digest)
+    assert len(seen) == len(places) + 1
+    assert replace(one, name="another").digest == one.digest
+    values = one.as_json()
+    del values["name"]  # the rest in any order of keys: firmware in another language can do that too
+    text = json.dumps(dict(reversed(values.items())), sort_keys=True, separators=(",", ":"))
+    assert one.digest == hashlib.blake2s(text.encode(), digest_size=16).digest()
+
+
+def test_a_file_is_for_people(tmp_path: Path) -> None:
+    path = tmp_path / "device.json"
+    Calibration.nominal().save(path)
+    text = path.read_text()
+    for line in (
+        '"format": "maglev_mj calibration 1",',
+        '"force_constants": "N/A"',
+        '"force_constants": [2.0, 2.0, 2.0, 2.0, 2.0, 2.0]',
+        '"mass": "kg",',
+        '"mass": 0.7,',
+        "[0.046, 0.0, 0.008],",
+    ):
+        assert line in [row.strip() for row in text.splitlines()]
+    assert len(text.splitlines()) < 80
+    path.write_text(text.replace('"mass": 0.7', '"mass": 1'))  # a whole number is a number
+    assert Calibration.load(path).mass == 1.0
+
+
+def test_a_file_is_written_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "device.json"
+    other(1).save(path)
+
+    def full(_: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(CalibrationError, match=r"device\.json' cannot be written: No space left on device"):
+        other(2).save(path)
+    assert Calibration.load(path).digest == other(1).digest
+    assert [entry.name for entry in tmp_path.iterdir()] == ["device.json"]
+    with pytest.raises(CalibrationError, match=r"nowhere/device\.json' cannot be written: No such file"):
+        other(2).save(tmp_path / "nowhere" / "device.json")
+
+
+def change(*path: Any, to: Any = None) -> Callable[[dict[str, Any]], object]:
+    """Return what changes one value, or takes it away."""
+
+    def apply(values: dict[str, Any]) -> None:
+        parent: Any = values
+        for name in path[:-1]:
+            parent = parent[name]
+        if to is None:
+            del parent[path[-1]]
+        else:
+            parent[path[-1]] = to
+
+    return apply
+
+
+@pytest.mark.parametrize(
+    ("edit", "said"),
+    [
+        (change("format", to="maglev_mj calibration 2"), "format must be 'maglev_mj calibration 1', not 'maglev_mj c"),
+        (change("format"), "format must be 'maglev_mj calibration 1', not None"),
+        (change("mass"), "mass is missing"),
+        (change("masss", to=1.0), "masss is not known"),
+        (change("coils", "points"), "coils points is missing"),
+        (change("beams", "colour", to="red"), "beams colour is not known"),
+        (change("coils", to=[1.0]), r"coils must be an object with directions, force_constants, points, not \[1.0\]"),
+        (change("mass", to=0.0), "mass must be a finite number above 0, not 0.0"),
+        (change("mass", to=-0.7), "mass must be a finite number above 0, not -0.7"),
+        (change("mass", to="heavy"), "mass must be a number or an array of numbers, not 'heavy'"),
+        (change("mass", to=[0.7]), r"mass must be \(\), not \(1,\)"),
+        (change("inertia", 1, to=0.0), "inertia must be a finite number above 0, not 0.0"),
+        (change("gravity", 2, to=math.nan), "gravity must be finite and a number everywhere, not nan"),
+        (change("gravity", to=[0.0, -9.81]), r"gravity must be \(3,\), not \(2,\)"),
+        (change("gravity", 2, to=[1.0]), "gravity must be a number or an array of numbers"),
+        (change("spot_offsets", 5, to=math.inf), "spot_offsets must be finite"),
+        (change("coils", "directions", 2, to=[0.0, 0.0, 1.01]), "coils directions must be of unit length .* not 1.01"),
+        (change("beams", "across", 1, 1, to=[0.0, 0.1, 0.0]), "beams across must be of unit length .* not 0.1"),
+        (change("coils", "force_constants", 3, to=0.0), "the six coils cannot give every wrench"),
+        (change("beams", "leds", to=[[0.0] * 3] * 2), r"beams leds must be \(3, 3\), not \(2, 3\)"),
+        (change("units", "mass", to="g"), '"mass": "g"'),
+        (change("name", to=7), "name must be a text, not 7"),
+    ],
+)
+def test_a_bad_value_is_one_line_with_file_and_value(edit: Callable[[Any], object], said: str, tmp_path: Path) -> None:
+    values = Calibration.nominal().as_json()
+    edit(values)
+    path = tmp_path / "device.json"
+    path.write_text(json.dumps(values))
+    with pytest.raises(CalibrationError, match=rf"^calibration '.*device\.json': .*{said}") as caught:
+        Calibration.load(path)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"", "is not JSON: Expecting value"),
+        (b'{"mass": 0.7,', "is not JSON: Expecting property name"),
+        (b"\xff\xfe", "is not JSON: 'utf-8' codec"),
+        (b"[" * 100_000, "is not JSON"),
+        (b"[1, 2]", "format must be 'maglev_mj calibration 1', not 'list'"),
+        (b'{"mass": 1, "mass": 2}', "mass must be there once, not 2 times"),
+    ],
+)
+def test_what_is_no_calibration_is_one_line_too(content: bytes, said: str, tmp_path: Path) -> None:
+    path = tmp_path / "device.json"
+    path.write_bytes(content)
+    with pytest.raises(CalibrationError, match=rf"^calibration '.*device\.json'.*{said}") as caught:
+        Calibration.load(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_huge_whole_number_and_a_missing_file_are_told(tmp_path: Path) -> None:
+    path = tmp_path / "device.json"
+    Calibration.nominal().save(path)
+    path.write_text(path.read_text().replace('"mass": 0.7', '"mass": 1' + "0" * 400))
+    with pytest.raises(CalibrationError, match="mass must be finite"):
+        Calibration.load(path)
+    with pytest.raises(CalibrationError, match=r"none\.json' cannot be read: No such file"):
+        Calibration.load(tmp_path / "none.json")
+
+
+def test_a_calibration_that_no_device_has_is_refused() -> None:
+    one = Calibration.nominal()
+    bad: list[dict[str, Any]] = [
+        {"mass": 0.0},
+        {"mass": math.nan},
+        {"inertia": np.array([1e-3, -1e-3, 1e-3])},
+        {"gravity": np.zeros(2)},
+        {"spot_offsets": np.full(6, np.nan)},
+        {"coils": replace_coils(one.coils, directions=1.001 * one.coils.directions)},
+    ]
+    for change in bad:
+        with pytest.raises(ParameterError, match=next(iter(change))):
+            replace(one, **change)
+
+
+def replace_coils(coils: CoilMap, **changes: Array) -> CoilMap:
+    values = {name: getattr(coils, name) for name in ("points", "directions", "force_constants")}
+    return CoilMap(**{**values, **changes})
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_hover_carries_the_weight(seed: int) -> None:
+    one = other(seed)
+    wrench = one.coils.wrench(one.hover)
+    np.testing.assert_allclose(wrench, [*(-one.mass * one.gravity), 0.0, 0.0, 0.0], atol=1e-12)
+    # and so it does in the engine: upright, at the centre, nothing begins to move
+    with CoilDrivenPlant(coils=one.coils, gravity=one.gravity, mass=one.mass) as plant:
+        plant.read()
+        plant.drive(one.hover.tolist(), after=0.0)
+        plant.read()
+        _, twist = plant.state()
+        assert np.abs(twist).max() < 1e-12 < 1e-3 * 9.81 * plant.period
+
+
+def test_what_it_holds_cannot_be_changed() -> None:
+    one = Calibration.nominal()
+    gravity = np.array([0.0, 0.0, -9.7])
+    two = replace(one, gravity=gravity)
+    gravity[2] = 0.0
+    assert two.gravity[2] == -9.7
+    for array in (two.gravity, two.inertia, two.spot_offsets, two.coils.points):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 1.0
+    one.as_json()["units"]["mass"] = "g"
+    assert one.as_json()["units"]["mass"] == "kg"

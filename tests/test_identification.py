@@ -1,0 +1,377 @@
+"""A device whose coils, mass and level differ from what is known of it is found out by shaking it a little."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+from maglev_mj.bridge.calibration import Calibration
+from maglev_mj.bridge.excitation import LINES, Motion, Shaker, Trim, collect, excitation
+from maglev_mj.bridge.identification import IdentificationError, Identified, added_mass, find_delay, identify
+from maglev_mj.bridge.remote import RemotePlant
+from maglev_mj.bridge.twin import Twin as BridgeTwin
+from maglev_mj.bridge.twin import TwinParameters
+from maglev_mj.bridge.virtual import VirtualLink
+from maglev_mj.coils import CoilMap
+from maglev_mj.controller import Controller
+from maglev_mj.errors import ParameterError
+from maglev_mj.frames import Array, Command, Sample
+from maglev_mj.laws import Bias
+from maglev_mj.plants import CoilDrivenPlant, SpotReader, Timing
+from maglev_mj.tracking import PoseTracker
+
+NOMINAL = Calibration.nominal()
+SLOW, FAST = (0.005, 0.0015), (0.001, 0.0003)
+QUANTUM, NOISE = 0.8e-6, 0.3e-6
+MASS = 0.82
+
+
+class Twin:
+    """A device whose truth is drawn, and a host that knows the nominal one; read, write and what was sent."""
+
+    def __init__(
+        self,
+        seed: int,
+        timing: tuple[float, float],
+        *,
+        noisy: bool = False,
+        mass: float = MASS,
+        spread: float = 0.1,
+        losses: float = 0.0,
+        **keywords: Any,
+    ) -> None:
+        draw = np.random.default_rng(seed)
+        known = NOMINAL.coils
+        self.coils = CoilMap(
+            points=known.points + draw.uniform(-1e-3, 1e-3, (6, 3)),
+            directions=known.directions.copy(),
+            force_constants=known.force_constants * draw.uniform(1.0 - spread, 1.0 + spread, 6),
+        )
+        tilt, way = math.radians(3.0), draw.uniform(0.0, 2.0 * math.pi)
+        down = [math.sin(tilt) * math.cos(way), math.sin(tilt) * math.sin(way), -math.cos(tilt)]
+        self.gravity = 9.81 * np.array(down)
+        period, delay = timing
+        self.plant = CoilDrivenPlant(
+            Timing(period=period, delay=delay), coils=self.coils, gravity=self.gravity, mass=mass, **keywords
+        )
+        self.period = period
+        self.last_currents: Sequence[float] = (0.0,) * 6
+        self._losses, self._draw = losses, draw
+        self._spots = SpotReader(NOMINAL.beams, QUANTUM, NOISE, seed) if noisy else None
+        self._pose = PoseTracker(NOMINAL.beams)
+
+    @property
+    def acceleration_per_current(self) -> Array:
+        body = np.concatenate([np.full(3, self.plant.device.mass), self.plant.device.inertia])
+        return np.asarray(self.coils.wrench_per_current / body[:, None])
+
+    def lay_on(self, mass: float, place: Sequence[float]) -> None:
+        """Lay a weight [kg] onto the handle, at a place in flotor axes [m]."""
+        model = self.plant.device.model
+        handle = model.body("handle").id
+        before = model.body_mass[handle]
+        there = before * model.body_ipos[handle] + mass * np.array(place)
+        model.body_ipos[handle] = there / (before + mass)
+        model.body_mass[handle] += mass
+        mujoco.mj_setConst(model, mujoco.MjData(model))
+
+    def read(self) -> Sample:
+        sample = self.plant.read()
+        while self._losses and self._draw.uniform() < self._losses:
+            sample = self.plant.read()  # nobody heard of the one before, and the currents stay
+        return (
+            sample
+            if self._spots is None
+            else Sample(sample.tick, sample.time, self._pose(self._spots(sample.position)))
+        )
+
+    def write(self, command: Command) -> Command:
+        self.last_currents = NOMINAL.coils.currents(command.wrench).tolist()
+        self.plant.drive(self.last_currents)
+        return command
+
+    def close(self) -> None:
+        self.plant.close()
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Relative, in the Frobenius norm: forces, torques, and gravity."""
+
+    forces: float
+    torques: float
+    gravity: float
+
+
+def errors(found: Identified, twin: Twin) -> Errors:
+    truth, off = twin.acceleration_per_current, found.acceleration_per_current - twin.acceleration_per_current
+    forces, torques = (np.linalg.norm(off[rows]) / np.linalg.norm(truth[rows]) for rows in (slice(3), slice(3, 6)))
+    gravity = np.linalg.norm(found.gravity - twin.gravity) / 9.81
+    return Errors(float(forces), float(torques), float(gravity))
+
+
+def shaken(twin: Twin, timing: tuple[float, float], duration: float, amplitude: float = 1.0) -> Motion:
+    period, delay = timing
+    controller = excitation(
+        NOMINAL, period=period, delay=delay, translation=1e-4 * amplitude, rotation=1.5e-3 * amplitude
+    )
+    return collect(twin, controller, duration)
+
+
+@lru_cache(maxsize=64)
+def study(
+    seed: int, timing: tuple[float, float], noisy: bool, duration: float = 10.0, amplitude: float = 1.0
+) -> tuple[Twin, Motion, Identified]:
+    twin = Twin(seed, timing, noisy=noisy)
+    motion = shaken(twin, timing, duration, amplitude)
+    return twin, motion, identify(*motion, period=timing[0], delay=timing[1])
+
+
+@pytest.mark.parametrize(
+    ("timing", "torques"), [(SLOW, 5e-5), (FAST, 2e-5), ((0.001, 0.0023), 2e-5), ((0.002, 0.0), 2e-5)]
+)
+@pytest.mark.parametrize("seed", [0, 1])
+def test_an_ideal_sensor_tells_all(timing: tuple[float, float], torques: float, seed: int) -> None:
+    twin, motion, found = study(seed, timing, False)
+    off = errors(found, twin)
+    # translations are linear in the currents, and the relation is exact: what is left is rounding
+    assert off.forces < 1e-9 and off.gravity < 1e-11
+    # torques turn with the flotor: an angle squared is left, 2e-5 and 1e-5
+    assert off.torques < torques
+    # and the motions are small: below 0.3 mm and 6 mrad, about the centre
+    assert np.abs(motion.poses[:, :3]).max() < 0.3e-3 and np.abs(motion.poses[:, 3:]).max() < 6e-3
+    assert np.abs(motion.poses.mean(axis=0)).max() < 1e-4
+
+
+def test_the_torques_that_are_left_out_fall_with_the_square_of_the_angle() -> None:
+    off = [errors(study(1, SLOW, False, 10.0, amplitude)[2], study(1, SLOW, False)[0]).torques for amplitude in (1, 4)]
+    assert off[1] / off[0] == pytest.approx(16.0, rel=0.2)
+
+
+@pytest.mark.parametrize("timing", [SLOW, FAST])
+def test_ten_seconds_with_the_devices_sensor_are_within_a_thousandth(timing: tuple[float, float]) -> None:
+    seen = [(errors(found, twin), found) for twin, _, found in (study(seed, timing, True) for seed in range(3))]
+    # seen over six seeds: forces 4e-4 to 7e-4, torques 2e-4 to 3e-4, gravity 1e-4 to 3e-4
+    assert max(off.forces for off, _ in seen) < 1.2e-3
+    assert max(off.torques for off, _ in seen) < 6e-4
+    assert max(off.gravity for off, _ in seen) < 6e-4
+    for _, found in seen:
+        # 0.8 µm steps and 0.3 µm of noise are 0.38 µm on a spot, and two thirds to nine tenths of that on x, y, z
+        np.testing.assert_allclose(found.noise[:3] / math.hypot(QUANTUM / math.sqrt(12.0), NOISE), 0.75, atol=0.25)
+        assert (found.misfit < 2.0 * found.noise).all()
+
+
+def test_standard_errors_are_those_of_the_sensor() -> None:
+    scores = []
+    for timing in (SLOW, FAST):
+        for seed in range(3):
+            twin, _, found = study(seed, timing, True)
+            scores.append((found.acceleration_per_current - twin.acceleration_per_current) / found.errors)
+            scores.append(np.atleast_2d((found.gravity - twin.gravity) / found.free_errors[:3]))
+    assert 0.8 < np.sqrt(np.mean(np.square(np.concatenate([one.ravel() for one in scores])))) < 1.25
+
+
+def test_errors_fall_with_the_root_of_the_duration_and_with_the_amplitude() -> None:
+    def level(duration: float, amplitude: float) -> float:
+        """Return the standard error, of which the test above says that it is the error."""
+        studies = [study(seed, SLOW, True, duration, amplitude)[2] for seed in range(3)]
+        return float(np.sqrt(np.mean([np.square(found.errors[:3]) for found in studies])))
+
+    usual = level(5.0, 1.0)
+    assert level(20.0, 1.0) / usual == pytest.approx(0.5, rel=0.35)  # itself known to a tenth
+    assert level(5.0, 0.5) / usual == pytest.approx(2.0, rel=0.35)
+    assert level(5.0, 2.0) / usual == pytest.approx(0.5, rel=0.35)
+    # and the error itself, over a factor of four
+    off = [
+        np.sqrt(np.mean([errors(found, twin).forces ** 2 for twin, _, found in some]))
+        for some in (
+            [study(seed, SLOW, True, 5.0, 0.5) for seed in range(3)],
+            [study(seed, SLOW, True, 20.0, 1.0) for seed in range(3)],
+        )
+    ]
+    assert off[1] / off[0] == pytest.approx(0.25, rel=0.5)
+
+
+@pytest.mark.parametrize("mass", [0.6, 0.9])
+@pytest.mark.parametrize("timing", [SLOW, FAST])
+def test_a_device_that_is_known_badly_hovers_and_is_found_all_the_same(
+    mass: float, timing: tuple[float, float]
+) -> None:
+    for seed in range(2):
+        twin = Twin(seed, timing, noisy=True, mass=mass, spread=0.15)
+        motion = shaken(twin, timing, 10.0)
+        off = errors(identify(*motion, period=timing[0], delay=timing[1]), twin)
+        assert max(off.forces, off.torques) < 1.5e-3 and off.gravity < 6e-4
+
+
+def test_a_known_mass_gives_forces_and_the_calibration_its_coils() -> None:
+    for noisy, much in ((False, 4e-5), (True, 1e-3)):
+        twin, _, found = study(2, SLOW, noisy)
+        one = found.calibration(NOMINAL, MASS)
+        assert one.mass == MASS and one.name == "identified"
+        np.testing.assert_array_equal(one.gravity, found.gravity)
+        np.testing.assert_allclose(one.coils.force_constants, twin.coils.force_constants, rtol=much)
+        # a controller with this calibration accelerates the flotor as it means to, whatever its inertia is
+        body = np.concatenate([np.full(3, MASS), one.inertia])
+        meant = one.coils.wrench_per_current / body[:, None]
+        off = meant - twin.acceleration_per_current
+        assert np.linalg.norm(off) < much * np.linalg.norm(meant)
+        # points move across their forces only: along them, by up to 1 mm here, an upright flotor tells nothing
+        moved = one.coils.points - NOMINAL.coils.points
+        assert np.abs(np.einsum("ja,ja->j", moved, NOMINAL.coils.directions)).max() < 1e-12
+        assert np.abs(one.coils.points - twin.coils.points).max() < 1.2e-3
+        # and it hovers without trim: what the nominal one lacks is 2 N
+        lacking = MASS * twin.gravity + twin.coils.wrench(one.hover)[:3]
+        assert np.linalg.norm(lacking) < 2.0 * much * MASS * 9.81
+        assert np.linalg.norm(MASS * twin.gravity + twin.coils.wrench(NOMINAL.hover)[:3]) > 0.5
+    assert found.calibration(NOMINAL).mass == NOMINAL.mass
+
+
+@pytest.mark.parametrize("place", [(0.0, 0.0, 0.06), (0.01, -0.005, 0.06)])
+def test_a_weight_of_known_mass_gives_the_mass(place: tuple[float, float, float]) -> None:
+    def found(added: float, noisy: bool, seed: int) -> Identified:
+        twin = Twin(seed, SLOW, noisy=noisy, scene="maglev")
+        if added:
+            twin.lay_on(added, place)
+        return identify(*shaken(twin, SLOW, 10.0), period=SLOW[0], delay=SLOW[1])
+
+    without = found(0.0, False, 0)
+    carrying = found(0.1, False, 0)
+    assert added_mass(without, carrying, 0.1) == pytest.approx(MASS, rel=3e-5)  # 1e-5, however far off the centre
+    seen = [added_mass(found(0.0, True, seed), found(0.1, True, seed), 0.1) / MASS - 1.0 for seed in range(3)]
+    assert np.abs(seen).max() < 5e-3  # 0.1 % to 0.25 %: an eighth of the mass makes errors eight times as large
+    with pytest.raises(IdentificationError, match=r"heavier with the weight, not 0\.9\d* times"):
+        added_mass(carrying, without, 0.1)
+    with pytest.raises(ParameterError, match="added must be a finite number above 0"):
+        added_mass(without, carrying, 0.0)
+
+
+def test_a_wrong_delay_is_seen_and_found() -> None:
+    for timing, noisy, close in ((SLOW, False, 1e-8), (SLOW, True, 3e-6), (FAST, True, 1e-6)):
+        twin, motion, _ = study(1, timing, noisy)
+        period, delay = timing
+        wrong = identify(*motion, period=period, delay=delay + 1e-4)
+        assert 1e-3 < errors(wrong, twin).forces < 4e-3
+        assert not noisy or (wrong.misfit > 5.0 * wrong.noise).any()
+        for off in (-2e-4, 0.0, 4e-4):
+            assert find_delay(*motion, period=period, near=delay + off) == pytest.approx(delay, abs=close)
+    with pytest.raises(IdentificationError, match="no delay within"):
+        find_delay(*motion, period=period, near=0.006)
+
+
+def test_what_a_drivers_lag_does_is_that_of_a_longer_delay() -> None:
+    twin = Twin(1, SLOW, driver_lag=True)
+    motion, lag = shaken(twin, SLOW, 5.0), 1.0 / (2.0 * math.pi * 2000.0)
+    assert errors(identify(*motion, period=SLOW[0], delay=SLOW[1]), twin).forces > 1e-3
+    assert errors(identify(*motion, period=SLOW[0], delay=SLOW[1] + lag), twin).forces < 1e-4
+
+
+def test_a_device_at_the_other_end_of_a_wire_is_found_too(tmp_path: Path) -> None:
+    other = Twin(1, SLOW)
+    truth = replace(NOMINAL, coils=other.coils, mass=MASS, gravity=other.gravity)
+    device = BridgeTwin(TwinParameters(lockstep=True, truth=truth, pose=(0.0,) * 6))
+    with RemotePlant(VirtualLink(device), folder=tmp_path) as plant:
+        plant.read()
+        plant.arm()
+        motion = collect(plant, excitation(plant.calibration, period=plant.period, delay=plant.delay), 10.0)
+        off = errors(identify(*motion, period=plant.period, delay=plant.delay), other)
+    assert off.forces < 1.5e-3 and off.torques < 8e-4 and off.gravity < 6e-4  # 7e-4, 3e-4 and 3e-4
+
+
+def test_samples_that_were_lost_cost_little() -> None:
+    twin = Twin(1, SLOW, noisy=True, losses=0.03)
+    motion = shaken(twin, SLOW, 10.0)
+    lost = np.isnan(motion.poses[:, 0])
+    assert 20 < lost.sum() < 120 and (lost == np.isnan(motion.currents).all(axis=1)).all()
+    off = errors(identify(*motion, period=SLOW[0], delay=SLOW[1]), twin)
+    # up to 2e-3, 1e-3 and 9e-4 over four seeds: each gap is an edge, where the window is not smooth
+    assert off.forces < 4e-3 and off.torques < 2e-3 and off.gravity < 2e-3
+
+
+def test_the_relation_holds_for_any_delay_to_rounding() -> None:
+    # one body by itself, currents at random, positions by the closed form: not MuJoCo's, not the controller's
+    draw = np.random.default_rng(0)
+    a, g = draw.normal(size=(6, 6)), draw.normal(size=6)
+    for period, delay in ((0.005, 0.0), (0.005, 0.0015), (0.005, 0.005), (0.004, 0.0091)):
+        times = period * np.arange(800)
+        currents = sum(
+            (np.sin(2.0 * np.pi * line * times)[:, None] * draw.normal(size=6) for line in LINES.ravel()),
+            start=-np.linalg.solve(a, g) + np.zeros((800, 6)),
+        )
+        since = np.maximum(times[:, None] - times - delay, 0.0)  # [sample, switch]
+        steps = np.diff(currents, axis=0, prepend=0.0)
+        poses = 0.5 * since**2 @ steps @ a.T + 0.5 * times[:, None] ** 2 * g
+        line = np.stack([np.ones(800), times], axis=1)
+        poses -= line @ np.linalg.lstsq(line, poses, rcond=None)[0]  # as if it had begun so as to stay nearby
+        found = identify(poses, currents, period=period, delay=delay)
+        np.testing.assert_allclose(found.acceleration_per_current, a, atol=1e-6)
+        np.testing.assert_allclose(found.free_acceleration, g, atol=1e-6)
+        np.testing.assert_allclose(found.stiffness, 0.0, atol=1e-6)
+
+
+def test_what_tells_nothing_is_refused() -> None:
+    _, motion, _ = study(0, SLOW, False)
+    poses, currents = motion
+    keywords = {"period": 0.005, "delay": 0.0015}
+    with pytest.raises(ParameterError, match=r"poses and currents must both be \(N, 6\), not \(2000, 6\) and \(1999"):
+        identify(poses, currents[:-1], **keywords)
+    with pytest.raises(ParameterError, match="currents must be finite, or NaN"):
+        identify(poses, np.full_like(currents, np.inf), **keywords)
+    with pytest.raises(ParameterError, match="the highest line must be a finite number below 100, not 150"):
+        identify(poses, currents, lines=[4.5, 150.0], **keywords)
+    for few in (2, 3, 40):
+        with pytest.raises(IdentificationError, match="longer than"):
+            identify(poses[:few], currents[:few], **keywords)
+    with pytest.raises(IdentificationError, match="fewer gaps"):
+        identify(np.full_like(poses, np.nan), currents, **keywords)
+    with pytest.raises(IdentificationError, match="all six axes, each at two frequencies or more"):
+        identify(poses, currents, lines=LINES[:, 0], **keywords)
+    still = np.zeros_like(currents)
+    with pytest.raises(IdentificationError, match="all six axes"):
+        identify(poses, still, **keywords)
+
+
+def test_the_excitation_is_what_it_says() -> None:
+    calm = Controller([Bias([1.0] * 6)], period=0.005)
+    shaker = Shaker(calm, frequencies=[[2.0, 0.0]] * 6, amplitudes=[[0.5, 7.0]] * 6)
+    # an eighth of a second is a quarter of a period, however few samples there were before
+    assert shaker.step(Sample(25, 0.125, [0.0] * 6)).force == pytest.approx([1.5] * 6)
+    trim = Trim(gain=[2.0] * 6, period=0.5)
+    force = trim.start()
+    for _ in range(3):
+        wrench = [0.0] * 6
+        force, _ = trim([1.0] * 6, [0.0] * 6, force, wrench)
+    assert wrench == [-3.0] * 6
+    # what two lines make of a product is no line
+    half = np.rint(2.0 * LINES.ravel()).astype(int)
+    assert np.array_equal(half, 2.0 * LINES.ravel()) and (half % 2 == 1).all() and len(set(half)) == 12
+    with pytest.raises(ParameterError, match=r"frequencies and amplitudes must be \(6, L\)"):
+        Shaker(calm, frequencies=[1.0] * 6, amplitudes=[1.0] * 6)
+    with pytest.raises(ParameterError, match="the highest frequency must be"):
+        excitation(NOMINAL, period=0.05, delay=0.0)
+    with pytest.raises(ParameterError, match=r"lines must be \(6, L\), not \(12,\)"):
+        excitation(NOMINAL, period=0.005, delay=0.0, lines=LINES.ravel())
+    with pytest.raises(ParameterError, match=r"trim gain must be \(6,\)"):
+        Trim(gain=1.0, period=0.005)
+
+
+def test_amplitudes_are_those_asked_for_on_a_device_that_is_known() -> None:
+    class Known(Twin):
+        def __init__(self) -> None:
+            super().__init__(0, FAST)
+            self.plant = CoilDrivenPlant(Timing(period=FAST[0], delay=FAST[1]))
+
+    motion = shaken(Known(), FAST, 8.0)
+    times = FAST[0] * np.arange(len(motion.poses))
+    for axis, lines in enumerate(LINES):
+        for line in lines:
+            size = 2.0 * abs(np.mean(motion.poses[:, axis] * np.exp(-2j * np.pi * line * times)))
+            assert size == pytest.approx(1e-4 if axis < 3 else 1.5e-3, rel=0.25)
