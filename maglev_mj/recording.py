@@ -7,7 +7,7 @@ import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 
@@ -26,7 +26,16 @@ _COLUMNS = {"tick": 0, "time": 0, "position": 6, "command": 13, "applied": 13, "
 Setup: TypeAlias = Mapping[str, Any]
 """What a plant and a controller are made from, ready for JSON."""
 
-Rebuild: TypeAlias = Callable[[Setup, HandForce | None], tuple[SampledPlant, Controller]]
+Rebuild: TypeAlias = Callable[[Setup, HandForce | None], tuple[SampledPlant | None, Controller]]
+"""Makes plant and controller; None for a plant that cannot be made, such as a device."""
+
+
+class Felt(Protocol):
+    """What a recorder asks of a plant."""
+
+    @property
+    def hand_wrench(self) -> Sequence[Any]:
+        """What the hand exerts since the last sample [N, N m], six."""
 
 
 class RecordingError(MaglevError):
@@ -68,7 +77,7 @@ class Recorder:
         period: The controller's sample period [s].
     """
 
-    def __init__(self, plant: SampledPlant, controller: Controller, setup: Setup) -> None:
+    def __init__(self, plant: Felt, controller: Controller, setup: Setup) -> None:
         self.period = controller.period
         self._plant, self._answer, self._setup = plant, controller.step, dict(setup)
         self._rows: list[tuple[Any, ...]] = []
@@ -160,19 +169,20 @@ class Verdict(NamedTuple):
     Attributes:
         ticks: Samples in it.
         commands: How many commands of the controller, given the recorded samples, were the same to the last bit.
-        positions: How many samples of the plant, given the recorded hand, were.
+        positions: How many samples of the plant, given the recorded hand, were; None for a device, which no hand that
+            was recorded moves again.
         first: Stretch and tick of the first that was not; None where all were.
     """
 
     ticks: int
     commands: int
-    positions: int
+    positions: int | None
     first: tuple[int, int] | None
 
     @property
     def same(self) -> bool:
         """Whether nothing differs."""
-        return self.commands == self.ticks == self.positions
+        return self.commands == self.ticks and self.positions in (self.ticks, None)
 
 
 def verify(recording: Recording, rebuild: Rebuild) -> Verdict:
@@ -186,17 +196,20 @@ def verify(recording: Recording, rebuild: Rebuild) -> Verdict:
         ParameterError: If a setup is not one that can be made.
     """
     commands = positions = 0
+    moved = False
     first: tuple[int, int] | None = None
     for place, stretch in enumerate(recording.stretches):
         answered = _answers(stretch, rebuild)
-        seen = _positions(stretch, rebuild)
         good = (answered == stretch.command).all(axis=1)
-        followed = (seen == stretch.position).all(axis=1)
         commands += int(good.sum())
-        positions += int(followed.sum())
-        if first is None and not (good & followed).all():
-            first = place, int(stretch.tick[np.argmin(good & followed)])
-    return Verdict(recording.ticks, commands, positions, first)
+        seen = _positions(stretch, rebuild)
+        if seen is not None:
+            followed = (seen == stretch.position).all(axis=1)
+            positions, moved = positions + int(followed.sum()), True
+            good &= followed
+        if first is None and not good.all():
+            first = place, int(stretch.tick[np.argmin(good)])
+    return Verdict(recording.ticks, commands, positions if moved else None, first)
 
 
 def row_of(command: Command) -> list[float]:
@@ -212,9 +225,11 @@ def _answers(stretch: Stretch, rebuild: Rebuild) -> Array:
     return _table([row_of(controller.step(Sample(int(tick), time, place))) for tick, time, place in samples], 13)
 
 
-def _positions(stretch: Stretch, rebuild: Rebuild) -> Array:
-    """Return what a new plant is seen to do in the recorded hand, (N, 6); NaN from where it stops."""
+def _positions(stretch: Stretch, rebuild: Rebuild) -> Array | None:
+    """Return what a new plant is seen to do in the recorded hand, (N, 6), NaN from where it stops; None without one."""
     plant, controller = rebuild(stretch.setup, RecordedHand(stretch.hand.reshape(-1, 6)))
+    if plant is None:
+        return None
     seen = np.full(stretch.position.shape, np.nan)
     try:
         for row in seen:

@@ -27,6 +27,7 @@ from maglev_mj.session import View
 __all__ = ["EXPERIMENTS", "Replay", "rebuild", "record_experiment"]
 
 _SHOWN = 2.0
+_SCENES = "scene", "device"
 
 _Parts: TypeAlias = Callable[[Any, HandForce | None], tuple[SampledPlant, Controller, int]]
 
@@ -38,20 +39,25 @@ EXPERIMENTS: Mapping[str, tuple[type[Any], _Parts, str]] = {
 """What can be recorded without a window: its parameters, what it is made of, and the scene that shows it."""
 
 
-def rebuild(setup: Setup, hand: HandForce | None) -> tuple[SampledPlant, Controller]:
+def rebuild(setup: Setup, hand: HandForce | None) -> tuple[SampledPlant | None, Controller]:
     """Make plant and controller from a recording's setup.
 
     Args:
         setup: The setup.
         hand: The hand on the flotor; None for the run's own, if it has one.
 
+    Returns:
+        Both; None for the plant of a flight on a device.
+
     Raises:
         RecordingError: If it is no setup that is known here.
     """
     try:
         kind = setup["kind"]
-        if kind == "scene":
+        if kind in _SCENES:
             scene, settings = scene_called(setup["scene"]), Settings.from_json(setup["settings"])
+            if kind == "device":
+                return None, scene.controller(settings)
             start = {name: setup[name] for name in ("pose", "twist", "wrench")}
             return scene.plant(settings, hand_force=hand, **start), scene.controller(settings)
         parameters, parts, _ = EXPERIMENTS[kind]
@@ -147,7 +153,7 @@ class _Shown:
         self.scene, self.settings = _scene_of(stretch.setup)
         self.period, self.pose = self.settings.period, stretch.position
         self._time, self._hand = stretch.time, stretch.hand
-        carried = np.array(WEIGHT if self.settings.weightless and stretch.setup["kind"] == "scene" else [0.0] * 6)
+        carried = np.array(WEIGHT if self.settings.weightless and stretch.setup["kind"] in _SCENES else [0.0] * 6)
         self._force = stretch.applied[:, :6] - carried
         coils = load("drop").coils
         assert coils is not None
@@ -186,8 +192,8 @@ class _Shown:
 
 def _scene_of(setup: Setup) -> tuple[Scene, Settings]:
     """Return the scene that shows a stretch, and its settings."""
-    rebuild(setup, None)[0].close()  # complains of what is not known here
-    if setup["kind"] == "scene":
+    rebuild(setup, None)  # complains of what is not known here
+    if setup["kind"] in _SCENES:
         return scene_called(setup["scene"]), Settings.from_json(setup["settings"])
     parameters, _, name = EXPERIMENTS[setup["kind"]]
     made = parameters(**setup["parameters"])
@@ -198,8 +204,7 @@ def _scene_of(setup: Setup) -> tuple[Scene, Settings]:
 
 def _anchors(stretch: Stretch) -> Array | None:
     """Return where the flotor stuck at each sample, as the controller saw it, (N, 6); None without friction."""
-    plant, controller = rebuild(stretch.setup, None)
-    plant.close()
+    _, controller = rebuild(stretch.setup, None)
     found = [(place, law.indices) for place, law in enumerate(controller.laws) if isinstance(law, Friction)]
     if not found:
         return None

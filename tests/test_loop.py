@@ -23,14 +23,14 @@ class Recorder(ExactPlant):
 
 
 class Broken(Controller):
-    """A controller that fails or answers nonsense at sample 60."""
+    """A controller that fails or answers nonsense at sample 260."""
 
     def __init__(self, answer: float | BaseException) -> None:
         super().__init__([Hold(stiffness=100.0, damping=1.0)], period=0.005)
         self.answer = answer
 
     def step(self, sample: Sample) -> Command:
-        if sample.tick == 60:
+        if sample.tick == 260:
             if isinstance(self.answer, BaseException):
                 raise self.answer
             return Command([self.answer] * 6)
@@ -50,21 +50,21 @@ def test_run_answers_every_sample_and_reads_once_more() -> None:
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
 def test_a_command_that_is_no_number_ends_in_zero_and_carries_the_last_cycles(bad: float) -> None:
     plant = Recorder()
-    with pytest.raises(PlantError, match="command at tick 60 must be finite") as caught:
-        run(plant, Broken(bad), 100)
+    with pytest.raises(PlantError, match="command at tick 260 must be finite") as caught:
+        run(plant, Broken(bad), 300)
     assert list(plant.written[-1].force) == [0.0] * 6
-    assert [sample.tick for sample, _ in caught.value.cycles] == list(range(11, 61))
+    assert [sample.tick for sample, _ in caught.value.cycles] == list(range(61, 261))
     plant.read()  # the plant is still there, with zero on its way
 
 
 def test_any_exception_ends_in_zero_and_is_the_one_reported() -> None:
     plant = Recorder()
     with pytest.raises(ZeroDivisionError):
-        run(plant, Broken(ZeroDivisionError()), 100)
+        run(plant, Broken(ZeroDivisionError()), 300)
     assert list(plant.written[-1].force) == [0.0] * 6
     plant = Recorder()
     with pytest.raises(KeyboardInterrupt):
-        run(plant, Broken(KeyboardInterrupt()), 100)
+        run(plant, Broken(KeyboardInterrupt()), 300)
     assert list(plant.written[-1].force) == [0.0] * 6
 
 
@@ -72,7 +72,7 @@ def test_a_closed_plant_does_not_hide_the_error() -> None:
     plant = Recorder()
     plant.close()
     with pytest.raises(PlantError, match="closed"):
-        run(plant, Broken(0.0), 100)
+        run(plant, Broken(0.0), 300)
 
 
 def test_divergence_carries_its_cycles() -> None:
@@ -97,12 +97,12 @@ def test_controller_and_plant_must_share_a_period() -> None:
 def test_a_plant_that_fails_to_release_is_closed_and_the_first_error_reported() -> None:
     class Deaf(Recorder):
         def write(self, command: Command) -> Command:
-            if self._tick == 60:
+            if self._tick == 260:
                 raise OSError("the wire is cut")
             return super().write(command)
 
     plant = Deaf()
     with pytest.raises(ZeroDivisionError):
-        run(plant, Broken(ZeroDivisionError()), 100)
+        run(plant, Broken(ZeroDivisionError()), 300)
     with pytest.raises(PlantError, match="closed"):
         plant.read()

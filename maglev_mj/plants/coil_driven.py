@@ -164,5 +164,5 @@ class CoilDrivenPlant(MuJoCoPlant):
     def _state(self, drive: Drive) -> tuple[Array, Array, Array]:
         pose, twist, currents = super()._state(drive)
         assert self._map is not None
-        wrench: Array = np.linalg.solve(self._map.inverse_at(self._rotation), currents)
+        wrench = np.asarray(np.linalg.solve(self._map.inverse_at(self._rotation), currents), dtype=np.float64)
         return pose, twist, wrench

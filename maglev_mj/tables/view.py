@@ -28,7 +28,9 @@ def verdict_table(verdict: Verdict) -> str:
     """Return what checking a recording gave."""
     lines = [
         f"  {verdict.commands} of {verdict.ticks} commands the same to the last bit",
-        f"  {verdict.positions} of {verdict.ticks} positions the same to the last bit",
+        "  the positions are a device's, and are not run again"
+        if verdict.positions is None
+        else f"  {verdict.positions} of {verdict.ticks} positions the same to the last bit",
     ]
     if verdict.first is not None:
         lines.append(f"  the first that is not: stretch {verdict.first[0]}, tick {verdict.first[1]}")
