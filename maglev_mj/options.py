@@ -15,11 +15,13 @@ from maglev_mj.workers import Workers, dask_workers, local_workers
 
 __all__ = [
     "Parser",
+    "add_bridge",
     "add_options",
     "add_outputs",
     "add_recording",
     "add_settings",
     "add_workers",
+    "chosen_key",
     "chosen_settings",
     "chosen_workers",
     "count",
@@ -117,8 +119,50 @@ def count(text: str) -> int:
         raise argparse.ArgumentTypeError(f"must be a whole number, not {text!r}") from None
 
 
-def add_settings(parser: argparse.ArgumentParser) -> None:
-    """Add the options for what may be changed while a scene runs; see `Settings`."""
+def add_bridge(parser: argparse.ArgumentParser) -> None:
+    """Add what both ends of a wire are told."""
+    parser.add_argument(
+        "--calibration", metavar="FILE", type=Path, help="what is known of the device (default: the model)"
+    )
+    parser.add_argument(
+        "--key",
+        metavar="FILE",
+        type=Path,
+        help="secret of 16 to 32 bytes as hexadecimal digits, for more than this machine",
+    )
+    parser.add_argument("--seconds", type=number_option, metavar="X", help="end after so long [s]")
+    parser.add_argument(
+        "--realtime",
+        default="ignore",
+        metavar="WHAT",
+        help="enforce or ignore: what to do where the system refuses real-time scheduling (default ignore)",
+    )
+
+
+def chosen_key(options: argparse.Namespace) -> bytes | None:
+    """Return the key in the file of --key; None without one.
+
+    Raises:
+        ParameterError: If it is no key.
+    """
+    if options.key is None:
+        return None
+    try:
+        key = bytes.fromhex(options.key.read_text(encoding="ascii"))
+    except (OSError, ValueError):
+        key = b""
+    if not 16 <= len(key) <= 32:
+        raise ParameterError(f"key must be a file of 32 to 64 hexadecimal digits, not {str(options.key)!r}")
+    return key
+
+
+def add_settings(parser: argparse.ArgumentParser, *, timing: bool = True) -> None:
+    """Add the options for what may be changed while a scene runs; see `Settings`.
+
+    Args:
+        parser: Of the command.
+        timing: False where period and delay are not the user's to choose.
+    """
     for name in ("wall", "pulse", "friction"):
         parser.add_argument(f"--{name}", action=argparse.BooleanOptionalAction, default=None, help="on from the start")
     helps = {
@@ -127,6 +171,9 @@ def add_settings(parser: argparse.ArgumentParser) -> None:
         "period": "sample period [s]",
         "delay": "from a sample to its command taking effect [s]",
     }
+    if not timing:
+        del helps["period"], helps["delay"]
+        parser.set_defaults(period=None, delay=None)
     add_options(parser, {}, helps, Settings)
 
 

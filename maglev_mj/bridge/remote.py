@@ -95,7 +95,7 @@ class RemotePlant:
         self._box = BlackBox(folder, _COLUMNS)
         self._line = Connection(link, self.calibration.digest, key, self._patience)
         welcome = self._line.welcome
-        self.period, self.delay = welcome.period * 1e-9, welcome.delay * 1e-9
+        self.period, self.delay = welcome.period / 1e9, welcome.delay / 1e9
         self.lockstep, self.limits = bool(welcome.lockstep), self._line.limits
         self._gate = Gate(self.calibration.coils, self.limits, wrench_limit, self.period)
         self.warmth: list[float] = [0.0] * 6

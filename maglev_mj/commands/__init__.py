@@ -1,8 +1,21 @@
 """The commands of `maglev-mj`, one a module: its options and what it runs."""
 
-from maglev_mj.commands import drop, fidelity, info, press, render, replay, stability, stick_slip, sweep, view
+from maglev_mj.commands import (
+    bridge,
+    drop,
+    fidelity,
+    info,
+    press,
+    render,
+    replay,
+    stability,
+    stick_slip,
+    sweep,
+    twin,
+    view,
+)
 
 __all__ = ["COMMANDS"]
 
-COMMANDS = (view, render, replay, drop, press, stick_slip, stability, sweep, fidelity, info)
+COMMANDS = (view, render, replay, drop, press, stick_slip, stability, sweep, fidelity, twin, bridge, info)
 """In the order in which the help lists them."""

@@ -1,5 +1,6 @@
 """Results as text for a terminal, one module a subject."""
 
+from maglev_mj.tables.bridge import flown_table, served_table
 from maglev_mj.tables.device import device_table
 from maglev_mj.tables.drop import drop_table
 from maglev_mj.tables.fidelity import fidelity_table, ladder_table
@@ -13,8 +14,10 @@ __all__ = [
     "device_table",
     "drop_table",
     "fidelity_table",
+    "flown_table",
     "ladder_table",
     "press_table",
+    "served_table",
     "show_table",
     "stability_table",
     "stick_slip_table",

@@ -1,0 +1,112 @@
+"""`maglev-mj bridge`: a scene on a device at the other end of a wire."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from maglev_mj.bridge.calibration import Calibration
+from maglev_mj.bridge.flight import Flight, Flown
+from maglev_mj.bridge.identification import collect, excitation, identify
+from maglev_mj.bridge.link import open_link
+from maglev_mj.bridge.realtime import realtime
+from maglev_mj.bridge.remote import RemotePlant
+from maglev_mj.bridge.stopping import stopping
+from maglev_mj.errors import ParameterError
+from maglev_mj.options import add_bridge, add_recording, add_settings, chosen_key, chosen_settings, number_option
+from maglev_mj.output import check_file, check_outputs
+from maglev_mj.parameters import number
+from maglev_mj.scenes import SCENES, scene_called
+from maglev_mj.tables import flown_table
+
+__all__ = ["add_command"]
+
+_IDENTIFYING = 10.0
+
+
+def add_command(commands: Any) -> None:
+    """Add the command to the parser's."""
+    bridge = commands.add_parser("bridge", help="a scene on a device at the other end of a wire")
+    bridge.add_argument("address", metavar="ADDRESS", help="udp://HOST:PORT, or serial:///PATH?baud=RATE")
+    bridge.add_argument("--scene", default="joystick", metavar="SCENE", help=f"{', '.join(SCENES)} (default joystick)")
+    add_settings(bridge, timing=False)
+    add_recording(bridge)
+    add_bridge(bridge)
+    bridge.add_argument("--reset", action="store_true", help="leave the fault state first")
+    bridge.add_argument("--view", action="store_true", help="a window on the device; its hand is at the device")
+    bridge.add_argument(
+        "--identify",
+        metavar="FILE",
+        type=Path,
+        help=f"shake the flotor gently for {_IDENTIFYING:g} s and write its calibration, instead of a scene",
+    )
+    bridge.add_argument("--mass", type=number_option, metavar="X", help="moving mass, for --identify [kg]")
+    bridge.add_argument(
+        "--out", metavar="DIR", type=Path, default=Path(), help="folder for the last cycles before a fault (default .)"
+    )
+    bridge.set_defaults(run=_bridge)
+
+
+def _bridge(options: argparse.Namespace) -> int:
+    scene, key = scene_called(options.scene), chosen_key(options)
+    seconds = None if options.seconds is None else number("seconds", options.seconds, above=0.0)
+    for name in ("record", "identify"):
+        if getattr(options, name) is not None:
+            check_file(name, getattr(options, name))
+    if options.mass is not None and options.identify is None:
+        raise ParameterError("mass is for --identify")
+    check_outputs(out=options.out)
+    wanted = chosen_settings(options, scene.settings)  # before the device: what is wrong is said at once
+    calibration = Calibration.nominal() if options.calibration is None else Calibration.load(options.calibration)
+    if options.view:
+        from maglev_mj.viewer.window import require_display
+
+        require_display()
+    with RemotePlant(open_link(options.address, key), calibration=calibration, key=key, folder=options.out) as plant:
+        if options.reset:
+            plant.reset()
+        if options.identify is not None:
+            return _identify(plant, options)
+        settings = replace(wanted, period=plant.period, delay=plant.delay)
+        flight = Flight(plant, scene, settings, record=options.record is not None)
+        try:
+            with stopping(flight.stop), realtime(options.realtime) as refused:
+                for complaint in refused:
+                    print(f"  not in real time: {complaint}", file=sys.stderr)
+                print(f"  {scene.name} at {1.0 / plant.period:g} Hz; keep hands off while it takes off", flush=True)
+                flown = _watched(flight, seconds) if options.view else flight.run(seconds)
+        finally:
+            if options.record is not None:
+                flight.recording.save(options.record)
+                print(f"  wrote {options.record}")
+    print(flown_table(flown))
+    return 0
+
+
+def _watched(flight: Flight, seconds: float | None) -> Flown:
+    from maglev_mj.viewer.window import show
+
+    result: list[Flown] = []
+    shown = flight.show(lambda: result.append(flight.run()))
+    shown.start()
+    show(shown, duration=seconds)
+    if shown.failed is not None:
+        raise shown.failed
+    return result[0]
+
+
+def _identify(plant: RemotePlant, options: argparse.Namespace) -> int:
+    mass = plant.calibration.mass if options.mass is None else number("mass", options.mass, above=0.0)
+    plant.takeoff()
+    shaker = excitation(plant.calibration, period=plant.period, delay=plant.delay)
+    motion = collect(plant, shaker, _IDENTIFYING)
+    plant.land()
+    found = identify(motion.poses, motion.currents, period=plant.period, delay=plant.delay)
+    found.calibration(plant.calibration, mass).save(options.identify)
+    x, y, z = found.gravity
+    print(f"  gravity {x:.4f}, {y:.4f}, {z:.4f} m/s²; mass taken for {mass:g} kg")
+    print(f"  wrote {options.identify}")
+    return 0
