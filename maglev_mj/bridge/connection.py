@@ -44,6 +44,8 @@ class Connection:
         limits: What it bears.
         dropped: Frames of another session, old ones and such, by reason, are counted in `codec.dropped`.
         skipped: Samples left out by the last `state` for a newer one.
+        settled: When the device last did what it was asked for, by its own clock [ns]: what a sample from before that
+            says of its state is old.
 
     Raises:
         HandshakeError: If there is no device, or it will not have this host.
@@ -56,7 +58,7 @@ class Connection:
         self._newest: int | None = None
         self._waiting: Frame | None = None
         self._last: Command | None = None
-        self.skipped = 0
+        self.skipped, self.settled = 0, 0
         self._open = True
         try:
             self.welcome = self._greet(calibration)
@@ -118,6 +120,7 @@ class Connection:
                 if frame is None:
                     continue
                 if isinstance(frame.body, ControlAck) and frame.body.request == self._request:
+                    self.settled = frame.time
                     return frame.body
                 if isinstance(frame.body, StateReport) and self._is_newer(frame):
                     self._waiting = frame  # a sample that came meanwhile is read later

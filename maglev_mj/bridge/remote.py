@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
@@ -29,6 +30,7 @@ from maglev_mj.tracking import PoseTracker
 __all__ = ["RemotePlant"]
 
 _ZERO = (0.0,) * 6
+_UNKNOWN = (math.nan,) * 6
 _COLUMNS = (
     *("sample", "time_ns", "state", "faults"),
     *(f"spot{place}" for place in range(6)),
@@ -124,10 +126,12 @@ class RemotePlant:
         clock = self.samples.count(frame.sequence, frame.time, self._line.skipped)
         self.warmth = [max(one, other) for one, other in zip(report.warmth, self._gate.warmth.shares)]
         self._sequence = frame.sequence
-        if report.state == State.FAULT and self.state != State.FAULT:
-            self.state, self.faults = State.FAULT, Fault(report.faults)
-            self._fail(self.faults, "said by the device")
-        self.state, self.faults = State(report.state), Fault(report.faults)
+        self._row = (frame.sequence, frame.time, report.state, report.faults, report.spots, _UNKNOWN)
+        if frame.time >= self._line.settled:  # else it was taken before the device did what it was asked for
+            failed = report.state == State.FAULT and self.state != State.FAULT
+            self.state, self.faults = State(report.state), Fault(report.faults)
+            if failed:
+                self._fail(self.faults, "said by the device")
         spots: Sequence[float] = report.spots
         if self._offsets is not None:
             spots = [spot - offset for spot, offset in zip(spots, self._offsets)]
@@ -138,7 +142,7 @@ class RemotePlant:
                 self._fail(Fault.SENSOR_OUT_OF_RANGE, str(error))
             raise
         self._known = position
-        self._row = (frame.sequence, frame.time, report.state, report.faults, report.spots, tuple(position))
+        self._row = (*self._row[:-1], tuple(position))
         self._owed = True
         wrong = self._guard.check(position, self.samples.elapsed * self.period)
         if self.state == State.ACTIVE:

@@ -139,7 +139,7 @@ class Twin:
         if self.silent:
             return None
         self._now = max(now, self._sampled_at)
-        return self.firmware.receive(data, self._now, peer)
+        return self.firmware.receive(data, self._now + self._ahead, peer)
 
     def sample(self) -> bytes | None:
         """Go on to the next sampling instant; return what to send to the host in session, if there is one.

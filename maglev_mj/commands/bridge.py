@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from maglev_mj.bridge.calibration import Calibration
+from maglev_mj.bridge.fault import HandshakeError
 from maglev_mj.bridge.flight import Flight, Flown
 from maglev_mj.bridge.identification import collect, excitation, identify
 from maglev_mj.bridge.link import open_link
@@ -65,7 +66,7 @@ def _bridge(options: argparse.Namespace) -> int:
         from maglev_mj.viewer.window import require_display
 
         require_display()
-    with RemotePlant(open_link(options.address, key), calibration=calibration, key=key, folder=options.out) as plant:
+    with _opened(options, calibration, key) as plant:
         if options.reset:
             plant.reset()
         if options.identify is not None:
@@ -84,6 +85,14 @@ def _bridge(options: argparse.Namespace) -> int:
                 print(f"  wrote {options.record}")
     print(flown_table(flown))
     return 0
+
+
+def _opened(options: argparse.Namespace, calibration: Calibration, key: bytes | None) -> RemotePlant:
+    try:
+        link = open_link(options.address, key)
+        return RemotePlant(link, calibration=calibration, key=key, folder=options.out)
+    except HandshakeError as error:
+        raise HandshakeError(f"{options.address}: {error}") from None
 
 
 def _watched(flight: Flight, seconds: float | None) -> Flown:
