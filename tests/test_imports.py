@@ -42,6 +42,7 @@ FLOORS = {
     "charts": 8,
     "viewer": 8,
     "replay": 9,
+    "watching": 9,
     "tables": 9,
     "options": 9,
     "output": 9,

@@ -1,20 +1,19 @@
-"""A scene flown on a device: takeoff, the scene's laws, landing; on the main thread, or behind a window."""
+"""A scene flown on a device: takeoff, the scene's laws, landing."""
 
 from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from maglev_mj.bridge.realtime import Lateness
 from maglev_mj.bridge.remote import RemotePlant
-from maglev_mj.bridge.shown import Shown
 from maglev_mj.controller import Controller
 from maglev_mj.errors import ParameterError
-from maglev_mj.frames import Command, Sample
+from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.laws import Friction, Wall
 from maglev_mj.loop import Answers, ControlLoop
 from maglev_mj.recording import Recorder, Recording
@@ -22,7 +21,7 @@ from maglev_mj.scenes import Scene, Settings
 from maglev_mj.scenes.parts import WEIGHT
 from maglev_mj.session.actions import CHANGES
 
-__all__ = ["Flight", "Flown"]
+__all__ = ["Flight", "Flown", "Watcher"]
 
 _FIXED = ("rate up", "rate down", "delay up", "delay down")
 """What the device decides."""
@@ -46,6 +45,27 @@ class Flown(NamedTuple):
     answer: Lateness
 
 
+class Watcher(Protocol):
+    """What a flight asks of a window on it."""
+
+    settings: Settings
+    faces: Sequence[tuple[int, float, float]]
+    closed: bool
+
+    def keep(
+        self,
+        pose: Array,
+        force: Array,
+        effort: Sequence[float],
+        currents: Sequence[float],
+        anchors: Array | None = None,
+    ) -> None:
+        """Show a sample."""
+
+    def poll(self) -> Sequence[str]:
+        """Return which actions keys asked for."""
+
+
 class Flight:
     """A scene flown on a device.
 
@@ -54,6 +74,7 @@ class Flight:
         scene: The scene.
         settings: Of its laws; its period is the device's.
         record: Whether to keep every sample.
+        watch: A window on it.
 
     Attributes:
         recording: What was kept, up to where it ended, whatever ended it.
@@ -62,16 +83,24 @@ class Flight:
         ParameterError: If the settings' period is not the device's.
     """
 
-    def __init__(self, plant: RemotePlant, scene: Scene, settings: Settings, *, record: bool = False) -> None:
+    def __init__(
+        self,
+        plant: RemotePlant,
+        scene: Scene,
+        settings: Settings,
+        *,
+        record: bool = False,
+        watch: Watcher | None = None,
+    ) -> None:
         if settings.period != plant.period:
             raise ParameterError(f"period must be the device's {plant.period:g} s, not {settings.period:g}")
         self._plant, self._scene, self._settings, self._record = plant, scene, settings, record
+        self._watch = watch
         self._stretches: list[Recorder] = []
         self._stopped = threading.Event()
         self._wanted: Settings | None = None
         self._answer = Lateness()
         self._read_at = 0
-        self.shown: Shown | None = None
 
     @property
     def recording(self) -> Recording:
@@ -104,16 +133,6 @@ class Flight:
         if action in CHANGES and action not in _FIXED:
             self._wanted = CHANGES[action](self._wanted or self._settings)
 
-    def show(self, live: Callable[[], Any]) -> Shown:
-        """Return what a window shows of it.
-
-        Args:
-            live: What to run on the device's thread, such as `run`.
-        """
-        shown = _Flying(self, self._scene, self._settings, live)
-        self.shown = shown
-        return shown
-
     def _stretch(self, last: int | None) -> None:
         """Fly with unchanged settings."""
         if self._wanted is not None:
@@ -125,10 +144,10 @@ class Flight:
             setup["calibration"] = self._plant.calibration.digest.hex()
             answers = recorder = Recorder(self._plant, controller, setup)
             self._stretches.append(recorder)
-        if self.shown is not None:
+        if self._watch is not None:
             laws = controller.laws
-            self.shown.settings = self._settings
-            self.shown.faces = tuple(face for law in laws if isinstance(law, Wall) for face in law.faces)
+            self._watch.settings = self._settings
+            self._watch.faces = tuple(face for law in laws if isinstance(law, Wall) for face in law.faces)
         loop = ControlLoop(self._plant, _Timed(answers, self), observe=self._observe(controller))
         samples = self._plant.samples
         while not self._stopped.is_set() and self._wanted is None and (last is None or samples.tick < last):
@@ -145,17 +164,20 @@ class Flight:
             self._answer.add(time.perf_counter_ns() - self._read_at)
             if recorder is not None:
                 recorder.observe(sample, applied)
-            shown = self.shown
-            if shown is not None:
-                shown.anchors = None if friction is None else _anchors(controller, *friction)
-                shown.keep(
-                    np.array(sample.position),
-                    np.array(applied.force) - carried,
-                    self._plant.hand_wrench,
-                    self._plant.last_currents,
-                )
+            if self._watch is not None:
+                anchors = None if friction is None else _anchors(controller, *friction)
+                self._look(self._watch, sample, np.array(applied.force) - carried, anchors)
 
         return observe
+
+    def _look(self, watch: Watcher, sample: Sample, force: Array, anchors: Array | None) -> None:
+        """Show a sample, and do what the window asks for."""
+        plant = self._plant
+        watch.keep(np.array(sample.position), force, plant.hand_wrench, plant.last_currents, anchors)
+        for action in watch.poll():
+            self.change(action)
+        if watch.closed:
+            self.stop()
 
 
 class _Timed:
@@ -169,20 +191,7 @@ class _Timed:
         return self._step(sample)
 
 
-class _Flying(Shown):
-    """A flight in a window: keys change its laws."""
-
-    def __init__(self, flight: Flight, scene: Scene, settings: Settings, live: Callable[[], Any]) -> None:
-        super().__init__(scene, settings, live, flight.stop)
-        self._flight = flight
-        self.notes = ["the hand is at the device"]
-
-    def act(self, action: str) -> None:
-        """Change the laws, as far as that is the host's."""
-        self._flight.change(action)
-
-
-def _anchors(controller: Controller, place: int, indices: tuple[int, ...]) -> np.ndarray[Any, Any] | None:
+def _anchors(controller: Controller, place: int, indices: tuple[int, ...]) -> Array | None:
     """Return where the flotor sticks [m, rad], NaN where it does not."""
     states = controller.states[place]
     if states is None:

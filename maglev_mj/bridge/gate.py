@@ -41,6 +41,10 @@ class Gate:
         self._inverse_turned, self._current, self._period = coils.inverse_turned, limits.current, period
         self.warmth = Warmth(limits)
 
+    def stay(self, periods: int, currents: Sequence[float]) -> None:
+        """Let currents [A] flow for so many periods in which none were let through."""
+        self.warmth.add(((periods * self._period, currents),))
+
     def currents(
         self, command: Command, position: Sequence[float]
     ) -> tuple[Command, Sequence[float], Sequence[float] | None, float]:

@@ -29,8 +29,7 @@ from maglev_mj.tracking import PoseTracker
 
 __all__ = ["RemotePlant"]
 
-_ZERO = (0.0,) * 6
-_UNKNOWN = (math.nan,) * 6
+_ZERO, _UNKNOWN = (0.0,) * 6, (math.nan,) * 6
 _COLUMNS = (
     *("sample", "time_ns", "state", "faults"),
     *(f"spot{place}" for place in range(6)),
@@ -120,17 +119,18 @@ class RemotePlant:
         """
         if self._owed and self.lockstep:  # a device that waits for an answer gets the one before, without its pulse
             self._send(self.last_currents, None, 0.0)
-        self._owed = False
+        answered, self._owed = not self._owed, False
         frame = self._next_frame()
         report: StateReport = frame.body  # type: ignore[assignment]
         clock = self.samples.count(frame.sequence, frame.time, self._line.skipped)
+        if (unanswered := self.samples.elapsed - answered) > 0:  # what nobody wrote for: the coils cool, or go on
+            self._gate.stay(unanswered, self.last_currents if self.state == State.ACTIVE else _ZERO)
         self.warmth = [max(one, other) for one, other in zip(report.warmth, self._gate.warmth.shares)]
         self._sequence = frame.sequence
         self._row = (frame.sequence, frame.time, report.state, report.faults, report.spots, _UNKNOWN)
         if frame.time >= self._line.settled:  # else it was taken before the device did what it was asked for
-            failed = report.state == State.FAULT and self.state != State.FAULT
-            self.state, self.faults = State(report.state), Fault(report.faults)
-            if failed:
+            before, self.state, self.faults = self.state, State(report.state), Fault(report.faults)
+            if self.state == State.FAULT != before:
                 self._fail(self.faults, "said by the device")
         spots: Sequence[float] = report.spots
         if self._offsets is not None:
@@ -208,8 +208,9 @@ class RemotePlant:
         Raises:
             DeviceFault: If it does not follow, or anything else goes wrong.
         """
-        self.rest = list(self.read().position)
+        rest = list(self.read().position)
         self.arm()
+        self.rest = rest
         self._lead(self.rest, _ZERO, duration)
 
     def land(self, duration: float = 0.6) -> None:
@@ -287,6 +288,7 @@ class RemotePlant:
         """Put the device into the fault state, keep the last cycles, and say so."""
         if self.state != State.FAULT:
             self.trip(faults)
+        faults |= self.faults  # such as an e-stop, after which it fell
         about = {name: getattr(self.samples, name) for name in ("tick", "lost", "skipped")} | {"period": self.period}
         if self._row is not None:
             self._box.keep((*self._row, self.last_currents, self.last_currents, 0.0))
@@ -295,5 +297,4 @@ class RemotePlant:
 
 
 def _shown(position: Sequence[float]) -> str:
-    places = ", ".join(f"{part * 1e3:.2f}" for part in position)
-    return f"{places} (mm, mrad)"
+    return ", ".join(f"{part * 1e3:.2f}" for part in position) + " (mm, mrad)"

@@ -23,7 +23,7 @@ class Served(NamedTuple):
 
     Attributes:
         ticks: Samples taken.
-        missed: Samples whose frames were not sent because their time had passed.
+        missed: Periods for which simulated time stood still because the machine did.
         wall_time: For how long it ran [s].
         lateness: Of the samples, in real time.
     """
@@ -37,9 +37,9 @@ class Served(NamedTuple):
 class TwinServer:
     """Runs a twin: samples on time, frames in and out.
 
-    In real time it is the clock of both ends: it samples at absolute deadlines. Where it is late by whole periods it
-    makes up for the mechanics, which go on, but says nothing of the samples whose time has passed. In lockstep it takes
-    a sample when the one before is answered, says it again after 20 ms without answer, and lets go after 2 s.
+    In real time it is the clock of both ends: it samples at absolute deadlines, and where it is late by whole periods
+    simulated time stands still for as long. In lockstep it takes a sample when the one before is answered, says it
+    again after 20 ms without answer, and lets go after 2 s.
 
     Args:
         twin: The device.
@@ -100,9 +100,9 @@ class TwinServer:
             self._listen(deadline, zero)
             late = clock() - deadline
             self.lateness.add(late)
-            for _ in range(late // period):  # their time has passed; what they would say is old
-                twin.sample()
-                self.missed += 1
+            # a machine that stalls makes simulated time stall, where catching up would look like a host gone silent
+            self.missed += late // period
+            zero += late // period * period
             self._say(twin.sample())
             if each is not None:
                 each()

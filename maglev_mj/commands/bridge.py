@@ -10,7 +10,7 @@ from typing import Any
 
 from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.fault import HandshakeError
-from maglev_mj.bridge.flight import Flight, Flown
+from maglev_mj.bridge.flight import Flight
 from maglev_mj.bridge.identification import collect, excitation, identify
 from maglev_mj.bridge.link import open_link
 from maglev_mj.bridge.realtime import realtime
@@ -22,6 +22,7 @@ from maglev_mj.output import check_file, check_outputs
 from maglev_mj.parameters import number
 from maglev_mj.scenes import SCENES, scene_called
 from maglev_mj.tables import flown_table
+from maglev_mj.watching import Watch
 
 __all__ = ["add_command"]
 
@@ -72,14 +73,19 @@ def _bridge(options: argparse.Namespace) -> int:
         if options.identify is not None:
             return _identify(plant, options)
         settings = replace(wanted, period=plant.period, delay=plant.delay)
-        flight = Flight(plant, scene, settings, record=options.record is not None)
+        watch = Watch(scene.name, settings, options.out) if options.view else None
+        if watch is not None:
+            watch.note = "the hand, the rate and the delay are the device's"
+        flight = Flight(plant, scene, settings, record=options.record is not None, watch=watch)
         try:
             with stopping(flight.stop), realtime(options.realtime) as refused:
                 for complaint in refused:
                     print(f"  not in real time: {complaint}", file=sys.stderr)
                 print(f"  {scene.name} at {1.0 / plant.period:g} Hz; keep hands off while it takes off", flush=True)
-                flown = _watched(flight, seconds) if options.view else flight.run(seconds)
+                flown = flight.run(seconds)
         finally:
+            if watch is not None:
+                watch.close()
             if options.record is not None:
                 flight.recording.save(options.record)
                 print(f"  wrote {options.record}")
@@ -93,18 +99,6 @@ def _opened(options: argparse.Namespace, calibration: Calibration, key: bytes | 
         return RemotePlant(link, calibration=calibration, key=key, folder=options.out)
     except HandshakeError as error:
         raise HandshakeError(f"{options.address}: {error}") from None
-
-
-def _watched(flight: Flight, seconds: float | None) -> Flown:
-    from maglev_mj.viewer.window import show
-
-    result: list[Flown] = []
-    shown = flight.show(lambda: result.append(flight.run()))
-    shown.start()
-    show(shown, duration=seconds)
-    if shown.failed is not None:
-        raise shown.failed
-    return result[0]
 
 
 def _identify(plant: RemotePlant, options: argparse.Namespace) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +14,10 @@ from maglev_mj.bridge.link import Server, UdpServer, check_host, parse_url
 from maglev_mj.bridge.misfortune import MISFORTUNES, Misfortune
 from maglev_mj.bridge.realtime import realtime
 from maglev_mj.bridge.safety import Limits
-from maglev_mj.bridge.server import Served, TwinServer
-from maglev_mj.bridge.shown import Shown
+from maglev_mj.bridge.server import TwinServer
 from maglev_mj.bridge.states import fault_names
 from maglev_mj.bridge.stopping import stopping
 from maglev_mj.bridge.twin import Twin, TwinParameters
-from maglev_mj.hand import SpringHand
 from maglev_mj.options import add_bridge, chosen_key, count, number_option
 from maglev_mj.parameters import number
 from maglev_mj.plants import engine_warnings_silenced
@@ -26,6 +25,7 @@ from maglev_mj.scenes import Settings, scene_called
 from maglev_mj.scenes.parts import WEIGHT
 from maglev_mj.spec import Spec
 from maglev_mj.tables import served_table
+from maglev_mj.watching import Watch
 
 __all__ = ["add_command"]
 
@@ -64,7 +64,7 @@ def add_command(commands: Any) -> None:
 
 
 def _twin(options: argparse.Namespace) -> int:
-    key, hand = chosen_key(options), SpringHand()
+    key = chosen_key(options)
     look = scene_called(options.scene)
     seconds = None if options.seconds is None else number("seconds", options.seconds, above=0.0)
     calibration = Calibration.nominal() if options.calibration is None else Calibration.load(options.calibration)
@@ -79,20 +79,27 @@ def _twin(options: argparse.Namespace) -> int:
         limits=Limits(watchdog=options.watchdog),
         misfortunes=[Misfortune.parse(text) for text in options.fault],
     )
-    twin = Twin(parameters, key=key, hand_force=hand if options.view else None)
+    watch = None
     if options.view:
         from maglev_mj.viewer.window import require_display
 
         require_display()
+        # what it renders is for whoever flies it to say
+        settings = Settings(wall=False, pulse=False, period=parameters.period, delay=parameters.delay)
+        watch = Watch(look.name, settings)
+    twin = Twin(parameters, key=key, hand_force=None if watch is None else watch.hand)
     server = TwinServer(twin, _server(options.listen, key))
     print(_greeting(options, server), flush=True)
     try:
         with engine_warnings_silenced(), realtime(options.realtime) as refused:
             for complaint in refused:
                 print(f"  not in real time: {complaint}", flush=True)
-            served = _watched(server, look.name, hand, seconds) if options.view else _alone(server, seconds)
+            with stopping(server.stop):
+                served = server.run(seconds, None if watch is None else _shown(watch, server))
     finally:
         server.close()
+        if watch is not None:
+            watch.close()
     print(served_table(served, twin))
     return 0
 
@@ -113,37 +120,22 @@ def _greeting(options: argparse.Namespace, server: TwinServer) -> str:
     return f"  a twin at {address}, {options.rate:g} Hz, {pace}; Ctrl-C ends it"
 
 
-def _alone(server: TwinServer, seconds: float | None) -> Served:
-    with stopping(server.stop):
-        return server.run(seconds)
-
-
-def _watched(server: TwinServer, scene: str, hand: SpringHand, seconds: float | None) -> Served:
-    from maglev_mj.viewer.window import show
-
-    twin, result = server.twin, []
-    parameters = twin.parameters
-    settings = Settings(period=parameters.period, delay=parameters.delay)
-    look, carried = scene_called(scene), np.array(WEIGHT)
-    plant = twin.plant
-    coils = plant.device.coils
+def _shown(watch: Watch, server: TwinServer) -> Callable[[], None]:
+    """Return what shows a sample of the twin in the window, and lets the window end the twin."""
+    twin, plant = server.twin, server.twin.plant
+    coils, carried = plant.device.coils, np.array(WEIGHT)
     assert coils is not None  # it is driven through them
 
     def each() -> None:
         currents = plant.applied_currents
         force = coils.wrench(np.array(currents)) - carried if any(currents) else np.zeros(6)
-        shown.keep(twin.pose, force, plant.hand_wrench, currents)
-        state = twin.firmware.state.name.lower()
-        shown.notes[0] = f"a device: {state}{_faults(twin)}"
+        watch.note = f"a device, {twin.firmware.state.name.lower()}{_faults(twin)}"
+        watch.keep(twin.pose, force, plant.hand_wrench, currents)
+        watch.poll()
+        if watch.closed:
+            server.stop()
 
-    shown = Shown(look, settings, lambda: result.append(server.run(None, each)), server.stop)
-    shown.hand = hand
-    shown.start()
-    with stopping(server.stop):
-        show(shown, duration=seconds)
-    if shown.failed is not None:
-        raise shown.failed
-    return result[0]
+    return each
 
 
 def _faults(twin: Twin) -> str:

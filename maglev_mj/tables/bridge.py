@@ -19,7 +19,7 @@ def served_table(served: Served, twin: Twin) -> str:
     firmware = twin.firmware
     rate = served.ticks / max(served.wall_time, 1e-9)
     lines = [
-        f"  {served.wall_time:.1f} s, {served.ticks} samples, {rate:.0f} a second, {served.missed} too late to send"
+        f"  {served.wall_time:.1f} s, {served.ticks} samples, {rate:.0f} a second, {served.missed} periods stalled"
     ]
     if served.lateness.count:
         lateness = served.lateness
