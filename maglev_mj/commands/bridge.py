@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,7 +13,7 @@ from typing import Any
 from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.fault import HandshakeError
 from maglev_mj.bridge.flight import Flight
-from maglev_mj.bridge.identification import collect, excitation, identify
+from maglev_mj.bridge.identification import collect, excitation, find_delay, identify
 from maglev_mj.bridge.link import open_link
 from maglev_mj.bridge.realtime import realtime
 from maglev_mj.bridge.remote import RemotePlant
@@ -78,9 +80,7 @@ def _bridge(options: argparse.Namespace) -> int:
             watch.note = "the hand, the rate and the delay are the device's"
         flight = Flight(plant, scene, settings, record=options.record is not None, watch=watch)
         try:
-            with stopping(flight.stop), realtime(options.realtime) as refused:
-                for complaint in refused:
-                    print(f"  not in real time: {complaint}", file=sys.stderr)
+            with stopping(flight.stop), _punctual(options):
                 print(f"  {scene.name} at {1.0 / plant.period:g} Hz; keep hands off while it takes off", flush=True)
                 flown = flight.run(seconds)
         finally:
@@ -101,15 +101,28 @@ def _opened(options: argparse.Namespace, calibration: Calibration, key: bytes | 
         raise HandshakeError(f"{options.address}: {error}") from None
 
 
+@contextmanager
+def _punctual(options: argparse.Namespace) -> Iterator[None]:
+    """Run in real time, and say what of that was refused."""
+    with realtime(options.realtime) as refused:
+        for complaint in refused:
+            print(f"  not in real time: {complaint}", file=sys.stderr)
+        yield
+
+
 def _identify(plant: RemotePlant, options: argparse.Namespace) -> int:
     mass = plant.calibration.mass if options.mass is None else number("mass", options.mass, above=0.0)
-    plant.takeoff()
+    # before takeoff: the device would take the time that this needs for a host that is gone
     shaker = excitation(plant.calibration, period=plant.period, delay=plant.delay)
-    motion = collect(plant, shaker, _IDENTIFYING)
-    plant.land()
-    found = identify(motion.poses, motion.currents, period=plant.period, delay=plant.delay)
+    with _punctual(options):
+        plant.takeoff()
+        motion = collect(plant, shaker, _IDENTIFYING)
+        plant.land()
+    # the wire and this program take their time too, which the map would have to pay for
+    delay = find_delay(motion.poses, motion.currents, period=plant.period, near=plant.delay)
+    found = identify(motion.poses, motion.currents, period=plant.period, delay=delay)
     found.calibration(plant.calibration, mass).save(options.identify)
     x, y, z = found.gravity
-    print(f"  gravity {x:.4f}, {y:.4f}, {z:.4f} m/s²; mass taken for {mass:g} kg")
+    print(f"  gravity {x:.4f}, {y:.4f}, {z:.4f} m/s²; mass taken for {mass:g} kg; delay {delay * 1e3:.3f} ms")
     print(f"  wrote {options.identify}")
     return 0

@@ -1,0 +1,736 @@
+"""The device's side of a session: states, faults that latch, who may speak, and what happens when nobody does."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from typing import Any
+
+import pytest
+
+from maglev_mj.bridge.firmware import Firmware, Profile, Reading
+from maglev_mj.bridge.safety import Limits
+from maglev_mj.bridge.states import Fault, Flag, HelloStatus, Operation, Result, State
+from maglev_mj.bridge.wire import Codec, Command, Control, ControlAck, Frame, Hello, HelloAck, StateReport
+from tests.test_wire import sealed, tables
+
+PERIOD, DELAY = 5_000_000, 1_500_000
+CALIBRATION = bytes(range(16))
+ZERO = (0.0,) * 6
+ONES = (1.0, 1.0, 1.0, -1.0, -1.0, -1.0)
+HOVER = (1.1, 1.1, 1.1, 0.0, 0.0, 0.0)
+NEVER = 0xFFFFFFFF
+
+
+class Bench:
+    """A device on a bench: amplifiers that follow at once, spots that move a little, a host that is a codec.
+
+    Attributes:
+        drives: What the amplifiers were told, in order.
+        cuts: How often they were cut.
+    """
+
+    def __init__(self, *, lockstep: bool = False, **limits: Any) -> None:
+        profile = Profile(
+            period=PERIOD, delay=DELAY, calibration=CALIBRATION, limits=Limits(**limits), lockstep=lockstep
+        )
+        self.codec = Codec()
+        self.drawn = 100
+        self.device = Firmware(profile, self, self.codec, self._draw)
+        self.host = Codec()
+        self.drives: list[tuple[Sequence[float], Sequence[float] | None, float]] = []
+        self.cuts = 0
+        self.currents: Sequence[float] = ZERO
+        self.sequence = self.request = self.now = 0
+        self.tick = -1
+
+    def _draw(self) -> int:
+        self.drawn += 1
+        return self.drawn
+
+    def drive(self, now: int, held: Sequence[float], pulsed: Sequence[float] | None, width: float) -> None:
+        assert now == self.now
+        self.drives.append((held, pulsed, width))
+        self.currents = held
+
+    def cut(self) -> None:
+        self.cuts += 1
+        self.currents = ZERO
+
+    def give(self, body: Any, *, session: int | None = None, sequence: int | None = None, peer: str = "host") -> Any:
+        """Give the device a frame of the next sequence number; return the answer, or None."""
+        self.sequence += 1
+        session = self.device.session if session is None else session
+        number = self.sequence if sequence is None else sequence
+        data = self.device.receive(self.host.encode(session, number, self.now, body), self.now, peer)
+        return None if data is None else self.read(data)
+
+    def read(self, data: bytes | None) -> Any:
+        assert data is not None
+        frame = self.host.decode(data)
+        assert frame is not None and not self.host.dropped
+        self.last: Frame = frame
+        return frame.body
+
+    def hello(self, nonce: int = 1, peer: str = "host", calibration: bytes = CALIBRATION) -> HelloAck:
+        answer = self.give(Hello(nonce, calibration), session=0, sequence=0, peer=peer)
+        assert isinstance(answer, HelloAck)
+        assert self.last.sequence == 0 and self.last.time == self.now
+        return answer
+
+    def ask(self, operation: int, *, faults: int = 0, hover: Sequence[float] = HOVER) -> ControlAck:
+        self.request += 1
+        answer = self.give(Control(self.request, operation, faults, tuple(hover)))
+        assert isinstance(answer, ControlAck)
+        assert self.last.sequence == 0 and self.last.time == self.now
+        return answer
+
+    def command(self, held: Sequence[float] = ONES, pulsed: Sequence[float] = ZERO, width: float = 0.0) -> None:
+        answers = max(self.tick, 0)
+        assert self.give(Command(answers, 0, tuple(held), tuple(pulsed), width)) is None
+
+    def sample(
+        self,
+        *,
+        spots: Sequence[float] | None = None,
+        valid: int = 7,
+        measured: Sequence[float] | None = None,
+        currents: Sequence[float] | None = None,
+    ) -> StateReport | None:
+        """Go on by a period and sample."""
+        self.tick += 1
+        self.now = self.tick * PERIOD
+        flowing = self.currents if currents is None else currents
+        reading = Reading(
+            moving(self.tick) if spots is None else spots,
+            valid,
+            flowing if measured is None else measured,
+            flowing,
+            ((PERIOD * 1e-9, flowing),),
+        )
+        data = self.device.sample(self.tick, self.now, reading)
+        if data is None:
+            return None
+        report = self.read(data)
+        assert isinstance(report, StateReport)
+        assert self.last.sequence == self.tick and self.last.time == self.now
+        return report
+
+    def brought_to(self, state: State) -> Bench:
+        """Start a session, and bring the device to a state."""
+        assert self.hello().status == HelloStatus.WELCOME
+        self.sequence = 0
+        self.sample()
+        if state == State.ACTIVE:
+            assert self.ask(Operation.ARM) == (self.request, Operation.ARM, Result.DONE, State.ACTIVE, 0)
+        elif state == State.FAULT:
+            assert self.ask(Operation.TRIP, faults=Fault.CLOCK).state == State.FAULT
+        return self
+
+    def refuses(self, fault: Fault) -> None:
+        """See that a fault is latched, that the currents are off, and that nothing but RESET leads out."""
+        device = self.device
+        assert device.state == State.FAULT and device.faults == fault
+        assert self.cuts and self.currents == ZERO
+        driven = len(self.drives)
+        assert self.ask(Operation.ARM) == (self.request, Operation.ARM, Result.REFUSED, State.FAULT, fault)
+        assert self.ask(Operation.DISARM).state == State.FAULT
+        self.command()
+        report = self.sample()
+        assert report is not None and report.state == State.FAULT and report.faults == fault
+        assert report.currents == ZERO and len(self.drives) == driven
+        assert self.ask(Operation.RESET)[2:] == (Result.DONE, State.INACTIVE, 0)
+        assert self.ask(Operation.ARM)[2:] == (Result.DONE, State.ACTIVE, 0)
+        assert len(self.drives) == driven
+
+
+def moving(tick: int) -> list[float]:
+    """Return spots that are never twice the same, as those of a sensor with noise."""
+    return [1e-3 + 1e-6 * (tick % 2 + place) for place in range(6)]
+
+
+@pytest.mark.parametrize("state", State)
+@pytest.mark.parametrize("operation", [*Operation, 0, 7, 255])
+def test_every_operation_in_every_state(state: State, operation: int) -> None:
+    head, *rows = tables("| operation | INACTIVE |")
+    name = Operation(operation).name if operation in [*Operation] else "other"
+    (row,) = [row for row in rows if row[0] == name]
+    result, _, after = row[head.index(state.name)].partition(": ")
+    bench = Bench().brought_to(state)
+    cuts = bench.cuts
+    answer = bench.ask(operation, faults=Fault.BOUNDARY)
+    assert answer == (bench.request, operation, Result[result], State[after], bench.device.faults)
+    assert bench.device.state == State[after]
+    assert (bench.device.session == 0) == (operation == Operation.BYE)
+    tripped = {Operation.ESTOP: Fault.ESTOP, Operation.TRIP: Fault.BOUNDARY}.get(operation)  # type: ignore[call-overload]
+    if tripped is not None:
+        assert tripped in bench.device.faults
+    # whatever leads away from flying cuts the currents, and nothing but a command drives them
+    assert (bench.cuts > cuts) == (tripped is not None or (state == State.ACTIVE and State[after] != State.ACTIVE))
+    assert not bench.drives
+    assert bool(bench.device.faults) == (State[after] == State.FAULT)
+
+
+@pytest.mark.parametrize("state", State)
+def test_estop_is_taken_in_every_state_any_number_of_times(state: State) -> None:
+    bench = Bench().brought_to(state)
+    if state == State.ACTIVE:
+        bench.command()
+    before = bench.device.faults
+    for count in range(1, 4):
+        cuts = bench.cuts
+        assert bench.ask(Operation.ESTOP)[2:] == (Result.DONE, State.FAULT, before | Fault.ESTOP), count
+        assert bench.cuts == cuts + 1
+    bench.refuses(before | Fault.ESTOP)
+
+
+@pytest.mark.parametrize(
+    ("asked", "latched"),
+    [
+        (Fault.BOUNDARY | Fault.CLOCK, Fault.BOUNDARY | Fault.CLOCK),
+        (0, Fault.HOST),
+        (0x80000000, Fault.HOST),
+        (0xFFFFFFFF, Fault(sum(Fault))),
+    ],
+)
+def test_trip_latches_what_the_host_has_seen(asked: int, latched: Fault) -> None:
+    bench = Bench().brought_to(State.ACTIVE)
+    assert bench.ask(Operation.TRIP, faults=asked).faults == latched
+    bench.refuses(latched)
+
+
+def test_the_welcome_says_what_the_device_is() -> None:
+    bench = Bench(watchdog=0.03, current=8.0, thermal_time=7.0)
+    answer = bench.hello(nonce=2**64 - 1)
+    assert answer == HelloAck(
+        2**64 - 1, 0, 0, 1, State.INACTIVE, 1, CALIBRATION, PERIOD, DELAY, 30_000_000, 8.0, 3.0, 7.0, 0.012, 1.0
+    )
+    assert bench.last.session == bench.device.session == 101
+
+
+def test_a_hello_repeated_gets_the_same_session_and_changes_nothing() -> None:
+    bench = Bench().brought_to(State.ACTIVE)
+    bench.command()
+    session, sequence = bench.device.session, bench.sequence
+    for _ in range(3):
+        assert bench.hello(nonce=1)[1:5] == (HelloStatus.WELCOME, 0, 1, State.ACTIVE)
+        assert bench.last.session == bench.device.session == session
+    bench.give(Command(0, 0, ONES, ONES, 0.0), sequence=sequence)  # what was taken once is still old
+    assert bench.device.counts == {"old": 1} and len(bench.drives) == 1
+    assert bench.drawn == 101
+
+
+@pytest.mark.parametrize("state", State)
+def test_a_second_host_is_told_so_and_the_first_notices_nothing(state: State) -> None:
+    bench = Bench().brought_to(state)
+    session, sequence = bench.device.session, bench.sequence
+    for nonce, peer in ((2, "other"), (1, "other"), (2, "host")):
+        answer = bench.hello(nonce=nonce, peer=peer)
+        assert (answer.nonce, answer.status, bench.last.session) == (nonce, HelloStatus.BUSY, 0)
+    bench.give(Control(9, Operation.ESTOP, 0, ZERO), session=session, peer="other")
+    assert bench.device.counts == {"busy": 3, "session": 1}
+    assert (bench.device.session, bench.device.peer, bench.device.state) == (session, "host", state)
+    bench.sequence = sequence  # its next frame is the next
+    bench.command()
+    assert len(bench.drives) == (state == State.ACTIVE)
+    report = bench.sample()
+    assert report is not None and report.state == state and bench.last.session == session
+
+
+@pytest.mark.parametrize("state", State)
+def test_a_session_is_taken_over_when_its_host_is_silent_and_the_device_does_not_fly(state: State) -> None:
+    bench = Bench(watchdog=5.0).brought_to(state)
+    bench.now += 999_999_999
+    assert bench.hello(nonce=2, peer="other").status == HelloStatus.BUSY
+    bench.now += 1
+    active = state == State.ACTIVE
+    assert bench.hello(nonce=2, peer="other").status == (HelloStatus.BUSY if active else HelloStatus.WELCOME)
+    assert bench.device.state == state  # a latched fault is the next host's to reset
+    assert bench.device.peer == ("host" if active else "other")
+    if not active:
+        bench.give(Control(1, Operation.ESTOP, 0, ZERO), session=101)
+        assert bench.device.counts["session"] == 1 and bench.last.session == 102
+
+
+def test_a_new_session_forgets_numbers_and_the_last_answer() -> None:
+    bench = Bench().brought_to(State.ACTIVE)
+    bench.command()
+    bench.ask(Operation.BYE)
+    assert bench.sample() is None and bench.device.peer is None
+    assert bench.hello(nonce=2).status == HelloStatus.WELCOME
+    report = bench.sample()
+    assert report is not None and (report.answered, report.age) == (NEVER, NEVER)
+    bench.sequence, bench.request = 0, 0
+    assert bench.ask(Operation.ARM).result == Result.DONE
+
+
+def test_another_calibration_gets_no_session() -> None:
+    bench = Bench()
+    answer = bench.hello(calibration=bytes(16))
+    assert (answer.status, answer.calibration) == (HelloStatus.CALIBRATION, CALIBRATION)
+    assert bench.last.session == bench.device.session == 0 and bench.sample() is None
+
+
+@pytest.mark.parametrize("version", [0, 2, 255])
+def test_another_version_is_told_ours(version: int) -> None:
+    bench = Bench().brought_to(State.ACTIVE)
+    session = bench.device.session
+    data = bytearray(bench.host.encode(0, 0, 0, Hello(5, CALIBRATION)))
+    for more in (b"", b"and more that only that version knows"):
+        data[2] = version
+        answer = bench.read(bench.device.receive(sealed(bytes(data) + more), 0, "other"))
+        assert answer[:4] == (0, HelloStatus.VERSION, 0, 1) and bench.last.session == 0
+    data = bytearray(bench.host.encode(session, 99, 0, Control(9, Operation.ESTOP, 0, ZERO)))
+    data[2] = version
+    assert bench.device.receive(sealed(bytes(data)), 0, "host") is None
+    assert bench.codec.dropped == {"version": 3} and bench.device.state == State.ACTIVE
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"sequence": 2}, "old"),
+        ({"sequence": 1}, "old"),
+        ({"sequence": 0}, "old"),
+        ({"sequence": 2 + 2**31}, "old"),
+        ({"sequence": 2**32 - 1}, "old"),
+        ({"session": 102}, "session"),
+        ({"session": 0}, "session"),
+        ({"peer": "other"}, "session"),
+    ],
+)
+@pytest.mark.parametrize("body", [Command(0, 0, ONES, ONES, 0.0), Control(9, Operation.ESTOP, 0, ZERO)])
+def test_what_is_old_or_not_of_the_session_is_ignored(body: Any, changes: dict[str, Any], reason: str) -> None:
+    bench = Bench().brought_to(State.ACTIVE)  # by the frame of number 1
+    bench.command()
+    assert bench.sequence == 2 and len(bench.drives) == 1
+    assert bench.give(body, **changes) is None
+    assert bench.device.counts == {reason: 1}
+    assert bench.device.state == State.ACTIVE and len(bench.drives) == 1
+    assert bench.give(Control(9, Operation.ESTOP, 0, ZERO), sequence=3).state == State.FAULT
+
+
+def test_frames_of_a_device_are_ignored_by_one() -> None:
+    bench = Bench().brought_to(State.ACTIVE)
+    for body in (
+        ControlAck(1, 1, 0, 0, 0),
+        StateReport(ZERO, ZERO, ZERO, 1, 7, 0, 0, 0, 0),
+        HelloAck(1, 0, 0, 1, 0, 1, CALIBRATION, 1, 1, 1, 1.0, 1.0, 1.0, 1.0, 1.0),
+    ):
+        assert bench.give(body) is None
+    assert bench.device.counts == {"direction": 3}
+
+
+def test_nothing_is_taken_without_a_session() -> None:
+    bench = Bench()
+    assert bench.give(Control(1, Operation.ARM, 0, ZERO)) is None
+    assert bench.give(Control(1, Operation.ARM, 0, ZERO), session=101) is None
+    assert bench.device.counts == {"session": 2} and bench.device.state == State.INACTIVE
+
+
+def test_sequence_numbers_go_round() -> None:
+    bench = Bench().brought_to(State.ACTIVE)
+    for number in (2**31 - 1, 2**32 - 2, 2**32 - 1, 0, 1):
+        bench.give(Command(0, 0, ONES, ONES, 0.0), sequence=number)
+    assert len(bench.drives) == 5 and not bench.device.counts
+
+
+def test_commands_to_a_device_that_is_not_active_drive_nothing() -> None:
+    bench = Bench().brought_to(State.INACTIVE)
+    bench.command((math.nan,) * 6)
+    assert bench.device.counts == {"inactive": 1}
+    assert bench.device.state == State.INACTIVE and not bench.drives
+    assert bench.device.answered == bench.tick  # it was an answer all the same
+
+
+def test_a_command_is_driven_as_it_came() -> None:
+    bench = Bench().brought_to(State.ACTIVE)
+    bench.command(ONES, HOVER, 0.0005)
+    bench.command(ONES, HOVER, 0.0)
+    assert bench.drives == [(ONES, HOVER, 0.0005), (ONES, None, 0.0)]
+    report = bench.sample()
+    assert report is not None and (report.answered, report.age, report.flags) == (0, 5000, 0)
+
+
+NAN, INF = math.nan, math.inf
+
+
+@pytest.mark.parametrize("place", [0, 5])
+@pytest.mark.parametrize("pulse", [False, True])
+@pytest.mark.parametrize(
+    ("current", "fault"),
+    [
+        (NAN, Fault.INVALID_COMMAND),
+        (INF, Fault.INVALID_COMMAND),
+        (-INF, Fault.INVALID_COMMAND),
+        (10.1, Fault.COIL_OVERCURRENT),
+        (-10.1, Fault.COIL_OVERCURRENT),
+        (10.0 * (1.0 + 1e-8), Fault.COIL_OVERCURRENT),
+        (1e308, Fault.COIL_OVERCURRENT),
+    ],
+)
+def test_a_current_that_must_not_be_is_a_fault(current: float, fault: Fault, pulse: bool, place: int) -> None:
+    bench = Bench().brought_to(State.ACTIVE)
+    bench.command()
+    wrong = [*ZERO]
+    wrong[place] = current
+    bench.command(ONES if pulse else wrong, wrong if pulse else ZERO, 0.001 if pulse else 0.0)
+    assert len(bench.drives) == 1
+    bench.refuses(fault)
+
+
+@pytest.mark.parametrize("width", [NAN, INF, -INF, -1e-9, 1.0 + 1e-9, 1e308])
+def test_a_width_that_must_not_be_is_a_fault(width: float) -> None:
+    bench = Bench().brought_to(State.ACTIVE)
+    bench.command(ONES, ONES, width)
+    assert not bench.drives
+    bench.refuses(Fault.INVALID_COMMAND)
+
+
+@pytest.mark.parametrize("width", [0.0, -0.0, 5e-324, 1.0])
+@pytest.mark.parametrize("current", [10.0, -10.0, 10.0 * (1.0 + 1e-10)])
+def test_the_largest_current_and_width_are_taken(current: float, width: float) -> None:
+    bench = Bench().brought_to(State.ACTIVE)
+    bench.command((current,) * 6, (-current,) * 6, width)
+    assert bench.device.state == State.ACTIVE and len(bench.drives) == 1
+
+
+@pytest.mark.parametrize("current", [NAN, INF, 10.1])
+def test_hover_currents_that_must_not_be_are_refused(current: float) -> None:
+    bench = Bench().brought_to(State.INACTIVE)
+    assert bench.ask(Operation.ARM, hover=[*ZERO[:5], current])[2:] == (Result.REFUSED, State.INACTIVE, 0)
+
+
+def test_faults_add_up() -> None:
+    bench = Bench().brought_to(State.FAULT)
+    bench.ask(Operation.ESTOP)
+    assert bench.ask(Operation.TRIP).faults == Fault.CLOCK | Fault.ESTOP | Fault.HOST
+
+
+def flags_while_silent(bench: Bench, samples: int) -> list[tuple[State, Flag, Fault]]:
+    found = []
+    for _ in range(samples):
+        report = bench.sample()
+        assert report is not None
+        found.append((State(report.state), Flag(report.flags), Fault(report.faults)))
+    return found
+
+
+@pytest.mark.parametrize("commanded", [True, False], ids=["after a command", "after arming"])
+def test_silence_is_held_after_two_periods_and_ends_with_the_watchdog(commanded: bool) -> None:
+    bench = Bench().brought_to(State.ACTIVE)
+    if commanded:
+        bench.command(ONES, HOVER, 0.001)
+    found = flags_while_silent(bench, 12)
+    none, holding = (State.ACTIVE, Flag(0), Fault(0)), (State.ACTIVE, Flag.HOLDING, Fault(0))
+    assert found[:2] == [none] * 2  # 5 and 10 ms: no more than two periods
+    assert found[2:10] == [holding] * 8  # 15 to 50 ms: no more than the watchdog
+    assert found[10:] == [(State.FAULT, Flag(0), Fault.WATCHDOG)] * 2
+    assert bench.drives[commanded:] == [(HOVER, None, 0.0)]  # once
+    bench.refuses(Fault.WATCHDOG)
+
+
+def test_one_command_lost_is_no_silence() -> None:
+    bench = Bench().brought_to(State.ACTIVE)
+    for tick in range(40):
+        if tick % 2:
+            bench.command()
+        report = bench.sample()
+        assert report is not None and not report.flags and report.state == State.ACTIVE
+    assert len(bench.drives) == 20
+
+
+def test_a_command_ends_the_hold() -> None:
+    bench = Bench().brought_to(State.ACTIVE)
+    bench.command()
+    assert flags_while_silent(bench, 4)[-1][1] == Flag.HOLDING
+    bench.command()
+    report = bench.sample()
+    assert report is not None and (report.flags, report.age) == (0, 5000)
+    assert [held for held, _, _ in bench.drives] == [ONES, HOVER, ONES]
+    flags_while_silent(bench, 4)
+    assert len(bench.drives) == 4  # and it is held again
+
+
+@pytest.mark.parametrize("operation", [Operation.DISARM, Operation.ESTOP])
+def test_nothing_is_held_once_the_currents_are_off(operation: Operation) -> None:
+    bench = Bench().brought_to(State.ACTIVE)
+    assert flags_while_silent(bench, 4)[-1][1] == Flag.HOLDING
+    bench.ask(operation)
+    report = bench.sample()
+    assert report is not None and report.flags == 0 and bench.currents == ZERO
+
+
+def test_the_watchdog_is_as_long_as_it_is_said_to_be() -> None:
+    bench = Bench(watchdog=0.012).brought_to(State.ACTIVE)
+    assert [state for state, _, _ in flags_while_silent(bench, 3)] == [State.ACTIVE, State.ACTIVE, State.FAULT]
+    assert not bench.drives  # when both are due, it is the fault
+
+
+def test_in_lockstep_silence_lasts_as_long_as_it_likes() -> None:
+    bench = Bench(lockstep=True).brought_to(State.ACTIVE)
+    assert bench.hello(nonce=1).lockstep == 1
+    assert set(flags_while_silent(bench, 100)) == {(State.ACTIVE, Flag(0), Fault(0))}
+
+
+def test_in_lockstep_only_the_answer_to_the_last_sample_counts() -> None:
+    bench = Bench(lockstep=True).brought_to(State.ACTIVE)
+    bench.sample()
+    for answers in (bench.tick - 1, bench.tick + 1, NEVER):
+        bench.give(Command(answers, 0, ONES, ONES, 0.0))
+    assert bench.device.counts == {"old": 3} and not bench.drives
+    bench.command()
+    assert bench.device.answered == bench.tick and len(bench.drives) == 1
+
+
+@pytest.mark.parametrize("state", State)
+def test_a_host_that_is_lost(state: State) -> None:
+    bench = Bench(lockstep=True).brought_to(state)
+    before = bench.device.faults
+    bench.device.lose_host()
+    lost = state == State.ACTIVE
+    assert bench.device.state == (State.FAULT if lost else state)
+    assert bench.device.faults == (Fault.WATCHDOG if lost else before)
+    assert bench.cuts >= lost and bench.device.session == 0 and bench.sample() is None
+    assert bench.hello(nonce=2).status == HelloStatus.WELCOME
+
+
+@pytest.mark.parametrize("current", [10.0, -10.0, 6.0, 3.2, 3.0])
+@pytest.mark.parametrize("time", [10.0, 2.0])
+def test_warmth_trips_when_the_closed_form_says(current: float, time: float) -> None:
+    bench = Bench(thermal_time=time).brought_to(State.ACTIVE)
+    left = 1.0 - (3.0 / current) ** 2
+    expected = -time * math.log(left) if left > 0.0 else math.inf
+    currents = [0.0, 0.0, current, 0.0, 0.0, 0.0]
+    report = None
+    for _ in range(math.ceil(min(expected, 6.0 * time) / PERIOD * 1e9) + 2):
+        bench.command(currents)
+        report = bench.sample()
+        if bench.device.state == State.FAULT:
+            break
+    assert report is not None
+    if math.isinf(expected):
+        assert bench.device.state == State.ACTIVE
+        assert report.warmth[2] == pytest.approx(1.0 - math.exp(-6.0), rel=1e-3)
+        return
+    assert bench.now * 1e-9 == pytest.approx(expected, abs=1.1 * PERIOD * 1e-9)
+    assert bench.device.faults == Fault.COIL_OVERTEMP and bench.currents == ZERO
+    assert report.warmth[2] >= 1.0 > max(report.warmth[:2] + report.warmth[3:])
+    # it is reset when it has cooled to 0.8, not before
+    hot, since = report.warmth[2], bench.now
+    while bench.ask(Operation.RESET).result == Result.REFUSED:
+        assert bench.device.state == State.FAULT
+        bench.sample()
+    assert (bench.now - since) * 1e-9 == pytest.approx(time * math.log(hot / 0.8), abs=1.1 * PERIOD * 1e-9)
+    assert bench.ask(Operation.ARM).state == State.ACTIVE
+
+
+@pytest.mark.parametrize(("current", "seconds"), [(10.0, 0.94), (6.0, 2.88), (3.2, 21.1)])
+def test_the_closed_form_is_what_the_page_says(current: float, seconds: float) -> None:
+    assert -10.0 * math.log(1.0 - (3.0 / current) ** 2) == pytest.approx(seconds, rel=4e-3)
+
+
+def test_warmth_goes_by_what_flowed_between_samples() -> None:
+    bench = Bench().brought_to(State.ACTIVE)
+    pulse = ((0.001, (10.0,) * 6), (0.004, ZERO))
+    for _ in range(100):
+        bench.command()
+        bench.tick += 1
+        bench.now = bench.tick * PERIOD
+        bench.device.sample(bench.tick, bench.now, Reading(moving(bench.tick), 7, ZERO, ZERO, pulse))
+    mean = (10.0 / 3.0) ** 2 / 5.0
+    report = bench.sample()
+    assert report is not None and report.warmth[0] == pytest.approx(mean * (1.0 - math.exp(-0.05)), rel=2e-3)
+
+
+def test_a_dead_coil_is_found_in_three_samples() -> None:
+    bench = Bench().brought_to(State.ACTIVE)
+    for count in range(3):
+        bench.command()
+        assert bench.device.state == State.ACTIVE, count
+        bench.sample(measured=[*ONES[:5], 0.0])
+    bench.refuses(Fault.COIL_NOT_FOLLOWING)
+
+
+@pytest.mark.parametrize("found", [NAN, INF, -1.4, -0.6])
+def test_a_coil_that_does_something_else_is_found(found: float) -> None:
+    bench = Bench().brought_to(State.ACTIVE)
+    for _ in range(3):
+        bench.command()
+        bench.sample(measured=[*ONES[:5], found])
+    bench.refuses(Fault.COIL_NOT_FOLLOWING)
+
+
+def test_coils_may_be_a_little_off_and_twice_much() -> None:
+    bench = Bench().brought_to(State.ACTIVE)
+    for tick in range(60):
+        bench.command()
+        bench.sample(measured=[0.66, 1.34, 1.0, 0.0 if tick % 3 else -1.0, -1.0, -1.0])
+    assert bench.device.state == State.ACTIVE
+
+
+@pytest.mark.parametrize("diode", [0, 1, 2])
+def test_an_invalid_diode_is_found_at_once(diode: int) -> None:
+    bench = Bench().brought_to(State.ACTIVE)
+    bench.command()
+    report = bench.sample(valid=7 & ~(1 << diode))
+    assert report is not None and report.valid == 7 & ~(1 << diode)
+    bench.refuses(Fault.SENSOR_OUT_OF_RANGE)
+
+
+@pytest.mark.parametrize("spot", [0.0121, -0.0121, NAN, INF, -INF])
+def test_a_spot_off_its_diode_is_found_at_once(spot: float) -> None:
+    bench = Bench().brought_to(State.ACTIVE)
+    bench.command()
+    spots = moving(0)
+    spots[4] = spot
+    bench.sample(spots=spots)
+    bench.refuses(Fault.SENSOR_OUT_OF_RANGE)
+
+
+@pytest.mark.parametrize("diode", [0, 1, 2])
+def test_a_stuck_diode_is_found(diode: int) -> None:
+    bench = Bench().brought_to(State.ACTIVE)
+    first = 2 * diode
+    stuck = moving(0)[first : first + 2]
+    count = 0
+    while bench.device.state == State.ACTIVE:
+        bench.command()
+        spots = moving(bench.tick + 1)
+        spots[first : first + 2] = stuck
+        bench.sample(spots=spots)
+        count += 1
+        assert count < 60
+    assert count == 41  # the first, and forty like it
+    bench.refuses(Fault.SENSOR_FROZEN)
+
+
+def test_a_flotor_that_lies_still_is_no_stuck_diode() -> None:
+    bench = Bench().brought_to(State.ACTIVE)
+    for _ in range(200):
+        bench.command()
+        bench.sample(spots=(0.001,) * 6)
+    assert bench.device.state == State.ACTIVE
+
+
+def test_diodes_may_be_left_unwatched() -> None:
+    bench = Bench(frozen=0).brought_to(State.ACTIVE)
+    for tick in range(200):
+        bench.command()
+        bench.sample(spots=(*moving(tick)[:4], 0.001, 0.001))
+    assert bench.device.state == State.ACTIVE
+
+
+@pytest.mark.parametrize(
+    ("step", "fault"),
+    [
+        (0.0049, None),
+        (0.0051, Fault.FLOTOR_OVERSPEED),
+        (-0.0051, Fault.FLOTOR_OVERSPEED),
+        (0.0199, Fault.FLOTOR_OVERSPEED),
+        (0.0201, Fault.SENSOR_OUT_OF_RANGE),
+    ],
+)
+def test_a_spot_that_jumps(step: float, fault: Fault | None) -> None:
+    bench = Bench().brought_to(State.ACTIVE)
+    for place in (-0.5 * step, 0.5 * step):
+        bench.command()
+        bench.sample(spots=[*ZERO[:3], place, *ZERO[:2]])
+    if fault is None:
+        assert bench.device.state == State.ACTIVE
+    else:
+        bench.refuses(fault)
+
+
+@pytest.mark.parametrize("state", [State.INACTIVE, State.FAULT])
+def test_a_device_that_nobody_flies_may_be_opened(state: State) -> None:
+    bench = Bench().brought_to(state)
+    before = bench.device.faults
+    for spots in (ZERO, (0.01,) * 6, (NAN,) * 6):
+        for _ in range(50):
+            bench.sample(spots=spots, valid=3, measured=[9.0] * 6)
+    assert (bench.device.state, bench.device.faults) == (state, before)
+
+
+def test_what_was_seen_before_arming_is_no_fault_of_the_flight() -> None:
+    bench = Bench().brought_to(State.INACTIVE)
+    bench.sample(spots=(0.011,) * 6)
+    bench.ask(Operation.ARM)
+    bench.command()
+    bench.sample(spots=(-0.011,) * 6)
+    assert bench.device.state == State.ACTIVE
+
+
+def test_a_request_is_done_once_and_answered_each_time() -> None:
+    bench = Bench().brought_to(State.ACTIVE)
+    bench.ask(Operation.ESTOP)
+    assert bench.ask(Operation.RESET).state == State.INACTIVE
+    reset = Control(bench.request, Operation.RESET, 0, ZERO)
+    assert bench.ask(Operation.ARM).state == State.ACTIVE
+    arm = Control(bench.request, Operation.ARM, 0, HOVER)
+    bench.ask(Operation.ESTOP)
+    answers = [bench.give(Control(bench.request, Operation.ESTOP, 0, ZERO)) for _ in range(3)]
+    assert answers == [(bench.request, Operation.ESTOP, Result.DONE, State.FAULT, Fault.ESTOP)] * 3
+    cuts = bench.cuts
+    assert bench.give(arm) is None and bench.give(reset) is None  # those are over
+    assert bench.device.counts == {"old": 2} and bench.cuts == cuts
+    assert bench.device.state == State.FAULT
+
+
+def test_a_refused_request_stays_refused() -> None:
+    bench = Bench().brought_to(State.FAULT)
+    bench.ask(Operation.ARM)
+    arm = Control(bench.request, Operation.ARM, 0, HOVER)
+    bench.device.state, bench.device.faults = State.INACTIVE, Fault(0)
+    assert bench.give(arm)[2:] == (Result.REFUSED, State.INACTIVE, 0)
+    assert bench.ask(Operation.ARM)[2:] == (Result.DONE, State.ACTIVE, 0)
+
+
+def test_the_first_request_of_a_session_has_any_number_and_they_go_round() -> None:
+    bench = Bench().brought_to(State.INACTIVE)
+    bench.request = 2**32 - 3
+    for operation in (Operation.ARM, Operation.DISARM):
+        assert bench.ask(operation).result == Result.DONE
+    bench.request = -1
+    assert bench.ask(Operation.ARM).state == State.ACTIVE
+
+
+def test_another_operation_under_the_last_request_is_neither_done_nor_the_end() -> None:
+    bench = Bench().brought_to(State.ACTIVE)
+    for operation in (Operation.BYE, Operation.DISARM):
+        answer = bench.give(Control(bench.request, operation, 0, ZERO))
+        assert answer == (bench.request, Operation.ARM, Result.DONE, State.ACTIVE, 0)
+    assert bench.device.session == 101 and bench.device.state == State.ACTIVE
+
+
+def test_bye_ends_the_session_and_switches_off() -> None:
+    bench = Bench().brought_to(State.ACTIVE)
+    bench.command()
+    assert bench.ask(Operation.BYE)[2:] == (Result.DONE, State.INACTIVE, 0)
+    assert bench.last.session == 101 and bench.currents == ZERO
+    assert bench.give(Control(bench.request, Operation.BYE, 0, ZERO), session=101) is None
+    assert bench.device.counts == {"session": 1}
+    assert bench.hello(nonce=1).status == HelloStatus.WELCOME and bench.last.session == 102
+
+
+def test_a_clock_that_lags_behind_a_command_makes_no_negative_age() -> None:
+    bench = Bench().brought_to(State.ACTIVE)
+    bench.now += 7_000_000
+    bench.command()
+    report = bench.sample()
+    assert report is not None and report.age == 0
+
+
+def test_age_has_an_end() -> None:
+    bench = Bench(lockstep=True).brought_to(State.ACTIVE)
+    bench.command()
+    bench.tick = 10**6
+    report = bench.sample()
+    assert report is not None and report.age == NEVER - 1
+
+
+def test_counts_name_the_codecs_reasons_too() -> None:
+    bench = Bench()
+    assert bench.device.receive(b"no frame", 0, "host") is None
+    assert bench.codec.dropped == Counter(magic=1)

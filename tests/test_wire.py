@@ -1,0 +1,465 @@
+"""Frames: the bytes and tables of docs/protocol.md, round trips, damage, tags, and what fuzzing finds."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import random
+import re
+import struct
+import subprocess
+import sys
+import zlib
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from maglev_mj.bridge.firmware import Firmware, Profile, Reading
+from maglev_mj.bridge.serial_link import cobs_encode
+from maglev_mj.bridge.states import Fault, HelloStatus, Operation, Result, State
+from maglev_mj.bridge.wire import (
+    MAGIC,
+    VERSION,
+    Codec,
+    Command,
+    Control,
+    ControlAck,
+    Frame,
+    Hello,
+    HelloAck,
+    StateReport,
+    newer,
+)
+from maglev_mj.errors import ParameterError
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGE = (ROOT / "docs" / "protocol.md").read_text(encoding="utf-8")
+KEY = bytes(range(32))
+BODIES: dict[str, Any] = {
+    "HELLO": Hello,
+    "HELLO_ACK": HelloAck,
+    "CTRL": Control,
+    "CTRL_ACK": ControlAck,
+    "STATE": StateReport,
+    "CMD": Command,
+}
+SIX = (0.1, -0.2, 0.3, -0.4, 0.5, -0.6)
+FORMATS = {"u8": "B", "u16": "H", "u32": "I", "u64": "Q", "f32": "f", "f64": "d", "bytes": "s", "zeros": "x"}
+
+
+def golden_bytes() -> dict[str, bytes]:
+    """Return the frames of the page by name; those with the key end in " keyed"."""
+    (block,) = re.findall(r"```golden\n(.*?)```", PAGE, re.DOTALL)
+    frames: dict[str, str] = {}
+    name = ""
+    for line in block.splitlines():
+        if line.startswith(" "):
+            frames[name] += line.replace(" ", "")
+        else:
+            name = line
+            frames[name] = ""
+    return {name: bytes.fromhex(digits) for name, digits in frames.items()}
+
+
+def golden_values() -> dict[str, dict[str, Any]]:
+    """Return what they say, field by field."""
+    (block,) = re.findall(r"```json\n(.*?)```", PAGE, re.DOTALL)
+    return {
+        name: {field: _value(field, value) for field, value in fields.items()}
+        for name, fields in json.loads(block).items()
+    }
+
+
+def golden_frames() -> dict[str, Frame]:
+    """Return them as frames."""
+    frames = {}
+    for name, fields in golden_values().items():
+        session, sequence, time = (fields.pop(field) for field in ("session", "sequence", "time"))
+        frames[name] = Frame(session, sequence, time, BODIES[name](**fields))
+    return frames
+
+
+def tables(heading: str) -> list[list[str]]:
+    """Return the rows of the first table that begins so on the page, its head included."""
+    lines = PAGE[PAGE.index(heading) :].splitlines()
+    rows = []
+    for line in lines[lines.index(next(one for one in lines if one.startswith("|"))) :]:
+        if not line.startswith("|"):
+            break
+        if not line.startswith("|---"):
+            rows.append([cell.strip() for cell in line.strip("|").split("|")])
+    return rows
+
+
+def _value(field: str, value: Any) -> Any:
+    if field == "calibration":
+        return bytes.fromhex(value)
+    if isinstance(value, str):
+        return int(value, 16)
+    return tuple(value) if isinstance(value, list) else value
+
+
+def sealed(data: bytes) -> bytes:
+    """Return data with a CRC that is right."""
+    return data[:-4] + struct.pack("<I", zlib.crc32(data[:-4]))
+
+
+@pytest.mark.parametrize("name", golden_bytes())
+def test_golden_bytes(name: str) -> None:
+    data = golden_bytes()[name]
+    plain, _, keyed = name.partition(" ")
+    frame = golden_frames()[plain]
+    codec = Codec(KEY if keyed else None)
+    assert codec.encode(*frame) == data
+    assert codec.decode(data) == frame
+    assert not codec.dropped
+    sizes = {row[0]: int(row[3 if keyed else 2]) for row in tables("| frame | from |")[1:]}
+    assert len(data) == sizes[plain]
+
+
+def test_golden_bytes_are_of_every_type() -> None:
+    assert list(golden_bytes()) == [*BODIES, *(f"{name} keyed" for name in BODIES)]
+    assert list(golden_values()) == list(BODIES)
+
+
+@pytest.mark.parametrize("name", BODIES)
+def test_the_tables_of_the_page_decode_its_bytes(name: str) -> None:
+    data, values = golden_bytes()[name], golden_values()[name]
+    rows = tables("| offset | type | header |")[1:] + tables(f"### {name},")[1:]
+    end, found = 0, {}
+    for offset, kind, field, *_ in rows:
+        count, _, unit = kind.rpartition(" ")
+        layout = f"<{count}{FORMATS[unit]}"
+        assert int(offset) == end, f"{field} of {name}"
+        end += struct.calcsize(layout)
+        parts = struct.unpack_from(layout, data, int(offset))
+        if parts:
+            found[field] = parts if len(parts) > 1 else parts[0]
+    assert end == len(data) - 4
+    # the page calls two fields of a HELLO_ACK version, the header's and the body's
+    assert found.pop("magic") == MAGIC and found.pop("type") == list(BODIES).index(name) + 1
+    if "version" not in values:
+        assert found.pop("version") == VERSION
+    assert found == values
+
+
+def test_the_page_has_the_words_of_both_ends() -> None:
+    assert {row[1]: int(row[0]) for row in tables("| bit | fault |")[1:]} == {one.name: one.value for one in Fault}
+    for words in (State, Operation, HelloStatus):
+        assert ", ".join(f"{one.value} {one.name}" for one in words) in PAGE
+    assert ", ".join(f"{one.value} {one.name}" for one in Result) in PAGE
+
+
+def test_check_values_of_the_page() -> None:
+    assert "`11 22 00 33` is sent as `03 11 22 02 33 00`" in PAGE
+    assert cobs_encode(bytes.fromhex("11220033")).hex(" ") == "03 11 22 02 33"
+    assert len(cobs_encode(golden_bytes()["STATE"])) + 2 == 139
+    assert len(cobs_encode(golden_bytes()["STATE keyed"])) + 2 == 155
+    assert f"`{zlib.crc32(b'123456789'):08x}`" in PAGE
+    assert f"`{hashlib.blake2s(b'123456789', digest_size=16, key=KEY).hexdigest()}`" in PAGE
+
+
+@pytest.mark.parametrize("key", [None, KEY, b"sixteen bytes ok"])
+@pytest.mark.parametrize(
+    "body",
+    [
+        Hello(2**64 - 1, b"\xff" * 16),
+        HelloAck(1, 2, 1, 255, 2, 2**32 - 1, bytes(16), 2**64 - 1, 0, 1, math.inf, -0.0, 1e-310, 1e308, math.pi),
+        Control(2**32 - 1, 255, 2**32 - 1, SIX),
+        ControlAck(0, 0, 255, 255, 2**32 - 1),
+        StateReport(
+            SIX, (0.0, -0.5, 2.0**100, math.inf, -math.inf, 2.0**-149), SIX[:0] + (1.0,) * 6, 2, 7, 65535, 1, 2, 3
+        ),
+        Command(2**32 - 1, 2**32 - 1, SIX, SIX[::-1], 5e-324),
+    ],
+    ids=lambda body: type(body).__name__,
+)
+def test_round_trip(body: Any, key: bytes | None) -> None:
+    codec = Codec(key)
+    frame = Frame(2**32 - 1, 0, 2**64 - 1, body)
+    assert codec.decode(codec.encode(*frame)) == frame
+
+
+def test_nan_keeps_its_payload() -> None:
+    codec = Codec()
+    (strange,) = struct.unpack("<d", bytes.fromhex("efbeadde0000f8ff"))
+    six = (strange, math.nan, -math.nan, 0.0, math.inf, -math.inf)
+    for body in (Command(1, 0, six, six, strange), StateReport(six, six, six, 1, 7, 0, 0, 1, 2), Control(1, 1, 0, six)):
+        data = codec.encode(1, 2, 3, body)
+        frame = codec.decode(data)
+        assert frame is not None and codec.encode(*frame) == data
+    assert struct.pack("<d", strange) in data
+
+
+def test_sequence_numbers_are_taken_modulo_their_size() -> None:
+    codec = Codec()
+    frame = codec.decode(codec.encode(1, 2**32 + 5, 3, ControlAck(1, 1, 0, 0, 0)))
+    assert frame is not None and frame.sequence == 5
+
+
+@pytest.mark.parametrize("name", golden_bytes())
+def test_every_flipped_bit_is_noticed(name: str) -> None:
+    data = golden_bytes()[name]
+    codec = Codec(KEY if name.endswith("keyed") else None)
+    for bit in range(8 * len(data)):
+        changed = bytearray(data)
+        changed[bit // 8] ^= 1 << bit % 8
+        assert codec.decode(bytes(changed)) is None, bit
+    assert codec.dropped == {"magic": 16, "crc": 8 * len(data) - 16}
+    assert codec.version_met is None  # a CRC that is wrong vouches for no version
+
+
+@pytest.mark.parametrize("name", golden_bytes())
+def test_every_other_length_is_noticed(name: str) -> None:
+    data = golden_bytes()[name]
+    codec = Codec(KEY if name.endswith("keyed") else None)
+    wrong = [data[:end] for end in range(len(data))] + [data[start:] for start in range(1, len(data))]
+    for more in range(1, 40):
+        wrong += [data + bytes(more), data + b"\xff" * more, bytes(more) + data, data + data[:more]]
+    for one in wrong:
+        assert codec.decode(one) is None, one.hex()
+        if len(one) > 8:  # and with a CRC that fits
+            assert codec.decode(sealed(one)) is None, one.hex()
+    assert not codec.dropped["version"] and not codec.dropped["type"]
+
+
+@pytest.mark.parametrize("bit", range(0, 8 * (152 - 4), 7))
+def test_with_a_key_a_right_crc_is_not_enough(bit: int) -> None:
+    data = bytearray(golden_bytes()["CMD keyed"])
+    data[bit // 8] ^= 1 << bit % 8
+    codec = Codec(KEY)
+    assert codec.decode(sealed(bytes(data))) is None
+    reasons = ("magic", "magic", "version", "type")
+    expected = reasons[bit // 8] if bit < 32 else "tag"
+    if expected == "type" and list(BODIES)[(data[3] - 1) % 6] and 1 <= data[3] <= 6:
+        expected = "tag" if data[3] == 5 else "length"
+    assert codec.dropped == {expected: 1}
+
+
+def test_frames_without_the_right_key_are_dropped() -> None:
+    frames = golden_bytes()
+    plain, keyed = frames["STATE"], frames["STATE keyed"]
+    cases: list[tuple[bytes | None, bytes, str]] = [
+        (None, keyed, "length"),
+        (KEY, plain, "length"),
+        (bytes(32), keyed, "tag"),
+        (KEY[:-1], keyed, "tag"),
+        (KEY, sealed(keyed[:-20] + bytes(20)), "tag"),
+    ]
+    for key, data, reason in cases:
+        codec = Codec(key)
+        assert codec.decode(data) is None
+        assert codec.dropped == {reason: 1}
+
+
+@pytest.mark.parametrize("size", [0, 1, 15, 33, 64])
+def test_a_key_has_16_to_32_bytes(size: int) -> None:
+    with pytest.raises(ParameterError, match=f"not {size}"):
+        Codec(bytes(size))
+
+
+@pytest.mark.parametrize(
+    ("data", "reason"),
+    [
+        (b"", "short"),
+        (b"MJ\x01", "short"),
+        (b"MJ\x01\x06", "crc"),
+        (b"JM\x01\x06" + bytes(132), "magic"),
+        (sealed(b"MJ\x02\x01" + bytes(4)), "version"),
+        (sealed(b"MJ\x00\x06" + bytes(132)), "version"),
+        (sealed(b"MJ\x01\x00" + bytes(132)), "type"),
+        (sealed(b"MJ\x01\x07" + bytes(132)), "type"),
+        (sealed(b"MJ\x01\x06" + bytes(4)), "length"),
+        (sealed(b"MJ\x01\x06" + bytes(133)), "length"),
+        (b"MJ\x02\x06" + bytes(132), "crc"),
+    ],
+)
+def test_what_is_no_frame_is_counted_by_reason(data: bytes, reason: str) -> None:
+    codec = Codec()
+    assert codec.decode(data) is None
+    assert codec.dropped == {reason: 1}
+    assert codec.version_met == (data[2] if reason == "version" else None)
+
+
+@pytest.mark.parametrize("start", [0, 1, 2**31 - 1, 2**31, 2**32 - 2, 2**32 - 1])
+def test_newer_goes_round(start: int) -> None:
+    for step in (1, 2, 1000, 2**31 - 1):
+        after = (start + step) % 2**32
+        assert newer(after, start) and not newer(start, after)
+    assert not newer(start, start)
+    opposite = (start + 2**31) % 2**32  # half way round neither is the newer
+    assert not newer(opposite, start) and not newer(start, opposite)
+
+
+class Watched:
+    """Amplifiers that see that nothing drives them but an active device with currents that it allows."""
+
+    def __init__(self) -> None:
+        self.firmware: Firmware
+        self.drives = 0
+
+    def drive(self, now: int, held: Sequence[float], pulsed: Sequence[float] | None, width: float) -> None:
+        assert self.firmware.state == State.ACTIVE and self.firmware.session
+        assert all(abs(one) <= 10.00000001 for one in (*held, *(pulsed or ())))
+        assert 0.0 <= width <= 1.0 and (pulsed is None) == (width == 0.0)
+        self.drives += 1
+
+    def cut(self) -> None:
+        pass
+
+
+class Rig:
+    """A device that is fuzzed, and a host whose frames are damaged on purpose."""
+
+    CALIBRATION = bytes(range(16))
+
+    def __init__(self, key: bytes | None, seed: int, lockstep: bool = False) -> None:
+        self.random = random.Random(seed)
+        self.amplifiers = Watched()
+        profile = Profile(period=5_000_000, delay=1_500_000, calibration=self.CALIBRATION, lockstep=lockstep)
+        draw = random.Random(seed + 1)
+        self.firmware = Firmware(profile, self.amplifiers, Codec(key), lambda: draw.randrange(1, 2**32))
+        self.amplifiers.firmware = self.firmware
+        self.host = Codec(key)
+        self.sequence = self.request = self.tick = self.now = self.session = 0
+        self.sent: set[bytes] = set()
+        self.recent: list[bytes] = []
+
+    def genuine(self) -> bytes:
+        """Return a frame that a host in session might send."""
+        draw = self.random
+        self.sequence += 1
+        kind = draw.random()
+        if self.session != self.firmware.session:
+            self.session, self.sequence, self.request = self.firmware.session, 1, 0
+        body: Any
+        if kind < 0.05 or not self.session:
+            body = Hello(draw.randrange(4), self.CALIBRATION)
+        elif kind < 0.5:
+            self.request += draw.random() < 0.9  # else the same again, and perhaps not quite
+            operation = draw.choice([*[Operation.ARM, Operation.RESET] * 4, *Operation, 9])
+            body = Control(self.request, operation, draw.randrange(8192), SIX)
+        elif kind < 0.95:
+            body = Command(self.tick, 0, SIX, SIX, draw.choice([0.0, 0.001]))
+        else:
+            body = draw.choice(list(golden_frames().values())).body
+        data = self.host.encode(self.session, self.sequence, self.now, body)
+        self.sent.add(data)
+        self.recent = [*self.recent[-20:], data]
+        return data
+
+    def greeting(self) -> bytes:
+        """Return a HELLO that was not sent before."""
+        data = self.host.encode(0, 0, self.now, Hello(self.now, self.CALIBRATION))
+        self.sent.add(data)
+        return data
+
+    def damaged(self) -> tuple[bytes, bool]:
+        """Return a frame that was not sent, or rarely one that was, and whether its CRC was made to fit."""
+        draw = self.random
+        kind = draw.randrange(7)
+        data = bytearray(draw.choice(self.recent))
+        if kind == 0:
+            data = bytearray(draw.randbytes(draw.randrange(200)))
+            if draw.random() < 0.7:
+                data[:4] = bytes([0x4D, 0x4A, 1, draw.randrange(9)])
+        elif kind == 1:
+            other = draw.choice(self.recent)
+            data = data[: draw.randrange(len(data))] + other[draw.randrange(len(other)) :]
+        elif kind == 2:
+            data = data[: draw.randrange(len(data))] if draw.random() < 0.5 else data + draw.randbytes(5)
+        else:
+            for _ in range(draw.randrange(1, 5)):
+                place = draw.randrange(len(data))
+                if draw.random() < 0.5:
+                    data[place] ^= 1 << draw.randrange(8)
+                else:
+                    data[place : place + 8] = draw.choice(STRANGE)[: len(data) - place]
+        if len(data) >= 8 and (kind > 4 or (kind == 0 and draw.random() < 0.3)):
+            return sealed(bytes(data)), True
+        return bytes(data), False
+
+    def give(self, data: bytes) -> None:
+        """Give the device a frame, and see that it is sane afterwards."""
+        firmware = self.firmware
+        before = firmware.state
+        firmware.receive(data, self.now, "host")
+        after = firmware.state
+        assert (after == State.FAULT) == bool(firmware.faults)
+        assert after != State.ACTIVE or firmware.session
+        if after != before and after != State.FAULT:
+            asked = {State.FAULT: {Operation.RESET}, State.ACTIVE: {Operation.DISARM, Operation.BYE}}
+            assert data[3] == 3 and data[24] in asked.get(before, {Operation.ARM})
+
+    def sample(self) -> None:
+        """Let the device sample."""
+        self.tick += 1
+        self.now += 5_000_000
+        self.firmware.sample(self.tick, self.now, Reading((0.001,) * 6, 7, SIX, SIX, ((0.005, SIX),)))
+
+
+STRANGE = [
+    *(struct.pack("<d", one) for one in (math.nan, math.inf, -math.inf, 10.1, -10.1, 1e308, 0.0, -1e-9, 1.5)),
+    b"\xff" * 8,
+    bytes(8),
+    *(struct.pack("<II", one, 1) for one in (0x7FFFFFFF, 0x80000000, 5, 6)),
+]
+
+
+@pytest.mark.parametrize("key", [None, KEY], ids=["keyless", "keyed"])
+def test_fuzzed_frames_do_no_harm(key: bytes | None) -> None:
+    rig, listener = Rig(key, seed=7), Codec(key)
+    accepted = passed = fuzzed = 0
+    while fuzzed < 100_000:
+        if rig.random.random() < 0.15 or not rig.recent:
+            rig.give(rig.genuine())
+        if rig.random.random() < 0.02:
+            rig.sample()
+        if fuzzed % 300 == 0:  # so long that another host may have the device, whatever was done to this session
+            rig.now += 2_000_000_000
+            rig.sample()
+            rig.give(rig.greeting())
+        data, fits = rig.damaged()
+        frame = listener.decode(data)
+        if frame is not None and data not in rig.sent:
+            assert fits and key is None, data.hex()
+            accepted += 1
+        passed += frame is not None
+        rig.give(data)
+        fuzzed += 1
+    if key is None:
+        assert accepted > 10_000  # a CRC is no seal
+    assert passed < 50_000 and rig.amplifiers.drives > 1000
+    assert sum(listener.dropped.values()) + passed == fuzzed
+    assert {"short", "magic", "crc", "version", "type", "length"} <= set(listener.dropped)
+    assert (listener.dropped["tag"] > 10_000) == (key is not None)
+
+
+@pytest.mark.parametrize("lockstep", [False, True])
+def test_the_fuzzed_device_sees_every_state(lockstep: bool) -> None:
+    rig = Rig(None, seed=11, lockstep=lockstep)
+    seen: set[State] = set()
+    for _ in range(3000):
+        rig.give(rig.genuine())
+        seen.add(rig.firmware.state)
+    assert seen == set(State)
+    assert rig.amplifiers.drives > 50
+
+
+def test_coverage_guided_fuzzing_finds_nothing() -> None:
+    command = [sys.executable, str(ROOT / "scripts" / "fuzz_wire.py"), "--runs", "1500", "--seed", "3"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+    assert done.returncode == 0, done.stdout + done.stderr
+    found = dict(re.findall(r"(\w+) +(\d+)", done.stdout))
+    assert int(found["executions"]) == 1500 and int(found["raised"]) == 0
+    assert int(found["edges"]) > 150 and int(found["accepted"]) > 1000
+
+
+def test_what_arrives_makes_nothing_raise() -> None:
+    makers: list[Callable[[], bytes]] = [lambda: bytes(1_000_000), lambda: b"MJ\x01\x05" * 50_000]
+    for make in makers:
+        assert Codec().decode(make()) is None
+        assert Codec(KEY).decode(make()) is None
