@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
 
@@ -26,6 +26,7 @@ LINES = np.array([[4.5 + axis, 10.5 + axis] for axis in range(6)])
 that of an angle and a current, has even ones and passes for nothing else."""
 
 _TRIM = 0.125
+_ON_TIME = 0.1
 _SETTLED = 2.0
 
 
@@ -34,11 +35,14 @@ class Motion(NamedTuple):
 
     Attributes:
         poses: Measured at each sample [m, rad], (N, 6); NaN where a sample was lost.
-        currents: The answers to these samples, as applied [A], (N, 6); NaN where a sample was lost.
+        currents: The answers to these samples, as applied [A], (N, 6); NaN where a sample was lost, and where an answer
+            took effect later or earlier than they mostly do.
+        delay: From a sample to its answer's taking effect, in the median [s]; NaN where the plant does not say.
     """
 
     poses: Array
     currents: Array
+    delay: float
 
 
 class CurrentPlant(Plant, Protocol):
@@ -47,6 +51,10 @@ class CurrentPlant(Plant, Protocol):
     @property
     def last_currents(self) -> Sequence[float]:
         """Currents held from the last answer on, after every limit [A], six."""
+
+    @property
+    def last_delay(self) -> float:
+        """From the sample before the last to its answer's taking effect [s]; NaN where that is not known."""
 
 
 class Shaker:
@@ -165,7 +173,14 @@ def excitation(
     return Shaker(Controller(laws, period=period), frequencies=lines, amplitudes=forces)
 
 
-def collect(plant: CurrentPlant, controller: Answers, duration: float, *, settle: float = _SETTLED) -> Motion:
+def collect(
+    plant: CurrentPlant,
+    controller: Answers,
+    duration: float,
+    *,
+    settle: float = _SETTLED,
+    then: Callable[[], object] | None = None,
+) -> Motion:
     """Let a controller drive a plant, and return the poses and the currents.
 
     Args:
@@ -173,6 +188,7 @@ def collect(plant: CurrentPlant, controller: Answers, duration: float, *, settle
         controller: As from `excitation`.
         duration: How long to look [s].
         settle: How long to drive it ahead of that [s]: until trimmed.
+        then: Called as soon as the motion is over, such as to land: a device does not wait for what is reckoned next.
 
     Raises:
         ParameterError: If the periods differ, or a duration is shorter than a sample.
@@ -182,14 +198,22 @@ def collect(plant: CurrentPlant, controller: Answers, duration: float, *, settle
     ahead = round(number("settle", settle, at_least=0.0) / period)
     ticks = ahead + max(round(number("duration", duration, above=0.0) / period), 1)
     seen: list[tuple[int, Sequence[float], Sequence[float]]] = []
+    delays: dict[int, float] = {}
 
     def observe(sample: Sample, command: Command) -> None:
+        delays[sample.tick - 1] = plant.last_delay
         seen.append((sample.tick, tuple(sample.position), tuple(plant.last_currents)))
 
     run(plant, controller, ticks, observe=observe)
+    if then is not None:
+        then()
     kept = seen[ahead:]
     first = kept[0][0]
-    motion = Motion(*(np.full((kept[-1][0] - first + 1, 6), np.nan) for _ in range(2)))
-    for tick, pose, currents in kept:
-        motion.poses[tick - first], motion.currents[tick - first] = pose, currents
-    return motion
+    known = [delays.get(tick, math.nan) for tick, _, _ in kept]
+    usual = float(np.nanmedian(known)) if np.isfinite(known).any() else math.nan
+    poses, currents = (np.full((kept[-1][0] - first + 1, 6), np.nan) for _ in range(2))
+    for (tick, pose, answer), delay in zip(kept, known, strict=True):
+        poses[tick - first] = pose
+        if math.isnan(usual) or abs(delay - usual) <= _ON_TIME * period:
+            currents[tick - first] = answer
+    return Motion(poses, currents, usual)

@@ -14,10 +14,18 @@ from typing import Any
 
 from maglev_mj.bridge.states import Fault, fault_names
 from maglev_mj.errors import PlantError
+from maglev_mj.frames import AXES
 
 __all__ = ["BlackBox", "DeviceFault", "HandshakeError"]
 
 _KEPT = 200
+_COLUMNS = (
+    *("sample", "time_ns", "state", "faults"),
+    *(f"spot{place}" for place in range(6)),
+    *AXES,
+    *(f"{kind}{place}" for kind in ("held", "pulsed") for place in range(6)),
+    "width",
+)
 
 
 class HandshakeError(PlantError):
@@ -43,11 +51,10 @@ class BlackBox:
 
     Args:
         folder: Where files go.
-        columns: Names of the numbers of a cycle.
     """
 
-    def __init__(self, folder: Path, columns: Sequence[str]) -> None:
-        self._folder, self._columns = folder, list(columns)
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
         self._rows: deque[tuple[Any, ...]] = deque(maxlen=_KEPT)
         self.keep = self._rows.append
 
@@ -68,7 +75,7 @@ class BlackBox:
                 "faults": fault_names(faults),
                 "message": message,
                 **about,
-                "columns": self._columns,
+                "columns": _COLUMNS,
                 "cycles": [_flat(row) for row in self._rows],
             }
         )

@@ -22,7 +22,7 @@ from maglev_mj.bridge.states import Fault, Operation, State, fault_names
 from maglev_mj.bridge.wire import Command as CommandFrame
 from maglev_mj.bridge.wire import Frame, StateReport
 from maglev_mj.errors import PlantError, SensingError
-from maglev_mj.frames import AXES, Command, Sample
+from maglev_mj.frames import Command, Sample
 from maglev_mj.loop import ControlLoop
 from maglev_mj.parameters import number
 from maglev_mj.tracking import PoseTracker
@@ -30,13 +30,6 @@ from maglev_mj.tracking import PoseTracker
 __all__ = ["RemotePlant"]
 
 _ZERO, _UNKNOWN = (0.0,) * 6, (math.nan,) * 6
-_COLUMNS = (
-    *("sample", "time_ns", "state", "faults"),
-    *(f"spot{place}" for place in range(6)),
-    *AXES,
-    *(f"{kind}{place}" for kind in ("held", "pulsed") for place in range(6)),
-    "width",
-)
 
 
 class RemotePlant:
@@ -63,6 +56,8 @@ class RemotePlant:
         faults: Likewise.
         warmth: Of the six coils, the higher of what the device says and what was sent.
         last_currents: What was sent last [A], six.
+        last_delay: From the sample before the last to its answer's taking effect, by the device's clock [s]; NaN where
+            the command in force at the last sample answers another.
         rest: Where the flotor lay before it took off [m, rad]; where it is landed.
         samples: Their count, and what is missing of them.
         hand_wrench: Zero: nobody measures what the hand does.
@@ -93,7 +88,7 @@ class RemotePlant:
         self._offsets: list[float] | None = self.calibration.spot_offsets.tolist()
         if not any(self._offsets or ()):
             self._offsets = None
-        self._box = BlackBox(folder, _COLUMNS)
+        self._box = BlackBox(folder)
         self._line = Connection(link, self.calibration.digest, key, self._patience)
         welcome = self._line.welcome
         self.period, self.delay = welcome.period / 1e9, welcome.delay / 1e9
@@ -103,6 +98,7 @@ class RemotePlant:
         self._warned = False
         self.state, self.faults = State(welcome.state), Fault(0)
         self.last_currents: Sequence[float] = _ZERO
+        self.last_delay = math.nan
         self.rest: Sequence[float] = _ZERO
         self.samples = SampleCounter(welcome.period)
         self._sequence = 0
@@ -126,9 +122,11 @@ class RemotePlant:
         if (unanswered := self.samples.elapsed - answered) > 0:  # what nobody wrote for: the coils cool, or go on
             self._gate.stay(unanswered, self.last_currents if self.state == State.ACTIVE else _ZERO)
         self.warmth = [max(one, other) for one, other in zip(report.warmth, self._gate.warmth.shares)]
+        in_force = self.samples.elapsed == 1 and report.answered == self._sequence
+        self.last_delay = self.period - report.age * 1e-6 + self.delay if in_force else math.nan
         self._sequence = frame.sequence
         self._row = (frame.sequence, frame.time, report.state, report.faults, report.spots, _UNKNOWN)
-        if frame.time >= self._line.settled:  # else it was taken before the device did what it was asked for
+        if frame.time > self._line.settled:  # else it was taken before the device did what it was asked for
             before, self.state, self.faults = self.state, State(report.state), Fault(report.faults)
             if self.state == State.FAULT != before:
                 self._fail(self.faults, "said by the device")

@@ -103,6 +103,8 @@ class Warmth:
                 self._duration, self._share = duration, -math.expm1(-duration / self._time)
             share, scale = self._share, self._scale
             shares = [now + share * (scale * one * one - now) for now, one in zip(shares, currents)]
+        if not math.isfinite(sum(shares)):
+            shares = [1.0] * 6  # a meter that says nonsense is no reason to go on
         self.shares = shares
         return max(shares)
 

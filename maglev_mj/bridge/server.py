@@ -146,8 +146,9 @@ class TwinServer:
         again = asked + round(_AGAIN * 1e9)
         spun = asked + round(self._spin * 1e9)
         while not twin.answered and twin.firmware.session and not self._stopped.is_set():
-            if self._hear(0.0 if spun and clock() < spun else _AGAIN):
-                continue
+            self._hear(0.0 if clock() < spun else _AGAIN)
+            if twin.answered:
+                return
             now = clock()
             if now > patience:
                 twin.firmware.lose_host()

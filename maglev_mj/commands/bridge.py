@@ -13,7 +13,7 @@ from typing import Any
 from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.fault import HandshakeError
 from maglev_mj.bridge.flight import Flight
-from maglev_mj.bridge.identification import collect, excitation, find_delay, identify
+from maglev_mj.bridge.identification import collect, excitation, identify
 from maglev_mj.bridge.link import open_link
 from maglev_mj.bridge.realtime import realtime
 from maglev_mj.bridge.remote import RemotePlant
@@ -116,13 +116,11 @@ def _identify(plant: RemotePlant, options: argparse.Namespace) -> int:
     shaker = excitation(plant.calibration, period=plant.period, delay=plant.delay)
     with _punctual(options):
         plant.takeoff()
-        motion = collect(plant, shaker, _IDENTIFYING)
-        plant.land()
+        motion = collect(plant, shaker, _IDENTIFYING, then=plant.land)
     # the wire and this program take their time too, which the map would have to pay for
-    delay = find_delay(motion.poses, motion.currents, period=plant.period, near=plant.delay)
-    found = identify(motion.poses, motion.currents, period=plant.period, delay=delay)
+    found = identify(motion.poses, motion.currents, period=plant.period, delay=motion.delay)
     found.calibration(plant.calibration, mass).save(options.identify)
     x, y, z = found.gravity
-    print(f"  gravity {x:.4f}, {y:.4f}, {z:.4f} m/s²; mass taken for {mass:g} kg; delay {delay * 1e3:.3f} ms")
+    print(f"  gravity {x:.4f}, {y:.4f}, {z:.4f} m/s²; mass taken for {mass:g} kg; delay {motion.delay * 1e3:.3f} ms")
     print(f"  wrote {options.identify}")
     return 0
