@@ -1,0 +1,109 @@
+"""A window on a device, in a process of its own: what it is told, what it says, and a wall felt through the mouse."""
+
+import re
+import signal
+import subprocess
+import sys
+import time
+from multiprocessing import Pipe
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from maglev_mj.errors import MaglevError
+from maglev_mj.recording import Recording
+from maglev_mj.scenes import Settings
+from maglev_mj.watching import _Watched
+from tests.virtual_screen import MISSING, VirtualScreen
+
+
+def test_a_window_is_told_of_the_device_and_says_what_the_mouse_and_keys_do() -> None:
+    near, far = Pipe()
+    watched = _Watched(far, "joystick", Settings())
+    pose, rows = np.arange(6.0) * 1e-3, [(0.005 * tick, 1e-3, 0.0, 0.5, 0.0) for tick in range(3)]
+    state = (pose, np.ones(6), np.zeros(6), np.full(6, 2.0), None)
+    settings = Settings(stiffness=4000.0)
+    near.send((3, rows, settings.as_json(), ((0, 1.0, 3e-3),), "a note", 1e-3, state))
+    assert watched.tick(0.02) == 3
+    view = watched.view()
+    assert (view.pose == pose).all() and view.settings == settings and view.notes == ["a note"]
+    assert view.faces == ((0, 1.0, 3e-3),) and view.history.shape == (3, 5) and view.time == pytest.approx(0.015)
+    watched.hand.target = [1e-3] * 6
+    watched.act("wall")
+    watched.tick(0.02)
+    assert [near.recv(), near.recv()] == [("act", "wall"), ("hand", [1e-3] * 6)]
+    watched.tick(0.02)
+    assert not near.poll()  # the hand has not moved
+    near.close()
+    with pytest.raises(MaglevError, match="the device's program has ended"):
+        watched.tick(0.02)
+    far.close()
+
+
+@pytest.mark.skipif(bool(MISSING), reason=f"{' and '.join(MISSING)} not there")
+def test_the_wall_that_a_host_renders_is_felt_through_the_mouse_of_the_twin(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "maglev_mj.cli"]
+    record = tmp_path / "run.npz"
+    with VirtualScreen(900, 700) as screen:
+        twin = subprocess.Popen(
+            [*command, "twin", "--listen", "udp://127.0.0.1:0", "--view", "--watchdog", "2"],
+            env=screen.environment,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        try:
+            assert twin.stdout is not None
+            found = re.search(r"udp://\S+:\d+", twin.stdout.readline())
+            assert found
+            window = screen.window("MuJoCo")
+            host = subprocess.Popen(
+                [*command, "bridge", found[0], "--seconds", "60", "--record", str(record), "--out", str(tmp_path)],
+                env=screen.environment,
+                stdout=subprocess.PIPE,
+                text=True,
+            )
+            try:
+                _pull(screen, window)
+                host.send_signal(signal.SIGINT)  # lands
+                said, _ = host.communicate(timeout=30)
+            finally:
+                host.kill()
+            assert host.returncode == 0, said
+            twin.send_signal(signal.SIGINT)
+            summary, _ = twin.communicate(timeout=30)
+            assert twin.returncode == 0 and "faults: none" in summary
+        finally:
+            twin.kill()
+            twin.wait()
+    (stretch,) = Recording.load(record).stretches
+    far = int(np.argmax(np.abs(stretch.position[:, :3]).max(axis=1)))
+    axis = int(np.argmax(np.abs(stretch.position[far, :3])))
+    place, pushed = stretch.position[far, axis], stretch.applied[far, axis]
+    # into the wall at 3.5 mm, which pushes back with 6000 N/m; the spring to the centre alone gives about 1 N
+    assert 3.6e-3 < abs(place) < 5e-3
+    assert pushed * place < 0.0 and abs(pushed) > 1.2
+
+
+def _pull(screen: VirtualScreen, window: int) -> None:
+    """Pull the handle by the mouse until it must be at a wall: a window's camera and first frames take their time."""
+    screen.xdotool("windowfocus", window)
+    left, top, width, height = _place(screen, window)
+    x, y = left + width // 2, top + height // 3
+    time.sleep(4)  # takeoff, and a frame of it
+    screen.xdotool("mousemove", x, y)
+    screen.xdotool("keydown", "ctrl")
+    screen.xdotool("mousedown", 3)
+    for step in range(25):
+        screen.xdotool("mousemove", x + 10 * step, y)
+        time.sleep(0.1)
+    time.sleep(3)
+    screen.xdotool("mouseup", 3)
+    screen.xdotool("keyup", "ctrl")
+
+
+def _place(screen: VirtualScreen, window: int) -> tuple[int, int, int, int]:
+    text = screen.xdotool("getwindowgeometry", window)
+    left, top = map(int, re.findall(r"Position: (-?\d+),(-?\d+)", text)[0])
+    width, height = map(int, re.findall(r"Geometry: (\d+)x(\d+)", text)[0])
+    return left, top, min(width, 900), min(height, 700)
