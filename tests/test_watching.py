@@ -64,6 +64,9 @@ def test_the_wall_that_a_host_renders_is_felt_through_the_mouse_of_the_twin(tmp_
                 text=True,
             )
             try:
+                assert host.stdout is not None
+                host.stdout.readline()  # it takes off: no hand is to be in the way
+                time.sleep(3)
                 _pull(screen, window)
                 host.send_signal(signal.SIGINT)  # lands
                 said, _ = host.communicate(timeout=30)
@@ -90,7 +93,6 @@ def _pull(screen: VirtualScreen, window: int) -> None:
     screen.xdotool("windowfocus", window)
     left, top, width, height = _place(screen, window)
     x, y = left + width // 2, top + height // 3
-    time.sleep(4)  # takeoff, and a frame of it
     screen.xdotool("mousemove", x, y)
     screen.xdotool("keydown", "ctrl")
     screen.xdotool("mousedown", 3)

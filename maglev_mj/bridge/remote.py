@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn, Self
 
@@ -209,15 +209,15 @@ class RemotePlant:
         rest = list(self.read().position)
         self.arm()
         self.rest = rest
-        self._lead(self.rest, _ZERO, duration)
+        self._lead(self.rest, _ZERO, duration, self._astray)
 
     def land(self, duration: float = 0.6) -> None:
-        """Lead the flotor back to where it lay, and disarm.
+        """Lead the flotor back to where it lay, and disarm; a hand that holds it then has it.
 
         Raises:
             DeviceFault: As for `takeoff`.
         """
-        self._lead(self.read().position, self.rest, duration)
+        self._lead(self.read().position, self.rest, duration, lambda place: None)
         self.disarm()
 
     def trip(self, faults: Fault) -> None:
@@ -235,19 +235,15 @@ class RemotePlant:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _lead(self, start: Sequence[float], end: Sequence[float], duration: float) -> None:
-        leader = Leader(
-            self.calibration,
-            start,
-            end,
-            duration=duration,
-            period=self.period,
-            delay=self.delay,
-            astray=lambda place: self._fail(
-                Fault.NOT_FOLLOWING, f"the flotor is at {_shown(place)}, not where it is led"
-            ),
-        )
-        ControlLoop(self, leader).cycle(max(round(duration / self.period), 1))
+    def _lead(
+        self, start: Sequence[float], end: Sequence[float], duration: float, astray: Callable[[Sequence[float]], object]
+    ) -> None:
+        known, period, delay = self.calibration, self.period, self.delay
+        leader = Leader(known, start, end, duration=duration, period=period, delay=delay, astray=astray)
+        ControlLoop(self, leader).cycle(max(round(duration / period), 1))
+
+    def _astray(self, place: Sequence[float]) -> NoReturn:
+        self._fail(Fault.NOT_FOLLOWING, f"the flotor is at {_shown(place)}, not where it is led")
 
     def _ask(self, operation: Operation, *, hover: Sequence[float] = _ZERO) -> None:
         answer = self._line.control(operation, hover=hover)
