@@ -134,8 +134,8 @@ def add_bridge(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--realtime",
         default="ignore",
-        metavar="WHAT",
-        help="enforce or ignore: what to do where the system refuses real-time scheduling (default ignore)",
+        choices=("enforce", "ignore"),
+        help="what to do where the system refuses real-time scheduling (default ignore)",
     )
 
 

@@ -18,6 +18,7 @@ from maglev_mj.bridge.server import TwinServer
 from maglev_mj.bridge.states import fault_names
 from maglev_mj.bridge.stopping import stopping
 from maglev_mj.bridge.twin import Twin, TwinParameters
+from maglev_mj.errors import ParameterError
 from maglev_mj.options import add_bridge, chosen_key, count, number_option
 from maglev_mj.parameters import number
 from maglev_mj.plants import engine_warnings_silenced
@@ -109,7 +110,9 @@ def _server(listen: str, key: bytes | None) -> Server:
         from maglev_mj.bridge.serial_link import PtyServer
 
         return PtyServer()
-    url = parse_url(listen, server=True) if listen.startswith("udp:") else parse_url("udp:" + listen)
+    if not listen.startswith("udp:"):
+        raise ParameterError(f"listen must be udp://HOST:PORT or pty, not {listen!r}")
+    url = parse_url(listen, server=True)
     return UdpServer(check_host(url.place, key), url.number)
 
 
