@@ -27,6 +27,9 @@ __all__ = ["Connection"]
 _AGAIN = 0.02
 """A request is repeated after so long without an answer [s]."""
 
+_TAKEOVER = 1_000_000_000
+"""A device gives up a host that says nothing for so long [ns], unless it flies."""
+
 _ZERO = (0.0,) * 6
 
 
@@ -141,7 +144,7 @@ class Connection:
         nonce = int.from_bytes(os.urandom(8), "little")
         hello = Hello(nonce, calibration)
         end, busy = link.now() + int(self._patience * 1e9), False
-        while link.now() < end:
+        while link.now() < end + busy * _TAKEOVER:
             link.send(codec.encode(0, 0, link.now(), hello))
             again = link.now() + int(5.0 * _AGAIN * 1e9)
             while (left := again - link.now()) > 0 and (data := link.receive(left * 1e-9)) is not None:

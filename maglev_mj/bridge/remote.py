@@ -110,7 +110,7 @@ class RemotePlant:
         """Wait for the device's next sample and return what is measured there; the newest, if several are there.
 
         Raises:
-            DeviceFault: If the device is in the fault state, or what it says is not to be trusted.
+            DeviceFault: If the device has gone into the fault state, or what it says is not to be trusted.
             PlantError: If the plant is closed.
         """
         if self._owed and self.lockstep:  # a device that waits for an answer gets the one before, without its pulse

@@ -36,6 +36,9 @@ VERSION = 1
 
 _HEADER = "<HBBIIQ"
 _CRC = struct.Struct("<I")
+_SEALED = 0x2144DF1C
+"""The CRC of anything that its own CRC follows, and of nothing else of that length and beginning."""
+
 _TAG = 16
 _LEAST_KEY, _MOST_KEY = 16, 32
 
@@ -237,16 +240,16 @@ class Codec:
             self.dropped[reason] += 1
             return None
         number = data[3]
-        _, _, _, session, sequence, time, *values = _STRUCTS[number].unpack_from(data)
+        values = _STRUCTS[number].unpack_from(data)
         if number == _STATE:
-            body: Body = StateReport(tuple(values[:6]), tuple(values[6:12]), tuple(values[12:18]), *values[18:])
+            body: Body = StateReport(values[6:12], values[12:18], values[18:24], *values[24:])
         elif number == _COMMAND:
-            body = Command(values[0], values[1], tuple(values[2:8]), tuple(values[8:14]), values[14])
+            body = Command(values[6], values[7], values[8:14], values[14:20], values[20])
         elif number == _CONTROL:
-            body = Control(values[0], values[1], values[2], tuple(values[3:]))
+            body = Control(values[6], values[7], values[8], values[9:])
         else:
-            body = _TYPES[number][0](*values)
-        return Frame(session, sequence, time, body)
+            body = _TYPES[number][0](*values[6:])
+        return Frame(values[3], values[4], values[5], body)
 
     def _reason(self, data: bytes) -> str:
         """Return why data is no frame that can be trusted; nothing where it is one."""
@@ -255,9 +258,7 @@ class Codec:
         if data[0] != MAGIC & 0xFF or data[1] != MAGIC >> 8:
             return "magic"
         # the seal first: what it does not vouch for is not looked at
-        if len(data) < self._overhead + 4 or _CRC.unpack_from(data, len(data) - 4)[0] != zlib.crc32(
-            memoryview(data)[:-4]
-        ):
+        if len(data) < self._overhead + 4 or zlib.crc32(data) != _SEALED:
             return "crc"
         if data[2] != VERSION:
             self.version_met = data[2]
