@@ -1,0 +1,252 @@
+"""Host and device as two processes: in lockstep over real sockets, and what is left when one of them dies."""
+
+import json
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from maglev_mj import MuJoCoPlant, Timing, run
+from maglev_mj.bridge import RemotePlant, open_link
+from maglev_mj.bridge.impair import Impairment, UdpProxy
+from maglev_mj.detail import Detail
+from maglev_mj.plants import Plant, SpotSensor
+from maglev_mj.recording import Recording, row_of
+from maglev_mj.scenes import Scene, Settings, scene_called
+
+COMMAND = [sys.executable, "-m", "maglev_mj.cli"]
+NEAR = "udp://127.0.0.1:0"
+
+LOCKSTEP = """
+import sys
+from maglev_mj.bridge import Twin, TwinParameters
+from maglev_mj.bridge.link import UdpServer
+from maglev_mj.bridge.server import TwinServer
+pose = [float(part) for part in sys.argv[1].split()]
+twin = Twin(TwinParameters(lockstep=True, pose=pose, seed=5))
+server = TwinServer(twin, UdpServer("127.0.0.1", 0))
+print("udp://{}:{}".format(*server.address), flush=True)
+server.run(60.0)
+"""
+
+
+@contextmanager
+def started(*arguments: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """Start a program that says an address in its first line; kill it at the end, whatever happened."""
+    child = subprocess.Popen(arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        assert child.stdout is not None
+        found = re.search(r"(udp|serial)://\S+?(?=,|$)", child.stdout.readline().strip())
+        assert found, child.communicate(timeout=20)
+        yield child, found[0]
+    finally:
+        child.kill()
+        child.communicate()
+
+
+def ended(child: subprocess.Popen[str], kind: int | None = signal.SIGINT) -> tuple[int, str]:
+    """Ask a program to end; return its status and what it said."""
+    if kind is not None:
+        child.send_signal(kind)
+    said, complained = child.communicate(timeout=30)
+    return child.returncode, said + complained
+
+
+def twin(*options: str) -> AbstractContextManager[tuple[subprocess.Popen[str], str]]:
+    """Start a twin."""
+    return started(*COMMAND, "twin", "--listen", NEAR, *options)
+
+
+@contextmanager
+def flown(address: str, folder: Path, *options: str) -> Iterator[subprocess.Popen[str]]:
+    """Fly a device; come back when it is in the air."""
+    record = str(folder / "run.npz")
+    child = subprocess.Popen(
+        [*COMMAND, "bridge", address, "--record", record, "--out", str(folder), *options],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert child.stdout is not None
+        assert "takes off" in child.stdout.readline(), child.communicate(timeout=20)
+        time.sleep(1.5)
+        yield child
+    finally:
+        child.kill()
+        child.communicate()
+
+
+def said_by(*arguments: str) -> tuple[int, str]:
+    done = subprocess.run([*COMMAND, *arguments], capture_output=True, text=True, timeout=60)
+    return done.returncode, done.stdout + done.stderr
+
+
+def rows(plant: Plant, scene: Scene, settings: Settings) -> np.ndarray:
+    seen: list[tuple[float, ...]] = []
+    run(plant, scene.controller(settings), 400, observe=lambda s, c: seen.append((*s.position, *row_of(c))))
+    return np.array(seen)
+
+
+SCENES = [
+    ("drop", Settings(weightless=False), (0.0, 0.0, 0.004, 0.0, 0.0, 0.0)),
+    ("table", Settings(friction=True), (0.001, 0.0, 0.0, 0.0, 0.01, 0.0)),
+]
+
+
+@pytest.mark.parametrize("loss", [0.0, 0.03])
+@pytest.mark.parametrize(("name", "settings", "pose"), SCENES, ids=["drop", "stick-slip"])
+def test_in_lockstep_over_udp_every_bit_is_that_of_the_plant_in_this_process(
+    name: str, settings: Settings, pose: tuple[float, ...], loss: float
+) -> None:
+    scene = scene_called(name)
+    local = MuJoCoPlant(
+        Timing(),
+        pose=pose,
+        current_limit=10.0,
+        sensor=SpotSensor(quantum=8e-7, noise=4e-7, seed=5),
+        detail=Detail(stops=True),
+    )
+    with started(sys.executable, "-c", LOCKSTEP, " ".join(map(str, pose))) as (_, address):
+        host, port = address.removeprefix("udp://").split(":")
+        with UdpProxy((host, int(port)), Impairment(loss=loss, duplicate=loss, seed=1)) as proxy:
+            place, number = proxy.address
+            with RemotePlant(open_link(f"udp://{place}:{number}")) as plant:
+                plant.arm()
+                np.testing.assert_array_equal(rows(plant, scene, settings), rows(local, scene, settings))
+
+
+def test_a_flight_is_recorded_and_its_commands_run_again_bit_for_bit(tmp_path: Path) -> None:
+    with twin("--watchdog", "1") as (device, address):
+        status, said = said_by(
+            "bridge", address, "--seconds", "1.5", "--friction", "--record", str(tmp_path / "run.npz")
+        )
+        assert status == 0, said
+        assert re.search(r"30\d samples, 0 lost", said)
+        status, said = ended(device)
+        assert status == 0 and "inactive, faults: none" in said
+    status, said = said_by("replay", str(tmp_path / "run.npz"), "--check")
+    assert status == 0 and re.search(r"(\d+) of \1 commands the same to the last bit", said)
+    (stretch,) = Recording.load(tmp_path / "run.npz").stretches
+    stretch.command[100, 2] = np.nextafter(stretch.command[100, 2], 1e3)
+    Recording([stretch]).save(tmp_path / "other.npz")
+    status, said = said_by("replay", str(tmp_path / "other.npz"), "--check")
+    assert status == 1 and "tick" in said
+
+
+@pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM])
+def test_a_host_that_is_asked_to_stop_lands(tmp_path: Path, kind: int) -> None:
+    with twin("--watchdog", "1") as (device, address), flown(address, tmp_path) as host:
+        status, said = ended(host, kind)
+        assert status == 0, said
+        assert Recording.load(tmp_path / "run.npz").ticks > 100
+        assert "inactive, faults: none" in ended(device)[1]
+
+
+def test_a_host_that_is_killed_leaves_zero_current_and_the_next_one_must_reset(tmp_path: Path) -> None:
+    with twin() as (device, address):
+        with flown(address, tmp_path) as host:
+            host.kill()
+        time.sleep(0.5)
+        status, said = said_by("bridge", address, "--seconds", "0.5", "--out", str(tmp_path))
+        assert status == 1 and "refused ARM: it is FAULT, faults WATCHDOG" in said
+        assert "fault, faults: WATCHDOG" in ended(device)[1]
+
+
+def test_a_host_that_is_stopped_finds_the_watchdogs_fault_when_it_goes_on(tmp_path: Path) -> None:
+    with twin() as (device, address), flown(address, tmp_path) as host:
+        host.send_signal(signal.SIGSTOP)
+        time.sleep(0.5)
+        host.send_signal(signal.SIGCONT)
+        status, said = ended(host, None)
+        assert status == 1 and "WATCHDOG" in said
+        assert Recording.load(tmp_path / "run.npz").ticks > 100
+        (last,) = tmp_path.glob("maglev-fault-*.json")
+        assert len(json.loads(last.read_text())["cycles"]) == 200
+        assert "fault, faults: WATCHDOG" in ended(device)[1]
+
+
+def test_a_device_that_is_gone_is_a_fault_of_the_host_and_the_recording_is_kept(tmp_path: Path) -> None:
+    with twin("--watchdog", "1") as (device, address), flown(address, tmp_path) as host:
+        device.kill()
+        status, said = ended(host, None)
+        assert status == 1 and "HOST: no sample from the device within 1 s" in said
+        assert Recording.load(tmp_path / "run.npz").ticks > 100
+
+
+def test_a_second_host_is_turned_away_and_the_first_flies_on(tmp_path: Path) -> None:
+    with twin("--watchdog", "1") as (device, address), flown(address, tmp_path) as host:
+        status, said = said_by("bridge", address, "--seconds", "0.5")
+        assert status == 1 and "another host has the device" in said
+        assert ended(host)[0] == 0
+        assert "inactive, faults: none" in ended(device)[1]
+
+
+def _key(path: Path, byte: str) -> list[str]:
+    path.write_text(byte * 32 + "\n")
+    return ["--key", str(path)]
+
+
+def test_a_host_needs_the_devices_key(tmp_path: Path) -> None:
+    key, other = _key(tmp_path / "key", "a7"), _key(tmp_path / "other", "b8")
+    with twin("--watchdog", "1", *key) as (device, address):
+        for wrong, reason in (([], "no device answered"), (other, "no device answered")):
+            status, said = said_by("bridge", address, "--seconds", "0.2", *wrong)
+            assert status == 1 and reason in said
+        status, said = said_by("bridge", address, "--seconds", "0.2", *key)
+        assert status == 0, said
+        assert re.search(r"frames ignored: .*for length.*for tag", ended(device)[1])
+
+
+def test_a_flight_over_a_serial_line(tmp_path: Path) -> None:
+    pytest.importorskip("serial")
+    with started(*COMMAND, "twin", "--listen", "pty", "--watchdog", "1") as (device, address):
+        status, said = said_by("bridge", address, "--seconds", "1")
+        assert status == 0 and re.search(r"20\d samples, 0 lost", said), said
+        assert "inactive, faults: none" in ended(device)[1]
+
+
+def _other_calibration(path: Path) -> list[str]:
+    values = json.loads(subprocess.check_output([sys.executable, "-c", _NOMINAL], text=True))
+    values["mass"] = 0.71
+    path.write_text(json.dumps(values))
+    return ["--calibration", str(path)]
+
+
+_NOMINAL = "import json; from maglev_mj.bridge import Calibration; print(json.dumps(Calibration.nominal().as_json()))"
+
+
+def test_a_host_with_another_calibration_is_turned_away_and_both_are_named(tmp_path: Path) -> None:
+    with twin() as (_, address):
+        status, said = said_by("bridge", address, *_other_calibration(tmp_path / "other.json"))
+    assert status == 1 and re.search(r"the device's calibration is [0-9a-f]{32}, this host's [0-9a-f]{32}", said)
+
+
+BAD: list[tuple[list[str], int, str]] = [
+    (["bridge", "127.0.0.1:5678"], 2, "address must be udp://HOST:PORT"),
+    (["bridge", "udp://192.0.2.1:5678"], 2, "loopback"),
+    (["bridge", "udp://127.0.0.1:5678", "--scene", "pub"], 2, "scene must be one of"),
+    (["bridge", "udp://127.0.0.1:5678", "--mass", "1"], 2, "mass is for --identify"),
+    (["bridge", "udp://127.0.0.1:9"], 1, "udp://127.0.0.1:9: no device answered within 1 s"),
+    (["twin", "--listen", "udp://0.0.0.0:0"], 2, "loopback"),
+    (["twin", "--listen", "pub"], 2, "listen must be"),
+    (["twin", "--rate", "0"], 2, "rate must be"),
+    (["twin", "--fault", "thirst:1@2"], 2, "fault must be one of"),
+    (["twin", "--fault", "dead-coil:6@2"], 2, "dead-coil must be of 0 to 5, not 6"),
+    (["twin", "--realtime", "maybe"], 2, "choose from"),
+    (["twin", "--key", "nowhere"], 2, "key must be a file of 32 to 64 hexadecimal digits"),
+    (["twin", "--truth", "nowhere"], 1, "nowhere"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "status", "words"), BAD, ids=[" ".join(row[0]) for row in BAD])
+def test_what_is_wrong_is_said_in_one_line(arguments: list[str], status: int, words: str) -> None:
+    found, said = said_by(*arguments)
+    assert found == status and words in said and said.count("\n") == 1, said
