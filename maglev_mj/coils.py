@@ -40,6 +40,8 @@ class CoilMap:
     wrench_per_current: Array = field(init=False)
     current_per_wrench: Array = field(init=False)
     _turning: Array = field(init=False, repr=False)
+    _blocks: Array = field(init=False, repr=False)
+    _spread: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         if self.points.shape != (6, 3) or self.directions.shape != (6, 3):
@@ -56,6 +58,9 @@ class CoilMap:
         object.__setattr__(self, "wrench_per_current", upright)
         object.__setattr__(self, "current_per_wrench", np.linalg.inv(upright))
         object.__setattr__(self, "_turning", turning)
+        blocks, spread = _blocks_of(self.current_per_wrench, turning)
+        object.__setattr__(self, "_blocks", blocks)
+        object.__setattr__(self, "_spread", spread)
         for array in (self.points, self.directions, self.force_constants, upright, self.current_per_wrench):
             array.setflags(write=False)  # many plants share one map
 
@@ -70,7 +75,10 @@ class CoilMap:
         return cast(Array, np.linalg.inv(turned))
 
     def inverse_turned(self, rx: float, ry: float, rz: float) -> Array:
-        """Return currents per wrench [A/N, A/(N m)], (6, 6), for a flotor turned by a rotation vector [rad]."""
+        """Return currents per wrench [A/N, A/(N m)], (6, 6), for a flotor turned by a rotation vector [rad].
+
+        It is that of `inverse_at` to rounding, in half the time: see `_blocks_of`.
+        """
         square = rx * rx + ry * ry + rz * rz
         if square <= UPRIGHT * UPRIGHT:
             return self.current_per_wrench
@@ -80,7 +88,8 @@ class CoilMap:
         xx, yy, zz = 2.0 * x * x, 2.0 * y * y, 2.0 * z * z
         xy, xz, yz, wx, wy, wz = 2.0 * x * y, 2.0 * x * z, 2.0 * y * z, 2.0 * w * x, 2.0 * w * y, 2.0 * w * z
         rows = [1.0 - yy - zz, xy - wz, xz + wy, xy + wz, 1.0 - xx - zz, yz - wx, xz - wy, yz + wx, 1.0 - xx - yy]
-        return self.inverse_at(np.array(rows))
+        inverse: Array = self._spread.dot(_lower_rows(self._blocks.dot(rows).tolist()))
+        return inverse.reshape(6, 6)
 
     def currents(self, wrench: Array) -> Array:
         """Return the currents [A] (..., 6) that give a wrench [N, N m] (..., 6)."""
@@ -124,3 +133,44 @@ def limited_wrench(inverse_map: Array, force: Sequence[float], limit: float) -> 
         return force, listed
     left = np.linalg.solve(inverse_map, np.clip(currents, -limit, limit))
     return left.tolist(), inverse_map.dot(left).tolist()
+
+
+def _blocks_of(upright: Array, turning: Array) -> tuple[Array, Array]:
+    """Return what `CoilMap.inverse_turned` needs.
+
+    Turning leaves the coils' forces as they are: the map of a turned flotor is M W, with W the upright one's and
+    M = [[1, 0], [A, B]]. Its inverse is W⁻¹ [[1, 0], [-B⁻¹ A, B⁻¹]].
+
+    Args:
+        upright: W⁻¹, (6, 6).
+        turning: From a rotation matrix (9,) to the lower three rows of M W, (18, 9).
+
+    Returns:
+        From a rotation matrix to the rows of A and then of B, (18, 9); from what `_lower_rows` makes of them to the
+        inverse of M W, (36, 19).
+    """
+    lower = np.einsum("ajr,jm->amr", turning.reshape(3, 6, 9), upright)
+    blocks = np.concatenate([lower[:, :3].reshape(9, 9), lower[:, 3:].reshape(9, 9)])
+    spread = np.zeros((6, 6, 19))
+    for row in range(3):
+        for column in range(3):
+            spread[:, column, 3 * row + column] = upright[:, 3 + row]
+            spread[:, 3 + column, 9 + 3 * row + column] = upright[:, 3 + row]
+    spread[:, :3, 18] = upright[:, :3]
+    return blocks, spread.reshape(36, 19)
+
+
+def _lower_rows(blocks: Sequence[float]) -> tuple[float, ...]:
+    """Return the rows of -B⁻¹ A, those of B⁻¹, and a 1, from the rows of A and B."""
+    a0, a1, a2, a3, a4, a5, a6, a7, a8, b0, b1, b2, b3, b4, b5, b6, b7, b8 = blocks
+    c0, c3, c6 = b4 * b8 - b5 * b7, b5 * b6 - b3 * b8, b3 * b7 - b4 * b6
+    over = 1.0 / (b0 * c0 + b1 * c3 + b2 * c6)
+    c0, c3, c6 = over * c0, over * c3, over * c6
+    c1, c4, c7 = over * (b2 * b7 - b1 * b8), over * (b0 * b8 - b2 * b6), over * (b1 * b6 - b0 * b7)
+    c2, c5, c8 = over * (b1 * b5 - b2 * b4), over * (b2 * b3 - b0 * b5), over * (b0 * b4 - b1 * b3)
+    return (
+        *(-c0 * a0 - c1 * a3 - c2 * a6, -c0 * a1 - c1 * a4 - c2 * a7, -c0 * a2 - c1 * a5 - c2 * a8),
+        *(-c3 * a0 - c4 * a3 - c5 * a6, -c3 * a1 - c4 * a4 - c5 * a7, -c3 * a2 - c4 * a5 - c5 * a8),
+        *(-c6 * a0 - c7 * a3 - c8 * a6, -c6 * a1 - c7 * a4 - c8 * a7, -c6 * a2 - c7 * a5 - c8 * a8),
+        *(c0, c1, c2, c3, c4, c5, c6, c7, c8, 1.0),
+    )

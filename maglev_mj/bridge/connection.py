@@ -46,7 +46,7 @@ class Connection:
         welcome: What the device said of itself.
         limits: What it bears.
         dropped: Frames of another session, old ones and such, by reason, are counted in `codec.dropped`.
-        skipped: Samples left out by the last `state` for a newer one.
+        skipped: Samples left out for the newer one that the last `state` returned.
         settled: When the device last did what it was asked for, by its own clock [ns]: what a sample from before that
             says of its state is old.
 
@@ -61,7 +61,7 @@ class Connection:
         self._newest: int | None = None
         self._waiting: Frame | None = None
         self._last: Command | None = None
-        self.skipped, self.settled = 0, 0
+        self.skipped, self._overtaken, self.settled = 0, 0, 0
         self._open = True
         try:
             self.welcome = self._greet(calibration)
@@ -89,7 +89,7 @@ class Connection:
     def state(self, timeout: float) -> Frame | None:
         """Return the newest sample, or None if none comes in time [s]."""
         frame, self._waiting = self._waiting, None
-        self.skipped = 0
+        self.skipped, self._overtaken = self._overtaken, 0
         link = self._link
         end = link.now() + int(timeout * 1e9)
         while frame is None:
@@ -97,6 +97,8 @@ class Connection:
             if data is None:
                 return None
             frame = self._sample_in(data)
+        if self.welcome.lockstep:
+            return frame  # there is no newer one: the device waits for the answer to this
         while (data := link.receive(0.0)) is not None:
             if (later := self._sample_in(data)) is not None:
                 frame = later
@@ -126,6 +128,7 @@ class Connection:
                     self.settled = frame.time
                     return frame.body
                 if isinstance(frame.body, StateReport) and self._is_newer(frame):
+                    self._overtaken += self._waiting is not None
                     self._waiting = frame  # a sample that came meanwhile is read later
         return None
 

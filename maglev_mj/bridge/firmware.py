@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from maglev_mj.bridge.safety import WARM, CoilGuard, DiodeGuard, Limits, Warmth, refusal
 from maglev_mj.bridge.states import Fault, Flag, HelloStatus, Operation, Result, State
@@ -61,11 +61,10 @@ class Profile:
     number: int = 1
 
 
-@dataclass(frozen=True, slots=True)
-class Reading:
+class Reading(NamedTuple):
     """What a device measures at a sample.
 
-    Args:
+    Attributes:
         spots: On the diodes [m], six.
         valid: A bit for each diode whose spot can be trusted.
         measured: Currents [A], six.
@@ -147,12 +146,11 @@ class Firmware:
         """
         self._sampled = tick & 0xFFFFFFFF
         warmest = self._warmth.add(reading.segments)
-        wrong = self._diodes.check(reading.spots, reading.valid)
+        diodes = self._diodes.check(reading.spots, reading.valid)
         if self.state == State.ACTIVE:
-            wrong |= self._coils.check(reading.commanded, reading.measured)
-            wrong |= self._waited(now)
-            if wrong:
-                self.trip(wrong)
+            coils, waited = self._coils.check(reading.commanded, reading.measured), self._waited(now)
+            if diodes or coils or waited:
+                self.trip(diodes | coils | waited)
         if warmest >= 1.0:
             self.trip(Fault.COIL_OVERTEMP)
         if self.session == 0:

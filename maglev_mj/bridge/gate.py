@@ -27,7 +27,7 @@ class Gate:
         period: Sample period [s].
 
     Attributes:
-        warmth: Of the coils, by what was let through.
+        warmth: Of the coils, by what was let through and told to `passed`.
 
     Raises:
         ParameterError: If a limit is negative or of another shape.
@@ -40,6 +40,14 @@ class Gate:
             self._limit = [float(part) for part in np.broadcast_to(values, (6,))]
         self._inverse_turned, self._current, self._period = coils.inverse_turned, limits.current, period
         self.warmth = Warmth(limits)
+
+    def passed(self, held: Sequence[float], pulsed: Sequence[float] | None, width: float) -> None:
+        """Let what `currents` returned flow for a period: it has been sent."""
+        if pulsed is None:
+            self.warmth.add(((self._period, held),))
+        else:
+            inside = min(width, self._period)
+            self.warmth.add(((inside, pulsed), (self._period - inside, held)))
 
     def stay(self, periods: int, currents: Sequence[float]) -> None:
         """Let currents [A] flow for so many periods in which none were let through."""
@@ -66,7 +74,6 @@ class Gate:
             force = [clipped(one, most) for one, most in zip(force, limit)]
         left, held = limited_wrench(inverse_map, force, self._current)
         if extra is None:
-            self.warmth.add(((self._period, held),))
             return Command(left), held, None, 0.0
         total: Sequence[float] = [one + other for one, other in zip(command.force, extra)]
         if limit is not None:
@@ -75,6 +82,4 @@ class Gate:
         # the pulse as it will be known, so that whoever adds it to the force comes to the same currents
         extra = [one - other for one, other in zip(total, left)]
         pulsed: list[float] = inverse_map.dot([one + other for one, other in zip(left, extra)]).tolist()
-        inside = min(width, self._period)
-        self.warmth.add(((inside, pulsed), (self._period - inside, held)))
         return Command(left, extra, width), held, pulsed, width

@@ -132,10 +132,13 @@ class UdpLink:
 
     def receive(self, timeout: float) -> bytes | None:
         """Return the oldest frame that has come, or None if none comes within `timeout` [s]; 0 only looks."""
-        if not readable(self._socket, timeout):
+        if timeout > 0.0 and not readable(self._socket, timeout):
             return None
         try:
             return self._receive(_LARGEST)
+        except BlockingIOError:
+            if timeout <= 0.0:
+                return None
         except OSError as error:
             if error.errno not in _SILENCE:
                 raise
@@ -182,7 +185,7 @@ class UdpServer:
 
     def receive(self, timeout: float) -> tuple[bytes, Address] | None:
         """Return the oldest frame and its sender, or None if none comes within `timeout` [s]; 0 only looks."""
-        if not readable(self._socket, timeout):
+        if timeout > 0.0 and not readable(self._socket, timeout):
             return None
         try:
             return self._socket.recvfrom(_LARGEST)

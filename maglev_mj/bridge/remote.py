@@ -54,7 +54,6 @@ class RemotePlant:
         lockstep: Whether the device's time waits for each answer.
         state: Of the device, at the last sample.
         faults: Likewise.
-        warmth: Of the six coils, the higher of what the device says and what was sent.
         last_currents: What was sent last [A], six.
         last_delay: From the sample before the last to its answer's taking effect, by the device's clock [s]; NaN where
             the command in force at the last sample answers another.
@@ -94,7 +93,7 @@ class RemotePlant:
         self.period, self.delay = welcome.period / 1e9, welcome.delay / 1e9
         self.lockstep, self.limits = bool(welcome.lockstep), self._line.limits
         self._gate = Gate(self.calibration.coils, self.limits, wrench_limit, self.period)
-        self.warmth: list[float] = [0.0] * 6
+        self._felt: Sequence[float] = _ZERO  # what the device says of its coils' warmth
         self._warned = False
         self.state, self.faults = State(welcome.state), Fault(0)
         self.last_currents: Sequence[float] = _ZERO
@@ -104,7 +103,8 @@ class RemotePlant:
         self._sequence = 0
         self._owed = False
         self._known: Sequence[float] = _ZERO
-        self._row: tuple[Any, ...] | None = None
+        self._row: tuple[Any, ...] = ()  # the last sample, but for the pose,
+        self._seen: Sequence[float] = _UNKNOWN  # which may not be known
 
     def read(self) -> Sample:
         """Wait for the device's next sample and return what is measured there; the newest, if several are there.
@@ -121,12 +121,13 @@ class RemotePlant:
         clock = self.samples.count(frame.sequence, frame.time, self._line.skipped)
         if (unanswered := self.samples.elapsed - answered) > 0:  # what nobody wrote for: the coils cool, or go on
             self._gate.stay(unanswered, self.last_currents if self.state == State.ACTIVE else _ZERO)
-        self.warmth = [max(one, other) for one, other in zip(report.warmth, self._gate.warmth.shares)]
+        self._felt = report.warmth
         in_force = self.samples.elapsed == 1 and report.answered == self._sequence
         self.last_delay = self.period - report.age * 1e-6 + self.delay if in_force else math.nan
         self._sequence = frame.sequence
-        self._row = (frame.sequence, frame.time, report.state, report.faults, report.spots, _UNKNOWN)
-        if frame.time > self._line.settled:  # else it was taken before the device did what it was asked for
+        self._row, self._seen = (frame.sequence, frame.time, report.state, report.faults, report.spots), _UNKNOWN
+        # one from before the device did what it was asked for is old
+        if (report.state != self.state or report.faults != self.faults) and frame.time > self._line.settled:
             before, self.state, self.faults = self.state, State(report.state), Fault(report.faults)
             if self.state == State.FAULT != before:
                 self._fail(self.faults, "said by the device")
@@ -140,7 +141,7 @@ class RemotePlant:
                 self._fail(Fault.SENSOR_OUT_OF_RANGE, str(error))
             raise
         self._known = position
-        self._row = (*self._row[:-1], tuple(position))
+        self._seen = tuple(position)  # whoever gets the list may write in it
         self._owed = True
         wrong = self._guard.check(position, self.samples.elapsed * self.period)
         if self.state == State.ACTIVE:
@@ -148,7 +149,7 @@ class RemotePlant:
                 self._fail(Fault.CLOCK, clock)
             if wrong:
                 self._fail(wrong, f"the flotor is at {_shown(position)}")
-            if max(self.warmth) >= WARM:
+            if max(report.warmth) >= WARM or max(self._gate.warmth.shares) >= WARM:
                 self._watch_warmth()
         tick = self.samples.tick
         return Sample(tick, tick * self.period, position)
@@ -168,9 +169,14 @@ class RemotePlant:
             self._fail(Fault.INVALID_COMMAND, str(error))
         self._send(held, pulsed, width)
         self._owed = False
-        if self._row is not None:
-            self._box.keep((*self._row, tuple(held), tuple(held if pulsed is None else pulsed), width))
+        self._gate.passed(held, pulsed, width)
+        self._box.keep((*self._row, self._seen, held, held if pulsed is None else pulsed, width))
         return command
+
+    @property
+    def warmth(self) -> list[float]:
+        """Of the six coils, the higher of what the device says and what was sent: 1 where they trip."""
+        return [max(one, other) for one, other in zip(self._felt, self._gate.warmth.shares)]
 
     def arm(self) -> None:
         """Let the currents flow. Where commands are missing, the device holds the flotor by those that carry it.
@@ -266,14 +272,13 @@ class RemotePlant:
 
     def _send(self, held: Sequence[float], pulsed: Sequence[float] | None, width: float) -> None:
         self.last_currents = held
-        self._line.command(
-            CommandFrame(self._sequence, 0, tuple(held), tuple(held if pulsed is None else pulsed), width)
-        )
+        one, other = tuple(held), tuple(held if pulsed is None else pulsed)
+        self._line.command(CommandFrame(self._sequence, 0, one, other, width))
 
     def _watch_warmth(self) -> None:
-        warmest = max(self.warmth)
+        warmest = max(warmth := self.warmth)
         if warmest >= 1.0:
-            self._fail(Fault.COIL_OVERTEMP, f"coil {self.warmth.index(warmest)} bears no more")
+            self._fail(Fault.COIL_OVERTEMP, f"coil {warmth.index(warmest)} bears no more")
         if not self._warned:
             self._warned = True
             warnings.warn(f"a coil is at {warmest:.0%} of what it bears", stacklevel=3)
@@ -284,8 +289,8 @@ class RemotePlant:
             self.trip(faults)
         faults |= self.faults  # such as an e-stop, after which it fell
         about = {name: getattr(self.samples, name) for name in ("tick", "lost", "skipped")} | {"period": self.period}
-        if self._row is not None:
-            self._box.keep((*self._row, self.last_currents, self.last_currents, 0.0))
+        if self._row:
+            self._box.keep((*self._row, self._seen, self.last_currents, self.last_currents, 0.0))
         path = self._box.write(faults, message, about)
         raise DeviceFault(faults, message, path)
 

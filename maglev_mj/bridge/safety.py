@@ -137,6 +137,9 @@ class CoilGuard:
 
     def check(self, commanded: Sequence[float], measured: Sequence[float]) -> Fault:
         """Compare the currents of a sample [A], six each."""
+        if measured == commanded:  # as a twin's are
+            self._strikes = 0
+            return _NO_FAULT
         for wanted, found in zip(commanded, measured):
             if not abs(wanted - found) <= _CLOSE + _CLOSE_SHARE * abs(wanted):
                 self._strikes += 1
@@ -202,13 +205,14 @@ class FlotorGuard:
         """Look at a pose [m, rad], six components, so long after the one before [s]."""
         x, y, z, rx, ry, rz = position
         last, self._last = self._last, position
-        fault = _NO_FAULT
-        if max(x, y, z) > self._far or min(x, y, z) < -self._far or rx * rx + ry * ry + rz * rz > self._turned:
+        fault, far = _NO_FAULT, self._far
+        inside = -far <= x <= far and -far <= y <= far and -far <= z <= far
+        if not inside or rx * rx + ry * ry + rz * rz > self._turned:
             fault = Fault.BOUNDARY
         if last is None or elapsed <= 0.0:
             return fault
-        a, b, c, d, e, f = last
-        square, turning = (x - a) ** 2 + (y - b) ** 2 + (z - c) ** 2, (rx - d) ** 2 + (ry - e) ** 2 + (rz - f) ** 2
+        a, b, c, d, e, f = x - last[0], y - last[1], z - last[2], rx - last[3], ry - last[4], rz - last[5]
+        square, turning = a * a + b * b + c * c, d * d + e * e + f * f
         if square > self._fast * elapsed * elapsed or turning > self._turning * elapsed * elapsed:
             fault |= Fault.FLOTOR_OVERSPEED
         return fault

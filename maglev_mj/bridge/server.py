@@ -53,6 +53,7 @@ class TwinServer:
 
     def __init__(self, twin: Twin, server: Server, *, spin: float = 0.0) -> None:
         self.twin, self._server, self._spin = twin, server, spin
+        self._period = twin.firmware.profile.period
         self.address: Address = server.address
         self.missed = 0
         self.lateness = Lateness()
@@ -93,7 +94,7 @@ class TwinServer:
         return self._stopped.is_set() or (end is not None and time.monotonic_ns() >= end)
 
     def _in_real_time(self, end: int | None, each: Callable[[], object] | None) -> None:
-        twin, clock, period = self.twin, time.monotonic_ns, self.twin.parameters.profile.period
+        twin, clock, period = self.twin, time.monotonic_ns, self._period
         zero = clock() - max(twin.tick, 0) * period
         while not self._over(end):
             deadline = zero + (twin.tick + 1) * period
@@ -161,5 +162,5 @@ class TwinServer:
         arrived = self._server.receive(timeout)
         if arrived is None:
             return False
-        self._take(*arrived, max(self.twin.tick, 0) * self.twin.parameters.profile.period)
+        self._take(*arrived, max(self.twin.tick, 0) * self._period)
         return True

@@ -108,7 +108,7 @@ class Twin:
         truth = parameters.truth or parameters.calibration
         self.plant = _plant(parameters, truth, hand_force)
         self._read = SpotReader(truth.beams, quantum=parameters.quantum, noise=parameters.noise, seed=parameters.seed)
-        self._offsets: list[float] = truth.spot_offsets.tolist()
+        self._offsets: list[float] | None = truth.spot_offsets.tolist() if truth.spot_offsets.any() else None
         self.codec = Codec(key)
         self.firmware = Firmware(parameters.profile, self, self.codec, draw or _draw)
         self.tick = -1
@@ -152,7 +152,9 @@ class Twin:
         self._sampled_at = self._now = self.tick * self._period
         if self._waiting:
             self._suffer()
-        spots = [spot + offset for spot, offset in zip(self._read(position), self._offsets)]
+        spots = self._read(position)
+        if self._offsets is not None:
+            spots = [spot + offset for spot, offset in zip(spots, self._offsets)]
         valid, currents = _ALL, self.plant.applied_currents
         measured: Sequence[float] = currents
         if self._live:

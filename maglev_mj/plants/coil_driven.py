@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+import struct
 from collections import deque
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import mujoco
@@ -67,6 +69,7 @@ class CoilDrivenPlant(MuJoCoPlant):
             self._model.opt.gravity[:] = falling
         self._inverse_map = np.eye(len(COILS))  # from what is commanded, currents, to currents
         self._upright = math.inf
+        self._fill = partial(struct.pack_into, "6d", self._currents.data, 0)
         self._drive = self._prepare(_NO_CURRENTS)
         # when, in ticks and seconds after one, to which currents, and those of a pulse ahead of them
         self._switches: deque[tuple[int, float, Drive, Drive, float]] = deque()
@@ -146,6 +149,11 @@ class CoilDrivenPlant(MuJoCoPlant):
             self._drive, self._tail = held, (pulsed, width) if width > 0.0 else None
             done = offset
         self._stay(self._period - done)
+
+    def _apply(self, drive: Drive) -> None:
+        """Hand currents to the engine."""
+        self._applied = drive
+        self._fill(*drive[0])
 
     def _stay(self, duration: float) -> None:
         """Carry the state on without a switch but that at the end of a pulse."""
