@@ -116,7 +116,7 @@ class Recording:
 
     stretches: Sequence[Stretch]
 
-    def save(self, path: Path) -> None:
+    def save(self, path: Path | str) -> None:
         """Write to a file, whole or not at all.
 
         Raises:
@@ -128,6 +128,7 @@ class Recording:
             for name in _COLUMNS
         }
         header = {"format": _FORMAT, "axes": AXES, "setups": [dict(stretch.setup) for stretch in self.stretches]}
+        path = Path(path)
         partial = path.with_name(path.name + ".partial")
         with partial.open("wb") as file:
             np.savez(file, header=np.array(json.dumps(header)), **arrays)

@@ -361,7 +361,7 @@ static size_t control(struct device *d, const struct frame *f, uint64_t now, uin
 }
 
 static size_t obey(struct device *d, const struct frame *f, uint64_t now) {
-    if (d->lockstep && f->of.cmd.answers != (uint32_t)d->tick)
+    if ((uint32_t)d->tick - f->of.cmd.answers > (d->lockstep ? 0 : d->watchdog / d->period))
         return ignore(d, OLD); /* the answer before, sent again because it seemed lost */
     d->answered = 1;
     if (d->state != ACTIVE) return ignore(d, NOT_ACTIVE);

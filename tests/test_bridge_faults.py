@@ -263,6 +263,9 @@ def test_an_estop_is_taken_in_every_state_and_twice(state: str) -> None:
         rig.plant.estop()
         assert rig.twin.firmware.faults == rig.plant.faults == before | Fault.ESTOP
     check_dead(rig)
+    if state in ("armed", "flying"):  # whoever flies is told, once
+        with pytest.raises(DeviceFault, match="ESTOP"):
+            rig.plant.read()
     rig.plant.read()
     assert rig.plant.state == State.FAULT and rig.plant.faults == before | Fault.ESTOP
     rig.plant.reset()
@@ -287,6 +290,8 @@ def test_what_a_sample_says_from_before_a_request_is_old(seed: int) -> None:
     for _ in range(4):
         fly(rig, 0.1, hover(0.005, BAD_REACH))()
         rig.plant.estop()
+        with pytest.raises(DeviceFault, match="ESTOP"):
+            rig.plant.read()
         for _ in range(5):
             rig.plant.read()
         assert rig.plant.faults == rig.twin.firmware.faults == Fault.ESTOP

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from contextlib import suppress
 
 from maglev_mj.bridge.fault import HandshakeError
-from maglev_mj.bridge.link import Link
+from maglev_mj.bridge.link import Link, LinkError
 from maglev_mj.bridge.safety import Limits
 from maglev_mj.bridge.states import HelloStatus, Operation
 from maglev_mj.bridge.wire import (
@@ -45,7 +46,8 @@ class Connection:
     Attributes:
         welcome: What the device said of itself.
         limits: What it bears.
-        dropped: Frames of another session, old ones and such, by reason, are counted in `codec.dropped`.
+        codec: Its frames, and what was dropped of them, by reason.
+        open: Whether it has not been closed.
         skipped: Samples left out for the newer one that the last `state` returned.
         settled: When the device last did what it was asked for, by its own clock [ns]: what a sample from before that
             says of its state is old.
@@ -62,11 +64,11 @@ class Connection:
         self._waiting: Frame | None = None
         self._last: Command | None = None
         self.skipped, self._overtaken, self.settled = 0, 0, 0
-        self._open = True
+        self.open = True
         try:
             self.welcome = self._greet(calibration)
         except BaseException:
-            self._open = False
+            self.open = False
             link.close()
             raise
         one = self.welcome
@@ -107,7 +109,7 @@ class Connection:
 
     def control(self, operation: Operation, *, faults: int = 0, hover: Sequence[float] = _ZERO) -> ControlAck | None:
         """Ask for a change of state until the device answers; None if it does not."""
-        if not self._open:
+        if not self.open:
             return None
         self._request += 1
         body = Control(self._request, operation, faults, tuple(hover))
@@ -134,11 +136,12 @@ class Connection:
 
     def close(self) -> None:
         """End the session, if the device still listens, and close the link; a second time does nothing."""
-        if self._open:
+        if self.open:
             try:
-                self.control(Operation.BYE)
+                with suppress(LinkError):  # there is nothing to be said to a line that is gone
+                    self.control(Operation.BYE)
             finally:
-                self._open = False
+                self.open = False
                 self._link.close()
 
     def _greet(self, calibration: bytes) -> HelloAck:

@@ -14,6 +14,7 @@ class SampleCounter:
         period: Sample period [ns].
 
     Attributes:
+        period: Sample period [ns].
         tick: Of the last sample, from 0 at the first that came.
         elapsed: Samples from the one before to the last.
         lost: Samples that did not arrive.
@@ -22,7 +23,7 @@ class SampleCounter:
 
     def __init__(self, period: int) -> None:
         self.tick, self.elapsed, self.lost, self.skipped = -1, 0, 0, 0
-        self._period, self._sequence, self._time = period, 0, 0
+        self.period, self._sequence, self._time = period, 0, 0
 
     def count(self, sequence: int, time: int, skipped: int) -> str:
         """Count a sample; return what is wrong with the device's clock, nothing where it keeps step.
@@ -38,8 +39,8 @@ class SampleCounter:
         else:
             self.elapsed = (sequence - self._sequence) & _WRAP
             passed = time - self._time
-            if abs(passed - self.elapsed * self._period) > self._period // 2:
-                said = f"{passed * 1e-6:.3f} ms went by in {self.elapsed} samples of {self._period * 1e-6:.3f} ms"
+            if abs(passed - self.elapsed * self.period) > self.period // 2:
+                said = f"{passed * 1e-6:.3f} ms went by in {self.elapsed} samples of {self.period * 1e-6:.3f} ms"
             self.tick += self.elapsed
             missing = self.elapsed - 1
             if missing:

@@ -78,6 +78,7 @@ class Flight:
 
     Attributes:
         recording: What was kept, up to where it ended, whatever ended it.
+        read_at: When the last sample was there [ns].
 
     Raises:
         ParameterError: If the settings' period is not the device's.
@@ -100,7 +101,7 @@ class Flight:
         self._stopped = threading.Event()
         self._wanted: Settings | None = None
         self._answer = Lateness()
-        self._read_at = 0
+        self.read_at = 0
 
     @property
     def recording(self) -> Recording:
@@ -161,7 +162,7 @@ class Flight:
         recorder = self._stretches[-1] if self._record else None
 
         def observe(sample: Sample, applied: Command) -> None:
-            self._answer.add(time.perf_counter_ns() - self._read_at)
+            self._answer.add(time.perf_counter_ns() - self.read_at)
             if recorder is not None:
                 recorder.observe(sample, applied)
             if self._watch is not None:
@@ -187,7 +188,7 @@ class _Timed:
         self.period, self._step, self._flight = answers.period, answers.step, flight
 
     def step(self, sample: Sample) -> Command:
-        self._flight._read_at = time.perf_counter_ns()
+        self._flight.read_at = time.perf_counter_ns()
         return self._step(sample)
 
 

@@ -6,25 +6,22 @@ import math
 import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, NoReturn, Self
+from typing import NoReturn
 
 from numpy.typing import ArrayLike
 
 from maglev_mj.bridge.calibration import Calibration
-from maglev_mj.bridge.connection import Connection
-from maglev_mj.bridge.counting import SampleCounter
-from maglev_mj.bridge.fault import BlackBox, DeviceFault
+from maglev_mj.bridge.device import RemoteDevice
 from maglev_mj.bridge.gate import Gate
 from maglev_mj.bridge.lifecycle import Leader
-from maglev_mj.bridge.link import Link
+from maglev_mj.bridge.link import Link, LinkError
 from maglev_mj.bridge.safety import WARM, Envelope, FlotorGuard
-from maglev_mj.bridge.states import Fault, Operation, State, fault_names
+from maglev_mj.bridge.states import Fault, State
 from maglev_mj.bridge.wire import Command as CommandFrame
 from maglev_mj.bridge.wire import Frame, StateReport
 from maglev_mj.errors import PlantError, SensingError
 from maglev_mj.frames import Command, Sample
 from maglev_mj.loop import ControlLoop
-from maglev_mj.parameters import number
 from maglev_mj.tracking import PoseTracker
 
 __all__ = ["RemotePlant"]
@@ -32,7 +29,7 @@ __all__ = ["RemotePlant"]
 _ZERO, _UNKNOWN = (0.0,) * 6, (math.nan,) * 6
 
 
-class RemotePlant:
+class RemotePlant(RemoteDevice):
     """A device at the other end of a wire. The controller cannot tell it from `MuJoCoPlant`.
 
     The device is the clock: `read` waits for its next sample. A sample that was lost leaves a gap in the tick numbers.
@@ -80,31 +77,22 @@ class RemotePlant:
         patience: float = 1.0,
         folder: Path = Path(),
     ) -> None:
-        self.calibration = calibration or Calibration.nominal()
-        self._patience = number("patience", patience, above=0.0)
+        super().__init__(link, calibration or Calibration.nominal(), key, patience, folder)
         self._guard = FlotorGuard(envelope or Envelope())
         self._track = PoseTracker(self.calibration.beams)
-        self._offsets: list[float] | None = self.calibration.spot_offsets.tolist()
-        if not any(self._offsets or ()):
-            self._offsets = None
-        self._box = BlackBox(folder)
-        self._line = Connection(link, self.calibration.digest, key, self._patience)
+        offsets = self.calibration.spot_offsets
+        self._offsets: list[float] | None = offsets.tolist() if offsets.any() else None
         welcome = self._line.welcome
         self.period, self.delay = welcome.period / 1e9, welcome.delay / 1e9
         self.lockstep, self.limits = bool(welcome.lockstep), self._line.limits
         self._gate = Gate(self.calibration.coils, self.limits, wrench_limit, self.period)
         self._felt: Sequence[float] = _ZERO  # what the device says of its coils' warmth
         self._warned = False
-        self.state, self.faults = State(welcome.state), Fault(0)
-        self.last_currents: Sequence[float] = _ZERO
         self.last_delay = math.nan
         self.rest: Sequence[float] = _ZERO
-        self.samples = SampleCounter(welcome.period)
         self._sequence = 0
-        self._owed = False
-        self._known: Sequence[float] = _ZERO
-        self._row: tuple[Any, ...] = ()  # the last sample, but for the pose,
-        self._seen: Sequence[float] = _UNKNOWN  # which may not be known
+        self._owed = False  # an answer, to the last sample
+        self._known: Sequence[float] = _ZERO  # the pose at the last sample
 
     def read(self) -> Sample:
         """Wait for the device's next sample and return what is measured there; the newest, if several are there.
@@ -113,40 +101,22 @@ class RemotePlant:
             DeviceFault: If the device has gone into the fault state, or what it says is not to be trusted.
             PlantError: If the plant is closed.
         """
+        self._check_open()
         if self._owed and self.lockstep:  # a device that waits for an answer gets the one before, without its pulse
             self._send(self.last_currents, None, 0.0)
-        answered, self._owed = not self._owed, False
         frame = self._next_frame()
         report: StateReport = frame.body  # type: ignore[assignment]
-        clock = self.samples.count(frame.sequence, frame.time, self._line.skipped)
-        if (unanswered := self.samples.elapsed - answered) > 0:  # what nobody wrote for: the coils cool, or go on
-            self._gate.stay(unanswered, self.last_currents if self.state == State.ACTIVE else _ZERO)
-        self._felt = report.warmth
-        in_force = self.samples.elapsed == 1 and report.answered == self._sequence
-        self.last_delay = self.period - report.age * 1e-6 + self.delay if in_force else math.nan
-        self._sequence = frame.sequence
-        self._row, self._seen = (frame.sequence, frame.time, report.state, report.faults, report.spots), _UNKNOWN
+        out_of_step = self._account(frame, report)
         # one from before the device did what it was asked for is old
         if (report.state != self.state or report.faults != self.faults) and frame.time > self._line.settled:
-            before, self.state, self.faults = self.state, State(report.state), Fault(report.faults)
-            if self.state == State.FAULT != before:
-                self._fail(self.faults, "said by the device")
-        spots: Sequence[float] = report.spots
-        if self._offsets is not None:
-            spots = [spot - offset for spot, offset in zip(spots, self._offsets)]
-        try:
-            position = self._track(spots)
-        except SensingError as error:
-            if self.state == State.ACTIVE:
-                self._fail(Fault.SENSOR_OUT_OF_RANGE, str(error))
-            raise
-        self._known = position
-        self._seen = tuple(position)  # whoever gets the list may write in it
-        self._owed = True
+            self._adopt(report.state, report.faults)
+        if self.state == State.FAULT and self._armed:
+            self._fail(self.faults, "asked for")
+        position = self._locate(report.spots)
         wrong = self._guard.check(position, self.samples.elapsed * self.period)
         if self.state == State.ACTIVE:
-            if clock:
-                self._fail(Fault.CLOCK, clock)
+            if out_of_step:
+                self._fail(Fault.CLOCK, out_of_step)
             if wrong:
                 self._fail(wrong, f"the flotor is at {_shown(position)}")
             if max(report.warmth) >= WARM or max(self._gate.warmth.shares) >= WARM:
@@ -161,11 +131,12 @@ class RemotePlant:
             DeviceFault: If the command is not finite.
             PlantError: If no sample was read.
         """
+        self._check_open()
         if self.samples.tick < 0:
             raise PlantError("write() needs a sample: call read() first")
         try:
             command, held, pulsed, width = self._gate.currents(command, self._known)
-        except PlantError as error:
+        except (PlantError, TypeError) as error:
             self._fail(Fault.INVALID_COMMAND, str(error))
         self._send(held, pulsed, width)
         self._owed = False
@@ -177,31 +148,6 @@ class RemotePlant:
     def warmth(self) -> list[float]:
         """Of the six coils, the higher of what the device says and what was sent: 1 where they trip."""
         return [max(one, other) for one, other in zip(self._felt, self._gate.warmth.shares)]
-
-    def arm(self) -> None:
-        """Let the currents flow. Where commands are missing, the device holds the flotor by those that carry it.
-
-        Raises:
-            PlantError: If the device refuses, as in the fault state.
-        """
-        self._ask(Operation.ARM, hover=self.calibration.hover.tolist())
-        self.state = State.ACTIVE
-
-    def disarm(self) -> None:
-        """Switch the currents off."""
-        self._ask(Operation.DISARM)
-        if self.state == State.ACTIVE:
-            self.state = State.INACTIVE
-
-    def estop(self) -> None:
-        """Switch the currents off in whatever state, and latch that it was asked for."""
-        self._ask(Operation.ESTOP)
-        self.state, self.faults = State.FAULT, self.faults | Fault.ESTOP
-
-    def reset(self) -> None:
-        """Leave the fault state; a PlantError if the device refuses because its coils are too warm."""
-        self._ask(Operation.RESET)
-        self.state, self.faults = State.INACTIVE, Fault(0)
 
     def takeoff(self, duration: float = 0.6) -> None:
         """Arm, and lead the flotor from where it lies to the centre; keep hands off it.
@@ -226,21 +172,6 @@ class RemotePlant:
         self._lead(self.read().position, self.rest, duration, lambda place: None)
         self.disarm()
 
-    def trip(self, faults: Fault) -> None:
-        """Put the device into the fault state, whether or not the line is good enough for an answer."""
-        self._line.control(Operation.TRIP, faults=faults)
-        self.state, self.faults = State.FAULT, self.faults | faults
-
-    def close(self) -> None:
-        """Switch the currents off and let go of the device; safe to call at any time, and more than once."""
-        self._line.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
     def _lead(
         self, start: Sequence[float], end: Sequence[float], duration: float, astray: Callable[[Sequence[float]], object]
     ) -> None:
@@ -251,29 +182,57 @@ class RemotePlant:
     def _astray(self, place: Sequence[float]) -> NoReturn:
         self._fail(Fault.NOT_FOLLOWING, f"the flotor is at {_shown(place)}, not where it is led")
 
-    def _ask(self, operation: Operation, *, hover: Sequence[float] = _ZERO) -> None:
-        answer = self._line.control(operation, hover=hover)
-        if answer is None:
-            raise PlantError(f"the device did not answer {operation.name} within {self._patience:g} s")
-        if answer.result:
-            raise PlantError(
-                f"the device refused {operation.name}: it is {State(answer.state).name}, faults "
-                f"{fault_names(answer.faults)}"
-            )
-
     def _next_frame(self) -> Frame:
         """Return the newest STATE."""
-        frame = self._line.state(self._patience)
-        if frame is None:
+        missing = f"no sample from the device within {self._patience:g} s"
+        try:
+            frame = self._line.state(self._patience)
+        except LinkError as error:
+            frame, missing = None, str(error)
+        if frame is not None:
+            return frame
+        if self.state == State.ACTIVE:
+            self._fail(Fault.HOST, missing)
+        raise PlantError(missing)
+
+    def _account(self, frame: Frame, report: StateReport) -> str:
+        """Count a sample and its heat; return what is wrong with the device's clock, nothing where it keeps step."""
+        answered, self._owed = not self._owed, False
+        samples = self.samples
+        out_of_step = samples.count(frame.sequence, frame.time, self._line.skipped)
+        if (unanswered := samples.elapsed - answered) > 0:  # what nobody wrote for: the coils cool, or go on
+            self._gate.stay(unanswered, self.last_currents if self.state == State.ACTIVE else _ZERO)
+        self._felt = report.warmth
+        in_force = samples.elapsed == 1 and report.answered == self._sequence
+        self.last_delay = self.period - report.age * 1e-6 + self.delay if in_force else math.nan
+        self._sequence = frame.sequence
+        self._row, self._seen = (frame.sequence, frame.time, report.state, report.faults, report.spots), _UNKNOWN
+        return out_of_step
+
+    def _locate(self, spots: Sequence[float]) -> list[float]:
+        """Return the pose whose spots these are; an answer to it is owed."""
+        if self._offsets is not None:
+            spots = [spot - offset for spot, offset in zip(spots, self._offsets)]
+        try:
+            position = self._track(spots)
+        except SensingError as error:
             if self.state == State.ACTIVE:
-                self._fail(Fault.HOST, f"no sample from the device within {self._patience:g} s")
-            raise PlantError(f"no sample from the device within {self._patience:g} s")
-        return frame
+                self._fail(Fault.SENSOR_OUT_OF_RANGE, str(error))
+            raise
+        self._known = position
+        self._seen = tuple(position)  # whoever gets the list may write in it
+        self._owed = True
+        return position
 
     def _send(self, held: Sequence[float], pulsed: Sequence[float] | None, width: float) -> None:
         self.last_currents = held
         one, other = tuple(held), tuple(held if pulsed is None else pulsed)
-        self._line.command(CommandFrame(self._sequence, 0, one, other, width))
+        try:
+            self._line.command(CommandFrame(self._sequence, 0, one, other, width))
+        except LinkError as error:
+            if self.state == State.ACTIVE:
+                self._fail(Fault.HOST, str(error))
+            raise
 
     def _watch_warmth(self) -> None:
         warmest = max(warmth := self.warmth)
@@ -282,17 +241,6 @@ class RemotePlant:
         if not self._warned:
             self._warned = True
             warnings.warn(f"a coil is at {warmest:.0%} of what it bears", stacklevel=3)
-
-    def _fail(self, faults: Fault, message: str) -> NoReturn:
-        """Put the device into the fault state, keep the last cycles, and say so."""
-        if self.state != State.FAULT:
-            self.trip(faults)
-        faults |= self.faults  # such as an e-stop, after which it fell
-        about = {name: getattr(self.samples, name) for name in ("tick", "lost", "skipped")} | {"period": self.period}
-        if self._row:
-            self._box.keep((*self._row, self._seen, self.last_currents, self.last_currents, 0.0))
-        path = self._box.write(faults, message, about)
-        raise DeviceFault(faults, message, path)
 
 
 def _shown(position: Sequence[float]) -> str:

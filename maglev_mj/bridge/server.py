@@ -157,10 +157,8 @@ class TwinServer:
                 self._say(frame)
                 again = now + round(_AGAIN * 1e9)
 
-    def _hear(self, timeout: float) -> bool:
+    def _hear(self, timeout: float) -> None:
         """Take a frame if one comes in time [s]."""
         arrived = self._server.receive(timeout)
-        if arrived is None:
-            return False
-        self._take(*arrived, max(self.twin.tick, 0) * self._period)
-        return True
+        if arrived is not None:
+            self._take(*arrived, max(self.twin.tick, 0) * self._period)

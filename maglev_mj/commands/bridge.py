@@ -5,14 +5,16 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.fault import HandshakeError
-from maglev_mj.bridge.flight import Flight
+from maglev_mj.bridge.flight import Flight, Flown
 from maglev_mj.bridge.identification import collect, excitation, identify
 from maglev_mj.bridge.link import open_link
 from maglev_mj.bridge.realtime import realtime
@@ -22,7 +24,7 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.options import add_bridge, add_recording, add_settings, chosen_key, chosen_settings, number_option
 from maglev_mj.output import check_file, check_outputs
 from maglev_mj.parameters import number
-from maglev_mj.scenes import SCENES, scene_called
+from maglev_mj.scenes import SCENES, Scene, Settings, scene_called
 from maglev_mj.tables import flown_table
 from maglev_mj.watching import Watch
 
@@ -56,12 +58,16 @@ def add_command(commands: Any) -> None:
 
 def _bridge(options: argparse.Namespace) -> int:
     scene, key = scene_called(options.scene), chosen_key(options)
-    seconds = None if options.seconds is None else number("seconds", options.seconds, above=0.0)
+    if options.seconds is not None:
+        number("seconds", options.seconds, above=0.0)
     for name in ("record", "identify"):
         if getattr(options, name) is not None:
             check_file(name, getattr(options, name))
     if options.mass is not None and options.identify is None:
         raise ParameterError("mass is for --identify")
+    for name in ("record", "view", "seconds"):
+        if options.identify is not None and getattr(options, name):
+            raise ParameterError(f"{name} is for scenes, not for --identify")
     check_outputs(out=options.out)
     wanted = chosen_settings(options, scene.settings)  # before the device: what is wrong is said at once
     calibration = Calibration.nominal() if options.calibration is None else Calibration.load(options.calibration)
@@ -75,22 +81,36 @@ def _bridge(options: argparse.Namespace) -> int:
         if options.identify is not None:
             return _identify(plant, options)
         settings = replace(wanted, period=plant.period, delay=plant.delay)
-        watch = Watch(scene.name, settings, options.out) if options.view else None
-        if watch is not None:
-            watch.note = "the hand, the rate and the delay are the device's"
-        flight = Flight(plant, scene, settings, record=options.record is not None, watch=watch)
-        try:
-            with stopping(flight.stop), _punctual(options):
-                print(f"  {scene.name} at {1.0 / plant.period:g} Hz; keep hands off while it takes off", flush=True)
-                flown = flight.run(seconds)
-        finally:
-            if watch is not None:
-                watch.close()
-            if options.record is not None:
-                flight.recording.save(options.record)
-                print(f"  wrote {options.record}")
+        flown = _fly(plant, scene, settings, options)
     print(flown_table(flown))
     return 0
+
+
+def _fly(plant: RemotePlant, scene: Scene, settings: Settings, options: argparse.Namespace) -> Flown:
+    """Fly a scene; whatever ends it, first the device is let go, then what was recorded is kept."""
+    with ExitStack() as last:
+        watch = None
+        if options.view:
+            watch = Watch(scene.name, settings, options.out)
+            watch.note = "the hand, the rate and the delay are the device's"
+            last.callback(watch.close)
+        flight = Flight(plant, scene, settings, record=options.record is not None, watch=watch)
+        if options.record is not None:
+            last.callback(_keep, flight, options.record)
+        last.push(plant)
+        with stopping(flight.stop), _punctual(options):
+            print(f"  {scene.name} at {1.0 / plant.period:g} Hz; keep hands off while it takes off", flush=True)
+            return flight.run(options.seconds)
+
+
+def _keep(flight: Flight, path: Path) -> None:
+    """Write what was recorded."""
+    recording = flight.recording
+    if recording.ticks:
+        recording.save(path)
+        print(f"  wrote {path}")
+    else:
+        print("  nothing was recorded: it did not come to fly")
 
 
 def _opened(options: argparse.Namespace, calibration: Calibration, key: bytes | None) -> RemotePlant:
@@ -121,6 +141,11 @@ def _identify(plant: RemotePlant, options: argparse.Namespace) -> int:
     found = identify(motion.poses, motion.currents, period=plant.period, delay=motion.delay)
     found.calibration(plant.calibration, mass).save(options.identify)
     x, y, z = found.gravity
-    print(f"  gravity {x:.4f}, {y:.4f}, {z:.4f} m/s²; mass taken for {mass:g} kg; delay {motion.delay * 1e3:.3f} ms")
+    doubt = found.free_errors[:3].max()
+    missing = int(np.isnan(motion.currents[:, 0]).sum())
+    print(f"  gravity {x:.4f}, {y:.4f}, {z:.4f} m/s², give or take {doubt:.4f}; mass taken for {mass:g} kg")
+    print(
+        f"  delay {motion.delay * 1e3:.3f} ms; {missing} of {len(motion.poses)} samples lost, or answered late or early"
+    )
     print(f"  wrote {options.identify}")
     return 0
