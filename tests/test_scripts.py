@@ -11,6 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.test_bridge_processes import ended, twin
+
 ROOT = Path(__file__).resolve().parent.parent
 
 
@@ -82,9 +84,22 @@ def test_bench_loop_prints_its_ratios() -> None:
     assert "RK4, coils, closed loop / bare mj_step" in run_script("bench_loop.py", "--quick")
 
 
+EXAMPLES = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.DOTALL)
+
+
 def test_readme_example_runs() -> None:
-    (example,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.DOTALL)
-    assert len(example.strip().splitlines()) <= 12
-    done = subprocess.run([sys.executable, "-c", example], capture_output=True, text=True, check=False)
+    drop, _ = EXAMPLES
+    assert len(drop.strip().splitlines()) <= 12
+    done = subprocess.run([sys.executable, "-c", drop], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert "mm" in done.stdout
+
+
+def test_readme_example_of_a_device_runs() -> None:
+    _, flight = EXAMPLES
+    with twin("--watchdog", "2") as (device, address):
+        told = flight.replace("udp://127.0.0.1:5678", address).replace("ticks=2000", "ticks=200")
+        assert told != flight
+        done = subprocess.run([sys.executable, "-c", told], capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+        assert "inactive, faults: none" in ended(device)[1]
