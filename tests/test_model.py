@@ -162,7 +162,7 @@ def test_device_has_threefold_symmetry(device: Device) -> None:
             np.testing.assert_allclose(coils.directions[following], turn @ coils.directions[one], atol=1e-15)
 
 
-@pytest.mark.parametrize("angle", [0.0, 0.02, 0.1])
+@pytest.mark.parametrize("angle", [0.0, 0.02, 0.1, 1.0])
 def test_coil_map_is_the_engine_s_at_any_angle(device: Device, angle: float) -> None:
     compiled, data = device.model, mujoco.MjData(device.model)
     vector = angle * np.array([0.6, -0.48, 0.64])
@@ -176,6 +176,7 @@ def test_coil_map_is_the_engine_s_at_any_angle(device: Device, angle: float) -> 
     engine = moment.T * SPEC.force_constant.value
     engine[3:] = rotation.reshape(3, 3) @ engine[3:]  # the engine's torque is in flotor axes
     np.testing.assert_allclose(coil_map(device).inverse_at(rotation) @ engine, np.eye(6), atol=1e-12)
+    np.testing.assert_allclose(coil_map(device).inverse_turned(*vector.tolist()) @ engine, np.eye(6), atol=1e-12)
 
 
 def test_coils_that_cannot_give_every_wrench_are_refused(device: Device) -> None:
