@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import multiprocessing
 import os
-import signal
 import time
 from collections import deque
 from collections.abc import Sequence
@@ -20,6 +19,7 @@ from maglev_mj.frames import Array
 from maglev_mj.hand import SpringHand
 from maglev_mj.scenes import Settings, scene_called
 from maglev_mj.session import View
+from maglev_mj.workers import interrupts_held
 
 __all__ = ["Watch"]
 
@@ -56,7 +56,8 @@ class Watch:
         context = multiprocessing.get_context("spawn")
         self._line, far = context.Pipe()
         self._process = context.Process(target=_open, args=(far, scene, settings, folder), daemon=True)
-        self._process.start()
+        with interrupts_held():  # it is closed by who opened it
+            self._process.start()
         far.close()
 
     def keep(
@@ -201,7 +202,6 @@ class _Watched:
 
 def _open(line: Connection, scene: str, settings: Settings, folder: Path) -> None:
     """Open the window; in its own process."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # it is closed by who opened it
     from maglev_mj.viewer.window import show
 
     try:

@@ -5,16 +5,17 @@ from __future__ import annotations
 import asyncio
 import os
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from dataclasses import dataclass
-from multiprocessing import get_context
+from multiprocessing import get_context, resource_tracker
 from typing import Any
 
 from maglev_mj.errors import MaglevError, ParameterError
 
-__all__ = ["Workers", "dask_workers", "inline", "local_workers"]
+__all__ = ["Workers", "dask_workers", "inline", "interrupts_held", "local_workers"]
 
 _PATIENCE = 5.0
 
@@ -29,6 +30,35 @@ class _Inline(Executor):
         except Exception as error:
             future.set_exception(error)
         return future
+
+
+@contextmanager
+def interrupts_held() -> Iterator[None]:
+    """Hold Ctrl-C back: what is spawned meanwhile never hears it, and this process hears it after.
+
+    A terminal sends Ctrl-C to every process, also to one that is still importing and has no handler of its own.
+    """
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    resource_tracker.ensure_running()  # its start would let interrupts through
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+class _Processes(ProcessPoolExecutor):
+    """Processes of this machine that leave Ctrl-C to this one; spawned, as MuJoCo's threads do not survive a fork."""
+
+    def __init__(self, count: int) -> None:
+        quiet = (signal.SIGINT, signal.SIG_IGN)  # for systems where interrupts cannot be held
+        super().__init__(count, mp_context=get_context("spawn"), initializer=signal.signal, initargs=quiet)
+
+    def submit(self, function: Callable[..., Any], /, *args: Any, **keywords: Any) -> Future[Any]:
+        with interrupts_held():  # the processes start here
+            return super().submit(function, *args, **keywords)
 
 
 @dataclass(frozen=True)
@@ -64,15 +94,7 @@ def local_workers(count: int | None = None) -> Workers:
     if number == 0:
         return inline()
 
-    def make() -> Executor:
-        # spawned, not forked: MuJoCo's threads do not survive a fork
-        return ProcessPoolExecutor(number, mp_context=get_context("spawn"), initializer=_leave_interrupts_to_parent)
-
-    return Workers(make, 2 * number)
-
-
-def _leave_interrupts_to_parent() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    return Workers(lambda: _Processes(number), 2 * number)
 
 
 def dask_workers(address: str) -> Workers:

@@ -184,6 +184,14 @@ def test_ctrl_c_on_the_command_line_ends_cleanly_and_goes_on(tmp_path: Path, wor
     assert again.returncode == 0 and f"12 cells, {done} of them already in" in again.stdout
 
 
+def test_workers_never_hear_ctrl_c() -> None:
+    """Held from the first instruction of the process: while it imports, a handler would come too late."""
+    with local_workers(1).make() as workers:
+        blocked = workers.submit(signal.pthread_sigmask, signal.SIG_BLOCK, []).result(timeout=60)
+    assert signal.SIGINT in blocked
+    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, [])
+
+
 def test_bad_workers_are_refused() -> None:
     with pytest.raises(ParameterError, match="workers must be at least 0, not -1"):
         local_workers(-1)
