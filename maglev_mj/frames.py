@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 __all__ = [
     "AXES",
+    "ZERO",
     "Array",
     "Command",
     "Component",
@@ -31,6 +32,9 @@ __all__ = [
 ]
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
+
+ZERO = (0.0,) * 6
+"""No wrench, twist or currents; the pose of a flotor at the centre."""
 
 Array: TypeAlias = NDArray[np.float64]
 Mask: TypeAlias = NDArray[np.bool_]

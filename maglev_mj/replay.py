@@ -15,14 +15,13 @@ from maglev_mj.experiments.press import PressParameters, press_parts
 from maglev_mj.experiments.stick_slip import StickSlipParameters, stick_slip_parts
 from maglev_mj.frames import Array, Sample
 from maglev_mj.hand import HandForce, SpringHand
-from maglev_mj.laws import Friction, Wall
 from maglev_mj.loop import ControlLoop
 from maglev_mj.model import load
 from maglev_mj.plants import SampledPlant, engine_warnings_silenced
 from maglev_mj.recording import Recorder, Recording, RecordingError, Setup, Stretch
 from maglev_mj.scenes import SCENES, Scene, Settings, scene_called
 from maglev_mj.scenes.parts import WEIGHT
-from maglev_mj.session import View
+from maglev_mj.session import View, stick_positions, wall_faces
 
 __all__ = ["EXPERIMENTS", "Replay", "rebuild", "record_experiment"]
 
@@ -160,8 +159,7 @@ class _Shown:
         self._currents = stretch.applied[:, :6] @ coils.current_per_wrench.T
         way = np.diff(stretch.position, axis=0, prepend=stretch.position[:1])
         self._work = np.cumsum((np.roll(stretch.hand, 1, axis=0) * way).sum(axis=1))
-        laws = self.scene.laws(self.settings)
-        self._faces = tuple(face for law in laws if isinstance(law, Wall) for face in law.faces)
+        self._faces = wall_faces(self.scene.laws(self.settings))
         self._anchors = _anchors(stretch)
         axis = self.scene.axis_index
         place = stretch.position[:, axis]
@@ -205,13 +203,11 @@ def _scene_of(setup: Setup) -> tuple[Scene, Settings]:
 def _anchors(stretch: Stretch) -> Array | None:
     """Return where the flotor stuck at each sample, as the controller saw it, (N, 6); None without friction."""
     _, controller = rebuild(stretch.setup, None)
-    found = [(place, law.indices) for place, law in enumerate(controller.laws) if isinstance(law, Friction)]
-    if not found:
-        return None
-    which, indices = found[0]
-    anchors = np.full(stretch.position.shape, np.nan)
+    stuck_at, anchors = stick_positions(controller), []
     for row, place in enumerate(stretch.position.tolist()):
         controller.step(Sample(row, 0.0, place))
-        for index, state in zip(indices, controller.states[which], strict=True):
-            anchors[row, index] = state.anchor if state.stuck else np.nan
-    return anchors
+        found = stuck_at()
+        if found is None:
+            return None
+        anchors.append(found)
+    return np.array(anchors)

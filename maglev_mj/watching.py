@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from multiprocessing.connection import Connection
 from pathlib import Path
 from select import select
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -27,6 +27,22 @@ _FRAME = 1.0 / 60.0
 _HISTORY = 2.0
 _MOST_ROWS = 400
 _PATIENCE = 10.0
+
+
+class _Seen(NamedTuple):
+    """What the window is sent: see `View`."""
+
+    ticks: int
+    rows: Sequence[tuple[float, ...]]
+    settings: Settings
+    faces: Sequence[tuple[int, float, float]]
+    note: str
+    work: float
+    pose: Array
+    force: Array
+    effort: Array
+    currents: Array
+    anchors: Array | None
 
 
 class Watch:
@@ -90,14 +106,18 @@ class Watch:
         self._sent = now
         if select((), (self._line,), (), 0.0)[1]:  # where the window does not keep up, it misses something
             self._send(
-                (
-                    self._ticks,
-                    list(self._rows),
-                    self.settings.as_json(),
-                    self.faces,
-                    self.note,
-                    self._work,
-                    (pose, force, np.array(effort), np.array(currents), anchors),
+                _Seen(
+                    ticks=self._ticks,
+                    rows=list(self._rows),
+                    settings=self.settings,
+                    faces=self.faces,
+                    note=self.note,
+                    work=self._work,
+                    pose=pose,
+                    force=force,
+                    effort=np.array(effort),
+                    currents=np.array(currents),
+                    anchors=anchors,
                 )
             )
             self._rows.clear()
@@ -138,17 +158,16 @@ class _Watched:
 
     def __init__(self, line: Connection, scene: str, settings: Settings) -> None:
         self.hand, self.simulated = SpringHand(), 0.0
-        self._line, self._scene, self._settings = line, scene_called(scene), settings
+        self._line, self._scene = line, scene_called(scene)
         self._history: deque[tuple[float, ...]] = deque()
         nothing = np.zeros(6)
-        self._state: tuple[Any, ...] = (nothing, nothing, nothing, nothing, None)
-        self._faces: Sequence[tuple[int, float, float]] = ()
-        self._ticks, self._work, self._note, self._over = 0, 0.0, "", False
+        self._seen = _Seen(0, (), settings, (), "", 0.0, nothing, nothing, nothing, nothing, None)
+        self._over = False
         self._target: Any = None
 
     def tick(self, elapsed: float) -> int:
         """Take what the device has sent; return how many samples that were."""
-        before = self._ticks
+        before = self._seen.ticks
         try:
             while not self._over and self._line.poll():
                 self._take(self._line.recv())
@@ -156,10 +175,10 @@ class _Watched:
                 self._target = self.hand.target
                 self._line.send(("hand", self._target))
         except (EOFError, OSError):
-            self._over, self._note = True, "the device's program has ended"
-            raise MaglevError(self._note) from None
-        made = self._ticks - before
-        self.simulated += made * self._settings.period
+            self._over = True
+            raise MaglevError("the device's program has ended") from None
+        made = self._seen.ticks - before
+        self.simulated += made * self._seen.settings.period
         return made
 
     def act(self, action: str) -> None:
@@ -169,33 +188,32 @@ class _Watched:
 
     def view(self) -> View:
         """Return what there is to see."""
-        pose, force, hand, currents, anchors = self._state
+        seen = self._seen
         return View(
             scene=self._scene,
-            settings=self._settings,
-            time=self._ticks * self._settings.period,
-            pose=pose,
-            force=force,
-            hand=hand,
-            currents=currents,
-            faces=self._faces,
-            anchors=anchors,
+            settings=seen.settings,
+            time=seen.ticks * seen.settings.period,
+            pose=seen.pose,
+            force=seen.force,
+            hand=seen.effort,
+            currents=seen.currents,
+            faces=seen.faces,
+            anchors=seen.anchors,
             history=np.array(self._history).reshape(-1, 5),
-            work=self._work,
+            work=seen.work,
             taken=float("nan"),
             cost=0.0,
             missed=0,
-            notes=[self._note] if self._note else [],
+            notes=[seen.note] if seen.note else [],
         )
 
     def close(self) -> None:
         """Let the device's program know."""
         self._line.close()
 
-    def _take(self, message: Any) -> None:
-        self._ticks, rows, settings, self._faces, self._note, self._work, self._state = message
-        self._settings = Settings.from_json(settings)
-        self._history.extend(rows)
+    def _take(self, seen: _Seen) -> None:
+        self._seen = seen
+        self._history.extend(seen.rows)
         while self._history and self._history[0][0] < self._history[-1][0] - _HISTORY:
             self._history.popleft()
 

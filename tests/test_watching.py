@@ -14,7 +14,7 @@ import pytest
 from maglev_mj.errors import MaglevError
 from maglev_mj.recording import Recording
 from maglev_mj.scenes import Settings
-from maglev_mj.watching import _Watched
+from maglev_mj.watching import _Seen, _Watched
 from tests.virtual_screen import MISSING, VirtualScreen
 
 
@@ -22,9 +22,10 @@ def test_a_window_is_told_of_the_device_and_says_what_the_mouse_and_keys_do() ->
     near, far = Pipe()
     watched = _Watched(far, "joystick", Settings())
     pose, rows = np.arange(6.0) * 1e-3, [(0.005 * tick, 1e-3, 0.0, 0.5, 0.0) for tick in range(3)]
-    state = (pose, np.ones(6), np.zeros(6), np.full(6, 2.0), None)
-    settings = Settings(stiffness=4000.0)
-    near.send((3, rows, settings.as_json(), ((0, 1.0, 3e-3),), "a note", 1e-3, state))
+    settings, faces = Settings(stiffness=4000.0), ((0, 1.0, 3e-3),)
+    near.send(
+        _Seen(3, rows, settings, faces, "a note", 1e-3, pose, np.ones(6), np.zeros(6), np.full(6, 2.0), anchors=None)
+    )
     assert watched.tick(0.02) == 3
     view = watched.view()
     assert (view.pose == pose).all() and view.settings == settings and view.notes == ["a note"]

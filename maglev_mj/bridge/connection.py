@@ -22,6 +22,7 @@ from maglev_mj.bridge.wire import (
     StateReport,
     newer,
 )
+from maglev_mj.frames import ZERO
 
 __all__ = ["Connection"]
 
@@ -30,8 +31,6 @@ _AGAIN = 0.02
 
 _TAKEOVER = 1_000_000_000
 """A device gives up a host that says nothing for so long [ns], unless it flies."""
-
-_ZERO = (0.0,) * 6
 
 
 class Connection:
@@ -107,7 +106,7 @@ class Connection:
                 self.skipped += 1
         return frame
 
-    def control(self, operation: Operation, *, faults: int = 0, hover: Sequence[float] = _ZERO) -> ControlAck | None:
+    def control(self, operation: Operation, *, faults: int = 0, hover: Sequence[float] = ZERO) -> ControlAck | None:
         """Ask for a change of state until the device answers; None if it does not."""
         if not self.open:
             return None

@@ -14,11 +14,11 @@ from maglev_mj.bridge.fault import BlackBox, DeviceFault
 from maglev_mj.bridge.link import Link, LinkError
 from maglev_mj.bridge.states import Fault, Operation, State, fault_names
 from maglev_mj.errors import PlantError
+from maglev_mj.frames import ZERO
 from maglev_mj.parameters import number
 
 __all__ = ["RemoteDevice"]
 
-_ZERO = (0.0,) * 6
 _UNKNOWN = (float("nan"),) * 6
 
 
@@ -49,7 +49,7 @@ class RemoteDevice:
         self._line = Connection(link, calibration.digest, key, self._patience)
         self.state, self.faults = State(self._line.welcome.state), Fault(0)
         self.samples = SampleCounter(self._line.welcome.period)
-        self.last_currents: Sequence[float] = _ZERO
+        self.last_currents: Sequence[float] = ZERO
         self._armed = False  # by this host, and nothing has ended it that was reported
         # the last sample, but for the pose, which may not be known
         self._row: tuple[Any, ...] = ()
@@ -101,7 +101,7 @@ class RemoteDevice:
                 self._fail(Fault.HOST, f"{type(error).__name__}: {error}")
         self.close()
 
-    def _ask(self, operation: Operation, *, hover: Sequence[float] = _ZERO) -> None:
+    def _ask(self, operation: Operation, *, hover: Sequence[float] = ZERO) -> None:
         self._check_open()
         answer = self._line.control(operation, hover=hover)
         if answer is None:

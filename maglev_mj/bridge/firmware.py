@@ -20,10 +20,10 @@ from maglev_mj.bridge.wire import (
     StateReport,
     newer,
 )
+from maglev_mj.frames import ZERO
 
 __all__ = ["Amplifiers", "Firmware", "Profile", "Reading"]
 
-_ZERO = (0.0,) * 6
 _NEVER = 0xFFFFFFFF
 _GAP = 2
 _SILENCE = 1_000_000_000
@@ -105,7 +105,7 @@ class Firmware:
         self.session = 0
         self._nonce, self._heard, self._sequence = 0, 0, 0
         self._acknowledgement: ControlAck | None = None
-        self._hover: Sequence[float] = _ZERO
+        self._hover: Sequence[float] = ZERO
         self._commanded_at, self._answers, self._holding, self._sampled = 0, _NEVER, False, 0
         self._coils, self._diodes = CoilGuard(), DiodeGuard(profile.limits, profile.period * 1e-9)
         self._warmth = Warmth(profile.limits)
@@ -148,8 +148,8 @@ class Firmware:
         """
         self._sampled = tick & 0xFFFFFFFF
         warmest = self._warmth.add(reading.segments)
-        diodes = self._diodes.check(reading.spots, reading.valid)
         if self.state == State.ACTIVE:
+            diodes = self._diodes.check(reading.spots, reading.valid)
             coils, waited = self._coils.check(reading.commanded, reading.measured), self._waited(now)
             if diodes or coils or waited:
                 self.trip(diodes | coils | waited)

@@ -14,11 +14,11 @@ from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.controller import Controller
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Command, Sample
-from maglev_mj.laws import Friction, Wall
 from maglev_mj.loop import Answers, ControlLoop
 from maglev_mj.recording import Recorder, Recording
 from maglev_mj.scenes import Scene, Settings
 from maglev_mj.scenes.parts import WEIGHT
+from maglev_mj.session import stick_positions, wall_faces
 from maglev_mj.session.actions import CHANGES
 
 __all__ = ["Flight", "Flown", "Watcher"]
@@ -146,9 +146,8 @@ class Flight:
             answers = recorder = Recorder(self._plant, controller, setup)
             self._stretches.append(recorder)
         if self._watch is not None:
-            laws = controller.laws
             self._watch.settings = self._settings
-            self._watch.faces = tuple(face for law in laws if isinstance(law, Wall) for face in law.faces)
+            self._watch.faces = wall_faces(controller.laws)
         loop = ControlLoop(self._plant, _Timed(answers, self), observe=self._observe(controller))
         samples = self._plant.samples
         while not self._stopped.is_set() and self._wanted is None and (last is None or samples.tick < last):
@@ -156,9 +155,7 @@ class Flight:
 
     def _observe(self, controller: Controller) -> Callable[[Sample, Command], object]:
         carried = np.array(WEIGHT if self._settings.weightless else (0.0,) * 6)
-        friction = next(
-            ((place, law.indices) for place, law in enumerate(controller.laws) if isinstance(law, Friction)), None
-        )
+        anchors = stick_positions(controller)
         recorder = self._stretches[-1] if self._record else None
 
         def observe(sample: Sample, applied: Command) -> None:
@@ -166,8 +163,7 @@ class Flight:
             if recorder is not None:
                 recorder.observe(sample, applied)
             if self._watch is not None:
-                anchors = None if friction is None else _anchors(controller, *friction)
-                self._look(self._watch, sample, np.array(applied.force) - carried, anchors)
+                self._look(self._watch, sample, np.array(applied.force) - carried, anchors())
 
         return observe
 
@@ -190,14 +186,3 @@ class _Timed:
     def step(self, sample: Sample) -> Command:
         self._flight.read_at = time.perf_counter_ns()
         return self._step(sample)
-
-
-def _anchors(controller: Controller, place: int, indices: tuple[int, ...]) -> Array | None:
-    """Return where the flotor sticks [m, rad], NaN where it does not."""
-    states = controller.states[place]
-    if states is None:
-        return None
-    anchors = np.full(6, np.nan)
-    for index, state in zip(indices, states, strict=True):
-        anchors[index] = state.anchor if state.stuck else np.nan
-    return anchors

@@ -8,8 +8,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from maglev_mj.bridge.calibration import Calibration
+from maglev_mj.controller import Controller
 from maglev_mj.frames import Command, Sample
 from maglev_mj.hand import Path
+from maglev_mj.laws import Bias, Hold
 from maglev_mj.parameters import number
 
 __all__ = ["Leader"]
@@ -51,30 +53,17 @@ class Leader:
         self._path = Path([0.0, number("duration", duration, above=0.0)], [list(start), list(end)])
         self._astray = astray
         inertia = np.concatenate([[calibration.mass] * 3, calibration.inertia])
-        # as soft as `Hold.critically_damped`, which keeps well clear of what period and delay allow
-        frequency = min(50.0, 0.25 / (period + delay))
-        self._stiffness = (inertia * frequency**2).tolist()
-        self._damping = (inertia * 2.0 * frequency).tolist()
-        self._weight = [*(-calibration.mass * calibration.gravity).tolist(), 0.0, 0.0, 0.0]
+        weight = np.concatenate([-calibration.mass * calibration.gravity, np.zeros(3)])
+        hold = Hold.critically_damped(inertia=inertia, period=period, delay=delay)
+        self._controller = Controller([Bias(weight), hold], period=period)
         self._first: int | None = None
-        self._last: tuple[int, Sequence[float], Sequence[float]] | None = None
 
     def step(self, sample: Sample) -> Command:
         """Answer one sample."""
         if self._first is None:
             self._first = sample.tick
-        place, goal = sample.position, self._path.at((sample.tick - self._first) * self.period)
-        tick, before, goal_before = self._last or (sample.tick - 1, place, goal)
-        self._last = sample.tick, place, goal
-        off = [wanted - found for wanted, found in zip(goal, place)]
+        goal = self._path.at((sample.tick - self._first) * self.period)
+        off = [found - wanted for found, wanted in zip(sample.position, goal)]
         if math.hypot(*off[:3]) > _ASIDE or math.hypot(*off[3:]) > _ASKEW:
-            self._astray(place)
-        elapsed = max(sample.tick - tick, 1) * self.period
-        drift = [
-            ((one - two) - (now - then)) / elapsed for one, two, now, then in zip(goal, goal_before, place, before)
-        ]
-        wrench = [
-            weight + stiffness * gap + damping * rate
-            for weight, stiffness, gap, damping, rate in zip(self._weight, self._stiffness, off, self._damping, drift)
-        ]
-        return Command(wrench)
+            self._astray(sample.position)
+        return self._controller.step(Sample(sample.tick, sample.time, off))

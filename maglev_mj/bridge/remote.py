@@ -20,13 +20,13 @@ from maglev_mj.bridge.states import Fault, State
 from maglev_mj.bridge.wire import Command as CommandFrame
 from maglev_mj.bridge.wire import Frame, StateReport
 from maglev_mj.errors import PlantError, SensingError
-from maglev_mj.frames import Command, Sample
+from maglev_mj.frames import ZERO, Command, Sample
 from maglev_mj.loop import ControlLoop
 from maglev_mj.tracking import PoseTracker
 
 __all__ = ["RemotePlant"]
 
-_ZERO, _UNKNOWN = (0.0,) * 6, (math.nan,) * 6
+_UNKNOWN = (math.nan,) * 6
 
 
 class RemotePlant(RemoteDevice):
@@ -64,7 +64,7 @@ class RemotePlant(RemoteDevice):
         ParameterError: If a value is outside its bounds.
     """
 
-    hand_wrench = _ZERO
+    hand_wrench = ZERO
 
     def __init__(
         self,
@@ -86,13 +86,13 @@ class RemotePlant(RemoteDevice):
         self.period, self.delay = welcome.period / 1e9, welcome.delay / 1e9
         self.lockstep, self.limits = bool(welcome.lockstep), self._line.limits
         self._gate = Gate(self.calibration.coils, self.limits, wrench_limit, self.period)
-        self._felt: Sequence[float] = _ZERO  # what the device says of its coils' warmth
+        self._felt: Sequence[float] = ZERO  # what the device says of its coils' warmth
         self._warned = False
         self.last_delay = math.nan
-        self.rest: Sequence[float] = _ZERO
+        self.rest: Sequence[float] = ZERO
         self._sequence = 0
         self._owed = False  # an answer, to the last sample
-        self._known: Sequence[float] = _ZERO  # the pose at the last sample
+        self._known: Sequence[float] = ZERO  # the pose at the last sample
 
     def read(self) -> Sample:
         """Wait for the device's next sample and return what is measured there; the newest, if several are there.
@@ -161,7 +161,7 @@ class RemotePlant(RemoteDevice):
         rest = list(self.read().position)
         self.arm()
         self.rest = rest
-        self._lead(self.rest, _ZERO, duration, self._astray)
+        self._lead(self.rest, ZERO, duration, self._astray)
 
     def land(self, duration: float = 0.6) -> None:
         """Lead the flotor back to where it lay, and disarm; a hand that holds it then has it.
@@ -201,7 +201,7 @@ class RemotePlant(RemoteDevice):
         samples = self.samples
         out_of_step = samples.count(frame.sequence, frame.time, self._line.skipped)
         if (unanswered := samples.elapsed - answered) > 0:  # what nobody wrote for: the coils cool, or go on
-            self._gate.stay(unanswered, self.last_currents if self.state == State.ACTIVE else _ZERO)
+            self._gate.stay(unanswered, self.last_currents if self.state == State.ACTIVE else ZERO)
         self._felt = report.warmth
         in_force = samples.elapsed == 1 and report.answered == self._sequence
         self.last_delay = self.period - report.age * 1e-6 + self.delay if in_force else math.nan

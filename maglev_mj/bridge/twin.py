@@ -5,6 +5,7 @@ from __future__ import annotations
 import secrets
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from maglev_mj.bridge.misfortune import Misfortune
 from maglev_mj.bridge.safety import Limits
 from maglev_mj.bridge.wire import Codec
 from maglev_mj.detail import Detail
-from maglev_mj.frames import Array
+from maglev_mj.frames import ZERO, Array
 from maglev_mj.hand import HandForce
 from maglev_mj.parameters import number
 from maglev_mj.plants import CoilDrivenPlant, SpotReader, Timing
@@ -27,7 +28,6 @@ __all__ = ["REST", "Twin", "TwinParameters"]
 REST = (0.0, 0.0, -Spec.translation_range.value, 0.0, 0.0, 0.0)
 """Where the flotor lies while nothing carries it [m, rad]: on its lower stop."""
 
-_ZERO = (0.0,) * 6
 _ALL = 7
 
 
@@ -69,7 +69,7 @@ class TwinParameters:
         number("period", self.period, at_least=1e-5, at_most=0.1)
         number("delay", self.delay, at_least=0.0, at_most=0.1)
 
-    @property
+    @cached_property
     def profile(self) -> Profile:
         """What it says of itself."""
         return Profile(
@@ -172,7 +172,7 @@ class Twin:
     def cut(self) -> None:
         """Switch all currents off at once; see `Amplifiers`."""
         if self.tick >= 0:
-            self.plant.drive(_ZERO, after=(self._now - self._sampled_at) * 1e-9)
+            self.plant.drive(ZERO, after=(self._now - self._sampled_at) * 1e-9)
 
     def _suffer(self) -> None:
         """Begin with what goes wrong by now."""

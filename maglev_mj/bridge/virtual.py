@@ -37,7 +37,6 @@ class VirtualLink:
         self._period = twin.parameters.profile.period
         self._lockstep = twin.parameters.lockstep
         self.time = 0
-        self._closed = False
 
     def send(self, data: bytes) -> None:
         """Send one frame; where nothing happens to it, it is there at once."""
@@ -63,8 +62,7 @@ class VirtualLink:
         return self.time
 
     def close(self) -> None:
-        """Close it; a second time does nothing."""
-        self._closed = True
+        """Do nothing: there is nothing open."""
 
     def _may_sample(self) -> bool:
         """Return whether a device in lockstep may go on: there is a host, and it has answered."""

@@ -3,6 +3,6 @@
 from maglev_mj.session.energy import EnergyAccount
 from maglev_mj.session.pacing import Pacer
 from maglev_mj.session.session import ACTIONS, Session
-from maglev_mj.session.view import Showable, View
+from maglev_mj.session.view import Showable, View, stick_positions, wall_faces
 
-__all__ = ["ACTIONS", "EnergyAccount", "Pacer", "Session", "Showable", "View"]
+__all__ = ["ACTIONS", "EnergyAccount", "Pacer", "Session", "Showable", "View", "stick_positions", "wall_faces"]

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.frames import ZERO
 from maglev_mj.hand import SpringHand
 from maglev_mj.recording import Recording
 from maglev_mj.scenes import SCENES, Settings, scene_called
@@ -28,7 +29,6 @@ ACTIONS = (*CHANGES, "next scene", "drop", "centre", "pause", "record")
 
 _SHOWN = 2.0
 _MADE = -0.1
-_ZERO = (0.0,) * 6
 
 
 class Session:
@@ -157,8 +157,8 @@ class Session:
     def _begin(self, pose: Sequence[float], *, going_on: bool = False) -> LiveStretch:
         """Return a new stretch, at rest or as the last one left it."""
         began = 0.0
-        twist: Sequence[float] = _ZERO
-        wrench: Sequence[float] = WEIGHT if self._settings.weightless else _ZERO
+        twist: Sequence[float] = ZERO
+        wrench: Sequence[float] = WEIGHT if self._settings.weightless else ZERO
         if going_on:
             twist, wrench, began = self._stretch.twist.tolist(), self._stretch.force, self._stretch.time
         stretch = LiveStretch(

@@ -7,18 +7,16 @@ from typing import Any
 
 import numpy as np
 
-from maglev_mj.frames import AXES, Array, Command, Sample
+from maglev_mj.frames import ZERO, Array, Command, Sample
 from maglev_mj.hand import HandForce
-from maglev_mj.laws import Friction, Wall
 from maglev_mj.loop import Answers, ControlLoop
 from maglev_mj.recording import Recorder
 from maglev_mj.scenes import Scene, Settings
 from maglev_mj.scenes.parts import WEIGHT
 from maglev_mj.session.energy import EnergyAccount
+from maglev_mj.session.view import stick_positions, wall_faces
 
 __all__ = ["LiveStretch", "scene_setup"]
-
-_ZERO = (0.0,) * 6
 
 
 def scene_setup(
@@ -61,7 +59,7 @@ class LiveStretch:
         hand: HandForce,
         *,
         pose: Sequence[float],
-        twist: Sequence[float] = _ZERO,
+        twist: Sequence[float] = ZERO,
         wrench: Sequence[float],
         record: bool,
         began: float,
@@ -71,13 +69,10 @@ class LiveStretch:
         self.plant = scene.plant(settings, pose=pose, twist=twist, wrench=wrench, hand_force=hand)
         self.controller = scene.controller(settings)
         self.recorder = Recorder(self.plant, self.controller, setup) if record else None
-        self._carried = np.array(WEIGHT if settings.weightless else _ZERO)
+        self._carried = np.array(WEIGHT if settings.weightless else ZERO)
         self.energy = EnergyAccount(np.array(pose), self._carried)
-        laws = self.controller.laws
-        self.faces = tuple(face for law in laws if isinstance(law, Wall) for face in law.faces)
-        self._friction = next(
-            ((place, law.indices) for place, law in enumerate(laws) if isinstance(law, Friction)), None
-        )
+        self.faces = wall_faces(self.controller.laws)
+        self._stick_positions = stick_positions(self.controller)
         answers: Answers = self.recorder or self.controller
         self._loop = ControlLoop(self.plant, answers, observe=self._observe)
         self._axis, self._keep, self._began = scene.axis_index, keep, began
@@ -98,13 +93,7 @@ class LiveStretch:
     @property
     def anchors(self) -> Array | None:
         """Where the flotor sticks [m, rad], (6,), NaN on axes without friction; None where there is none at all."""
-        if self._friction is None or self.controller.states[self._friction[0]] is None:
-            return None
-        place, indices = self._friction
-        anchors = np.full(len(AXES), np.nan)
-        for index, state in zip(indices, self.controller.states[place], strict=True):
-            anchors[index] = state.anchor if state.stuck else np.nan
-        return anchors
+        return self._stick_positions()
 
     @property
     def rendered(self) -> Array:
