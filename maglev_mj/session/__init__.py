@@ -1,8 +1,21 @@
 """A scene in real time, without a window: pacing, what keys change, recording, and what there is to see."""
 
 from maglev_mj.session.energy import EnergyAccount
+from maglev_mj.session.outlet import Moment, Outlet, Outlets
 from maglev_mj.session.pacing import Pacer
 from maglev_mj.session.session import ACTIONS, Session
 from maglev_mj.session.view import Showable, View, stick_positions, wall_faces
 
-__all__ = ["ACTIONS", "EnergyAccount", "Pacer", "Session", "Showable", "View", "stick_positions", "wall_faces"]
+__all__ = [
+    "ACTIONS",
+    "EnergyAccount",
+    "Moment",
+    "Outlet",
+    "Outlets",
+    "Pacer",
+    "Session",
+    "Showable",
+    "View",
+    "stick_positions",
+    "wall_faces",
+]
