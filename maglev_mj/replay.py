@@ -23,7 +23,7 @@ from maglev_mj.scenes import SCENES, Scene, Settings, scene_called
 from maglev_mj.scenes.parts import WEIGHT
 from maglev_mj.session import View, stick_positions, wall_faces
 
-__all__ = ["EXPERIMENTS", "Replay", "rebuild", "record_experiment"]
+__all__ = ["EXPERIMENTS", "Replay", "rebuild", "record_experiment", "scene_of", "stick_positions_of"]
 
 _SHOWN = 2.0
 _SCENES = "scene", "device"
@@ -149,7 +149,7 @@ class _Shown:
     """A stretch of a recording, and what there was to see at each of its samples."""
 
     def __init__(self, stretch: Stretch) -> None:
-        self.scene, self.settings = _scene_of(stretch.setup)
+        self.scene, self.settings = scene_of(stretch.setup)
         self.period, self.pose = self.settings.period, stretch.position
         self._time, self._hand = stretch.time, stretch.hand
         carried = np.array(WEIGHT if self.settings.weightless and stretch.setup["kind"] in _SCENES else [0.0] * 6)
@@ -160,7 +160,7 @@ class _Shown:
         way = np.diff(stretch.position, axis=0, prepend=stretch.position[:1])
         self._work = np.cumsum((np.roll(stretch.hand, 1, axis=0) * way).sum(axis=1))
         self._faces = wall_faces(self.scene.laws(self.settings))
-        self._anchors = _anchors(stretch)
+        self._anchors = stick_positions_of(stretch)
         axis = self.scene.axis_index
         place = stretch.position[:, axis]
         speed = np.diff(place, prepend=place[0]) / self.period
@@ -188,7 +188,7 @@ class _Shown:
         )
 
 
-def _scene_of(setup: Setup) -> tuple[Scene, Settings]:
+def scene_of(setup: Setup) -> tuple[Scene, Settings]:
     """Return the scene that shows a stretch, and its settings."""
     rebuild(setup, None)  # complains of what is not known here
     if setup["kind"] in _SCENES:
@@ -200,7 +200,7 @@ def _scene_of(setup: Setup) -> tuple[Scene, Settings]:
     return scene, replace(scene.settings, pulse=getattr(made, "pulse", 0.0) > 0.0, **gains)
 
 
-def _anchors(stretch: Stretch) -> Array | None:
+def stick_positions_of(stretch: Stretch) -> Array | None:
     """Return where the flotor stuck at each sample, as the controller saw it, (N, 6); None without friction."""
     _, controller = rebuild(stretch.setup, None)
     stuck_at, anchors = stick_positions(controller), []

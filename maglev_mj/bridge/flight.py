@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -18,13 +20,16 @@ from maglev_mj.loop import Answers, ControlLoop
 from maglev_mj.recording import Recorder, Recording
 from maglev_mj.scenes import Scene, Settings
 from maglev_mj.scenes.parts import WEIGHT
-from maglev_mj.session import stick_positions, wall_faces
+from maglev_mj.session import Moment, Outlet, Outlets, stick_positions, wall_faces
 from maglev_mj.session.actions import CHANGES
 
 __all__ = ["Flight", "Flown", "Watcher"]
 
 _FIXED = ("rate up", "rate down", "delay up", "delay down")
 """What the device decides."""
+
+_MOST_DELAY = 0.1
+"""What `Settings` take for one [s]."""
 
 
 class Flown(NamedTuple):
@@ -75,6 +80,7 @@ class Flight:
         settings: Of its laws; its period is the device's.
         record: Whether to keep every sample.
         watch: A window on it.
+        outlets: Ways to other programs; left open.
 
     Attributes:
         recording: What was kept, up to where it ended, whatever ended it.
@@ -92,11 +98,12 @@ class Flight:
         *,
         record: bool = False,
         watch: Watcher | None = None,
+        outlets: Sequence[Outlet] = (),
     ) -> None:
         if settings.period != plant.period:
             raise ParameterError(f"period must be the device's {plant.period:g} s, not {settings.period:g}")
         self._plant, self._scene, self._settings, self._record = plant, scene, settings, record
-        self._watch = watch
+        self._watch, self._outlets, self._since = watch, Outlets(outlets), 0
         self._stretches: list[Recorder] = []
         self._stopped = threading.Event()
         self._wanted: Settings | None = None
@@ -138,6 +145,7 @@ class Flight:
         """Fly with unchanged settings."""
         if self._wanted is not None:
             self._settings, self._wanted = self._wanted, None
+        self._since = self._plant.samples.tick
         controller = self._scene.controller(self._settings)
         answers: Answers = controller
         if self._record:
@@ -164,8 +172,30 @@ class Flight:
                 recorder.observe(sample, applied)
             if self._watch is not None:
                 self._look(self._watch, sample, np.array(applied.force) - carried, anchors())
+            self._outlets.show(lambda: self._moment(sample, np.array(applied.force) - carried, anchors()))
+            wanted = self._outlets.wanted()
+            if wanted is not None:  # rate and delay are the device's
+                self._wanted = replace(wanted, period=self._settings.period, delay=self._settings.delay)
 
         return observe
+
+    def _moment(self, sample: Sample, force: Array, anchors: Array | None) -> Moment:
+        """Return what other programs are told; the delay is the one that was measured."""
+        plant, samples = self._plant, self._plant.samples
+        delay = self._settings.delay if math.isnan(plant.last_delay) else min(max(plant.last_delay, 0.0), _MOST_DELAY)
+        return Moment(
+            scene=self._scene,
+            settings=replace(self._settings, delay=delay),
+            since=self._since,
+            tick=samples.tick,
+            time=float(samples.tick * plant.period),
+            pose=list(sample.position),
+            force=force.tolist(),
+            hand=plant.hand_wrench,
+            anchors=anchors,
+            state="flying",
+            missed=samples.lost + samples.skipped,
+        )
 
     def _look(self, watch: Watcher, sample: Sample, force: Array, anchors: Array | None) -> None:
         """Show a sample, and do what the window asks for."""

@@ -31,7 +31,7 @@ def _laws(settings: Settings) -> list[Law]:
 BOX = Scene(
     name="box",
     says="a box of walls on all six axes",
-    laws=_laws,
+    make=_laws,
     axis="x",
     script=Path(
         [0.2, 0.5, 0.9, 1.4, 1.9, 2.4, 3.0],

@@ -29,7 +29,7 @@ def _laws(settings: Settings) -> list[Law]:
 CORNER = Scene(
     name="corner",
     says="drawn into a corner of two walls, and a stop for a rotation",
-    laws=_laws,
+    make=_laws,
     pose=(0.003, 0.0, 0.003, 0.0, 0.04, 0.0),
     script=Path(
         [0.8, 1.2, 1.6, 2.4, 3.0],

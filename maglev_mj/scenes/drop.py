@@ -22,7 +22,7 @@ def _floor(settings: Settings) -> list[Law]:
 DROP = Scene(
     name="drop",
     says="let go above a stiff wall (figure 3)",
-    laws=_floor,
+    make=_floor,
     settings=Settings(weightless=False),
     pose=(0.0, 0.0, _HEIGHT, 0.0, 0.0, 0.0),
 )
@@ -32,7 +32,7 @@ _UP, _DOWN, _PRESSED = ((0.0, 0.0, height, 0.0, 0.0, 0.0) for height in (0.003, 
 PRESS = Scene(
     name="press",
     says="hit the wall several times, then press (figure 6)",
-    laws=_floor,
+    make=_floor,
     pose=(0.0, 0.0, 0.003, 0.0, 0.0, 0.0),
     script=Path(
         [0.2, 0.35, 0.55, 0.7, 0.9, 1.05, 1.25, 1.5, 2.5],

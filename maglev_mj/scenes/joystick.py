@@ -31,7 +31,7 @@ def _laws(settings: Settings) -> list[Law]:
 JOYSTICK = Scene(
     name="joystick",
     says="soft centring on six axes in a box of walls; friction on a key",
-    laws=_laws,
+    make=_laws,
     axis="x",
     script=Path(
         [0.3, 0.8, 1.0, 1.6, 2.1, 2.6, 3.2, 3.8, 4.2],

@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from maglev_mj.frames import AXES, Array
-from maglev_mj.laws import Bias, Hold, StickSlip, Wall
+from maglev_mj.laws import Bias, Hold, Law, StickSlip, Wall
 from maglev_mj.parameters import axis_indices
-from maglev_mj.scenes.settings import Settings
+from maglev_mj.scenes.settings import Face, Settings
 from maglev_mj.spec import GRAVITY, Spec
 
-__all__ = ["BREAKAWAY", "INERTIA", "MASS", "WEIGHT", "friction", "hold", "shared", "spring", "wall", "weight"]
+__all__ = ["INERTIA", "MASS", "WEIGHT", "friction", "hold", "shared", "spring", "wall", "walls", "weight"]
 
 MASS = Spec.moving_mass.value
 """Moving mass [kg]."""
@@ -26,7 +26,7 @@ INERTIA = np.array([MASS] * 3 + [Spec.tilt_inertia.value] * 2 + [Spec.spin_inert
 WEIGHT = (0.0, 0.0, MASS * GRAVITY, 0.0, 0.0, 0.0)
 """The wrench that carries the flotor [N, N m]."""
 
-BREAKAWAY, _V_MIN = 2.0, 0.005
+_V_MIN = 0.005
 _PULSE_SHARE = 0.6
 _GATE = 0.02
 
@@ -76,8 +76,22 @@ def wall(
     )
 
 
+def walls(settings: Settings, faces: Sequence[Face]) -> list[Law]:
+    """Return walls where they are told to be, with the settings' gains as for `wall`."""
+    lower = {axis: edge for axis, normal, edge in faces if normal > 0}
+    upper = {axis: edge for axis, normal, edge in faces if normal < 0}
+    axes = [axis for axis in AXES if axis in lower or axis in upper]
+    if not axes:
+        return []
+    edges = {
+        "lower": [lower.get(axis, -math.inf) for axis in axes],
+        "upper": [upper.get(axis, math.inf) for axis in axes],
+    }
+    return [wall(settings, axes, **edges)]
+
+
 def friction(settings: Settings, axes: str | Sequence[str] = AXES, *, coupled: bool = False) -> StickSlip:
-    """Return stick-slip that breaks away at 2 N, on each axis by itself or coupled as on a table.
+    """Return stick-slip, on each axis by itself or coupled as on a table.
 
     Args:
         settings: Gains.
@@ -89,7 +103,7 @@ def friction(settings: Settings, axes: str | Sequence[str] = AXES, *, coupled: b
             axes=axes,
             stiffness=settings.stiffness,
             damping=settings.damping,
-            breakaway=BREAKAWAY,
+            breakaway=settings.breakaway,
             v_min=_V_MIN,
             coupled=True,
         )
@@ -98,7 +112,7 @@ def friction(settings: Settings, axes: str | Sequence[str] = AXES, *, coupled: b
         axes=axes,
         stiffness=settings.stiffness * share,
         damping=settings.damping * share,
-        breakaway=BREAKAWAY * radius,
+        breakaway=settings.breakaway * radius,
         v_min=_V_MIN / radius,
     )
 

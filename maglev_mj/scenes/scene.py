@@ -12,10 +12,10 @@ from maglev_mj.controller import Controller
 from maglev_mj.detail import Detail
 from maglev_mj.frames import AXES
 from maglev_mj.hand import HandForce, Path
-from maglev_mj.laws import Law
+from maglev_mj.laws import Friction, Law, Wall
 from maglev_mj.parameters import axis_indices
 from maglev_mj.plants import MeteredPlant
-from maglev_mj.scenes.parts import WEIGHT
+from maglev_mj.scenes.parts import WEIGHT, shared, walls
 from maglev_mj.scenes.settings import Settings
 from maglev_mj.spec import Spec
 
@@ -31,7 +31,7 @@ class Scene:
     Args:
         name: Its name, which is also that of `model/scenes/NAME.xml`.
         says: What it is, in a few words.
-        laws: Makes the laws that the settings ask for.
+        make: Makes the laws that the settings ask for, with the scene's own walls.
         settings: Those it starts with.
         pose: Where the flotor starts [m, rad].
         axis: Name of the axis that plots show.
@@ -43,7 +43,7 @@ class Scene:
 
     name: str
     says: str
-    laws: Callable[[Settings], Sequence[Law]]
+    make: Callable[[Settings], Sequence[Law]]
     settings: Settings = field(default_factory=Settings)
     pose: tuple[float, ...] = (0.0,) * 6
     axis: str = "z"
@@ -61,6 +61,14 @@ class Scene:
     def lifted(self) -> tuple[float, ...]:
         """Where the flotor is let go from [m, rad]: the start, lifted to 4 mm."""
         return (*self.pose[:2], _LIFTED, *self.pose[3:])
+
+    def laws(self, settings: Settings) -> list[Law]:
+        """Return the laws that the settings ask for."""
+        laws = list(self.make(settings))
+        if settings.walls is None or not settings.wall:
+            return laws
+        gains = shared(settings) if any(isinstance(law, Friction) for law in laws) else settings
+        return [law for law in laws if not isinstance(law, Wall)] + walls(gains, settings.walls)
 
     def controller(self, settings: Settings) -> Controller:
         """Return a controller of the scene's laws."""

@@ -20,7 +20,7 @@ def _laws(settings: Settings) -> list[Law]:
 TABLE = Scene(
     name="table",
     says="a block with dry friction on a table (figures 8 and 9)",
-    laws=_laws,
+    make=_laws,
     settings=Settings(wall=False, friction=True),
     axis="x",
     script=Path(

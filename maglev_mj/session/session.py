@@ -6,6 +6,7 @@ import tempfile
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from maglev_mj.recording import Recording
 from maglev_mj.scenes import SCENES, Settings, scene_called
 from maglev_mj.scenes.parts import WEIGHT
 from maglev_mj.session.actions import CHANGES
+from maglev_mj.session.outlet import Moment, Outlet, Outlets
 from maglev_mj.session.pacing import Pacer
 from maglev_mj.session.stretch import LiveStretch
 from maglev_mj.session.view import View
@@ -43,6 +45,7 @@ class Session:
         hand: The hand on it.
         folder: Where recordings go.
         pacer: Keeps up with real time.
+        outlets: Ways to other programs; closed with the session.
 
     Attributes:
         recordings: Files written so far.
@@ -60,6 +63,7 @@ class Session:
         hand: SpringHand | None = None,
         folder: Path = Path(),
         pacer: Pacer | None = None,
+        outlets: Sequence[Outlet] = (),
     ) -> None:
         self.hand = hand or SpringHand()
         self.recordings: list[Path] = []
@@ -70,6 +74,7 @@ class Session:
         self._history: deque[tuple[float, ...]] = deque()
         self._kept: list[LiveStretch] | None = None
         self._paused, self._stopped, self._wrote = False, "", ""
+        self._outlets, self._ticks, self._since = Outlets(outlets), 0, 0
         self._stretch = self._begin(self._scene.pose)
 
     def tick(self, elapsed: float) -> int:
@@ -81,16 +86,17 @@ class Session:
         Returns:
             How many control ticks were made; none while paused or stopped.
         """
+        made, before = 0, self._ticks
         if self._paused or self._stopped:
             self._pacer.forgive()
-            return 0
-        before = self._stretch.ticks
-        try:
-            self._pacer.advance(elapsed, self._settings.period, self._one)
-        except MaglevError as error:
-            self._stopped = str(error)
-        made = self._stretch.ticks - before
-        self.simulated += made * self._settings.period
+            self._take_wanted()
+        else:
+            try:
+                self._pacer.advance(elapsed, self._settings.period, self._one)
+            except MaglevError as error:
+                self._stopped = str(error)
+            made = self._ticks - before
+        self._outlets.show(self._moment)
         return made
 
     def act(self, action: str) -> None:
@@ -143,20 +149,49 @@ class Session:
 
     def close(self) -> None:
         """Keep what is recorded, and let go of the plant."""
+        self._outlets.close()
         if self._kept is not None:
             self._record()
         self._stretch.plant.close()
 
     def _one(self) -> None:
         """Make one tick; stop a world that makes energy."""
+        self._take_wanted()
         self._stretch.tick()
+        self._ticks += 1
+        self.simulated += self._settings.period
         if self._stretch.energy.stored < _MADE:
             made = -self._stretch.energy.stored
             raise MaglevError(f"the rendered world made {made * 1e3:.0f} mJ more than it took: it is unstable")
 
+    def _take_wanted(self) -> None:
+        """Go on under the settings that another program asks for; rate and delay are the person's here."""
+        wanted = self._outlets.wanted()
+        if wanted is not None:
+            self._settings = replace(wanted, period=self._settings.period, delay=self._settings.delay)
+            self._go_on()
+
+    def _moment(self) -> Moment:
+        """Return what other programs are told."""
+        stretch = self._stretch
+        return Moment(
+            scene=self._scene,
+            settings=self._settings,
+            since=self._since,
+            tick=self._ticks,
+            time=stretch.time,
+            pose=stretch.pose.tolist(),
+            force=stretch.rendered.tolist(),
+            hand=stretch.plant.hand_wrench,
+            anchors=stretch.anchors,
+            state="stopped" if self._stopped else "paused" if self._paused else "running",
+            reason=self._stopped,
+            missed=self._pacer.missed,
+        )
+
     def _begin(self, pose: Sequence[float], *, going_on: bool = False) -> LiveStretch:
         """Return a new stretch, at rest or as the last one left it."""
-        began = 0.0
+        began, self._since = 0.0, self._ticks
         twist: Sequence[float] = ZERO
         wrench: Sequence[float] = WEIGHT if self._settings.weightless else ZERO
         if going_on:
