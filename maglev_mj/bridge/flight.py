@@ -28,9 +28,6 @@ __all__ = ["Flight", "Flown", "Watcher"]
 _FIXED = ("rate up", "rate down", "delay up", "delay down")
 """What the device decides."""
 
-_MOST_DELAY = 0.1
-"""What `Settings` take for one [s]."""
-
 
 class Flown(NamedTuple):
     """What a flight came to.
@@ -180,13 +177,13 @@ class Flight:
         return observe
 
     def _moment(self, sample: Sample, force: Array, anchors: Array | None) -> Moment:
-        """Return what other programs are told; the delay is the one that was measured."""
+        """Return what other programs are told."""
         plant, samples = self._plant, self._plant.samples
-        delay = self._settings.delay if math.isnan(plant.last_delay) else min(max(plant.last_delay, 0.0), _MOST_DELAY)
         return Moment(
             scene=self._scene,
-            settings=replace(self._settings, delay=delay),
+            settings=self._settings,
             since=self._since,
+            delay=plant.delay if math.isnan(plant.last_delay) else plant.last_delay,
             tick=samples.tick,
             time=float(samples.tick * plant.period),
             pose=list(sample.position),

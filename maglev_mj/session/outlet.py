@@ -21,8 +21,9 @@ class Moment:
 
     Attributes:
         scene: The scene.
-        settings: What it runs under; its delay is the one that is measured, where one is.
+        settings: What it runs under.
         since: Tick from which on it does.
+        delay: From a sample to its command taking effect [s]: as it was measured, where it is.
         tick: Samples answered so far.
         time: Since the start [s].
         pose: Of the flotor [m, rad], six.
@@ -37,6 +38,7 @@ class Moment:
     scene: Scene
     settings: Settings
     since: int
+    delay: float
     tick: int
     time: float
     pose: Sequence[float]

@@ -178,6 +178,7 @@ class Session:
             scene=self._scene,
             settings=self._settings,
             since=self._since,
+            delay=self._settings.delay,
             tick=self._ticks,
             time=stretch.time,
             pose=stretch.pose.tolist(),
