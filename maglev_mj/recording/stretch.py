@@ -1,0 +1,119 @@
+"""What a recording holds: stretches of samples under one controller, in a file of arrays."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from maglev_mj.errors import MaglevError
+from maglev_mj.frames import AXES, Array
+
+__all__ = ["Recording", "RecordingError", "Setup", "Stretch", "table"]
+
+_FORMAT = "maglev_mj recording 1"
+_COLUMNS = {"tick": 0, "time": 0, "position": 6, "command": 13, "applied": 13, "hand": 6}
+"""Columns of each array of a stretch; 0 for one number a sample."""
+
+Setup: TypeAlias = Mapping[str, Any]
+"""What a plant and a controller are made from, ready for JSON."""
+
+
+class RecordingError(MaglevError):
+    """A file is no recording, or is not whole."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Stretch:
+    """N samples under one controller.
+
+    Attributes:
+        setup: What plant and controller were made from.
+        tick: Sample numbers, (N,).
+        time: When they were taken since the start of the stretch [s], (N,).
+        position: What the controller saw [m, rad], (N, 6).
+        command: What it answered: held wrench and pulse [N, N m], pulse width [s], (N, 13).
+        applied: The same after the plant's limits, (N, 13).
+        hand: What the hand exerted from each sample on [N, N m], (N, 6).
+    """
+
+    setup: Setup
+    tick: Array
+    time: Array
+    position: Array
+    command: Array
+    applied: Array
+    hand: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """One run: stretches in the order in which they happened."""
+
+    stretches: Sequence[Stretch]
+
+    def save(self, path: Path | str) -> None:
+        """Write to a file, whole or not at all.
+
+        Raises:
+            OSError: If it cannot be written.
+        """
+        arrays = {
+            f"{index}/{name}": getattr(stretch, name)
+            for index, stretch in enumerate(self.stretches)
+            for name in _COLUMNS
+        }
+        header = {"format": _FORMAT, "axes": AXES, "setups": [dict(stretch.setup) for stretch in self.stretches]}
+        path = Path(path)
+        partial = path.with_name(path.name + ".partial")
+        with partial.open("wb") as file:
+            np.savez(file, header=np.array(json.dumps(header)), **arrays)
+        partial.replace(path)
+
+    @classmethod
+    def load(cls, path: Path) -> Recording:
+        """Read from a file.
+
+        Raises:
+            RecordingError: If it is not there, or no whole recording.
+        """
+        try:
+            with path.open("rb") as whole, np.load(whole, allow_pickle=False) as file:
+                header = json.loads(str(file["header"]))
+                if header["format"] != _FORMAT:
+                    raise RecordingError(f"recording must be of {_FORMAT!r}, not {header['format']!r}")
+                stretches = [
+                    Stretch(setup=setup, **{name: _checked(file[f"{index}/{name}"], name) for name in _COLUMNS})
+                    for index, setup in enumerate(header["setups"])
+                ]
+        except OSError as error:
+            raise RecordingError(f"recording {str(path)!r} cannot be read: {error.strerror or error}") from None
+        except (ValueError, KeyError, TypeError, AttributeError, EOFError, zipfile.BadZipFile):
+            raise RecordingError(f"{str(path)!r} is not a whole recording") from None
+        if any(len({len(getattr(stretch, name)) for name in _COLUMNS}) > 1 for stretch in stretches):
+            raise RecordingError(f"{str(path)!r} is not a whole recording")
+        return cls(stretches)
+
+    @property
+    def ticks(self) -> int:
+        """Samples in all."""
+        return sum(len(stretch.tick) for stretch in self.stretches)
+
+
+def table(rows: Sequence[Any], columns: int) -> Array:
+    """Return rows as an array, (N, columns)."""
+    return np.array(rows, dtype=np.float64).reshape(-1, columns)
+
+
+def _checked(array: Any, name: str) -> Array:
+    columns = _COLUMNS[name]
+    if array.dtype != np.float64 or array.ndim != (2 if columns else 1) or (columns and array.shape[1] != columns):
+        raise ValueError(name)
+    if not np.isfinite(array).all():
+        raise ValueError(name)
+    return np.asarray(array)
