@@ -141,7 +141,7 @@ class PassivityObserver:
     def __init__(self, timing: Timing, inertia: ArrayLike | None = None) -> None:
         self._timing = timing
         self._inertia = np.inf if inertia is None else numbers("inertia", inertia, at_least=1e-12)
-        self._commands: deque[Command | None] = deque([None] * (timing.whole + 2), maxlen=timing.whole + 2)
+        self._commands: deque[_Given | None] = deque([None] * (timing.whole + 2), maxlen=timing.whole + 2)
         self._pose: Array | None = None
         self.energy: Array = np.zeros(6)
         self.least: Array = np.zeros(6)
@@ -153,7 +153,8 @@ class PassivityObserver:
             self.energy = self.energy - self._work(pose - self._pose)
             self.least = np.minimum(self.least, self.energy)
         self._pose = pose
-        self._commands.append(command)
+        pulse = command.pulse if command.extra is not None else None
+        self._commands.append(_Given(command.wrench, pulse, command.pulse_width))
 
     def _work(self, moved: Array) -> Array:
         """Return the work of the forces over the period behind the last sample kept."""
@@ -172,11 +173,21 @@ class PassivityObserver:
         return work
 
 
-def _forces(command: Command | None, stretch: float, *, gone: float) -> list[tuple[float, Array | float]]:
+class _Given(NamedTuple):
+    """A command as arrays; no pulse is None."""
+
+    wrench: Array
+    pulse: Array | None
+    width: float
+
+
+def _forces(command: _Given | None, stretch: float, *, gone: float) -> list[tuple[float, Array | float]]:
     """Return the forces of one command over a stretch [s] that begins when it has been in effect for `gone` [s]."""
-    if command is None:
+    if command is None or stretch == 0.0:
         return [(stretch, 0.0)]
-    pulsed = min(max(command.pulse_width - gone, 0.0), stretch)
+    if command.pulse is None:
+        return [(stretch, command.wrench)]
+    pulsed = min(max(command.width - gone, 0.0), stretch)
     return [(pulsed, command.wrench + command.pulse), (stretch - pulsed, command.wrench)]
 
 

@@ -10,6 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from maglev_mj.errors import ParameterError
+from maglev_mj.output import check_file
+from maglev_mj.recording import check_name
 from maglev_mj.scenes import Settings
 from maglev_mj.workers import Workers, dask_workers, local_workers
 
@@ -21,6 +23,7 @@ __all__ = [
     "add_recording",
     "add_settings",
     "add_workers",
+    "check_recording",
     "chosen_key",
     "chosen_settings",
     "chosen_workers",
@@ -79,7 +82,21 @@ def add_outputs(parser: argparse.ArgumentParser) -> None:
 
 def add_recording(parser: argparse.ArgumentParser) -> None:
     """Add --record, for a recording that `replay` shows and checks."""
-    parser.add_argument("--record", metavar="FILE", type=Path, help="write a recording for `maglev-mj replay`")
+    parser.add_argument(
+        "--record", metavar="FILE", type=Path, help="write a recording, .mcap or .npz, for `maglev-mj replay`"
+    )
+
+
+def check_recording(options: argparse.Namespace) -> None:
+    """Check that what --record names can be written.
+
+    Raises:
+        ParameterError: If it is no file that can be, or of no kind that is known.
+        McapMissingError: If the package for its kind is not installed.
+    """
+    if options.record is not None:
+        check_name(options.record)
+        check_file("record", options.record)
 
 
 def add_workers(parser: argparse.ArgumentParser, record: str) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, replace
+from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -18,12 +19,20 @@ from maglev_mj.hand import HandForce, SpringHand
 from maglev_mj.loop import ControlLoop
 from maglev_mj.model import load
 from maglev_mj.plants import SampledPlant, engine_warnings_silenced
-from maglev_mj.recording import Recorder, Recording, RecordingError, Setup, Stretch
+from maglev_mj.recording import ArrayFile, Recording, RecordingError, RecordingFile, Setup, Stretch, open_recording
 from maglev_mj.scenes import SCENES, Scene, Settings, scene_called
 from maglev_mj.scenes.parts import WEIGHT
 from maglev_mj.session import View, stick_positions, wall_faces
 
-__all__ = ["EXPERIMENTS", "Replay", "rebuild", "record_experiment", "scene_of", "stick_positions_of"]
+__all__ = [
+    "EXPERIMENTS",
+    "Replay",
+    "rebuild",
+    "record_experiment",
+    "scene_of",
+    "stick_positions_of",
+    "write_experiment",
+]
 
 _SHOWN = 2.0
 _SCENES = "scene", "device"
@@ -67,21 +76,43 @@ def rebuild(setup: Setup, hand: HandForce | None) -> tuple[SampledPlant | None, 
 
 
 def record_experiment(kind: str, parameters: Any) -> Recording:
-    """Run an experiment and record it; where it fails, up to there.
+    """Run an experiment and record it in memory; where it fails, up to there.
 
     Args:
         kind: One of EXPERIMENTS.
         parameters: Its parameters.
     """
+    file = ArrayFile()
+    _run_into(file, kind, parameters)
+    return file.recording
+
+
+def write_experiment(path: Path, kind: str, parameters: Any) -> None:
+    """Run an experiment and record it to a file, of .mcap or .npz; where it fails, up to there.
+
+    Raises:
+        ParameterError: If the file is of neither kind.
+        RecordingError: If it could not be written as a whole.
+        OSError: If it could not be written at all.
+    """
+    file = open_recording(path, wait=True)
+    try:
+        _run_into(file, kind, parameters)
+    finally:
+        file.close()
+
+
+def _run_into(file: RecordingFile, kind: str, parameters: Any) -> None:
     _, parts, _ = EXPERIMENTS[kind]
     plant, controller, ticks = parts(parameters, None)
-    recorder = Recorder(plant, controller, {"kind": kind, "parameters": asdict(parameters)})
+    keeper = file.begin(plant, controller, {"kind": kind, "parameters": asdict(parameters)}, delay=parameters.delay)
     with plant, engine_warnings_silenced():
         try:
-            ControlLoop(plant, recorder, observe=recorder.observe).cycle(ticks)
-        except MaglevError:
-            pass  # the experiment itself says what happened
-    return Recording([recorder.stretch()])
+            ControlLoop(plant, keeper, observe=keeper.observe).cycle(ticks)
+        except RecordingError:
+            raise
+        except MaglevError as error:  # the experiment itself says what happened
+            file.event("fault", str(error))
 
 
 class Replay:

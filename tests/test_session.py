@@ -278,9 +278,9 @@ def test_a_recording_whose_folder_is_gone_goes_elsewhere(tmp_path: Path) -> None
     folder = tmp_path / "gone"
     folder.mkdir()
     session = made(folder=folder)
+    folder.rmdir()
     session.act("record")
     after(session, 0.1)
-    folder.rmdir()
     session.close()
     (path,) = session.recordings
     assert Recording.load(path).ticks > 5

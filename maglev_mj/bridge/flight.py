@@ -14,10 +14,10 @@ import numpy as np
 from maglev_mj.bridge.realtime import Lateness
 from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.controller import Controller
-from maglev_mj.errors import ParameterError
+from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.loop import Answers, ControlLoop
-from maglev_mj.recording import Recorder, Recording
+from maglev_mj.recording import Keeper, RecordingFile
 from maglev_mj.scenes import Scene, Settings
 from maglev_mj.scenes.parts import WEIGHT
 from maglev_mj.session import Moment, Outlet, Outlets, stick_positions, wall_faces
@@ -75,12 +75,11 @@ class Flight:
         plant: The device; closed by the caller.
         scene: The scene.
         settings: Of its laws; its period is the device's.
-        record: Whether to keep every sample.
+        file: What every sample is recorded to; left open.
         watch: A window on it.
         outlets: Ways to other programs; left open.
 
     Attributes:
-        recording: What was kept, up to where it ended, whatever ended it.
         read_at: When the last sample was there [ns].
 
     Raises:
@@ -93,24 +92,18 @@ class Flight:
         scene: Scene,
         settings: Settings,
         *,
-        record: bool = False,
+        file: RecordingFile | None = None,
         watch: Watcher | None = None,
         outlets: Sequence[Outlet] = (),
     ) -> None:
         if settings.period != plant.period:
             raise ParameterError(f"period must be the device's {plant.period:g} s, not {settings.period:g}")
-        self._plant, self._scene, self._settings, self._record = plant, scene, settings, record
+        self._plant, self._scene, self._settings, self._file = plant, scene, settings, file
         self._watch, self._outlets, self._since = watch, Outlets(outlets), 0
-        self._stretches: list[Recorder] = []
         self._stopped = threading.Event()
         self._wanted: Settings | None = None
         self._answer = Lateness()
         self.read_at = 0
-
-    @property
-    def recording(self) -> Recording:
-        """Everything kept so far."""
-        return Recording([recorder.stretch() for recorder in self._stretches])
 
     def run(self, duration: float | None = None) -> Flown:
         """Take off, render the scene until `stop` or for so long [s] of the device's time, and land.
@@ -118,6 +111,14 @@ class Flight:
         Raises:
             DeviceFault: If something is wrong with the device, or with how it is flown.
         """
+        try:
+            return self._run(duration)
+        except MaglevError as error:
+            if self._file is not None:
+                self._file.event("fault", str(error))
+            raise
+
+    def _run(self, duration: float | None) -> Flown:
         start, plant = time.monotonic(), self._plant
         plant.takeoff()
         first = plant.samples.tick
@@ -144,29 +145,27 @@ class Flight:
             self._settings, self._wanted = self._wanted, None
         self._since = self._plant.samples.tick
         controller = self._scene.controller(self._settings)
-        answers: Answers = controller
-        if self._record:
+        keeper: Keeper | None = None
+        if self._file is not None:
             setup = {"kind": "device", "scene": self._scene.name, "settings": self._settings.as_json()}
             setup["calibration"] = self._plant.calibration.digest.hex()
-            answers = recorder = Recorder(self._plant, controller, setup)
-            self._stretches.append(recorder)
+            keeper = self._file.begin(self._plant, controller, setup, delay=self._plant.delay)
         if self._watch is not None:
             self._watch.settings = self._settings
             self._watch.faces = wall_faces(controller.laws)
-        loop = ControlLoop(self._plant, _Timed(answers, self), observe=self._observe(controller))
+        loop = ControlLoop(self._plant, _Timed(keeper or controller, self), observe=self._observe(controller, keeper))
         samples = self._plant.samples
         while not self._stopped.is_set() and self._wanted is None and (last is None or samples.tick < last):
             loop.cycle()
 
-    def _observe(self, controller: Controller) -> Callable[[Sample, Command], object]:
+    def _observe(self, controller: Controller, keeper: Keeper | None) -> Callable[[Sample, Command], object]:
         carried = np.array(WEIGHT if self._settings.weightless else (0.0,) * 6)
         anchors = stick_positions(controller)
-        recorder = self._stretches[-1] if self._record else None
 
         def observe(sample: Sample, applied: Command) -> None:
             self._answer.add(time.perf_counter_ns() - self.read_at)
-            if recorder is not None:
-                recorder.observe(sample, applied)
+            if keeper is not None:
+                keeper.observe(sample, applied)
             if self._watch is not None:
                 self._look(self._watch, sample, np.array(applied.force) - carried, anchors())
             self._outlets.show(lambda: self._moment(sample, np.array(applied.force) - carried, anchors()))

@@ -21,9 +21,18 @@ from maglev_mj.bridge.realtime import realtime
 from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.bridge.stopping import stopping
 from maglev_mj.errors import ParameterError
-from maglev_mj.options import add_bridge, add_recording, add_settings, chosen_key, chosen_settings, number_option
+from maglev_mj.options import (
+    add_bridge,
+    add_recording,
+    add_settings,
+    check_recording,
+    chosen_key,
+    chosen_settings,
+    number_option,
+)
 from maglev_mj.output import check_file, check_outputs
 from maglev_mj.parameters import number
+from maglev_mj.recording import RecordingFile, open_recording
 from maglev_mj.scenes import SCENES, Scene, Settings, scene_called
 from maglev_mj.tables import flown_table
 from maglev_mj.watching import Watch
@@ -60,9 +69,9 @@ def _bridge(options: argparse.Namespace) -> int:
     scene, key = scene_called(options.scene), chosen_key(options)
     if options.seconds is not None:
         number("seconds", options.seconds, above=0.0)
-    for name in ("record", "identify"):
-        if getattr(options, name) is not None:
-            check_file(name, getattr(options, name))
+    check_recording(options)
+    if options.identify is not None:
+        check_file("identify", options.identify)
     if options.mass is not None and options.identify is None:
         raise ParameterError("mass is for --identify")
     for name in ("record", "view", "seconds"):
@@ -94,23 +103,20 @@ def _fly(plant: RemotePlant, scene: Scene, settings: Settings, options: argparse
             watch = Watch(scene.name, settings, options.out)
             watch.note = "the hand, the rate and the delay are the device's"
             last.callback(watch.close)
-        flight = Flight(plant, scene, settings, record=options.record is not None, watch=watch)
-        if options.record is not None:
-            last.callback(_keep, flight, options.record)
+        file = None if options.record is None else open_recording(options.record)
+        if file is not None:
+            last.callback(_keep, file)
+        flight = Flight(plant, scene, settings, file=file, watch=watch)
         last.push(plant)
         with stopping(flight.stop), _punctual(options):
             print(f"  {scene.name} at {1.0 / plant.period:g} Hz; keep hands off while it takes off", flush=True)
             return flight.run(options.seconds)
 
 
-def _keep(flight: Flight, path: Path) -> None:
-    """Write what was recorded."""
-    recording = flight.recording
-    if recording.ticks:
-        recording.save(path)
-        print(f"  wrote {path}")
-    else:
-        print("  nothing was recorded: it did not come to fly")
+def _keep(file: RecordingFile) -> None:
+    """Write what is left of what was recorded."""
+    path = file.close()
+    print(f"  wrote {path}" if path is not None else "  nothing was recorded: it did not come to fly")
 
 
 def _opened(options: argparse.Namespace, calibration: Calibration, key: bytes | None) -> RemotePlant:

@@ -13,9 +13,9 @@ from maglev_mj import charts
 from maglev_mj.errors import DivergenceError
 from maglev_mj.experiments.choices import PLANTS
 from maglev_mj.experiments.drop import DropParameters, run_drop, sweep_drop
-from maglev_mj.options import add_options, add_outputs, add_recording, count
-from maglev_mj.output import check_file, keep_partial, write_json
-from maglev_mj.replay import record_experiment
+from maglev_mj.options import add_options, add_outputs, add_recording, check_recording, count
+from maglev_mj.output import keep_partial, write_json
+from maglev_mj.replay import write_experiment
 from maglev_mj.tables import drop_table
 
 __all__ = ["add_command"]
@@ -59,9 +59,9 @@ def _add_drop_options(parser: argparse.ArgumentParser) -> None:
 
 def _drop(options: argparse.Namespace) -> int:
     parameters = DropParameters(**{field.name: getattr(options, field.name) for field in fields(DropParameters)})
+    check_recording(options)
     if options.record is not None:
-        check_file("record", options.record)
-        record_experiment("drop", parameters).save(options.record)
+        write_experiment(options.record, "drop", parameters)
     try:
         study = _DropStudy(parameters, options.phases, alone=options.json == "-" and options.out is None)
     except DivergenceError as error:

@@ -13,10 +13,10 @@ from maglev_mj.errors import DivergenceError
 from maglev_mj.experiments.choices import PLANTS
 from maglev_mj.experiments.press import PressParameters, run_press, sweep_press
 from maglev_mj.hand import HANDS
-from maglev_mj.options import add_options, add_outputs, add_recording, count
-from maglev_mj.output import check_file, check_outputs, keep_partial, write_json
+from maglev_mj.options import add_options, add_outputs, add_recording, check_recording, count
+from maglev_mj.output import check_outputs, keep_partial, write_json
 from maglev_mj.progress import Progress
-from maglev_mj.replay import record_experiment
+from maglev_mj.replay import write_experiment
 from maglev_mj.tables import press_table
 
 __all__ = ["add_command"]
@@ -59,9 +59,9 @@ def _add_press_options(parser: argparse.ArgumentParser) -> None:
 
 def _press(options: argparse.Namespace) -> int:
     parameters = PressParameters(**{field.name: getattr(options, field.name) for field in fields(PressParameters)})
+    check_recording(options)
     if options.record is not None:
-        check_file("record", options.record)
-        record_experiment("press", parameters).save(options.record)
+        write_experiment(options.record, "press", parameters)
     if options.out is not None:
         charts.require()
     check_outputs(json=options.json, out=options.out)

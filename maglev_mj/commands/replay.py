@@ -27,6 +27,10 @@ def add_command(commands: Any) -> None:
 
 def _replay(options: argparse.Namespace) -> int:
     recording = Recording.load(options.file)
+    if recording.damage:
+        print(f"  {options.file}: {recording.damage}; {recording.ticks} samples are there")
+    for event in recording.events:
+        print(f"  {event}")
     if options.check:
         verdict = verify(recording, rebuild)
         print(verdict_table(verdict))

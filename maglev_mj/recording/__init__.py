@@ -1,18 +1,25 @@
 """Recordings of runs: what went by at each sample, to be looked at, checked and run again bit for bit."""
 
+from maglev_mj.recording.files import ArrayFile, Keeper, RecordingFile, best_suffix, check_name, open_recording
 from maglev_mj.recording.recorder import Felt, Recorder, row_of
 from maglev_mj.recording.stretch import Recording, RecordingError, Setup, Stretch
 from maglev_mj.recording.verify import Rebuild, Verdict, verify
 
 __all__ = [
+    "ArrayFile",
     "Felt",
+    "Keeper",
     "Rebuild",
     "Recorder",
     "Recording",
     "RecordingError",
+    "RecordingFile",
     "Setup",
     "Stretch",
     "Verdict",
+    "best_suffix",
+    "check_name",
+    "open_recording",
     "row_of",
     "verify",
 ]

@@ -8,10 +8,11 @@ from typing import Any, Protocol
 import numpy as np
 
 from maglev_mj.controller import Controller
-from maglev_mj.frames import Command, Sample
+from maglev_mj.frames import AXES, Command, Sample
+from maglev_mj.laws import Bias
 from maglev_mj.recording.stretch import Setup, Stretch, table
 
-__all__ = ["Felt", "Recorder", "row_of"]
+__all__ = ["Felt", "Recorder", "carried_by", "row_of"]
 
 
 class Felt(Protocol):
@@ -71,3 +72,13 @@ def row_of(command: Command) -> list[float]:
     """Return a command as 13 numbers."""
     extra = command.extra
     return [*command.force, *(extra if extra is not None else (0.0,) * 6), command.pulse_width if extra else 0.0]
+
+
+def carried_by(controller: Controller) -> list[float]:
+    """Return the wrench by which a controller carries the flotor [N, N m], six; zeros where it does not."""
+    carried = np.zeros(len(AXES))
+    for law in controller.laws:
+        if isinstance(law, Bias):
+            carried += np.asarray(law.wrench)
+    values: list[float] = carried.tolist()
+    return values

@@ -53,9 +53,17 @@ class Stretch:
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """One run: stretches in the order in which they happened."""
+    """One run.
+
+    Attributes:
+        stretches: In the order in which they happened.
+        events: What a person should know of, such as faults.
+        damage: What is wrong with the file that it was read from, such as a missing end; empty for nothing.
+    """
 
     stretches: Sequence[Stretch]
+    events: Sequence[str] = ()
+    damage: str = ""
 
     def save(self, path: Path | str) -> None:
         """Write to a file, whole or not at all.
@@ -68,7 +76,8 @@ class Recording:
             for index, stretch in enumerate(self.stretches)
             for name in _COLUMNS
         }
-        header = {"format": _FORMAT, "axes": AXES, "setups": [dict(stretch.setup) for stretch in self.stretches]}
+        setups = [dict(stretch.setup) for stretch in self.stretches]
+        header = {"format": _FORMAT, "axes": AXES, "setups": setups, "events": list(self.events)}
         path = Path(path)
         partial = path.with_name(path.name + ".partial")
         with partial.open("wb") as file:
@@ -77,11 +86,25 @@ class Recording:
 
     @classmethod
     def load(cls, path: Path) -> Recording:
-        """Read from a file.
+        """Read from a file of either kind; one of MCAP that was not closed, as far as it goes.
 
         Raises:
-            RecordingError: If it is not there, or no whole recording.
+            McapMissingError: If it is of MCAP, and the package for it is not installed.
+            RecordingError: If it is not there, or no recording.
         """
+        from maglev_mj.recording.mcap_file import MAGIC, read_mcap  # which needs what is defined here
+
+        try:
+            with path.open("rb") as file:
+                if file.read(len(MAGIC)) == MAGIC:
+                    file.seek(0)
+                    return read_mcap(file, str(path))
+        except OSError as error:
+            raise RecordingError(f"recording {str(path)!r} cannot be read: {error.strerror or error}") from None
+        return cls._load_arrays(path)
+
+    @classmethod
+    def _load_arrays(cls, path: Path) -> Recording:
         try:
             with path.open("rb") as whole, np.load(whole, allow_pickle=False) as file:
                 header = json.loads(str(file["header"]))
@@ -97,7 +120,7 @@ class Recording:
             raise RecordingError(f"{str(path)!r} is not a whole recording") from None
         if any(len({len(getattr(stretch, name)) for name in _COLUMNS}) > 1 for stretch in stretches):
             raise RecordingError(f"{str(path)!r} is not a whole recording")
-        return cls(stretches)
+        return cls(stretches, events=header.get("events", ()))
 
     @property
     def ticks(self) -> int:

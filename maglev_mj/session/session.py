@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import tempfile
-import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -15,13 +12,13 @@ import numpy as np
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import ZERO
 from maglev_mj.hand import SpringHand
-from maglev_mj.recording import Recording
 from maglev_mj.scenes import SCENES, Settings, scene_called
 from maglev_mj.scenes.parts import WEIGHT
 from maglev_mj.session.actions import CHANGES
 from maglev_mj.session.outlet import Moment, Outlet, Outlets
 from maglev_mj.session.pacing import Pacer
 from maglev_mj.session.stretch import LiveStretch
+from maglev_mj.session.tape import Tape
 from maglev_mj.session.view import View
 
 __all__ = ["ACTIONS", "Session"]
@@ -48,7 +45,6 @@ class Session:
         outlets: Ways to other programs; closed with the session.
 
     Attributes:
-        recordings: Files written so far.
         simulated: Time simulated so far [s].
 
     Raises:
@@ -66,16 +62,20 @@ class Session:
         outlets: Sequence[Outlet] = (),
     ) -> None:
         self.hand = hand or SpringHand()
-        self.recordings: list[Path] = []
         self.simulated = 0.0
-        self._folder, self._pacer = folder, pacer or Pacer()
+        self._pacer = pacer or Pacer()
         self._scene = scene_called(scene)
         self._settings = settings or self._scene.settings
         self._history: deque[tuple[float, ...]] = deque()
-        self._kept: list[LiveStretch] | None = None
-        self._paused, self._stopped, self._wrote = False, "", ""
+        self._tape = Tape(folder)
+        self._paused, self._stopped = False, ""
         self._outlets, self._ticks, self._since = Outlets(outlets), 0, 0
         self._stretch = self._begin(self._scene.pose)
+
+    @property
+    def recordings(self) -> Sequence[Path]:
+        """Files written so far."""
+        return self._tape.written
 
     def tick(self, elapsed: float) -> int:
         """Go on by as much as real time has, within the pacer's budget.
@@ -95,7 +95,9 @@ class Session:
                 self._pacer.advance(elapsed, self._settings.period, self._one)
             except MaglevError as error:
                 self._stopped = str(error)
+                self._tape.failed(self._stopped)
             made = self._ticks - before
+        self._tape.missed(self._pacer.missed)
         self._outlets.show(self._moment)
         return made
 
@@ -150,9 +152,10 @@ class Session:
     def close(self) -> None:
         """Keep what is recorded, and let go of the plant."""
         self._outlets.close()
-        if self._kept is not None:
-            self._record()
-        self._stretch.plant.close()
+        try:
+            self._tape.stop()
+        finally:
+            self._stretch.plant.close()
 
     def _one(self) -> None:
         """Make one tick; stop a world that makes energy."""
@@ -197,20 +200,17 @@ class Session:
         wrench: Sequence[float] = WEIGHT if self._settings.weightless else ZERO
         if going_on:
             twist, wrench, began = self._stretch.twist.tolist(), self._stretch.force, self._stretch.time
-        stretch = LiveStretch(
+        return LiveStretch(
             self._scene,
             self._settings,
             self.hand,
             pose=pose,
             twist=twist,
             wrench=wrench,
-            record=self._kept is not None,
+            file=self._tape.file,
             began=began,
             keep=self._keep,
         )
-        if self._kept is not None:
-            self._kept.append(stretch)
-        return stretch
 
     def _go_on(self) -> None:
         """Make plant and controller anew where the flotor is; one that was stopped starts again."""
@@ -232,22 +232,11 @@ class Session:
             history.popleft()
 
     def _record(self) -> None:
-        """Start recording, or write what was recorded."""
-        if self._kept is None:
-            self._kept = []
-            self._go_on()
-            return
-        kept = self._kept
-        stretches = [stretch.recorder.stretch() for stretch in kept if stretch.recorder is not None and stretch.ticks]
-        recording, path = Recording(stretches), _new_file(self._folder)
-        try:
-            recording.save(path)
-        except OSError:  # the folder is gone, or full: what is recorded must not be lost
-            path = _new_file(Path(tempfile.gettempdir()))
-            recording.save(path)
-        self._kept = None  # only now, for a failed write must leave something to be written
-        self.recordings.append(path)
-        self._wrote = f"wrote {path}"
+        """Start recording, or end it."""
+        if self._tape.file is None:
+            self._tape.start()
+        else:
+            self._tape.stop()
         if not self._stopped:
             self._go_on()
 
@@ -259,17 +248,6 @@ class Session:
             notes.append("PAUSED")
         if self._pacer.late:
             notes.append("TOO SLOW: this machine cannot keep up, simulated time slows down")
-        if self._kept is not None:
-            notes.append("RECORDING")
-        elif self._wrote:
-            notes.append(self._wrote)
+        if self._tape.note:
+            notes.append(self._tape.note)
         return notes
-
-
-def _new_file(folder: Path, now: Callable[[], float] = time.time) -> Path:
-    """Return a name for a recording that no file has yet."""
-    stem = datetime.fromtimestamp(now()).strftime("maglev-%Y%m%d-%H%M%S")
-    path, count = folder / f"{stem}.npz", 1
-    while path.exists():
-        path, count = folder / f"{stem}-{count}.npz", count + 1
-    return path

@@ -10,7 +10,7 @@ import numpy as np
 from maglev_mj.frames import ZERO, Array, Command, Sample
 from maglev_mj.hand import HandForce
 from maglev_mj.loop import Answers, ControlLoop
-from maglev_mj.recording import Recorder
+from maglev_mj.recording import RecordingFile
 from maglev_mj.scenes import Scene, Settings
 from maglev_mj.scenes.parts import WEIGHT
 from maglev_mj.session.energy import EnergyAccount
@@ -43,7 +43,7 @@ class LiveStretch:
         pose: Where the flotor starts [m, rad].
         twist: How fast [m/s, rad/s].
         wrench: What the coils give until the first command takes effect [N, N m].
-        record: Whether to keep every sample.
+        file: What every sample is recorded to; None for nothing.
         began: Time of the session at which it starts [s].
         keep: Called after each tick with a row of history.
 
@@ -61,19 +61,19 @@ class LiveStretch:
         pose: Sequence[float],
         twist: Sequence[float] = ZERO,
         wrench: Sequence[float],
-        record: bool,
+        file: RecordingFile | None,
         began: float,
         keep: Callable[[tuple[float, ...]], object],
     ) -> None:
         setup = scene_setup(scene, settings, pose, twist, wrench)
         self.plant = scene.plant(settings, pose=pose, twist=twist, wrench=wrench, hand_force=hand)
         self.controller = scene.controller(settings)
-        self.recorder = Recorder(self.plant, self.controller, setup) if record else None
+        self._keeper = None if file is None else file.begin(self.plant, self.controller, setup, delay=settings.delay)
         self._carried = np.array(WEIGHT if settings.weightless else ZERO)
         self.energy = EnergyAccount(np.array(pose), self._carried)
         self.faces = wall_faces(self.controller.laws)
         self._stick_positions = stick_positions(self.controller)
-        answers: Answers = self.recorder or self.controller
+        answers: Answers = self._keeper or self.controller
         self._loop = ControlLoop(self.plant, answers, observe=self._observe)
         self._axis, self._keep, self._began = scene.axis_index, keep, began
         self.ticks, self._settings = 0, settings
@@ -102,8 +102,8 @@ class LiveStretch:
         return rendered
 
     def _observe(self, sample: Sample, applied: Command) -> None:
-        if self.recorder is not None:
-            self.recorder.observe(sample, applied)
+        if self._keeper is not None:
+            self._keeper.observe(sample, applied)
         plant, axis = self.plant, self._axis
         self.pose, self.twist = plant.state()
         effort = plant.hand_wrench

@@ -1,0 +1,135 @@
+"""Files that runs are recorded to: arrays at the end, or MCAP while it happens."""
+
+from __future__ import annotations
+
+import tempfile
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Protocol
+
+from maglev_mj.controller import Controller
+from maglev_mj.errors import ParameterError
+from maglev_mj.frames import Command, Sample
+from maglev_mj.loop import Answers
+from maglev_mj.recording.live import LiveFile
+from maglev_mj.recording.mcap_file import require_mcap
+from maglev_mj.recording.recorder import Felt, Recorder
+from maglev_mj.recording.stretch import Recording, Setup
+
+__all__ = ["ArrayFile", "Keeper", "RecordingFile", "best_suffix", "check_name", "open_recording"]
+
+_SUFFIXES = (".mcap", ".npz")
+
+
+class Keeper(Answers, Protocol):
+    """What stands between a loop and a controller, and keeps what goes by."""
+
+    def observe(self, sample: Sample, applied: Command) -> None:
+        """Keep a command as applied."""
+
+
+class RecordingFile(Protocol):
+    """What a run is recorded to."""
+
+    def begin(self, plant: Felt, controller: Controller, setup: Setup, *, delay: float) -> Keeper:
+        """Begin a stretch; return what to put between a loop and the controller."""
+
+    def event(self, kind: str, text: str, missed: int = 0) -> None:
+        """Keep what a person should know of, and how many samples were missed with it."""
+
+    def check(self) -> None:
+        """Check that it is being written.
+
+        Raises:
+            RecordingError: If it is not.
+        """
+
+    def close(self) -> Path | None:
+        """Write what is left; return the file, or None where nothing was recorded. A second time does nothing.
+
+        Raises:
+            RecordingError: If it is not whole.
+            OSError: If it cannot be written.
+        """
+
+
+class ArrayFile:
+    """Keeps a run in memory, and writes it to a .npz file when it is closed: see `RecordingFile`.
+
+    Args:
+        path: Where to; None to keep it in memory alone.
+    """
+
+    def __init__(self, path: Path | None = None) -> None:
+        self._path, self._closed = path, False
+        self._recorders: list[Recorder] = []
+        self._events: list[str] = []
+
+    @property
+    def recording(self) -> Recording:
+        """What is kept so far."""
+        stretches = [recorder.stretch() for recorder in self._recorders]
+        return Recording([stretch for stretch in stretches if len(stretch.tick)], events=tuple(self._events))
+
+    def begin(self, plant: Felt, controller: Controller, setup: Setup, *, delay: float) -> Recorder:
+        """Begin a stretch; return what to put between a loop and the controller."""
+        self._recorders.append(Recorder(plant, controller, setup))
+        return self._recorders[-1]
+
+    def event(self, kind: str, text: str, missed: int = 0) -> None:
+        """Keep what a person should know of."""
+        self._events.append(f"{kind}: {text}")
+
+    def check(self) -> None:
+        """Do nothing: it is written when it is closed."""
+
+    def close(self) -> Path | None:
+        """Write it, to the temporary folder where its own does not take it; see `RecordingFile.close`.
+
+        Raises:
+            OSError: If neither does; it is tried again the next time.
+        """
+        recording = self.recording
+        if self._closed or self._path is None or not recording.ticks:
+            return self._path if self._closed else None
+        try:
+            recording.save(self._path)
+        except OSError:
+            self._path = Path(tempfile.gettempdir()) / self._path.name
+            recording.save(self._path)
+        self._closed = True
+        return self._path
+
+
+def best_suffix() -> str:
+    """Return ".mcap" where the package for it is installed, ".npz" where not."""
+    return ".mcap" if find_spec("mcap") is not None else ".npz"
+
+
+def check_name(path: Path) -> None:
+    """Check that a name says which kind of file it is, and that it can be written here.
+
+    Raises:
+        ParameterError: If it does not.
+        McapMissingError: If the package for .mcap is not installed.
+    """
+    if path.suffix not in _SUFFIXES:
+        raise ParameterError(f"record must be a file that ends in {' or '.join(_SUFFIXES)}, not {str(path)!r}")
+    if path.suffix == ".mcap":
+        require_mcap()
+
+
+def open_recording(path: Path, *, wait: bool = False) -> RecordingFile:
+    """Open a file to record to, by its suffix.
+
+    Args:
+        path: Ends in .mcap, to be written while it happens, or in .npz, to be written at the end.
+        wait: Whether the run may wait for what is written; one in real time must not.
+
+    Raises:
+        ParameterError: If it ends in anything else.
+        McapMissingError: If the package for .mcap is not installed.
+        OSError: If it cannot be written.
+    """
+    check_name(path)
+    return LiveFile(path, wait=wait) if path.suffix == ".mcap" else ArrayFile(path)

@@ -1,0 +1,236 @@
+"""Recordings as MCAP, which other programs open: written as they happen, read as far as they go.
+
+The format is at https://mcap.dev, the package is the extra `record`. Messages are JSON with a schema. Python writes a
+float in as many digits as give the same float when it is read, so nothing is lost.
+"""
+
+from __future__ import annotations
+
+import json
+import platform
+import struct
+from collections.abc import Iterable, Mapping, Sequence
+from importlib.metadata import version
+from importlib.util import find_spec
+from typing import IO, Any
+
+import numpy as np
+
+import maglev_mj
+from maglev_mj.errors import MaglevError
+from maglev_mj.frames import AXES, Array, Command, Sample
+from maglev_mj.metrics import PassivityObserver
+from maglev_mj.plants import Timing
+from maglev_mj.recording.ring import Row
+from maglev_mj.recording.schemas import CHANNELS, as_row, as_sample
+from maglev_mj.recording.stretch import Recording, RecordingError, Setup, Stretch, table
+from maglev_mj.spec import Spec
+
+__all__ = ["MAGIC", "About", "McapMissingError", "Scribe", "about", "read_mcap", "require_mcap"]
+
+MAGIC = b"\x89MCAP0\r\n"
+"""The first bytes of a file."""
+
+About = Mapping[str, Any]
+"""What a stretch is, ready for JSON: setup, period [s], delay [s], carried [N, N m], began [ns since 1970]."""
+
+_CHUNK = 8 * 1024  # about a dozen samples: at 50 Hz a quarter of a second
+_STRETCH, _SAMPLE, _EVENT = CHANNELS
+_INERTIA = [Spec.moving_mass.value] * 3 + [Spec.tilt_inertia.value] * 2 + [Spec.spin_inertia.value]
+
+
+class McapMissingError(MaglevError):
+    """The package that writes and reads MCAP is not installed."""
+
+
+def require_mcap() -> None:
+    """Check that MCAP can be written and read.
+
+    Raises:
+        McapMissingError: If the package is not installed.
+    """
+    if find_spec("mcap") is None:
+        raise McapMissingError("recordings as MCAP need mcap: pip install 'maglev-mj[record]'")
+
+
+def about(setup: Setup, *, period: float, delay: float, carried: Sequence[float], began: int) -> About:
+    """Return what a stretch is.
+
+    Args:
+        setup: What plant and controller are made from.
+        period: Sample period [s].
+        delay: From a sample to its command taking effect [s].
+        carried: Wrench that carries the flotor [N, N m], six.
+        began: When, since 1970 [ns].
+    """
+    return {"setup": dict(setup), "period": period, "delay": delay, "carried": list(carried), "began": began}
+
+
+class Scribe:
+    """Writes a recording as it happens.
+
+    Args:
+        file: A file to write to; it is left open.
+    """
+
+    def __init__(self, file: IO[bytes]) -> None:
+        from mcap.writer import Writer
+
+        self._file, self._writer = file, Writer(file, chunk_size=_CHUNK)
+        self._writer.start(profile="", library=f"maglev_mj {maglev_mj.__version__}")
+        self._channels = {topic: self._channel(topic, schema) for topic, schema in CHANNELS.items()}
+        self._stretch, self._tick, self._missed = -1, -1, 0
+        self._began = self._now = 0
+
+    def begin(self, what: About) -> None:
+        """Begin a stretch."""
+        self._stretch += 1
+        self._tick, self._missed = -1, 0
+        # a run that is faster than real time must not lie over the next
+        self._began = self._now = max(int(what["began"]), self._now + 1)
+        self._energy = _Energy(what)
+        named = {
+            "stretch": self._stretch,
+            "setup": what["setup"],
+            "period": what["period"],
+            "delay": what["delay"],
+            "carried": dict(zip(AXES, what["carried"], strict=True)),
+            "versions": _versions(),
+        }
+        self._say(_STRETCH, named)
+
+    def row(self, row: Row) -> None:
+        """Write a sample."""
+        sample = as_sample(row)
+        tick = sample["tick"]
+        self._missed += max(tick - self._tick - 1, 0)
+        self._tick = tick
+        self._now = max(self._now, self._began + round(row[1] * 1e9))
+        self._energy.add(row)
+        more = {"taken": self._energy.taken, "hand_work": self._energy.hand, "missed": self._missed}
+        self._say(_SAMPLE, {"stretch": self._stretch, **sample, **more})
+
+    def event(self, kind: str, text: str, missed: int = 0) -> None:
+        """Write what happened.
+
+        Args:
+            kind: What sort of thing.
+            text: For a person.
+            missed: Samples that were missed with it.
+        """
+        self._missed += missed
+        self._say(_EVENT, {"stretch": self._stretch, "tick": self._tick, "kind": kind, "text": text})
+
+    def flush(self) -> None:
+        """Hand what is written over to the system, but for the last samples that make no whole chunk yet."""
+        self._file.flush()
+
+    def close(self) -> None:
+        """Write the rest, and the index."""
+        self._writer.finish()
+        self._file.flush()
+
+    def _channel(self, topic: str, schema: Mapping[str, Any]) -> int:
+        text = json.dumps(schema, ensure_ascii=False).encode()
+        number = self._writer.register_schema(name=schema["title"], encoding="jsonschema", data=text)
+        return self._writer.register_channel(topic=topic, message_encoding="json", schema_id=number)
+
+    def _say(self, topic: str, message: Mapping[str, Any]) -> None:
+        data = json.dumps(message, allow_nan=False, separators=(",", ":")).encode()
+        self._writer.add_message(self._channels[topic], log_time=self._now, publish_time=self._now, data=data)
+
+
+class _Energy:
+    """Adds up what the rendered world takes in and what the hand does, from the samples."""
+
+    def __init__(self, what: About) -> None:
+        timing = Timing(period=what["period"], delay=what["delay"])
+        self._observer = PassivityObserver(timing, _INERTIA)
+        self._carried = np.array(what["carried"])
+        self._pose: Array | None = None
+        self._effort = np.zeros(6)
+        self.hand = 0.0
+
+    @property
+    def taken(self) -> float:
+        return float(self._observer.energy.sum())
+
+    def add(self, row: Row) -> None:
+        pose, force = np.array(row[2:8]), np.array(row[21:27]) - self._carried
+        command = Command(force.tolist(), row[27:33], row[33]) if row[33] else Command(force.tolist())
+        self._observer(Sample(int(row[0]), row[1], row[2:8]), command)
+        if self._pose is not None:
+            self.hand += float(self._effort @ (pose - self._pose))
+        self._pose, self._effort = pose, np.array(row[34:40])
+
+
+def _versions() -> dict[str, str]:
+    named = {"maglev_mj": maglev_mj.__version__, "python": platform.python_version()}
+    return named | {name: version(name) for name in ("mujoco", "numpy", "mcap")}
+
+
+def read_mcap(file: IO[bytes], name: str) -> Recording:
+    """Read a recording as far as it goes: one whose writer was killed, up to its last whole chunk.
+
+    Args:
+        file: What to read.
+        name: What to call it.
+
+    Raises:
+        McapMissingError: If the package is not installed.
+        RecordingError: If there is no recording in it.
+    """
+    require_mcap()
+    from mcap.exceptions import EndOfFile
+    from mcap.records import Channel, Footer, Message
+    from mcap.stream_reader import StreamReader
+
+    topics: dict[int, str] = {}
+    found: list[tuple[str, dict[str, Any]]] = []
+    damage = "its end is missing"
+    try:
+        for record in StreamReader(file, validate_crcs=True).records:
+            if isinstance(record, Channel):
+                topics[record.id] = record.topic
+            elif isinstance(record, Message):
+                found.append((topics[record.channel_id], json.loads(record.data)))
+            elif isinstance(record, Footer):
+                damage = ""
+    except (EndOfFile, struct.error):
+        pass
+    except Exception as error:  # of the reader, of what decompresses, of JSON: what came before it is good
+        damage = f"it is damaged: {error}"
+    try:
+        return _assembled(found, damage)
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError):
+        raise RecordingError(f"{name!r} is not a whole recording{damage and f': {damage}'}") from None
+
+
+def _assembled(messages: Iterable[tuple[str, dict[str, Any]]], damage: str) -> Recording:
+    setups: list[Setup] = []
+    rows: list[list[list[float]]] = []
+    events: list[str] = []
+    for topic, message in messages:
+        if topic == _STRETCH:
+            setups.append(message["setup"])
+            rows.append([])
+        elif topic == _SAMPLE:
+            rows[message["stretch"]].append(as_row(message))
+        elif topic == _EVENT:
+            events.append(f"{message['kind']}: {message['text']}")
+    if not setups:
+        raise ValueError("nothing")
+    stretches = [_stretch(setup, table(part, 40)) for setup, part in zip(setups, rows, strict=True)]
+    return Recording([stretch for stretch in stretches if len(stretch.tick)], events=events, damage=damage)
+
+
+def _stretch(setup: Setup, rows: Array) -> Stretch:
+    return Stretch(
+        setup=setup,
+        tick=rows[:, 0],
+        time=rows[:, 1],
+        position=rows[:, 2:8],
+        command=rows[:, 8:21],
+        applied=rows[:, 21:34],
+        hand=rows[:, 34:40],
+    )

@@ -1,0 +1,84 @@
+"""What a session is recorded to: one file after the other, each from a key to the next."""
+
+from __future__ import annotations
+
+import tempfile
+from datetime import datetime
+from pathlib import Path
+
+from maglev_mj.recording import RecordingError, RecordingFile, best_suffix, open_recording
+
+__all__ = ["Tape"]
+
+
+class Tape:
+    """The recordings of a session.
+
+    Args:
+        folder: Where they go.
+
+    Attributes:
+        written: Those that are closed.
+        file: The one that is open; None while nothing is recorded.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.written: list[Path] = []
+        self.file: RecordingFile | None = None
+        self._folder, self._said, self._missed = folder, "", 0
+
+    def start(self) -> None:
+        """Begin a recording, in the temporary folder where the own one does not take it."""
+        try:
+            self.file = open_recording(_new_path(self._folder))
+        except OSError:
+            self.file = open_recording(_new_path(Path(tempfile.gettempdir())))
+
+    def stop(self) -> None:
+        """End the recording, if there is one.
+
+        Raises:
+            OSError: If it cannot be written; it is tried again the next time.
+        """
+        if self.file is None:
+            return
+        path = None
+        try:
+            path = self.file.close()
+            self._said = f"wrote {path}" if path is not None else "nothing was recorded"
+        except RecordingError as error:  # what there is of it, is there
+            self._said = f"RECORDING: {error}"
+        self.file = None  # only now, for what could not be written is tried again
+        if path is not None:
+            self.written.append(path)
+
+    def failed(self, why: str) -> None:
+        """Keep why the scene stopped."""
+        if self.file is not None:
+            self.file.event("fault", why)
+
+    def missed(self, count: int) -> None:
+        """Keep how many ticks have been given up so far."""
+        more, self._missed = count - self._missed, count
+        if more and self.file is not None:
+            self.file.event("missed", f"{more} ticks were given up: too slow", more)
+
+    @property
+    def note(self) -> str:
+        """How it goes, for a person; empty where nothing was ever recorded."""
+        if self.file is None:
+            return self._said
+        try:
+            self.file.check()
+        except RecordingError as error:
+            return f"NOT RECORDING: {error}"
+        return "RECORDING"
+
+
+def _new_path(folder: Path) -> Path:
+    """Return a name for a recording that no file has yet."""
+    stem, suffix = datetime.now().strftime("maglev-%Y%m%d-%H%M%S"), best_suffix()
+    path, count = folder / f"{stem}{suffix}", 1
+    while path.exists():
+        path, count = folder / f"{stem}-{count}{suffix}", count + 1
+    return path

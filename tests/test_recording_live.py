@@ -1,0 +1,291 @@
+"""Recordings written while they happen: what they hold, that they outlive whoever makes them, that others read them."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from maglev_mj.cli import main
+from maglev_mj.controller import Controller
+from maglev_mj.errors import ParameterError
+from maglev_mj.experiments.drop import DropParameters
+from maglev_mj.experiments.stick_slip import StickSlipParameters
+from maglev_mj.frames import ZERO, Command, Sample
+from maglev_mj.laws import Bias, Wall
+from maglev_mj.metrics import PassivityObserver
+from maglev_mj.plants import ExactPlant, Timing
+from maglev_mj.recording import ArrayFile, Recording, RecordingError, open_recording, verify
+from maglev_mj.recording.ring import ROWS, Ring, RowReader
+from maglev_mj.recording.schemas import CHANNELS
+from maglev_mj.replay import rebuild, record_experiment, write_experiment
+
+ARRAYS = ("tick", "time", "position", "command", "applied", "hand")
+
+
+def messages(path: Path) -> list[tuple[str, dict[str, Any]]]:
+    """Return what any reader of MCAP finds."""
+    from mcap.reader import make_reader
+
+    with path.open("rb") as file:
+        return [(channel.topic, json.loads(message.data)) for _, channel, message in make_reader(file).iter_messages()]
+
+
+def same(one: Recording, other: Recording) -> bool:
+    """Whether two recordings hold the same, to the last bit."""
+    return len(one.stretches) == len(other.stretches) and all(
+        a.setup == b.setup and all((getattr(a, name) == getattr(b, name)).all() for name in ARRAYS)
+        for a, b in zip(one.stretches, other.stretches, strict=True)
+    )
+
+
+@pytest.mark.parametrize(
+    ("kind", "parameters"),
+    [("drop", DropParameters(plant="mujoco", phase=0.3)), ("stick-slip", StickSlipParameters(plant="exact"))],
+)
+def test_a_file_holds_what_memory_does_to_the_last_bit(kind: str, parameters: Any, tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    write_experiment(path, kind, parameters)
+    written, kept = Recording.load(path), record_experiment(kind, parameters)
+    assert not written.damage and same(written, kept)
+    assert verify(written, rebuild).same
+
+
+def test_any_reader_finds_fields_by_name_with_units_and_what_it_was_made_from(tmp_path: Path) -> None:
+    from mcap.reader import make_reader
+
+    path = tmp_path / "run.mcap"
+    write_experiment(path, "drop", DropParameters(plant="exact"))
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None and summary.statistics is not None
+    schemas = {schema.name: json.loads(schema.data) for schema in summary.schemas.values()}
+    assert {channel.topic for channel in summary.channels.values()} == set(CHANNELS)
+    fields = schemas["maglev_mj.Sample"]["properties"]
+    units = [fields[name]["properties"][axis]["unit"] for name in ("position", "hand") for axis in ("z", "rx")]
+    assert units == ["m", "rad", "N", "N m"] and fields["taken"]["unit"] == "J"
+    (_, begun), *samples = messages(path)
+    assert begun["setup"]["parameters"]["stiffness"] == 6000.0 and begun["versions"]["mujoco"]
+    assert (begun["period"], begun["delay"]) == (0.005, 0.0015)
+    assert len(samples) == summary.statistics.message_count - 1 == 81
+    for topic, message in samples:
+        assert topic == "/maglev/sample" and set(message) == set(fields)
+
+
+def test_energy_is_that_of_the_passivity_observer_and_work_is_that_of_the_hand(tmp_path: Path) -> None:
+    path, timing = tmp_path / "run.mcap", Timing(phase=0.4)
+    hand = [0.0, 0.0, -3.0, 0.0, 0.0, 0.0]
+    plant = ExactPlant(timing, pose=[0.0, 0.0, 3e-3, 0.0, 0.0, 0.0], hand_force=lambda tick, time, state: hand)
+    lift = Bias([0.0, 0.0, 0.7 * 9.81, 0.0, 0.0, 0.0])
+    wall = Wall(axes="z", lower=0.0, stiffness=6000.0, damping=80.0, pulse=220.0, pulse_width=0.003)
+    controller = Controller([lift, wall], period=timing.period)
+    observer = PassivityObserver(timing, [0.7] * 3 + [1.0] * 3)
+    file = open_recording(path)
+    keeper = file.begin(plant, controller, {"kind": "test"}, delay=timing.delay)
+    work = place = 0.0
+    for tick in range(60):
+        sample = plant.read()
+        work += -3.0 * (sample.position[2] - place) if tick else 0.0
+        place = sample.position[2]
+        applied = plant.write(keeper.step(sample))
+        keeper.observe(sample, applied)
+        rendered = [force - carried for force, carried in zip(applied.force, lift.wrench, strict=True)]  # type: ignore[arg-type]
+        observer(sample, replace(applied, force=rendered))
+    assert file.close() == path
+    last = messages(path)[-1][1]
+    assert last["hand_work"] == pytest.approx(work, rel=1e-12)
+    assert last["taken"] == pytest.approx(float(observer.energy.sum()), rel=1e-9)
+    assert last["taken"] > 1e-3
+
+
+def test_missed_samples_and_faults_are_in_it(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+
+    class Still:
+        hand_wrench = ZERO
+
+    file = open_recording(path)
+    for ticks in ((0, 1, 4), (2, 3)):
+        keeper = file.begin(Still(), Controller([], period=0.001), {"kind": "test"}, delay=0.0)
+        for tick in ticks:
+            sample = Sample(tick, tick * 0.001, list(ZERO))
+            keeper.observe(sample, keeper.step(sample))
+    file.event("missed", "too slow", 5)
+    file.event("fault", "it fell")
+    sample = Sample(4, 0.004, list(ZERO))
+    keeper.observe(sample, keeper.step(sample))
+    refused = keeper.step(Sample(5, 0.005, list(ZERO)))
+    assert refused.force == [0.0] * 6
+    assert file.close() == path
+    assert [(m["stretch"], m["missed"]) for topic, m in messages(path) if topic == "/maglev/sample"] == [
+        *[(0, 0), (0, 0), (0, 2)],
+        *[(1, 2), (1, 2), (1, 7), (1, 7)],
+    ]
+    recording = Recording.load(path)
+    assert list(recording.events) == ["missed: too slow", "fault: it fell"]
+    assert [len(stretch.tick) for stretch in recording.stretches] == [3, 4]
+
+
+RUN = """
+import sys, time
+from pathlib import Path
+from maglev_mj.session import Session, Pacer
+from maglev_mj.hand import SpringHand
+session = Session("joystick", hand=SpringHand(), folder=Path(sys.argv[1]))
+session.act("friction"); session.act("record")
+session.hand.target = [0.012, 0.003, 0.0, 0.0, 0.1, 0.0]
+last = time.perf_counter()
+while True:
+    time.sleep(0.004)
+    now = time.perf_counter(); session.tick(now - last); last = now
+    print(session._ticks, flush=True)
+"""
+
+
+@pytest.mark.parametrize("writer_too", [False, True])
+def test_a_recording_that_is_killed_opens_and_replays_to_its_last_row(writer_too: bool, tmp_path: Path) -> None:
+    """SIGKILL to the program, and to its writer at the same time; what is lost is a fraction of a second."""
+    program = subprocess.Popen([sys.executable, "-c", RUN, str(tmp_path)], stdout=subprocess.PIPE, text=True)
+    assert program.stdout is not None
+    made = 0
+    while made < 500:
+        made = int(program.stdout.readline())
+    writers = subprocess.run(
+        ["pgrep", "-f", f"maglev_mj.recording.writing.*{tmp_path}/"], capture_output=True, text=True
+    )
+    (writer,) = map(int, writers.stdout.split())
+    program.kill()
+    if writer_too:
+        os.kill(writer, signal.SIGKILL)
+    rest = program.communicate()[0].splitlines()
+    made = int(rest[-1]) if rest else made
+    deadline = time.monotonic() + 30.0
+    while Path(f"/proc/{writer}").exists() and time.monotonic() < deadline:
+        time.sleep(0.02)
+    (path,) = tmp_path.glob("*.mcap")
+    recording = Recording.load(path)
+    assert recording.damage == ("its end is missing" if writer_too else "")
+    assert made - recording.ticks <= (60 if writer_too else 0)  # 0.3 s at 200 Hz
+    assert verify(recording, rebuild).same
+    assert main(["replay", str(path), "--check"]) == 0
+
+
+def test_a_file_that_ends_anywhere_opens_up_to_its_last_chunk(tmp_path: Path) -> None:
+    path, cut = tmp_path / "run.mcap", tmp_path / "cut.mcap"
+    write_experiment(path, "drop", DropParameters(plant="exact", period=0.002))
+    data, whole = path.read_bytes(), Recording.load(path)
+    seen = set()
+    for length in range(0, len(data), 97):
+        cut.write_bytes(data[:length])
+        try:
+            part = Recording.load(cut)
+        except RecordingError:
+            seen.add(-1)
+            continue
+        seen.add(part.ticks)
+        stretch, all_of_it = part.stretches[0], whole.stretches[0]
+        for name in ARRAYS:
+            assert (getattr(stretch, name) == getattr(all_of_it, name)[: part.ticks]).all()
+    assert min(seen) == -1 and max(seen) == whole.ticks and len(seen) > 10
+
+
+def test_of_a_damaged_file_all_before_the_damage_is_there(tmp_path: Path, capsys: Any) -> None:
+    path, other = tmp_path / "run.mcap", tmp_path / "other.mcap"
+    write_experiment(path, "drop", DropParameters(plant="exact", period=0.002))
+    data, whole = path.read_bytes(), Recording.load(path)
+    found = []
+    for place in range(len(data) // 4, len(data) // 2, 61):
+        other.write_bytes(data[:place] + bytes([data[place] ^ 0xFF]) + data[place + 1 :])
+        part = Recording.load(other)
+        (stretch,) = part.stretches
+        assert (stretch.position == whole.stretches[0].position[: part.ticks]).all()
+        assert part.damage or part.ticks == whole.ticks
+        found.append(part.ticks)
+    assert min(found) < 0.3 * whole.ticks
+    assert main(["replay", str(other), "--check"]) == 0
+    said = capsys.readouterr().out
+    assert "it is damaged" in said and f"{found[-1]} of {found[-1]} positions" in said
+
+
+def test_rows_that_come_faster_than_they_are_written_are_counted_or_waited_for() -> None:
+    """The ring of a run in real time overwrites; that of another waits for its reader."""
+    sample, command = Sample(0, 0.0, list(ZERO)), Command(list(ZERO))
+    ring = Ring()
+    reader = RowReader(ring.path)
+    for _ in range(ROWS + 100):
+        ring.put(sample, command, command, ZERO)
+    assert len(list(reader.rows())) == ROWS and reader.lost == 100
+    ring.close()
+    reader.close()
+    waited = []
+    patient = Ring(wait=lambda: waited.append(len(list(slow.rows()))))
+    slow = RowReader(patient.path)
+    for _ in range(2 * ROWS):
+        patient.put(sample, command, command, ZERO)
+    assert waited and sum(waited) + len(list(slow.rows())) == 2 * ROWS and slow.lost == 0
+    patient.close()
+    slow.close()
+
+
+def test_pulses_and_rows_go_through_the_ring_unchanged() -> None:
+    rng = np.random.default_rng(1)
+    ring = Ring()
+    reader = RowReader(ring.path)
+    for count in range(50):
+        values = [rng.normal(size=6).tolist() for _ in range(6)]
+        command = Command(values[0], values[1] if count % 2 else None, 0.003)
+        applied = Command(values[2], values[3] if count % 3 else None, 0.002)
+        ring.put(Sample(count, 0.1 * count, values[4]), command, applied, values[5])
+        ((place, row),) = reader.rows()
+        pulse = [*values[1], 0.003] if count % 2 else [0.0] * 7
+        given = [*values[3], 0.002] if count % 3 else [0.0] * 7
+        assert place == count
+        assert row == (count, 0.1 * count, *values[4], *values[0], *pulse, *values[2], *given, *values[5])
+    ring.close()
+    reader.close()
+
+
+def test_a_writer_that_dies_is_told_of(tmp_path: Path) -> None:
+    file: Any = open_recording(tmp_path / "run.mcap")
+    file.check()
+    file._process.kill()
+    file._process.wait()
+    with pytest.raises(RecordingError, match="is not written any more"):
+        file.check()
+    with pytest.raises(RecordingError, match="is not whole: its writer ended"):
+        file.close()
+
+
+def test_nothing_recorded_leaves_no_file(tmp_path: Path) -> None:
+    for name in ("run.mcap", "run.npz"):
+        assert open_recording(tmp_path / name).close() is None
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_arrays_go_elsewhere_where_their_folder_is_gone(tmp_path: Path) -> None:
+    folder = tmp_path / "gone"
+    folder.mkdir()
+    file = ArrayFile(folder / "run-of-a-test.npz")
+    plant = ExactPlant(Timing())
+    keeper = file.begin(plant, Controller([], period=0.005), {"kind": "test"}, delay=0.0)
+    sample = plant.read()
+    keeper.observe(sample, plant.write(keeper.step(sample)))
+    folder.rmdir()
+    path = file.close()
+    assert path is not None and path.parent != folder and Recording.load(path).ticks == 1
+    path.unlink()
+
+
+@pytest.mark.parametrize("name", ["run.csv", "run"])
+def test_a_kind_of_file_that_is_not_known_is_refused(name: str, tmp_path: Path, capsys: Any) -> None:
+    with pytest.raises(ParameterError, match=r"must be a file that ends in \.mcap or \.npz"):
+        open_recording(tmp_path / name)
+    assert main(["drop", "--plant", "exact", "--record", str(tmp_path / name)]) == 2
+    assert len(capsys.readouterr().err.splitlines()) == 1
