@@ -59,6 +59,8 @@ ALLOWED = {
     "imageio": {"viewer"},
     "distributed": {"workers"},
     "serial": {"bridge"},
+    "mcap": {"recording"},
+    "pyarrow": {"recording"},
 }
 
 

@@ -289,3 +289,51 @@ def test_a_kind_of_file_that_is_not_known_is_refused(name: str, tmp_path: Path, 
         open_recording(tmp_path / name)
     assert main(["drop", "--plant", "exact", "--record", str(tmp_path / name)]) == 2
     assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+@pytest.mark.parametrize("suffix", [".mcap", ".npz"])
+def test_a_recording_is_exported_as_a_table_with_units(suffix: str, tmp_path: Path, capsys: Any) -> None:
+    from pyarrow import parquet
+
+    path = tmp_path / f"run{suffix}"
+    write_experiment(path, "drop", DropParameters(plant="exact"))
+    (stretch,) = Recording.load(path).stretches
+    for kind in ("csv", "parquet"):
+        assert main(["export", str(path), "--to", kind]) == 0
+        assert capsys.readouterr().out == f"  wrote {tmp_path / f'run.{kind}'}: 81 samples\n"
+    head, *lines = (tmp_path / "run.csv").read_text().splitlines()
+    names = head.split(",")
+    rows = np.array([[float(value) for value in line.split(",")] for line in lines])
+    assert names[:4] == ["stretch", "tick", "time [s]", "position.x [m]"]
+    table = parquet.read_table(tmp_path / "run.parquet")
+    assert json.loads(table.schema.metadata[b"maglev_mj.setups"])[0] == json.loads(json.dumps(stretch.setup))
+    assert table.schema.field("hand.rz").metadata == {b"unit": b"N m"}
+    wanted = {
+        "time": stretch.time,
+        "position.z": stretch.position[:, 2],
+        "command.z": stretch.command[:, 2],
+        "pulse.z": stretch.command[:, 8],
+        "pulse_width": stretch.command[:, 12],
+        "applied.x": stretch.applied[:, 0],
+        "applied_pulse.z": stretch.applied[:, 8],
+        "applied_pulse_width": stretch.applied[:, 12],
+        "hand.rx": stretch.hand[:, 3],
+    }
+    for name, values in wanted.items():
+        (place,) = (index for index, title in enumerate(names) if title.split(" ")[0] == name)
+        assert (rows[:, place] == values).all() and (table[name].to_numpy() == values).all()
+    other = tmp_path / "other.npz"
+    assert main(["export", str(path), "--to", "npz", "--out", str(other)]) == 0
+    assert same(Recording.load(other), Recording.load(path))
+
+
+def test_a_recording_is_not_exported_over_itself(tmp_path: Path, capsys: Any) -> None:
+    path = tmp_path / "run.npz"
+    write_experiment(path, "drop", DropParameters(plant="exact"))
+    assert main(["export", str(path), "--to", "npz"]) == 2
+    assert "out must be another file than the recording" in capsys.readouterr().err
+    assert main(["export", str(path), "--to", "csv", "--out", str(tmp_path)]) == 2
+    with pytest.raises(SystemExit, match="2"):
+        main(["export", str(path), "--to", "xlsx"])
+    assert len(capsys.readouterr().err.splitlines()) == 2
+    assert main(["export", str(tmp_path / "none.mcap"), "--to", "csv"]) == 1

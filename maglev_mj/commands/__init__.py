@@ -3,6 +3,7 @@
 from maglev_mj.commands import (
     bridge,
     drop,
+    export,
     fidelity,
     info,
     press,
@@ -17,5 +18,5 @@ from maglev_mj.commands import (
 
 __all__ = ["COMMANDS"]
 
-COMMANDS = (view, render, replay, drop, press, stick_slip, stability, sweep, fidelity, twin, bridge, info)
+COMMANDS = (view, render, replay, export, drop, press, stick_slip, stability, sweep, fidelity, twin, bridge, info)
 """In the order in which the help lists them."""
