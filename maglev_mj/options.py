@@ -10,8 +10,6 @@ from pathlib import Path
 from typing import Any
 
 from maglev_mj.errors import ParameterError
-from maglev_mj.output import check_file
-from maglev_mj.recording import check_name
 from maglev_mj.scenes import Settings
 from maglev_mj.workers import Workers, dask_workers, local_workers
 
@@ -23,7 +21,6 @@ __all__ = [
     "add_recording",
     "add_settings",
     "add_workers",
-    "check_recording",
     "chosen_key",
     "chosen_settings",
     "chosen_workers",
@@ -85,18 +82,6 @@ def add_recording(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--record", metavar="FILE", type=Path, help="write a recording, .mcap or .npz, for `maglev-mj replay`"
     )
-
-
-def check_recording(options: argparse.Namespace) -> None:
-    """Check that what --record names can be written.
-
-    Raises:
-        ParameterError: If it is no file that can be, or of no kind that is known.
-        McapMissingError: If the package for its kind is not installed.
-    """
-    if options.record is not None:
-        check_name(options.record)
-        check_file("record", options.record)
 
 
 def add_workers(parser: argparse.ArgumentParser, record: str) -> None:

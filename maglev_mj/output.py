@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from maglev_mj.errors import DivergenceError, ParameterError
+from maglev_mj.recording import check_name
 from maglev_mj.study import Record, StudyInterrupted
 
-__all__ = ["check_file", "check_outputs", "keep_landed", "keep_partial", "write_json"]
+__all__ = ["check_file", "check_outputs", "check_recording", "keep_landed", "keep_partial", "write_json"]
 
 
 def keep_partial(error: DivergenceError, options: argparse.Namespace) -> None:
@@ -31,6 +32,21 @@ def check_file(name: str, path: Path) -> None:
         raise ParameterError(f"{name} must be a file in a folder that is there, not {str(path)!r}")
     if not os.access(path if path.exists() else path.parent, os.W_OK):
         raise ParameterError(f"{name} must be a file that may be written, not {str(path)!r}")
+
+
+def check_recording(path: Path | None) -> None:
+    """Check that a recording can be written.
+
+    Args:
+        path: File; None for no recording.
+
+    Raises:
+        ParameterError: If it is no file that can be written, or of no kind that is known.
+        McapMissingError: If the package for its kind is not installed.
+    """
+    if path is not None:
+        check_name(path)
+        check_file("record", path)
 
 
 def check_outputs(*, json: str | None = None, record: Path | None = None, out: Path | None = None) -> None:

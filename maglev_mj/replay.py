@@ -235,8 +235,8 @@ def stick_positions_of(stretch: Stretch) -> Array | None:
     """Return where the flotor stuck at each sample, as the controller saw it, (N, 6); None without friction."""
     _, controller = rebuild(stretch.setup, None)
     stuck_at, anchors = stick_positions(controller), []
-    for row, place in enumerate(stretch.position.tolist()):
-        controller.step(Sample(row, 0.0, place))
+    for tick, place in zip(stretch.tick.tolist(), stretch.position.tolist(), strict=True):
+        controller.step(Sample(int(tick), 0.0, place))
         found = stuck_at()
         if found is None:
             return None

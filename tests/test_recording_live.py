@@ -105,11 +105,14 @@ def test_energy_is_that_of_the_passivity_observer_and_work_is_that_of_the_hand(t
     assert last["taken"] > 1e-3
 
 
+class Still:
+    """A plant that nobody holds."""
+
+    hand_wrench: Any = ZERO
+
+
 def test_missed_samples_and_faults_are_in_it(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
-
-    class Still:
-        hand_wrench = ZERO
 
     file = open_recording(path)
     for ticks in ((0, 1, 4), (2, 3)):
@@ -217,18 +220,22 @@ def test_of_a_damaged_file_all_before_the_damage_is_there(tmp_path: Path, capsys
 def test_rows_that_come_faster_than_they_are_written_are_counted_or_waited_for() -> None:
     """The ring of a run in real time overwrites; that of another waits for its reader."""
     sample, command = Sample(0, 0.0, list(ZERO)), Command(list(ZERO))
+
+    def put(into: Ring, times: int) -> None:
+        step, observe, _ = into.between(lambda _: command, Still())
+        for _ in range(times):
+            observe(sample, step(sample))
+
     ring = Ring()
     reader = RowReader(ring.path)
-    for _ in range(ROWS + 100):
-        ring.put(sample, command, command, ZERO)
+    put(ring, ROWS + 100)
     assert len(list(reader.rows())) == ROWS and reader.lost == 100
     ring.close()
     reader.close()
     waited = []
     patient = Ring(wait=lambda: waited.append(len(list(slow.rows()))))
     slow = RowReader(patient.path)
-    for _ in range(2 * ROWS):
-        patient.put(sample, command, command, ZERO)
+    put(patient, 2 * ROWS)
     assert waited and sum(waited) + len(list(slow.rows())) == 2 * ROWS and slow.lost == 0
     patient.close()
     slow.close()
@@ -242,7 +249,12 @@ def test_pulses_and_rows_go_through_the_ring_unchanged() -> None:
         values = [rng.normal(size=6).tolist() for _ in range(6)]
         command = Command(values[0], values[1] if count % 2 else None, 0.003)
         applied = Command(values[2], values[3] if count % 3 else None, 0.002)
-        ring.put(Sample(count, 0.1 * count, values[4]), command, applied, values[5])
+        plant = Still()
+        plant.hand_wrench = values[5]
+        step, observe, _ = ring.between(lambda _, command=command: command, plant)  # type: ignore[misc]
+        sample = Sample(count, 0.1 * count, values[4])
+        step(sample)
+        observe(sample, applied)
         ((place, row),) = reader.rows()
         pulse = [*values[1], 0.003] if count % 2 else [0.0] * 7
         given = [*values[3], 0.002] if count % 3 else [0.0] * 7

@@ -5,6 +5,7 @@ from maglev_mj.charts.drop import phase_plane, phases, time_series
 from maglev_mj.charts.friction import friction_laws, staircase, stick_slip
 from maglev_mj.charts.precision import WorkPoint, WorkPrecision, pareto, work_precision
 from maglev_mj.charts.press import figure_6
+from maglev_mj.charts.recorded import first_contact, sticks, whole_run
 from maglev_mj.charts.stability import Panel, figure_2, small_multiples, stability_map
 
 __all__ = [
@@ -14,6 +15,7 @@ __all__ = [
     "WorkPrecision",
     "figure_2",
     "figure_6",
+    "first_contact",
     "friction_laws",
     "pareto",
     "phase_plane",
@@ -23,6 +25,8 @@ __all__ = [
     "stability_map",
     "staircase",
     "stick_slip",
+    "sticks",
     "time_series",
+    "whole_run",
     "work_precision",
 ]

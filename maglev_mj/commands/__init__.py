@@ -1,6 +1,7 @@
 """The commands of `maglev-mj`, one a module: its options and what it runs."""
 
 from maglev_mj.commands import (
+    analyse,
     bridge,
     drop,
     export,
@@ -18,5 +19,20 @@ from maglev_mj.commands import (
 
 __all__ = ["COMMANDS"]
 
-COMMANDS = (view, render, replay, export, drop, press, stick_slip, stability, sweep, fidelity, twin, bridge, info)
+COMMANDS = (
+    view,
+    render,
+    replay,
+    analyse,
+    export,
+    drop,
+    press,
+    stick_slip,
+    stability,
+    sweep,
+    fidelity,
+    twin,
+    bridge,
+    info,
+)
 """In the order in which the help lists them."""

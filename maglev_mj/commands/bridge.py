@@ -25,12 +25,11 @@ from maglev_mj.options import (
     add_bridge,
     add_recording,
     add_settings,
-    check_recording,
     chosen_key,
     chosen_settings,
     number_option,
 )
-from maglev_mj.output import check_file, check_outputs
+from maglev_mj.output import check_file, check_outputs, check_recording
 from maglev_mj.parameters import number
 from maglev_mj.recording import RecordingFile, open_recording
 from maglev_mj.scenes import SCENES, Scene, Settings, scene_called
@@ -69,7 +68,7 @@ def _bridge(options: argparse.Namespace) -> int:
     scene, key = scene_called(options.scene), chosen_key(options)
     if options.seconds is not None:
         number("seconds", options.seconds, above=0.0)
-    check_recording(options)
+    check_recording(options.record)
     if options.identify is not None:
         check_file("identify", options.identify)
     if options.mass is not None and options.identify is None:

@@ -13,8 +13,8 @@ from maglev_mj import charts
 from maglev_mj.errors import DivergenceError
 from maglev_mj.experiments.choices import PLANTS
 from maglev_mj.experiments.drop import DropParameters, run_drop, sweep_drop
-from maglev_mj.options import add_options, add_outputs, add_recording, check_recording, count
-from maglev_mj.output import keep_partial, write_json
+from maglev_mj.options import add_options, add_outputs, add_recording, count
+from maglev_mj.output import check_recording, keep_partial, write_json
 from maglev_mj.replay import write_experiment
 from maglev_mj.tables import drop_table
 
@@ -59,7 +59,7 @@ def _add_drop_options(parser: argparse.ArgumentParser) -> None:
 
 def _drop(options: argparse.Namespace) -> int:
     parameters = DropParameters(**{field.name: getattr(options, field.name) for field in fields(DropParameters)})
-    check_recording(options)
+    check_recording(options.record)
     if options.record is not None:
         write_experiment(options.record, "drop", parameters)
     try:

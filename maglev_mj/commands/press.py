@@ -13,8 +13,8 @@ from maglev_mj.errors import DivergenceError
 from maglev_mj.experiments.choices import PLANTS
 from maglev_mj.experiments.press import PressParameters, run_press, sweep_press
 from maglev_mj.hand import HANDS
-from maglev_mj.options import add_options, add_outputs, add_recording, check_recording, count
-from maglev_mj.output import check_outputs, keep_partial, write_json
+from maglev_mj.options import add_options, add_outputs, add_recording, count
+from maglev_mj.output import check_outputs, check_recording, keep_partial, write_json
 from maglev_mj.progress import Progress
 from maglev_mj.replay import write_experiment
 from maglev_mj.tables import press_table
@@ -59,7 +59,7 @@ def _add_press_options(parser: argparse.ArgumentParser) -> None:
 
 def _press(options: argparse.Namespace) -> int:
     parameters = PressParameters(**{field.name: getattr(options, field.name) for field in fields(PressParameters)})
-    check_recording(options)
+    check_recording(options.record)
     if options.record is not None:
         write_experiment(options.record, "press", parameters)
     if options.out is not None:

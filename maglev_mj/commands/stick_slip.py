@@ -11,8 +11,8 @@ from maglev_mj.errors import DivergenceError
 from maglev_mj.experiments.choices import LAWS, PLANTS, VELOCITIES
 from maglev_mj.experiments.stick_slip import StickSlipParameters, run_stick_slip
 from maglev_mj.frames import AXES
-from maglev_mj.options import add_options, add_outputs, add_recording, check_recording
-from maglev_mj.output import keep_partial, write_json
+from maglev_mj.options import add_options, add_outputs, add_recording
+from maglev_mj.output import check_recording, keep_partial, write_json
 from maglev_mj.replay import write_experiment
 from maglev_mj.tables import stick_slip_table
 
@@ -54,7 +54,7 @@ def _stick_slip(options: argparse.Namespace) -> int:
     parameters = StickSlipParameters(
         **{field.name: getattr(options, field.name) for field in fields(StickSlipParameters)}
     )
-    check_recording(options)
+    check_recording(options.record)
     if options.record is not None:
         write_experiment(options.record, "stick-slip", parameters)
     try:

@@ -6,13 +6,11 @@ import json
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from maglev_mj.controller import Controller
-from maglev_mj.frames import ZERO, Command, Sample
 from maglev_mj.recording.mcap_file import about, require_mcap
 from maglev_mj.recording.recorder import Felt, carried_by
 from maglev_mj.recording.ring import Ring
@@ -122,25 +120,4 @@ class _LiveRecorder:
 
     def __init__(self, plant: Felt, controller: Controller, ring: Ring) -> None:
         self.period = controller.period
-        self._plant, self._answer, self._put = plant, controller.step, ring.put
-        self._command: Command | None = None
-        self._sample: Sample | None = None
-        self._hand: Sequence[float] = ZERO
-
-    def step(self, sample: Sample) -> Command:
-        """Answer one sample as the controller does."""
-        self._command = command = self._answer(sample)
-        self._sample, self._hand = sample, self._plant.hand_wrench
-        return command
-
-    def observe(self, sample: Sample, applied: Command) -> None:
-        """Keep a command as applied."""
-        command, self._command = self._command, None
-        if command is not None:
-            self._put(sample, command, applied, self._hand)
-
-    def end(self) -> None:
-        """Keep an answer that the plant refused, as applied zero."""
-        if self._command is not None and self._sample is not None:
-            self._put(self._sample, self._command, Command(list(ZERO)), self._hand)
-            self._command = None
+        self.step, self.observe, self.end = ring.between(controller.step, plant)

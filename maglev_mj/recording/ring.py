@@ -1,7 +1,7 @@
 """Rows in memory that two processes share: one puts them in, within its tick, and the other takes them out.
 
-A row is N doubles: its number, whether it has pulses, what every row has, its number again, and what only a row with
-pulses has. A reader takes a row whose number stands at both ends; the first is written first and the second last.
+A row is 29 doubles: its number from 1, whether it has pulses, what every row has, and its number again. A reader takes
+a row whose number stands at both ends; the first is written first and the second last. Pulses are further behind.
 """
 
 from __future__ import annotations
@@ -13,24 +13,31 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import TypeAlias
 
 from maglev_mj.frames import ZERO, Command, Sample
+from maglev_mj.recording.recorder import Felt
 
 __all__ = ["ROWS", "Ring", "Row", "RowReader"]
 
-ROWS = 1 << 15
-"""Rows in a ring: 16 s at 2 kHz, which is how long its reader may be away."""
+ROWS = 1 << 14
+"""Rows in a ring: 8 s at 2 kHz, which is how long its reader may be away."""
 
 _ALWAYS = struct.Struct("=29d")
 _PULSES = struct.Struct("=14d")
-_SIZE = _ALWAYS.size + _PULSES.size
+_THERE = {"flags": mmap.MAP_SHARED | mmap.MAP_POPULATE} if hasattr(mmap, "MAP_POPULATE") else {}  # not in the tick
 _HEAD = 64  # bytes in front of the rows, the first eight of them the reader's place
 _PLACE = struct.Struct("=q")
 _LOOKED_AFTER = 512
+_MASK = ROWS - 1
+_BEHIND = _HEAD + ROWS * _ALWAYS.size
 _NAP = 1e-3
 
-Row = tuple[float, ...]
+Row: TypeAlias = tuple[float, ...]
 """Tick, time, position, command and applied as 13 numbers each, hand: 40 numbers."""
+
+_Step: TypeAlias = Callable[[Sample], Command]
+_Observe: TypeAlias = Callable[[Sample, Command], None]
 
 
 class Ring:
@@ -49,28 +56,70 @@ class Ring:
         descriptor, name = tempfile.mkstemp(prefix="maglev-ring-", dir=shared if shared.is_dir() else None)
         self.path, self.count, self._wait = Path(name), 0, wait
         with os.fdopen(descriptor, "r+b") as file:
-            file.truncate(_HEAD + ROWS * _SIZE)
-            self._memory = mmap.mmap(file.fileno(), 0)
+            file.truncate(_HEAD + ROWS * (_ALWAYS.size + _PULSES.size))
+            self._memory = mmap.mmap(file.fileno(), 0, **_THERE)
         _PLACE.pack_into(self._memory, 0, 0)
-        # numbers start at 1, so that fresh memory is no row
-        self._always, self._pulses = _ALWAYS.pack_into, _PULSES.pack_into
 
-    def put(self, sample: Sample, command: Command, applied: Command, hand: Sequence[float]) -> None:
-        """Put in one row."""
-        memory, count = self._memory, self.count
-        number = count + 1
-        start = _HEAD + (count & (ROWS - 1)) * _SIZE
-        extra, after = command.extra, applied.extra
-        pulsed = 0.0
-        if extra is not None or after is not None:
-            pulsed = 1.0
-            widths = command.pulse_width if extra else 0.0, applied.pulse_width if after else 0.0
-            self._pulses(memory, start + _ALWAYS.size, *(extra or ZERO), *(after or ZERO), *widths)
-        position, force, given = sample.position, command.force, applied.force
-        self._always(memory, start, number, pulsed, sample.tick, sample.time, *position, *force, *given, *hand, number)
-        self.count = number
-        if self._wait is not None and not number % _LOOKED_AFTER:
-            self._let_catch_up(self._wait)
+    def between(self, answer: Callable[[Sample], Command], plant: Felt) -> tuple[_Step, _Observe, Callable[[], None]]:
+        """Return what stands between a loop and a controller and puts in a row a sample.
+
+        Functions of one another's variables, not methods: it is in the tick, and that is a quarter cheaper.
+
+        Args:
+            answer: Answers a sample.
+            plant: Tells what the hand exerts.
+
+        Returns:
+            What answers a sample; what takes the command as applied; and what puts in an answer that never was, as
+            applied zero.
+        """
+        memory, wait = self._memory, self._wait
+        always, pulses, size = _ALWAYS.pack_into, _PULSES.pack_into, _ALWAYS.size
+        pending: tuple[Sample, Command, Sequence[float]] | None = None
+
+        def step(sample: Sample) -> Command:
+            nonlocal pending
+            command = answer(sample)
+            pending = sample, command, plant.hand_wrench
+            return command
+
+        def observe(sample: Sample, applied: Command) -> None:
+            nonlocal pending
+            if pending is None:
+                return
+            _, command, hand = pending
+            pending = None
+            count = self.count
+            number = count + 1
+            place = count & _MASK
+            extra, after, pulsed = command.extra, applied.extra, 0.0
+            if extra is not None or after is not None:
+                pulsed = 1.0
+                widths = command.pulse_width if extra else 0.0, applied.pulse_width if after else 0.0
+                pulses(memory, _BEHIND + place * _PULSES.size, *(extra or ZERO), *(after or ZERO), *widths)
+            position, force, given = sample.position, command.force, applied.force
+            always(
+                memory,
+                _HEAD + place * size,
+                number,
+                pulsed,
+                sample.tick,
+                sample.time,
+                *position,
+                *force,
+                *given,
+                *hand,
+                number,
+            )
+            self.count = number
+            if wait is not None and not number % _LOOKED_AFTER:
+                self._let_catch_up(wait)
+
+        def end() -> None:
+            if pending is not None:
+                observe(pending[0], Command(list(ZERO)))
+
+        return step, observe, end
 
     def close(self) -> None:
         """Let go of the memory; a second time does nothing."""
@@ -101,7 +150,8 @@ class RowReader:
     def rows(self) -> Iterator[tuple[int, Row]]:
         """Yield the rows that are there, each with its place in the run, from 0."""
         while True:
-            start = _HEAD + (self._place & (ROWS - 1)) * _SIZE
+            place = self._place & _MASK
+            start = _HEAD + place * _ALWAYS.size
             values = _ALWAYS.unpack_from(self._memory, start)
             first = int(values[0])
             if first < self._place + 1 or values[-1] != first:
@@ -110,7 +160,7 @@ class RowReader:
                 self._place += 1
                 self.lost += 1
                 continue
-            pulses = _PULSES.unpack_from(self._memory, start + _ALWAYS.size) if values[1] else (0.0,) * 14
+            pulses = _PULSES.unpack_from(self._memory, _BEHIND + place * _PULSES.size) if values[1] else (0.0,) * 14
             if _ALWAYS.unpack_from(self._memory, start) != values:
                 continue  # it was overwritten meanwhile
             self._place = first

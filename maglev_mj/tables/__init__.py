@@ -1,5 +1,6 @@
 """Results as text for a terminal, one module a subject."""
 
+from maglev_mj.tables.analysis import analysis_table
 from maglev_mj.tables.bridge import flown_table, served_table
 from maglev_mj.tables.device import device_table
 from maglev_mj.tables.drop import drop_table
@@ -11,6 +12,7 @@ from maglev_mj.tables.sweep import sweep_table
 from maglev_mj.tables.view import show_table, verdict_table
 
 __all__ = [
+    "analysis_table",
     "device_table",
     "drop_table",
     "fidelity_table",

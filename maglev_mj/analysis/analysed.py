@@ -1,0 +1,150 @@
+"""A stretch of a recording with everything that is found out about it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from maglev_mj.analysis.comparison import Comparison, compare, simulate
+from maglev_mj.analysis.figures import StretchFigures, stretch_figures
+from maglev_mj.analysis.known import Known, known_of
+from maglev_mj.analysis.motion import Motion, reconstruct
+from maglev_mj.errors import ParameterError
+from maglev_mj.frames import AXES, Array
+from maglev_mj.parameters import number
+from maglev_mj.recording import Rebuild, RecordingError, Stretch
+
+__all__ = ["Analysed", "Run", "analyse"]
+
+_STILL = 1e-9
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Run:
+    """One side of a comparison, the recording or the simulation, over the time asked for.
+
+    Attributes:
+        motion: How the flotor moved.
+        figures: What that came to.
+        anchors: Where the flotor stuck at each sample [m, rad], (N, 6); None without friction, or for a simulation.
+    """
+
+    motion: Motion
+    figures: StretchFigures
+    anchors: Array | None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Analysed:
+    """What is found out about a stretch.
+
+    Attributes:
+        known: What it was recorded from.
+        recorded: What the samples say.
+        simulated: What the simulation does; None where none was asked for, or it failed at once.
+        comparison: How far they are apart; None where none was asked for.
+    """
+
+    known: Known
+    recorded: Run
+    simulated: Run | None
+    comparison: Comparison | None
+
+    def axis(self, name: str | None = None) -> int:
+        """Return the index of the axis to draw: the one that is named, or the one that tells most.
+
+        That is the scene's own where a wall of it was touched, then the first of which a wall was, then the one that
+        moved furthest, of the translations unless only rotations moved.
+
+        Raises:
+            ParameterError: If the axis that is named does not move.
+        """
+        figures = self.recorded.figures
+        if name is not None:
+            moving = [AXES[index] for index in np.flatnonzero(figures.travel > _STILL)]
+            if name not in moving:
+                allowed = f"one that moves, of {', '.join(moving)}" if moving else "left out, for none moves"
+                raise ParameterError(f"axis must be {allowed}, not {name!r}")
+            return AXES.index(name)
+        touched = [face.axis for face in figures.faces]
+        if touched:
+            return self.known.axis if self.known.axis in touched else touched[0]
+        turned = not (figures.travel[:3] > _STILL).any()
+        return int(np.argmax(figures.travel[3:])) + 3 if turned else int(np.argmax(figures.travel[:3]))
+
+    def as_json(self) -> dict[str, Any]:
+        """Return everything, ready for JSON."""
+        data: dict[str, Any] = {name: getattr(self.known, name) for name in ("kind", "name", "period", "delay")}
+        data["recorded"] = self.recorded.figures.as_json()
+        data["simulated"] = None if self.simulated is None else self.simulated.figures.as_json()
+        data["comparison"] = None if self.comparison is None else self.comparison.as_json()
+        return data
+
+
+def analyse(
+    stretch: Stretch,
+    rebuild: Rebuild,
+    *,
+    anchors: Array | None = None,
+    begin: float = 0.0,
+    end: float | None = None,
+    simulated: bool = True,
+    rest: float | None = None,
+) -> Analysed:
+    """Return what is found out about a stretch of at least two samples.
+
+    Args:
+        stretch: The stretch.
+        rebuild: Makes plant and controller from a setup and a hand.
+        anchors: Where the flotor stuck at each sample [m, rad], (N, 6); None without friction.
+        begin: Time of the stretch from which on it is analysed [s].
+        end: Up to when [s]; None for its end.
+        simulated: Whether to run the simulation of the same parameters and compare.
+        rest: Where it comes to rest at a wall [m, rad]; found from the samples by default.
+
+    Raises:
+        RecordingError: If it has less than two samples, or its setup is not known here.
+        ParameterError: If there are less than two samples from `begin` to `end`.
+    """
+    if len(stretch.tick) < 2:
+        raise RecordingError(f"a stretch must have at least 2 samples to be analysed, not {len(stretch.tick)}")
+    known = known_of(stretch, rebuild(stretch.setup, None)[1].laws)
+    whole = reconstruct(stretch, known)
+    first, last = _rows(whole, begin, end)
+    comparison = other = None
+    if simulated:
+        twin = simulate(stretch, whole, known, rebuild)
+        comparison = compare(_cut(stretch, first, last), _cut(twin, first, last), whole.between(first, last))
+        until = min(last, len(twin.tick) - 1)
+        if until - first >= 1:
+            other = _run(twin, reconstruct(twin, known), known, None, (first, until), rest)
+    run = _run(stretch, whole, known, anchors, (first, last), rest)
+    return Analysed(known=known, recorded=run, simulated=other, comparison=comparison)
+
+
+def _rows(motion: Motion, begin: float, end: float | None) -> tuple[int, int]:
+    """Return the first and the last sample from `begin` to `end`."""
+    time = motion.time
+    number("from", begin, at_least=0.0, below=float(time[-1]))
+    final = float(time[-1]) if end is None else number("to", end, above=begin)
+    inside = np.flatnonzero((time >= begin - _STILL) & (time <= final + _STILL))
+    if len(inside) < 2:
+        raise ParameterError(f"from and to must have at least 2 samples between them, not {begin:g} and {final:g}")
+    return int(inside[0]), int(inside[-1])
+
+
+def _cut(stretch: Stretch, first: int, last: int) -> Stretch:
+    names = ("tick", "time", "position", "command", "applied", "hand")
+    return replace(stretch, **{name: getattr(stretch, name)[first : last + 1] for name in names})
+
+
+def _run(
+    stretch: Stretch, whole: Motion, known: Known, anchors: Array | None, rows: tuple[int, int], rest: float | None
+) -> Run:
+    first, last = rows
+    chosen = slice(first, last + 1)
+    motion, stuck = whole.between(first, last), None if anchors is None else anchors[chosen]
+    figures = stretch_figures(motion, known, stretch.tick[chosen], stretch.hand[chosen], stuck, rest)
+    return Run(motion=motion, figures=figures, anchors=stuck)

@@ -1,0 +1,151 @@
+"""A recording beside the simulation of the same parameters: how far apart they are, and from one sample to the next."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from maglev_mj.analysis.contacts import plain
+from maglev_mj.analysis.known import Known
+from maglev_mj.analysis.motion import Motion
+from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.frames import AXES, Array
+from maglev_mj.hand import RecordedHand
+from maglev_mj.loop import ControlLoop
+from maglev_mj.plants import SampledPlant, engine_warnings_silenced
+from maglev_mj.recording import Rebuild, Recorder, Stretch
+from maglev_mj.scenes import Settings, scene_called
+
+__all__ = ["Comparison", "compare", "simulate"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Comparison:
+    """How far a recording and its simulation are apart.
+
+    Attributes:
+        same: Whether every position is the same to the last bit.
+        rms: Root mean square of the distance on each axis [m, rad], (6,).
+        most: The greatest [m, rad], (6,).
+        when: When that was [s], (6,).
+        one_step: Root mean square on each axis of what a sample is beyond where the one before it, its speed there
+            and the forces recorded would have brought the flotor [m, rad], (6,); NaN with less than three samples.
+        compared: How many samples the simulation came to; less than all where it failed.
+        device: Whether the recording is of a device, whose hand nobody measured.
+    """
+
+    same: bool
+    rms: Array
+    most: Array
+    when: Array
+    one_step: Array
+    compared: int
+    device: bool
+
+    @property
+    def worst(self) -> int:
+        """Index into AXES of the axis that is furthest apart: of the translations, unless only rotations are."""
+        group = slice(0, 3) if self.most[:3].any() else slice(3, 6)
+        return int(np.argmax(self.most[group])) + group.start
+
+    @property
+    def sentence(self) -> str:
+        """How far apart they are, in one sentence."""
+        if self.compared == 0:
+            return "the simulation failed at once: there is nothing to compare"
+        if self.same:
+            return "the recording and its simulation are the same to the last bit"
+        axis = self.worst
+        unit = "µm" if axis < 3 else "µrad"
+        return (
+            f"the recording and its simulation are {self.rms[axis] * 1e6:.4g} {unit} apart (RMS), "
+            f"{self.most[axis] * 1e6:.4g} {unit} at most, on {AXES[axis]} at {self.when[axis]:.4g} s"
+        )
+
+    def as_json(self) -> dict[str, Any]:
+        """Return everything, ready for JSON."""
+        figures = {"rms": self.rms, "most": self.most, "when": self.when, "one_step_rms": self.one_step}
+        return {
+            "same": self.same,
+            "compared": self.compared,
+            "sentence": self.sentence,
+            **{name: dict(zip(AXES, map(plain, values.tolist()))) for name, values in figures.items()},
+        }
+
+
+def simulate(stretch: Stretch, motion: Motion, known: Known, rebuild: Rebuild) -> Stretch:
+    """Return the same run simulated: same laws, the recorded hand, from the recorded start.
+
+    In place of a device stands the simulated one, from the first sample at the speed that the first two tell, in no
+    hand. Samples that are missing in the recording are left out.
+
+    Args:
+        stretch: The recording.
+        motion: Its motion.
+        known: What it was recorded from.
+        rebuild: Makes plant and controller from a setup and a hand.
+
+    Returns:
+        As many samples as the simulation came to: fewer where it failed.
+
+    Raises:
+        RecordingError: If the setup is not known here.
+        ParameterError: If a plant cannot be made from where the recording starts.
+    """
+    rows = np.round(stretch.tick - stretch.tick[0]).astype(np.intp)
+    plant, controller = rebuild(stretch.setup, RecordedHand(stretch.hand))
+    if plant is None:
+        plant = _twin(stretch, motion, known)
+    recorder = Recorder(plant, controller, stretch.setup)
+    with plant, engine_warnings_silenced():
+        try:
+            ControlLoop(plant, recorder, observe=recorder.observe).cycle(int(rows[-1]) + 1)
+        except ParameterError:
+            raise
+        except MaglevError:
+            pass  # how far it came is said with the comparison
+    made = recorder.stretch()
+    kept = rows[rows < len(made.tick)]
+    return replace(
+        stretch,
+        tick=stretch.tick[: len(kept)],
+        time=stretch.time[: len(kept)],
+        position=made.position[kept],
+        command=made.command[kept],
+        applied=made.applied[kept],
+        hand=made.hand[kept],
+    )
+
+
+def _twin(stretch: Stretch, motion: Motion, known: Known) -> SampledPlant:
+    """Return the simulated device in place of a real one."""
+    settings = Settings.from_json(stretch.setup["settings"])
+    first = motion.starts[0]
+    return scene_called(stretch.setup["scene"]).plant(
+        settings, pose=motion.trace.pose[first], twist=motion.trace.twist[first], wrench=known.before
+    )
+
+
+def compare(stretch: Stretch, simulated: Stretch, motion: Motion) -> Comparison:
+    """Return how far a recording and its simulation are apart.
+
+    Args:
+        stretch: The recording, N samples.
+        simulated: Its simulation, of as many or fewer.
+        motion: The motion of the recording.
+    """
+    count = len(simulated.tick)
+    gap = np.abs(simulated.position - stretch.position[:count])
+    none = np.full(len(AXES), np.nan)
+    known = motion.jumps[np.isfinite(motion.jumps).all(axis=1)]
+    return Comparison(
+        same=bool(count == len(stretch.tick) and not gap.any()),
+        rms=np.sqrt((gap**2).mean(axis=0)) if count else none,
+        most=gap.max(axis=0) if count else none,
+        when=motion.time[np.argmax(gap, axis=0)] if count else none,
+        one_step=np.sqrt((known**2).mean(axis=0)) if len(known) else none,
+        compared=count,
+        device=stretch.setup["kind"] == "device",
+    )

@@ -1,0 +1,180 @@
+"""The figures of one stretch of a recording: walls, energy, friction, samples that are missing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from maglev_mj.analysis.contacts import FaceFigures, face_figures, plain
+from maglev_mj.analysis.known import Known
+from maglev_mj.analysis.motion import Motion
+from maglev_mj.frames import AXES, Array
+from maglev_mj.trace import Trace
+
+__all__ = ["Energy", "Stick", "StretchFigures", "stretch_figures"]
+
+
+class Energy(NamedTuple):
+    """Where energy went on each axis [J], (6,) each.
+
+    Attributes:
+        taken: What the rendered world took in; below 0 it has made energy.
+        least: The least it has been at a switch of the force; the more below 0, the less passive.
+        hand: Work of the hand; NaN where nobody recorded what it exerts.
+        others: Work of what nothing recorded accounts for: of a hand that nobody measures, of a mass that is not the
+            one assumed.
+    """
+
+    taken: Array
+    least: Array
+    hand: Array
+    others: Array
+
+
+class Stick(NamedTuple):
+    """One time at which an axis stuck.
+
+    Attributes:
+        start: First sample that finds it stuck [s].
+        duration: Until the first that finds it sliding, or the last of all [s].
+        position: Where the spring that holds it was attached in the end [m, rad].
+        slipped: Whether it broke away; otherwise it stuck until the end.
+    """
+
+    start: float
+    duration: float
+    position: float
+    slipped: bool
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StretchFigures:
+    """The figures of a stretch.
+
+    Attributes:
+        samples: How many there are.
+        missed: How many there are not, by the gaps in their numbers.
+        start: Time of the first [s].
+        end: Time of the last [s].
+        travel: Way between the extremes of each axis [m, rad], (6,).
+        peak_force: Largest wrench of the actuators on each axis [N, N m], (6,).
+        faces: Every wall that was touched.
+        untouched: How many were not.
+        energy: Where it went.
+        unexplained: Root mean square of the wrench that nothing recorded accounts for [N, N m], (6,).
+        sticks: Of each axis, in order; None where it has no friction.
+    """
+
+    samples: int
+    missed: int
+    start: float
+    end: float
+    travel: Array
+    peak_force: Array
+    faces: Sequence[FaceFigures]
+    untouched: int
+    energy: Energy
+    unexplained: Array
+    sticks: Sequence[Sequence[Stick] | None]
+
+    @property
+    def contacts(self) -> int:
+        """Contacts with all walls."""
+        return sum(len(face.contacts) for face in self.faces)
+
+    def slips(self, axis: int) -> int:
+        """Return how often an axis broke away."""
+        return sum(stick.slipped for stick in self.sticks[axis] or ())
+
+    def transitions(self, axis: int) -> int:
+        """Return how often an axis changed between stuck and sliding."""
+        return self.slips(axis) + sum(stick.start > self.start for stick in self.sticks[axis] or ())
+
+    def as_json(self) -> dict[str, Any]:
+        """Return everything, ready for JSON."""
+        by_axis = {"travel": self.travel, "peak_force": self.peak_force, "unexplained_force": self.unexplained}
+        energy = {name: dict(zip(AXES, map(plain, values.tolist()))) for name, values in self.energy._asdict().items()}
+        return {
+            "samples": self.samples,
+            "missed": self.missed,
+            "start": self.start,
+            "end": self.end,
+            **{name: dict(zip(AXES, map(plain, values.tolist()))) for name, values in by_axis.items()},
+            "faces": [face.as_json() for face in self.faces],
+            "energy": energy,
+            "friction": {
+                AXES[axis]: {
+                    "slips": self.slips(axis),
+                    "transitions": self.transitions(axis),
+                    "sticks": [stick._asdict() for stick in sticks],
+                }
+                for axis, sticks in enumerate(self.sticks)
+                if sticks is not None
+            },
+        }
+
+
+def stretch_figures(
+    motion: Motion, known: Known, ticks: Array, hand: Array, anchors: Array | None, rest: float | None = None
+) -> StretchFigures:
+    """Return the figures of a stretch of N samples.
+
+    Args:
+        motion: The motion through them.
+        known: What they were recorded from.
+        ticks: Their numbers, (N,).
+        hand: What the hand exerted from each on [N, N m], (N, 6).
+        anchors: Where the flotor stuck at each [m, rad], (N, 6), NaN where it did not; None without friction.
+        rest: Where it comes to rest at a wall [m, rad]; found from the samples by default.
+    """
+    trace = motion.trace
+    faces = [found for face in known.faces if (found := face_figures(trace, face, rest=rest)) is not None]
+    return StretchFigures(
+        samples=len(ticks),
+        missed=round(float(ticks[-1] - ticks[0])) + 1 - len(ticks),
+        start=float(motion.time[0]),
+        end=float(motion.time[-1]),
+        travel=np.ptp(trace.pose, axis=0),
+        peak_force=np.abs(trace.wrench[:-1]).max(axis=0),
+        faces=faces,
+        untouched=len(known.faces) - len(faces),
+        energy=_energy(motion, known, hand),
+        unexplained=np.sqrt((motion.unexplained**2).mean(axis=0)),
+        sticks=[None] * len(AXES) if anchors is None else [_sticks(motion.time, line) for line in anchors.T],
+    )
+
+
+def _energy(motion: Motion, known: Known, hand: Array) -> Energy:
+    """Return where energy went; each force is paired with the way that it acted over."""
+    taken = _taken(motion.trace, known.carried)
+    places = motion.trace.pose[motion.starts]
+    way = np.diff(places, axis=0)
+    work = (hand[:-1] * way).sum(axis=0) if known.felt else np.full(len(AXES), np.nan)
+    return Energy(taken[-1], taken.min(axis=0), work, (motion.unexplained * way).sum(axis=0))
+
+
+def _taken(trace: Trace, carried: Array) -> Array:
+    """Return what the rendered world has taken in at each knot [J], (K, 6)."""
+    work = (trace.wrench[:-1] - carried) * np.diff(trace.pose, axis=0)
+    return -np.vstack([np.zeros(len(AXES)), np.cumsum(work, axis=0)])
+
+
+def _sticks(time: Array, anchors: Array) -> list[Stick] | None:
+    """Return every time at which an axis stuck; None for one that never did."""
+    stuck = np.isfinite(anchors)
+    if not stuck.any():
+        return None
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], stuck, [False]]).astype(np.int8)))
+    final = len(time) - 1
+    return [
+        Stick(
+            float(time[first]),
+            float(time[min(last, final)] - time[first]),
+            float(anchors[last - 1]),
+            bool(last <= final),
+        )
+        for first, last in edges.reshape(-1, 2)
+    ]

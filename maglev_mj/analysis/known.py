@@ -1,0 +1,119 @@
+"""What is known of what a stretch was recorded from: timing, inertia, forces that no sample tells of, walls."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from maglev_mj.frames import AXES, Array
+from maglev_mj.hand import hand_called
+from maglev_mj.laws import Law
+from maglev_mj.parameters import number, numbers
+from maglev_mj.recording import Stretch
+from maglev_mj.scenes import Settings, scene_called
+from maglev_mj.scenes.parts import INERTIA, WEIGHT
+from maglev_mj.session import wall_faces
+from maglev_mj.spec import GRAVITY
+
+__all__ = ["Known", "known_of"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Known:
+    """What is known of what a stretch was recorded from.
+
+    Attributes:
+        kind: Of its setup.
+        name: What to call it: the experiment, or the scene.
+        period: Sample period [s].
+        delay: From a sample to its command taking effect [s].
+        inertia: Mass and moments of inertia that the actuators push at [kg, kg m²], (6,).
+        weight: Force of gravity along z [N]; 0 where nothing weighs.
+        carried: Wrench of the actuators that carries the flotor and renders nothing [N, N m], (6,).
+        before: Wrench of the actuators until the first command takes effect [N, N m], (6,).
+        felt: Whether what the hand exerts was recorded.
+        pushed: Whether what was recorded pushes at the flotor itself, not at a hand in a soft grip.
+        faces: Every wall: index into AXES, normal, edge.
+        axis: Index into AXES of the axis that matters most.
+
+    Raises:
+        ParameterError: If a number is outside its bounds.
+    """
+
+    kind: str
+    name: str
+    period: float
+    delay: float
+    inertia: Array
+    weight: float
+    carried: Array
+    before: Array
+    felt: bool
+    pushed: bool
+    faces: Sequence[tuple[int, float, float]]
+    axis: int
+
+    def __post_init__(self) -> None:
+        number("period", self.period, above=0.0)
+        number("delay", self.delay, at_least=0.0)
+        numbers("inertia", self.inertia, at_least=1e-12)
+
+
+def known_of(stretch: Stretch, laws: Sequence[Law]) -> Known:
+    """Return what a stretch's setup tells.
+
+    Of a device it tells that it is the nominal one: mass and inertia are those of the model, and until the first
+    command takes effect the device gives what that asks for.
+
+    Args:
+        stretch: The stretch, of a setup that `rebuild` has made a controller from.
+        laws: Those of that controller.
+    """
+    setup = stretch.setup
+    kind, faces = setup["kind"], wall_faces(laws)
+    if kind not in ("scene", "device"):
+        return _of_experiment(kind, setup["parameters"], faces)
+    settings = Settings.from_json(setup["settings"])
+    before = setup["wrench"] if kind == "scene" else stretch.applied[0, :6] if len(stretch.applied) else WEIGHT
+    return Known(
+        kind=kind,
+        name=f"{kind} {setup['scene']}" if kind == "scene" else f"{setup['scene']} on a device",
+        period=settings.period,
+        delay=settings.delay,
+        inertia=INERTIA,
+        weight=-float(INERTIA[2]) * GRAVITY,
+        carried=np.array(WEIGHT if settings.weightless else [0.0] * 6),
+        before=np.array(before, dtype=np.float64),
+        felt=kind == "scene",
+        pushed=True,
+        faces=faces,
+        axis=scene_called(setup["scene"]).axis_index,
+    )
+
+
+def _of_experiment(kind: str, parameters: Mapping[str, Any], faces: Sequence[tuple[int, float, float]]) -> Known:
+    inertia, pushed = INERTIA.copy(), True
+    inertia[:3] = parameters.get("mass", inertia[0])
+    if kind == "press":
+        hand = hand_called(str(parameters["hand"]))
+        assert hand is not None  # a press without one cannot be made
+        pushed = not hand.soft
+        if pushed:  # the hand's mass moves with the flotor; damping and spring of the arm are found from the samples
+            inertia[list(hand.indices)] += float(np.asarray(hand.mass))
+    return Known(
+        kind=kind,
+        name=kind,
+        period=float(parameters["period"]),
+        delay=float(parameters["delay"]),
+        inertia=inertia,
+        weight=-float(inertia[2]) * GRAVITY if kind == "drop" else 0.0,
+        carried=np.zeros(6),
+        before=np.zeros(6),
+        felt=kind == "press",
+        pushed=pushed,
+        faces=faces,
+        axis=AXES.index(parameters.get("axis", "z")),
+    )

@@ -1,0 +1,191 @@
+"""The motion between recorded samples, from the forces that acted there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from maglev_mj.analysis.known import Known
+from maglev_mj.frames import Array, Mask
+from maglev_mj.recording import RecordingError, Stretch
+from maglev_mj.trace import Trace
+
+__all__ = ["Motion", "reconstruct"]
+
+_ROUNDING = 1e-9
+
+Numbers: TypeAlias = NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """How the flotor moved while N samples were taken.
+
+    Attributes:
+        trace: The motion through every sample, from 0 on; where the speed jumps at a sample, it has two knots there.
+        starts: Number of the knot with which each sample begins, (N,).
+        jumps: What each sample is beyond where the one before it, its speed there and the forces recorded since would
+            have brought the flotor [m, rad], (N, 6); NaN for the first two, before which no speed is known.
+        unexplained: Wrench that nothing recorded accounts for, from each sample to the next [N, N m], (N - 1, 6).
+    """
+
+    trace: Trace
+    starts: Numbers
+    jumps: Array
+    unexplained: Array
+
+    @property
+    def time(self) -> Array:
+        """When the samples were taken [s], (N,)."""
+        return self.trace.time[self.starts]
+
+    def between(self, first: int, last: int) -> Motion:
+        """Return the motion from one sample up to and with another."""
+        chosen = slice(0 if first == 0 else self.starts[first], self.starts[last] + 1)
+        trace = self.trace
+        parts = (part[chosen] for part in (trace.time, trace.pose, trace.twist, trace.wrench))
+        starts = self.starts[first : last + 1] - chosen.start
+        return Motion(Trace(*parts), starts, self.jumps[first : last + 1], self.unexplained[first:last])
+
+
+class _Pieces(NamedTuple):
+    """M periods cut where the force switches, in at most S pieces each.
+
+    Attributes:
+        there: Which pieces there are, (M, S).
+        width: How long each is [s], (M, S); 0 for those that are not there.
+        force: Of the actuators [N, N m], (M, S, 6).
+        start: When each period starts [s], (M,).
+    """
+
+    there: Mask
+    width: Array
+    force: Array
+    start: Array
+
+
+def reconstruct(stretch: Stretch, known: Known) -> Motion:
+    """Return the motion through the samples of a stretch.
+
+    Between two samples the forces recorded are known, and where they switch; the speed at the first is such that the
+    piecewise parabola under them ends at the second. Without other forces that is the motion itself. What other
+    forces there are, such as a hand that nobody measures, shows in how much the speed jumps at the samples; they are
+    taken as held from one sample to the next, and put into the parabolas too.
+
+    Time is counted from release where the first sample is within a period of it, otherwise from the first sample.
+
+    Args:
+        stretch: The stretch.
+        known: What it was recorded from.
+
+    Raises:
+        RecordingError: If it has less than two samples, or they are not in order.
+    """
+    if len(stretch.tick) < 2:
+        raise RecordingError(f"a stretch must have at least 2 samples to be analysed, not {len(stretch.tick)}")
+    if not (np.diff(stretch.time) > 0.0).all():
+        raise RecordingError("the samples of a recording must be in the order in which they were taken")
+    released = stretch.time[0] < known.period * (1.0 - _ROUNDING)
+    time = stretch.time if released else stretch.time - stretch.time[0]
+    pieces = _pieces(stretch, known, time)
+    steady = np.zeros((len(time) - 1, 6))
+    steady[:, 2] = known.weight
+    if known.pushed:
+        steady += stretch.hand[:-1]
+    _, twist, end = _through(stretch.position, pieces, steady, known.inertia)
+    period = np.diff(time)[:, None]
+    jump = twist[1:, 0] - end[:-1]
+    jumps = np.full((len(time), 6), np.nan)
+    jumps[2:] = jump * period[1:]
+    unexplained = _held(known.inertia * jump / (0.5 * (period[1:] + period[:-1])), len(period))
+    pose, twist, end = _through(stretch.position, pieces, steady + unexplained, known.inertia)
+    trace, starts = _joined(stretch.position, pieces, pose, twist, end, float(time[-1]))
+    if time[0] > 0.0:
+        trace, starts = _from_release(trace, known), starts + 1
+    return Motion(trace, starts, jumps, unexplained)
+
+
+def _pieces(stretch: Stretch, known: Known, time: Array) -> _Pieces:
+    """Cut the time from sample to sample where the force switches."""
+    when, force = _switches(stretch, known, time)
+    inside = when[(when > time[0]) & (when < time[-1])]
+    knots = np.unique(np.concatenate([time, inside]))[:-1]
+    period = np.searchsorted(time, knots, side="right") - 1
+    place = np.arange(len(knots)) - np.searchsorted(period, period)
+    shape = (len(time) - 1, int(place.max()) + 1)
+    there, width, forces = np.zeros(shape, dtype=np.bool_), np.zeros(shape), np.zeros((*shape, 6))
+    there[period, place] = True
+    width[period, place] = np.diff(knots, append=time[-1])
+    forces[period, place] = np.vstack([known.before, force])[np.searchsorted(when, knots, side="right")]
+    return _Pieces(there, width, forces, time[:-1])
+
+
+def _switches(stretch: Stretch, known: Known, time: Array) -> tuple[Array, Array]:
+    """Return when the actuators' wrench switches [s], (K,), and to what [N, N m], (K, 6)."""
+    held, extra, width = stretch.applied[:, :6], stretch.applied[:, 6:12], stretch.applied[:, 12]
+    on = time + known.delay
+    # the next command ends a pulse that is still on
+    ends = (width > 0.0) & (on + width < np.append(on[1:], np.inf) - _ROUNDING * known.period)
+    when = np.concatenate([on, (on + width)[ends]])
+    force = np.concatenate([held + np.where(width > 0.0, 1.0, 0.0)[:, None] * extra, held[ends]])
+    order = np.argsort(when, kind="stable")
+    when, force = when[order], force[order]
+    # what is within rounding of a sample is at that sample
+    near = np.clip(np.searchsorted(time, when), 1, len(time) - 1)
+    near -= (when - time[near - 1]) < (time[near] - when)
+    return np.where(np.abs(time[near] - when) <= _ROUNDING * known.period, time[near], when), force
+
+
+def _through(place: Array, pieces: _Pieces, steady: Array, inertia: Array) -> tuple[Array, Array, Array]:
+    """Return pose and twist at the start of each piece, (M, S, 6) each, and the twist at the end of each period."""
+    width = pieces.width[:, :, None]
+    push = (pieces.force + steady[:, None, :]) / inertia
+    gained = np.cumsum(width * push, axis=1)
+    speed = np.concatenate([np.zeros_like(gained[:, :1]), gained[:, :-1]], axis=1)
+    way = np.cumsum(width * (speed + 0.5 * width * push), axis=1)
+    gone = np.cumsum(width, axis=1)
+    start = (np.diff(place, axis=0) - way[:, -1]) / gone[:, -1]
+    before, elapsed = (np.concatenate([np.zeros_like(part[:, :1]), part[:, :-1]], axis=1) for part in (way, gone))
+    pose = place[:-1, None, :] + before + elapsed * start[:, None, :]
+    return pose, speed + start[:, None, :], start + gained[:, -1]
+
+
+def _held(at_samples: Array, periods: int) -> Array:
+    """Return forces from sample to sample, (M, 6), from those at the M - 1 samples between them."""
+    if not len(at_samples):
+        return np.zeros((periods, 6))
+    return 0.5 * (np.vstack([at_samples[:1], at_samples]) + np.vstack([at_samples, at_samples[-1:]]))
+
+
+def _joined(
+    place: Array, pieces: _Pieces, pose: Array, twist: Array, end: Array, finish: float
+) -> tuple[Trace, Numbers]:
+    """Return one curve, and the knot with which each sample begins."""
+    there = np.column_stack([pieces.there, np.ones(len(end), dtype=np.bool_)])
+    time = np.append(pieces.start, finish)
+    elapsed = np.cumsum(pieces.width, axis=1)
+    knots = np.column_stack([time[:-1], time[:-1, None] + elapsed[:, :-1], time[1:]])
+    last = pieces.there.sum(axis=1) - 1
+    wrench = np.concatenate([pieces.force, pieces.force[np.arange(len(end)), last][:, None]], axis=1)
+    poses = np.concatenate([pose, place[1:, None, :]], axis=1)
+    twists = np.concatenate([twist, end[:, None, :]], axis=1)
+    counts = there.sum(axis=1)
+    total = int(counts.sum())
+    starts = np.append(np.cumsum(counts) - counts, total - 1)
+    return Trace(knots[there], poses[there], twists[there], wrench[there]), starts
+
+
+def _from_release(trace: Trace, known: Known) -> Trace:
+    """Return the curve from time 0 on, from where the flotor moved to the first sample under the wrench at release."""
+    ahead = trace.time[0]
+    push = known.before.copy()
+    push[2] += known.weight
+    push = push / known.inertia
+    twist = trace.twist[0] - ahead * push
+    pose = trace.pose[0] - ahead * (twist + 0.5 * ahead * push)
+    rows = (np.zeros(1), pose[None], twist[None], known.before[None])
+    old = (trace.time, trace.pose, trace.twist, trace.wrench)
+    return Trace(*(np.concatenate([first, others]) for first, others in zip(rows, old, strict=True)))

@@ -1,0 +1,183 @@
+"""What a recording came to, as text."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from maglev_mj.analysis import Analysed, Comparison, FaceFigures, StretchFigures
+from maglev_mj.frames import AXES, Array
+from maglev_mj.tables.text import cell
+
+__all__ = ["analysis_table"]
+
+_NAME, _CELL = 20, 10
+_CONTACTS_SHOWN, _STICKS_SHOWN = 8, 8
+_NOTHING = 1e-12
+
+
+def analysis_table(analysed: Analysed, number: int, count: int) -> str:
+    """Return the figures of a stretch, beside those of its simulation where they differ, as text.
+
+    Args:
+        analysed: The stretch.
+        number: Which it is, from 1.
+        count: How many the recording has.
+    """
+    figures, comparison = analysed.recorded.figures, analysed.comparison
+    other = analysed.simulated
+    if other is not None and comparison is not None and comparison.same:
+        other = None  # a second column would say the same
+    beside = None if other is None else other.figures
+    lines = [_head(analysed, number, count), *_faces(figures, beside), "", *_axes(figures, beside)]
+    lines += _friction(figures)
+    if comparison is not None:
+        lines += ["", *_apart(comparison, figures.samples)]
+    return "\n".join(lines)
+
+
+def _head(analysed: Analysed, number: int, count: int) -> str:
+    known, figures = analysed.known, analysed.recorded.figures
+    which = f"stretch {number} of {count}, " if count > 1 else ""
+    return (
+        f"Recording of {known.name}: {which}{figures.samples} samples at {1.0 / known.period:g} Hz, "
+        f"{figures.start:.4g} to {figures.end:.4g} s, {figures.missed} missed, delay {known.delay * 1e3:g} ms"
+    )
+
+
+def _faces(figures: StretchFigures, beside: StretchFigures | None) -> list[str]:
+    """Return the figures of each wall that was touched, and of contacts one by one."""
+    if not figures.faces:
+        return ["", "  no wall was touched" if figures.untouched else "  there are no walls"]
+    lines = []
+    for turning in (False, True):  # they have units of their own
+        faces = [face for face in figures.faces if (face.axis >= 3) == turning]
+        if faces:
+            others = None if beside is None else {(one.axis, one.normal): one for one in beside.faces}
+            lines += ["", *_walls(faces, others, turning=turning), "", *_contacts(faces, turning=turning)]
+    if figures.untouched:
+        lines += ["", f"  walls that were not touched: {figures.untouched}"]
+    return lines
+
+
+def _walls(
+    faces: Sequence[FaceFigures], others: Mapping[tuple[int, float], FaceFigures] | None, *, turning: bool
+) -> list[str]:
+    """Return a row for each wall, and one for its simulation where there is one."""
+    small, force, hard = ("mrad", "N m", "N m/rad") if turning else ("mm", "N", "N/mm")
+    lines = [
+        _cells("wall", ("depth", "rebound", "peak", "settling", "rate", "extended", "contacts")),
+        _cells("", (small, small, force, "ms, 2 %", hard, hard)),
+    ]
+    for face in faces:
+        lines.append(_cells(face.name, _wall(face, turning=turning)))
+        if others is not None:
+            other = others.get((face.axis, face.normal))
+            untouched = ["0.00", *["-"] * 5, "0"]
+            lines.append(_cells("  simulated", untouched if other is None else _wall(other, turning=turning)))
+    return lines
+
+
+def _wall(face: FaceFigures, *, turning: bool) -> list[str]:
+    hard = 1.0 if turning else 1e-3
+    figures = (
+        (face.penetration, 1e3),
+        (face.rebound, 1e3),
+        (face.peak_force, 1.0),
+        (face.settling_time, 1e3),
+        (face.hardness.rate, hard),
+        (face.hardness.extended, hard),
+    )
+    return [*(cell(figure, scale) for figure, scale in figures), str(len(face.contacts))]
+
+
+def _contacts(faces: Sequence[FaceFigures], *, turning: bool) -> list[str]:
+    """Return a row for each of the first contacts, in the order in which they happened."""
+    small, force = ("mrad", "N m") if turning else ("mm", "N")
+    lines = [
+        _cells("contact", ("at", "for", "approach", "depth", "peak")),
+        _cells("", ("s", "ms", f"{small}/s", small, force)),
+    ]
+    found = sorted(((one.start, face.name, one) for face in faces for one in face.contacts), key=lambda row: row[:2])
+    for start, name, one in found[:_CONTACTS_SHOWN]:
+        figures = (one.duration, one.approach_speed, one.penetration)
+        texts = [f"{start:.4f}", *(cell(figure, 1e3) for figure in figures), cell(one.peak_force, 1.0)]
+        lines.append(_cells(name, texts))
+    if len(found) > _CONTACTS_SHOWN:
+        lines.append(f"  and {len(found) - _CONTACTS_SHOWN} more: see --json")
+    return lines
+
+
+def _axes(figures: StretchFigures, beside: StretchFigures | None) -> list[str]:
+    """Return travel and energy of each axis."""
+    energy = figures.energy
+    lines = [_cells("", AXES), _line("travel", figures.travel, 1e3, "mm, mrad")]
+    lines.append(_line("energy taken", energy.taken, 1e3, "mJ"))
+    if beside is not None:
+        lines.append(_line("  simulated", beside.energy.taken, 1e3, "mJ"))
+    lines.append(_line("  least", energy.least, 1e3, "mJ"))
+    if np.isfinite(energy.hand).any():
+        lines.append(_line("work of the hand", energy.hand, 1e3, "mJ"))
+    else:
+        lines.append(_line("unrecorded work", energy.others, 1e3, "mJ"))
+    return [*lines, _line("unrecorded force", figures.unexplained, 1e3, "mN, mN m")]
+
+
+def _friction(figures: StretchFigures) -> list[str]:
+    """Return what friction did, and where each axis stuck."""
+    rubbing = [axis for axis, sticks in enumerate(figures.sticks) if sticks is not None]
+    if not rubbing:
+        return []
+    names = [AXES[axis] if axis in rubbing else "" for axis in range(len(AXES))]
+    slips = [str(figures.slips(axis)) if axis in rubbing else "" for axis in range(len(AXES))]
+    longest = ["" for _ in AXES]
+    for axis in rubbing:
+        longest[axis] = cell(max(stick.duration for stick in figures.sticks[axis] or ()), 1e3)
+    lines = ["", _cells("friction", names), _cells("slips", slips), _cells("longest stuck", longest, "ms")]
+    for axis in rubbing:
+        places = [f"{stick.position * 1e3:.3f}" for stick in figures.sticks[axis] or ()]
+        more = f" and {len(places) - _STICKS_SHOWN} more" if len(places) > _STICKS_SHOWN else ""
+        unit = "mm" if axis < 3 else "mrad"
+        lines.append(f"  {f'stuck at, {AXES[axis]}':<{_NAME}}  {', '.join(places[:_STICKS_SHOWN])}{more}  {unit}")
+    return lines
+
+
+def _apart(comparison: Comparison, samples: int) -> list[str]:
+    """Return how far recording and simulation are apart."""
+    lines = []
+    if not comparison.same and comparison.compared:
+        lines += [
+            _cells("apart", AXES),
+            _line("RMS", comparison.rms, 1e6, "µm, µrad"),
+            _line("at most", comparison.most, 1e6, "µm, µrad"),
+            _cells("  at", [_when(*one) for one in zip(comparison.most, comparison.when, strict=True)], "s"),
+        ]
+    lines.append(_line("one sample ahead", comparison.one_step, 1e6, "µm, µrad"))
+    lines.append(f"  {comparison.sentence}")
+    if 0 < comparison.compared < samples:
+        lines.append(f"  the simulation failed after {comparison.compared} of {samples} samples")
+    if comparison.device:
+        lines.append(
+            "  nobody measures a hand on the device, which parts the two; one sample ahead tells how good the model is"
+        )
+    return lines
+
+
+def _when(most: float, when: float) -> str:
+    return f"{when:.3f}" if most >= _NOTHING else "-"
+
+
+def _line(label: str, values: Array, scale: float, unit: str) -> str:
+    return _cells(label, [_small(value, scale) for value in values.tolist()], unit)
+
+
+def _cells(label: str, texts: Sequence[str], unit: str = "") -> str:
+    return f"  {label:<{_NAME}}{''.join(f'{text:>{_CELL}}' for text in texts)}  {unit}".rstrip()
+
+
+def _small(value: float, scale: float) -> str:
+    """Return a figure as the other tables do; what is only rounding as 0, and no minus before what is as good as 0."""
+    if abs(value) < _NOTHING:
+        return "0"
+    return cell(abs(value) if abs(value * scale) < 0.005 else value, scale)

@@ -1,0 +1,438 @@
+"""What a recording tells is what its experiment knows: to rounding where every force is recorded, bounded elsewhere."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from maglev_mj.analysis import Analysed, analyse, face_figures, known_of, reconstruct
+from maglev_mj.bridge.calibration import Calibration
+from maglev_mj.bridge.flight import Flight
+from maglev_mj.bridge.impair import Impairment
+from maglev_mj.bridge.remote import RemotePlant
+from maglev_mj.bridge.twin import Twin, TwinParameters
+from maglev_mj.bridge.virtual import VirtualLink
+from maglev_mj.cli import main
+from maglev_mj.experiments.choices import PLANTS
+from maglev_mj.experiments.drop import DropParameters, run_drop
+from maglev_mj.experiments.press import PressParameters, run_press
+from maglev_mj.experiments.stick_slip import StickSlipParameters, run_stick_slip
+from maglev_mj.frames import AXES, Command, Sample
+from maglev_mj.hand import Path as HandPath
+from maglev_mj.hand import SpringHand
+from maglev_mj.metrics import PassivityObserver, perceived_hardness, summarise_bounce
+from maglev_mj.plants import Timing
+from maglev_mj.recording import ArrayFile, Recording, RecordingError, Stretch
+from maglev_mj.replay import rebuild, record_experiment, stick_positions_of
+from maglev_mj.scenes import scene_called
+from maglev_mj.scenes.parts import INERTIA, MASS
+from maglev_mj.session import Pacer, Session
+from maglev_mj.spec import GRAVITY
+
+ZERO = (0.0,) * 6
+TOUR = HandPath(
+    [0.8, 1.1, 1.4, 1.8, 2.2],
+    [ZERO, (0.016, 0.004, 0, 0, 0.1, 0), (-0.016, 0.01, 0.005, 0.1, 0, 0.1), (0, -0.012, -0.016, 0.1, 0, -0.1), ZERO],
+)
+"""Where a hand draws the flotor: against walls on x, y and z."""
+
+
+def recorded(kind: str, parameters: Any) -> Stretch:
+    (stretch,) = record_experiment(kind, parameters).stretches
+    return stretch
+
+
+def analysed(stretch: Stretch, **keywords: Any) -> Analysed:
+    return analyse(stretch, rebuild, anchors=stick_positions_of(stretch), **keywords)
+
+
+@cache
+def flown(mass: float = MASS, *, hand: bool = False, loss: float = 0.0, **parameters: float) -> Stretch:
+    """Return two seconds of a joystick on a virtual twin, which may weigh something else than is known of it."""
+    truth = replace(Calibration.nominal(), mass=mass)
+    holder = SpringHand(target=TOUR) if hand else None
+    twin = Twin(TwinParameters(truth=truth, **parameters), hand_force=holder, draw=lambda: 7)  # type: ignore[arg-type]
+    with RemotePlant(VirtualLink(twin, Impairment(loss=loss))) as plant:
+        scene = scene_called("joystick")
+        settings = replace(scene.settings, period=plant.period, delay=plant.delay)
+        file = ArrayFile()
+        Flight(plant, scene, settings, file=file).run(2.0)
+    (stretch,) = file.recording.stretches
+    return stretch
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a recording of the joystick in a hand, without friction and then with it."""
+    folder = tmp_path_factory.mktemp("session")
+    running = Session(
+        "joystick", folder=folder, hand=SpringHand(target=TOUR), pacer=Pacer(budget=100.0, patience=100.0)
+    )
+    running.act("record")
+    running.tick(1.5)
+    running.act("friction")
+    running.tick(1.5)
+    running.close()
+    return running.recordings[0]
+
+
+DROPS: list[dict[str, Any]] = [
+    *({"phase": phase} for phase in (0.0, 0.15, 0.3, 0.5, 0.77, 0.93)),
+    {"phase": 0.3, "pulse": 0.0},
+    {"phase": 0.6, "mass": 1.3},
+    {"phase": 0.1, "force_limit": 60.0, "carry": True},
+    {"delay": 0.0},
+    {"phase": 0.2, "delay": 0.004, "stiffness": 3000.0},  # so late that the next command ends its pulse
+    {"phase": 0.5, "delay": 0.005, "stiffness": 2000.0},
+    {"phase": 0.4, "delay": 0.007, "stiffness": 1000.0, "damping": 20.0},
+]
+
+
+@pytest.mark.parametrize("changes", DROPS, ids=lambda changes: ",".join(f"{k}={v}" for k, v in changes.items()))
+@pytest.mark.parametrize("plant", PLANTS)
+def test_samples_and_forces_alone_give_the_exact_figures_of_a_drop(plant: str, changes: Mapping[str, Any]) -> None:
+    parameters = DropParameters(plant=plant, **changes)
+    found = analysed(recorded("drop", parameters), rest=parameters.rest, simulated=False).recorded
+    (face,) = found.figures.faces
+    end = float(found.motion.trace.time[-1])
+    exact = run_drop(parameters).trace.until(end)  # the recording ends with its last sample
+    summary, hardness = summarise_bounce(exact, parameters.rest), perceived_hardness(exact, 0.005)
+    assert face.penetration == pytest.approx(float(summary.penetration), abs=1e-15)
+    assert face.rebound == pytest.approx(float(summary.rebound), abs=1e-15)
+    assert face.peak_force == float(summary.peak_force)
+    assert face.settling_time == pytest.approx(float(summary.settling_time), abs=1e-12, nan_ok=True)
+    assert float(face.hardness.rate) == pytest.approx(float(hardness.rate), rel=1e-12, abs=1e-6)
+    assert float(face.hardness.extended) == pytest.approx(float(hardness.extended), rel=1e-12)
+    times = np.linspace(0.0, end, 2001)[:-1]  # what begins with the last sample is no longer in the recording
+    for ours, theirs in zip(found.motion.trace.at(times), exact.at(times), strict=True):
+        assert np.abs(ours[:, 2] - theirs[:, 2]).max() < 1e-13
+    # energy: what the fall gave is taken, or still there
+    speed = float(exact.twist[-1, 2])
+    fallen = parameters.mass * (GRAVITY * (parameters.height - float(exact.pose[-1, 2])) - 0.5 * speed * speed)
+    assert found.figures.energy.taken[2] == pytest.approx(fallen, rel=1e-12)
+    assert found.figures.unexplained[2] < 1e-12
+
+
+def test_a_coarse_sensor_costs_no_more_than_its_steps() -> None:
+    step = 5e-6
+    for phase in np.arange(8) / 8:
+        parameters = DropParameters(plant="exact", phase=float(phase), quantize=step)
+        found = analysed(recorded("drop", parameters), rest=parameters.rest, simulated=False).recorded
+        (face,) = found.figures.faces
+        exact = run_drop(parameters).trace.until(float(found.motion.trace.time[-1]))
+        summary = summarise_bounce(exact, parameters.rest)
+        assert abs(face.penetration - summary.penetration) < step
+        assert abs(face.rebound - summary.rebound) < step
+        assert face.peak_force == float(summary.peak_force)
+        assert abs(face.settling_time - summary.settling_time) < 1e-3
+        assert float(face.hardness.extended) == pytest.approx(perceived_hardness(exact, 0.005).extended, rel=0.01)
+
+
+def test_where_a_drop_rests_is_found_in_its_samples() -> None:
+    parameters = DropParameters(plant="exact", phase=0.3)
+    stretch = recorded("drop", parameters)
+    (found,), (told,) = (analysed(stretch, rest=rest).recorded.figures.faces for rest in (None, parameters.rest))
+    assert found.rest == pytest.approx(parameters.rest, abs=1e-8)
+    assert found.settling_time == pytest.approx(told.settling_time, abs=1e-6)
+    (cut,) = analysed(stretch, end=0.06).recorded.figures.faces
+    assert np.isnan(cut.settling_time)  # on its way still
+
+
+@pytest.mark.parametrize("hand", ["arm", "fingertip", "stylus"])
+def test_hits_of_a_hand_are_told_apart_and_its_pull_is_found(hand: str) -> None:
+    parameters = PressParameters(plant="exact", hand=hand)
+    found, run = analysed(recorded("press", parameters)).recorded, run_press(parameters)
+    times = np.linspace(0.0, float(found.motion.trace.time[-1]), 4001)
+    assert np.abs(found.motion.trace.at(times)[0][:, 2] - run.trace.at(times)[0][:, 2]).max() < 1e-6
+    (face,) = found.figures.faces
+    starts = [*parameters.strokes, np.inf]
+    for place, (depth, speed, contacts) in enumerate(zip(*run.summary[:2], run.summary.contacts, strict=True)):
+        hit = [one for one in face.contacts if starts[place] <= one.start < starts[place + 1]]
+        assert len(hit) == contacts
+        assert max(one.penetration for one in hit) == pytest.approx(depth, abs=1e-6)
+        assert hit[0].approach_speed == pytest.approx(speed, rel=0.005)
+    assert found.figures.energy.taken[2] == pytest.approx(float(run.summary.absorbed), rel=0.005)
+
+
+def test_the_pull_of_an_arm_that_nobody_recorded_is_found_between_the_samples() -> None:
+    parameters = PressParameters(plant="exact", hand="0.0,6.45,135")
+    stretch = recorded("press", parameters)
+    found = analysed(replace(stretch, hand=np.zeros_like(stretch.hand))).recorded
+    middle = 0.5 * (found.motion.time[1:] + found.motion.time[:-1])
+    pose, twist, _ = run_press(parameters).trace.at(middle)
+    pull = stretch.hand[:-1, 2] - 135.0 * pose[:, 2] - 6.45 * twist[:, 2]
+    assert np.abs(pull).max() > 4.0
+    assert np.sqrt(np.mean((found.motion.unexplained[:, 2] - pull) ** 2)) < 0.1
+
+
+@pytest.mark.parametrize(
+    "parameters",
+    [
+        StickSlipParameters(plant="exact"),
+        StickSlipParameters(axis="ry"),
+        StickSlipParameters(delay=0.005, duration=1.0),
+    ],
+)
+def test_sticks_and_slips_are_those_of_the_experiment(parameters: StickSlipParameters) -> None:
+    run, found = run_stick_slip(parameters), analysed(recorded("stick-slip", parameters))
+    axis = AXES.index(parameters.axis)
+    figures = found.recorded.figures
+    sticks = figures.sticks[axis] or ()
+    slips = [event.time for event in run.events if event.kind == "slip"]
+    stuck = [event for event in run.events if event.kind == "stick"]
+    assert figures.transitions(axis) == run.summary.transitions > 1
+    assert figures.slips(axis) == len(slips)
+    assert [stick.start + stick.duration for stick in sticks if stick.slipped] == pytest.approx(slips)
+    assert [stick.start for stick in sticks[1:]] == [event.time for event in stuck]
+    assert [stick.position for stick in sticks[1:]] == [event.position for event in stuck]
+    assert [place for place in range(6) if figures.sticks[place] is not None] == [axis]
+    assert found.axis() == axis
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.0015, 0.004, 0.007])
+def test_the_energy_taken_is_what_the_observer_of_the_loop_finds(delay: float) -> None:
+    parameters = StickSlipParameters(plant="exact", delay=delay, duration=0.06)
+    stretch = recorded("stick-slip", parameters)
+    observer = PassivityObserver(Timing(period=parameters.period, delay=delay), INERTIA)
+    for row, (place, applied) in enumerate(zip(stretch.position.tolist(), stretch.applied.tolist(), strict=True)):
+        observer(Sample(row, 0.0, place), Command(applied[:6]))
+    energy = analysed(stretch, simulated=False).recorded.figures.energy
+    assert abs(observer.energy[0]) > 1e-7
+    assert energy.taken[0] == pytest.approx(observer.energy[0], rel=1e-9)
+    assert energy.least[0] <= observer.least[0] + 1e-15  # which looks at samples alone
+
+
+def test_a_simulated_recording_is_its_simulation_bit_for_bit(session: Path) -> None:
+    stretches = [
+        recorded("drop", DropParameters(quantize=5e-6)),
+        recorded("press", PressParameters(hits=1)),
+        recorded("stick-slip", StickSlipParameters()),
+        *Recording.load(session).stretches,
+    ]
+    for stretch in stretches:
+        comparison = analysed(stretch).comparison
+        assert comparison is not None and comparison.same
+        assert comparison.sentence == "the recording and its simulation are the same to the last bit"
+    assert len(stretches) == 5
+
+
+def test_how_far_a_changed_recording_is_apart_is_found_to_the_digit() -> None:
+    stretch = recorded("drop", DropParameters(plant="exact"))
+    place = stretch.position.copy()
+    place[:, 0] += 2e-6
+    place[30, 0] += 3e-6
+    comparison = analysed(replace(stretch, position=place)).comparison
+    assert comparison is not None and not comparison.same
+    count = len(place)
+    assert comparison.rms[0] == pytest.approx(np.sqrt((4.0 * (count - 1) + 25.0) / count) * 1e-6)
+    assert comparison.most[0] == pytest.approx(5e-6)
+    assert comparison.when[0] == stretch.time[30]
+    assert comparison.rms[2] == 0.0
+    assert "5 µm at most, on x at 0.15 s" in comparison.sentence
+    # a sample that is 3 µm off is 3 µm ahead of its neighbours, twice that behind, and 3 µm ahead again
+    assert comparison.one_step[0] == pytest.approx(np.sqrt((9.0 + 36.0 + 9.0) / (count - 2)) * 1e-6, rel=0.01)
+
+
+def test_energy_of_a_session_balances(session: Path) -> None:
+    for stretch in Recording.load(session).stretches:
+        found = analysed(stretch).recorded
+        energy, twist = found.figures.energy, found.motion.trace.twist
+        gained = 0.5 * MASS * (twist[-1, :3] ** 2 - twist[0, :3] ** 2)
+        assert energy.hand[:3] == pytest.approx(energy.taken[:3] + gained, abs=1e-12)
+        assert energy.hand[0] > 5e-3
+        assert len(found.figures.faces) >= 3
+        assert found.figures.unexplained[:3].max() < 1e-10
+
+
+def test_a_device_that_is_as_known_is_followed_to_a_micrometre() -> None:
+    found = analysed(flown())
+    assert found.comparison is not None and found.comparison.device
+    assert found.comparison.rms[:3].max() < 5e-6
+    assert found.comparison.one_step[:3].max() < 2e-6  # the noise of the sensor, and not more
+    quiet = analysed(flown(quantum=0.0, noise=0.0)).comparison
+    assert quiet is not None and quiet.one_step[:3].max() < 1e-9
+
+
+def test_a_device_that_weighs_more_is_found_out_one_sample_ahead() -> None:
+    heavy = 0.05
+    found = analysed(flown(MASS + heavy, quantum=0.0, noise=0.0))
+    comparison = found.comparison
+    assert comparison is not None
+    # what carries 0.75 kg would lift 0.7 kg by a T² in a period
+    ahead = heavy * GRAVITY / MASS * 0.005**2
+    assert comparison.one_step[2] == pytest.approx(ahead, rel=2e-3)
+    assert np.median(found.recorded.motion.unexplained[:, 2]) == pytest.approx(-heavy * GRAVITY, rel=1e-3)
+    # and over time it sags by its weight over the spring of the joystick
+    assert comparison.most[2] > heavy * GRAVITY / 300.0
+    assert comparison.rms[2] == pytest.approx(heavy * GRAVITY / 300.0, rel=0.02)
+    assert "apart (RMS)" in comparison.sentence and "on z at" in comparison.sentence
+
+
+def test_samples_that_a_device_lost_are_counted_and_bridged() -> None:
+    whole, lossy = (analysed(flown(hand=True, loss=loss, quantum=0.0, noise=0.0)) for loss in (0.0, 0.05))
+    figures = lossy.recorded.figures
+    assert figures.missed == 400 - figures.samples > 5
+    assert whole.recorded.figures.missed == 0
+    for one in (whole, lossy):
+        # what nobody recorded is the hand, which did what the walls took
+        energy = one.recorded.figures.energy
+        assert np.isnan(energy.hand).all()
+        assert energy.others[0] == pytest.approx(energy.taken[0], rel=0.05)
+        assert {(face.axis, face.normal) for face in one.recorded.figures.faces} >= {(0, 1.0), (0, -1.0), (2, 1.0)}
+        assert one.simulated is not None and not one.simulated.figures.faces
+
+
+def test_a_part_of_a_stretch_has_the_figures_of_that_part() -> None:
+    stretch = recorded("press", PressParameters(plant="exact"))
+    whole = analysed(stretch).recorded.figures.faces[0]
+    part = analysed(stretch, begin=0.6, end=1.3).recorded
+    (face,) = part.figures.faces
+    assert [one.start for one in face.contacts] == pytest.approx([one.start for one in whole.contacts[1:3]])
+    assert face.penetration == max(one.penetration for one in face.contacts)
+    assert part.figures.start == 0.6 and part.figures.end == 1.3
+    assert (part.motion.time == stretch.time[120:261]).all()
+
+
+def test_a_recording_that_begins_inside_a_wall_has_a_contact_without_an_approach() -> None:
+    stretch = recorded("drop", DropParameters(plant="exact", phase=0.3))
+    (face,) = analysed(stretch, begin=0.1).recorded.figures.faces
+    (contact,) = face.contacts
+    assert np.isnan(contact.approach_speed)
+    assert np.isnan(face.hardness.rate)
+    assert contact.duration == pytest.approx(stretch.time[-1] - contact.start)
+
+
+def test_upper_walls_are_seen_as_lower_ones_in_a_mirror() -> None:
+    stretch = recorded("press", PressParameters(plant="exact"))
+    known = known_of(stretch, rebuild(stretch.setup, None)[1].laws)
+    turned = replace(
+        stretch,
+        position=-stretch.position,
+        hand=-stretch.hand,
+        applied=np.column_stack([-stretch.applied[:, :12], stretch.applied[:, 12]]),
+    )
+    down = face_figures(reconstruct(stretch, known).trace, (2, 1.0, 0.0))
+    up = face_figures(reconstruct(turned, known).trace, (2, -1.0, 0.0))
+    assert down is not None and up is not None
+    assert up.contacts == down.contacts
+    assert up.penetration == down.penetration > 1e-3
+    assert up.hardness.extended == down.hardness.extended
+    assert up.name == "z above 0 mm" and down.name == "z below 0 mm"
+
+
+def test_what_cannot_be_analysed_is_refused() -> None:
+    stretch = recorded("drop", DropParameters(plant="exact"))
+    names = ("tick", "time", "position", "command", "applied", "hand")
+    short = replace(stretch, **{name: getattr(stretch, name)[:1] for name in names})
+    with pytest.raises(RecordingError, match="at least 2 samples to be analysed, not 1"):
+        analysed(short)
+    with pytest.raises(RecordingError, match="in the order in which they were taken"):
+        analysed(replace(stretch, time=stretch.time[::-1]))
+
+
+@pytest.mark.parametrize("kind", ["drop", "press", "stick-slip"])
+def test_an_experiment_is_analysed_from_the_command_line(kind: str, tmp_path: Path, capsys: Any) -> None:
+    path, folder = tmp_path / "run.npz", tmp_path / "pictures"
+    assert main([kind, "--plant", "exact", "--record", str(path)]) == 0
+    capsys.readouterr()
+    assert main(["analyse", str(path), "--json", str(tmp_path / "run.json"), "--out", str(folder)]) == 0
+    said = capsys.readouterr().out
+    assert "the same to the last bit" in said
+    assert max(map(len, said.splitlines())) <= 110
+    (stretch,) = json.loads((tmp_path / "run.json").read_text())["stretches"]
+    assert stretch["comparison"]["same"] is True
+    assert stretch["recorded"] == stretch["simulated"] | {"friction": stretch["recorded"]["friction"]}
+    pictures = {picture.name for picture in folder.glob("*.png")}
+    if kind == "stick-slip":
+        assert pictures == {"analysis_run.png", "analysis_sticks.png"}
+        assert stretch["recorded"]["friction"]["x"]["slips"] == 1
+        assert "there are no walls" in said and "no wall was touched on x" in said
+    else:
+        assert pictures == {"analysis_run.png", "analysis_contact.png"}
+        assert len(stretch["recorded"]["faces"][0]["contacts"]) == (2 if kind == "drop" else 5)
+        assert "no picture of where it sticks" in said
+    assert all((folder / name).stat().st_size > 10_000 for name in pictures)
+
+
+_PICTURES = ("contact", "run", "sticks")
+
+
+def test_a_session_is_analysed_stretch_by_stretch(session: Path, tmp_path: Path, capsys: Any) -> None:
+    assert main(["analyse", str(session), "--json", "-"]) == 0
+    both = json.loads(capsys.readouterr().out)["stretches"]
+    assert [one["stretch"] for one in both] == [1, 2]
+    assert [one["name"] for one in both] == ["scene joystick"] * 2
+    assert not both[0]["recorded"]["friction"] and set(both[1]["recorded"]["friction"]) == set(AXES)
+    arguments = ["analyse", str(session), "--stretch", "2", "--from", "1.0", "--axis", "y", "--no-compare"]
+    assert main([*arguments, "--out", str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    assert "stretch 2 of 2, 100 samples" in said and "simulation" not in said
+    assert {path.name for path in tmp_path.glob("*.png")} == {
+        f"stretch_2_{name}.png" for name in ("contact", "run", "sticks")
+    }
+
+
+def test_a_flight_is_analysed_beside_a_simulated_device(tmp_path: Path, capsys: Any) -> None:
+    path = tmp_path / "flight.npz"
+    Recording([flown(hand=True, loss=0.05, quantum=0.0, noise=0.0)]).save(path)
+    assert main(["analyse", str(path), "--out", str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    assert "joystick on a device" in said and "nobody measures a hand on the device" in said
+    assert "unrecorded force" in said and "simulated" in said
+    assert max(map(len, said.splitlines())) <= 110
+    assert {picture.name for picture in tmp_path.glob("*.png")} == {"analysis_contact.png", "analysis_run.png"}
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--from", "3"], "from must be a finite number at least 0 and below 0.3965, not 3.0"),
+        (["--from", "-0.1"], "from must be a finite number at least 0"),
+        (["--from", "0.2", "--to", "0.1"], "to must be a finite number above 0.2, not 0.1"),
+        (["--from", "0.2", "--to", "0.201"], "from and to must have at least 2 samples between them"),
+        (["--axis", "up"], "axis must be one of x, y, z, rx, ry, rz, not 'up'"),
+        (["--axis", "y"], "axis must be one that moves, of z, not 'y'"),
+        (["--stretch", "2"], "stretch must be a finite number at least 1 and at most 1, not 2"),
+        (["--out", __file__], "out must be a folder"),
+        (["--json", "nowhere/a.json"], "json must be a file in a folder that is there"),
+        (["--to", "soon"], "argument --to: must be a number, not 'soon'"),
+    ],
+)
+def test_a_wrong_option_is_one_line_and_status_2(
+    options: list[str], words: str, tmp_path: Path, capsys: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    record_experiment("drop", DropParameters(plant="exact", phase=0.3)).save("run.npz")
+    try:
+        status = main(["analyse", "run.npz", *options])
+    except SystemExit as stop:  # argparse's own complaints
+        status = int(str(stop.code))
+    said = capsys.readouterr().err
+    assert status == 2
+    assert len(said.splitlines()) == 1 and words in said
+    assert [path.name for path in tmp_path.iterdir()] == ["run.npz"]
+
+
+def test_a_part_of_several_stretches_is_not_clear(session: Path, capsys: Any) -> None:
+    assert main(["analyse", str(session), "--from", "1"]) == 2
+    assert "choose one of 2 with --stretch" in capsys.readouterr().err
+
+
+def test_a_file_with_nothing_in_it_is_one_line_and_status_1(tmp_path: Path, capsys: Any) -> None:
+    for name, recording in (("none.npz", Recording([])), ("one.npz", None)):
+        if recording is None:
+            stretch = recorded("drop", DropParameters(plant="exact"))
+            names = ("tick", "time", "position", "command", "applied", "hand")
+            recording = Recording([replace(stretch, **{part: getattr(stretch, part)[:1] for part in names})])
+        recording.save(tmp_path / name)
+        assert main(["analyse", str(tmp_path / name)]) == 1
+        said = capsys.readouterr().err
+        assert len(said.splitlines()) == 1 and "there is nothing in" in said
+    assert main(["analyse", str(tmp_path / "missing.npz")]) == 1
