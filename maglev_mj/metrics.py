@@ -121,12 +121,13 @@ class PassivityObserver:
 
     Hand it to `run` as `observe`. Between two samples up to four forces act in turn: the older command and what is
     left of its pulse, the newer command and its pulse. How the way between the samples splits among them follows
-    from the inertia, exactly where no other force acts; without it the way is taken as straight, which is exact only
-    where one force acts throughout, so without delay and pulse.
+    from the inertia, exactly where no other force acts but a constant load; without inertia the way is taken as
+    straight, which is exact only where one force acts throughout, so without delay and pulse.
 
     Args:
         timing: Of the plant.
         inertia: Mass and moments of inertia of the six axes [kg, kg m²], (6,); None for a straight line.
+        load: Constant wrench that acts besides, such as weight [N, N m], (6,).
 
     Attributes:
         energy: Taken in so far [J], (..., 6).
@@ -138,8 +139,8 @@ class PassivityObserver:
     Source: Hannaford & Ryu 2002, with each force paired with the way that it acted over.
     """
 
-    def __init__(self, timing: Timing, inertia: ArrayLike | None = None) -> None:
-        self._timing = timing
+    def __init__(self, timing: Timing, inertia: ArrayLike | None = None, load: ArrayLike = 0.0) -> None:
+        self._timing, self._load = timing, numbers("load", load)
         self._inertia = np.inf if inertia is None else numbers("inertia", inertia, at_least=1e-12)
         self._commands: deque[_Given | None] = deque([None] * (timing.whole + 2), maxlen=timing.whole + 2)
         self._pose: Array | None = None
@@ -164,12 +165,12 @@ class PassivityObserver:
         # speed at the start, such that the stretches add up to the way between the samples
         place, speed = np.zeros_like(moved), np.zeros_like(moved)
         for duration, force in stretches:
-            place = place + duration * (speed + 0.5 * duration * force / self._inertia)
-            speed = speed + duration * force / self._inertia
+            pull = (force + self._load) / self._inertia
+            place, speed = place + duration * (speed + 0.5 * duration * pull), speed + duration * pull
         speed, work = (moved - place) / timing.period, np.zeros_like(moved)
         for duration, force in stretches:
-            work = work + force * duration * (speed + 0.5 * duration * force / self._inertia)
-            speed = speed + duration * force / self._inertia
+            pull = (force + self._load) / self._inertia
+            work, speed = work + force * duration * (speed + 0.5 * duration * pull), speed + duration * pull
         return work
 
 

@@ -316,3 +316,18 @@ def test_walls_and_friction_on_an_axis_share_the_gains() -> None:
 def test_what_cannot_be_is_refused(make: Any, words: str) -> None:
     with pytest.raises(ParameterError, match=words):
         make()
+
+
+@pytest.mark.parametrize("name", ["run.mcap", "run.npz"])
+def test_a_session_is_recorded_from_its_start_on(name: str, tmp_path: Path) -> None:
+    session = made(record=tmp_path / name)
+    assert session.view().notes == ["RECORDING"]
+    after(session, 0.3)
+    session.act("friction")
+    after(session, 0.2)
+    session.close()
+    assert session.recordings == [tmp_path / name]
+    recording = Recording.load(tmp_path / name)
+    assert [stretch.setup["settings"]["friction"] for stretch in recording.stretches] == [False, True]
+    assert recording.ticks == 100
+    assert verify(recording, rebuild).same

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from maglev_mj.hand import SpringHand
-from maglev_mj.options import add_settings, chosen_settings, number_option
-from maglev_mj.output import check_outputs
+from maglev_mj.options import add_recording, add_settings, chosen_settings, number_option
+from maglev_mj.output import check_outputs, check_recording
 from maglev_mj.parameters import number
 from maglev_mj.scenes import SCENES, scene_called
 from maglev_mj.session import Session
@@ -22,6 +22,7 @@ def add_command(commands: Any) -> None:
     view = commands.add_parser("view", help="feel a scene: a window, with the mouse as the hand")
     view.add_argument("scene", nargs="?", default="joystick", metavar="SCENE", help=f"one of {', '.join(SCENES)}")
     add_settings(view)
+    add_recording(view)
     view.add_argument(
         "--hand-stiffness",
         type=number_option,
@@ -42,12 +43,13 @@ def _view(options: argparse.Namespace) -> int:
     hand = SpringHand(stiffness=options.hand_stiffness)
     seconds = None if options.seconds is None else number("seconds", options.seconds, above=0.0)
     check_outputs(out=options.out)
+    check_recording(options.record)
     # imported here: it loads the library that opens windows
     from maglev_mj.viewer.window import require_display, show
 
     require_display()
     options.out.mkdir(parents=True, exist_ok=True)
-    session = Session(scene.name, settings=settings, hand=hand, folder=options.out)
+    session = Session(scene.name, settings=settings, hand=hand, folder=options.out, record=options.record)
     try:
         print(show_table(show(session, folder=options.out, duration=seconds)))
     finally:

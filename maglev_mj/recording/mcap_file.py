@@ -24,7 +24,7 @@ from maglev_mj.plants import Timing
 from maglev_mj.recording.ring import Row
 from maglev_mj.recording.schemas import CHANNELS, as_row, as_sample
 from maglev_mj.recording.stretch import Recording, RecordingError, Setup, Stretch, table
-from maglev_mj.spec import Spec
+from maglev_mj.spec import GRAVITY, Spec
 
 __all__ = ["MAGIC", "About", "McapMissingError", "Scribe", "about", "read_mcap", "require_mcap"]
 
@@ -37,6 +37,7 @@ About = Mapping[str, Any]
 _CHUNK = 8 * 1024  # about a dozen samples: at 50 Hz a quarter of a second
 _STRETCH, _SAMPLE, _EVENT = CHANNELS
 _INERTIA = [Spec.moving_mass.value] * 3 + [Spec.tilt_inertia.value] * 2 + [Spec.spin_inertia.value]
+_WEIGHT = np.array([0.0, 0.0, Spec.moving_mass.value * GRAVITY, 0.0, 0.0, 0.0])
 
 
 class McapMissingError(MaglevError):
@@ -145,8 +146,8 @@ class _Energy:
 
     def __init__(self, what: About) -> None:
         timing = Timing(period=what["period"], delay=what["delay"])
-        self._observer = PassivityObserver(timing, _INERTIA)
         self._carried = np.array(what["carried"])
+        self._observer = PassivityObserver(timing, _INERTIA, self._carried - _WEIGHT)
         self._pose: Array | None = None
         self._effort = np.zeros(6)
         self.hand = 0.0

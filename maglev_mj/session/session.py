@@ -40,7 +40,8 @@ class Session:
         scene: Name of the first scene.
         settings: In place of that scene's own.
         hand: The hand on it.
-        folder: Where recordings go.
+        folder: Where recordings go that a key begins.
+        record: File to record to from the start; None for nothing until a key says so.
         pacer: Keeps up with real time.
         outlets: Ways to other programs; closed with the session.
 
@@ -58,6 +59,7 @@ class Session:
         settings: Settings | None = None,
         hand: SpringHand | None = None,
         folder: Path = Path(),
+        record: Path | None = None,
         pacer: Pacer | None = None,
         outlets: Sequence[Outlet] = (),
     ) -> None:
@@ -68,6 +70,8 @@ class Session:
         self._settings = settings or self._scene.settings
         self._history: deque[tuple[float, ...]] = deque()
         self._tape = Tape(folder)
+        if record is not None:
+            self._tape.start(record)
         self._paused, self._stopped = False, ""
         self._outlets, self._ticks, self._since = Outlets(outlets), 0, 0
         self._stretch = self._begin(self._scene.pose)

@@ -27,8 +27,18 @@ class Tape:
         self.file: RecordingFile | None = None
         self._folder, self._said, self._missed = folder, "", 0
 
-    def start(self) -> None:
-        """Begin a recording, in the temporary folder where the own one does not take it."""
+    def start(self, path: Path | None = None) -> None:
+        """Begin a recording.
+
+        Args:
+            path: Where to; None for a new name in the folder, or in the temporary one where that does not take it.
+
+        Raises:
+            OSError: If the file cannot be written.
+        """
+        if path is not None:
+            self.file = open_recording(path)
+            return
         try:
             self.file = open_recording(_new_path(self._folder))
         except OSError:

@@ -1,0 +1,107 @@
+"""Where the socket is: its path, how it comes to be there, and how it goes."""
+
+from __future__ import annotations
+
+import errno
+import os
+import socket
+import stat
+import tempfile
+from pathlib import Path
+
+from maglev_mj.errors import MaglevError, ParameterError
+
+__all__ = ["Place", "default_path"]
+
+_LONGEST = 107  # bytes: what a Unix socket's address has room for
+_WAITING = 16
+
+
+def default_path() -> Path:
+    """Return $SPNAV_SOCKET, or a path in $XDG_RUNTIME_DIR, or else one in the folder for temporary files."""
+    if named := os.environ.get("SPNAV_SOCKET"):
+        return Path(named)
+    if folder := os.environ.get("XDG_RUNTIME_DIR"):
+        return Path(folder) / "maglev-spnav.sock"
+    return Path(tempfile.gettempdir()) / f"maglev-spnav-{os.getuid()}.sock"
+
+
+class Place:
+    """A listening socket at a path, for this user alone: mode 0600 from its first moment on.
+
+    Args:
+        path: Where; `default_path` by default. What a dead server has left there is replaced.
+
+    Attributes:
+        path: Where it is.
+        listener: The socket, which never waits.
+
+    Raises:
+        ParameterError: If the path is too long, in no folder, something else's or a living server's.
+        MaglevError: If this system has no such sockets, or refuses one.
+    """
+
+    def __init__(self, path: Path | None = None) -> None:
+        if not hasattr(socket, "AF_UNIX"):
+            raise MaglevError("spacenav needs Unix sockets, which this system does not have")
+        path = default_path() if path is None else path
+        if (length := len(os.fsencode(path))) > _LONGEST:
+            raise ParameterError(f"socket must be a path of at most {_LONGEST} bytes, not {length}: {str(path)!r}")
+        if not path.parent.is_dir():
+            raise ParameterError(f"socket must be in a folder that there is, not {str(path)!r}")
+        _clear(path)
+        self.path, self.listener = path, _listener(path)
+        self._own = _identity(path)
+
+    def close(self) -> None:
+        """Stop listening and remove the socket, unless it is another's by now; a second time does nothing."""
+        self.listener.close()
+        if self._own is not None and _identity(self.path) == self._own:
+            self.path.unlink(missing_ok=True)
+        self._own = None
+
+
+def _listener(path: Path) -> socket.socket:
+    listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    mask = os.umask(0o177)
+    try:
+        listener.bind(os.fspath(path))
+    except OSError as error:
+        listener.close()
+        if error.errno == errno.EADDRINUSE:
+            raise _taken(path) from None
+        raise MaglevError(f"cannot listen at {path}: {error.strerror}") from None
+    finally:
+        os.umask(mask)
+    listener.listen(_WAITING)
+    listener.setblocking(False)
+    return listener
+
+
+def _clear(path: Path) -> None:
+    """Remove what a dead server has left."""
+    try:
+        mode = path.lstat().st_mode
+    except FileNotFoundError:
+        return
+    if not stat.S_ISSOCK(mode):
+        raise ParameterError(f"socket must be a path where nothing or a socket is, not {str(path)!r}")
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as caller:
+        caller.setblocking(False)
+        refused = caller.connect_ex(os.fspath(path))
+    if refused != errno.ECONNREFUSED:  # it answers, is busy, or is not ours to ask
+        raise _taken(path)
+    path.unlink(missing_ok=True)
+
+
+def _taken(path: Path) -> ParameterError:
+    return ParameterError(f"socket must be one that no other server has, not {str(path)!r}")
+
+
+def _identity(path: Path) -> tuple[int, int] | None:
+    """Return what tells a file from another that comes to the same path; None where there is none."""
+    try:
+        status = path.lstat()
+    except FileNotFoundError:
+        return None
+    return status.st_dev, status.st_ino

@@ -1,0 +1,179 @@
+"""The outlet that programs with a 3D mouse listen to; see `Outlet`."""
+
+from __future__ import annotations
+
+import socket
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from maglev_mj.scenes import Settings
+from maglev_mj.session import Moment
+from maglev_mj.spacenav.axes import REST, Axes, PoseAxes
+from maglev_mj.spacenav.place import Place
+from maglev_mj.spacenav.protocol import Conversation, GarbageError, motion_event
+
+__all__ = ["SpacenavServer"]
+
+_MOST_CLIENTS = 16
+_AT_ONCE = 512
+_ROOM = 106_496  # bytes: with what Linux adds to each event, some 4 s of motion
+_PATIENCE = 1.0
+_LONGEST_PERIOD = 60_000
+_FAREWELL = 0.2
+
+
+class _Client:
+    """One program; `gone` where it has left by itself."""
+
+    def __init__(self, line: socket.socket, now: float) -> None:
+        self.line, self.talk, self.gone = line, Conversation(), False
+        self._since = self._last = now
+        self._asks = self._moves = False
+        line.setblocking(False)
+        line.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _ROOM)
+
+    def listens(self, now: float) -> bool:
+        """Whether it takes events now.
+
+        libspnav takes whatever comes next for the answer to what it has asked. So until it has first asked it is told
+        nothing, unless it is one that never does, and while it asks more it is told the answers alone.
+        """
+        begun = self.talk.begun or now - self._since > _PATIENCE
+        return begun and not self._asks and self.talk.wants_motion
+
+    def tell(self, axes: tuple[int, ...], now: float) -> bool:
+        """Tell it what moves, and once that nothing does; return whether there was room for it."""
+        period = min(round((now - self._last) * 1e3), _LONGEST_PERIOD)
+        self._moves, self._last = axes != REST, now
+        return self.send(motion_event(axes, period))
+
+    def awaits(self, axes: tuple[int, ...]) -> bool:
+        """Whether it has to be told of these axes."""
+        return self._moves or axes != REST
+
+    def send(self, data: bytes) -> bool:
+        """Send some bytes; return whether there was room for them."""
+        try:
+            return self.line.send(data) == len(data)
+        except BlockingIOError:
+            return False
+        except OSError:
+            self.gone = True
+            return False
+
+    def hear(self) -> bool:
+        """Answer what it asks; return whether it is still there and makes sense."""
+        self._asks = False
+        try:
+            data = self.line.recv(_AT_ONCE)
+        except BlockingIOError:
+            return True
+        except OSError:
+            data = b""
+        if not data:
+            self.gone = True
+            return False
+        try:
+            answers = self.talk.hear(data)
+        except GarbageError:
+            return False
+        self._asks = self.talk.version > 0
+        return not answers or self.send(answers)
+
+
+class SpacenavServer:
+    """Tells six axes to any program that speaks spacenav's protocol, at each moment that it is shown.
+
+    Nothing waits: a program for which there is no room in its socket, about 4 s of motion, is let go, and so is one
+    that sends what is no request. At rest there is one event of zeros and then none, as real devices do it; so it is
+    where the scene is paused or has stopped.
+
+    Args:
+        path: Where the socket is; `default_path` by default.
+        axes: What is told; deflections by default.
+        clock: Returns real time [s].
+
+    Attributes:
+        wanted: None: programs ask for nothing here.
+        path: Where the socket is.
+        sent: Events, to all programs together.
+        dropped: Programs let go because they were slow or sent rubbish.
+        refused: Programs too many.
+
+    Raises:
+        ParameterError: If the path is one where no socket can be.
+        MaglevError: If this system has none.
+
+    Source: the protocol as libspnav 1.0 speaks it, https://spacenav.sourceforge.net.
+    """
+
+    def __init__(
+        self, path: Path | None = None, *, axes: Axes | None = None, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self.wanted: Settings | None = None
+        self.sent = self.dropped = self.refused = 0
+        self._axes, self._clock = axes or PoseAxes(), clock
+        self._clients: list[_Client] = []
+        self._place = Place(path)
+        self.path = self._place.path
+
+    @property
+    def clients(self) -> int:
+        """How many programs listen."""
+        return len(self._clients)
+
+    def show(self, moment: Moment) -> None:
+        """Tell of a moment; see `Outlet`."""
+        now = self._clock()
+        self._admit(now)
+        self._each(_Client.hear)
+        self._tell(self._axes(moment), now)
+
+    def close(self) -> None:
+        """Say that nothing moves, let everybody go and remove the socket; a second time does nothing.
+
+        Who is in motion has 0.2 s to come to rest: libspnav makes of a line that ends while it looks for events an
+        endless loop, and of the last motion a lasting one.
+        """
+        moves = any(client.awaits(REST) for client in self._clients)
+        self._tell(REST, self._clock())
+        if moves and self._clients:
+            time.sleep(_FAREWELL)
+        for client in self._clients:
+            client.line.close()
+        self._clients.clear()
+        self._place.close()
+
+    def _admit(self, now: float) -> None:
+        """Take in who waits."""
+        for _ in range(_MOST_CLIENTS):
+            try:
+                line, _ = self._place.listener.accept()
+            except OSError:  # nobody waits, has gone again, or there are no descriptors left for it
+                return
+            if len(self._clients) < _MOST_CLIENTS:
+                self._clients.append(_Client(line, now))
+            else:
+                line.close()
+                self.refused += 1
+
+    def _tell(self, axes: tuple[int, ...], now: float) -> None:
+        def tell(client: _Client) -> bool:
+            if not (client.awaits(axes) and client.listens(now)):
+                return True
+            self.sent += 1
+            return client.tell(axes, now)
+
+        self._each(tell)
+
+    def _each(self, keep: Callable[[_Client], bool]) -> None:
+        """Do something with each program, and let go of those with which it fails."""
+        kept = []
+        for client in self._clients:
+            if keep(client):
+                kept.append(client)
+            else:
+                client.line.close()
+                self.dropped += not client.gone
+        self._clients = kept

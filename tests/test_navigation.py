@@ -1,0 +1,309 @@
+"""Position and rate in one stick: what moves the slave, and that friction keeps it where a hand lets go."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+
+from maglev_mj.errors import ParameterError
+from maglev_mj.frames import Array
+from maglev_mj.hand import SpringHand
+from maglev_mj.loop import ControlLoop
+from maglev_mj.navigation import Mode, Navigation, Navigator
+from maglev_mj.scenes import Settings, scene_called
+from maglev_mj.scenes.joystick import CENTRING
+from maglev_mj.scenes.parts import WEIGHT
+from maglev_mj.session import stick_positions
+
+FRAME = 1.0 / 60.0
+EDGE, SCALE, GAIN, GIVE = 0.0025, 1.0, 10.0, 2.0 / 6000.0
+SLIDES = np.full(6, np.nan)
+LONG = 0.1  # enough for a push to count
+POSITION, RATE = Mode.POSITION, Mode.RATE
+
+
+def along(x: float) -> Array:
+    """Return a pose that is deflected along x alone."""
+    return np.array([x, 0.0, 0.0, 0.0, 0.0, 0.0])
+
+
+def stuck(anchor: float) -> Array:
+    """Return where the flotor sticks: on x there, on the others at the centre."""
+    return along(anchor)
+
+
+def sliding(anchor: float = 0.0) -> Navigator:
+    """Return a navigator that has seen the flotor stick on all axes, at the centre."""
+    navigator = Navigator()
+    navigator.move(along(anchor), stuck(anchor), 0.0)
+    return navigator
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("edge", -1e-3),
+        ("scale", math.nan),
+        ("gain", [1.0, 2.0]),
+        ("give", "much"),
+        ("edge", math.inf),
+        ("breakaway", 0.0),
+    ],
+)
+def test_a_parameter_that_cannot_be_is_refused_by_its_name(name: str, value: Any) -> None:
+    with pytest.raises(ParameterError, match=f"^{name} must be ") as error:
+        Navigation(**{name: value})
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("pose", "elapsed"), [([0.0] * 5, FRAME), ([math.nan] * 6, FRAME), ([0.0] * 6, -FRAME), ([0.0] * 6, math.nan)]
+)
+def test_a_pose_or_a_time_that_cannot_be_is_refused(pose: list[float], elapsed: float) -> None:
+    with pytest.raises(ParameterError):
+        Navigator().move(pose, None, elapsed)
+
+
+def test_the_default_give_is_that_of_the_friction_on_every_axis() -> None:
+    """What breaks away at 2 N and 6000 N/m stretches to a third of a millimetre, measured at the radius of gyration."""
+    give = np.asarray(Navigation().give)
+    radius = np.sqrt(np.array([9.3e-4, 9.3e-4, 8.2e-4]) / 0.7)
+    assert give[:3].tolist() == [GIVE] * 3
+    assert give[3:] * radius == pytest.approx([GIVE] * 3, rel=1e-12)
+
+
+@pytest.mark.parametrize("friction", [True, False])
+@pytest.mark.parametrize("seed", range(8))
+def test_the_slave_never_jumps_whatever_the_hand_does(seed: int, friction: bool) -> None:
+    """Each increment is its mode's to the last bit: the flotor's way, or that of the rate."""
+    random = np.random.default_rng(seed)
+    chosen = Navigation(scale=random.uniform(0.2, 5.0, 6), gain=random.uniform(1.0, 30.0, 6))
+    edge, scale, gain, give = (np.asarray(one) for one in (chosen.edge, chosen.scale, chosen.gain, chosen.give))
+    navigator, seen = Navigator(chosen), set()
+    pose, anchors, total = np.zeros(6), np.zeros(6), np.zeros(6)
+    navigator.move(pose, anchors if friction else None, 0.0)
+    for _ in range(2000):
+        before = pose
+        pose = np.clip(pose + random.normal(0.0, 0.2, 6) * edge, -1.8 * edge, 1.8 * edge)
+        anchors = np.where(random.random(6) < 0.5, pose - random.uniform(-1.0, 1.0, 6) * give, np.nan)
+        elapsed = random.uniform(0.0, 2.0 * FRAME)
+        moved = navigator.move(pose, anchors if friction else None, elapsed)
+        beyond = pose - edge * np.sign(pose)
+        rate = np.array([mode is RATE for mode in navigator.modes])
+        seen |= set(navigator.modes)
+        assert (moved == np.where(rate, gain * beyond * elapsed, scale * (pose - before))).all()
+        assert (np.abs(pose[rate]) > edge[rate]).all()
+        total = total + moved
+    assert seen == {POSITION, RATE}
+    assert (navigator.slave == total).all()
+
+
+def test_within_the_edge_the_slave_goes_as_the_flotor_does_and_comes_back_with_it() -> None:
+    navigator = Navigator(Navigation(scale=3.0))
+    for time in np.arange(0.0, 1.0, FRAME):
+        x = 0.99 * EDGE * math.sin(2.0 * math.pi * time)
+        navigator.move(along(x), None, FRAME)
+        assert navigator.slave[0] == pytest.approx(3.0 * x, abs=1e-15)
+    assert set(navigator.modes) == {POSITION}
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_the_rate_begins_at_nothing_and_grows_with_the_deflection_beyond_the_edge(side: float) -> None:
+    navigator = Navigator()
+    for beyond in np.linspace(1e-9, 2e-3, 50):
+        moved = navigator.move(along(side * (EDGE + beyond)), None, FRAME)
+        assert moved[0] == pytest.approx(side * GAIN * beyond * FRAME, rel=1e-6)
+    assert navigator.modes[0] is RATE
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_the_mode_follows_the_stretch_of_the_spring_with_hysteresis(side: float) -> None:
+    navigator = sliding(side * 0.003)
+    shares = [0.0, 0.2, 0.24, 0.26, 0.9, 0.2, 0.11, 0.09, 0.2, 0.26, -0.5, 0.24]
+    modes = []
+    for share in shares:
+        navigator.move(along(side * (0.003 + share * GIVE)), stuck(side * 0.003), LONG)
+        modes.append(navigator.modes[0])
+    assert [mode is RATE for mode in modes] == [
+        share in (0.26, 0.9, 0.11) or place == 5 for place, share in enumerate(shares)
+    ]
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_what_the_device_gives_tells_how_hard_the_hand_pushes_where_it_is_known(side: float) -> None:
+    """A wall may hold the flotor, so that the friction's spring is not stretched; or a spring may pull it inward."""
+    navigator = sliding(side * 0.003)
+    shares = [0.0, 0.24, 0.26, 0.9, 0.2, 0.11, 0.09, 0.2, 0.26, -0.5, 0.24]
+    modes = []
+    for share in shares:
+        navigator.move(along(side * 0.003), stuck(side * 0.003), LONG, along(-side * share * 2.0))
+        modes.append(navigator.modes[0] is RATE)
+    assert modes == [False, False, True, True, True, True, False, False, True, False, False]
+
+
+def test_a_push_counts_where_it_lasts_for_a_tenth_of_a_second() -> None:
+    """A flotor that has been let go rings, and its spring is stretched outward for a while."""
+    navigator, modes = sliding(0.003), []
+    for share in [0.5] * 6 + [0.0] + [0.5] * 9:
+        navigator.move(along(0.003 + share * GIVE), stuck(0.003), 1.0 / 64.0)
+        modes.append(navigator.modes[0] is RATE)
+    assert modes == [False] * 13 + [True] * 3
+
+
+def test_sliding_outward_beyond_the_edge_is_rate_and_inward_is_position() -> None:
+    navigator = sliding()
+    modes = []
+    for x in (0.002, 0.003, 0.004, 0.0038, 0.003, 0.0031, 0.001, -0.003, -0.0035, -0.003):
+        navigator.move(along(x), SLIDES, FRAME)
+        modes.append(navigator.modes[0])
+    assert [mode is RATE for mode in modes] == [False, True, True, False, False, True, False, True, True, False]
+
+
+def test_an_axis_that_has_never_stuck_has_no_friction_and_is_rate_beyond_the_edge() -> None:
+    """On a table there is friction on x and y alone: anchors of the others are never there."""
+    table = np.array([0.0, 0.0, *[math.nan] * 4])
+    navigator = Navigator()
+    navigator.move(np.zeros(6), table, 0.0)
+    navigator.move([0.003, 0.0, 0.003, 0.0, 0.0, 0.0], SLIDES, FRAME)
+    navigator.move([0.003, 0.0, 0.003, 0.0, 0.0, 0.0], SLIDES, FRAME)
+    assert (navigator.modes[0], navigator.modes[2]) == (POSITION, RATE)
+
+
+@pytest.mark.parametrize("peak", [0.003, 0.0037, 0.0045])
+def test_a_cycle_out_and_back_leaves_the_slave_as_far_back_as_the_text_says(peak: float) -> None:
+    steps = np.linspace(0.0, peak, 401)
+    navigator, rate = sliding(), 0.0
+    for x in steps[1:]:
+        navigator.move(along(x), SLIDES, 1e-3)
+        rate += GAIN * max(x - EDGE, 0.0) * 1e-3
+    for x in steps[-2::-1]:
+        navigator.move(along(x), SLIDES, 1e-3)
+    first = steps[steps > EDGE][0]
+    # the way out is position up to the last sample within the edge
+    within = first - steps[1]
+    assert navigator.slave[0] == pytest.approx(rate - SCALE * (peak - within), abs=1e-12)
+    assert abs(navigator.slave[0] - (rate - SCALE * (peak - EDGE))) <= steps[1]
+
+
+def test_without_friction_the_way_back_is_rate_too_and_no_way_is_lost() -> None:
+    steps = np.linspace(0.0, 0.0045, 451)
+    navigator, rate = Navigator(), 0.0
+    for x in [*steps, *steps[-2::-1]]:
+        navigator.move(along(x), None, 1e-3)
+        rate += GAIN * max(x - EDGE, 0.0) * 1e-3
+    # over the edge it goes twice, in one step each
+    assert navigator.slave[0] == pytest.approx(rate, abs=2.0 * steps[1])
+
+
+def test_a_flotor_put_elsewhere_does_not_move_the_slave() -> None:
+    navigator = Navigator()
+    navigator.move(along(0.001), None, FRAME)
+    navigator.move(along(0.002), None, FRAME)
+    navigator.restart()
+    assert not navigator.move(along(-0.002), None, FRAME).any()
+    assert navigator.slave[0] == pytest.approx(0.001, abs=1e-15)
+
+
+# -- the joystick in the loop ------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Push:
+    """A hand of 1000 N/m that pulls beyond the edge, presses on, and lets go.
+
+    Attributes:
+        target: Where it pulls to [m].
+        press: How much further from 0.5 s on [m].
+        release: When it lets go [s].
+    """
+
+    target: float
+    press: float
+    release: float
+
+
+END = 1.8
+EVERY = 1.0 / 60.0
+
+
+def pushed(
+    push: Push, settings: Settings, navigation: Navigation | None = None, *, forces: bool = True
+) -> dict[str, Array]:
+    """Return time, position, slave and mode along x, at 60 frames a second of the joystick's scene."""
+    scene = scene_called("joystick")
+    hand, navigator = SpringHand(stiffness=1000.0, damping=20.0), Navigator(navigation)
+    plant, controller = scene.plant(settings, hand_force=hand), scene.controller(settings)
+    given: list[Array] = []
+    loop = ControlLoop(plant, controller, observe=lambda sample, applied: given.append(np.array(applied.force)))
+    anchors = stick_positions(controller)
+    rows: list[tuple[float, ...]] = []
+    for tick in range(round(END / settings.period)):
+        time = tick * settings.period
+        reach = push.target + (push.press if time >= 0.5 else 0.0)
+        hand.target = None if time >= push.release else along(reach).tolist()
+        loop.cycle()
+        if time >= len(rows) * EVERY:
+            pose, elapsed = plant.state()[0], time - rows[-1][0] if rows else 0.0
+            navigator.move(pose, anchors(), elapsed, given[-1] - np.array(WEIGHT) if forces else None)
+            rows.append((time, pose[0], navigator.slave[0], navigator.modes[0] is RATE))
+    plant.close()
+    time, position, slave, rate = np.array(rows).T
+    return {"time": time, "position": position, "slave": slave, "rate": rate.astype(bool)}
+
+
+@pytest.mark.parametrize("forces", [True, False])
+@pytest.mark.parametrize("release", [1.0, 1.0025, 1.005, 1.0075, 1.011])
+@pytest.mark.parametrize("press", [0.0003, 0.001])
+@pytest.mark.parametrize("target", [0.0042, 0.0050, -0.0046])
+def test_a_hand_that_lets_go_beyond_the_edge_leaves_the_slave_where_it_is(
+    target: float, press: float, release: float, forces: bool
+) -> None:
+    side = math.copysign(1.0, target)
+    run = pushed(Push(target, side * press, release), Settings(friction=True, wall=False), forces=forces)
+    time, position, slave, rate = (run[name] for name in ("time", "position", "slave", "rate"))
+    held = (time > 0.65) & (time < release)
+    assert rate[held].all()  # a hand that holds still goes on with the rate
+    speed = side * np.diff(slave[held]) / np.diff(time[held])
+    assert speed == pytest.approx(GAIN * (side * position[held][1:] - EDGE), rel=1e-9)
+
+    after = np.flatnonzero(time >= release)
+    let_go = after[0] - 1
+    in_rate = int(rate[after].sum())
+    assert in_rate <= 1 and not rate[after[in_rate:]].any()
+    assert side * position[-1] > EDGE  # friction holds the flotor there
+    # from there on position: the slave keeps its distance to the flotor
+    kept = slave[after[in_rate:]] - position[after[in_rate:]]
+    assert np.ptp(kept) < 1e-12
+    # which comes back by what the hand had stretched the springs of friction and centring
+    given = -1000.0 * (target + side * press - position[let_go]) / (6000.0 + CENTRING)
+    assert position[-1] - position[let_go] == pytest.approx(given, abs=2e-6)
+    ahead = side * (slave[-1] - slave[let_go] - given)
+    assert -2e-6 < ahead < GIVE + GAIN * 0.002 * EVERY  # a frame in rate mode comes back by less
+    assert np.ptp(slave[time > 1.5]) < 1e-6
+    assert abs(slave[-1]) > 4e-3
+
+
+@pytest.mark.parametrize("friction", [True, False])
+def test_without_friction_a_slave_by_position_is_returned_when_the_hand_lets_go(friction: bool) -> None:
+    """What the paper holds against a joystick with a centring spring, and what friction does about it."""
+    by_position = Navigation(edge=1.0)
+    run = pushed(Push(0.0045, 0.0005, 1.0), Settings(friction=friction, wall=False), by_position)
+    before, after = run["slave"][run["time"] < 1.0][-1], run["slave"][-1]
+    assert before > 0.003
+    assert after > 0.9 * before if friction else abs(after) < 0.01 * before
+
+
+@pytest.mark.parametrize("target", [0.0055, -0.007])
+def test_a_hand_that_holds_against_a_wall_goes_on_with_the_rate_until_it_lets_go(target: float) -> None:
+    """The wall at 3.5 mm holds the flotor, and the friction's spring alone would tell nothing."""
+    run = pushed(Push(target, 0.0, 1.0), Settings(friction=True, wall=True))
+    time, rate, slave = run["time"], run["rate"], run["slave"]
+    assert rate[(time > 0.5) & (time < 1.0)].all()
+    assert rate[time >= 1.0].sum() <= 1
+    assert abs(slave[-1]) > 6e-3
+    blind = pushed(Push(target, 0.0, 1.0), Settings(friction=True, wall=True), forces=False)
+    assert not blind["rate"][(time > 0.5) & (time < 1.0)].any()

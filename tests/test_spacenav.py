@@ -1,0 +1,759 @@
+"""The joystick as a 3D mouse: its axes, its socket, and programs that are good, slow, gone or out of their mind."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import queue
+import shutil
+import socket
+import stat
+import struct
+import subprocess
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from maglev_mj.commands import serve_spacenav
+from maglev_mj.errors import ParameterError
+from maglev_mj.frames import Array
+from maglev_mj.navigation import Navigation
+from maglev_mj.options import Parser
+from maglev_mj.scenes import Settings, scene_called
+from maglev_mj.session import Moment
+from maglev_mj.spacenav import (
+    FULL,
+    PoseAxes,
+    RateAxes,
+    SpacenavServer,
+    add_spacenav,
+    chosen_spacenav,
+    default_path,
+)
+from maglev_mj.spacenav.axes import FULL_POSE, FULL_RATE, REST
+from maglev_mj.spacenav.protocol import DEVICE, EVENT, Conversation, GarbageError, motion_event
+
+SOURCE = Path(__file__).parents[1] / "scripts" / "spacenav_client.c"
+COMPILER = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
+FRAME = 1.0 / 60.0
+PATIENCE = 60.0
+CHANGE, TAG = 0x7FAA5500, 0x7FAA0000
+AWAY = (0.001, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def moment(
+    pose: Any = REST,
+    time: float = 0.0,
+    *,
+    state: str = "running",
+    anchors: Array | None = None,
+    scene: str = "joystick",
+) -> Moment:
+    """Return what an outlet is told of a pose."""
+    return Moment(
+        scene=scene_called(scene),
+        settings=Settings(),
+        delay=0.0015,
+        since=0,
+        tick=0,
+        time=time,
+        pose=tuple(float(part) for part in pose),
+        force=(0.0,) * 6,
+        hand=(0.0,) * 6,
+        anchors=anchors,
+        state=state,
+    )
+
+
+def posed(numbers: Any) -> Array:
+    """Return the pose of which six numbers in spacenav's order are said."""
+    x, y, z, rx, ry, rz = numbers
+    pose: Array = np.array([x, z, y, rx, rz, ry]) / FULL * FULL_POSE
+    return pose
+
+
+def waited(ask: Callable[[], bool]) -> bool:
+    """Wait until something is so, or for too long."""
+    end = time.monotonic() + PATIENCE
+    while not (answer := ask()) and time.monotonic() < end:
+        time.sleep(0.002)
+    return answer
+
+
+class Clock:
+    """Real time that goes on by a frame each time that somebody looks."""
+
+    def __init__(self, step: float = FRAME) -> None:
+        self.now, self.step = 0.0, step
+
+    def __call__(self) -> float:
+        self.now += self.step
+        return self.now
+
+
+# -- axes ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize(
+    ("axis", "field", "full"),
+    [
+        (0, 0, 0.0045),
+        (1, 2, 0.0045),
+        (2, 1, 0.0045),
+        (3, 3, math.radians(6.0)),
+        (4, 5, math.radians(6.0)),
+        (5, 4, math.radians(6.0)),
+    ],
+)
+def test_a_deflection_to_the_stop_is_500_on_the_axis_that_points_there(
+    axis: int, field: int, full: float, sign: float
+) -> None:
+    """In spacenav y is up and z away, for the device the other way round."""
+    pose, expected = [0.0] * 6, [0] * 6
+    pose[axis], expected[field] = sign * full, round(sign * 500)
+    assert PoseAxes()(moment(pose)) == tuple(expected)
+
+
+def test_deflections_are_rounded_and_no_number_is_none() -> None:
+    pose = posed([1.49, -1.49, 1.51, 0.4, -0.4, 1e9])
+    assert PoseAxes()(moment(pose)) == (1, -1, 2, 0, 0, 32767)
+    assert PoseAxes()(moment([math.nan, 0.0, 0.001, 0.0, 0.0, -math.inf])) == (0, 111, 0, 0, -32767, 0)
+
+
+@pytest.mark.parametrize("axes", [PoseAxes, RateAxes])
+@pytest.mark.parametrize("state", ["paused", "stopped"])
+def test_where_the_scene_stands_still_nothing_moves(axes: Callable[[], Any], state: str) -> None:
+    told = axes()
+    told(moment(AWAY, 0.0))
+    assert told(moment([0.003] * 6, FRAME, state=state)) == REST
+    # nor is what has happened meanwhile a motion, where it goes on
+    told = RateAxes()
+    told(moment(AWAY, 0.0))
+    told(moment(AWAY, FRAME, state=state))
+    assert told(moment([0.0] * 6, 2 * FRAME)) == REST
+    assert not told.navigator.slave.any()
+
+
+def test_a_scene_that_begins_anew_is_no_motion() -> None:
+    told = RateAxes()
+    told(moment(AWAY, 5.0))
+    assert told(moment([0.0] * 6, 0.005)) == REST
+    assert told(moment(AWAY, 0.005 + FRAME)) != REST
+
+
+@pytest.mark.parametrize("friction", [True, False])
+@pytest.mark.parametrize("seed", range(4))
+def test_a_program_that_adds_up_rates_goes_the_way_of_the_slave(seed: int, friction: bool) -> None:
+    """At every moment within half a unit of it, however irregular the moments are."""
+    random = np.random.default_rng(seed)
+    told, time, went, pose = RateAxes(Navigation(scale=2.0)), 0.0, np.zeros(6), np.zeros(6)
+    order, unit = [0, 2, 1, 3, 5, 4], FULL_RATE / FULL
+    told(moment(pose, time))
+    for _ in range(3000):
+        elapsed = float(random.choice([0.005, 0.015, 0.02, 0.035]))
+        time += elapsed
+        pose = np.clip(pose + random.normal(0.0, 0.03, 6) * FULL_POSE, -FULL_POSE, FULL_POSE)
+        anchors = np.where(random.random(6) < 0.5, pose, np.nan) if friction else None
+        went += np.array(told(moment(pose, time, anchors=anchors)))[order] * unit * elapsed
+        assert (np.abs(went - told.navigator.slave) <= 0.5000001 * unit * elapsed).all()
+    assert (np.abs(told.navigator.slave) > 100.0 * unit * 0.035).any()
+
+
+def test_a_full_rate_is_500_at_the_stops() -> None:
+    told = RateAxes()
+    pose = [0.0045, 0.0, 0.0, 0.0, 0.0, -math.radians(6.0)]
+    told(moment(pose, 0.0))
+    assert told(moment(pose, 0.02)) == (500, 0, 0, 0, -500, 0)
+
+
+# -- the protocol ----------------------------------------------------------------------------------------
+
+
+def request(number: int, *data: int, tag: int = TAG) -> bytes:
+    return struct.pack("=8i", tag | number, *data, *[0] * (7 - len(data)))
+
+
+def in_protocol_1() -> Conversation:
+    talk = Conversation()
+    assert talk.hear(struct.pack("=I", CHANGE | 1)) == struct.pack("=I", CHANGE | 1)
+    return talk
+
+
+@pytest.mark.parametrize(("asked", "given"), [(0, 0), (1, 1), (2, 1), (255, 1)])
+def test_no_newer_protocol_than_1_is_agreed_on(asked: int, given: int) -> None:
+    talk = Conversation()
+    assert talk.hear(struct.pack("=I", CHANGE | asked)) == struct.pack("=I", CHANGE | given)
+    assert talk.version == given
+
+
+def test_what_comes_in_pieces_is_answered_when_it_is_whole() -> None:
+    talk = Conversation()
+    data = struct.pack("=I", CHANGE | 1)
+    assert [talk.hear(bytes([byte])) for byte in data] == [b"", b"", b"", data]
+    question = request(0x2002)
+    answers = [talk.hear(bytes([byte])) for byte in question]
+    assert answers[:-1] == [b""] * 31 and answers[-1] == struct.pack("=8i", TAG | 0x2002, 6, *[0] * 6)
+
+
+def test_sensitivities_of_protocol_0_are_taken_without_a_word() -> None:
+    talk = Conversation()
+    assert talk.hear(struct.pack("=3f", 1.0, 0.5, -2.0)) == b"" and talk.version == 0
+
+
+def test_a_program_that_has_not_waited_for_the_answer_is_not_given_one() -> None:
+    """After 0.3 s libspnav takes the server for an old one; an answer would be an event to it."""
+    talk = Conversation()
+    assert talk.hear(struct.pack("=If", CHANGE | 1, 1.0)) == b"" and talk.version == 0
+
+
+@pytest.mark.parametrize(
+    ("number", "data", "answer"),
+    [
+        (0x1001, (0,), (0, 0, 0, 0, 0, 0, -1)),  # sensitivity: not ours to set
+        (0x1002, (), (0x3F800000, 0, 0, 0, 0, 0, 0)),
+        (0x1003, (2,), (0, 0, 0, 0, 0, 0, 0)),
+        (0x1004, (), (0xFFFF, 0, 0, 0, 0, 0, 0)),
+        (0x2001, (), (0, 0, 0, 0, 0, 0, -1)),  # no device file
+        (0x2002, (), (6, 0, 0, 0, 0, 0, 0)),
+        (0x2003, (), (0, 0, 0, 0, 0, 0, 0)),
+        (0x2004, (), (0, 0, 0, 0, 0, 0, -1)),  # no USB device
+        (0x2005, (), (0, 0, 0, 0, 0, 0, 0)),
+        (0x3000, (7,), (0, 0, 0, 0, 0, 0, -1)),
+        (0x3FFE, (), (0, 0, 0, 0, 0, 0, -1)),
+    ],
+)
+def test_each_request_has_its_answer(number: int, data: tuple[int, ...], answer: tuple[int, ...]) -> None:
+    assert in_protocol_1().hear(request(number, *data)) == struct.pack("=8i", TAG | number, *answer)
+
+
+def test_the_name_is_said_and_that_of_a_program_is_not_answered() -> None:
+    talk = in_protocol_1()
+    assert talk.hear(struct.pack("=i24si", 0x1000, b"a program", 9)) == b""
+    answer = talk.hear(request(0x2000))
+    assert answer == struct.pack("=i24si", TAG | 0x2000, DEVICE, len(DEVICE))
+
+
+def test_a_program_is_told_only_of_what_it_wants() -> None:
+    talk = in_protocol_1()
+    assert talk.wants_motion
+    talk.hear(request(0x1003, 2))
+    assert not talk.wants_motion
+    assert talk.hear(request(0x1004)) == struct.pack("=8i", TAG | 0x1004, 2, *[0] * 6)
+
+
+@pytest.mark.parametrize("first", [b"GET ", b"\0\0\0\0", b"\xff\xff\xff\xff", struct.pack("=i", TAG | 0x0FFF)])
+def test_what_is_no_request_is_garbage(first: bytes) -> None:
+    with pytest.raises(GarbageError):
+        in_protocol_1().hear(first + bytes(28))
+
+
+# -- the socket ------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "s.sock"
+
+
+def mode(path: Path) -> int:
+    return stat.S_IMODE(path.lstat().st_mode)
+
+
+@pytest.mark.parametrize("mask", [0o000, 0o022, 0o777])
+def test_the_socket_is_this_users_alone_from_its_first_moment(
+    path: Path, mask: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    modes = []
+
+    class Watched(socket.socket):
+        def bind(self, address: Any) -> None:
+            super().bind(address)
+            modes.append(mode(path))
+
+    monkeypatch.setattr(socket, "socket", Watched)
+    before = os.umask(mask)
+    try:
+        server = SpacenavServer(path)
+        assert os.umask(mask) == mask
+    finally:
+        os.umask(before)
+    assert modes == [0o600] and mode(path) == 0o600
+    server.close()
+
+
+def test_the_socket_goes_with_the_server_and_a_second_close_does_nothing(path: Path) -> None:
+    server = SpacenavServer(path)
+    assert path.is_socket()
+    server.close()
+    server.close()
+    assert not path.exists()
+
+
+def test_what_a_dead_server_has_left_is_replaced(path: Path) -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as dead:
+        dead.bind(str(path))
+    assert path.is_socket()
+    server = SpacenavServer(path)
+    assert mode(path) == 0o600
+    with Program(path) as program:
+        program.open(server)
+    server.close()
+
+
+def test_a_living_servers_socket_is_refused_and_left_alone(path: Path) -> None:
+    server = SpacenavServer(path)
+    with pytest.raises(ParameterError, match=r"^socket must be one that no other server has, not "):
+        SpacenavServer(path)
+    with Program(path) as program:
+        program.open(server)
+    server.close()
+
+
+def test_a_server_does_not_remove_what_another_has_put_there(path: Path) -> None:
+    first = SpacenavServer(path)
+    path.unlink()
+    second = SpacenavServer(path)
+    first.close()
+    assert path.is_socket()
+    second.close()
+    assert not path.exists()
+
+
+def test_a_path_where_no_socket_can_be_is_refused_in_one_line(tmp_path: Path) -> None:
+    file, folder, link = tmp_path / "file", tmp_path / "folder", tmp_path / "link"
+    file.write_text("mine")
+    folder.mkdir()
+    link.symlink_to(file)
+    long = tmp_path / ("s" * 108)
+    for wrong in (file, folder, link, tmp_path / "none" / "s.sock", long):
+        with pytest.raises(ParameterError, match=r"^socket must be [^\n]*, not [^\n]*$"):
+            SpacenavServer(wrong)
+    assert file.read_text() == "mine" and folder.is_dir() and link.is_symlink()
+
+
+def test_a_path_of_107_bytes_is_the_longest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    server = SpacenavServer(Path("s" * 107))
+    server.close()
+    with pytest.raises(ParameterError, match="at most 107 bytes, not 108"):
+        SpacenavServer(Path("ö" * 54))
+
+
+def test_the_socket_is_where_the_environment_says(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(tempfile, "gettempdir", lambda: str(tmp_path))
+    monkeypatch.setenv("SPNAV_SOCKET", "/some/where.sock")
+    monkeypatch.setenv("XDG_RUNTIME_DIR", "/run/user/7")
+    assert default_path() == Path("/some/where.sock")
+    monkeypatch.setenv("SPNAV_SOCKET", "")
+    assert default_path() == Path("/run/user/7/maglev-spnav.sock")
+    monkeypatch.delenv("XDG_RUNTIME_DIR")
+    assert default_path() == tmp_path / f"maglev-spnav-{os.getuid()}.sock"
+
+
+# -- programs --------------------------------------------------------------------------------------------
+
+
+class Program:
+    """A program on the socket, by hand."""
+
+    def __init__(self, path: Path) -> None:
+        self.line = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        self.line.connect(str(path))
+        self.line.setblocking(False)
+
+    def __enter__(self) -> Program:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.line.close()
+
+    def open(self, server: SpacenavServer) -> None:
+        """Agree on protocol 1."""
+        self.line.send(struct.pack("=I", CHANGE | 1))
+        server.show(moment())
+        assert self.line.recv(4) == struct.pack("=I", CHANGE | 1)
+
+    def events(self) -> list[tuple[int, ...]]:
+        """Return what has come."""
+        try:
+            data = self.line.recv(1 << 20)
+        except BlockingIOError:
+            return []
+        assert len(data) % EVENT == 0
+        return list(struct.iter_unpack("=8i", data))
+
+
+@pytest.fixture
+def server(path: Path) -> Iterator[SpacenavServer]:
+    server = SpacenavServer(path, clock=Clock())
+    yield server
+    server.close()
+
+
+def test_an_event_has_its_fields_in_order_and_says_how_long_it_has_been(server: SpacenavServer) -> None:
+    with Program(server.path) as program:
+        program.open(server)
+        for numbers in ((1, -2, 3, -4, 5, -6), (1, -2, 3, -4, 5, -6)):
+            server.show(moment(posed(numbers)))
+        assert program.events() == [(0, 1, -2, 3, -4, 5, -6, 17), (0, 1, -2, 3, -4, 5, -6, 17)]
+    assert motion_event((1, -2, 3, -4, 5, -6), 17) == struct.pack("=8i", 0, 1, -2, 3, -4, 5, -6, 17)
+
+
+def test_at_rest_there_is_one_event_of_zeros_and_then_silence(server: SpacenavServer) -> None:
+    with Program(server.path) as program, Program(server.path) as idle:
+        program.open(server)
+        for _ in range(3):
+            server.show(moment())
+        server.show(moment(AWAY))
+        idle.open(server)  # this shows a rest
+        for _ in range(3):
+            server.show(moment())
+        assert [event[1:7] for event in program.events()] == [(111, 0, 0, 0, 0, 0), REST]
+        assert idle.events() == []
+
+
+@pytest.mark.parametrize("state", ["paused", "stopped"])
+def test_a_scene_that_is_halted_lets_programs_rest(server: SpacenavServer, state: str) -> None:
+    with Program(server.path) as program:
+        program.open(server)
+        server.show(moment(AWAY))
+        for _ in range(3):
+            server.show(moment(AWAY, state=state))
+        assert [event[1:7] for event in program.events()] == [(111, 0, 0, 0, 0, 0), REST]
+
+
+def test_a_server_that_closes_lets_programs_rest_first(path: Path) -> None:
+    server = SpacenavServer(path)
+    with Program(path) as program:
+        program.open(server)
+        server.show(moment(AWAY))
+        server.close()
+        assert [event[1:7] for event in program.events()] == [(111, 0, 0, 0, 0, 0), REST]
+        assert program.line.recv(1) == b""
+
+
+def test_nothing_is_said_before_the_answer_to_the_first_request(server: SpacenavServer) -> None:
+    """The first four bytes that come are what libspnav reads as its answer."""
+    with Program(server.path) as program:
+        for _ in range(5):
+            server.show(moment(AWAY))
+        program.line.send(struct.pack("=I", CHANGE | 1))
+        server.show(moment(AWAY))
+        server.show(moment(AWAY))
+        assert program.line.recv(4) == struct.pack("=I", CHANGE | 1)
+        assert len(program.events()) == 1
+
+
+def test_a_program_that_never_asks_is_told_all_the_same(server: SpacenavServer) -> None:
+    with Program(server.path) as program:
+        for _ in range(120):
+            server.show(moment(AWAY))
+        told = len(program.events())
+        assert 55 < told < 65  # all but the first second
+
+
+def test_between_a_request_and_the_next_nothing_else_is_said_and_no_rest_is_lost(server: SpacenavServer) -> None:
+    """What comes next is what libspnav takes for its answer."""
+    with Program(server.path) as program:
+        program.open(server)
+        server.show(moment(AWAY))
+        assert len(program.events()) == 1
+        for _ in range(3):
+            program.line.send(request(0x2002))
+            server.show(moment())
+            assert [event[0] for event in program.events()] == [TAG | 0x2002]
+        server.show(moment())
+        assert [event[1:7] for event in program.events()] == [REST]
+
+
+def test_a_program_that_wants_no_motion_is_told_none(server: SpacenavServer) -> None:
+    with Program(server.path) as program:
+        program.open(server)
+        program.line.send(request(0x1003, 2))
+        for _ in range(3):
+            server.show(moment(AWAY))
+        assert [event[0] for event in program.events()] == [TAG | 0x1003]
+
+
+def test_a_program_that_does_not_read_is_let_go_and_the_others_miss_nothing(server: SpacenavServer) -> None:
+    with Program(server.path) as good, Program(server.path) as stalled:
+        good.open(server)
+        stalled.open(server)
+        got: list[tuple[int, ...]] = []
+        for number in range(1, 1001):
+            server.show(moment(posed([number, 0, 0, 0, 0, 0])))
+            got += good.events()
+        assert [event[1] for event in got] == list(range(1, 1001))
+        assert (server.dropped, server.clients) == (1, 1)
+
+
+@pytest.mark.parametrize("reset", [False, True])
+def test_a_program_that_goes_away_is_forgotten_and_not_called_slow(server: SpacenavServer, reset: bool) -> None:
+    with Program(server.path) as good, Program(server.path) as gone:
+        good.open(server)
+        gone.open(server)
+        if reset:  # something unread makes the end of the line an error
+            server.show(moment(AWAY))
+        gone.line.close()
+        for _ in range(3):
+            server.show(moment(AWAY))
+        assert (server.dropped, server.clients) == (0, 1)
+        assert len(good.events()) == 3 + reset
+
+
+def test_programs_that_send_rubbish_are_let_go_and_the_others_miss_nothing(server: SpacenavServer) -> None:
+    random = np.random.default_rng(1)
+    with Program(server.path) as good:
+        good.open(server)
+        for round_ in range(30):
+            with Program(server.path) as bad:
+                bad.open(server)
+                bad.line.send(b"\xee" + random.bytes(31 + round_ * 40))
+                server.show(moment(AWAY))
+                assert server.clients == 1
+        assert server.dropped == 30
+        assert [event[1] for event in good.events()].count(111) == 30
+
+
+def test_no_more_than_16_programs_are_taken(server: SpacenavServer) -> None:
+    programs = []
+    for count in range(20):
+        programs.append(Program(server.path))
+        server.show(moment())
+        assert server.clients == min(count + 1, 16)
+    assert (server.refused, server.dropped) == (4, 0)
+    assert [program.line.recv(1) for program in programs[16:]] == [b""] * 4
+    programs[0].line.close()
+    server.show(moment())
+    programs[0] = Program(server.path)
+    server.show(moment())
+    assert server.clients == 16
+    for program in programs:
+        program.line.close()
+
+
+# -- libspnav --------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def client(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the program in C, compiled."""
+    if COMPILER is None or not any(
+        Path(folder, "spnav.h").is_file() for folder in ("/usr/include", "/usr/local/include")
+    ):
+        pytest.skip("the client in C needs a compiler and libspnav (Debian: gcc libc6-dev libspnav-dev)")
+    program = tmp_path_factory.mktemp("client") / "spacenav_client"
+    flags = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-O2"]
+    command = [COMPILER, *flags, str(SOURCE), "-o", str(program), "-lspnav", "-lm"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+    assert done.returncode == 0, done.stderr
+    return program
+
+
+class Running:
+    """The program in C on a server, its lines as they come."""
+
+    def __init__(self, program: Path, server: SpacenavServer, *arguments: str) -> None:
+        self._process = subprocess.Popen(
+            [str(program), *arguments],
+            env={**os.environ, "SPNAV_SOCKET": str(server.path)},
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        self._lines: queue.Queue[str] = queue.Queue()
+        self._reader = threading.Thread(target=self._read)
+        self._reader.start()
+        self.said = ""
+        for _ in range(round(PATIENCE / 0.005)):  # at rest, until it has asked all it wants to know
+            server.show(moment())
+            try:
+                self.said = self._lines.get(timeout=0.005)
+                break
+            except queue.Empty:
+                continue
+
+    def _read(self) -> None:
+        assert self._process.stdout is not None
+        for line in self._process.stdout:
+            self._lines.put(line.strip())
+
+    def line(self) -> str:
+        """Wait for the next line."""
+        return self._lines.get(timeout=PATIENCE)
+
+    def end(self) -> int:
+        """Let it end; return its exit status."""
+        assert self._process.stdin is not None and self._process.stdout is not None
+        self._process.stdin.close()
+        status = self._process.wait(PATIENCE)
+        self._reader.join(PATIENCE)
+        self._process.stdout.close()
+        return status
+
+
+SAID = "protocol 1, device 'maglev_mj' (9), 6 axes, 0 buttons, type 0"
+
+
+def rows(count: int) -> list[tuple[int, ...]]:
+    """Return events of which no two are alike, nor two of their six numbers."""
+    return [(n + 1, -(n + 2), 2 * n + 3, -(2 * n + 4), 3 * n + 5, -(3 * n + 7)) for n in range(count)]
+
+
+@pytest.mark.parametrize("stalled", [False, True])
+def test_libspnav_reads_500_of_500_events_with_the_right_values(
+    client: Path, server: SpacenavServer, tmp_path: Path, stalled: bool
+) -> None:
+    expected = rows(500)
+    file = tmp_path / "rows"
+    file.write_text("\n".join(" ".join(map(str, row)) for row in expected), encoding="ascii")
+    others = [Running(client, server, "stall")] if stalled else []
+    program = Running(client, server, "500", str(file))
+    assert [one.said for one in (program, *others)] == [SAID] * (1 + stalled)
+    for row in expected:
+        server.show(moment(posed(row)))
+        assert [int(part) for part in program.line().split()[:6]] == list(row)
+    assert program.line().startswith("moved ")
+    assert program.line() == "500 of 500 events as expected"
+    assert program.end() == 0
+    assert (server.dropped, server.clients) == (int(stalled), 1)  # its end has not been looked at yet
+    assert [one.end() for one in others] == [0] * stalled
+
+
+def test_the_client_in_c_notices_a_wrong_value(client: Path, server: SpacenavServer, tmp_path: Path) -> None:
+    file = tmp_path / "rows"
+    file.write_text("1 2 3 4 5 6\n1 2 3 4 5 7\n", encoding="ascii")
+    program = Running(client, server, "2", str(file))
+    for _ in range(2):
+        server.show(moment(posed([1, 2, 3, 4, 5, 6])))
+        program.line()
+    assert program.line().startswith("moved ")
+    assert program.line() == "1 of 2 events as expected"
+    assert program.end() == 1
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize(
+    ("axis", "moved", "turned"),
+    [
+        (0, (0.5, 0.0, 0.0), (0.0, 0.0, 0.0)),  # to the right
+        (1, (0.0, 0.0, -0.5), (0.0, 0.0, 0.0)),  # away from the person: libspnav's object has z towards him
+        (2, (0.0, 0.5, 0.0), (0.0, 0.0, 0.0)),  # up
+        (3, (0.0, 0.0, 0.0), (0.25, 0.0, 0.0)),
+        (4, (0.0, 0.0, 0.0), (0.0, 0.0, -0.25)),
+        (5, (0.0, 0.0, 0.0), (0.0, 0.25, 0.0)),
+    ],
+)
+def test_libspnav_moves_an_object_where_the_joystick_goes(
+    client: Path, server: SpacenavServer, axis: int, moved: tuple[float, ...], turned: tuple[float, ...], sign: int
+) -> None:
+    """A unit for each thousand, a radian likewise, of which a quaternion has half the sine."""
+    pose = np.zeros(6)
+    pose[axis] = sign * FULL_POSE[axis]
+    program = Running(client, server, "1")
+    server.show(moment(pose))
+    program.line()
+    where, how = program.line().removeprefix("moved ").split(", turned ")
+    assert [float(part) for part in where.split()] == pytest.approx([sign * part for part in moved], abs=1e-3)
+    sines = [sign * math.copysign(math.sin(abs(part)), part) for part in turned]
+    assert [float(part) for part in how.split()[:3]] == pytest.approx(sines, abs=1e-3)
+    assert program.line() == "1 of 1 events" and program.end() == 0
+
+
+# -- the command line ------------------------------------------------------------------------------------
+
+
+def parsed(*arguments: str) -> argparse.Namespace:
+    parser = Parser(prog="test")
+    add_spacenav(parser)
+    return parser.parse_args(arguments)
+
+
+def test_without_the_option_there_is_no_server() -> None:
+    assert chosen_spacenav(parsed(), pytest.fail) == []
+
+
+def test_the_option_opens_a_server_and_says_how_programs_find_it(path: Path) -> None:
+    said: list[str] = []
+    (server,) = chosen_spacenav(parsed("--spacenav", "--socket", str(path), "--axes", "rate"), said.append)
+    assert server.path == path and path.is_socket()
+    assert said[0].endswith(f"export SPNAV_SOCKET={path}")
+    server.close()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (["--socket", "x"], "socket is for --spacenav"),
+        (["--axes", "rate"], "axes is for --spacenav"),
+        (["--spacenav", "--axes", "speed"], "axes must be one of pose, rate, not 'speed'"),
+    ],
+)
+def test_options_that_do_not_fit_are_refused(arguments: list[str], complaint: str, path: Path) -> None:
+    with pytest.raises(ParameterError, match=f"^{complaint}$"):
+        chosen_spacenav(parsed(*arguments), pytest.fail)
+
+
+def served(*arguments: str) -> int:
+    """Run the command by itself."""
+    parser = Parser(prog="maglev-mj")
+    serve_spacenav.add_command(parser.add_subparsers())
+    options = parser.parse_args(["serve-spacenav", *arguments])
+    status: int = options.run(options)
+    return status
+
+
+def test_the_command_moves_a_scene_for_programs_and_says_what_it_came_to(
+    path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert served("table", "--socket", str(path), "--axes", "rate", "--seconds", "0.3") == 0
+    said = capsys.readouterr().out.splitlines()
+    assert said[0].endswith(f"SPNAV_SOCKET={path}")
+    assert said[1] == "  0 events, 0 programs dropped, 0 refused"
+    assert not path.exists()
+
+
+def test_a_program_hears_of_the_scripted_hand(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    heard: list[tuple[int, ...]] = []
+
+    def listen() -> None:
+        assert waited(path.is_socket)
+        with Program(path) as program:
+            program.line.setblocking(True)
+            program.line.settimeout(PATIENCE)
+            program.line.send(struct.pack("=I", CHANGE | 1))
+            assert program.line.recv(4) == struct.pack("=I", CHANGE | 1)
+            while data := program.line.recv(EVENT):
+                heard.append(struct.unpack("=8i", data))
+
+    listener = threading.Thread(target=listen)
+    listener.start()
+    assert served("--socket", str(path), "--seconds", "2") == 0
+    listener.join(PATIENCE)
+    assert f"  {len(heard)} events, 0 programs dropped" in capsys.readouterr().out
+    assert max(event[1] for event in heard) > 100  # the hand goes to the right first
+    assert heard[-1][1:7] == REST
+
+
+def test_the_scripted_hand_does_it_again() -> None:
+    script = scene_called("joystick").script
+    assert script is not None
+    again = serve_spacenav._Again(script.times, script.poses)
+    for instant in np.linspace(0.0, script.end, 50):
+        assert again.at(instant) == script.at(instant)
+        assert again.at(instant + 3 * (script.end + 0.4)) == pytest.approx(script.at(instant), abs=1e-12)
+
+
+@pytest.mark.parametrize("seconds", ["0", "-1", "nan"])
+def test_the_command_refuses_a_time_that_cannot_be(path: Path, seconds: str) -> None:
+    with pytest.raises(ParameterError, match=r"^seconds must be "):
+        served("--socket", str(path), "--seconds", seconds)
+    assert not path.exists()
