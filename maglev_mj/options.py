@@ -141,20 +141,24 @@ def add_bridge(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def chosen_key(options: argparse.Namespace) -> bytes | None:
-    """Return the key in the file of --key; None without one.
+def chosen_key(path: Path | None, name: str = "key") -> bytes | None:
+    """Return the key in a file; None without one.
+
+    Args:
+        path: The file.
+        name: Of the option that names it.
 
     Raises:
         ParameterError: If it is no key.
     """
-    if options.key is None:
+    if path is None:
         return None
     try:
-        key = bytes.fromhex(options.key.read_text(encoding="ascii"))
+        key = bytes.fromhex(path.read_text(encoding="ascii"))
     except (OSError, ValueError):
         key = b""
     if not 16 <= len(key) <= 32:
-        raise ParameterError(f"key must be a file of 32 to 64 hexadecimal digits, not {str(options.key)!r}")
+        raise ParameterError(f"{name} must be a file of 32 to 64 hexadecimal digits, not {str(path)!r}")
     return key
 
 

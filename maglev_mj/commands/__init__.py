@@ -10,6 +10,7 @@ from maglev_mj.commands import (
     press,
     render,
     replay,
+    serve_spacenav,
     stability,
     stick_slip,
     sweep,
@@ -19,20 +20,10 @@ from maglev_mj.commands import (
 
 __all__ = ["COMMANDS"]
 
-COMMANDS = (
-    view,
-    render,
-    replay,
-    analyse,
-    export,
-    drop,
-    press,
-    stick_slip,
-    stability,
-    sweep,
-    fidelity,
-    twin,
-    bridge,
-    info,
-)
+_SCENES = view, render, serve_spacenav
+_RECORDINGS = replay, analyse, export
+_EXPERIMENTS = drop, press, stick_slip, stability, sweep, fidelity
+_DEVICE = twin, bridge, info
+
+COMMANDS = (*_SCENES, *_RECORDINGS, *_EXPERIMENTS, *_DEVICE)
 """In the order in which the help lists them."""

@@ -20,6 +20,7 @@ from maglev_mj.bridge.link import open_link
 from maglev_mj.bridge.realtime import realtime
 from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.bridge.stopping import stopping
+from maglev_mj.commands.outlets import add_outlets, chosen_outlets
 from maglev_mj.errors import ParameterError
 from maglev_mj.options import (
     add_bridge,
@@ -49,6 +50,7 @@ def add_command(commands: Any) -> None:
     add_settings(bridge, timing=False)
     add_recording(bridge)
     add_bridge(bridge)
+    add_outlets(bridge)
     bridge.add_argument("--reset", action="store_true", help="leave the fault state first")
     bridge.add_argument("--view", action="store_true", help="a window on the device; its hand is at the device")
     bridge.add_argument(
@@ -65,7 +67,7 @@ def add_command(commands: Any) -> None:
 
 
 def _bridge(options: argparse.Namespace) -> int:
-    scene, key = scene_called(options.scene), chosen_key(options)
+    scene, key = scene_called(options.scene), chosen_key(options.key)
     if options.seconds is not None:
         number("seconds", options.seconds, above=0.0)
     check_recording(options.record)
@@ -73,7 +75,7 @@ def _bridge(options: argparse.Namespace) -> int:
         check_file("identify", options.identify)
     if options.mass is not None and options.identify is None:
         raise ParameterError("mass is for --identify")
-    for name in ("record", "view", "seconds"):
+    for name in ("record", "view", "seconds", "spacenav", "stream"):
         if options.identify is not None and getattr(options, name):
             raise ParameterError(f"{name} is for scenes, not for --identify")
     check_outputs(out=options.out)
@@ -105,8 +107,11 @@ def _fly(plant: RemotePlant, scene: Scene, settings: Settings, options: argparse
         file = None if options.record is None else open_recording(options.record)
         if file is not None:
             last.callback(_keep, file)
-        flight = Flight(plant, scene, settings, file=file, watch=watch)
-        last.push(plant)
+        outlets = chosen_outlets(options)
+        for outlet in outlets:
+            last.callback(outlet.close)
+        flight = Flight(plant, scene, settings, file=file, watch=watch, outlets=outlets)
+        last.push(plant)  # first of all the device is let go
         with stopping(flight.stop), _punctual(options):
             print(f"  {scene.name} at {1.0 / plant.period:g} Hz; keep hands off while it takes off", flush=True)
             return flight.run(options.seconds)

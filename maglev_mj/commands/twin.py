@@ -65,7 +65,7 @@ def add_command(commands: Any) -> None:
 
 
 def _twin(options: argparse.Namespace) -> int:
-    key = chosen_key(options)
+    key = chosen_key(options.key)
     look = scene_called(options.scene)
     seconds = None if options.seconds is None else number("seconds", options.seconds, above=0.0)
     calibration = Calibration.nominal() if options.calibration is None else Calibration.load(options.calibration)

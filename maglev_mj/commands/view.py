@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from maglev_mj.commands.outlets import add_outlets, chosen_outlets
 from maglev_mj.hand import SpringHand
 from maglev_mj.options import add_recording, add_settings, chosen_settings, number_option
 from maglev_mj.output import check_outputs, check_recording
@@ -23,6 +24,7 @@ def add_command(commands: Any) -> None:
     view.add_argument("scene", nargs="?", default="joystick", metavar="SCENE", help=f"one of {', '.join(SCENES)}")
     add_settings(view)
     add_recording(view)
+    add_outlets(view)
     view.add_argument(
         "--hand-stiffness",
         type=number_option,
@@ -49,7 +51,15 @@ def _view(options: argparse.Namespace) -> int:
 
     require_display()
     options.out.mkdir(parents=True, exist_ok=True)
-    session = Session(scene.name, settings=settings, hand=hand, folder=options.out, record=options.record)
+    outlets = chosen_outlets(options)
+    try:
+        session = Session(
+            scene.name, settings=settings, hand=hand, folder=options.out, record=options.record, outlets=outlets
+        )
+    except BaseException:
+        for outlet in outlets:
+            outlet.close()
+        raise
     try:
         print(show_table(show(session, folder=options.out, duration=seconds)))
     finally:
