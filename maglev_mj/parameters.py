@@ -30,7 +30,7 @@ def number(
     """
     try:
         result = float(value)  # type: ignore[arg-type]
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         result = math.nan
     if not (above < result < below and at_least <= result <= at_most and math.isfinite(result)):
         words = [
@@ -62,7 +62,7 @@ def numbers(name: str, value: ArrayLike, *, at_least: float = -math.inf, finite:
     """
     try:
         array = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise ParameterError(f"{name} must be a number or an array of numbers, not {value!r}") from None
     good = array >= at_least
     if finite:

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from maglev_mj.frames import AXES, Array
 from maglev_mj.laws import Bias, Hold, Law, StickSlip, Wall
 from maglev_mj.parameters import axis_indices
-from maglev_mj.scenes.settings import Face, Settings
+from maglev_mj.scenes.settings import LEAST_STIFFNESS, Face, Settings
 from maglev_mj.spec import GRAVITY, Spec
 
 __all__ = ["INERTIA", "MASS", "WEIGHT", "friction", "hold", "shared", "spring", "wall", "walls", "weight"]
@@ -44,7 +44,8 @@ def shared(settings: Settings) -> Settings:
     """
     if not (settings.wall and settings.friction):
         return settings
-    return replace(settings, stiffness=0.5 * settings.stiffness, damping=0.5 * settings.damping)
+    # half of the least stiffness is less than settings take
+    return replace(settings, stiffness=max(0.5 * settings.stiffness, LEAST_STIFFNESS), damping=0.5 * settings.damping)
 
 
 def wall(

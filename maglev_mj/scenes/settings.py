@@ -12,7 +12,10 @@ from maglev_mj.parameters import number
 from maglev_mj.plants import Timing
 from maglev_mj.spec import Spec
 
-__all__ = ["Face", "Settings"]
+__all__ = ["LEAST_STIFFNESS", "Face", "Settings"]
+
+LEAST_STIFFNESS = 1.0
+"""What settings take [N/m]."""
 
 Face: TypeAlias = tuple[str, int, float]
 """A wall: name of its axis, its normal (1 or -1), where it begins [m, rad]; the axis is free on the normal's side."""
@@ -54,7 +57,7 @@ class Settings:
             if not isinstance(getattr(self, name), bool):
                 raise ParameterError(f"{name} must be True or False, not {getattr(self, name)!r}")
         bounds: Mapping[str, tuple[float, float]] = {
-            "stiffness": (1.0, 1e6),
+            "stiffness": (LEAST_STIFFNESS, 1e6),
             "damping": (0.0, 1e4),
             "period": (1e-4, 0.1),
             "delay": (0.0, 0.1),
@@ -89,6 +92,8 @@ class Settings:
 
 def _faces(walls: Sequence[Face]) -> tuple[Face, ...]:
     """Return walls, checked."""
+    if isinstance(walls, str) or not isinstance(walls, Sequence):
+        raise ParameterError(f"walls must be a list of an axis, a normal and an edge each, not {walls!r}")
     faces: dict[tuple[str, int], Face] = {}
     for wall in walls:
         if isinstance(wall, str) or not isinstance(wall, Sequence) or len(wall) != 3:

@@ -72,7 +72,7 @@ def refusal(scene: Scene, settings: Settings) -> Refusal | None:
         # with no stiffness the flotor may stay anywhere, which is one root at 1
         wrong = modulus >= np.where(stiffness > 0.0, 1.0 - _ROUNDING, 1.0 + _ROUNDING)
         for index in np.flatnonzero(wrong):
-            if worst is None or modulus[index] > worst.modulus:
+            if worst is None or modulus[index] > worst.modulus * (1.0 + _ROUNDING):
                 worst = Refusal(
                     axis=AXES[index],
                     acting=acting,

@@ -1,0 +1,216 @@
+"""The pose stream: tells graphical hosts of every frame, and takes settings from them that would be stable."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TypeAlias
+
+from maglev_mj.bridge.addresses import check_host, parse_url
+from maglev_mj.bridge.link import Address, LinkError, readable
+from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.scenes import Settings
+from maglev_mj.session import Moment, refusal
+from maglev_mj.stream.datagrams import MOST_ASKED, Datagrams, Guard, Message
+from maglev_mj.stream.messages import asked_settings, description, identifier, mistaken, pose_message, refused
+from maglev_mj.stream.pending import Asked, Pending
+
+__all__ = ["MOST_SUBSCRIBERS", "SUBSCRIBED", "URL", "PoseStream"]
+
+URL = "udp://127.0.0.1:5680"
+
+SUBSCRIBED = 5.0
+"""How long poses go to a host that does not renew its subscription [s]."""
+
+MOST_SUBSCRIBERS = 16
+
+_LOOK = 0.1
+_OWN = ("pose", "description", "subscribed", "unsubscribed", "accepted", "in force", "refused", "error", "end")
+"""What the stream says itself: answering those, two streams could go on for ever."""
+
+_NOTHING = "nothing runs here yet"
+_Said: TypeAlias = list[tuple[Message, Address]]
+
+
+class PoseStream:
+    """Tells graphical hosts of every frame, and takes settings from them that would be stable: an `Outlet`.
+
+    A thread of its own listens, checks and answers. The loop that shows it a moment makes one datagram of it and sends
+    that without waiting.
+
+    Args:
+        url: Where to listen, udp://HOST:PORT; port 0 for any that is free.
+        key: 16 to 32 bytes that every host must have too; needed for any machine but this.
+        clock: Returns real time [s].
+
+    Attributes:
+        address: Where it listens: host and port.
+        dropped: How many datagrams were dropped, by reason: size, tag, json, session, replay, own, network.
+        unsent: Datagrams that could not leave at once and were left out.
+
+    Raises:
+        ParameterError: If the address is none, or is another machine's and there is no key, or the key is none.
+        LinkError: If it cannot listen there.
+    """
+
+    def __init__(
+        self, url: str = URL, *, key: bytes | None = None, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        scheme, host, port = parse_url(url, server=True)
+        if scheme != "udp":
+            raise ParameterError(f"a pose stream must be at udp://HOST:PORT, not {url!r}")
+        self._datagrams, self._guard, self._clock = Datagrams(key, MOST_ASKED), Guard(), clock
+        self.dropped, self.unsent = self._datagrams.dropped, 0
+        self._pending = Pending()
+        self._subscribers: dict[Address, float] = {}
+        self._lock, self._closing = threading.Lock(), threading.Event()
+        self._moment: Moment | None = None
+        self._socket = _bound(url, check_host(host, key), port)
+        self.address: Address = self._socket.getsockname()
+        self._thread = threading.Thread(target=self._listen, name="pose stream", daemon=True)
+        self._thread.start()
+
+    @property
+    def wanted(self) -> Settings | None:
+        """Settings that a host asks for and may have; the loop takes them and puts None."""
+        return self._pending.look()
+
+    @wanted.setter
+    def wanted(self, value: Settings | None) -> None:
+        self._pending.take()
+
+    def show(self, moment: Moment) -> None:
+        """Tell of a moment."""
+        self._moment = moment
+        for message, address in self._pending.settle(moment):
+            self._send(self._datagrams.encode(message), address)
+        if addresses := self._subscribed():
+            data = self._datagrams.encode(pose_message(moment, self._guard.session))
+            for address in addresses:
+                self._send(data, address)
+
+    def close(self) -> None:
+        """Let everybody go; a second time does nothing."""
+        if self._closing.is_set():
+            return
+        self._closing.set()
+        self._send(b"", self.address)  # wakes the thread; where it does not, that looks by itself
+        self._thread.join()
+        data = self._datagrams.encode({"type": "end", "session": self._guard.session})
+        for address in self._subscribed():
+            self._send(data, address)
+        self._socket.close()
+
+    def answers(self, data: bytes, address: Address) -> _Said:
+        """Take a datagram; return what is to be said, and to whom. It never raises.
+
+        Args:
+            data: Whatever has come.
+            address: Where from.
+        """
+        message = self._datagrams.decode(data)
+        if message is None:
+            return []
+        kind, session = message.get("type"), self._guard.session
+        if kind in _OWN:
+            self.dropped["own"] += 1
+            return []
+        # who asks for the description does so to learn the session
+        if self._datagrams.keyed and kind != "get" and (objection := self._guard.objection(message)):
+            self.dropped[objection] += 1
+            return []
+        asked: int | None = None
+        try:
+            asked = identifier(message)
+            if kind == "set":
+                return self._set(asked, message.get("settings"), address)
+            return [(self._answer(kind, asked, session, address), address)]
+        except MaglevError as error:
+            return [(mistaken(asked, str(error), session), address)]
+
+    def _answer(self, kind: object, asked: int | None, session: int, address: Address) -> Message:
+        """Return the answer to anything but a set."""
+        if kind == "get":
+            moment = self._moment
+            return refused(asked, _NOTHING, session) if moment is None else description(moment, session, asked)
+        if kind == "subscribe":
+            if not self._subscribe(address):
+                return refused(asked, f"there are {MOST_SUBSCRIBERS} subscribers already", session)
+            return {"type": "subscribed", "id": asked, "session": session, "seconds": SUBSCRIBED}
+        if kind == "unsubscribe":
+            with self._lock:
+                self._subscribers.pop(address, None)
+            return {"type": "unsubscribed", "id": asked, "session": session}
+        raise ParameterError(f"type must be one of get, subscribe, unsubscribe, set, not {kind!r}")
+
+    def _set(self, asked: int | None, given: object, address: Address) -> _Said:
+        """Check what a host asks for, and let it wait for the loop."""
+        moment, session = self._moment, self._guard.session
+        if moment is None:
+            return [(refused(asked, _NOTHING, session), address)]
+        if (known := self._pending.again(address, asked, given)) is not None:
+            return [(known, address)]
+        try:
+            wanted = asked_settings(moment.settings, given)
+            wrong = refusal(moment.scene, replace(wanted, delay=moment.delay))
+        except MaglevError as error:
+            return [(refused(asked, str(error), session), address)]
+        if wrong is not None:
+            return [(refused(asked, str(wrong), session, wrong), address)]
+        return self._pending.put(Asked(address, asked, given, wanted, moment.tick, session))
+
+    def _subscribe(self, address: Address) -> bool:
+        """Let poses go to an address; return whether there is room for it."""
+        now = self._clock()
+        with self._lock:
+            self._subscribers = {one: until for one, until in self._subscribers.items() if until > now}
+            if address not in self._subscribers and len(self._subscribers) >= MOST_SUBSCRIBERS:
+                return False
+            self._subscribers[address] = now + SUBSCRIBED
+        return True
+
+    def _subscribed(self) -> list[Address]:
+        now = self._clock()
+        with self._lock:
+            return [address for address, until in self._subscribers.items() if until > now]
+
+    def _listen(self) -> None:
+        """Answer until closed."""
+        while not self._closing.is_set():
+            if not readable(self._socket, _LOOK):
+                continue
+            try:
+                data, address = self._socket.recvfrom(MOST_ASKED + 1)
+            except OSError:  # on some systems this is where a datagram sent earlier comes back
+                self.dropped["network"] += 1
+                continue
+            if self._closing.is_set():
+                return
+            began = time.perf_counter()
+            for message, peer in self.answers(data, address):
+                self._send(self._datagrams.encode(message), peer)
+            self._pending.told()
+            # hosts that ask without end get half of the time that the loop may need
+            self._closing.wait(time.perf_counter() - began)
+
+    def _send(self, data: bytes, address: Address) -> None:
+        """Send one datagram; one that cannot leave now is lost."""
+        try:
+            self._socket.sendto(data, address)
+        except OSError:  # no room, or nobody there: a newer pose comes in a moment
+            self.unsent += 1
+
+
+def _bound(url: str, host: str, port: int) -> socket.socket:
+    """Return a socket that listens and never waits."""
+    new = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    new.setblocking(False)
+    try:
+        new.bind((host, port))
+    except OSError as error:
+        new.close()
+        raise LinkError(f"cannot listen at {url}: {error.strerror}") from None
+    return new

@@ -1,0 +1,1014 @@
+"""The pose stream: what hosts hear, what they may set and when it acts, who is let in, and the page that says so."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import random
+import re
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from maglev_mj import AXES
+from maglev_mj.bridge.link import LinkError
+from maglev_mj.errors import ParameterError
+from maglev_mj.hand import SpringHand
+from maglev_mj.laws import Hold
+from maglev_mj.scenes import SCENES, Settings
+from maglev_mj.scenes.parts import INERTIA, MASS
+from maglev_mj.session import Moment, Pacer, Session, refusal
+from maglev_mj.stability import is_stable, largest_modulus, largest_stable_stiffness
+from maglev_mj.stream import PoseStream, StreamClient, StreamError
+from maglev_mj.stream.datagrams import MOST_ANSWERED, MOST_ASKED, Datagrams, Guard
+from maglev_mj.stream.messages import SETTABLE
+from maglev_mj.stream.stream import MOST_SUBSCRIBERS, SUBSCRIBED
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGE = (ROOT / "docs" / "stream.md").read_text(encoding="utf-8")
+KEY = bytes(range(32))
+ANY = "udp://127.0.0.1:0"
+HERE = ("127.0.0.1", 9)
+FRAME = 1.0 / 60.0
+
+
+def moment(scene: str = "joystick", **changes: Any) -> Moment:
+    """Return a moment of a scene at rest, under its own settings unless told."""
+    settings = changes.get("settings", SCENES[scene].settings)
+    told: dict[str, Any] = {
+        "scene": SCENES[scene],
+        "settings": settings,
+        "since": 0,
+        "delay": settings.delay,
+        "tick": 5,
+        "time": 0.025,
+        "pose": (0.0,) * 6,
+        "force": (0.0,) * 6,
+        "hand": (0.0,) * 6,
+        "anchors": None,
+        "state": "running",
+    }
+    return Moment(**told | changes)
+
+
+def asking(stream: PoseStream, address: Any = HERE, **message: Any) -> list[tuple[dict[str, Any], Any]]:
+    """Return what a stream says to a message, and to whom."""
+    return stream.answers(json.dumps(message).encode(), address)
+
+
+def answer(stream: PoseStream, **message: Any) -> dict[str, Any]:
+    """Return the one thing that a stream says."""
+    ((said, address),) = asking(stream, **message)
+    assert address == HERE
+    return said
+
+
+@contextmanager
+def streaming(*shown: Moment, **options: Any) -> Iterator[PoseStream]:
+    """Yield a stream that was shown some moments, without a scene."""
+    with closing(PoseStream(ANY, **options)) as stream:
+        for one in shown:
+            stream.show(one)
+        yield stream
+
+
+def url(stream: PoseStream) -> str:
+    return f"udp://127.0.0.1:{stream.address[1]}"
+
+
+@contextmanager
+def plain(stream: PoseStream) -> Iterator[socket.socket]:
+    """Yield a host that knows nothing of this package."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as host:
+        host.connect(stream.address)
+        host.settimeout(5.0)
+        yield host
+
+
+def heard(host: socket.socket, *types: str) -> dict[str, Any]:
+    """Return the next datagram of a type."""
+    while (said := json.loads(host.recv(MOST_ANSWERED)))["type"] not in types:
+        pass
+    result: dict[str, Any] = said
+    return result
+
+
+def outcome(stream: PoseStream, host: socket.socket, one: Moment) -> dict[str, Any]:
+    """Return what comes of a set that was taken, shown a moment again and again as a session does."""
+    host.settimeout(0.05)
+    for _ in range(100):
+        stream.show(one)
+        try:
+            return heard(host, "in force", "refused")
+        except TimeoutError:
+            continue
+    pytest.fail("nothing came of it")
+
+
+class Running:
+    """A session that goes on by one tick at a time, in a thread, at about its own rate."""
+
+    def __init__(self, session: Session, period: float) -> None:
+        self.session, self.ticks, self._period = session, 0, period
+        self._stopped = threading.Event()
+        self._thread = threading.Thread(target=self._go_on)
+
+    def __enter__(self) -> Running:
+        self.session.tick(0.0)  # tells of the start
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stopped.set()
+        self._thread.join()
+        self.session.close()
+
+    def _go_on(self) -> None:
+        while not self._stopped.wait(self._period):
+            assert self.session.tick(self._period) <= 1
+            self.ticks += 1
+
+
+def running(stream: PoseStream, scene: str = "joystick", *, period: float = 0.005, **options: Any) -> Running:
+    settings = replace(SCENES[scene].settings, period=period, delay=min(0.0015, period))
+    pacer = Pacer(budget=60.0, patience=3600.0)
+    return Running(Session(scene, settings=settings, pacer=pacer, outlets=[stream], **options), period)
+
+
+# what hosts hear
+
+
+def test_poses_arrive_with_the_values_of_the_session() -> None:
+    stream = PoseStream(ANY)
+    hand = SpringHand(target=[0.016, 0.0, -0.01, 0.0, 0.1, 0.0])
+    settings = replace(SCENES["joystick"].settings, friction=True)
+    session = Session("joystick", settings=settings, hand=hand, pacer=Pacer(budget=60.0), outlets=[stream])
+    with closing(session), plain(stream) as host:
+        host.send(b'{"type":"subscribe"}')
+        heard(host, "subscribed")
+        seen, tick = {}, 0
+        for _ in range(60):
+            time.sleep(FRAME)
+            tick += session.tick(FRAME)
+            seen[tick] = session.view()
+        told = [heard(host, "pose") for _ in range(30)]
+    assert len({pose["tick"] for pose in told}) == 30
+    for pose in told:
+        view = seen[pose["tick"]]
+        assert list(pose["pose"]) == list(AXES)
+        assert list(pose["pose"].values()) == view.pose.tolist()
+        assert list(pose["force"].values()) == view.force.tolist()
+        assert list(pose["hand"].values()) == view.hand.tolist()
+        assert view.anchors is not None
+        assert [math.nan if one is None else one for one in pose["stuck"].values()] == pytest.approx(
+            view.anchors.tolist(), abs=0.0, nan_ok=True
+        )
+        assert (pose["time"], pose["state"], pose["missed"]) == (view.time, "running", 0)
+    assert any(None in pose["stuck"].values() for pose in told)
+    assert np.ptp([pose["pose"]["x"] for pose in told]) > 1e-4
+
+
+def test_what_is_no_number_is_null() -> None:
+    strange = (math.nan, math.inf, -math.inf, 0.0, -0.0, 1e-310)
+    with streaming() as stream, plain(stream) as host:
+        host.send(b'{"type":"subscribe"}')
+        heard(host, "subscribed")
+        stream.show(moment(pose=strange, anchors=np.array(strange), reason="x" * 5000))
+        data = host.recv(65536)
+    assert len(data) < 1400 and b"NaN" not in data and b"Infinity" not in data
+    pose = json.loads(data)
+    assert list(pose["pose"].values()) == [None, None, None, 0.0, -0.0, 1e-310] == list(pose["stuck"].values())
+    assert len(pose["reason"]) == 300 and pose["stuck"] is not None
+
+
+def test_the_description_says_what_is_rendered() -> None:
+    walls = [(axis, normal, -normal * 0.00333333333333333) for axis in AXES for normal in (1, -1)]
+    settings = replace(SCENES["joystick"].settings, walls=walls, stiffness=4321.123456789)
+    with streaming(moment(settings=settings, tick=123456789)) as stream:
+        said = answer(stream, type="get", id=2**53 - 1)
+    assert len(json.dumps(said)) + 33 <= MOST_ANSWERED
+    assert sorted(map(tuple, said["faces"])) == sorted(walls)
+    assert Settings.from_json(json.loads(json.dumps(said["settings"]))) == settings
+    assert said["settable"] == SETTABLE and set(SETTABLE) == set(settings.as_json()) - {"period", "delay"}
+
+
+def test_nothing_can_be_had_before_anything_runs() -> None:
+    with streaming() as stream:
+        for kind in ("get", "set"):
+            assert answer(stream, type=kind, id=1, settings={})["reason"] == "nothing runs here yet"
+        with StreamClient(url(stream), patience=0.2) as client, pytest.raises(StreamError, match="nothing runs"):
+            client.describe()
+
+
+# what hosts set
+
+
+@pytest.mark.parametrize("period", [0.005, 0.001])
+def test_a_stable_wall_is_in_force_within_two_ticks(period: float) -> None:
+    draw, late = random.Random(1), []
+    puts: dict[int, tuple[int, int]] = {}
+
+    class Noting(PoseStream):
+        def answers(self, data: bytes, address: Any) -> list[tuple[dict[str, Any], Any]]:
+            before = one.ticks
+            said = super().answers(data, address)
+            for message, _ in said:
+                if message["type"] == "accepted":
+                    puts.setdefault(message["id"], (before, one.ticks))
+            return said
+
+    stream = Noting(ANY)
+    with running(stream, period=period) as one, plain(stream) as host:
+        for number in range(50):
+            time.sleep(draw.uniform(0.0, 0.02))
+            edge, stiffness = draw.uniform(-4e-3, -1e-3), draw.uniform(2000.0, 6000.0)
+            wish = {"walls": [["z", 1, edge]], "stiffness": stiffness}
+            host.send(json.dumps({"type": "set", "id": number, "settings": wish}).encode())
+            accepted = heard(host, "accepted", "refused", "error")
+            said = heard(host, "in force", "refused")
+            assert (accepted["type"], said["type"], said["id"]) == ("accepted", "in force", number)
+            before, after = puts[number]
+            assert accepted["tick"] <= after + 1 and before <= said["tick"]  # counted when a tick is over
+            late.append(said["tick"] - after)
+            assert one.session.view().faces == ((2, 1, edge),)
+            assert one.session.view().settings.stiffness == stiffness
+    assert len(late) == 50 and max(late) <= 2
+
+
+def test_a_wall_that_is_in_force_acts() -> None:
+    stream = PoseStream(ANY)
+    hand = SpringHand(target=[0.008, 0.0, 0.0, 0.0, 0.0, 0.0])
+    with running(stream, hand=hand) as one, StreamClient(url(stream)) as client:
+        assert client.set(walls=[["x", -1, 0.0005]], stiffness=5000, damping=60).reason == ""
+        deadline = time.monotonic() + 10.0
+        for pose in client.poses():
+            x = pose["pose"]["x"]
+            if pose["tick"] > 350 or time.monotonic() > deadline:
+                break
+        assert one.session.view().faces == ((0, -1, 0.0005),)
+    # at rest: the wall and the scene's own spring against the hand's of 200 N/m
+    assert x == pytest.approx((200.0 * 0.008 + 5000.0 * 0.0005) / (5000.0 + 300.0 + 200.0), abs=1e-6)
+    assert pose["force"]["x"] == pytest.approx(-5000.0 * (x - 0.0005) - 300.0 * x, abs=2e-3)
+    assert pose["hand"]["x"] == pytest.approx(200.0 * (0.008 - x), abs=2e-3)
+
+
+@pytest.mark.parametrize("scene", ["drop", "joystick"])
+@pytest.mark.parametrize(("axis", "normal"), [("z", 1), ("x", -1), ("ry", 1)])
+def test_an_unstable_wall_is_refused_with_the_figures_of_its_loop(scene: str, axis: str, normal: int) -> None:
+    one = moment(scene)
+    wish = {"walls": [[axis, normal, -normal * 0.001]], "stiffness": 40000.0, "damping": 70.0}
+    with streaming(one) as stream:
+        said = answer(stream, type="set", id=3, settings=wish)
+        assert stream.wanted is None
+    assert (said["type"], said["id"]) == ("refused", 3)
+    figures, settings = said["figures"], one.settings
+    index = AXES.index(axis)
+    share = INERTIA[index] / MASS
+    stiffness = damping = 0.0
+    for law in one.scene.laws(settings):
+        if isinstance(law, Hold) and axis in law.axes:
+            place = list(law.axes).index(axis)
+            stiffness, damping = np.asarray(law.stiffness)[place], np.asarray(law.damping)[place]
+    assert figures["axis"] == axis and figures["acting"] == "walls"
+    assert figures["stiffness"] == pytest.approx(stiffness + 40000.0 * share, rel=1e-12)
+    assert figures["damping"] == pytest.approx(damping + 70.0 * share, rel=1e-12)
+    loop: Any = {"period": settings.period, "delay": settings.delay, "mass": float(INERTIA[index])}
+    modulus = largest_modulus(figures["stiffness"], figures["damping"], **loop)
+    assert figures["modulus"] == pytest.approx(float(modulus), rel=1e-9) and modulus > 1.0
+    largest = float(largest_stable_stiffness(figures["damping"], **loop))
+    assert figures["largest_stable"] == pytest.approx(largest, rel=1e-9)
+    assert is_stable(largest_modulus(0.999 * largest, figures["damping"], **loop))
+    assert (figures["period"], figures["delay"]) == (settings.period, settings.delay)
+    assert f"{figures['modulus']:.4f}" in said["reason"] and f"{largest:.4g}" in said["reason"]
+
+
+def test_an_unstable_wall_changes_nothing_in_a_session() -> None:
+    stream = PoseStream(ANY)
+    with running(stream) as one, StreamClient(url(stream)) as client:
+        before = client.describe()
+        for wish in ({"stiffness": 60000.0}, {"walls": [["z", 1, 0.0]], "stiffness": 30000.0, "damping": 10.0}):
+            said = client.set(**wish)
+            assert said.figures is not None and said.figures["modulus"] > 1.0
+            assert said.accepted is None and said.since is None
+        after = client.describe()
+        assert after["tick"] > before["tick"]
+        assert [after[name] for name in ("settings", "settings_since", "faces")] == [
+            before[name] for name in ("settings", "settings_since", "faces")
+        ]
+        assert one.session.view().settings == Settings.from_json(before["settings"])
+
+
+def test_half_of_what_a_refusal_names_is_accepted() -> None:
+    with streaming(moment("drop")) as stream:
+        figures = answer(stream, type="set", settings={"stiffness": 60000.0})["figures"]
+        for share, expected in ((0.5, "accepted"), (0.999, "accepted"), (1.001, "refused")):
+            wish = {"stiffness": share * figures["largest_stable"]}
+            assert asking(stream, type="set", settings=wish)[0][0]["type"] == expected
+
+
+def test_the_same_wall_is_stable_at_one_rate_and_refused_at_another() -> None:
+    wish: Any = {"walls": [["z", 1, 0.0]], "stiffness": 20000.0, "damping": 150.0}
+    for period, delay, expected in ((0.001, 0.001, "accepted"), (0.005, 0.0015, "refused"), (0.001, 0.01, "refused")):
+        settings = replace(SCENES["drop"].settings, period=period, delay=delay)
+        assert (refusal(SCENES["drop"], replace(settings, **wish)) is None) == (expected == "accepted")
+        with streaming(moment("drop", settings=settings)) as stream:
+            assert answer(stream, type="set", settings=wish)["type"] == expected
+            assert (stream.wanted is not None) == (expected == "accepted")
+
+
+def test_settings_that_are_not_named_stay() -> None:
+    with streaming(moment(settings=replace(Settings(), friction=True, breakaway=1.5))) as stream:
+        wish = {"damping": 70, "pulse": False, "walls": [["rx", -1, 0.05]]}
+        assert answer(stream, type="set", settings=wish)["type"] == "accepted"
+        expected = Settings(friction=True, breakaway=1.5, damping=70.0, pulse=False, walls=(("rx", -1, 0.05),))
+        assert stream.wanted == expected
+        stream.wanted = None
+        assert stream.wanted is None
+
+
+@pytest.mark.parametrize(
+    ("wish", "reason"),
+    [
+        ({"period": 0.001}, "period is the device's, or the person's at the machine; a host cannot set it"),
+        ({"delay": 0.0, "wall": True}, "delay is the device's, or the person's at the machine; a host cannot set it"),
+        ({"stifness": 5.0, "a": 1}, f"settings must be of {', '.join(SETTABLE)}, not a, stifness"),
+        ({"stiffness": 0.5}, "stiffness must be a finite number at least 1 and at most 1e+06, not 0.5"),
+        ({"stiffness": "6e3"}, "stiffness must be a number, not '6e3'"),
+        ({"stiffness": True}, "stiffness must be a number, not True"),
+        ({"breakaway": None}, "breakaway must be a number, not None"),
+        ({"damping": 10**400}, "damping must be a finite number at least 0 and at most 10000, not inf"),
+        ({"wall": 1}, "wall must be True or False, not 1"),
+        ({"walls": 5}, "walls must be a list of walls or null, not 5"),
+        ({"walls": {}}, "walls must be a list of walls or null, not {}"),
+        ({"walls": [["z", 1]]}, "a wall must be an axis, a normal and an edge, not ['z', 1]"),
+        ({"walls": [["z", 1, "0"]]}, "a wall's edge must be a number, not '0'"),
+        ({"walls": [[["z"], 1, 0]]}, "a wall's axis must be one of x, y, z, rx, ry, rz, not ['z']"),
+        ({"walls": [["z", 0, 0]]}, "a wall's normal must be 1 or -1, not 0"),
+        ({"walls": [["z", 1, 0.002], ["z", -1, 0.001]]}, "walls must leave room between them, not 0.002 to 0.001 on z"),
+        ([], "settings must be an object of names and values, not []"),
+        (None, "settings must be an object of names and values, not None"),
+    ],
+)
+def test_what_cannot_be_set_is_refused_with_the_reason(wish: Any, reason: str) -> None:
+    with streaming(moment()) as stream:
+        said = answer(stream, type="set", id=9, settings=wish)
+        assert said == {"type": "refused", "id": 9, "session": said["session"], "reason": reason, "figures": None}
+        assert stream.wanted is None
+
+
+@pytest.mark.parametrize(
+    ("message", "reason"),
+    [
+        ({}, "type must be one of get, subscribe, unsubscribe, set, not None"),
+        ({"type": ["set"]}, "type must be one of get, subscribe, unsubscribe, set, not ['set']"),
+        ({"type": "set", "id": -1}, "id must be an integer of 0 to 9007199254740991, not -1"),
+        ({"type": "get", "id": 2**53}, f"id must be an integer of 0 to 9007199254740991, not {2**53}"),
+        ({"type": "get", "id": True}, "id must be an integer of 0 to 9007199254740991, not True"),
+        ({"type": "get", "id": {}}, "id must be an integer of 0 to 9007199254740991, not {}"),
+    ],
+)
+def test_what_is_no_request_is_an_error(message: Any, reason: str) -> None:
+    with streaming(moment()) as stream:
+        said = answer(stream, **message)
+        assert (said["type"], said["reason"]) == ("error", reason)
+        long = answer(stream, type="x" * 1300)
+        assert len(json.dumps(long)) < 500
+
+
+def test_a_newer_set_replaces_one_that_waits() -> None:
+    other = ("127.0.0.1", 10)
+    with streaming(moment()) as stream:
+        asking(stream, type="set", id=1, settings={"stiffness": 3000.0})
+        said = asking(stream, other, type="set", id=1, settings={"damping": 50.0})
+        assert [(one["type"], one["id"], to) for one, to in said] == [("accepted", 1, other), ("refused", 1, HERE)]
+        assert said[1][0]["reason"].startswith("replaced by a newer set") and said[1][0]["figures"] is None
+        assert stream.wanted == replace(Settings(), damping=50.0)
+
+
+def test_a_set_that_comes_while_another_is_taken_is_not_lost() -> None:
+    with streaming(moment()) as stream:
+        asking(stream, type="set", id=1, settings={"stiffness": 3000.0})
+        assert stream.wanted is not None and stream.wanted.stiffness == 3000.0
+        asking(stream, type="set", id=2, settings={"stiffness": 4000.0})  # between the look and the taking
+        stream.wanted = None
+        assert stream.wanted is not None and stream.wanted.stiffness == 4000.0
+
+
+def test_a_set_that_is_sent_again_is_not_done_again() -> None:
+    with streaming(moment()) as stream, plain(stream) as host:
+        wish = {"type": "set", "id": 5, "settings": {"stiffness": 3000.0}}
+        for _ in range(3):
+            host.send(json.dumps(wish).encode())
+            assert heard(host, "accepted", "refused")["type"] == "accepted"
+        wanted = stream.wanted
+        assert wanted is not None
+        stream.wanted = None
+        assert outcome(stream, host, moment(settings=wanted, since=6, tick=7))["tick"] == 6
+        host.settimeout(5.0)
+        host.send(json.dumps(wish).encode())
+        assert heard(host, "in force", "accepted") == {**heard_force(6, 5), "session": stream_session(stream)}
+        assert stream.wanted is None
+        host.send(json.dumps({**wish, "settings": {"stiffness": 3500.0}}).encode())  # the same id, another wish
+        assert heard(host, "in force", "accepted")["type"] == "accepted"
+        assert stream.wanted is not None and stream.wanted.stiffness == 3500.0
+
+
+def heard_force(tick: int, asked: int) -> dict[str, Any]:
+    return {"type": "in force", "id": asked, "tick": tick}
+
+
+def stream_session(stream: PoseStream) -> int:
+    session: int = answer(stream, type="get")["session"]
+    return session
+
+
+def test_a_person_who_changes_it_first_is_named() -> None:
+    with streaming(moment()) as stream, plain(stream) as host:
+        host.send(b'{"type":"set","id":5,"settings":{"stiffness":3000}}')
+        heard(host, "accepted")
+        assert stream.wanted is not None
+        stream.wanted = None
+        said = outcome(stream, host, moment(settings=replace(Settings(), stiffness=4000.0), since=7, tick=8))
+        assert (said["type"], said["id"], said["reason"]) == ("refused", 5, "replaced by a change at the machine")
+
+
+def test_a_set_is_checked_at_the_delay_that_is_measured() -> None:
+    wish = {"stiffness": 9000.0}
+    for delay, expected in ((0.0, "accepted"), (0.0015, "accepted"), (0.003, "refused"), (0.2, "refused")):
+        with streaming(moment("drop", delay=delay)) as stream:
+            said = answer(stream, type="set", settings=wish)
+            assert said["type"] == expected
+            assert answer(stream, type="get")["delay"] == delay
+            if expected == "accepted":
+                assert stream.wanted is not None and stream.wanted.delay == SCENES["drop"].settings.delay
+        if delay == 0.003:
+            assert said["figures"]["delay"] == delay
+        if delay == 0.2:
+            assert said["reason"] == "delay must be a finite number at least 0 and at most 0.1, not 0.2"
+
+
+def test_a_paused_session_takes_settings_too() -> None:
+    stream = PoseStream(ANY)
+    one = running(stream)
+    one.session.act("pause")
+    with one, StreamClient(url(stream)) as client:
+        said = client.set(walls=[["y", 1, -0.001]])
+        assert (said.reason, said.since) == ("", 0)
+        assert client.describe()["faces"] == [["y", 1, -0.001]]
+        assert next(client.poses())["state"] == "paused"
+
+
+def test_settings_that_are_accepted_are_stable_and_legal_ones_never_raise() -> None:
+    draw, kinds = random.Random(3), []
+    with streaming() as stream:
+        for _ in range(150):
+            scene = draw.choice(list(SCENES))
+            present = replace(SCENES[scene].settings, period=draw.choice((5e-3, 1e-3)), delay=draw.uniform(0.0, 5e-3))
+            stream.show(moment(scene, settings=present))
+            wish: dict[str, Any] = {name: draw.random() < 0.5 for name in ("wall", "friction", "pulse", "weightless")}
+            wish |= {"stiffness": 10 ** draw.uniform(0, 6), "damping": 10 ** draw.uniform(-2, 4)}
+            if draw.random() < 0.5:
+                wish["walls"] = [[axis, 1, draw.uniform(-1, 1)] for axis in AXES if draw.random() < 0.5]
+            (said, _), *_ = asking(stream, type="set", settings=wish)
+            kinds.append(said["type"])
+            if said["type"] == "accepted":
+                wanted = stream.wanted
+                assert wanted is not None and refusal(SCENES[scene], wanted) is None
+                stream.wanted = None
+            else:
+                assert said["figures"] is None or said["figures"]["modulus"] >= 1.0 - 1e-9
+    assert min(kinds.count(kind) for kind in ("accepted", "refused")) > 10
+
+
+# subscribers
+
+
+def test_two_hosts_hear_the_same_and_each_sees_what_the_other_sets() -> None:
+    stream = PoseStream(ANY)
+    with running(stream), StreamClient(url(stream)) as one, StreamClient(url(stream)) as other:
+        said = one.set(stiffness=4000.0)
+        heard_by = []
+        for client in (one, other):
+            poses = client.poses()
+            heard_by.append({pose["tick"]: pose for pose in (next(poses) for _ in range(20))})
+            assert all(pose["settings_since"] == said.since for pose in heard_by[-1].values())
+        more = {pose["tick"]: pose for pose, _ in zip(one.poses(), range(40))}
+        shared = set(more) & set(heard_by[1])
+        assert shared and all(more[tick] == heard_by[1][tick] for tick in shared)
+        assert other.set(stiffness=3000.0).reason == ""
+        assert one.describe()["settings"]["stiffness"] == 3000.0
+
+
+def test_a_host_that_vanishes_is_forgotten_and_takes_nothing_from_others() -> None:
+    now = [0.0]
+    with streaming(clock=lambda: now[0]) as stream, plain(stream) as stays:
+        with plain(stream) as gone:
+            gone.send(b'{"type":"subscribe"}')
+            heard(gone, "subscribed")
+            port = gone.getsockname()[1]
+        stays.send(b'{"type":"subscribe"}')
+        heard(stays, "subscribed")
+        for tick in range(100):
+            stream.show(moment(tick=tick))
+            assert heard(stays, "pose")["tick"] == tick
+        now[0] = 0.9 * SUBSCRIBED
+        stays.send(b'{"type":"subscribe"}')
+        heard(stays, "subscribed")
+        now[0] = 1.1 * SUBSCRIBED
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as successor:
+            successor.bind(("127.0.0.1", port))
+            successor.setblocking(False)
+            stream.show(moment(tick=100))
+            assert heard(stays, "pose")["tick"] == 100
+            with pytest.raises(BlockingIOError):
+                successor.recv(2048)
+        stays.send(b'{"type":"unsubscribe"}')
+        heard(stays, "unsubscribed")
+        stream.show(moment(tick=101))
+        stays.setblocking(False)
+        with pytest.raises(BlockingIOError):
+            stays.recv(2048)
+
+
+def test_what_cannot_be_sent_is_counted_and_the_others_hear() -> None:
+    with streaming() as stream, plain(stream) as host:
+        for address in (("127.0.0.1", 0), ("255.255.255.255", 9)):  # forged: nothing can be sent there
+            asking(stream, address, type="subscribe")
+        host.send(b'{"type":"subscribe"}')
+        heard(host, "subscribed")
+        for tick in range(3):
+            stream.show(moment(tick=tick))
+            assert heard(host, "pose")["tick"] == tick
+        assert stream.unsent == 6
+
+
+def test_there_is_room_for_so_many_subscribers() -> None:
+    now = [0.0]
+    with streaming(moment(), clock=lambda: now[0]) as stream:
+        places = [(f"127.0.1.{place}", 9) for place in range(MOST_SUBSCRIBERS + 1)]
+        kinds = [asking(stream, place, type="subscribe")[0][0]["type"] for place in places]
+        assert kinds == ["subscribed"] * MOST_SUBSCRIBERS + ["refused"]
+        assert asking(stream, places[0], type="subscribe")[0][0]["type"] == "subscribed"
+        with StreamClient(url(stream)) as client, pytest.raises(StreamError, match="16 subscribers already"):
+            next(client.poses())
+        now[0] = SUBSCRIBED + 0.1
+        assert asking(stream, places[-1], type="subscribe")[0][0]["type"] == "subscribed"
+
+
+def test_a_closed_stream_says_so() -> None:
+    stream = PoseStream(ANY)
+    with running(stream) as one, StreamClient(url(stream)) as client:
+        poses = client.poses()
+        next(poses)
+        threading.Timer(0.1, one._stopped.set).start()
+        one._thread.join()
+        one.session.close()
+        assert len(list(poses)) < 100
+    stream.close()
+
+
+def test_a_client_says_in_one_line_that_nobody_answers() -> None:
+    with closing(PoseStream(ANY)) as stream:
+        where = url(stream)
+    with StreamClient(where, patience=0.3) as client:
+        for call in (client.describe, lambda: client.set(wall=True), lambda: next(client.poses())):
+            with pytest.raises(StreamError, match=f"nobody answers at {where}") as error:
+                call()
+            assert "\n" not in str(error.value)
+    with streaming(moment()) as stream, StreamClient(url(stream), patience=0.3) as client:
+        with pytest.raises(StreamError, match="no pose from"):
+            next(client.poses())
+
+
+@pytest.mark.parametrize("make", [PoseStream, StreamClient])
+@pytest.mark.parametrize(
+    ("where", "key", "complaint"),
+    [
+        ("udp://0.0.0.0:5680", None, "a key be given"),
+        ("udp://192.0.2.1:5680", None, "a key be given"),
+        ("udp://127.0.0.1:5680", b"short", "16 to 32 bytes"),
+        ("serial:///dev/null", None, "udp://HOST:PORT, not"),
+        ("127.0.0.1", None, "address must be udp"),
+    ],
+)
+def test_where_a_stream_may_be(make: Any, where: str, key: bytes | None, complaint: str) -> None:
+    with pytest.raises(ParameterError, match=complaint):
+        make(where, key=key)
+
+
+def test_with_a_key_a_stream_may_be_anywhere_and_an_address_is_had_once() -> None:
+    with closing(PoseStream("udp://0.0.0.0:0", key=KEY)) as stream:
+        assert stream.address[0] == "0.0.0.0"
+        with pytest.raises(LinkError, match="cannot listen at udp://"):
+            PoseStream(f"udp://0.0.0.0:{stream.address[1]}", key=KEY)
+
+
+# keys
+
+
+def tagged(message: dict[str, Any], key: bytes = KEY) -> bytes:
+    """Return a datagram as the page says."""
+    data = json.dumps(message).encode()
+    return data + b"\n" + hashlib.blake2s(data, digest_size=16, key=key).hexdigest().encode()
+
+
+def untagged(data: bytes) -> dict[str, Any]:
+    """Return what a datagram says, its tag checked as the page says."""
+    text, tag = data[:-33], data[-32:]
+    assert data[-33:-32] == b"\n" and tag.decode() == hashlib.blake2s(text, digest_size=16, key=KEY).hexdigest()
+    result: dict[str, Any] = json.loads(text)
+    return result
+
+
+def test_with_a_key_each_request_is_taken_once_wherever_it_comes_from() -> None:
+    with streaming(moment(), key=KEY) as stream, plain(stream) as host, plain(stream) as thief:
+        host.send(tagged({"type": "get", "id": 77}))
+        session = untagged(host.recv(2048))["session"]
+        seal = {"session": session, "host": 4711}
+
+        def said(data: bytes, sender: socket.socket = host) -> str:
+            sender.send(data)
+            sender.send(tagged({"type": "get", "id": 1}))  # always answered: what came before it is done
+            kind = untagged(sender.recv(2048))["type"]
+            if kind != "description":
+                assert untagged(sender.recv(2048))["type"] == "description"
+            return str(kind)
+
+        wish = {"type": "set", "settings": {"stiffness": 3000}}
+        first = tagged({**wish, **seal, "sequence": 1})
+        assert said(first) == "accepted"
+        stream.wanted, _ = None, stream.wanted
+        assert said(first) == said(first, thief) == "description" and stream.dropped == {"replay": 2}
+        assert said(tagged({**wish, **seal, "sequence": 5})) == "accepted"
+        assert said(tagged({**wish, **seal, "sequence": 4})) == "description" and stream.dropped["replay"] == 3
+        for wrong in ({"session": session + 1}, {"host": None}, {"sequence": "9"}, {"sequence": True}, {"host": 0.5}):
+            assert said(tagged({**wish, **seal, "sequence": 9, **wrong})) == "description"
+        assert stream.dropped["session"] == 5
+        stream.wanted, _ = None, stream.wanted
+        assert said(tagged({**wish, **seal, "sequence": 9, "host": 1})) == "accepted"
+        for data in (json.dumps(wish).encode(), first[:-1] + b"x", first[:-33], tagged(wish, KEY[::-1]), b"", b"\n"):
+            assert said(data) == "description"
+        assert stream.dropped["tag"] == 6
+        assert said(tagged({**wish, **seal, "sequence": 10, "pad": "x" * 1400})) == "description"
+        assert stream.dropped == {"replay": 3, "session": 5, "tag": 6, "size": 1}
+
+
+def test_every_flipped_bit_of_a_keyed_datagram_is_noticed() -> None:
+    codec = Datagrams(KEY, MOST_ASKED)
+    data = codec.encode({"type": "subscribe", "id": 1})
+    assert codec.decode(data) == {"type": "subscribe", "id": 1}
+    for bit in range(8 * len(data)):
+        changed = bytearray(data)
+        changed[bit // 8] ^= 1 << bit % 8
+        assert codec.decode(bytes(changed)) is None, bit
+    assert codec.dropped == {"tag": 8 * len(data)}
+
+
+def test_a_session_ends_before_a_host_is_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("maglev_mj.stream.datagrams._MOST_HOSTS", 3)
+    guard = Guard()
+    first = {"session": guard.session, "host": 0, "sequence": 1}
+    assert [guard.objection({**first, "host": host}) for host in (0, 1, 2)] == [""] * 3
+    assert guard.objection({**first, "sequence": 2}) == ""
+    assert guard.objection({**first, "host": 3}) == "session"
+    assert guard.session != first["session"]
+    assert guard.objection({**first, "sequence": 3}) == guard.objection(first) == "session"
+    assert guard.objection({**first, "session": guard.session}) == ""
+
+
+def test_a_client_with_the_key_is_served_and_one_without_is_not() -> None:
+    stream = PoseStream(ANY, key=KEY)
+    with running(stream):
+        with StreamClient(url(stream), key=KEY) as client:
+            assert client.set(stiffness=3000.0).reason == ""
+            figures = client.set(stiffness=50000.0).figures
+            assert figures is not None and figures["modulus"] > 1.0
+            poses = client.poses()
+            ticks = [next(poses)["tick"] for _ in range(10)]
+            assert ticks == sorted(ticks) and not client.dropped
+        for key in (None, bytes(32)):
+            with StreamClient(url(stream), key=key, patience=0.3) as client, pytest.raises(StreamError):
+                client.describe()
+        assert stream.dropped["tag"] >= 4
+
+
+def test_a_client_skips_poses_that_are_old_or_of_another_session() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as fake:
+        fake.bind(("127.0.0.1", 0))
+        fake.settimeout(5.0)
+        with StreamClient(f"udp://127.0.0.1:{fake.getsockname()[1]}", key=KEY) as client:
+
+            def serve() -> None:
+                for kind in ("description", "subscribed"):
+                    data, address = fake.recvfrom(2048)
+                    fake.sendto(tagged({"type": kind, "session": 8, "id": untagged(data)["id"]}), address)
+                for session, tick in ((8, 5), (8, 4), (9, 6), (8, 6), (8, 5), (8, 7)):
+                    fake.sendto(tagged({"type": "pose", "session": session, "tick": tick}), address)
+
+            server = threading.Thread(target=serve)
+            server.start()
+            poses = client.poses()
+            assert [next(poses)["tick"] for _ in range(3)] == [5, 6, 7]
+            server.join()
+            assert client.dropped == {"old": 2, "session": 1}
+
+
+# what is no request
+
+
+def test_what_a_stream_says_itself_is_never_answered() -> None:
+    own = {kind for row in ("### pose", "### description") for kind in [row.split()[1]]}
+    own |= {"subscribed", "unsubscribed", "accepted", "in force", "refused", "error", "end"}
+    with streaming(moment()) as stream:
+        for number, kind in enumerate(sorted(own), 1):
+            assert asking(stream, type=kind, id=1, settings={}) == []
+            assert stream.dropped["own"] == number
+        # nor does the answer to any request get one
+        for message in (
+            {"type": "get"},
+            {"type": "x"},
+            {"type": "set"},
+            {"type": "subscribe"},
+            {"type": "unsubscribe"},
+        ):
+            for said, _ in asking(stream, **message):
+                assert asking(stream, **said) == []
+
+
+@pytest.mark.parametrize(
+    ("data", "reason"),
+    [
+        (b"", "json"),
+        (b"[1]", "json"),
+        (b'"set"', "json"),
+        (b"{", "json"),
+        (b"\xff\xfe", "json"),
+        ('{"type":"get"}'.encode("utf-16"), "json"),
+        (b'{"type":"set","settings":{"stiffness":NaN}}', "json"),
+        (b'{"type":"set","settings":{"stiffness":-Infinity}}', "json"),
+        (b"[" * 1400, "json"),
+        (b'{"a":' * 230, "json"),
+        (b" " * 1401, "size"),
+    ],
+)
+def test_what_does_not_parse_is_counted_and_not_answered(data: bytes, reason: str) -> None:
+    with streaming(moment()) as stream:
+        assert stream.answers(data, HERE) == []
+        assert stream.dropped == {reason: 1}
+
+
+SEEDS: Sequence[bytes] = (
+    b'{"type":"get","id":1}',
+    b'{"type":"subscribe"}',
+    b'{"type":"set","id":7,"settings":{"walls":[["z",1,0.0],["z",-1,0.003]],"stiffness":5e3,"period":1}}',
+    b'{"type":"set","settings":{"wall":true,"pulse":false,"breakaway":1,"delay":0}}',
+    b'{"type":"unsubscribe","id":9007199254740991}',
+)
+
+
+def odd(draw: random.Random, depth: int = 0) -> Any:
+    """Return any value that JSON has."""
+    kind = draw.randrange(7 if depth > 3 else 9)
+    if kind < 3:
+        return draw.choice((None, True, False, 0, 1, -1, 2**53, 10**300, 10**400, 1e-320, 0.005, 5000.0, -0.0))
+    if kind < 7:
+        return draw.choice(("set", "get", "z", "walls", "", "\ud800", "é" * 30, "\x00", "udp://", AXES[3]))
+    if kind == 7:
+        return [odd(draw, depth + 1) for _ in range(draw.randrange(4))]
+    names = ("type", "id", "settings", "period", "walls", "stiffness", "session", "host", "sequence", "x")
+    return {draw.choice(names): odd(draw, depth + 1) for _ in range(draw.randrange(4))}
+
+
+def fuzzed(draw: random.Random) -> bytes:
+    """Return a datagram that asks for nothing that may be had."""
+    kind = draw.randrange(4)
+    if kind == 0:
+        return draw.randbytes(draw.randrange(100))
+    if kind == 1:
+        data = bytearray(draw.choice(SEEDS))
+        for _ in range(draw.randrange(1, 4)):
+            data[draw.randrange(len(data))] = draw.randrange(256)
+        return bytes(data)
+    wish = odd(draw)
+    if kind == 3:
+        values = (True, False, 0.5, 3000, 70.0, 2)
+        wish = {name: draw.choice((*values, odd(draw))) for name in draw.sample(SETTABLE, draw.randrange(8))}
+        twice = [["z", 1, 0.0]] * 2  # whatever else is in it, this is refused
+        wish["walls"] = [*(odd(draw) for _ in range(draw.randrange(2))), *twice]
+    elif isinstance(wish, dict):
+        wish["period"] = 0.001  # and this
+    message = {"type": draw.choice(("set", "set", "get", "x", odd(draw))), "settings": wish}
+    if draw.random() < 0.7:
+        message["id"] = odd(draw)
+    return json.dumps(message).encode()[: draw.choice((2000, 2000, 2000, 30))]
+
+
+@pytest.mark.parametrize("key", [None, KEY], ids=["keyless", "keyed"])
+def test_fuzzed_datagrams_raise_nothing_and_change_nothing(key: bytes | None) -> None:
+    draw, said = random.Random(5), 0
+    types: dict[str, int] = {}
+    with streaming(moment(), key=key) as stream:
+        for number in range(20_000):
+            data = fuzzed(draw)
+            if key is not None and number % 2:
+                data = data + b"\n" + hashlib.blake2s(data, digest_size=16, key=KEY).hexdigest().encode()
+            for message, address in stream.answers(data, HERE):
+                assert address == HERE
+                assert len(json.dumps(message, allow_nan=False)) <= MOST_ANSWERED
+                types[message["type"]] = types.get(message["type"], 0) + 1
+                said += 1
+        assert stream.wanted is None and "accepted" not in types
+        assert said + sum(stream.dropped.values()) == 20_000
+        assert types["error"] > 300 and types["description"] > 20
+        assert {"json"} <= set(stream.dropped)
+        if key is None:
+            assert types["refused"] > 1000
+        else:
+            assert stream.dropped["tag"] >= 9_900 and stream.dropped["session"] > 500 and "refused" not in types
+
+
+def test_a_thread_that_heard_nonsense_still_answers() -> None:
+    draw = random.Random(6)
+    with streaming(moment()) as stream, plain(stream) as host:
+        for _ in range(300):
+            host.send(fuzzed(draw))
+        host.settimeout(0.3)
+        for _ in range(20):  # what a full buffer does not take is lost
+            host.send(b'{"type":"subscribe","id":123456}')
+            try:
+                while heard(host, "subscribed")["id"] != 123456:
+                    pass
+                return
+            except TimeoutError:
+                continue
+    pytest.fail("it does not answer any more")
+
+
+# the page
+
+
+def blocks(language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", PAGE, re.DOTALL)
+
+
+def rows(heading: str) -> list[list[str]]:
+    """Return the first table after a heading, without its head."""
+    found = []
+    for line in PAGE[PAGE.index(heading) :].splitlines():
+        if line.startswith("|"):
+            found.append([cell.strip() for cell in line.strip("|").split("|")])
+        elif found:
+            break
+    return found[2:]
+
+
+def named(cell: str) -> str:
+    return cell.strip("`")
+
+
+EXAMPLES = {message["type"]: message for message in map(json.loads, blocks("json"))}
+
+
+def test_the_page_has_every_datagram_once() -> None:
+    assert len(blocks("json")) == len(EXAMPLES) == 13
+    asked = {"subscribe", "unsubscribe", "get", "set"}
+    assert {named(row[0]) for row in rows("## What a host asks for")} == asked < set(EXAMPLES)
+
+
+def live() -> dict[str, dict[str, Any]]:
+    """Return one of each thing that a stream says, to the requests of the page where it has them."""
+    anchors = np.array([math.nan, 0.0, 0.0, 0.0, math.nan, 0.0])
+    said: dict[str, dict[str, Any]] = {}
+    with streaming(moment("drop")) as stream, plain(stream) as host:
+        for kind in ("get", "unsubscribe", "subscribe", "set"):
+            host.send(json.dumps(EXAMPLES[kind]).encode())
+            reply = heard(host, "description", "unsubscribed", "subscribed", "accepted", "refused", "error")
+            said[reply["type"]] = reply
+        for wish in ({"type": "pause"}, {"type": "set", "id": 7, "settings": {"stiffness": 60000.0}}):
+            host.send(json.dumps(wish).encode())
+            reply = heard(host, "refused", "error")
+            said[reply["type"]] = reply
+        wanted = stream.wanted
+        assert wanted is not None
+        stream.wanted = None
+        one = moment("drop", settings=wanted, since=204, tick=394, anchors=anchors)
+        said["in force"] = outcome(stream, host, one)
+        host.settimeout(5.0)
+        stream.show(one)
+        said["pose"] = heard(host, "pose")
+        stream.close()
+        said["end"] = heard(host, "end")
+    return said
+
+
+def test_the_examples_of_the_page_are_what_is_said() -> None:
+    said = live()
+    assert set(said) | {"subscribe", "unsubscribe", "get", "set"} == set(EXAMPLES)
+    for kind, message in said.items():
+        example = EXAMPLES[kind]
+        assert list(example) == list(message), kind
+        for name, value in example.items():
+            assert isinstance(value, type(message[name])) or name == "stuck", (kind, name)
+            if isinstance(value, dict):
+                assert list(value) == list(message[name]), (kind, name)
+    for kind, names in {
+        "description": ("scene", "says", "version", "settings", "settable", "faces", "axes", "units"),
+        "refused": ("reason",),
+        "error": ("reason",),
+        "subscribed": ("seconds",),
+    }.items():
+        for name in names:
+            assert EXAMPLES[kind][name] == said[kind][name], (kind, name)
+    for name, value in EXAMPLES["refused"]["figures"].items():
+        assert said["refused"]["figures"][name] == (value if isinstance(value, str) else pytest.approx(value, rel=1e-5))
+
+
+def test_the_tables_of_the_page_name_every_field() -> None:
+    common = {"type", "id", "session"}
+    for kind in ("pose", "description", "refused"):
+        assert {named(row[0]) for row in rows(f"### {kind}\n")} == set(EXAMPLES[kind]) - common
+    assert {named(row[0]) for row in rows("### accepted, in force\n")} == set(EXAMPLES["in force"]) - common
+    figures = rows("| figure | unit |")
+    assert [named(row[0]) for row in figures] == list(EXAMPLES["refused"]["figures"])
+    assert sorted(named(row[0]) for row in rows("### Settings\n")) == sorted(SETTABLE)
+
+
+def test_the_bounds_of_the_page_are_the_bounds() -> None:
+    found: dict[str, Any] = {}
+    for name, _, bounds, *_ in rows("### Settings\n"):
+        if (match := re.fullmatch(r"([\d.]+) to ([\d.]+)", bounds)) is not None:
+            found[named(name)] = float(match[1]), float(match[2])
+    assert set(found) == {"breakaway", "stiffness", "damping"}
+    for name, (least, most) in found.items():
+        for value in (least, most):
+            assert getattr(Settings.from_json({name: value}), name) == value
+        for value in (math.nextafter(least, -1.0), math.nextafter(most, 1e9)):
+            with pytest.raises(ParameterError):
+                Settings.from_json({name: value})
+
+
+def test_figures_in_the_text_of_the_page() -> None:
+    tag = hashlib.blake2s(b'{"type":"subscribe"}', digest_size=16, key=KEY).hexdigest()
+    assert f"`{tag}`" in PAGE and f"`{KEY.hex()}`" in PAGE
+    assert Datagrams(KEY, MOST_ASKED).encode({"type": "subscribe"}) == b'{"type":"subscribe"}\n' + tag.encode()
+    for text in (f"at most {MOST_ASKED} bytes", f"at most\n{MOST_ANSWERED} (", f"for {MOST_SUBSCRIBERS} subscribers"):
+        assert text in PAGE
+    assert f"for the next {SUBSCRIBED:g} s" in PAGE and f"After {SUBSCRIBED:g} s without a renewal" in PAGE
+
+
+def test_the_ten_lines_of_the_page_run() -> None:
+    standard, ours = blocks("python")
+    assert len([line for line in standard.splitlines() if line]) <= 10
+    stream = PoseStream(ANY)
+    with running(stream, "drop"):
+        code = standard.replace("5680", str(stream.address[1]))
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60)
+        assert done.returncode == 0, done.stderr
+        assert "'in force'" in done.stdout and "'subscribed'" in done.stdout
+        assert len([line for line in done.stdout.splitlines() if not line.startswith("{")]) >= 96
+        code = ours.replace("5680", str(stream.address[1])).replace('["z"])', '["z"])\n        break')
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60)
+        assert done.returncode == 0, done.stderr
+        assert "Answer(reason=''" in done.stdout
+
+
+def test_the_example_host_shows_a_refusal_and_what_may_be_had() -> None:
+    command = [sys.executable, str(ROOT / "scripts" / "stream_host.py")]
+    done = subprocess.run(
+        [*command, "--alone", "--seconds", "1.8"], capture_output=True, text=True, check=False, timeout=120
+    )
+    assert done.returncode == 0, done.stderr
+    # the block of the page, but for what differs from run to run
+    (shown,) = re.findall(r"\n```\n(set .*?)```", PAGE, re.DOTALL)
+    assert shown.splitlines()[1] in done.stdout and shown.splitlines()[4] in done.stdout
+    assert "modulus        1.64035" in done.stdout and "largest_stable 10151" in done.stdout
+    assert re.search(r"in force from tick \d+ on; accepted at tick \d+\n", done.stdout)
+    assert done.stdout.count("┼") + done.stdout.count("●") >= 12
+
+
+@pytest.mark.parametrize(
+    ("options", "status", "complaint"),
+    [
+        (["udp://192.0.2.1:9"], 2, "a key be given"),
+        (["nonsense"], 2, "address must be udp"),
+        (["--alone", "--seconds", "0"], 2, "seconds must be"),
+        (["--alone", "--scene", "sauna"], 2, "scene must be one of"),
+        (["--stiffness", "much"], 2, "must be a number"),
+    ],
+)
+def test_what_the_example_host_cannot_do_is_one_line(options: list[str], status: int, complaint: str) -> None:
+    command = [sys.executable, str(ROOT / "scripts" / "stream_host.py"), *options]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+    assert done.returncode == status and complaint in done.stderr
+    assert len(done.stderr.splitlines()) == 1 and done.stdout == ""
