@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -34,6 +34,7 @@ from maglev_mj.output import check_file, check_outputs, check_recording
 from maglev_mj.parameters import number
 from maglev_mj.recording import RecordingFile, open_recording
 from maglev_mj.scenes import SCENES, Scene, Settings, scene_called
+from maglev_mj.session import Outlet
 from maglev_mj.tables import flown_table
 from maglev_mj.watching import Watch
 
@@ -85,18 +86,21 @@ def _bridge(options: argparse.Namespace) -> int:
         from maglev_mj.viewer.window import require_display
 
         require_display()
-    with _opened(options, calibration, key) as plant:
+    # outlets first: they are let go when the device is
+    with chosen_outlets(options) as outlets, _opened(options, calibration, key) as plant:
         if options.reset:
             plant.reset()
         if options.identify is not None:
             return _identify(plant, options)
         settings = replace(wanted, period=plant.period, delay=plant.delay)
-        flown = _fly(plant, scene, settings, options)
+        flown = _fly(plant, scene, settings, options, outlets)
     print(flown_table(flown))
     return 0
 
 
-def _fly(plant: RemotePlant, scene: Scene, settings: Settings, options: argparse.Namespace) -> Flown:
+def _fly(
+    plant: RemotePlant, scene: Scene, settings: Settings, options: argparse.Namespace, outlets: Sequence[Outlet]
+) -> Flown:
     """Fly a scene; whatever ends it, first the device is let go, then what was recorded is kept."""
     with ExitStack() as last:
         watch = None
@@ -107,9 +111,6 @@ def _fly(plant: RemotePlant, scene: Scene, settings: Settings, options: argparse
         file = None if options.record is None else open_recording(options.record)
         if file is not None:
             last.callback(_keep, file)
-        outlets = chosen_outlets(options)
-        for outlet in outlets:
-            last.callback(outlet.close)
         flight = Flight(plant, scene, settings, file=file, watch=watch, outlets=outlets)
         last.push(plant)  # first of all the device is let go
         with stopping(flight.stop), _punctual(options):

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from maglev_mj.errors import ParameterError
@@ -33,8 +35,9 @@ def add_outlets(parser: argparse.ArgumentParser) -> None:
     add_spacenav(parser)
 
 
-def chosen_outlets(options: argparse.Namespace) -> list[Outlet]:
-    """Return what was asked for, open already; whoever runs the scene closes it.
+@contextmanager
+def chosen_outlets(options: argparse.Namespace) -> Iterator[list[Outlet]]:
+    """Open what was asked for, and close it at the end.
 
     Raises:
         ParameterError: If an option is wrong.
@@ -42,19 +45,24 @@ def chosen_outlets(options: argparse.Namespace) -> list[Outlet]:
     """
     if options.stream is None and options.stream_key is not None:
         raise ParameterError("stream-key is for --stream")
+    if options.stream is not None and not options.stream.startswith("udp://"):
+        raise ParameterError(f"stream must be udp://HOST:PORT, not {options.stream!r}")
     key = chosen_key(options.stream_key, "stream-key")
-    outlets: list[Outlet] = [*chosen_spacenav(options, _say)]
-    if options.stream is not None:
-        try:
+    with ExitStack() as open_ones:
+        outlets: list[Outlet] = []
+
+        def add(outlet: Outlet) -> None:
+            open_ones.callback(outlet.close)
+            outlets.append(outlet)
+
+        for server in chosen_spacenav(options, _say):
+            add(server)
+        if options.stream is not None:
             stream = PoseStream(options.stream, key=key)
-        except BaseException:
-            for outlet in outlets:
-                outlet.close()
-            raise
-        outlets.append(stream)
-        host, port = stream.address
-        _say(f"  a pose stream at udp://{host}:{port}")
-    return outlets
+            add(stream)
+            host, port = stream.address
+            _say(f"  a pose stream at udp://{host}:{port}")
+        yield outlets
 
 
 def _say(text: str) -> None:

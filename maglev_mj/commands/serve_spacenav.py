@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import pathlib
 import threading
 import time
 from contextlib import ExitStack
@@ -10,14 +11,15 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from maglev_mj.bridge.stopping import stopping
-from maglev_mj.errors import MaglevError
+from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.hand import Path, SpringHand
-from maglev_mj.options import add_settings, chosen_settings, number_option
+from maglev_mj.options import add_settings, chosen_key, chosen_settings, number_option
 from maglev_mj.parameters import number
 from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.scenes import SCENES, scene_called
 from maglev_mj.session import Session
 from maglev_mj.spacenav import SpacenavServer, add_spacenav, chosen_spacenav
+from maglev_mj.stream import StreamClient
 
 __all__ = ["add_command"]
 
@@ -31,6 +33,13 @@ def add_command(commands: Any) -> None:
     serve = commands.add_parser("serve-spacenav", help="a scene in a scripted hand as the 3D mouse of other programs")
     serve.add_argument("scene", nargs="?", default="joystick", metavar="SCENE", help=f"one of {', '.join(SCENES)}")
     add_spacenav(serve, always=True)
+    serve.add_argument(
+        "--from",
+        dest="source",
+        metavar="ADDRESS",
+        help="the pose stream of a view or a bridge that runs with --stream, in place of a scene of its own",
+    )
+    serve.add_argument("--key", metavar="FILE", type=pathlib.Path, help="the secret of that stream, if it has one")
     serve.add_argument("--seconds", type=number_option, metavar="X", help="end after so long [s]")
     add_settings(serve)
     serve.set_defaults(run=_serve)
@@ -48,18 +57,34 @@ class _Again(Path):
 def _serve(options: argparse.Namespace) -> int:
     scene = scene_called(options.scene)
     settings = chosen_settings(options, replace(scene.settings, friction=True))
+    key = chosen_key(options.key)
+    if key is not None and options.source is None:
+        raise ParameterError("key is for --from")
     seconds = None if options.seconds is None else number("seconds", options.seconds, above=0.0)
     script = None if scene.script is None else _Again(scene.script.times, scene.script.poses)
     servers = chosen_spacenav(options, lambda text: print(text, flush=True))
     ended = threading.Event()
     with ExitStack() as stack:
         stack.callback(servers[0].close)
+        if options.source is not None:
+            client = stack.enter_context(StreamClient(options.source, key=key))
+            with stopping(ended.set):
+                _follow(client, servers[0], ended, seconds)
+            return _done(servers[0])
         session = Session(scene.name, settings=settings, hand=SpringHand(target=script), outlets=servers)
         stack.callback(session.close)
         with engine_warnings_silenced(), stopping(ended.set):
             _run(session, ended, seconds)
-    print(_came_to(servers[0]))
-    return 0
+    return _done(servers[0])
+
+
+def _follow(client: StreamClient, server: SpacenavServer, ended: threading.Event, seconds: float | None) -> None:
+    """Show what a stream tells until it is over."""
+    start = time.perf_counter()
+    for moment in client.moments():
+        server.show(moment)
+        if ended.is_set() or (seconds is not None and time.perf_counter() - start >= seconds):
+            return
 
 
 def _run(session: Session, ended: threading.Event, seconds: float | None) -> None:
@@ -76,5 +101,6 @@ def _run(session: Session, ended: threading.Event, seconds: float | None) -> Non
             return
 
 
-def _came_to(server: SpacenavServer) -> str:
-    return f"  {server.sent} events, {server.dropped} programs dropped, {server.refused} refused"
+def _done(server: SpacenavServer) -> int:
+    print(f"  {server.sent} events, {server.dropped} programs dropped, {server.refused} refused")
+    return 0

@@ -51,18 +51,13 @@ def _view(options: argparse.Namespace) -> int:
 
     require_display()
     options.out.mkdir(parents=True, exist_ok=True)
-    outlets = chosen_outlets(options)
-    try:
+    with chosen_outlets(options) as outlets:
         session = Session(
             scene.name, settings=settings, hand=hand, folder=options.out, record=options.record, outlets=outlets
         )
-    except BaseException:
-        for outlet in outlets:
-            outlet.close()
-        raise
-    try:
-        print(show_table(show(session, folder=options.out, duration=seconds)))
-    finally:
-        for path in session.recordings:  # whatever happened, a person wants to know where they are
-            print(f"  wrote {path}")
+        try:
+            print(show_table(show(session, folder=options.out, duration=seconds)))
+        finally:
+            for path in session.recordings:  # whatever happened, a person wants to know where they are
+                print(f"  wrote {path}")
     return 0

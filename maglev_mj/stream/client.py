@@ -12,7 +12,10 @@ from maglev_mj.bridge.addresses import check_host, parse_url
 from maglev_mj.bridge.link import UdpLink
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.parameters import number
+from maglev_mj.scenes import Settings, scene_called
+from maglev_mj.session import Moment
 from maglev_mj.stream.datagrams import MOST_ANSWERED, MOST_INTEGER, Datagrams, Message
+from maglev_mj.stream.messages import moment_told
 from maglev_mj.stream.stream import URL
 
 __all__ = ["Answer", "StreamClient", "StreamError"]
@@ -130,6 +133,17 @@ class StreamClient:
             if now - heard > self._patience:
                 raise StreamError(f"no pose from {self._url} for {self._patience:g} s")
             self._hear(_AGAIN)
+
+    def moments(self) -> Iterator[Moment]:
+        """Yield what `poses` does as moments, under the settings that were in force at the beginning.
+
+        Raises:
+            StreamError: As for `poses`.
+        """
+        told = self.describe()
+        scene, settings = scene_called(told["scene"]), Settings.from_json(told["settings"])
+        for pose in self.poses():
+            yield moment_told(pose, scene, settings)
 
     def close(self) -> None:
         """Unsubscribe and close the socket; a second time does nothing."""

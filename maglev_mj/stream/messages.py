@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any
+
+import numpy as np
 
 import maglev_mj
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES
-from maglev_mj.scenes import Settings
+from maglev_mj.scenes import Scene, Settings
 from maglev_mj.session import Moment, Refusal, wall_faces
 from maglev_mj.stream.datagrams import MOST_INTEGER, Message, is_integer
 
@@ -21,6 +23,7 @@ __all__ = [
     "description",
     "identifier",
     "mistaken",
+    "moment_told",
     "pose_message",
     "refused",
     "same_rules",
@@ -53,6 +56,31 @@ def pose_message(moment: Moment, session: int) -> Message:
         "missed": moment.missed,
         "settings_since": moment.since,
     }
+
+
+def moment_told(pose: Message, scene: Scene, settings: Settings) -> Moment:
+    """Return the moment that a pose tells of; it says nothing of settings."""
+    stuck = pose["stuck"]
+
+    def six(values: Mapping[str, float | None]) -> list[float]:
+        found = (values[axis] for axis in AXES)
+        return [math.nan if value is None else value for value in found]
+
+    return Moment(
+        scene=scene,
+        settings=settings,
+        since=pose["settings_since"],
+        delay=settings.delay,
+        tick=pose["tick"],
+        time=pose["time"],
+        pose=six(pose["pose"]),
+        force=six(pose["force"]),
+        hand=six(pose["hand"]),
+        anchors=None if stuck is None else np.array(six(stuck)),
+        state=pose["state"],
+        reason=pose["reason"],
+        missed=pose["missed"],
+    )
 
 
 def description(moment: Moment, session: int, asked: int | None) -> Message:

@@ -1,0 +1,194 @@
+"""Programs that a command lets in: a pose stream and a 3D mouse on a device, one from the other, and their options."""
+
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from maglev_mj.cli import main
+from maglev_mj.recording import Recording
+from maglev_mj.scenes import scene_called
+from maglev_mj.session import Moment, Outlets
+from maglev_mj.stream import StreamClient
+from tests.test_bridge_processes import COMMAND, ended, said_by, twin
+
+KEY = "00112233445566778899aabbccddeeff"
+
+
+@contextmanager
+def program(*arguments: str) -> Iterator[tuple[subprocess.Popen[str], list[str]]]:
+    """Start a command; return it and the lines that it says while it goes on."""
+    child = subprocess.Popen([*COMMAND, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    said: list[str] = []
+    assert child.stdout is not None
+    listener = threading.Thread(target=lambda: said.extend(iter(child.stdout.readline, "")))  # type: ignore[union-attr]
+    listener.start()
+    try:
+        yield child, said
+    finally:
+        child.kill()
+        child.wait()
+        listener.join()
+        for pipe in (child.stdout, child.stderr):
+            assert pipe is not None
+            pipe.close()
+
+
+def found(said: list[str], pattern: str) -> str:
+    """Wait until a line has something in it, and return that."""
+    deadline = time.monotonic() + 60.0
+    while time.monotonic() < deadline:
+        for line in list(said):
+            if match := re.search(pattern, line):
+                return match[1]
+        time.sleep(0.02)
+    raise AssertionError((pattern, said))
+
+
+def test_a_device_is_seen_set_and_recorded_by_other_programs(tmp_path: Path) -> None:
+    """A wall on the wire is refused or taken; what was flown is in the file with both settings."""
+    record = tmp_path / "run.mcap"
+    outlets = ("--stream", "udp://127.0.0.1:0", "--spacenav", "--socket", str(tmp_path / "s"))
+    with twin("--watchdog", "2") as (device, address):
+        options = ("--scene", "table", "--record", str(record), "--out", str(tmp_path), *outlets)
+        with program("bridge", address, *options) as (host, said):
+            with StreamClient(found(said, r"(udp://\S+)$"), patience=30.0) as client:
+                assert client.describe()["state"] == "flying"
+                refused = client.set(wall=True, walls=[["z", 1, -0.001]], stiffness=40000.0)
+                assert refused.figures is not None and refused.figures["modulus"] > 1.0
+                answer = client.set(wall=True, walls=[["z", 1, -0.001]], stiffness=4000.0)
+                assert answer.since is not None and not answer.reason
+                pose = next(client.poses())
+                assert abs(pose["pose"]["z"]) < 1e-3 and pose["tick"] >= answer.since
+            host.send_signal(signal.SIGINT)
+            assert host.wait(30) == 0
+        assert not (tmp_path / "s").exists()
+        assert "inactive, faults: none" in ended(device)[1]
+    recording = Recording.load(record)
+    before, after = (stretch.setup["settings"] for stretch in recording.stretches)
+    assert (before["stiffness"], before["walls"]) == (6000.0, None)
+    assert (after["stiffness"], after["walls"]) == (4000.0, [["z", 1, -0.001]])
+    status, said_again = said_by("replay", str(record), "--check")
+    assert status == 0 and f"{recording.ticks} of {recording.ticks} commands" in said_again
+    assert said_by("analyse", str(record))[0] == 0
+
+
+@pytest.mark.parametrize("keyed", [False, True])
+def test_a_3d_mouse_follows_a_stream(keyed: bool, tmp_path: Path) -> None:
+    """One process renders, another serves the socket: what it tells is what the first shows."""
+    secret = tmp_path / "key"
+    secret.write_text(KEY)
+    shown = ["--stream-key", str(secret)] if keyed else []
+    followed = ["--key", str(secret)] if keyed else []
+    with twin("--watchdog", "2", "--noise", "0.00005") as (_, address):  # so that it trembles
+        with program("bridge", address, "--stream", "udp://127.0.0.1:0", "--out", str(tmp_path), *shown) as (_, said):
+            url = found(said, r"(udp://\S+)$")
+            with StreamClient(url, key=bytes.fromhex(KEY) if keyed else None, patience=30.0) as client:
+                client.describe()
+            socket = tmp_path / "s"
+            with program("serve-spacenav", "--from", url, "--socket", str(socket), *followed) as (server, told):
+                found(told, r"(SPNAV_SOCKET)")
+                heard = events(socket, 20)
+                server.send_signal(signal.SIGINT)
+                assert server.wait(30) == 0
+    assert all(event[0] == 0 for event in heard)
+    assert len({event[1:7] for event in heard}) > 5
+
+
+def events(path: Path, count: int) -> list[tuple[int, ...]]:
+    """Return some events as a program without libspnav reads them."""
+    import socket
+    import struct
+
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as line:
+        line.settimeout(30.0)
+        line.connect(str(path))
+        data = b""
+        while len(data) < 32 * count:
+            data += line.recv(4096)
+    return [struct.unpack_from("=8i", data, 32 * place) for place in range(count)]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (("bridge", "udp://127.0.0.1:5678", "--stream", "tcp://x:1"), "stream must be udp://HOST:PORT, not 'tcp://x:1'"),
+        (("bridge", "udp://127.0.0.1:5678", "--stream-key", "k"), "stream-key is for --stream"),
+        (("bridge", "udp://127.0.0.1:5678", "--stream", "--stream-key", "no"), "stream-key must be a file"),
+        (("bridge", "udp://127.0.0.1:5678", "--identify", "f.json", "--stream"), "stream is for scenes"),
+        (("serve-spacenav", "--key", __file__), "key must be a file of 32 to 64"),
+        (("serve-spacenav", "--seconds", "0"), "seconds must be"),
+    ],
+)
+def test_options_that_do_not_fit_are_one_line(arguments: tuple[str, ...], complaint: str, tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "maglev_mj.cli", *arguments], capture_output=True, text=True, cwd=tmp_path, timeout=60
+    )
+    assert done.returncode == 2 and len(done.stderr.splitlines()) == 1 and complaint in done.stderr, done.stderr
+
+
+def test_a_stream_that_is_not_there_is_one_line(tmp_path: Path, capsys: Any) -> None:
+    assert main(["serve-spacenav", "--from", "udp://127.0.0.1:9", "--socket", str(tmp_path / "s")]) == 1
+    said = capsys.readouterr().err
+    assert len(said.splitlines()) == 1 and "udp://127.0.0.1:9" in said
+    assert not (tmp_path / "s").exists()
+
+
+def test_outlets_are_told_sixty_times_a_second_and_asked_every_tick() -> None:
+    class Told:
+        wanted: Any = None
+
+        def __init__(self) -> None:
+            self.moments: list[Moment] = []
+
+        def show(self, moment: Moment) -> None:
+            self.moments.append(moment)
+
+        def close(self) -> None:
+            self.closed = True
+
+    now, made, told = 0.0, 0, [Told(), Told()]
+    outlets = Outlets(told, clock=lambda: now)
+    scene = scene_called("box")
+
+    def moment() -> Moment:
+        nonlocal made
+        made += 1
+        return Moment(
+            scene=scene,
+            settings=scene.settings,
+            since=0,
+            delay=0.0,
+            tick=0,
+            time=now,
+            pose=(0.0,) * 6,
+            force=(0.0,) * 6,
+            hand=(0.0,) * 6,
+            anchors=None,
+            state="running",
+        )
+
+    for tick in range(2001):
+        now = tick * 5e-4
+        outlets.show(moment)
+    assert made == len(told[0].moments) == len(told[1].moments)
+    assert 60 <= made <= 62
+    gaps = [after.time - before.time for before, after in zip(told[0].moments, told[0].moments[1:], strict=False)]
+    assert max(gaps) - min(gaps) < 1e-3
+    now += 5.0  # a pause is not made up for
+    for _ in range(10):
+        outlets.show(moment)
+        now += 1e-4
+    assert made <= 63
+    told[1].wanted = scene.settings
+    assert outlets.wanted() is scene.settings and outlets.wanted() is None
+    outlets.close()
+    assert told[0].closed and told[1].closed
