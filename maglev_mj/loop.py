@@ -5,16 +5,19 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Protocol
+from typing import Protocol, TypeAlias
 
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import Command, Sample
 from maglev_mj.parameters import number
 from maglev_mj.plants import Plant
 
-__all__ = ["Answers", "ControlLoop", "run"]
+__all__ = ["Answers", "ControlLoop", "Record", "run"]
 
 _KEPT = 200
+
+Record: TypeAlias = Callable[[Sample, Command, Command], object]
+"""Takes a sample, the controller's answer, and that as applied; zero where the plant refused it."""
 
 
 class Answers(Protocol):
@@ -35,19 +38,25 @@ class ControlLoop:
         plant: Any plant; it is left open.
         controller: Any controller; it is not reset.
         observe: Called with each sample and the command as applied.
+        record: What each cycle is recorded to.
 
     Raises:
         ParameterError: If the periods differ.
     """
 
     def __init__(
-        self, plant: Plant, controller: Answers, *, observe: Callable[[Sample, Command], object] | None = None
+        self,
+        plant: Plant,
+        controller: Answers,
+        *,
+        observe: Callable[[Sample, Command], object] | None = None,
+        record: Record | None = None,
     ) -> None:
         if controller.period != plant.period:
             raise ParameterError(
                 f"period must be the plant's {plant.period:g} in the controller, not {controller.period:g}"
             )
-        self._plant, self._controller, self._observe = plant, controller, observe
+        self._plant, self._controller, self._observe, self._record = plant, controller, observe, record
         self._cycles: deque[tuple[Sample, Command]] = deque(maxlen=_KEPT)
 
     def cycle(self, count: int = 1) -> None:
@@ -58,7 +67,7 @@ class ControlLoop:
                 closed where even that failed; for any other exception too.
         """
         sample = command = None
-        plant, observe = self._plant, self._observe
+        plant, observe, record = self._plant, self._observe, self._record
         read, step, write, keep = plant.read, self._controller.step, plant.write, self._cycles.append
         try:
             for _ in range(count):
@@ -67,6 +76,8 @@ class ControlLoop:
                 command = step(sample)
                 applied = write(command)
                 keep((sample, applied))
+                if record is not None:
+                    record(sample, command, applied)
                 if observe is not None:
                     observe(sample, applied)
         except BaseException as error:
@@ -88,10 +99,12 @@ class ControlLoop:
     def _stop(self, error: BaseException, sample: Sample | None, command: Command | None) -> None:
         """Let go of the plant, and give the error the last cycles."""
         _release(self._plant)
+        cycles = self._cycles
+        if sample is not None and command is not None and (not cycles or cycles[-1][0] is not sample):
+            cycles.append((sample, command))  # the answer that was refused
+            if self._record is not None:
+                self._record(sample, command, Command([0.0] * 6))
         if isinstance(error, MaglevError):
-            cycles = self._cycles
-            if sample is not None and command is not None and (not cycles or cycles[-1][0] is not sample):
-                cycles.append((sample, command))  # the answer that was refused
             error.cycles = tuple(cycles)
 
 
@@ -101,6 +114,7 @@ def run(
     ticks: int,
     *,
     observe: Callable[[Sample, Command], object] | None = None,
+    record: Record | None = None,
 ) -> Sample:
     """Drive a plant with a controller for a number of samples, then read once more.
 
@@ -109,6 +123,7 @@ def run(
         controller: Any controller; it is not reset.
         ticks: Samples to answer, a whole number of at least 1.
         observe: Called with each sample and the command as applied.
+        record: What each cycle is recorded to.
 
     Returns:
         The sample after the last answer, which closes the last period.
@@ -119,7 +134,7 @@ def run(
     """
     if number("ticks", ticks, at_least=1) != int(ticks):
         raise ParameterError(f"ticks must be a whole number, not {ticks:g}")
-    loop = ControlLoop(plant, controller, observe=observe)
+    loop = ControlLoop(plant, controller, observe=observe, record=record)
     loop.cycle(int(ticks))
     return loop.finish()
 

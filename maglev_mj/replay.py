@@ -105,10 +105,10 @@ def write_experiment(path: Path, kind: str, parameters: Any) -> None:
 def _run_into(file: RecordingFile, kind: str, parameters: Any) -> None:
     _, parts, _ = EXPERIMENTS[kind]
     plant, controller, ticks = parts(parameters, None)
-    keeper = file.begin(plant, controller, {"kind": kind, "parameters": asdict(parameters)}, delay=parameters.delay)
+    record = file.begin(plant, controller, {"kind": kind, "parameters": asdict(parameters)}, delay=parameters.delay)
     with plant, engine_warnings_silenced():
         try:
-            ControlLoop(plant, keeper, observe=keeper.observe).cycle(ticks)
+            ControlLoop(plant, controller, record=record).cycle(ticks)
         except RecordingError:
             raise
         except MaglevError as error:  # the experiment itself says what happened

@@ -56,8 +56,8 @@ def tick_times(files: Sequence[RecordingFile | None], turns: int) -> list[list[f
         if file is None:
             loops.append(ControlLoop(plant, controller))
         else:
-            keeper = file.begin(plant, controller, {"kind": "benchmark"}, delay=0.0)
-            loops.append(ControlLoop(plant, keeper, observe=keeper.observe))
+            record = file.begin(plant, controller, {"kind": "benchmark"}, delay=0.0)
+            loops.append(ControlLoop(plant, controller, record=record))
     times: list[list[float]] = [[] for _ in loops]
     gc.disable()
     for _ in range(turns):
@@ -91,9 +91,9 @@ def main() -> None:
             print(f"  recorded {name:27s}+{statistics.median(more) * 1e6:5.2f} µs, best {best * 1e6:+.2f}")
         waited = open_recording(path, wait=True)
         start = time.perf_counter()
-        plant = Nothing()
-        keeper = waited.begin(plant, scene_called("joystick").controller(Settings()), {"kind": "benchmark"}, delay=0.0)
-        ControlLoop(plant, keeper, observe=keeper.observe).cycle(20 * BLOCK)
+        plant, controller = Nothing(), scene_called("joystick").controller(Settings())
+        record = waited.begin(plant, controller, {"kind": "benchmark"}, delay=0.0)
+        ControlLoop(plant, controller, record=record).cycle(20 * BLOCK)
         waited.close()
         rate = 20 * BLOCK / (time.perf_counter() - start)
         print(f"  the writer writes {rate:.0f} samples a second, {size / rows:.0f} bytes each")

@@ -120,7 +120,10 @@ def events(path: Path, count: int) -> list[tuple[int, ...]]:
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
-        (("bridge", "udp://127.0.0.1:5678", "--stream", "tcp://x:1"), "stream must be udp://HOST:PORT, not 'tcp://x:1'"),
+        (
+            ("bridge", "udp://127.0.0.1:5678", "--stream", "tcp://x:1"),
+            "stream must be udp://HOST:PORT, not 'tcp://x:1'",
+        ),
         (("bridge", "udp://127.0.0.1:5678", "--stream-key", "k"), "stream-key is for --stream"),
         (("bridge", "udp://127.0.0.1:5678", "--stream", "--stream-key", "no"), "stream-key must be a file"),
         (("bridge", "udp://127.0.0.1:5678", "--identify", "f.json", "--stream"), "stream is for scenes"),

@@ -14,11 +14,12 @@ import pytest
 
 from maglev_mj.cli import main
 from maglev_mj.controller import Controller
-from maglev_mj.errors import ParameterError
+from maglev_mj.errors import ParameterError, PlantError
 from maglev_mj.experiments.drop import DropParameters, run_drop
 from maglev_mj.experiments.stick_slip import StickSlipParameters
 from maglev_mj.frames import ZERO, Command, Sample
 from maglev_mj.laws import Wall
+from maglev_mj.loop import run
 from maglev_mj.plants import ExactPlant, Timing
 from maglev_mj.recording import ArrayFile, Recording, RecordingError, open_recording, verify
 from maglev_mj.recording.ring import ROWS, Ring, RowReader
@@ -98,12 +99,9 @@ def test_the_work_of_the_hand_is_in_it(tmp_path: Path) -> None:
     plant = ExactPlant(timing, pose=[0.0, 0.0, 3e-3, 0.0, 0.0, 0.0], hand_force=lambda tick, time, state: hand)
     wall = Wall(axes="z", lower=0.0, stiffness=6000.0, damping=80.0, pulse=220.0, pulse_width=0.003)
     file = open_recording(path)
-    keeper = file.begin(plant, Controller([wall], period=timing.period), {"kind": "test"}, delay=timing.delay)
-    places = []
-    for _ in range(60):
-        sample = plant.read()
-        places.append(sample.position[2])
-        keeper.observe(sample, plant.write(keeper.step(sample)))
+    controller, places = Controller([wall], period=timing.period), []
+    record = file.begin(plant, controller, {"kind": "test"}, delay=timing.delay)
+    run(plant, controller, 60, record=record, observe=lambda sample, applied: places.append(sample.position[2]))
     assert file.close() == path
     assert messages(path)[-1][1]["hand_work"] == pytest.approx(-3.0 * (places[-1] - places[0]), rel=1e-12)
 
@@ -117,18 +115,15 @@ class Still:
 def test_missed_samples_and_faults_are_in_it(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
 
-    file = open_recording(path)
+    file, none = open_recording(path), Command(list(ZERO))
     for ticks in ((0, 1, 4), (2, 3)):
-        keeper = file.begin(Still(), Controller([], period=0.001), {"kind": "test"}, delay=0.0)
+        record = file.begin(Still(), Controller([], period=0.001), {"kind": "test"}, delay=0.0)
         for tick in ticks:
-            sample = Sample(tick, tick * 0.001, list(ZERO))
-            keeper.observe(sample, keeper.step(sample))
+            record(Sample(tick, tick * 0.001, list(ZERO)), none, none)
     file.event("missed", "too slow", 5)
     file.event("fault", "it fell")
-    sample = Sample(4, 0.004, list(ZERO))
-    keeper.observe(sample, keeper.step(sample))
-    refused = keeper.step(Sample(5, 0.005, list(ZERO)))
-    assert refused.force == [0.0] * 6
+    for tick in (4, 5):
+        record(Sample(tick, tick * 0.001, list(ZERO)), none, none)
     assert file.close() == path
     assert [(m["stretch"], m["missed"]) for topic, m in messages(path) if topic == "/maglev/sample"] == [
         *[(0, 0), (0, 0), (0, 2)],
@@ -225,9 +220,9 @@ def test_rows_that_come_faster_than_they_are_written_are_counted_or_waited_for()
     sample, command = Sample(0, 0.0, list(ZERO)), Command(list(ZERO))
 
     def put(into: Ring, times: int) -> None:
-        step, observe, _ = into.between(lambda _: command, Still())
+        record = into.record(Still())
         for _ in range(times):
-            observe(sample, step(sample))
+            record(sample, command, command)
 
     ring = Ring()
     reader = RowReader(ring.path)
@@ -254,10 +249,7 @@ def test_pulses_and_rows_go_through_the_ring_unchanged() -> None:
         applied = Command(values[2], values[3] if count % 3 else None, 0.002)
         plant = Still()
         plant.hand_wrench = values[5]
-        step, observe, _ = ring.between(lambda _, command=command: command, plant)  # type: ignore[misc]
-        sample = Sample(count, 0.1 * count, values[4])
-        step(sample)
-        observe(sample, applied)
+        ring.record(plant)(Sample(count, 0.1 * count, values[4]), command, applied)
         ((place, row),) = reader.rows()
         pulse = [*values[1], 0.003] if count % 2 else [0.0] * 7
         given = [*values[3], 0.002] if count % 3 else [0.0] * 7
@@ -289,9 +281,8 @@ def test_arrays_go_elsewhere_where_their_folder_is_gone(tmp_path: Path) -> None:
     folder.mkdir()
     file = ArrayFile(folder / "run-of-a-test.npz")
     plant = ExactPlant(Timing())
-    keeper = file.begin(plant, Controller([], period=0.005), {"kind": "test"}, delay=0.0)
-    sample = plant.read()
-    keeper.observe(sample, plant.write(keeper.step(sample)))
+    controller = Controller([], period=0.005)
+    run(plant, controller, 1, record=file.begin(plant, controller, {"kind": "test"}, delay=0.0))
     folder.rmdir()
     path = file.close()
     assert path is not None and path.parent != folder and Recording.load(path).ticks == 1
@@ -352,3 +343,24 @@ def test_a_recording_is_not_exported_over_itself(tmp_path: Path, capsys: Any) ->
         main(["export", str(path), "--to", "xlsx"])
     assert len(capsys.readouterr().err.splitlines()) == 2
     assert main(["export", str(tmp_path / "none.mcap"), "--to", "csv"]) == 1
+
+
+@pytest.mark.parametrize("name", ["run.npz", "run.mcap"])
+def test_an_answer_that_the_plant_refuses_is_the_last_row(name: str, tmp_path: Path) -> None:
+    class Mad(Controller):
+        def step(self, sample: Sample) -> Command:
+            command = super().step(sample)
+            return command if sample.tick < 7 else Command([np.inf, *ZERO[1:]])
+
+    file, plant, controller = open_recording(tmp_path / name), ExactPlant(Timing()), Mad([], period=0.005)
+    record = file.begin(plant, controller, {"kind": "test"}, delay=0.0)
+    with pytest.raises(PlantError):
+        run(plant, controller, 20, record=record)
+    assert file.close() == tmp_path / name
+    recording = Recording.load(tmp_path / name)
+    (stretch,) = recording.stretches
+    assert stretch.tick.tolist() == list(range(8))
+    assert not np.isfinite(stretch.command[-1, 0]) and not stretch.applied[-1].any()
+    assert np.isfinite(stretch.command[:-1]).all() and not recording.damage
+    verdict = verify(recording, lambda setup, hand: (ExactPlant(Timing(), hand_force=hand), Mad([], period=0.005)))
+    assert verdict.same

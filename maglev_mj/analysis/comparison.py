@@ -98,10 +98,10 @@ def simulate(stretch: Stretch, motion: Motion, known: Known, rebuild: Rebuild) -
     plant, controller = rebuild(stretch.setup, RecordedHand(stretch.hand))
     if plant is None:
         plant = _twin(stretch, motion, known)
-    recorder = Recorder(plant, controller, stretch.setup)
+    recorder = Recorder(plant, stretch.setup)
     with plant, engine_warnings_silenced():
         try:
-            ControlLoop(plant, recorder, observe=recorder.observe).cycle(int(rows[-1]) + 1)
+            ControlLoop(plant, controller, record=recorder).cycle(int(rows[-1]) + 1)
         except ParameterError:
             raise
         except MaglevError:

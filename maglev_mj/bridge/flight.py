@@ -16,8 +16,8 @@ from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.controller import Controller
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import Array, Command, Sample
-from maglev_mj.loop import Answers, ControlLoop
-from maglev_mj.recording import Keeper, RecordingFile
+from maglev_mj.loop import Answers, ControlLoop, Record
+from maglev_mj.recording import RecordingFile
 from maglev_mj.scenes import Scene, Settings
 from maglev_mj.scenes.parts import WEIGHT
 from maglev_mj.session import Moment, Outlet, Outlets, stick_positions, wall_faces
@@ -145,27 +145,25 @@ class Flight:
             self._settings, self._wanted = self._wanted, None
         self._since = self._plant.samples.tick
         controller = self._scene.controller(self._settings)
-        keeper: Keeper | None = None
+        record: Record | None = None
         if self._file is not None:
             setup = {"kind": "device", "scene": self._scene.name, "settings": self._settings.as_json()}
             setup["calibration"] = self._plant.calibration.digest.hex()
-            keeper = self._file.begin(self._plant, controller, setup, delay=self._plant.delay)
+            record = self._file.begin(self._plant, controller, setup, delay=self._plant.delay)
         if self._watch is not None:
             self._watch.settings = self._settings
             self._watch.faces = wall_faces(controller.laws)
-        loop = ControlLoop(self._plant, _Timed(keeper or controller, self), observe=self._observe(controller, keeper))
+        loop = ControlLoop(self._plant, _Timed(controller, self), observe=self._observe(controller), record=record)
         samples = self._plant.samples
         while not self._stopped.is_set() and self._wanted is None and (last is None or samples.tick < last):
             loop.cycle()
 
-    def _observe(self, controller: Controller, keeper: Keeper | None) -> Callable[[Sample, Command], object]:
+    def _observe(self, controller: Controller) -> Callable[[Sample, Command], object]:
         carried = np.array(WEIGHT if self._settings.weightless else (0.0,) * 6)
         anchors = stick_positions(controller)
 
         def observe(sample: Sample, applied: Command) -> None:
             self._answer.add(time.perf_counter_ns() - self.read_at)
-            if keeper is not None:
-                keeper.observe(sample, applied)
             if self._watch is not None:
                 self._look(self._watch, sample, np.array(applied.force) - carried, anchors())
             self._outlets.show(lambda: self._moment(sample, np.array(applied.force) - carried, anchors()))

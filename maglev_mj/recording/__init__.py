@@ -1,7 +1,7 @@
 """Recordings of runs: what went by at each sample, to be looked at, checked and run again bit for bit."""
 
 from maglev_mj.recording.export import EXPORTS, ParquetMissingError, export
-from maglev_mj.recording.files import ArrayFile, Keeper, RecordingFile, best_suffix, check_name, open_recording
+from maglev_mj.recording.files import ArrayFile, RecordingFile, best_suffix, check_name, open_recording
 from maglev_mj.recording.recorder import Felt, Recorder, row_of
 from maglev_mj.recording.stretch import Recording, RecordingError, Setup, Stretch
 from maglev_mj.recording.verify import Rebuild, Verdict, verify
@@ -10,7 +10,6 @@ __all__ = [
     "EXPORTS",
     "ArrayFile",
     "Felt",
-    "Keeper",
     "ParquetMissingError",
     "Rebuild",
     "Recorder",

@@ -9,30 +9,22 @@ from typing import Protocol
 
 from maglev_mj.controller import Controller
 from maglev_mj.errors import ParameterError
-from maglev_mj.frames import Command, Sample
-from maglev_mj.loop import Answers
+from maglev_mj.loop import Record
 from maglev_mj.recording.live import LiveFile
 from maglev_mj.recording.mcap_file import require_mcap
 from maglev_mj.recording.recorder import Felt, Recorder
 from maglev_mj.recording.stretch import Recording, Setup
 
-__all__ = ["ArrayFile", "Keeper", "RecordingFile", "best_suffix", "check_name", "open_recording"]
+__all__ = ["ArrayFile", "RecordingFile", "best_suffix", "check_name", "open_recording"]
 
 _SUFFIXES = (".mcap", ".npz")
-
-
-class Keeper(Answers, Protocol):
-    """What stands between a loop and a controller, and keeps what goes by."""
-
-    def observe(self, sample: Sample, applied: Command) -> None:
-        """Keep a command as applied."""
 
 
 class RecordingFile(Protocol):
     """What a run is recorded to."""
 
-    def begin(self, plant: Felt, controller: Controller, setup: Setup, *, delay: float) -> Keeper:
-        """Begin a stretch; return what to put between a loop and the controller."""
+    def begin(self, plant: Felt, controller: Controller, setup: Setup, *, delay: float) -> Record:
+        """Begin a stretch; return what the loop records it to."""
 
     def event(self, kind: str, text: str, missed: int = 0) -> None:
         """Keep what a person should know of, and how many samples were missed with it."""
@@ -72,8 +64,8 @@ class ArrayFile:
         return Recording([stretch for stretch in stretches if len(stretch.tick)], events=tuple(self._events))
 
     def begin(self, plant: Felt, controller: Controller, setup: Setup, *, delay: float) -> Recorder:
-        """Begin a stretch; return what to put between a loop and the controller."""
-        self._recorders.append(Recorder(plant, controller, setup))
+        """Begin a stretch; return what the loop records it to."""
+        self._recorders.append(Recorder(plant, setup))
         return self._recorders[-1]
 
     def event(self, kind: str, text: str, missed: int = 0) -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from maglev_mj.controller import Controller
+from maglev_mj.loop import Record
 from maglev_mj.recording.mcap_file import about, require_mcap
 from maglev_mj.recording.recorder import Felt, carried_by
 from maglev_mj.recording.ring import Ring
@@ -47,17 +48,14 @@ class LiveFile:
             self._process = subprocess.Popen(
                 command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=True
             )
-        self._last: _LiveRecorder | None = None
         self._result: Path | None = None
         self._closed = False
 
-    def begin(self, plant: Felt, controller: Controller, setup: Setup, *, delay: float) -> _LiveRecorder:
-        """Begin a stretch; return what to put between a loop and the controller."""
-        self._end()
+    def begin(self, plant: Felt, controller: Controller, setup: Setup, *, delay: float) -> Record:
+        """Begin a stretch; return what the loop records it to."""
         carried, began = carried_by(controller), time.time_ns()
         self._say(begin=about(setup, period=controller.period, delay=delay, carried=carried, began=began))
-        self._last = _LiveRecorder(plant, controller, self._ring)
-        return self._last
+        return self._ring.record(plant)
 
     def event(self, kind: str, text: str, missed: int = 0) -> None:
         """Keep what a person should know of, and how many samples were missed with it."""
@@ -80,7 +78,6 @@ class LiveFile:
         """
         if self._closed:
             return self._result
-        self._end()
         self._closed = True
         try:
             said, _ = self._process.communicate(timeout=_PATIENCE)
@@ -101,23 +98,9 @@ class LiveFile:
             self._path.unlink(missing_ok=True)
         return self._result
 
-    def _end(self) -> None:
-        """Keep the answer that the plant refused, if the last stretch ended so."""
-        if self._last is not None:
-            self._last.end()
-            self._last = None
-
     def _say(self, **what: Any) -> None:
         """Tell the writer, before the next row is there."""
         assert self._process.stdin is not None
         with suppress(BrokenPipeError):  # it is gone: `check` and `close` say so
             self._process.stdin.write(json.dumps({"at": self._ring.count, **what}) + "\n")
             self._process.stdin.flush()
-
-
-class _LiveRecorder:
-    """Stands between a control loop and a controller, and puts what goes by into the ring."""
-
-    def __init__(self, plant: Felt, controller: Controller, ring: Ring) -> None:
-        self.period = controller.period
-        self.step, self.observe, self.end = ring.between(controller.step, plant)

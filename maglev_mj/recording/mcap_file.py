@@ -7,6 +7,7 @@ float in as many digits as give the same float when it is read, so nothing is lo
 from __future__ import annotations
 
 import json
+import math
 import platform
 import struct
 from collections.abc import Iterable, Mapping, Sequence
@@ -137,8 +138,19 @@ class Scribe:
         return self._writer.register_channel(topic=topic, message_encoding="json", schema_id=number)
 
     def _say(self, topic: str, message: Mapping[str, Any]) -> None:
-        data = json.dumps(message, allow_nan=False, separators=(",", ":")).encode()
+        try:
+            text = json.dumps(message, allow_nan=False, separators=(",", ":"))
+        except ValueError:  # a command that is not finite, which the plant refused: JSON has no word for it
+            text = json.dumps(_finite(message), allow_nan=False, separators=(",", ":"))
+        data = text.encode()
         self._writer.add_message(self._channels[topic], log_time=self._now, publish_time=self._now, data=data)
+
+
+def _finite(value: Any) -> Any:
+    """Return what is to be said with None for what is no finite number."""
+    if isinstance(value, Mapping):
+        return {name: _finite(part) for name, part in value.items()}
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 class _Energy:

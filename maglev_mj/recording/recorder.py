@@ -1,4 +1,4 @@
-"""What stands between a control loop and a controller, and keeps what goes by."""
+"""What a control loop records to."""
 
 from __future__ import annotations
 
@@ -24,39 +24,25 @@ class Felt(Protocol):
 
 
 class Recorder:
-    """Stands between a control loop and a controller, and keeps what goes by.
+    """Keeps what goes by in a control loop, in memory: hand it to the loop as `record`.
 
     Args:
         plant: The plant that is driven.
-        controller: The controller that drives it.
-        setup: What both were made from.
-
-    Attributes:
-        period: The controller's sample period [s].
+        setup: What plant and controller were made from.
     """
 
-    def __init__(self, plant: Felt, controller: Controller, setup: Setup) -> None:
-        self.period = controller.period
-        self._plant, self._answer, self._setup = plant, controller.step, dict(setup)
+    def __init__(self, plant: Felt, setup: Setup) -> None:
+        self._plant, self._setup = plant, dict(setup)
         self._rows: list[tuple[Any, ...]] = []
-        self._applied: list[list[float]] = []
 
-    def step(self, sample: Sample) -> Command:
-        """Answer one sample as the controller does."""
-        command = self._answer(sample)
-        self._rows.append((sample.tick, sample.time, sample.position, row_of(command), self._plant.hand_wrench))
-        return command
-
-    def observe(self, sample: Sample, applied: Command) -> None:
-        """Keep a command as applied."""
-        self._applied.append(row_of(applied))
+    def __call__(self, sample: Sample, command: Command, applied: Command) -> None:
+        """Keep one cycle."""
+        hand = self._plant.hand_wrench
+        self._rows.append((sample.tick, sample.time, sample.position, row_of(command), row_of(applied), hand))
 
     def stretch(self) -> Stretch:
-        """Return what was kept so far; an answer that the plant refused is kept as applied zero."""
-        missing = len(self._rows) - len(self._applied)
-        columns = list(zip(*self._rows)) if self._rows else [()] * 5
-        tick, time, position, command, hand = columns
-        applied = [*self._applied, *[[0.0] * 13] * missing]
+        """Return what was kept so far."""
+        tick, time, position, command, applied, hand = list(zip(*self._rows)) if self._rows else [()] * 6
         return Stretch(
             setup=self._setup,
             tick=np.array(tick, dtype=np.float64),

@@ -11,11 +11,12 @@ import os
 import struct
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TypeAlias
 
 from maglev_mj.frames import ZERO, Command, Sample
+from maglev_mj.loop import Record
 from maglev_mj.recording.recorder import Felt
 
 __all__ = ["ROWS", "Ring", "Row", "RowReader"]
@@ -35,9 +36,6 @@ _NAP = 1e-3
 
 Row: TypeAlias = tuple[float, ...]
 """Tick, time, position, command and applied as 13 numbers each, hand: 40 numbers."""
-
-_Step: TypeAlias = Callable[[Sample], Command]
-_Observe: TypeAlias = Callable[[Sample, Command], None]
 
 
 class Ring:
@@ -60,44 +58,25 @@ class Ring:
             self._memory = mmap.mmap(file.fileno(), 0, **_THERE)
         _PLACE.pack_into(self._memory, 0, 0)
 
-    def between(self, answer: Callable[[Sample], Command], plant: Felt) -> tuple[_Step, _Observe, Callable[[], None]]:
-        """Return what stands between a loop and a controller and puts in a row a sample.
+    def record(self, plant: Felt) -> Record:
+        """Return what puts in a row a cycle.
 
-        Functions of one another's variables, not methods: it is in the tick, and that is a quarter cheaper.
+        A function of this one's variables, not a method: it is in the tick, and that is cheaper.
 
         Args:
-            answer: Answers a sample.
             plant: Tells what the hand exerts.
-
-        Returns:
-            What answers a sample; what takes the command as applied; and what puts in an answer that never was, as
-            applied zero.
         """
         memory, wait = self._memory, self._wait
         always, pulses, size = _ALWAYS.pack_into, _PULSES.pack_into, _ALWAYS.size
-        pending: tuple[Sample, Command, Sequence[float]] | None = None
 
-        def step(sample: Sample) -> Command:
-            nonlocal pending
-            command = answer(sample)
-            pending = sample, command, plant.hand_wrench
-            return command
-
-        def observe(sample: Sample, applied: Command) -> None:
-            nonlocal pending
-            if pending is None:
-                return
-            _, command, hand = pending
-            pending = None
+        def put(sample: Sample, command: Command, applied: Command) -> None:
             count = self.count
-            number = count + 1
-            place = count & _MASK
+            number, place = count + 1, count & _MASK
             extra, after, pulsed = command.extra, applied.extra, 0.0
             if extra is not None or after is not None:
                 pulsed = 1.0
                 widths = command.pulse_width if extra else 0.0, applied.pulse_width if after else 0.0
                 pulses(memory, _BEHIND + place * _PULSES.size, *(extra or ZERO), *(after or ZERO), *widths)
-            position, force, given = sample.position, command.force, applied.force
             always(
                 memory,
                 _HEAD + place * size,
@@ -105,21 +84,17 @@ class Ring:
                 pulsed,
                 sample.tick,
                 sample.time,
-                *position,
-                *force,
-                *given,
-                *hand,
+                *sample.position,
+                *command.force,
+                *applied.force,
+                *plant.hand_wrench,
                 number,
             )
             self.count = number
             if wait is not None and not number % _LOOKED_AFTER:
                 self._let_catch_up(wait)
 
-        def end() -> None:
-            if pending is not None:
-                observe(pending[0], Command(list(ZERO)))
-
-        return step, observe, end
+        return put
 
     def close(self) -> None:
         """Let go of the memory; a second time does nothing."""

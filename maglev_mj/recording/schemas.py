@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -111,10 +112,11 @@ def as_sample(row: Row) -> dict[str, Any]:
 
 
 def as_row(sample: Mapping[str, Any]) -> list[float]:
-    """Return the row that `as_sample` was made of."""
+    """Return the row that `as_sample` was made of; what was not finite is NaN."""
 
     def six(name: str) -> list[float]:
-        return [float(sample[name][axis]) for axis in AXES]
+        found = (sample[name][axis] for axis in AXES)
+        return [math.nan if value is None else float(value) for value in found]
 
     command = [*six("command"), *six("pulse"), float(sample["pulse_width"])]
     applied = [*six("applied"), *six("applied_pulse"), float(sample["applied_pulse_width"])]

@@ -58,7 +58,8 @@ def verify(recording: Recording, rebuild: Rebuild) -> Verdict:
     first: tuple[int, int] | None = None
     for place, stretch in enumerate(recording.stretches):
         answered = _answers(stretch, rebuild)
-        good = (answered == stretch.command).all(axis=1)
+        odd = ~np.isfinite(answered) & ~np.isfinite(stretch.command)
+        good = ((answered == stretch.command) | odd).all(axis=1)
         commands += int(good.sum())
         seen = _positions(stretch, rebuild)
         if seen is not None:

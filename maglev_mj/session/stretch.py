@@ -9,7 +9,7 @@ import numpy as np
 
 from maglev_mj.frames import ZERO, Array, Command, Sample
 from maglev_mj.hand import HandForce
-from maglev_mj.loop import Answers, ControlLoop
+from maglev_mj.loop import ControlLoop
 from maglev_mj.recording import RecordingFile
 from maglev_mj.scenes import Scene, Settings
 from maglev_mj.scenes.parts import WEIGHT
@@ -68,13 +68,12 @@ class LiveStretch:
         setup = scene_setup(scene, settings, pose, twist, wrench)
         self.plant = scene.plant(settings, pose=pose, twist=twist, wrench=wrench, hand_force=hand)
         self.controller = scene.controller(settings)
-        self._keeper = None if file is None else file.begin(self.plant, self.controller, setup, delay=settings.delay)
+        record = None if file is None else file.begin(self.plant, self.controller, setup, delay=settings.delay)
         self._carried = np.array(WEIGHT if settings.weightless else ZERO)
         self.energy = EnergyAccount(np.array(pose), self._carried)
         self.faces = wall_faces(self.controller.laws)
         self._stick_positions = stick_positions(self.controller)
-        answers: Answers = self._keeper or self.controller
-        self._loop = ControlLoop(self.plant, answers, observe=self._observe)
+        self._loop = ControlLoop(self.plant, self.controller, observe=self._observe, record=record)
         self._axis, self._keep, self._began = scene.axis_index, keep, began
         self.ticks, self._settings = 0, settings
         self.pose, self.twist = np.array(pose, dtype=np.float64), np.array(twist, dtype=np.float64)
@@ -102,8 +101,6 @@ class LiveStretch:
         return rendered
 
     def _observe(self, sample: Sample, applied: Command) -> None:
-        if self._keeper is not None:
-            self._keeper.observe(sample, applied)
         plant, axis = self.plant, self._axis
         self.pose, self.twist = plant.state()
         effort = plant.hand_wrench
