@@ -1,0 +1,276 @@
+"""The teleoperation example: stable contact, forces and energies that add up, no jumps, and failure where foreseen."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+from ctypes.util import find_library
+from dataclasses import replace
+from functools import cache
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from maglev_mj.frames import Array
+from maglev_mj.navigation import Navigation, Navigator
+from maglev_mj.plants import Timing
+from maglev_mj.scenes.parts import MASS
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "scripts"))
+
+from teleoperation_coupling import Coupling, CouplingLaw
+from teleoperation_energy import Ledger, ledger
+from teleoperation_limits import GRIPS, bodies, contacts, growth, measured_boundary
+from teleoperation_run import History, carry_out
+from teleoperation_slave import BLOCK_DAMPING, Slave
+from teleoperation_task import DELAY_SHARE, FIRM, Task
+from teleoperation_theory import NO_GAINS, Gains, TwoBodies, chosen_gains, stiffest_coupling
+
+SCRIPT = Path(__file__).resolve().parent.parent / "scripts" / "teleoperation.py"
+RATES = (200, 1000)
+CASES = [(mode, rate) for mode in ("position", "rate") for rate in RATES]
+
+
+def at(rate: int, mode: str = "position") -> Task:
+    return Task(mode=mode, period=1.0 / rate, delay=DELAY_SHARE / rate)
+
+
+@cache
+def done(mode: str, rate: int) -> tuple[History, Ledger]:
+    history = carry_out(at(rate, mode))
+    return history, ledger(history)
+
+
+@pytest.mark.parametrize("rate", RATES)
+def test_two_free_bodies_have_the_bound_of_a_wall_on_their_reduced_mass(rate: int) -> None:
+    timing = Timing(period=1.0 / rate, delay=DELAY_SHARE / rate)
+    free = TwoBodies(timing=timing, slave_mass=1.0)
+    most = stiffest_coupling(timing, 1.0)
+
+    def beyond(share: float) -> bool:
+        # drifting apart at constant speed is a double eigenvalue at 1, which rounding splits
+        return free.modulus(Gains(share * most.stiffness, most.damping)) > 1.0 + 1e-6
+
+    assert [beyond(share) for share in (0.25, 0.999, 1.001)] == [False, False, True]
+
+
+@pytest.mark.parametrize("rate", RATES)
+def test_the_chosen_gains_leave_a_factor_of_three_for_any_hand_friction_and_block(rate: int) -> None:
+    timing = Timing(period=1.0 / rate, delay=DELAY_SHARE / rate)
+    gains = chosen_gains(timing, 1.0)
+    for hand, contact in product(GRIPS.values(), (0.0, *np.geomspace(1e2, 1e6, 9).tolist())):
+        for friction in (NO_GAINS, at(rate, "rate").friction):
+            block = {"contact": contact, "contact_damping": 0.6 * math.sqrt(contact)}
+            joined = TwoBodies(timing=timing, slave_mass=1.0, hand=hand, friction=friction, **block)
+            assert all(joined.modulus(Gains(more * gains.stiffness, gains.damping)) < 1.0 for more in (1.0, 2.0, 3.0))
+
+
+def test_a_stiff_block_without_any_loss_is_not_held() -> None:
+    gains = chosen_gains(Timing(), 1.0)
+    held = [
+        TwoBodies(timing=Timing(), slave_mass=1.0, hand=FIRM, contact=1e5, contact_damping=damping).modulus(gains) < 1.0
+        for damping in (0.0, BLOCK_DAMPING)
+    ]
+    assert held == [False, True]
+
+
+def test_the_block_is_as_stiff_as_it_says() -> None:
+    for stiffness in (2e4, 1e5):
+        slave = Slave(Timing(), np.array([0.0, 0.0, -0.005]), stiffness=stiffness)
+        for _ in range(200):
+            slave.step(np.array([0.0, 0.0, -20.0]))
+        assert -0.005 - slave.position[2] == pytest.approx(20.0 / stiffness, rel=1e-6)
+
+
+def test_the_slave_moves_as_its_masses_and_the_delay_say() -> None:
+    timing, force = Timing(), np.array([2.0, -3.0, 1.0])
+    slave = Slave(timing, np.array([0.0, 0.0, -0.1]))
+    for _ in range(10):
+        slave.step(force)
+    pushed = 10 * timing.period - timing.delay
+    assert slave.position == pytest.approx(0.5 * force / [2.0, 1.5, 1.0] * pushed**2, rel=1e-9)
+
+
+@pytest.mark.parametrize("rate", RATES)
+def test_contact_settles_in_every_hand_at_every_phase_speed_and_force(rate: int) -> None:
+    task = replace(at(rate), hold=0.9)
+    found = [
+        *contacts(task, ["firm"], [0.0, 0.5], [(0.05, 5.0)]),
+        *contacts(task, ["arm", "stylus", "fingertip"], [0.25], [(0.03, 3.0)]),
+        *contacts(task, ["firm"], [0.75], [(0.01, 1.0)]),
+    ]
+    for contact in found:
+        assert contact.press == pytest.approx(contact.asked, rel=0.02)
+        assert contact.ripple < 1e-4 * contact.press, contact
+        assert contact.losses == 0 and contact.bounces <= 5, contact
+
+
+@pytest.mark.parametrize("mode, rate", CASES)
+def test_contact_settles_in_both_modes(mode: str, rate: int) -> None:
+    history, _ = done(mode, rate)
+    assert 40.0 < history.press < 80.0
+    assert history.ripple < 1e-4 * history.press
+    assert history.losses[1] == 0
+
+
+@pytest.mark.parametrize("mode, rate", CASES)
+def test_what_is_put_in_is_what_is_stored_and_lost(mode: str, rate: int) -> None:
+    history, energies = done(mode, rate)
+    most = float(energies.put_in.max())
+    assert np.abs(energies.put_in - energies.kept_or_lost).max() < 2e-3 * most
+    assert np.abs(energies.joystick_lack).max() < 1e-5 * most
+    assert np.abs(energies.slave_lack).max() < 2e-3 * most
+    # the actuators' own meter, which knows nothing of coupling and friction
+    assert -(energies.taken + energies.friction)[-1] == pytest.approx(history.work, abs=1e-6 * most)
+    if mode == "position":
+        assert np.abs(energies.friction).max() < 1e-9 * most and np.abs(energies.drift).max() < 1e-9 * most
+
+
+@pytest.mark.parametrize("mode, rate", CASES)
+def test_sampling_makes_less_than_half_of_what_the_damper_takes(mode: str, rate: int) -> None:
+    _, energies = done(mode, rate)
+    assert 0.2 < energies.made[-1] / energies.damper[-1] < 0.5
+    # nor is the coupling ever in debt, but for what is on its way as the pin strikes the block
+    assert (energies.damper - energies.made).min() > -1e-3 * energies.put_in.max()
+
+
+def test_what_sampling_makes_is_that_of_the_first_order_as_period_and_delay_shrink() -> None:
+    task = replace(at(200, "free"), coupling=Coupling(stiffness=1496.0, damping=25.8), hold=3.0)
+    beyond = []
+    for rate in (200, 1000):
+        energies = ledger(carry_out(replace(task, period=1.0 / rate, delay=DELAY_SHARE / rate)))
+        beyond.append(float(energies.made[-1] / energies.foreseen[-1]) - 1.0)
+    assert beyond[0] < 0.35
+    assert 0.1 < beyond[1] / beyond[0] < 0.3  # a fifth, being of the next order
+
+
+@pytest.mark.parametrize("rate", RATES)
+def test_at_rest_the_hand_feels_the_block_through_the_scale(rate: int) -> None:
+    history, _ = done("position", rate)
+    assert history.pull / history.coupling.reflection == pytest.approx(history.press, rel=1e-6)
+
+
+@pytest.mark.parametrize("mode, rate", [("position", 200), ("position", 1000)])
+def test_momentum_changes_by_hand_and_block_alone(mode: str, rate: int) -> None:
+    history, _ = done(mode, rate)
+    mass, damping, stiffness = (float(value) for value in FIRM.values[:3])
+    coupling, (x, v) = history.coupling, history.joystick
+    w = history.slave[1] / coupling.scale
+    momentum = (MASS + mass) * v + coupling.felt * history.slave_mass * w
+    tick = np.minimum((history.time / history.task.period + 1e-6).astype(int), len(history.muscles) - 1)
+    width = np.diff(history.time)[:, None]
+
+    def impulse(force: Array) -> Array:
+        return np.concatenate([np.zeros((1, 3)), np.cumsum(0.5 * width * (force[1:] + force[:-1]), axis=0)])
+
+    pushed = np.concatenate([np.zeros((1, 3)), np.cumsum(width * history.muscles[tick][:-1], axis=0)])
+    given = pushed - impulse(stiffness * x + damping * v) + impulse(coupling.reflection * history.contact)
+    before = history.time < 0.8  # nothing is touched yet: no stroke to integrate
+    assert np.abs((momentum - given)[before]).max() < 1e-5 * np.abs(momentum).max()
+    assert np.abs(momentum - given).max() < 1e-2 * np.abs(momentum).max()
+
+
+@pytest.mark.parametrize("rate", RATES)
+def test_the_target_does_not_jump_where_the_mode_changes(rate: int) -> None:
+    history, _ = done("rate", rate)
+    scale, period = history.coupling.scale, history.task.period
+    ticks = np.arange(len(history.target)) * period
+    places = np.stack([np.interp(ticks, history.time, history.joystick[0][:, axis]) for axis in range(3)], axis=1)
+    moved = np.abs(np.diff(history.target, axis=0))
+    fastest = scale * 5.0 * (np.abs(places).max() - 0.0025)
+    assert (moved <= scale * np.abs(np.diff(places, axis=0)) + fastest * period + 1e-12).all()
+    assert np.count_nonzero(np.diff(history.rate, axis=0)) >= 8
+    assert np.abs(history.force).max() <= history.coupling.bound
+
+
+@pytest.mark.parametrize("rate", RATES)
+def test_let_go_beyond_the_edge_the_slave_stays_where_it_is(rate: int) -> None:
+    history, _ = done("rate", rate)
+    x = history.slave[0][:, 0]
+    later = history.time > 3.0
+    assert x.max() > 0.1 and np.ptp(x[later]) < 1e-3
+    assert history.joystick[0][later, 0].min() > 0.0025  # the friction keeps the joystick beyond its edge
+
+
+def test_pressing_longer_in_rate_mode_does_not_stretch_the_coupling_further() -> None:
+    coupling = Coupling(stiffness=1500.0, damping=25.0, bound=8.0)
+
+    def pressed(seconds: float) -> tuple[float, int]:
+        """Return the force after pressing on a slave that cannot move, and how many samples it then takes to turn."""
+        way = Navigation(edge=0.0025, scale=10.0, gain=50.0)
+        law = CouplingLaw(coupling, lambda: np.zeros(3), period=0.005, navigator=Navigator(way))
+
+        def step(place: float) -> float:
+            law([0.0, 0.0, place, 0.0, 0.0, 0.0], [0.0] * 6, None, [0.0] * 6)
+            return float(law.force[2])
+
+        step(0.0)
+        for _ in range(round(seconds / 0.005)):
+            held = step(0.004)
+        turning = 1
+        while step(-0.004) > 0.0:
+            turning += 1
+        return held, turning
+
+    short, for_long = pressed(3.0), pressed(60.0)
+    assert short == for_long
+    assert short[0] == pytest.approx(coupling.bound, rel=1e-9)
+
+
+@pytest.mark.parametrize("rate", RATES)
+@pytest.mark.parametrize("mode", ["free", "touching"])
+def test_the_coupling_fails_where_the_eigenvalues_say(mode: str, rate: int) -> None:
+    task = replace(at(rate, mode), press=3.0)
+    coupling = task.chosen(1.0)
+    edge = bodies(task, coupling, 1.0).boundary(coupling.damping)
+    shares = (0.97, 1.03)
+    found = [growth(replace(task, coupling=replace(coupling, stiffness=share * edge))) for share in shares]
+    assert found[0].measured < 1.0 < found[1].measured
+    for one in found:
+        assert one.measured == pytest.approx(one.foreseen, abs=3e-4)
+    assert measured_boundary(shares, found) == pytest.approx(1.0, abs=0.01)
+
+
+@pytest.mark.parametrize("rate", RATES)
+def test_contact_does_not_settle_with_a_coupling_beyond_the_boundary(rate: int) -> None:
+    task = replace(at(rate, "touching"), press=3.0, hold=2.0)
+    coupling = task.chosen(1.0)
+    edge = bodies(task, coupling, 1.0).boundary(coupling.damping)
+    within, beyond = (
+        carry_out(replace(task, coupling=replace(coupling, stiffness=share * edge))).ripple for share in (0.85, 1.15)
+    )
+    assert within < 0.1 and beyond > 5.0
+
+
+def called(*arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, str(SCRIPT), *arguments]
+    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+
+
+@pytest.mark.skipif(find_library("OSMesa") is None, reason="drawing off screen needs OSMesa (Debian: libosmesa6)")
+def test_the_script_prints_its_tables_and_draws(tmp_path: Path) -> None:
+    image = pytest.importorskip("matplotlib.image")
+    ended = called("--mode", "rate", "--out", str(tmp_path))
+    assert ended.returncode == 0, ended.stderr
+    assert "stylus" in ended.stdout and "made by sampling and delay" in ended.stdout
+    assert (tmp_path / "teleoperation_rate_200.png").stat().st_size > 50_000
+    slave = image.imread(tmp_path / "teleoperation_rate_200_slave.png")
+    assert slave[..., :3].std() > 0.1  # a gantry, not an empty sky
+
+
+@pytest.mark.parametrize(
+    "arguments, told",
+    [
+        (["--rate", "50"], "rate must be a finite number at least 200 and at most 2000, not 50.0"),
+        (["--press", "9"], "press must be a finite number above 0 and at most 6, not 9.0"),
+        (["--phase", "1"], "phase must be at least 0 and below 1, not 1"),
+        (["--mode", "both"], "invalid choice: 'both'"),
+    ],
+)
+def test_bad_options_are_told_in_one_line(arguments: list[str], told: str) -> None:
+    ended = called(*arguments)
+    assert ended.returncode == 2
+    assert told in ended.stderr and ended.stderr.count("\n") == 1
