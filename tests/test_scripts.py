@@ -84,6 +84,19 @@ def test_bench_loop_prints_its_ratios() -> None:
     assert "RK4, coils, closed loop / bare mj_step" in run_script("bench_loop.py", "--quick")
 
 
+def test_bench_recording_prints_what_a_tick_costs() -> None:
+    out = run_script("bench_recording.py", "--quick")
+    assert "recorded to .mcap, in shared memory" in out and "samples a second" in out
+
+
+def test_the_example_of_a_recording_runs(tmp_path: Path) -> None:
+    (example,) = re.findall(r"```python\n(.*?)```", (ROOT / "docs/recording.md").read_text(encoding="utf-8"), re.DOTALL)
+    done = subprocess.run([sys.executable, "-c", example], capture_output=True, text=True, check=False, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert -2.6e-3 < float(done.stdout) < -2.2e-3
+    assert (tmp_path / "mine.mcap").is_file()
+
+
 EXAMPLES = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.DOTALL)
 
 

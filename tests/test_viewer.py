@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,7 +17,7 @@ import pytest
 from maglev_mj.frames import Array
 from maglev_mj.hand import SpringHand
 from maglev_mj.model import model_path
-from maglev_mj.recording import Recording, verify
+from maglev_mj.recording import Recording, RecordingError, verify
 from maglev_mj.replay import rebuild
 from maglev_mj.scenes.joystick import CENTRING
 from maglev_mj.viewer.overlay import KEYS, help_text
@@ -56,7 +57,16 @@ class Session:
     @property
     def recordings(self) -> list[Recording]:
         """In the order in which they were made."""
-        return [Recording.load(path) for path in sorted(self.folder.glob("*.npz"))]
+        return [Recording.load(path) for path in sorted(self.folder.glob("*.mcap"))]
+
+
+def whole(folder: Path) -> list[Path]:
+    """Return the recordings that are closed: they are there from their start on."""
+    found = []
+    for path in folder.glob("*.mcap"):
+        with suppress(RecordingError):
+            found += [path] if not Recording.load(path).damage else []
+    return found
 
 
 @pytest.fixture(scope="module")
@@ -85,7 +95,7 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Session]:
             screen.xdotool("mouseup", 3, "keyup", "ctrl")
             time.sleep(1.5)
             screen.xdotool("key", "F10")
-            waited(lambda: list(folder.glob("*.npz")), 10.0)
+            waited(lambda: whole(folder), 20.0)
             time.sleep(1.1)  # names go by the second
             screen.xdotool("key", "6", "key", "F10")  # the wall is back for the keys' own turn
             for key in (*PRESSED, "9", "slash", "space", "space", "Return"):
