@@ -128,6 +128,7 @@ class PassivityObserver:
         timing: Of the plant.
         inertia: Mass and moments of inertia of the six axes [kg, kg m²], (6,); None for a straight line.
         load: Constant wrench that acts besides, such as weight [N, N m], (6,).
+        before: What the environment exerts until the first command takes effect [N, N m], (6,).
 
     Attributes:
         energy: Taken in so far [J], (..., 6).
@@ -139,10 +140,13 @@ class PassivityObserver:
     Source: Hannaford & Ryu 2002, with each force paired with the way that it acted over.
     """
 
-    def __init__(self, timing: Timing, inertia: ArrayLike | None = None, load: ArrayLike = 0.0) -> None:
+    def __init__(
+        self, timing: Timing, inertia: ArrayLike | None = None, load: ArrayLike = 0.0, before: ArrayLike = 0.0
+    ) -> None:
         self._timing, self._load = timing, numbers("load", load)
         self._inertia = np.inf if inertia is None else numbers("inertia", inertia, at_least=1e-12)
-        self._commands: deque[_Given | None] = deque([None] * (timing.whole + 2), maxlen=timing.whole + 2)
+        count = timing.whole + 2
+        self._commands = deque([_Given(np.zeros(6) + numbers("before", before), None, 0.0)] * count, maxlen=count)
         self._pose: Array | None = None
         self.energy: Array = np.zeros(6)
         self.least: Array = np.zeros(6)
@@ -182,11 +186,9 @@ class _Given(NamedTuple):
     width: float
 
 
-def _forces(command: _Given | None, stretch: float, *, gone: float) -> list[tuple[float, Array | float]]:
+def _forces(command: _Given, stretch: float, *, gone: float) -> list[tuple[float, Array]]:
     """Return the forces of one command over a stretch [s] that begins when it has been in effect for `gone` [s]."""
-    if command is None or stretch == 0.0:
-        return [(stretch, 0.0)]
-    if command.pulse is None:
+    if command.pulse is None or stretch == 0.0:
         return [(stretch, command.wrench)]
     pulsed = min(max(command.width - gone, 0.0), stretch)
     return [(pulsed, command.wrench + command.pulse), (stretch - pulsed, command.wrench)]

@@ -9,6 +9,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from maglev_mj.analysis.known import known_experiment
 from maglev_mj.controller import Controller
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.experiments.drop import DropParameters, drop_parts
@@ -19,7 +20,16 @@ from maglev_mj.hand import HandForce, SpringHand
 from maglev_mj.loop import ControlLoop
 from maglev_mj.model import load
 from maglev_mj.plants import SampledPlant, engine_warnings_silenced
-from maglev_mj.recording import ArrayFile, Recording, RecordingError, RecordingFile, Setup, Stretch, open_recording
+from maglev_mj.recording import (
+    ArrayFile,
+    Mechanics,
+    Recording,
+    RecordingError,
+    RecordingFile,
+    Setup,
+    Stretch,
+    open_recording,
+)
 from maglev_mj.scenes import SCENES, Scene, Settings, scene_called
 from maglev_mj.scenes.parts import WEIGHT
 from maglev_mj.session import View, stick_positions, wall_faces
@@ -68,6 +78,9 @@ def rebuild(setup: Setup, hand: HandForce | None) -> tuple[SampledPlant | None, 
                 return None, scene.controller(settings)
             start = {name: setup[name] for name in ("pose", "twist", "wrench")}
             return scene.plant(settings, hand_force=hand, **start), scene.controller(settings)
+        if kind not in EXPERIMENTS:
+            known = ", ".join((*_SCENES, *EXPERIMENTS))
+            raise RecordingError(f"a recording of kind {kind!r} cannot be made here, which knows {known}")
         parameters, parts, _ = EXPERIMENTS[kind]
         plant, controller, _ = parts(parameters(**setup["parameters"]), hand)
         return plant, controller
@@ -105,7 +118,10 @@ def write_experiment(path: Path, kind: str, parameters: Any) -> None:
 def _run_into(file: RecordingFile, kind: str, parameters: Any) -> None:
     _, parts, _ = EXPERIMENTS[kind]
     plant, controller, ticks = parts(parameters, None)
-    record = file.begin(plant, controller, {"kind": kind, "parameters": asdict(parameters)}, delay=parameters.delay)
+    setup = {"kind": kind, "parameters": asdict(parameters)}
+    known = known_experiment(kind, asdict(parameters))
+    mechanics = Mechanics(inertia=known.inertia, load=[0.0, 0.0, known.weight, 0.0, 0.0, 0.0], before=known.before)
+    record = file.begin(plant, controller, setup, delay=parameters.delay, mechanics=mechanics)
     with plant, engine_warnings_silenced():
         try:
             ControlLoop(plant, controller, record=record).cycle(ticks)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["GRAVITY", "Quantity", "Spec"]
+__all__ = ["GRAVITY", "INERTIA", "Quantity", "Spec"]
 
 GRAVITY = 9.81
 """Standard acceleration of free fall to three figures [m/s²]; the paper does not print the value it used."""
@@ -54,3 +54,7 @@ class Spec:
     transport_delay: Quantity = Quantity(0.0015, "s", "section 3")
     tilt_inertia: Quantity = Quantity(9.3e-4, "kg m²", "ASSUMED, cylinder-like")
     spin_inertia: Quantity = Quantity(8.2e-4, "kg m²", "ASSUMED, cylinder-like")
+
+
+INERTIA = (*[Spec.moving_mass.value] * 3, *[Spec.tilt_inertia.value] * 2, Spec.spin_inertia.value)
+"""Mass and moments of inertia of the six axes [kg, kg m²]."""

@@ -129,6 +129,7 @@ def events(path: Path, count: int) -> list[tuple[int, ...]]:
         (("bridge", "udp://127.0.0.1:5678", "--identify", "f.json", "--stream"), "stream is for scenes"),
         (("serve-spacenav", "--key", __file__), "key must be a file of 32 to 64"),
         (("serve-spacenav", "--seconds", "0"), "seconds must be"),
+        (("serve-spacenav", "box", "--from", "udp://127.0.0.1:9"), "scene must be that of the stream"),
     ],
 )
 def test_options_that_do_not_fit_are_one_line(arguments: tuple[str, ...], complaint: str, tmp_path: Path) -> None:

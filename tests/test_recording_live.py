@@ -6,12 +6,14 @@ import signal
 import subprocess
 import sys
 import time
+import tracemalloc
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from maglev_mj.analysis import analyse
 from maglev_mj.cli import main
 from maglev_mj.controller import Controller
 from maglev_mj.errors import ParameterError, PlantError
@@ -25,6 +27,7 @@ from maglev_mj.recording import ArrayFile, Recording, RecordingError, open_recor
 from maglev_mj.recording.ring import ROWS, Ring, RowReader
 from maglev_mj.recording.schemas import CHANNELS
 from maglev_mj.replay import rebuild, record_experiment, write_experiment
+from maglev_mj.session import Pacer, Session
 
 ARRAYS = ("tick", "time", "position", "command", "applied", "hand")
 
@@ -93,6 +96,42 @@ def test_energy_taken_is_what_the_actuators_took_from_a_fall(phase: float, delay
     assert fallen > 0.01
 
 
+@pytest.mark.parametrize(
+    ("kind", "parameters"),
+    [
+        ("drop", DropParameters(plant="exact", mass=0.75, phase=0.2)),
+        ("drop", DropParameters(plant="exact", mass=0.75, pulse=0.0, delay=0.006)),
+        ("drop", DropParameters(plant="exact", force_limit=60.0)),
+        ("stick-slip", StickSlipParameters(plant="exact")),
+        ("stick-slip", StickSlipParameters(plant="exact", axis="ry", delay=0.003)),
+    ],
+)
+def test_energy_taken_is_that_of_the_analysis(kind: str, parameters: Any, tmp_path: Path) -> None:
+    """Which puts parabolas between the samples: another way to the same figure, whatever weighs and moves."""
+    path = tmp_path / "run.mcap"
+    write_experiment(path, kind, parameters)
+    (stretch,) = Recording.load(path).stretches
+    found = analyse(stretch, rebuild, simulated=False).recorded.figures.energy
+    assert messages(path)[-1][1]["taken"] == pytest.approx(sum(found.taken), rel=1e-6)
+    assert abs(sum(found.taken)) > 1e-9
+
+
+def test_energy_of_a_session_goes_on_with_what_acted_before(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    session = Session("drop", record=path, pacer=Pacer(budget=60.0, patience=3600.0))
+    for frame in range(24):
+        session.tick(1.0 / 60.0)
+        if frame in (3, 5, 9):
+            session.act("damping up")
+    session.close()
+    recording = Recording.load(path)
+    assert len(recording.stretches) == 4
+    for place, stretch in enumerate(recording.stretches):
+        last = [m for topic, m in messages(path) if topic == "/maglev/sample" and m["stretch"] == place][-1]
+        found = analyse(stretch, rebuild, simulated=False).recorded.figures.energy
+        assert last["taken"] == pytest.approx(sum(found.taken), rel=1e-6, abs=1e-9)
+
+
 def test_the_work_of_the_hand_is_in_it(tmp_path: Path) -> None:
     path, timing = tmp_path / "run.mcap", Timing(phase=0.4)
     hand = [0.0, 0.0, -3.0, 0.0, 0.0, 0.0]
@@ -113,6 +152,9 @@ class Still:
 
 
 def test_missed_samples_and_faults_are_in_it(tmp_path: Path) -> None:
+    """A device counts on from stretch to stretch: where one begins, nothing is missing yet."""
+    from mcap.reader import make_reader
+
     path = tmp_path / "run.mcap"
 
     file, none = open_recording(path), Command(list(ZERO))
@@ -127,9 +169,13 @@ def test_missed_samples_and_faults_are_in_it(tmp_path: Path) -> None:
     assert file.close() == path
     assert [(m["stretch"], m["missed"]) for topic, m in messages(path) if topic == "/maglev/sample"] == [
         *[(0, 0), (0, 0), (0, 2)],
-        *[(1, 2), (1, 2), (1, 7), (1, 7)],
+        *[(1, 0), (1, 0), (1, 5), (1, 5)],
     ]
     recording = Recording.load(path)
+    with path.open("rb") as opened:
+        read = make_reader(opened).iter_messages(topics=["/maglev/sample"])
+        logged = [message.log_time for _, _, message in read][-4:]
+    assert [round((after - logged[0]) * 1e-6) for after in logged] == [0, 1, 2, 3]  # its ticks are 2 to 5
     assert list(recording.events) == ["missed: too slow", "fault: it fell"]
     assert [len(stretch.tick) for stretch in recording.stretches] == [3, 4]
 
@@ -191,9 +237,9 @@ def test_a_file_that_ends_anywhere_opens_up_to_its_last_chunk(tmp_path: Path) ->
             seen.add(-1)
             continue
         seen.add(part.ticks)
-        stretch, all_of_it = part.stretches[0], whole.stretches[0]
-        for name in ARRAYS:
-            assert (getattr(stretch, name) == getattr(all_of_it, name)[: part.ticks]).all()
+        for stretch in part.stretches:
+            for name in ARRAYS:
+                assert (getattr(stretch, name) == getattr(whole.stretches[0], name)[: part.ticks]).all()
     assert min(seen) == -1 and max(seen) == whole.ticks and len(seen) > 10
 
 
@@ -225,14 +271,14 @@ def test_rows_that_come_faster_than_they_are_written_are_counted_or_waited_for()
             record(sample, command, command)
 
     ring = Ring()
-    reader = RowReader(ring.path)
+    reader = RowReader(ring.descriptor)
     put(ring, ROWS + 100)
     assert len(list(reader.rows())) == ROWS and reader.lost == 100
     ring.close()
     reader.close()
     waited = []
     patient = Ring(wait=lambda: waited.append(len(list(slow.rows()))))
-    slow = RowReader(patient.path)
+    slow = RowReader(patient.descriptor)
     put(patient, 2 * ROWS)
     assert waited and sum(waited) + len(list(slow.rows())) == 2 * ROWS and slow.lost == 0
     patient.close()
@@ -242,7 +288,7 @@ def test_rows_that_come_faster_than_they_are_written_are_counted_or_waited_for()
 def test_pulses_and_rows_go_through_the_ring_unchanged() -> None:
     rng = np.random.default_rng(1)
     ring = Ring()
-    reader = RowReader(ring.path)
+    reader = RowReader(ring.descriptor)
     for count in range(50):
         values = [rng.normal(size=6).tolist() for _ in range(6)]
         command = Command(values[0], values[1] if count % 2 else None, 0.003)
@@ -345,12 +391,13 @@ def test_a_recording_is_not_exported_over_itself(tmp_path: Path, capsys: Any) ->
     assert main(["export", str(tmp_path / "none.mcap"), "--to", "csv"]) == 1
 
 
+@pytest.mark.parametrize("odd", [np.inf, np.nan])
 @pytest.mark.parametrize("name", ["run.npz", "run.mcap"])
-def test_an_answer_that_the_plant_refuses_is_the_last_row(name: str, tmp_path: Path) -> None:
+def test_an_answer_that_the_plant_refuses_is_the_last_row(name: str, odd: float, tmp_path: Path) -> None:
     class Mad(Controller):
         def step(self, sample: Sample) -> Command:
             command = super().step(sample)
-            return command if sample.tick < 7 else Command([np.inf, *ZERO[1:]])
+            return command if sample.tick < 7 else Command([odd, *ZERO[1:]])
 
     file, plant, controller = open_recording(tmp_path / name), ExactPlant(Timing()), Mad([], period=0.005)
     record = file.begin(plant, controller, {"kind": "test"}, delay=0.0)
@@ -364,3 +411,77 @@ def test_an_answer_that_the_plant_refuses_is_the_last_row(name: str, tmp_path: P
     assert np.isfinite(stretch.command[:-1]).all() and not recording.damage
     verdict = verify(recording, lambda setup, hand: (ExactPlant(Timing(), hand_force=hand), Mad([], period=0.005)))
     assert verdict.same
+
+
+@pytest.mark.parametrize("name", ["run.mcap", "run.npz"])
+def test_what_was_there_stays_until_there_is_a_sample(name: str, tmp_path: Path) -> None:
+    path = tmp_path / name
+    write_experiment(path, "drop", DropParameters(plant="exact"))
+    before = path.read_bytes()
+    file = open_recording(path)
+    file.begin(Still(), Controller([], period=0.005), {"kind": "test"}, delay=0.0)
+    assert file.close() is None
+    assert path.read_bytes() == before and list(tmp_path.iterdir()) == [path]
+    write_experiment(path, "drop", DropParameters(plant="exact", duration=0.2))
+    assert Recording.load(path).ticks == 41 and list(tmp_path.iterdir()) == [path]
+
+
+def test_no_memory_to_share_is_one_line_before_anything_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    def full(*_: Any) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "posix_fallocate", full)
+    assert main(["drop", "--plant", "exact", "--record", str(tmp_path / "run.mcap")]) == 1
+    said = capsys.readouterr().err
+    assert len(said.splitlines()) == 1 and "no memory to share" in said
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_writer_takes_no_modules_from_the_folder_that_it_is_in(tmp_path: Path) -> None:
+    (tmp_path / "calendar.py").write_text("raise RuntimeError('not this one')\n")
+    command = [sys.executable, "-P", "-m", "maglev_mj.cli", "drop", "--plant", "exact", "--record", "run.mcap"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0 and not done.stderr, done.stderr
+    assert Recording.load(tmp_path / "run.mcap").ticks == 81
+
+
+def test_messages_that_are_missing_are_noticed(tmp_path: Path) -> None:
+    """A count at the end says how many there were."""
+    from mcap.writer import Writer
+
+    path, other = tmp_path / "run.mcap", tmp_path / "other.mcap"
+    write_experiment(path, "drop", DropParameters(plant="exact"))
+    data = path.read_bytes()
+    found = []
+    for place in range(200, len(data) - 200, 13):
+        other.write_bytes(data[:place] + bytes([data[place] ^ 0x10]) + data[place + 1 :])
+        try:
+            part = Recording.load(other)
+        except RecordingError:
+            continue  # what it was made from is gone
+        assert part.ticks == 81 or part.damage
+        for stretch in part.stretches:
+            assert stretch.tick.tolist() == list(range(part.ticks))
+        found.append(part.ticks)
+    assert min(found) < 20
+    with other.open("wb") as file:  # one of another program
+        writer = Writer(file)
+        writer.start()
+        channel = writer.register_channel(topic="/camera", message_encoding="cdr", schema_id=0)
+        writer.add_message(channel, log_time=0, publish_time=0, data=b"\x00\x01")
+        writer.finish()
+    with pytest.raises(RecordingError, match="is not a whole recording"):
+        Recording.load(other)
+
+
+def test_many_samples_take_little_memory_to_read(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    write_experiment(path, "drop", DropParameters(plant="exact", period=0.0001, duration=1.0))
+    tracemalloc.start()
+    ticks = Recording.load(path).ticks
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert ticks == 10001
+    assert peak < 1500 * ticks  # as messages they took 5000 bytes a sample

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -116,7 +116,7 @@ def analyse(
     comparison = other = None
     if simulated:
         twin = simulate(stretch, whole, known, rebuild)
-        comparison = compare(_cut(stretch, first, last), _cut(twin, first, last), whole.between(first, last))
+        comparison = compare(stretch.part(first, last), twin.part(first, last), whole.between(first, last))
         until = min(last, len(twin.tick) - 1)
         if until - first >= 1:
             other = _run(twin, reconstruct(twin, known), known, None, (first, until), rest)
@@ -133,11 +133,6 @@ def _rows(motion: Motion, begin: float, end: float | None) -> tuple[int, int]:
     if len(inside) < 2:
         raise ParameterError(f"from and to must have at least 2 samples between them, not {begin:g} and {final:g}")
     return int(inside[0]), int(inside[-1])
-
-
-def _cut(stretch: Stretch, first: int, last: int) -> Stretch:
-    names = ("tick", "time", "position", "command", "applied", "hand")
-    return replace(stretch, **{name: getattr(stretch, name)[first : last + 1] for name in names})
 
 
 def _run(

@@ -18,7 +18,7 @@ from maglev_mj.scenes.parts import INERTIA, WEIGHT
 from maglev_mj.session import wall_faces
 from maglev_mj.spec import GRAVITY
 
-__all__ = ["Known", "known_of"]
+__all__ = ["Known", "known_experiment", "known_of"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -75,7 +75,7 @@ def known_of(stretch: Stretch, laws: Sequence[Law]) -> Known:
     setup = stretch.setup
     kind, faces = setup["kind"], wall_faces(laws)
     if kind not in ("scene", "device"):
-        return _of_experiment(kind, setup["parameters"], faces)
+        return known_experiment(kind, setup["parameters"], faces)
     settings = Settings.from_json(setup["settings"])
     before = setup["wrench"] if kind == "scene" else stretch.applied[0, :6] if len(stretch.applied) else WEIGHT
     return Known(
@@ -94,7 +94,14 @@ def known_of(stretch: Stretch, laws: Sequence[Law]) -> Known:
     )
 
 
-def _of_experiment(kind: str, parameters: Mapping[str, Any], faces: Sequence[tuple[int, float, float]]) -> Known:
+def known_experiment(kind: str, parameters: Mapping[str, Any], faces: Sequence[tuple[int, float, float]] = ()) -> Known:
+    """Return what an experiment's parameters tell.
+
+    Args:
+        kind: Of the experiment.
+        parameters: Its parameters by name.
+        faces: Every wall: index into AXES, normal, edge.
+    """
     inertia, pushed = INERTIA.copy(), True
     inertia[:3] = parameters.get("mass", inertia[0])
     if kind == "press":

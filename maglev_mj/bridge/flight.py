@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple, Protocol
@@ -17,7 +18,7 @@ from maglev_mj.controller import Controller
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.loop import Answers, ControlLoop, Record
-from maglev_mj.recording import RecordingFile
+from maglev_mj.recording import Mechanics, RecordingError, RecordingFile
 from maglev_mj.scenes import Scene, Settings
 from maglev_mj.scenes.parts import WEIGHT
 from maglev_mj.session import Moment, Outlet, Outlets, stick_positions, wall_faces
@@ -78,6 +79,7 @@ class Flight:
         file: What every sample is recorded to; left open.
         watch: A window on it.
         outlets: Ways to other programs; left open.
+        warn: Called, once, with why the flight is not recorded any more.
 
     Attributes:
         read_at: When the last sample was there [ns].
@@ -95,6 +97,7 @@ class Flight:
         file: RecordingFile | None = None,
         watch: Watcher | None = None,
         outlets: Sequence[Outlet] = (),
+        warn: Callable[[str], object] | None = None,
     ) -> None:
         if settings.period != plant.period:
             raise ParameterError(f"period must be the device's {plant.period:g} s, not {settings.period:g}")
@@ -103,6 +106,9 @@ class Flight:
         self._stopped = threading.Event()
         self._wanted: Settings | None = None
         self._answer = Lateness()
+        self._force: Sequence[float] = WEIGHT
+        self._delays: deque[float] = deque(maxlen=max(round(1.0 / plant.period), 1))
+        self._warn, self._checked = warn, 0.0
         self.read_at = 0
 
     def run(self, duration: float | None = None) -> Flown:
@@ -149,7 +155,8 @@ class Flight:
         if self._file is not None:
             setup = {"kind": "device", "scene": self._scene.name, "settings": self._settings.as_json()}
             setup["calibration"] = self._plant.calibration.digest.hex()
-            record = self._file.begin(self._plant, controller, setup, delay=self._plant.delay)
+            mechanics, delay = Mechanics(before=self._force), self._plant.delay
+            record = self._file.begin(self._plant, controller, setup, delay=delay, mechanics=mechanics)
         if self._watch is not None:
             self._watch.settings = self._settings
             self._watch.faces = wall_faces(controller.laws)
@@ -164,23 +171,39 @@ class Flight:
 
         def observe(sample: Sample, applied: Command) -> None:
             self._answer.add(time.perf_counter_ns() - self.read_at)
+            self._force = applied.force
+            if self._warn is not None and self._file is not None:
+                self._check(self._file, self._warn)
             if self._watch is not None:
                 self._look(self._watch, sample, np.array(applied.force) - carried, anchors())
             self._outlets.show(lambda: self._moment(sample, np.array(applied.force) - carried, anchors()))
-            wanted = self._outlets.wanted()
+            self._delays.append(self._plant.last_delay)
+            wanted = self._outlets.wanted() if self._wanted is None else None
             if wanted is not None:  # rate and delay are the device's
                 self._wanted = replace(wanted, period=self._settings.period, delay=self._settings.delay)
 
         return observe
 
+    def _check(self, file: RecordingFile, warn: Callable[[str], object]) -> None:
+        """Once a second, say so if the recording has ended."""
+        now = time.monotonic()
+        if now < self._checked:
+            return
+        self._checked = now + 1.0
+        try:
+            file.check()
+        except RecordingError as error:
+            self._warn = None
+            warn(str(error))
+
     def _moment(self, sample: Sample, force: Array, anchors: Array | None) -> Moment:
-        """Return what other programs are told."""
+        """Return what other programs are told; the delay is the longest of the last second."""
         plant, samples = self._plant, self._plant.samples
         return Moment(
             scene=self._scene,
             settings=self._settings,
             since=self._since,
-            delay=plant.delay if math.isnan(plant.last_delay) else plant.last_delay,
+            delay=max((delay for delay in self._delays if not math.isnan(delay)), default=plant.delay),
             tick=samples.tick,
             time=float(samples.tick * plant.period),
             pose=list(sample.position),

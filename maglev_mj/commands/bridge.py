@@ -7,6 +7,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,14 +15,14 @@ import numpy as np
 
 from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.fault import HandshakeError
-from maglev_mj.bridge.flight import Flight, Flown
+from maglev_mj.bridge.flight import Flight
 from maglev_mj.bridge.identification import collect, excitation, identify
 from maglev_mj.bridge.link import open_link
 from maglev_mj.bridge.realtime import realtime
 from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.bridge.stopping import stopping
 from maglev_mj.commands.outlets import add_outlets, chosen_outlets
-from maglev_mj.errors import ParameterError
+from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.options import (
     add_bridge,
     add_recording,
@@ -93,34 +94,45 @@ def _bridge(options: argparse.Namespace) -> int:
         if options.identify is not None:
             return _identify(plant, options)
         settings = replace(wanted, period=plant.period, delay=plant.delay)
-        flown = _fly(plant, scene, settings, options, outlets)
-    print(flown_table(flown))
+        _fly(plant, scene, settings, options, outlets)
     return 0
 
 
 def _fly(
     plant: RemotePlant, scene: Scene, settings: Settings, options: argparse.Namespace, outlets: Sequence[Outlet]
-) -> Flown:
+) -> None:
     """Fly a scene; whatever ends it, first the device is let go, then what was recorded is kept."""
     with ExitStack() as last:
-        watch = None
+        watch: Watch | None = None
+
+        def warn(text: str) -> None:
+            print(f"  {text}", file=sys.stderr, flush=True)
+            if watch is not None:
+                watch.note = text
+
         if options.view:
             watch = Watch(scene.name, settings, options.out)
             watch.note = "the hand, the rate and the delay are the device's"
             last.callback(watch.close)
         file = None if options.record is None else open_recording(options.record)
         if file is not None:
-            last.callback(_keep, file)
-        flight = Flight(plant, scene, settings, file=file, watch=watch, outlets=outlets)
+            last.push(partial(_keep, file))
+        flight = Flight(plant, scene, settings, file=file, watch=watch, outlets=outlets, warn=warn)
         last.push(plant)  # first of all the device is let go
         with stopping(flight.stop), _punctual(options):
             print(f"  {scene.name} at {1.0 / plant.period:g} Hz; keep hands off while it takes off", flush=True)
-            return flight.run(options.seconds)
+            print(flown_table(flight.run(options.seconds)), flush=True)
 
 
-def _keep(file: RecordingFile) -> None:
-    """Write what is left of what was recorded."""
-    path = file.close()
+def _keep(file: RecordingFile, _kind: object, error: BaseException | None, _trace: object) -> None:
+    """Write what is left of what was recorded; what ended the flight is told of first."""
+    try:
+        path = file.close()
+    except MaglevError as problem:
+        if error is None:
+            raise
+        print(f"  {problem}", file=sys.stderr)
+        return
     print(f"  wrote {path}" if path is not None else "  nothing was recorded: it did not come to fly")
 
 

@@ -31,7 +31,8 @@ _STANDSTILL = 1.0
 def add_command(commands: Any) -> None:
     """Add the command to the parser's."""
     serve = commands.add_parser("serve-spacenav", help="a scene in a scripted hand as the 3D mouse of other programs")
-    serve.add_argument("scene", nargs="?", default="joystick", metavar="SCENE", help=f"one of {', '.join(SCENES)}")
+    scenes = f"one of {', '.join(SCENES)} (default joystick)"
+    serve.add_argument("scene", nargs="?", metavar="SCENE", help=scenes)
     add_spacenav(serve, always=True)
     serve.add_argument(
         "--from",
@@ -55,7 +56,9 @@ class _Again(Path):
 
 
 def _serve(options: argparse.Namespace) -> int:
-    scene = scene_called(options.scene)
+    if options.scene is not None and options.source is not None:
+        raise ParameterError(f"scene must be that of the stream with --from, not {options.scene!r}")
+    scene = scene_called(options.scene or "joystick")
     settings = chosen_settings(options, replace(scene.settings, friction=True))
     key = chosen_key(options.key)
     if key is not None and options.source is None:

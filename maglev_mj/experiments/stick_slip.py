@@ -19,7 +19,7 @@ from maglev_mj.laws import Hold
 from maglev_mj.loop import run
 from maglev_mj.parameters import axis_indices, number
 from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant, Sensor, Timing, engine_warnings_silenced
-from maglev_mj.spec import Spec
+from maglev_mj.spec import INERTIA, Spec
 from maglev_mj.trace import Trace
 
 __all__ = [
@@ -32,7 +32,6 @@ __all__ = [
 ]
 
 _MOST_TICKS = 1_000_000
-_INERTIA = [Spec.moving_mass.value] * 3 + [Spec.tilt_inertia.value] * 2 + [Spec.spin_inertia.value]
 
 _AT_TRANSLATION = {"spring": 1000.0, "target": 0.003, "stiffness": 6000.0, "damping": 80.0, "breakaway": 2.0}
 _AT_TRANSLATION["v_min"] = 0.005
@@ -110,7 +109,7 @@ class StickSlipParameters:
     @property
     def inertia(self) -> float:
         """Mass or moment of inertia on the axis [kg, kg m²]."""
-        return _INERTIA[AXES.index(self.axis)]
+        return INERTIA[AXES.index(self.axis)]
 
 
 class StickSlipSummary(NamedTuple):
@@ -238,7 +237,7 @@ def stick_slip_parts(
     spring = Hold(axes=p.axis, stiffness=p.spring or 0.0, damping=0.0, target=p.target or 0.0)
     index = AXES.index(p.axis)
     others = [name for name in AXES if name != p.axis]
-    hold = Hold.critically_damped(others, inertia=np.delete(_INERTIA, index), period=p.period, delay=p.delay)
+    hold = Hold.critically_damped(others, inertia=np.delete(INERTIA, index), period=p.period, delay=p.delay)
     controller = Controller([friction, spring, hold], period=p.period, velocity=VELOCITIES[p.velocity](p.quantize))
     ticks = max(math.ceil(p.duration / p.period + 1e-9), 1)
     return _plant(p, index, hand_force), controller, ticks

@@ -14,7 +14,7 @@ import numpy as np
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.recording.schemas import COLUMNS, flat
-from maglev_mj.recording.stretch import Recording
+from maglev_mj.recording.stretch import Recording, aside
 
 __all__ = ["EXPORTS", "ParquetMissingError", "export"]
 
@@ -34,11 +34,12 @@ def export(recording: Recording, kind: str, path: Path) -> None:
     Raises:
         ParameterError: If the kind is not known.
         ParquetMissingError: If Parquet is asked for, and the package for it is not installed.
-        OSError: If it cannot be written.
+        OSError: If it cannot be written; then what was there stays.
     """
     if kind not in EXPORTS:
         raise ParameterError(f"to must be one of {', '.join(EXPORTS)}, not {kind!r}")
-    EXPORTS[kind](recording, path)
+    with aside(path) as partial:
+        EXPORTS[kind](recording, partial)
 
 
 def _rows(recording: Recording) -> Iterator[list[float]]:

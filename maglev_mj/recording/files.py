@@ -12,7 +12,7 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.loop import Record
 from maglev_mj.recording.live import LiveFile
 from maglev_mj.recording.mcap_file import require_mcap
-from maglev_mj.recording.recorder import Felt, Recorder
+from maglev_mj.recording.recorder import Felt, Mechanics, Recorder
 from maglev_mj.recording.stretch import Recording, Setup
 
 __all__ = ["ArrayFile", "RecordingFile", "best_suffix", "check_name", "open_recording"]
@@ -23,8 +23,18 @@ _SUFFIXES = (".mcap", ".npz")
 class RecordingFile(Protocol):
     """What a run is recorded to."""
 
-    def begin(self, plant: Felt, controller: Controller, setup: Setup, *, delay: float) -> Record:
-        """Begin a stretch; return what the loop records it to."""
+    def begin(
+        self, plant: Felt, controller: Controller, setup: Setup, *, delay: float, mechanics: Mechanics | None = None
+    ) -> Record:
+        """Begin a stretch; return what the loop records it to.
+
+        Args:
+            plant: The plant that is driven.
+            controller: The controller that drives it.
+            setup: What both were made from.
+            delay: From a sample to its command taking effect [s].
+            mechanics: What the actuators push at; the device as published by default.
+        """
 
     def event(self, kind: str, text: str, missed: int = 0) -> None:
         """Keep what a person should know of, and how many samples were missed with it."""
@@ -63,7 +73,9 @@ class ArrayFile:
         stretches = [recorder.stretch() for recorder in self._recorders]
         return Recording([stretch for stretch in stretches if len(stretch.tick)], events=tuple(self._events))
 
-    def begin(self, plant: Felt, controller: Controller, setup: Setup, *, delay: float) -> Recorder:
+    def begin(
+        self, plant: Felt, controller: Controller, setup: Setup, *, delay: float, mechanics: Mechanics | None = None
+    ) -> Recorder:
         """Begin a stretch; return what the loop records it to."""
         self._recorders.append(Recorder(plant, setup))
         return self._recorders[-1]

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -13,7 +15,7 @@ from typing import Any
 from maglev_mj.controller import Controller
 from maglev_mj.loop import Record
 from maglev_mj.recording.mcap_file import about, require_mcap
-from maglev_mj.recording.recorder import Felt, carried_by
+from maglev_mj.recording.recorder import Felt, Mechanics, carried_by
 from maglev_mj.recording.ring import Ring
 from maglev_mj.recording.stretch import RecordingError, Setup
 from maglev_mj.workers import interrupts_held
@@ -21,13 +23,14 @@ from maglev_mj.workers import interrupts_held
 __all__ = ["LiveFile"]
 
 _PATIENCE = 60.0
+_WRITER = "maglev_mj.recording.writing"
 
 
 class LiveFile:
     """Writes an MCAP file: see `RecordingFile`.
 
     A tick costs a row put into memory that the other process reads. That process writes until this one closes the file,
-    or is gone.
+    or is gone. What was there under the name stays until there is a sample to take its place.
 
     Args:
         path: Where to.
@@ -35,26 +38,38 @@ class LiveFile:
 
     Raises:
         McapMissingError: If the package is not installed.
+        RecordingError: If this system is none for it, or has no memory left to share.
         OSError: If the file cannot be written.
     """
 
     def __init__(self, path: Path, *, wait: bool = False) -> None:
         require_mcap()
-        path.open("wb").close()
-        self._path = path
-        self._ring = Ring(wait=self.check if wait else None)
-        command = [sys.executable, "-m", "maglev_mj.recording.writing", str(self._ring.path), str(path)]
-        with interrupts_held():  # Ctrl-C ends the run, and the recording when the run says so
-            self._process = subprocess.Popen(
-                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=True
-            )
+        if not hasattr(os, "fork"):
+            raise RecordingError("recordings as MCAP need a POSIX system; .npz needs none")
+        self._path, self._closed = path, False
+        self._aside = path.with_name(f"{path.name}.{os.getpid()}.partial")
+        self._aside.open("wb").close()
+        try:
+            self._ring = _ring(self.check if wait else None)
+            self._process = self._start()
+        except BaseException:
+            self._aside.unlink(missing_ok=True)
+            raise
         self._result: Path | None = None
-        self._closed = False
 
-    def begin(self, plant: Felt, controller: Controller, setup: Setup, *, delay: float) -> Record:
+    def begin(
+        self, plant: Felt, controller: Controller, setup: Setup, *, delay: float, mechanics: Mechanics | None = None
+    ) -> Record:
         """Begin a stretch; return what the loop records it to."""
-        carried, began = carried_by(controller), time.time_ns()
-        self._say(begin=about(setup, period=controller.period, delay=delay, carried=carried, began=began))
+        what = about(
+            setup,
+            period=controller.period,
+            delay=delay,
+            carried=carried_by(controller),
+            began=time.time_ns(),
+            mechanics=mechanics or Mechanics(),
+        )
+        self._say(begin=what)
         return self._ring.record(plant)
 
     def event(self, kind: str, text: str, missed: int = 0) -> None:
@@ -85,7 +100,6 @@ class LiveFile:
         except (ValueError, subprocess.TimeoutExpired):
             self._process.kill()
             status = {"error": "its writer ended"}
-        self._ring.path.unlink(missing_ok=True)
         kept = self._ring.count
         self._ring.close()
         if status["error"]:
@@ -94,9 +108,22 @@ class LiveFile:
             raise RecordingError(f"{self._path} is not whole: {status['lost']} of {kept} samples came too fast")
         if kept:
             self._result = self._path
-        else:
-            self._path.unlink(missing_ok=True)
         return self._result
+
+    def _start(self) -> subprocess.Popen[str]:
+        ring = self._ring.descriptor
+        # modules come from where this process has them from, and not from the folder that it happens to be in
+        path = os.pathsep.join(entry or os.getcwd() for entry in sys.path)
+        with interrupts_held():  # Ctrl-C ends the run, and the recording when the run says so
+            return subprocess.Popen(
+                [sys.executable, "-P", "-m", _WRITER, str(ring), str(self._aside), str(self._path)],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                text=True,
+                start_new_session=True,
+                pass_fds=[ring],
+                env={**os.environ, "PYTHONPATH": path},
+            )
 
     def _say(self, **what: Any) -> None:
         """Tell the writer, before the next row is there."""
@@ -104,3 +131,10 @@ class LiveFile:
         with suppress(BrokenPipeError):  # it is gone: `check` and `close` say so
             self._process.stdin.write(json.dumps({"at": self._ring.count, **what}) + "\n")
             self._process.stdin.flush()
+
+
+def _ring(wait: Callable[[], object] | None) -> Ring:
+    try:
+        return Ring(wait=wait)
+    except OSError as error:
+        raise RecordingError(f"no memory to share with what writes a recording: {error.strerror}") from None

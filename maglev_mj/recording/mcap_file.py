@@ -10,7 +10,8 @@ import json
 import math
 import platform
 import struct
-from collections.abc import Iterable, Mapping, Sequence
+from array import array
+from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from importlib.util import find_spec
 from typing import IO, Any
@@ -22,10 +23,10 @@ from maglev_mj.errors import MaglevError
 from maglev_mj.frames import AXES, Array, Command, Sample
 from maglev_mj.metrics import PassivityObserver
 from maglev_mj.plants import Timing
+from maglev_mj.recording.recorder import Mechanics
 from maglev_mj.recording.ring import Row
 from maglev_mj.recording.schemas import CHANNELS, as_row, as_sample
-from maglev_mj.recording.stretch import Recording, RecordingError, Setup, Stretch, table
-from maglev_mj.spec import GRAVITY, Spec
+from maglev_mj.recording.stretch import Recording, RecordingError, Setup, Stretch
 
 __all__ = ["MAGIC", "About", "McapMissingError", "Scribe", "about", "read_mcap", "require_mcap"]
 
@@ -33,12 +34,10 @@ MAGIC = b"\x89MCAP0\r\n"
 """The first bytes of a file."""
 
 About = Mapping[str, Any]
-"""What a stretch is, ready for JSON: setup, period [s], delay [s], carried [N, N m], began [ns since 1970]."""
+"""What a stretch is, ready for JSON: see `about`."""
 
 _CHUNK = 8 * 1024  # about a dozen samples: at 50 Hz a quarter of a second
 _STRETCH, _SAMPLE, _EVENT = CHANNELS
-_INERTIA = [Spec.moving_mass.value] * 3 + [Spec.tilt_inertia.value] * 2 + [Spec.spin_inertia.value]
-_WEIGHT = np.array([0.0, 0.0, Spec.moving_mass.value * GRAVITY, 0.0, 0.0, 0.0])
 
 
 class McapMissingError(MaglevError):
@@ -55,7 +54,9 @@ def require_mcap() -> None:
         raise McapMissingError("recordings as MCAP need mcap: pip install 'maglev-mj[record]'")
 
 
-def about(setup: Setup, *, period: float, delay: float, carried: Sequence[float], began: int) -> About:
+def about(
+    setup: Setup, *, period: float, delay: float, carried: Sequence[float], began: int, mechanics: Mechanics
+) -> About:
     """Return what a stretch is.
 
     Args:
@@ -64,8 +65,10 @@ def about(setup: Setup, *, period: float, delay: float, carried: Sequence[float]
         delay: From a sample to its command taking effect [s].
         carried: Wrench that carries the flotor [N, N m], six.
         began: When, since 1970 [ns].
+        mechanics: What the actuators push at.
     """
-    return {"setup": dict(setup), "period": period, "delay": delay, "carried": list(carried), "began": began}
+    six = {name: np.broadcast_to(getattr(mechanics, name), 6).tolist() for name in ("inertia", "load", "before")}
+    return {"setup": dict(setup), "period": period, "delay": delay, "carried": list(carried), "began": began, **six}
 
 
 class Scribe:
@@ -81,13 +84,15 @@ class Scribe:
         self._file, self._writer = file, Writer(file, chunk_size=_CHUNK)
         self._writer.start(profile="", library=f"maglev_mj {maglev_mj.__version__}")
         self._channels = {topic: self._channel(topic, schema) for topic, schema in CHANNELS.items()}
-        self._stretch, self._tick, self._missed = -1, -1, 0
+        self._stretch, self._tick, self._missed = -1, 0, 0
         self._began = self._now = 0
+        self._first: float | None = None
+        self._said = 0  # messages, so that a reader knows whether some are missing
 
     def begin(self, what: About) -> None:
         """Begin a stretch."""
         self._stretch += 1
-        self._tick, self._missed = -1, 0
+        self._missed, self._first = 0, None
         # a run that is faster than real time must not lie over the next
         self._began = self._now = max(int(what["began"]), self._now + 1)
         self._energy = _Energy(what)
@@ -96,7 +101,7 @@ class Scribe:
             "setup": what["setup"],
             "period": what["period"],
             "delay": what["delay"],
-            "carried": dict(zip(AXES, what["carried"], strict=True)),
+            **{name: dict(zip(AXES, what[name], strict=True)) for name in ("carried", "inertia", "load", "before")},
             "versions": _versions(),
         }
         self._say(_STRETCH, named)
@@ -105,9 +110,11 @@ class Scribe:
         """Write a sample."""
         sample = as_sample(row)
         tick = sample["tick"]
+        if self._first is None:  # a device counts on from stretch to stretch
+            self._first, self._tick = row[1], tick - 1
         self._missed += max(tick - self._tick - 1, 0)
         self._tick = tick
-        self._now = max(self._now, self._began + round(row[1] * 1e9))
+        self._now = max(self._now, self._began + round((row[1] - self._first) * 1e9))
         self._energy.add(row)
         more = {"taken": self._energy.taken, "hand_work": self._energy.hand, "missed": self._missed}
         self._say(_SAMPLE, {"stretch": self._stretch, **sample, **more})
@@ -143,7 +150,9 @@ class Scribe:
         except ValueError:  # a command that is not finite, which the plant refused: JSON has no word for it
             text = json.dumps(_finite(message), allow_nan=False, separators=(",", ":"))
         data = text.encode()
-        self._writer.add_message(self._channels[topic], log_time=self._now, publish_time=self._now, data=data)
+        now, place = self._now, self._said
+        self._writer.add_message(self._channels[topic], log_time=now, publish_time=now, data=data, sequence=place)
+        self._said = (place + 1) & 0xFFFFFFFF
 
 
 def _finite(value: Any) -> Any:
@@ -159,7 +168,8 @@ class _Energy:
     def __init__(self, what: About) -> None:
         timing = Timing(period=what["period"], delay=what["delay"])
         self._carried = np.array(what["carried"])
-        self._observer = PassivityObserver(timing, _INERTIA, self._carried - _WEIGHT)
+        load, before = self._carried + what["load"], np.array(what["before"]) - self._carried
+        self._observer = PassivityObserver(timing, what["inertia"], load, before)
         self._pose: Array | None = None
         self._effort = np.zeros(6)
         self.hand = 0.0
@@ -195,46 +205,59 @@ def read_mcap(file: IO[bytes], name: str) -> Recording:
     """
     require_mcap()
     from mcap.exceptions import EndOfFile
-    from mcap.records import Channel, Footer, Message
+    from mcap.records import Channel, Footer, Message, Statistics
     from mcap.stream_reader import StreamReader
 
     topics: dict[int, str] = {}
-    found: list[tuple[str, dict[str, Any]]] = []
-    damage = "its end is missing"
+    found, damage = _Found(), "its end is missing"
     try:
         for record in StreamReader(file, validate_crcs=True).records:
             if isinstance(record, Channel):
                 topics[record.id] = record.topic
-            elif isinstance(record, Message):
-                found.append((topics[record.channel_id], json.loads(record.data)))
+            elif isinstance(record, Message) and topics[record.channel_id] in CHANNELS:
+                if record.sequence != found.count & 0xFFFFFFFF:
+                    raise ValueError("messages are missing")
+                found.take(topics[record.channel_id], json.loads(record.data))
+            elif isinstance(record, Statistics):
+                counted = sum(n for channel, n in record.channel_message_counts.items() if topics[channel] in CHANNELS)
+                if counted != found.count:
+                    raise ValueError(f"{counted - found.count} messages are missing")
             elif isinstance(record, Footer):
                 damage = ""
     except (EndOfFile, struct.error):
         pass
     except Exception as error:  # of the reader, of what decompresses, of JSON: what came before it is good
         damage = f"it is damaged: {error}"
-    try:
-        return _assembled(found, damage)
-    except (KeyError, TypeError, ValueError, AttributeError, IndexError):
-        raise RecordingError(f"{name!r} is not a whole recording{damage and f': {damage}'}") from None
+    if not found.setups:
+        raise RecordingError(f"{name!r} is not a whole recording{damage and f': {damage}'}")
+    return found.recording(damage)
 
 
-def _assembled(messages: Iterable[tuple[str, dict[str, Any]]], damage: str) -> Recording:
-    setups: list[Setup] = []
-    rows: list[list[list[float]]] = []
-    events: list[str] = []
-    for topic, message in messages:
+class _Found:
+    """What has been read so far; a sample is 40 numbers, for there may be many."""
+
+    def __init__(self) -> None:
+        self.setups: list[Setup] = []
+        self.count = 0
+        self._rows: list[array[float]] = []
+        self._events: list[str] = []
+
+    def take(self, topic: str, message: Mapping[str, Any]) -> None:
+        """Take one message."""
+        self.count += 1
         if topic == _STRETCH:
-            setups.append(message["setup"])
-            rows.append([])
+            self.setups.append(message["setup"])
+            self._rows.append(array("d"))
         elif topic == _SAMPLE:
-            rows[message["stretch"]].append(as_row(message))
+            self._rows[message["stretch"]].extend(as_row(message))
         elif topic == _EVENT:
-            events.append(f"{message['kind']}: {message['text']}")
-    if not setups:
-        raise ValueError("nothing")
-    stretches = [_stretch(setup, table(part, 40)) for setup, part in zip(setups, rows, strict=True)]
-    return Recording([stretch for stretch in stretches if len(stretch.tick)], events=events, damage=damage)
+            self._events.append(f"{message['kind']}: {message['text']}")
+
+    def recording(self, damage: str) -> Recording:
+        """Return it."""
+        rows = [np.array(part).reshape(-1, 40) for part in self._rows]
+        stretches = [_stretch(setup, part) for setup, part in zip(self.setups, rows, strict=True) if len(part)]
+        return Recording(stretches, events=self._events, damage=damage)
 
 
 def _stretch(setup: Setup, rows: Array) -> Stretch:

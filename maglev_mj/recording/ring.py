@@ -25,7 +25,7 @@ ROWS = 1 << 14
 """Rows in a ring: 8 s at 2 kHz, which is how long its reader may be away."""
 
 _ALWAYS = struct.Struct("=29d")
-_PULSES = struct.Struct("=14d")
+_PULSES = struct.Struct("=15d")
 _THERE = {"flags": mmap.MAP_SHARED | mmap.MAP_POPULATE} if hasattr(mmap, "MAP_POPULATE") else {}  # not in the tick
 _HEAD = 64  # bytes in front of the rows, the first eight of them the reader's place
 _PLACE = struct.Struct("=q")
@@ -45,18 +45,26 @@ class Ring:
         wait: Called again and again while the reader is a whole ring behind; None for not to wait, and to lose rows.
 
     Attributes:
-        path: Of the memory, for the reader, who removes it.
+        descriptor: Of the memory, for the reader; it has no name that could outlive both.
         count: Rows put in so far.
+
+    Raises:
+        OSError: If there is no room for it.
     """
 
     def __init__(self, *, wait: Callable[[], object] | None = None) -> None:
-        shared = Path("/dev/shm")
-        descriptor, name = tempfile.mkstemp(prefix="maglev-ring-", dir=shared if shared.is_dir() else None)
-        self.path, self.count, self._wait = Path(name), 0, wait
-        with os.fdopen(descriptor, "r+b") as file:
-            file.truncate(_HEAD + ROWS * (_ALWAYS.size + _PULSES.size))
-            self._memory = mmap.mmap(file.fileno(), 0, **_THERE)
-        _PLACE.pack_into(self._memory, 0, 0)
+        shared, size = Path("/dev/shm"), _HEAD + ROWS * (_ALWAYS.size + _PULSES.size)
+        self.count, self._wait = 0, wait
+        self._file = tempfile.TemporaryFile(dir=shared if shared.is_dir() else None)
+        try:
+            if hasattr(os, "posix_fallocate"):  # a page that is not to be had would end the process at its first use
+                os.posix_fallocate(self._file.fileno(), 0, size)
+            self._file.truncate(size)
+            self._memory = mmap.mmap(self._file.fileno(), size, **_THERE)
+        except BaseException:
+            self._file.close()
+            raise
+        self.descriptor = self._file.fileno()
 
     def record(self, plant: Felt) -> Record:
         """Return what puts in a row a cycle.
@@ -76,7 +84,7 @@ class Ring:
             if extra is not None or after is not None:
                 pulsed = 1.0
                 widths = command.pulse_width if extra else 0.0, applied.pulse_width if after else 0.0
-                pulses(memory, _BEHIND + place * _PULSES.size, *(extra or ZERO), *(after or ZERO), *widths)
+                pulses(memory, _BEHIND + place * _PULSES.size, *(extra or ZERO), *(after or ZERO), *widths, number)
             always(
                 memory,
                 _HEAD + place * size,
@@ -99,6 +107,7 @@ class Ring:
     def close(self) -> None:
         """Let go of the memory; a second time does nothing."""
         self._memory.close()
+        self._file.close()
 
     def _let_catch_up(self, wait: Callable[[], object]) -> None:
         while self.count - _PLACE.unpack_from(self._memory, 0)[0] > ROWS - 2 * _LOOKED_AFTER:
@@ -110,24 +119,23 @@ class RowReader:
     """The end that takes rows out.
 
     Args:
-        path: Of the memory.
+        descriptor: Of the memory; left open.
 
     Attributes:
         lost: Rows that were overwritten before they were read.
     """
 
-    def __init__(self, path: Path) -> None:
-        with path.open("r+b") as file:
-            self._memory = mmap.mmap(file.fileno(), 0)
-        path.unlink()
+    def __init__(self, descriptor: int) -> None:
+        self._memory = mmap.mmap(descriptor, 0)
         self._place, self.lost = 0, 0
 
     def rows(self) -> Iterator[tuple[int, Row]]:
         """Yield the rows that are there, each with its place in the run, from 0."""
         while True:
             place = self._place & _MASK
-            start = _HEAD + place * _ALWAYS.size
-            values = _ALWAYS.unpack_from(self._memory, start)
+            start, end = _HEAD + place * _ALWAYS.size, _HEAD + (place + 1) * _ALWAYS.size
+            data = self._memory[start:end]
+            values = _ALWAYS.unpack(data)
             first = int(values[0])
             if first < self._place + 1 or values[-1] != first:
                 break
@@ -135,8 +143,12 @@ class RowReader:
                 self._place += 1
                 self.lost += 1
                 continue
-            pulses = _PULSES.unpack_from(self._memory, _BEHIND + place * _PULSES.size) if values[1] else (0.0,) * 14
-            if _ALWAYS.unpack_from(self._memory, start) != values:
+            pulses = [0.0] * 14
+            if values[1]:
+                *pulses, number = _PULSES.unpack_from(self._memory, _BEHIND + place * _PULSES.size)
+                if number != first:
+                    continue  # it is being overwritten
+            if self._memory[start:end] != data:
                 continue  # it was overwritten meanwhile
             self._place = first
             _PLACE.pack_into(self._memory, 0, first)

@@ -14,6 +14,7 @@ __all__ = ["CHANNELS", "COLUMNS", "as_row", "as_sample", "flat"]
 _UNITS = {
     "pose": ("m", "rad"),
     "wrench": ("N", "N m"),
+    "inertia": ("kg", "kg m²"),
 }
 
 _SIX: Mapping[str, tuple[str, str]] = {
@@ -40,11 +41,11 @@ def _whole(says: str) -> dict[str, str]:
     return {"type": "integer", "description": says}
 
 
-_WHICH = {"stretch": _whole("number of the stretch, from 0"), "tick": _whole("sample number in the stretch")}
+_WHICH = {"stretch": _whole("number of the stretch, from 0"), "tick": _whole("sample number, as the plant counts")}
 
 _SAMPLE = {
     **_WHICH,
-    "time": _number("s", "since the start of the stretch"),
+    "time": _number("s", "of the sample, as the plant counts: a device counts on from stretch to stretch"),
     **{name: _six(kind, says) for name, (kind, says) in _SIX.items()},
     "pulse_width": _number("s", "how long the pulse is asked for"),
     "applied_pulse_width": _number("s", "how long the pulse lasts"),
@@ -62,12 +63,15 @@ _STRETCH = {
     "period": _number("s", "sample period"),
     "delay": _number("s", "from a sample to its command taking effect"),
     "carried": _six("wrench", "what carries the flotor"),
+    "inertia": _six("inertia", "what the actuators push at, for `taken`"),
+    "load": _six("wrench", "what acts besides, its weight, for `taken`"),
+    "before": _six("wrench", "what the actuators give until the first command takes effect"),
     "versions": {"type": "object", "description": "of the programs that made it"},
 }
 
 _EVENT = {
     **_WHICH,
-    "kind": {"type": "string", "description": "fault, missed, lost or note"},
+    "kind": {"type": "string", "description": "fault, missed or lost"},
     "text": {"type": "string", "description": "what happened"},
 }
 

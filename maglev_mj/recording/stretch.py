@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
-import zipfile
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -14,7 +15,7 @@ import numpy as np
 from maglev_mj.errors import MaglevError
 from maglev_mj.frames import AXES, Array
 
-__all__ = ["Recording", "RecordingError", "Setup", "Stretch", "table"]
+__all__ = ["Recording", "RecordingError", "Setup", "Stretch", "aside", "table"]
 
 _FORMAT = "maglev_mj recording 1"
 _COLUMNS = {"tick": 0, "time": 0, "position": 6, "command": 13, "applied": 13, "hand": 6}
@@ -51,6 +52,10 @@ class Stretch:
     applied: Array
     hand: Array
 
+    def part(self, first: int, last: int) -> Stretch:
+        """Return the samples from one row to another, both included."""
+        return replace(self, **{name: getattr(self, name)[first : last + 1] for name in _COLUMNS})
+
 
 @dataclass(frozen=True, eq=False)
 class Recording:
@@ -79,11 +84,8 @@ class Recording:
         }
         setups = [dict(stretch.setup) for stretch in self.stretches]
         header = {"format": _FORMAT, "axes": AXES, "setups": setups, "events": list(self.events)}
-        path = Path(path)
-        partial = path.with_name(path.name + ".partial")
-        with partial.open("wb") as file:
+        with aside(Path(path)) as partial, partial.open("wb") as file:
             np.savez(file, header=np.array(json.dumps(header)), **arrays)
-        partial.replace(path)
 
     @classmethod
     def load(cls, path: Path) -> Recording:
@@ -117,7 +119,9 @@ class Recording:
                 ]
         except OSError as error:
             raise RecordingError(f"recording {str(path)!r} cannot be read: {error.strerror or error}") from None
-        except (ValueError, KeyError, TypeError, AttributeError, EOFError, zipfile.BadZipFile):
+        except RecordingError:
+            raise
+        except Exception:  # of zip files, of what decompresses, of headers: a damaged one fails in many ways
             raise RecordingError(f"{str(path)!r} is not a whole recording") from None
         if any(len({len(getattr(stretch, name)) for name in _COLUMNS}) > 1 for stretch in stretches):
             raise RecordingError(f"{str(path)!r} is not a whole recording")
@@ -127,6 +131,17 @@ class Recording:
     def ticks(self) -> int:
         """Samples in all."""
         return sum(len(stretch.tick) for stretch in self.stretches)
+
+
+@contextmanager
+def aside(path: Path) -> Iterator[Path]:
+    """Return a name to write to; once that is done it takes the place of `path`, and if it fails nothing is left."""
+    partial = path.with_name(f"{path.name}.{os.getpid()}.partial")
+    try:
+        yield partial
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
 
 
 def table(rows: Sequence[Any], columns: int) -> Array:

@@ -10,7 +10,7 @@ import os
 import sys
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -43,8 +43,8 @@ class _Orders:
             self.waiting.extend(json.loads(line) for line in lines)
 
 
-def _write(ring: RowReader, orders: _Orders, scribe: Scribe) -> None:
-    """Write until the pipe ends."""
+def _write(ring: RowReader, orders: _Orders, scribe: Scribe, first: Callable[[], object]) -> None:
+    """Write until the pipe ends; call `first` at the first row."""
 
     def obey(place: int) -> None:
         while orders.waiting and orders.waiting[0]["at"] <= place:
@@ -59,6 +59,8 @@ def _write(ring: RowReader, orders: _Orders, scribe: Scribe) -> None:
         over = orders.over
         rows = list(ring.rows())  # before what is said, for what is said of a row comes before it
         orders.listen()
+        if rows and place == 0:
+            first()
         for place, row in rows:
             obey(place)
             scribe.row(row)
@@ -72,16 +74,17 @@ def _write(ring: RowReader, orders: _Orders, scribe: Scribe) -> None:
 
 
 def main() -> None:
-    """Write a recording: the ring and the file are named on the command line."""
-    ring, path = RowReader(Path(sys.argv[1])), Path(sys.argv[2])
+    """Write a recording; the command line names the ring, a file to begin with, and the name that it gets then."""
+    ring, aside, path = RowReader(int(sys.argv[1])), Path(sys.argv[2]), Path(sys.argv[3])
     error = ""
     try:
-        with path.open("wb") as file:
+        with aside.open("wb") as file:
             scribe = Scribe(file)
-            _write(ring, _Orders(sys.stdin.fileno()), scribe)
+            _write(ring, _Orders(sys.stdin.fileno()), scribe, lambda: aside.replace(path))
             if ring.lost:
-                scribe.event("lost", f"{ring.lost} samples came too fast to be written", ring.lost)
+                scribe.event("lost", f"{ring.lost} samples came too fast to be written")
             scribe.close()
+        aside.unlink(missing_ok=True)  # there was no row
     except OSError as problem:
         error = problem.strerror or str(problem)
     with suppress(BrokenPipeError):  # nobody is there any more, and the file is whole

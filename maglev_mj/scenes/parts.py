@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from maglev_mj import spec
 from maglev_mj.frames import AXES, Array
 from maglev_mj.laws import Bias, Hold, Law, StickSlip, Wall
 from maglev_mj.parameters import axis_indices
@@ -20,7 +21,7 @@ __all__ = ["INERTIA", "MASS", "WEIGHT", "friction", "hold", "shared", "spring", 
 MASS = Spec.moving_mass.value
 """Moving mass [kg]."""
 
-INERTIA = np.array([MASS] * 3 + [Spec.tilt_inertia.value] * 2 + [Spec.spin_inertia.value])
+INERTIA = np.array(spec.INERTIA)
 """Mass and moments of inertia of the six axes [kg, kg m²]."""
 
 WEIGHT = (0.0, 0.0, MASS * GRAVITY, 0.0, 0.0, 0.0)

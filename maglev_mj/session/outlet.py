@@ -23,7 +23,7 @@ class Moment:
         scene: The scene.
         settings: What it runs under.
         since: Tick from which on it does.
-        delay: From a sample to its command taking effect [s]: as it was measured, where it is.
+        delay: From a sample to its command taking effect [s]: where it is measured, the longest of the last second.
         tick: Samples answered so far.
         time: Since the start [s].
         pose: Of the flotor [m, rad], six.

@@ -10,7 +10,7 @@ import numpy as np
 from maglev_mj.frames import ZERO, Array, Command, Sample
 from maglev_mj.hand import HandForce
 from maglev_mj.loop import ControlLoop
-from maglev_mj.recording import RecordingFile
+from maglev_mj.recording import Mechanics, RecordingFile
 from maglev_mj.scenes import Scene, Settings
 from maglev_mj.scenes.parts import WEIGHT
 from maglev_mj.session.energy import EnergyAccount
@@ -68,7 +68,10 @@ class LiveStretch:
         setup = scene_setup(scene, settings, pose, twist, wrench)
         self.plant = scene.plant(settings, pose=pose, twist=twist, wrench=wrench, hand_force=hand)
         self.controller = scene.controller(settings)
-        record = None if file is None else file.begin(self.plant, self.controller, setup, delay=settings.delay)
+        record = None
+        if file is not None:
+            mechanics = Mechanics(before=wrench)
+            record = file.begin(self.plant, self.controller, setup, delay=settings.delay, mechanics=mechanics)
         self._carried = np.array(WEIGHT if settings.weightless else ZERO)
         self.energy = EnergyAccount(np.array(pose), self._carried)
         self.faces = wall_faces(self.controller.laws)

@@ -162,8 +162,9 @@ class SpacenavServer:
         def tell(client: _Client) -> bool:
             if not (client.awaits(axes) and client.listens(now)):
                 return True
-            self.sent += 1
-            return client.tell(axes, now)
+            told = client.tell(axes, now)
+            self.sent += told
+            return told
 
         self._each(tell)
 

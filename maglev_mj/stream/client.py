@@ -6,11 +6,13 @@ import secrets
 import time
 from collections import deque
 from collections.abc import Iterator, Mapping
+from types import NoneType
 from typing import Any, NamedTuple, Self
 
 from maglev_mj.bridge.addresses import check_host, parse_url
 from maglev_mj.bridge.link import UdpLink
 from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.frames import AXES
 from maglev_mj.parameters import number
 from maglev_mj.scenes import Settings, scene_called
 from maglev_mj.session import Moment
@@ -20,6 +22,20 @@ from maglev_mj.stream.stream import URL
 
 __all__ = ["Answer", "StreamClient", "StreamError"]
 
+_NEEDED: Mapping[str, Mapping[str, Any]] = {
+    "pose": {
+        **{name: dict for name in ("pose", "force", "hand")},
+        **{name: int for name in ("session", "tick", "missed", "settings_since")},
+        **{"time": (int, float), "state": str, "reason": str, "stuck": (dict, NoneType)},
+    },
+    "description": {"session": int, "scene": str, "settings": dict},
+    "refused": {"reason": str, "figures": (dict, NoneType)},
+    "accepted": {"tick": int},
+    "in force": {"tick": int},
+}
+"""What is in messages that are taken apart here."""
+
+_SIX = ("pose", "force", "hand", "stuck")
 _AGAIN = 0.25
 _SOON = 0.05
 _RENEW = 1.5
@@ -138,10 +154,13 @@ class StreamClient:
         """Yield what `poses` does as moments, under the settings that were in force at the beginning.
 
         Raises:
-            StreamError: As for `poses`.
+            StreamError: As for `poses`; if the scene or its settings are not known here.
         """
         told = self.describe()
-        scene, settings = scene_called(told["scene"]), Settings.from_json(told["settings"])
+        try:
+            scene, settings = scene_called(told["scene"]), Settings.from_json(told["settings"])
+        except ParameterError as error:
+            raise StreamError(f"{self._url} shows what is not known here: {error}") from None
         for pose in self.poses():
             yield moment_told(pose, scene, settings)
 
@@ -186,6 +205,9 @@ class StreamClient:
         said = None if data is None else self._datagrams.decode(data)
         if said is None:
             return None
+        if not _plausible(said):
+            self.dropped["json"] += 1
+            return None
         foreign = said.get("session") != self._session
         if self._datagrams.keyed and foreign and said["type"] != "description":
             self.dropped["session"] += 1
@@ -201,3 +223,14 @@ class StreamClient:
             return None
         self._ended = self._ended or said["type"] == "end"
         return said
+
+
+def _plausible(said: Message) -> bool:
+    """Whether a message is one that a stream says: anybody may answer at an address."""
+    kind = said.get("type")
+    if not isinstance(kind, str):
+        return False
+    if not all(isinstance(said.get(name), wanted) for name, wanted in _NEEDED.get(kind, {}).items()):
+        return False
+    six = [said[name] for name in _SIX if kind == "pose" and said[name] is not None]
+    return all(isinstance(part.get(axis), (int, float, NoneType)) for part in six for axis in AXES)
