@@ -1,21 +1,29 @@
 """Programs that a command lets in: a pose stream and a 3D mouse on a device, one from the other, and their options."""
 
+import json
 import re
 import signal
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from mcap.reader import make_reader
 
+from maglev_mj.bridge import RemotePlant, Twin, TwinParameters
+from maglev_mj.bridge.flight import Flight
+from maglev_mj.bridge.impair import Impairment
+from maglev_mj.bridge.virtual import VirtualLink
 from maglev_mj.cli import main
-from maglev_mj.recording import Recording
-from maglev_mj.scenes import scene_called
+from maglev_mj.recording import Recording, RecordingError, open_recording
+from maglev_mj.scenes import Settings, scene_called
 from maglev_mj.session import Moment, Outlets
 from maglev_mj.stream import StreamClient
 from tests.test_bridge_processes import COMMAND, ended, said_by, twin
@@ -196,3 +204,97 @@ def test_outlets_are_told_sixty_times_a_second_and_asked_every_tick() -> None:
     assert outlets.wanted() is scene.settings and outlets.wanted() is None
     outlets.close()
     assert told[0].closed and told[1].closed
+
+
+class Asks:
+    """An outlet that asks for settings, and keeps what it is told."""
+
+    def __init__(self, *wanted: Settings) -> None:
+        self._waiting, self.wanted = list(wanted), None
+        self.moments: list[Moment] = []
+
+    wanted: Settings | None
+
+    def show(self, moment: Moment) -> None:
+        self.moments.append(moment)
+        if self._waiting and len(self.moments) % 3 == 0:
+            self.wanted = self._waiting.pop(0)
+
+    def close(self) -> None: ...
+
+
+def flight(**options: Any) -> tuple[Flight, RemotePlant]:
+    """Return a flight on a virtual twin, which takes off at once."""
+    plant = RemotePlant(VirtualLink(Twin(TwinParameters(), draw=lambda: 7), Impairment(jitter=0.001)))
+    scene = scene_called("joystick")
+    return Flight(plant, scene, replace(scene.settings, period=plant.period, delay=plant.delay), **options), plant
+
+
+def slow() -> Callable[[], float]:
+    """Return a clock that goes by a frame a call, for virtual time does not wait."""
+    now = iter(range(10**9))
+    return lambda: next(now) / 60.0
+
+
+def test_a_flight_is_recorded_through_changes_as_one_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Settings from outside: what is missed and when counts on from change to change, for a device does."""
+    monkeypatch.setattr(Outlets.__init__, "__defaults__", ((), slow()))
+    wishes = [Settings(friction=True), Settings(stiffness=4000.0)]
+    asks, file = Asks(*wishes), open_recording(tmp_path / "run.mcap")
+    flown, plant = flight(outlets=[asks], file=file)
+    with plant:
+        flown.run(0.5)
+    file.close()
+    recording = Recording.load(tmp_path / "run.mcap")
+    assert [stretch.setup["settings"]["friction"] for stretch in recording.stretches] == [False, True, False]
+    ticks = np.concatenate([stretch.tick for stretch in recording.stretches])
+    assert (np.diff(ticks) >= 1).all() and ticks[0] > 100  # it counts from takeoff on
+    for before, after in zip(asks.moments, asks.moments[1:], strict=False):
+        assert after.tick - before.tick <= 3
+    since = [next(one.since for one in asks.moments if one.settings.friction == on) for on in (False, True)]
+    assert since[1] - asks.moments[2].tick <= 2
+    with (tmp_path / "run.mcap").open("rb") as opened:
+        read = [
+            (message.log_time, json.loads(message.data))
+            for _, _, message in make_reader(opened).iter_messages(topics=["/maglev/sample"])
+        ]
+    firsts = [next(said for _, said in read if said["stretch"] == place) for place in range(3)]
+    assert [said["missed"] for said in firsts] == [0, 0, 0]
+    for place in range(3):
+        logged = [(when, said["tick"]) for when, said in read if said["stretch"] == place]
+        for when, tick in logged:
+            assert (when - logged[0][0]) * 1e-9 == pytest.approx((tick - logged[0][1]) * plant.period, abs=1e-6)
+
+
+def test_the_delay_that_is_told_is_the_usual_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Outlets.__init__, "__defaults__", ((), slow()))
+    asks = Asks()
+    flown, plant = flight(outlets=[asks])
+    measured: list[float] = []
+    with plant:
+        read = plant.read
+
+        def noted() -> Any:
+            sample = read()
+            measured.append(plant.last_delay)
+            return sample
+
+        monkeypatch.setattr(plant, "read", noted)
+        flown.run(1.5)
+    landing = round(0.6 / plant.period)
+    last = [delay for delay in measured[: -landing - 1] if delay == delay][-100:]
+    assert asks.moments[-1].delay == pytest.approx(np.median(last), abs=2e-5)
+    assert plant.delay + 1e-4 < np.median(last) < max(last) - 1e-4
+
+
+def test_a_flight_whose_recording_ends_says_so_and_goes_on(tmp_path: Path) -> None:
+    said: list[str] = []
+    file: Any = open_recording(tmp_path / "run.mcap")
+    flown, plant = flight(file=file, warn=said.append)
+    file._process.kill()
+    file._process.wait()
+    with plant:
+        assert flown.run(0.5).ticks == 100
+    assert len(said) == 1 and "is not written any more" in said[0]
+    with pytest.raises(RecordingError):
+        file.close()

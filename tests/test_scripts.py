@@ -86,7 +86,7 @@ def test_bench_loop_prints_its_ratios() -> None:
 
 def test_bench_recording_prints_what_a_tick_costs() -> None:
     out = run_script("bench_recording.py", "--quick")
-    assert "recorded to .mcap, in shared memory" in out and "samples a second" in out
+    assert "recorded to .mcap, into shared memory" in out and "samples a second" in out
 
 
 def test_the_example_of_a_recording_runs(tmp_path: Path) -> None:

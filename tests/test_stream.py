@@ -32,7 +32,7 @@ from maglev_mj.session import Moment, Pacer, Session, refusal
 from maglev_mj.stability import is_stable, largest_modulus, largest_stable_stiffness
 from maglev_mj.stream import PoseStream, StreamClient, StreamError
 from maglev_mj.stream.datagrams import MOST_ANSWERED, MOST_ASKED, Datagrams, Guard
-from maglev_mj.stream.messages import SETTABLE
+from maglev_mj.stream.messages import SETTABLE, description, pose_message
 from maglev_mj.stream.stream import MOST_SUBSCRIBERS, SUBSCRIBED
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -710,11 +710,12 @@ def test_a_client_skips_poses_that_are_old_or_of_another_session() -> None:
         with StreamClient(f"udp://127.0.0.1:{fake.getsockname()[1]}", key=KEY) as client:
 
             def serve() -> None:
-                for kind in ("description", "subscribed"):
+                told = description(moment(), 8, None)
+                for message in (told, {"type": "subscribed", "session": 8}):
                     data, address = fake.recvfrom(2048)
-                    fake.sendto(tagged({"type": kind, "session": 8, "id": untagged(data)["id"]}), address)
+                    fake.sendto(tagged({**message, "id": untagged(data)["id"]}), address)
                 for session, tick in ((8, 5), (8, 4), (9, 6), (8, 6), (8, 5), (8, 7)):
-                    fake.sendto(tagged({"type": "pose", "session": session, "tick": tick}), address)
+                    fake.sendto(tagged(pose_message(moment(tick=tick), session)), address)
 
             server = threading.Thread(target=serve)
             server.start()
@@ -722,6 +723,59 @@ def test_a_client_skips_poses_that_are_old_or_of_another_session() -> None:
             assert [next(poses)["tick"] for _ in range(3)] == [5, 6, 7]
             server.join()
             assert client.dropped == {"old": 2, "session": 1}
+
+
+@pytest.mark.parametrize(
+    "alien",
+    [
+        {},
+        {"type": 3},
+        {"type": "description", "session": 8, "settings": {}},
+        {"type": "pose", "session": 8},
+        {**pose_message(moment(), 8), "pose": {"x": 0.0}},
+        {**pose_message(moment(), 8), "force": dict.fromkeys(AXES, "strong")},
+        {**pose_message(moment(), 8), "tick": None},
+    ],
+)
+def test_what_no_stream_says_is_dropped(alien: dict[str, Any]) -> None:
+    """Anybody may answer at an address: what cannot be taken apart is counted, and what can is yielded."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as fake:
+        fake.bind(("127.0.0.1", 0))
+        fake.settimeout(5.0)
+        with StreamClient(f"udp://127.0.0.1:{fake.getsockname()[1]}") as client:
+
+            def serve() -> None:
+                for message in (description(moment(), 8, None), description(moment(), 8, None), {"type": "subscribed"}):
+                    data, address = fake.recvfrom(2048)
+                    fake.sendto(json.dumps(alien).encode(), address)
+                    fake.sendto(json.dumps({**message, "id": json.loads(data)["id"]}).encode(), address)
+                fake.sendto(json.dumps(alien).encode(), address)
+                fake.sendto(json.dumps(pose_message(moment(tick=7), 8)).encode(), address)
+
+            server = threading.Thread(target=serve)
+            server.start()
+            seen = next(client.moments())
+            server.join()
+            assert seen.tick == 7 and seen.scene.name == "joystick"
+            assert client.dropped["json"] >= 2
+
+
+def test_a_scene_that_is_not_known_here_is_one_line() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as fake:
+        fake.bind(("127.0.0.1", 0))
+        fake.settimeout(5.0)
+        with StreamClient(f"udp://127.0.0.1:{fake.getsockname()[1]}") as client:
+
+            def serve() -> None:
+                data, address = fake.recvfrom(2048)
+                told = {**description(moment(), 8, json.loads(data)["id"]), "scene": "pinball"}
+                fake.sendto(json.dumps(told).encode(), address)
+
+            server = threading.Thread(target=serve)
+            server.start()
+            with pytest.raises(StreamError, match="shows what is not known here: scene must be one of"):
+                next(client.moments())
+            server.join()
 
 
 # what is no request

@@ -8,6 +8,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from statistics import median
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -25,6 +26,9 @@ from maglev_mj.session import Moment, Outlet, Outlets, stick_positions, wall_fac
 from maglev_mj.session.actions import CHANGES
 
 __all__ = ["Flight", "Flown", "Watcher"]
+
+_USUAL = 100
+"""Answers whose median is the usual delay: one early or late answer makes no loop stable or unstable."""
 
 _FIXED = ("rate up", "rate down", "delay up", "delay down")
 """What the device decides."""
@@ -107,7 +111,7 @@ class Flight:
         self._wanted: Settings | None = None
         self._answer = Lateness()
         self._force: Sequence[float] = WEIGHT
-        self._delays: deque[float] = deque(maxlen=max(round(1.0 / plant.period), 1))
+        self._delays: deque[float] = deque(maxlen=_USUAL)
         self._warn, self._checked = warn, 0.0
         self.read_at = 0
 
@@ -177,7 +181,8 @@ class Flight:
             if self._watch is not None:
                 self._look(self._watch, sample, np.array(applied.force) - carried, anchors())
             self._outlets.show(lambda: self._moment(sample, np.array(applied.force) - carried, anchors()))
-            self._delays.append(self._plant.last_delay)
+            if not math.isnan(self._plant.last_delay):
+                self._delays.append(self._plant.last_delay)
             wanted = self._outlets.wanted() if self._wanted is None else None
             if wanted is not None:  # rate and delay are the device's
                 self._wanted = replace(wanted, period=self._settings.period, delay=self._settings.delay)
@@ -197,13 +202,13 @@ class Flight:
             warn(str(error))
 
     def _moment(self, sample: Sample, force: Array, anchors: Array | None) -> Moment:
-        """Return what other programs are told; the delay is the longest of the last second."""
+        """Return what other programs are told; the delay is the usual one of late."""
         plant, samples = self._plant, self._plant.samples
         return Moment(
             scene=self._scene,
             settings=self._settings,
             since=self._since,
-            delay=max((delay for delay in self._delays if not math.isnan(delay)), default=plant.delay),
+            delay=median(self._delays or [plant.delay]),
             tick=samples.tick,
             time=float(samples.tick * plant.period),
             pose=list(sample.position),

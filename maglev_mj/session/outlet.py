@@ -23,7 +23,7 @@ class Moment:
         scene: The scene.
         settings: What it runs under.
         since: Tick from which on it does.
-        delay: From a sample to its command taking effect [s]: where it is measured, the longest of the last second.
+        delay: From a sample to its command taking effect [s]: where it is measured, the median of the last 100.
         tick: Samples answered so far.
         time: Since the start [s].
         pose: Of the flotor [m, rad], six.

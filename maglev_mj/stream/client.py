@@ -233,4 +233,4 @@ def _plausible(said: Message) -> bool:
     if not all(isinstance(said.get(name), wanted) for name, wanted in _NEEDED.get(kind, {}).items()):
         return False
     six = [said[name] for name in _SIX if kind == "pose" and said[name] is not None]
-    return all(isinstance(part.get(axis), (int, float, NoneType)) for part in six for axis in AXES)
+    return all(axis in part and isinstance(part[axis], (int, float, NoneType)) for part in six for axis in AXES)
