@@ -100,8 +100,11 @@ def record_experiment(kind: str, parameters: Any) -> Recording:
     return file.recording
 
 
-def write_experiment(path: Path, kind: str, parameters: Any) -> None:
+def write_experiment(path: Path, kind: str, parameters: Any) -> list[Path]:
     """Run an experiment and record it to a file, of .mcap or .npz; where it fails, up to there.
+
+    Returns:
+        The file that was written, which is elsewhere where its own folder did not take it; none without a sample.
 
     Raises:
         ParameterError: If the file is of neither kind.
@@ -112,7 +115,8 @@ def write_experiment(path: Path, kind: str, parameters: Any) -> None:
     try:
         _run_into(file, kind, parameters)
     finally:
-        file.close()
+        written = file.close()
+    return [] if written is None else [written]
 
 
 def _run_into(file: RecordingFile, kind: str, parameters: Any) -> None:

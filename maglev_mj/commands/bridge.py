@@ -87,7 +87,7 @@ def _bridge(options: argparse.Namespace) -> int:
         from maglev_mj.viewer.window import require_display
 
         require_display()
-    # outlets first: they are let go when the device is
+    # outlets first: what is wrong with them is said before the device moves
     with chosen_outlets(options) as outlets, _opened(options, calibration, key) as plant:
         if options.reset:
             plant.reset()

@@ -60,8 +60,7 @@ def _add_drop_options(parser: argparse.ArgumentParser) -> None:
 def _drop(options: argparse.Namespace) -> int:
     parameters = DropParameters(**{field.name: getattr(options, field.name) for field in fields(DropParameters)})
     check_recording(options.record)
-    if options.record is not None:
-        write_experiment(options.record, "drop", parameters)
+    recorded = [] if options.record is None else write_experiment(options.record, "drop", parameters)
     try:
         study = _DropStudy(parameters, options.phases, alone=options.json == "-" and options.out is None)
     except DivergenceError as error:
@@ -75,7 +74,7 @@ def _drop(options: argparse.Namespace) -> int:
     pictures = [] if options.out is None else study.draw(options.out)
     if options.json != "-":
         print(drop_table(study.labels, study.results, study.sweeps, study.gap()))
-        for path in pictures:
+        for path in [*recorded, *pictures]:
             print(f"  wrote {path}")
     return 0
 

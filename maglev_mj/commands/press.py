@@ -60,8 +60,7 @@ def _add_press_options(parser: argparse.ArgumentParser) -> None:
 def _press(options: argparse.Namespace) -> int:
     parameters = PressParameters(**{field.name: getattr(options, field.name) for field in fields(PressParameters)})
     check_recording(options.record)
-    if options.record is not None:
-        write_experiment(options.record, "press", parameters)
+    recorded = [] if options.record is None else write_experiment(options.record, "press", parameters)
     if options.out is not None:
         charts.require()
     check_outputs(json=options.json, out=options.out)
@@ -82,7 +81,7 @@ def _press(options: argparse.Namespace) -> int:
         pictures.append(charts.figure_6(runs, options.out / "press.png"))
     if options.json != "-":
         print(press_table(study.labels, study.results, study.sweeps, study.gap()))
-        for path in pictures:
+        for path in [*recorded, *pictures]:
             print(f"  wrote {path}")
     return 0
 

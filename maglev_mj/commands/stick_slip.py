@@ -55,8 +55,7 @@ def _stick_slip(options: argparse.Namespace) -> int:
         **{field.name: getattr(options, field.name) for field in fields(StickSlipParameters)}
     )
     check_recording(options.record)
-    if options.record is not None:
-        write_experiment(options.record, "stick-slip", parameters)
+    recorded = [] if options.record is None else write_experiment(options.record, "stick-slip", parameters)
     try:
         result = run_stick_slip(parameters)
     except DivergenceError as error:
@@ -71,6 +70,6 @@ def _stick_slip(options: argparse.Namespace) -> int:
         pictures.append(charts.stick_slip(result, options.out / "stick_slip.png"))
     if options.json != "-":
         print(stick_slip_table(result))
-        for path in pictures:
+        for path in [*recorded, *pictures]:
             print(f"  wrote {path}")
     return 0

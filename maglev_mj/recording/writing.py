@@ -20,7 +20,7 @@ from maglev_mj.recording.ring import RowReader
 
 __all__ = ["main"]
 
-_NAP = 0.05
+_NAP = 0.02
 
 
 class _Orders:
@@ -93,3 +93,4 @@ def main() -> None:
 
 if __name__ == "__main__":
     main()
+    os._exit(0)  # a window waits for this, and the interpreter takes its time to end
