@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple, Unpack, overload
@@ -99,7 +100,8 @@ def largest_stable_stiffness(damping: ArrayLike | None = None, **loop: Unpack[Lo
 def boundary_of(loop: SampledLoop, damping: Array) -> Array:
     """Return the largest stable stiffness of a loop at each damping: `largest_stable_stiffness` for any SampledLoop.
 
-    The last stable stiffness of a scan over the decades below 8 m/T², and then halvings of the step to the next.
+    The last stable stiffness of a scan over the decades below 8 m/T², and then ever smaller parts of the step to the
+    next: halves for many loops, sixteenths for a few, whose cost is that of the calls.
     """
     shape = common_shape("damping and loop", damping.shape, loop.shape)
     wide, b = loop.widened(), np.broadcast_to(damping, shape)[..., None]
@@ -109,10 +111,14 @@ def boundary_of(loop: SampledLoop, damping: Array) -> Array:
     last = stable.shape[-1] - 1 - np.argmax(stable[..., ::-1], axis=-1)
     pick = np.minimum(np.stack([last, last + 1], axis=-1), stable.shape[-1] - 1)
     low, high = np.moveaxis(np.take_along_axis(grid, pick, axis=-1), -1, 0)
-    for _ in range(_HALVINGS):
-        middle = 0.5 * (low + high)
-        good = is_stable(wide.modulus(middle[..., None], b)[..., 0])
-        low, high = np.where(good, middle, low), np.where(good, high, middle)
+    parts = 16 if low.size <= 16 else 2
+    for _ in range(math.ceil(_HALVINGS / math.log2(parts))):
+        points = np.linspace(low, high, parts + 1, axis=-1)
+        good = is_stable(wide.modulus(points[..., 1:-1], b))
+        # the part that ends with the first that is not; the upper end never is
+        found = np.where(good.all(axis=-1), parts - 1, np.argmin(good, axis=-1))
+        ends = np.take_along_axis(points, np.stack([found, found + 1], axis=-1), axis=-1)
+        low, high = np.moveaxis(ends, -1, 0)
     return np.where(stable.any(axis=-1), low, 0.0)
 
 
