@@ -455,7 +455,7 @@ def test_messages_that_are_missing_are_noticed(tmp_path: Path) -> None:
     write_experiment(path, "drop", DropParameters(plant="exact"))
     data = path.read_bytes()
     found = []
-    for place in range(200, len(data) - 200, 13):
+    for place in range(200, len(data) - 200, 37):
         other.write_bytes(data[:place] + bytes([data[place] ^ 0x10]) + data[place + 1 :])
         try:
             part = Recording.load(other)
