@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Array, Mask
 from maglev_mj.parameters import number, numbers
-from maglev_mj.spec import Spec
+from maglev_mj.spec import INERTIA
 
 __all__ = ["Mode", "Navigation", "Navigator"]
 
@@ -20,7 +20,7 @@ _PUSHES, _LETS_GO, _FOR = 0.25, 0.10, 0.1
 
 _BREAKAWAY = 2.0
 _GIVE = _BREAKAWAY / 6000.0
-_RADII = [math.sqrt(one.value / Spec.moving_mass.value) for one in (*[Spec.tilt_inertia] * 2, Spec.spin_inertia)]
+_RADII = [math.sqrt(inertia / INERTIA[0]) for inertia in INERTIA[3:]]
 
 
 class Mode(Enum):

@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from maglev_mj.bridge.seal import LEAST_KEY, MOST_KEY
 from maglev_mj.errors import ParameterError
 from maglev_mj.scenes import Settings
 from maglev_mj.workers import Workers, dask_workers, local_workers
@@ -157,8 +158,9 @@ def chosen_key(path: Path | None, name: str = "key") -> bytes | None:
         key = bytes.fromhex(path.read_text(encoding="ascii"))
     except (OSError, ValueError):
         key = b""
-    if not 16 <= len(key) <= 32:
-        raise ParameterError(f"{name} must be a file of 32 to 64 hexadecimal digits, not {str(path)!r}")
+    if not LEAST_KEY <= len(key) <= MOST_KEY:
+        digits = f"{2 * LEAST_KEY} to {2 * MOST_KEY} hexadecimal digits"
+        raise ParameterError(f"{name} must be a file of {digits}, not {str(path)!r}")
     return key
 
 

@@ -28,10 +28,10 @@ from maglev_mj.recording import (
     RecordingFile,
     Setup,
     Stretch,
+    carried_by,
     open_recording,
 )
 from maglev_mj.scenes import SCENES, Scene, Settings, scene_called
-from maglev_mj.scenes.parts import WEIGHT
 from maglev_mj.session import View, stick_positions, wall_faces
 
 __all__ = [
@@ -203,8 +203,8 @@ class _Shown:
         self.scene, self.settings = scene_of(stretch.setup)
         self.period, self.pose = self.settings.period, stretch.position
         self._time, self._hand = stretch.time, stretch.hand
-        carried = np.array(WEIGHT if self.settings.weightless and stretch.setup["kind"] in _SCENES else [0.0] * 6)
-        self._force = stretch.applied[:, :6] - carried
+        _, controller = rebuild(stretch.setup, None)
+        self._force = stretch.applied[:, :6] - carried_by(controller.laws)
         coils = load("drop").coils
         assert coils is not None
         self._currents = stretch.applied[:, :6] @ coils.current_per_wrench.T

@@ -156,7 +156,11 @@ def test_a_stream_that_is_not_there_is_one_line(tmp_path: Path, capsys: Any) -> 
 
 def test_outlets_are_told_sixty_times_a_second_and_asked_every_tick() -> None:
     class Told:
-        wanted: Any = None
+        waiting: Any = None
+
+        def take(self) -> Any:
+            taken, self.waiting = self.waiting, None
+            return taken
 
         def __init__(self) -> None:
             self.moments: list[Moment] = []
@@ -200,7 +204,7 @@ def test_outlets_are_told_sixty_times_a_second_and_asked_every_tick() -> None:
         outlets.show(moment)
         now += 1e-4
     assert made <= 63
-    told[1].wanted = scene.settings
+    told[1].waiting = scene.settings
     assert outlets.wanted() is scene.settings and outlets.wanted() is None
     outlets.close()
     assert told[0].closed and told[1].closed
@@ -210,15 +214,17 @@ class Asks:
     """An outlet that asks for settings, and keeps what it is told."""
 
     def __init__(self, *wanted: Settings) -> None:
-        self._waiting, self.wanted = list(wanted), None
+        self._waiting, self._asked = list(wanted), False
         self.moments: list[Moment] = []
 
-    wanted: Settings | None
+    def take(self) -> Settings | None:
+        asked, self._asked = self._asked, False
+        return self._waiting.pop(0) if asked else None
 
     def show(self, moment: Moment) -> None:
         self.moments.append(moment)
         if self._waiting and len(self.moments) % 3 == 0:
-            self.wanted = self._waiting.pop(0)
+            self._asked = True
 
     def close(self) -> None: ...
 

@@ -22,6 +22,7 @@ import numpy as np
 import pytest
 
 from maglev_mj.commands import serve_spacenav
+from maglev_mj.commands.outlets import add_spacenav, chosen_spacenav
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.navigation import Navigation
@@ -33,8 +34,6 @@ from maglev_mj.spacenav import (
     PoseAxes,
     RateAxes,
     SpacenavServer,
-    add_spacenav,
-    chosen_spacenav,
     default_path,
 )
 from maglev_mj.spacenav.axes import FULL_POSE, FULL_RATE, REST

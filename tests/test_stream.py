@@ -270,7 +270,7 @@ def test_an_unstable_wall_is_refused_with_the_figures_of_its_loop(scene: str, ax
     wish = {"walls": [[axis, normal, -normal * 0.001]], "stiffness": 40000.0, "damping": 70.0}
     with streaming(one) as stream:
         said = answer(stream, type="set", id=3, settings=wish)
-        assert stream.wanted is None
+        assert stream.take() is None
     assert (said["type"], said["id"]) == ("refused", 3)
     figures, settings = said["figures"], one.settings
     index = AXES.index(axis)
@@ -324,7 +324,7 @@ def test_the_same_wall_is_stable_at_one_rate_and_refused_at_another() -> None:
         assert (refusal(SCENES["drop"], replace(settings, **wish)) is None) == (expected == "accepted")
         with streaming(moment("drop", settings=settings)) as stream:
             assert answer(stream, type="set", settings=wish)["type"] == expected
-            assert (stream.wanted is not None) == (expected == "accepted")
+            assert (stream.take() is not None) == (expected == "accepted")
 
 
 def test_settings_that_are_not_named_stay() -> None:
@@ -332,9 +332,8 @@ def test_settings_that_are_not_named_stay() -> None:
         wish = {"damping": 70, "pulse": False, "walls": [["rx", -1, 0.05]]}
         assert answer(stream, type="set", settings=wish)["type"] == "accepted"
         expected = Settings(friction=True, breakaway=1.5, damping=70.0, pulse=False, walls=(("rx", -1, 0.05),))
-        assert stream.wanted == expected
-        stream.wanted = None
-        assert stream.wanted is None
+        assert stream.take() == expected
+        assert stream.take() is None
 
 
 @pytest.mark.parametrize(
@@ -364,7 +363,7 @@ def test_what_cannot_be_set_is_refused_with_the_reason(wish: Any, reason: str) -
     with streaming(moment()) as stream:
         said = answer(stream, type="set", id=9, settings=wish)
         assert said == {"type": "refused", "id": 9, "session": said["session"], "reason": reason, "figures": None}
-        assert stream.wanted is None
+        assert stream.take() is None
 
 
 @pytest.mark.parametrize(
@@ -393,16 +392,17 @@ def test_a_newer_set_replaces_one_that_waits() -> None:
         said = asking(stream, other, type="set", id=1, settings={"damping": 50.0})
         assert [(one["type"], one["id"], to) for one, to in said] == [("accepted", 1, other), ("refused", 1, HERE)]
         assert said[1][0]["reason"].startswith("replaced by a newer set") and said[1][0]["figures"] is None
-        assert stream.wanted == replace(Settings(), damping=50.0)
+        assert stream.take() == replace(Settings(), damping=50.0)
 
 
 def test_a_set_that_comes_while_another_is_taken_is_not_lost() -> None:
     with streaming(moment()) as stream:
         asking(stream, type="set", id=1, settings={"stiffness": 3000.0})
-        assert stream.wanted is not None and stream.wanted.stiffness == 3000.0
-        asking(stream, type="set", id=2, settings={"stiffness": 4000.0})  # between the look and the taking
-        stream.wanted = None
-        assert stream.wanted is not None and stream.wanted.stiffness == 4000.0
+        first = stream.take()
+        asking(stream, type="set", id=2, settings={"stiffness": 4000.0})  # before the first is in force
+        second = stream.take()
+        assert first is not None and first.stiffness == 3000.0
+        assert second is not None and second.stiffness == 4000.0
 
 
 def test_a_set_that_is_sent_again_is_not_done_again() -> None:
@@ -411,17 +411,17 @@ def test_a_set_that_is_sent_again_is_not_done_again() -> None:
         for _ in range(3):
             host.send(json.dumps(wish).encode())
             assert heard(host, "accepted", "refused")["type"] == "accepted"
-        wanted = stream.wanted
+        wanted = stream.take()
         assert wanted is not None
-        stream.wanted = None
         assert outcome(stream, host, moment(settings=wanted, since=6, tick=7))["tick"] == 6
         host.settimeout(5.0)
         host.send(json.dumps(wish).encode())
         assert heard(host, "in force", "accepted") == {**heard_force(6, 5), "session": stream_session(stream)}
-        assert stream.wanted is None
+        assert stream.take() is None
         host.send(json.dumps({**wish, "settings": {"stiffness": 3500.0}}).encode())  # the same id, another wish
         assert heard(host, "in force", "accepted")["type"] == "accepted"
-        assert stream.wanted is not None and stream.wanted.stiffness == 3500.0
+        taken = stream.take()
+        assert taken is not None and taken.stiffness == 3500.0
 
 
 def heard_force(tick: int, asked: int) -> dict[str, Any]:
@@ -437,8 +437,7 @@ def test_a_person_who_changes_it_first_is_named() -> None:
     with streaming(moment()) as stream, plain(stream) as host:
         host.send(b'{"type":"set","id":5,"settings":{"stiffness":3000}}')
         heard(host, "accepted")
-        assert stream.wanted is not None
-        stream.wanted = None
+        assert stream.take() is not None
         said = outcome(stream, host, moment(settings=replace(Settings(), stiffness=4000.0), since=7, tick=8))
         assert (said["type"], said["id"], said["reason"]) == ("refused", 5, "replaced by a change at the machine")
 
@@ -451,7 +450,8 @@ def test_a_set_is_checked_at_the_delay_that_is_measured() -> None:
             assert said["type"] == expected
             assert answer(stream, type="get")["delay"] == delay
             if expected == "accepted":
-                assert stream.wanted is not None and stream.wanted.delay == SCENES["drop"].settings.delay
+                taken = stream.take()
+                assert taken is not None and taken.delay == SCENES["drop"].settings.delay
         if delay == 0.003:
             assert said["figures"]["delay"] == delay
         if delay == 0.2:
@@ -483,9 +483,8 @@ def test_settings_that_are_accepted_are_stable_and_legal_ones_never_raise() -> N
             (said, _), *_ = asking(stream, type="set", settings=wish)
             kinds.append(said["type"])
             if said["type"] == "accepted":
-                wanted = stream.wanted
+                wanted = stream.take()
                 assert wanted is not None and refusal(SCENES[scene], wanted) is None
-                stream.wanted = None
             else:
                 assert said["figures"] is None or said["figures"]["modulus"] >= 1.0 - 1e-9
     assert min(kinds.count(kind) for kind in ("accepted", "refused")) > 10
@@ -648,14 +647,14 @@ def test_with_a_key_each_request_is_taken_once_wherever_it_comes_from() -> None:
         wish = {"type": "set", "settings": {"stiffness": 3000}}
         first = tagged({**wish, **seal, "sequence": 1})
         assert said(first) == "accepted"
-        stream.wanted, _ = None, stream.wanted
+        stream.take()
         assert said(first) == said(first, thief) == "description" and stream.dropped == {"replay": 2}
         assert said(tagged({**wish, **seal, "sequence": 5})) == "accepted"
         assert said(tagged({**wish, **seal, "sequence": 4})) == "description" and stream.dropped["replay"] == 3
         for wrong in ({"session": session + 1}, {"host": None}, {"sequence": "9"}, {"sequence": True}, {"host": 0.5}):
             assert said(tagged({**wish, **seal, "sequence": 9, **wrong})) == "description"
         assert stream.dropped["session"] == 5
-        stream.wanted, _ = None, stream.wanted
+        stream.take()
         assert said(tagged({**wish, **seal, "sequence": 9, "host": 1})) == "accepted"
         for data in (json.dumps(wish).encode(), first[:-1] + b"x", first[:-33], tagged(wish, KEY[::-1]), b"", b"\n"):
             assert said(data) == "description"
@@ -882,7 +881,7 @@ def test_fuzzed_datagrams_raise_nothing_and_change_nothing(key: bytes | None) ->
                 assert len(json.dumps(message, allow_nan=False)) <= MOST_ANSWERED
                 types[message["type"]] = types.get(message["type"], 0) + 1
                 said += 1
-        assert stream.wanted is None and "accepted" not in types
+        assert stream.take() is None and "accepted" not in types
         assert said + sum(stream.dropped.values()) == 20_000
         assert types["error"] > 300 and types["description"] > 20
         assert {"json"} <= set(stream.dropped)
@@ -953,9 +952,8 @@ def live() -> dict[str, dict[str, Any]]:
             host.send(json.dumps(wish).encode())
             reply = heard(host, "refused", "error")
             said[reply["type"]] = reply
-        wanted = stream.wanted
+        wanted = stream.take()
         assert wanted is not None
-        stream.wanted = None
         one = moment("drop", settings=wanted, since=204, tick=394, anchors=anchors)
         said["in force"] = outcome(stream, host, one)
         host.settimeout(5.0)

@@ -12,7 +12,7 @@ from maglev_mj.frames import AXES, Array
 from maglev_mj.hand import hand_called
 from maglev_mj.laws import Law
 from maglev_mj.parameters import number, numbers
-from maglev_mj.recording import Stretch
+from maglev_mj.recording import Stretch, carried_by
 from maglev_mj.scenes import Settings, scene_called
 from maglev_mj.scenes.parts import INERTIA, WEIGHT
 from maglev_mj.session import wall_faces
@@ -85,7 +85,7 @@ def known_of(stretch: Stretch, laws: Sequence[Law]) -> Known:
         delay=settings.delay,
         inertia=INERTIA,
         weight=-float(INERTIA[2]) * GRAVITY,
-        carried=np.array(WEIGHT if settings.weightless else [0.0] * 6),
+        carried=carried_by(laws),
         before=np.array(before, dtype=np.float64),
         felt=kind == "scene",
         pushed=True,

@@ -19,7 +19,7 @@ from maglev_mj.controller import Controller
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.loop import Answers, ControlLoop, Record
-from maglev_mj.recording import Mechanics, RecordingError, RecordingFile
+from maglev_mj.recording import Mechanics, RecordingError, RecordingFile, carried_by
 from maglev_mj.scenes import Scene, Settings
 from maglev_mj.scenes.parts import WEIGHT
 from maglev_mj.session import Moment, Outlet, Outlets, stick_positions, wall_faces
@@ -170,7 +170,7 @@ class Flight:
             loop.cycle()
 
     def _observe(self, controller: Controller) -> Callable[[Sample, Command], object]:
-        carried = np.array(WEIGHT if self._settings.weightless else (0.0,) * 6)
+        carried = carried_by(controller.laws)
         anchors = stick_positions(controller)
 
         def observe(sample: Sample, applied: Command) -> None:
@@ -180,12 +180,9 @@ class Flight:
                 self._check(self._file, self._warn)
             if self._watch is not None:
                 self._look(self._watch, sample, np.array(applied.force) - carried, anchors())
-            self._outlets.show(lambda: self._moment(sample, np.array(applied.force) - carried, anchors()))
-            if not math.isnan(self._plant.last_delay):
-                self._delays.append(self._plant.last_delay)
-            wanted = self._outlets.wanted() if self._wanted is None else None
-            if wanted is not None:  # rate and delay are the device's
-                self._wanted = replace(wanted, period=self._settings.period, delay=self._settings.delay)
+            if self._outlets:
+                self._outlets.show(lambda: self._moment(sample, np.array(applied.force) - carried, anchors()))
+                self._listen()
 
         return observe
 
@@ -200,6 +197,14 @@ class Flight:
         except RecordingError as error:
             self._warn = None
             warn(str(error))
+
+    def _listen(self) -> None:
+        """Note how late answers are, and what another program asks for; rate and delay are the device's."""
+        if not math.isnan(self._plant.last_delay):
+            self._delays.append(self._plant.last_delay)
+        wanted = self._outlets.wanted() if self._wanted is None else None
+        if wanted is not None:
+            self._wanted = replace(wanted, period=self._settings.period, delay=self._settings.delay)
 
     def _moment(self, sample: Sample, force: Array, anchors: Array | None) -> Moment:
         """Return what other programs are told; the delay is the usual one of late."""

@@ -5,7 +5,6 @@ Nothing that arrives can raise here: what is no frame is counted by reason and d
 
 from __future__ import annotations
 
-import hashlib
 import hmac
 import struct
 import zlib
@@ -13,7 +12,7 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import NamedTuple, TypeAlias
 
-from maglev_mj.errors import ParameterError
+from maglev_mj.bridge.seal import TAG, Seal
 
 __all__ = [
     "MAGIC",
@@ -38,9 +37,6 @@ _HEADER = "<HBBIIQ"
 _CRC = struct.Struct("<I")
 _SEALED = 0x2144DF1C
 """The CRC of anything that its own CRC follows, and of nothing else of that length and beginning."""
-
-_TAG = 16
-_LEAST_KEY, _MOST_KEY = 16, 32
 
 
 class Hello(NamedTuple):
@@ -204,10 +200,8 @@ class Codec:
     """
 
     def __init__(self, key: bytes | None = None) -> None:
-        if key is not None and not _LEAST_KEY <= len(key) <= _MOST_KEY:
-            raise ParameterError(f"key must have {_LEAST_KEY} to {_MOST_KEY} bytes, not {len(key)}")
-        self._key = key
-        self._overhead = _CRC.size + (_TAG if key is not None else 0)
+        self._seal = None if key is None else Seal(key)
+        self._overhead = _CRC.size + (TAG if self._seal is not None else 0)
         self.dropped: Counter[str] = Counter()
         self.version_met: int | None = None
 
@@ -229,8 +223,8 @@ class Codec:
         elif isinstance(body, Control):
             values = (*body[:3], *body.hover)
         data = _STRUCTS[number].pack(MAGIC, VERSION, number, session, sequence & 0xFFFFFFFF, time, *values)
-        if self._key is not None:
-            data += self._tag(data)
+        if self._seal is not None:
+            data += self._seal.tag(data)
         return data + _CRC.pack(zlib.crc32(data))
 
     def decode(self, data: bytes) -> Frame | None:
@@ -268,15 +262,11 @@ class Codec:
             return "type"
         if len(data) != shape.size + self._overhead:
             return "length"
-        if self._key is not None:
+        if self._seal is not None:
             end = len(data) - self._overhead
-            if not hmac.compare_digest(data[end : end + _TAG], self._tag(data[:end])):
+            if not hmac.compare_digest(data[end : end + TAG], self._seal.tag(data[:end])):
                 return "tag"
         return ""
-
-    def _tag(self, data: bytes) -> bytes:
-        assert self._key is not None
-        return hashlib.blake2s(data, digest_size=_TAG, key=self._key).digest()
 
 
 def newer(one: int, other: int) -> bool:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from maglev_mj.bridge.stopping import stopping
+from maglev_mj.commands.outlets import add_spacenav, chosen_spacenav
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.hand import Path, SpringHand
 from maglev_mj.options import add_settings, chosen_key, chosen_settings, number_option
@@ -18,7 +19,7 @@ from maglev_mj.parameters import number
 from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.scenes import SCENES, scene_called
 from maglev_mj.session import Session
-from maglev_mj.spacenav import SpacenavServer, add_spacenav, chosen_spacenav
+from maglev_mj.spacenav import SpacenavServer
 from maglev_mj.stream import StreamClient
 
 __all__ = ["add_command"]

@@ -2,7 +2,7 @@
 
 from maglev_mj.recording.export import EXPORTS, ParquetMissingError, export
 from maglev_mj.recording.files import ArrayFile, RecordingFile, best_suffix, check_name, open_recording
-from maglev_mj.recording.recorder import Felt, Mechanics, Recorder, row_of
+from maglev_mj.recording.recorder import Felt, Mechanics, Recorder, carried_by, row_of
 from maglev_mj.recording.stretch import Recording, RecordingError, Setup, Stretch
 from maglev_mj.recording.verify import Rebuild, Verdict, verify
 
@@ -21,6 +21,7 @@ __all__ = [
     "Stretch",
     "Verdict",
     "best_suffix",
+    "carried_by",
     "check_name",
     "export",
     "open_recording",

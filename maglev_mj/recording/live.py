@@ -65,7 +65,7 @@ class LiveFile:
             setup,
             period=controller.period,
             delay=delay,
-            carried=carried_by(controller),
+            carried=carried_by(controller.laws).tolist(),
             began=time.time_ns(),
             mechanics=mechanics or Mechanics(),
         )

@@ -9,9 +9,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.controller import Controller
-from maglev_mj.frames import AXES, ZERO, Command, Sample
-from maglev_mj.laws import Bias
+from maglev_mj.frames import AXES, ZERO, Array, Command, Sample
+from maglev_mj.laws import Bias, Law
 from maglev_mj.parameters import numbers
 from maglev_mj.recording.stretch import Setup, Stretch, table
 from maglev_mj.spec import GRAVITY, INERTIA
@@ -87,11 +86,10 @@ def row_of(command: Command) -> list[float]:
     return [*command.force, *(extra if extra is not None else (0.0,) * 6), command.pulse_width if extra else 0.0]
 
 
-def carried_by(controller: Controller) -> list[float]:
-    """Return the wrench by which a controller carries the flotor [N, N m], six; zeros where it does not."""
+def carried_by(laws: Sequence[Law]) -> Array:
+    """Return the wrench by which laws carry the flotor [N, N m], (6,); zeros where they do not."""
     carried = np.zeros(len(AXES))
-    for law in controller.laws:
+    for law in laws:
         if isinstance(law, Bias):
             carried += np.asarray(law.wrench)
-    values: list[float] = carried.tolist()
-    return values
+    return carried

@@ -51,13 +51,10 @@ class Moment:
 
 
 class Outlet(Protocol):
-    """A way to other programs. It never waits, for it is called where the samples are answered.
+    """A way to other programs. It never waits, for it is called where the samples are answered."""
 
-    Attributes:
-        wanted: Settings that a program asks for and may have; whoever runs the scene takes them and puts None.
-    """
-
-    wanted: Settings | None
+    def take(self) -> Settings | None:
+        """Return settings that a program asks for and may have, once."""
 
     def show(self, moment: Moment) -> None:
         """Tell of a moment."""
@@ -77,6 +74,9 @@ class Outlets:
     def __init__(self, outlets: Sequence[Outlet] = (), clock: Callable[[], float] = time.monotonic) -> None:
         self._outlets, self._clock, self._due = tuple(outlets), clock, -1.0
 
+    def __bool__(self) -> bool:
+        return bool(self._outlets)
+
     def show(self, moment: Callable[[], Moment]) -> None:
         """Tell of a moment, if it is time to; only then is it made."""
         if not self._outlets or (now := self._clock()) < self._due:
@@ -90,8 +90,7 @@ class Outlets:
     def wanted(self) -> Settings | None:
         """Return what a program asks for, once."""
         for outlet in self._outlets:
-            if outlet.wanted is not None:
-                settings, outlet.wanted = outlet.wanted, None
+            if (settings := outlet.take()) is not None:
                 return settings
         return None
 

@@ -10,9 +10,8 @@ import numpy as np
 from maglev_mj.frames import ZERO, Array, Command, Sample
 from maglev_mj.hand import HandForce
 from maglev_mj.loop import ControlLoop
-from maglev_mj.recording import Mechanics, RecordingFile
+from maglev_mj.recording import Mechanics, RecordingFile, carried_by
 from maglev_mj.scenes import Scene, Settings
-from maglev_mj.scenes.parts import WEIGHT
 from maglev_mj.session.energy import EnergyAccount
 from maglev_mj.session.view import stick_positions, wall_faces
 
@@ -72,7 +71,7 @@ class LiveStretch:
         if file is not None:
             mechanics = Mechanics(before=wrench)
             record = file.begin(self.plant, self.controller, setup, delay=settings.delay, mechanics=mechanics)
-        self._carried = np.array(WEIGHT if settings.weightless else ZERO)
+        self._carried = carried_by(self.controller.laws)
         self.energy = EnergyAccount(np.array(pose), self._carried)
         self.faces = wall_faces(self.controller.laws)
         self._stick_positions = stick_positions(self.controller)

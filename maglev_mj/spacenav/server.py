@@ -95,7 +95,6 @@ class SpacenavServer:
         clock: Returns real time [s].
 
     Attributes:
-        wanted: None: programs ask for nothing here.
         path: Where the socket is.
         sent: Events, to all programs together.
         dropped: Programs let go because they were slow or sent rubbish.
@@ -111,7 +110,6 @@ class SpacenavServer:
     def __init__(
         self, path: Path | None = None, *, axes: Axes | None = None, clock: Callable[[], float] = time.monotonic
     ) -> None:
-        self.wanted: Settings | None = None
         self.sent = self.dropped = self.refused = 0
         self._axes, self._clock = axes or PoseAxes(), clock
         self._clients: list[_Client] = []
@@ -122,6 +120,10 @@ class SpacenavServer:
     def clients(self) -> int:
         """How many programs listen."""
         return len(self._clients)
+
+    def take(self) -> Settings | None:
+        """Return None: programs ask for nothing here."""
+        return None
 
     def show(self, moment: Moment) -> None:
         """Tell of a moment; see `Outlet`."""

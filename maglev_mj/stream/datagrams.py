@@ -5,7 +5,6 @@ Nothing that arrives can raise here: what is no datagram is counted by reason an
 
 from __future__ import annotations
 
-import hashlib
 import hmac
 import json
 import secrets
@@ -13,7 +12,7 @@ from collections import Counter
 from collections.abc import Mapping
 from typing import Any, TypeAlias, TypeGuard
 
-from maglev_mj.errors import ParameterError
+from maglev_mj.bridge.seal import Seal
 
 __all__ = ["MOST_ANSWERED", "MOST_ASKED", "MOST_INTEGER", "Datagrams", "Guard", "Message", "is_integer"]
 
@@ -28,8 +27,6 @@ MOST_ANSWERED = 2048
 MOST_INTEGER = 2**53 - 1
 """The largest integer that every reader of JSON keeps."""
 
-_TAG = 16
-_LEAST_KEY, _MOST_KEY = 16, 32
 _SHORT = 17
 _MOST_HOSTS = 65536
 
@@ -42,7 +39,6 @@ class Datagrams:
         most: Longest that is read [bytes].
 
     Attributes:
-        keyed: Whether there is a key.
         dropped: How many were dropped, by reason: size, tag, json; who reads them adds reasons of its own.
 
     Raises:
@@ -50,25 +46,27 @@ class Datagrams:
     """
 
     def __init__(self, key: bytes | None, most: int) -> None:
-        if key is not None and not _LEAST_KEY <= len(key) <= _MOST_KEY:
-            raise ParameterError(f"key must have {_LEAST_KEY} to {_MOST_KEY} bytes, not {len(key)}")
-        self._key, self._most = key, most
-        self.keyed = key is not None
+        self._seal, self._most = None if key is None else Seal(key), most
         self.dropped: Counter[str] = Counter()
+
+    @property
+    def keyed(self) -> bool:
+        """Whether there is a key."""
+        return self._seal is not None
 
     def encode(self, message: Message) -> bytes:
         """Return a datagram; its numbers must be finite."""
         data = json.dumps(message, separators=(",", ":"), allow_nan=False).encode("ascii")
-        return data + b"\n" + self._tag(data) if self.keyed else data
+        return data if self._seal is None else data + b"\n" + _digits(self._seal.tag(data))
 
     def decode(self, data: bytes) -> Message | None:
         """Return the message, or None where there is none that can be trusted; the reason is counted in `dropped`."""
         if len(data) > self._most:
             self.dropped["size"] += 1
             return None
-        if self.keyed:
+        if self._seal is not None:
             data, _, tag = data.rpartition(b"\n")
-            if not hmac.compare_digest(tag, self._tag(data)):
+            if not hmac.compare_digest(tag, _digits(self._seal.tag(data))):
                 self.dropped["tag"] += 1
                 return None
         try:
@@ -79,9 +77,6 @@ class Datagrams:
             self.dropped["json"] += 1
             return None
         return message
-
-    def _tag(self, data: bytes) -> bytes:
-        return hashlib.blake2s(data, digest_size=_TAG, key=self._key or b"").hexdigest().encode("ascii")
 
 
 class Guard:
@@ -117,6 +112,10 @@ class Guard:
 def is_integer(value: object) -> TypeGuard[int]:
     """Return whether a value is an integer of 0 to 2**53 - 1."""
     return isinstance(value, int) and not isinstance(value, bool) and 0 <= value <= MOST_INTEGER
+
+
+def _digits(tag: bytes) -> bytes:
+    return tag.hex().encode("ascii")
 
 
 def _drawn() -> int:

@@ -48,7 +48,6 @@ class Pending:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._waiting: Asked | None = None
-        self._seen: Asked | None = None
         self._taken: list[Asked] = []
         self._untold: Asked | None = None
         self._done: tuple[Asked, Message] | None = None
@@ -79,17 +78,16 @@ class Pending:
                 return self._done[1]
         return None
 
-    def look(self) -> Settings | None:
-        """Return what waits; for the loop."""
-        self._seen = self._waiting
-        return None if self._seen is None else self._seen.settings
-
-    def take(self) -> None:
-        """Take what was looked at last; what came after it waits on. For the loop."""
+    def take(self) -> Settings | None:
+        """Return what waits, once; for the loop."""
+        if self._waiting is None:  # as nearly always: it is asked at every tick
+            return None
         with self._lock:
-            if self._seen is not None and self._waiting is self._seen:
-                self._taken.append(self._seen)
-                self._waiting = self._seen = None
+            taken, self._waiting = self._waiting, None
+            if taken is None:
+                return None
+            self._taken.append(taken)
+        return taken.settings
 
     def settle(self, moment: Moment) -> list[tuple[Message, Address]]:
         """Return what is to be said of what the loop has taken, now that a moment under it is there, and to whom."""

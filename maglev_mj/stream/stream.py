@@ -73,14 +73,9 @@ class PoseStream:
         self._thread = threading.Thread(target=self._listen, name="pose stream", daemon=True)
         self._thread.start()
 
-    @property
-    def wanted(self) -> Settings | None:
-        """Settings that a host asks for and may have; the loop takes them and puts None."""
-        return self._pending.look()
-
-    @wanted.setter
-    def wanted(self, value: Settings | None) -> None:
-        self._pending.take()
+    def take(self) -> Settings | None:
+        """Return settings that a host asks for and may have, once."""
+        return self._pending.take()
 
     def show(self, moment: Moment) -> None:
         """Tell of a moment."""
