@@ -6,13 +6,16 @@ READY := $(VENV)/.ready
 
 SCENES := joystick drop press table box corner
 
-.PHONY: demo test pictures check lint types wheel clean
+.PHONY: demo test studies pictures check lint types wheel clean
 
 demo: $(READY)  ## drop the flotor: a summary here, pictures in figures/
 	$(BIN)/maglev-mj drop --phases 100 --out figures
 
-test: $(READY)  ## run all tests
-	$(BIN)/python -m pytest
+test: $(READY)  ## run all tests, on every core
+	$(BIN)/python -m pytest -n auto --dist loadgroup
+
+studies: $(READY)  ## run the sweeps behind the published figures in full: minutes to an hour
+	$(BIN)/python -m pytest -n auto --dist loadgroup -m study
 
 pictures: $(READY)  ## draw the README's pictures of the scenes anew
 	for scene in $(SCENES); do $(BIN)/maglev-mj render $$scene --out docs/images/scene_$$scene.png --width 960 --height 600 || exit 1; done
