@@ -19,6 +19,7 @@ from maglev_mj.frames import AXES, Array
 from maglev_mj.hand import Hand
 from maglev_mj.parameters import number
 from maglev_mj.sensing import Beams
+from maglev_mj.versions import MODELS
 
 __all__ = ["COILS", "Device", "beams", "envelope", "load", "model_path", "scenes"]
 
@@ -26,16 +27,9 @@ COILS = tuple(f"{kind}{arm}" for kind in ("vertical", "horizontal") for arm in r
 """Actuator names, in the order of the six currents."""
 
 
-def _folder() -> Path:
-    """Return the folder of MJCF files: inside the installed package, or at the top of the repository."""
-    package = Path(__file__).resolve().parent
-    inside = package / "model"
-    return inside if inside.is_dir() else package.parent / "model"
-
-
 def scenes() -> list[str]:
     """Return the names of the models at hand."""
-    return sorted(path.stem for path in _folder().glob("*.xml"))
+    return sorted(path.stem for path in MODELS.glob("*.xml"))
 
 
 def model_path(name: str) -> Path:
@@ -44,7 +38,7 @@ def model_path(name: str) -> Path:
     Raises:
         ModelError: If there is none of that name.
     """
-    path = _folder() / f"{name}.xml"
+    path = MODELS / f"{name}.xml"
     if not path.is_file():
         raise ModelError(f"model must be one of {', '.join(scenes())}, not {name!r}")
     return path
@@ -52,7 +46,7 @@ def model_path(name: str) -> Path:
 
 def _written() -> tuple[tuple[str, int], ...]:
     """Return the MJCF files and when each was written, so that one that is changed is read again."""
-    return tuple(sorted((str(path), path.stat().st_mtime_ns) for path in _folder().glob("*.xml")))
+    return tuple(sorted((str(path), path.stat().st_mtime_ns) for path in MODELS.glob("*.xml")))
 
 
 @dataclass(frozen=True, eq=False)

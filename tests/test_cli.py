@@ -15,6 +15,7 @@ from maglev_mj import cli
 from maglev_mj.experiments.choices import LAWS, VELOCITIES
 from maglev_mj.experiments.drop import DropParameters, run_drop
 from maglev_mj.experiments.press import PressParameters, run_press
+from maglev_mj.versions import versions
 
 
 def test_drop_prints_one_screen(capsys: pytest.CaptureFixture[str]) -> None:
@@ -149,7 +150,7 @@ def test_stick_slip_prints_one_screen_and_writes_json_and_a_picture(
     assert len(out.splitlines()) <= 24
     data = json.loads(target.read_text())
     series = ("time", "position", "velocity", "stick_position", "state", "force")
-    assert list(data) == ["parameters", *series, "events", "summary"]
+    assert list(data) == ["parameters", *series, "events", "summary", "versions"]
     assert all(len(data[name]) == 301 for name in series)
     assert [(event["kind"], set(event)) for event in data["events"]] == [
         ("slip", {"time", "kind", "position"}),
@@ -240,7 +241,7 @@ def test_press_json_on_standard_output_is_nothing_but_json(capsys: pytest.Captur
     assert cli.main([*arguments, "--force-limit", "60", "--json", "-"]) == 0
     data = json.loads(capsys.readouterr().out)
     expected = run_press(PressParameters(plant="exact", hand="0.3,20,500,3,2000", hits=2, pulse=0.0, force_limit=60.0))
-    assert data == json.loads(json.dumps(expected.as_json()))
+    assert data == {**json.loads(json.dumps(expected.as_json())), "versions": versions()}
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,7 @@ FLOORS = {
     "errors": 0,
     "frames": 0,
     "spec": 0,
+    "versions": 0,
     "parameters": 1,
     "workers": 1,
     "laws": 2,
@@ -54,7 +55,7 @@ FLOORS = {
     "cli": 11,
 }
 ALLOWED = {
-    "mujoco": {"model", "plants", "viewer"},
+    "mujoco": {"model", "plants", "versions", "viewer"},
     "glfw": {"viewer"},
     "matplotlib": {"charts"},
     "imageio": {"viewer"},

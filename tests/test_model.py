@@ -225,7 +225,7 @@ def test_unknown_and_broken_models_are_named(tmp_path: Path, monkeypatch: pytest
     with pytest.raises(ParameterError, match="mass must be"):
         load("drop", mass=-1.0)
     text = model_path("maglev").read_text(encoding="utf-8")
-    monkeypatch.setattr(model, "_folder", lambda: tmp_path)
+    monkeypatch.setattr(model, "MODELS", tmp_path)
     (tmp_path / "bad.xml").write_text(text.replace('name="vertical1"', 'name="upright"'), encoding="utf-8")
     with pytest.raises(ModelError, match=r"model 'bad' cannot be used: .*vertical1"):
         load("bad")
@@ -260,7 +260,7 @@ def variant(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., tu
         (tmp_path / "drop.xml").write_text(text, encoding="utf-8")
         (tmp_path / "maglev.xml").write_text(model_path("maglev").read_text(encoding="utf-8"), encoding="utf-8")
         with monkeypatch.context() as patch:
-            patch.setattr(model, "_folder", lambda: tmp_path)
+            patch.setattr(model, "MODELS", tmp_path)
             if not lean:
                 patch.setattr("maglev_mj.plants.engine.load", lambda *a, **k: load(*a, **k, lean=False))
             return drop_bits()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +13,9 @@ from maglev_mj.experiments.choices import PLANTS
 from maglev_mj.experiments.stability_map import StabilityParameters, run_stability
 from maglev_mj.hand import HANDS
 from maglev_mj.options import add_options, add_workers, chosen_workers, count
-from maglev_mj.output import check_outputs, keep_landed, write_json
+from maglev_mj.output import cells_kept, check_outputs, tell_of_others, write_json
 from maglev_mj.progress import Progress
-from maglev_mj.study import Record, StudyInterrupted
+from maglev_mj.study import Record
 from maglev_mj.tables import stability_table
 
 __all__ = ["add_command"]
@@ -61,13 +62,9 @@ def _stability(options: argparse.Namespace) -> int:
     check_outputs(json=options.json, record=options.record, out=options.out)
     workers = chosen_workers(options, default=0)
     progress = Progress("stability")
-    try:
+    with cells_kept(options.record, _FALLBACK), closing(progress):
         result = run_stability(parameters, record=Record(options.record), workers=workers, progress=progress)
-    except StudyInterrupted as stopped:
-        progress.close()
-        keep_landed("stability", stopped, options.record, _FALLBACK)
-        raise
-    progress.close()
+    tell_of_others("stability", result.others)
     if options.json is not None:
         write_json(options.json, result.as_json())
     pictures = []
