@@ -111,15 +111,9 @@ def tell_of_others(command: str, others: Sequence[Mapping[str, Any]]) -> None:
         print(f"maglev-mj {command}: the record is also by other code: {kinds[0]}{more}", file=sys.stderr)
 
 
-def write_json(target: str | Path, data: Mapping[str, Any], *, indent: int | None = None) -> None:
-    """Write results and the versions of the code behind them.
-
-    Args:
-        target: File, or "-" for standard output.
-        data: Results, ready for JSON; `versions` is added.
-        indent: Spaces a level; None for one line.
-    """
-    text = json.dumps({**data, "versions": versions()}, allow_nan=False, indent=indent)
+def write_json(target: str, data: Mapping[str, Any]) -> None:
+    """Write results and the `versions` of the code behind them; to standard output where the target is "-"."""
+    text = json.dumps({**data, "versions": versions()}, allow_nan=False)
     if target == "-":
         print(text)
     else:

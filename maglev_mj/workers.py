@@ -153,12 +153,12 @@ def _check_code(client: Any) -> None:
     """Raise a WorkersError that names each worker of other code."""
     found = client.run(versions, on_error="return")  # an older worker may fail to
     wrong = {worker: _other(theirs) for worker, theirs in sorted(found.items())}
-    if said := "; ".join(f"{worker} has {other}" for worker, other in wrong.items() if other):
+    if said := "; ".join(f"{worker}: {other}" for worker, other in wrong.items() if other):
         raise WorkersError(f"workers must have the code of this process: {said}")
 
 
 def _other(theirs: Versions | Exception) -> str:
-    return f"none to compare ({theirs})" if isinstance(theirs, Exception) else differences(theirs, versions())
+    return f"not known ({theirs})" if isinstance(theirs, Exception) else differences(theirs, versions())
 
 
 def _cause(address: str, error: Exception) -> Exception:
@@ -183,7 +183,7 @@ def _run_with_code(code: Versions, function: Callable[..., Any], *args: Any, **k
     if other := differences(versions(), code):
         from distributed import get_worker
 
-        raise WorkersError(f"workers must have the code of this process: {get_worker().address} has {other}")
+        raise WorkersError(f"workers must have the code of this process: {get_worker().address}: {other}")
     return function(*args, **keywords)
 
 

@@ -19,6 +19,7 @@ from maglev_mj.hand import HANDS, hand_called
 from maglev_mj.laws import Law, ObserverWall, PassivityController, PredictiveWall
 from maglev_mj.sampled import Design, rendered_stiffness
 from maglev_mj.stability import least_dynamic_stiffness, stiffest_wall
+from maglev_mj.versions import versions
 
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("folder", nargs="?", default="figures", type=Path, help="where files go")
@@ -155,5 +156,5 @@ for name, stiffness, damping, pole in (("PD", 3382.0, 83.0, None), ("observer", 
     gains = f"{name}, gains {stiffness:.0f} and {damping:.0f}, {rendered:.0f} N/m at rest"
     print(f"  {gains:<52}{heard.swing[0] * 1e6:>7.1f} µm{heard.force[0]:>8.3f} N")
 data = {"designs": rows, "bounces": bounces, "hum": hums}
-(folder / "better_walls.json").write_text(json.dumps(data, indent=1) + "\n")
+(folder / "better_walls.json").write_text(json.dumps({**data, "versions": versions()}, indent=1) + "\n")
 print("wrote", folder / "better_walls.json")

@@ -34,6 +34,7 @@ from maglev_mj.experiments.ladder import DELAY, FIDELITY_SCENES, PERIOD
 from maglev_mj.experiments.wall_controller import wall_controller
 from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.plants import CorrectedBatchPlant, ExactPlant, MuJoCoBatchPlant, SampledPlant, Timing
+from maglev_mj.versions import versions
 
 TITLES = {
     "drop": "on a wall, with a braking pulse",
@@ -176,7 +177,7 @@ def main() -> None:
     for name, order in data["boundary"]["orders"].items():
         first = data["boundary"]["shifts"][name][0]
         print(f"  {name:<44}{order:5.2f}   {first:+.1%} at {data['boundary']['steps'][0] * 1e3:g} ms")
-    (folder / "speed_accuracy.json").write_text(json.dumps(data, indent=1) + "\n")
+    (folder / "speed_accuracy.json").write_text(json.dumps({**data, "versions": versions()}, indent=1) + "\n")
     print(f"\nwrote {folder / 'speed_accuracy.json'}")
     for path in draw(folder, ways, everyone, data):
         print(f"wrote {path}")

@@ -12,6 +12,7 @@ from maglev_mj.experiments.integrators import INTEGRATORS, stiffest_simulated
 from maglev_mj.frames import Array
 from maglev_mj.hand import Hand
 from maglev_mj.stability import largest_stable_stiffness, stiffest_wall
+from maglev_mj.versions import versions
 
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("folder", nargs="?", default="figures", type=Path, help="where files go")
@@ -86,6 +87,7 @@ panels.append(charts.Panel(title=title, labels=labels, curves=curves, log="xy", 
 fixed = [(kind, steps * 1e3, shift(kind, 0.0015, aligned=False)) for kind in ("rk4", "euler")]
 title = "fixed step, the switch seen late (delay 1.5 ms)"
 panels.append(charts.Panel(title=title, labels=labels, curves=fixed, log="x", level=0.0, marked=True))
-(folder / "stability_bounds.json").write_text(json.dumps({"bounds": rows, "integrators": shifts}, indent=1) + "\n")
+data = {"bounds": rows, "integrators": shifts, "versions": versions()}
+(folder / "stability_bounds.json").write_text(json.dumps(data, indent=1) + "\n")
 print("wrote", folder / "stability_bounds.json")
 print("wrote", charts.small_multiples(panels, folder / "stability_bounds.png"))

@@ -15,6 +15,7 @@ from maglev_mj.experiments.growth import RestingWall, measure_growth
 from maglev_mj.hand import Hand
 from maglev_mj.laws import ObserverWall
 from maglev_mj.stability import largest_modulus, stiffest_wall
+from maglev_mj.versions import versions
 
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("folder", nargs="?", default="figures", type=Path, help="where files go")
@@ -174,6 +175,6 @@ data = [
     {"title": one.title, "labels": one.labels, "curves": [[name, list(x), list(y)] for name, x, y in one.curves]}
     for one in panels
 ]
-(folder / "where_methods_fail.json").write_text(json.dumps(data, indent=1) + "\n")
+(folder / "where_methods_fail.json").write_text(json.dumps({"panels": data, "versions": versions()}, indent=1) + "\n")
 print("wrote", folder / "where_methods_fail.json")
 print("wrote", charts.small_multiples(panels, folder / "where_methods_fail.png"))

@@ -68,7 +68,7 @@ def test_stability_bounds_prints_and_writes_its_figures(tmp_path: Path) -> None:
 def test_where_methods_fail_draws_its_panels(tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     run_script("where_methods_fail.py", "--quick", str(tmp_path))
-    panels = json.loads((tmp_path / "where_methods_fail.json").read_text())
+    panels = json.loads((tmp_path / "where_methods_fail.json").read_text())["panels"]
     assert len(panels) == 8 and all(panel["curves"] for panel in panels)
     assert (tmp_path / "where_methods_fail.png").stat().st_size > 10_000
 
