@@ -46,10 +46,13 @@ def versions() -> dict[str, str | bool | None]:
 
 
 def versions_read(found: object) -> Versions | None:
-    """Return versions read from a file; None for anything else."""
-    if isinstance(found, dict) and all(isinstance(value, str | bool | None) for value in found.values()):
-        return found
-    return None
+    """Return versions read from a file; None for anything else, such as text that steers a terminal."""
+    if not isinstance(found, dict):
+        return None
+    plain = (
+        value.isprintable() if isinstance(value, str) else value in (None, True, False) for value in found.values()
+    )
+    return found if all(plain) else None
 
 
 def differences(theirs: Versions, ours: Versions) -> str:
@@ -57,6 +60,8 @@ def differences(theirs: Versions, ours: Versions) -> str:
 
     A revision that is not known on one side is left to the sources.
     """
+    if not theirs:
+        return "no versions"
     names = [name for name in _COMPARED if theirs.get(name) != ours.get(name)]
     revisions = theirs.get("revision"), ours.get("revision")
     if None not in revisions and revisions[0] != revisions[1]:

@@ -59,8 +59,8 @@ def _sweep(options: argparse.Namespace) -> int:
     record = Record(path)
     known = sum(cell in record for cell in cells)
     others = record.others(cells)
-    tell_of_others("sweep", others)
     workers = chosen_workers(options, default=None)
+    tell_of_others("sweep", others)
     progress = Progress(f"sweep {scene}")
     # enough jobs for every worker to get several, few enough that handing them out costs nothing
     together = max(min((len(cells) - known) // (8 * workers.window), 50), 1)
