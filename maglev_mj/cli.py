@@ -16,7 +16,6 @@ from maglev_mj.options import Parser, joined
 
 __all__ = ["main"]
 
-
 _UNREAD = 141  # as a shell gives for a program that a closed pipe ends
 
 
@@ -81,6 +80,9 @@ def _drop_unwritten() -> None:
 def _parser() -> Parser:
     parser = Parser(prog="maglev-mj", description=maglev_mj.__doc__)
     parser.add_argument("--version", action="version", version=f"maglev-mj {maglev_mj.__version__}")
+    parser.epilog = (
+        "Exit status: 0; 1 for a run that failed, 2 for bad input, 130 for Ctrl-C, 141 for an output that nobody reads."
+    )
     commands = parser.add_subparsers(dest="command", required=True, metavar="command")
     for command in COMMANDS:
         command.add_command(commands)
