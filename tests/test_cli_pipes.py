@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from maglev_mj.commands import COMMANDS
+from maglev_mj.cli import main
+from maglev_mj.commands import COMMANDS, info
 from maglev_mj.experiments.drop import DropParameters
 from maglev_mj.replay import write_experiment
 
@@ -107,3 +108,14 @@ def test_a_full_disk_is_one_line() -> None:
             done = subprocess.run([*CLI, "info"], stdout=full, stderr=subprocess.PIPE, text=True, env=env)
         assert done.returncode == 1
         assert len(done.stderr.splitlines()) == 1 and "No space left on device" in done.stderr
+
+
+def test_another_broken_pipe_is_an_error_like_any(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def broken() -> None:
+        raise BrokenPipeError(32, "Broken pipe")
+
+    monkeypatch.setattr(info, "device_report", broken)
+    assert main(["info"]) == 1
+    assert capsys.readouterr().err == "maglev-mj info: [Errno 32] Broken pipe\n"
