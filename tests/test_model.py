@@ -191,7 +191,7 @@ def test_coils_that_cannot_give_every_wrench_are_refused(device: Device) -> None
         coils.largest_wrench(-1.0)
 
 
-def test_coils_are_where_they_are_published_to_be(device: Device) -> None:
+def test_vertical_coils_are_at_the_coil_radius(device: Device) -> None:
     points = coil_map(device).points[:3]
     np.testing.assert_allclose(np.hypot(points[:, 0], points[:, 1]), SPEC.coil_radius.value, rtol=1e-15)
 
