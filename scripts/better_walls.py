@@ -18,6 +18,7 @@ from maglev_mj.frames import Array
 from maglev_mj.hand import HANDS, hand_called
 from maglev_mj.laws import Law, ObserverWall, PassivityController, PredictiveWall
 from maglev_mj.sampled import Design, rendered_stiffness
+from maglev_mj.spec import Spec
 from maglev_mj.stability import least_dynamic_stiffness, stiffest_wall
 from maglev_mj.versions import versions
 
@@ -28,7 +29,7 @@ options = parser.parse_args()
 folder = options.folder
 folder.mkdir(parents=True, exist_ok=True)
 
-PERIOD, MASS = 0.005, 0.7
+PERIOD, MASS = 1.0 / Spec.control_rate.value, Spec.moving_mass.value
 SIZES = (8,) if options.quick else (40, 12, 12, 12)
 
 

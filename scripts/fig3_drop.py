@@ -10,8 +10,8 @@ from maglev_mj.experiments.drop import DropParameters, run_drop
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else "figures")
 folder.mkdir(parents=True, exist_ok=True)
 
-# the paper's gains are the defaults: 6000 N/m, 80 N s/m, a pulse of 220 N s/m for 3 ms, 200 Hz, 1.5 ms
-drop = DropParameters(plant="mujoco", height=0.0045)
+# the paper's gains are the defaults: 4.5 mm, 6000 N/m, 80 N s/m, a pulse of 220 N s/m for 3 ms, 200 Hz, 1.5 ms
+drop = DropParameters(plant="mujoco")
 runs = [("with pulse", run_drop(drop)), ("without pulse", run_drop(replace(drop, pulse=0.0)))]
 
 for label, result in runs:

@@ -10,6 +10,6 @@ from maglev_mj.experiments.drop import DropParameters, run_drop
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else "figures")
 folder.mkdir(parents=True, exist_ok=True)
 
-drop = DropParameters(plant="mujoco", height=0.0045)
+drop = DropParameters(plant="mujoco")
 runs = [("with pulse", run_drop(drop)), ("without pulse", run_drop(replace(drop, pulse=0.0)))]
 print("wrote", charts.phase_plane(runs, folder / "fig4_phase_plane.png"))

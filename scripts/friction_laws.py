@@ -12,6 +12,7 @@ from typing import Any
 from maglev_mj import Controller, Sample, charts
 from maglev_mj.experiments.choices import LAWS, VELOCITIES
 from maglev_mj.experiments.friction_study import against_exact, chatter, creep, cycle_work, friction_law, mean_friction
+from maglev_mj.spec import Spec
 from maglev_mj.versions import versions
 
 QUICK = "--quick" in sys.argv  # two rates and fewer load cycles
@@ -22,7 +23,7 @@ CASES = (
     ("5 µm, low-pass", 5e-6, "low-pass"),
     ("5 µm, adaptive", 5e-6, "adaptive"),
 )
-DELAY = 0.0015
+DELAY = Spec.transport_delay.value
 CYCLES = 50 if QUICK else 200
 
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from maglev_mj.experiments.drop import DropParameters, sweep_drop, sweep_hardness
+from maglev_mj.spec import Spec
 
 WINDOW = 0.005  # over which the rise of the force is taken, for the perceived hardness [s]
 FIGURES = (("penetration", 1e3, "mm"), ("rebound", 1e3, "mm"), ("settling_time", 1e3, "ms"), ("peak_force", 1.0, "N"))
@@ -31,7 +32,7 @@ VARIANTS: tuple[tuple[str, dict[str, Any]], ...] = (
 for title, options in VARIANTS:
     print(title)
     print(f"  {'height':>7}  {'figure':<16}{'without pulse':<28}{'with pulse':<28}less with pulse")
-    for height in (0.001, 0.002, 0.003, 0.0045):
+    for height in (0.001, 0.002, 0.003, Spec.translation_range.value):
         drop = DropParameters(plant="exact", height=height, **options)
         plain = sweep_drop(replace(drop, pulse=0.0), 100).summary
         pulsed = sweep_drop(drop, 100).summary

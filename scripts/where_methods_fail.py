@@ -14,6 +14,7 @@ from maglev_mj.experiments.failures import hum, press_at_edge, random_delay_rate
 from maglev_mj.experiments.growth import RestingWall, measure_growth
 from maglev_mj.hand import Hand
 from maglev_mj.laws import ObserverWall
+from maglev_mj.spec import Spec
 from maglev_mj.stability import largest_modulus, stiffest_wall
 from maglev_mj.versions import versions
 
@@ -24,7 +25,7 @@ options = parser.parse_args()
 folder = options.folder
 folder.mkdir(parents=True, exist_ok=True)
 
-T, DELAY, MASS = 0.005, 0.0015, 0.7
+T, DELAY, MASS = 1.0 / Spec.control_rate.value, Spec.transport_delay.value, Spec.moving_mass.value
 COUNT = 4 if options.quick else 10
 
 

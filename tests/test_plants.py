@@ -17,6 +17,7 @@ from maglev_mj.errors import DivergenceError, ModelError, ParameterError, PlantE
 from maglev_mj.frames import Array, quaternion
 from maglev_mj.laws import Hold, Wall
 from maglev_mj.plants import CorrectedPlant, SampledPlant, Sensor
+from maglev_mj.spec import INERTIA
 from maglev_mj.trace import Trace
 
 PLANTS: list[type[Any]] = [ExactPlant, MuJoCoPlant]
@@ -340,7 +341,7 @@ def test_current_limit_caps_each_coil() -> None:
 def test_hold_brings_all_six_axes_to_their_target(coils: bool) -> None:
     target = np.array([1e-3, -5e-4, 8e-4, 0.02, -0.01, 0.015])
     plant = MuJoCoPlant(coils=coils, gravity=0.0)
-    hold = Hold.critically_damped(inertia=[M] * 3 + [9e-4] * 3, period=T, delay=0.0015, target=target)
+    hold = Hold.critically_damped(inertia=INERTIA, period=T, delay=0.0015, target=target)
     sample = run(plant, Controller([hold], period=T), 400)
     np.testing.assert_allclose(sample.position, target, atol=1e-9)
 

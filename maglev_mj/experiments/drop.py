@@ -13,7 +13,7 @@ import numpy as np
 from maglev_mj.controller import Controller
 from maglev_mj.errors import DivergenceError, ParameterError
 from maglev_mj.exact import analog_wall
-from maglev_mj.experiments.drop_parameters import ESCAPE, DropParameters
+from maglev_mj.experiments.drop_parameters import DropParameters
 from maglev_mj.experiments.wall_controller import wall_controller
 from maglev_mj.frames import Array
 from maglev_mj.hand import HandForce
@@ -21,6 +21,7 @@ from maglev_mj.loop import run
 from maglev_mj.metrics import BounceSummary, Hardness, perceived_hardness, percentiles, summarise_bounce
 from maglev_mj.parameters import number, numbers
 from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant, Sensor, Timing, engine_warnings_silenced
+from maglev_mj.spec import ESCAPE
 from maglev_mj.trace import Trace
 
 __all__ = [

@@ -20,11 +20,11 @@ from maglev_mj.hand import GuidedHand, Hand, HandForce, motion
 from maglev_mj.loop import run
 from maglev_mj.parameters import number
 from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant, Sensor, Timing, engine_warnings_silenced
+from maglev_mj.spec import ESCAPE
 from maglev_mj.trace import Trace
 
 __all__ = ["PressParameters", "PressResult", "PressSweep", "run_press", "sweep_press"]
 
-_ESCAPE = 0.045
 _MOST_PHASES = 10_000
 _TOGETHER = 64
 
@@ -189,7 +189,7 @@ def _plant(runs: Sequence[PressParameters], *, together: bool, hand_force: HandF
         hand_force=force,
         wrench_limit=None if p.force_limit is None else [np.inf, np.inf, p.force_limit] + [np.inf] * 3,
         sensor=Sensor(quantum=np.eye(len(AXES))[2] * p.quantize) if p.quantize else None,
-        escape=(_ESCAPE, 1.0),
+        escape=(ESCAPE, 1.0),
         record=True,
         longest_step=_longest_step(p, hand),
     )

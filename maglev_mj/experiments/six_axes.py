@@ -16,12 +16,11 @@ from maglev_mj.laws import StickSlip
 from maglev_mj.loop import run
 from maglev_mj.parameters import number
 from maglev_mj.plants import ExactPlant, MuJoCoPlant, Timing
-from maglev_mj.spec import Spec
+from maglev_mj.spec import INERTIA, Spec
 
 __all__ = ["SixAxesResult", "run_six_axes"]
 
-_INERTIA = np.array([Spec.moving_mass.value] * 3 + [Spec.tilt_inertia.value] * 2 + [Spec.spin_inertia.value])
-_RADIUS = np.sqrt(_INERTIA / Spec.moving_mass.value)
+_RADIUS = np.sqrt(np.array(INERTIA) / INERTIA[0])
 """1 for a translation, the radius of gyration for a rotation: scales figure 8's values to every axis."""
 
 
@@ -83,7 +82,12 @@ class SixAxesResult:
 
 
 def run_six_axes(
-    *, plant: str = "mujoco", seed: int = 1, duration: float = 12.0, period: float = 0.005, delay: float = 0.0015
+    *,
+    plant: str = "mujoco",
+    seed: int = 1,
+    duration: float = 12.0,
+    period: float = 1.0 / Spec.control_rate.value,
+    delay: float = Spec.transport_delay.value,
 ) -> SixAxesResult:
     """Move the flotor about by a smooth seeded hand, with figure 8's stick-slip on every axis.
 

@@ -19,6 +19,7 @@ from maglev_mj.parameters import number, numbers
 from maglev_mj.plants.complaints import escaped, refusal
 from maglev_mj.plants.contract import Timing
 from maglev_mj.plants.sensor import PoseSensor
+from maglev_mj.spec import ESCAPE
 from maglev_mj.trace import Trace, TraceRecorder
 
 __all__ = ["PlantKeywords", "SampledPlant"]
@@ -66,7 +67,7 @@ class SampledPlant(ABC):
         wrench: ArrayLike = 0.0,
         wrench_limit: ArrayLike | None = None,
         sensor: PoseSensor | None = None,
-        escape: tuple[float, float] = (0.045, 1.0),
+        escape: tuple[float, float] = (ESCAPE, 1.0),
         record: bool = False,
         longest_step: float | None = None,
         hand_force: HandForce | None = None,

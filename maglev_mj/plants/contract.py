@@ -11,6 +11,7 @@ import numpy as np
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Command, Component, Sample
 from maglev_mj.parameters import number, numbers
+from maglev_mj.spec import Spec
 
 __all__ = ["Plant", "Timing"]
 
@@ -52,8 +53,8 @@ class Timing:
         ParameterError: If a value is outside its bounds.
     """
 
-    period: float = 0.005
-    delay: float = 0.0015
+    period: float = 1.0 / Spec.control_rate.value
+    delay: float = Spec.transport_delay.value
     phase: Component = 0.0
     jitter: float = 0.0
     seed: int = 0

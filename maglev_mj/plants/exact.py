@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any, TypeAlias, Unpack
 
@@ -16,7 +15,7 @@ from maglev_mj.parameters import number, numbers
 from maglev_mj.plants.axes import AxisMotion, FreeAxis, HeldAxis, LaggedAxis, RubbingAxis
 from maglev_mj.plants.base import PlantKeywords, SampledPlant
 from maglev_mj.plants.contract import Timing
-from maglev_mj.spec import GRAVITY, Spec
+from maglev_mj.spec import DRIVER_TIME_CONSTANT, GRAVITY, INERTIA
 
 __all__ = ["ExactPlant"]
 
@@ -52,8 +51,8 @@ class ExactPlant(SampledPlant):
         self,
         timing: Timing | None = None,
         *,
-        mass: float = Spec.moving_mass.value,
-        inertia: ArrayLike = (Spec.tilt_inertia.value, Spec.tilt_inertia.value, Spec.spin_inertia.value),
+        mass: float = INERTIA[0],
+        inertia: ArrayLike = INERTIA[3:],
         pose: ArrayLike = (0.0,) * 6,
         twist: ArrayLike = (0.0,) * 6,
         gravity: float = GRAVITY,
@@ -68,7 +67,7 @@ class ExactPlant(SampledPlant):
         self._body = (*(1.0 / value for value in body[2:]), fall)
         self._weight = (0.0, 0.0, fall * body[2], 0.0, 0.0, 0.0)
         self._place, self._velocity = _shared(components(start)), _shared(components(motion))
-        self._lag = 1.0 / (2.0 * math.pi * Spec.driver_bandwidth.value) if driver_lag else 0.0
+        self._lag = DRIVER_TIME_CONSTANT if driver_lag else 0.0
         if keywords.get("record") and self._lag:
             # only the recorded curve needs the pieces: the state itself is exact over any stretch
             keywords["longest_step"] = 0.25 * self._lag
