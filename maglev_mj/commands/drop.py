@@ -12,7 +12,7 @@ import numpy as np
 from maglev_mj import charts
 from maglev_mj.errors import DivergenceError
 from maglev_mj.experiments.choices import PLANTS
-from maglev_mj.experiments.drop import DropParameters, run_drop, sweep_drop
+from maglev_mj.experiments.drop import DropParameters, drop_variants, run_drop, sweep_drop
 from maglev_mj.options import add_options, add_outputs, add_recording, count
 from maglev_mj.output import check_recording, keep_partial, write_json
 from maglev_mj.replay import write_experiment
@@ -20,7 +20,7 @@ from maglev_mj.tables import drop_table
 
 __all__ = ["add_command"]
 
-_PICTURED_PHASES = 50
+_PICTURED_PHASES = 100
 
 
 def add_command(commands: Any) -> None:
@@ -80,15 +80,11 @@ def _drop(options: argparse.Namespace) -> int:
 
 
 class _DropStudy:
-    """A drop, the same without its pulse unless it is wanted alone or has none, and their sweeps."""
+    """A drop, the drops to compare it with unless it is wanted alone, and their sweeps."""
 
     def __init__(self, parameters: DropParameters, phases: int | None, *, alone: bool) -> None:
-        self.labels, variants = ["with pulse"], [parameters]
-        if parameters.pulse == 0.0:
-            self.labels = ["no pulse"]
-        elif not alone:
-            self.labels.append("without pulse")
-            variants.append(replace(parameters, pulse=0.0))
+        compared = drop_variants(parameters)
+        self.labels, variants = list(compared)[: 1 if alone else None], list(compared.values())[: 1 if alone else None]
         self.results = [run_drop(variant) for variant in variants]
         try:
             self.sweeps = [] if phases is None else [sweep_drop(variant, phases) for variant in variants]
