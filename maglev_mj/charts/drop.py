@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -173,7 +173,7 @@ def _columns(runs: Sequence[tuple[str, DropResult]], time: Array) -> list[list[_
     plain: list[_Drop] = []
     for place, (label, result) in enumerate(runs):
         p = result.parameters
-        band = trace_phases(p, _PHASES)
+        band = trace_phases(replace(p, duration=float(time[-1])), _PHASES)
         less_deep = share_less_deep(result.summary, summarise_bounce(band, p.rest))
         style = _style(place, label, pulsed=p.pulse > 0.0)
         drop = _Drop(p, style, _along_z(result.trace, time), _along_z(band, time), less_deep)

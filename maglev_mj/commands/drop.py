@@ -20,7 +20,7 @@ from maglev_mj.tables import drop_table
 
 __all__ = ["add_command"]
 
-_PICTURED_PHASES = 100
+_PICTURED_PHASES = 50
 
 
 def add_command(commands: Any) -> None:
@@ -83,8 +83,8 @@ class _DropStudy:
     """A drop, the drops to compare it with unless it is wanted alone, and their sweeps."""
 
     def __init__(self, parameters: DropParameters, phases: int | None, *, alone: bool) -> None:
-        compared = drop_variants(parameters)
-        self.labels, variants = list(compared)[: 1 if alone else None], list(compared.values())[: 1 if alone else None]
+        compared = list(drop_variants(parameters).items())
+        self.labels, variants = zip(*compared[:1] if alone else compared, strict=True)
         self.results = [run_drop(variant) for variant in variants]
         try:
             self.sweeps = [] if phases is None else [sweep_drop(variant, phases) for variant in variants]

@@ -139,9 +139,10 @@ def trace_phases(parameters: DropParameters, phases: int | ArrayLike) -> Trace:
 def drop_variants(parameters: DropParameters) -> dict[str, DropParameters]:
     """Return the drops to compare, by label.
 
-    First the drop itself, last the same without its pulse. The paper's figures are drawn with a pulse of 220, which
-    fits its equation (9) as damping further to k_v, and its figures as both together: where `pulse` is this number,
-    the second reading stands between.
+    First the drop itself, last the same without its pulse. The paper's equation (9) adds its pulse of 220 N s/m to the
+    damping, but its figure 3 fits 220 with the damping included: a drop with this pulse has that reading in between.
+
+    Source: Salcudean & Vlaar 1997, eq. (9) and figure 3.
     """
     plain = {"no pulse": replace(parameters, pulse=0.0)}
     if parameters.pulse == 0.0:
