@@ -102,6 +102,15 @@ def test_a_diverging_drop_says_so_and_keeps_its_record(tmp_path: Path, capsys: p
     assert len(data["z"]) > 300
 
 
+def test_where_a_compared_drop_diverges_the_record_is_the_one_asked_for(tmp_path: Path) -> None:
+    target = tmp_path / "drop.json"
+    arguments = ["--plant", "exact", "--delay", "0.006", "--duration", "0.48", "--json", str(target)]
+    assert cli.main(["drop", *arguments]) == 1
+    data = json.loads(target.read_text())
+    assert data["parameters"]["pulse"] == 220.0
+    assert len(data["z"]) == 481
+
+
 @pytest.mark.parametrize(
     "arguments",
     [

@@ -85,8 +85,9 @@ class _DropStudy:
     def __init__(self, parameters: DropParameters, phases: int | None, *, alone: bool) -> None:
         compared = list(drop_variants(parameters).items())
         self.labels, variants = zip(*compared[:1] if alone else compared, strict=True)
-        self.results = [run_drop(variant) for variant in variants]
+        self.results = [run_drop(variants[0])]
         try:
+            self.results += [run_drop(variant) for variant in variants[1:]]
             self.sweeps = [] if phases is None else [sweep_drop(variant, phases) for variant in variants]
         except DivergenceError as error:
             error.partial = self.results[0]  # the drop itself is worth keeping
