@@ -26,8 +26,11 @@ def test_drop_prints_one_screen(capsys: pytest.CaptureFixture[str]) -> None:
         "rebound",
         "peak force",
         "settling, 2 %",
-        "with pulse",
-        "without",
+        "pulse 220 further",
+        "pulse 220 in all",
+        "no pulse",
+        "at phase 0, deeper than 80 % of the phases",
+        "over 5 phases",
         "differ by at most",
     ):
         assert words in out
@@ -100,6 +103,15 @@ def test_a_diverging_drop_says_so_and_keeps_its_record(tmp_path: Path, capsys: p
     assert len(data["z"]) > 300
 
 
+def test_where_a_compared_drop_diverges_the_record_is_the_one_asked_for(tmp_path: Path) -> None:
+    target = tmp_path / "drop.json"
+    arguments = ["--plant", "exact", "--delay", "0.006", "--duration", "0.48", "--json", str(target)]
+    assert cli.main(["drop", *arguments]) == 1
+    data = json.loads(target.read_text())
+    assert data["parameters"]["pulse"] == 220.0
+    assert len(data["z"]) == 481
+
+
 @pytest.mark.parametrize(
     "arguments",
     [
@@ -127,10 +139,13 @@ def test_the_table_says_when_the_device_could_not_do_it(capsys: pytest.CaptureFi
 def test_the_table_shows_the_sweep_as_it_is(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["drop", "--plant", "exact", "--phases", "100"]) == 0
     rows = {line[2:13].strip(): line for line in capsys.readouterr().out.splitlines()}
-    assert "1.74 (1.22 to 2.54)" in rows["penetration"]
-    assert "2.94 (2.41 to 3.58)" in rows["penetration"]
+    assert re.findall(r"\S+ \(.*?\)", rows["penetration"]) == [
+        "1.74 (1.22 to 2.54)",
+        "2.01 (1.53 to 2.80)",
+        "2.94 (2.41 to 3.58)",
+    ]
     assert cli.main(["drop", "--plant", "exact", "--phases", "20", "--duration", "0.13"]) == 0
-    assert "with pulse: settled within 0.13 s at 19 of 20 phases" in capsys.readouterr().out
+    assert "pulse 220 further: settled within 0.13 s at 19 of 20 phases" in capsys.readouterr().out
 
 
 def test_a_file_that_cannot_be_written_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from maglev_mj import Controller, ExactPlant, MuJoCoPlant, Sample, Timing, Wall, run
 from maglev_mj.errors import ParameterError
-from maglev_mj.experiments.drop import DropParameters, run_drop
 from maglev_mj.experiments.failures import swing_after_drop
 from maglev_mj.frames import components
 from maglev_mj.hand import exponential
@@ -214,18 +213,6 @@ def test_hardness_of_an_analog_wall_is_stiffness_and_damping_over_the_window() -
     assert hard.rate == pytest.approx((-3000.0 * place - 10.0 * speed) / window, rel=0.02)
     assert hard.rate == pytest.approx(3000.0 + 10.0 / window, rel=0.1)
     assert hard.extended >= hard.rate
-
-
-def test_the_pulse_feels_harder_at_every_phase() -> None:
-    """Extended rate-hardness over 5 ms, with the paper's pulse and without, 4.5 mm drop."""
-    ratios = []
-    for phase in np.arange(20) / 20:
-        pair = [
-            perceived_hardness(run_drop(DropParameters(plant="exact", phase=float(phase), pulse=pulse)).trace, T)
-            for pulse in (220.0, 0.0)
-        ]
-        ratios.append(float(pair[0].extended / pair[1].extended))
-    assert min(ratios) > 1.3 and 1.8 < np.median(ratios) < 3.5
 
 
 def test_hardness_of_a_flotor_that_touches_nothing_is_nan() -> None:

@@ -41,9 +41,14 @@ def test_render_device(tmp_path: Path) -> None:
     assert picture[..., :3].std() > 0.1  # a device, not an empty sky
 
 
-def test_pulse_effect_prints_every_height_and_limit() -> None:
-    out = run_script("pulse_effect.py")
-    assert out.count("penetration") == out.count("rebound") == out.count("settling_time") == 12
+def test_pulse_effect_prints_the_table_of_the_readme() -> None:
+    out = run_script("pulse_effect.py").splitlines()
+    assert sum(line.startswith("| from") for line in out) == 8
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    (table,) = re.findall(r"^\| from 4\.5 mm (?:.*\n)+?\n", readme, re.MULTILINE)
+    rows = table.splitlines()[:-1]
+    assert len(rows) > 8
+    assert [row for row in rows if row not in out] == []
 
 
 def test_friction_laws_prints_and_writes_every_law(tmp_path: Path) -> None:
