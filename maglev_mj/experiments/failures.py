@@ -227,6 +227,7 @@ def hum(
     quantum: float = 5e-6,
     delay: float = _DELAY,
     period: float = _PERIOD,
+    mass: float = _MASS,
     duration: float = 4.0,
     offsets: int = 32,
 ) -> Hum:
@@ -240,6 +241,7 @@ def hum(
         quantum: Step of the sensor [m].
         delay: Transport delay [s].
         period: Sample period [s].
+        mass: Moving mass [kg].
         duration: Simulated time [s].
         offsets: How many starts over two steps of the sensor.
 
@@ -247,9 +249,10 @@ def hum(
         A figure a friction, (M,) each.
     """
     friction, offset = _every(frictions, offsets)
-    weight = _MASS * GRAVITY
+    weight = mass * GRAVITY
     plant = ExactPlant(
         Timing(period=period, delay=delay),
+        mass=mass,
         pose=_along_z(np.floor(-weight / stiffness / quantum) * quantum + 2.0 * quantum * offset),
         wrench=_along_z(np.full(friction.size, weight)),
         dry_friction=_along_z(friction),
@@ -257,7 +260,7 @@ def hum(
         record=True,
     )
     wall = law or Wall(axes="z", lower=0.0, stiffness=stiffness, damping=damping)
-    _watched(plant, around_wall(wall, period=period, delay=delay, mass=_MASS), duration, friction.size)
+    _watched(plant, around_wall(wall, period=period, delay=delay, mass=mass), duration, friction.size)
     trace = plant.trace()
     late = slice(-len(trace.time) // 4, -1)
     swing, force = np.ptp(trace.pose[late, :, 2], axis=0), np.std(trace.wrench[late, :, 2], axis=0)

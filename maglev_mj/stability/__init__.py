@@ -9,6 +9,7 @@ from maglev_mj.stability.boundary import (
     stiffest_of,
     stiffest_wall,
 )
+from maglev_mj.stability.design import GOALS, LAWS, Case, DesignedWall, WallRequirements, design_wall, worst_case
 from maglev_mj.stability.modulus import (
     characteristic_polynomial,
     critical_delay,
@@ -18,10 +19,16 @@ from maglev_mj.stability.modulus import (
 )
 
 __all__ = [
+    "GOALS",
+    "LAWS",
+    "Case",
+    "DesignedWall",
     "StiffestWall",
+    "WallRequirements",
     "boundary_of",
     "characteristic_polynomial",
     "critical_delay",
+    "design_wall",
     "is_stable",
     "largest_modulus",
     "largest_stable_stiffness",
@@ -30,4 +37,5 @@ __all__ = [
     "stable_ranges",
     "stiffest_of",
     "stiffest_wall",
+    "worst_case",
 ]

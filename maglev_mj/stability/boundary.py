@@ -18,8 +18,11 @@ from maglev_mj.stability.modulus import is_stable
 __all__ = [
     "StiffestWall",
     "boundary_of",
+    "first_end",
+    "flattened",
     "largest_stable_stiffness",
     "ranges_of",
+    "spans",
     "stable_ranges",
     "stiffest_of",
     "stiffest_wall",
@@ -38,13 +41,13 @@ class StiffestWall(NamedTuple):
     damping: Array
 
 
-def _flat(loop: SampledLoop, damping: Array) -> tuple[SampledLoop, Array, tuple[int, ...]]:
+def flattened(loop: SampledLoop, damping: Array) -> tuple[SampledLoop, Array, tuple[int, ...]]:
     """Return loop and dampings as N of each, and the shape that they had."""
     shape = common_shape("damping and loop", damping.shape, loop.shape)
     return loop.part(shape, slice(None)), np.broadcast_to(damping, shape).reshape(-1), shape
 
 
-def _ranges(loop: SampledLoop, damping: Array, limit: float, parts: Characteristic | None = None) -> tuple[Array, Mask]:
+def spans(loop: SampledLoop, damping: Array, limit: float, parts: Characteristic | None = None) -> tuple[Array, Mask]:
     """Return the stiffnesses between which the verdict cannot change, (N, c + 1), and the verdicts between, (N, c).
 
     Args:
@@ -73,7 +76,7 @@ def ranges_of(loop: SampledLoop, damping: float, limit: float = 1.0) -> list[tup
     if loop.shape:
         raise ParameterError(f"loop must be one, not {loop.shape}")
     limit = number("limit", limit, above=0.0, at_most=1.0)
-    edges, good = _ranges(loop, numbers("damping", [damping], at_least=0.0), limit)
+    edges, good = spans(loop, numbers("damping", [damping], at_least=0.0), limit)
     ranges: list[tuple[float, float]] = []
     for low, high, inside in zip(edges[0], edges[0, 1:], good[0]):
         if inside and high > low:
@@ -132,9 +135,9 @@ def largest_stable_stiffness(damping: ArrayLike | None = None, **loop: Unpack[Lo
 
 def boundary_of(loop: SampledLoop, damping: Array) -> Array:
     """Return the stiffness up to which every wall is stable: `largest_stable_stiffness` for any SampledLoop."""
-    flat, b, shape = _flat(loop, damping)
-    edges, good = _ranges(flat, b, 1.0)
-    rough, first = _first_end(edges, good)
+    flat, b, shape = flattened(loop, damping)
+    edges, good = spans(flat, b, 1.0)
+    rough, first = first_end(edges, good)
     wide, b = flat.widened(), b[:, None]
     # the crossing is good to rounding but for a slow one; the eigenvalues have the last word
     ends = rough[:, None] * [1.0 - _NEAR, 1.0 + _NEAR]
@@ -154,7 +157,7 @@ def boundary_of(loop: SampledLoop, damping: Array) -> Array:
     return np.where(found, low, rough).reshape(shape)
 
 
-def _first_end(edges: Array, good: Mask) -> tuple[Array, Array]:
+def first_end(edges: Array, good: Mask) -> tuple[Array, Array]:
     """Return where the stable range from 0 up ends, (N,), and the index of the first part that is not stable."""
     first = np.where(good.all(axis=-1), good.shape[-1], np.argmin(good, axis=-1))
     return edges[np.arange(len(edges)), first], first
@@ -191,7 +194,7 @@ def _stiffest(loop: SampledLoop) -> tuple[float, float]:
     parts = characteristic(loop, 1.0)
 
     def reach(damping: Array) -> Array:
-        return _first_end(*_ranges(loop, damping, 1.0, parts))[0]
+        return first_end(*spans(loop, damping, 1.0, parts))[0]
 
     places = [damping for damping in turning_points(parts) if _LOWEST < damping < _HIGHEST]
     dampings = np.concatenate([place * (1.0 + _APART * np.array([-1.0, 0.0, 1.0])) for place in places] + [_GRID])

@@ -119,7 +119,7 @@ def least_dynamic_stiffness(
     where = np.flatnonzero(stable)  # an unstable wall has no steady answer
     k, b = (np.broadcast_to(gain, stable.shape).reshape(-1)[where] for gain in (stiffness, damping))
     part = around.part(stable.shape, where)
-    for frequency in chosen if where.size else ():
-        gives = np.maximum(gives, np.abs(part.compliance(k, b, frequency)))
+    for moved in part.compliances(k, b, chosen) if where.size else ():
+        gives = np.maximum(gives, np.abs(moved))
     result[where] = 1.0 / gives
     return result.reshape(stable.shape)
