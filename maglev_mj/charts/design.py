@@ -36,7 +36,9 @@ def design_map(result: DesignResult, path: Path) -> Path:
     if min(sizes) > 1:
         low, high = float(result.map.min()), float(result.map.max())
         levels = np.linspace(low, high, 9)
-        panel.contourf(result.delays * 1e3, result.masses, result.map, levels=levels, cmap="GnBu")
+        panel.contourf(
+            result.delays * 1e3, result.masses, result.map, levels=levels, cmap="GnBu", vmax=2.0 * high - low
+        )
         lines = panel.contour(result.delays * 1e3, result.masses, result.map, levels=levels[1:-1], colors=IDEAL)
         panel.clabel(lines, fmt="%.3f", fontsize=8.5)
         panel.plot(worst.delay * 1e3, worst.mass, "*", color=SECOND, markersize=15, label=marked, clip_on=False)

@@ -28,12 +28,8 @@ def add_command(commands: Any) -> None:
     )
     made = WallRequirements()
     for name, unit in (("mass", "moving mass [kg]"), ("delay", "from a sample to its command taking effect [s]")):
-        parser.add_argument(
-            f"--{name}",
-            nargs="+",
-            metavar="X",
-            help=f"{unit}: one value, LOW:HIGH or LOW HIGH (default {getattr(made, name)[0]:g})",
-        )
+        told = f"{unit}: one value, LOW:HIGH or LOW HIGH (default {getattr(made, name)[0]:g})"
+        parser.add_argument(f"--{name}", nargs="+", metavar="X", help=told)
     parser.add_argument(
         "--hand",
         action="append",
@@ -73,13 +69,12 @@ def add_command(commands: Any) -> None:
 
 
 def _design(options: argparse.Namespace) -> int:
-    ranges = {
-        name: range_of(name, [text]) for name in ("mass", "delay") if (text := getattr(options, name)) is not None
-    }
+    made = WallRequirements()
     requirements = WallRequirements(
+        mass=range_of("mass", options.mass) or made.mass,
+        delay=range_of("delay", options.delay) or made.delay,
         hands=_hands(options.hand or ["none"], options.held),
         **{name: getattr(options, name) for name in ("period", "modulus", "driver_lag")},
-        **ranges,
     )
     contact = Contact(
         **{name: getattr(options, name) for name in ("pulse", "pulse_width", "quantize", "force_limit", "speed")}

@@ -33,9 +33,9 @@ def design_table(result: DesignResult) -> str:
     lines += [
         f"  largest modulus          {wall.modulus:>8.4f}        {_case(wall.worst)}",
         f"  least dynamic stiffness  {wall.dynamic_stiffness:>8.0f} N/m    {_case(wall.softest)}",
-        f"  hum, at rest             {result.hum:>8.3f} N      standard deviation, sensor of {contact.quantize * 1e6:g} µm",
+        f"  hum, at rest             {result.hum:>8.3f} N      standard deviation, {contact.quantize * 1e6:g} µm sensor",
         f"  depth, at {contact.speed:g} m/s".ljust(27)
-        + f"{result.depth * 1e3:>8.2f} mm     the worst of corners, hands and phases",
+        + f"{result.depth * 1e3:>8.2f} mm     worst of corners, hands, phases",
         f"  peak force, likewise     {result.peak:>8.1f} N"
         + ("      the limit" if contact.force_limit is not None and result.peak >= contact.force_limit else ""),
     ]
