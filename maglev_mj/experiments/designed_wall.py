@@ -81,7 +81,7 @@ class DesignResult:
         grows: True for each where the motion grows, or goes on, instead of settling, (C,).
         depth: Greatest depth at the speed of approach over corners, hands and phases [m].
         peak: Largest force there [N].
-        hum: Standard deviation of the force at rest over the sensor [N], for the middle of the ranges, the worst start.
+        hum: Standard deviation of the force at rest over the sensor [N]: middle of the ranges, first hand, worst start.
         masses: Of the map [kg], (M,).
         delays: Of the map [s], (D,).
         map: Largest modulus over the hands, (M, D).
@@ -152,6 +152,7 @@ def evaluate_wall(
     heard = 0.0
     if contact.quantize:
         around: Any = {"quantum": contact.quantize, "delay": delay, "period": needs.period, "mass": mass}
+        around["hand"] = hand_called(needs.hands[0])
         duration = _TICKS * needs.period
         noise = hum(0.0, law=wall.make(), stiffness=wall.rendered, damping=wall.damping, duration=duration, **around)
         heard = float(noise.force[0])
@@ -164,7 +165,7 @@ def growing_cases(wall: DesignedWall, contact: Contact, cases: Sequence[Case], *
 
     Each starts at random from 1 mm behind the wall to 2 mm above it, on its way down at up to the speed of approach, at
     a random phase of the sampler. It settles if its swing in the last quarter is below 20 steps of the sensor, or
-    below half of that in the second quarter (less, for a limit near 1).
+    below half of that in the second quarter; with a modulus near 1 allowed, below what that leaves of it.
 
     Args:
         wall: The wall, below z = 0.
@@ -176,7 +177,7 @@ def growing_cases(wall: DesignedWall, contact: Contact, cases: Sequence[Case], *
     height, speed = random.uniform(-1e-3, 2e-3, count), contact.speed * random.uniform(0.05, 1.0, count)
     grows, phase = np.zeros(count, dtype=bool), random.uniform(0.0, 1.0, count)
     quarter, floor = _TICKS // 4, max(_SETTLED_STEPS * contact.quantize, 1e-9)
-    slowest = min(max(0.5, wall.requirements.modulus ** (2 * quarter)), 0.9)
+    slowest = min(max(0.5, 1.02 * wall.requirements.modulus ** (2 * quarter)), 0.98)
     for index, plant in _plants(wall, contact, cases, height, speed, phase):
         seen: list[Array] = []
 

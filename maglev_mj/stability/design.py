@@ -22,8 +22,8 @@ from maglev_mj.stability.modulus import least_dynamic_stiffness
 
 __all__ = ["GOALS", "LAWS", "Case", "DesignedWall", "WallRequirements", "design_wall", "worst_case"]
 
-LAWS = ("pd", "observer")
-"""Laws that a wall can be designed for."""
+LAWS = ("pd", "observer", "disturbance-observer")
+"""Laws that a wall can be designed for: the last also estimates a constant unknown force."""
 GOALS = ("static", "dynamic")
 """Stiffnesses that can be made largest: against a slow push, or the least at any frequency."""
 
@@ -167,13 +167,13 @@ class DesignedWall:
     @property
     def design(self) -> Design | None:
         """Closed loop inside the wall for any gains; None for PD."""
-        return _design(self.requirements, self.pole)
+        return _design(self.requirements, self.law, self.pole)
 
     def make(self, *, force_limit: float = math.inf) -> Law | None:
         """Return the observer's law along z, its model told of the actuators' limit [N]; None for PD."""
         if self.pole is None:
             return None
-        return _observer(self.requirements, self.pole, self.stiffness, self.damping, force_limit)
+        return _observer(self.requirements, self.law, self.pole, self.stiffness, self.damping, force_limit)
 
 
 class _Gains(NamedTuple):
@@ -183,7 +183,12 @@ class _Gains(NamedTuple):
 
 
 def _observer(
-    requirements: WallRequirements, pole: float, stiffness: float, damping: float, force_limit: float = math.inf
+    requirements: WallRequirements,
+    law: str,
+    pole: float,
+    stiffness: float,
+    damping: float,
+    force_limit: float = math.inf,
 ) -> ObserverWall:
     mass, delay = requirements.nominal
     return ObserverWall(
@@ -194,16 +199,17 @@ def _observer(
         period=requirements.period,
         delay=delay,
         pole=pole,
+        disturbance=law == "disturbance-observer",
         force_limit=force_limit,
     )
 
 
-def _design(requirements: WallRequirements, pole: float | None) -> Design | None:
+def _design(requirements: WallRequirements, law: str, pole: float | None) -> Design | None:
     """Return the closed loop's design for any gains; None for PD."""
     if pole is None:
         return None
-    law = _observer(requirements, pole, 1.0, 1.0)
-    return lambda stiffness, damping, period: law.linear(stiffness, damping)
+    wall = _observer(requirements, law, pole, 1.0, 1.0)
+    return lambda stiffness, damping, period: wall.linear(stiffness, damping)
 
 
 def _rendered(design: Design | None, period: float, stiffness: Array, damping: Array) -> Array:
@@ -224,7 +230,7 @@ def design_wall(
 
     Args:
         requirements: What the wall must bear.
-        law: "pd", or "observer" for a law that has the delay as states, with the middle of the ranges for its model.
+        law: One of `LAWS`; an observer has the delay as states, and the middle of the ranges for its model.
         goal: "static" for the largest stiffness against a slow push, "dynamic" for the largest least dynamic stiffness.
         pole: Of the observer, in [0, 1); None for the best of a few.
 
@@ -239,7 +245,7 @@ def design_wall(
     best: tuple[_Gains, float | None] | None = None
     cases = _first_cases(requirements)
     for chosen in poles:
-        gains = _bearing(requirements, _design(requirements, chosen), goal, cases)
+        gains = _bearing(requirements, _design(requirements, law, chosen), goal, cases)
         if gains is not None and (best is None or gains.figure > best[0].figure):
             best = gains, chosen
     if best is None:
@@ -381,7 +387,7 @@ def worst_case(
 
 def _examined(requirements: WallRequirements, law: str, gains: _Gains, pole: float | None) -> DesignedWall:
     """Return the designed wall with its figures over the whole product."""
-    design = _design(requirements, pole)
+    design = _design(requirements, law, pole)
     modulus, worst = worst_case(requirements, gains.stiffness, gains.damping, design)
     cases = [*requirements.grid(5), worst]
     k, b = np.asarray(gains.stiffness), np.asarray(gains.damping)

@@ -14,7 +14,7 @@ def design_table(result: DesignResult) -> str:
     """Return gains, margins, contact and the check by simulation, as text."""
     wall, contact = result.wall, result.contact
     needs = wall.requirements
-    law = "PD wall" if wall.pole is None else f"observer wall, poles at {wall.pole:g}"
+    law = "PD wall" if wall.pole is None else f"{wall.law} wall, poles at {wall.pole:g},"
     lines = [
         f"Stiffest {law} at {1.0 / needs.period:g} Hz, every modulus at most {needs.modulus:g}",
         f"  over the product of mass {_span(needs.mass, 1.0)} kg, delay {_span(needs.delay, 1e3)} ms"
@@ -33,7 +33,8 @@ def design_table(result: DesignResult) -> str:
     lines += [
         f"  largest modulus          {wall.modulus:>8.4f}        {_case(wall.worst)}",
         f"  least dynamic stiffness  {wall.dynamic_stiffness:>8.0f} N/m    {_case(wall.softest)}",
-        f"  hum, at rest             {result.hum:>8.3f} N      standard deviation, {contact.quantize * 1e6:g} µm sensor",
+        f"  hum, at rest             {result.hum:>8.3f} N      "
+        f"{contact.quantize * 1e6:g} µm sensor, hand {needs.hands[0]}",
         f"  depth, at {contact.speed:g} m/s".ljust(27)
         + f"{result.depth * 1e3:>8.2f} mm     worst of corners, hands, phases",
         f"  peak force, likewise     {result.peak:>8.1f} N"
