@@ -13,6 +13,8 @@ from maglev_mj.hand import Hand
 from maglev_mj.laws import LinearController, LowPass, ObserverWall, Window
 from maglev_mj.sampled import SampledLoop, pd
 from maglev_mj.stability import boundary_of, is_stable, largest_stable_stiffness, ranges_of, stable_ranges, stiffest_of
+from maglev_mj.stability.boundary import first_end, spans
+from maglev_mj.stability.characteristic import characteristic, scales, turning_points
 
 # a soft grip whose own resonance leaves walls stable again beyond ones that are not
 ISLAND: dict[str, Any] = {
@@ -100,6 +102,22 @@ def test_the_stiffest_wall_is_that_of_a_dense_search(seed: int) -> None:
         damping = np.linspace(damping[max(best - 1, 0)], damping[min(best + 1, damping.size - 1)], 60)
     assert found.stiffness >= boundary_of(loop, damping).max() * (1.0 - 1e-6)
     assert found.stiffness == pytest.approx(float(boundary_of(loop, np.asarray(found.damping))), rel=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(300, 330))
+def test_a_crossing_is_good_before_it_is_refined(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    loop = random_loop(random)
+    damping = dampings_of(loop, random, 12)
+    rough, exact = first_end(*spans(loop, damping, 1.0))[0], boundary_of(loop, damping)
+    np.testing.assert_allclose(rough, exact, rtol=1e-5)
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.0015, 0.003, 0.005, 0.0125])
+def test_the_stiffest_wall_is_an_extreme_of_the_explicit_curve(delay: float) -> None:
+    loop = SampledLoop(delay=delay)
+    extremes = turning_points(characteristic(loop, 1.0)) * float(scales(loop)[1])
+    assert np.abs(extremes / float(stiffest_of(loop).damping) - 1.0).min() < 1e-8
 
 
 def test_an_observer_has_its_boundary_too() -> None:

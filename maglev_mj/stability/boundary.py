@@ -63,11 +63,6 @@ def spans(loop: SampledLoop, damping: Array, limit: float, parts: Characteristic
     edges = edges * np.broadcast_to(stiff, damping.shape)[:, None]
     middle = 0.5 * (edges[:, 1:] + edges[:, :-1])
     good = is_stable(loop.widened().modulus(middle, damping[:, None]), limit)
-    # between two equal edges there is nothing: it counts as what is before it
-    for column in range(1, good.shape[-1]):
-        good[:, column] = np.where(
-            edges[:, column + 1] <= edges[:, column] * (1.0 + 1e-12), good[:, column - 1], good[:, column]
-        )
     return edges, good
 
 

@@ -21,7 +21,6 @@ from maglev_mj.sampled import SampledLoop
 __all__ = ["Characteristic", "characteristic", "crossings", "scales", "turning_points"]
 
 _LEAST = 1e-11
-_SPLIT = 1e-4
 _TRIM = 1e-10
 _PAIRS = np.array([[0.0, 1.0, 0.0, 2.0], [0.0, 0.0, 1.0, 2.0]])
 _Series: TypeAlias = Array
@@ -100,7 +99,7 @@ def turning_points(parts: Characteristic) -> Array:
     roots = np.concatenate(
         [chebyshev.chebroots(chebyshev.chebtrim(series, _TRIM * np.abs(series).max())) for series in (*rising, meets)]
     )
-    x = roots[(np.abs(roots.imag) < _SPLIT) & (np.abs(roots) <= 1.0)].real
+    x = roots[(roots.imag == 0.0) & (np.abs(roots) <= 1.0)].real
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.asarray(chebyshev.chebval(x, d) / chebyshev.chebval(x, c))
 
@@ -128,7 +127,7 @@ def _roots(series: _Series) -> Array:
     """Return the angles in [0, pi] at which series of sin((m + 1) theta) vanish, (N, n) to (N, n + 1), NaN for none.
 
     Both ends always do. Between them: eigenvalues of the comrade matrix of U_m(cos theta), for each degree that
-    occurs, and Newton's method from there. A double root that rounding has split off the real axis counts.
+    occurs, and Newton's method from there.
     """
     count, most = series.shape
     result = np.full((count, most + 1), np.nan)
@@ -141,8 +140,8 @@ def _roots(series: _Series) -> Array:
         comrade[:] = 0.5 * (np.eye(degree, k=1) + np.eye(degree, k=-1))
         comrade[:, -1] -= 0.5 * series[rows, :degree] / series[rows, degree, None]
         roots = np.linalg.eigvals(comrade)
-        real = (np.abs(roots.imag) < _SPLIT) & (np.abs(roots.real) < 1.0 + _SPLIT)
-        result[rows[:, None], np.arange(degree)] = np.where(real, np.arccos(np.clip(roots.real, -1.0, 1.0)), np.nan)
+        real = (roots.imag == 0.0) & (np.abs(roots.real) <= 1.0)
+        result[rows[:, None], np.arange(degree)] = np.where(real, np.arccos(np.where(real, roots.real, 0.0)), np.nan)
     order = np.arange(1, most + 1)
     inner = result[:, :-2]
     for _ in range(3):
