@@ -83,6 +83,15 @@ def test_a_worst_case_inside_the_ranges_is_found() -> None:
     assert densely(wall, seed=3).max() <= 1.0 + 1e-6
 
 
+def test_the_worst_case_is_searched_for_between_the_points_of_a_grid() -> None:
+    hands = ("1.0,3,300,1,9000", "none")
+    needs = WallRequirements(period=0.00588, mass=(0.8638, 0.8896), delay=(0.0061, 0.00945), hands=hands)
+    wall = replace(design_wall(WallRequirements(), "observer", pole=0.0), requirements=needs)
+    modulus, case = worst_case(needs, 1817.0, 277.3, wall.design)
+    assert modulus >= densely(replace(wall, stiffness=1817.0, damping=277.3), seed=2, count=20000).max()
+    assert needs.moduli([case], 1817.0, 277.3, wall.design) == pytest.approx(modulus, rel=1e-12)
+
+
 @pytest.mark.parametrize("box", range(len(BOXES)))
 def test_no_stiffer_wall_bears_the_requirements(box: int) -> None:
     needs = WallRequirements(**BOXES[box])
