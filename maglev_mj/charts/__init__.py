@@ -1,5 +1,6 @@
 """Pictures of results; the only room that needs matplotlib (the extra `charts`)."""
 
+from maglev_mj.charts.design import design_map
 from maglev_mj.charts.drawing import ChartsMissingError, require
 from maglev_mj.charts.drop import phase_plane, phases, time_series
 from maglev_mj.charts.friction import friction_laws, staircase, stick_slip
@@ -13,6 +14,7 @@ __all__ = [
     "Panel",
     "WorkPoint",
     "WorkPrecision",
+    "design_map",
     "figure_2",
     "figure_6",
     "first_contact",

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from maglev_mj.controller import Controller
 from maglev_mj.experiments.wall_controller import around_wall, wall_controller
 from maglev_mj.frames import Array, Command, Sample
+from maglev_mj.hand import Hand
 from maglev_mj.laws import Law, Wall
 from maglev_mj.loop import run
 from maglev_mj.parameters import numbers
@@ -227,6 +228,8 @@ def hum(
     quantum: float = Spec.translation_resolution.value,
     delay: float = _DELAY,
     period: float = _PERIOD,
+    mass: float = _MASS,
+    hand: Hand | None = None,
     duration: float = 4.0,
     offsets: int = 32,
 ) -> Hum:
@@ -240,6 +243,8 @@ def hum(
         quantum: Step of the sensor [m].
         delay: Transport delay [s].
         period: Sample period [s].
+        mass: Moving mass [kg].
+        hand: On the flotor; None for none.
         duration: Simulated time [s].
         offsets: How many starts over two steps of the sensor.
 
@@ -247,17 +252,21 @@ def hum(
         A figure a friction, (M,) each.
     """
     friction, offset = _every(frictions, offsets)
-    weight = _MASS * GRAVITY
+    arm = 0.0 if hand is None else float(hand.static_stiffness)
+    depth = mass * GRAVITY / (stiffness + arm)
     plant = ExactPlant(
         Timing(period=period, delay=delay),
-        pose=_along_z(np.floor(-weight / stiffness / quantum) * quantum + 2.0 * quantum * offset),
-        wrench=_along_z(np.full(friction.size, weight)),
+        mass=mass,
+        hand=hand,
+        escape=_FAR,
+        pose=_along_z(np.floor(-depth / quantum) * quantum + 2.0 * quantum * offset),
+        wrench=_along_z(np.full(friction.size, stiffness * depth)),
         dry_friction=_along_z(friction),
         sensor=Sensor(quantum=np.eye(6)[2] * quantum),
         record=True,
     )
     wall = law or Wall(axes="z", lower=0.0, stiffness=stiffness, damping=damping)
-    _watched(plant, around_wall(wall, period=period, delay=delay, mass=_MASS), duration, friction.size)
+    _watched(plant, around_wall(wall, period=period, delay=delay, mass=mass), duration, friction.size)
     trace = plant.trace()
     late = slice(-len(trace.time) // 4, -1)
     swing, force = np.ptp(trace.pose[late, :, 2], axis=0), np.std(trace.wrench[late, :, 2], axis=0)

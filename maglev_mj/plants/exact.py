@@ -31,8 +31,8 @@ class ExactPlant(SampledPlant):
     second order in the angle, is left out. Driver lag, a hand and dry friction have closed forms too.
 
     Args:
-        timing: Sample period, delay and phase; (N,) phases go with a pose (N, 6).
-        mass: Mass of the flotor with its handle [kg].
+        timing: Sample period, delay and phase; (N,) delays and phases go with a pose (N, 6).
+        mass: Mass of the flotor with its handle [kg]; (N,) for N devices that differ.
         inertia: Moments of inertia about x, y, z [kg m²], (3,).
         pose: Pose at release [m, rad], (..., 6).
         twist: Velocity at release [m/s, rad/s], (..., 6).
@@ -51,7 +51,7 @@ class ExactPlant(SampledPlant):
         self,
         timing: Timing | None = None,
         *,
-        mass: float = INERTIA[0],
+        mass: ArrayLike = INERTIA[0],
         inertia: ArrayLike = INERTIA[3:],
         pose: ArrayLike = (0.0,) * 6,
         twist: ArrayLike = (0.0,) * 6,
@@ -160,7 +160,7 @@ class ExactPlant(SampledPlant):
 
 
 def _start(
-    timing: Timing, pose: ArrayLike, twist: ArrayLike, mass: float, inertia: ArrayLike
+    timing: Timing, pose: ArrayLike, twist: ArrayLike, mass: ArrayLike, inertia: ArrayLike
 ) -> tuple[Array, Array, list[Any]]:
     """Return checked pose and twist at release, of one shape, and mass and moments of inertia for the six axes."""
     start, motion = numbers("pose", pose), numbers("twist", twist)
@@ -174,7 +174,10 @@ def _start(
         shape = np.broadcast_shapes(*shapes)
     except ValueError:
         raise ParameterError(f"pose, twist and phase must fit one batch, not {shapes}") from None
-    body = [number("mass", mass, above=0.0)] * 3 + [number("inertia", value, above=0.0) for value in moments]
+    masses = numbers("mass", mass) if np.ndim(mass) else number("mass", mass, above=0.0)
+    if np.shape(masses) not in ((), shape[:-1]) or not np.all(masses > 0.0):
+        raise ParameterError(f"mass must be above 0, a number or one for each device of {shape[:-1]}, not {mass!r}")
+    body = [masses] * 3 + [number("inertia", value, above=0.0) for value in moments]
     return np.broadcast_to(start, shape), np.broadcast_to(motion, shape), body
 
 
