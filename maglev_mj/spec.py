@@ -5,9 +5,10 @@ ASSUMED marks what the paper does not say.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
-__all__ = ["GRAVITY", "INERTIA", "Quantity", "Spec"]
+__all__ = ["GRAVITY", "INERTIA", "RANGE", "Quantity", "Spec"]
 
 GRAVITY = 9.81
 """Standard acceleration of free fall to three figures [m/s²]; the paper does not print the value it used."""
@@ -58,3 +59,6 @@ class Spec:
 
 INERTIA = (*[Spec.moving_mass.value] * 3, *[Spec.tilt_inertia.value] * 2, Spec.spin_inertia.value)
 """Mass and moments of inertia of the six axes [kg, kg m²]."""
+
+RANGE = (*[Spec.translation_range.value] * 3, *[math.radians(Spec.rotation_range.value)] * 3)
+"""Motion range of the six axes, either way from the centre [m, rad]."""

@@ -68,11 +68,12 @@ class DropResult:
 
 @dataclass(frozen=True, eq=False)
 class DropSweep:
-    """The same drop at several phases: phases (N,) and each figure (N,)."""
+    """The same drop at several phases: phases (N,), each figure (N,), and the furthest on each axis (N, 6)."""
 
     parameters: DropParameters
     phases: Array
     summary: BounceSummary
+    furthest: Array
 
     def as_json(self) -> dict[str, Any]:
         """Return one summary a phase, the median, 5th and 95th percentile of each figure, and how many settled."""
@@ -109,15 +110,12 @@ def sweep_drop(parameters: DropParameters, phases: int | Sequence[float]) -> Dro
     """
     chosen = _phases(phases)
     if parameters.plant == "exact":
-        parts = [
-            summarise_bounce(_trace(parameters, chosen[start : start + _TOGETHER]), parameters.rest)
-            for start in range(0, chosen.size, _TOGETHER)
-        ]
-        figures = [np.concatenate(figure) for figure in zip(*parts, strict=True)]
+        batches = (chosen[start : start + _TOGETHER] for start in range(0, chosen.size, _TOGETHER))
+        runs = [_result(parameters, _trace(parameters, batch)) for batch in batches]
     else:
-        rows = [run_drop(replace(parameters, phase=float(phase))).summary for phase in chosen]
-        figures = [np.array(figure) for figure in zip(*rows, strict=True)]
-    return DropSweep(parameters, chosen, BounceSummary(*figures))
+        runs = [run_drop(replace(parameters, phase=float(phase))) for phase in chosen]
+    figures = [np.hstack(figure) for figure in zip(*(one.summary for one in runs), strict=True)]
+    return DropSweep(parameters, chosen, BounceSummary(*figures), np.vstack([one.trace.furthest() for one in runs]))
 
 
 def sweep_hardness(parameters: DropParameters, phases: int | Sequence[float], window: float) -> Hardness:
