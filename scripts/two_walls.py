@@ -47,14 +47,12 @@ def widest(pulse: float, delay: float, seed: int) -> float:
     return float(gap[found.speed > RATTLE].max(initial=0.0) * 1e3)
 
 
-print("Two walls of 6000 N/m and 80 N s/m, 200 Hz, 60 N, pulse further to the damping for 3 ms. Share of starts that")
+print("Two walls of 6000 N/m and 80 N s/m, 200 Hz, 60 N, pulse further to the damping for 3 ms. Share of the starts")
+print(f"that rattle, still above {RATTLE * 1e3:g} mm/s after {DURATION:g} s, among {STARTS} from the middle:")
 print(
-    f"rattle, still above {RATTLE * 1e3:g} mm/s after {DURATION:g} s, among {STARTS} from the middle: {SPEEDS.size} speeds"
+    f"{SPEEDS.size} speeds of {SPEEDS[0]:g} to {SPEEDS[-1]:g} m/s at {PHASES.size} phases. Last column: the widest gap"
 )
-print(
-    f"of {SPEEDS[0]:g} to {SPEEDS[-1]:g} m/s at {PHASES.size} phases. Last column: the widest gap [mm] that rattles among"
-)
-print(f"{RANDOM_STARTS} random starts of 0.02 to 0.45 m/s, anywhere between the walls and at any phase")
+print(f"[mm] that rattles among {RANDOM_STARTS} random starts of 0.02 to 0.45 m/s, at any place between and any phase")
 data: list[dict[str, Any]] = []
 for pulse in PULSES:
     print(f"\npulse {pulse:.0f} N s/m, gap in mm")
