@@ -111,11 +111,13 @@ def sweep_drop(parameters: DropParameters, phases: int | Sequence[float]) -> Dro
     chosen = _phases(phases)
     if parameters.plant == "exact":
         batches = (chosen[start : start + _TOGETHER] for start in range(0, chosen.size, _TOGETHER))
-        runs = [_result(parameters, _trace(parameters, batch)) for batch in batches]
+        runs = (_result(parameters, _trace(parameters, batch)) for batch in batches)
     else:
-        runs = [run_drop(replace(parameters, phase=float(phase))) for phase in chosen]
-    figures = [np.hstack(figure) for figure in zip(*(one.summary for one in runs), strict=True)]
-    return DropSweep(parameters, chosen, BounceSummary(*figures), np.vstack([one.trace.furthest() for one in runs]))
+        runs = (run_drop(replace(parameters, phase=float(phase))) for phase in chosen)
+    # a trace is large: only its figures are kept
+    summaries, furthest = zip(*((one.summary, one.trace.furthest()) for one in runs), strict=True)
+    figures = BounceSummary(*(np.hstack(figure) for figure in zip(*summaries, strict=True)))
+    return DropSweep(parameters, chosen, figures, np.vstack(furthest))
 
 
 def sweep_hardness(parameters: DropParameters, phases: int | Sequence[float], window: float) -> Hardness:

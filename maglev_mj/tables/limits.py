@@ -41,15 +41,11 @@ def beyond_range(labels: Sequence[str], runs: Sequence[ArrayLike], sweeps: Seque
             continue
         left |= outside
         phases = int(_outside(swept).any(axis=1).sum())
-        texts.append(
-            f"{label} {_distances(np.where(outside, furthest, 0.0))}"
-            + (f" ({phases} of {len(swept)} phases)" if phases else "")
-        )
-    return (
-        [f"  Beyond the device's range of {_distances(np.where(left, RANGE, 0.0))}: {', '.join(texts)}"]
-        if texts
-        else []
-    )
+        count = f" ({phases} of {len(swept)} phases)" if phases else ""
+        texts.append(f"{label} {_distances(np.where(outside, furthest, 0.0))}{count}")
+    if not texts:
+        return []
+    return [f"  Beyond the device's range of {_distances(np.where(left, RANGE, 0.0))}: {', '.join(texts)}"]
 
 
 def _outside(furthest: Array) -> Mask:
