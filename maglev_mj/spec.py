@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-__all__ = ["DRIVER_TIME_CONSTANT", "ESCAPE", "GRAVITY", "INERTIA", "RESOLUTION", "Quantity", "Spec"]
+__all__ = ["DRIVER_TIME_CONSTANT", "ESCAPE", "GRAVITY", "INERTIA", "RANGE", "RESOLUTION", "Quantity", "Spec"]
 
 GRAVITY = 9.81
 """Standard acceleration of free fall to three figures [m/s²]; the paper does not print the value it used."""
@@ -70,3 +70,6 @@ RESOLUTION = (*[Spec.translation_resolution.value] * 3, *[Spec.rotation_resoluti
 
 DRIVER_TIME_CONSTANT = 1.0 / (2.0 * math.pi * Spec.driver_bandwidth.value)
 """Time constant of the current drivers' first-order lag [s]."""
+
+RANGE = (*[Spec.translation_range.value] * 3, *[math.radians(Spec.rotation_range.value)] * 3)
+"""Motion range of the six axes, either way from the centre [m, rad]."""

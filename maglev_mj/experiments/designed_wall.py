@@ -11,6 +11,7 @@ import numpy as np
 
 from maglev_mj.controller import Controller
 from maglev_mj.errors import ParameterError
+from maglev_mj.experiments.batches import FAR, along_z
 from maglev_mj.experiments.failures import hum
 from maglev_mj.experiments.wall_controller import around_wall, wall_controller
 from maglev_mj.frames import Array, Command, Mask, Sample
@@ -24,7 +25,6 @@ from maglev_mj.stability.design import Case, DesignedWall
 
 __all__ = ["Contact", "DesignResult", "evaluate_wall", "growing_cases", "hardest_contact"]
 
-_FAR = (1e9, 1.0)
 _TICKS, _CONTACT_TICKS = 800, 100
 _RANDOM, _PHASES = 240, 8
 _GATE_STEPS, _SETTLED_STEPS = 5.0, 20.0
@@ -233,13 +233,13 @@ def _plants(
             ExactPlant(
                 Timing(period=needs.period, delay=np.array([case.delay for case in some]), phase=phase[index]),
                 mass=np.array([case.mass for case in some]),
-                pose=height[index, None] * axis,
-                twist=-speed[index, None] * axis,
+                pose=along_z(height[index]),
+                twist=along_z(-speed[index]),
                 hand=_hands([case.hand for case in some], soft),
                 driver_lag=needs.driver_lag,
                 sensor=Sensor(quantum=axis * contact.quantize) if contact.quantize else None,
                 wrench_limit=contact.force_limit,
-                escape=_FAR,
+                escape=FAR,
                 record=record,
             ),
         )

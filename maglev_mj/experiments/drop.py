@@ -71,11 +71,12 @@ class DropResult:
 
 @dataclass(frozen=True, eq=False)
 class DropSweep:
-    """The same drop at several phases: phases (N,) and each figure (N,)."""
+    """The same drop at several phases: phases (N,), each figure (N,), and the furthest on each axis (N, 6)."""
 
     parameters: DropParameters
     phases: Array
     summary: BounceSummary
+    furthest: Array
 
     def as_json(self) -> dict[str, Any]:
         """Return one summary a phase, the median, 5th and 95th percentile of each figure, and how many settled."""
@@ -112,15 +113,15 @@ def sweep_drop(parameters: DropParameters, phases: int | ArrayLike) -> DropSweep
     """
     chosen = _phases(phases)
     if parameters.plant == "exact":
-        parts = [
-            summarise_bounce(trace_phases(parameters, chosen[start : start + _TOGETHER]), parameters.rest)
-            for start in range(0, chosen.size, _TOGETHER)
-        ]
-        figures = [np.concatenate(figure) for figure in zip(*parts, strict=True)]
+        batches = (chosen[start : start + _TOGETHER] for start in range(0, chosen.size, _TOGETHER))
+        traces = (trace_phases(parameters, batch) for batch in batches)
     else:
-        rows = [run_drop(replace(parameters, phase=float(phase))).summary for phase in chosen]
-        figures = [np.array(figure) for figure in zip(*rows, strict=True)]
-    return DropSweep(parameters, chosen, BounceSummary(*figures))
+        traces = (run_drop(replace(parameters, phase=float(phase))).trace for phase in chosen)
+    # a trace is large: only its figures are kept
+    found = ((summarise_bounce(trace, parameters.rest), trace.furthest()) for trace in traces)
+    summaries, furthest = zip(*found, strict=True)
+    figures = BounceSummary(*(np.hstack(figure) for figure in zip(*summaries, strict=True)))
+    return DropSweep(parameters, chosen, figures, np.vstack(furthest))
 
 
 def trace_phases(parameters: DropParameters, phases: int | ArrayLike) -> Trace:

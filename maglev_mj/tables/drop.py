@@ -8,7 +8,7 @@ import numpy as np
 
 from maglev_mj.experiments.drop import DropResult, DropSweep, share_less_deep
 from maglev_mj.metrics import BounceSummary, percentiles
-from maglev_mj.spec import Spec
+from maglev_mj.tables.limits import beyond_force, beyond_range
 from maglev_mj.tables.text import cell
 
 __all__ = ["drop_table"]
@@ -52,9 +52,9 @@ def drop_table(labels: Sequence[str], results: Sequence[DropResult], sweeps: Seq
         settled = int(np.isfinite(sweep.summary.settling_time).sum())
         if settled < sweep.phases.size:
             lines.append(f"  {label}: settled within {p.duration:g} s at {settled} of {sweep.phases.size} phases")
-    peak, device = float(results[0].summary.peak_force), Spec.largest_vertical_force.value
-    if peak > device * (1.0 + 1e-9):
-        lines += ["", f"  The device gives {device:g} N along z, less than this peak: see --force-limit {device:g}"]
+    remarks = beyond_force(results[0].trace)
+    remarks += beyond_range(labels, [one.trace.furthest() for one in results], [one.furthest for one in sweeps])
+    lines += ["", *remarks] if remarks else []
     lines += ["", f"  MuJoCo and the exact plant differ by at most {gap:.1e} m"]
     return "\n".join(lines)
 
