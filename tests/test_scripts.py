@@ -96,8 +96,10 @@ def test_figure_9_prints_how_far_resting_places_are_apart(tmp_path: Path) -> Non
 def test_better_walls_prints_and_writes_its_figures(tmp_path: Path) -> None:
     out = run_script("better_walls.py", "--quick", str(tmp_path))
     data = json.loads((tmp_path / "better_walls.json").read_text())
-    assert len(data["designs"]) == 15 and len(data["bounces"]) == 6 and len(data["hum"]) == 2
-    assert out.count("observer") >= 7
+    assert len(data["designs"]) == 2 and len(data["bounces"]) == 2 and len(data["hum"]) == 2
+    assert "observer, poles at 0" in out
+    for row in data["designs"]:  # in every case of the product, and in simulation
+        assert row["modulus"] < 1.0 and row["growing"] == [0, 0]
 
 
 def test_bench_loop_prints_its_ratios() -> None:
