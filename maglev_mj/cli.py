@@ -11,13 +11,12 @@ from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.options import Parser, joined
 from maglev_mj.study import StudyInterrupted
 
-__all__ = ["main"]
+__all__ = ["main", "parser"]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return the exit status: 0, 1 for a run that failed, 2 for bad input, 130 for Ctrl-C."""
-    parser = _parser()
-    options = parser.parse_args(joined(sys.argv[1:] if arguments is None else arguments))
+    options = parser().parse_args(joined(sys.argv[1:] if arguments is None else arguments))
     try:
         status: int = options.run(options)
         return status
@@ -33,13 +32,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 1
 
 
-def _parser() -> Parser:
-    parser = Parser(prog="maglev-mj", description=maglev_mj.__doc__)
-    parser.add_argument("--version", action="version", version=f"maglev-mj {maglev_mj.__version__}")
-    commands = parser.add_subparsers(dest="command", required=True, metavar="command")
+def parser() -> Parser:
+    """Return the parser of every command."""
+    made = Parser(prog="maglev-mj", description=maglev_mj.__doc__)
+    made.add_argument("--version", action="version", version=f"maglev-mj {maglev_mj.__version__}")
+    commands = made.add_subparsers(dest="command", required=True, metavar="command")
     for command in COMMANDS:
         command.add_command(commands)
-    return parser
+    return made
 
 
 if __name__ == "__main__":

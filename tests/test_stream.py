@@ -1019,22 +1019,6 @@ def test_figures_in_the_text_of_the_page() -> None:
     assert f"for the next {SUBSCRIBED:g} s" in PAGE and f"After {SUBSCRIBED:g} s without a renewal" in PAGE
 
 
-def test_the_ten_lines_of_the_page_run() -> None:
-    standard, ours = blocks("python")
-    assert len([line for line in standard.splitlines() if line]) <= 10
-    stream = PoseStream(ANY)
-    with running(stream, "drop"):
-        code = standard.replace("5680", str(stream.address[1]))
-        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60)
-        assert done.returncode == 0, done.stderr
-        assert "'in force'" in done.stdout and "'subscribed'" in done.stdout
-        assert len([line for line in done.stdout.splitlines() if not line.startswith("{")]) >= 96
-        code = ours.replace("5680", str(stream.address[1])).replace('["z"])', '["z"])\n        break')
-        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60)
-        assert done.returncode == 0, done.stderr
-        assert "Answer(reason=''" in done.stdout
-
-
 def test_the_example_host_shows_a_refusal_and_what_may_be_had() -> None:
     command = [sys.executable, str(ROOT / "scripts" / "stream_host.py")]
     done = subprocess.run(
