@@ -31,7 +31,7 @@ def test_drop_prints_one_screen(capsys: pytest.CaptureFixture[str]) -> None:
     ):
         assert words in out
     assert len(out.splitlines()) <= 24
-    assert max(map(len, out.splitlines())) <= 110
+    assert max(map(len, out.splitlines())) <= 80
 
 
 def test_drop_json_on_standard_output_is_nothing_but_json(capsys: pytest.CaptureFixture[str]) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from maglev_mj.experiments.drop import DropResult, DropSweep
-from maglev_mj.metrics import percentiles
+from maglev_mj.metrics import BounceSummary, percentiles
 from maglev_mj.spec import Spec
 from maglev_mj.tables.text import cell
 
@@ -39,27 +39,36 @@ def drop_table(labels: Sequence[str], results: Sequence[DropResult], sweeps: Seq
         f"pulse {p.pulse:g} N s/m for {p.pulse_width * 1e3:g} ms, force limit {limit}",
         "",
     ]
-    one, many = 15, 26
+    width = 26 if sweeps else 15
+    lines += _block(f"at phase {p.phase:g}", labels, [_figures(result.summary) for result in results], width)
     if sweeps:
-        over = f"over {sweeps[0].phases.size} phases: median (5 to 95 %)"
-        lines.append(
-            " " * 15 + f"{f'at phase {p.phase:g}':>{one}}" + " " * one * (len(labels) - 1) + f"   {over:>{many}}"
-        )
-    head = "".join(f"{label:>{one}}" for label in labels)
-    lines.append(" " * 15 + head + "".join(f"{label:>{many}}" for label in labels[: len(sweeps)]))
-    spreads = [[percentiles(sweep.summary, share) for share in (50.0, 5.0, 95.0)] for sweep in sweeps]
-    for name, label, scale, unit in _FIGURES:
-        cells = "".join(f"{cell(getattr(result.summary, name), scale):>{one}}" for result in results)
-        for spread in spreads:
-            middle, low, high = (cell(getattr(summary, name), scale) for summary in spread)
-            cells += f"{f'{middle} ({low} to {high})':>{many}}"
-        lines.append(f"  {label:<13}{cells}  {unit}")
+        spreads = [_spread(sweep) for sweep in sweeps]
+        lines += _block(f"over {sweeps[0].phases.size} phases: median (5 to 95 %)", labels, spreads, width)
     for sweep, label in zip(sweeps, labels):
         settled = int(np.isfinite(sweep.summary.settling_time).sum())
         if settled < sweep.phases.size:
             lines.append(f"  {label}: settled within {p.duration:g} s at {settled} of {sweep.phases.size} phases")
     peak, device = float(results[0].summary.peak_force), Spec.largest_vertical_force.value
     if peak > device * (1.0 + 1e-9):
-        lines += ["", f"  The device gives {device:g} N along z, less than this peak: see --force-limit {device:g}"]
-    lines += ["", f"  MuJoCo and the exact plant differ by at most {gap:.1e} m"]
+        lines += [f"  The device gives {device:g} N along z, less than this peak: see --force-limit {device:g}"]
+    lines += [f"  MuJoCo and the exact plant differ by at most {gap:.1e} m"]
     return "\n".join(lines)
+
+
+def _block(head: str, labels: Sequence[str], columns: Sequence[Sequence[str]], width: int) -> list[str]:
+    """Return a line for each figure under a head, a column for each drop."""
+    lines = [f"  {head}", " " * 15 + "".join(f"{label:>{width}}" for label in labels[: len(columns)])]
+    for (_, label, _, unit), *cells in zip(_FIGURES, *columns):
+        lines.append(f"  {label:<13}" + "".join(f"{one:>{width}}" for one in cells) + f"  {unit}")
+    return [*lines, ""]
+
+
+def _figures(summary: BounceSummary) -> list[str]:
+    """Return each figure as text."""
+    return [cell(getattr(summary, name), scale) for name, _, scale, _ in _FIGURES]
+
+
+def _spread(sweep: DropSweep) -> list[str]:
+    """Return each figure's median and its 5 and 95 % over the phases, as text."""
+    middle, low, high = (_figures(percentiles(sweep.summary, share)) for share in (50.0, 5.0, 95.0))
+    return [f"{one} ({least} to {most})" for one, least, most in zip(middle, low, high)]
