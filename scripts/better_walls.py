@@ -28,7 +28,7 @@ folder = options.folder
 folder.mkdir(parents=True, exist_ok=True)
 
 PERIOD, MASS = 0.005, 0.7
-SIZES = (8,) if options.quick else (40, 12, 12, 12)
+SIZES = (5,) if options.quick else (40, 12, 12, 12)
 
 
 def observer_wall(delay: float, pole: float, disturbance: bool, *, stiffness: float, damping: float) -> ObserverWall:

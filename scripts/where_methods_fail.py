@@ -24,7 +24,7 @@ folder = options.folder
 folder.mkdir(parents=True, exist_ok=True)
 
 T, DELAY, MASS = 0.005, 0.0015, 0.7
-COUNT = 4 if options.quick else 10
+COUNT = 2 if options.quick else 10
 
 
 def panel(title: str, x: str, y: str, curves: list[tuple[str, Any, Any]], **options: Any) -> charts.Panel:
@@ -35,7 +35,7 @@ def panel(title: str, x: str, y: str, curves: list[tuple[str, Any, Any]], **opti
 def just_above_the_boundary() -> charts.Panel:
     """With one sample of delay: how many samples to grow ten-thousandfold, foretold and simulated."""
     best = stiffest_wall(period=T, delay=T)
-    over = np.geomspace(0.01, 0.3, COUNT)
+    over = np.geomspace(0.1 if options.quick else 0.01, 0.3, COUNT)
     stiffness, damping = float(best.stiffness) * (1.0 + over), np.full(COUNT, float(best.damping))
     foretold = np.log(1e4) / np.log(largest_modulus(stiffness, damping, period=T, delay=T))
     curves = [("foretold by the modulus", over * 100.0, foretold)]
