@@ -33,6 +33,8 @@ from maglev_mj.scenes import Scene, Settings, scene_called
 COMMAND = [sys.executable, "-m", "maglev_mj.cli"]
 NEAR = "udp://127.0.0.1:0"
 
+pytestmark = pytest.mark.xdist_group("realtime")
+
 LOCKSTEP = """
 import sys
 from maglev_mj.bridge import Twin, TwinParameters

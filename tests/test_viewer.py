@@ -24,6 +24,8 @@ from maglev_mj.viewer.overlay import KEYS, help_text
 from maglev_mj.viewer.scenery import GRIP
 from tests.virtual_screen import MISSING, VirtualScreen, waited
 
+pytestmark = pytest.mark.xdist_group("realtime")
+
 needs_screen = pytest.mark.skipif(bool(MISSING), reason=f"a window needs {', '.join(MISSING)} (Debian: xvfb, xdotool)")
 
 SCREEN = 900, 600
