@@ -48,7 +48,9 @@ NANOMETRE = 1e-9
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("folder", nargs="?", default="figures", type=Path, help="where files go")
 parser.add_argument("--quick", action="store_true", help="fewer steps and repeats")
-parser.add_argument("--scenes", nargs="+", default=list(TITLES), choices=TITLES, metavar="SCENE", help=", ".join(TITLES))
+parser.add_argument(
+    "--scenes", nargs="+", default=list(TITLES), choices=TITLES, metavar="SCENE", help=", ".join(TITLES)
+)
 
 
 def boundary_shifts(quick: bool) -> dict[str, Any]:
@@ -206,7 +208,9 @@ def draw(folder: Path, ways: dict[str, list[Way]], everyone: list[Way], data: di
     )
     energies = []
     for kind in SEMI_IMPLICIT:
-        mine = [way for way in ways.get("drop-no-pulse", []) if way.integrator == kind and way.step and way.group != "exact"]
+        mine = [
+            way for way in ways.get("drop-no-pulse", []) if way.integrator == kind and way.step and way.group != "exact"
+        ]
         mine.sort(key=lambda way: way.step or 0.0)
         energies.append((kind, [way.step for way in mine], [way.energy for way in mine]))
     energies = merged(energies)

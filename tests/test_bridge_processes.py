@@ -125,6 +125,11 @@ SCENES = [
 ]
 
 
+@pytest.mark.skipif("PYTEST_XDIST_WORKER" not in os.environ, reason="there is one worker")
+def test_tests_in_real_time_take_turns(request: pytest.FixtureRequest) -> None:
+    assert request.node.nodeid.endswith("@realtime")  # by which one worker gets them all
+
+
 @pytest.mark.parametrize("loss", [0.0, 0.03])
 @pytest.mark.parametrize(("name", "settings", "pose"), SCENES, ids=["drop", "stick-slip"])
 def test_in_lockstep_over_udp_every_bit_is_that_of_the_plant_in_this_process(

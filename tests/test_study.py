@@ -236,7 +236,7 @@ def cluster() -> Any:
 
 @pytest.mark.filterwarnings("ignore")
 def test_dask_equals_local_also_with_a_worker_killed_half_way(cluster: Any) -> None:
-    cells = drop_cells(60)
+    cells = drop_cells(36)
     local = run_cells(run_scene_cells, cells, workers=local_workers(2), together=3)
     assert run_cells(run_scene_cells, cells, workers=dask_workers(cluster.scheduler_address), together=3) == local
 
