@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import math
-import platform
 import struct
 from array import array
 from collections.abc import Mapping, Sequence
@@ -60,7 +59,7 @@ def about(
     """Return what a stretch is.
 
     Args:
-        setup: What plant and controller are made from.
+        setup: What plant and controller are made from, and the `versions` of the code.
         period: Sample period [s].
         delay: From a sample to its command taking effect [s].
         carried: Wrench that carries the flotor [N, N m], six.
@@ -102,7 +101,7 @@ class Scribe:
             "period": what["period"],
             "delay": what["delay"],
             **{name: dict(zip(AXES, what[name], strict=True)) for name in ("carried", "inertia", "load", "before")},
-            "versions": _versions(),
+            "versions": {**what["setup"]["versions"], "mcap": version("mcap")},
         }
         self._say(_STRETCH, named)
 
@@ -185,11 +184,6 @@ class _Energy:
         if self._pose is not None:
             self.hand += float(self._effort @ (pose - self._pose))
         self._pose, self._effort = pose, np.array(row[34:40])
-
-
-def _versions() -> dict[str, str]:
-    named = {"maglev_mj": maglev_mj.__version__, "python": platform.python_version()}
-    return named | {name: version(name) for name in ("mujoco", "numpy", "mcap")}
 
 
 def read_mcap(file: IO[bytes], name: str) -> Recording:
