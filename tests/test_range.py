@@ -115,7 +115,7 @@ def test_commands_say_it_in_one_line(capsys: pytest.CaptureFixture[str]) -> None
     ):
         assert cli.main([*arguments, "--plant", "exact"]) == 0
         (line,) = [line for line in capsys.readouterr().out.splitlines() if "Beyond" in line]
-        assert words in line and len(line) <= 110
+        assert words in line and len(line) <= 120
     for command in ("drop", "press", "stick-slip"):
         assert cli.main([command, "--plant", "exact"]) == 0
         assert "Beyond" not in capsys.readouterr().out
