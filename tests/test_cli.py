@@ -303,7 +303,7 @@ def test_the_press_table_says_what_the_device_could_not_do(capsys: pytest.Captur
     assert cli.main(["press", "--plant", "exact", "--height", "0.006", "--hits", "8", "--interval", "0.3"]) == 0
     out = capsys.readouterr().out
     assert "The device gives 60 N along z, less than this peak: see --force-limit 60" in out
-    assert "Beyond the device's range of 4.5 mm: with pulse" in out
+    assert "Beyond the range of 4.5 mm: with pulse" in out
     assert "and 2 more: see --json" in out
     assert cli.main(["press", "--plant", "exact"]) == 0
     assert "device" not in capsys.readouterr().out
