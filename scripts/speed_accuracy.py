@@ -50,6 +50,9 @@ NANOMETRE = 1e-9
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("folder", nargs="?", default="figures", type=Path, help="where files go")
 parser.add_argument("--quick", action="store_true", help="fewer steps and repeats")
+parser.add_argument(
+    "--scenes", nargs="+", default=list(TITLES), choices=TITLES, metavar="SCENE", help=", ".join(TITLES)
+)
 
 
 def boundary_shifts(quick: bool) -> dict[str, Any]:
@@ -79,7 +82,7 @@ def machine() -> dict[str, Any]:
     }
 
 
-def sweep_of_drops(stiffnesses: int, dampings: int) -> dict[str, Any]:
+def sweep_of_drops(stiffnesses: int, dampings: int, repeats: int) -> dict[str, Any]:
     """Return what a sweep of drops over the gains of the wall costs a drop [s], and how many end otherwise than exact.
 
     A drop counts as settled if it moves by less than a tenth of a millimetre in its last quarter.
@@ -99,7 +102,7 @@ def sweep_of_drops(stiffnesses: int, dampings: int) -> dict[str, Any]:
     pose[:, 2] = Spec.translation_range.value
     costs: dict[str, list[float]] = {name: [] for name in makers}
     settled: dict[str, Array] = {}
-    for _ in range(3):
+    for _ in range(repeats):
         for name, make in makers.items():
             plant = make(Timing(period=PERIOD, delay=DELAY), pose=pose, escape=(1e6, 1.0))
             controller = wall_controller(
@@ -153,7 +156,7 @@ def main() -> None:
     options = parser.parse_args()
     folder, quick = options.folder, options.quick
     folder.mkdir(parents=True, exist_ok=True)
-    ways = {name: our_ways(FIDELITY_SCENES[name], quick) for name in TITLES}
+    ways = {name: our_ways(FIDELITY_SCENES[name], quick) for name in options.scenes}
     task = Task()
     drop = replace(FIDELITY_SCENES["drop"], pose=tuple(task.pose))
     peers, missing = peer_ways(drop, task, quick)
@@ -170,7 +173,7 @@ def main() -> None:
         print(f"  {'':<14}       many: {'; '.join(part['front_of_many'])}")
     data["ratios"] = print_ratios(everyone)
     data["boundary"] = boundary_shifts(quick)
-    data["sweep"] = sweep_of_drops(10, 10) if quick else sweep_of_drops(40, 25)
+    data["sweep"] = sweep_of_drops(10, 10, 1) if quick else sweep_of_drops(40, 25, 3)
     print("\na sweep of drops, on two threads: cost of a drop, and drops that end otherwise than exact")
     for name, cost in data["sweep"]["cost"].items():
         print(f"  {name:<28}{cost * 1e6:8.1f} µs{data['sweep']['misjudged'][name]:6d}")
@@ -207,7 +210,9 @@ def draw(folder: Path, ways: dict[str, list[Way]], everyone: list[Way], data: di
     )
     energies = []
     for kind in SEMI_IMPLICIT:
-        mine = [way for way in ways["drop-no-pulse"] if way.integrator == kind and way.step and way.group != "exact"]
+        mine = [
+            way for way in ways.get("drop-no-pulse", []) if way.integrator == kind and way.step and way.group != "exact"
+        ]
         mine.sort(key=lambda way: way.step or 0.0)
         energies.append((kind, [way.step for way in mine], [way.energy for way in mine]))
     energies = merged(energies)
