@@ -13,7 +13,7 @@ from maglev_mj.analysis.known import Known, known_of
 from maglev_mj.analysis.motion import Motion, reconstruct
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Array
-from maglev_mj.parameters import number
+from maglev_mj.parameters import flag, number
 from maglev_mj.recording import Rebuild, RecordingError, Stretch
 
 __all__ = ["Analysed", "Run", "analyse"]
@@ -108,6 +108,7 @@ def analyse(
         RecordingError: If it has less than two samples, or its setup is not known here.
         ParameterError: If there are less than two samples from `begin` to `end`.
     """
+    flag("simulated", simulated)
     if len(stretch.tick) < 2:
         raise RecordingError(f"a stretch must have at least 2 samples to be analysed, not {len(stretch.tick)}")
     known = known_of(stretch, rebuild(stretch.setup, None)[1].laws)

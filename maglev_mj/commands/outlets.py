@@ -9,6 +9,7 @@ from pathlib import Path
 
 from maglev_mj.errors import ParameterError
 from maglev_mj.options import chosen_key
+from maglev_mj.parameters import flag
 from maglev_mj.session import Outlet
 from maglev_mj.spacenav import PoseAxes, RateAxes, SpacenavServer
 from maglev_mj.spacenav.axes import Axes
@@ -28,7 +29,7 @@ def add_spacenav(parser: argparse.ArgumentParser, *, always: bool = False) -> No
         parser: Of the command.
         always: Whether the command is one without asking, so that it needs no --spacenav.
     """
-    if always:
+    if flag("always", always):
         parser.set_defaults(spacenav=True)
     else:
         parser.add_argument("--spacenav", action="store_true", help="be a 3D mouse to other programs")
