@@ -74,7 +74,7 @@ def test_a_controller_answers_another_run_only_after_a_reset(
     new = pushes(1e-4)
     for _ in range(2):
         with pytest.raises(
-            ParameterError, match=r"tick must be above \d+, .* not 0; call reset\(\) before a controller"
+            ParameterError, match=r"tick must be above \d+, .* not 0; call reset\(\)"
         ):
             pushes(-2e-4)
     controller.reset()
@@ -103,7 +103,7 @@ def test_ticks_go_up(ticks: tuple[int, ...], good: bool) -> None:
         assert controller.step(last).force[2] == pytest.approx(-100.0 * 1e-3 - speed)
     else:
         with pytest.raises(
-            ParameterError, match=f"a sample's tick must be above {ticks[-2]}, .* not {ticks[-1]}; call"
+            ParameterError, match=f"tick must be above {ticks[-2]}, .* not {ticks[-1]}; call"
         ):
             controller.step(last)
 
