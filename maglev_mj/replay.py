@@ -22,6 +22,8 @@ from maglev_mj.model import load
 from maglev_mj.plants import SampledPlant, engine_warnings_silenced
 from maglev_mj.recording import (
     ArrayFile,
+    Expected,
+    InvalidRecordingError,
     Mechanics,
     Recording,
     RecordingError,
@@ -37,6 +39,7 @@ from maglev_mj.session import View, stick_positions, wall_faces
 __all__ = [
     "EXPERIMENTS",
     "Replay",
+    "expected",
     "rebuild",
     "record_experiment",
     "scene_of",
@@ -68,7 +71,7 @@ def rebuild(setup: Setup, hand: HandForce | None) -> tuple[SampledPlant | None, 
         Both; None for the plant of a flight on a device.
 
     Raises:
-        RecordingError: If it is no setup that is known here.
+        InvalidRecordingError: If it is no setup that is known here.
     """
     try:
         kind = setup["kind"]
@@ -80,12 +83,30 @@ def rebuild(setup: Setup, hand: HandForce | None) -> tuple[SampledPlant | None, 
             return scene.plant(settings, hand_force=hand, **start), scene.controller(settings)
         if kind not in EXPERIMENTS:
             known = ", ".join((*_SCENES, *EXPERIMENTS))
-            raise RecordingError(f"a recording of kind {kind!r} cannot be made here, which knows {known}")
+            raise InvalidRecordingError(f"a recording of kind {kind!r} cannot be made here, which knows {known}")
         parameters, parts, _ = EXPERIMENTS[kind]
         plant, controller, _ = parts(parameters(**setup["parameters"]), hand)
         return plant, controller
     except (KeyError, TypeError, ParameterError) as error:
-        raise RecordingError(f"a recording's setup cannot be made here: {error}") from None
+        raise InvalidRecordingError(f"a recording's setup cannot be made here: {error}") from None
+
+
+def expected(setup: Setup) -> Expected:
+    """Return what a recording's setup tells besides plant and controller.
+
+    Raises:
+        InvalidRecordingError: If it is no setup that is known here.
+    """
+    rebuild(setup, None)  # complains of what is not known here
+    kind = setup["kind"]
+    if kind in EXPERIMENTS:
+        parameters = asdict(EXPERIMENTS[kind][0](**setup["parameters"]))
+        known = known_experiment(kind, parameters)
+        load = [0.0, 0.0, known.weight, 0.0, 0.0, 0.0]
+        return Expected(known.delay, Mechanics(inertia=known.inertia, load=load, before=known.before), scripted=True)
+    delay = Settings.from_json(setup["settings"]).delay
+    # on a device, what acted before a stretch is in the flight, not in the setup
+    return Expected(delay, Mechanics(before=setup["wrench"]) if kind == "scene" else None, scripted=False)
 
 
 def record_experiment(kind: str, parameters: Any) -> Recording:
@@ -123,9 +144,7 @@ def _run_into(file: RecordingFile, kind: str, parameters: Any) -> None:
     _, parts, _ = EXPERIMENTS[kind]
     plant, controller, ticks = parts(parameters, None)
     setup = {"kind": kind, "parameters": asdict(parameters)}
-    known = known_experiment(kind, asdict(parameters))
-    mechanics = Mechanics(inertia=known.inertia, load=[0.0, 0.0, known.weight, 0.0, 0.0, 0.0], before=known.before)
-    record = file.begin(plant, controller, setup, delay=parameters.delay, mechanics=mechanics)
+    record = file.begin(plant, controller, setup, delay=parameters.delay, mechanics=expected(setup).mechanics)
     with plant, engine_warnings_silenced():
         try:
             ControlLoop(plant, controller, record=record).cycle(ticks)
@@ -154,7 +173,7 @@ class Replay:
         self.simulated = 0.0
         self._stretches = [_Shown(stretch) for stretch in recording.stretches if len(stretch.tick)]
         if not self._stretches:
-            raise RecordingError("there is nothing in the recording")
+            raise InvalidRecordingError("there is nothing in the recording")
         self._place, self._owed, self._paused = (0, 0), 0.0, False
 
     def tick(self, elapsed: float) -> int:

@@ -73,9 +73,7 @@ def test_a_controller_answers_another_run_only_after_a_reset(
 
     new = pushes(1e-4)
     for _ in range(2):
-        with pytest.raises(
-            ParameterError, match=r"tick must be above \d+, .* not 0; call reset\(\)"
-        ):
+        with pytest.raises(ParameterError, match=r"tick must be above \d+, .* not 0; call reset\(\)"):
             pushes(-2e-4)
     controller.reset()
     assert pushes(1e-4) == new
@@ -102,9 +100,7 @@ def test_ticks_go_up(ticks: tuple[int, ...], good: bool) -> None:
         speed = 1e-3 / (0.005 * (ticks[-1] - ticks[-2]))
         assert controller.step(last).force[2] == pytest.approx(-100.0 * 1e-3 - speed)
     else:
-        with pytest.raises(
-            ParameterError, match=f"tick must be above {ticks[-2]}, .* not {ticks[-1]}; call"
-        ):
+        with pytest.raises(ParameterError, match=f"tick must be above {ticks[-2]}, .* not {ticks[-1]}; call"):
             controller.step(last)
 
 

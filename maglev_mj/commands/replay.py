@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from maglev_mj.recording import Recording, verify
-from maglev_mj.replay import Replay, rebuild
+from maglev_mj.replay import Replay, expected, rebuild
 from maglev_mj.tables import verdict_table
 
 __all__ = ["add_command"]
@@ -20,7 +20,8 @@ def add_command(commands: Any) -> None:
     replay.add_argument(
         "--check",
         action="store_true",
-        help="feed the samples to the controller and the hand to the plant; status 1 if any number differs",
+        help="feed the samples to the controller and the hand to the plant; status 1 if any number differs, or the "
+        "file is not whole",
     )
     replay.set_defaults(run=_replay)
 
@@ -32,7 +33,7 @@ def _replay(options: argparse.Namespace) -> int:
     for event in recording.events:
         print(f"  {event}")
     if options.check:
-        verdict = verify(recording, rebuild)
+        verdict = verify(recording, rebuild, expect=expected)
         print(verdict_table(verdict))
         return 0 if verdict.same else 1
     session = Replay(recording)

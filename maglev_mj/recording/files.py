@@ -12,7 +12,7 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.loop import Record
 from maglev_mj.parameters import flag
 from maglev_mj.recording.live import LiveFile
-from maglev_mj.recording.mcap_file import require_mcap
+from maglev_mj.recording.mcap_reader import require_mcap
 from maglev_mj.recording.recorder import Felt, Mechanics, Recorder
 from maglev_mj.recording.stretch import Recording, Setup
 

@@ -15,7 +15,8 @@ from typing import Any
 from maglev_mj.controller import Controller
 from maglev_mj.loop import Record
 from maglev_mj.parameters import flag
-from maglev_mj.recording.mcap_file import about, require_mcap
+from maglev_mj.recording.mcap_file import about
+from maglev_mj.recording.mcap_reader import require_mcap
 from maglev_mj.recording.recorder import Felt, Mechanics, carried_by
 from maglev_mj.recording.ring import Ring
 from maglev_mj.recording.stretch import RecordingError, Setup
