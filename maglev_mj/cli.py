@@ -10,6 +10,7 @@ from maglev_mj.commands import COMMANDS
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.options import Parser, joined
 from maglev_mj.study import StudyInterrupted
+from maglev_mj.terminal import say
 
 __all__ = ["main"]
 
@@ -26,10 +27,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(f"maglev-mj {options.command}: stopped", file=sys.stderr)
         return 130
     except ParameterError as error:
-        print(f"maglev-mj {options.command}: {error}", file=sys.stderr)
+        say(f"maglev-mj {options.command}: {error}", sys.stderr)
         return 2
     except (MaglevError, OSError) as error:
-        print(f"maglev-mj {options.command}: {error}", file=sys.stderr)
+        say(f"maglev-mj {options.command}: {error}", sys.stderr)
         return 1
 
 

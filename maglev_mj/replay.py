@@ -100,10 +100,12 @@ def expected(setup: Setup) -> Expected:
     rebuild(setup, None)  # complains of what is not known here
     kind = setup["kind"]
     if kind in EXPERIMENTS:
-        parameters = asdict(EXPERIMENTS[kind][0](**setup["parameters"]))
-        known = known_experiment(kind, parameters)
+        made, parts, _ = EXPERIMENTS[kind]
+        parameters = made(**setup["parameters"])
+        known, (_, _, samples) = known_experiment(kind, asdict(parameters)), parts(parameters, None)
         load = [0.0, 0.0, known.weight, 0.0, 0.0, 0.0]
-        return Expected(known.delay, Mechanics(inertia=known.inertia, load=load, before=known.before), scripted=True)
+        mechanics = Mechanics(inertia=known.inertia, load=load, before=known.before)
+        return Expected(known.delay, mechanics, scripted=True, samples=samples)
     delay = Settings.from_json(setup["settings"]).delay
     # on a device, what acted before a stretch is in the flight, not in the setup
     return Expected(delay, Mechanics(before=setup["wrench"]) if kind == "scene" else None, scripted=False)

@@ -34,11 +34,13 @@ class Expected(NamedTuple):
         delay: From a sample to its command taking effect [s].
         mechanics: What the actuators push at; None where nobody knows it.
         scripted: Whether the hand is the run's own, and not one that was given to it.
+        samples: How many samples it takes, unless it fails before; None for as many as there are.
     """
 
     delay: float
     mechanics: Mechanics | None
     scripted: bool
+    samples: int | None = None
 
 
 class FieldVerdict(NamedTuple):
@@ -126,7 +128,10 @@ def _fields(stretch: Stretch, rebuild: Rebuild, expected: Expected | None) -> It
     scripted = expected is not None and expected.scripted
     _, controller = rebuild(stretch.setup, None)
     plant, other = rebuild(stretch.setup, None if scripted else RecordedHand(stretch.hand))
-    seen = None if plant is None else _seen(plant, other, len(stretch.tick))
+    seen, failed = (None, False) if plant is None else _seen(plant, other, len(stretch.tick))
+    if expected is not None and expected.samples is not None:
+        count = float(len(stretch.tick))
+        yield "samples", np.array([count]), np.array([count if failed else float(expected.samples)])
     for name, part in (("tick", slice(0, 1)), ("time", slice(1, 2)), ("position", slice(2, 8))):
         yield name, getattr(stretch, name), _columns(seen, part)
     yield from _commands(("command", "pulse", "pulse_width"), stretch.command, _answers(stretch, controller))
@@ -168,8 +173,11 @@ def _basis(controller: Controller, expected: Expected | None) -> Mapping[str, Ar
     }
 
 
-def _seen(plant: SampledPlant, controller: Controller, count: int) -> Array:
-    """Return what a plant is seen to do: tick, time, position, applied, hand, (count, 27); NaN from where it stops."""
+def _seen(plant: SampledPlant, controller: Controller, count: int) -> tuple[Array, bool]:
+    """Return what a plant is seen to do, and whether it goes no further.
+
+    That is tick, time, position, applied and hand, (count, 27); NaN from where it stops.
+    """
     seen = np.full((count, 27), np.nan)
     with plant, engine_warnings_silenced():
         try:
@@ -180,11 +188,12 @@ def _seen(plant: SampledPlant, controller: Controller, count: int) -> Array:
                     applied = plant.write(command)
                 finally:  # of one that is refused, nothing is applied
                     row[:] = [sample.tick, sample.time, *sample.position, *row_of(applied), *plant.hand_wrench]
+            plant.write(controller.step(plant.read()))
         except ParameterError:
             raise
-        except MaglevError:
-            pass  # the recorded run ended there too, or the comparison will say that it did not
-    return seen
+        except MaglevError:  # the recorded run ended there too, or the comparison will say that it did not
+            return seen, True
+    return seen, False
 
 
 def _totals(stretch: Stretch, basis: Basis) -> Array:
