@@ -33,6 +33,7 @@ from maglev_mj.recording import (
     carried_by,
     open_recording,
 )
+from maglev_mj.recording.fields import start_in
 from maglev_mj.scenes import SCENES, Scene, Settings, scene_called
 from maglev_mj.session import View, stick_positions, wall_faces
 
@@ -79,8 +80,7 @@ def rebuild(setup: Setup, hand: HandForce | None) -> tuple[SampledPlant | None, 
             scene, settings = scene_called(setup["scene"]), Settings.from_json(setup["settings"])
             if kind == "device":
                 return None, scene.controller(settings)
-            start = {name: setup[name] for name in ("pose", "twist", "wrench")}
-            return scene.plant(settings, hand_force=hand, **start), scene.controller(settings)
+            return scene.plant(settings, hand_force=hand, **start_in(setup)), scene.controller(settings)
         if kind not in EXPERIMENTS:
             known = ", ".join((*_SCENES, *EXPERIMENTS))
             raise InvalidRecordingError(f"a recording of kind {kind!r} cannot be made here, which knows {known}")

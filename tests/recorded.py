@@ -43,7 +43,8 @@ def _scene(path: Path) -> None:
     session.tick(0.05)
     session.act("friction")
     session.tick(0.05)
-    session._tape.missed(3)
+    session._pacer.missed += 3
+    session.tick(0.05)  # after which it is told of
     session.tick(0.05)
     session.close()
 

@@ -14,7 +14,7 @@ from maglev_mj.frames import AXES, Array
 from maglev_mj.parameters import number
 from maglev_mj.recording.stretch import Setup, Stretch
 
-__all__ = ["check_setup", "checked", "object_in", "parsed", "sample_row", "six", "text_in", "whole"]
+__all__ = ["check_setup", "checked", "object_in", "parsed", "sample_row", "six", "start_in", "text_in", "whole"]
 
 _WHOLE = 2**53  # from there on a float skips whole numbers
 _MISSING = 1_000_000
@@ -85,6 +85,21 @@ def six(holder: Any, name: str, *, at_least: float = -_FORCE) -> list[float]:
     return [number(f"{name}.{axis}", _value(values, axis, of=name), at_least=at_least, at_most=_FORCE) for axis in AXES]
 
 
+def start_in(setup: Setup) -> dict[str, list[float]]:
+    """Return pose, twist and wrench with which a setup starts, six each [m, rad; m/s, rad/s; N, N m].
+
+    Raises:
+        ParameterError: If there is none, or it is outside its bounds.
+    """
+    found = {}
+    for name, most in (("pose", _BOUNDS["position"]), ("twist", _BOUNDS["position"]), ("wrench", _FORCE)):
+        values = _value(setup, name, of="a setup")
+        if not isinstance(values, list) or len(values) != len(AXES):
+            raise ParameterError(f"{name} must be a list of {len(AXES)} numbers, not {_shown(values)}")
+        found[name] = [number(name, value, at_least=-most, at_most=most) for value in values]
+    return found
+
+
 def check_setup(value: Any) -> Setup:
     """Return what plant and controller were made from, if it is an object with a kind and finite numbers.
 
@@ -152,8 +167,9 @@ def checked(stretch: Stretch) -> Stretch:
     if not (steps >= 1.0).all():
         row = int(np.argmin(steps >= 1.0))
         raise ParameterError(f"tick must go up, not from {stretch.tick[row]:g} to {stretch.tick[row + 1]:g}")
-    if steps.sum() - len(steps) > _MISSING:
-        raise ParameterError(f"at most {_MISSING} samples may be missing, not {steps.sum() - len(steps):g}")
+    missing = int(steps.sum()) - len(steps)
+    if missing > _MISSING:
+        raise ParameterError(f"at most {_MISSING} samples may be missing, not {missing}")
     command = stretch.command
     if len(command) and not np.isfinite(command[-1]).all():
         if stretch.applied[-1].any():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import struct
 from array import array
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from importlib.util import find_spec
 from io import BytesIO
 from typing import IO, TYPE_CHECKING, Any
@@ -69,12 +69,14 @@ def read_mcap(file: IO[bytes], size: int) -> Recording:
         for record in _records(file, allowance):
             if isinstance(record, Channel):
                 topics[record.id] = record.topic
-            elif isinstance(record, Message) and topics[record.channel_id] in CHANNELS:
+            elif isinstance(record, Message) and _topic(topics, record.channel_id) in CHANNELS:
                 if record.sequence != found.count & 0xFFFFFFFF:
                     raise ValueError("messages are missing")
                 found.take(topics[record.channel_id], record.data)
             elif isinstance(record, Statistics):
-                said = sum(n for channel, n in record.channel_message_counts.items() if topics[channel] in CHANNELS)
+                said = sum(
+                    n for channel, n in record.channel_message_counts.items() if _topic(topics, channel) in CHANNELS
+                )
                 if said != found.count:
                     raise ValueError(f"{said - found.count} messages are missing")
                 counted = True
@@ -91,6 +93,12 @@ def read_mcap(file: IO[bytes], size: int) -> Recording:
     if not found.parts:
         raise ParameterError(damage or "nothing of a recording is in it")
     return found.recording(damage)
+
+
+def _topic(topics: Mapping[int, str], channel: int) -> str:
+    if channel not in topics:
+        raise ValueError("a message is on no channel")
+    return topics[channel]
 
 
 def _records(file: IO[bytes], allowance: Allowance) -> Iterator[McapRecord]:
