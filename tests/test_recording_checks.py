@@ -147,7 +147,7 @@ def test_what_is_no_finite_number_is_no_number_of_a_file(kind: str, tmp_path: Pa
         (("tick",), 2.0, "tick must be a whole number from 0 to 9007199254740992, not 2.0"),
         (("tick",), 0, "tick must go up, not from"),
         (("stretch",), -1, "stretch must be 0, not -1"),
-        (("stretch",), True, "stretch must be 0, not True"),
+        (("stretch",), False, "stretch must be 0, not False"),
         (("time",), 1e308, "time must be finite and at most 1e+09, not 1e+308"),
         (("time",), -1.0, "time must go up from sample to sample"),
         (("position", "z"), 1e4, "position must be finite and at most 1000, not 10000"),
