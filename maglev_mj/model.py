@@ -19,6 +19,7 @@ from maglev_mj.frames import AXES, Array
 from maglev_mj.hand import Hand
 from maglev_mj.parameters import flag, number
 from maglev_mj.sensing import Beams
+from maglev_mj.versions import MODELS
 
 __all__ = ["COILS", "Device", "beams", "envelope", "load", "model_path", "scenes"]
 
@@ -26,16 +27,9 @@ COILS = tuple(f"{kind}{arm}" for kind in ("vertical", "horizontal") for arm in r
 """Actuator names, in the order of the six currents."""
 
 
-def _folder() -> Path:
-    """Return the folder of MJCF files: inside the installed package, or at the top of the repository."""
-    package = Path(__file__).resolve().parent
-    inside = package / "model"
-    return inside if inside.is_dir() else package.parent / "model"
-
-
 def scenes() -> list[str]:
     """Return the names of the models at hand."""
-    return sorted(path.stem for path in _folder().glob("*.xml"))
+    return sorted(path.stem for path in MODELS.glob("*.xml"))
 
 
 def model_path(name: str) -> Path:
@@ -44,7 +38,7 @@ def model_path(name: str) -> Path:
     Raises:
         ModelError: If there is none of that name.
     """
-    path = _folder() / f"{name}.xml"
+    path = MODELS / f"{name}.xml"
     if not path.is_file():
         raise ModelError(f"model must be one of {', '.join(scenes())}, not {name!r}")
     return path
@@ -52,7 +46,7 @@ def model_path(name: str) -> Path:
 
 def _written() -> tuple[tuple[str, int], ...]:
     """Return the MJCF files and when each was written, so that one that is changed is read again."""
-    return tuple(sorted((str(path), path.stat().st_mtime_ns) for path in _folder().glob("*.xml")))
+    return tuple(sorted((str(path), path.stat().st_mtime_ns) for path in MODELS.glob("*.xml")))
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +106,7 @@ def load(
         lean: Leave out the sites that no actuator uses: no equation of motion reads them.
         driver_lag: Give every coil its driver's first-order lag.
         coils: False removes the coils, for an ideal wrench.
-        mass: Moving mass in place of the model's [kg], shared out as before; each body's own inertia stays.
+        mass: Moving mass in place of the model's [kg], shared out as before; the moments of inertia stay.
         hand: A hand on the flotor; numbers, and translations only.
         detail: What else the device has.
 
@@ -189,13 +183,16 @@ def _leave_out_sites(spec: mujoco.MjSpec) -> None:
 
 
 def _share_out(model: mujoco.MjModel, flotor: int, mass: float) -> None:
-    """Give the flotor and what it carries another mass [kg], shared out as before."""
-    carried = {flotor}
-    for body in range(flotor + 1, model.nbody):
-        if int(model.body_parentid[body]) in carried:
-            carried.add(body)
-    model.body_mass[sorted(carried)] *= mass / model.body_subtreemass[flotor]
-    mujoco.mj_setConst(model, mujoco.MjData(model))
+    """Give the flotor and what it carries another mass [kg], shared out as before; moments of inertia stay."""
+    carried = np.flatnonzero(model.body_treeid == model.body_treeid[flotor])
+    share, data = mass / model.body_subtreemass[flotor], mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    centre = data.subtree_com[flotor]
+    # nearer to the common centre of mass, so that mass times distance squared stays
+    places = centre + (data.xipos[carried] - centre) / math.sqrt(share) - data.xpos[carried]
+    model.body_ipos[carried] = np.einsum("ba,bac->bc", places, data.xmat[carried].reshape(-1, 3, 3))
+    model.body_mass[carried] *= share
+    mujoco.mj_setConst(model, data)
 
 
 def _bend(spec: mujoco.MjSpec, mass: float | None) -> None:
@@ -281,7 +278,6 @@ def envelope(device: Device) -> tuple[float, float]:
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     handle = model.body("handle").id
-    box = int(mujoco.mjtGeom.mjGEOM_BOX)
     radius, low, high = 0.0, math.inf, -math.inf
     signs = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
     for geom in np.flatnonzero(model.geom_bodyid != handle):
@@ -290,7 +286,7 @@ def envelope(device: Device) -> tuple[float, float]:
         corners = (bounds[:3] + signs * bounds[3:]) @ turn + centre
         low, high = min(low, corners[:, 2].min()), max(high, corners[:, 2].max())
         size = model.geom_size[geom]
-        if model.geom_type[geom] == box:
+        if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_BOX:
             reach = np.hypot(corners[:, 0], corners[:, 1]).max()
         else:  # round about its own z axis: the ends of the axis, and the radius beyond them
             ends = centre[:2] + np.outer((-size[1], size[1]), turn[2, :2])

@@ -29,6 +29,7 @@ __all__ = [
     "count",
     "joined",
     "number_option",
+    "range_of",
 ]
 
 
@@ -121,6 +122,24 @@ def count(text: str) -> int:
         return int(text)
     except ValueError:
         raise argparse.ArgumentTypeError(f"must be a whole number, not {text!r}") from None
+
+
+def range_of(name: str, words: Sequence[str] | None) -> tuple[float, float] | None:
+    """Return the ends of a range, given as one word or two; None where it is not given.
+
+    Raises:
+        ParameterError: If they are not numbers.
+    """
+    if words is None:
+        return None
+    parts = words[0].split(":") if len(words) == 1 else words
+    try:
+        values = [float(part) for part in parts]
+    except ValueError:
+        values = []
+    if not 1 <= len(values) <= 2:
+        raise ParameterError(f"{name} must be LOW HIGH, LOW:HIGH, or one value, not {' '.join(words)!r}")
+    return values[0], values[-1]
 
 
 def add_bridge(parser: argparse.ArgumentParser) -> None:

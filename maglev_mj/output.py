@@ -6,14 +6,26 @@ import argparse
 import json
 import os
 import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from maglev_mj.errors import DivergenceError, ParameterError
 from maglev_mj.recording import check_name
 from maglev_mj.study import Record, StudyInterrupted
+from maglev_mj.versions import differences, versions
+from maglev_mj.workers import WorkersError
 
-__all__ = ["check_file", "check_outputs", "check_recording", "keep_landed", "keep_partial", "write_json"]
+__all__ = [
+    "cells_kept",
+    "check_file",
+    "check_outputs",
+    "check_recording",
+    "keep_partial",
+    "tell_of_others",
+    "write_json",
+]
 
 
 def keep_partial(error: DivergenceError, options: argparse.Namespace) -> None:
@@ -70,22 +82,38 @@ def check_outputs(*, json: str | None = None, record: Path | None = None, out: P
         raise ParameterError(f"out must be a folder, not {str(out)!r}")
 
 
-def keep_landed(command: str, stopped: StudyInterrupted, path: Path | None, fallback: Path) -> None:
-    """Say where the cells of a study that was stopped are, and put them there if they are in no file yet."""
-    if path is None:
-        path = fallback
-        kept = Record(path)
-        kept.add([(cell, result) for cell, result in stopped.landed if cell not in kept])
-    print(
-        f"maglev-mj {command}: stopped; {len(stopped.landed)} cells are in {path}, "
-        f"the same command with --record {path} goes on from there",
-        file=sys.stderr,
-    )
+@contextmanager
+def cells_kept(path: Path | None, fallback: Path) -> Iterator[None]:
+    """Write the cells of a study that is stopped, unless they are in a file, and name it in the error."""
+    try:
+        yield
+    except (StudyInterrupted, WorkersError) as stopped:
+        if path is None:
+            path = fallback
+            kept = Record(path)
+            kept.add([(cell, result) for cell, result in stopped.landed if cell not in kept])
+        where = f"{len(stopped.landed)} cells are in {path}, the same command with --record {path} goes on from there"
+        stopped.args = (f"{stopped}; {where}",)
+        raise
 
 
-def write_json(target: str, data: dict[str, Any]) -> None:
-    """Write to a file, or to standard output where the target is "-"."""
-    text = json.dumps(data, allow_nan=False)
+def tell_of_others(command: str, others: Sequence[Mapping[str, Any]]) -> None:
+    """Print on standard error that other code made cells of a record; nothing without any.
+
+    Args:
+        command: Of the command line.
+        others: See `Record.others`.
+    """
+    if others:
+        ours = versions()
+        kinds = [f"{other['cells']} cells have {differences(other['versions'], ours)}" for other in others]
+        more = f"; and {len(kinds) - 1} more kinds" if len(kinds) > 1 else ""
+        print(f"maglev-mj {command}: the record is also by other code: {kinds[0]}{more}", file=sys.stderr)
+
+
+def write_json(target: str, data: Mapping[str, Any]) -> None:
+    """Write results and the `versions` of the code behind them; to standard output where the target is "-"."""
+    text = json.dumps({**data, "versions": versions()}, allow_nan=False)
     if target == "-":
         print(text)
     else:

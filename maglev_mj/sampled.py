@@ -7,7 +7,7 @@ memory. The loop inside the wall is stable if all eigenvalues of that matrix are
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias, TypedDict
 
@@ -155,24 +155,24 @@ class SampledLoop:
         m[..., own, 0], m[..., own, own] = law.take, law.advance
         return m
 
-    def compliance(self, stiffness: ArrayLike, damping: ArrayLike, frequency: float) -> Array:
-        """Return the sampled position over a hand's force at a frequency [m/N], complex, (...,).
+    def compliances(self, stiffness: ArrayLike, damping: ArrayLike, frequencies: Sequence[float]) -> Iterator[Array]:
+        """Yield the sampled position over a hand's force at each frequency [m/N], complex, (...,).
 
         The hand's force is taken as held from sample to sample.
 
         Args:
             stiffness: Wall stiffness [N/m], (...,).
             damping: Wall damping [N s/m], (...,).
-            frequency: Frequency [Hz], below half the sample rate; a number, and so must the period be.
+            frequencies: Frequencies [Hz], below half the sample rate; the period must be a number.
         """
         matrix = self.matrix(stiffness, damping)
         _, push = transition(*motion(self.mass, self.hand, self.driver_lag), self.period)
         enters = np.zeros((*push.shape[:-2], matrix.shape[-1]))
         enters[..., : push.shape[-2]] = push[..., 1]
-        turn = np.exp(2j * np.pi * number("frequency", frequency) * float(self.period))  # type: ignore[arg-type]
-        moved = turn * np.eye(matrix.shape[-1]) - matrix
-        state = np.linalg.solve(moved, np.broadcast_to(enters, matrix.shape[:-1])[..., None])
-        return np.asarray(state[..., 0, 0])
+        enters = np.broadcast_to(enters, matrix.shape[:-1])[..., None]
+        for frequency in frequencies:
+            turn = np.exp(2j * np.pi * number("frequency", frequency) * float(self.period))  # type: ignore[arg-type]
+            yield np.linalg.solve(turn * np.eye(matrix.shape[-1]) - matrix, enters)[..., 0, 0]
 
     def flotor(self) -> tuple[Array, Array, Array, Array, int]:
         """Return the flotor's map over a period, and how old and new command enter it.

@@ -5,9 +5,10 @@ ASSUMED marks what the paper does not say.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
-__all__ = ["GRAVITY", "INERTIA", "Quantity", "Spec"]
+__all__ = ["DRIVER_TIME_CONSTANT", "ESCAPE", "GRAVITY", "INERTIA", "RANGE", "RESOLUTION", "Quantity", "Spec"]
 
 GRAVITY = 9.81
 """Standard acceleration of free fall to three figures [m/s²]; the paper does not print the value it used."""
@@ -52,9 +53,23 @@ class Spec:
     largest_vertical_force: Quantity = Quantity(60.0, "N", "section 2")
     control_rate: Quantity = Quantity(200.0, "Hz", "section 3")
     transport_delay: Quantity = Quantity(0.0015, "s", "section 3")
+    spot_resolution: Quantity = Quantity(8e-7, "m", "ASSUMED: gives the resolution of Table 1")
+    coil_radius: Quantity = Quantity(0.046, "m", "ASSUMED, from the axis to the vertical coils")
     tilt_inertia: Quantity = Quantity(9.3e-4, "kg m²", "ASSUMED, cylinder-like")
     spin_inertia: Quantity = Quantity(8.2e-4, "kg m²", "ASSUMED, cylinder-like")
 
 
 INERTIA = (*[Spec.moving_mass.value] * 3, *[Spec.tilt_inertia.value] * 2, Spec.spin_inertia.value)
 """Mass and moments of inertia of the six axes [kg, kg m²]."""
+
+ESCAPE = 10.0 * Spec.translation_range.value
+"""Distance from the centre beyond which a simulated run has diverged [m]."""
+
+RESOLUTION = (*[Spec.translation_resolution.value] * 3, *[Spec.rotation_resolution.value] * 3)
+"""Resolution of the pose sensor on the six axes [m, rad]."""
+
+DRIVER_TIME_CONSTANT = 1.0 / (2.0 * math.pi * Spec.driver_bandwidth.value)
+"""Time constant of the current drivers' first-order lag [s]."""
+
+RANGE = (*[Spec.translation_range.value] * 3, *[math.radians(Spec.rotation_range.value)] * 3)
+"""Motion range of the six axes, either way from the centre [m, rad]."""

@@ -1,21 +1,23 @@
 """Many cells of a study on many workers: what is done lands in a file, what is there is not done again.
 
 A cell is a dict of plain values that says everything its result depends on. The record is one JSON object a line,
-written by the parent alone, so a worker that dies takes nothing with it but the cells it had in hand.
+written by the parent alone, so a worker that dies takes nothing with it but the cells it had in hand. Each line names
+the code that made it, as programs of several versions may share one record.
 """
 
 from __future__ import annotations
 
 import json
-from collections import deque
-from collections.abc import Callable, Sequence
+from collections import Counter, deque
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeAlias
 
 from maglev_mj.errors import ParameterError
-from maglev_mj.workers import Workers, inline
+from maglev_mj.versions import Versions, differences, versions, versions_read
+from maglev_mj.workers import Workers, WorkersError, inline
 
 __all__ = ["Cell", "Record", "StudyInterrupted", "run_cells"]
 
@@ -33,7 +35,7 @@ class StudyInterrupted(KeyboardInterrupt):
     """
 
     def __init__(self, landed: list[tuple[Cell, Any]]) -> None:
-        super().__init__(f"stopped with {len(landed)} cells done")
+        super().__init__("stopped")
         self.landed = landed
 
 
@@ -50,17 +52,24 @@ class Record:
     def __init__(self, path: Path | None = None) -> None:
         self.path = path
         self._results: dict[str, Any] = {}
+        self._others: dict[str, Versions] = {}  # of cells that other code made
         self._whole = True  # whether the file ends with a line's end
         if path is not None and path.exists():
             self._read(path)
 
     def _read(self, path: Path) -> None:
+        ours = versions()
         text = path.read_text(encoding="utf-8", errors="replace")
         self._whole = text.endswith("\n") or not text
         for line in text.splitlines():
             try:
                 entry = json.loads(line)
-                self._results[_key(entry["cell"])] = entry["result"]
+                key = _key(entry["cell"])
+                self._results[key] = entry["result"]
+                self._others.pop(key, None)  # the newest line has it
+                theirs = versions_read(entry.get("versions")) or {}
+                if theirs != ours and differences(theirs, ours):
+                    self._others[key] = theirs
             except (ValueError, TypeError, KeyError):
                 # half a line is what a process leaves that dies as it writes; anything else is not a record
                 if line.strip() and not line.startswith(_BEGINNING[: len(line)]):
@@ -72,20 +81,30 @@ class Record:
     def __getitem__(self, cell: Cell) -> Any:
         return self._results[_key(cell)]
 
+    def others(self, cells: Sequence[Cell]) -> list[dict[str, Any]]:
+        """Return the versions of other code, and the number of these cells it made, ready for JSON.
+
+        Returns:
+            For each such code `cells` and `versions`, which are empty where they are unknown.
+        """
+        found = Counter(_key(self._others[key]) for cell in cells if (key := _key(cell)) in self._others)
+        return [{"cells": count, "versions": json.loads(text)} for text, count in found.items()]
+
     def add(self, pairs: Sequence[tuple[Cell, Any]]) -> None:
-        """Keep results, and write them where there is a file."""
+        """Keep results of this process's code, and write them where there is a file."""
         self._results.update((_key(cell), result) for cell, result in pairs)
         if self.path is None:
             return
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        text = "".join(json.dumps({"cell": cell, "result": result}) + "\n" for cell, result in pairs)
+        made = versions()
+        lines = [json.dumps({"cell": cell, "result": result, "versions": made}) + "\n" for cell, result in pairs]
         # one write to the end of the file, so that two programs with one record do not mix their lines
         with self.path.open("ab", buffering=0) as file:
-            file.write((("" if self._whole else "\n") + text).encode())
+            file.write((("" if self._whole else "\n") + "".join(lines)).encode())
         self._whole = True
 
 
-def _key(cell: Cell) -> str:
+def _key(cell: Mapping[str, Any]) -> str:
     return json.dumps(cell, sort_keys=True)
 
 
@@ -114,6 +133,7 @@ def run_cells(
 
     Raises:
         StudyInterrupted: On Ctrl-C, after the jobs in hand have landed. They land too where a job fails with an error.
+        WorkersError: If a cluster is gone, or one of its workers has other code.
     """
     study = _Study(function, record or Record(), workers or inline(), progress)
     missing = list({_key(cell): cell for cell in cells if cell not in study.record}.values())
@@ -124,9 +144,13 @@ def run_cells(
         study.run()
     except KeyboardInterrupt:
         study.stop()
-        raise StudyInterrupted([(cell, study.record[cell]) for cell in cells if cell in study.record]) from None
-    except Exception:
+        raise StudyInterrupted(study.landed(cells)) from None
+    except Exception as error:
         study.stop()
+        cause = study.workers.cause(error)
+        if isinstance(cause, WorkersError):
+            cause.landed = study.landed(cells)
+            raise cause from None
         raise
     finally:
         study.close()
@@ -171,6 +195,10 @@ class _Study:
         for future in list(self._hand):
             with suppress(Exception):  # the first failure is on its way up already
                 self._land(future)
+
+    def landed(self, cells: Sequence[Cell]) -> list[tuple[Cell, Any]]:
+        """Return those of the cells that are done, with their results."""
+        return [(cell, self.record[cell]) for cell in cells if cell in self.record]
 
     def _hand_out(self, alone: bool) -> None:
         """Give out jobs up to the window; a suspect alone, so that a death has one culprit."""

@@ -99,6 +99,15 @@ class Trace:
         parts = (part[..., axis : axis + 1] for part in (self.pose, self.twist, self.wrench))
         return Trace(self.time, *parts)
 
+    def furthest(self) -> Array:
+        """Return the greatest distance from zero on each coordinate [m, rad], (..., 6).
+
+        Between knots too; exact under a constant wrench.
+        """
+        places = np.concatenate([self.pose, self.turning_points()[1]])
+        furthest: Array = np.abs(places).max(axis=0)
+        return furthest
+
     def until(self, end: float) -> Trace:
         """Return the trace cut off at `end` [s]; knots beyond it become copies of the state there.
 

@@ -3,21 +3,34 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import os
 import signal
-from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, Future, ProcessPoolExecutor
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import CancelledError, Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from multiprocessing import get_context, resource_tracker
 from typing import Any
 
 from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.versions import Versions, differences, versions
 
-__all__ = ["Workers", "dask_workers", "inline", "interrupts_held", "local_workers"]
+__all__ = ["Workers", "WorkersError", "dask_workers", "inline", "interrupts_held", "local_workers"]
 
 _PATIENCE = 5.0
+
+
+class WorkersError(MaglevError):
+    """Workers are gone, or have other code than this process.
+
+    Attributes:
+        landed: Cells and results of the study so far.
+    """
+
+    landed: Sequence[tuple[Any, Any]] = ()
 
 
 class _Inline(Executor):
@@ -69,11 +82,13 @@ class Workers:
         make: Makes an executor; again if the one before has broken.
         window: How many jobs are handed out at a time.
         deaths: Errors that mean that a worker died, rather than that a cell failed.
+        cause: Returns a WorkersError for the error of a job that is theirs, the error itself for any other.
     """
 
     make: Callable[[], Executor]
     window: int
     deaths: tuple[type[BaseException], ...] = (BrokenProcessPool,)
+    cause: Callable[[Exception], Exception] = lambda error: error
 
 
 def inline() -> Workers:
@@ -102,26 +117,74 @@ def dask_workers(address: str) -> Workers:
 
     Raises:
         ParameterError: If nothing answers there.
+        WorkersError: If a worker has other code than this process; it names each.
         MaglevError: If Dask is not installed.
     """
     try:
-        from distributed import Client, KilledWorker
-        from distributed.core import connect
+        from distributed import KilledWorker
     except ImportError:
         raise MaglevError("a cluster needs Dask: pip install 'maglev-mj[distributed]'") from None
+    # where it loses the scheduler it logs tracebacks; `_cause` says it in one line
+    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
+    try:
+        client = _client(address)
+    except (OSError, TimeoutError, ValueError) as error:
+        raise ParameterError(f"scheduler must be the address of a Dask scheduler, not {address!r}: {error}") from None
+    with client:
+        window = 4 * max(sum(client.nthreads().values()), 1)
+        _check_code(client)
+    return Workers(lambda: _Cluster(_client(address)), window, (KilledWorker,), partial(_cause, address))
+
+
+def _client(address: str) -> Any:
+    """Return a Dask client; an OSError, TimeoutError or ValueError if nothing answers."""
+    from distributed import Client
+    from distributed.core import connect
 
     async def knock() -> None:  # a client that finds nobody would go on trying as the program ends
         door = await connect(address, timeout=_PATIENCE)
         await door.close()
 
+    asyncio.run(knock())
+    return Client(address, set_as_default=False)
+
+
+def _check_code(client: Any) -> None:
+    """Raise a WorkersError that names each worker of other code."""
+    found = client.run(versions, on_error="return")  # an older worker may fail to
+    wrong = {worker: _other(theirs) for worker, theirs in sorted(found.items())}
+    if said := "; ".join(f"{worker}: {other}" for worker, other in wrong.items() if other):
+        raise WorkersError(f"workers must have the code of this process: {said}")
+
+
+def _other(theirs: Versions | Exception) -> str:
+    return f"not known ({theirs})" if isinstance(theirs, Exception) else differences(theirs, versions())
+
+
+def _cause(address: str, error: Exception) -> Exception:
+    """Return a WorkersError if the cluster is the cause of an error, the error itself otherwise."""
     try:
-        asyncio.run(knock())
-        client = Client(address, set_as_default=False)
-    except (OSError, TimeoutError, ValueError) as error:
-        raise ParameterError(f"scheduler must be the address of a Dask scheduler, not {address!r}: {error}") from None
-    window = 4 * max(sum(client.nthreads().values()), 1)
-    client.close()
-    return Workers(lambda: _Cluster(Client(address, set_as_default=False)), window, (KilledWorker,))
+        with _client(address) as client:
+            _check_code(client)
+    except WorkersError as found:
+        return found
+    except (OSError, TimeoutError, ValueError):
+        return WorkersError(f"the Dask scheduler at {address} is gone")
+    # where they were cancelled, a new scheduler has taken its place
+    return (
+        WorkersError(f"the Dask scheduler at {address} has lost its jobs")
+        if isinstance(error, CancelledError)
+        else error
+    )
+
+
+def _run_with_code(code: Versions, function: Callable[..., Any], *args: Any, **keywords: Any) -> Any:
+    """Run a job, unless this worker, which may have joined late, has other code."""
+    if other := differences(versions(), code):
+        from distributed import get_worker
+
+        raise WorkersError(f"workers must have the code of this process: {get_worker().address}: {other}")
+    return function(*args, **keywords)
 
 
 class _Cluster(Executor):
@@ -131,7 +194,7 @@ class _Cluster(Executor):
         self._client, self._inner = client, client.get_executor(pure=False)
 
     def submit(self, function: Callable[..., Any], /, *args: Any, **keywords: Any) -> Future[Any]:
-        future: Future[Any] = self._inner.submit(function, *args, **keywords)
+        future: Future[Any] = self._inner.submit(_run_with_code, versions(), function, *args, **keywords)
         return future
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:

@@ -40,6 +40,7 @@ from maglev_mj.laws import Bias
 from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.scenes import Settings, scene_called
 from maglev_mj.scenes.parts import INERTIA, WEIGHT
+from maglev_mj.spec import Spec
 from maglev_mj.tracking import FastBeams, PoseTracker
 
 PARTS = "host", "lockstep", "realtime"
@@ -130,7 +131,7 @@ def prepared(count: int, period: int) -> list[bytes]:
     """Return STATE frames of smooth seeded motion that crosses the joystick's walls again and again."""
     random = np.random.default_rng(1)
     phase, speed = random.uniform(0.0, 6.28, 6), random.uniform(0.02, 0.1, 6)
-    size = np.array([4.5e-3] * 3 + [0.09] * 3)
+    size = np.array([Spec.translation_range.value] * 3 + [0.09] * 3)
     beams, codec = FastBeams(Calibration.nominal().beams), Codec()
     frames = []
     for tick in range(1, count + 1):

@@ -17,13 +17,14 @@ from peers import Task, mujoco_peer
 from maglev_mj import AXES, Controller, ExactPlant, Hold, MuJoCoPlant, Sample, Timing, Wall, run
 from maglev_mj.frames import components
 from maglev_mj.plants import CorrectedPlant
+from maglev_mj.spec import INERTIA, Spec
 from maglev_mj.stability import largest_modulus
 
 REPEATS = 15 if "--quick" in sys.argv else 60
 TICKS = 400
 BATCH = 1000
-TIMING = Timing(period=0.005, delay=0.0015)
-START = [0.5e-3, -0.3e-3, 4.5e-3, 0.0, 0.0, 0.0]
+TIMING = Timing()
+START = [0.5e-3, -0.3e-3, Spec.translation_range.value, 0.0, 0.0, 0.0]
 TASK = Task(ticks=TICKS)
 BY_HAND = {variant.name: variant.build(TASK) for variant in mujoco_peer.variants() if "slides and ball" in variant.name}
 
@@ -32,8 +33,7 @@ def drop_controller() -> Controller:
     """Return the drop's controller: a wall with a pulse along z, a hold on the five other axes."""
     wall = Wall(axes="z", lower=0.0, stiffness=6000, damping=80, pulse=220, pulse_width=0.003)
     others = [axis for axis in AXES if axis != "z"]
-    inertia = [0.7, 0.7, 9e-4, 9e-4, 9e-4]
-    hold = Hold.critically_damped(others, inertia=inertia, period=TIMING.period, delay=TIMING.delay)
+    hold = Hold.critically_damped(others, inertia=np.delete(INERTIA, 2), period=TIMING.period, delay=TIMING.delay)
     return Controller([wall, hold], period=TIMING.period)
 
 
@@ -42,8 +42,8 @@ def full_controller() -> Controller:
     stiffness, damping = [6000.0] * 3 + [8.0] * 3, [80.0] * 3 + [0.1] * 3
     pulse = [220.0] * 3 + [0.2] * 3
     wall = Wall(lower=-1e-3, upper=1e-3, stiffness=stiffness, damping=damping, pulse=pulse, pulse_width=0.003)
-    inertia = [0.7] * 3 + [9e-4] * 3
-    return Controller([wall, Hold.critically_damped(inertia=inertia, period=0.005, delay=0.0015)], period=0.005)
+    hold = Hold.critically_damped(inertia=INERTIA, period=TIMING.period, delay=TIMING.delay)
+    return Controller([wall, hold], period=TIMING.period)
 
 
 def samples(batch: tuple[int, ...], count: int) -> list[Sample]:
@@ -51,7 +51,7 @@ def samples(batch: tuple[int, ...], count: int) -> list[Sample]:
     random = np.random.default_rng(1)
     phase, speed = random.uniform(0, 6.28, (*batch, 6)), random.uniform(0.05, 0.3, (*batch, 6))
     poses = [1.3e-3 * np.sin(phase + speed * tick) for tick in range(count)]
-    return [Sample(tick, tick * 0.005, components(pose)) for tick, pose in enumerate(poses)]
+    return [Sample(tick, tick * TIMING.period, components(pose)) for tick, pose in enumerate(poses)]
 
 
 def timed(work: Callable[[], object]) -> float:

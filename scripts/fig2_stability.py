@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from maglev_mj import charts
+from maglev_mj.spec import Spec
 from maglev_mj.stability import largest_modulus, stiffest_wall
 
 parser = argparse.ArgumentParser(description=__doc__)
@@ -15,9 +16,9 @@ folder = options.folder
 folder.mkdir(parents=True, exist_ok=True)
 
 
-PERIOD, MASS = 0.005, 0.7
+PERIOD, DELAY, MASS = 1.0 / Spec.control_rate.value, Spec.transport_delay.value, Spec.moving_mass.value
 cases = []
-for name, delay in (("one sample of delay, eq. (6)", PERIOD), ("delay 1.5 ms, the device", 0.0015)):
+for name, delay in (("one sample of delay, eq. (6)", PERIOD), ("delay 1.5 ms, the device", DELAY)):
     best = stiffest_wall(period=PERIOD, delay=delay, mass=MASS)
     stiffness = np.linspace(1.0, 1.2 * float(best.stiffness), 401)
     damping = np.linspace(0.0, 2.2 * float(best.damping), 401)

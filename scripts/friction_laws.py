@@ -12,6 +12,8 @@ from typing import Any
 from maglev_mj import Controller, Sample, charts
 from maglev_mj.experiments.choices import LAWS, VELOCITIES
 from maglev_mj.experiments.friction_study import against_exact, chatter, creep, cycle_work, friction_law, mean_friction
+from maglev_mj.spec import Spec
+from maglev_mj.versions import versions
 
 QUICK = "--quick" in sys.argv  # two rates and fewer load cycles
 RATES = (200, 1000) if QUICK else (200, 500, 1000, 2000, 5000)
@@ -21,7 +23,7 @@ CASES = (
     ("5 µm, low-pass", 5e-6, "low-pass"),
     ("5 µm, adaptive", 5e-6, "adaptive"),
 )
-DELAY = 0.0015
+DELAY = Spec.transport_delay.value
 CYCLES = 50 if QUICK else 200
 
 
@@ -104,9 +106,8 @@ def main() -> None:
     folder = Path(next((argument for argument in sys.argv[1:] if not argument.startswith("--")), "figures"))
     folder.mkdir(parents=True, exist_ok=True)
     springs, hard, costs = spring_rows(), hard_rows(), estimator_rows()
-    (folder / "friction_laws.json").write_text(
-        json.dumps({"spring": springs, "hard": hard, "velocity": costs}, indent=1) + "\n"
-    )
+    data = {"spring": springs, "hard": hard, "velocity": costs, "versions": versions()}
+    (folder / "friction_laws.json").write_text(json.dumps(data, indent=1) + "\n")
 
     print(f"Figure 8's case, delay {DELAY * 1e3:g} ms: greatest distance from exact friction in mm")
     print("(changes of state, ripple at the end in µm)")

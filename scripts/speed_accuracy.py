@@ -34,6 +34,8 @@ from maglev_mj.experiments.ladder import DELAY, FIDELITY_SCENES, PERIOD
 from maglev_mj.experiments.wall_controller import wall_controller
 from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.plants import CorrectedBatchPlant, ExactPlant, MuJoCoBatchPlant, SampledPlant, Timing
+from maglev_mj.spec import Spec
+from maglev_mj.versions import versions
 
 TITLES = {
     "drop": "on a wall, with a braking pulse",
@@ -94,7 +96,7 @@ def sweep_of_drops(stiffnesses: int, dampings: int) -> dict[str, Any]:
     makers["MuJoCo, raw euler"] = raw
     makers["MuJoCo, raw euler, 0.1 ms"] = partial(raw, longest_step=1e-4)
     pose = np.zeros((stiffness.size, 6))
-    pose[:, 2] = 0.0045
+    pose[:, 2] = Spec.translation_range.value
     costs: dict[str, list[float]] = {name: [] for name in makers}
     settled: dict[str, Array] = {}
     for _ in range(3):
@@ -107,7 +109,7 @@ def sweep_of_drops(stiffnesses: int, dampings: int) -> dict[str, Any]:
                 pulse_width=0.003,
                 period=PERIOD,
                 delay=DELAY,
-                mass=0.7,
+                mass=Spec.moving_mass.value,
             )
             heights: list[Array] = []
 
@@ -176,7 +178,7 @@ def main() -> None:
     for name, order in data["boundary"]["orders"].items():
         first = data["boundary"]["shifts"][name][0]
         print(f"  {name:<44}{order:5.2f}   {first:+.1%} at {data['boundary']['steps'][0] * 1e3:g} ms")
-    (folder / "speed_accuracy.json").write_text(json.dumps(data, indent=1) + "\n")
+    (folder / "speed_accuracy.json").write_text(json.dumps({**data, "versions": versions()}, indent=1) + "\n")
     print(f"\nwrote {folder / 'speed_accuracy.json'}")
     for path in draw(folder, ways, everyone, data):
         print(f"wrote {path}")

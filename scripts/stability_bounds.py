@@ -11,7 +11,9 @@ from maglev_mj import bounds, charts
 from maglev_mj.experiments.integrators import INTEGRATORS, stiffest_simulated
 from maglev_mj.frames import Array
 from maglev_mj.hand import Hand
+from maglev_mj.spec import Spec
 from maglev_mj.stability import largest_stable_stiffness, stiffest_wall
+from maglev_mj.versions import versions
 
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("folder", nargs="?", default="figures", type=Path, help="where files go")
@@ -20,13 +22,13 @@ options = parser.parse_args()
 folder = options.folder
 folder.mkdir(parents=True, exist_ok=True)
 
-PERIOD = 0.005
+PERIOD, DELAY = 1.0 / Spec.control_rate.value, Spec.transport_delay.value
 OWN = 20.0  # damping of the device or the hand, in one of the panels [N s/m]
 
 panels, rows = [], []
 print("times the exact boundary, at 200 Hz and 0.7 kg (above 1: optimistic, below: conservative)")
 print(f"  {'delay, own damping':<24}{'B N s/m':>8}{'exact N/m':>11}{'Gil':>7}{'Minsky':>8}{'Colgate':>9}")
-for delay, own in ((0.0, 0.0), (0.0015, 0.0), (0.005, 0.0), (0.0, OWN)):
+for delay, own in ((0.0, 0.0), (DELAY, 0.0), (PERIOD, 0.0), (0.0, OWN)):
     top = 1.6 * float(stiffest_wall(period=PERIOD, delay=delay, hand=Hand(damping=own)).damping)
     damping = np.linspace(0.5, top, 30 if options.quick else 120)
     exact = largest_stable_stiffness(damping, period=PERIOD, delay=delay, hand=Hand(damping=own))
@@ -75,7 +77,7 @@ print()
 print("stiffest wall that a simulation calls stable, over the exact one, in percent, by time step in ms")
 print(f"  {'integrator, delay':<26}" + "".join(f"{step * 1e3:>10g}" for step in steps))
 curves = []
-for delay in (0.0, 0.0015, 0.005):
+for delay in (0.0, DELAY, PERIOD):
     for kind in INTEGRATORS:
         percent = shift(kind, delay, aligned=True)
         if kind == "euler":  # the other semi-implicit ones are the same to the last digit here
@@ -83,9 +85,10 @@ for delay in (0.0, 0.0015, 0.005):
 labels = ("time step (ms)", "stiffest wall too stiff by (%)")
 title = "Euler, implicit, discrete; steps end at switches. RK4: 0"
 panels.append(charts.Panel(title=title, labels=labels, curves=curves, log="xy", marked=True))
-fixed = [(kind, steps * 1e3, shift(kind, 0.0015, aligned=False)) for kind in ("rk4", "euler")]
+fixed = [(kind, steps * 1e3, shift(kind, DELAY, aligned=False)) for kind in ("rk4", "euler")]
 title = "fixed step, the switch seen late (delay 1.5 ms)"
 panels.append(charts.Panel(title=title, labels=labels, curves=fixed, log="x", level=0.0, marked=True))
-(folder / "stability_bounds.json").write_text(json.dumps({"bounds": rows, "integrators": shifts}, indent=1) + "\n")
+data = {"bounds": rows, "integrators": shifts, "versions": versions()}
+(folder / "stability_bounds.json").write_text(json.dumps(data, indent=1) + "\n")
 print("wrote", folder / "stability_bounds.json")
 print("wrote", charts.small_multiples(panels, folder / "stability_bounds.png"))

@@ -17,6 +17,7 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.hand import Hand, Path
 from maglev_mj.parameters import number
+from maglev_mj.spec import Spec
 
 __all__ = ["DELAY_SHARE", "FIRM", "Task"]
 
@@ -61,8 +62,8 @@ class Task:
     """
 
     mode: str = "position"
-    period: float = 0.005
-    delay: float = 0.0015
+    period: float = 1.0 / Spec.control_rate.value
+    delay: float = Spec.transport_delay.value
     phase: float = 0.0
     press: float = 5.0
     speed: float = 0.02

@@ -1,4 +1,7 @@
-"""Where walls fail, and what cures it: eight panels, each over phases, seeds or a sweep."""
+"""Where walls fail, and what cures it: eight panels, each over phases, seeds or a sweep.
+
+`two_walls.py` draws the fourth one's subject over every delay.
+"""
 
 import argparse
 import itertools
@@ -10,11 +13,14 @@ import numpy as np
 
 from maglev_mj import Timing, Wall, charts
 from maglev_mj.experiments.corner import corner
-from maglev_mj.experiments.failures import hum, press_at_edge, random_delay_rate, rattle, swing_after_drop
+from maglev_mj.experiments.failures import hum, press_at_edge, random_delay_rate
 from maglev_mj.experiments.growth import RestingWall, measure_growth
+from maglev_mj.experiments.impacts import RATTLE, limited_drop, rattle
 from maglev_mj.hand import Hand
-from maglev_mj.laws import ObserverWall
+from maglev_mj.laws import Law, ObserverWall
+from maglev_mj.spec import RANGE, Spec
 from maglev_mj.stability import largest_modulus, stiffest_wall
+from maglev_mj.versions import versions
 
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("folder", nargs="?", default="figures", type=Path, help="where files go")
@@ -23,13 +29,14 @@ options = parser.parse_args()
 folder = options.folder
 folder.mkdir(parents=True, exist_ok=True)
 
-T, DELAY, MASS = 0.005, 0.0015, 0.7
+T, DELAY, MASS = 1.0 / Spec.control_rate.value, Spec.transport_delay.value, Spec.moving_mass.value
 COUNT = 4 if options.quick else 10
+PHASES = np.arange(32)[:: 8 if options.quick else 1] / 32
 
 
 def panel(title: str, x: str, y: str, curves: list[tuple[str, Any, Any]], **options: Any) -> charts.Panel:
     """Return a panel of curves with its axes named."""
-    return charts.Panel(title=title, labels=(x, y), curves=curves, **options)
+    return charts.Panel(title=title, labels=(x, y), curves=curves, legend="below", **options)
 
 
 def just_above_the_boundary() -> charts.Panel:
@@ -68,12 +75,14 @@ def jitter() -> charts.Panel:
 
 def chatter() -> charts.Panel:
     """Press lightly at the edge of the paper's wall, over a 5 µm sensor with noise: how often the pulse fires."""
-    presses = np.geomspace(0.003, 1.0, COUNT)
-    curves = []
-    for noise, gate in ((0.0, 0.0), (2e-6, 0.0), (5e-6, 0.0), (2e-6, 0.007), (5e-6, 0.01)):
-        fired = [float(press_at_edge(float(press), gate, noise=noise, phases=20).pulses[0]) for press in presses]
-        name = f"noise {noise * 1e6:g} µm, " + (f"gate {gate * 1e3:g} mm/s" if gate else "no gate")
-        curves.append((name, presses, np.array(fired)))
+    presses = np.geomspace(0.003, 1.0, 3 if options.quick else 16)
+    curves, gated = [], np.zeros(presses.size)
+    for noise in (0.0, 1e-6, 2e-6, 5e-6, 10e-6):
+        gates = [0.0, 5.0 * (5e-6 + noise) / T]
+        fired = np.array([press_at_edge(press, gates, noise=noise, phases=20).pulses for press in presses.tolist()])
+        curves.append((f"noise {noise * 1e6:g} µm, no gate", presses, fired[:, 0]))
+        gated = np.maximum(gated, fired[:, 1])
+    curves.append(("each, gate 5 (step + noise)/T", presses, gated))
     return panel(
         "the pulse chatters under a light press",
         "press of the hand (N)",
@@ -85,26 +94,39 @@ def chatter() -> charts.Panel:
 
 
 def gaps() -> charts.Panel:
-    """Two walls of 6000 N/m and 80 N s/m with 60 N: how fast the flotor still moves in the fourth second."""
+    """Two walls of 6000 N/m and 80 N s/m with 60 N: from how many of 128 starts the flotor rattles between them."""
     widths = np.geomspace(1e-5, 5e-3, COUNT + 2)
-    curves = []
-    for pulse, delay in ((220.0, 0.0), (220.0, DELAY), (220.0, 0.003), (MASS / 0.003 - 80.0, DELAY), (0.0, 0.003)):
-        name = f"pulse {pulse:.0f} N s/m, delay {delay * 1e3:g} ms"
-        curves.append((name, widths * 1e3, np.maximum(rattle(widths, pulse=pulse, delay=delay), 1e-6)))
+    speeds, duration = np.arange(1, 17) * 0.02, 2.0 if options.quick else 16.0
+    stops = MASS / 0.003 - 80.0
+    curves, outside = [], []
+    for pulse, delay in (
+        (220.0, 0.001),
+        (220.0, DELAY),
+        (220.0, 0.002),
+        (220.0, 0.003),
+        (stops, 0.002),
+        (stops, 0.003),
+    ):
+        found = rattle(widths[:, None, None], speeds[:, None], PHASES[::4], pulse=pulse, delay=delay, duration=duration)
+        share = (found.speed > RATTLE).mean(axis=(1, 2))
+        curves.append((f"pulse {pulse:.0f} N s/m, {delay * 1e3:g} ms", widths * 1e3, share))
+        outside.append((found.furthest > RANGE[2]).any(axis=(1, 2)))
     return panel(
-        "two walls closer together than the bounce",
+        "two walls close together",
         "gap between the walls (mm)",
-        "speed that stays (m/s)",
+        "share of the starts that rattle",
         curves,
-        log="xy",
+        log="x",
         marked=True,
+        outside=outside,
     )
 
 
 def saturation() -> charts.Panel:
-    """Drop on an observer wall of 27 000 N/m gain under a force limit: swing that stays, by drop height."""
-    heights = np.geomspace(2e-4, 9e-3, COUNT + 2)
-    curves = []
+    """Drop on walls under a force limit, the observer's of 27 000 N/m gain: how far it goes, the worst phase."""
+    heights = np.geomspace(5e-5, RANGE[2], COUNT + 4)
+    paper = Wall(axes="z", lower=0.0, stiffness=6000.0, damping=80.0)
+    cases: list[tuple[str, Law, float]] = []
     for limit, known in ((20.0, False), (30.0, False), (60.0, False), (60.0, True)):
         law = ObserverWall(
             axes="z",
@@ -115,19 +137,22 @@ def saturation() -> charts.Panel:
             delay=DELAY,
             force_limit=limit if known else np.inf,
         )
-        swing = swing_after_drop(heights, law, force_limit=limit)
-        name = f"observer, {limit:g} N" + (", limit in its model" if known else "")
-        curves.append((name, heights * 1e3, np.maximum(swing * 1e3, 1e-6)))
-    paper = Wall(axes="z", lower=0.0, stiffness=6000.0, damping=80.0)
-    swing = swing_after_drop(heights, paper, force_limit=20.0)
-    curves.append(("PD 6000 N/m, 20 N", heights * 1e3, np.maximum(swing * 1e3, 1e-6)))
+        cases.append((f"observer, {limit:g} N" + (", in its model" if known else ""), law, limit))
+    cases += [(f"PD 6000 N/m, {limit:g} N", paper, limit) for limit in (10.0, 20.0, 30.0)]
+    curves, outside = [], []
+    for name, wall, limit in cases:
+        found = limited_drop(heights[:, None], wall, PHASES, force_limit=limit)
+        curves.append((name, heights * 1e3, found.furthest.max(axis=1) * 1e3))
+        outside.append((found.furthest > RANGE[2]).any(axis=1))
     return panel(
-        "saturation: the region of attraction",
+        "saturation: thrown out, or too deep",
         "drop height (mm)",
-        "swing that stays (mm)",
+        "furthest from the centre in 4 s (mm)",
         curves,
         log="xy",
+        level=RANGE[2] * 1e3,
         marked=True,
+        outside=outside,
     )
 
 
@@ -171,9 +196,14 @@ def corners() -> charts.Panel:
 
 panels = [make() for make in (just_above_the_boundary, jitter, chatter, gaps, saturation, quantization, hands, corners)]
 data = [
-    {"title": one.title, "labels": one.labels, "curves": [[name, list(x), list(y)] for name, x, y in one.curves]}
+    {
+        "title": one.title,
+        "labels": one.labels,
+        "curves": [[name, list(x), list(y)] for name, x, y in one.curves],
+        "outside": [np.asarray(points).tolist() for points in one.outside],
+    }
     for one in panels
 ]
-(folder / "where_methods_fail.json").write_text(json.dumps(data, indent=1) + "\n")
+(folder / "where_methods_fail.json").write_text(json.dumps({"panels": data, "versions": versions()}, indent=1) + "\n")
 print("wrote", folder / "where_methods_fail.json")
 print("wrote", charts.small_multiples(panels, folder / "where_methods_fail.png"))

@@ -108,10 +108,11 @@ def npz_of(header: Message, arrays: Mapping[str, Any], *, compressed: bool = Fal
 
 
 def numbers_in(value: Any, place: Place = ()) -> Iterator[Place]:
-    """Yield where there are numbers, switches and nothings."""
+    """Yield where there are numbers, switches and nothings, but for those of the code that made it."""
     if isinstance(value, dict | list):
         for key, part in value.items() if isinstance(value, dict) else enumerate(value):
-            yield from numbers_in(part, (*place, key))
+            if key != "versions":
+                yield from numbers_in(part, (*place, key))
     elif not isinstance(value, str):
         yield place
 

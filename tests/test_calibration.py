@@ -68,7 +68,7 @@ def test_the_nominal_calibration_is_the_model_to_the_last_bit() -> None:
     for name in _BEAMS:
         assert getattr(one.beams, name).tobytes() == getattr(beams(), name).tobytes()
     assert one.mass == pytest.approx(device.mass, rel=1e-15)
-    np.testing.assert_allclose(one.inertia, device.inertia, rtol=5e-3)  # the table's figures are rounded
+    np.testing.assert_allclose(one.inertia, device.inertia, rtol=1e-15)
     assert one.gravity.tolist() == [0.0, 0.0, -9.81] and not one.spot_offsets.any()
 
 

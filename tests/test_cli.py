@@ -15,6 +15,7 @@ from maglev_mj import cli
 from maglev_mj.experiments.choices import LAWS, VELOCITIES
 from maglev_mj.experiments.drop import DropParameters, run_drop
 from maglev_mj.experiments.press import PressParameters, run_press
+from maglev_mj.versions import versions
 
 
 def test_drop_prints_one_screen(capsys: pytest.CaptureFixture[str]) -> None:
@@ -25,8 +26,11 @@ def test_drop_prints_one_screen(capsys: pytest.CaptureFixture[str]) -> None:
         "rebound",
         "peak force",
         "settling, 2 %",
-        "with pulse",
-        "without",
+        "pulse 220 further",
+        "pulse 220 in all",
+        "no pulse",
+        "at phase 0, deeper than 80 % of the phases",
+        "over 5 phases",
         "differ by at most",
     ):
         assert words in out
@@ -99,6 +103,15 @@ def test_a_diverging_drop_says_so_and_keeps_its_record(tmp_path: Path, capsys: p
     assert len(data["z"]) > 300
 
 
+def test_where_a_compared_drop_diverges_the_record_is_the_one_asked_for(tmp_path: Path) -> None:
+    target = tmp_path / "drop.json"
+    arguments = ["--plant", "exact", "--delay", "0.006", "--duration", "0.48", "--json", str(target)]
+    assert cli.main(["drop", *arguments]) == 1
+    data = json.loads(target.read_text())
+    assert data["parameters"]["pulse"] == 220.0
+    assert len(data["z"]) == 481
+
+
 @pytest.mark.parametrize(
     "arguments",
     [
@@ -126,10 +139,13 @@ def test_the_table_says_when_the_device_could_not_do_it(capsys: pytest.CaptureFi
 def test_the_table_shows_the_sweep_as_it_is(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["drop", "--plant", "exact", "--phases", "100"]) == 0
     rows = {line[2:13].strip(): line for line in capsys.readouterr().out.splitlines()}
-    assert "1.74 (1.22 to 2.54)" in rows["penetration"]
-    assert "2.94 (2.41 to 3.58)" in rows["penetration"]
+    assert re.findall(r"\S+ \(.*?\)", rows["penetration"]) == [
+        "1.74 (1.22 to 2.54)",
+        "2.01 (1.53 to 2.80)",
+        "2.94 (2.41 to 3.58)",
+    ]
     assert cli.main(["drop", "--plant", "exact", "--phases", "20", "--duration", "0.13"]) == 0
-    assert "with pulse: settled within 0.13 s at 19 of 20 phases" in capsys.readouterr().out
+    assert "pulse 220 further: settled within 0.13 s at 19 of 20 phases" in capsys.readouterr().out
 
 
 def test_a_file_that_cannot_be_written_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -149,7 +165,7 @@ def test_stick_slip_prints_one_screen_and_writes_json_and_a_picture(
     assert len(out.splitlines()) <= 24
     data = json.loads(target.read_text())
     series = ("time", "position", "velocity", "stick_position", "state", "force")
-    assert list(data) == ["parameters", *series, "events", "summary"]
+    assert list(data) == ["parameters", *series, "events", "summary", "versions"]
     assert all(len(data[name]) == 301 for name in series)
     assert [(event["kind"], set(event)) for event in data["events"]] == [
         ("slip", {"time", "kind", "position"}),
@@ -240,7 +256,7 @@ def test_press_json_on_standard_output_is_nothing_but_json(capsys: pytest.Captur
     assert cli.main([*arguments, "--force-limit", "60", "--json", "-"]) == 0
     data = json.loads(capsys.readouterr().out)
     expected = run_press(PressParameters(plant="exact", hand="0.3,20,500,3,2000", hits=2, pulse=0.0, force_limit=60.0))
-    assert data == json.loads(json.dumps(expected.as_json()))
+    assert data == {**json.loads(json.dumps(expected.as_json())), "versions": versions()}
 
 
 @pytest.mark.parametrize(
@@ -287,10 +303,10 @@ def test_the_press_table_says_what_the_device_could_not_do(capsys: pytest.Captur
     assert cli.main(["press", "--plant", "exact", "--height", "0.006", "--hits", "8", "--interval", "0.3"]) == 0
     out = capsys.readouterr().out
     assert "The device gives 60 N along z, less than this peak: see --force-limit 60" in out
-    assert "The device moves 4.5 mm either way, less than these" in out
+    assert "Beyond the device's range of 4.5 mm: with pulse" in out
     assert "and 2 more: see --json" in out
     assert cli.main(["press", "--plant", "exact"]) == 0
-    assert "The device" not in capsys.readouterr().out
+    assert "device" not in capsys.readouterr().out
 
 
 def test_info(capsys: pytest.CaptureFixture[str]) -> None:

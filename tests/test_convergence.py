@@ -16,8 +16,8 @@ from maglev_mj.experiments.ladder import FIDELITY_SCENES, apart, motion_of, plan
 from maglev_mj.experiments.wall_controller import wall_controller
 from maglev_mj.frames import Array, Command, Sample, quaternions, rotation_matrix, rotation_vector
 from maglev_mj.hand import Hand
-from maglev_mj.model import load
 from maglev_mj.plants import CorrectedBatchPlant, CorrectedPlant, MuJoCoBatchPlant
+from maglev_mj.spec import INERTIA
 
 SEMI_IMPLICIT = [name for name in INTEGRATORS if name != "rk4"]
 ORDERS = [*((name, 1.0) for name in SEMI_IMPLICIT), ("rk4", 4.0)]
@@ -38,7 +38,7 @@ def free_top(time: Any, attitude: Array, spin: Array) -> Array:
     It turns about its angular momentum at |L| / A and, the other way, about its own axis at (C - A) / A w_z:
     R(t) = exp(L/A t) R(0) exp(-(C - A)/A w_z t e_z).
     """
-    a, _, c = load("drop").inertia
+    a, _, c = INERTIA[3:]
     start = rotation_matrix(attitude)
     body = start.T @ spin
     momentum = start @ (np.array([a, a, c]) * body)
@@ -123,7 +123,7 @@ def test_corrected_steps_are_exact_in_translation_at_every_phase(longest: float 
 
 def test_corrected_steps_turn_as_exactly_about_one_axis() -> None:
     start = [0.0, 0.0, 4.5e-3, 0.03, 0.0, 0.0]
-    exact = ExactPlant(Timing(), inertia=load("drop").inertia, pose=start)
+    exact = ExactPlant(Timing(), pose=start)
     corrected = CorrectedPlant(Timing(), coils=False, pose=start)
     poses = [run(plant, drop_controller(), 60).pose for plant in (exact, corrected)]
     np.testing.assert_allclose(poses[1], poses[0], atol=1e-12)

@@ -19,8 +19,9 @@ from numpy.typing import ArrayLike
 
 from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.firmware import Firmware, Profile, Reading
+from maglev_mj.bridge.safety import Limits
 from maglev_mj.bridge.states import Fault, Flag, HelloStatus, Operation, Result, State
-from maglev_mj.bridge.twin import REST
+from maglev_mj.bridge.twin import REST, TwinParameters
 from maglev_mj.bridge.wire import Codec, Command, Control, ControlAck, Frame, Hello, HelloAck, StateReport
 from maglev_mj.frames import Array
 from tests.test_firmware import HOVER, ONES, ZERO
@@ -256,11 +257,14 @@ def test_arguments_that_cannot_be_are_refused(program: Path, arguments: list[str
 
 
 def test_a_session_in_lockstep(start: Starter) -> None:
-    device = start("--lockstep", "--rate", "200", "--delay", "0.0015")
+    device = start("--lockstep")
     host = device.host()
     welcome = host.hello()
+    limits, profile = Limits(), TwinParameters().profile
+    bears = limits.current, limits.continuous_current, limits.thermal_time, limits.spot, limits.spot_speed
+    watchdog = round(limits.watchdog * 1e9)
     assert welcome == HelloAck(
-        *(1, 0, 1, 1, State.INACTIVE, 1, NOMINAL.digest, PERIOD, 1_500_000, 50_000_000, 10.0, 3.0, 10.0, 0.012, 1.0)
+        *(1, 0, 1, 1, State.INACTIVE, 1, NOMINAL.digest, profile.period, profile.delay, watchdog, *bears)
     )
     report = host.sampled()
     assert report.spots == pytest.approx(SLOPES @ REST, abs=1e-15)

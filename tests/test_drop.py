@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import replace
 from typing import Any
@@ -10,8 +11,15 @@ import numpy as np
 import pytest
 
 from maglev_mj.errors import DivergenceError, ParameterError
-from maglev_mj.experiments.drop import DropParameters, analog_drop, run_drop, sweep_drop
-from maglev_mj.metrics import BounceSummary, percentiles
+from maglev_mj.experiments.drop import (
+    DropParameters,
+    analog_drop,
+    drop_variants,
+    run_drop,
+    sweep_drop,
+    trace_phases,
+)
+from maglev_mj.metrics import BounceSummary, perceived_hardness, percentiles
 
 G = 9.81
 
@@ -131,18 +139,100 @@ def test_sweep_equals_single_drops(plant: str) -> None:
     assert data["percentile_95"]["penetration"] == pytest.approx(np.percentile(depths, 95))
 
 
-@pytest.mark.parametrize("height", [1e-3, 2e-3, 3e-3, 4.5e-3])
-def test_the_pulse_lessens_penetration_at_every_phase(height: float) -> None:
-    """The paper's claim, over 100 phases; rebound goes the other way (see scripts/pulse_effect.py)."""
-    drop = DropParameters(plant="exact", height=height)
-    for limit in (None, 60.0):
-        limited = replace(drop, force_limit=limit)
-        with_pulse = sweep_drop(limited, 100).summary
-        without = sweep_drop(replace(limited, pulse=0.0), 100).summary
-        assert (with_pulse.penetration < without.penetration).all()
-    if height == 4.5e-3:
-        with_pulse, without = (sweep_drop(replace(drop, pulse=pulse), 100).summary for pulse in (220.0, 0.0))
-        assert np.median(with_pulse.rebound) > np.median(without.rebound)
+FURTHER, IN_ALL, NONE = 220.0, 140.0, 0.0  # the paper's 220 N s/m as further damping, and with the damping in it
+HEIGHTS = (1e-3, 1.7e-3, 2.6e-3, 3e-3, 3.6e-3, 4.5e-3)
+PHASES = np.random.default_rng(15).uniform(0.0, 1.0, 100)
+
+
+@functools.cache
+def pulsed(pulse: float, height: float = 4.5e-3, **options: Any) -> BounceSummary:
+    return sweep_drop(DropParameters(plant="exact", height=height, pulse=pulse, **options), PHASES).summary
+
+
+@pytest.mark.parametrize("height", HEIGHTS)
+def test_both_readings_of_the_pulse_lessen_penetration_at_every_phase(height: float) -> None:
+    plain = pulsed(NONE, height)
+    assert (plain.peak_force < 60.0).all()  # so that the limit changes nothing without a pulse
+    for pulse in (FURTHER, IN_ALL):
+        for limit in (None, 60.0):
+            assert (pulsed(pulse, height, force_limit=limit).penetration < plain.penetration).all()
+
+
+@pytest.mark.parametrize("height", HEIGHTS)
+def test_the_pulse_in_all_fits_the_figure_of_the_paper_at_every_phase(height: float) -> None:
+    """Figure 3: a force axis from -20 to 80 N, and less oscillation with the pulse."""
+    in_all, plain = pulsed(IN_ALL, height), pulsed(NONE, height)
+    assert (in_all.peak_force < 71.0).all()
+    assert (in_all.settling_time < plain.settling_time).all()
+    assert (in_all.rebound < plain.rebound + 0.04e-3).all()
+    further = pulsed(FURTHER, height)
+    if height >= 3.6e-3:
+        assert (further.peak_force > 80.0).any()
+        assert (further.rebound > plain.rebound).mean() > 0.95
+    if 2e-3 <= height <= 3e-3:
+        assert not (further.settling_time < plain.settling_time).all()
+
+
+def test_the_pulse_further_to_the_damping_fits_it_at_no_phase() -> None:
+    further, plain = pulsed(FURTHER), pulsed(NONE)
+    assert (further.peak_force > 81.0).all() and (further.peak_force < 97.0).all()
+    assert (further.rebound > plain.rebound + 0.2e-3).all()
+    assert (pulsed(IN_ALL).peak_force > 59.0).all()
+
+
+def test_at_the_limit_of_the_device_both_readings_are_one_drop() -> None:
+    """From 4.5 mm; unless the braking that is cut off follows later."""
+    in_all, further = pulsed(IN_ALL, force_limit=60.0), pulsed(FURTHER, force_limit=60.0)
+    np.testing.assert_allclose(in_all.penetration, further.penetration, rtol=0.0, atol=1e-6)
+    np.testing.assert_allclose(in_all.rebound, further.rebound, rtol=0.0, atol=1e-6)
+    later = [pulsed(pulse, force_limit=60.0, carry=True).rebound for pulse in (IN_ALL, FURTHER)]
+    assert (later[1] > later[0]).all()
+    assert np.median(later[0]) == 0.0 and np.median(later[1]) > 1e-3
+
+
+@pytest.mark.parametrize("height", HEIGHTS)
+def test_hardness_of_a_pulse_is_its_damping_over_the_window(height: float) -> None:
+    """How many times as hard a pulse is, is a choice of its size and of the window."""
+
+    def hard(pulse: float, **options: Any) -> list[Any]:
+        trace = trace_phases(DropParameters(height=height, pulse=pulse, **options), PHASES)
+        return [perceived_hardness(trace, window).extended for window in windows]
+
+    windows = (0.005, 0.01)
+    plain = hard(NONE)
+    for pulse in (FURTHER, IN_ALL):
+        for window, free, limited, bare in zip(windows, hard(pulse), hard(pulse, force_limit=60.0), plain, strict=True):
+            assert np.median(free) == pytest.approx((pulse + 80.0) / window, rel=0.02)
+            assert (free > bare).all() and (limited > bare).all()
+            assert (limited < 1.01 * 60.0 / window / math.sqrt(2.0 * G * height)).all()
+
+
+def test_a_pulse_of_the_paper_has_two_readings() -> None:
+    drop = DropParameters(height=3e-3, force_limit=60.0)
+    variants = drop_variants(drop)
+    assert [(label, variant.pulse) for label, variant in variants.items()] == [
+        ("pulse 220 further", FURTHER),
+        ("pulse 220 in all", IN_ALL),
+        ("no pulse", NONE),
+    ]
+    assert all(replace(variant, pulse=drop.pulse) == drop for variant in variants.values())
+
+
+@pytest.mark.parametrize(
+    ("changes", "labels"),
+    [
+        ({"pulse": 140.0}, ["pulse 140 further", "no pulse"]),
+        ({"damping": 0.0}, ["pulse 220 further", "no pulse"]),
+        ({"damping": 220.0}, ["pulse 220 further", "no pulse"]),
+        ({"damping": 60.0}, ["pulse 220 further", "pulse 220 in all", "no pulse"]),
+        ({"pulse": 0.0}, ["no pulse"]),
+    ],
+)
+def test_a_pulse_of_ones_own_has_one_reading(changes: dict[str, float], labels: list[str]) -> None:
+    drop = DropParameters(**changes)  # type: ignore[arg-type]
+    variants = drop_variants(drop)
+    assert list(variants) == labels
+    assert next(iter(variants.values())) == drop
 
 
 def test_a_diverging_drop_keeps_what_it_recorded() -> None:
@@ -191,8 +281,8 @@ def test_bad_phases_are_refused() -> None:
         (["a"], "phases must be a number or an array"),
     ):
         with pytest.raises(ParameterError, match=words):
-            sweep_drop(DropParameters(plant="exact"), phases)  # type: ignore[arg-type]
-    assert sweep_drop(DropParameters(plant="exact"), np.int64(2)).phases.tolist() == [0.0, 0.5]  # type: ignore[arg-type]
+            sweep_drop(DropParameters(plant="exact"), phases)
+    assert sweep_drop(DropParameters(plant="exact"), np.int64(2)).phases.tolist() == [0.0, 0.5]
 
 
 def test_parameters_are_stored_as_checked() -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
@@ -12,7 +14,7 @@ import pytest
 from maglev_mj import AXES, Controller, Sample
 from maglev_mj.errors import DivergenceError, ParameterError
 from maglev_mj.experiments.choices import LAWS
-from maglev_mj.experiments.six_axes import run_six_axes
+from maglev_mj.experiments.six_axes import SixAxesResult, run_six_axes
 from maglev_mj.experiments.stick_slip import StickSlipParameters, exact_stick_slip, run_stick_slip
 from maglev_mj.frames import Array, components
 from maglev_mj.karnopp import karnopp
@@ -29,6 +31,7 @@ from maglev_mj.laws import (
     StickSlip,
     Wall,
 )
+from maglev_mj.spec import INERTIA, RANGE
 from tests.closed_loop import largest_modulus
 
 T, K, F = 0.005, 6000.0, 2.0
@@ -218,17 +221,61 @@ def test_plants_agree_on_every_law(law: str, axis: str, period: float) -> None:
 
 
 @pytest.mark.parametrize("plant", ["exact", "mujoco"])
-def test_resolution_of_figure_9_is_breakaway_over_stiffness(plant: str) -> None:
+def test_figure_9_breaks_away_at_breakaway_over_stiffness(plant: str) -> None:
     for seed in (1, 2, 3):
         result = run_six_axes(plant=plant, seed=seed, duration=30.0)
-        for bound in result.resolution:
-            np.testing.assert_allclose(bound, result.expected_resolution, rtol=0.05)
-        stuck, gone = result.resolution
+        for bound in result.stretch:
+            np.testing.assert_allclose(bound, result.expected_stretch, rtol=0.05)
+        stuck, gone = result.stretch
         assert (stuck < gone).all()
         assert (result.slips >= 3).all()
-    assert result.expected_resolution[0] == pytest.approx(0.333e-3, abs=1e-6)
+    assert result.expected_stretch[0] == pytest.approx(0.333e-3, abs=1e-6)
     with pytest.raises(ParameterError, match="plant must be one of exact, mujoco, not 'real'"):
         run_six_axes(plant="real")
+
+
+def resting_steps(stiffness: float, seeds: Iterable[int], phases: Iterable[float]) -> Array:
+    """Return distances between successive resting places [m], rotations at the radius of gyration.
+
+    Axes on which a run leaves the device's range are left out.
+    """
+    radius = np.sqrt(np.array(INERTIA) / INERTIA[0])
+    steps: list[Array] = []
+    for seed, phase in itertools.product(seeds, phases):
+        run = run_six_axes(plant="exact", seed=seed, phase=phase, hand_stiffness=stiffness)
+        inside = np.abs(run.position).max(axis=0) <= RANGE
+        steps += [one * scale for one, scale, kept in zip(run.steps(), radius, inside, strict=True) if kept]
+    return np.concatenate(steps)
+
+
+def test_resting_places_of_figure_9_lie_further_apart_than_it_stretches() -> None:
+    steps = resting_steps(1500.0, [1], [0.0])
+    assert steps.min() > 2.0 * 0.333e-3
+    assert np.median(steps) == pytest.approx(2.0e-3, rel=0.1)
+
+
+@pytest.mark.study
+@pytest.mark.parametrize(
+    ("stiffness", "least", "middle"), [(1000.0, 0.74e-3, 2.7e-3), (1500.0, 0.72e-3, 2.1e-3), (2500.0, 0.67e-3, 1.4e-3)]
+)
+def test_resting_places_are_two_stretches_apart_for_every_hand_and_phase(
+    stiffness: float, least: float, middle: float
+) -> None:
+    """Seeds and phases that the documented figures do not come from: the hand pulls on after each breakaway."""
+    steps = resting_steps(stiffness, range(20, 28), [0.1, 0.4, 0.85])
+    assert steps.min() == pytest.approx(least, rel=0.03)
+    assert np.median(steps) == pytest.approx(middle, rel=0.05)
+
+
+def test_steps_are_those_between_places_kept() -> None:
+    """By hand: nine samples at 0, one at 1 mm, seven at 3 mm, nine at 2 mm, slides between them."""
+    anchor = np.repeat([0.0, 9e-3, 1e-3, 9e-3, 3e-3, 9e-3, 2e-3], [9, 1, 1, 1, 7, 5, 9])
+    six = np.repeat(anchor[:, None], 6, axis=1)
+    time: Array = np.arange(anchor.size, dtype=np.float64) * 0.005
+    result = SixAxesResult(time, six, six, six != 9e-3, np.zeros(6))
+    for least, expected in ((0.03, [3e-3, 1e-3]), (0.04, [2e-3]), (0.005, [1e-3, 2e-3, 1e-3])):
+        for steps in result.steps(least):
+            np.testing.assert_allclose(steps, expected)
 
 
 @pytest.mark.parametrize("plant", ["exact", "mujoco"])

@@ -21,12 +21,10 @@ from maglev_mj.hand import (
     SpringHand,
     hand_called,
 )
-from maglev_mj.model import load
 from maglev_mj.plants import CorrectedPlant, MuJoCoBatchPlant, SampledPlant
-from maglev_mj.spec import Spec
+from maglev_mj.spec import INERTIA
 
-MASS = Spec.moving_mass.value
-TILT, _, SPIN = load("drop").inertia
+MASS, TILT = INERTIA[0], INERTIA[3]
 TIMING = Timing(period=0.004, delay=0.0013)
 IDLE: Any = Controller([], period=TIMING.period)
 
@@ -41,10 +39,9 @@ def poses(plant: SampledPlant, controller: Controller, ticks: int) -> Array:
 @pytest.mark.parametrize("kind", [ExactPlant, MuJoCoPlant, CorrectedPlant])
 def test_a_constant_force_gives_the_parabola(kind: Any) -> None:
     push = np.array([0.3, -0.2, 0.1, 0.0, 0.0, 4e-4])
-    own = {"inertia": (TILT, TILT, SPIN)} if kind is ExactPlant else {}
-    plant = kind(TIMING, gravity=0.0, hand_force=ConstantForce(push), **own)
+    plant = kind(TIMING, gravity=0.0, hand_force=ConstantForce(push))
     time = TIMING.period * np.arange(26)[:, None]
-    expected = 0.5 * time**2 * push / [MASS, MASS, MASS, TILT, TILT, SPIN]
+    expected = 0.5 * time**2 * push / INERTIA
     assert_allclose(poses(plant, IDLE, 25), expected, rtol=0.0, atol=1e-12)
 
 

@@ -51,7 +51,7 @@ def test_run_answers_every_sample_and_reads_once_more() -> None:
 
 
 LAWS: dict[str, Callable[[], Law]] = {
-    "wall": lambda: Wall(axes="z", stiffness=6000.0, damping=80.0, pulse=220.0, pulse_width=0.003),
+    "wall": lambda: Wall(axes="z", lower=0.0, stiffness=6000.0, damping=80.0, pulse=220.0, pulse_width=0.003),
     "friction": lambda: StickSlip(stiffness=6000.0, damping=80.0, breakaway=2.0, v_min=0.005),
     "hold": lambda: Hold(stiffness=100.0, damping=1.0),
 }

@@ -18,6 +18,7 @@ from maglev_mj.scenes import Settings, scene_called
 from maglev_mj.scenes.joystick import CENTRING
 from maglev_mj.scenes.parts import WEIGHT
 from maglev_mj.session import stick_positions
+from maglev_mj.spec import INERTIA
 
 FRAME = 1.0 / 60.0
 EDGE, SCALE, GAIN, GIVE = 0.0025, 1.0, 10.0, 2.0 / 6000.0
@@ -71,7 +72,7 @@ def test_a_pose_or_a_time_that_cannot_be_is_refused(pose: list[float], elapsed: 
 def test_the_default_give_is_that_of_the_friction_on_every_axis() -> None:
     """What breaks away at 2 N and 6000 N/m stretches to a third of a millimetre, measured at the radius of gyration."""
     give = np.asarray(Navigation().give)
-    radius = np.sqrt(np.array([9.3e-4, 9.3e-4, 8.2e-4]) / 0.7)
+    radius = np.sqrt(np.array(INERTIA[3:]) / INERTIA[0])
     assert give[:3].tolist() == [GIVE] * 3
     assert give[3:] * radius == pytest.approx([GIVE] * 3, rel=1e-12)
 

@@ -12,8 +12,10 @@ import pytest
 
 from maglev_mj import ExactPlant, Timing, run
 from maglev_mj.charts import WorkPoint, pareto
+from maglev_mj.experiments.drop import DropParameters
 from maglev_mj.experiments.wall_controller import wall_controller
 from maglev_mj.frames import Array
+from maglev_mj.spec import GRAVITY, INERTIA
 
 SCRIPTS = Path(__file__).resolve().parent.parent / "scripts"
 
@@ -34,7 +36,7 @@ def _peers_at_hand(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def truth(task: Any) -> tuple[Array, Array]:
     """Return poses at the samples, (81, 6), and the held and pulsed wrenches answered, (80, 2, 6)."""
-    plant = ExactPlant(Timing(delay=task.delay), inertia=task.inertia, pose=task.pose)
+    plant = ExactPlant(Timing(delay=task.delay), pose=task.pose)
     gains: dict[str, Any] = {"stiffness": 6000.0, "damping": 80.0, "pulse": 220.0, "pulse_width": task.pulse_width}
     controller = wall_controller(period=0.005, delay=task.delay, mass=0.7, **gains)
     poses: list[Array] = []
@@ -46,6 +48,17 @@ def truth(task: Any) -> tuple[Array, Array]:
 
     last = run(plant, controller, task.ticks, observe=keep)
     return np.array([*poses, last.pose]), np.array(wrenches)
+
+
+def test_the_task_of_the_peers_is_the_drop_of_this_device() -> None:
+    """Its numbers are copies on purpose: the peers run without this package."""
+    from peers import Task
+
+    task, drop = Task(), DropParameters()
+    assert (*[task.mass] * 3, *task.inertia) == INERTIA
+    assert (task.gravity, task.offset[2]) == (GRAVITY, drop.height)
+    for name in ("period", "delay", "stiffness", "damping", "pulse", "pulse_width"):
+        assert getattr(task, name) == getattr(drop, name)
 
 
 def test_the_law_that_the_peers_share_is_the_controller_s() -> None:

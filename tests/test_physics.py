@@ -12,6 +12,7 @@ from maglev_mj import AXES, Controller, ExactPlant, Hold, MuJoCoPlant, Timing, W
 from maglev_mj.errors import ParameterError
 from maglev_mj.exact import analog_wall, damping_ratio, restitution, stopping_gain
 from maglev_mj.metrics import energy_balance
+from maglev_mj.spec import INERTIA
 from maglev_mj.trace import Trace
 from tests.closed_loop import largest_modulus, pd_matrix
 
@@ -76,14 +77,13 @@ def test_sampled_wall_approaches_restitution_at_first_order(ratio: float) -> Non
 def test_pulse_with_the_stopping_gain_stops_the_flotor(plant_type: Any, axis: str, side: int) -> None:
     """Eq. (8): without gravity and with no PD wall behind it, exactly m v goes in one pulse."""
     index, width = AXES.index(axis), 0.003
-    inertia = ([M] * 3 + [9.2669e-4, 9.2669e-4, 8.16e-4])[index]
+    inertia = INERTIA[index]
     edge = {"lower": 0.0} if side > 0 else {"upper": 0.0}
     gain = stopping_gain(inertia, width)
     damping = 0.3 * gain  # the pulse takes damping + pulse; the PD damping after it sees the old speed: none here
     pose, twist = np.zeros(6), np.zeros(6)
     pose[index], twist[index] = side * 1e-3, -side * 0.15
-    options = {} if plant_type is MuJoCoPlant else {"inertia": [9.2669e-4, 9.2669e-4, 8.16e-4]}
-    plant = plant_type(Timing(period=T, phase=0.5), pose=pose, twist=twist, gravity=0.0, record=True, **options)
+    plant = plant_type(Timing(period=T, phase=0.5), pose=pose, twist=twist, gravity=0.0, record=True)
     wall = Wall(axes=axis, stiffness=0.0, damping=damping, pulse=gain - damping, pulse_width=width, **edge)
     run(plant, Controller([wall], period=T), 3)
     trace = plant.trace()

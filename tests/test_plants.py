@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import partial
+from itertools import islice
 from typing import Any
 
 import mujoco
@@ -15,8 +16,10 @@ from maglev_mj import Command, ExactPlant, MuJoCoPlant, Timing, run
 from maglev_mj.controller import Controller
 from maglev_mj.errors import DivergenceError, ModelError, ParameterError, PlantError
 from maglev_mj.frames import Array, quaternion
+from maglev_mj.hand import Hand
 from maglev_mj.laws import Hold, Wall
 from maglev_mj.plants import CorrectedPlant, SampledPlant, Sensor
+from maglev_mj.spec import INERTIA
 from maglev_mj.trace import Trace
 
 PLANTS: list[type[Any]] = [ExactPlant, MuJoCoPlant]
@@ -340,7 +343,7 @@ def test_current_limit_caps_each_coil() -> None:
 def test_hold_brings_all_six_axes_to_their_target(coils: bool) -> None:
     target = np.array([1e-3, -5e-4, 8e-4, 0.02, -0.01, 0.015])
     plant = MuJoCoPlant(coils=coils, gravity=0.0)
-    hold = Hold.critically_damped(inertia=[M] * 3 + [9e-4] * 3, period=T, delay=0.0015, target=target)
+    hold = Hold.critically_damped(inertia=INERTIA, period=T, delay=0.0015, target=target)
     sample = run(plant, Controller([hold], period=T), 400)
     np.testing.assert_allclose(sample.position, target, atol=1e-9)
 
@@ -408,3 +411,48 @@ def test_a_constant_command_is_one_step_a_period() -> None:
 
 def test_an_empty_batch_is_a_batch() -> None:
     assert ExactPlant(pose=np.zeros((0, 6))).read().pose.shape == (0, 6)
+
+
+@pytest.mark.parametrize("grip", [{}, {"grip_damping": 0.8, "grip_stiffness": 700.0}])
+@pytest.mark.parametrize("lag", [False, True])
+@pytest.mark.parametrize("whole", [0, 2])
+def test_devices_of_one_batch_may_differ_in_mass_delay_and_hand(whole: int, lag: bool, grip: dict[str, Any]) -> None:
+    """Each moves as it would alone, with pulses longer than what is left of the period, and lost answers."""
+    random, count = np.random.default_rng(5), 12
+    mass, hand_mass, damping = (random.uniform(0.1, most, count) for most in (1.5, 0.6, 20.0))
+    rest, phase, height = (random.uniform(0.0, most, count) for most in (1.0, 0.9, 2e-3))
+    rest[0] = 0.0
+    pose = height[:, None] * np.eye(6)[2]
+
+    def heights(one: slice | int) -> Array:
+        plant = ExactPlant(
+            Timing(delay=0.005 * (whole + rest[one]), phase=phase[one]),
+            mass=mass[one],
+            pose=pose[one],
+            hand=Hand(mass=hand_mass[one], damping=damping[one], stiffness=100.0, **grip),
+            driver_lag=lag,
+            escape=(1e3, 1.0),
+        )
+        wall = Wall(axes="z", lower=0.0, stiffness=900.0, damping=20.0, pulse=100.0, pulse_width=0.0045)
+        controller, seen = Controller([wall], period=0.005), []
+        for sample in islice(plant, 60):
+            seen.append(np.array(sample.position[2]))
+            command = controller.step(sample)
+            if sample.tick % 7 != 3:
+                plant.write(command)
+        return np.array(seen)
+
+    together = heights(slice(None))
+    for device in range(count):
+        np.testing.assert_allclose(together[:, device], heights(device), rtol=0.0, atol=1e-13)
+
+
+def test_delays_of_a_batch_that_do_not_fit_are_refused() -> None:
+    with pytest.raises(ParameterError, match="delay must have the same whole periods"):
+        Timing(delay=[0.001, 0.006])
+    with pytest.raises(ParameterError, match=r"delay must be a number or have the shape \(3,\)"):
+        ExactPlant(Timing(delay=[0.001, 0.002]), pose=np.zeros((3, 6)))
+    with pytest.raises(ParameterError, match=r"delay must be a number or have the shape \(\)"):
+        MuJoCoPlant(Timing(delay=[0.001, 0.002]))
+    with pytest.raises(ParameterError, match=r"mass must be above 0, a number or one for each device of \(3,\)"):
+        ExactPlant(pose=np.zeros((3, 6)), mass=[0.7, 0.7])

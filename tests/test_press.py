@@ -224,7 +224,7 @@ def test_percentiles_leave_out_what_is_not_there() -> None:
 
 
 def test_the_pulse_lessens_every_hit_of_an_arm() -> None:
-    """Over 100 phases and four hits."""
+    """Over 100 phases and four hits; of the paper's 220 N s/m as further damping, not with the damping in it."""
     press = PressParameters(plant="exact")
     with_pulse, without = (sweep_press(replace(press, pulse=pulse), 100).summary for pulse in (220.0, 0.0))
     assert (with_pulse.penetration < without.penetration).all()
@@ -240,6 +240,9 @@ def test_in_a_soft_grip_the_pulse_throws_the_flotor_back() -> None:
     deeper = with_pulse.penetration > without.penetration
     assert 0.0 < deeper.mean() < 0.2
     assert np.median(with_pulse.penetration) < 0.7 * np.median(without.penetration)
+    stopping = sweep_press(replace(press, pulse=140.0), 20).summary  # 220 N s/m with the damping in it
+    assert (stopping.contacts == 1.0).all()
+    assert 0.0 < (stopping.penetration > without.penetration).mean() < 0.2
 
 
 def test_json_holds_the_run() -> None:

@@ -18,7 +18,7 @@ from maglev_mj.frames import Array
 from maglev_mj.model import beams, load
 from maglev_mj.parameters import number, numbers
 from maglev_mj.sensing import Beams
-from maglev_mj.spec import GRAVITY, Spec
+from maglev_mj.spec import GRAVITY, INERTIA
 
 __all__ = ["Calibration", "CalibrationError"]
 
@@ -87,13 +87,12 @@ class Calibration:
         """Return the calibration of the device as the model and the paper have it, level and without offsets."""
         coils = load("drop").coils
         assert coils is not None  # the model is loaded with them
-        tilt, spin = Spec.tilt_inertia.value, Spec.spin_inertia.value
         return cls(
             coils=coils,
             beams=beams(),
             spot_offsets=np.zeros(6),
-            mass=Spec.moving_mass.value,
-            inertia=np.array([tilt, tilt, spin]),
+            mass=INERTIA[0],
+            inertia=np.array(INERTIA[3:]),
             gravity=np.array([0.0, 0.0, -GRAVITY]),
         )
 

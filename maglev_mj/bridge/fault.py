@@ -15,6 +15,7 @@ from typing import Any
 from maglev_mj.bridge.states import Fault, fault_names
 from maglev_mj.errors import PlantError
 from maglev_mj.frames import AXES
+from maglev_mj.versions import versions
 
 __all__ = ["BlackBox", "DeviceFault", "HandshakeError"]
 
@@ -54,7 +55,7 @@ class BlackBox:
     """
 
     def __init__(self, folder: Path) -> None:
-        self._folder = folder
+        self._folder, self._versions = folder, versions()
         self._rows: deque[tuple[Any, ...]] = deque(maxlen=_KEPT)
         self.keep = self._rows.append
 
@@ -74,6 +75,7 @@ class BlackBox:
                 "format": "maglev_mj fault 1",
                 "faults": fault_names(faults),
                 "message": message,
+                "versions": self._versions,
                 **about,
                 "columns": _COLUMNS,
                 "cycles": [_flat(row) for row in self._rows],

@@ -58,8 +58,8 @@ class TwinParameters:
     calibration: Calibration = field(default_factory=Calibration.nominal)
     truth: Calibration | None = None
     pose: ArrayLike = REST
-    quantum: float = 8e-7
-    noise: float = 4e-7
+    quantum: float = Spec.spot_resolution.value
+    noise: float = 0.5 * Spec.spot_resolution.value
     seed: int = 0
     limits: Limits = field(default_factory=Limits)
     misfortunes: Sequence[Misfortune] = ()

@@ -1,18 +1,20 @@
 """Pictures of results; the only room that needs matplotlib (the extra `charts`)."""
 
+from maglev_mj.charts.design import design_map
 from maglev_mj.charts.drawing import ChartsMissingError, require
 from maglev_mj.charts.drop import phase_plane, phases, time_series
 from maglev_mj.charts.friction import friction_laws, staircase, stick_slip
 from maglev_mj.charts.precision import WorkPoint, WorkPrecision, pareto, work_precision
 from maglev_mj.charts.press import figure_6
 from maglev_mj.charts.recorded import first_contact, sticks, whole_run
-from maglev_mj.charts.stability import Panel, figure_2, small_multiples, stability_map
+from maglev_mj.charts.stability import Panel, figure_2, shares, small_multiples, stability_map
 
 __all__ = [
     "ChartsMissingError",
     "Panel",
     "WorkPoint",
     "WorkPrecision",
+    "design_map",
     "figure_2",
     "figure_6",
     "first_contact",
@@ -21,6 +23,7 @@ __all__ = [
     "phase_plane",
     "phases",
     "require",
+    "shares",
     "small_multiples",
     "stability_map",
     "staircase",

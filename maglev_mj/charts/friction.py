@@ -69,7 +69,9 @@ def staircase(result: SixAxesResult, path: Path) -> Path:
         anchor = np.where(result.stuck[:, index], result.anchor[:, index], np.nan)
         panel.plot(result.time, result.position[:, index] * 1e3, color=FIRST, linewidth=1.0, label="position")
         panel.step(result.time, anchor * 1e3, color=SECOND, linewidth=1.5, where="post", label="stick position")
-        panel.set_title(f"{axis} ({unit}): {int(result.slips[index])} slips", loc="left", fontsize=10.5)
+        steps = result.steps()[index] * 1e3
+        between = f", resting places {steps.min():.2g} to {steps.max():.2g} apart" if steps.size else ""
+        panel.set_title(f"{axis} ({unit}): {int(result.slips[index])} slips{between}", loc="left", fontsize=10.5)
         panel.set_xlim(0.0, float(result.time[-1]))
     for panel in panels[-2:]:
         panel.set_xlabel("time (s)")

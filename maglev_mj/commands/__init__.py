@@ -3,6 +3,7 @@
 from maglev_mj.commands import (
     analyse,
     bridge,
+    design,
     drop,
     export,
     fidelity,
@@ -22,7 +23,7 @@ __all__ = ["COMMANDS"]
 
 _SCENES = view, render, serve_spacenav
 _RECORDINGS = replay, analyse, export
-_EXPERIMENTS = drop, press, stick_slip, stability, sweep, fidelity
+_EXPERIMENTS = drop, press, stick_slip, stability, design, sweep, fidelity
 _DEVICE = twin, bridge, info
 
 COMMANDS = (*_SCENES, *_RECORDINGS, *_EXPERIMENTS, *_DEVICE)

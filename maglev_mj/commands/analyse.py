@@ -18,6 +18,7 @@ from maglev_mj.recording import InvalidRecordingError, Recording, Stretch
 from maglev_mj.replay import rebuild, stick_positions_of
 from maglev_mj.tables import analysis_table
 from maglev_mj.terminal import say
+from maglev_mj.versions import versions_read
 
 __all__ = ["add_command"]
 
@@ -62,7 +63,8 @@ def _analyse(options: argparse.Namespace) -> int:
     found = [(place, _found(stretch, options)) for place, stretch in _chosen(stretches, options)]
     axes = [one.axis(options.axis) for _, one in found]  # before anything is written
     if options.json is not None:
-        data = [{"stretch": place, **one.as_json()} for place, one in found]
+        recorded_by = {place: versions_read(stretches[place - 1].setup.get("versions")) for place, _ in found}
+        data = [{"stretch": place, "versions": recorded_by[place], **one.as_json()} for place, one in found]
         about = {"file": str(options.file), "damage": recording.damage, "events": list(recording.events)}
         write_json(options.json, {**about, "stretches": data})
     drawn = []

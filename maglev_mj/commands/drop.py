@@ -12,7 +12,7 @@ import numpy as np
 from maglev_mj import charts
 from maglev_mj.errors import DivergenceError
 from maglev_mj.experiments.choices import PLANTS
-from maglev_mj.experiments.drop import DropParameters, run_drop, sweep_drop
+from maglev_mj.experiments.drop import DropParameters, drop_variants, run_drop, sweep_drop
 from maglev_mj.options import add_options, add_outputs, add_recording, count
 from maglev_mj.output import check_recording, keep_partial, write_json
 from maglev_mj.replay import write_experiment
@@ -80,17 +80,14 @@ def _drop(options: argparse.Namespace) -> int:
 
 
 class _DropStudy:
-    """A drop, the same without its pulse unless it is wanted alone or has none, and their sweeps."""
+    """A drop, the drops to compare it with unless it is wanted alone, and their sweeps."""
 
     def __init__(self, parameters: DropParameters, phases: int | None, *, alone: bool) -> None:
-        self.labels, variants = ["with pulse"], [parameters]
-        if parameters.pulse == 0.0:
-            self.labels = ["no pulse"]
-        elif not alone:
-            self.labels.append("without pulse")
-            variants.append(replace(parameters, pulse=0.0))
-        self.results = [run_drop(variant) for variant in variants]
+        compared = list(drop_variants(parameters).items())
+        self.labels, variants = zip(*compared[:1] if alone else compared, strict=True)
+        self.results = [run_drop(variants[0])]
         try:
+            self.results += [run_drop(variant) for variant in variants[1:]]
             self.sweeps = [] if phases is None else [sweep_drop(variant, phases) for variant in variants]
         except DivergenceError as error:
             error.partial = self.results[0]  # the drop itself is worth keeping

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +12,10 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.experiments.choices import PLANTS
 from maglev_mj.experiments.stability_map import StabilityParameters, run_stability
 from maglev_mj.hand import HANDS
-from maglev_mj.options import add_options, add_workers, chosen_workers, count
-from maglev_mj.output import check_outputs, keep_landed, write_json
+from maglev_mj.options import add_options, add_workers, chosen_workers, count, range_of
+from maglev_mj.output import cells_kept, check_outputs, tell_of_others, write_json
 from maglev_mj.progress import Progress
-from maglev_mj.study import Record, StudyInterrupted
+from maglev_mj.study import Record
 from maglev_mj.tables import stability_table
 
 __all__ = ["add_command"]
@@ -49,8 +50,8 @@ def add_command(commands: Any) -> None:
 
 def _stability(options: argparse.Namespace) -> int:
     parameters = StabilityParameters(
-        damping=_range("damping", options.damping),
-        stiffness=_range("stiffness", options.stiffness),
+        damping=range_of("damping", options.damping),
+        stiffness=range_of("stiffness", options.stiffness),
         **{name: getattr(options, name) for name in ("grid", "period", "delay", "mass", "hand", "plant")},
     )
     if options.out is not None:
@@ -61,13 +62,9 @@ def _stability(options: argparse.Namespace) -> int:
     check_outputs(json=options.json, record=options.record, out=options.out)
     workers = chosen_workers(options, default=0)
     progress = Progress("stability")
-    try:
+    with cells_kept(options.record, _FALLBACK), closing(progress):
         result = run_stability(parameters, record=Record(options.record), workers=workers, progress=progress)
-    except StudyInterrupted as stopped:
-        progress.close()
-        keep_landed("stability", stopped, options.record, _FALLBACK)
-        raise
-    progress.close()
+    tell_of_others("stability", result.others)
     if options.json is not None:
         write_json(options.json, result.as_json())
     pictures = []
@@ -79,17 +76,3 @@ def _stability(options: argparse.Namespace) -> int:
         for path in pictures:
             print(f"  wrote {path}")
     return 0
-
-
-def _range(name: str, words: list[str] | None) -> tuple[float, float] | None:
-    """Return the ends of a range, given as one word or two."""
-    if words is None:
-        return None
-    parts = words[0].split(":") if len(words) == 1 else words
-    try:
-        values = [float(part) for part in parts]
-    except ValueError:
-        values = []
-    if not 1 <= len(values) <= 2:
-        raise ParameterError(f"{name} must be LOW HIGH, LOW:HIGH, or one value, not {' '.join(words)!r}")
-    return values[0], values[-1]

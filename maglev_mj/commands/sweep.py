@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import itertools
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +13,10 @@ import numpy as np
 from maglev_mj.errors import ParameterError
 from maglev_mj.experiments.scenes import SCENES, cell_of, run_scene_cells, value_of
 from maglev_mj.options import add_workers, chosen_workers
-from maglev_mj.output import check_outputs, keep_landed, write_json
+from maglev_mj.output import cells_kept, check_outputs, tell_of_others, write_json
 from maglev_mj.parameters import parsed_number
 from maglev_mj.progress import Progress
-from maglev_mj.study import Cell, Record, StudyInterrupted, run_cells
+from maglev_mj.study import Cell, Record, run_cells
 from maglev_mj.tables import sweep_table
 
 __all__ = ["add_command"]
@@ -57,22 +58,19 @@ def _sweep(options: argparse.Namespace) -> int:
     check_outputs(json=options.json, record=path)
     record = Record(path)
     known = sum(cell in record for cell in cells)
+    others = record.others(cells)
     workers = chosen_workers(options, default=None)
+    tell_of_others("sweep", others)
     progress = Progress(f"sweep {scene}")
     # enough jobs for every worker to get several, few enough that handing them out costs nothing
     together = max(min((len(cells) - known) // (8 * workers.window), 50), 1)
-    try:
+    with cells_kept(path, path), closing(progress):
         results = run_cells(
             run_scene_cells, cells, record=record, workers=workers, together=together, progress=progress
         )
-    except StudyInterrupted as stopped:
-        progress.close()
-        keep_landed("sweep", stopped, path, path)
-        raise
-    progress.close()
     if options.json is not None:
         rows = [{"cell": cell, "result": result} for cell, result in zip(cells, results, strict=True)]
-        write_json(options.json, {"scene": scene, "varied": varied, "cells": rows})
+        write_json(options.json, {"scene": scene, "varied": varied, "cells": rows, "other_versions": others})
     if options.json != "-":
         print(sweep_table(scene, varied, results, known, str(path)))
     return 0

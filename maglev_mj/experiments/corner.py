@@ -11,11 +11,11 @@ from maglev_mj.frames import Array
 from maglev_mj.laws import Hold, Wall
 from maglev_mj.loop import run
 from maglev_mj.plants import ExactPlant, MuJoCoPlant, Timing, engine_warnings_silenced
-from maglev_mj.spec import Spec
+from maglev_mj.spec import INERTIA
 
 __all__ = ["corner"]
 
-_MASS = Spec.moving_mass.value
+_MASS = INERTIA[0]
 
 
 def corner(plant: str, pose: Sequence[float], twist: Sequence[float], *, duration: float = 2.0) -> tuple[Array, Array]:
@@ -32,7 +32,7 @@ def corner(plant: str, pose: Sequence[float], twist: Sequence[float], *, duratio
     Returns:
         Sampled poses (K, 6), and kinetic energy at the samples [J], (K,).
     """
-    body = np.array([_MASS] * 3 + [Spec.tilt_inertia.value] * 2 + [Spec.spin_inertia.value])
+    body = np.array(INERTIA)
     into = np.array([0, 2, 4])
     share = body[into] / _MASS
     # a press of 0.4 N at the walls, and as much acceleration at the stop

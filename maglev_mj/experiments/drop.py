@@ -3,24 +3,25 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from numbers import Integral
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from maglev_mj.controller import Controller
 from maglev_mj.errors import DivergenceError, ParameterError
 from maglev_mj.exact import analog_wall
-from maglev_mj.experiments.drop_parameters import ESCAPE, DropParameters
+from maglev_mj.experiments.drop_parameters import DropParameters
 from maglev_mj.experiments.wall_controller import wall_controller
 from maglev_mj.frames import Array
 from maglev_mj.hand import HandForce
 from maglev_mj.loop import run
-from maglev_mj.metrics import BounceSummary, Hardness, perceived_hardness, percentiles, summarise_bounce
+from maglev_mj.metrics import BounceSummary, percentiles, summarise_bounce
 from maglev_mj.parameters import number, numbers
 from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant, Sensor, Timing, engine_warnings_silenced
+from maglev_mj.spec import ESCAPE
 from maglev_mj.trace import Trace
 
 __all__ = [
@@ -29,9 +30,11 @@ __all__ = [
     "DropSweep",
     "analog_drop",
     "drop_parts",
+    "drop_variants",
     "run_drop",
+    "share_less_deep",
     "sweep_drop",
-    "sweep_hardness",
+    "trace_phases",
 ]
 
 _MOST_PHASES = 10_000
@@ -68,11 +71,12 @@ class DropResult:
 
 @dataclass(frozen=True, eq=False)
 class DropSweep:
-    """The same drop at several phases: phases (N,) and each figure (N,)."""
+    """The same drop at several phases: phases (N,), each figure (N,), and the furthest on each axis (N, 6)."""
 
     parameters: DropParameters
     phases: Array
     summary: BounceSummary
+    furthest: Array
 
     def as_json(self) -> dict[str, Any]:
         """Return one summary a phase, the median, 5th and 95th percentile of each figure, and how many settled."""
@@ -96,7 +100,7 @@ def run_drop(parameters: DropParameters) -> DropResult:
     return _result(parameters, _trace(parameters, parameters.phase))
 
 
-def sweep_drop(parameters: DropParameters, phases: int | Sequence[float]) -> DropSweep:
+def sweep_drop(parameters: DropParameters, phases: int | ArrayLike) -> DropSweep:
     """Drop the flotor at many phases: a batch on the exact plant, one after the other on MuJoCo.
 
     Args:
@@ -109,30 +113,52 @@ def sweep_drop(parameters: DropParameters, phases: int | Sequence[float]) -> Dro
     """
     chosen = _phases(phases)
     if parameters.plant == "exact":
-        parts = [
-            summarise_bounce(_trace(parameters, chosen[start : start + _TOGETHER]), parameters.rest)
-            for start in range(0, chosen.size, _TOGETHER)
-        ]
-        figures = [np.concatenate(figure) for figure in zip(*parts, strict=True)]
+        batches = (chosen[start : start + _TOGETHER] for start in range(0, chosen.size, _TOGETHER))
+        traces = (trace_phases(parameters, batch) for batch in batches)
     else:
-        rows = [run_drop(replace(parameters, phase=float(phase))).summary for phase in chosen]
-        figures = [np.array(figure) for figure in zip(*rows, strict=True)]
-    return DropSweep(parameters, chosen, BounceSummary(*figures))
+        traces = (run_drop(replace(parameters, phase=float(phase))).trace for phase in chosen)
+    # a trace is large: only its figures are kept
+    found = ((summarise_bounce(trace, parameters.rest), trace.furthest()) for trace in traces)
+    summaries, furthest = zip(*found, strict=True)
+    figures = BounceSummary(*(np.hstack(figure) for figure in zip(*summaries, strict=True)))
+    return DropSweep(parameters, chosen, figures, np.vstack(furthest))
 
 
-def sweep_hardness(parameters: DropParameters, phases: int | Sequence[float], window: float) -> Hardness:
-    """Return how hard the first contact feels at many phases, (N,) each, on the exact plant.
+def trace_phases(parameters: DropParameters, phases: int | ArrayLike) -> Trace:
+    """Return the motion at many phases (K, N, ...) on the exact plant.
 
     Args:
         parameters: The drop; its own phase and plant are not used.
         phases: As for `sweep_drop`.
-        window: Length of the window that the force's rise is taken over [s].
 
     Raises:
-        ParameterError: If a value is outside its bounds.
+        ParameterError: If there is no phase, or one is outside [0, 1).
         DivergenceError: If a flotor leaves its range by a wide margin.
     """
-    return perceived_hardness(_trace(replace(parameters, plant="exact"), _phases(phases)), window)
+    return _trace(replace(parameters, plant="exact"), _phases(phases))
+
+
+def drop_variants(parameters: DropParameters) -> dict[str, DropParameters]:
+    """Return the drops to compare, by label.
+
+    First the drop itself, last the same without its pulse. The paper's equation (9) adds its pulse of 220 N s/m to the
+    damping, but its figure 3 fits 220 with the damping included: a drop with this pulse has that reading in between.
+
+    Source: Salcudean & Vlaar 1997, eq. (9) and figure 3.
+    """
+    plain = {"no pulse": replace(parameters, pulse=0.0)}
+    if parameters.pulse == 0.0:
+        return plain
+    variants = {f"pulse {parameters.pulse:g} further": parameters}
+    if parameters.pulse == DropParameters.pulse and 0.0 < parameters.damping < parameters.pulse:
+        in_all = replace(parameters, pulse=parameters.pulse - parameters.damping)
+        variants[f"pulse {parameters.pulse:g} in all"] = in_all
+    return variants | plain
+
+
+def share_less_deep(drop: BounceSummary, phases: BounceSummary) -> float:
+    """Return the share of phases with less penetration than a drop."""
+    return float(np.mean(phases.penetration < drop.penetration - 1e-9))  # the two plants round differently
 
 
 def analog_drop(parameters: DropParameters, time: Array) -> tuple[Array, Array, Array]:
@@ -170,7 +196,7 @@ def escaped_later(trace: Trace, duration: float) -> bool:
     return bool((np.linalg.norm(trace.until(duration).pose[..., :3], axis=-1) < ESCAPE).all())
 
 
-def _phases(phases: int | Sequence[float]) -> Array:
+def _phases(phases: int | ArrayLike) -> Array:
     if isinstance(phases, Integral):
         if not 1 <= int(phases) <= _MOST_PHASES:
             raise ParameterError(f"phases must be at least 1 and at most {_MOST_PHASES}, not {phases}")

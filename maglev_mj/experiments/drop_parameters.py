@@ -8,12 +8,9 @@ from dataclasses import dataclass
 from maglev_mj.errors import ParameterError
 from maglev_mj.experiments.choices import PLANTS
 from maglev_mj.parameters import flag, number
-from maglev_mj.spec import GRAVITY, Spec
+from maglev_mj.spec import ESCAPE, GRAVITY, Spec
 
-__all__ = ["ESCAPE", "DropParameters"]
-
-ESCAPE = 0.045
-"""Distance from the centre beyond which a drop has diverged [m]."""
+__all__ = ["DropParameters"]
 
 _MOST_TICKS = 1_000_000
 
@@ -45,7 +42,7 @@ class DropParameters:
     plant: str = "mujoco"
     height: float = Spec.translation_range.value
     phase: float = 0.0
-    period: float = 0.005
+    period: float = 1.0 / Spec.control_rate.value
     delay: float = Spec.transport_delay.value
     stiffness: float = 6000.0
     damping: float = 80.0

@@ -86,11 +86,7 @@ class RestingWall:
 
     def rest(self, stiffness: Array) -> Array:
         """Return where weight, wall and arm balance [m]."""
-        arm = 0.0
-        if self.hand is not None:
-            stiff = float(self.hand.values[2])
-            # through a soft grip the arm is felt as far as the hand follows
-            arm = stiff * float(self.hand.place(1.0)) if self.hand.soft else stiff
+        arm = 0.0 if self.hand is None else float(self.hand.static_stiffness)
         return -self.mass * GRAVITY / (stiffness + arm)
 
     def start(self, stiffness: Array, damping: Array) -> tuple[SampledPlant, Controller]:

@@ -12,6 +12,7 @@ from maglev_mj.frames import Array
 from maglev_mj.parameters import flag, number
 from maglev_mj.plants import INTEGRATORS, one_step
 from maglev_mj.sampled import SampledLoop
+from maglev_mj.spec import Spec
 from maglev_mj.stability import StiffestWall, stiffest_of
 
 __all__ = ["INTEGRATORS", "SteppedLoop", "stiffest_simulated"]
@@ -79,7 +80,13 @@ def _steps(integrator: str, mass: float, step: float, count: int) -> tuple[Array
 
 
 def stiffest_simulated(
-    integrator: str, step: float, *, period: float, delay: float, mass: float = 0.7, aligned: bool = True
+    integrator: str,
+    step: float,
+    *,
+    period: float,
+    delay: float,
+    mass: float = Spec.moving_mass.value,
+    aligned: bool = True,
 ) -> StiffestWall:
     """Return the stiffest wall that a simulation with this integrator and step takes for stable.
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -19,7 +18,7 @@ from maglev_mj.hand import Hand, hand_called
 from maglev_mj.laws import Hold, StickSlip
 from maglev_mj.loop import run
 from maglev_mj.plants import CorrectedPlant, ExactPlant, MuJoCoPlant, SampledPlant, Sensor, SpotSensor, Timing
-from maglev_mj.spec import GRAVITY, Spec
+from maglev_mj.spec import DRIVER_TIME_CONSTANT, GRAVITY, INERTIA, RESOLUTION, Spec
 
 __all__ = [
     "DELAY",
@@ -39,9 +38,7 @@ PERIOD, DELAY = 1.0 / Spec.control_rate.value, Spec.transport_delay.value
 """Of every scene [s]."""
 
 _MASS = Spec.moving_mass.value
-_INERTIA = (*(_MASS,) * 3, Spec.tilt_inertia.value, Spec.tilt_inertia.value, Spec.spin_inertia.value)
-_COIL_RADIUS = 0.046
-_LAG = 1.0 / (2.0 * math.pi * Spec.driver_bandwidth.value)
+_SPOTS = SpotSensor(quantum=Spec.spot_resolution.value)
 _WALL: dict[str, Any] = {"stiffness": 6000.0, "damping": 80.0, "period": PERIOD, "delay": DELAY, "mass": _MASS}
 
 
@@ -66,10 +63,10 @@ RUNGS: tuple[Rung, ...] = (
     Rung("body", "a rigid body with an ideal wrench", {"coils": False}),
     Rung("coils", "six coils that do not turn, 10 A each", {"current_limit": Spec.peak_current.value}),
     Rung("turning", "coils that turn with the flotor", {"coils": True}),
-    Rung("lag", "drivers of 2 kHz, as 80 µs more of delay", {}, {"delay": DELAY + _LAG}),
+    Rung("lag", "drivers of 2 kHz, as 80 µs more of delay", {}, {"delay": DELAY + DRIVER_TIME_CONSTANT}),
     Rung("falloff", "a tenth of the force lost at the end of the range", {"detail": Detail(force_falloff=0.1)}),
-    Rung("steps", "a sensor of 5 µm and 10 µrad", {"sensor": Sensor(quantum=(5e-6,) * 3 + (10e-6,) * 3)}),
-    Rung("spots", "LEDs and diodes of 0.8 µm, the pose by Newton", {"sensor": SpotSensor(quantum=8e-7)}),
+    Rung("steps", "a sensor of 5 µm and 10 µrad", {"sensor": Sensor(quantum=RESOLUTION)}),
+    Rung("spots", "LEDs and diodes of 0.8 µm, the pose by Newton", {"sensor": _SPOTS}),
     Rung("jitter", "conversions that vary by 0.1 ms either way", {}, {"jitter": 1e-4}),
     Rung("stops", "metal stops", {"detail": Detail(force_falloff=0.1, stops=True)}),
     Rung("filter", "the drivers' lag as the filter that it is", {"driver_lag": True}, {"delay": DELAY}),
@@ -112,15 +109,15 @@ class FidelityScene:
 def _stick_slip() -> Controller:
     friction = StickSlip(axes="x", stiffness=6000.0, damping=80.0, breakaway=2.0, v_min=0.005)
     spring = Hold(axes="x", stiffness=1000.0, damping=0.0, target=0.003)
-    others = Hold.critically_damped(AXES[1:], inertia=_INERTIA[1:], period=PERIOD, delay=DELAY)
+    others = Hold.critically_damped(AXES[1:], inertia=INERTIA[1:], period=PERIOD, delay=DELAY)
     return Controller([friction, spring, others], period=PERIOD)
 
 
 def _centring() -> Controller:
-    return Controller([Hold.critically_damped(inertia=_INERTIA, period=PERIOD, delay=DELAY)], period=PERIOD)
+    return Controller([Hold.critically_damped(inertia=INERTIA, period=PERIOD, delay=DELAY)], period=PERIOD)
 
 
-_HIGH = (0.0, 0.0, 0.0045, 0.0, 0.0, 0.0)
+_HIGH = (0.0, 0.0, Spec.translation_range.value, 0.0, 0.0, 0.0)
 
 FIDELITY_SCENES: Mapping[str, FidelityScene] = {
     scene.name: scene
@@ -270,4 +267,4 @@ def apart(one: Array, other: Array) -> float:
     """Return how far two motions are apart at most: the greatest displacement of a coil [m], from poses (K, 6)."""
     difference = one - other
     moved, turned = (np.linalg.norm(part, axis=-1) for part in (difference[:, :3], difference[:, 3:]))
-    return float((moved + _COIL_RADIUS * turned).max())
+    return float((moved + Spec.coil_radius.value * turned).max())

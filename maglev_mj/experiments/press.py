@@ -20,11 +20,11 @@ from maglev_mj.hand import GuidedHand, Hand, HandForce, motion
 from maglev_mj.loop import run
 from maglev_mj.parameters import number
 from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant, Sensor, Timing, engine_warnings_silenced
+from maglev_mj.spec import ESCAPE
 from maglev_mj.trace import Trace
 
 __all__ = ["PressParameters", "PressResult", "PressSweep", "run_press", "sweep_press"]
 
-_ESCAPE = 0.045
 _MOST_PHASES = 10_000
 _TOGETHER = 64
 
@@ -63,11 +63,15 @@ class PressResult:
 
 @dataclass(frozen=True, eq=False)
 class PressSweep:
-    """The same run at several phases: phases (N,), each figure of the hits (N, hits), each of the press (N,)."""
+    """The same run at several phases: phases (N,), figures of the hits (N, hits) and of the press (N,).
+
+    `furthest` is the greatest distance from the centre on each axis [m, rad], (N, 6).
+    """
 
     parameters: PressParameters
     phases: Array
     summary: PressSummary
+    furthest: Array
 
     def as_json(self) -> dict[str, Any]:
         """Return one summary a phase, and the median, 5th and 95th percentile of each figure, each hit for itself."""
@@ -109,16 +113,20 @@ def sweep_press(
     chosen = np.arange(int(phases)) / int(phases)
     runs = [replace(parameters, phase=float(phase)) for phase in chosen]
     rows: list[PressSummary] = []
+    furthest: list[Array] = []
     while len(rows) < len(runs):
         if parameters.plant == "exact":
             some = runs[len(rows) : len(rows) + _TOGETHER]
             trace = _trace(some, together=True)
-            rows += [_result(one, _of_device(trace, place)).summary for place, one in enumerate(some)]
+            results = [_result(one, _of_device(trace, place)) for place, one in enumerate(some)]
         else:
-            rows.append(run_press(runs[len(rows)]).summary)
+            results = [run_press(runs[len(rows)])]
+        rows += [one.summary for one in results]
+        furthest += [one.trace.furthest() for one in results]
         if progress is not None:
             progress(len(rows), len(runs))
-    return PressSweep(parameters, chosen, PressSummary(*(np.array(figure) for figure in zip(*rows, strict=True))))
+    figures = PressSummary(*(np.array(figure) for figure in zip(*rows, strict=True)))
+    return PressSweep(parameters, chosen, figures, np.array(furthest))
 
 
 class _SideBySide:
@@ -189,7 +197,7 @@ def _plant(runs: Sequence[PressParameters], *, together: bool, hand_force: HandF
         hand_force=force,
         wrench_limit=None if p.force_limit is None else [np.inf, np.inf, p.force_limit] + [np.inf] * 3,
         sensor=Sensor(quantum=np.eye(len(AXES))[2] * p.quantize) if p.quantize else None,
-        escape=(_ESCAPE, 1.0),
+        escape=(ESCAPE, 1.0),
         record=True,
         longest_step=_longest_step(p, hand),
     )

@@ -10,11 +10,10 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.experiments.choices import PLANTS
 from maglev_mj.hand import Hand, Path, hand_called
 from maglev_mj.parameters import number
-from maglev_mj.spec import Spec
+from maglev_mj.spec import ESCAPE, Spec
 
 __all__ = ["PressParameters"]
 
-_ESCAPE = 0.045
 _MOST_TICKS = 1_000_000
 _MOST_HITS = 1000
 
@@ -68,7 +67,7 @@ class PressParameters:
     height: float = 0.003
     press: float = 5.0
     phase: float = 0.0
-    period: float = 0.005
+    period: float = 1.0 / Spec.control_rate.value
     delay: float = Spec.transport_delay.value
     stiffness: float = 6000.0
     damping: float = 80.0
@@ -88,7 +87,7 @@ class PressParameters:
             raise ParameterError(f"hand must have an arm of some stiffness, by which it presses, not {self.hand!r}")
         bounds: dict[str, dict[str, float]] = {
             "hits": {"at_least": 1, "at_most": _MOST_HITS},
-            "height": {"above": 0.0, "below": _ESCAPE},
+            "height": {"above": 0.0, "below": ESCAPE},
             "press": {"above": 0.0, "at_most": 1e6},
             "phase": {"at_least": 0.0, "below": 1.0},
             "period": {"at_least": 1e-6, "at_most": 1.0},

@@ -16,12 +16,11 @@ from maglev_mj.laws import StickSlip
 from maglev_mj.loop import run
 from maglev_mj.parameters import number
 from maglev_mj.plants import ExactPlant, MuJoCoPlant, Timing
-from maglev_mj.spec import Spec
+from maglev_mj.spec import INERTIA, Spec
 
 __all__ = ["SixAxesResult", "run_six_axes"]
 
-_INERTIA = np.array([Spec.moving_mass.value] * 3 + [Spec.tilt_inertia.value] * 2 + [Spec.spin_inertia.value])
-_RADIUS = np.sqrt(_INERTIA / Spec.moving_mass.value)
+_RADIUS = np.sqrt(np.array(INERTIA) / INERTIA[0])
 """1 for a translation, the radius of gyration for a rotation: scales figure 8's values to every axis."""
 
 
@@ -55,25 +54,40 @@ class SixAxesResult:
         position: Positions [m, rad], (K, 6).
         anchor: Stick positions [m, rad], (K, 6).
         stuck: Whether each axis sticks, (K, 6).
-        expected_resolution: breakaway / stiffness of each axis [m, rad], (6,).
+        expected_stretch: breakaway / stiffness of each axis [m, rad], (6,).
     """
 
     time: Array
     position: Array
     anchor: Array
     stuck: Mask
-    expected_resolution: Array
+    expected_stretch: Array
 
     @property
-    def resolution(self) -> tuple[Array, Array]:
+    def stretch(self) -> tuple[Array, Array]:
         """Bounds of the distance from the stick position at which each axis breaks away [m, rad], (6,) each.
 
         Before every slip one sample still sticks and the next one does not: the greatest of the former and the least
         of the latter hold the true distance between them.
         """
-        stretch = np.abs(self.position[1:] - self.anchor[:-1])
+        distance = np.abs(self.position[1:] - self.anchor[:-1])
         held, gone = self.stuck[:-1] & self.stuck[1:], self.stuck[:-1] & ~self.stuck[1:]
-        return np.where(held, stretch, 0.0).max(axis=0), np.where(gone, stretch, np.inf).min(axis=0)
+        return np.where(held, distance, 0.0).max(axis=0), np.where(gone, distance, np.inf).min(axis=0)
+
+    def steps(self, least: float = 0.04) -> list[Array]:
+        """Return the distances between successive resting places, for each axis [m, rad].
+
+        A resting place is a stick position kept for at least `least` [s]: after most breakaways the law sticks once
+        more, for 15 to 20 ms, and the hand pulls on.
+        """
+        period = float(self.time[1] - self.time[0])
+        found = []
+        for anchor, stuck in zip(self.anchor.T, self.stuck.T, strict=True):
+            ends = np.flatnonzero(np.diff(stuck)) + 1
+            spells = zip([0, *ends], [*ends, len(stuck)], strict=True)
+            places = [anchor[a] for a, b in spells if stuck[a] and (b - a) * period > least - 1e-9]
+            found.append(np.abs(np.diff(places)))
+        return found
 
     @property
     def slips(self) -> Array:
@@ -83,7 +97,14 @@ class SixAxesResult:
 
 
 def run_six_axes(
-    *, plant: str = "mujoco", seed: int = 1, duration: float = 12.0, period: float = 0.005, delay: float = 0.0015
+    *,
+    plant: str = "mujoco",
+    seed: int = 1,
+    duration: float = 12.0,
+    period: float = 1.0 / Spec.control_rate.value,
+    delay: float = Spec.transport_delay.value,
+    phase: float = 0.0,
+    hand_stiffness: float = 1500.0,
 ) -> SixAxesResult:
     """Move the flotor about by a smooth seeded hand, with figure 8's stick-slip on every axis.
 
@@ -95,6 +116,8 @@ def run_six_axes(
         duration: Simulated time [s].
         period: Sample period [s].
         delay: Transport delay [s].
+        phase: Sampling phase, in [0, 1).
+        hand_stiffness: Of the hand's spring [N/m], at the radius of gyration for rotations.
 
     Raises:
         ParameterError: If a value is outside its bounds.
@@ -106,8 +129,9 @@ def run_six_axes(
     law = StickSlip(stiffness=stiffness, damping=80.0 * _RADIUS**2, breakaway=breakaway, v_min=0.005 / _RADIUS)
     # the hand reaches as far as the device goes: 3.5 mm, and 4.5 degrees
     reach = np.array([3.5e-3] * 3 + [math.radians(4.5)] * 3)
-    # no damping of its own: held for a period it takes K T / 2 = 3.75 N s/m off the law's 80
-    hand = _Hand(seed, 1500.0 * _RADIUS**2, reach)
+    # no damping of its own: held for a period it takes K T / 2 off the law's 80 N s/m, 3.75 at 1500 N/m
+    pull = number("hand_stiffness", hand_stiffness, above=0.0)
+    hand = _Hand(seed, pull * _RADIUS**2, reach)
     controller = Controller([law], period=period)
     rows: list[tuple[float, list[float], list[float], list[bool]]] = []
 
@@ -123,7 +147,7 @@ def run_six_axes(
         )
 
     kind = ExactPlant if plant == "exact" else MuJoCoPlant
-    with kind(Timing(period=period, delay=delay), gravity=0.0, hand_force=hand) as device:
+    with kind(Timing(period=period, delay=delay, phase=phase), gravity=0.0, hand_force=hand) as device:
         run(device, controller, ticks, observe=observe)
     time, position, anchor, stuck = (np.array(column) for column in zip(*rows, strict=True))
     return SixAxesResult(time, position, anchor, stuck, breakaway / stiffness)

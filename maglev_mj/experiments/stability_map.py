@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -103,6 +103,7 @@ class StabilityMap:
         maximum: The stiffest wall over all dampings, in the grid or not.
         simulated: Whether the simulated wall settles, (K, B); None for theory alone.
         near: Where half a percent of a gain changes the theory's verdict, (K, B); nowhere for theory alone.
+        others: Other code behind cells of the record; see `Record.others`.
     """
 
     parameters: StabilityParameters
@@ -113,6 +114,7 @@ class StabilityMap:
     maximum: theory.StiffestWall
     simulated: Mask | None
     near: Mask
+    others: Sequence[Mapping[str, Any]] = ()
 
     @property
     def misjudged(self) -> Mask | None:
@@ -129,6 +131,7 @@ class StabilityMap:
             "simulated_stable": None if self.simulated is None else self.simulated.tolist(),
             "boundary": self.boundary.tolist(),
             "maximum": {"stiffness": float(self.maximum.stiffness), "damping": float(self.maximum.damping)},
+            "other_versions": list(self.others),
         }
 
 
@@ -153,19 +156,20 @@ def run_stability(
     stiffness = _axis(p.stiffness, p.grid, 1.25 * float(best.stiffness) if some else p.mass / p.period**2)
     k, b = stiffness[:, None], damping[None, :]
     modulus = _moduli(stiffness, damping, loop, progress)
-    simulated, near = None, np.zeros(modulus.shape, dtype=bool)
+    simulated, near, others = None, np.zeros(modulus.shape, dtype=bool), []
     if p.plant != "none":
         for share in (1.0 - _NEAR, 1.0 + _NEAR):
             for moved in (theory.largest_modulus(share * k, b, **loop), theory.largest_modulus(k, share * b, **loop)):
                 near |= theory.is_stable(moved) != theory.is_stable(modulus)
         cells = _cells(p, stiffness, damping, modulus)
+        others = [] if record is None else record.others(cells)
         results = run_cells(
             simulate_walls, cells, record=record, workers=workers, together=_TOGETHER, progress=progress
         )
         verdict = {(cell["stiffness"], cell["damping"]): _stable(result) for cell, result in zip(cells, results)}
         simulated = np.array([[verdict.get((row, column), False) for column in damping] for row in stiffness])
     boundary = theory.largest_stable_stiffness(damping, **loop)
-    return StabilityMap(p, damping, stiffness, modulus, boundary, best, simulated, near)
+    return StabilityMap(p, damping, stiffness, modulus, boundary, best, simulated, near, others)
 
 
 def _moduli(stiffness: Array, damping: Array, loop: LoopKeywords, progress: Callable[[int, int], None] | None) -> Array:

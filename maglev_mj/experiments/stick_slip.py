@@ -69,7 +69,7 @@ class StickSlipParameters:
     law: str = "stick-slip"
     velocity: str = "difference"
     axis: str = "x"
-    period: float = 0.005
+    period: float = 1.0 / Spec.control_rate.value
     delay: float = Spec.transport_delay.value
     quantize: float = 0.0
     spring: float | None = None

@@ -10,12 +10,11 @@ from numpy.typing import ArrayLike
 from maglev_mj.controller import Controller
 from maglev_mj.frames import AXES
 from maglev_mj.laws import Hold, Law, VelocityEstimator, Wall
-from maglev_mj.spec import Spec
+from maglev_mj.spec import INERTIA
 
 __all__ = ["around_wall", "wall_controller"]
 
 _HELD = tuple(axis for axis in AXES if axis != "z")
-_INERTIA = {"rx": Spec.tilt_inertia.value, "ry": Spec.tilt_inertia.value, "rz": Spec.spin_inertia.value}
 
 
 def wall_controller(
@@ -64,9 +63,7 @@ def around_wall(
     law: Law, *, period: float, delay: float, mass: float, velocity: VelocityEstimator | None = None
 ) -> Controller:
     """Return a controller of one law along z with the five other axes held."""
-    hold = Hold.critically_damped(
-        _HELD, inertia=[_INERTIA.get(axis, mass) for axis in _HELD], period=period, delay=delay
-    )
+    hold = Hold.critically_damped(_HELD, inertia=[mass, mass, *INERTIA[3:]], period=period, delay=delay)
     return Controller([law, hold], period=period, velocity=velocity)
 
 

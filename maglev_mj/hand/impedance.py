@@ -83,6 +83,11 @@ class Hand:
         return flotor * (share if share.ndim else float(share))
 
     @property
+    def static_stiffness(self) -> Array:
+        """Stiffness of the arm as the flotor has it through the grip [N/m]."""
+        return np.asarray(self.values[2] * (self.place(1.0) if self.soft else 1.0))
+
+    @property
     def values(self) -> tuple[Array, ...]:
         """Mass, damping, stiffness, damping and stiffness of the grip; the last 0 where it is rigid."""
         grip = 0.0 if self.grip_stiffness is None else self.grip_stiffness

@@ -15,6 +15,7 @@ from maglev_mj.frames import AXES, Component
 from maglev_mj.laws.friction import choose
 from maglev_mj.laws.linear import LinearController
 from maglev_mj.parameters import number
+from maglev_mj.spec import RESOLUTION
 
 __all__ = ["AdaptiveWindow", "FiniteDifference", "LowPass", "Window"]
 
@@ -134,7 +135,7 @@ class AdaptiveWindow:
     Source: Janabi-Sharifi, Hayward & Chen 2000, the end-fit variant; from recollection.
     """
 
-    noise: Sequence[float] = (5e-6,) * 3 + (10e-6,) * 3
+    noise: Sequence[float] = RESOLUTION
     longest: int = 16
 
     def __post_init__(self) -> None:

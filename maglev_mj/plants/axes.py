@@ -77,7 +77,7 @@ class HeldAxis:
             self._state.append(actual)
         self.actual = actual
         self._a, self._b = motion(inertia, hand, lag)
-        self._known: dict[float, tuple[list[list[Component]], list[list[Component]]]] = {}
+        self._known: dict[float | bytes, tuple[list[list[Component]], list[list[Component]]]] = {}
 
     @property
     def place(self) -> Component:
@@ -99,16 +99,14 @@ class HeldAxis:
         self.actual = self._state[-1] if self._lags else command
 
     def _transition(self, duration: Component) -> tuple[list[list[Component]], list[list[Component]]]:
-        """Return the matrices as rows of components; those of a number are kept, for they return every period."""
-        if np.ndim(duration):
-            phi, gamma = _rows(*transition(self._a, self._b, duration))
-            return phi, gamma
-        known = self._known.get(duration)
+        """Return the matrices as rows of components, kept because the durations return every period."""
+        key = duration if isinstance(duration, float) else np.asarray(duration).tobytes()
+        known = self._known.get(key)
         if known is None:
             if len(self._known) > 64:
                 self._known.clear()
             phi, gamma = _rows(*transition(self._a, self._b, duration))
-            known = self._known[duration] = phi, gamma
+            known = self._known[key] = phi, gamma
         return known
 
 

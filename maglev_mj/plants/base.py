@@ -19,6 +19,7 @@ from maglev_mj.parameters import flag, number, numbers
 from maglev_mj.plants.complaints import escaped, refusal
 from maglev_mj.plants.contract import Timing
 from maglev_mj.plants.sensor import PoseSensor
+from maglev_mj.spec import ESCAPE
 from maglev_mj.trace import Trace, TraceRecorder
 
 __all__ = ["PlantKeywords", "SampledPlant"]
@@ -66,7 +67,7 @@ class SampledPlant(ABC):
         wrench: ArrayLike = 0.0,
         wrench_limit: ArrayLike | None = None,
         sensor: PoseSensor | None = None,
-        escape: tuple[float, float] = (0.045, 1.0),
+        escape: tuple[float, float] = (ESCAPE, 1.0),
         record: bool = False,
         longest_step: float | None = None,
         hand_force: HandForce | None = None,
@@ -86,12 +87,15 @@ class SampledPlant(ABC):
         # one place for each command on its way; None where none was written
         self._queue: deque[tuple[Any, Any, float] | None] = deque([None] * timing.whole)
         self._drive = self._prepare(components(self.six("wrench", wrench, at_least=-math.inf, finite=True)))
-        self._tail: tuple[Any, float] | None = None
+        self._tail: tuple[Any, Any] | None = None
         self._closed = False
         # the timing's numbers at hand, for they are used on every tick
         self._period, self._rest, self._whole = timing.period, timing.rest, timing.whole
         self._negligible, self._phase, self._jitters = timing.negligible, timing.phase, timing.jitter > 0.0
         self._ahead = timing.phase * timing.period if np.any(timing.phase) else None
+        if np.shape(timing.delay) not in ((), batch):
+            raise ParameterError(f"delay must be a number or have the shape {batch}, not {np.shape(timing.delay)}")
+        self._over_period = self._carry_each if np.ndim(timing.delay) else self._carry_on
         self._limits = self._limit is not None
         # whether drives are alike where their first parts, six floats, are
         self._comparable = not batch
@@ -128,7 +132,7 @@ class SampledPlant(ABC):
         tick = self._tick
         if tick >= 0:
             self._offset = 0.0
-            self._carry_on(self.timing.rest_at(tick) if self._jitters else self._rest)
+            self._over_period(self.timing.rest_at(tick) if self._jitters else self._rest)
         elif self._ahead is not None:  # free fall from release to the first sample, which is tick 0
             self._offset = -self._ahead
             self._run(self._ahead, self._drive)
@@ -211,7 +215,7 @@ class SampledPlant(ABC):
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _carry_on(self, rest: float) -> None:
+    def _carry_on(self, rest: Any) -> None:
         """Carry the state over one sample period, from switch to switch; the next command takes effect at `rest`."""
         queue, run, negligible = self._queue, self._run, self._negligible
         if len(queue) == self._whole:  # no answer to the last sample: the command in effect holds
@@ -245,6 +249,28 @@ class SampledPlant(ABC):
             self._run(width, pulsed)
         if rest - width > self._negligible:
             self._run(rest - width, self._drive)
+
+    def _carry_each(self, rest: Any) -> None:
+        """Carry devices whose delays differ over one sample period; a stretch that a device has not lasts no time."""
+        if len(self._queue) == self._whole:
+            self._queue.append(None)
+        entry = self._queue.popleft()
+        before: Any = 0.0
+        if self._tail is not None:
+            (pulsed, width), self._tail = self._tail, None
+            before = np.minimum(width, rest)
+            self._run(before, pulsed)
+        self._run(rest - before, self._drive)
+        left = self._period - rest
+        if entry is not None:
+            self._drive, pulsed, width = entry
+            if width > 0.0:
+                inside = np.minimum(width, left)
+                self._run(inside, pulsed)
+                left = left - inside
+                if (width - inside > self._negligible).any():
+                    self._tail = pulsed, width - inside
+        self._run(left, self._drive)
 
     def _run_in_pieces(self, duration: Component, drive: Any) -> None:
         """Advance over one stretch, recorded, and in pieces where a longest step is set."""

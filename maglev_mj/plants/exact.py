@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any, TypeAlias, Unpack
 
@@ -16,7 +15,7 @@ from maglev_mj.parameters import flag, number, numbers
 from maglev_mj.plants.axes import AxisMotion, FreeAxis, HeldAxis, LaggedAxis, RubbingAxis
 from maglev_mj.plants.base import PlantKeywords, SampledPlant
 from maglev_mj.plants.contract import Timing
-from maglev_mj.spec import GRAVITY, Spec
+from maglev_mj.spec import DRIVER_TIME_CONSTANT, GRAVITY, INERTIA
 
 __all__ = ["ExactPlant"]
 
@@ -32,8 +31,8 @@ class ExactPlant(SampledPlant):
     second order in the angle, is left out. Driver lag, a hand and dry friction have closed forms too.
 
     Args:
-        timing: Sample period, delay and phase; (N,) phases go with a pose (N, 6).
-        mass: Mass of the flotor with its handle [kg].
+        timing: Sample period, delay and phase; (N,) delays and phases go with a pose (N, 6).
+        mass: Mass of the flotor with its handle [kg]; (N,) for N devices that differ.
         inertia: Moments of inertia about x, y, z [kg m²], (3,).
         pose: Pose at release [m, rad], (..., 6).
         twist: Velocity at release [m/s, rad/s], (..., 6).
@@ -52,8 +51,8 @@ class ExactPlant(SampledPlant):
         self,
         timing: Timing | None = None,
         *,
-        mass: float = Spec.moving_mass.value,
-        inertia: ArrayLike = (Spec.tilt_inertia.value, Spec.tilt_inertia.value, Spec.spin_inertia.value),
+        mass: ArrayLike = INERTIA[0],
+        inertia: ArrayLike = INERTIA[3:],
         pose: ArrayLike = (0.0,) * 6,
         twist: ArrayLike = (0.0,) * 6,
         gravity: float = GRAVITY,
@@ -68,7 +67,7 @@ class ExactPlant(SampledPlant):
         self._body = (*(1.0 / value for value in body[2:]), fall)
         self._weight = (0.0, 0.0, fall * body[2], 0.0, 0.0, 0.0)
         self._place, self._velocity = _shared(components(start)), _shared(components(motion))
-        self._lag = 1.0 / (2.0 * math.pi * Spec.driver_bandwidth.value) if flag("driver_lag", driver_lag) else 0.0
+        self._lag = DRIVER_TIME_CONSTANT if flag("driver_lag", driver_lag) else 0.0
         if keywords.get("record") and self._lag:
             # only the recorded curve needs the pieces: the state itself is exact over any stretch
             keywords["longest_step"] = 0.25 * self._lag
@@ -161,7 +160,7 @@ class ExactPlant(SampledPlant):
 
 
 def _start(
-    timing: Timing, pose: ArrayLike, twist: ArrayLike, mass: float, inertia: ArrayLike
+    timing: Timing, pose: ArrayLike, twist: ArrayLike, mass: ArrayLike, inertia: ArrayLike
 ) -> tuple[Array, Array, list[Any]]:
     """Return checked pose and twist at release, of one shape, and mass and moments of inertia for the six axes."""
     start, motion = numbers("pose", pose), numbers("twist", twist)
@@ -175,7 +174,10 @@ def _start(
         shape = np.broadcast_shapes(*shapes)
     except ValueError:
         raise ParameterError(f"pose, twist and phase must fit one batch, not {shapes}") from None
-    body = [number("mass", mass, above=0.0)] * 3 + [number("inertia", value, above=0.0) for value in moments]
+    masses = numbers("mass", mass) if np.ndim(mass) else number("mass", mass, above=0.0)
+    if np.shape(masses) not in ((), shape[:-1]) or not np.all(masses > 0.0):
+        raise ParameterError(f"mass must be above 0, a number or one for each device of {shape[:-1]}, not {mass!r}")
+    body = [masses] * 3 + [number("inertia", value, above=0.0) for value in moments]
     return np.broadcast_to(start, shape), np.broadcast_to(motion, shape), body
 
 

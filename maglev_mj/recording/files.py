@@ -15,6 +15,7 @@ from maglev_mj.recording.live import LiveFile
 from maglev_mj.recording.mcap_reader import require_mcap
 from maglev_mj.recording.recorder import Felt, Mechanics, Recorder
 from maglev_mj.recording.stretch import Recording, Setup
+from maglev_mj.versions import versions
 
 __all__ = ["ArrayFile", "RecordingFile", "best_suffix", "check_name", "open_recording"]
 
@@ -65,6 +66,7 @@ class ArrayFile:
 
     def __init__(self, path: Path | None = None) -> None:
         self._path, self._closed = path, False
+        self._versions = versions()  # here, for a stretch may begin in real time
         self._recorders: list[Recorder] = []
         self._events: list[str] = []
 
@@ -78,7 +80,7 @@ class ArrayFile:
         self, plant: Felt, controller: Controller, setup: Setup, *, delay: float, mechanics: Mechanics | None = None
     ) -> Recorder:
         """Begin a stretch; return what the loop records it to."""
-        self._recorders.append(Recorder(plant, setup))
+        self._recorders.append(Recorder(plant, {**setup, "versions": self._versions}))
         return self._recorders[-1]
 
     def event(self, kind: str, text: str, missed: int = 0) -> None:

@@ -20,6 +20,7 @@ from maglev_mj.recording.mcap_reader import require_mcap
 from maglev_mj.recording.recorder import Felt, Mechanics, carried_by
 from maglev_mj.recording.ring import Ring
 from maglev_mj.recording.stretch import RecordingError, Setup
+from maglev_mj.versions import versions
 from maglev_mj.workers import interrupts_held
 
 __all__ = ["LiveFile"]
@@ -50,6 +51,7 @@ class LiveFile:
         if not hasattr(os, "fork"):
             raise RecordingError("recordings as MCAP need a POSIX system; .npz needs none")
         self._path, self._closed = path, False
+        self._versions = versions()  # here, for a stretch may begin in real time
         self._aside = path.with_name(f"{path.name}.{os.getpid()}.partial")
         self._aside.open("wb").close()
         try:
@@ -65,7 +67,7 @@ class LiveFile:
     ) -> Record:
         """Begin a stretch; return what the loop records it to."""
         what = about(
-            setup,
+            {**setup, "versions": self._versions},
             period=controller.period,
             delay=delay,
             carried=carried_by(controller.laws).tolist(),

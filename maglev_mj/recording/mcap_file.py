@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import math
-import platform
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from typing import IO, Any
@@ -39,7 +38,7 @@ def about(
     """Return what a stretch is.
 
     Args:
-        setup: What plant and controller are made from.
+        setup: What plant and controller are made from, and the `versions` of the code.
         period: Sample period [s].
         delay: From a sample to its command taking effect [s].
         carried: Wrench that carries the flotor [N, N m], six.
@@ -82,7 +81,7 @@ class Scribe:
             "period": what["period"],
             "delay": what["delay"],
             **{name: dict(zip(AXES, what[name], strict=True)) for name in _SIX},
-            "versions": _versions(),
+            "versions": {**what["setup"]["versions"], "mcap": version("mcap")},
         }
         self._say(_STRETCH, named)
 
@@ -141,8 +140,3 @@ def _finite(value: Any) -> Any:
     if isinstance(value, Mapping):
         return {name: _finite(part) for name, part in value.items()}
     return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def _versions() -> dict[str, str]:
-    named = {"maglev_mj": maglev_mj.__version__, "python": platform.python_version()}
-    return named | {name: version(name) for name in ("mujoco", "numpy", "mcap")}

@@ -57,7 +57,7 @@ _STRETCH = {
     "stretch": _WHICH["stretch"],
     "setup": {
         "type": "object",
-        "description": "what plant and controller are made from: kind, parameters, calibration",
+        "description": "what plant and controller are made from: kind, parameters, calibration, versions",
     },
     "period": _number("s", "sample period"),
     "delay": _number("s", "from a sample to its command taking effect"),
@@ -65,7 +65,10 @@ _STRETCH = {
     "inertia": _six("inertia", "what the actuators push at, for `taken`"),
     "load": _six("wrench", "what acts besides, its weight, for `taken`"),
     "before": _six("wrench", "what the actuators give until the first command takes effect"),
-    "versions": {"type": "object", "description": "of the programs that made it"},
+    "versions": {
+        "type": "object",
+        "description": "of maglev_mj, python, mujoco, numpy, mcap; git revision, if changed, and digest of the sources",
+    },
 }
 
 _EVENT = {

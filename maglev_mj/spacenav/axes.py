@@ -15,14 +15,14 @@ import numpy as np
 from maglev_mj.frames import AXES, Array
 from maglev_mj.navigation import Navigation, Navigator
 from maglev_mj.session import Moment
-from maglev_mj.spec import Spec
+from maglev_mj.spec import RANGE
 
 __all__ = ["FULL", "FULL_POSE", "FULL_RATE", "REST", "Axes", "PoseAxes", "RateAxes", "told"]
 
 FULL = 500
 """What is said of a full deflection or rate; what programs divide by."""
 
-FULL_POSE: Array = np.array([Spec.translation_range.value] * 3 + [math.radians(Spec.rotation_range.value)] * 3)
+FULL_POSE: Array = np.array(RANGE)
 """Deflections that are FULL, the stops of the device [m, rad], (6,)."""
 
 FULL_RATE: Array = np.array([0.020] * 3 + [math.radians(30.0)] * 3)

@@ -2,6 +2,7 @@
 
 from maglev_mj.tables.analysis import analysis_table
 from maglev_mj.tables.bridge import flown_table, served_table
+from maglev_mj.tables.design import design_table
 from maglev_mj.tables.device import device_table
 from maglev_mj.tables.drop import drop_table
 from maglev_mj.tables.fidelity import fidelity_table, ladder_table
@@ -13,6 +14,7 @@ from maglev_mj.tables.view import show_table, verdict_table
 
 __all__ = [
     "analysis_table",
+    "design_table",
     "device_table",
     "drop_table",
     "fidelity_table",

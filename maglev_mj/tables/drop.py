@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from maglev_mj.experiments.drop import DropResult, DropSweep
-from maglev_mj.metrics import percentiles
-from maglev_mj.spec import Spec
+from maglev_mj.experiments.drop import DropResult, DropSweep, share_less_deep
+from maglev_mj.metrics import BounceSummary, percentiles
+from maglev_mj.tables.limits import beyond_force, beyond_range
 from maglev_mj.tables.text import cell
 
 __all__ = ["drop_table"]
@@ -20,13 +20,14 @@ _FIGURES = (
     ("settling_time", "settling, 2 %", 1e3, "ms"),
     ("final_z", "final height", 1e3, "mm"),
 )
+_WIDTH = 26
 
 
 def drop_table(labels: Sequence[str], results: Sequence[DropResult], sweeps: Sequence[DropSweep], gap: float) -> str:
-    """Return the figures of one or two drops, and of their sweeps if there are any, as text.
+    """Return the figures of drops, and of their sweeps if there are any, as text.
 
     Args:
-        labels: What to call each drop.
+        labels: Label of each drop.
         results: The drops; the first one's parameters head the table.
         sweeps: A sweep for each drop, or nothing.
         gap: Greatest distance between the two plants on the first drop [m].
@@ -39,27 +40,32 @@ def drop_table(labels: Sequence[str], results: Sequence[DropResult], sweeps: Seq
         f"pulse {p.pulse:g} N s/m for {p.pulse_width * 1e3:g} ms, force limit {limit}",
         "",
     ]
-    one, many = 15, 26
+    where = f"at phase {p.phase:g}"
     if sweeps:
-        over = f"over {sweeps[0].phases.size} phases: median (5 to 95 %)"
-        lines.append(
-            " " * 15 + f"{f'at phase {p.phase:g}':>{one}}" + " " * one * (len(labels) - 1) + f"   {over:>{many}}"
-        )
-    head = "".join(f"{label:>{one}}" for label in labels)
-    lines.append(" " * 15 + head + "".join(f"{label:>{many}}" for label in labels[: len(sweeps)]))
-    spreads = [[percentiles(sweep.summary, share) for share in (50.0, 5.0, 95.0)] for sweep in sweeps]
-    for name, label, scale, unit in _FIGURES:
-        cells = "".join(f"{cell(getattr(result.summary, name), scale):>{one}}" for result in results)
-        for spread in spreads:
-            middle, low, high = (cell(getattr(summary, name), scale) for summary in spread)
-            cells += f"{f'{middle} ({low} to {high})':>{many}}"
-        lines.append(f"  {label:<13}{cells}  {unit}")
+        less_deep = share_less_deep(results[0].summary, sweeps[0].summary)
+        where += f", deeper than {100.0 * less_deep:.0f} % of the phases"
+    lines += _block(where, labels, [[result.summary] for result in results])
+    if sweeps:
+        spreads = [[percentiles(sweep.summary, share) for share in (50.0, 5.0, 95.0)] for sweep in sweeps]
+        lines += ["", *_block(f"over {sweeps[0].phases.size} phases: median (5 to 95 %)", labels, spreads)]
     for sweep, label in zip(sweeps, labels):
         settled = int(np.isfinite(sweep.summary.settling_time).sum())
         if settled < sweep.phases.size:
             lines.append(f"  {label}: settled within {p.duration:g} s at {settled} of {sweep.phases.size} phases")
-    peak, device = float(results[0].summary.peak_force), Spec.largest_vertical_force.value
-    if peak > device * (1.0 + 1e-9):
-        lines += ["", f"  The device gives {device:g} N along z, less than this peak: see --force-limit {device:g}"]
+    remarks = beyond_force(results[0].trace)
+    remarks += beyond_range(labels, [one.trace.furthest() for one in results], [one.furthest for one in sweeps])
+    lines += ["", *remarks] if remarks else []
     lines += ["", f"  MuJoCo and the exact plant differ by at most {gap:.1e} m"]
     return "\n".join(lines)
+
+
+def _block(title: str, labels: Sequence[str], drops: Sequence[Sequence[BounceSummary]]) -> list[str]:
+    """Return lines with a column for each drop: one summary, or median, lower and upper bound."""
+    lines = [title, " " * 15 + "".join(f"{label:>{_WIDTH}}" for label in labels)]
+    for name, label, scale, unit in _FIGURES:
+        cells = ""
+        for drop in drops:
+            value, *bounds = (cell(getattr(summary, name), scale) for summary in drop)
+            cells += f"{f'{value} ({bounds[0]} to {bounds[1]})' if bounds else value:>{_WIDTH}}"
+        lines.append(f"  {label:<13}{cells}  {unit}")
+    return lines

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from maglev_mj.experiments.press import PressResult, PressSweep
 from maglev_mj.experiments.press_figures import HIT_FIGURES, press_percentiles
-from maglev_mj.spec import Spec
+from maglev_mj.tables.limits import beyond_force, beyond_range
 from maglev_mj.tables.text import cell
 
 __all__ = ["press_table"]
@@ -54,19 +53,9 @@ def press_table(labels: Sequence[str], results: Sequence[PressResult], sweeps: S
         "",
         *_press(labels, results, sweeps),
     ]
-    return "\n".join([*lines, "", *_remarks(results[0]), f"  MuJoCo and the exact plant differ by at most {gap:.1e} m"])
-
-
-def _remarks(result: PressResult) -> list[str]:
-    """Return what the device could not do of a run."""
-    lines = []
-    peak, device = float(np.max(np.abs(result.trace.wrench[:-1, 2]))), Spec.largest_vertical_force.value
-    if peak > device * (1.0 + 1e-9):
-        lines.append(f"  The device gives {device:g} N along z, less than this peak: see --force-limit {device:g}")
-    furthest, reach = float(np.abs(result.trace.pose[:, 2]).max()), Spec.translation_range.value
-    if furthest > reach * (1.0 + 1e-9):
-        lines.append(f"  The device moves {reach * 1e3:g} mm either way, less than these {furthest * 1e3:.1f} mm")
-    return lines
+    remarks = beyond_force(results[0].trace)
+    remarks += beyond_range(labels, [one.trace.furthest() for one in results], [one.furthest for one in sweeps])
+    return "\n".join([*lines, "", *remarks, f"  MuJoCo and the exact plant differ by at most {gap:.1e} m"])
 
 
 def _hits(labels: Sequence[str], results: Sequence[PressResult], sweeps: Sequence[PressSweep]) -> list[str]:

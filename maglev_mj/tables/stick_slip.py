@@ -7,6 +7,7 @@ import numpy as np
 from maglev_mj.experiments.choices import SLIDES_AT
 from maglev_mj.experiments.stick_slip import StickSlipResult, exact_stick_slip
 from maglev_mj.frames import AXES
+from maglev_mj.tables.limits import beyond_range
 
 __all__ = ["stick_slip_table"]
 
@@ -35,7 +36,8 @@ def stick_slip_table(result: StickSlipResult) -> str:
     ]
     lines += [f"  {name:<20}{_fine(one):>12}{_fine(two):>12}  {unit}" for name, one, two, unit in rows]
     lines.append(f"  {'changes of state':<20}{figures.transitions:>12}{len(motion.events):>12}")
-    return "\n".join(lines)
+    remarks = beyond_range([p.law], [result.trace.furthest()])
+    return "\n".join([*lines, "", *remarks] if remarks else lines)
 
 
 def _fine(value: float) -> str:

@@ -1,11 +1,10 @@
-"""Where the rendered wall is stable: eigenvalues of the exact closed loop, and searches for their boundary."""
+"""Eigenvalues of the exact closed loop: largest modulus, critical delay, least dynamic stiffness."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple, Unpack, overload
+from typing import Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,34 +14,15 @@ from maglev_mj.frames import Array, Mask
 from maglev_mj.parameters import common_shape, number, numbers
 from maglev_mj.sampled import LoopKeywords, SampledLoop
 
-__all__ = [
-    "StiffestWall",
-    "boundary_of",
-    "characteristic_polynomial",
-    "critical_delay",
-    "is_stable",
-    "largest_modulus",
-    "largest_stable_stiffness",
-    "least_dynamic_stiffness",
-    "stiffest_of",
-    "stiffest_wall",
-]
+__all__ = ["characteristic_polynomial", "critical_delay", "is_stable", "largest_modulus", "least_dynamic_stiffness"]
 
-_DECADES = 7.0
 _HALVINGS = 45
 _ROUNDING = 1e-12
 
 
-def is_stable(modulus: ArrayLike) -> Mask:
-    """Return whether a loop of this largest modulus settles; rounding does not make the marginal one stable."""
-    return np.asarray(modulus) < 1.0 - _ROUNDING
-
-
-class StiffestWall(NamedTuple):
-    """The largest stable stiffness [N/m] and the damping [N s/m] at which it is reached, (...,) each."""
-
-    stiffness: Array
-    damping: Array
+def is_stable(modulus: ArrayLike, limit: float = 1.0) -> Mask:
+    """Return whether a largest modulus is below a limit, by more than rounding."""
+    return np.asarray(modulus) < limit * (1.0 - _ROUNDING)
 
 
 def characteristic_polynomial(stiffness: ArrayLike, damping: ArrayLike, *, period: float, mass: float) -> Array:
@@ -68,86 +48,6 @@ def largest_modulus(stiffness: ArrayLike, damping: ArrayLike, **loop: Unpack[Loo
         ParameterError: If a value is outside its bounds.
     """
     return SampledLoop(**loop).modulus(stiffness, damping)
-
-
-@overload
-def largest_stable_stiffness(damping: ArrayLike, **loop: Unpack[LoopKeywords]) -> Array: ...
-
-
-@overload
-def largest_stable_stiffness(damping: None = None, **loop: Unpack[LoopKeywords]) -> StiffestWall: ...
-
-
-def largest_stable_stiffness(damping: ArrayLike | None = None, **loop: Unpack[LoopKeywords]) -> Array | StiffestWall:
-    """Return the largest stable stiffness [N/m] at each damping, or over all dampings.
-
-    Args:
-        damping: Wall damping [N s/m], (...,); None searches over all of them.
-        loop: Keywords of `SampledLoop`; they broadcast with the damping.
-
-    Returns:
-        The stiffness (...,), 0 where none is stable, and 8 m/T² at most, where the search ends; for `damping=None`
-        stiffness and damping.
-
-    Raises:
-        ParameterError: If a value is outside its bounds.
-    """
-    if damping is None:
-        return stiffest_wall(**loop)
-    return boundary_of(SampledLoop(**loop), numbers("damping", damping, at_least=0.0))
-
-
-def boundary_of(loop: SampledLoop, damping: Array) -> Array:
-    """Return the largest stable stiffness of a loop at each damping: `largest_stable_stiffness` for any SampledLoop.
-
-    The last stable stiffness of a scan over the decades below 8 m/T², and then ever smaller parts of the step to the
-    next: halves for many loops, sixteenths for a few, whose cost is that of the calls.
-    """
-    shape = common_shape("damping and loop", damping.shape, loop.shape)
-    wide, b = loop.widened(), np.broadcast_to(damping, shape)[..., None]
-    scale = 8.0 * wide.moving_mass / np.asarray(wide.period) ** 2
-    grid = np.broadcast_to(scale, (*shape, 1)) * np.logspace(-_DECADES, 0.0, 280)
-    stable = is_stable(wide.modulus(grid, b))
-    last = stable.shape[-1] - 1 - np.argmax(stable[..., ::-1], axis=-1)
-    pick = np.minimum(np.stack([last, last + 1], axis=-1), stable.shape[-1] - 1)
-    low, high = np.moveaxis(np.take_along_axis(grid, pick, axis=-1), -1, 0)
-    parts = 16 if low.size <= 16 else 2
-    for _ in range(math.ceil(_HALVINGS / math.log2(parts))):
-        points = np.linspace(low, high, parts + 1, axis=-1)
-        good = is_stable(wide.modulus(points[..., 1:-1], b))
-        # the part that ends with the first that is not; the upper end never is
-        found = np.where(good.all(axis=-1), parts - 1, np.argmin(good, axis=-1))
-        ends = np.take_along_axis(points, np.stack([found, found + 1], axis=-1), axis=-1)
-        low, high = np.moveaxis(ends, -1, 0)
-    return np.where(stable.any(axis=-1), low, 0.0)
-
-
-def stiffest_wall(**loop: Unpack[LoopKeywords]) -> StiffestWall:
-    """Return the largest stable stiffness over all dampings, and the damping at which it is reached.
-
-    Args:
-        loop: Keywords of `SampledLoop`.
-
-    Raises:
-        ParameterError: If a value is outside its bounds.
-    """
-    return stiffest_of(SampledLoop(**loop))
-
-
-def stiffest_of(around: SampledLoop) -> StiffestWall:
-    """Return the largest stable stiffness of a loop over all dampings: `stiffest_wall` for any SampledLoop."""
-    wide = around.widened()
-    # from a coarse grid of dampings to a fine one
-    scale = np.broadcast_to(8.0 * around.moving_mass / np.asarray(around.period), around.shape)[..., None]
-    grid = scale * np.logspace(-4.0, 0.0, 60)
-    while True:
-        stiffness = boundary_of(wide, grid)
-        best = np.argmax(stiffness, axis=-1)[..., None]
-        low, high = (np.take_along_axis(grid, np.clip(best + step, 0, grid.shape[-1] - 1), axis=-1) for step in (-1, 1))
-        if (high - low <= 1e-6 * high).all():
-            found = (np.take_along_axis(values, best, axis=-1)[..., 0] for values in (stiffness, grid))
-            return StiffestWall(*found)
-        grid = low + (high - low) * np.linspace(0.0, 1.0, 15)
 
 
 def critical_delay(stiffness: ArrayLike, damping: ArrayLike, **loop: Unpack[LoopKeywords]) -> Array:
@@ -219,7 +119,7 @@ def least_dynamic_stiffness(
     where = np.flatnonzero(stable)  # an unstable wall has no steady answer
     k, b = (np.broadcast_to(gain, stable.shape).reshape(-1)[where] for gain in (stiffness, damping))
     part = around.part(stable.shape, where)
-    for frequency in chosen if where.size else ():
-        gives = np.maximum(gives, np.abs(part.compliance(k, b, frequency)))
+    for moved in part.compliances(k, b, chosen) if where.size else ():
+        gives = np.maximum(gives, np.abs(moved))
     result[where] = 1.0 / gives
     return result.reshape(stable.shape)

@@ -1,0 +1,142 @@
+"""The boundary of stability over the gains against dense scans of the eigenvalues, over random loops and margins."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from maglev_mj.errors import ParameterError
+from maglev_mj.frames import Array
+from maglev_mj.hand import Hand
+from maglev_mj.laws import LinearController, LowPass, ObserverWall, Window
+from maglev_mj.sampled import SampledLoop, pd
+from maglev_mj.stability import boundary_of, is_stable, largest_stable_stiffness, ranges_of, stable_ranges, stiffest_of
+from maglev_mj.stability.boundary import first_end, spans
+from maglev_mj.stability.characteristic import characteristic, scales, turning_points
+
+# a soft grip whose own resonance leaves walls stable again beyond ones that are not
+ISLAND: dict[str, Any] = {
+    "period": 8.5065e-3,
+    "delay": 1.6242e-3,
+    "mass": 0.30672,
+    "hand": Hand(
+        mass=1.70343, damping=5.66451, stiffness=363.848, grip_damping=23.7146, grip_stiffness=7005.97
+    ),
+}  # fmt: skip
+
+
+def random_loop(random: np.random.Generator) -> SampledLoop:
+    """Return a loop drawn over rates, delays, masses, hands, lags, velocity estimates and predictions."""
+    period = 10.0 ** random.uniform(-3.3, -2.0)
+    late = random.choice([0.0, random.uniform(0.0, 1.0), random.uniform(0.0, 4.0), 1.0])
+    arm: dict[str, Any] = {
+        "mass": random.uniform(0.05, 2.0),
+        "damping": random.uniform(0.0, 20.0),
+        "stiffness": random.uniform(0.0, 800.0),
+    }
+    grip: dict[str, Any] = {"grip_damping": random.uniform(0.0, 30.0), "grip_stiffness": random.uniform(100.0, 20000.0)}
+    chosen: dict[str, Any] = {
+        "period": period,
+        "delay": late * period,
+        "mass": random.uniform(0.1, 2.0),
+        "hand": (None, Hand(**arm), Hand(**arm, **grip))[random.integers(3)],
+        "driver_lag": 10.0 ** random.uniform(-5.0, -3.5) * (random.random() < 0.4),
+        "velocity": (None, Window(samples=3), LowPass(cutoff=10.0 ** random.uniform(1.0, 2.3)))[random.integers(3)],
+        "prediction": random.uniform(0.0, 1.0) * period * (random.random() < 0.25),
+    }
+    return SampledLoop(**chosen)
+
+
+def dampings_of(loop: SampledLoop, random: np.random.Generator, count: int) -> Array:
+    return np.asarray(loop.moving_mass / np.asarray(loop.period) * 8.0 * 10.0 ** random.uniform(-4.0, 0.0, count))
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_every_wall_up_to_the_boundary_is_stable_and_the_next_is_not(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    loop = random_loop(random)
+    damping = dampings_of(loop, random, 12)
+    top = 8.0 * float(loop.moving_mass) / float(np.asarray(loop.period)) ** 2
+    found = boundary_of(loop, damping)
+    below = np.concatenate([np.geomspace(1e-6, 1.0, 200), np.linspace(0.005, 1.0, 200)]) * (1.0 - 1e-9)
+    assert is_stable(loop.modulus(found[:, None] * below, damping[:, None]))[found > 0.0].all()
+    inside = (found > 0.0) & (found < top)
+    assert not is_stable(loop.modulus(found * (1.0 + 1e-7), damping))[inside].any()
+    none = found == 0.0
+    assert not is_stable(loop.modulus(1e-6 * top, damping[none])).any()
+
+
+@pytest.mark.parametrize("limit", [1.0, 0.97])
+@pytest.mark.parametrize("seed", range(100, 112))
+def test_ranges_are_those_of_a_dense_scan(seed: int, limit: float) -> None:
+    random = np.random.default_rng(seed)
+    loop = random_loop(random)
+    top = 8.0 * float(loop.moving_mass) / float(np.asarray(loop.period)) ** 2
+    stiffness = top * np.geomspace(1e-7, 1.0, 3000)
+    for damping in dampings_of(loop, random, 4):
+        stable = is_stable(loop.modulus(stiffness, damping), limit)
+        inside, near = np.zeros(stiffness.size, dtype=bool), np.zeros(stiffness.size, dtype=bool)
+        for low, high in ranges_of(loop, float(damping), limit):
+            inside |= (stiffness >= low) & (stiffness <= high)
+            near |= (abs(stiffness / max(low, 1e-9) - 1.0) < 1e-6) | (abs(stiffness / high - 1.0) < 1e-6)
+        np.testing.assert_array_equal(stable[~near], inside[~near])
+
+
+def test_an_island_is_named_and_not_taken() -> None:
+    ranges = np.array(stable_ranges(3.48, **ISLAND))
+    np.testing.assert_allclose(ranges, [[0.0, 2642.2583], [6941.5018, 7068.2785]], rtol=1e-7)
+    assert largest_stable_stiffness(3.48, **ISLAND) == pytest.approx(2642.258, rel=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(200, 212))
+def test_the_stiffest_wall_is_that_of_a_dense_search(seed: int) -> None:
+    loop = random_loop(np.random.default_rng(seed))
+    unit = float(loop.moving_mass) / float(np.asarray(loop.period))
+    found = stiffest_of(loop)
+    damping = np.geomspace(8e-4, 8.0, 400) * unit
+    for _ in range(2):
+        stiffness = boundary_of(loop, damping)
+        best = int(np.argmax(stiffness))
+        damping = np.linspace(damping[max(best - 1, 0)], damping[min(best + 1, damping.size - 1)], 60)
+    assert found.stiffness >= boundary_of(loop, damping).max() * (1.0 - 1e-6)
+    assert found.stiffness == pytest.approx(float(boundary_of(loop, np.asarray(found.damping))), rel=1e-9)
+
+
+@pytest.mark.parametrize("seed", [*range(300, 324), 357])
+def test_a_crossing_is_good_before_it_is_refined(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    loop = random_loop(random)
+    damping = dampings_of(loop, random, 12)
+    rough, exact = first_end(*spans(loop, damping, 1.0))[0], boundary_of(loop, damping)
+    np.testing.assert_allclose(rough, exact, rtol=1e-5)
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.0015, 0.003, 0.005, 0.0125])
+def test_the_stiffest_wall_is_an_extreme_of_the_explicit_curve(delay: float) -> None:
+    loop = SampledLoop(delay=delay)
+    extremes = turning_points(characteristic(loop, 1.0)) * float(scales(loop)[1])
+    assert np.abs(extremes / float(stiffest_of(loop).damping) - 1.0).min() < 1e-8
+
+
+def test_an_observer_has_its_boundary_too() -> None:
+    wall = ObserverWall(axes="z", stiffness=1.0, damping=1.0, inertia=0.7, period=0.005, delay=0.0015)
+    loop = SampledLoop(design=lambda stiffness, damping, period: wall.linear(stiffness, damping))
+    damping = np.linspace(20.0, 260.0, 13)
+    found = boundary_of(loop, damping)
+    assert is_stable(loop.modulus(found * (1.0 - 1e-7), damping)).all()
+    assert not is_stable(loop.modulus(found * (1.0 + 1e-7), damping)).any()
+    assert found.max() > 2.0 * float(stiffest_of(SampledLoop()).stiffness)
+
+
+def test_a_design_that_is_not_linear_in_its_gains_is_refused() -> None:
+    def squared(stiffness: Any, damping: Any, period: Any) -> LinearController:
+        return pd()(stiffness**2, damping, period)
+
+    with pytest.raises(ParameterError, match="design must be linear in its gains"):
+        boundary_of(SampledLoop(design=squared), np.asarray(20.0))
+    with pytest.raises(ParameterError, match="loop must be one"):
+        stable_ranges(20.0, delay=[0.0, 0.001])
+    with pytest.raises(ParameterError, match="limit must be"):
+        stable_ranges(20.0, limit=1.5)

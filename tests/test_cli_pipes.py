@@ -1,0 +1,121 @@
+"""Output that nobody reads: silent, and status 141, as a shell gives for any program that a closed pipe ends."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from maglev_mj.cli import main
+from maglev_mj.commands import COMMANDS, info
+from maglev_mj.experiments.drop import DropParameters
+from maglev_mj.replay import write_experiment
+
+CLI = [sys.executable, "-m", "maglev_mj.cli"]
+
+
+def unread(*command: str, unbuffered: bool = False, both: bool = False, folder: Path | None = None) -> tuple[int, str]:
+    """Run a program whose output is a pipe with its other end closed; return its status and its complaints.
+
+    Args:
+        command: Program and arguments.
+        unbuffered: Whether Python hands on what it prints at once.
+        both: Whether standard error is the same pipe.
+        folder: Where to run it.
+    """
+    reader, writer = os.pipe()
+    os.close(reader)
+    env = {**os.environ, "PYTHONUNBUFFERED": "1" if unbuffered else ""}
+    error = writer if both else subprocess.PIPE
+    try:
+        done = subprocess.run(command, stdout=writer, stderr=error, env=env, cwd=folder, text=True, timeout=120)
+    finally:
+        os.close(writer)
+    return done.returncode, done.stderr or ""
+
+
+@pytest.mark.parametrize("unbuffered", [False, True])
+@pytest.mark.parametrize("both", [False, True])
+def test_a_table_that_nobody_reads_is_silent(unbuffered: bool, both: bool) -> None:
+    command = [*CLI, "drop", "--plant", "exact"]
+    assert unread(*command, unbuffered=unbuffered, both=both) == (141, "")
+
+
+def test_much_json_of_which_the_beginning_is_read_is_silent() -> None:
+    """Far more than a pipe holds."""
+    command = [*CLI, "stability", "--grid", "120", "--json", "-"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        assert process.stdout is not None and process.stderr is not None
+        assert process.stdout.read(20) == b'{"parameters": {"dam'
+        process.stdout.close()
+        assert process.stderr.read() == b""
+    assert process.returncode == 141
+
+
+ONE_BY_ONE = """
+import os, sys
+from maglev_mj.cli import main
+told = os.fdopen(os.dup(2), "w")
+for line in sys.stdin:
+    reader, writer = os.pipe()
+    os.dup2(writer, 1)
+    os.close(reader), os.close(writer)
+    sys.stdout = os.fdopen(1, "w", closefd=False)
+    try:
+        status = main(line.split())
+    except SystemExit as ending:
+        status = ending.code
+    print(status, line.strip(), file=told, flush=True)
+"""
+
+
+def test_every_command_is_silent_where_nobody_reads(tmp_path: Path) -> None:
+    """In one process, each with a pipe of its own; those that take long or open a window by their help."""
+    write_experiment(tmp_path / "run.npz", "drop", DropParameters(plant="exact"))
+    lines = [
+        "drop --json -",
+        "press --plant exact",
+        "press --plant exact --json -",
+        "stick-slip",
+        "stick-slip --json -",
+        "stability --grid 4",
+        "stability --grid 4 --plant exact --json -",
+        "sweep drop --set plant=exact --workers 0",
+        "sweep drop --set plant=exact --workers 0 --json -",
+        "analyse run.npz",
+        "analyse run.npz --json -",
+        "replay run.npz --check",
+        "export run.npz --to csv",
+        "info",
+        "info --json -",
+        "twin --seconds 0.1",
+        "--version",
+        "--help",
+        *(f"{command.__name__.rpartition('.')[2].replace('_', '-')} --help" for command in COMMANDS),
+    ]
+    program = [sys.executable, "-c", ONE_BY_ONE]
+    done = subprocess.run(program, input="\n".join(lines), capture_output=True, text=True, cwd=tmp_path, timeout=300)
+    assert done.stderr.splitlines() == [f"141 {line}" for line in lines]
+
+
+def test_a_full_disk_is_one_line() -> None:
+    if not Path("/dev/full").exists():
+        pytest.skip("no /dev/full on this system")
+    for unbuffered in ("", "1"):
+        with open("/dev/full", "w") as full:
+            env = {**os.environ, "PYTHONUNBUFFERED": unbuffered}
+            done = subprocess.run([*CLI, "info"], stdout=full, stderr=subprocess.PIPE, text=True, env=env)
+        assert done.returncode == 1
+        assert len(done.stderr.splitlines()) == 1 and "No space left on device" in done.stderr
+
+
+def test_another_broken_pipe_is_an_error_like_any(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def broken() -> None:
+        raise BrokenPipeError(32, "Broken pipe")
+
+    monkeypatch.setattr(info, "device_report", broken)
+    assert main(["info"]) == 1
+    assert capsys.readouterr().err == "maglev-mj info: [Errno 32] Broken pipe\n"

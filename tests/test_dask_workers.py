@@ -1,0 +1,195 @@
+"""A Dask cluster of real processes: workers of other code, a scheduler that dies."""
+
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from maglev_mj.cli import main
+from maglev_mj.experiments.scenes import cell_of, run_scene_cells
+from maglev_mj.study import Record, run_cells
+from maglev_mj.versions import versions
+from maglev_mj.workers import WorkersError, dask_workers
+
+pytest.importorskip("distributed")
+pytestmark = pytest.mark.filterwarnings("ignore")
+
+ROOT = Path(__file__).resolve().parent.parent
+_PATIENCE = 60.0
+
+
+def wait_until(condition: Callable[[], object], why: str) -> None:
+    deadline = time.monotonic() + _PATIENCE
+    while not condition():
+        assert time.monotonic() < deadline, why
+        time.sleep(0.05)
+
+
+@contextmanager
+def dask(program: str, *arguments: str, code: Path | None = None) -> Iterator[subprocess.Popen[bytes]]:
+    """Run a Dask program; with the package from another folder if one is given."""
+    # -P: modules must not come from the folder that the test runs in
+    command = [sys.executable, "-P", "-m", f"distributed.cli.dask_{program}", "--no-dashboard", *arguments]
+    env = {**os.environ, **({} if code is None else {"PYTHONPATH": str(code)})}
+    process = subprocess.Popen(command, env=env, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+
+
+class Cluster:
+    """A scheduler of its own process."""
+
+    def __init__(self, address: str, process: subprocess.Popen[bytes]) -> None:
+        self.address, self.process = address, process
+
+    def workers(self) -> list[str]:
+        from distributed import Client
+
+        with Client(self.address, set_as_default=False) as client:
+            return sorted(client.nthreads())
+
+    @contextmanager
+    def worker(self, code: Path | None = None, wait: bool = True) -> Iterator[str]:
+        """Start a worker; return its address."""
+        before = set(self.workers())
+        options = ["--host", "127.0.0.1", "--nthreads", "1", "--no-nanny"]
+        with dask("worker", self.address, *options, code=code):
+            if not wait:
+                yield ""
+                return
+            wait_until(lambda: set(self.workers()) - before, "no worker came")
+            (address,) = set(self.workers()) - before
+            yield address
+
+
+@pytest.fixture
+def cluster(tmp_path: Path) -> Iterator[Cluster]:
+    told = tmp_path / "scheduler.json"
+    with dask("scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file", str(told)) as process:
+        wait_until(told.exists, "no scheduler came")
+        wait_until(lambda: told.read_text().endswith("}"), "no scheduler came")
+        yield Cluster(json.loads(told.read_text())["address"], process)
+
+
+def copy_of_package(folder: Path, file: str, line: str) -> Path:
+    """Return a folder with the package, a line added to one of its files."""
+    for name in ("maglev_mj", "model"):
+        shutil.copytree(ROOT / name, folder / name)
+    with (folder / "maglev_mj" / file).open("a") as end:
+        end.write(f"\n{line}\n")
+    return folder
+
+
+def gravity(folder: Path) -> Path:
+    """Return a package of the same version that falls more slowly."""
+    return copy_of_package(folder, "spec.py", "GRAVITY = 9.0")
+
+
+def another_version(folder: Path) -> Path:
+    return copy_of_package(folder, "__init__.py", '__version__ = "0.0.9"')
+
+
+def without_versions(folder: Path) -> Path:
+    """Return a package that cannot tell its versions."""
+    return copy_of_package(folder, "versions.py", "del versions")
+
+
+def test_workers_of_other_code_are_refused_by_name_before_any_cell(
+    cluster: Cluster, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    record, out = tmp_path / "cells.jsonl", tmp_path / "out.json"
+    command = ["sweep", "drop", "--vary", "phase=0:0.9:4", "--set", "plant=exact", "--scheduler", cluster.address]
+    command += ["--record", str(record), "--json", str(out)]
+    codes = {"sources": gravity(tmp_path / "a"), "maglev_mj 0.0.9": another_version(tmp_path / "b")}
+    codes["not known"] = without_versions(tmp_path / "c")
+    with cluster.worker() as good:
+        for what, code in codes.items():
+            with cluster.worker(code) as bad:
+                assert main(command) == 1
+                said = capsys.readouterr()
+                assert said.out == "" and len(said.err.splitlines()) == 1
+                assert f"workers must have the code of this process: {bad}: {what}" in said.err
+                assert good not in said.err and not record.exists()
+        wait_until(lambda: cluster.workers() == [good], "the other workers stay")
+        assert main(command) == 0
+    ours = versions()
+    cells = [cell["result"] for cell in json.loads(out.read_text())["cells"]]
+    values = [{"plant": "exact", "phase": phase} for phase in (0.0, 0.3, 0.6, 0.9)]
+    assert cells == run_scene_cells([cell_of("drop", value) for value in values])
+    assert all(json.loads(line)["versions"] == ours for line in record.read_text().splitlines())
+
+
+def test_a_worker_of_other_code_that_joins_late_takes_no_cell(cluster: Cluster, tmp_path: Path) -> None:
+    cells = [cell_of("drop", {"plant": "mujoco", "duration": 2.0, "phase": k / 2000}) for k in range(2000)]
+    path, late = tmp_path / "record.jsonl", cluster.worker(gravity(tmp_path / "a"), wait=False)
+    joined: list[str] = []
+
+    def progress(done: int, total: int) -> None:
+        if not joined:
+            joined.append(late.__enter__())
+
+    try:
+        with cluster.worker() as good:
+            workers = dask_workers(cluster.address)
+            with pytest.raises(WorkersError, match=r"sources [0-9a-f]{16} \(here") as ended:
+                run_cells(run_scene_cells, cells, record=Record(path), workers=workers, progress=progress)
+            assert joined and good not in str(ended.value)
+    finally:
+        late.__exit__(None, None, None)
+    kept = Record(path)
+    landed = [cell for cell in cells if cell in kept]
+    assert 0 < len(landed) < len(cells)
+    assert ended.value.landed == [(cell, kept[cell]) for cell in landed]
+    some = landed[:: max(len(landed) // 10, 1)]
+    assert [kept[cell] for cell in some] == run_scene_cells(some)
+
+
+@pytest.mark.parametrize("command", ["sweep", pytest.param("stability", marks=pytest.mark.study)])
+def test_a_scheduler_that_dies_is_one_line_and_the_record_stays_good(
+    cluster: Cluster, command: str, tmp_path: Path
+) -> None:
+    """The map is asked for no record; its cells are kept where those of one that is stopped are."""
+    studies = {
+        "sweep": ["sweep", "drop", "--vary", "phase=0:0.999:600", "--set", "plant=mujoco", "--set", "duration=2"],
+        "stability": ["stability", "--grid", "40", "--plant", "mujoco"],
+    }
+    record = tmp_path / {"sweep": "drop-sweep.jsonl", "stability": "stability-cells.jsonl"}[command]
+    arguments = [sys.executable, "-m", "maglev_mj.cli", *studies[command], "--scheduler", cluster.address]
+    with cluster.worker():
+        process = subprocess.Popen(
+            arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path, start_new_session=True
+        )
+        assert process.stderr is not None
+        if command == "sweep":
+            wait_until(lambda: record.exists() and record.stat().st_size, "nothing landed")
+        else:  # it tells of its progress once it takes long
+            assert "stability: " in process.stderr.readline()
+        cluster.process.send_signal(signal.SIGKILL)
+        out, said = process.communicate(timeout=_PATIENCE)
+    assert process.returncode == 1 and out == ""
+    last = [line for line in said.splitlines() if not re.match(rf"{command}( drop)?: \d+ of \d+", line)]
+    assert len(last) == 1, said
+    found = re.search(rf"the Dask scheduler at {cluster.address} is gone; (\d+) cells are in (\S+), the same", last[0])
+    assert found and found[2] == record.name
+    lines = [json.loads(line) for line in record.read_text().splitlines()]
+    assert len(lines) == int(found[1])
+    kept = Record(record)
+    assert all(line["cell"] in kept and line["versions"] == versions() for line in lines)
+    if command == "sweep":
+        assert 0 < len(lines) < 600
+        some = [line["cell"] for line in lines[:3]]
+        assert run_scene_cells(some) == [line["result"] for line in lines[:3]]
+        again = run_cells(run_scene_cells, [line["cell"] for line in lines], record=kept, workers=None)
+        assert again == [line["result"] for line in lines]

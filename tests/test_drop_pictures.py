@@ -1,0 +1,106 @@
+"""The pictures of drops: what they show is what was simulated."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from maglev_mj import charts
+from maglev_mj.experiments.drop import DropParameters, analog_drop, drop_variants, run_drop, sweep_drop
+
+pytest.importorskip("matplotlib")
+
+DROP = DropParameters(plant="exact", phase=0.56)
+ANALOG = "analog wall, 10 kHz filter"
+
+
+@pytest.fixture
+def figures(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """Return the list that every drawn figure is added to."""
+    drawn: list[Any] = []
+
+    def keep(figure: Any, path: Path) -> Path:
+        drawn.append(figure)
+        return path
+
+    monkeypatch.setattr("maglev_mj.charts.drop.save", keep)
+    return drawn
+
+
+def runs(drop: DropParameters) -> list[Any]:
+    return [(label, run_drop(variant)) for label, variant in drop_variants(drop).items()]
+
+
+def lines(panel: Any) -> dict[str, Any]:
+    """Return the lines of the legend by label."""
+    return {line.get_label(): line for line in panel.get_lines() if not line.get_label().startswith("_")}
+
+
+def reach(band: Any) -> tuple[float, float]:
+    """Return the least and the greatest value of a shaded band."""
+    vertices = np.concatenate([path.vertices for path in band.get_paths()])
+    return float(vertices[:, 1].min()), float(vertices[:, 1].max())
+
+
+def test_figure_3_has_a_column_for_each_reading(figures: list[Any]) -> None:
+    charts.time_series(runs(DROP), Path("unused.png"))
+    heights, forces = figures[0].axes[:2], figures[0].axes[2:]
+    for upper, lower, title in zip(
+        heights, forces, ("pulse 220 further: 300 N s/m", "pulse 220 in all: 220 N s/m"), strict=True
+    ):
+        assert upper.get_title(loc="left") == title
+        label = title.split(":")[0]
+        assert list(lines(upper)) == [label, "no pulse", ANALOG]
+        assert set(lines(lower)) == {label, "no pulse", ANALOG, "60 N, the device's largest"}
+        assert list(lines(lower)["60 N, the device's largest"].get_ydata()) == [60.0, 60.0]
+        for panel, part, scale in ((upper, 0, 1e3), (lower, 2, 1.0)):
+            time, drawn = lines(panel)[ANALOG].get_data()
+            np.testing.assert_allclose(drawn, analog_drop(DROP, time)[part] * scale, rtol=0.0, atol=1e-9)
+
+
+def test_bands_reach_as_far_as_the_drop_at_any_phase(figures: list[Any]) -> None:
+    charts.time_series(runs(DROP), Path("unused.png"))
+    variants = drop_variants(DROP)
+    for column, label in enumerate(list(variants)[:2]):
+        for place, variant in enumerate((variants[label], variants["no pulse"])):
+            summary = sweep_drop(variant, 100).summary
+            depth, _ = reach(figures[0].axes[column].collections[place])
+            _, peak = reach(figures[0].axes[2 + column].collections[place])
+            assert -depth == pytest.approx(summary.penetration.max() * 1e3, abs=1e-3)
+            assert peak == pytest.approx(summary.peak_force.max(), rel=1e-9)
+
+
+@pytest.mark.parametrize("draw", [charts.time_series, charts.phase_plane])
+@pytest.mark.parametrize("phase", [0.0, 0.06, 0.9])
+def test_pictures_name_their_phase_and_how_deep_it_is(draw: Any, phase: float, figures: list[Any]) -> None:
+    drop = replace(DROP, phase=phase)
+    draw(runs(drop), Path("unused.png"))
+    depth, others = run_drop(drop).summary.penetration, sweep_drop(drop, 100).summary.penetration
+    share = int(np.argmin(np.abs(np.sort(others) - depth)))  # its rank among 100
+    words = f"lines: phase {phase:g}, deeper than {share} % of the phases; shaded: all of 100 phases"
+    assert words in figures[0].get_suptitle()
+
+
+def test_the_published_figures_show_a_phase_of_median_penetration() -> None:
+    for pulse in (220.0, 140.0, 0.0):
+        drop = DropParameters(plant="exact", phase=0.56, pulse=pulse)
+        depths = sweep_drop(drop, 101).summary.penetration
+        assert run_drop(drop).summary.penetration == pytest.approx(np.median(depths), abs=0.02e-3)
+
+
+@pytest.mark.parametrize(
+    ("changes", "columns"),
+    [({}, 2), ({"pulse": 150.0}, 1), ({"pulse": 0.0}, 1), ({"stiffness": 0.0, "damping": 0.0, "duration": 0.05}, 1)],
+)
+def test_every_drop_can_be_drawn(changes: dict[str, float], columns: int, tmp_path: Path, figures: list[Any]) -> None:
+    drop = replace(DROP, **changes)  # type: ignore[arg-type]
+    charts.time_series(runs(drop), tmp_path / "time.png")
+    charts.phase_plane(runs(drop), tmp_path / "plane.png")
+    assert [len(figure.axes) for figure in figures] == [2 * columns, columns]
+    for figure in figures:
+        has_analog = any(ANALOG in lines(panel) for panel in figure.axes)
+        assert has_analog == (drop.stiffness > 0.0)

@@ -1,0 +1,121 @@
+"""Commands say in one line when a motion leaves the device's range, and only then."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from maglev_mj import AXES, cli
+from maglev_mj.experiments.drop import DropParameters, run_drop, sweep_drop
+from maglev_mj.experiments.press import PressParameters, run_press, sweep_press
+from maglev_mj.experiments.stick_slip import StickSlipParameters, run_stick_slip
+from maglev_mj.frames import Array
+from maglev_mj.spec import RANGE
+from maglev_mj.tables import drop_table, press_table, stick_slip_table
+from maglev_mj.trace import Trace
+
+LINE = re.compile(r"  Beyond the device's range of (.*): (.*)")
+
+
+def remark(text: str) -> str | None:
+    """Return what a table says is out of range; None for nothing."""
+    found = [match for line in text.splitlines() if (match := LINE.fullmatch(line))]
+    assert len(found) <= 1
+    return found[0][2] if found else None
+
+
+def furthest(trace: Trace) -> Array:
+    """Return the greatest distance from the centre on each axis, looked at every 10 µs."""
+    pose = trace.at(np.arange(0.0, float(trace.time[-1].min()), 1e-5))[0]
+    distance: Array = np.abs(pose).max(axis=0)
+    return distance
+
+
+def outside(traces: Sequence[Trace]) -> list[bool]:
+    return [bool((furthest(trace) > RANGE).any()) for trace in traces]
+
+
+def test_the_furthest_of_a_trace_lies_between_its_knots_too() -> None:
+    trace = run_drop(DropParameters(plant="exact", force_limit=15.0)).trace
+    np.testing.assert_allclose(trace.furthest(), furthest(trace), atol=1e-8)
+    assert trace.furthest()[2] > np.abs(trace.pose[:, 2]).max() + 1e-6
+    ball = Trace(np.array([0.0, 0.2]), np.zeros((2, 1)), np.array([[1.0], [-1.0]]), np.zeros((2, 1)))
+    assert ball.furthest() == pytest.approx([0.05])  # thrown up at 1 m/s, back after 0.2 s
+
+
+@pytest.mark.parametrize("limit", [8.0, 15.0, 20.0, 25.0, 26.0, 27.0, 30.0, 60.0, None])
+@pytest.mark.parametrize(("stiffness", "damping"), [(3000.0, 40.0), (6000.0, 80.0), (9000.0, 60.0)])
+def test_a_drop_says_when_it_leaves_the_range(limit: float | None, stiffness: float, damping: float) -> None:
+    """By force limit and gains, with the pulse and without, one phase and several."""
+    base = {"plant": "exact", "force_limit": limit, "stiffness": stiffness, "damping": damping, "duration": 0.3}
+    variants = [DropParameters(**base, pulse=pulse) for pulse in (220.0, 0.0)]  # type: ignore[arg-type]
+    results, labels = [run_drop(one) for one in variants], ["with pulse", "without pulse"]
+    left = outside([one.trace for one in results])
+    said = remark(drop_table(labels, results, [], 0.0))
+    assert [label in [part.rsplit(" ", 2)[0] for part in (said or "").split(", ")] for label in labels] == left
+    sweeps = [sweep_drop(one, 8) for one in variants]
+    said = remark(drop_table(labels, results, sweeps, 0.0)) or ""
+    for label, one in zip(labels, variants, strict=True):
+        phases = [run_drop(DropParameters(**{**vars(one), "phase": phase / 8})).trace for phase in range(8)]
+        count = sum(outside(phases))
+        found = re.search(rf"{label} [0-9.]+ mm \((\d) of 8 phases\)", said)
+        assert (int(found[1]) if found else 0) == count
+
+
+def test_a_drop_from_the_very_end_of_the_range_has_not_left_it() -> None:
+    for plant in ("exact", "mujoco"):
+        for height, left in ((RANGE[2], False), (RANGE[2] * 1.0001, True)):
+            result = run_drop(DropParameters(plant=plant, height=height, duration=0.05))
+            assert (remark(drop_table(["drop"], [result], [], 0.0)) is not None) == left
+
+
+@pytest.mark.parametrize(
+    "change", [{}, {"height": 0.0045}, {"height": 0.0046}, {"force_limit": 5.5}, {"stiffness": 1000.0}, {"press": 40.0}]
+)
+def test_a_press_says_when_it_leaves_the_range(change: dict[str, float]) -> None:
+    variants = [PressParameters(plant="exact", hits=2, pulse=pulse, **change) for pulse in (220.0, 0.0)]  # type: ignore[arg-type]
+    results, labels = [run_press(one) for one in variants], ["with pulse", "without pulse"]
+    said = remark(press_table(labels, results, [], 0.0))
+    left = outside([one.trace for one in results])
+    assert [label in [part.rsplit(" ", 2)[0] for part in (said or "").split(", ")] for label in labels] == left
+    sweep = sweep_press(variants[0], 3)
+    np.testing.assert_allclose(sweep.furthest[0], results[0].trace.furthest(), atol=1e-7)  # a hand bends the curve
+    assert sweep.furthest.shape == (3, 6)
+
+
+@pytest.mark.parametrize("axis", AXES)
+def test_stick_slip_says_when_it_leaves_the_range_on_any_axis(axis: str) -> None:
+    """Targets around the end of the range, in m and rad."""
+    reach, kind = RANGE[AXES.index(axis)], []
+    for share in (0.5, 0.9, 0.97, 1.0, 1.03, 1.08, 1.15, 1.5, -0.9, -1.5):
+        result = run_stick_slip(StickSlipParameters(plant="exact", axis=axis, target=share * reach))
+        said = remark(stick_slip_table(result))
+        assert (said is not None) == outside([result.trace])[0]
+        kind.append(said is not None)
+        if said:
+            value, unit = said.split()[-2:]
+            most = float(
+                np.degrees(furthest(result.trace).max()) if unit == "deg" else furthest(result.trace).max() * 1e3
+            )
+            assert float(value) == pytest.approx(most, rel=1e-3)
+            assert unit == ("mm" if axis in AXES[:3] else "deg")
+    assert any(kind) and not all(kind)
+
+
+def test_commands_say_it_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    for arguments, words in (
+        (["drop", "--force-limit", "20"], "range of 4.5 mm: pulse 220 further 5.4"),
+        (["drop", "--force-limit", "20", "--pulse", "0", "--phases", "4"], "range of 4.5 mm: no pulse 5."),
+        (["press", "--force-limit", "5.5", "--hits", "1"], "range of 4.5 mm: with pulse"),
+        (["stick-slip", "--axis", "rz", "--target", str(math.radians(7.0))], "range of 6 deg: stick-slip 6."),
+    ):
+        assert cli.main([*arguments, "--plant", "exact"]) == 0
+        (line,) = [line for line in capsys.readouterr().out.splitlines() if "Beyond" in line]
+        assert words in line and len(line) <= 120
+    for command in ("drop", "press", "stick-slip"):
+        assert cli.main([command, "--plant", "exact"]) == 0
+        assert "Beyond" not in capsys.readouterr().out

@@ -1,0 +1,65 @@
+"""The device's numbers have one home."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+from maglev_mj.spec import DRIVER_TIME_CONSTANT, ESCAPE, GRAVITY, RESOLUTION, Spec
+
+ROOT = Path(__file__).resolve().parents[1]
+
+OWN = {GRAVITY, DRIVER_TIME_CONSTANT} | {
+    quantity.value
+    for quantity in (
+        *(Spec.radius, Spec.flotor_mass, Spec.translation_range, Spec.coil_radius),
+        *(Spec.spot_resolution, Spec.tilt_inertia, Spec.spin_inertia),
+    )
+}
+"""Numbers that are nothing else: no float of the package or a script may be one of them."""
+
+DEFAULTS = {
+    "mass": {Spec.moving_mass.value},
+    "period": {1.0 / Spec.control_rate.value},
+    "delay": {Spec.transport_delay.value},
+    "current": {Spec.peak_current.value},
+    "continuous_current": {Spec.continuous_current.value},
+    "escape": {ESCAPE},
+    "quantum": {Spec.spot_resolution.value, *RESOLUTION},
+    "noise": {*RESOLUTION},
+}
+"""Numbers that are others' too: no field or argument of that name may have one of them as its default."""
+
+
+def test_the_numbers_of_the_device_are_written_once() -> None:
+    found = []
+    for path in [*ROOT.glob("maglev_mj/**/*.py"), *ROOT.glob("scripts/*.py")]:
+        if path.name == "spec.py":
+            continue
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            copies = (
+                [node] if isinstance(node, ast.Constant) and type(node.value) is float and node.value in OWN else []
+            )
+            for name, value in defaults(node):
+                copies += [part for part in numbers_in(value) if part.value in DEFAULTS.get(name, ())]
+            found += [f"{path.relative_to(ROOT)}:{copy.lineno} {copy.value!r}" for copy in copies]
+    assert not found
+
+
+def numbers_in(value: ast.expr) -> list[ast.Constant]:
+    """Return the floats of an expression."""
+    parts = ast.walk(value)
+    return [part for part in parts if isinstance(part, ast.Constant) and type(part.value) is float]
+
+
+def defaults(node: ast.AST) -> Iterator[tuple[str, ast.expr]]:
+    """Yield the name and default of a field, or of each argument of a function."""
+    pairs: list[tuple[str, ast.expr | None]] = []
+    if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
+        pairs = [(node.target.id, node.value)]
+    elif isinstance(node, ast.FunctionDef):
+        arguments, given = node.args.args, node.args.defaults
+        pairs = [(one.arg, value) for one, value in zip(arguments[len(arguments) - len(given) :], given, strict=True)]
+        pairs += [(one.arg, value) for one, value in zip(node.args.kwonlyargs, node.args.kw_defaults, strict=True)]
+    yield from ((name, value) for name, value in pairs if value is not None)
