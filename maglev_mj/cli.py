@@ -13,6 +13,7 @@ import maglev_mj
 from maglev_mj.commands import COMMANDS
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.options import Parser, joined
+from maglev_mj.terminal import say
 
 __all__ = ["main", "parser"]
 
@@ -47,12 +48,12 @@ def _run(options: argparse.Namespace) -> int:
         print(f"maglev-mj {options.command}: {str(stopped) or 'stopped'}", file=sys.stderr)
         return 130
     except ParameterError as error:
-        print(f"maglev-mj {options.command}: {error}", file=sys.stderr)
+        say(f"maglev-mj {options.command}: {error}", sys.stderr)
         return 2
     except (MaglevError, OSError) as error:
         if isinstance(error, BrokenPipeError) and _is_unread(sys.stdout):
             raise
-        print(f"maglev-mj {options.command}: {error}", file=sys.stderr)
+        say(f"maglev-mj {options.command}: {error}", sys.stderr)
         _drop_unwritten()
         return 1
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from typing import Any
 
@@ -47,7 +46,7 @@ class Controller:
         """Forget every sample seen."""
         self._states: list[Any] = [law.start() for law in self.laws]
         self._velocity_state: Any = None
-        self._tick = sys.maxsize
+        self._tick: int | None = None
 
     @property
     def states(self) -> tuple[Any, ...]:
@@ -58,14 +57,20 @@ class Controller:
         """Answer one sample.
 
         Raises:
-            ParameterError: If the first sample after a reset does not fit the laws' parameters.
+            ParameterError: If the first sample after a reset does not fit the laws' parameters, or a later one does not
+                follow the one before: then it is of another run, and the controller needs a reset.
         """
-        position = sample.position
-        if self._velocity_state is None:
+        position, tick, last = sample.position, sample.tick, self._tick
+        if last is None:
             self._check(position)
-        elapsed, self._tick = sample.tick - self._tick, sample.tick
+            last = tick - 1
+        if tick <= last:
+            raise ParameterError(
+                f"a sample's tick must be above {last}, that of the sample before, not {tick}; call reset() before a "
+                "controller answers another run"
+            )
         # a sample that was lost on the way leaves a gap, over which the flotor moved
-        time = self.period if elapsed <= 1 else elapsed * self.period
+        time, self._tick = (tick - last) * self.period, tick
         velocity, self._velocity_state = self._estimate(position, self._velocity_state, time)
         wrench: list[Component] = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
         pulse: Sequence[Component] | None = None

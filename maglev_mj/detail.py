@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from maglev_mj.parameters import number
+from maglev_mj.parameters import flag, number
 
 __all__ = ["Detail"]
 
@@ -21,7 +21,7 @@ class Detail:
             frequency is the paper's, the shape and the damping are assumed.
 
     Raises:
-        ParameterError: If the falloff is not in [0, 1].
+        ParameterError: If the falloff is not in [0, 1], or a switch is neither True nor False.
     """
 
     force_falloff: float = 0.0
@@ -31,3 +31,5 @@ class Detail:
     def __post_init__(self) -> None:
         falloff = number("force_falloff", self.force_falloff, at_least=0.0, at_most=1.0)
         object.__setattr__(self, "force_falloff", falloff)
+        for name in ("stops", "flexible"):
+            object.__setattr__(self, name, flag(name, getattr(self, name)))

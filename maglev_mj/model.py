@@ -17,7 +17,7 @@ from maglev_mj.detail import Detail
 from maglev_mj.errors import ModelError, ParameterError
 from maglev_mj.frames import AXES, Array
 from maglev_mj.hand import Hand
-from maglev_mj.parameters import number
+from maglev_mj.parameters import flag, number
 from maglev_mj.sensing import Beams
 from maglev_mj.versions import MODELS
 
@@ -114,6 +114,7 @@ def load(
         ModelError: If the file is missing, does not compile, or lacks the flotor, its joints or its coils.
         ParameterError: If the mass is not above 0, or the hand is for a batch or on a rotation.
     """
+    lean, driver_lag, coils = flag("lean", lean), flag("driver_lag", driver_lag), flag("coils", coils)
     path = model_path(name)
     moving = None if mass is None else number("mass", mass, above=0.0)
     device = _compiled(path, _written(), lean, driver_lag, coils, moving, hand, detail or Detail())

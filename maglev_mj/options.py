@@ -11,6 +11,7 @@ from typing import Any
 
 from maglev_mj.bridge.seal import LEAST_KEY, MOST_KEY
 from maglev_mj.errors import ParameterError
+from maglev_mj.parameters import flag
 from maglev_mj.scenes import Settings
 from maglev_mj.workers import Workers, dask_workers, local_workers
 
@@ -190,6 +191,7 @@ def add_settings(parser: argparse.ArgumentParser, *, timing: bool = True) -> Non
         parser: Of the command.
         timing: False where period and delay are not the user's to choose.
     """
+    flag("timing", timing)
     for name in ("wall", "pulse", "friction"):
         parser.add_argument(f"--{name}", action=argparse.BooleanOptionalAction, default=None, help="on from the start")
     helps = {

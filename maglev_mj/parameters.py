@@ -11,7 +11,21 @@ from numpy.typing import ArrayLike
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Array, Component
 
-__all__ = ["axis_indices", "batch_shape", "common_shape", "number", "numbers", "per_axis"]
+__all__ = ["axis_indices", "batch_shape", "common_shape", "flag", "number", "numbers", "parsed_number", "per_axis"]
+
+_NO_NUMBERS = bool, np.bool_, str, bytes
+"""Types that float() takes, and that are a slip in place of a number."""
+
+
+def flag(name: str, value: object) -> bool:
+    """Return `value` as a bool.
+
+    Raises:
+        ParameterError: If it is neither True nor False.
+    """
+    if not isinstance(value, bool | np.bool_):
+        raise ParameterError(f"{name} must be True or False, not {value!r}")
+    return bool(value)
 
 
 def number(
@@ -29,7 +43,7 @@ def number(
         ParameterError: If it is no number, not finite, or outside the bounds.
     """
     try:
-        result = float(value)  # type: ignore[arg-type]
+        result = math.nan if isinstance(value, _NO_NUMBERS) else float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError, OverflowError):
         result = math.nan
     if not (above < result < below and at_least <= result <= at_most and math.isfinite(result)):
@@ -61,17 +75,32 @@ def numbers(name: str, value: ArrayLike, *, at_least: float = -math.inf, finite:
         ParameterError: If an entry is not a number, not finite, or too small.
     """
     try:
-        array = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError):
-        raise ParameterError(f"{name} must be a number or an array of numbers, not {value!r}") from None
+        given = np.asarray(value)
+    except ValueError:  # rows of different lengths
+        given = np.asarray("")
+    if given.dtype.kind not in "fiu" or _has_flag(value):
+        raise ParameterError(f"{name} must be a number or an array of numbers, not {value!r}")
+    array = np.asarray(given, dtype=np.float64)
     good = array >= at_least
-    if finite:
+    if flag("finite", finite):
         good &= np.isfinite(array)
     if not good.all():
         kind = "finite and " if finite else ""
         bound = f"at least {at_least:g}" if math.isfinite(at_least) else "a number"
         raise ParameterError(f"{name} must be {kind}{bound} everywhere, not {array[~good].flat[0]:g}")
     return array
+
+
+def parsed_number(name: str, text: str) -> float:
+    """Return the finite number that a text is.
+
+    Raises:
+        ParameterError: If it is none.
+    """
+    try:
+        return number(name, float(text))
+    except ValueError:
+        return number(name, text)
 
 
 def axis_indices(axes: str | Sequence[str]) -> tuple[int, ...]:
@@ -129,3 +158,8 @@ def per_axis(name: str, values: Array, count: int) -> tuple[Component, ...]:
     if values.ndim == 1:
         return tuple(values.tolist())
     return tuple(np.ascontiguousarray(np.moveaxis(values, -1, 0)))
+
+
+def _has_flag(value: object) -> bool:
+    """Return whether there is a bool among numbers; as an array it would be 0 or 1."""
+    return isinstance(value, bool | np.bool_) or (isinstance(value, list | tuple) and any(map(_has_flag, value)))

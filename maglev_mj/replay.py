@@ -22,6 +22,8 @@ from maglev_mj.model import load
 from maglev_mj.plants import SampledPlant, engine_warnings_silenced
 from maglev_mj.recording import (
     ArrayFile,
+    Expected,
+    InvalidRecordingError,
     Mechanics,
     Recording,
     RecordingError,
@@ -31,12 +33,14 @@ from maglev_mj.recording import (
     carried_by,
     open_recording,
 )
+from maglev_mj.recording.fields import start_in
 from maglev_mj.scenes import SCENES, Scene, Settings, scene_called
 from maglev_mj.session import View, stick_positions, wall_faces
 
 __all__ = [
     "EXPERIMENTS",
     "Replay",
+    "expected",
     "rebuild",
     "record_experiment",
     "scene_of",
@@ -68,7 +72,7 @@ def rebuild(setup: Setup, hand: HandForce | None) -> tuple[SampledPlant | None, 
         Both; None for the plant of a flight on a device.
 
     Raises:
-        RecordingError: If it is no setup that is known here.
+        InvalidRecordingError: If it is no setup that is known here.
     """
     try:
         kind = setup["kind"]
@@ -76,16 +80,35 @@ def rebuild(setup: Setup, hand: HandForce | None) -> tuple[SampledPlant | None, 
             scene, settings = scene_called(setup["scene"]), Settings.from_json(setup["settings"])
             if kind == "device":
                 return None, scene.controller(settings)
-            start = {name: setup[name] for name in ("pose", "twist", "wrench")}
-            return scene.plant(settings, hand_force=hand, **start), scene.controller(settings)
+            return scene.plant(settings, hand_force=hand, **start_in(setup)), scene.controller(settings)
         if kind not in EXPERIMENTS:
             known = ", ".join((*_SCENES, *EXPERIMENTS))
-            raise RecordingError(f"a recording of kind {kind!r} cannot be made here, which knows {known}")
+            raise InvalidRecordingError(f"a recording of kind {kind!r} cannot be made here, which knows {known}")
         parameters, parts, _ = EXPERIMENTS[kind]
         plant, controller, _ = parts(parameters(**setup["parameters"]), hand)
         return plant, controller
     except (KeyError, TypeError, ParameterError) as error:
-        raise RecordingError(f"a recording's setup cannot be made here: {error}") from None
+        raise InvalidRecordingError(f"a recording's setup cannot be made here: {error}") from None
+
+
+def expected(setup: Setup) -> Expected:
+    """Return what a recording's setup tells besides plant and controller.
+
+    Raises:
+        InvalidRecordingError: If it is no setup that is known here.
+    """
+    rebuild(setup, None)  # complains of what is not known here
+    kind = setup["kind"]
+    if kind in EXPERIMENTS:
+        made, parts, _ = EXPERIMENTS[kind]
+        parameters = made(**setup["parameters"])
+        known, (_, _, samples) = known_experiment(kind, asdict(parameters)), parts(parameters, None)
+        load = [0.0, 0.0, known.weight, 0.0, 0.0, 0.0]
+        mechanics = Mechanics(inertia=known.inertia, load=load, before=known.before)
+        return Expected(known.delay, mechanics, scripted=True, samples=samples)
+    delay = Settings.from_json(setup["settings"]).delay
+    # on a device, what acted before a stretch is in the flight, not in the setup
+    return Expected(delay, Mechanics(before=setup["wrench"]) if kind == "scene" else None, scripted=False)
 
 
 def record_experiment(kind: str, parameters: Any) -> Recording:
@@ -123,9 +146,7 @@ def _run_into(file: RecordingFile, kind: str, parameters: Any) -> None:
     _, parts, _ = EXPERIMENTS[kind]
     plant, controller, ticks = parts(parameters, None)
     setup = {"kind": kind, "parameters": asdict(parameters)}
-    known = known_experiment(kind, asdict(parameters))
-    mechanics = Mechanics(inertia=known.inertia, load=[0.0, 0.0, known.weight, 0.0, 0.0, 0.0], before=known.before)
-    record = file.begin(plant, controller, setup, delay=parameters.delay, mechanics=mechanics)
+    record = file.begin(plant, controller, setup, delay=parameters.delay, mechanics=expected(setup).mechanics)
     with plant, engine_warnings_silenced():
         try:
             ControlLoop(plant, controller, record=record).cycle(ticks)
@@ -154,7 +175,7 @@ class Replay:
         self.simulated = 0.0
         self._stretches = [_Shown(stretch) for stretch in recording.stretches if len(stretch.tick)]
         if not self._stretches:
-            raise RecordingError("there is nothing in the recording")
+            raise InvalidRecordingError("there is nothing in the recording")
         self._place, self._owed, self._paused = (0, 0), 0.0, False
 
     def tick(self, elapsed: float) -> int:

@@ -425,14 +425,14 @@ def test_a_part_of_several_stretches_is_not_clear(session: Path, capsys: Any) ->
     assert "choose one of 2 with --stretch" in capsys.readouterr().err
 
 
-def test_a_file_with_nothing_in_it_is_one_line_and_status_1(tmp_path: Path, capsys: Any) -> None:
+def test_a_file_with_nothing_in_it_is_one_line_and_status_2(tmp_path: Path, capsys: Any) -> None:
     for name, recording in (("none.npz", Recording([])), ("one.npz", None)):
         if recording is None:
             stretch = recorded("drop", DropParameters(plant="exact"))
             names = ("tick", "time", "position", "command", "applied", "hand")
             recording = Recording([replace(stretch, **{part: getattr(stretch, part)[:1] for part in names})])
         recording.save(tmp_path / name)
-        assert main(["analyse", str(tmp_path / name)]) == 1
+        assert main(["analyse", str(tmp_path / name)]) == 2
         said = capsys.readouterr().err
         assert len(said.splitlines()) == 1 and "there is nothing in" in said
-    assert main(["analyse", str(tmp_path / "missing.npz")]) == 1
+    assert main(["analyse", str(tmp_path / "missing.npz")]) == 2

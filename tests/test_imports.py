@@ -33,6 +33,7 @@ FLOORS = {
     "bounds": 5,
     "study": 5,
     "progress": 0,
+    "terminal": 0,
     "karnopp": 5,
     "metrics": 5,
     "recording": 6,

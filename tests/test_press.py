@@ -315,7 +315,7 @@ def test_bad_phases_are_refused() -> None:
 
 
 def test_parameters_are_stored_as_checked() -> None:
-    made = PressParameters(hits="2", interval="0.5", height=1e-3)  # type: ignore[arg-type]
+    made = PressParameters(hits=2.0, interval=0.5, height=1e-3)  # type: ignore[arg-type]
     assert (made.hits, type(made.hits), made.interval) == (2, int, 0.5)
     assert made.duration == pytest.approx(0.005 + 2.75 * 0.5 + 1.0)
     assert len(made.strokes) == 3 and made.path.end == pytest.approx(made.strokes[-1] + 0.125)

@@ -13,8 +13,8 @@ from maglev_mj.analysis.known import Known, known_of
 from maglev_mj.analysis.motion import Motion, reconstruct
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Array
-from maglev_mj.parameters import number
-from maglev_mj.recording import Rebuild, RecordingError, Stretch
+from maglev_mj.parameters import flag, number
+from maglev_mj.recording import InvalidRecordingError, Rebuild, Stretch
 
 __all__ = ["Analysed", "Run", "analyse"]
 
@@ -105,11 +105,12 @@ def analyse(
         rest: Where it comes to rest at a wall [m, rad]; found from the samples by default.
 
     Raises:
-        RecordingError: If it has less than two samples, or its setup is not known here.
+        InvalidRecordingError: If it has less than two samples, or its setup is not known here.
         ParameterError: If there are less than two samples from `begin` to `end`.
     """
+    flag("simulated", simulated)
     if len(stretch.tick) < 2:
-        raise RecordingError(f"a stretch must have at least 2 samples to be analysed, not {len(stretch.tick)}")
+        raise InvalidRecordingError(f"a stretch must have at least 2 samples to be analysed, not {len(stretch.tick)}")
     known = known_of(stretch, rebuild(stretch.setup, None)[1].laws)
     whole = reconstruct(stretch, known)
     first, last = _rows(whole, begin, end)

@@ -11,7 +11,7 @@ import numpy as np
 from maglev_mj.frames import AXES, Array
 from maglev_mj.hand import hand_called
 from maglev_mj.laws import Law
-from maglev_mj.parameters import number, numbers
+from maglev_mj.parameters import flag, number, numbers
 from maglev_mj.recording import Stretch, carried_by
 from maglev_mj.scenes import Settings, scene_called
 from maglev_mj.scenes.parts import INERTIA, WEIGHT
@@ -60,6 +60,8 @@ class Known:
         number("period", self.period, above=0.0)
         number("delay", self.delay, at_least=0.0)
         numbers("inertia", self.inertia, at_least=1e-12)
+        flag("felt", self.felt)
+        flag("pushed", self.pushed)
 
 
 def known_of(stretch: Stretch, laws: Sequence[Law]) -> Known:

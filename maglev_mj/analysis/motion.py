@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from maglev_mj.analysis.known import Known
 from maglev_mj.frames import Array, Mask
-from maglev_mj.recording import RecordingError, Stretch
+from maglev_mj.recording import InvalidRecordingError, Stretch
 from maglev_mj.trace import Trace
 
 __all__ = ["Motion", "reconstruct"]
@@ -82,12 +82,12 @@ def reconstruct(stretch: Stretch, known: Known) -> Motion:
         known: What it was recorded from.
 
     Raises:
-        RecordingError: If it has less than two samples, or they are not in order.
+        InvalidRecordingError: If it has less than two samples, or they are not in order.
     """
     if len(stretch.tick) < 2:
-        raise RecordingError(f"a stretch must have at least 2 samples to be analysed, not {len(stretch.tick)}")
+        raise InvalidRecordingError(f"a stretch must have at least 2 samples to be analysed, not {len(stretch.tick)}")
     if not (np.diff(stretch.time) > 0.0).all():
-        raise RecordingError("the samples of a recording must be in the order in which they were taken")
+        raise InvalidRecordingError("the samples of a recording must be in the order in which they were taken")
     released = stretch.time[0] < known.period * (1.0 - _ROUNDING)
     time = stretch.time if released else stretch.time - stretch.time[0]
     pieces = _pieces(stretch, known, time)

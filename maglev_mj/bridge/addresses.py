@@ -8,6 +8,7 @@ from ipaddress import IPv4Address
 from typing import NamedTuple
 
 from maglev_mj.errors import ParameterError
+from maglev_mj.parameters import flag
 
 __all__ = ["Url", "check_host", "is_loopback", "parse_url", "resolve"]
 
@@ -42,7 +43,7 @@ def parse_url(text: str, *, server: bool = False) -> Url:
     Raises:
         ParameterError: If it is neither.
     """
-    least = 0 if server else 1
+    least = 0 if flag("server", server) else 1
     if (udp := _UDP.fullmatch(text)) and least <= int(udp[2]) <= 65535:
         return Url("udp", udp[1], int(udp[2]))
     if (serial := _SERIAL.fullmatch(text)) and int(serial[2] or BAUD) > 0:

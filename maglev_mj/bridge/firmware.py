@@ -21,6 +21,7 @@ from maglev_mj.bridge.wire import (
     newer,
 )
 from maglev_mj.frames import ZERO
+from maglev_mj.parameters import flag
 
 __all__ = ["Amplifiers", "Firmware", "Profile", "Reading"]
 
@@ -59,6 +60,9 @@ class Profile:
     limits: Limits = field(default_factory=Limits)
     lockstep: bool = False
     number: int = 1
+
+    def __post_init__(self) -> None:
+        flag("lockstep", self.lockstep)
 
 
 class Reading(NamedTuple):

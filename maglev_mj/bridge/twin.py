@@ -19,7 +19,7 @@ from maglev_mj.bridge.wire import Codec
 from maglev_mj.detail import Detail
 from maglev_mj.frames import ZERO, Array
 from maglev_mj.hand import HandForce
-from maglev_mj.parameters import number
+from maglev_mj.parameters import flag, number
 from maglev_mj.plants import CoilDrivenPlant, SpotReader, Timing
 from maglev_mj.spec import Spec
 
@@ -68,6 +68,7 @@ class TwinParameters:
         # whole nanoseconds, which is what the wire counts time in
         number("period", self.period, at_least=1e-5, at_most=0.1)
         number("delay", self.delay, at_least=0.0, at_most=0.1)
+        flag("lockstep", self.lockstep)
 
     @cached_property
     def profile(self) -> Profile:

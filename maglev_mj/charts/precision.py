@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from maglev_mj.charts.drawing import GRID, MANY, SECOND, new_figure, save
+from maglev_mj.parameters import flag
 
 __all__ = ["WorkPoint", "WorkPrecision", "pareto", "work_precision"]
 
@@ -34,6 +35,9 @@ class WorkPoint:
     cost: float
     error: float
     many: bool = False
+
+    def __post_init__(self) -> None:
+        flag("many", self.many)
 
 
 @dataclass(frozen=True)

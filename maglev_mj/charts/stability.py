@@ -12,6 +12,7 @@ import numpy as np
 from maglev_mj.charts.drawing import FIRST, IDEAL, MANY, SECOND, new_figure, save
 from maglev_mj.experiments.stability_map import StabilityMap
 from maglev_mj.frames import Array, Mask
+from maglev_mj.parameters import flag
 
 __all__ = ["Panel", "figure_2", "level_sets", "shares", "small_multiples", "stability_map"]
 
@@ -125,6 +126,9 @@ class Panel:
     marked: bool = False
     outside: Sequence[Any] = ()
     legend: str = "best"
+
+    def __post_init__(self) -> None:
+        flag("marked", self.marked)
 
 
 def small_multiples(panels: Sequence[Panel], path: Path, columns: int = 2) -> Path:

@@ -14,9 +14,10 @@ from maglev_mj.frames import AXES
 from maglev_mj.options import count, number_option
 from maglev_mj.output import check_outputs, write_json
 from maglev_mj.parameters import axis_indices, number
-from maglev_mj.recording import Recording, RecordingError, Stretch
+from maglev_mj.recording import InvalidRecordingError, Recording, Stretch
 from maglev_mj.replay import rebuild, stick_positions_of
 from maglev_mj.tables import analysis_table
+from maglev_mj.terminal import say
 from maglev_mj.versions import versions_read
 
 __all__ = ["add_command"]
@@ -75,7 +76,7 @@ def _analyse(options: argparse.Namespace) -> int:
         print("\n\n".join(analysis_table(one, place, len(stretches)) for place, one in found))
         damage = [f"{options.file}: {recording.damage}"] if recording.damage else []
         for line in [*damage, *recording.events, *drawn]:
-            print(f"  {line}")
+            say(f"  {line}")
     return 0
 
 
@@ -83,12 +84,12 @@ def _chosen(stretches: Sequence[Stretch], options: argparse.Namespace) -> list[t
     """Return the stretches to analyse, and which they are from 1.
 
     Raises:
-        RecordingError: If there is nothing in the recording.
+        InvalidRecordingError: If there is nothing in the recording.
         ParameterError: If there is no such stretch, or it is not clear of which a part is meant.
     """
     usable = [(place, stretch) for place, stretch in enumerate(stretches, start=1) if len(stretch.tick) > 1]
     if not usable:
-        raise RecordingError(f"there is nothing in {str(options.file)!r} to be analysed")
+        raise InvalidRecordingError(f"there is nothing in {str(options.file)!r} to be analysed")
     if options.stretch is not None:
         place = int(number("stretch", options.stretch, at_least=1, at_most=len(stretches)))
         return [(place, stretches[place - 1])]

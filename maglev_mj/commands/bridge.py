@@ -37,6 +37,7 @@ from maglev_mj.recording import RecordingFile, open_recording
 from maglev_mj.scenes import SCENES, Scene, Settings, scene_called
 from maglev_mj.session import Outlet
 from maglev_mj.tables import flown_table
+from maglev_mj.terminal import say
 from maglev_mj.watching import Watch
 
 __all__ = ["add_command"]
@@ -106,7 +107,7 @@ def _fly(
         watch: Watch | None = None
 
         def warn(text: str) -> None:
-            print(f"  {text}", file=sys.stderr, flush=True)
+            say(f"  {text}", sys.stderr)
             if watch is not None:
                 watch.note = text
 
@@ -131,7 +132,7 @@ def _keep(file: RecordingFile, _kind: object, error: BaseException | None, _trac
     except MaglevError as problem:
         if error is None:
             raise
-        print(f"  {problem}", file=sys.stderr)
+        say(f"  {problem}", sys.stderr)
         return
     print(f"  wrote {path}" if path is not None else "  nothing was recorded: it did not come to fly")
 

@@ -9,6 +9,7 @@ from typing import Any
 from maglev_mj.errors import ParameterError
 from maglev_mj.output import check_file
 from maglev_mj.recording import EXPORTS, Recording, export
+from maglev_mj.terminal import say
 
 __all__ = ["add_command"]
 
@@ -29,7 +30,7 @@ def _export(options: argparse.Namespace) -> int:
         raise ParameterError(f"out must be another file than the recording, not {str(path)!r}")
     recording = Recording.load(options.file)
     if recording.damage:
-        print(f"  {options.file}: {recording.damage}")
+        say(f"  {options.file}: {recording.damage}")
     export(recording, options.to, path)
     print(f"  wrote {path}: {recording.ticks} samples")
     return 0

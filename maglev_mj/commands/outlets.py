@@ -9,10 +9,12 @@ from pathlib import Path
 
 from maglev_mj.errors import ParameterError
 from maglev_mj.options import chosen_key
+from maglev_mj.parameters import flag
 from maglev_mj.session import Outlet
 from maglev_mj.spacenav import PoseAxes, RateAxes, SpacenavServer
 from maglev_mj.spacenav.axes import Axes
 from maglev_mj.stream import URL, PoseStream
+from maglev_mj.terminal import say
 
 __all__ = ["add_outlets", "add_spacenav", "chosen_outlets", "chosen_spacenav"]
 
@@ -28,7 +30,7 @@ def add_spacenav(parser: argparse.ArgumentParser, *, always: bool = False) -> No
         parser: Of the command.
         always: Whether the command is one without asking, so that it needs no --spacenav.
     """
-    if always:
+    if flag("always", always):
         parser.set_defaults(spacenav=True)
     else:
         parser.add_argument("--spacenav", action="store_true", help="be a 3D mouse to other programs")
@@ -106,15 +108,11 @@ def chosen_outlets(options: argparse.Namespace) -> Iterator[list[Outlet]]:
             open_ones.callback(outlet.close)
             outlets.append(outlet)
 
-        for server in chosen_spacenav(options, _say):
+        for server in chosen_spacenav(options, say):
             add(server)
         if options.stream is not None:
             stream = PoseStream(options.stream, key=key)
             add(stream)
             host, port = stream.address
-            _say(f"  a pose stream at udp://{host}:{port}")
+            say(f"  a pose stream at udp://{host}:{port}")
         yield outlets
-
-
-def _say(text: str) -> None:
-    print(text, flush=True)

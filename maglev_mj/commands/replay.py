@@ -6,9 +6,10 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from maglev_mj.recording import Recording, verify
-from maglev_mj.replay import Replay, rebuild
+from maglev_mj.recording import InvalidRecordingError, Recording, verify
+from maglev_mj.replay import Replay, expected, rebuild
 from maglev_mj.tables import verdict_table
+from maglev_mj.terminal import say
 
 __all__ = ["add_command"]
 
@@ -20,19 +21,22 @@ def add_command(commands: Any) -> None:
     replay.add_argument(
         "--check",
         action="store_true",
-        help="feed the samples to the controller and the hand to the plant; status 1 if any number differs",
+        help="feed the samples to the controller and the hand to the plant; status 1 if any number differs, or the "
+        "file is not whole",
     )
     replay.set_defaults(run=_replay)
 
 
 def _replay(options: argparse.Namespace) -> int:
     recording = Recording.load(options.file)
+    if not recording.ticks:
+        raise InvalidRecordingError(f"there is nothing in {str(options.file)!r}")
     if recording.damage:
-        print(f"  {options.file}: {recording.damage}; {recording.ticks} samples are there")
+        say(f"  {options.file}: {recording.damage}; {recording.ticks} samples are there")
     for event in recording.events:
-        print(f"  {event}")
+        say(f"  {event}")
     if options.check:
-        verdict = verify(recording, rebuild)
+        verdict = verify(recording, rebuild, expect=expected)
         print(verdict_table(verdict))
         return 0 if verdict.same else 1
     session = Replay(recording)

@@ -21,6 +21,7 @@ from maglev_mj.scenes import SCENES, scene_called
 from maglev_mj.session import Session
 from maglev_mj.spacenav import SpacenavServer
 from maglev_mj.stream import StreamClient
+from maglev_mj.terminal import say
 
 __all__ = ["add_command"]
 
@@ -66,7 +67,7 @@ def _serve(options: argparse.Namespace) -> int:
         raise ParameterError("key is for --from")
     seconds = None if options.seconds is None else number("seconds", options.seconds, above=0.0)
     script = None if scene.script is None else _Again(scene.script.times, scene.script.poses)
-    servers = chosen_spacenav(options, lambda text: print(text, flush=True))
+    servers = chosen_spacenav(options, say)
     ended = threading.Event()
     with ExitStack() as stack:
         stack.callback(servers[0].close)

@@ -14,7 +14,7 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.experiments.scenes import SCENES, cell_of, run_scene_cells, value_of
 from maglev_mj.options import add_workers, chosen_workers
 from maglev_mj.output import cells_kept, check_outputs, tell_of_others, write_json
-from maglev_mj.parameters import number
+from maglev_mj.parameters import parsed_number
 from maglev_mj.progress import Progress
 from maglev_mj.study import Cell, Record, run_cells
 from maglev_mj.tables import sweep_table
@@ -106,7 +106,7 @@ def _values(scene: str, name: str, text: str) -> list[Any]:
     if len(parts) == 1:
         return [value_of(scene, name, part) for part in text.split(";" if ";" in text else ",")]
     try:
-        low, high, count = number(name, parts[0]), number(name, parts[1]), int(parts[2])
+        low, high, count = parsed_number(name, parts[0]), parsed_number(name, parts[1]), int(parts[2])
     except (ValueError, IndexError):
         count = 0
     if len(parts) != 3 or not 1 <= count <= _MOST_CELLS:

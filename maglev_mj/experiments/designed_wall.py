@@ -18,7 +18,7 @@ from maglev_mj.frames import Array, Command, Mask, Sample
 from maglev_mj.hand import Hand, hand_called
 from maglev_mj.loop import run
 from maglev_mj.metrics import summarise_bounce
-from maglev_mj.parameters import number
+from maglev_mj.parameters import flag, number
 from maglev_mj.plants import ExactPlant, Sensor, Timing
 from maglev_mj.spec import Spec
 from maglev_mj.stability.design import Case, DesignedWall
@@ -54,6 +54,7 @@ class Contact:
 
     def __post_init__(self) -> None:
         number("pulse_width", self.pulse_width, above=0.0, at_most=1.0)
+        flag("pulse", self.pulse)
         number("quantize", self.quantize, at_least=0.0, at_most=1.0)
         number("speed", self.speed, above=0.0, at_most=10.0)
         if self.force_limit is not None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from maglev_mj.errors import ParameterError
 from maglev_mj.experiments.choices import PLANTS
-from maglev_mj.parameters import number
+from maglev_mj.parameters import flag, number
 from maglev_mj.spec import ESCAPE, GRAVITY, Spec
 
 __all__ = ["DropParameters"]
@@ -78,8 +78,7 @@ class DropParameters:
                 object.__setattr__(self, name, number(name, value, **allowed))
         if self.pulse > 0.0 and self.pulse_width == 0.0:
             raise ParameterError("pulse_width must be above 0 where there is a pulse, not 0.0")
-        if not isinstance(self.carry, bool):
-            raise ParameterError(f"carry must be True or False, not {self.carry!r}")
+        object.__setattr__(self, "carry", flag("carry", self.carry))
         if self.carry and self.force_limit is None:
             raise ParameterError("carry needs a force_limit: without one nothing is cut off a pulse")
         if self.duration / self.period > _MOST_TICKS:

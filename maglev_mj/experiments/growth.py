@@ -16,7 +16,7 @@ from maglev_mj.frames import Array, Command, Mask, Sample
 from maglev_mj.hand import Hand
 from maglev_mj.laws import VelocityEstimator
 from maglev_mj.loop import run
-from maglev_mj.parameters import numbers
+from maglev_mj.parameters import flag, numbers
 from maglev_mj.plants import ExactPlant, MuJoCoBatchPlant, SampledPlant, Timing, engine_warnings_silenced
 from maglev_mj.spec import GRAVITY, Spec
 
@@ -80,6 +80,7 @@ class RestingWall:
     def __post_init__(self) -> None:
         if self.plant not in PLANTS:
             raise ParameterError(f"plant must be one of {', '.join(PLANTS)}, not {self.plant!r}")
+        flag("driver_lag", self.driver_lag)
         if self.hand is not None and self.hand.shape:
             raise ParameterError(f"hand must be one for all walls, not {self.hand.shape}")
 

@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 
 from maglev_mj.frames import Array
-from maglev_mj.parameters import number
+from maglev_mj.parameters import flag, number
 from maglev_mj.plants import INTEGRATORS, one_step
 from maglev_mj.sampled import SampledLoop
 from maglev_mj.spec import Spec
@@ -35,6 +35,10 @@ class SteppedLoop(SampledLoop):
     integrator: str = "rk4"
     step: float = 1e-3
     aligned: bool = True
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        flag("aligned", self.aligned)
 
     def flotor(self) -> tuple[Array, Array, Array, Array, int]:
         """See `SampledLoop`."""

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from maglev_mj.frames import Array
 from maglev_mj.metrics import energy_balance
+from maglev_mj.parameters import flag
 from maglev_mj.trace import Trace
 
 __all__ = ["HIT_FIGURES", "PressSummary", "press_percentiles", "summarise_press"]
@@ -95,6 +96,7 @@ def press_percentiles(summary: PressSummary, share: float, *, pooled: bool = Fal
         share: Which percentile, in per cent.
         pooled: Take the hits together with the phases; otherwise each hit has its own.
     """
+    flag("pooled", pooled)
     return PressSummary(
         *(
             np.apply_along_axis(_percentile, 0, figure.ravel() if pooled else figure, share)

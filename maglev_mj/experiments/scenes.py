@@ -17,7 +17,7 @@ from maglev_mj.experiments.drop import DropParameters, run_drop
 from maglev_mj.experiments.growth import RestingWall, measure_growth
 from maglev_mj.experiments.stick_slip import StickSlipParameters, run_stick_slip
 from maglev_mj.hand import hand_called
-from maglev_mj.parameters import number
+from maglev_mj.parameters import number, parsed_number
 from maglev_mj.sampled import MOST_PERIODS, LoopKeywords
 from maglev_mj.spec import Spec
 from maglev_mj.study import Cell
@@ -140,7 +140,7 @@ def value_of(scene: str, name: str, text: str) -> Any:
         return text.lower() == "true"
     if "None" in kind and text.lower() == "none":
         return None
-    return number(name, text)
+    return parsed_number(name, text)
 
 
 def _scene(name: str) -> Scene:

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Component
-from maglev_mj.parameters import axis_indices, batch_shape, number, numbers, per_axis
+from maglev_mj.parameters import axis_indices, batch_shape, flag, number, numbers, per_axis
 
 __all__ = ["Friction", "FrictionState", "ImplicitCoulomb", "SpringReset", "StickSlip", "apply", "choose"]
 
@@ -143,6 +143,7 @@ class StickSlip(Friction):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        flag("coupled", self.coupled)
         if self.coupled and any(np.ndim(getattr(self, name)) for name in (*self._POSITIVE, *self._OTHER)):
             raise ParameterError("coupled axes share their parameters: give one number for each")
         if self.coupled and not set(self.indices) <= {0, 1, 2}:

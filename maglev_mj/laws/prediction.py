@@ -14,7 +14,7 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Array, Component
 from maglev_mj.laws.friction import choose
 from maglev_mj.laws.linear import LinearController
-from maglev_mj.parameters import axis_indices, batch_shape, number, numbers, per_axis
+from maglev_mj.parameters import axis_indices, batch_shape, flag, number, numbers, per_axis
 
 __all__ = ["ObserverWall", "PredictiveWall"]
 
@@ -161,6 +161,7 @@ class ObserverWall:
         if not (values[3] > 0.0).all():
             raise ParameterError("wall inertia must be above 0 everywhere, not 0")
         split = [per_axis("wall parameter", value, len(indices)) for value in values]
+        flag("disturbance", self.disturbance)
         if not self.force_limit > 0.0:
             raise ParameterError(f"wall force_limit must be above 0, not {self.force_limit!r}")
         number("pole", self.pole, at_least=0.0, below=1.0)

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from maglev_mj.errors import ParameterError, PlantError
 from maglev_mj.frames import Array, Command, Component, Sample, clipped, components
 from maglev_mj.hand import HandForce
-from maglev_mj.parameters import number, numbers
+from maglev_mj.parameters import flag, number, numbers
 from maglev_mj.plants.complaints import escaped, refusal
 from maglev_mj.plants.contract import Timing
 from maglev_mj.plants.sensor import PoseSensor
@@ -79,7 +79,7 @@ class SampledPlant(ABC):
         distance, angle = (number("escape", value, above=0.0) for value in escape)
         self._escape = distance * distance, angle * angle
         self._longest_step = None if longest_step is None else number("longest_step", longest_step, above=0.0)
-        self._recorder = TraceRecorder(timing.time) if record else None
+        self._recorder = TraceRecorder(timing.time) if flag("record", record) else None
         self._run = self._advance if self._recorder is None and longest_step is None else self._run_in_pieces
         self._hand_force, self._effort = hand_force, _NO_EFFORT
         self._tick = -1

@@ -14,7 +14,7 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Array, quaternion
 from maglev_mj.hand import Hand
 from maglev_mj.model import COILS, Device, load
-from maglev_mj.parameters import number
+from maglev_mj.parameters import flag, number
 from maglev_mj.spec import GRAVITY, Spec
 
 __all__ = [
@@ -118,7 +118,7 @@ def effort_addresses(device: Device, hand: Hand | None) -> tuple[int, int, int]:
 def longest_step(device: Device, driver_lag: bool, hand: Hand | None, detail: Detail | None = None) -> float | None:
     """Return the integration step [s] that a device needs beyond its switches; None for none."""
     detail = detail or Detail()
-    needed = [0.25 * device.driver_time_constant] * driver_lag + [_HAND_STEP] * (hand is not None)
+    needed = [0.25 * device.driver_time_constant] * flag("driver_lag", driver_lag) + [_HAND_STEP] * (hand is not None)
     needed += (
         [_STOP_STEP] * detail.stops + [_BEND_STEP] * detail.flexible + [_FALLOFF_STEP] * (detail.force_falloff > 0)
     )

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Component, components, join
 from maglev_mj.hand import Hand
-from maglev_mj.parameters import number, numbers
+from maglev_mj.parameters import flag, number, numbers
 from maglev_mj.plants.axes import AxisMotion, FreeAxis, HeldAxis, LaggedAxis, RubbingAxis
 from maglev_mj.plants.base import PlantKeywords, SampledPlant
 from maglev_mj.plants.contract import Timing
@@ -67,7 +67,7 @@ class ExactPlant(SampledPlant):
         self._body = (*(1.0 / value for value in body[2:]), fall)
         self._weight = (0.0, 0.0, fall * body[2], 0.0, 0.0, 0.0)
         self._place, self._velocity = _shared(components(start)), _shared(components(motion))
-        self._lag = DRIVER_TIME_CONSTANT if driver_lag else 0.0
+        self._lag = DRIVER_TIME_CONSTANT if flag("driver_lag", driver_lag) else 0.0
         if keywords.get("record") and self._lag:
             # only the recorded curve needs the pieces: the state itself is exact over any stretch
             keywords["longest_step"] = 0.25 * self._lag

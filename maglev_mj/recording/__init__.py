@@ -3,13 +3,16 @@
 from maglev_mj.recording.export import EXPORTS, ParquetMissingError, export
 from maglev_mj.recording.files import ArrayFile, RecordingFile, best_suffix, check_name, open_recording
 from maglev_mj.recording.recorder import Felt, Mechanics, Recorder, carried_by, row_of
-from maglev_mj.recording.stretch import Recording, RecordingError, Setup, Stretch
-from maglev_mj.recording.verify import Rebuild, Verdict, verify
+from maglev_mj.recording.stretch import InvalidRecordingError, Recording, RecordingError, Setup, Stretch
+from maglev_mj.recording.verify import Expected, FieldVerdict, Rebuild, Verdict, verify
 
 __all__ = [
     "EXPORTS",
     "ArrayFile",
+    "Expected",
     "Felt",
+    "FieldVerdict",
+    "InvalidRecordingError",
     "Mechanics",
     "ParquetMissingError",
     "Rebuild",

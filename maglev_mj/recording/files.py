@@ -10,8 +10,9 @@ from typing import Protocol
 from maglev_mj.controller import Controller
 from maglev_mj.errors import ParameterError
 from maglev_mj.loop import Record
+from maglev_mj.parameters import flag
 from maglev_mj.recording.live import LiveFile
-from maglev_mj.recording.mcap_file import require_mcap
+from maglev_mj.recording.mcap_reader import require_mcap
 from maglev_mj.recording.recorder import Felt, Mechanics, Recorder
 from maglev_mj.recording.stretch import Recording, Setup
 from maglev_mj.versions import versions
@@ -137,5 +138,6 @@ def open_recording(path: Path, *, wait: bool = False) -> RecordingFile:
         McapMissingError: If the package for .mcap is not installed.
         OSError: If it cannot be written.
     """
+    flag("wait", wait)
     check_name(path)
     return LiveFile(path, wait=wait) if path.suffix == ".mcap" else ArrayFile(path)

@@ -14,7 +14,9 @@ from typing import Any
 
 from maglev_mj.controller import Controller
 from maglev_mj.loop import Record
-from maglev_mj.recording.mcap_file import about, require_mcap
+from maglev_mj.parameters import flag
+from maglev_mj.recording.mcap_file import about
+from maglev_mj.recording.mcap_reader import require_mcap
 from maglev_mj.recording.recorder import Felt, Mechanics, carried_by
 from maglev_mj.recording.ring import Ring
 from maglev_mj.recording.stretch import RecordingError, Setup
@@ -44,6 +46,7 @@ class LiveFile:
     """
 
     def __init__(self, path: Path, *, wait: bool = False) -> None:
+        flag("wait", wait)
         require_mcap()
         if not hasattr(os, "fork"):
             raise RecordingError("recordings as MCAP need a POSIX system; .npz needs none")

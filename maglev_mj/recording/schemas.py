@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from maglev_mj.frames import AXES
 from maglev_mj.recording.ring import Row
 
-__all__ = ["CHANNELS", "COLUMNS", "as_row", "as_sample", "flat"]
+__all__ = ["CHANNELS", "COLUMNS", "as_sample", "flat"]
 
 _UNITS = {
     "pose": ("m", "rad"),
@@ -76,6 +75,7 @@ _EVENT = {
     **_WHICH,
     "kind": {"type": "string", "description": "fault, missed or lost"},
     "text": {"type": "string", "description": "what happened"},
+    "missed": _whole("samples that were missed with it, besides gaps in the ticks"),
 }
 
 
@@ -116,18 +116,6 @@ def as_sample(row: Row) -> dict[str, Any]:
         "pulse_width": row[20],
         "applied_pulse_width": row[33],
     }
-
-
-def as_row(sample: Mapping[str, Any]) -> list[float]:
-    """Return the row that `as_sample` was made of; what was not finite is NaN."""
-
-    def six(name: str) -> list[float]:
-        found = (sample[name][axis] for axis in AXES)
-        return [math.nan if value is None else float(value) for value in found]
-
-    command = [*six("command"), *six("pulse"), float(sample["pulse_width"])]
-    applied = [*six("applied"), *six("applied_pulse"), float(sample["applied_pulse_width"])]
-    return [float(sample["tick"]), float(sample["time"]), *six("position"), *command, *applied, *six("hand")]
 
 
 def _columns() -> Sequence[tuple[str, str]]:

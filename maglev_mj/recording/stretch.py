@@ -12,13 +12,26 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from maglev_mj.errors import MaglevError
+from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import AXES, Array
 
-__all__ = ["Recording", "RecordingError", "Setup", "Stretch", "aside", "table"]
+__all__ = [
+    "COLUMNS",
+    "FORMAT",
+    "Basis",
+    "InvalidRecordingError",
+    "Recording",
+    "RecordingError",
+    "Setup",
+    "Stretch",
+    "aside",
+    "table",
+]
 
-_FORMAT = "maglev_mj recording 1"
-_COLUMNS = {"tick": 0, "time": 0, "position": 6, "command": 13, "applied": 13, "hand": 6}
+FORMAT = "maglev_mj recording 1"
+"""First line of a file of arrays."""
+
+COLUMNS = {"tick": 0, "time": 0, "position": 6, "command": 13, "applied": 13, "hand": 6}
 """Columns of each array of a stretch; 0 for one number a sample."""
 
 Setup: TypeAlias = Mapping[str, Any]
@@ -26,7 +39,32 @@ Setup: TypeAlias = Mapping[str, Any]
 
 
 class RecordingError(MaglevError):
-    """A file is no recording, or is not whole."""
+    """A recording cannot be written, or cannot be run again here."""
+
+
+class InvalidRecordingError(RecordingError, ParameterError):
+    """A file is no recording, or holds what none can."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Basis:
+    """What a stretch is besides its samples.
+
+    Attributes:
+        period: Sample period [s].
+        delay: From a sample to its command taking effect [s].
+        carried: Wrench that carries the flotor [N, N m], six.
+        inertia: Mass and moments of inertia that the actuators push at [kg, kg m²], six.
+        load: Constant wrench that acts besides the actuators' [N, N m], six.
+        before: Wrench of the actuators until the first command takes effect [N, N m], six.
+    """
+
+    period: float
+    delay: float
+    carried: Sequence[float]
+    inertia: Sequence[float]
+    load: Sequence[float]
+    before: Sequence[float]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -42,6 +80,10 @@ class Stretch:
             why the plant refused it.
         applied: The same after the plant's limits, (N, 13).
         hand: What the hand exerted from each sample on [N, N m], (N, 6).
+        totals: Energy that the rendered world has taken in [J], work of the hand [J] and samples missed, each from the
+            beginning on, (N, 3); None where they are not recorded.
+        basis: What it is besides; None where that is not recorded.
+        gaps: Samples that were missed without a gap in the ticks: before which row, and how many.
     """
 
     setup: Setup
@@ -51,10 +93,14 @@ class Stretch:
     command: Array
     applied: Array
     hand: Array
+    totals: Array | None = None
+    basis: Basis | None = None
+    gaps: Sequence[tuple[int, int]] = ()
 
     def part(self, first: int, last: int) -> Stretch:
-        """Return the samples from one row to another, both included."""
-        return replace(self, **{name: getattr(self, name)[first : last + 1] for name in _COLUMNS})
+        """Return the samples from one row to another, both included, without what is only of the whole."""
+        rows = {name: getattr(self, name)[first : last + 1] for name in COLUMNS}
+        return replace(self, **rows, totals=None, basis=None, gaps=())
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,10 +126,10 @@ class Recording:
         arrays = {
             f"{index}/{name}": getattr(stretch, name)
             for index, stretch in enumerate(self.stretches)
-            for name in _COLUMNS
+            for name in COLUMNS
         }
         setups = [dict(stretch.setup) for stretch in self.stretches]
-        header = {"format": _FORMAT, "axes": AXES, "setups": setups, "events": list(self.events)}
+        header = {"format": FORMAT, "axes": AXES, "setups": setups, "events": list(self.events)}
         with aside(Path(path)) as partial, partial.open("wb") as file:
             np.savez(file, header=np.array(json.dumps(header)), **arrays)
 
@@ -91,41 +137,25 @@ class Recording:
     def load(cls, path: Path) -> Recording:
         """Read from a file of either kind; one of MCAP that was not closed, as far as it goes.
 
+        What a file unpacks to is bounded, by 64 MiB for each of its parts among other things.
+
         Raises:
             McapMissingError: If it is of MCAP, and the package for it is not installed.
-            RecordingError: If it is not there, or no recording.
+            InvalidRecordingError: If it is not there, no recording, or holds what none can, such as a number that is
+                not finite, of another type or out of range.
         """
-        from maglev_mj.recording.mcap_file import MAGIC, read_mcap  # which needs what is defined here
+        from maglev_mj.recording.mcap_reader import MAGIC, read_mcap  # both need what is defined here
+        from maglev_mj.recording.npz_reader import read_npz
 
         try:
             with path.open("rb") as file:
-                if file.read(len(MAGIC)) == MAGIC:
-                    file.seek(0)
-                    return read_mcap(file, str(path))
+                size, first = os.fstat(file.fileno()).st_size, file.read(len(MAGIC))
+                file.seek(0)
+                return (read_mcap if first == MAGIC else read_npz)(file, size)
         except OSError as error:
-            raise RecordingError(f"recording {str(path)!r} cannot be read: {error.strerror or error}") from None
-        return cls._load_arrays(path)
-
-    @classmethod
-    def _load_arrays(cls, path: Path) -> Recording:
-        try:
-            with path.open("rb") as whole, np.load(whole, allow_pickle=False) as file:
-                header = json.loads(str(file["header"]))
-                if header["format"] != _FORMAT:
-                    raise RecordingError(f"recording must be of {_FORMAT!r}, not {header['format']!r}")
-                stretches = [
-                    Stretch(setup=setup, **{name: _checked(file[f"{index}/{name}"], name) for name in _COLUMNS})
-                    for index, setup in enumerate(header["setups"])
-                ]
-        except OSError as error:
-            raise RecordingError(f"recording {str(path)!r} cannot be read: {error.strerror or error}") from None
-        except RecordingError:
-            raise
-        except Exception:  # of zip files, of what decompresses, of headers: a damaged one fails in many ways
-            raise RecordingError(f"{str(path)!r} is not a whole recording") from None
-        if any(len({len(getattr(stretch, name)) for name in _COLUMNS}) > 1 for stretch in stretches):
-            raise RecordingError(f"{str(path)!r} is not a whole recording")
-        return cls(stretches, events=header.get("events", ()))
+            raise InvalidRecordingError(f"recording {str(path)!r} cannot be read: {error.strerror or error}") from None
+        except ParameterError as error:
+            raise InvalidRecordingError(f"{str(path)!r} is not a whole recording: {error}") from None
 
     @property
     def ticks(self) -> int:
@@ -147,12 +177,3 @@ def aside(path: Path) -> Iterator[Path]:
 def table(rows: Sequence[Any], columns: int) -> Array:
     """Return rows as an array, (N, columns)."""
     return np.array(rows, dtype=np.float64).reshape(-1, columns)
-
-
-def _checked(array: Any, name: str) -> Array:
-    columns = _COLUMNS[name]
-    if array.dtype != np.float64 or array.ndim != (2 if columns else 1) or (columns and array.shape[1] != columns):
-        raise ValueError(name)
-    if name != "command" and not np.isfinite(array).all():  # which a plant may have refused
-        raise ValueError(name)
-    return np.asarray(array)

@@ -1,24 +1,60 @@
-"""Recordings run again, and compared bit for bit."""
+"""Recordings run again, and every field compared bit for bit."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from maglev_mj.controller import Controller
 from maglev_mj.errors import MaglevError, ParameterError
-from maglev_mj.frames import Array, Sample
+from maglev_mj.frames import ZERO, Array, Command, Mask, Sample
 from maglev_mj.hand import HandForce, RecordedHand
-from maglev_mj.plants import SampledPlant
-from maglev_mj.recording.recorder import row_of
-from maglev_mj.recording.stretch import Recording, Setup, Stretch, table
+from maglev_mj.plants import SampledPlant, engine_warnings_silenced
+from maglev_mj.recording.recorder import Mechanics, carried_by, row_of
+from maglev_mj.recording.stretch import Basis, Recording, Setup, Stretch, table
+from maglev_mj.recording.totals import Totals
 
-__all__ = ["Rebuild", "Verdict", "verify"]
+__all__ = ["Expected", "FieldVerdict", "Rebuild", "Verdict", "verify"]
 
 Rebuild: TypeAlias = Callable[[Setup, HandForce | None], tuple[SampledPlant | None, Controller]]
 """Makes plant and controller; None for a plant that cannot be made, such as a device."""
+
+_APPLIED = ("applied", "applied_pulse", "applied_pulse_width")
+
+_Field: TypeAlias = tuple[str, Array, Array | None]
+
+
+class Expected(NamedTuple):
+    """What a setup tells of a run besides plant and controller.
+
+    Attributes:
+        delay: From a sample to its command taking effect [s].
+        mechanics: What the actuators push at; None where nobody knows it.
+        scripted: Whether the hand is the run's own, and not one that was given to it.
+        samples: How many samples it takes, unless it fails before; None for as many as there are.
+    """
+
+    delay: float
+    mechanics: Mechanics | None
+    scripted: bool
+    samples: int | None = None
+
+
+class FieldVerdict(NamedTuple):
+    """How much of a recorded field came out again.
+
+    Attributes:
+        same: How many values, one a sample, or one a stretch, were the same to the last bit.
+        compared: Of how many; 0 for one that is not run again.
+        first: Stretch and tick of the first that was not; None where all were.
+    """
+
+    same: int
+    compared: int
+    first: tuple[int, int] | None
 
 
 class Verdict(NamedTuple):
@@ -26,71 +62,154 @@ class Verdict(NamedTuple):
 
     Attributes:
         ticks: Samples in it.
-        commands: How many commands of the controller, given the recorded samples, were the same to the last bit.
-        positions: How many samples of the plant, given the recorded hand, were; None for a device, which no hand that
-            was recorded moves again.
-        first: Stretch and tick of the first that was not; None where all were.
+        fields: Of each recorded field, by the name that it has in the file.
+        damage: What is wrong with the file; empty for nothing.
     """
 
     ticks: int
-    commands: int
-    positions: int | None
-    first: tuple[int, int] | None
+    fields: Mapping[str, FieldVerdict]
+    damage: str
 
     @property
     def same(self) -> bool:
-        """Whether nothing differs."""
-        return self.commands == self.ticks and self.positions in (self.ticks, None)
+        """Whether the file is whole, and nothing in it differs."""
+        return not self.damage and self.first is None
+
+    @property
+    def first(self) -> tuple[int, int] | None:
+        """Stretch and tick of the first sample that differs in anything; None for none."""
+        return min((field.first for field in self.fields.values() if field.first is not None), default=None)
 
 
-def verify(recording: Recording, rebuild: Rebuild) -> Verdict:
+def verify(recording: Recording, rebuild: Rebuild, *, expect: Callable[[Setup], Expected] | None = None) -> Verdict:
     """Feed the recorded samples to a new controller, and the recorded hand to a new plant, and compare bit for bit.
+
+    Energy, work and missed samples are added up again from the recorded samples.
 
     Args:
         recording: The recording.
         rebuild: Makes plant and controller from a setup and a hand.
+        expect: Tells what else there is to a setup; None for nothing: then neither that is compared, nor the hand.
 
     Raises:
         ParameterError: If a setup is not one that can be made.
     """
-    commands = positions = 0
-    moved = False
-    first: tuple[int, int] | None = None
+    found: dict[str, FieldVerdict] = {}
     for place, stretch in enumerate(recording.stretches):
-        answered = _answers(stretch, rebuild)
-        odd = ~np.isfinite(answered) & ~np.isfinite(stretch.command)
-        good = ((answered == stretch.command) | odd).all(axis=1)
-        commands += int(good.sum())
-        seen = _positions(stretch, rebuild)
-        if seen is not None:
-            followed = (seen == stretch.position).all(axis=1)
-            positions, moved = positions + int(followed.sum()), True
-            good &= followed
-        if first is None and not good.all():
-            first = place, int(stretch.tick[np.argmin(good)])
-    return Verdict(recording.ticks, commands, positions if moved else None, first)
+        for name, values, again in _fields(stretch, rebuild, expect and expect(stretch.setup)):
+            same = None if again is None else _same(values, again)
+            found[name] = _added(found.get(name), same, place, stretch.tick)
+    return Verdict(recording.ticks, found, recording.damage)
 
 
-def _answers(stretch: Stretch, rebuild: Rebuild) -> Array:
-    """Return what a new controller answers to the recorded samples, (N, 13)."""
+def _added(before: FieldVerdict | None, same: Mask | None, place: int, ticks: Array) -> FieldVerdict:
+    """Return a verdict with that on one more stretch, whose values are as many as its ticks, or one."""
+    good, compared, first = before or FieldVerdict(0, 0, None)
+    if same is None:
+        return FieldVerdict(good, compared, first)
+    if first is None and not same.all():
+        first = place, int(ticks[np.argmin(same)])
+    return FieldVerdict(good + int(same.sum()), compared + len(same), first)
+
+
+def _same(recorded: Array, again: Array) -> Mask:
+    """Return for each row whether all of it is the same to the last bit.
+
+    A command that was not finite is NaN in a file that has no word for infinity.
+    """
+    one, other = (np.ascontiguousarray(part, dtype=np.float64).reshape(len(recorded), -1) for part in (recorded, again))
+    good = one.view(np.int64) == other.view(np.int64)
+    good |= np.isnan(one) & ~np.isfinite(other)
+    return np.asarray(good.all(axis=1))
+
+
+def _fields(stretch: Stretch, rebuild: Rebuild, expected: Expected | None) -> Iterator[_Field]:
+    """Yield each recorded field by name: what is recorded, and what comes out again; None for what does not."""
+    scripted = expected is not None and expected.scripted
     _, controller = rebuild(stretch.setup, None)
+    plant, other = rebuild(stretch.setup, None if scripted else RecordedHand(stretch.hand))
+    seen, failed = (None, False) if plant is None else _seen(plant, other, len(stretch.tick))
+    if expected is not None and expected.samples is not None:
+        count = float(len(stretch.tick))
+        yield "samples", np.array([count]), np.array([count if failed else float(expected.samples)])
+    for name, part in (("tick", slice(0, 1)), ("time", slice(1, 2)), ("position", slice(2, 8))):
+        yield name, getattr(stretch, name), _columns(seen, part)
+    yield from _commands(("command", "pulse", "pulse_width"), stretch.command, _answers(stretch, controller))
+    yield from _commands(_APPLIED, stretch.applied, _columns(seen, slice(8, 21)))
+    yield "hand", stretch.hand, _columns(seen, slice(21, 27)) if scripted else None
+    if stretch.basis is not None and stretch.totals is not None:
+        totals = _totals(stretch, stretch.basis)
+        for index, name in enumerate(("taken", "hand_work", "missed")):
+            yield name, stretch.totals[:, index], totals[:, index]
+        for name, again in _basis(controller, expected).items():
+            one = np.atleast_2d(getattr(stretch.basis, name))
+            yield name, one, None if again is None else np.broadcast_to(again, one.shape)
+
+
+def _commands(names: Sequence[str], recorded: Array, again: Array | None) -> Iterator[_Field]:
+    """Yield the fields of commands, (N, 13) each."""
+    for name, part in zip(names, (slice(0, 6), slice(6, 12), slice(12, 13)), strict=True):
+        yield name, recorded[:, part], _columns(again, part)
+
+
+def _columns(rows: Array | None, part: slice) -> Array | None:
+    return None if rows is None else rows[:, part]
+
+
+def _answers(stretch: Stretch, controller: Controller) -> Array:
+    """Return what a new controller answers to the recorded samples, (N, 13)."""
     samples = zip(stretch.tick.tolist(), stretch.time.tolist(), stretch.position.tolist(), strict=True)
     return table([row_of(controller.step(Sample(int(tick), time, place))) for tick, time, place in samples], 13)
 
 
-def _positions(stretch: Stretch, rebuild: Rebuild) -> Array | None:
-    """Return what a new plant is seen to do in the recorded hand, (N, 6), NaN from where it stops; None without one."""
-    plant, controller = rebuild(stretch.setup, RecordedHand(stretch.hand.reshape(-1, 6)))
-    if plant is None:
-        return None
-    seen = np.full(stretch.position.shape, np.nan)
-    try:
-        for row in seen:
-            sample = plant.read()
-            row[:] = sample.position
-            plant.write(controller.step(sample))
-    except ParameterError:
-        raise
-    except MaglevError:
-        pass  # the recorded run ended there too, or the comparison will say that it did not
-    return seen
+def _basis(controller: Controller, expected: Expected | None) -> Mapping[str, ArrayLike | None]:
+    """Return what a stretch begins with, as far as it is known."""
+    known = None if expected is None else expected.mechanics
+    return {
+        "period": controller.period,
+        "delay": None if expected is None else expected.delay,
+        "carried": carried_by(controller.laws),
+        **{name: None if known is None else getattr(known, name) for name in ("inertia", "load", "before")},
+    }
+
+
+def _seen(plant: SampledPlant, controller: Controller, count: int) -> tuple[Array, bool]:
+    """Return what a plant is seen to do, and whether it goes no further.
+
+    That is tick, time, position, applied and hand, (count, 27); NaN from where it stops.
+    """
+    seen = np.full((count, 27), np.nan)
+    with plant, engine_warnings_silenced():
+        try:
+            for row in seen:
+                sample = plant.read()
+                command, applied = controller.step(sample), Command(ZERO)
+                try:
+                    applied = plant.write(command)
+                finally:  # of one that is refused, nothing is applied
+                    row[:] = [sample.tick, sample.time, *sample.position, *row_of(applied), *plant.hand_wrench]
+            plant.write(controller.step(plant.read()))
+        except ParameterError:
+            raise
+        except MaglevError:  # the recorded run ended there too, or the comparison will say that it did not
+            return seen, True
+    return seen, False
+
+
+def _totals(stretch: Stretch, basis: Basis) -> Array:
+    """Return energy taken, work of the hand and samples missed at each sample, from the samples, (N, 3)."""
+    adding, gaps = Totals(basis), list(stretch.gaps)
+    parts = (
+        stretch.tick[:, None],
+        stretch.time[:, None],
+        stretch.position,
+        stretch.command,
+        stretch.applied,
+        stretch.hand,
+    )
+    found = []
+    for place, row in enumerate(np.hstack(parts).tolist()):
+        while gaps and gaps[0][0] <= place:
+            adding.miss(gaps.pop(0)[1])
+        found.append(adding.add(tuple(row)))
+    return table(found, 3)

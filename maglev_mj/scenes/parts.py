@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from maglev_mj import spec
 from maglev_mj.frames import AXES, Array
 from maglev_mj.laws import Bias, Hold, Law, StickSlip, Wall
-from maglev_mj.parameters import axis_indices
+from maglev_mj.parameters import axis_indices, flag
 from maglev_mj.scenes.settings import LEAST_STIFFNESS, Face, Settings
 from maglev_mj.spec import GRAVITY, Spec
 
@@ -100,7 +100,7 @@ def friction(settings: Settings, axes: str | Sequence[str] = AXES, *, coupled: b
         axes: Names from AXES.
         coupled: See `StickSlip`.
     """
-    if coupled:
+    if flag("coupled", coupled):
         return StickSlip(
             axes=axes,
             stiffness=settings.stiffness,

@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES
-from maglev_mj.parameters import number
+from maglev_mj.parameters import flag, number
 from maglev_mj.plants import Timing
 from maglev_mj.spec import Spec
 
@@ -54,8 +54,7 @@ class Settings:
 
     def __post_init__(self) -> None:
         for name in ("wall", "pulse", "friction", "weightless"):
-            if not isinstance(getattr(self, name), bool):
-                raise ParameterError(f"{name} must be True or False, not {getattr(self, name)!r}")
+            object.__setattr__(self, name, flag(name, getattr(self, name)))
         bounds: Mapping[str, tuple[float, float]] = {
             "stiffness": (LEAST_STIFFNESS, 1e6),
             "damping": (0.0, 1e4),

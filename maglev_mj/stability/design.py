@@ -14,7 +14,7 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.hand import hand_called
 from maglev_mj.laws import Law, ObserverWall
-from maglev_mj.parameters import number
+from maglev_mj.parameters import flag, number
 from maglev_mj.sampled import MOST_PERIODS, Design, SampledLoop, rendered_stiffness
 from maglev_mj.spec import DRIVER_TIME_CONSTANT, Spec
 from maglev_mj.stability.boundary import first_end, flattened, ranges_of, spans
@@ -67,6 +67,7 @@ class WallRequirements:
     def __post_init__(self) -> None:
         number("period", self.period, at_least=1e-6, at_most=1.0)
         number("modulus", self.modulus, above=0.0, at_most=1.0)
+        flag("driver_lag", self.driver_lag)
         bounds = {"mass": (1e-3, 1e3), "delay": (0.0, MOST_PERIODS * self.period)}
         for name, (least, most) in bounds.items():
             low, high = (number(name, value, at_least=least, at_most=most) for value in getattr(self, name))

@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from maglev_mj.terminal import printable
+
 __all__ = ["sweep_table"]
 
 
@@ -34,7 +36,7 @@ def sweep_table(
         values = [float(result[name]) for result in good if isinstance(result[name], int | float)]
         if values:
             spread = "".join(f"{share:>12.4g}" for share in np.percentile(values, [0.0, 50.0, 100.0]))
-            lines.append(f"  {name:<20}{spread}   {len(values)}")
+            lines.append(f"  {printable(name):<20}{spread}   {len(values)}")
     if failed:
-        lines += ["", f"  {len(failed)} cells failed, the first because {failed[0]}"]
+        lines += ["", f"  {len(failed)} cells failed, the first because {printable(str(failed[0]))}"]
     return "\n".join(lines)

@@ -25,13 +25,21 @@ def show_table(report: ShowReport) -> str:
 
 
 def verdict_table(verdict: Verdict) -> str:
-    """Return what checking a recording gave."""
-    lines = [
-        f"  {verdict.commands} of {verdict.ticks} commands the same to the last bit",
-        "  the positions are a device's, and are not run again"
-        if verdict.positions is None
-        else f"  {verdict.positions} of {verdict.ticks} positions the same to the last bit",
-    ]
-    if verdict.first is not None:
-        lines.append(f"  the first that is not: stretch {verdict.first[0]}, tick {verdict.first[1]}")
+    """Return what checking a recording gave: fields that are the same together, each that differs by itself."""
+    lines = [f"  {verdict.ticks} samples, run again and compared to the last bit"]
+    same: dict[int, list[str]] = {}
+    for name, field in verdict.fields.items():
+        if field.first is None:
+            same.setdefault(field.compared, []).append(name)
+    given = same.pop(0, [])
+    lines += [f"  {count} of {count} the same: {', '.join(names)}" for count, names in same.items()]
+    for name, field in verdict.fields.items():
+        if field.first is not None:
+            stretch, tick = field.first
+            lines.append(
+                f"  {field.same} of {field.compared} the same: {name}, which first differs at tick {tick} of stretch "
+                f"{stretch + 1}"
+            )
+    if given:
+        lines.append(f"  not run again, for only the recording knows them: {', '.join(given)}")
     return "\n".join(lines)

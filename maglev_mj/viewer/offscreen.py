@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from maglev_mj.errors import MaglevError
+from maglev_mj.parameters import flag
 from maglev_mj.session import View
 from maglev_mj.viewer.overlay import help_text, status_text
 from maglev_mj.viewer.plots import Plots
@@ -55,8 +56,8 @@ class OffscreenPainter:
     """
 
     def __init__(self, name: str, width: int, height: int, *, plots: bool = True, backend: str | None = None) -> None:
+        self._plots = Plots() if flag("plots", plots) else None
         self.scenery = Scenery(name)
-        self._plots = Plots() if plots else None
         self._whole = mujoco.MjrRect(0, 0, width, height)
         model = self.scenery.model
         model.vis.global_.offwidth, model.vis.global_.offheight = width, height

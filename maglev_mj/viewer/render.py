@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from maglev_mj.hand import SpringHand
+from maglev_mj.parameters import flag
 from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.scenes import Scene, Settings
 from maglev_mj.session import Pacer, Session
@@ -50,6 +51,7 @@ def render(
         DisplayError: If there is no library to draw with.
         ClipsMissingError: If a clip is asked for, and what writes it is not installed.
     """
+    flag("plots", plots)
     moving = path.suffix in CLIPS
     whole = _UNSCRIPTED if scene.script is None else scene.script.end + _TAIL
     end = seconds if seconds is not None else whole if moving else 0.5 * whole

@@ -1,0 +1,129 @@
+"""Arguments of another type: switches that are neither True nor False, and numbers that are none."""
+
+import argparse
+import importlib
+import inspect
+import pkgutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import maglev_mj
+from maglev_mj.errors import ParameterError
+from maglev_mj.model import load
+from maglev_mj.parameters import flag, number, numbers, parsed_number
+from maglev_mj.plants import ExactPlant
+from maglev_mj.plants.base import PlantKeywords
+
+RESULTS = {"Comparison", "Stick"}
+"""What the package itself makes and hands out."""
+
+NEEDED: dict[str, Any] = {
+    "axes": "z",
+    "damping": 80.0,
+    "breakaway": 2.0,
+    "delay": 0.0015,
+    "device": load("drop"),
+    "felt": True,
+    "inertia": 0.7,
+    "integrator": "rk4",
+    "kind": "scene",
+    "name": "drop",
+    "parser": argparse.ArgumentParser(),
+    "path": Path("run.npz"),
+    "period": 0.005,
+    "pose": np.zeros((2, 6)),
+    "pushed": True,
+    "scene": "drop",
+    "self": ExactPlant(),
+    "step": 1e-3,
+    "stiffness": 6000.0,
+    "text": "udp://127.0.0.1:5678",
+    "v_min": 0.005,
+    "value": 1.0,
+}
+"""Arguments without a default; what is not here is None, for the switches are looked at first."""
+
+
+def calls() -> Iterator[tuple[str, Callable[..., Any]]]:
+    """Yield every public class, function and method of the package."""
+    for module in pkgutil.walk_packages(maglev_mj.__path__, "maglev_mj."):
+        made = importlib.import_module(module.name)
+        for name in getattr(made, "__all__", ()):
+            found = getattr(made, name)
+            if getattr(found, "__module__", None) != module.name or name in RESULTS:
+                continue
+            if inspect.isclass(found):
+                methods = inspect.getmembers_static(found, inspect.isfunction)
+                yield from ((f"{name}.{method}", call) for method, call in methods if not method.startswith("_"))
+            if callable(found) and not inspect.isabstract(found):
+                yield name, found
+
+
+def switches() -> list[tuple[str, Callable[..., Any], str]]:
+    """Return every argument that is a switch: name of what takes it, itself, and name of the argument."""
+    found = []
+    for name, call in calls():
+        try:
+            parameters = inspect.signature(call).parameters.values()
+        except (TypeError, ValueError):
+            continue
+        named = [one.name for one in parameters if one.annotation in (bool, "bool")]
+        if any("PlantKeywords" in str(one.annotation) for one in parameters):
+            named += [key for key, kind in PlantKeywords.__annotations__.items() if "bool" in str(kind)]
+        found += [(name, call, one) for one in named]
+    return found
+
+
+SWITCHES = switches()
+
+
+def test_every_switch_is_found() -> None:
+    """The sweep below is only as good as what it goes over."""
+    assert len(SWITCHES) >= 40
+    assert {("ExactPlant", "driver_lag"), ("ExactPlant", "record"), ("MuJoCoPlant", "coils"), ("Detail", "stops")} <= {
+        (name, switch) for name, _, switch in SWITCHES
+    }
+
+
+@pytest.mark.parametrize(("name", "call", "switch"), SWITCHES, ids=[f"{name}-{switch}" for name, _, switch in SWITCHES])
+def test_a_switch_takes_true_and_false_alone(name: str, call: Callable[..., Any], switch: str) -> None:
+    parameters = inspect.signature(call).parameters.values()
+    needed = [
+        one.name
+        for one in parameters
+        if one.default is one.empty and one.kind not in (one.VAR_KEYWORD, one.VAR_POSITIONAL)
+    ]
+    for bad in (1e-3, "no", 1, 0, None, [True], float("nan")):
+        given = {one: NEEDED.get(one) for one in needed} | {switch: bad}
+        with pytest.raises(ParameterError) as refused:
+            call(**given)
+        assert str(refused.value) == f"{switch} must be True or False, not {bad!r}"
+
+
+def test_a_switch_of_numpy_is_one() -> None:
+    assert flag("switch", np.True_) is True and flag("switch", np.bool_(False)) is False
+
+
+@pytest.mark.parametrize("bad", ["1", b"1", "inf", True, np.True_, None, [1.0], {}, float("nan"), 10**400])
+def test_a_number_is_no_text_and_no_switch(bad: object) -> None:
+    with pytest.raises(ParameterError, match="mass must be a finite number, not"):
+        number("mass", bad)
+
+
+@pytest.mark.parametrize(
+    "bad", ["1", ["1"], [1.0, "1"], True, [1.0, True], [[0.0], [True]], [None], [[1.0], [1.0, 2.0]]]
+)
+def test_numbers_are_no_texts_and_no_switches(bad: Any) -> None:
+    with pytest.raises(ParameterError, match="pose must be a number or an array of numbers, not"):
+        numbers("pose", bad)
+
+
+def test_a_number_in_a_text_is_asked_for_as_such() -> None:
+    assert parsed_number("mass", "7e-1") == 0.7
+    for bad in ("", "a", "nan", "inf", "0x7"):
+        with pytest.raises(ParameterError, match=f"mass must be a finite number, not '{bad}'"):
+            parsed_number("mass", bad)

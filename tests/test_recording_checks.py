@@ -1,0 +1,559 @@
+"""Recordings that are not what they should be: every number in them, their ends, what they unpack to, their texts."""
+
+import io
+import json
+import math
+import struct
+import subprocess
+import sys
+import zipfile
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from maglev_mj.cli import main
+from maglev_mj.controller import Controller
+from maglev_mj.errors import ParameterError
+from maglev_mj.frames import ZERO, Command, Sample
+from maglev_mj.plants import ExactPlant, Timing
+from maglev_mj.recording import InvalidRecordingError, Recording, RecordingError, Verdict, verify
+from maglev_mj.replay import expected, rebuild
+from maglev_mj.terminal import printable
+from tests.recorded import (
+    KINDS,
+    Message,
+    Place,
+    arrays_in,
+    changed,
+    load,
+    made,
+    mcap_of,
+    messages_in,
+    npz_of,
+    numbers_in,
+)
+
+BAD: tuple[Any, ...] = (math.nan, math.inf, -math.inf, 1e308, -1e308, None, True, "1", [], {}, -1, 1.5, 10**400)
+NONE: tuple[Any, ...] = (math.nan, math.inf, -math.inf, 10**400, "1", [], {})
+SAMPLE = "/maglev/sample"
+Case = tuple[str, str, bytes]
+"""What was changed, the suffix, and the file."""
+
+
+def check(data: bytes, folder: Path, suffix: str) -> Verdict:
+    """Return what `replay --check` finds."""
+    return verify(load(data, folder, suffix), rebuild, expect=expected)
+
+
+def with_number(kind: str, suffix: str) -> Iterator[Case]:
+    """Yield files in which one number of a setup, a sample or an event is something else."""
+    if suffix == ".mcap":
+        messages = messages_in(made(kind, suffix))
+        rows = [0, len(messages) // 2, len(messages) - 1]
+        rows += [row for row, (topic, _) in enumerate(messages) if topic == "/maglev/event"]
+        for row in rows:
+            topic, message = messages[row]
+            for place in numbers_in(message):
+                for bad in BAD:
+                    new = [*messages[:row], (topic, changed(message, place, bad)), *messages[row + 1 :]]
+                    yield f"{row} {place} {str(bad)[:9]}", suffix, mcap_of(new)
+        return
+    header, arrays = arrays_in(made(kind, suffix))
+    for place in numbers_in(header["setups"]):
+        for bad in BAD:
+            new_header = {**header, "setups": changed(header["setups"], place, bad)}
+            yield f"{place} {str(bad)[:9]}", suffix, npz_of(new_header, arrays)
+    for name, values in arrays.items():
+        for column in np.ndindex(values.shape[1:]):
+            for row in (0, len(values) // 2, len(values) - 1):
+                for bad in (math.nan, math.inf, -math.inf, 1e308, -1e308, -1.0, 1.5):
+                    other = values.copy()
+                    other[(row, *column)] = bad
+                    yield f"{name} {row} {column} {bad}", suffix, npz_of(header, {**arrays, name: other})
+
+
+def answers(path: Path, capsys: Any) -> list[int]:
+    """Return the status of each command on a file, which is one line and 2, or an answer in finite numbers."""
+    found = []
+    commands = (["replay", str(path), "--check"], ["analyse", str(path)])
+    for command in (*commands, ["export", str(path), "--to", "csv", "--out", str(path.with_suffix(".csv"))]):
+        status = main(command)  # a warning is an error here
+        said = capsys.readouterr()
+        assert status in (0, 1, 2)
+        if status == 2:
+            assert len(said.err.splitlines()) == 1 and said.err.startswith(f"maglev-mj {command[0]}: ")
+        else:
+            words = said.out.replace(",", " ").split()
+            assert not said.err and not {"nan", "inf", "-inf"} & set(words)
+        found.append(status)
+    return found
+
+
+def sweep(kind: str, suffix: str, folder: Path, capsys: Any, every: int = 1) -> list[list[int]]:
+    """Return what the commands say to every so many of the files."""
+    found = []
+    for number, (what, _, data) in enumerate(with_number(kind, suffix)):
+        if number % every == 0:
+            path = folder / f"run{suffix}"
+            path.write_bytes(data)
+            try:
+                found.append(answers(path, capsys))
+            except BaseException as error:
+                raise AssertionError(f"{what}: {error!r}") from error
+    return found
+
+
+@pytest.mark.parametrize("suffix", [".mcap", ".npz"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_number_that_is_none_is_refused_or_answered(kind: str, suffix: str, tmp_path: Path, capsys: Any) -> None:
+    """Some of the sweep below, spread over all of it."""
+    found = sweep(kind, suffix, tmp_path, capsys, every=97)
+    assert [2, 2, 2] in found and len(found) > 8
+
+
+@pytest.mark.study
+@pytest.mark.parametrize("suffix", [".mcap", ".npz"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_number_that_is_none_is_refused_or_answered(kind: str, suffix: str, tmp_path: Path, capsys: Any) -> None:
+    found = sweep(kind, suffix, tmp_path, capsys)
+    assert found.count([2, 2, 2]) > 0.5 * len(found)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_is_no_finite_number_is_no_number_of_a_file(kind: str, tmp_path: Path) -> None:
+    """In turn for every number of the first, a middle and the last message of each run."""
+    messages, turn = messages_in(made(kind, ".mcap")), 0
+    for row in (0, len(messages) // 2, len(messages) - 1):
+        topic, message = messages[row]
+        for place in numbers_in(message):
+            bad, turn = NONE[turn % len(NONE)], turn + 1
+            if place[-1] == "walls" and bad == []:
+                continue  # a scene may have none
+            new = [*messages[:row], (topic, changed(message, place, bad)), *messages[row + 1 :]]
+            with pytest.raises(InvalidRecordingError) as refused:
+                check(mcap_of(new), tmp_path, ".mcap")
+            assert "\n" not in str(refused.value), (row, place, bad)
+
+
+@pytest.mark.parametrize(
+    ("place", "bad", "words"),
+    [
+        (("tick",), math.nan, "numbers must be finite, not NaN"),
+        (("tick",), -1, "tick must be a whole number from 0 to 9007199254740992, not -1"),
+        (("tick",), 2.0, "tick must be a whole number from 0 to 9007199254740992, not 2.0"),
+        (("tick",), 0, "tick must go up, not from"),
+        (("stretch",), -1, "stretch must be 0, not -1"),
+        (("stretch",), False, "stretch must be 0, not False"),
+        (("time",), 1e308, "time must be finite and at most 1e+09, not 1e+308"),
+        (("time",), -1.0, "time must go up from sample to sample"),
+        (("position", "z"), 1e4, "position must be finite and at most 1000, not 10000"),
+        (("position", "rx"), None, "a sample must be of numbers, not None"),
+        (("command", "z"), None, "command must be finite and at most 1e+12, not nan"),
+        (("applied", "z"), "60", "a sample must be of numbers, not '60'"),
+        (("hand", "rz"), False, "a sample must be of numbers, not False"),
+        (("pulse_width",), -0.003, "pulse_width must be at least 0 everywhere, not -0.003"),
+        (("applied_pulse_width",), [], "a sample must be of numbers, not a list"),
+        (("taken",), {}, "a sample must be of numbers, not an object"),
+        (("missed",), -1, "missed must be a whole number from 0"),
+    ],
+)
+def test_a_refusal_names_the_number_and_what_is_allowed(
+    place: Place, bad: Any, words: str, tmp_path: Path, capsys: Any
+) -> None:
+    messages = messages_in(made("drop", ".mcap"))
+    messages[7] = messages[7][0], changed(messages[7][1], place, bad)
+    path = tmp_path / "run.mcap"
+    path.write_bytes(mcap_of(messages))
+    assert main(["replay", str(path), "--check"]) == 2
+    said = capsys.readouterr().err
+    assert len(said.splitlines()) == 1 and f"{str(path)!r} is not a whole recording: {words}" in said
+
+
+def bits(value: Any) -> Any:
+    """Return the next value of the same type."""
+    if isinstance(value, bool):
+        return not value
+    return value + 1 if isinstance(value, int) else float(np.nextafter(value, math.inf))
+
+
+def field(place: Place) -> str:
+    """Return the name of the field that holds a number of a message."""
+    return str(place[0])
+
+
+UNKNOWN = {"device": (), "scene": ("hand",)}
+"""What only a recording knows."""
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_bit_that_differs_in_any_field_is_found_and_named(kind: str, tmp_path: Path) -> None:
+    """In each number of a message about the run, and of its first, a middle and its last sample."""
+    messages = messages_in(made(kind, ".mcap"))
+    samples = [row for row, (topic, _) in enumerate(messages) if topic == SAMPLE]
+    starts = [row for row, (topic, _) in enumerate(messages) if topic == "/maglev/stretch"]
+    whole, tried = check(made(kind, ".mcap"), tmp_path, ".mcap"), set()
+    assert whole.same and not whole.damage
+    for row in (starts[0], starts[-1], samples[0], samples[len(samples) // 2], samples[-1]):
+        topic, message = messages[row]
+        for place in numbers_in({name: part for name, part in message.items() if name != "setup"}):
+            value = message
+            for key in place:
+                value = value[key]
+            new = [*messages[:row], (topic, changed(message, place, bits(value))), *messages[row + 1 :]]
+            try:
+                verdict = check(mcap_of(new), tmp_path, ".mcap")
+            except InvalidRecordingError:
+                assert field(place) in ("stretch", "tick", "missed")
+                continue
+            name = field(place)
+            tried.add(name)
+            if whole.fields[name].compared:
+                assert verdict.fields[name].first is not None, (row, place)
+                assert not verdict.same
+    named = {name for _, message in messages for name in message} - {"setup", "versions", "stretch", "kind", "text"}
+    assert tried >= named - {"tick", "missed"}
+    given = {name for name, one in whole.fields.items() if not one.compared}
+    assert given == set(UNKNOWN.get(kind, ()))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_bit_that_differs_in_any_array_is_found_and_named(kind: str, tmp_path: Path) -> None:
+    random = np.random.default_rng(1)
+    header, arrays = arrays_in(made(kind, ".npz"))
+    names = {
+        "command": ("command", "pulse", "pulse_width"),
+        "applied": ("applied", "applied_pulse", "applied_pulse_width"),
+    }
+    for key, values in arrays.items():
+        name = key.partition("/")[2]
+        for column in np.ndindex(values.shape[1:]):
+            row = int(random.integers(len(values)))
+            other = values.copy()
+            other[(row, *column)] = np.nextafter(other[(row, *column)], math.inf)
+            try:
+                verdict = check(npz_of(header, {**arrays, key: other}), tmp_path, ".npz")
+            except InvalidRecordingError:
+                assert name == "tick"
+                continue
+            part = names[name][column[0] // 6] if name in names else name
+            if part not in UNKNOWN.get(kind, ()):
+                assert verdict.fields[part].first is not None, (key, row, column)
+
+
+def test_ticks_and_missed_samples_that_are_not_so_are_found(tmp_path: Path) -> None:
+    """Shifted as a whole, which by itself would do for a device."""
+    for kind in KINDS:
+        messages = messages_in(made(kind, ".mcap"))
+        for name in ("tick", "missed"):
+            last = max(message["stretch"] for _, message in messages)
+            new = [
+                (topic, {**message, name: message[name] + 1})
+                if message["stretch"] == last and (topic == SAMPLE or (name == "tick" and "kind" in message))
+                else (topic, message)
+                for topic, message in messages
+            ]
+            verdict = check(mcap_of(new), tmp_path, ".mcap")
+            assert verdict.fields[name].first is not None and not verdict.same
+
+
+def test_more_samples_cannot_be_missing_than_anybody_can_wait_for(tmp_path: Path) -> None:
+    header, arrays = arrays_in(made("drop", ".npz"))
+    arrays["0/tick"][5:] += 1e6 + 1.0
+    with pytest.raises(InvalidRecordingError, match="at most 1000000 samples may be missing, not 1000001"):
+        load(npz_of(header, arrays), tmp_path, ".npz")
+
+
+def test_samples_that_are_missing_at_the_end_are_noticed(tmp_path: Path) -> None:
+    """In a file that is whole otherwise."""
+    header, arrays = arrays_in(made("drop", ".npz"))
+    short = npz_of(header, {name: values[:-3] for name, values in arrays.items()})
+    verdict = check(short, tmp_path, ".npz")
+    assert not verdict.same
+    assert [name for name, one in verdict.fields.items() if one.first is not None] == ["samples"]
+
+
+def refusing(answer: float) -> type[Controller]:
+    """Return a controller whose eighth answer has a number that is none."""
+
+    class Mad(Controller):
+        def step(self, sample: Sample) -> Command:
+            command = super().step(sample)
+            return command if sample.tick < 7 else Command([answer, *ZERO[1:]])
+
+    return Mad
+
+
+@pytest.mark.parametrize(
+    ("recorded", "answered", "same"),
+    [
+        (math.nan, math.nan, True),
+        (math.nan, math.inf, True),  # JSON has no word for either
+        (math.inf, math.inf, True),
+        (math.inf, math.nan, False),
+        (math.inf, -math.inf, False),
+        (math.nan, 1.0, False),
+        (math.inf, 1.0, False),
+        (1.0, math.nan, False),
+        (0.0, -0.0, False),
+        (1.0, 1.0, True),
+    ],
+)
+def test_no_number_is_the_same_as_one(recorded: float, answered: float, same: bool) -> None:
+    from maglev_mj.loop import ControlLoop
+    from maglev_mj.recording import ArrayFile
+
+    file, plant = ArrayFile(), ExactPlant(Timing())
+    controller = refusing(recorded)([], period=0.005)
+    loop = ControlLoop(plant, controller, record=file.begin(plant, controller, {"kind": "test"}, delay=0.0015))
+    try:
+        loop.cycle(8)
+    except RecordingError:
+        raise
+    except Exception:
+        assert not math.isfinite(recorded)
+    verdict = verify(
+        file.recording,
+        lambda setup, hand: (ExactPlant(Timing(), hand_force=hand), refusing(answered)([], period=0.005)),
+    )
+    assert (verdict.fields["command"].first is None) == same
+
+
+def test_a_command_that_is_no_number_is_the_last_and_applied_as_zero(tmp_path: Path) -> None:
+    header, arrays = arrays_in(made("drop", ".npz"))
+    for row, applied, good in ((-1, 0.0, True), (-1, 1.0, False), (-2, 0.0, False)):
+        command, given = arrays["0/command"].copy(), arrays["0/applied"].copy()
+        command[row, 2], given[row] = math.inf, 0.0
+        given[row, 0] = applied
+        data = npz_of(header, {**arrays, "0/command": command, "0/applied": given})
+        if good:
+            assert not check(data, tmp_path, ".npz").same
+        else:
+            with pytest.raises(InvalidRecordingError):
+                load(data, tmp_path, ".npz")
+
+
+def test_the_two_widths_of_a_pulse_are_not_taken_for_one_another(tmp_path: Path) -> None:
+    messages = messages_in(made("drop", ".mcap"))
+    pulsed = [row for row, (topic, message) in enumerate(messages) if topic == SAMPLE and message["pulse_width"]]
+    assert pulsed
+    for name, other in (("pulse_width", "applied_pulse_width"), ("applied_pulse_width", "pulse_width")):
+        row = pulsed[0]
+        new = list(messages)
+        new[row] = SAMPLE, {**messages[row][1], name: 0.002}
+        (stretch,) = load(mcap_of(new), tmp_path, ".mcap").stretches
+        place = row - 1
+        assert (stretch.command[place, 12], stretch.applied[place, 12]) == (
+            (0.002, 0.003) if name == "pulse_width" else (0.003, 0.002)
+        )
+        verdict = check(mcap_of(new), tmp_path, ".mcap")
+        assert verdict.fields[name].first == (0, int(stretch.tick[place])) and verdict.fields[other].first is None
+
+
+def test_a_file_that_ends_anywhere_is_not_passed(tmp_path: Path, capsys: Any) -> None:
+    """Only the whole one is; what is there is run again all the same."""
+    data, path = made("scene", ".mcap"), tmp_path / "run.mcap"
+    statuses = {}
+    for length in [*range(0, len(data), 397), *range(len(data) - 12, len(data) + 1)]:
+        path.write_bytes(data[:length])
+        statuses[length] = main(["replay", str(path), "--check"])
+        said = capsys.readouterr()
+        if statuses[length] == 1:
+            assert "its end is missing" in said.out and "samples, run again and compared" in said.out
+        elif statuses[length] == 2:
+            assert len(said.err.splitlines()) == 1
+    assert {length for length, status in statuses.items() if status == 0} == {len(data)}
+    assert set(statuses.values()) == {0, 1, 2}
+    for more in (b"\x00", data):
+        path.write_bytes(data + more)
+        assert main(["replay", str(path), "--check"]) == 1
+        assert "there is more behind its end" in capsys.readouterr().out
+
+
+def test_missed_samples_of_a_file_of_the_first_version_are_in_its_text(tmp_path: Path) -> None:
+    messages = messages_in(made("scene", ".mcap"))
+    (row,) = (row for row, (topic, _) in enumerate(messages) if topic == "/maglev/event")
+    told = messages[row][1]
+    assert (told["kind"], told["text"], told["missed"]) == ("missed", "3 ticks were given up: too slow", 3)
+    assert max(message["missed"] for topic, message in messages if topic == SAMPLE) == 3
+    old = {name: part for name, part in told.items() if name != "missed"}
+    assert check(mcap_of([*messages[:row], (messages[row][0], old), *messages[row + 1 :]]), tmp_path, ".mcap").same
+    false = {**told, "missed": 2}
+    verdict = check(mcap_of([*messages[:row], (messages[row][0], false), *messages[row + 1 :]]), tmp_path, ".mcap")
+    assert verdict.fields["missed"].first is not None
+
+
+PEAK = """
+import json, sys, time
+from pathlib import Path
+from maglev_mj.cli import main
+found = []
+for path in sys.argv[1:]:
+    start = time.process_time()
+    found.append((main(["replay", path, "--check"]), time.process_time() - start))
+(peak,) = (line.split()[1] for line in Path("/proc/self/status").read_text().splitlines() if "VmHWM" in line)
+print(json.dumps([found, int(peak) * 1024]))
+"""
+
+MIB = 1 << 20
+LARGE = 1024 * MIB
+
+
+def zeros(size: int) -> bytes:
+    """Return so many zeros, packed."""
+    import zstandard
+
+    packer, block = zstandard.ZstdCompressor().compressobj(size=size), bytes(16 * MIB)
+    packed = [packer.compress(block) for _ in range(size // len(block))]
+    return b"".join((*packed, packer.flush()))
+    return packed
+
+
+def chunks(*parts: tuple[bytes, int], packed: str = "zstd") -> bytes:
+    """Return a file of chunks: what is in each, and what it says that this unpacks to."""
+    from mcap.data_stream import RecordBuilder
+    from mcap.records import Chunk, Header
+
+    builder = RecordBuilder()
+    Header("", "").write(builder)
+    for data, size in parts:
+        Chunk(packed, data, 0, 0, 0, size).write(builder)
+    return b"".join((b"\x89MCAP0\r\n", builder.end()))
+
+
+def array_file(shape: int, *, compressed: int) -> bytes:
+    """Return a file whose first array is so long, of zeros."""
+    header = {"format": "maglev_mj recording 1", "setups": [{"kind": "drop"}]}
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w", compressed) as archive:
+        text = io.BytesIO()
+        np.save(text, np.array(json.dumps(header)))
+        archive.writestr("header.npy", text.getvalue())
+        with archive.open("0/tick.npy", "w", force_zip64=True) as member:
+            about = {"descr": "<f8", "fortran_order": False, "shape": (shape,)}
+            np.lib.format.write_array_header_1_0(member, about)
+            for _ in range(shape * 8 // (16 * MIB) if compressed else 0):
+                member.write(bytes(16 * MIB))
+    return file.getvalue()
+
+
+def setups_file() -> bytes:
+    """Return a file of runs whose setups are small when packed, and large as objects."""
+    six, ones = (
+        dict.fromkeys(("x", "y", "z", "rx", "ry", "rz"), 0.0),
+        dict.fromkeys(("x", "y", "z", "rx", "ry", "rz"), 1.0),
+    )
+    about = {"period": 0.005, "delay": 0.0, "carried": six, "inertia": ones, "load": six, "before": six}
+    junk: list[Any] = [[] for _ in range(200_000)]
+    return mcap_of([("/maglev/stretch", {"stretch": n, "setup": {"kind": "a", "x": junk}, **about}) for n in range(30)])
+
+
+def large_files() -> Mapping[str, tuple[str, bytes]]:
+    """Return files of a few kilobytes that unpack to a gigabyte, by suffix, each in its way."""
+    import zstandard
+    from lz4.frame import compress  # type: ignore[import-untyped]
+
+    record = struct.pack("<BQHIQQ", 5, 60 * MIB + 22, 1, 0, 0, 0) + bytes(60 * MIB)
+    large, part = zeros(LARGE), zeros(64 * MIB)
+    return {
+        "a chunk of a gigabyte": (".mcap", chunks((large, LARGE))),
+        "a chunk that says it is small": (".mcap", chunks((large, 1000))),
+        "many chunks as large as may be": (".mcap", chunks(*[(part, 64 * MIB)] * 16)),
+        "many large messages": (".mcap", chunks(*[(zstandard.compress(record), len(record))] * 16)),
+        "lz4": (".mcap", chunks((compress(bytes(256 * MIB)), 256 * MIB), packed="lz4")),
+        "lz4 that says it is small": (".mcap", chunks((compress(bytes(256 * MIB)), 1000), packed="lz4")),
+        "large setups": (".mcap", setups_file()),
+        "a large array": (".npz", array_file(LARGE // 8, compressed=zipfile.ZIP_DEFLATED)),
+        "an array that is not there": (".npz", array_file(LARGE, compressed=zipfile.ZIP_STORED)),
+    }
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="what a process took is found in /proc")
+def test_what_unpacks_to_a_gigabyte_is_one_line_and_little_memory(tmp_path: Path) -> None:
+    """The first is the one that took 1.1 GB and three minutes."""
+    files = large_files()
+    paths = [tmp_path / f"run{place}{suffix}" for place, (suffix, _) in enumerate(files.values())]
+    for path, (_, data) in zip(paths, files.values(), strict=True):
+        assert len(data) < 1.2e6
+        path.write_bytes(data)
+    command = [sys.executable, "-c", PEAK, *map(str, paths)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    found, peak = json.loads(done.stdout)
+    assert peak < 200e6
+    assert len(done.stderr.splitlines()) == len(files)
+    for what, (status, used) in zip(files, found, strict=True):
+        assert status == 2 and used < 1.0, (what, used)
+
+
+def test_a_recording_of_many_samples_is_within_what_may_be_unpacked(tmp_path: Path) -> None:
+    """A flotor at rest packs best of all."""
+    from maglev_mj.loop import run
+    from maglev_mj.recording import open_recording
+
+    path = tmp_path / "run.mcap"
+    file, plant = open_recording(path, wait=True), ExactPlant(Timing(), gravity=0.0)
+    controller = Controller([], period=0.005)
+    run(plant, controller, 5000, record=file.begin(plant, controller, {"kind": "test"}, delay=0.0015))
+    file.close()
+    recording = Recording.load(path)
+    assert recording.ticks == 5000 and not recording.damage
+    header, arrays = arrays_in(made("drop", ".npz"))
+    assert check(npz_of(header, arrays, compressed=True), tmp_path, ".npz").same
+
+
+ESCAPES = "\x1b[2J\x1b]0;title\x07\x9b31m\r\n\b\u202e\ud800 81 of 81"
+
+
+def test_what_steers_a_terminal_is_escaped(tmp_path: Path, capsys: Any) -> None:
+    """In texts of events, in names of settings and kinds, whatever command shows them."""
+    messages = messages_in(made("scene", ".mcap"))
+    (row,) = (row for row, (topic, _) in enumerate(messages) if topic == "/maglev/event")
+    event: Message = {**messages[row][1], "kind": ESCAPES, "text": ESCAPES, "missed": 3}
+    header, arrays = arrays_in(made("scene", ".npz"))
+    setup = messages[0][1]["setup"]
+    wrong = [
+        {**setup, "kind": ESCAPES},
+        {**setup, "scene": ESCAPES},
+        {**setup, "settings": {**setup["settings"], ESCAPES: 1.0}},
+        {**setup, "settings": {**setup["settings"], "walls": [[ESCAPES, 1, 0.0]]}},
+        {"kind": "drop", "parameters": {ESCAPES: 1.0}},
+        {"kind": "drop", "parameters": {"plant": ESCAPES}},
+    ]
+    files = [(".mcap", mcap_of([*messages[:row], (messages[row][0], event), *messages[row + 1 :]]))]
+    files += [(".npz", npz_of({**header, "events": [ESCAPES]}, arrays))]
+    files += [(".mcap", mcap_of([(messages[0][0], {**messages[0][1], "setup": one}), *messages[1:]])) for one in wrong]
+    files += [(".npz", npz_of({**header, "format": ESCAPES}, arrays))]
+    for suffix, data in files:
+        path = tmp_path / f"run{suffix}"
+        path.write_bytes(data)
+        for command in (["replay", str(path), "--check"], ["analyse", str(path)]):
+            main(command)
+            said = capsys.readouterr()
+            for text in (said.out, said.err):
+                assert all(one.isprintable() for one in text.replace("\n", "")), ascii(text)
+            assert "\\x1b[2J" in said.out + said.err
+            assert "\n 81 of 81" not in said.out + said.err
+
+
+def test_printable_texts_stay_as_they_are() -> None:
+    assert printable("42 µm, 3 N m², ±1°") == "42 µm, 3 N m², ±1°"
+    assert printable("a\x1bb\nc") == "a\\x1bb\\nc"
+
+
+def test_a_stretch_that_is_loaded_says_so_with_the_error_of_parameters(tmp_path: Path) -> None:
+    """So that whoever catches either finds it."""
+    (tmp_path / "run.npz").write_bytes(b"nothing")
+    for kind in (RecordingError, ParameterError, ValueError):
+        with pytest.raises(kind):
+            Recording.load(tmp_path / "run.npz")
+
+
+def test_a_part_of_a_stretch_has_no_totals_of_the_whole(tmp_path: Path) -> None:
+    (stretch,) = load(made("drop", ".mcap"), tmp_path, ".mcap").stretches
+    part = stretch.part(2, 5)
+    assert part.totals is None and part.basis is None and len(part.tick) == 4
+    assert replace(stretch, hand=stretch.hand).totals is not None
