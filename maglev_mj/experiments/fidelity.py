@@ -20,6 +20,7 @@ from maglev_mj.experiments.fidelity_levels import (
     level_results,
     run_case,
     run_levels,
+    screened,
     worst_of,
 )
 from maglev_mj.experiments.fidelity_scenes import FIDELITY_SCENES, FidelityScene
@@ -179,7 +180,7 @@ def measure_fidelity(
     if level is not None:
         index = level_index(level.level)
         check = partial(_missing_of, scene, cases, motions[index:], level.level, over.share)
-        beyond = worst_of(screen[index], over.share)
+        beyond = float(screened(screen, over.share)[index])
         steps, cheapest = _choose(
             measure_steps(scene, level.level, done=done),
             loop_of(scene, level.level),

@@ -27,6 +27,7 @@ __all__ = [
     "measure_levels",
     "run_case",
     "run_levels",
+    "screened",
     "worst_of",
 ]
 
@@ -35,6 +36,8 @@ DEAR = level_index("filter")
 
 DEAR_CASES = 4
 """How many cases the dear levels run in."""
+
+_JUMP = 100.0
 
 Motions: TypeAlias = Sequence[dict[int, Motion | None]]
 """Motion of each level by the case's index; None where it diverged."""
@@ -143,6 +146,23 @@ def worst_of(values: Sequence[float] | Array, share: float) -> float:
     return float(np.quantile(np.asarray(values), share, method="higher"))
 
 
+def screened(screen: Array, share: float) -> Array:
+    """Return the worst distance of each level in a share of the cases on the exact plant [m], (levels,).
+
+    Where a level jumps, by a hundred times its median, in some case of all, the jump may in another be as large as
+    that of any level: a sample that just meets the wall or just misses it, whatever tips it.
+
+    Args:
+        screen: Distances [m], (levels, cases).
+        share: Share of the cases that counts.
+    """
+    most = np.quantile(screen, share, axis=1, method="higher")
+    if share < 1.0:
+        return most
+    jumps = most > _JUMP * np.median(screen, axis=1)
+    return np.where(jumps, np.maximum(most, most[level_index("lag") :].max()), most)
+
+
 def level_results(
     scene: FidelityScene, motions: Motions, screen: Array, tolerance: float, share: float = 1.0, *, repeats: int = 3
 ) -> tuple[LevelResult, ...]:
@@ -160,6 +180,7 @@ def level_results(
     makers = [partial(level_parts, scene, level.name) for level in LEVELS]
     seconds = [min((m.seconds for m in found.values() if m is not None), default=1.0) for found in motions]
     costs = measure_costs(makers, seconds, repeats)
+    most, counted = screened(screen, 1.0), screened(screen, share)
     rows = []
     for index, level in enumerate(LEVELS):
         here, below = firsts[index], firsts[max(index - 1, 0)]
@@ -169,8 +190,8 @@ def level_results(
                 level=level.name,
                 adds=level.adds,
                 changes=distance(here, below),
-                worst=max(*found, float(screen[index].max())),
-                missing=max(worst_of(found, share), worst_of(screen[index], share)),
+                worst=max(*found, float(most[index])),
+                missing=max(worst_of(found, share), float(counted[index])),
                 keeps=float(min(np.mean(np.array(found) <= tolerance), np.mean(screen[index] <= tolerance))),
                 diverged=sum(motion is None for motion in motions[index].values()),
                 force=math.nan if here is None or below is None else here.peak_force - below.peak_force,
