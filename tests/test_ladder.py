@@ -23,7 +23,7 @@ from maglev_mj.experiments.fidelity_cases import (
     scene_at,
     screen_levels,
 )
-from maglev_mj.experiments.fidelity_levels import distance, measure_levels, run_case, run_levels, screened
+from maglev_mj.experiments.fidelity_levels import distance, largest_jump, measure_levels, run_case, run_levels
 from maglev_mj.experiments.fidelity_scenes import FIDELITY_SCENES, FidelityScene
 from maglev_mj.experiments.integrators import SteppedLoop, boundary_shift
 from maglev_mj.experiments.levels import LEVELS, apart, level_index, level_parts, loop_of, motion_of
@@ -51,15 +51,16 @@ NEEDED = {
 
 
 def unseen_distances(result: FidelityResult, count: int) -> Array:
-    """Return how far the model recommended is from those above it in cases not used for the choice [m], (count,)."""
+    """Return how far the model chosen is from the whole device in cases not used for the choice [m], (count,)."""
     assert result.level is not None and result.cheapest is not None
-    scene, best, index = result.scene, result.cheapest, level_index(result.level.level)
-    options = {"integrator": best.integrator, "longest_step": best.step} if index else {}
-    found = []
-    for case in scattered_cases(scene, count, result.over.around, seed=10_000):
-        motion = run_case(scene, result.level.level, case, **options)
-        found.append(max(distance(motion, run_case(scene, level.name, case)) for level in LEVELS[index:]))
-    return np.array(found)
+    scene, best, level = result.scene, result.cheapest, result.level.level
+    options = {"integrator": best.integrator, "longest_step": best.step} if level_index(level) else {}
+    return np.array(
+        [
+            distance(run_case(scene, level, case, **options), run_case(scene, LEVELS[-1].name, case))
+            for case in scattered_cases(scene, count, result.over.around, seed=10_000)
+        ]
+    )
 
 
 @pytest.mark.study
@@ -74,18 +75,18 @@ def test_the_model_recommended_holds_in_cases_never_looked_at(
     if wall is not None:
         scene = scene.changed(stiffness=wall[0], damping=wall[1])
     result = measure_fidelity(scene)
-    assert result.level is not None and result.cheapest is not None and result.cheapest.missing is not None
-    worst, found = result.cheapest.missing, unseen_distances(result, 24)
+    assert result.level is not None and result.cheapest is not None and result.furthest is not None
+    found = unseen_distances(result, 24)
+    beyond = int((found > scene.tolerance).sum())
     with capsys.disabled():
         gains = "" if wall is None else f"{wall[0]:g}/{wall[1]:g}"
         step = stepping_name(result.cheapest.integrator, result.cheapest.step)
         print(
-            f"\n{name:<14}{gains:<9}{scene.tolerance * 1e6:>6.0f} µm {result.level.level:<9}{step:<30}"
-            f"worst {worst * 1e6:.3g} µm, of 24 unseen {found.max() * 1e6:.3g}, {int((found > worst).sum())} beyond; "
-            f"stops in {result.met_stops} of {len(result.cases)}"
+            f"\n| {name} | {gains} | {scene.tolerance * 1e6:.0f} | {result.level.level}, {step} | "
+            f"{(result.cheapest.missing or 0.0) * MARGIN * 1e6:.3g} | {np.median(found) * 1e6:.3g} | "
+            f"{found.max() * 1e6:.3g} | {beyond} | {result.furthest * 1e6:.3g} | {result.met_stops} |"
         )
-    assert (found <= MARGIN * worst + 1e-9).all()
-    assert (found <= scene.tolerance).all()
+    assert (found <= result.furthest).all() and beyond <= 2
 
 
 @pytest.mark.study
@@ -115,14 +116,10 @@ def test_a_level_is_judged_by_the_worst_case() -> None:
             max((distance(motion, above[number]) for above in motions[index + 1 :] if number in above), default=0.0)
             for number, motion in motions[index].items()
         ]
-        assert row.worst >= max(found) and row.missing == row.worst
+        assert row.worst >= row.missing >= max(found)
     assert result.level is not None and result.cheapest is not None and result.cheapest.missing is not None
     assert MARGIN * result.level.missing <= 2e-4 and MARGIN * result.cheapest.missing <= 2e-4
     assert (unseen_distances(result, 4) <= 2e-4).all()
-    # a share of the cases is content with less
-    assert level_index(result.level.level) >= level_index(
-        next(row.level for row in result.levels if row.keeps >= 0.9 and MARGIN * row.changes < 1.0)
-    )
 
 
 @pytest.mark.parametrize("name", ["drop", "press", "stick-slip", "six-axes"])
@@ -145,14 +142,13 @@ def test_the_screen_finds_jumps_that_few_cases_miss() -> None:
     assert not worst[level_index("filter") :].any() and (np.diff(worst[level_index("falloff") :]) <= 0.0).all()
 
 
-def test_a_jump_is_taken_for_as_large_as_any() -> None:
+def test_a_jump_is_what_goes_far_beyond_the_median() -> None:
     screen = np.ones((len(LEVELS), 1000))
+    screen[level_index("axes"), 0] = 900.0  # below the lag much else differs
+    screen[level_index("filter"), 0] = 50.0
+    assert largest_jump(screen) == 0.0
     screen[level_index("spots"), 0], screen[level_index("jitter"), 0] = 300.0, 200.0
-    screen[level_index("axes"), 0], screen[level_index("filter"), 0] = 900.0, 50.0
-    most = screened(screen, 1.0)
-    assert most[level_index("axes")] == 900.0 and most[level_index("filter")] == 50.0
-    assert most[level_index("spots")] == most[level_index("jitter")] == 300.0
-    assert (screened(screen, 0.99) == 1.0).all()
+    assert largest_jump(screen) == 300.0
 
 
 def test_cases_cover_phases_and_gains() -> None:
@@ -227,13 +223,12 @@ def test_the_shift_of_the_boundary_is_that_of_the_levels_drivers() -> None:
 
 def test_an_integrator_keeps_the_boundary_beside_the_tolerance() -> None:
     # slow turning asks little of the position, where a raw step of Euler's moves the boundary by 84 %
-    for boundary, kinds in ((1.0, {"euler", "implicitfast"}), (0.01, {"corrected", "rk4"})):
+    for boundary in (1.0, 0.01):
         result = measure_fidelity("twist", 2e-5, Range(phases=1, boundary=boundary))
         best = result.cheapest
         assert best is not None and best.shift is not None and abs(best.shift) <= boundary
         cheaper = result.steps[: result.steps.index(best)]
         assert all(step.shift is None or abs(step.shift) > boundary for step in cheaper)
-        assert best.integrator in kinds or min(step.cost for step in result.steps) == best.cost
 
 
 @pytest.mark.parametrize("wall", [(6000.0, 40.0), (3000.0, 60.0), (6000.0, 80.0)])
@@ -366,7 +361,7 @@ def test_a_step_that_diverges_is_no_choice() -> None:
     # beyond twice the drivers' time constant Euler's activation grows
     assert diverged and all(row.step is not None and row.step > 2.0 * LAG for row in diverged)
     assert {row.step for row in rows if math.isfinite(row.error)} >= {None, 1e-4, 5e-5}
-    result = FidelityResult(scene, 1e-5, Range(), (itself(scene),), 1, 0, (), None, rows, None)
+    result = FidelityResult(scene, 1e-5, Range(), (itself(scene),), 1, 0.0, 0, (), None, rows, None)
     assert json.loads(json.dumps(result.as_json(), allow_nan=False))["steps"][rows.index(diverged[0])]["cost"] is None
 
 
@@ -394,7 +389,7 @@ def test_the_command_prints_and_writes_the_levels(tmp_path: Path, capsys: pytest
     out = tmp_path / "fidelity.json"
     assert main(["fidelity", "twist", "--tolerance", "1e-5", "--phases", "1", "--json", str(out)]) == 0
     said = capsys.readouterr().out
-    assert "> body " in said and "take body with" in said and "with the margin of 1.25" in said
+    assert "> body " in said and "take body with" in said and "the margin of 1.25 included; none beyond" in said
     data = json.loads(out.read_text())
     assert data["level"] == "body" and data["cheapest"]["error"] < 1e-5 and data["margin"] == MARGIN
     assert [row["level"] for row in data["levels"]] == [level.name for level in LEVELS]
@@ -406,7 +401,7 @@ def test_the_command_answers_for_a_wall_of_ones_own(capsys: pytest.CaptureFixtur
     assert main(["fidelity", "drop-no-pulse", *wall, *small]) == 0
     said = capsys.readouterr().out
     assert "a drop of 4 mm on a wall of 2000 N/m and 20 N s/m, no pulse" in said
-    assert "METAL STOPS of the model in 1 of 1 cases" in said and "4096 in the same range" in said
+    assert "METAL STOPS of the model in 1 of 1 cases" in said and "4096 on the exact plant" in said
     assert main(["fidelity", "press", "--hand", "none"]) == 2
     assert "hand must have an arm" in capsys.readouterr().err
 

@@ -23,11 +23,11 @@ __all__ = [
     "distance",
     "distances_above",
     "finite",
+    "largest_jump",
     "level_results",
     "measure_levels",
     "run_case",
     "run_levels",
-    "screened",
     "worst_of",
 ]
 
@@ -146,21 +146,18 @@ def worst_of(values: Sequence[float] | Array, share: float) -> float:
     return float(np.quantile(np.asarray(values), share, method="higher"))
 
 
-def screened(screen: Array, share: float) -> Array:
-    """Return the worst distance of each level in a share of the cases on the exact plant [m], (levels,).
+def largest_jump(screen: Array) -> float:
+    """Return the largest jump among cases on the exact plant [m]; 0 if none jumps.
 
-    Where a level jumps, by a hundred times its median, in some case of all, the jump may in another be as large as
-    that of any level: a sample that just meets the wall or just misses it, whatever tips it.
+    A sample that just meets the wall or just misses it sends two levels apart as far, whatever tips it. A level jumps
+    where a case goes beyond a hundred times the median.
 
     Args:
-        screen: Distances [m], (levels, cases).
-        share: Share of the cases that counts.
+        screen: Distances of each level from those above it [m], (levels, cases).
     """
-    most = np.quantile(screen, share, axis=1, method="higher")
-    if share < 1.0:
-        return most
-    jumps = most > _JUMP * np.median(screen, axis=1)
-    return np.where(jumps, np.maximum(most, most[level_index("lag") :].max()), most)
+    seen = screen[level_index("lag") :]
+    most = seen.max(axis=1)
+    return float(np.max(most, where=most > _JUMP * np.median(seen, axis=1), initial=0.0))
 
 
 def level_results(
@@ -180,7 +177,6 @@ def level_results(
     makers = [partial(level_parts, scene, level.name) for level in LEVELS]
     seconds = [min((m.seconds for m in found.values() if m is not None), default=1.0) for found in motions]
     costs = measure_costs(makers, seconds, repeats)
-    most, counted = screened(screen, 1.0), screened(screen, share)
     rows = []
     for index, level in enumerate(LEVELS):
         here, below = firsts[index], firsts[max(index - 1, 0)]
@@ -190,8 +186,8 @@ def level_results(
                 level=level.name,
                 adds=level.adds,
                 changes=distance(here, below),
-                worst=max(*found, float(most[index])),
-                missing=max(worst_of(found, share), float(counted[index])),
+                worst=max(*found, float(screen[index].max())),
+                missing=max(worst_of(found, share), worst_of(screen[index], share)),
                 keeps=float(min(np.mean(np.array(found) <= tolerance), np.mean(screen[index] <= tolerance))),
                 diverged=sum(motion is None for motion in motions[index].values()),
                 force=math.nan if here is None or below is None else here.peak_force - below.peak_force,

@@ -55,29 +55,35 @@ def fidelity_table(result: FidelityResult) -> str:
         lines.append(f"    {diverged_steps} diverge")
     if result.cheapest is None:
         return "\n".join([*lines, "  none of them keeps tolerance and boundary"])
-    most = result.cheapest.missing or 0.0
+    most = MARGIN * (result.cheapest.missing or 0.0)
     lines += [
         "",
-        f"  take {chosen.level} with {_stepping(result.cheapest)}: {result.cheapest.cost * 1e3:.1f} µs a ms;"
-        f" worst {_micro(most)}, with the margin of {MARGIN:g} {_micro(MARGIN * most)}",
+        f"  take {chosen.level} with {_stepping(result.cheapest)}: {result.cheapest.cost * 1e3:.1f} µs a ms",
+        f"  within {_micro(most)} in {result.over.share:.4g} of the cases, the margin of {MARGIN:g} included; "
+        f"none beyond {_micro(result.furthest or 0.0)}{_jumps(result)}",
     ]
     return "\n".join(lines)
+
+
+def _jumps(result: FidelityResult) -> str:
+    """Return why some cases go far."""
+    return ", where a sample just meets the wall or misses it" if result.jump else ""
 
 
 def _range_lines(result: FidelityResult) -> list[str]:
     """Return lines on the cases: which, how many, and whether any meets the stops."""
     over, count = result.over, len(result.cases)
-    seeds = "phases, each with jitter of its own" if result.scene.has_phase else "seeds of the jitter"
-    lines = [f"  cases: {count} of the whole device ({over.phases} {seeds}"]
+    seeds = "phases with a jitter seed each" if result.scene.has_phase else "jitter seeds"
+    lines = [f"  {count} cases of the whole device: {over.phases} {seeds}"]
     if result.scene.has_gains and over.around:
-        lines[0] += f", times 5 pairs of gains, those given and {over.around:.3g} of each up and down"
-    lines[0] += ")"
+        lines[0] += f", times 5 pairs of gains (given, and {over.around:.3g} of each up and down)"
     if result.screened > 1:
         lines.append(
-            f"    and {result.screened} in the same range on the exact plant: lag, limit, sensor's steps, jitter"
+            f"  and {result.screened} on the exact plant in the same range: lag, limit, sensor's steps, jitter"
         )
-    if over.share < 1.0:
-        lines.append(f"    {over.share:.4g} of them must keep the tolerance")
+    lines.append(
+        f"  kept if {MARGIN:g} times the worst of {over.share:.4g} of these is: the margin for cases not looked at"
+    )
     if result.met_stops:
         lines.append(
             f"  THE MOTION MEETS THE METAL STOPS of the model in {result.met_stops} of {count} cases: levels without "
