@@ -57,7 +57,8 @@ def drop_from(pose: list[float]) -> FidelityScene:
     """Return the drop from another pose [m, rad], six."""
 
     def parts(parameters: DropParameters, *, make: PlantMaker) -> tuple[SampledPlant, Controller, int]:
-        return drop_parts(parameters, make=lambda timing, **own: make(timing, **own | {"pose": pose}))
+        plant, controller, _ = drop_parts(parameters, make=lambda timing, **own: make(timing, **own | {"pose": pose}))
+        return plant, controller, round(parameters.duration / parameters.period)
 
     return replace(FIDELITY_SCENES["drop"], parts=parts)
 

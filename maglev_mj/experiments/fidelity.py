@@ -129,7 +129,7 @@ class FidelityResult(NamedTuple):
 
     def as_json(self) -> dict[str, Any]:
         """Return everything, ready for JSON; null for what is infinite or not there."""
-        return {
+        values = {
             "scene": self.scene.name,
             "parameters": dict(vars(self.scene.parameters)),
             "tolerance": self.tolerance,
@@ -145,6 +145,7 @@ class FidelityResult(NamedTuple):
             "steps": [finite(row._asdict()) for row in self.steps],
             "cheapest": None if self.cheapest is None else finite(self.cheapest._asdict()),
         }
+        return finite(values)
 
 
 def measure_fidelity(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import fields, replace
 from typing import Any, NamedTuple
@@ -10,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from maglev_mj.controller import Controller
-from maglev_mj.errors import ParameterError
+from maglev_mj.errors import ParameterError, PlantError
 from maglev_mj.experiments.fidelity_scenes import FidelityScene
 from maglev_mj.experiments.levels import LEVELS, Level, apart, exact_options, timing_of
 from maglev_mj.experiments.press import SideBySide
@@ -110,10 +111,20 @@ def screen_levels(scene: FidelityScene, around: float) -> Array:
     Args:
         scene: The scene.
         around: Largest relative change of a gain.
+
+    Returns:
+        The distances; infinite throughout if a case diverges, zero for one case in a scene without gains.
     """
     if not scene.has_gains:  # no loop, so nothing jumps
         return np.zeros((len(LEVELS), 1))
     points = [scene_at(scene, case) for case in scattered_cases(scene, _POINTS, around, seed=0)]
+    try:
+        return _screen(points)
+    except PlantError:  # one diverged, and with it the batch
+        return np.full((len(LEVELS), len(points) * _SEEDS), math.inf)
+
+
+def _screen(points: Sequence[FidelityScene]) -> Array:
     steady: dict[str, Array] = {}
     found = []
     for seed in range(_SEEDS):

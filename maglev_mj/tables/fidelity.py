@@ -38,7 +38,12 @@ def fidelity_table(result: FidelityResult) -> str:
         "  cost in µs a simulated ms; a real millisecond is 1000",
     ]
     if chosen is None:
-        return "\n".join([*lines, "", "  no level keeps the tolerance"])
+        unstable = (
+            "; the loop diverges on the exact plant at these gains or near them"
+            if result.levels[-1].worst == np.inf
+            else ""
+        )
+        return "\n".join([*lines, "", f"  no level keeps the tolerance{unstable}"])
     lines += [
         "",
         f"  on the level {chosen.level}, cheapest first: integrator and longest step, error against 20 µs of RK4,",
