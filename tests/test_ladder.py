@@ -40,10 +40,10 @@ LAG = 1.0 / (2.0 * math.pi * Spec.driver_bandwidth.value)
 
 WALLS = [(6000.0, 80.0), (6000.0, 40.0), (3000.0, 60.0), (2000.0, 40.0), (8000.0, 80.0)]
 NEEDED = {
-    "drop": "jitter",
-    "drop-no-pulse": "filter",
-    "press": "filter",
-    "stick-slip": "filter",
+    "drop": "falloff",
+    "drop-no-pulse": "jitter",
+    "press": "jitter",
+    "stick-slip": "jitter",
     "twist": "body",
     "six-axes": "jitter",
     "let-go": "stops",
