@@ -27,10 +27,12 @@ import numpy as np
 from peers import Task
 from ways import SEMI_IMPLICIT, Way, as_json, boundary_shift, measure, our_ways, peer_ways, points_of
 
-from maglev_mj import run
+from maglev_mj import Controller, run
 from maglev_mj.charts import Panel, WorkPrecision, small_multiples, work_precision
+from maglev_mj.experiments.choices import PlantMaker
+from maglev_mj.experiments.drop import DropParameters, drop_parts
+from maglev_mj.experiments.fidelity_scenes import FIDELITY_SCENES, FidelityScene
 from maglev_mj.experiments.integrators import INTEGRATORS
-from maglev_mj.experiments.ladder import DELAY, FIDELITY_SCENES, PERIOD
 from maglev_mj.experiments.wall_controller import wall_controller
 from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.plants import CorrectedBatchPlant, ExactPlant, MuJoCoBatchPlant, SampledPlant, Timing
@@ -40,12 +42,13 @@ from maglev_mj.versions import versions
 TITLES = {
     "drop": "on a wall, with a braking pulse",
     "drop-no-pulse": "the same without the pulse",
-    "press": "an arm laid on the wall",
+    "press": "an arm hits the wall, then presses",
     "stick-slip": "pulled out of friction",
     "twist": "free, at 3.7 rad/s",
     "six-axes": "drawn back to the centre",
 }
 NANOMETRE = 1e-9
+PERIOD, DELAY = Timing().period, Timing().delay
 
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("folder", nargs="?", default="figures", type=Path, help="where files go")
@@ -53,6 +56,16 @@ parser.add_argument("--quick", action="store_true", help="fewer steps and repeat
 parser.add_argument(
     "--scenes", nargs="+", default=list(TITLES), choices=TITLES, metavar="SCENE", help=", ".join(TITLES)
 )
+
+
+def drop_from(pose: list[float]) -> FidelityScene:
+    """Return the drop from another pose [m, rad], six."""
+
+    def parts(parameters: DropParameters, *, make: PlantMaker) -> tuple[SampledPlant, Controller, int]:
+        plant, controller, _ = drop_parts(parameters, make=lambda timing, **own: make(timing, **own | {"pose": pose}))
+        return plant, controller, round(parameters.duration / parameters.period)
+
+    return replace(FIDELITY_SCENES["drop"], parts=parts)
 
 
 def boundary_shifts(quick: bool) -> dict[str, Any]:
@@ -158,7 +171,7 @@ def main() -> None:
     folder.mkdir(parents=True, exist_ok=True)
     ways = {name: our_ways(FIDELITY_SCENES[name], quick) for name in options.scenes}
     task = Task()
-    drop = replace(FIDELITY_SCENES["drop"], pose=tuple(task.pose))
+    drop = drop_from(task.pose)
     peers, missing = peer_ways(drop, task, quick)
     for line in missing:
         print(line)
