@@ -38,7 +38,8 @@ __all__ = [
 ]
 
 _JITTER = 1e-4
-_STEPS = Sensor(quantum=RESOLUTION)
+_LAG = DRIVER_TIME_CONSTANT
+_STEPS, _SPOTS = Sensor(quantum=RESOLUTION), SpotSensor(quantum=Spec.spot_resolution.value)
 
 
 class Level(NamedTuple):
@@ -64,22 +65,22 @@ LEVELS: tuple[Level, ...] = (
     Level("body", "a rigid body with an ideal wrench", {"coils": False}),
     Level("coils", "six coils that do not turn, 10 A each", {"current_limit": Spec.peak_current.value}),
     Level("turning", "coils that turn with the flotor", {"coils": True}),
-    Level("lag", "drivers of 2 kHz, as 80 µs more of delay", {}, DRIVER_TIME_CONSTANT),
+    Level("lag", "drivers of 2 kHz, as 80 µs more of delay", {}, _LAG),
     Level(
         "falloff",
         "a tenth of the force lost at the end of the range",
         {"detail": Detail(force_falloff=0.1)},
-        DRIVER_TIME_CONSTANT,
+        _LAG,
     ),
-    Level("steps", "a sensor of 5 µm and 10 µrad", {"sensor": _STEPS}, DRIVER_TIME_CONSTANT),
+    Level("steps", "a sensor of 5 µm and 10 µrad", {"sensor": _STEPS}, _LAG),
     Level(
         "spots",
         "LEDs and diodes of 0.8 µm, the pose by Newton",
-        {"sensor": SpotSensor(quantum=Spec.spot_resolution.value)},
-        DRIVER_TIME_CONSTANT,
+        {"sensor": _SPOTS},
+        _LAG,
     ),
-    Level("jitter", "conversions that vary by 0.1 ms either way", {}, DRIVER_TIME_CONSTANT, _JITTER),
-    Level("stops", "metal stops", {"detail": Detail(force_falloff=0.1, stops=True)}, DRIVER_TIME_CONSTANT, _JITTER),
+    Level("jitter", "conversions that vary by 0.1 ms either way", {}, _LAG, _JITTER),
+    Level("stops", "metal stops", {"detail": Detail(force_falloff=0.1, stops=True)}, _LAG, _JITTER),
     Level("filter", "the drivers' lag as the filter that it is", {"driver_lag": True}, 0.0, _JITTER),
     Level(
         "flexible",
@@ -171,7 +172,7 @@ def loop_of(scene: FidelityScene, level: str) -> SampledLoop:
         delay=p.delay + LEVELS[level_index(level)].more_delay,
         mass=getattr(p, "mass", Spec.moving_mass.value),
         hand=scene.hand,
-        driver_lag=DRIVER_TIME_CONSTANT if lags else 0.0,
+        driver_lag=_LAG if lags else 0.0,
     )
 
 
