@@ -389,7 +389,9 @@ def test_the_command_prints_and_writes_the_levels(tmp_path: Path, capsys: pytest
     out = tmp_path / "fidelity.json"
     assert main(["fidelity", "twist", "--tolerance", "1e-5", "--phases", "1", "--json", str(out)]) == 0
     said = capsys.readouterr().out
-    assert "> body " in said and "take body with" in said and "the margin of 1.25 included; none beyond" in said
+    assert (
+        "> body " in said and "take body with" in said and "the margin of 1.25 included; none expected beyond" in said
+    )
     data = json.loads(out.read_text())
     assert data["level"] == "body" and data["cheapest"]["error"] < 1e-5 and data["margin"] == MARGIN
     assert [row["level"] for row in data["levels"]] == [level.name for level in LEVELS]

@@ -65,7 +65,7 @@ def fidelity_table(result: FidelityResult) -> str:
         "",
         f"  take {chosen.level} with {_stepping(result.cheapest)}: {result.cheapest.cost * 1e3:.1f} µs a ms",
         f"  within {_micro(most)} in {result.over.share:.4g} of the cases, the margin of {MARGIN:g} included; "
-        f"none beyond {_micro(result.furthest or 0.0)}{_jumps(result)}",
+        f"none expected beyond {_micro(result.furthest or 0.0)}{_jumps(result)}",
     ]
     return "\n".join(lines)
 
