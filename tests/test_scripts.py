@@ -90,7 +90,7 @@ def test_where_methods_fail_draws_its_panels(tmp_path: Path, run_script: Script)
 def test_two_walls_prints_draws_and_writes_where_they_rattle(tmp_path: Path, run_script: Script) -> None:
     pytest.importorskip("matplotlib")
     out = run_script("two_walls.py", "--quick", str(tmp_path))
-    rows = json.loads((tmp_path / "two_walls.json").read_text())
+    rows = json.loads((tmp_path / "two_walls.json").read_text())["rows"]
     assert len(rows) == 9 and out.count("\npulse") == 3
     assert [max(row["share"]) for row in rows if row["delay"] == 0.0] == [0.0] * 3
     assert rows[2]["share"] == [1.0] * 4  # 220 N s/m at 3 ms
