@@ -35,7 +35,7 @@ _OPTIONS: Mapping[str, tuple[Mapping[str, Iterable[str]], Mapping[str, str]]] = 
 }
 """Options of each scene: those of its own command."""
 
-_LADDER = "quantize"
+_BY_LEVEL = "quantize"
 """The sensor's steps are a model level here."""
 
 
@@ -48,7 +48,7 @@ def add_command(commands: Any) -> None:
         own = scenes.add_parser(name, help=scene.describe(scene.parameters))
         _add_range(own, scene.tolerance)
         names, helps = _OPTIONS[name]
-        helps = {option: text for option, text in helps.items() if option != _LADDER}
+        helps = {option: text for option, text in helps.items() if option != _BY_LEVEL}
         add_options(own, names, helps, scene.parameters)
         # an option that is not given keeps what depends on others derived
         own.set_defaults(run=_fidelity, parameters=[*names, *helps], **dict.fromkeys([*names, *helps]))
