@@ -86,7 +86,7 @@ def test_a_device_is_seen_set_and_recorded_by_other_programs(tmp_path: Path) -> 
     assert (before["stiffness"], before["walls"]) == (6000.0, None)
     assert (after["stiffness"], after["walls"]) == (2000.0, [["z", 1, -0.001]])
     status, said_again = said_by("replay", str(record), "--check")
-    assert status == 0 and f"{recording.ticks} of {recording.ticks} commands" in said_again
+    assert status == 0 and f"{recording.ticks} of {recording.ticks} the same: command," in said_again
     assert said_by("analyse", str(record))[0] == 0
 
 

@@ -44,10 +44,8 @@ def object_in(holder: Any, name: str) -> Mapping[str, Any]:
     Raises:
         ParameterError: If there is none.
     """
-    value = _value(holder, name)
-    if not isinstance(value, dict):
-        raise ParameterError(f"{name} must be an object, not {_shown(value)}")
-    return value
+    found: Mapping[str, Any] = _of_kind(dict, "an object", holder, name)
+    return found
 
 
 def text_in(holder: Any, name: str) -> str:
@@ -56,10 +54,7 @@ def text_in(holder: Any, name: str) -> str:
     Raises:
         ParameterError: If there is none.
     """
-    value = _value(holder, name)
-    if not isinstance(value, str):
-        raise ParameterError(f"{name} must be a text, not {_shown(value)}")
-    return value
+    return str(_of_kind(str, "a text", holder, name))
 
 
 def whole(holder: Any, name: str, *, at_least: int = 0, at_most: int = _WHOLE) -> int:
@@ -209,6 +204,13 @@ def _value(holder: Any, name: str, of: str = "a message") -> Any:
     if not isinstance(holder, Mapping) or name not in holder:
         raise ParameterError(f"{of} must have {name}")
     return holder[name]
+
+
+def _of_kind(kind: type, what: str, holder: Any, name: str) -> Any:
+    value = _value(holder, name)
+    if not isinstance(value, kind):
+        raise ParameterError(f"{name} must be {what}, not {_shown(value)}")
+    return value
 
 
 def _shown(value: Any) -> str:

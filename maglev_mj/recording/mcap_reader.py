@@ -74,9 +74,8 @@ def read_mcap(file: IO[bytes], size: int) -> Recording:
                     raise ValueError("messages are missing")
                 found.take(topics[record.channel_id], record.data)
             elif isinstance(record, Statistics):
-                said = sum(
-                    n for channel, n in record.channel_message_counts.items() if _topic(topics, channel) in CHANNELS
-                )
+                counts = record.channel_message_counts.items()
+                said = sum(count for channel, count in counts if _topic(topics, channel) in CHANNELS)
                 if said != found.count:
                     raise ValueError(f"{said - found.count} messages are missing")
                 counted = True
