@@ -145,14 +145,14 @@ def written_commands(page: str) -> Iterator[str]:
         if line.startswith("    "):
             yield from re.findall(r"maglev-mj (.*?)(?: *[#&].*| \|.*)?$", line)
         else:
-            yield from re.findall(r"`maglev-mj ([^`]*)`", line)
+            yield from (re.split(r" [|&]", text)[0] for text in re.findall(r"`maglev-mj ([^`]*)`", line))
 
 
 def typed(command: str) -> list[str]:
     """Return the arguments of a command as written in a page, with something in place of what the reader fills in."""
     command = re.sub(r"[\[\]]", " ", command)  # options, all at once
     command = re.sub(r"(\w+)(\|\w+)+", r"\1", command)  # the first of several
-    words = [re.sub(r"^(X|N|\.\.\.)$", "1", word) for word in shlex.split(command)]
+    words = [re.sub(r"^(X|N|\.\.\.)$", "1", word) for word in shlex.split(command.replace("SCENE", "drop"))]
     return joined(words if words[1:] else [*words, "--help"])  # one alone is spoken of, not typed
 
 

@@ -26,7 +26,10 @@ from maglev_mj.spec import INERTIA
 
 MASS, TILT = INERTIA[0], INERTIA[3]
 TIMING = Timing(period=0.004, delay=0.0013)
-IDLE: Any = Controller([], period=TIMING.period)
+
+
+def idle() -> Controller:
+    return Controller([], period=TIMING.period)
 
 
 def poses(plant: SampledPlant, controller: Controller, ticks: int) -> Array:
@@ -42,7 +45,7 @@ def test_a_constant_force_gives_the_parabola(kind: Any) -> None:
     plant = kind(TIMING, gravity=0.0, hand_force=ConstantForce(push))
     time = TIMING.period * np.arange(26)[:, None]
     expected = 0.5 * time**2 * push / INERTIA
-    assert_allclose(poses(plant, IDLE, 25), expected, rtol=0.0, atol=1e-12)
+    assert_allclose(poses(plant, idle(), 25), expected, rtol=0.0, atol=1e-12)
 
 
 @pytest.mark.parametrize("phase", [0.0, 0.37])
@@ -57,7 +60,7 @@ def test_a_torque_is_about_stator_axes() -> None:
     plant = MuJoCoPlant(
         TIMING, gravity=0.0, pose=start, escape=(0.045, 3.0), hand_force=ConstantForce([0, 0, 0, 1e-3, 0, 0])
     )
-    run(plant, IDLE, 10)
+    run(plant, idle(), 10)
     pose, twist = plant.state()
     assert_allclose(twist[3:], [1e-3 / TILT * 0.04, 0.0, 0.0], atol=1e-6)
     turn = rotation_matrix(pose[3:]) @ rotation_matrix(np.array(start[3:])).T
@@ -162,10 +165,10 @@ def test_a_recorded_hand_gives_the_same_motion_bit_for_bit(kind: Any) -> None:
 def test_a_batch_takes_a_hand_like_one_device() -> None:
     start = np.array([[0.001, 0.0, 0.0, 0.02, 0.0, 0.01], [0.0, 0.002, 0.0, 0.0, -0.03, 0.0]])
     push = ConstantForce([0.4, 0.1, -0.2, 1e-3, 0.0, -1e-3])
-    batch = poses(MuJoCoBatchPlant(TIMING, pose=start, gravity=0.0, hand_force=push), IDLE, 12)
-    exact = poses(ExactPlant(TIMING, pose=start, gravity=0.0, hand_force=push), IDLE, 12)
+    batch = poses(MuJoCoBatchPlant(TIMING, pose=start, gravity=0.0, hand_force=push), idle(), 12)
+    exact = poses(ExactPlant(TIMING, pose=start, gravity=0.0, hand_force=push), idle(), 12)
     for device in range(2):
-        alone = poses(MuJoCoPlant(TIMING, pose=start[device], gravity=0.0, hand_force=push), IDLE, 12)
+        alone = poses(MuJoCoPlant(TIMING, pose=start[device], gravity=0.0, hand_force=push), idle(), 12)
         assert_allclose(batch[:, device], alone, atol=1e-15)
         assert_allclose(exact[:, device, :3], alone[:, :3], atol=1e-14)
 

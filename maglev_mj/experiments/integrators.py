@@ -124,6 +124,7 @@ def boundary_shift(integrator: str, step: float, loop: SampledLoop, *, aligned: 
     Raises:
         ParameterError: If a value is outside its bounds.
     """
+    flag("aligned", aligned)
     if integrator in ("exact", "closed form"):
         return 0.0
     stepped = SteppedLoop(
