@@ -15,7 +15,7 @@ from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.options import Parser, joined
 from maglev_mj.terminal import say
 
-__all__ = ["main"]
+__all__ = ["main", "parser"]
 
 _UNREAD = 141  # as a shell gives for a program that a closed pipe ends
 
@@ -28,7 +28,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     try:
         try:
-            return _run(_parser().parse_args(joined(sys.argv[1:] if arguments is None else arguments)))
+            return _run(parser().parse_args(joined(sys.argv[1:] if arguments is None else arguments)))
         finally:
             if sys.stdout is not None:
                 sys.stdout.flush()  # a failure at the interpreter's end would be a traceback
@@ -78,16 +78,17 @@ def _drop_unwritten() -> None:
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
-def _parser() -> Parser:
-    parser = Parser(prog="maglev-mj", description=maglev_mj.__doc__)
-    parser.add_argument("--version", action="version", version=f"maglev-mj {maglev_mj.__version__}")
-    parser.epilog = (
+def parser() -> Parser:
+    """Return the parser of every command."""
+    made = Parser(prog="maglev-mj", description=maglev_mj.__doc__)
+    made.add_argument("--version", action="version", version=f"maglev-mj {maglev_mj.__version__}")
+    made.epilog = (
         "Exit status: 0; 1 for a run that failed, 2 for bad input, 130 for Ctrl-C, 141 for an output that nobody reads."
     )
-    commands = parser.add_subparsers(dest="command", required=True, metavar="command")
+    commands = made.add_subparsers(dest="command", required=True, metavar="command")
     for command in COMMANDS:
         command.add_command(commands)
-    return parser
+    return made
 
 
 if __name__ == "__main__":

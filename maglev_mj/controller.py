@@ -26,6 +26,7 @@ class Controller:
 
     Attributes:
         laws: The laws, in the order in which they were given.
+        velocity: The velocity estimator.
 
     Raises:
         ParameterError: If the period is not above 0, or the laws' pulse widths differ.
@@ -38,7 +39,8 @@ class Controller:
         if len(widths) > 1:
             raise ParameterError(f"laws must share one pulse_width, not {sorted(widths)}")
         self._pulse_width = widths.pop() if widths else 0.0
-        self._estimate = (velocity or FiniteDifference()).__call__
+        self.velocity = velocity or FiniteDifference()
+        self._estimate = self.velocity.__call__
         self._calls = tuple(enumerate(law.__call__ for law in self.laws))
         self.reset()
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -57,10 +57,17 @@ def joined(arguments: Sequence[str]) -> list[str]:
 
 
 def add_options(
-    parser: argparse.ArgumentParser, names: Mapping[str, Sequence[str]], helps: Mapping[str, str], parameters: type[Any]
+    parser: argparse.ArgumentParser, names: Mapping[str, Iterable[str]], helps: Mapping[str, str], parameters: Any
 ) -> None:
-    """Add an option for each name to choose and each number to give, with its default in the help text."""
-    made = parameters()
+    """Add an option for each name to choose and each number to give, with its default in the help text.
+
+    Args:
+        parser: Of the command.
+        names: Choices of each option that is a name.
+        helps: Help text of each option that is a number.
+        parameters: Class of the parameters, or parameters whose values are the defaults.
+    """
+    made = parameters() if isinstance(parameters, type) else parameters
     for name, choices in names.items():
         default = getattr(made, name)
         parser.add_argument(f"--{name}", default=default, help=f"{', '.join(choices)} (default {default})")

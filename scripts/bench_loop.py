@@ -20,7 +20,7 @@ from maglev_mj.plants import CorrectedPlant
 from maglev_mj.spec import INERTIA, Spec
 from maglev_mj.stability import largest_modulus
 
-REPEATS = 15 if "--quick" in sys.argv else 60
+REPEATS = 5 if "--quick" in sys.argv else 60
 TICKS = 400
 BATCH = 1000
 TIMING = Timing()

@@ -24,7 +24,7 @@ CASES = (
     ("5 µm, adaptive", 5e-6, "adaptive"),
 )
 DELAY = Spec.transport_delay.value
-CYCLES = 50 if QUICK else 200
+CYCLES = 20 if QUICK else 200
 
 
 def fixed(value: float) -> str:
@@ -34,7 +34,7 @@ def fixed(value: float) -> str:
 
 def microseconds(name: str, period: float) -> float:
     """Return the cost of one controller tick with this law alone [µs], the least of five runs."""
-    samples = [Sample(k, k * period, [1e-3 * (k % 7), 0.0, 0.0, 0.0, 0.0, 0.0]) for k in range(2000)]
+    samples = [Sample(k, k * period, [1e-3 * (k % 7), 0.0, 0.0, 0.0, 0.0, 0.0]) for k in range(200 if QUICK else 2000)]
     costs = []
     for _ in range(5):
         controller = Controller([friction_law(name, period)], period=period)

@@ -27,10 +27,12 @@ import numpy as np
 from peers import Task
 from ways import SEMI_IMPLICIT, Way, as_json, boundary_shift, measure, our_ways, peer_ways, points_of
 
-from maglev_mj import run
+from maglev_mj import Controller, run
 from maglev_mj.charts import Panel, WorkPrecision, small_multiples, work_precision
+from maglev_mj.experiments.choices import PlantMaker
+from maglev_mj.experiments.drop import DropParameters, drop_parts
+from maglev_mj.experiments.fidelity_scenes import FIDELITY_SCENES, FidelityScene
 from maglev_mj.experiments.integrators import INTEGRATORS
-from maglev_mj.experiments.ladder import DELAY, FIDELITY_SCENES, PERIOD
 from maglev_mj.experiments.wall_controller import wall_controller
 from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.plants import CorrectedBatchPlant, ExactPlant, MuJoCoBatchPlant, SampledPlant, Timing
@@ -40,16 +42,30 @@ from maglev_mj.versions import versions
 TITLES = {
     "drop": "on a wall, with a braking pulse",
     "drop-no-pulse": "the same without the pulse",
-    "press": "an arm laid on the wall",
+    "press": "an arm hits the wall, then presses",
     "stick-slip": "pulled out of friction",
     "twist": "free, at 3.7 rad/s",
     "six-axes": "drawn back to the centre",
 }
 NANOMETRE = 1e-9
+PERIOD, DELAY = Timing().period, Timing().delay
 
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("folder", nargs="?", default="figures", type=Path, help="where files go")
 parser.add_argument("--quick", action="store_true", help="fewer steps and repeats")
+parser.add_argument(
+    "--scenes", nargs="+", default=list(TITLES), choices=TITLES, metavar="SCENE", help=", ".join(TITLES)
+)
+
+
+def drop_from(pose: list[float]) -> FidelityScene:
+    """Return the drop from another pose [m, rad], six."""
+
+    def parts(parameters: DropParameters, *, make: PlantMaker) -> tuple[SampledPlant, Controller, int]:
+        plant, controller, _ = drop_parts(parameters, make=lambda timing, **own: make(timing, **own | {"pose": pose}))
+        return plant, controller, round(parameters.duration / parameters.period)
+
+    return replace(FIDELITY_SCENES["drop"], parts=parts)
 
 
 def boundary_shifts(quick: bool) -> dict[str, Any]:
@@ -79,7 +95,7 @@ def machine() -> dict[str, Any]:
     }
 
 
-def sweep_of_drops(stiffnesses: int, dampings: int) -> dict[str, Any]:
+def sweep_of_drops(stiffnesses: int, dampings: int, repeats: int) -> dict[str, Any]:
     """Return what a sweep of drops over the gains of the wall costs a drop [s], and how many end otherwise than exact.
 
     A drop counts as settled if it moves by less than a tenth of a millimetre in its last quarter.
@@ -99,7 +115,7 @@ def sweep_of_drops(stiffnesses: int, dampings: int) -> dict[str, Any]:
     pose[:, 2] = Spec.translation_range.value
     costs: dict[str, list[float]] = {name: [] for name in makers}
     settled: dict[str, Array] = {}
-    for _ in range(3):
+    for _ in range(repeats):
         for name, make in makers.items():
             plant = make(Timing(period=PERIOD, delay=DELAY), pose=pose, escape=(1e6, 1.0))
             controller = wall_controller(
@@ -153,9 +169,9 @@ def main() -> None:
     options = parser.parse_args()
     folder, quick = options.folder, options.quick
     folder.mkdir(parents=True, exist_ok=True)
-    ways = {name: our_ways(FIDELITY_SCENES[name], quick) for name in TITLES}
+    ways = {name: our_ways(FIDELITY_SCENES[name], quick) for name in options.scenes}
     task = Task()
-    drop = replace(FIDELITY_SCENES["drop"], pose=tuple(task.pose))
+    drop = drop_from(task.pose)
     peers, missing = peer_ways(drop, task, quick)
     for line in missing:
         print(line)
@@ -170,7 +186,7 @@ def main() -> None:
         print(f"  {'':<14}       many: {'; '.join(part['front_of_many'])}")
     data["ratios"] = print_ratios(everyone)
     data["boundary"] = boundary_shifts(quick)
-    data["sweep"] = sweep_of_drops(10, 10) if quick else sweep_of_drops(40, 25)
+    data["sweep"] = sweep_of_drops(10, 10, 1) if quick else sweep_of_drops(40, 25, 3)
     print("\na sweep of drops, on two threads: cost of a drop, and drops that end otherwise than exact")
     for name, cost in data["sweep"]["cost"].items():
         print(f"  {name:<28}{cost * 1e6:8.1f} µs{data['sweep']['misjudged'][name]:6d}")
@@ -207,7 +223,9 @@ def draw(folder: Path, ways: dict[str, list[Way]], everyone: list[Way], data: di
     )
     energies = []
     for kind in SEMI_IMPLICIT:
-        mine = [way for way in ways["drop-no-pulse"] if way.integrator == kind and way.step and way.group != "exact"]
+        mine = [
+            way for way in ways.get("drop-no-pulse", []) if way.integrator == kind and way.step and way.group != "exact"
+        ]
         mine.sort(key=lambda way: way.step or 0.0)
         energies.append((kind, [way.step for way in mine], [way.energy for way in mine]))
     energies = merged(energies)

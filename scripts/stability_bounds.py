@@ -30,7 +30,7 @@ print("times the exact boundary, at 200 Hz and 0.7 kg (above 1: optimistic, belo
 print(f"  {'delay, own damping':<24}{'B N s/m':>8}{'exact N/m':>11}{'Gil':>7}{'Minsky':>8}{'Colgate':>9}")
 for delay, own in ((0.0, 0.0), (DELAY, 0.0), (PERIOD, 0.0), (0.0, OWN)):
     top = 1.6 * float(stiffest_wall(period=PERIOD, delay=delay, hand=Hand(damping=own)).damping)
-    damping = np.linspace(0.5, top, 30 if options.quick else 120)
+    damping = np.linspace(0.5, top, 8 if options.quick else 120)
     exact = largest_stable_stiffness(damping, period=PERIOD, delay=delay, hand=Hand(damping=own))
     gil = bounds.gil(damping, period=PERIOD, delay=delay, physical_damping=own)
     minsky = bounds.minsky(damping, period=PERIOD, physical_damping=own)

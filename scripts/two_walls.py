@@ -11,6 +11,7 @@ from maglev_mj import charts
 from maglev_mj.experiments.impacts import RATTLE, rattle
 from maglev_mj.frames import Array, Mask
 from maglev_mj.spec import RANGE, Spec
+from maglev_mj.versions import versions
 
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("folder", nargs="?", default="figures", type=Path, help="where files go")
@@ -64,7 +65,8 @@ for pulse in PULSES:
         print(f"{delay:>10g}" + "".join(f"{cell:>6}" for cell in cells) + f"{f'{most:.2f}' if most else '-':>9}")
         row = {"pulse": pulse, "delay": delay * 1e-3, "gaps": (GAPS * 1e-3).tolist()}
         data.append({**row, "share": share.tolist(), "outside": outside.tolist(), "widest_of_random": most * 1e-3})
-(folder / "two_walls.json").write_text(json.dumps(data, indent=1) + "\n")
+text = json.dumps({"versions": versions(), "rows": data}, indent=1)
+(folder / "two_walls.json").write_text(text + "\n")
 print("wrote", folder / "two_walls.json")
 maps = []
 for pulse in PULSES:

@@ -12,19 +12,22 @@ from typing import Any
 import numpy as np
 from peers import Task, available
 
-from maglev_mj import run
+from maglev_mj import Controller, run
 from maglev_mj.charts import WorkPoint, pareto
-from maglev_mj.experiments.fidelity import closed_loop, median_times, stepping_name
-from maglev_mj.experiments.integrators import stiffest_simulated
-from maglev_mj.experiments.ladder import DELAY, PERIOD, FidelityScene, Motion, apart, motion_of, plant_of
+from maglev_mj.experiments import integrators
+from maglev_mj.experiments.costs import closed_loop, median_times
+from maglev_mj.experiments.fidelity import stepping_name
+from maglev_mj.experiments.fidelity_scenes import FidelityScene
+from maglev_mj.experiments.levels import Motion, apart, level_parts, motion_of
 from maglev_mj.frames import Array
 from maglev_mj.plants import CorrectedBatchPlant, ExactPlant, MuJoCoBatchPlant, SampledPlant, Timing
+from maglev_mj.sampled import SampledLoop
 from maglev_mj.spec import GRAVITY, Spec
-from maglev_mj.stability import stiffest_wall
 
 __all__ = ["SEMI_IMPLICIT", "Way", "as_json", "boundary_shift", "measure", "our_ways", "peer_ways", "points_of"]
 
 CLOSED_FORM = ("drop", "drop-no-pulse", "press", "stick-slip")
+_LOOP = SampledLoop()
 _LEAST_STEP = {"euler": 1e-6, "corrected": 1e-5, "rk4": 1e-5}
 SEMI_IMPLICIT = ("euler", "implicit", "implicitfast", "discrete")
 
@@ -44,11 +47,14 @@ class Way:
     cost: float = math.inf
 
 
-def batch_of(scene: FidelityScene, kind: Callable[..., SampledPlant], count: int, **options: Any) -> SampledPlant:
-    """Return many devices in one scene."""
-    poses, twists = np.tile(scene.pose, (count, 1)), np.tile(scene.twist, (count, 1))
-    timing = Timing(period=PERIOD, delay=DELAY)
-    return kind(timing, pose=poses, twist=twists, gravity=scene.gravity, hand=scene.hand, **options)
+def batch_of(scene: FidelityScene, kind: Callable[..., SampledPlant], count: int, **options: Any) -> Any:
+    """Return plant, controller and number of samples of many devices in one scene."""
+
+    def make(timing: Timing, **own: Any) -> SampledPlant:
+        own["pose"] = np.tile(own.get("pose", np.zeros(6)), (count, 1))
+        return kind(timing, **own | options | {"record": False, "longest_step": None})
+
+    return scene.parts(scene.parameters, make=make)
 
 
 def energy_error(motion: Motion, truth: Motion) -> float:
@@ -73,22 +79,26 @@ def single_ways(quick: bool) -> Iterator[tuple[str, str, str, float | None]]:
 def our_ways(scene: FidelityScene, quick: bool) -> list[Way]:
     """Return every way to simulate a scene with this package."""
     truths = {
-        "turning": motion_of(scene, plant_of(scene, "turning", longest_step=2e-5)),
+        "turning": motion_of(*level_parts(scene, "turning", longest_step=2e-5)),
         "body": motion_of(
-            scene, plant_of(scene, "axes") if scene.name in CLOSED_FORM else plant_of(scene, "body", longest_step=2e-5)
+            *(
+                level_parts(scene, "axes")
+                if scene.name in CLOSED_FORM
+                else level_parts(scene, "body", longest_step=2e-5)
+            )
         ),
     }
-    truth, duration = truths["body"], scene.ticks * PERIOD
-    exact = partial(plant_of, scene, "axes")
-    error = apart(motion_of(scene, exact()).pose, truth.pose)
-    ways = [Way("exact", "exact", partial(closed_loop, exact, scene), error, duration, "exact", None, 0.0)]
-    for rung, group, integrator, step in single_ways(quick):
-        make = partial(plant_of, scene, rung, integrator=integrator, longest_step=step)
-        motion = motion_of(scene, make())
-        name = stepping_name(integrator, step) + (", coils" if rung == "turning" else "")
-        energy = energy_error(motion, truths[rung]) if scene.name.startswith("drop") else None
-        error = apart(motion.pose, truths[rung].pose)
-        ways.append(Way(name, group, partial(closed_loop, make, scene), error, duration, integrator, step, energy))
+    exact = partial(level_parts, scene, "axes")
+    truth, duration = truths["body"], exact()[2] * scene.period
+    error = float(apart(motion_of(*exact()).pose, truth.pose))
+    ways = [Way("exact", "exact", partial(closed_loop, exact), error, duration, "exact", None, 0.0)]
+    for level, group, integrator, step in single_ways(quick):
+        make = partial(level_parts, scene, level, integrator=integrator, longest_step=step)
+        motion = motion_of(*make())
+        name = stepping_name(integrator, step) + (", coils" if level == "turning" else "")
+        energy = energy_error(motion, truths[level]) if scene.name.startswith("drop") else None
+        error = float(apart(motion.pose, truths[level].pose))
+        ways.append(Way(name, group, partial(closed_loop, make), error, duration, integrator, step, energy))
     count = 100 if quick else 1000
     many: tuple[tuple[str, str, Callable[..., SampledPlant], dict[str, Any]], ...] = (
         ("exact", "exact", ExactPlant, {}),
@@ -96,22 +106,22 @@ def our_ways(scene: FidelityScene, quick: bool) -> list[Way]:
         ("rk4", "MuJoCo, batch", MuJoCoBatchPlant, {"coils": False}),
     )
     for name, group, kind, options in many:
-        make = partial(batch_of, scene, kind, count, **options)
-        error = apart(poses_of(scene, make()), truth.pose)
-        ways.append(Way(f"{name}, {count} at once", group, partial(closed_loop, make, scene), error, duration * count))
+        many_parts = partial(batch_of, scene, kind, count, **options)
+        error = float(apart(poses_of(*many_parts()), truth.pose))
+        ways.append(Way(f"{name}, {count} at once", group, partial(closed_loop, many_parts), error, duration * count))
     return ways
 
 
-def poses_of(scene: FidelityScene, plant: SampledPlant) -> Array:
+def poses_of(plant: SampledPlant, controller: Controller, ticks: int) -> Array:
     """Return the poses of the last device of a batch at the samples, (K, 6)."""
     poses: list[Array] = []
-    run(plant, scene.controller(), scene.ticks, observe=lambda *_: poses.append(plant.state()[0][-1]))
+    run(plant, controller, ticks, observe=lambda *_: poses.append(plant.state()[0][-1]))
     return np.array([*poses, plant.state()[0][-1]])
 
 
 def peer_ways(scene: FidelityScene, task: Task, quick: bool) -> tuple[list[Way], list[str]]:
     """Return the ways of those who would take another simulator, and a line for each that is not installed."""
-    truth = motion_of(scene, plant_of(scene, "axes", inertia=task.inertia)).pose
+    truth = motion_of(*level_parts(scene, "axes", inertia=task.inertia)).pose
     variants, missing = available()
     ways = []
     for variant in variants:
@@ -120,7 +130,7 @@ def peer_ways(scene: FidelityScene, task: Task, quick: bool) -> tuple[list[Way],
         poses = simulate()
         if quick and time.perf_counter() - start > 0.1:
             continue
-        error = apart(np.where(np.isnan(poses), truth, poses), truth)
+        error = float(apart(np.where(np.isnan(poses), truth, poses), truth))
         group = "MuJoCo by hand" if variant.peer == "mujoco" else variant.peer
         if np.isnan(poses).any():  # one slide: it leaves the five other axes out
             group = "MuJoCo, z alone"
@@ -141,16 +151,8 @@ def measure(ways: list[Way], repeats: int) -> None:
 
 @cache
 def boundary_shift(integrator: str, step: float, aligned: bool = True) -> float:
-    """Return by what share an integrator with a step [s] shifts the stiffest stable wall, at the scenes' timing."""
-    if integrator == "exact":
-        return 0.0
-    found = stiffest_simulated(integrator, step, period=PERIOD, delay=DELAY, aligned=aligned)
-    return float(found.stiffness) / _stiffest() - 1.0
-
-
-@cache
-def _stiffest() -> float:
-    return float(stiffest_wall(period=PERIOD, delay=DELAY).stiffness)
+    """Return the relative shift of the stiffest stable wall by an integrator and its step [s], at usual timing."""
+    return integrators.boundary_shift(integrator, step, _LOOP, aligned=aligned)
 
 
 def as_json(ways: list[Way]) -> dict[str, Any]:
@@ -163,7 +165,9 @@ def as_json(ways: list[Way]) -> dict[str, Any]:
             "real_time_factor": 1.0 / way.cost,
             "error": way.error,
             "energy_error": way.energy,
-            "boundary_shift": None if way.integrator is None else boundary_shift(way.integrator, way.step or PERIOD),
+            "boundary_shift": None
+            if way.integrator is None
+            else boundary_shift(way.integrator, way.step or Timing().period),
             "integrator": way.integrator,
             "step": way.step,
         }

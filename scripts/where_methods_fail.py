@@ -30,7 +30,7 @@ folder = options.folder
 folder.mkdir(parents=True, exist_ok=True)
 
 T, DELAY, MASS = 1.0 / Spec.control_rate.value, Spec.transport_delay.value, Spec.moving_mass.value
-COUNT = 4 if options.quick else 10
+COUNT = 2 if options.quick else 10
 PHASES = np.arange(32)[:: 8 if options.quick else 1] / 32
 
 
@@ -42,7 +42,7 @@ def panel(title: str, x: str, y: str, curves: list[tuple[str, Any, Any]], **opti
 def just_above_the_boundary() -> charts.Panel:
     """With one sample of delay: how many samples to grow ten-thousandfold, foretold and simulated."""
     best = stiffest_wall(period=T, delay=T)
-    over = np.geomspace(0.01, 0.3, COUNT)
+    over = np.geomspace(0.1 if options.quick else 0.01, 0.3, COUNT)
     stiffness, damping = float(best.stiffness) * (1.0 + over), np.full(COUNT, float(best.damping))
     foretold = np.log(1e4) / np.log(largest_modulus(stiffness, damping, period=T, delay=T))
     curves = [("foretold by the modulus", over * 100.0, foretold)]

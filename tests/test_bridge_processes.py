@@ -33,6 +33,8 @@ from maglev_mj.scenes import Scene, Settings, scene_called
 COMMAND = [sys.executable, "-m", "maglev_mj.cli"]
 NEAR = "udp://127.0.0.1:0"
 
+pytestmark = pytest.mark.xdist_group("realtime")
+
 LOCKSTEP = """
 import sys
 from maglev_mj.bridge import Twin, TwinParameters
@@ -121,6 +123,11 @@ SCENES = [
     ("drop", Settings(weightless=False), (0.0, 0.0, 0.004, 0.0, 0.0, 0.0)),
     ("table", Settings(friction=True), (0.001, 0.0, 0.0, 0.0, 0.01, 0.0)),
 ]
+
+
+@pytest.mark.skipif("PYTEST_XDIST_WORKER" not in os.environ, reason="there is one worker")
+def test_tests_in_real_time_take_turns(request: pytest.FixtureRequest) -> None:
+    assert request.node.nodeid.endswith("@realtime")  # by which one worker gets them all
 
 
 @pytest.mark.parametrize("loss", [0.0, 0.03])

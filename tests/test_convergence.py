@@ -11,8 +11,9 @@ import pytest
 
 from maglev_mj import Controller, ExactPlant, MuJoCoPlant, Timing, run
 from maglev_mj.errors import ParameterError
+from maglev_mj.experiments.fidelity_scenes import FIDELITY_SCENES
 from maglev_mj.experiments.integrators import INTEGRATORS, stiffest_simulated
-from maglev_mj.experiments.ladder import FIDELITY_SCENES, apart, motion_of, plant_of
+from maglev_mj.experiments.levels import apart, level_parts, motion_of
 from maglev_mj.experiments.wall_controller import wall_controller
 from maglev_mj.frames import Array, Command, Sample, quaternions, rotation_matrix, rotation_vector
 from maglev_mj.hand import Hand
@@ -52,23 +53,14 @@ def free_top(time: Any, attitude: Array, spin: Array) -> Array:
 
 @pytest.mark.parametrize(("integrator", "order"), ORDERS)
 def test_a_free_twist_converges_to_the_symmetric_top(integrator: str, order: float) -> None:
-    scene = FIDELITY_SCENES["twist"]
-    time = np.arange(scene.ticks + 1) * 0.005
-    truth = free_top(time, np.array(scene.pose[3:]), np.array(scene.twist[3:]))
+    scene = FIDELITY_SCENES["twist"].changed(delay=0.0)  # one step a stretch at most, the delay on the grid
+    *_, ticks = level_parts(scene, "body")
+    time = np.arange(ticks + 1) * 0.005
+    truth = free_top(time, np.array([-0.04, 0.03, -0.02]), np.array([2.0, -1.5, 2.7]))
     steps, errors = [5e-3, 2.5e-3, 1.25e-3], []
     for step in steps:
-        # one step a stretch at most, the delay on the grid
-        timing = Timing(period=0.005, delay=0.0)
-        plant = MuJoCoPlant(
-            timing,
-            pose=scene.pose,
-            twist=scene.twist,
-            gravity=0.0,
-            coils=False,
-            integrator=integrator,
-            longest_step=step,
-        )
-        errors.append(float(np.abs(motion_of(scene, plant).pose[:, 3:] - truth).max()))
+        motion = motion_of(*level_parts(scene, "body", integrator=integrator, longest_step=step))
+        errors.append(float(np.abs(motion.pose[:, 3:] - truth).max()))
     assert slope(steps, errors) == pytest.approx(order, abs=0.12)
     assert errors[-1] < (1e-9 if integrator == "rk4" else 1e-4)
 
@@ -203,6 +195,6 @@ def test_rotation_matrices_are_the_engine_s() -> None:
 
 def test_the_answer_of_the_six_axes_is_converged() -> None:
     scene = FIDELITY_SCENES["six-axes"]
-    motions = [motion_of(scene, plant_of(scene, "body", longest_step=step)).pose for step in (2.5e-3, 1.25e-3, 6.25e-4)]
+    motions = [motion_of(*level_parts(scene, "body", longest_step=step)).pose for step in (2.5e-3, 1.25e-3, 6.25e-4)]
     coarse, fine = apart(motions[0], motions[1]), apart(motions[1], motions[2])
     assert fine < 1e-13 and fine < coarse / 4.0

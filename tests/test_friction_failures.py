@@ -60,11 +60,12 @@ def test_chatter_just_above_breakaway() -> None:
     assert chatter("lugre", **hard) > 100  # its Stribeck curve jumps with every step of the velocity
 
 
-def test_creep_under_1000_small_load_cycles() -> None:
+@pytest.mark.parametrize("cycles", [200, pytest.param(1000, marks=pytest.mark.study)])
+def test_creep_under_1000_small_load_cycles(cycles: int) -> None:
     """Dahl and LuGre walk 20 mm under loads of at most 30 % of breakaway. The others hold."""
-    drift = {name: abs(creep(name, period=1e-3, delay=DELAY)) for name in LAWS}
-    assert drift["dahl"] > 5e-3
-    assert drift["lugre"] > 5e-3
+    drift = {name: abs(creep(name, period=1e-3, delay=DELAY, cycles=cycles)) for name in LAWS}
+    assert drift["dahl"] > 5e-6 * cycles
+    assert drift["lugre"] > 5e-6 * cycles
     assert drift["hayward-armstrong"] < 5e-6
     for name in ("stick-slip", "spring-reset", "elasto-plastic", "kikuuwe"):
         assert drift[name] < 1e-9

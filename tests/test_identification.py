@@ -33,6 +33,8 @@ SLOW, FAST = (0.005, 0.0015), (0.001, 0.0003)
 QUANTUM, NOISE = 0.8e-6, 0.3e-6
 MASS = 0.82
 
+pytestmark = pytest.mark.xdist_group("identification")  # so that each device is shaken once
+
 
 class Twin:
     """A device whose truth is drawn, and a host that knows the nominal one; read, write and what was sent."""

@@ -4,7 +4,6 @@ import json
 import re
 import signal
 import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -27,6 +26,8 @@ from maglev_mj.scenes import Settings, scene_called
 from maglev_mj.session import Moment, Outlets
 from maglev_mj.stream import StreamClient
 from tests.test_bridge_processes import COMMAND, ended, said_by, twin
+
+pytestmark = pytest.mark.xdist_group("realtime")
 
 KEY = "00112233445566778899aabbccddeeff"
 
@@ -140,11 +141,12 @@ def events(path: Path, count: int) -> list[tuple[int, ...]]:
         (("serve-spacenav", "box", "--from", "udp://127.0.0.1:9"), "scene must be that of the stream"),
     ],
 )
-def test_options_that_do_not_fit_are_one_line(arguments: tuple[str, ...], complaint: str, tmp_path: Path) -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "maglev_mj.cli", *arguments], capture_output=True, text=True, cwd=tmp_path, timeout=60
-    )
-    assert done.returncode == 2 and len(done.stderr.splitlines()) == 1 and complaint in done.stderr, done.stderr
+def test_options_that_do_not_fit_are_one_line(
+    arguments: tuple[str, ...], complaint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    status, said = said_by(*arguments)
+    assert status == 2 and len(said.splitlines()) == 1 and complaint in said, said
 
 
 def test_a_stream_that_is_not_there_is_one_line(tmp_path: Path, capsys: Any) -> None:

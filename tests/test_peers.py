@@ -18,6 +18,7 @@ from maglev_mj.frames import Array
 from maglev_mj.spec import GRAVITY, INERTIA
 
 SCRIPTS = Path(__file__).resolve().parent.parent / "scripts"
+SCENES = ["drop", "drop-no-pulse", "press", "stick-slip", "twist", "six-axes"]
 
 EXACT = {
     "mujoco": ("split, RK4", "split, Euler, half-kick", "Euler, steps of 0.5 ms, corrected", "RK4, steps of 0.5 ms"),
@@ -131,15 +132,18 @@ def test_a_way_that_another_beats_in_both_is_not_on_the_front() -> None:
     assert [point.name for point in pareto(points)] == ["cheap", "rounding"]
 
 
-def test_the_chart_holds_every_scene_and_says_what_is_missing(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "scenes", [["drop-no-pulse"], pytest.param(SCENES, marks=pytest.mark.study)], ids=["one", "all"]
+)
+def test_the_chart_holds_every_scene_and_says_what_is_missing(scenes: list[str], tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     import subprocess
 
-    command = [sys.executable, str(SCRIPTS / "speed_accuracy.py"), str(tmp_path), "--quick"]
+    command = [sys.executable, str(SCRIPTS / "speed_accuracy.py"), str(tmp_path), "--quick", "--scenes", *scenes]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
     assert done.returncode == 0, done.stderr
     data = json.loads((tmp_path / "speed_accuracy.json").read_text())
-    assert list(data["scenes"]) == ["drop", "drop-no-pulse", "press", "stick-slip", "twist", "six-axes"]
+    assert list(data["scenes"]) == scenes
     for scene in data["scenes"].values():
         errors = {way["name"]: way["error"] for way in scene["ways"]}
         assert scene["front"] and set(scene["front"]) <= set(errors)

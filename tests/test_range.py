@@ -18,7 +18,7 @@ from maglev_mj.spec import RANGE
 from maglev_mj.tables import drop_table, press_table, stick_slip_table
 from maglev_mj.trace import Trace
 
-LINE = re.compile(r"  Beyond the device's range of (.*): (.*)")
+LINE = re.compile(r"  Beyond the range of (.*): (.*)")
 
 
 def remark(text: str) -> str | None:

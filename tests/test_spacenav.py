@@ -365,7 +365,10 @@ class Program:
 
     def __init__(self, path: Path) -> None:
         self.line = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        self.line.connect(str(path))
+        # a server's file is there a moment before it listens
+        if not waited(lambda: self.line.connect_ex(str(path)) == 0):
+            self.line.close()
+            pytest.fail(f"nobody listens at {path}")
         self.line.setblocking(False)
 
     def __enter__(self) -> Program:
@@ -724,7 +727,6 @@ def test_a_program_hears_of_the_scripted_hand(path: Path, capsys: pytest.Capture
     heard: list[tuple[int, ...]] = []
 
     def listen() -> None:
-        assert waited(path.is_socket)
         with Program(path) as program:
             program.line.setblocking(True)
             program.line.settimeout(PATIENCE)

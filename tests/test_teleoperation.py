@@ -10,6 +10,7 @@ from dataclasses import replace
 from functools import cache
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -32,6 +33,9 @@ from teleoperation_theory import NO_GAINS, Gains, TwoBodies, chosen_gains, stiff
 SCRIPT = Path(__file__).resolve().parent.parent / "scripts" / "teleoperation.py"
 RATES = (200, 1000)
 CASES = [(mode, rate) for mode in ("position", "rate") for rate in RATES]
+SLOW_RATES = [200, pytest.param(1000, marks=pytest.mark.study)]
+
+pytestmark = pytest.mark.xdist_group("teleoperation")  # so that each task is carried out once
 
 
 def at(rate: int, mode: str = "position") -> Task:
@@ -94,15 +98,25 @@ def test_the_slave_moves_as_its_masses_and_the_delay_say() -> None:
     assert slave.position == pytest.approx(0.5 * force / [2.0, 1.5, 1.0] * pushed**2, rel=1e-9)
 
 
-@pytest.mark.parametrize("rate", RATES)
-def test_contact_settles_in_every_hand_at_every_phase_speed_and_force(rate: int) -> None:
+STROKES = [
+    (("firm",), (0.0, 0.5), (0.05, 5.0)),
+    (("arm", "stylus", "fingertip"), (0.25,), (0.03, 3.0)),
+    (("firm",), (0.75,), (0.01, 1.0)),
+]
+"""Hands, phases, speed and force."""
+
+
+@pytest.mark.parametrize(
+    ("rate", "strokes"),
+    [
+        (200, STROKES[1:]),
+        (1000, STROKES[2:]),
+        *(pytest.param(rate, STROKES, marks=pytest.mark.study) for rate in RATES),
+    ],
+)
+def test_contact_settles_in_every_hand_at_every_phase_speed_and_force(rate: int, strokes: Any) -> None:
     task = replace(at(rate), hold=0.9)
-    found = [
-        *contacts(task, ["firm"], [0.0, 0.5], [(0.05, 5.0)]),
-        *contacts(task, ["arm", "stylus", "fingertip"], [0.25], [(0.03, 3.0)]),
-        *contacts(task, ["firm"], [0.75], [(0.01, 1.0)]),
-    ]
-    for contact in found:
+    for contact in [one for hands, phases, stroke in strokes for one in contacts(task, hands, phases, [stroke])]:
         assert contact.press == pytest.approx(contact.asked, rel=0.02)
         assert contact.ripple < 1e-4 * contact.press, contact
         assert contact.losses == 0 and contact.bounces <= 5, contact
@@ -234,7 +248,7 @@ def test_the_coupling_fails_where_the_eigenvalues_say(mode: str, rate: int) -> N
     assert measured_boundary(shares, found) == pytest.approx(1.0, abs=0.01)
 
 
-@pytest.mark.parametrize("rate", RATES)
+@pytest.mark.parametrize("rate", SLOW_RATES)
 def test_contact_does_not_settle_with_a_coupling_beyond_the_boundary(rate: int) -> None:
     task = replace(at(rate, "touching"), press=3.0, hold=2.0)
     coupling = task.chosen(1.0)

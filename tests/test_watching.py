@@ -17,6 +17,8 @@ from maglev_mj.scenes import Settings
 from maglev_mj.watching import _Seen, _Watched
 from tests.virtual_screen import MISSING, VirtualScreen
 
+pytestmark = pytest.mark.xdist_group("realtime")
+
 
 def test_a_window_is_told_of_the_device_and_says_what_the_mouse_and_keys_do() -> None:
     near, far = Pipe()

@@ -18,9 +18,24 @@ from maglev_mj.output import check_recording, keep_partial, write_json
 from maglev_mj.replay import write_experiment
 from maglev_mj.tables import drop_table
 
-__all__ = ["add_command"]
+__all__ = ["DROP_HELPS", "add_command"]
 
 _PICTURED_PHASES = 50
+
+DROP_HELPS = {
+    "height": "drop height above the wall [m]",
+    "phase": "the samples are at (k + phase) period after release, in [0, 1)",
+    "period": "sample period [s]",
+    "delay": "from a sample to its command taking effect [s]",
+    "stiffness": "wall stiffness [N/m]",
+    "damping": "wall damping [N s/m]",
+    "pulse": "further damping in the braking pulse [N s/m]; 0 for none",
+    "pulse_width": "how long the pulse lasts [s]",
+    "mass": "moving mass [kg]",
+    "force_limit": "largest force of the actuators along z [N]; the device's is 60",
+    "quantize": "resolution of the position sensor [m]",
+    "duration": "simulated time from release [s]",
+}
 
 
 def add_command(commands: Any) -> None:
@@ -32,21 +47,7 @@ def add_command(commands: Any) -> None:
 
 def _add_drop_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of `maglev-mj drop`."""
-    helps = {
-        "height": "drop height above the wall [m]",
-        "phase": "the samples are at (k + phase) period after release, in [0, 1)",
-        "period": "sample period [s]",
-        "delay": "from a sample to its command taking effect [s]",
-        "stiffness": "wall stiffness [N/m]",
-        "damping": "wall damping [N s/m]",
-        "pulse": "further damping in the braking pulse [N s/m]; 0 for none",
-        "pulse_width": "how long the pulse lasts [s]",
-        "mass": "moving mass [kg]",
-        "force_limit": "largest force of the actuators along z [N]; the device's is 60",
-        "quantize": "resolution of the position sensor [m]",
-        "duration": "simulated time from release [s]",
-    }
-    add_options(parser, {"plant": PLANTS}, helps, DropParameters)
+    add_options(parser, {"plant": PLANTS}, DROP_HELPS, DropParameters)
     parser.add_argument(
         "--carry",
         action="store_true",

@@ -19,7 +19,26 @@ from maglev_mj.progress import Progress
 from maglev_mj.replay import write_experiment
 from maglev_mj.tables import press_table
 
-__all__ = ["add_command"]
+__all__ = ["PRESS_HANDS", "PRESS_HELPS", "add_command"]
+
+PRESS_HELPS = {
+    "interval": "from one hit to the next [s]",
+    "height": "height above the wall from which the hand hits [m]",
+    "press": "force with which it presses in the end [N]",
+    "phase": "the samples are at (k + phase) period after the hand begins, in [0, 1)",
+    "period": "sample period [s]",
+    "delay": "from a sample to its command taking effect [s]",
+    "stiffness": "wall stiffness [N/m]",
+    "damping": "wall damping [N s/m]",
+    "pulse": "further damping in the braking pulse [N s/m]; 0 for none",
+    "pulse_width": "how long the pulse lasts [s]",
+    "pulse_gate": "approach speed from which on a pulse is given [m/s]",
+    "mass": "moving mass [kg]",
+    "force_limit": "largest force of the actuators along z [N]; the device's is 60",
+    "quantize": "resolution of the position sensor [m]",
+    "duration": "simulated time [s]",
+}
+PRESS_HANDS = (*(name for name in HANDS if name != "none"), "or MASS,DAMPING,STIFFNESS[,GRIP_DAMPING,GRIP_STIFFNESS]")
 
 
 def add_command(commands: Any) -> None:
@@ -31,25 +50,7 @@ def add_command(commands: Any) -> None:
 
 def _add_press_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of `maglev-mj press`."""
-    helps = {
-        "interval": "from one hit to the next [s]",
-        "height": "height above the wall from which the hand hits [m]",
-        "press": "force with which it presses in the end [N]",
-        "phase": "the samples are at (k + phase) period after the hand begins, in [0, 1)",
-        "period": "sample period [s]",
-        "delay": "from a sample to its command taking effect [s]",
-        "stiffness": "wall stiffness [N/m]",
-        "damping": "wall damping [N s/m]",
-        "pulse": "further damping in the braking pulse [N s/m]; 0 for none",
-        "pulse_width": "how long the pulse lasts [s]",
-        "pulse_gate": "approach speed from which on a pulse is given [m/s]",
-        "mass": "moving mass [kg]",
-        "force_limit": "largest force of the actuators along z [N]; the device's is 60",
-        "quantize": "resolution of the position sensor [m]",
-        "duration": "simulated time [s]",
-    }
-    hands = (*(name for name in HANDS if name != "none"), "or MASS,DAMPING,STIFFNESS[,GRIP_DAMPING,GRIP_STIFFNESS]")
-    add_options(parser, {"plant": PLANTS, "hand": hands}, helps, PressParameters)
+    add_options(parser, {"plant": PLANTS, "hand": PRESS_HANDS}, PRESS_HELPS, PressParameters)
     hits = PressParameters().hits
     parser.add_argument("--hits", type=count, default=hits, metavar="N", help=f"how many hits (default {hits})")
     parser.add_argument("--phases", type=count, metavar="N", help="also sweep N phases, evenly spread over a period")

@@ -16,7 +16,20 @@ from maglev_mj.output import check_recording, keep_partial, write_json
 from maglev_mj.replay import write_experiment
 from maglev_mj.tables import stick_slip_table
 
-__all__ = ["add_command"]
+__all__ = ["STICK_SLIP_HELPS", "add_command"]
+
+STICK_SLIP_HELPS = {
+    "period": "sample period [s]",
+    "delay": "from a sample to its command taking effect [s]",
+    "quantize": "resolution of the position sensor [m]",
+    "spring": "stiffness of the virtual spring [N/m]",
+    "target": "where the spring's far end is [m]",
+    "stiffness": "stiffness of the friction law while stuck [N/m]",
+    "damping": "viscous damping [N s/m]",
+    "breakaway": "breakaway force [N]",
+    "v_min": "speed below which the flotor sticks [m/s]",
+    "duration": "simulated time [s]",
+}
 
 
 def add_command(commands: Any) -> None:
@@ -28,20 +41,8 @@ def add_command(commands: Any) -> None:
 
 def _add_stick_slip_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of `maglev-mj stick-slip`."""
-    helps = {
-        "period": "sample period [s]",
-        "delay": "from a sample to its command taking effect [s]",
-        "quantize": "resolution of the position sensor [m]",
-        "spring": "stiffness of the virtual spring [N/m]",
-        "target": "where the spring's far end is [m]",
-        "stiffness": "stiffness of the friction law while stuck [N/m]",
-        "damping": "viscous damping [N s/m]",
-        "breakaway": "breakaway force [N]",
-        "v_min": "speed below which the flotor sticks [m/s]",
-        "duration": "simulated time [s]",
-    }
     names = {"plant": PLANTS, "law": tuple(LAWS), "velocity": tuple(VELOCITIES), "axis": AXES}
-    add_options(parser, names, helps, StickSlipParameters)
+    add_options(parser, names, STICK_SLIP_HELPS, StickSlipParameters)
     add_outputs(parser)
     add_recording(parser)
     parser.epilog = (

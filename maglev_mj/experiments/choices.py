@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from typing import TypeAlias
 
 from maglev_mj.laws import (
     AdaptiveWindow,
@@ -18,10 +19,15 @@ from maglev_mj.laws import (
     StickSlip,
     VelocityEstimator,
 )
+from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant
 
-__all__ = ["LAWS", "PLANTS", "SLIDES_AT", "VELOCITIES"]
+__all__ = ["LAWS", "PLANTS", "SLIDES_AT", "VELOCITIES", "PlantMaker"]
 
-PLANTS = ("exact", "mujoco")
+PlantMaker: TypeAlias = Callable[..., SampledPlant]
+"""Makes a plant of a timing and the keywords of a plant."""
+
+PLANTS: Mapping[str, PlantMaker] = {"exact": ExactPlant, "mujoco": MuJoCoPlant}
+"""Plants by name."""
 
 LAWS: Mapping[str, Callable[..., Friction]] = {
     "stick-slip": lambda *, period, **common: StickSlip(**common),

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from maglev_mj.controller import Controller
 from maglev_mj.errors import DivergenceError, ParameterError
 from maglev_mj.exact import analog_wall
+from maglev_mj.experiments.choices import PLANTS, PlantMaker
 from maglev_mj.experiments.drop_parameters import DropParameters
 from maglev_mj.experiments.wall_controller import wall_controller
 from maglev_mj.frames import Array
@@ -20,7 +21,7 @@ from maglev_mj.hand import HandForce
 from maglev_mj.loop import run
 from maglev_mj.metrics import BounceSummary, percentiles, summarise_bounce
 from maglev_mj.parameters import number, numbers
-from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant, Sensor, Timing, engine_warnings_silenced
+from maglev_mj.plants import SampledPlant, Sensor, Timing, engine_warnings_silenced
 from maglev_mj.spec import ESCAPE
 from maglev_mj.trace import Trace
 
@@ -212,17 +213,29 @@ def _ticks(parameters: DropParameters, phase: float) -> int:
     return max(math.ceil(parameters.duration / parameters.period - phase + 1e-9), 1)
 
 
-def drop_parts(parameters: DropParameters, hand_force: HandForce | None = None) -> tuple[SampledPlant, Controller, int]:
-    """Return what a drop is made of: the plant, in a hand if there is one, the controller, and how many samples."""
-    plant = _plant(parameters, parameters.phase, hand_force)
+def drop_parts(
+    parameters: DropParameters, hand_force: HandForce | None = None, *, make: PlantMaker | None = None
+) -> tuple[SampledPlant, Controller, int]:
+    """Return what a drop is made of: the plant, in a hand if there is one, the controller, and how many samples.
+
+    Args:
+        parameters: The drop.
+        hand_force: What a hand exerts.
+        make: Makes the plant; the parameters' by default.
+    """
+    plant = _plant(parameters, parameters.phase, hand_force, make)
     return plant, _controller(parameters), _ticks(parameters, parameters.phase)
 
 
-def _plant(parameters: DropParameters, phase: float | Array, hand_force: HandForce | None = None) -> SampledPlant:
+def _plant(
+    parameters: DropParameters,
+    phase: float | Array,
+    hand_force: HandForce | None = None,
+    make: PlantMaker | None = None,
+) -> SampledPlant:
     limit = None if parameters.force_limit is None else [np.inf, np.inf, parameters.force_limit] + [np.inf] * 3
     sensor = Sensor(quantum=[0.0, 0.0, parameters.quantize] + [0.0] * 3) if parameters.quantize else None
-    plant = ExactPlant if parameters.plant == "exact" else MuJoCoPlant
-    return plant(
+    return (make or PLANTS[parameters.plant])(
         Timing(period=parameters.period, delay=parameters.delay, phase=phase),
         mass=parameters.mass,
         pose=[0.0, 0.0, parameters.height, 0.0, 0.0, 0.0],

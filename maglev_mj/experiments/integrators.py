@@ -9,21 +9,21 @@ from functools import lru_cache
 import numpy as np
 
 from maglev_mj.frames import Array
+from maglev_mj.hand import Hand
 from maglev_mj.parameters import flag, number
 from maglev_mj.plants import INTEGRATORS, one_step
 from maglev_mj.sampled import SampledLoop
 from maglev_mj.spec import Spec
 from maglev_mj.stability import StiffestWall, stiffest_of
 
-__all__ = ["INTEGRATORS", "SteppedLoop", "stiffest_simulated"]
+__all__ = ["INTEGRATORS", "SteppedLoop", "boundary_shift", "stiffest_simulated"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SteppedLoop(SampledLoop):
     """A sampled loop whose flotor moves as an integrator has it.
 
-    The map of one step is measured on the drop model along z, without gravity; the rest is the exact loop. The
-    delay is within one period, and there is neither hand nor driver lag.
+    The map of one step is measured on the drop model along z, without gravity; the rest is the exact loop.
 
     Args:
         integrator: One of `INTEGRATORS`, or "corrected" for Euler's with its half-step correction.
@@ -44,36 +44,42 @@ class SteppedLoop(SampledLoop):
         """See `SampledLoop`."""
         period, delay = float(np.asarray(self.period)), float(np.asarray(self.delay))
         longest = number("step", self.step, above=0.0, at_most=period)
-        number("delay", delay, at_most=period)
+        whole = math.floor(delay / period + 1e-9)
+        rest = max(delay - whole * period, 0.0)
         if self.aligned:
-            before = max(math.ceil(delay / longest - 1e-9), 0)
-            after = max(math.ceil((period - delay) / longest - 1e-9), 0)
-            first = delay / before if before else longest
-            second = (period - delay) / after if after else longest
+            before = max(math.ceil(rest / longest - 1e-9), 0)
+            after = max(math.ceil((period - rest) / longest - 1e-9), 0)
+            first = rest / before if before else longest
+            second = (period - rest) / after if after else longest
         else:
             steps = math.ceil(period / longest - 1e-9)
             first = second = period / steps
-            before = math.ceil(delay / first - 1e-9)
+            before = math.ceil(rest / first - 1e-9)
             after = steps - before
-        early, old = self._steps(first, before)
+        early, held = self._steps(first, before)
         late, new = self._steps(second, after)
-        whole = np.asarray(0.0)
-        if after == 0:  # a full period of delay: the command before is all there is
-            return early, old, old, np.asarray(1.0), 1
-        return late @ early, late @ old, new, whole, int(before > 0)
+        phi, old = late @ early, late @ held
+        if self.integrator == "corrected":  # at the sample the position goes back by half a step of the speed gained
+            new = new - 0.5 * second * new[1] * _PLACE[: len(new)]
+            old = old - 0.5 * (first * held[1] + second * (old[1] - held[1])) * _PLACE[: len(old)]
+            before_it = np.eye(len(phi))[1]
+            gained = first * (early[1] - before_it) + second * (phi[1] - early[1])
+            phi = phi - 0.5 * np.outer(_PLACE[: len(phi)], gained)
+        return phi, old, new, np.asarray(float(whole)), whole + int(before > 0)
 
     def _steps(self, step: float, count: int) -> tuple[Array, Array]:
         """Return the map of some steps and the share of a force that acts throughout."""
-        return _steps(self.integrator, float(np.asarray(self.mass)), step, count)
+        lags = self.driver_lag > 0.0
+        return _steps(self.integrator, float(np.asarray(self.mass)), step, count, self.hand, lags)
+
+
+_PLACE = np.eye(5)[0]
 
 
 @lru_cache(maxsize=256)
-def _steps(integrator: str, mass: float, step: float, count: int) -> tuple[Array, Array]:
-    one, push = one_step("euler" if integrator == "corrected" else integrator, mass, step)
-    if integrator == "corrected":  # the position goes back by half a step of the speed gained
-        one[0] -= 0.5 * step * (one[1] - [0.0, 1.0])
-        push[0] -= 0.5 * step * push[1]
-    total, share = np.eye(2), np.zeros(2)
+def _steps(integrator: str, mass: float, step: float, count: int, hand: Hand | None, lags: bool) -> tuple[Array, Array]:
+    one, push = one_step("euler" if integrator == "corrected" else integrator, mass, step, hand, lags)
+    total, share = np.eye(len(push)), np.zeros(len(push))
     for _ in range(count):
         total, share = one @ total, one @ share + push
     return total, share
@@ -94,7 +100,7 @@ def stiffest_simulated(
         integrator: As for `SteppedLoop`.
         step: Longest time step [s].
         period: Sample period [s].
-        delay: Transport delay [s], up to a period.
+        delay: Transport delay [s], up to 10 periods.
         mass: Moving mass [kg].
         aligned: See `SteppedLoop`.
 
@@ -104,3 +110,35 @@ def stiffest_simulated(
     return stiffest_of(
         SteppedLoop(period=period, delay=delay, mass=mass, integrator=integrator, step=step, aligned=aligned)
     )
+
+
+def boundary_shift(integrator: str, step: float, loop: SampledLoop, *, aligned: bool = True) -> float:
+    """Return the relative shift of the stiffest stable wall by an integrator and its step.
+
+    Args:
+        integrator: As for `SteppedLoop`; 0 for "exact" and "closed form".
+        step: Longest time step [s].
+        loop: The loop itself: period, delay, mass, hand and lag of the model's drivers.
+        aligned: See `SteppedLoop`.
+
+    Raises:
+        ParameterError: If a value is outside its bounds.
+    """
+    if integrator in ("exact", "closed form"):
+        return 0.0
+    stepped = SteppedLoop(
+        period=loop.period,
+        delay=loop.delay,
+        mass=loop.mass,
+        hand=loop.hand,
+        driver_lag=loop.driver_lag,
+        integrator=integrator,
+        step=step,
+        aligned=aligned,
+    )
+    return float(stiffest_of(stepped).stiffness) / _stiffest(loop) - 1.0
+
+
+@lru_cache(maxsize=16)
+def _stiffest(loop: SampledLoop) -> float:
+    return float(stiffest_of(loop).stiffness)

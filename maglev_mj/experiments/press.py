@@ -11,15 +11,16 @@ import numpy as np
 
 from maglev_mj.controller import Controller
 from maglev_mj.errors import DivergenceError, ParameterError
+from maglev_mj.experiments.choices import PLANTS, PlantMaker
 from maglev_mj.experiments.drop import escaped_later
 from maglev_mj.experiments.press_figures import PressSummary, press_percentiles, summarise_press
 from maglev_mj.experiments.press_parameters import PressParameters
 from maglev_mj.experiments.wall_controller import wall_controller
 from maglev_mj.frames import AXES, Array, Component
-from maglev_mj.hand import GuidedHand, Hand, HandForce, motion
+from maglev_mj.hand import GuidedHand, HandForce
 from maglev_mj.loop import run
 from maglev_mj.parameters import number
-from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant, Sensor, Timing, engine_warnings_silenced
+from maglev_mj.plants import SampledPlant, Sensor, Timing, engine_warnings_silenced
 from maglev_mj.spec import ESCAPE
 from maglev_mj.trace import Trace
 
@@ -129,7 +130,7 @@ def sweep_press(
     return PressSweep(parameters, chosen, figures, np.array(furthest))
 
 
-class _SideBySide:
+class SideBySide:
     """Hands that differ in their paths alone, one for each device of a batch."""
 
     def __init__(self, hands: Sequence[GuidedHand]) -> None:
@@ -157,10 +158,16 @@ def _trace(runs: Sequence[PressParameters], *, together: bool) -> Trace:
 
 
 def press_parts(
-    parameters: PressParameters, hand_force: HandForce | None = None
+    parameters: PressParameters, hand_force: HandForce | None = None, *, make: PlantMaker | None = None
 ) -> tuple[SampledPlant, Controller, int]:
-    """Return what a run is made of: the plant, in another hand if one is given, the controller, how many samples."""
-    plant = _plant([parameters], together=False, hand_force=hand_force)
+    """Return what a run is made of: the plant, in another hand if one is given, the controller, how many samples.
+
+    Args:
+        parameters: The run.
+        hand_force: What another hand exerts.
+        make: Makes the plant; the parameters' by default.
+    """
+    plant = _plant([parameters], together=False, hand_force=hand_force, make=make)
     return plant, _controller(parameters), _ticks(parameters)
 
 
@@ -182,13 +189,18 @@ def _ticks(parameters: PressParameters) -> int:
     return math.ceil(parameters.end / parameters.period + 1e-9)
 
 
-def _plant(runs: Sequence[PressParameters], *, together: bool, hand_force: HandForce | None = None) -> SampledPlant:
+def _plant(
+    runs: Sequence[PressParameters],
+    *,
+    together: bool,
+    hand_force: HandForce | None = None,
+    make: PlantMaker | None = None,
+) -> SampledPlant:
     p, hand = runs[0], runs[0].impedance
     hands = [GuidedHand(hand=hand, path=one.path) for one in runs]
-    force: HandForce = hand_force or (_SideBySide(hands) if together else hands[0])
+    force: HandForce = hand_force or (SideBySide(hands) if together else hands[0])
     up = [0.0, 0.0, p.height, 0.0, 0.0, 0.0]
-    plant = ExactPlant if p.plant == "exact" else MuJoCoPlant
-    return plant(
+    return (make or PLANTS[p.plant])(
         Timing(period=p.period, delay=p.delay),
         mass=p.mass,
         pose=[up] * len(runs) if together else up,
@@ -199,19 +211,8 @@ def _plant(runs: Sequence[PressParameters], *, together: bool, hand_force: HandF
         sensor=Sensor(quantum=np.eye(len(AXES))[2] * p.quantize) if p.quantize else None,
         escape=(ESCAPE, 1.0),
         record=True,
-        longest_step=_longest_step(p, hand),
+        longest_step=p.longest_step,
     )
-
-
-def _longest_step(parameters: PressParameters, hand: Hand) -> float:
-    """Return the longest stretch between two states [s]: a tenth of a radian of what flotor and hand do fastest.
-
-    The recorded curve is then within a nanometre of the true one; without bound a stiff grip would take for ever.
-    """
-    fastest = float(np.abs(np.linalg.eigvals(motion(parameters.mass, hand)[0])).max())
-    # the engine integrates the hand, the exact plant has only to record it
-    most = parameters.period if parameters.plant == "exact" else 5e-4
-    return max(min(most, 0.1 / fastest), 1e-5)
 
 
 def _of_device(trace: Trace, place: int) -> Trace:

@@ -8,7 +8,7 @@ import numpy as np
 
 from maglev_mj.errors import ParameterError
 from maglev_mj.experiments.choices import PLANTS
-from maglev_mj.hand import Hand, Path, hand_called
+from maglev_mj.hand import Hand, Path, hand_called, motion
 from maglev_mj.parameters import number
 from maglev_mj.spec import ESCAPE, Spec
 
@@ -142,6 +142,17 @@ class PressParameters:
         hand = hand_called(self.hand)
         assert hand is not None  # checked when made
         return hand
+
+    @property
+    def longest_step(self) -> float:
+        """Longest stretch between two states [s]: a tenth of a radian of what flotor and hand do fastest.
+
+        The recorded curve is then within a nanometre of the true one; without bound a stiff grip would take for ever.
+        """
+        fastest = float(np.abs(np.linalg.eigvals(motion(self.mass, self.impedance)[0])).max())
+        # the engine integrates the hand, the exact plant has only to record it
+        most = self.period if self.plant == "exact" else 5e-4
+        return max(min(most, 0.1 / fastest), 1e-5)
 
     @property
     def resting_point(self) -> float:

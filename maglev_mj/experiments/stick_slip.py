@@ -10,7 +10,7 @@ import numpy as np
 
 from maglev_mj.controller import Controller
 from maglev_mj.errors import DivergenceError, ParameterError
-from maglev_mj.experiments.choices import LAWS, PLANTS, SLIDES_AT, VELOCITIES
+from maglev_mj.experiments.choices import LAWS, PLANTS, SLIDES_AT, VELOCITIES, PlantMaker
 from maglev_mj.experiments.drop import escaped_later
 from maglev_mj.frames import AXES, Array, Command, Mask, Sample
 from maglev_mj.hand import HandForce
@@ -18,7 +18,7 @@ from maglev_mj.karnopp import FrictionEvent, KarnoppMotion, karnopp
 from maglev_mj.laws import Hold
 from maglev_mj.loop import run
 from maglev_mj.parameters import axis_indices, number
-from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant, Sensor, Timing, engine_warnings_silenced
+from maglev_mj.plants import SampledPlant, Sensor, Timing, engine_warnings_silenced
 from maglev_mj.spec import INERTIA, Spec
 from maglev_mj.trace import Trace
 
@@ -228,9 +228,15 @@ def run_stick_slip(parameters: StickSlipParameters) -> StickSlipResult:
 
 
 def stick_slip_parts(
-    parameters: StickSlipParameters, hand_force: HandForce | None = None
+    parameters: StickSlipParameters, hand_force: HandForce | None = None, *, make: PlantMaker | None = None
 ) -> tuple[SampledPlant, Controller, int]:
-    """Return what a run is made of: the plant, in a hand if there is one, the controller, and how many samples."""
+    """Return what a run is made of: the plant, in a hand if there is one, the controller, and how many samples.
+
+    Args:
+        parameters: The run.
+        hand_force: What a hand exerts.
+        make: Makes the plant; the parameters' by default.
+    """
     p = parameters
     common = {"axes": p.axis, "stiffness": p.stiffness, "damping": p.damping, "breakaway": p.breakaway}
     friction = LAWS[p.law](v_min=p.v_min, period=p.period, **common)
@@ -240,7 +246,7 @@ def stick_slip_parts(
     hold = Hold.critically_damped(others, inertia=np.delete(INERTIA, index), period=p.period, delay=p.delay)
     controller = Controller([friction, spring, hold], period=p.period, velocity=VELOCITIES[p.velocity](p.quantize))
     ticks = max(math.ceil(p.duration / p.period + 1e-9), 1)
-    return _plant(p, index, hand_force), controller, ticks
+    return _plant(p, index, hand_force, make or PLANTS[p.plant]), controller, ticks
 
 
 def exact_stick_slip(parameters: StickSlipParameters, time: Array) -> KarnoppMotion:
@@ -266,11 +272,10 @@ def exact_stick_slip(parameters: StickSlipParameters, time: Array) -> KarnoppMot
     )
 
 
-def _plant(parameters: StickSlipParameters, index: int, hand_force: HandForce | None) -> SampledPlant:
+def _plant(parameters: StickSlipParameters, index: int, hand_force: HandForce | None, make: PlantMaker) -> SampledPlant:
     sensor = Sensor(quantum=np.eye(6)[index] * parameters.quantize) if parameters.quantize else None
-    plant = ExactPlant if parameters.plant == "exact" else MuJoCoPlant
     timing = Timing(period=parameters.period, delay=parameters.delay)
-    return plant(timing, gravity=0.0, sensor=sensor, record=True, hand_force=hand_force)
+    return make(timing, gravity=0.0, sensor=sensor, record=True, hand_force=hand_force)
 
 
 def _result(

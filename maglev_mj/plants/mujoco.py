@@ -204,6 +204,11 @@ class MuJoCoPlant(SampledPlant):
             self._step(pieces)
 
     @property
+    def met_stops(self) -> bool:
+        """True if a metal stop of the model has acted since release."""
+        return bool(self._data.maxuse_efc)
+
+    @property
     def currents(self) -> Array:
         """Currents in the six coils at the last sample [A], (6,); those commanded where the drivers lag.
 

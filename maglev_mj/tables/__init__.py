@@ -5,7 +5,7 @@ from maglev_mj.tables.bridge import flown_table, served_table
 from maglev_mj.tables.design import design_table
 from maglev_mj.tables.device import device_table
 from maglev_mj.tables.drop import drop_table
-from maglev_mj.tables.fidelity import fidelity_table, ladder_table
+from maglev_mj.tables.fidelity import fidelity_table, levels_table
 from maglev_mj.tables.press import press_table
 from maglev_mj.tables.stability import stability_table
 from maglev_mj.tables.stick_slip import stick_slip_table
@@ -19,7 +19,7 @@ __all__ = [
     "drop_table",
     "fidelity_table",
     "flown_table",
-    "ladder_table",
+    "levels_table",
     "press_table",
     "served_table",
     "show_table",

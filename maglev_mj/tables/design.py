@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from maglev_mj.experiments.designed_wall import DesignResult
+from maglev_mj.spec import RANGE
 from maglev_mj.stability.design import Case
 
 __all__ = ["design_table"]
@@ -36,7 +37,8 @@ def design_table(result: DesignResult) -> str:
         f"  hum, at rest             {result.hum:>8.3f} N      "
         f"{contact.quantize * 1e6:g} µm sensor, hand {needs.hands[0]}",
         f"  depth, at {contact.speed:g} m/s".ljust(27)
-        + f"{result.depth * 1e3:>8.2f} mm     worst of corners, hands, phases",
+        + f"{result.depth * 1e3:>8.2f} mm     "
+        + ("beyond the device's range" if result.depth > RANGE[2] else "worst of corners, hands, phases"),
         f"  peak force, likewise     {result.peak:>8.1f} N"
         + ("      the limit" if contact.force_limit is not None and result.peak >= contact.force_limit else ""),
     ]

@@ -20,7 +20,7 @@ _FIGURES = (
     ("settling_time", "settling, 2 %", 1e3, "ms"),
     ("final_z", "final height", 1e3, "mm"),
 )
-_WIDTH = 26
+_WIDTH = 20  # three drops fit a terminal of 80 columns
 
 
 def drop_table(labels: Sequence[str], results: Sequence[DropResult], sweeps: Sequence[DropSweep], gap: float) -> str:
@@ -60,12 +60,13 @@ def drop_table(labels: Sequence[str], results: Sequence[DropResult], sweeps: Seq
 
 
 def _block(title: str, labels: Sequence[str], drops: Sequence[Sequence[BounceSummary]]) -> list[str]:
-    """Return lines with a column for each drop: one summary, or median, lower and upper bound."""
+    """Return lines with a column for each drop: one summary, or median, lower and upper bound where these differ."""
     lines = [title, " " * 15 + "".join(f"{label:>{_WIDTH}}" for label in labels)]
     for name, label, scale, unit in _FIGURES:
         cells = ""
         for drop in drops:
             value, *bounds = (cell(getattr(summary, name), scale) for summary in drop)
-            cells += f"{f'{value} ({bounds[0]} to {bounds[1]})' if bounds else value:>{_WIDTH}}"
+            spread = f" ({bounds[0]} to {bounds[1]})" if len(set(bounds)) > 1 else ""
+            cells += f"{value + spread:>{_WIDTH}}"
         lines.append(f"  {label:<13}{cells}  {unit}")
     return lines

@@ -1,4 +1,4 @@
-"""A ladder of models, and what each rung changes, as text."""
+"""Model levels, and what each changes, as text."""
 
 from __future__ import annotations
 
@@ -6,65 +6,111 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from maglev_mj.experiments.fidelity import FidelityResult, RungResult, StepResult, stepping_name
+from maglev_mj.experiments.fidelity import MARGIN, FidelityResult, StepResult, stepping_name
+from maglev_mj.experiments.fidelity_levels import LevelResult
 
-__all__ = ["fidelity_table", "ladder_table"]
+__all__ = ["fidelity_table", "levels_table"]
 
 _STEPS_SHOWN = 12
 
 
 def fidelity_table(result: FidelityResult) -> str:
-    """Return a ladder, the rung chosen on it, and the steps on that rung, as text."""
-    scene, chosen = result.scene, result.rung
+    """Return the model levels, the one chosen, and the steps on it, as text."""
+    scene, chosen = result.scene, result.level
     own = f" ({scene.reason})" if result.tolerance == scene.tolerance else ""
     lines = [
-        f"Fidelity of {scene.name}: {scene.says}",
+        f"Fidelity of {scene.name}: {scene.describe(scene.parameters)}",
         f"  to be kept: {_micro(result.tolerance)}, as the greatest displacement of a coil{own}",
-        "  each line adds a piece of the device to those above it; lacks still: what the lines below it would change",
+        *_range_lines(result),
+        "  each line adds to those above it; worst: distance from any line below it, over all cases",
         "",
-        f"    {'rung':<10}{'adds':<54}{'changes by':>12}{'lacks still':>13}{'peak force':>12}{'cost':>9}",
+        f"    {'level':<10}{'adds':<50}{'changes':>10}{'worst':>10}{'within':>9}{'force':>9}{'cost':>8}",
     ]
-    for row in result.rungs:
+    for row in result.levels:
         mark = ">" if row is chosen else " "
+        diverged = f"  diverges in {row.diverged}" if row.diverged else ""
         lines.append(
-            f"  {mark} {row.rung:<10}{row.says:<54}{_micro(row.changes):>12}{_micro(row.missing):>13}"
-            f"{_newtons(row.force):>12}{row.cost * 1e3:>9.1f}"
+            f"  {mark} {row.level:<10}{row.adds:<50}{_micro(row.changes):>10}{_micro(row.worst):>10}"
+            f"{_percent(row.keeps):>9}{_newtons(row.force):>9}{row.cost * 1e3:>8.1f}{diverged}"
         )
     lines += [
+        "  changes and force: in the scene itself; within: share of the cases that keep the tolerance with the margin",
         "  cost in µs a simulated ms; a real millisecond is 1000",
-        "",
-        f"  on the rung {chosen.rung}, cheapest first: integrator and longest step, error against 20 µs of RK4, cost",
     ]
-    for step in sorted(result.steps, key=lambda row: (row.cost, row.error))[:_STEPS_SHOWN]:
+    if chosen is None:
+        unstable = (
+            "; the loop diverges on the exact plant at these gains or near them"
+            if result.levels[-1].worst == np.inf
+            else ""
+        )
+        return "\n".join([*lines, "", f"  no level keeps the tolerance{unstable}"])
+    lines += [
+        "",
+        f"  on the level {chosen.level}, cheapest first: integrator and longest step, error against 20 µs of RK4,",
+        f"  shift of the stability boundary (at most {result.over.boundary:.3g} allowed), worst over all cases, cost",
+    ]
+    for step in result.steps[:_STEPS_SHOWN]:
         mark = ">" if step is result.cheapest else " "
-        lines.append(f"  {mark} {_stepping(step):<40}{_micro(step.error):>12}{step.cost * 1e3:>12.1f}")
-    diverged = sum(not np.isfinite(step.error) for step in result.steps)
-    if diverged:
-        lines.append(f"    {diverged} others diverge")
+        shift = "" if step.shift is None else f"{step.shift:+.1%}" if abs(step.shift) >= 5e-4 else "0 %"
+        worst = "" if step.missing is None else _micro(step.missing)
+        lines.append(
+            f"  {mark} {_stepping(step):<36}{_micro(step.error):>10}{shift:>9}{worst:>11}{step.cost * 1e3:>10.1f}"
+        )
+    if diverged_steps := sum(not np.isfinite(step.error) for step in result.steps):
+        lines.append(f"    {diverged_steps} diverge")
     if result.cheapest is None:
-        lines.append("  none of them keeps what the model leaves of the tolerance")
-    else:
-        lines += [
-            "",
-            f"  take {chosen.rung} with {_stepping(result.cheapest)}: {result.cheapest.cost * 1e3:.1f} µs a ms",
-        ]
+        return "\n".join([*lines, "  none of them keeps tolerance and boundary"])
+    most = MARGIN * (result.cheapest.missing or 0.0)
+    lines += [
+        "",
+        f"  take {chosen.level} with {_stepping(result.cheapest)}: {result.cheapest.cost * 1e3:.1f} µs a ms",
+        f"  within {_micro(most)} in {result.over.share:.4g} of the cases, the margin of {MARGIN:g} included; "
+        f"none expected beyond {_micro(result.furthest or 0.0)}{_jumps(result)}",
+    ]
     return "\n".join(lines)
 
 
-def ladder_table(ladders: Mapping[str, Sequence[RungResult]]) -> str:
-    """Return what each rung changes in each scene, as text."""
-    names = list(ladders)
+def _jumps(result: FidelityResult) -> str:
+    """Return why some cases go far."""
+    return ", where a sample just meets the wall or misses it" if result.jump else ""
+
+
+def _range_lines(result: FidelityResult) -> list[str]:
+    """Return lines on the cases: which, how many, and whether any meets the stops."""
+    over, count = result.over, len(result.cases)
+    seeds = "phases with a jitter seed each" if result.scene.has_phase else "jitter seeds"
+    lines = [f"  {count} cases of the whole device: {over.phases} {seeds}"]
+    if result.scene.has_gains and over.around:
+        lines[0] += f", times 5 pairs of gains (given, and {over.around:.3g} of each up and down)"
+    if result.screened > 1:
+        lines.append(
+            f"  and {result.screened} on the exact plant in the same range: lag, limit, sensor's steps, jitter"
+        )
+    lines.append(
+        f"  kept if {MARGIN:g} times the worst of {over.share:.4g} of these is: the margin for cases not looked at"
+    )
+    if result.met_stops:
+        lines.append(
+            f"  THE MOTION MEETS THE METAL STOPS of the model in {result.met_stops} of {count} cases: levels without "
+            "stops are those of another motion"
+        )
+    return lines
+
+
+def levels_table(found: Mapping[str, Sequence[LevelResult]]) -> str:
+    """Return what each level changes in each scene, as text."""
+    names = list(found)
     lines = [
-        "What each rung changes in each scene, against the rung below: greatest displacement of a coil (µm)",
+        "What each level changes in each scene, against the level below: greatest displacement of a coil (µm)",
         "",
-        f"  {'rung':<10}" + "".join(f"{name:>15}" for name in names) + "   cost (µs a ms)",
+        f"  {'level':<10}" + "".join(f"{name:>15}" for name in names) + "   cost (µs a ms)",
     ]
-    for place, first in enumerate(ladders[names[0]]):
-        rows = [ladders[name][place] for name in names]
+    for place, first in enumerate(found[names[0]]):
+        rows = [found[name][place] for name in names]
         costs = [row.cost * 1e3 for row in rows]
         changes = "".join(f"{_micro(row.changes)[:-3]:>15}" for row in rows)
-        lines.append(f"  {first.rung:<10}{changes}   {min(costs):.1f} to {max(costs):.1f}")
-    lines += ["", *(f"  {row.rung:<10}{row.says}" for row in ladders[names[0]])]
+        lines.append(f"  {first.level:<10}{changes}   {min(costs):.1f} to {max(costs):.1f}")
+    lines += ["", *(f"  {row.level:<10}{row.adds}" for row in found[names[0]])]
     return "\n".join(lines)
 
 
@@ -75,6 +121,11 @@ def _stepping(step: StepResult) -> str:
 def _newtons(change: float) -> str:
     """Return a change of force; a dash for none."""
     return f"{change:+.2f} N" if abs(change) >= 0.005 else "-"
+
+
+def _percent(share: float) -> str:
+    """Return a share in per cent; all only where it is all."""
+    return "all" if share == 1.0 else f"{min(share, 0.9999):.2%}"
 
 
 def _micro(value: float) -> str:

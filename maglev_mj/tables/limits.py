@@ -45,7 +45,7 @@ def beyond_range(labels: Sequence[str], runs: Sequence[ArrayLike], sweeps: Seque
         texts.append(f"{label} {_distances(np.where(outside, furthest, 0.0))}{count}")
     if not texts:
         return []
-    return [f"  Beyond the device's range of {_distances(np.where(left, RANGE, 0.0))}: {', '.join(texts)}"]
+    return [f"  Beyond the range of {_distances(np.where(left, RANGE, 0.0))}: {', '.join(texts)}"]
 
 
 def _outside(furthest: Array) -> Mask:

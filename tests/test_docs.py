@@ -1,0 +1,179 @@
+"""The pages keep their word: their Python runs, their commands parse, their files are there."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
+from ctypes.util import find_library
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from maglev_mj.bridge import State, Twin, TwinParameters
+from maglev_mj.bridge.link import UdpServer
+from maglev_mj.bridge.server import TwinServer
+from maglev_mj.cli import parser
+from maglev_mj.options import joined
+from maglev_mj.session import Session
+from maglev_mj.stream import PoseStream
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGES = [
+    str(path.relative_to(ROOT)) for folder in (".", "docs", "model") for path in sorted((ROOT / folder).glob("*.md"))
+]
+
+
+def text_of(page: str) -> str:
+    return (ROOT / page).read_text(encoding="utf-8")
+
+
+def blocks(page: str, language: str) -> list[tuple[int, str]]:
+    """Return the blocks of a page in a language, each with the number of lines before it."""
+    text = text_of(page)
+    found = re.finditer(rf"^```{language}\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
+    return [(text.count("\n", 0, match.start(1)), match[1]) for match in found]
+
+
+# what runs beside a page: a context, handed the lines that the page prints, of what to put in place of addresses
+
+
+@contextmanager
+def device(_: list[str]) -> Iterator[dict[str, str]]:
+    """Run the twin that the README starts in a terminal; in lockstep, so that no flight waits for real time."""
+    twin = Twin(TwinParameters(lockstep=True))
+    server = TwinServer(twin, UdpServer("127.0.0.1", 0))
+    thread = threading.Thread(target=server.run)
+    thread.start()
+    try:
+        yield {"udp://127.0.0.1:5678": "udp://{}:{}".format(*server.address)}
+        assert twin.firmware.state is State.INACTIVE and not twin.firmware.faults  # it has landed
+    finally:
+        server.stop()
+        thread.join()
+        server.close()
+
+
+ENOUGH = 120
+"""Lines that a host of the stream prints before its scene ends."""
+
+
+@contextmanager
+def scene(lines: list[str]) -> Iterator[dict[str, str]]:
+    """Run the scene that hosts of the stream watch, until they have printed enough."""
+    stream, over = PoseStream("udp://127.0.0.1:0"), threading.Event()
+    session = Session("joystick", outlets=[stream])
+    session.tick(0.0)  # tells of the start
+
+    def go_on() -> None:
+        with closing(session):
+            while len(lines) < ENOUGH and not over.wait(0.005):
+                session.tick(0.005)
+
+    thread = threading.Thread(target=go_on)
+    thread.start()
+    try:
+        yield {"5680": str(stream.address[1])}
+    finally:
+        over.set()
+        thread.join()
+
+
+BESIDE: dict[str, Callable[[list[str]], AbstractContextManager[dict[str, str]]]] = {
+    "README.md": device,
+    "docs/stream.md": scene,
+}
+
+
+def run_page(page: str) -> list[str]:
+    """Run the Python of a page, block after block in one namespace; return the lines that it prints."""
+    lines: list[str] = []
+    namespace: dict[str, Any] = {"__name__": page, "print": lambda *words: lines.append(" ".join(map(str, words)))}
+    beside = BESIDE[page](lines) if page in BESIDE else nullcontext({})
+    with beside as replaced:
+        for before, block in blocks(page, "python"):
+            code = "\n" * before + block  # a traceback tells the line of the page
+            for written, meant in replaced.items():
+                code = code.replace(written, meant)
+            exec(compile(code, page, "exec"), namespace)
+    return lines
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "python")])
+def test_the_python_of_a_page_runs(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    lines = run_page(page)
+    if page == "README.md":
+        assert len(blocks(page, "python")[0][1].strip().splitlines()) <= 12  # a drop in ten lines
+        assert lines[0].startswith("height in mm:") and "force in N:" in lines[0]
+    elif page == "docs/recording.md":
+        assert -2.6e-3 < float(lines[-1]) < -2.2e-3
+        assert (tmp_path / "mine.mcap").is_file()
+    elif page == "docs/stream.md":
+        assert len(blocks(page, "python")[0][1].strip().splitlines()) <= 11  # ten lines, and an empty one
+        assert "'subscribed'" in "".join(lines[:5]) and "'in force'" in "".join(lines[:100])
+        assert len(lines) >= ENOUGH and lines[100].startswith("Answer(reason='', figures=None, accepted=")
+        assert all(abs(float(line)) < 1e-3 for line in lines[101:])
+
+
+@pytest.mark.skipif(find_library("OSMesa") is None, reason="drawing off screen needs OSMesa (Debian: libosmesa6)")
+def test_the_scene_of_ones_own_is_made_as_the_page_says(tmp_path: Path) -> None:
+    for folder in ("maglev_mj", "model"):
+        shutil.copytree(ROOT / folder, tmp_path / folder)
+    ((_, looks),), ((_, laws),) = (blocks("docs/viewer.md", language) for language in ("xml", "python"))
+    (tmp_path / "model/scenes/shaft.xml").write_text(looks)
+    (tmp_path / "maglev_mj/scenes/shaft.py").write_text(laws)
+    scenes = tmp_path / "maglev_mj/scenes/__init__.py"
+    listed = scenes.read_text().replace("BOX, CORNER)", "BOX, CORNER, SHAFT)")
+    scenes.write_text("from maglev_mj.scenes.shaft import SHAFT\n" + listed)
+    command = [sys.executable, "-m", "maglev_mj.cli", "render", "shaft", "--out", "shaft.png"]
+    command += ["--width", "320", "--height", "200"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "wrote shaft.png\n", "")
+    assert (tmp_path / "shaft.png").stat().st_size > 10_000
+
+
+def written_commands(page: str) -> Iterator[str]:
+    """Yield what follows `maglev-mj` wherever a page says to type it: on a line of its own, or in the text."""
+    for line in text_of(page).splitlines():
+        if line.startswith("    "):
+            yield from re.findall(r"maglev-mj (.*?)(?: *[#&].*| \|.*)?$", line)
+        else:
+            yield from re.findall(r"`maglev-mj ([^`]*)`", line)
+
+
+def typed(command: str) -> list[str]:
+    """Return the arguments of a command as written in a page, with something in place of what the reader fills in."""
+    command = re.sub(r"[\[\]]", " ", command)  # options, all at once
+    command = re.sub(r"(\w+)(\|\w+)+", r"\1", command)  # the first of several
+    words = [re.sub(r"^(X|N|\.\.\.)$", "1", word) for word in shlex.split(command)]
+    return joined(words if words[1:] else [*words, "--help"])  # one alone is spoken of, not typed
+
+
+COMMANDS = sorted({(page, command) for page in PAGES for command in written_commands(page)})
+
+
+def test_there_are_commands_in_the_pages() -> None:
+    assert len(COMMANDS) > 40
+
+
+@pytest.mark.parametrize(("page", "command"), COMMANDS)
+def test_the_commands_of_a_page_are_understood(page: str, command: str) -> None:
+    try:
+        parser().parse_args(typed(command))
+    except SystemExit as ended:
+        assert ended.code == 0, f"{page}: maglev-mj {command}"  # --help
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if page != "CHANGELOG.md"])
+def test_the_files_that_a_page_names_are_there(page: str) -> None:
+    linked = [(ROOT / page).parent / name for name in re.findall(r"\]\((?!http)([^)#]+)", text_of(page))]
+    named = [ROOT / name for name in re.findall(r"\b(?:scripts|tests|docs|model)/[\w/]+\.\w+", text_of(page))]
+    missing = {str(path.relative_to(ROOT)) for path in linked + named if not path.exists()}
+    assert missing <= {"model/scenes/shaft.xml"}  # the reader's own
