@@ -162,7 +162,7 @@ def test_in_real_time_it_takes_off_flies_lands_and_its_commands_run_again_bit_fo
     (late,) = re.findall(r"late by .* median, (\S+) ms at 99 %", said)
     assert float(late) < 100.0  # for so long a shared machine stalls
     status, said = said_by("replay", str(tmp_path / "run.npz"), "--check")
-    assert status == 0 and re.search(r"(\d+) of \1 commands the same to the last bit", said)
+    assert status == 0 and re.search(r"(\d+) of \1 the same: command, pulse, pulse_width\n", said), said
     (stretch,) = Recording.load(tmp_path / "run.npz").stretches
     stretch.command[100, 2] = np.nextafter(stretch.command[100, 2], 1e3)
     Recording([stretch]).save(tmp_path / "other.npz")
