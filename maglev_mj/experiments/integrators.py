@@ -125,6 +125,7 @@ def boundary_shift(integrator: str, step: float, loop: SampledLoop, *, aligned: 
         ParameterError: If a value is outside its bounds.
     """
     flag("aligned", aligned)
+    flag("aligned", aligned)
     if integrator in ("exact", "closed form"):
         return 0.0
     stepped = SteppedLoop(
