@@ -163,6 +163,8 @@ def _other(theirs: Versions | Exception) -> str:
 
 def _cause(address: str, error: Exception) -> Exception:
     """Return a WorkersError if the cluster is the cause of an error, the error itself otherwise."""
+    if isinstance(error, WorkersError):  # a job's own refusal has named its worker
+        return error
     try:
         with _client(address) as client:
             _check_code(client)
