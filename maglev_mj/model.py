@@ -18,7 +18,7 @@ from maglev_mj.errors import ModelError, ParameterError
 from maglev_mj.frames import AXES, Array
 from maglev_mj.hand import Hand
 from maglev_mj.parameters import flag, number
-from maglev_mj.sensing import Beams
+from maglev_mj.sensing.geometry import Beams
 from maglev_mj.versions import MODELS
 
 __all__ = ["COILS", "Device", "beams", "envelope", "load", "model_path", "scenes"]

@@ -40,8 +40,8 @@ from maglev_mj.laws import Bias
 from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.scenes import Settings, scene_called
 from maglev_mj.scenes.parts import INERTIA, WEIGHT
+from maglev_mj.sensing.solver import FastBeams, PoseTracker
 from maglev_mj.spec import Spec
-from maglev_mj.tracking import FastBeams, PoseTracker
 
 PARTS = "host", "lockstep", "realtime"
 HOME = "127.0.0.1"

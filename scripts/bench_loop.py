@@ -18,7 +18,7 @@ from maglev_mj import AXES, Controller, ExactPlant, Hold, MuJoCoPlant, Sample, T
 from maglev_mj.frames import components
 from maglev_mj.plants import CorrectedPlant
 from maglev_mj.spec import INERTIA, Spec
-from maglev_mj.stability import largest_modulus
+from maglev_mj.theory import largest_modulus
 
 REPEATS = 5 if "--quick" in sys.argv else 60
 TICKS = 400

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
-from maglev_mj import charts
+from maglev_mj import plots
 from maglev_mj.spec import Spec
-from maglev_mj.stability import largest_modulus, stiffest_wall
+from maglev_mj.theory import largest_modulus, stiffest_wall
 
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("folder", nargs="?", default="figures", type=Path, help="where files go")
@@ -29,4 +29,4 @@ for name, delay in (("one sample of delay, eq. (6)", PERIOD), ("delay 1.5 ms, th
     cases.append((title, to_cv * damping, to_cp * stiffness, modulus, top))
     print(title.replace("\n", ": "))
 print("the paper reads off figure 2: about 3900 N/m at about 60 N s/m")
-print("wrote", charts.figure_2(cases, folder / "fig2_stability.png"))
+print("wrote", plots.figure_2(cases, folder / "fig2_stability.png"))

@@ -3,7 +3,7 @@
 import sys
 from pathlib import Path
 
-from maglev_mj import charts
+from maglev_mj import plots
 from maglev_mj.experiments.drop import DropParameters, drop_variants, run_drop
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else "figures")
@@ -20,4 +20,4 @@ for label, result in runs:
         f"{label:>18}: {figures.penetration * 1e3:.2f} mm deep, rebound {figures.rebound * 1e3:.2f} mm, "
         f"peak {figures.peak_force:.1f} N, settled after {figures.settling_time * 1e3:.0f} ms"
     )
-print("wrote", charts.time_series(runs, folder / "fig3_drop.png"))
+print("wrote", plots.time_series(runs, folder / "fig3_drop.png"))

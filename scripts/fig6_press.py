@@ -4,7 +4,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-from maglev_mj import charts
+from maglev_mj import plots
 from maglev_mj.experiments.press import PressParameters, run_press
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else "figures")
@@ -21,4 +21,4 @@ for label, result in runs:
         f"{label:>14}: hits {depths} mm deep, peak {figures.peak_force.max():.1f} N, "
         f"pressed {figures.final_depth * 1e3:.3f} mm deep with {figures.final_force:.3f} N"
     )
-print("wrote", charts.figure_6(runs, folder / "fig6_press.png"))
+print("wrote", plots.figure_6(runs, folder / "fig6_press.png"))

@@ -3,7 +3,7 @@
 import sys
 from pathlib import Path
 
-from maglev_mj import charts
+from maglev_mj import plots
 from maglev_mj.experiments.stick_slip import StickSlipParameters, run_stick_slip
 from maglev_mj.tables import stick_slip_table
 
@@ -13,4 +13,4 @@ folder.mkdir(parents=True, exist_ok=True)
 # the paper's values are the defaults: 1000 N/m to 3 mm, 6000 N/m, 80 N s/m, 2 N, 5 mm/s, 200 Hz, 1.5 ms
 result = run_stick_slip(StickSlipParameters())
 print(stick_slip_table(result))
-print("wrote", charts.stick_slip(result, folder / "fig8_stick_slip.png"))
+print("wrote", plots.stick_slip(result, folder / "fig8_stick_slip.png"))

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from maglev_mj import AXES, charts
+from maglev_mj import AXES, plots
 from maglev_mj.experiments.six_axes import run_six_axes
 from maglev_mj.frames import Array
 from maglev_mj.spec import INERTIA, RANGE
@@ -44,4 +44,4 @@ for stiffness in (1000.0, 1500.0, 2500.0):
     low, fifth, middle = np.percentile(np.concatenate(steps), [0.0, 5.0, 50.0])
     count = sum(map(len, steps))
     print(f"{stiffness:>6.0f} N/m{count:>8}{low:>8.2f}{fifth:>8.2f}{middle:>8.2f}   {len(steps)} of {tried}")
-print("wrote", charts.staircase(result, folder / "fig9_six_axes.png"))
+print("wrote", plots.staircase(result, folder / "fig9_six_axes.png"))

@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from maglev_mj import Controller, Sample, charts
+from maglev_mj import Controller, Sample, plots
 from maglev_mj.experiments.choices import LAWS, VELOCITIES
 from maglev_mj.experiments.friction_study import against_exact, chatter, creep, cycle_work, friction_law, mean_friction
 from maglev_mj.spec import Spec
@@ -142,7 +142,7 @@ def main() -> None:
         + ", ".join(f"{r['velocity']} {r['microseconds']:.1f} µs" for r in costs)
     )
     print("wrote", folder / "friction_laws.json")
-    print("wrote", charts.friction_laws(springs, folder / "friction_laws.png"))
+    print("wrote", plots.friction_laws(springs, folder / "friction_laws.png"))
 
 
 if __name__ == "__main__":

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from maglev_mj import bounds, charts
-from maglev_mj.experiments.integrators import INTEGRATORS, stiffest_simulated
+from maglev_mj import plots
 from maglev_mj.frames import Array
 from maglev_mj.hand import Hand
 from maglev_mj.spec import Spec
-from maglev_mj.stability import largest_stable_stiffness, stiffest_wall
+from maglev_mj.studies.integrators import INTEGRATORS, stiffest_simulated
+from maglev_mj.theory import bounds, largest_stable_stiffness, stiffest_wall
 from maglev_mj.versions import versions
 
 parser = argparse.ArgumentParser(description=__doc__)
@@ -40,7 +40,7 @@ for delay, own in ((0.0, 0.0), (DELAY, 0.0), (PERIOD, 0.0), (0.0, OWN)):
         curves.append(("Colgate & Schenkel (passivity)", damping, colgate))
     title = f"delay {delay * 1e3:g} ms, damping of its own {own:g} N s/m"
     labels = ("virtual damping B (N s/m)", "largest stiffness (N/m)")
-    panels.append(charts.Panel(title=title, labels=labels, curves=curves, top=1.6 * float(exact.max())))
+    panels.append(plots.Panel(title=title, labels=labels, curves=curves, top=1.6 * float(exact.max())))
     for place in (5.0, 20.0, 60.0):
         at = {name: float(np.interp(place, damping, values)) for name, _, values in curves}
         base = at["exact"]
@@ -84,11 +84,11 @@ for delay in (0.0, DELAY, PERIOD):
             curves.append((f"delay {delay * 1e3:g} ms", steps * 1e3, percent))
 labels = ("time step (ms)", "stiffest wall too stiff by (%)")
 title = "Euler, implicit, discrete; steps end at switches. RK4: 0"
-panels.append(charts.Panel(title=title, labels=labels, curves=curves, log="xy", marked=True))
+panels.append(plots.Panel(title=title, labels=labels, curves=curves, log="xy", marked=True))
 fixed = [(kind, steps * 1e3, shift(kind, DELAY, aligned=False)) for kind in ("rk4", "euler")]
 title = "fixed step, the switch seen late (delay 1.5 ms)"
-panels.append(charts.Panel(title=title, labels=labels, curves=fixed, log="x", level=0.0, marked=True))
+panels.append(plots.Panel(title=title, labels=labels, curves=fixed, log="x", level=0.0, marked=True))
 data = {"bounds": rows, "integrators": shifts, "versions": versions()}
 (folder / "stability_bounds.json").write_text(json.dumps(data, indent=1) + "\n")
 print("wrote", folder / "stability_bounds.json")
-print("wrote", charts.small_multiples(panels, folder / "stability_bounds.png"))
+print("wrote", plots.small_multiples(panels, folder / "stability_bounds.png"))

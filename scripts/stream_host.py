@@ -21,9 +21,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from maglev_mj.cli.options import Parser, chosen_key, number_option
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.hand import SpringHand
-from maglev_mj.options import Parser, chosen_key, number_option
 from maglev_mj.parameters import number
 from maglev_mj.scenes import SCENES, scene_called
 from maglev_mj.session import Session

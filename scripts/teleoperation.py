@@ -25,11 +25,11 @@ from teleoperation_run import History, carry_out
 from teleoperation_task import DELAY_SHARE, Task
 from teleoperation_theory import NO_GAINS, Gains, stiffest_coupling
 
-from maglev_mj import charts
+from maglev_mj import plots
+from maglev_mj.cli.options import Parser, number_option
+from maglev_mj.cli.output import check_outputs
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import Array
-from maglev_mj.options import Parser, number_option
-from maglev_mj.output import check_outputs
 from maglev_mj.parameters import number
 
 __all__ = ["main"]
@@ -60,7 +60,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         task = _task(options)
         check_outputs(out=options.out)
         if options.out is not None:
-            charts.require()
+            plots.require()
             options.out.mkdir(parents=True, exist_ok=True)
         _tell(task, options.out)
         if options.sweep:

@@ -15,8 +15,8 @@ import numpy as np
 
 from maglev_mj.frames import Array
 from maglev_mj.laws import StickSlip
-from maglev_mj.navigation import Mode, Navigator
 from maglev_mj.parameters import number
+from maglev_mj.spacenav.navigation import Mode, Navigator
 
 __all__ = ["Coupling", "CouplingLaw"]
 

@@ -13,8 +13,8 @@ from teleoperation_limits import Growth
 from teleoperation_run import History
 from teleoperation_slave import Slave
 
-from maglev_mj.charts.drawing import FIRST, GRID, IDEAL, MANY, SECOND, new_figure, save
 from maglev_mj.frames import Array
+from maglev_mj.plots.drawing import FIRST, GRID, IDEAL, MANY, SECOND, new_figure, save
 from maglev_mj.viewer.offscreen import DisplayError
 
 __all__ = ["chart", "limits", "scenes"]

@@ -12,7 +12,7 @@ from maglev_mj.frames import Array
 from maglev_mj.hand import Hand, motion, transition
 from maglev_mj.plants import Timing
 from maglev_mj.spec import Spec
-from maglev_mj.stability import stiffest_wall
+from maglev_mj.theory import stiffest_wall
 
 __all__ = ["NO_GAINS", "Gains", "TwoBodies", "chosen_gains", "stiffest_coupling"]
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from maglev_mj import charts
+from maglev_mj import plots
 from maglev_mj.experiments.impacts import RATTLE, rattle
 from maglev_mj.frames import Array, Mask
 from maglev_mj.spec import RANGE, Spec
@@ -74,4 +74,4 @@ for pulse in PULSES:
     both = [np.array([row[name] for row in rows]) for name in ("share", "outside")]
     maps.append((f"pulse {pulse:.0f} N s/m" if pulse else "no pulse", both[0], both[1]))
 names = ("delay (ms)", "gap (mm)", f"share of {STARTS} starts that rattle")
-print("wrote", charts.shares(maps, (DELAYS, GAPS), names, folder / "two_walls.png"))
+print("wrote", plots.shares(maps, (DELAYS, GAPS), names, folder / "two_walls.png"))

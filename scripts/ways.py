@@ -13,16 +13,16 @@ import numpy as np
 from peers import Task, available
 
 from maglev_mj import Controller, run
-from maglev_mj.charts import WorkPoint, pareto
-from maglev_mj.experiments import integrators
-from maglev_mj.experiments.costs import closed_loop, median_times
-from maglev_mj.experiments.fidelity import stepping_name
-from maglev_mj.experiments.fidelity_scenes import FidelityScene
-from maglev_mj.experiments.levels import Motion, apart, level_parts, motion_of
 from maglev_mj.frames import Array
 from maglev_mj.plants import CorrectedBatchPlant, ExactPlant, MuJoCoBatchPlant, SampledPlant, Timing
-from maglev_mj.sampled import SampledLoop
+from maglev_mj.plots import WorkPoint, pareto
 from maglev_mj.spec import GRAVITY, Spec
+from maglev_mj.studies import integrators
+from maglev_mj.studies.costs import closed_loop, median_times
+from maglev_mj.studies.fidelity import stepping_name
+from maglev_mj.studies.fidelity_scenes import FidelityScene
+from maglev_mj.studies.levels import Motion, apart, level_parts, motion_of
+from maglev_mj.theory.closed_loop import SampledLoop
 
 __all__ = ["SEMI_IMPLICIT", "Way", "as_json", "boundary_shift", "measure", "our_ways", "peer_ways", "points_of"]
 

@@ -11,15 +11,15 @@ from typing import Any
 
 import numpy as np
 
-from maglev_mj import Timing, Wall, charts
+from maglev_mj import Timing, Wall, plots
 from maglev_mj.experiments.corner import corner
 from maglev_mj.experiments.failures import hum, press_at_edge, random_delay_rate
-from maglev_mj.experiments.growth import RestingWall, measure_growth
 from maglev_mj.experiments.impacts import RATTLE, limited_drop, rattle
 from maglev_mj.hand import Hand
 from maglev_mj.laws import Law, ObserverWall
 from maglev_mj.spec import RANGE, Spec
-from maglev_mj.stability import largest_modulus, stiffest_wall
+from maglev_mj.studies.growth import RestingWall, measure_growth
+from maglev_mj.theory import largest_modulus, stiffest_wall
 from maglev_mj.versions import versions
 
 parser = argparse.ArgumentParser(description=__doc__)
@@ -34,12 +34,12 @@ COUNT = 2 if options.quick else 10
 PHASES = np.arange(32)[:: 8 if options.quick else 1] / 32
 
 
-def panel(title: str, x: str, y: str, curves: list[tuple[str, Any, Any]], **options: Any) -> charts.Panel:
+def panel(title: str, x: str, y: str, curves: list[tuple[str, Any, Any]], **options: Any) -> plots.Panel:
     """Return a panel of curves with its axes named."""
-    return charts.Panel(title=title, labels=(x, y), curves=curves, legend="below", **options)
+    return plots.Panel(title=title, labels=(x, y), curves=curves, legend="below", **options)
 
 
-def just_above_the_boundary() -> charts.Panel:
+def just_above_the_boundary() -> plots.Panel:
     """With one sample of delay: how many samples to grow ten-thousandfold, foretold and simulated."""
     best = stiffest_wall(period=T, delay=T)
     over = np.geomspace(0.1 if options.quick else 0.01, 0.3, COUNT)
@@ -58,7 +58,7 @@ def just_above_the_boundary() -> charts.Panel:
     )
 
 
-def jitter() -> charts.Panel:
+def jitter() -> plots.Panel:
     """6000 N/m and 80 N s/m under delays drawn afresh each sample, spread evenly around their mean."""
     means = np.linspace(0.0025, 0.004, COUNT)
     curves = [("no jitter", means * 1e3, largest_modulus(6000.0, 80.0, period=T, delay=means))]
@@ -73,7 +73,7 @@ def jitter() -> charts.Panel:
     )
 
 
-def chatter() -> charts.Panel:
+def chatter() -> plots.Panel:
     """Press lightly at the edge of the paper's wall, over a 5 µm sensor with noise: how often the pulse fires."""
     presses = np.geomspace(0.003, 1.0, 3 if options.quick else 16)
     curves, gated = [], np.zeros(presses.size)
@@ -93,7 +93,7 @@ def chatter() -> charts.Panel:
     )
 
 
-def gaps() -> charts.Panel:
+def gaps() -> plots.Panel:
     """Two walls of 6000 N/m and 80 N s/m with 60 N: from how many of 128 starts the flotor rattles between them."""
     widths = np.geomspace(1e-5, 5e-3, COUNT + 2)
     speeds, duration = np.arange(1, 17) * 0.02, 2.0 if options.quick else 16.0
@@ -122,7 +122,7 @@ def gaps() -> charts.Panel:
     )
 
 
-def saturation() -> charts.Panel:
+def saturation() -> plots.Panel:
     """Drop on walls under a force limit, the observer's of 27 000 N/m gain: how far it goes, the worst phase."""
     heights = np.geomspace(5e-5, RANGE[2], COUNT + 4)
     paper = Wall(axes="z", lower=0.0, stiffness=6000.0, damping=80.0)
@@ -156,7 +156,7 @@ def saturation() -> charts.Panel:
     )
 
 
-def quantization() -> charts.Panel:
+def quantization() -> plots.Panel:
     """Swing of a flotor at rest over a 5 µm sensor, by friction of its own over Abbott and Okamura's."""
     shares = np.linspace(0.0, 1.2, COUNT + 3)
     curves = []
@@ -172,7 +172,7 @@ def quantization() -> charts.Panel:
     )
 
 
-def hands() -> charts.Panel:
+def hands() -> plots.Panel:
     """Put the paper's wall in a clamp, and let go of a wall tuned with the hand on."""
     share = np.linspace(0.0, 1.0, 60)
     clamp = Hand(stiffness=20000.0 * share)
@@ -184,7 +184,7 @@ def hands() -> charts.Panel:
     return panel("hands too stiff, and hands that let go", "share of the hand", "largest modulus", curves, level=1.0)
 
 
-def corners() -> charts.Panel:
+def corners() -> plots.Panel:
     """Kinetic energy of a flotor thrown into a corner of two walls and a rotation."""
     curves = []
     for plant, spin in itertools.product(("exact", "mujoco"), (0.0, 0.5)):
@@ -206,4 +206,4 @@ data = [
 ]
 (folder / "where_methods_fail.json").write_text(json.dumps({"panels": data, "versions": versions()}, indent=1) + "\n")
 print("wrote", folder / "where_methods_fail.json")
-print("wrote", charts.small_multiples(panels, folder / "where_methods_fail.png"))
+print("wrote", plots.small_multiples(panels, folder / "where_methods_fail.png"))

@@ -13,7 +13,7 @@ from maglev_mj.laws import Hold, StickSlip
 from maglev_mj.scenes import SCENES, Settings
 from maglev_mj.scenes.parts import INERTIA, MASS
 from maglev_mj.session import Pacer, Session, refusal, wall_faces
-from maglev_mj.stability import largest_stable_stiffness
+from maglev_mj.theory import largest_stable_stiffness
 
 
 @pytest.mark.parametrize(

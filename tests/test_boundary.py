@@ -11,10 +11,10 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.hand import Hand
 from maglev_mj.laws import LinearController, LowPass, ObserverWall, Window
-from maglev_mj.sampled import SampledLoop, pd
-from maglev_mj.stability import boundary_of, is_stable, largest_stable_stiffness, ranges_of, stable_ranges, stiffest_of
-from maglev_mj.stability.boundary import first_end, spans
-from maglev_mj.stability.characteristic import characteristic, scales, turning_points
+from maglev_mj.theory import boundary_of, is_stable, largest_stable_stiffness, ranges_of, stable_ranges, stiffest_of
+from maglev_mj.theory.boundary import first_end, spans
+from maglev_mj.theory.characteristic import characteristic, scales, turning_points
+from maglev_mj.theory.closed_loop import SampledLoop, pd
 
 # a soft grip whose own resonance leaves walls stable again beyond ones that are not
 ISLAND: dict[str, Any] = {

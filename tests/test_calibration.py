@@ -18,7 +18,7 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.model import beams, load
 from maglev_mj.plants import CoilDrivenPlant
-from maglev_mj.sensing import Beams
+from maglev_mj.sensing.geometry import Beams
 
 _COILS = ("points", "directions", "force_constants", "wrench_per_current", "current_per_wrench")
 _BEAMS = ("leds", "directions", "diodes", "across")

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from maglev_mj.cli import main
-from maglev_mj.commands import COMMANDS, info
+from maglev_mj.cli.program import COMMANDS, info, main
 from maglev_mj.experiments.drop import DropParameters
 from maglev_mj.replay import write_experiment
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj import stability
+from maglev_mj import theory
 from maglev_mj.cli import main
 
 
@@ -21,9 +21,7 @@ def test_stability_json_is_the_map(tmp_path: Path) -> None:
     assert data["stiffness"] == pytest.approx(np.linspace(500.0, 12500.0, 7).tolist())
     rows = np.array(data["stiffness"])[:, None]
     modulus, stable = np.array(data["modulus"]), np.array(data["simulated_stable"])
-    expected = stability.largest_modulus(
-        np.array(data["stiffness"])[:, None], data["damping"], period=0.005, delay=0.0015
-    )
+    expected = theory.largest_modulus(np.array(data["stiffness"])[:, None], data["damping"], period=0.005, delay=0.0015)
     np.testing.assert_allclose(modulus, expected)
     np.testing.assert_array_equal(stable, modulus < 1.0)
     np.testing.assert_array_equal(stable, rows <= np.array(data["boundary"]))

@@ -11,14 +11,14 @@ import pytest
 
 from maglev_mj import Controller, ExactPlant, MuJoCoPlant, Timing, run
 from maglev_mj.errors import ParameterError
-from maglev_mj.experiments.fidelity_scenes import FIDELITY_SCENES
-from maglev_mj.experiments.integrators import INTEGRATORS, stiffest_simulated
-from maglev_mj.experiments.levels import apart, level_parts, motion_of
 from maglev_mj.experiments.wall_controller import wall_controller
 from maglev_mj.frames import Array, Command, Sample, quaternions, rotation_matrix, rotation_vector
 from maglev_mj.hand import Hand
 from maglev_mj.plants import CorrectedBatchPlant, CorrectedPlant, MuJoCoBatchPlant
 from maglev_mj.spec import INERTIA
+from maglev_mj.studies.fidelity_scenes import FIDELITY_SCENES
+from maglev_mj.studies.integrators import INTEGRATORS, stiffest_simulated
+from maglev_mj.studies.levels import apart, level_parts, motion_of
 
 SEMI_IMPLICIT = [name for name in INTEGRATORS if name != "rk4"]
 ORDERS = [*((name, 1.0) for name in SEMI_IMPLICIT), ("rk4", 4.0)]

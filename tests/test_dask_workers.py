@@ -15,8 +15,8 @@ from pathlib import Path
 import pytest
 
 from maglev_mj.cli import main
-from maglev_mj.experiments.scenes import cell_of, run_scene_cells
-from maglev_mj.study import Record, run_cells
+from maglev_mj.studies.cells import Record, run_cells
+from maglev_mj.studies.swept import cell_of, run_scene_cells
 from maglev_mj.versions import versions
 from maglev_mj.workers import WorkersError, dask_workers
 

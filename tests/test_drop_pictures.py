@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj import charts
+from maglev_mj import plots
 from maglev_mj.experiments.drop import DropParameters, analog_drop, drop_variants, run_drop, sweep_drop
 
 pytest.importorskip("matplotlib")
@@ -27,7 +27,7 @@ def figures(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
         drawn.append(figure)
         return path
 
-    monkeypatch.setattr("maglev_mj.charts.drop.save", keep)
+    monkeypatch.setattr("maglev_mj.plots.drop.save", keep)
     return drawn
 
 
@@ -47,7 +47,7 @@ def reach(band: Any) -> tuple[float, float]:
 
 
 def test_figure_3_has_a_column_for_each_reading(figures: list[Any]) -> None:
-    charts.time_series(runs(DROP), Path("unused.png"))
+    plots.time_series(runs(DROP), Path("unused.png"))
     heights, forces = figures[0].axes[:2], figures[0].axes[2:]
     for upper, lower, title in zip(
         heights, forces, ("pulse 220 further: 300 N s/m", "pulse 220 in all: 220 N s/m"), strict=True
@@ -63,7 +63,7 @@ def test_figure_3_has_a_column_for_each_reading(figures: list[Any]) -> None:
 
 
 def test_bands_reach_as_far_as_the_drop_at_any_phase(figures: list[Any]) -> None:
-    charts.time_series(runs(DROP), Path("unused.png"))
+    plots.time_series(runs(DROP), Path("unused.png"))
     variants = drop_variants(DROP)
     for column, label in enumerate(list(variants)[:2]):
         for place, variant in enumerate((variants[label], variants["no pulse"])):
@@ -74,7 +74,7 @@ def test_bands_reach_as_far_as_the_drop_at_any_phase(figures: list[Any]) -> None
             assert peak == pytest.approx(summary.peak_force.max(), rel=1e-9)
 
 
-@pytest.mark.parametrize("draw", [charts.time_series, charts.phase_plane])
+@pytest.mark.parametrize("draw", [plots.time_series, plots.phase_plane])
 @pytest.mark.parametrize("phase", [0.0, 0.06, 0.9])
 def test_pictures_name_their_phase_and_how_deep_it_is(draw: Any, phase: float, figures: list[Any]) -> None:
     drop = replace(DROP, phase=phase)
@@ -98,8 +98,8 @@ def test_the_published_figures_show_a_phase_of_median_penetration() -> None:
 )
 def test_every_drop_can_be_drawn(changes: dict[str, float], columns: int, tmp_path: Path, figures: list[Any]) -> None:
     drop = replace(DROP, **changes)  # type: ignore[arg-type]
-    charts.time_series(runs(drop), tmp_path / "time.png")
-    charts.phase_plane(runs(drop), tmp_path / "plane.png")
+    plots.time_series(runs(drop), tmp_path / "time.png")
+    plots.phase_plane(runs(drop), tmp_path / "plane.png")
     assert [len(figure.axes) for figure in figures] == [2 * columns, columns]
     for figure in figures:
         has_analog = any(ANALOG in lines(panel) for panel in figure.axes)

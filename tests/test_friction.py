@@ -17,7 +17,6 @@ from maglev_mj.experiments.choices import LAWS
 from maglev_mj.experiments.six_axes import SixAxesResult, run_six_axes
 from maglev_mj.experiments.stick_slip import StickSlipParameters, exact_stick_slip, run_stick_slip
 from maglev_mj.frames import Array, components
-from maglev_mj.karnopp import karnopp
 from maglev_mj.laws import (
     AdaptiveWindow,
     Dahl,
@@ -32,6 +31,7 @@ from maglev_mj.laws import (
     Wall,
 )
 from maglev_mj.spec import INERTIA, RANGE
+from maglev_mj.theory.karnopp import karnopp
 from tests.closed_loop import largest_modulus
 
 T, K, F = 0.005, 6000.0, 2.0

@@ -8,14 +8,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from maglev_mj.errors import ParameterError
 from maglev_mj.experiments.failures import random_delay_rate
-from maglev_mj.experiments.growth import RestingWall, measure_growth
-from maglev_mj.experiments.integrators import SteppedLoop, stiffest_simulated
-from maglev_mj.experiments.stability_map import StabilityParameters, run_stability
 from maglev_mj.hand import HANDS, Hand, hand_called
 from maglev_mj.laws import LowPass, Window
 from maglev_mj.plants import Timing
-from maglev_mj.sampled import SampledLoop
-from maglev_mj.stability import boundary_of, critical_delay, largest_modulus, largest_stable_stiffness, stiffest_wall
+from maglev_mj.studies.growth import RestingWall, measure_growth
+from maglev_mj.studies.integrators import SteppedLoop, stiffest_simulated
+from maglev_mj.studies.stability_map import StabilityParameters, run_stability
+from maglev_mj.theory import boundary_of, critical_delay, largest_modulus, largest_stable_stiffness, stiffest_wall
+from maglev_mj.theory.closed_loop import SampledLoop
 
 T, M = 0.005, 0.7
 DELAYS = (0.0, 0.0015, 0.003, 0.005)

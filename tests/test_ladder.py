@@ -14,8 +14,13 @@ from maglev_mj import Controller, ExactPlant, Hold, MuJoCoPlant, Timing, run
 from maglev_mj.cli import main
 from maglev_mj.detail import Detail
 from maglev_mj.errors import ParameterError
-from maglev_mj.experiments.fidelity import MARGIN, FidelityResult, Range, measure_fidelity, measure_steps, stepping_name
-from maglev_mj.experiments.fidelity_cases import (
+from maglev_mj.experiments.wall_controller import wall_controller
+from maglev_mj.frames import Array, Command
+from maglev_mj.hand import hand_called
+from maglev_mj.plants import CorrectedPlant
+from maglev_mj.spec import Spec
+from maglev_mj.studies.fidelity import MARGIN, FidelityResult, Range, measure_fidelity, measure_steps, stepping_name
+from maglev_mj.studies.fidelity_cases import (
     choice_cases,
     itself,
     run_together,
@@ -23,17 +28,12 @@ from maglev_mj.experiments.fidelity_cases import (
     scene_at,
     screen_levels,
 )
-from maglev_mj.experiments.fidelity_levels import distance, largest_jump, measure_levels, run_case, run_levels
-from maglev_mj.experiments.fidelity_scenes import FIDELITY_SCENES, FidelityScene
-from maglev_mj.experiments.integrators import SteppedLoop, boundary_shift
-from maglev_mj.experiments.levels import LEVELS, apart, level_index, level_parts, loop_of, motion_of
-from maglev_mj.experiments.wall_controller import wall_controller
-from maglev_mj.frames import Array, Command
-from maglev_mj.hand import hand_called
-from maglev_mj.plants import CorrectedPlant
-from maglev_mj.sampled import SampledLoop
-from maglev_mj.spec import Spec
+from maglev_mj.studies.fidelity_levels import distance, largest_jump, measure_levels, run_case, run_levels
+from maglev_mj.studies.fidelity_scenes import FIDELITY_SCENES, FidelityScene
+from maglev_mj.studies.integrators import SteppedLoop, boundary_shift
+from maglev_mj.studies.levels import LEVELS, apart, level_index, level_parts, loop_of, motion_of
 from maglev_mj.tables import fidelity_table
+from maglev_mj.theory.closed_loop import SampledLoop
 
 LAG = 1.0 / (2.0 * math.pi * Spec.driver_bandwidth.value)
 

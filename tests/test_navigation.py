@@ -13,11 +13,11 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.hand import SpringHand
 from maglev_mj.loop import ControlLoop
-from maglev_mj.navigation import Mode, Navigation, Navigator
 from maglev_mj.scenes import Settings, scene_called
 from maglev_mj.scenes.joystick import CENTRING
 from maglev_mj.scenes.parts import WEIGHT
 from maglev_mj.session import stick_positions
+from maglev_mj.spacenav.navigation import Mode, Navigation, Navigator
 from maglev_mj.spec import INERTIA
 
 FRAME = 1.0 / 60.0

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from maglev_mj import ExactPlant, Timing, run
-from maglev_mj.charts import WorkPoint, pareto
 from maglev_mj.experiments.drop import DropParameters
 from maglev_mj.experiments.wall_controller import wall_controller
 from maglev_mj.frames import Array
+from maglev_mj.plots import WorkPoint, pareto
 from maglev_mj.spec import GRAVITY, INERTIA
 
 SCRIPTS = Path(__file__).resolve().parent.parent / "scripts"

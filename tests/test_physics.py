@@ -10,9 +10,9 @@ import pytest
 
 from maglev_mj import AXES, Controller, ExactPlant, Hold, MuJoCoPlant, Timing, Wall, run
 from maglev_mj.errors import ParameterError
-from maglev_mj.exact import analog_wall, damping_ratio, restitution, stopping_gain
 from maglev_mj.metrics import energy_balance
 from maglev_mj.spec import INERTIA
+from maglev_mj.theory.analog_wall import analog_wall, damping_ratio, restitution, stopping_gain
 from maglev_mj.trace import Trace
 from tests.closed_loop import largest_modulus, pd_matrix
 

@@ -15,9 +15,9 @@ from maglev_mj.frames import components
 from maglev_mj.hand import exponential
 from maglev_mj.laws import Law, ObserverWall, PassivityController, PredictiveWall
 from maglev_mj.metrics import PassivityObserver, energy_balance, perceived_hardness
-from maglev_mj.sampled import Design, SampledLoop, rendered_stiffness
 from maglev_mj.spec import GRAVITY
-from maglev_mj.stability import largest_modulus, least_dynamic_stiffness
+from maglev_mj.theory import largest_modulus, least_dynamic_stiffness
+from maglev_mj.theory.closed_loop import Design, SampledLoop, rendered_stiffness
 
 T, M = 0.005, 0.7
 PHASES = 40

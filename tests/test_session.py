@@ -17,7 +17,7 @@ from maglev_mj.replay import rebuild
 from maglev_mj.scenes import SCENES, Settings, scene_called
 from maglev_mj.scenes.parts import INERTIA, wall
 from maglev_mj.session import ACTIONS, EnergyAccount, Pacer, Session
-from maglev_mj.stability import largest_stable_stiffness
+from maglev_mj.theory import largest_stable_stiffness
 
 FRAME = 1.0 / 60.0
 

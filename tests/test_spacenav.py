@@ -21,12 +21,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj.commands import serve_spacenav
-from maglev_mj.commands.outlets import add_spacenav, chosen_spacenav
+from maglev_mj.cli import serve_spacenav
+from maglev_mj.cli.options import Parser
+from maglev_mj.cli.outlets import add_spacenav, chosen_spacenav
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
-from maglev_mj.navigation import Navigation
-from maglev_mj.options import Parser
 from maglev_mj.scenes import Settings, scene_called
 from maglev_mj.session import Moment
 from maglev_mj.spacenav import (
@@ -37,6 +36,7 @@ from maglev_mj.spacenav import (
     default_path,
 )
 from maglev_mj.spacenav.axes import FULL_POSE, FULL_RATE, REST
+from maglev_mj.spacenav.navigation import Navigation
 from maglev_mj.spacenav.protocol import DEVICE, EVENT, Conversation, GarbageError, motion_event
 
 SOURCE = Path(__file__).parents[1] / "scripts" / "spacenav_client.c"

@@ -13,9 +13,8 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.hand import Hand, exponential
 from maglev_mj.laws import AdaptiveWindow, FiniteDifference, LowPass, VelocityEstimator, Window
 from maglev_mj.plants import MuJoCoBatchPlant
-from maglev_mj.sampled import SampledLoop
 from maglev_mj.spec import Spec
-from maglev_mj.stability import (
+from maglev_mj.theory import (
     characteristic_polynomial,
     critical_delay,
     is_stable,
@@ -24,6 +23,7 @@ from maglev_mj.stability import (
     least_dynamic_stiffness,
     stiffest_wall,
 )
+from maglev_mj.theory.closed_loop import SampledLoop
 from tests.closed_loop import largest_modulus as independent_modulus
 
 T, M = 0.005, 0.7

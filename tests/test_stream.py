@@ -30,11 +30,11 @@ from maglev_mj.laws import Hold
 from maglev_mj.scenes import SCENES, Settings
 from maglev_mj.scenes.parts import INERTIA, MASS
 from maglev_mj.session import Moment, Pacer, Session, refusal
-from maglev_mj.stability import is_stable, largest_modulus, largest_stable_stiffness
 from maglev_mj.stream import PoseStream, StreamClient, StreamError
 from maglev_mj.stream.datagrams import MOST_ANSWERED, MOST_ASKED, Datagrams, Guard
 from maglev_mj.stream.messages import SETTABLE, description, pose_message
 from maglev_mj.stream.stream import MOST_SUBSCRIBERS, SUBSCRIBED
+from maglev_mj.theory import is_stable, largest_modulus, largest_stable_stiffness
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = (ROOT / "docs" / "stream.md").read_text(encoding="utf-8")

@@ -14,10 +14,10 @@ from typing import Any
 import pytest
 
 from maglev_mj.cli import main
+from maglev_mj.cli.progress import Progress
 from maglev_mj.errors import MaglevError, ParameterError
-from maglev_mj.experiments.scenes import cell_of, run_scene_cells
-from maglev_mj.progress import Progress
-from maglev_mj.study import Cell, Record, StudyInterrupted, run_cells
+from maglev_mj.studies.cells import Cell, Record, StudyInterrupted, run_cells
+from maglev_mj.studies.swept import cell_of, run_scene_cells
 from maglev_mj.workers import Workers, dask_workers, inline, local_workers
 
 

@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 
 from maglev_mj.frames import Array
-from maglev_mj.navigation import Navigation, Navigator
 from maglev_mj.plants import Timing
 from maglev_mj.scenes.parts import MASS
+from maglev_mj.spacenav.navigation import Navigation, Navigator
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "scripts"))
 

@@ -18,7 +18,7 @@ from maglev_mj.cli import main
 from maglev_mj.experiments.drop import DropParameters
 from maglev_mj.recording import Recording
 from maglev_mj.replay import write_experiment
-from maglev_mj.study import Record
+from maglev_mj.studies.cells import Record
 from maglev_mj.versions import differences, versions
 
 ROOT = Path(__file__).resolve().parent.parent

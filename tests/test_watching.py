@@ -14,7 +14,7 @@ import pytest
 from maglev_mj.errors import MaglevError
 from maglev_mj.recording import Recording
 from maglev_mj.scenes import Settings
-from maglev_mj.watching import _Seen, _Watched
+from maglev_mj.viewer.process import _Seen, _Watched
 from tests.virtual_screen import MISSING, VirtualScreen
 
 pytestmark = pytest.mark.xdist_group("realtime")

@@ -17,7 +17,7 @@ from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.model import beams, load
 from maglev_mj.parameters import number, numbers
-from maglev_mj.sensing import Beams
+from maglev_mj.sensing.geometry import Beams
 from maglev_mj.spec import GRAVITY, INERTIA
 
 __all__ = ["Calibration", "CalibrationError"]

@@ -22,7 +22,7 @@ from maglev_mj.bridge.wire import Frame, StateReport
 from maglev_mj.errors import PlantError, SensingError
 from maglev_mj.frames import ZERO, Command, Sample
 from maglev_mj.loop import ControlLoop
-from maglev_mj.tracking import PoseTracker
+from maglev_mj.sensing.solver import PoseTracker
 
 __all__ = ["RemotePlant"]
 

@@ -13,8 +13,8 @@ from maglev_mj.frames import Array
 from maglev_mj.hand import Hand
 from maglev_mj.laws import Law, Wall
 from maglev_mj.plants import ExactPlant, Sensor, Timing
-from maglev_mj.sampled import LoopKeywords, SampledLoop
 from maglev_mj.spec import GRAVITY, Spec
+from maglev_mj.theory.closed_loop import LoopKeywords, SampledLoop
 
 __all__ = ["Chatter", "Hum", "hum", "press_at_edge", "random_delay_rate"]
 

@@ -14,8 +14,8 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Component, components, join
 from maglev_mj.model import beams
 from maglev_mj.parameters import number, numbers
-from maglev_mj.sensing import Beams
-from maglev_mj.tracking import FastBeams, PoseTracker
+from maglev_mj.sensing.geometry import Beams
+from maglev_mj.sensing.solver import FastBeams, PoseTracker
 
 __all__ = ["PoseSensor", "Sensor", "SpotReader", "SpotSensor"]
 

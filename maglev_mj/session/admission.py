@@ -13,7 +13,7 @@ from maglev_mj.laws import Friction, Hold, Law, Wall
 from maglev_mj.parameters import axis_indices
 from maglev_mj.scenes import Scene, Settings
 from maglev_mj.scenes.parts import INERTIA
-from maglev_mj.stability import largest_modulus, largest_stable_stiffness
+from maglev_mj.theory import largest_modulus, largest_stable_stiffness
 
 __all__ = ["Refusal", "refusal"]
 

@@ -13,8 +13,8 @@ from typing import TypeAlias
 import numpy as np
 
 from maglev_mj.frames import AXES, Array
-from maglev_mj.navigation import Navigation, Navigator
 from maglev_mj.session import Moment
+from maglev_mj.spacenav.navigation import Navigation, Navigator
 from maglev_mj.spec import RANGE
 
 __all__ = ["FULL", "FULL_POSE", "FULL_RATE", "REST", "Axes", "PoseAxes", "RateAxes", "told"]

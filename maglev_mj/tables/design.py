@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from maglev_mj.experiments.designed_wall import DesignResult
 from maglev_mj.spec import RANGE
-from maglev_mj.stability.design import Case
+from maglev_mj.studies.designed_wall import DesignResult
+from maglev_mj.theory.design import Case
 
 __all__ = ["design_table"]
 

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from maglev_mj.experiments.fidelity import MARGIN, FidelityResult, StepResult, stepping_name
-from maglev_mj.experiments.fidelity_levels import LevelResult
+from maglev_mj.studies.fidelity import MARGIN, FidelityResult, StepResult, stepping_name
+from maglev_mj.studies.fidelity_levels import LevelResult
 
 __all__ = ["fidelity_table", "levels_table"]
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from maglev_mj import bounds
-from maglev_mj.experiments.stability_map import StabilityMap
-from maglev_mj.stability import is_stable
+from maglev_mj.studies.stability_map import StabilityMap
+from maglev_mj.theory import bounds, is_stable
 
 __all__ = ["stability_table"]
 

@@ -14,7 +14,7 @@ from maglev_mj.frames import Array
 from maglev_mj.scenes import Settings
 from maglev_mj.scenes.parts import MASS
 from maglev_mj.session import View
-from maglev_mj.stability import largest_stable_stiffness
+from maglev_mj.theory import largest_stable_stiffness
 
 __all__ = ["Plots"]
 

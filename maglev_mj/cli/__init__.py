@@ -1,0 +1,5 @@
+"""The command line: `maglev-mj` and its commands, one a module."""
+
+from maglev_mj.cli.program import main, parser
+
+__all__ = ["main", "parser"]

@@ -1,0 +1,117 @@
+"""`maglev-mj analyse`: what a recording tells, and how far it is from its simulation."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from maglev_mj import plots
+from maglev_mj.analysis import Analysed, analyse
+from maglev_mj.cli.options import count, number_option
+from maglev_mj.cli.output import check_outputs, write_json
+from maglev_mj.errors import ParameterError
+from maglev_mj.frames import AXES
+from maglev_mj.parameters import axis_indices, number
+from maglev_mj.recording import InvalidRecordingError, Recording, Stretch
+from maglev_mj.replay import rebuild, stick_positions_of
+from maglev_mj.tables import analysis_table
+from maglev_mj.terminal import say
+from maglev_mj.versions import versions_read
+
+__all__ = ["add_command"]
+
+
+def add_command(commands: Any) -> None:
+    """Add the command to the parser's."""
+    command = commands.add_parser(
+        "analyse", help="figures 5, 6 and 9 from a recording, beside its simulation (docs/analysis.md)"
+    )
+    command.add_argument(
+        "file", metavar="FILE", type=Path, help="what view, bridge, drop, press or stick-slip recorded"
+    )
+    command.add_argument("--json", metavar="FILE", help="write the figures as JSON; - for standard output")
+    command.add_argument("--out", metavar="DIR", type=Path, help="write pictures to this folder")
+    command.add_argument(
+        "--stretch", type=count, metavar="N", help="only the N-th stretch, from 1; settings change between"
+    )
+    begin, end = "from so long after the beginning of a stretch on [s]", "up to so long after it [s]"
+    command.add_argument("--from", dest="begin", type=number_option, default=0.0, metavar="SECONDS", help=begin)
+    command.add_argument("--to", dest="end", type=number_option, metavar="SECONDS", help=end)
+    command.add_argument(
+        "--axis", metavar="NAME", help="axis to draw (default: the scene's, or one whose wall was touched)"
+    )
+    command.add_argument(
+        "--compare",
+        action=argparse.BooleanOptionalAction,
+        default=True,
+        help="run the simulation of the same parameters too (the default)",
+    )
+    command.set_defaults(run=_analyse)
+
+
+def _analyse(options: argparse.Namespace) -> int:
+    check_outputs(json=options.json, out=options.out)
+    if options.axis is not None:
+        axis_indices(options.axis)
+    if options.out is not None:
+        plots.require()
+    recording = Recording.load(options.file)
+    stretches = recording.stretches
+    several = len(stretches) > 1
+    found = [(place, _found(stretch, options)) for place, stretch in _chosen(stretches, options)]
+    axes = [one.axis(options.axis) for _, one in found]  # before anything is written
+    if options.json is not None:
+        recorded_by = {place: versions_read(stretches[place - 1].setup.get("versions")) for place, _ in found}
+        data = [{"stretch": place, "versions": recorded_by[place], **one.as_json()} for place, one in found]
+        about = {"file": str(options.file), "damage": recording.damage, "events": list(recording.events)}
+        write_json(options.json, {**about, "stretches": data})
+    drawn = []
+    if options.out is not None:
+        options.out.mkdir(parents=True, exist_ok=True)
+        for (place, one), axis in zip(found, axes, strict=True):
+            drawn += _draw(one, axis, options.out, f"stretch_{place}_" if several else "analysis_")
+    if options.json != "-":
+        print("\n\n".join(analysis_table(one, place, len(stretches)) for place, one in found))
+        damage = [f"{options.file}: {recording.damage}"] if recording.damage else []
+        for line in [*damage, *recording.events, *drawn]:
+            say(f"  {line}")
+    return 0
+
+
+def _chosen(stretches: Sequence[Stretch], options: argparse.Namespace) -> list[tuple[int, Stretch]]:
+    """Return the stretches to analyse, and which they are from 1.
+
+    Raises:
+        InvalidRecordingError: If there is nothing in the recording.
+        ParameterError: If there is no such stretch, or it is not clear of which a part is meant.
+    """
+    usable = [(place, stretch) for place, stretch in enumerate(stretches, start=1) if len(stretch.tick) > 1]
+    if not usable:
+        raise InvalidRecordingError(f"there is nothing in {str(options.file)!r} to be analysed")
+    if options.stretch is not None:
+        place = int(number("stretch", options.stretch, at_least=1, at_most=len(stretches)))
+        return [(place, stretches[place - 1])]
+    if len(usable) > 1 and (options.begin != 0.0 or options.end is not None):
+        raise ParameterError(f"from and to are within a stretch: choose one of {len(stretches)} with --stretch")
+    return usable
+
+
+def _found(stretch: Stretch, options: argparse.Namespace) -> Analysed:
+    anchors = stick_positions_of(stretch)
+    return analyse(stretch, rebuild, anchors=anchors, begin=options.begin, end=options.end, simulated=options.compare)
+
+
+def _draw(analysed: Analysed, axis: int, folder: Path, stem: str) -> list[str]:
+    """Draw what there is to draw of a stretch; return what was written, and what there is not."""
+    wrote = [f"wrote {plots.whole_run(analysed, axis, folder / f'{stem}run.png')}"]
+    if any(face.axis == axis for face in analysed.recorded.figures.faces):
+        wrote.insert(0, f"wrote {plots.first_contact(analysed, axis, folder / f'{stem}contact.png')}")
+    else:
+        wrote.append(f"no wall was touched on {AXES[axis]}: no picture of a contact")
+    if analysed.recorded.anchors is not None:
+        wrote.append(f"wrote {plots.sticks(analysed.recorded, folder / f'{stem}sticks.png')}")
+    else:
+        wrote.append("there is no friction: no picture of where it sticks")
+    return wrote

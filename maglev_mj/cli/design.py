@@ -1,0 +1,122 @@
+"""`maglev-mj design`: gains of the stiffest wall that bears what it must."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from maglev_mj import plots
+from maglev_mj.cli.options import add_options, number_option, range_of
+from maglev_mj.cli.output import check_outputs, write_json
+from maglev_mj.errors import ParameterError
+from maglev_mj.hand import HANDS
+from maglev_mj.studies.designed_wall import Contact, evaluate_wall
+from maglev_mj.tables import design_table
+from maglev_mj.theory import GOALS, LAWS, WallRequirements, design_wall
+
+__all__ = ["add_command"]
+
+
+def add_command(commands: Any) -> None:
+    """Add the command to the parser's."""
+    parser = commands.add_parser(
+        "design",
+        help="gains of the stiffest wall for uncertain mass, delay and hand",
+        epilog="Example: maglev-mj design --mass 0.56:0.84 --delay 0.0012:0.0018 --hand arm,stylus,fingertip",
+    )
+    made = WallRequirements()
+    for name, unit in (("mass", "moving mass [kg]"), ("delay", "from a sample to its command taking effect [s]")):
+        told = f"{unit}: one value, LOW:HIGH or LOW HIGH (default {getattr(made, name)[0]:g})"
+        parser.add_argument(f"--{name}", nargs="+", metavar="X", help=told)
+    parser.add_argument(
+        "--hand",
+        action="append",
+        metavar="NAMES",
+        help=f"hands that it must bear: {', '.join(HANDS)}, several with commas between them, or one as "
+        "MASS,DAMPING,STIFFNESS[,GRIP_DAMPING,GRIP_STIFFNESS]; may be given again (default none)",
+    )
+    parser.add_argument("--held", action="store_true", help="never let go: leave out the flotor without a hand")
+    helps = {"period": "sample period [s]", "modulus": "largest modulus allowed; 1 for stability alone"}
+    add_options(parser, {}, helps, WallRequirements)
+    parser.add_argument("--driver-lag", action="store_true", help="the current drivers lag, as the device's do")
+    parser.add_argument("--law", default="pd", choices=LAWS, help="law of the wall (default pd)")
+    parser.add_argument(
+        "--goal",
+        default="static",
+        choices=GOALS,
+        help="make the stiffness against a slow push largest, or the least at any frequency (default static)",
+    )
+    parser.add_argument("--pulse", action="store_true", help="give a braking pulse, sized to stop the lightest flotor")
+    helps = {
+        "pulse_width": "how long the pulse lasts [s]",
+        "quantize": "resolution of the position sensor [m]; 0 for an ideal one",
+        "speed": "speed of approach [m/s]",
+    }
+    add_options(parser, {}, helps, Contact)
+    limit = Contact().force_limit
+    parser.add_argument(
+        "--force-limit",
+        default=limit,
+        type=_limit,
+        metavar="X",
+        help=f"largest force of the actuators [N], or none (default {limit:g})",
+    )
+    parser.add_argument("--json", metavar="FILE", help="write the design as JSON; - for standard output")
+    parser.add_argument("--out", metavar="DIR", type=Path, help="write a picture of the margin to this folder")
+    parser.set_defaults(run=_design)
+
+
+def _design(options: argparse.Namespace) -> int:
+    made = WallRequirements()
+    requirements = WallRequirements(
+        mass=range_of("mass", options.mass) or made.mass,
+        delay=range_of("delay", options.delay) or made.delay,
+        hands=_hands(options.hand or ["none"], options.held),
+        **{name: getattr(options, name) for name in ("period", "modulus", "driver_lag")},
+    )
+    contact = Contact(
+        **{name: getattr(options, name) for name in ("pulse", "pulse_width", "quantize", "force_limit", "speed")}
+    )
+    if options.out is not None:
+        plots.require()
+        if all(low == high for low, high in (requirements.mass, requirements.delay)):
+            raise ParameterError("mass or delay must be a range for a picture, not one value each")
+    if contact.pulse and options.law != "pd":
+        raise ParameterError(f"pulse must be left out for the {options.law}: it gives none")
+    check_outputs(json=options.json, out=options.out)
+    wall = design_wall(requirements, options.law, goal=options.goal)
+    reference = None
+    if options.law != "pd":
+        try:
+            reference = design_wall(requirements, goal=options.goal)
+        except ParameterError:
+            reference = None  # no PD wall bears them
+    result = evaluate_wall(wall, contact, reference)
+    if options.json is not None:
+        write_json(options.json, result.as_json())
+    pictures = []
+    if options.out is not None:
+        options.out.mkdir(parents=True, exist_ok=True)
+        pictures.append(plots.design_map(result, options.out / "design.png"))
+    if options.json != "-":
+        print(design_table(result))
+        for path in pictures:
+            print(f"  wrote {path}")
+    return int(result.grows.any())
+
+
+def _hands(given: Sequence[str], held: bool) -> tuple[str, ...]:
+    """Return the hands named, and a flotor let go among them unless it is held throughout."""
+    hands: list[str] = []
+    for text in given:
+        names = text.split(",")
+        hands += names if all(name in HANDS for name in names) else [text]
+    if held:
+        return tuple(dict.fromkeys(hand for hand in hands if hand != "none"))
+    return tuple(dict.fromkeys(["none", *hands]))
+
+
+def _limit(text: str) -> float | None:
+    return None if text == "none" else number_option(text)

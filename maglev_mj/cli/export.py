@@ -1,0 +1,36 @@
+"""`maglev-mj export`: a recording as a table for other programs."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from maglev_mj.cli.output import check_file
+from maglev_mj.errors import ParameterError
+from maglev_mj.recording import EXPORTS, Recording, export
+from maglev_mj.terminal import say
+
+__all__ = ["add_command"]
+
+
+def add_command(commands: Any) -> None:
+    """Add the command to the parser's."""
+    parser = commands.add_parser("export", help="a recording as a table for other programs")
+    parser.add_argument("file", metavar="FILE", type=Path, help="a recording, .mcap or .npz")
+    parser.add_argument("--to", required=True, choices=tuple(EXPORTS), help="what kind of table")
+    parser.add_argument("--out", metavar="FILE", type=Path, help="where to (default: beside the recording)")
+    parser.set_defaults(run=_export)
+
+
+def _export(options: argparse.Namespace) -> int:
+    path = options.out or options.file.with_suffix(f".{options.to}")
+    check_file("out", path)
+    if path.exists() and path.resolve() == options.file.resolve():
+        raise ParameterError(f"out must be another file than the recording, not {str(path)!r}")
+    recording = Recording.load(options.file)
+    if recording.damage:
+        say(f"  {options.file}: {recording.damage}")
+    export(recording, options.to, path)
+    print(f"  wrote {path}: {recording.ticks} samples")
+    return 0

@@ -1,0 +1,120 @@
+"""Results as JSON: to a file, or to standard output."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from maglev_mj.errors import DivergenceError, ParameterError
+from maglev_mj.recording import check_name
+from maglev_mj.studies.cells import Record, StudyInterrupted
+from maglev_mj.versions import differences, versions
+from maglev_mj.workers import WorkersError
+
+__all__ = [
+    "cells_kept",
+    "check_file",
+    "check_outputs",
+    "check_recording",
+    "keep_partial",
+    "tell_of_others",
+    "write_json",
+]
+
+
+def keep_partial(error: DivergenceError, options: argparse.Namespace) -> None:
+    """Write what was recorded before the run diverged."""
+    if error.partial is not None and options.json is not None:
+        write_json(options.json, {**error.partial.as_json(), "diverged": str(error)})
+
+
+def check_file(name: str, path: Path) -> None:
+    """Check that a file can be written.
+
+    Raises:
+        ParameterError: If it is a folder, is in no folder, or may not be written.
+    """
+    if path.is_dir() or not path.parent.is_dir():
+        raise ParameterError(f"{name} must be a file in a folder that is there, not {str(path)!r}")
+    if not os.access(path if path.exists() else path.parent, os.W_OK):
+        raise ParameterError(f"{name} must be a file that may be written, not {str(path)!r}")
+
+
+def check_recording(path: Path | None) -> None:
+    """Check that a recording can be written.
+
+    Args:
+        path: File; None for no recording.
+
+    Raises:
+        ParameterError: If it is no file that can be written, or of no kind that is known.
+        McapMissingError: If the package for its kind is not installed.
+    """
+    if path is not None:
+        check_name(path)
+        check_file("record", path)
+
+
+def check_outputs(*, json: str | None = None, record: Path | None = None, out: Path | None = None) -> None:
+    """Check before a long run that what it is to write can be written.
+
+    Args:
+        json: File for JSON, or "-".
+        record: File for cells.
+        out: Folder for pictures.
+
+    Raises:
+        ParameterError: If a file is a folder, is in no folder, may not be written, or is meant for two things.
+    """
+    files = {"record": record, "json": None if json in (None, "-") else Path(str(json))}
+    for name, path in files.items():
+        if path is not None:
+            check_file(name, path)
+    if record is not None and files["json"] is not None and record.resolve() == files["json"].resolve():
+        raise ParameterError(f"json and record must be two files, not {str(record)!r} for both")
+    if out is not None and out.exists() and not out.is_dir():
+        raise ParameterError(f"out must be a folder, not {str(out)!r}")
+
+
+@contextmanager
+def cells_kept(path: Path | None, fallback: Path) -> Iterator[None]:
+    """Write the cells of a study that is stopped, unless they are in a file, and name it in the error."""
+    try:
+        yield
+    except (StudyInterrupted, WorkersError) as stopped:
+        if path is None:
+            path = fallback
+            kept = Record(path)
+            kept.add([(cell, result) for cell, result in stopped.landed if cell not in kept])
+        where = f"{len(stopped.landed)} cells are in {path}, the same command with --record {path} goes on from there"
+        stopped.args = (f"{stopped}; {where}",)
+        raise
+
+
+def tell_of_others(command: str, others: Sequence[Mapping[str, Any]]) -> None:
+    """Print on standard error that other code made cells of a record; nothing without any.
+
+    Args:
+        command: Of the command line.
+        others: See `Record.others`.
+    """
+    if others:
+        ours = versions()
+        kinds = [f"{other['cells']} cells have {differences(other['versions'], ours)}" for other in others]
+        more = f"; and {len(kinds) - 1} more kinds" if len(kinds) > 1 else ""
+        print(f"maglev-mj {command}: the record is also by other code: {kinds[0]}{more}", file=sys.stderr)
+
+
+def write_json(target: str, data: Mapping[str, Any]) -> None:
+    """Write results and the `versions` of the code behind them; to standard output where the target is "-"."""
+    text = json.dumps({**data, "versions": versions()}, allow_nan=False)
+    if target == "-":
+        print(text)
+    else:
+        Path(target).write_text(text + "\n", encoding="utf-8")

@@ -1,0 +1,116 @@
+"""The command line: `maglev-mj` and its commands."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import select
+import sys
+from collections.abc import Sequence
+from typing import TextIO
+
+import maglev_mj
+from maglev_mj.cli import (
+    analyse,
+    bridge,
+    design,
+    drop,
+    export,
+    fidelity,
+    info,
+    press,
+    render,
+    replay,
+    serve_spacenav,
+    stability,
+    stick_slip,
+    sweep,
+    twin,
+    view,
+)
+from maglev_mj.cli.options import Parser, joined
+from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.terminal import say
+
+__all__ = ["main", "parser"]
+
+_SCENES = view, render, serve_spacenav
+_RECORDINGS = replay, analyse, export
+_EXPERIMENTS = drop, press, stick_slip, stability, design, sweep, fidelity
+_DEVICE = twin, bridge, info
+
+COMMANDS = (*_SCENES, *_RECORDINGS, *_EXPERIMENTS, *_DEVICE)
+"""In the order in which the help lists them."""
+
+_UNREAD = 141  # as a shell gives for a program that a closed pipe ends
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line.
+
+    Returns:
+        Exit status: 0, 1 for a run that failed, 2 for bad input, 130 for Ctrl-C, 141 for an output that nobody reads.
+    """
+    try:
+        try:
+            return _run(parser().parse_args(joined(sys.argv[1:] if arguments is None else arguments)))
+        finally:
+            if sys.stdout is not None:
+                sys.stdout.flush()  # a failure at the interpreter's end would be a traceback
+    except OSError as error:  # of standard output or standard error
+        _drop_unwritten()
+        if isinstance(error, BrokenPipeError):
+            return _UNREAD
+        print(f"maglev-mj: {error}", file=sys.stderr)
+        return 1
+
+
+def _run(options: argparse.Namespace) -> int:
+    try:
+        status: int = options.run(options)
+        return status
+    except KeyboardInterrupt as stopped:
+        print(f"maglev-mj {options.command}: {str(stopped) or 'stopped'}", file=sys.stderr)
+        return 130
+    except ParameterError as error:
+        say(f"maglev-mj {options.command}: {error}", sys.stderr)
+        return 2
+    except (MaglevError, OSError) as error:
+        if isinstance(error, BrokenPipeError) and _is_unread(sys.stdout):
+            raise
+        say(f"maglev-mj {options.command}: {error}", sys.stderr)
+        _drop_unwritten()
+        return 1
+
+
+def _is_unread(stream: TextIO) -> bool:
+    """Return whether a stream is a pipe whose other end is closed."""
+    try:
+        poll = select.poll()
+        poll.register(stream, 0)
+    except (AttributeError, TypeError, ValueError):  # not on this system, or no file
+        return False
+    return bool(poll.poll(0))
+
+
+def _drop_unwritten() -> None:
+    """Send to nowhere what the streams cannot write, for the interpreter would try again."""
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            if stream is not None:
+                stream.flush()
+        except OSError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+
+
+def parser() -> Parser:
+    """Return the parser of every command."""
+    made = Parser(prog="maglev-mj", description=maglev_mj.__doc__)
+    made.add_argument("--version", action="version", version=f"maglev-mj {maglev_mj.__version__}")
+    made.epilog = (
+        "Exit status: 0; 1 for a run that failed, 2 for bad input, 130 for Ctrl-C, 141 for an output that nobody reads."
+    )
+    commands = made.add_subparsers(dest="command", required=True, metavar="command")
+    for command in COMMANDS:
+        command.add_command(commands)
+    return made

@@ -1,0 +1,145 @@
+"""`maglev-mj twin`: a device that is not there, behind the wire of one that is."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from maglev_mj.bridge.calibration import Calibration
+from maglev_mj.bridge.link import Server, UdpServer, check_host, parse_url
+from maglev_mj.bridge.misfortune import MISFORTUNES, Misfortune
+from maglev_mj.bridge.realtime import realtime
+from maglev_mj.bridge.safety import Limits
+from maglev_mj.bridge.server import TwinServer
+from maglev_mj.bridge.states import fault_names
+from maglev_mj.bridge.stopping import stopping
+from maglev_mj.bridge.twin import Twin, TwinParameters
+from maglev_mj.cli.options import add_bridge, chosen_key, count, number_option
+from maglev_mj.errors import ParameterError
+from maglev_mj.parameters import number
+from maglev_mj.plants import engine_warnings_silenced
+from maglev_mj.scenes import Settings, scene_called
+from maglev_mj.scenes.parts import WEIGHT
+from maglev_mj.spec import Spec
+from maglev_mj.tables import served_table
+from maglev_mj.viewer.process import Watch
+
+__all__ = ["add_command"]
+
+_LISTEN = "udp://127.0.0.1:5678"
+
+
+def add_command(commands: Any) -> None:
+    """Add the command to the parser's."""
+    twin = commands.add_parser("twin", help="a simulated device behind the real one's wire")
+    twin.add_argument(
+        "--listen", default=_LISTEN, metavar="ADDRESS", help=f"udp://HOST:PORT, or pty (default {_LISTEN})"
+    )
+    numbers = {
+        "rate": ("sample rate [Hz]", Spec.control_rate.value),
+        "delay": ("from a command's arrival to its taking effect [s]", Spec.transport_delay.value),
+        "watchdog": ("how long it waits for a command [s]", Limits.watchdog),
+        "noise": ("standard deviation of a spot's noise [m]", TwinParameters.noise),
+    }
+    for name, (text, default) in numbers.items():
+        twin.add_argument(
+            f"--{name}", type=number_option, default=default, metavar="X", help=f"{text} (default {default:g})"
+        )
+    twin.add_argument("--seed", type=count, default=0, metavar="N", help="of the noise (default 0)")
+    twin.add_argument("--lockstep", action="store_true", help="wait for each answer instead of keeping real time")
+    faults = "; ".join(f"{name}:K, {text}" for name, (text, _) in MISFORTUNES.items())
+    twin.add_argument(
+        "--fault", action="append", default=[], metavar="NAME:K@SECONDS", help=f"what goes wrong, and when: {faults}"
+    )
+    twin.add_argument("--truth", metavar="FILE", type=Path, help="what the device is, where a host knows it wrongly")
+    add_bridge(twin)
+    twin.add_argument("--view", action="store_true", help="a window, with the mouse as the hand")
+    twin.add_argument(
+        "--scene", default="joystick", metavar="SCENE", help="what the window looks like (default joystick)"
+    )
+    twin.set_defaults(run=_twin)
+
+
+def _twin(options: argparse.Namespace) -> int:
+    key = chosen_key(options.key)
+    look = scene_called(options.scene)
+    seconds = None if options.seconds is None else number("seconds", options.seconds, above=0.0)
+    calibration = Calibration.nominal() if options.calibration is None else Calibration.load(options.calibration)
+    parameters = TwinParameters(
+        period=1.0 / number("rate", options.rate, at_least=10.0, at_most=20_000.0),
+        delay=options.delay,
+        lockstep=options.lockstep,
+        calibration=calibration,
+        truth=None if options.truth is None else Calibration.load(options.truth),
+        noise=options.noise,
+        seed=options.seed,
+        limits=Limits(watchdog=options.watchdog),
+        misfortunes=[Misfortune.parse(text) for text in options.fault],
+    )
+    watch = None
+    if options.view:
+        from maglev_mj.viewer.window import require_display
+
+        require_display()
+        # what it renders is for whoever flies it to say
+        settings = Settings(wall=False, pulse=False, period=parameters.period, delay=parameters.delay)
+        watch = Watch(look.name, settings)
+    twin = Twin(parameters, key=key, hand_force=None if watch is None else watch.hand)
+    server = TwinServer(twin, _server(options.listen, key))
+    print(_greeting(options, server), flush=True)
+    try:
+        with engine_warnings_silenced(), realtime(options.realtime) as refused:
+            for complaint in refused:
+                print(f"  not in real time: {complaint}", flush=True)
+            with stopping(server.stop):
+                served = server.run(seconds, None if watch is None else _shown(watch, server))
+    finally:
+        server.close()
+        if watch is not None:
+            watch.close()
+    print(served_table(served, twin))
+    return 0
+
+
+def _server(listen: str, key: bytes | None) -> Server:
+    if listen == "pty":
+        from maglev_mj.bridge.serial_link import PtyServer
+
+        return PtyServer()
+    if not listen.startswith("udp:"):
+        raise ParameterError(f"listen must be udp://HOST:PORT or pty, not {listen!r}")
+    url = parse_url(listen, server=True)
+    return UdpServer(check_host(url.place, key), url.number)
+
+
+def _greeting(options: argparse.Namespace, server: TwinServer) -> str:
+    place, number = server.address
+    address = f"serial://{place}" if options.listen == "pty" else f"udp://{place}:{number}"
+    pace = "in lockstep" if options.lockstep else "in real time"
+    return f"  a twin at {address}, {options.rate:g} Hz, {pace}; Ctrl-C ends it"
+
+
+def _shown(watch: Watch, server: TwinServer) -> Callable[[], None]:
+    """Return what shows a sample of the twin in the window, and lets the window end the twin."""
+    twin, plant = server.twin, server.twin.plant
+    coils, carried = plant.device.coils, np.array(WEIGHT)
+    assert coils is not None  # it is driven through them
+
+    def each() -> None:
+        currents = plant.applied_currents
+        force = coils.wrench(np.array(currents)) - carried if any(currents) else np.zeros(6)
+        watch.note = f"a device, {twin.firmware.state.name.lower()}{_faults(twin)}"
+        watch.keep(twin.pose, force, plant.hand_wrench, currents)
+        watch.poll()
+        if watch.closed:
+            server.stop()
+
+    return each
+
+
+def _faults(twin: Twin) -> str:
+    return f", {fault_names(twin.firmware.faults)}" if twin.firmware.faults else ""

@@ -1,0 +1,63 @@
+"""`maglev-mj view`: the joystick on the screen, the mouse as the hand."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from maglev_mj.cli.options import add_recording, add_settings, chosen_settings, number_option
+from maglev_mj.cli.outlets import add_outlets, chosen_outlets
+from maglev_mj.cli.output import check_outputs, check_recording
+from maglev_mj.hand import SpringHand
+from maglev_mj.parameters import number
+from maglev_mj.scenes import SCENES, scene_called
+from maglev_mj.session import Session
+from maglev_mj.tables import show_table
+
+__all__ = ["add_command"]
+
+
+def add_command(commands: Any) -> None:
+    """Add the command to the parser's."""
+    view = commands.add_parser("view", help="feel a scene: a window, with the mouse as the hand")
+    view.add_argument("scene", nargs="?", default="joystick", metavar="SCENE", help=f"one of {', '.join(SCENES)}")
+    add_settings(view)
+    add_recording(view)
+    add_outlets(view)
+    view.add_argument(
+        "--hand-stiffness",
+        type=number_option,
+        default=SpringHand.stiffness,
+        metavar="X",
+        help=f"of the spring by which the mouse pulls [N/m] (default {SpringHand.stiffness:g})",
+    )
+    view.add_argument(
+        "--out", metavar="DIR", type=Path, default=Path(), help="folder for recordings and screenshots (default .)"
+    )
+    view.add_argument("--seconds", type=number_option, metavar="X", help="close the window after so long [s]")
+    view.set_defaults(run=_view)
+
+
+def _view(options: argparse.Namespace) -> int:
+    scene = scene_called(options.scene)
+    settings = chosen_settings(options, scene.settings)
+    hand = SpringHand(stiffness=options.hand_stiffness)
+    seconds = None if options.seconds is None else number("seconds", options.seconds, above=0.0)
+    check_outputs(out=options.out)
+    check_recording(options.record)
+    # imported here: it loads the library that opens windows
+    from maglev_mj.viewer.window import require_display, show
+
+    require_display()
+    options.out.mkdir(parents=True, exist_ok=True)
+    with chosen_outlets(options) as outlets:
+        session = Session(
+            scene.name, settings=settings, hand=hand, folder=options.out, record=options.record, outlets=outlets
+        )
+        try:
+            print(show_table(show(session, folder=options.out, duration=seconds)))
+        finally:
+            for path in session.recordings:  # whatever happened, a person wants to know where they are
+                print(f"  wrote {path}")
+    return 0

@@ -1,0 +1,146 @@
+"""Work and precision: what an answer costs against how far it is off."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from maglev_mj.parameters import flag
+from maglev_mj.plots.drawing import GRID, MANY, SECOND, new_figure, save
+
+__all__ = ["WorkPoint", "WorkPrecision", "pareto", "work_precision"]
+
+_ROUNDING = 1e-13
+_BEHIND = {"facecolor": "white", "alpha": 0.75, "edgecolor": "none", "pad": 0.8}
+_BAND, _ROW = 1e-7, 0.45
+
+
+@dataclass(frozen=True)
+class WorkPoint:
+    """One way to an answer.
+
+    Attributes:
+        name: Of the way.
+        group: Ways of one kind share a colour and a line of the legend.
+        cost: Of a simulated second [s], of each device where there are many.
+        error: [m]; what is below 1e-13 counts as rounding.
+        many: Whether that takes many devices at once.
+    """
+
+    name: str
+    group: str
+    cost: float
+    error: float
+    many: bool = False
+
+    def __post_init__(self) -> None:
+        flag("many", self.many)
+
+
+@dataclass(frozen=True)
+class WorkPrecision:
+    """One picture: its title and its points."""
+
+    title: str
+    points: Sequence[WorkPoint]
+
+
+def pareto(points: Sequence[WorkPoint]) -> list[WorkPoint]:
+    """Return the points that no other beats in both cost and error, the cheapest first; rounding counts as no error."""
+    front: list[WorkPoint] = []
+    for point in sorted(points, key=lambda one: (one.cost, one.error)):
+        if not front or max(point.error, _ROUNDING) < max(front[-1].error, _ROUNDING):
+            front.append(point)
+    return front
+
+
+def work_precision(panels: Sequence[WorkPrecision], path: Path, columns: int = 3) -> Path:
+    """Draw error over cost for each panel, with the front that nothing beats, for one device and for many at once.
+
+    What is exact to rounding is below the line, a row for each group.
+
+    Args:
+        panels: What to draw, row by row.
+        path: PNG to write.
+        columns: How many stand side by side.
+
+    Raises:
+        ChartsMissingError: If matplotlib is not installed.
+    """
+    rows = -(-len(panels) // columns)
+    size = (5.2 * columns, 4.5 * rows) if columns > 1 else (10.0, 6.8)
+    figure, axes = new_figure(rows, columns, size)
+    groups = list(dict.fromkeys(point.group for panel in panels for point in panel.points))
+    for axis, panel in zip(axes, panels):
+        for place, group in enumerate(groups):
+            mine = [point for point in panel.points if point.group == group]
+            axis.plot(
+                [1e3 * point.cost for point in mine],
+                [_height(point, groups) for point in mine],
+                linestyle="none",
+                marker="osD^vPX<>hpd"[place % 12],
+                color=MANY[place % len(MANY)],
+                markersize=5.5,
+                alpha=0.85,
+                label=group,
+            )
+        named: list[tuple[float, float]] = []
+        for many, style in ((True, "--"), (False, "-")):
+            _draw_front(axis, pareto([point for point in panel.points if point.many is many]), groups, style, named)
+        _furnish(axis, panel.title, len(groups))
+    for axis in axes[len(panels) :]:
+        axis.set_axis_off()
+    labels = axes[0].get_legend_handles_labels()
+    figure.legend(*labels, loc="outside lower center", ncols=min(len(groups), 6), frameon=False, fontsize=9.5)
+    return save(figure, path)
+
+
+def _height(point: WorkPoint, groups: Sequence[str]) -> float:
+    """Return where a point is drawn [µm]: at its error, or in its group's row below the line."""
+    if point.error > _ROUNDING:
+        return 1e6 * point.error
+    row: float = _BAND * 10.0 ** (-_ROW * (groups.index(point.group) + 1))
+    return row
+
+
+def _furnish(axis: Any, title: str, rows: int) -> None:
+    """Scale and label a panel."""
+    axis.set_xscale("log")
+    axis.set_yscale("log")
+    low, high = axis.get_ylim()
+    bottom = _BAND * 10.0 ** (-_ROW * (rows + 1))
+    axis.set_ylim(min(low, bottom), max(high, 1e3))
+    axis.axhspan(bottom * 1e-3, _BAND, color=GRID, alpha=0.5, zorder=-1)
+    ticks = [10.0**power for power in range(-6, 6, 2) if 10.0**power < axis.get_ylim()[1]]
+    axis.set_yticks([*ticks, _BAND * 10.0 ** (-_ROW * 0.5 * (rows + 1))])
+    axis.set_yticklabels([f"{tick:g}" for tick in ticks] + ["exact to\nrounding"])
+    axis.minorticks_off()
+    axis.set_title(title, loc="left", fontsize=10.5)
+    axis.set_xlabel("cost (µs a simulated ms and device; real time is 1000)")
+    axis.set_ylabel("largest error (µm)")
+
+
+def _draw_front(
+    axis: Any, front: Sequence[WorkPoint], groups: Sequence[str], style: str, named: list[tuple[float, float]]
+) -> None:
+    """Draw the front as steps and name its points, but for those whose name would lie on one of `named`."""
+    places = [(1e3 * point.cost, _height(point, groups)) for point in front]
+    axis.step(*zip(*places, strict=True), where="post", color=SECOND, linewidth=1.2, linestyle=style, zorder=0)
+    for point, place in zip(front, places, strict=True):
+        cost, error = (math.log10(part) for part in place)
+        if any(abs(cost - x) < 2.0 and abs(error - y) < 0.6 for x, y in named):
+            continue
+        named.append((cost, error))
+        axis.annotate(
+            point.name,
+            place,
+            textcoords="offset points",
+            xytext=(7, 5),
+            fontsize=8,
+            color=SECOND,
+            zorder=3,
+            bbox=_BEHIND,
+        )

@@ -1,0 +1,177 @@
+"""Pictures of a recording beside its simulation: figures 5, 6 and 9 of the paper from any recording."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from maglev_mj.analysis import Analysed, Run
+from maglev_mj.frames import AXES
+from maglev_mj.plots.drawing import FIRST, IDEAL, SECOND, new_figure, save
+
+__all__ = ["first_contact", "sticks", "whole_run"]
+
+_WALL, _SHOWN, _LEAD, _POINTS = "#f1efe9", 0.4, 0.1, 2001
+_MOST_DOTS, _MOST_MARKS, _APART = 150, 12, 0.045
+
+
+def first_contact(analysed: Analysed, axis: int, path: Path) -> Path:
+    """Draw position and force over 0.4 s around the first contact, as figure 5 does.
+
+    Args:
+        analysed: The recording, and its simulation if there is one.
+        axis: Index into AXES.
+        path: PNG to write.
+
+    Raises:
+        ChartsMissingError: If matplotlib is not installed.
+    """
+    time = analysed.recorded.motion.time
+    begin, end = float(analysed.recorded.motion.trace.time[0]), float(time[-1])
+    contacts = [
+        contact.start for face in analysed.recorded.figures.faces if face.axis == axis for contact in face.contacts
+    ]
+    start = max(min(min(contacts, default=begin) - _LEAD, end - _SHOWN), begin)
+    return _over_time(analysed, axis, path, (start, min(start + _SHOWN, end)), marks=False)
+
+
+def whole_run(analysed: Analysed, axis: int, path: Path) -> Path:
+    """Draw position and force from beginning to end, with how deep each contact is, as figure 6 does.
+
+    Args:
+        analysed: The recording, and its simulation if there is one.
+        axis: Index into AXES.
+        path: PNG to write.
+
+    Raises:
+        ChartsMissingError: If matplotlib is not installed.
+    """
+    trace = analysed.recorded.motion.trace
+    return _over_time(analysed, axis, path, (float(trace.time[0]), float(trace.time[-1])), marks=True)
+
+
+def sticks(run: Run, path: Path) -> Path:
+    """Draw position and stick position on six axes, as figure 9 does.
+
+    Args:
+        run: A recording with friction.
+        path: PNG to write.
+
+    Raises:
+        ChartsMissingError: If matplotlib is not installed.
+    """
+    figure, panels = new_figure(3, 2, (10.5, 7.5), sharex=True)
+    order = [panel for column in (panels[0::2], panels[1::2]) for panel in column]
+    time, places = run.motion.time, run.motion.trace.pose[run.motion.starts]
+    anchors = np.full_like(places, np.nan) if run.anchors is None else run.anchors
+    for index, (axis, panel) in enumerate(zip(AXES, order, strict=True)):
+        unit = "mm" if index < 3 else "mrad"
+        rubs = run.figures.sticks[index] is not None
+        panel.plot(time, places[:, index] * 1e3, color=FIRST, linewidth=1.0, label="position")
+        panel.step(time, anchors[:, index] * 1e3, color=SECOND, linewidth=1.5, where="post", label="stick position")
+        count = run.figures.slips(index)
+        said = f"{count} slip{'' if count == 1 else 's'}" if rubs else "no friction"
+        panel.set_title(f"{axis} ({unit}): {said}", loc="left", fontsize=10.5)
+        panel.set_xlim(float(time[0]), float(time[-1]))
+        _no_narrower(panel, 0.02)
+    for panel in panels[-2:]:
+        panel.set_xlabel("time (s)")
+    panels[0].legend(frameon=False, loc="best")
+    return save(figure, path)
+
+
+def _over_time(analysed: Analysed, axis: int, path: Path, window: tuple[float, float], *, marks: bool) -> Path:
+    """Draw position and force of recording and simulation over a window of time [s]."""
+    figure, (upper, lower) = new_figure(2, 1, (10.0, 6.4), sharex=True)
+    sides = [("recording", analysed.recorded, FIRST, "-", 3), ("simulation", analysed.simulated, SECOND, "--", 4)]
+    for label, run, color, dashes, order in sides:
+        if run is None:
+            continue
+        style = {"color": color, "linestyle": dashes, "linewidth": 1.5 if order == 3 else 1.1, "zorder": order}
+        trace = run.motion.trace
+        first, last = max(window[0], float(trace.time[0])), min(window[1], float(trace.time[-1]))
+        if last <= first:
+            continue
+        # every switch too, for a pulse may fall between two points of any grid
+        knots = trace.time[(trace.time >= first) & (trace.time <= last)]
+        time = np.union1d(np.linspace(first, last, _POINTS), knots)
+        pose, _, wrench = trace.at(time)
+        upper.plot(time, pose[:, axis] * 1e3, label=label, **style)
+        lower.step(time, wrench[:, axis], where="post", **style)
+    _dots(upper, analysed.recorded, axis, window)
+    if marks:
+        _marks(upper, analysed.recorded, axis)
+    _no_narrower(upper, 0.02)
+    _walls(upper, analysed, axis)
+    small, force = ("mm", "N") if axis < 3 else ("mrad", "N m")
+    upper.set_ylabel(f"position along {AXES[axis]} ({small})" if axis < 3 else f"{AXES[axis]} ({small})")
+    lower.set_ylabel(f"force of the actuators ({force})" if axis < 3 else f"torque of the actuators ({force})")
+    lower.set_xlabel("time (s)")
+    lower.set_xlim(*window)
+    upper.legend(frameon=False, loc="upper right", ncols=3)
+    upper.set_title(_describe(analysed), loc="left", fontsize=10.5)
+    return save(figure, path)
+
+
+def _describe(analysed: Analysed) -> str:
+    known, comparison = analysed.known, analysed.comparison
+    said = "" if comparison is None else f": {comparison.sentence}"
+    return f"{known.name}, {1.0 / known.period:g} Hz, delay {known.delay * 1e3:g} ms{said}"
+
+
+def _dots(panel: Any, run: Run, axis: int, window: tuple[float, float]) -> None:
+    """Draw the samples themselves, where they are few enough to be told apart."""
+    time = run.motion.time
+    shown = (time >= window[0]) & (time <= window[1])
+    if shown.sum() <= _MOST_DOTS:
+        places = run.motion.trace.pose[run.motion.starts][:, axis]
+        panel.plot(time[shown], places[shown] * 1e3, ".", color=FIRST, markersize=4.0, zorder=5, label="samples")
+
+
+def _marks(panel: Any, run: Run, axis: int) -> None:
+    """Write to contacts how deep they are, the deepest first, as far as there is room beside one another."""
+    found = [(contact, face) for face in run.figures.faces if face.axis == axis for contact in face.contacts]
+    found.sort(key=lambda one: -one[0].penetration)
+    room = _APART * (run.figures.end - run.figures.start)
+    marked: list[float] = []
+    for contact, face in found:
+        if len(marked) == _MOST_MARKS or any(abs(contact.start - other) < room for other in marked):
+            continue
+        marked.append(contact.start)
+        below = face.normal > 0.0
+        panel.annotate(
+            f"{contact.penetration * 1e3:.2f}",
+            (contact.start, (face.edge - face.normal * contact.penetration) * 1e3),
+            xytext=(0.0, -3.0 * face.normal),
+            textcoords="offset points",
+            va="top" if below else "bottom",
+            fontsize=8.5,
+            color=IDEAL,
+        )
+    if found:
+        panel.margins(y=0.16)
+
+
+def _walls(panel: Any, analysed: Analysed, axis: int) -> None:
+    """Shade the walls of an axis that are near what is shown."""
+    bottom, top = panel.get_ylim()
+    room = 0.08 * (top - bottom)
+    for _, normal, edge in (face for face in analysed.known.faces if face[0] == axis):
+        place = edge * 1e3
+        if normal > 0.0 and place > bottom - room:
+            bottom = min(bottom, place - room)
+            panel.axhspan(bottom - 1e3, place, color=_WALL, zorder=0)
+        elif normal < 0.0 and place < top + room:
+            top = max(top, place + room)
+            panel.axhspan(place, top + 1e3, color=_WALL, zorder=0)
+    panel.set_ylim(bottom, top + 0.16 * (top - bottom))
+
+
+def _no_narrower(panel: Any, least: float) -> None:
+    """Keep what does not move a line, not a picture of rounding [mm, mrad]."""
+    bottom, top = panel.get_ylim()
+    if top - bottom < least:
+        middle = 0.5 * (bottom + top)
+        panel.set_ylim(middle - 0.5 * least, middle + 0.5 * least)

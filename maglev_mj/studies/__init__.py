@@ -1,0 +1,1 @@
+"""Sweeps, stability maps and comparisons over many runs."""

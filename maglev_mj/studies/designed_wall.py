@@ -1,0 +1,273 @@
+"""A designed wall simulated in the cases it must bear: does any motion grow, how deep, how hard, how loud."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from maglev_mj.controller import Controller
+from maglev_mj.errors import ParameterError
+from maglev_mj.experiments.batches import along_z
+from maglev_mj.experiments.failures import hum
+from maglev_mj.experiments.wall_controller import around_wall, wall_controller
+from maglev_mj.frames import Array, Command, Mask, Sample
+from maglev_mj.hand import Hand, hand_called
+from maglev_mj.loop import run
+from maglev_mj.metrics import summarise_bounce
+from maglev_mj.parameters import flag, number
+from maglev_mj.plants import ExactPlant, Sensor, Timing
+from maglev_mj.spec import Spec
+from maglev_mj.theory.design import Case, DesignedWall
+
+__all__ = ["Contact", "DesignResult", "evaluate_wall", "growing_cases", "hardest_contact"]
+
+_ANYWHERE = (1e150, 1.0)  # a flotor thrown ever further is a verdict, not an error
+_TICKS, _CONTACT_TICKS = 800, 100
+_RANDOM, _PHASES = 240, 8
+_GATE_STEPS, _SETTLED_STEPS = 5.0, 20.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Contact:
+    """What else a designed wall meets.
+
+    Args:
+        pulse: Whether the crossing sample gives a braking pulse, sized to stop the lightest flotor.
+        pulse_width: How long it lasts [s].
+        quantize: Step of the position sensor [m]; 0 for an ideal one.
+        force_limit: Largest force of the actuators [N]; None for no limit.
+        speed: Speed of approach [m/s].
+
+    Raises:
+        ParameterError: If a value is outside its bounds.
+    """
+
+    pulse: bool = False
+    pulse_width: float = 0.003
+    quantize: float = Spec.translation_resolution.value
+    force_limit: float | None = Spec.largest_vertical_force.value
+    speed: float = 0.2
+
+    def __post_init__(self) -> None:
+        number("pulse_width", self.pulse_width, above=0.0, at_most=1.0)
+        flag("pulse", self.pulse)
+        number("quantize", self.quantize, at_least=0.0, at_most=1.0)
+        number("speed", self.speed, above=0.0, at_most=10.0)
+        if self.force_limit is not None:
+            number("force_limit", self.force_limit, above=0.0, at_most=1e6)
+
+    def pulse_of(self, wall: DesignedWall) -> float:
+        """Return the further damping in the pulse [N s/m] that stops the lightest flotor, and no heavier one early."""
+        if not self.pulse:
+            return 0.0
+        return max(wall.requirements.mass[0] / self.pulse_width - wall.damping, 0.0)
+
+    def gate(self, period: float) -> float:
+        """Return the approach speed from which on a pulse is given [m/s]: five steps of the sensor a period."""
+        return _GATE_STEPS * self.quantize / period
+
+
+@dataclass(frozen=True, eq=False)
+class DesignResult:
+    """A designed wall and how it does.
+
+    Attributes:
+        wall: Its gains, and its figures by theory.
+        contact: What else it met.
+        reference: The PD wall for the same requirements; None where the wall is that, or no PD wall bears them.
+        cases: Cases simulated, in and out of contact: corners and middles of the ranges, the worst, random ones.
+        grows: True for each where the motion grows, or goes on, instead of settling, (C,).
+        depth: Greatest depth at the speed of approach over corners, hands and phases [m].
+        peak: Largest force there [N].
+        hum: Standard deviation of the force at rest over the sensor [N]: middle of the ranges, first hand, worst start.
+        masses: Of the map [kg], (M,).
+        delays: Of the map [s], (D,).
+        map: Largest modulus over the hands, (M, D).
+    """
+
+    wall: DesignedWall
+    contact: Contact
+    reference: DesignedWall | None
+    cases: Sequence[Case]
+    grows: Mask
+    depth: float
+    peak: float
+    hum: float
+    masses: Array
+    delays: Array
+    map: Array
+
+    def as_json(self) -> dict[str, Any]:
+        """Return everything, ready for JSON."""
+        figures = {
+            name: value._asdict() if isinstance(value, Case) else value
+            for name, value in vars(self.wall).items()
+            if name != "requirements"
+        }
+        requirements = asdict(self.wall.requirements)
+        return {
+            "parameters": {**requirements, "hands": list(requirements["hands"]), **asdict(self.contact)},
+            "wall": {**figures, "pulse": self.contact.pulse_of(self.wall), "gate": self.gate},
+            "approach": {"speed": self.contact.speed, "depth": self.depth, "peak_force": self.peak},
+            "hum": self.hum,
+            "pd": None
+            if self.reference is None
+            else {name: getattr(self.reference, name) for name in ("stiffness", "damping", "dynamic_stiffness")},
+            "simulated": {
+                "cases": len(self.cases),
+                "growing": [case._asdict() for case, grows in zip(self.cases, self.grows) if grows],
+            },
+            "map": {"mass": self.masses.tolist(), "delay": self.delays.tolist(), "modulus": self.map.tolist()},
+        }
+
+    @property
+    def gate(self) -> float:
+        """Approach speed from which on a pulse is given [m/s]; 0 without a pulse."""
+        return self.contact.gate(self.wall.requirements.period) if self.contact.pulse else 0.0
+
+
+def evaluate_wall(
+    wall: DesignedWall, contact: Contact, reference: DesignedWall | None = None, *, seed: int = 0
+) -> DesignResult:
+    """Simulate a designed wall in the cases of its requirements, and at its speed of approach.
+
+    Args:
+        wall: The wall.
+        contact: What else it meets.
+        reference: The PD wall to stand beside it.
+        seed: Of the random cases.
+
+    Raises:
+        ParameterError: If an observer is to give a pulse.
+    """
+    if contact.pulse and wall.pole is not None:
+        raise ParameterError("pulse must be left out for an observer: it gives none")
+    needs = wall.requirements
+    cases = [*needs.grid(3), wall.worst, *needs.random(_RANDOM, seed)]
+    grows = growing_cases(wall, contact, cases, seed=seed)
+    depth, peak = hardest_contact(wall, contact)
+    mass, delay = needs.nominal
+    heard = 0.0
+    if contact.quantize:
+        around: Any = {"quantum": contact.quantize, "delay": delay, "period": needs.period, "mass": mass}
+        around["hand"] = hand_called(needs.hands[0])
+        duration = _TICKS * needs.period
+        noise = hum(0.0, law=wall.make(), stiffness=wall.rendered, damping=wall.damping, duration=duration, **around)
+        heard = float(noise.force[0])
+    masses, delays, modulus = needs.map(wall.stiffness, wall.damping, wall.design)
+    return DesignResult(wall, contact, reference, cases, grows, depth, peak, heard, masses, delays, modulus)
+
+
+def growing_cases(wall: DesignedWall, contact: Contact, cases: Sequence[Case], *, seed: int = 0) -> Mask:
+    """Return for each case whether its motion grows or goes on, (C,), on the exact plant over 800 samples.
+
+    Each starts at random from 1 mm behind the wall to 2 mm above it, on its way down at up to the speed of approach, at
+    a random phase of the sampler. It settles if its swing in the last quarter is below 20 steps of the sensor, or
+    below half of that in the second quarter; with a modulus near 1 allowed, below what that leaves of it.
+
+    Args:
+        wall: The wall, below z = 0.
+        contact: Sensor, limit, pulse and speed.
+        cases: The cases, (C,).
+        seed: Of the starts.
+    """
+    random, count = np.random.default_rng(seed), len(cases)
+    height, speed = random.uniform(-1e-3, 2e-3, count), contact.speed * random.uniform(0.05, 1.0, count)
+    grows, phase = np.zeros(count, dtype=bool), random.uniform(0.0, 1.0, count)
+    quarter, floor = _TICKS // 4, max(_SETTLED_STEPS * contact.quantize, 1e-9)
+    slowest = min(max(0.5, 1.02 * wall.requirements.modulus ** (2 * quarter)), 0.98)
+    for index, plant in _plants(wall, contact, cases, height, speed, phase):
+        seen: list[Array] = []
+
+        def observe(sample: Sample, _: Command, plant: ExactPlant = plant, seen: list[Array] = seen) -> None:
+            seen.append(plant.state()[0][:, 2])
+
+        with plant:
+            run(plant, _controller(wall, contact), _TICKS, observe=observe)
+        early, late = (np.ptp(seen[start : start + quarter], axis=0) for start in (quarter, 3 * quarter))
+        grows[index] = (late > floor) & (late > slowest * early)
+    return grows
+
+
+def hardest_contact(wall: DesignedWall, contact: Contact) -> tuple[float, float]:
+    """Return the greatest depth [m] and force [N] at the speed of approach, over corners, hands and 8 phases."""
+    cases = [case for case in wall.requirements.grid(2) for _ in range(_PHASES)]
+    above = 1.5 * contact.speed * wall.requirements.period  # so that a sample sees it above the wall
+    starts = np.full(len(cases), above), np.full(len(cases), contact.speed)
+    depth, peak = 0.0, 0.0
+    for _, plant in _plants(wall, contact, cases, *starts, np.arange(len(cases)) % _PHASES / _PHASES, record=True):
+        with plant:
+            run(plant, _controller(wall, contact), _CONTACT_TICKS)
+        summary = summarise_bounce(plant.trace().along(2), rest=0.0, axis=0)
+        depth, peak = max(depth, float(summary.penetration.max())), max(peak, float(summary.peak_force.max()))
+    return depth, peak
+
+
+def _plants(
+    wall: DesignedWall,
+    contact: Contact,
+    cases: Sequence[Case],
+    height: Array,
+    speed: Array,
+    phase: Array,
+    *,
+    record: bool = False,
+) -> Iterator[tuple[list[int], ExactPlant]]:
+    """Yield exact plants with the indices of their cases.
+
+    One batch, but for hands in a rigid and in a soft grip, and delays of other whole periods.
+    """
+    needs = wall.requirements
+    groups: dict[tuple[bool, int], list[int]] = {}
+    for place, case in enumerate(cases):
+        hand = hand_called(case.hand)
+        key = hand is not None and hand.soft, math.floor(case.delay / needs.period + 1e-9)
+        groups.setdefault(key, []).append(place)
+    axis = np.eye(6)[2]
+    for (soft, _), index in groups.items():
+        some = [cases[place] for place in index]
+        yield (
+            index,
+            ExactPlant(
+                Timing(period=needs.period, delay=np.array([case.delay for case in some]), phase=phase[index]),
+                mass=np.array([case.mass for case in some]),
+                pose=along_z(height[index]),
+                twist=along_z(-speed[index]),
+                hand=_hands([case.hand for case in some], soft),
+                driver_lag=needs.driver_lag,
+                sensor=Sensor(quantum=axis * contact.quantize) if contact.quantize else None,
+                wrench_limit=contact.force_limit,
+                escape=_ANYWHERE,
+                record=record,
+            ),
+        )
+
+
+def _controller(wall: DesignedWall, contact: Contact) -> Controller:
+    needs = wall.requirements
+    mass, delay = needs.nominal
+    law = wall.make(force_limit=math.inf if contact.force_limit is None else contact.force_limit)
+    if law is not None:
+        return around_wall(law, period=needs.period, delay=delay, mass=mass)
+    return wall_controller(
+        stiffness=wall.stiffness,
+        damping=wall.damping,
+        pulse=contact.pulse_of(wall),
+        pulse_width=contact.pulse_width,
+        pulse_gate=contact.gate(needs.period),
+        period=needs.period,
+        delay=delay,
+        mass=mass,
+    )
+
+
+def _hands(names: Sequence[str], soft: bool) -> Hand:
+    """Return the hands of a batch along z, "none" as one without mass."""
+    hands = [hand_called(name) or Hand() for name in names]
+    mass, damping, stiffness, grip_damping, grip_stiffness = np.array([hand.values for hand in hands]).T
+    grip = {"grip_damping": grip_damping, "grip_stiffness": grip_stiffness} if soft else {}
+    return Hand(mass=mass, damping=damping, stiffness=stiffness, axes="z", **grip)

@@ -1,0 +1,292 @@
+"""The least model level and the cheapest integrator step that keep a tolerance, measured over many cases."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+from maglev_mj.errors import ParameterError
+from maglev_mj.parameters import number
+from maglev_mj.studies.costs import measure_costs
+from maglev_mj.studies.fidelity_cases import Case, choice_cases, itself, screen_levels
+from maglev_mj.studies.fidelity_levels import (
+    DEAR,
+    DEAR_CASES,
+    LevelResult,
+    Motions,
+    distance,
+    finite,
+    largest_jump,
+    level_results,
+    run_case,
+    run_levels,
+    worst_of,
+)
+from maglev_mj.studies.fidelity_scenes import FIDELITY_SCENES, FidelityScene
+from maglev_mj.studies.integrators import boundary_shift
+from maglev_mj.studies.levels import LEVELS, level_index, level_parts, loop_of, step_of
+from maglev_mj.theory.closed_loop import SampledLoop
+
+__all__ = [
+    "MARGIN",
+    "STEPPINGS",
+    "FidelityResult",
+    "Range",
+    "StepResult",
+    "measure_fidelity",
+    "measure_steps",
+    "stepping_name",
+]
+
+MARGIN = 1.25
+"""Factor by which a case never looked at may go beyond the worst that was seen."""
+
+_REFERENCE_STEP = 2e-5
+
+STEPPINGS: tuple[tuple[str, float | None], ...] = tuple(
+    (integrator, step)
+    for integrator in ("corrected", "euler", "implicitfast", "rk4")
+    for step in (None, 1e-3, 5e-4, 2.5e-4, 1e-4, 5e-5)
+)
+"""Integrator and longest step [s]; None for as long as the force is constant and nothing else asks for less."""
+
+
+class Range(NamedTuple):
+    """What an answer is to hold for.
+
+    Attributes:
+        phases: Phases of the samples, evenly spread over a period; jitter seeds alone in a scene that starts at rest.
+        around: Largest relative change of stiffness and damping.
+        share: Share of the cases that keep the tolerance, in (0, 1].
+        boundary: Largest relative shift of the stability boundary by an integrator.
+    """
+
+    phases: int = 4
+    around: float = 0.1
+    share: float = 0.99
+    boundary: float = 0.01
+
+
+class StepResult(NamedTuple):
+    """One integrator and step on one level.
+
+    Attributes:
+        integrator: Name; "closed form" for the lowest level.
+        step: Longest step [s]; None for as long as the force is constant.
+        error: Distance of its motion from that of RK4 with a step of 20 µs in the scene itself [m]; infinite if it
+            diverges.
+        cost: Of a simulated second [s].
+        shift: Relative shift of the stiffest stable wall; None where it was ruled out before.
+        missing: Distance from the motion of its level and of any above [m], in the worst case of the share asked for;
+            None where it was ruled out before.
+    """
+
+    integrator: str
+    step: float | None
+    error: float
+    cost: float
+    shift: float | None = None
+    missing: float | None = None
+
+
+class FidelityResult(NamedTuple):
+    """The model that a scene needs.
+
+    Attributes:
+        scene: The scene.
+        tolerance: Largest displacement of a coil that does not matter [m].
+        over: What the answer holds for.
+        cases: Cases of the whole device.
+        screened: Number of cases on the exact plant.
+        jump: Largest jump seen among them [m], where a sample just meets the wall or just misses it; 0 if none.
+        met_stops: Number of cases in which the motion meets the metal stops of the model.
+        levels: From the least model to the most.
+        level: The least level that keeps the tolerance, with the margin, against all above it; None if none does.
+        steps: Integrators and steps on that level.
+        cheapest: The cheapest of them that keeps the tolerance and the stability boundary; None if none does.
+    """
+
+    scene: FidelityScene
+    tolerance: float
+    over: Range
+    cases: tuple[Case, ...]
+    screened: int
+    jump: float
+    met_stops: int
+    levels: tuple[LevelResult, ...]
+    level: LevelResult | None
+    steps: tuple[StepResult, ...]
+    cheapest: StepResult | None
+
+    @property
+    def furthest(self) -> float | None:
+        """Distance that no case of the model chosen is expected to exceed, with the margin [m]; None without one."""
+        if self.level is None or self.cheapest is None:
+            return None
+        return MARGIN * max(self.cheapest.missing or 0.0, self.level.worst, self.jump)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return everything, ready for JSON; null for what is infinite or not there."""
+        values = {
+            "scene": self.scene.name,
+            "parameters": dict(vars(self.scene.parameters)),
+            "tolerance": self.tolerance,
+            "margin": MARGIN,
+            **self.over._asdict(),
+            "cases": [case._asdict() for case in self.cases],
+            "screened": self.screened,
+            "jump": self.jump,
+            "furthest": self.furthest,
+            "met_stops": self.met_stops,
+            "levels": [row.as_json() for row in self.levels],
+            "level": None if self.level is None else self.level.level,
+            "steps": [finite(row._asdict()) for row in self.steps],
+            "cheapest": None if self.cheapest is None else finite(self.cheapest._asdict()),
+        }
+        return finite(values)
+
+
+def measure_fidelity(
+    scene: str | FidelityScene,
+    tolerance: float | None = None,
+    over: Range | None = None,
+    *,
+    progress: Callable[[int, int], None] | None = None,
+) -> FidelityResult:
+    """Choose the least model level and the cheapest step that keep a tolerance in a scene and around it.
+
+    Every level runs in every case: phases of the samples times pairs of gains, each with a jitter seed of its own.
+    The dear levels, from the drivers' filter on, run in the scene itself and the three cases that are worst without
+    them; `screen_levels` looks at 4096 further cases on the exact plant. A level keeps the tolerance if `MARGIN` times
+    its distance from every level above it does, in all cases of the whole device and the share asked for of the others.
+    No model short of the device itself keeps it in all: see `largest_jump`.
+
+    Args:
+        scene: The scene, or its name from FIDELITY_SCENES.
+        tolerance: Largest displacement of a coil that does not matter [m]; the scene's own by default.
+        over: What the answer is to hold for.
+        progress: Told how many motions are done, and of how many.
+
+    Raises:
+        ParameterError: If there is no such scene, or a value is outside its bounds.
+    """
+    if isinstance(scene, str):
+        if scene not in FIDELITY_SCENES:
+            raise ParameterError(f"scene must be one of {', '.join(FIDELITY_SCENES)}, not {scene!r}")
+        scene = FIDELITY_SCENES[scene]
+    over = over or Range()
+    number("share", over.share, above=0.0, at_most=1.0)
+    number("boundary", over.boundary, above=0.0)
+    kept = scene.tolerance if tolerance is None else number("tolerance", tolerance, above=0.0)
+    cases = choice_cases(scene, over.phases, over.around)
+    dear = (len(LEVELS) - DEAR) * min(DEAR_CASES, len(cases))
+    done = _Count(progress, len(cases) * DEAR + dear + len(STEPPINGS))
+    motions = run_levels(scene, cases, done=done)
+    screen = screen_levels(scene, over.around)
+    levels = level_results(scene, motions, screen, kept / MARGIN, over.share)
+    met = sum(motion is not None and motion.met_stops for motion in motions[level_index("stops")].values())
+    level = next((row for row in levels if MARGIN * row.missing <= kept and not row.diverged), None)
+    steps: tuple[StepResult, ...] = ()
+    cheapest = None
+    if level is not None:
+        index = level_index(level.level)
+        check = partial(_missing_of, scene, cases, motions[index:], level.level, over.share)
+        beyond = worst_of(screen[index], over.share)
+        steps, cheapest = _choose(
+            measure_steps(scene, level.level, done=done),
+            loop_of(scene, level.level),
+            step_of(scene, level.level),
+            lambda value: MARGIN * value <= kept,
+            over.boundary,
+            lambda row: max(check(row), beyond),
+        )
+    jump = largest_jump(screen)
+    return FidelityResult(scene, kept, over, cases, screen.shape[1], jump, met, levels, level, steps, cheapest)
+
+
+class _Count:
+    """Counts motions for a progress bar."""
+
+    def __init__(self, progress: Callable[[int, int], None] | None, total: int) -> None:
+        self._progress, self._count, self._total = progress, 0, total
+
+    def __call__(self) -> None:
+        self._count += 1
+        if self._progress is not None:
+            self._progress(self._count, self._total)
+
+
+def measure_steps(
+    scene: FidelityScene, level: str, *, repeats: int = 3, done: Callable[[], object] = lambda: None
+) -> tuple[StepResult, ...]:
+    """Return error and cost of each integrator and step on a level; of the closed form alone on the lowest.
+
+    Args:
+        scene: The scene.
+        level: Name from LEVELS.
+        repeats: How often each is timed.
+        done: Called after each motion.
+    """
+    if level_index(level) == 0:
+        (cost,) = measure_costs([partial(level_parts, scene, level)], [0.0], repeats)
+        return (StepResult("closed form", None, 0.0, cost),)
+    case = itself(scene)
+    truth = run_case(scene, level, case, longest_step=_REFERENCE_STEP)
+    motions = {}
+    for integrator, step in STEPPINGS:
+        motions[integrator, step] = run_case(scene, level, case, integrator=integrator, longest_step=step)
+        done()
+    sound = {key: motion.seconds for key, motion in motions.items() if motion is not None}
+    makers = [partial(level_parts, scene, level, integrator=kind, longest_step=step) for kind, step in sound]
+    costs = dict(zip(sound, measure_costs(makers, list(sound.values()), repeats), strict=True))
+    return tuple(StepResult(*key, distance(motion, truth), costs.get(key, math.inf)) for key, motion in motions.items())
+
+
+def _missing_of(
+    scene: FidelityScene, cases: Sequence[Case], motions: Motions, level: str, share: float, row: StepResult
+) -> float:
+    """Return how far an integrator and its step are from the motions of a level and those above it [m]."""
+    found = []
+    for index in motions[0]:
+        motion = run_case(scene, level, cases[index], integrator=row.integrator, longest_step=row.step)
+        found.append(max(distance(motion, above[index]) for above in motions if index in above))
+    return worst_of(found, share)
+
+
+def _choose(
+    rows: Sequence[StepResult],
+    loop: SampledLoop,
+    usual_step: float,
+    keeps: Callable[[float], bool],
+    boundary: float,
+    missing: Callable[[StepResult], float],
+) -> tuple[tuple[StepResult, ...], StepResult | None]:
+    """Return the rows in order of cost, and the first that keeps tolerance and stability boundary.
+
+    Args:
+        rows: Integrators and steps.
+        loop: The loop whose boundary is to be kept.
+        usual_step: Longest step where none is asked for [s].
+        keeps: Whether a distance is within the tolerance.
+        boundary: Largest relative shift of the boundary.
+        missing: Distance of one over all cases.
+    """
+    ordered = sorted(rows, key=lambda row: (row.cost, row.error))
+    for place, row in enumerate(ordered):
+        if not keeps(row.error):
+            continue
+        shift = boundary_shift(row.integrator, row.step or usual_step, loop)
+        row = ordered[place] = row._replace(shift=shift)
+        if abs(shift) > boundary:
+            continue
+        row = ordered[place] = row._replace(missing=missing(row))
+        if keeps(row.missing or 0.0):
+            return tuple(ordered), row
+    return tuple(ordered), None
+
+
+def stepping_name(integrator: str, step: float | None) -> str:
+    """Return the name of an integrator with a longest step [s]."""
+    return f"{integrator}, {'a step a segment' if step is None else f'{step * 1e3:g} ms'}"

@@ -1,0 +1,197 @@
+"""Distances between model levels over many cases of a scene."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+
+from maglev_mj.errors import PlantError, SensingError
+from maglev_mj.frames import Array
+from maglev_mj.plants import engine_warnings_silenced
+from maglev_mj.studies.costs import measure_costs
+from maglev_mj.studies.fidelity_cases import Case, itself, scene_at
+from maglev_mj.studies.fidelity_scenes import FidelityScene
+from maglev_mj.studies.levels import LEVELS, Motion, apart, level_index, level_parts, motion_of
+
+__all__ = [
+    "LevelResult",
+    "Motions",
+    "distance",
+    "distances_above",
+    "finite",
+    "largest_jump",
+    "level_results",
+    "measure_levels",
+    "run_case",
+    "run_levels",
+    "worst_of",
+]
+
+DEAR = level_index("filter")
+"""Index of the first of the levels that cost ten times as much as those below."""
+
+DEAR_CASES = 4
+"""How many cases the dear levels run in."""
+
+_JUMP = 100.0
+
+Motions: TypeAlias = Sequence[dict[int, Motion | None]]
+"""Motion of each level by the case's index; None where it diverged."""
+
+
+class LevelResult(NamedTuple):
+    """One model level in one scene.
+
+    Attributes:
+        level: Its name.
+        adds: Description of what it adds.
+        changes: Distance of its motion from that of the level below in the scene itself [m]; 0 for the lowest.
+        worst: Distance from the motion of any level above in the worst case [m]; 0 for the highest.
+        missing: The same in the worst case of the share asked for [m]; the choice rests on it.
+        keeps: Share of the cases that keep the tolerance with its margin.
+        diverged: Cases that diverged.
+        force: Change of the greatest force from the level below in the scene itself [N].
+        cost: Of a simulated second [s], the controller included.
+    """
+
+    level: str
+    adds: str
+    changes: float
+    worst: float
+    missing: float
+    keeps: float
+    diverged: int
+    force: float
+    cost: float
+
+    def as_json(self) -> dict[str, Any]:
+        """Return its figures, ready for JSON; null for what is not finite."""
+        return finite(self._asdict())
+
+
+def finite(values: dict[str, Any]) -> dict[str, Any]:
+    """Return values ready for JSON; None for numbers that are not finite."""
+    return {
+        name: None if isinstance(value, float) and not math.isfinite(value) else value for name, value in values.items()
+    }
+
+
+def run_case(scene: FidelityScene, level: str, case: Case, **options: Any) -> Motion | None:
+    """Run one case on a level; return None if it diverges."""
+    with engine_warnings_silenced(), np.errstate(all="ignore"):  # what diverges overflows before it is found out
+        try:
+            return motion_of(*level_parts(scene_at(scene, case), level, seed=case.seed, **options))
+        except (PlantError, SensingError):
+            return None
+
+
+def distance(one: Motion | None, other: Motion | None) -> float:
+    """Return the greatest displacement of a coil between two motions [m]; infinite if one diverged."""
+    return math.inf if one is None or other is None else float(apart(one.pose, other.pose))
+
+
+def run_levels(
+    scene: FidelityScene, cases: Sequence[Case], *, done: Callable[[], object] = lambda: None
+) -> list[dict[int, Motion | None]]:
+    """Run every level in every case; the dear ones in the first case and those that are worst without them.
+
+    Args:
+        scene: The scene.
+        cases: The cases.
+        done: Called after each motion.
+    """
+    motions: list[dict[int, Motion | None]] = [{} for _ in LEVELS]
+
+    def go(index: int, number: int) -> None:
+        motions[index][number] = run_case(scene, LEVELS[index].name, cases[number])
+        done()
+
+    for number in range(len(cases)):
+        for index in range(DEAR):
+            go(index, number)
+    # by what the falloff level lacks: those below it have too much else in their sum
+    lacking = distances_above(motions, level_index("falloff"))
+    ordered = sorted(range(1, len(cases)), key=lambda number: -lacking[number])
+    for number in (0, *ordered[: DEAR_CASES - 1]):
+        for index in range(DEAR, len(LEVELS)):
+            go(index, number)
+    return motions
+
+
+def measure_levels(scene: FidelityScene, *, repeats: int = 3) -> tuple[LevelResult, ...]:
+    """Return what each level changes, lacks and costs in a scene itself.
+
+    Args:
+        scene: The scene.
+        repeats: How often each is timed.
+    """
+    none = np.zeros((len(LEVELS), 1))
+    return level_results(scene, run_levels(scene, [itself(scene)]), none, scene.tolerance, repeats=repeats)
+
+
+def distances_above(motions: Motions, index: int) -> dict[int, float]:
+    """Return the largest distance of a level from any above it in each case [m]."""
+    return {
+        number: max((distance(motion, above[number]) for above in motions[index + 1 :] if number in above), default=0.0)
+        for number, motion in motions[index].items()
+    }
+
+
+def worst_of(values: Sequence[float] | Array, share: float) -> float:
+    """Return the largest value of a share of the cases, the smallest first."""
+    return float(np.quantile(np.asarray(values), share, method="higher"))
+
+
+def largest_jump(screen: Array) -> float:
+    """Return the largest jump among cases on the exact plant [m]; 0 if none jumps.
+
+    A sample that just meets the wall or just misses it sends two levels apart as far, whatever tips it. A level jumps
+    where a case goes beyond a hundred times the median.
+
+    Args:
+        screen: Distances of each level from those above it [m], (levels, cases).
+    """
+    seen = screen[level_index("lag") :]
+    most = seen.max(axis=1)
+    return float(np.max(most, where=most > _JUMP * np.median(seen, axis=1), initial=0.0))
+
+
+def level_results(
+    scene: FidelityScene, motions: Motions, screen: Array, tolerance: float, share: float = 1.0, *, repeats: int = 3
+) -> tuple[LevelResult, ...]:
+    """Return what each level changes, lacks and costs, each with its own default step.
+
+    Args:
+        scene: The scene.
+        motions: Of the levels.
+        screen: Distances on the exact plant [m], (levels, cases).
+        tolerance: Largest distance that is kept [m].
+        share: Share of the cases that counts.
+        repeats: How often each is timed.
+    """
+    firsts = [found[0] for found in motions]
+    makers = [partial(level_parts, scene, level.name) for level in LEVELS]
+    seconds = [min((m.seconds for m in found.values() if m is not None), default=1.0) for found in motions]
+    costs = measure_costs(makers, seconds, repeats)
+    rows = []
+    for index, level in enumerate(LEVELS):
+        here, below = firsts[index], firsts[max(index - 1, 0)]
+        found = list(distances_above(motions, index).values())
+        rows.append(
+            LevelResult(
+                level=level.name,
+                adds=level.adds,
+                changes=distance(here, below),
+                worst=max(*found, float(screen[index].max())),
+                missing=max(worst_of(found, share), worst_of(screen[index], share)),
+                keeps=float(min(np.mean(np.array(found) <= tolerance), np.mean(screen[index] <= tolerance))),
+                diverged=sum(motion is None for motion in motions[index].values()),
+                force=math.nan if here is None or below is None else here.peak_force - below.peak_force,
+                cost=costs[index],
+            )
+        )
+    return tuple(rows)

@@ -1,0 +1,146 @@
+"""What an integrator's step does to stability: the boundary of the loop as MuJoCo simulates it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from maglev_mj.frames import Array
+from maglev_mj.hand import Hand
+from maglev_mj.parameters import flag, number
+from maglev_mj.plants import INTEGRATORS, one_step
+from maglev_mj.spec import Spec
+from maglev_mj.theory import StiffestWall, stiffest_of
+from maglev_mj.theory.closed_loop import SampledLoop
+
+__all__ = ["INTEGRATORS", "SteppedLoop", "boundary_shift", "stiffest_simulated"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SteppedLoop(SampledLoop):
+    """A sampled loop whose flotor moves as an integrator has it.
+
+    The map of one step is measured on the drop model along z, without gravity; the rest is the exact loop.
+
+    Args:
+        integrator: One of `INTEGRATORS`, or "corrected" for Euler's with its half-step correction.
+        step: Longest time step [s].
+        aligned: True ends a step at each switch of the force, in equal steps; False steps at a fixed step, and the
+            new command is first seen by the step that begins after it takes effect, as in a plain simulation loop.
+    """
+
+    integrator: str = "rk4"
+    step: float = 1e-3
+    aligned: bool = True
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        flag("aligned", self.aligned)
+
+    def flotor(self) -> tuple[Array, Array, Array, Array, int]:
+        """See `SampledLoop`."""
+        period, delay = float(np.asarray(self.period)), float(np.asarray(self.delay))
+        longest = number("step", self.step, above=0.0, at_most=period)
+        whole = math.floor(delay / period + 1e-9)
+        rest = max(delay - whole * period, 0.0)
+        if self.aligned:
+            before = max(math.ceil(rest / longest - 1e-9), 0)
+            after = max(math.ceil((period - rest) / longest - 1e-9), 0)
+            first = rest / before if before else longest
+            second = (period - rest) / after if after else longest
+        else:
+            steps = math.ceil(period / longest - 1e-9)
+            first = second = period / steps
+            before = math.ceil(rest / first - 1e-9)
+            after = steps - before
+        early, held = self._steps(first, before)
+        late, new = self._steps(second, after)
+        phi, old = late @ early, late @ held
+        if self.integrator == "corrected":  # at the sample the position goes back by half a step of the speed gained
+            new = new - 0.5 * second * new[1] * _PLACE[: len(new)]
+            old = old - 0.5 * (first * held[1] + second * (old[1] - held[1])) * _PLACE[: len(old)]
+            before_it = np.eye(len(phi))[1]
+            gained = first * (early[1] - before_it) + second * (phi[1] - early[1])
+            phi = phi - 0.5 * np.outer(_PLACE[: len(phi)], gained)
+        return phi, old, new, np.asarray(float(whole)), whole + int(before > 0)
+
+    def _steps(self, step: float, count: int) -> tuple[Array, Array]:
+        """Return the map of some steps and the share of a force that acts throughout."""
+        lags = self.driver_lag > 0.0
+        return _steps(self.integrator, float(np.asarray(self.mass)), step, count, self.hand, lags)
+
+
+_PLACE = np.eye(5)[0]
+
+
+@lru_cache(maxsize=256)
+def _steps(integrator: str, mass: float, step: float, count: int, hand: Hand | None, lags: bool) -> tuple[Array, Array]:
+    one, push = one_step("euler" if integrator == "corrected" else integrator, mass, step, hand, lags)
+    total, share = np.eye(len(push)), np.zeros(len(push))
+    for _ in range(count):
+        total, share = one @ total, one @ share + push
+    return total, share
+
+
+def stiffest_simulated(
+    integrator: str,
+    step: float,
+    *,
+    period: float,
+    delay: float,
+    mass: float = Spec.moving_mass.value,
+    aligned: bool = True,
+) -> StiffestWall:
+    """Return the stiffest wall that a simulation with this integrator and step takes for stable.
+
+    Args:
+        integrator: As for `SteppedLoop`.
+        step: Longest time step [s].
+        period: Sample period [s].
+        delay: Transport delay [s], up to 10 periods.
+        mass: Moving mass [kg].
+        aligned: See `SteppedLoop`.
+
+    Raises:
+        ParameterError: If a value is outside its bounds.
+    """
+    return stiffest_of(
+        SteppedLoop(period=period, delay=delay, mass=mass, integrator=integrator, step=step, aligned=aligned)
+    )
+
+
+def boundary_shift(integrator: str, step: float, loop: SampledLoop, *, aligned: bool = True) -> float:
+    """Return the relative shift of the stiffest stable wall by an integrator and its step.
+
+    Args:
+        integrator: As for `SteppedLoop`; 0 for "exact" and "closed form".
+        step: Longest time step [s].
+        loop: The loop itself: period, delay, mass, hand and lag of the model's drivers.
+        aligned: See `SteppedLoop`.
+
+    Raises:
+        ParameterError: If a value is outside its bounds.
+    """
+    flag("aligned", aligned)
+    flag("aligned", aligned)
+    if integrator in ("exact", "closed form"):
+        return 0.0
+    stepped = SteppedLoop(
+        period=loop.period,
+        delay=loop.delay,
+        mass=loop.mass,
+        hand=loop.hand,
+        driver_lag=loop.driver_lag,
+        integrator=integrator,
+        step=step,
+        aligned=aligned,
+    )
+    return float(stiffest_of(stepped).stiffness) / _stiffest(loop) - 1.0
+
+
+@lru_cache(maxsize=16)
+def _stiffest(loop: SampledLoop) -> float:
+    return float(stiffest_of(loop).stiffness)

@@ -1,0 +1,248 @@
+"""Model levels: from six decoupled axes to the whole device, each with all that is below it."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from maglev_mj.controller import Controller
+from maglev_mj.detail import Detail
+from maglev_mj.errors import ParameterError
+from maglev_mj.frames import Array, Command, Sample
+from maglev_mj.loop import run
+from maglev_mj.model import load
+from maglev_mj.plants import CorrectedPlant, ExactPlant, MuJoCoPlant, SampledPlant, Sensor, SpotSensor, Timing
+from maglev_mj.plants.engine import longest_step as step_needed
+from maglev_mj.spec import DRIVER_TIME_CONSTANT, RESOLUTION, Spec
+from maglev_mj.studies.fidelity_scenes import FidelityScene
+from maglev_mj.theory.closed_loop import SampledLoop
+
+__all__ = [
+    "LEVELS",
+    "Level",
+    "Motion",
+    "apart",
+    "exact_options",
+    "level_index",
+    "level_parts",
+    "loop_of",
+    "motion_of",
+    "options_of",
+    "step_of",
+    "timing_of",
+]
+
+_JITTER = 1e-4
+_LAG = DRIVER_TIME_CONSTANT
+_STEPS, _SPOTS = Sensor(quantum=RESOLUTION), SpotSensor(quantum=Spec.spot_resolution.value)
+
+
+class Level(NamedTuple):
+    """One model level: its additions to the level below.
+
+    Attributes:
+        name: Its name.
+        adds: Description of what it adds.
+        options: Keywords of the plant that it adds or replaces.
+        more_delay: Transport delay beyond the scene's [s], from this level on.
+        jitter: Jitter of the conversions [s], from this level on.
+    """
+
+    name: str
+    adds: str
+    options: Mapping[str, Any] = MappingProxyType({})
+    more_delay: float = 0.0
+    jitter: float = 0.0
+
+
+LEVELS: tuple[Level, ...] = (
+    Level("axes", "six decoupled axes, in closed form"),
+    Level("body", "a rigid body with an ideal wrench", {"coils": False}),
+    Level("coils", "six coils that do not turn, 10 A each", {"current_limit": Spec.peak_current.value}),
+    Level("turning", "coils that turn with the flotor", {"coils": True}),
+    Level("lag", "drivers of 2 kHz, as 80 µs more of delay", {}, _LAG),
+    Level(
+        "falloff",
+        "a tenth of the force lost at the end of the range",
+        {"detail": Detail(force_falloff=0.1)},
+        _LAG,
+    ),
+    Level("steps", "a sensor of 5 µm and 10 µrad", {"sensor": _STEPS}, _LAG),
+    Level(
+        "spots",
+        "LEDs and diodes of 0.8 µm, the pose by Newton",
+        {"sensor": _SPOTS},
+        _LAG,
+    ),
+    Level("jitter", "conversions that vary by 0.1 ms either way", {}, _LAG, _JITTER),
+    Level("stops", "metal stops", {"detail": Detail(force_falloff=0.1, stops=True)}, _LAG, _JITTER),
+    Level("filter", "the drivers' lag as the filter that it is", {"driver_lag": True}, 0.0, _JITTER),
+    Level(
+        "flexible",
+        "a handle that swings at 1 kHz",
+        {"detail": Detail(force_falloff=0.1, stops=True, flexible=True)},
+        0.0,
+        _JITTER,
+    ),
+)
+"""From the least model to the most, each with all that is below it."""
+
+
+class Motion(NamedTuple):
+    """The answer of one run.
+
+    Attributes:
+        pose: At the samples [m, rad], (K, 6).
+        twist: At the samples [m/s, rad/s], (K, 6).
+        peak_force: Greatest force commanded along an axis, after the limits [N].
+        met_stops: True if a metal stop of the model acted.
+        seconds: Time that the run took [s].
+    """
+
+    pose: Array
+    twist: Array
+    peak_force: float
+    met_stops: bool
+    seconds: float
+
+
+def level_index(level: str) -> int:
+    """Return how many levels are below one.
+
+    Raises:
+        ParameterError: If there is no such level.
+    """
+    names = [each.name for each in LEVELS]
+    if level not in names:
+        raise ParameterError(f"level must be one of {', '.join(names)}, not {level!r}")
+    return names.index(level)
+
+
+def options_of(level: str) -> dict[str, Any]:
+    """Return the keywords of the plant on a level.
+
+    Raises:
+        ParameterError: If there is no such level.
+    """
+    options: dict[str, Any] = {}
+    for each in LEVELS[: level_index(level) + 1]:
+        options |= each.options
+    return options
+
+
+def exact_options(level: str) -> dict[str, Any]:
+    """Return the keywords of the exact plant nearest to a level: limit along z, sensor's steps and drivers' filter.
+
+    Raises:
+        ParameterError: If there is no such level.
+    """
+    options, near = options_of(level), dict[str, Any]()
+    if "current_limit" in options:
+        near["wrench_limit"] = [math.inf, math.inf, Spec.largest_vertical_force.value] + [math.inf] * 3
+    if "sensor" in options:
+        near["sensor"] = _STEPS
+    if "driver_lag" in options:
+        near["driver_lag"] = True
+    return near
+
+
+def step_of(scene: FidelityScene, level: str) -> float:
+    """Return the longest step of a level in a scene where none is asked for [s]; the period if nothing bounds it."""
+    options = options_of(level)
+    needed = step_needed(load("drop"), "driver_lag" in options, scene.hand, options.get("detail"))
+    return min(bound for bound in (needed, scene.longest_step, scene.period) if bound is not None)
+
+
+def loop_of(scene: FidelityScene, level: str) -> SampledLoop:
+    """Return the sampled loop of a wall with a scene's timing, mass and hand, and a level's drivers.
+
+    Force falloff, jitter and the handle's swing are not in it.
+
+    Raises:
+        ParameterError: If there is no such level, or the delay is more than 10 periods.
+    """
+    p, lags = scene.parameters, "driver_lag" in options_of(level)
+    return SampledLoop(
+        period=p.period,
+        delay=p.delay + LEVELS[level_index(level)].more_delay,
+        mass=getattr(p, "mass", Spec.moving_mass.value),
+        hand=scene.hand,
+        driver_lag=_LAG if lags else 0.0,
+    )
+
+
+def timing_of(level: Level, timing: Timing, seed: int) -> Timing:
+    """Return a scene's timing as a level has it, with less jitter where delay and period leave no room for it."""
+    delay = timing.delay + level.more_delay
+    rest = Timing(period=timing.period, delay=delay).rest
+    jitter = min(level.jitter, rest, timing.period - rest)
+    return Timing(period=timing.period, delay=delay, phase=timing.phase, jitter=jitter, seed=seed)
+
+
+def level_parts(
+    scene: FidelityScene,
+    level: str,
+    *,
+    integrator: str = "rk4",
+    longest_step: float | None = None,
+    seed: int = 0,
+    **keywords: Any,
+) -> tuple[SampledPlant, Controller, int]:
+    """Return what a scene on a level is made of: the plant, the controller, and how many samples.
+
+    Args:
+        scene: The scene.
+        level: Name from LEVELS.
+        integrator: One of `INTEGRATORS`, or "corrected" for `CorrectedPlant`; the lowest level has none.
+        longest_step: Longest step [s]; None for that of the level.
+        seed: Of the jitter.
+        keywords: Further ones of the plant, in place of the scene's and the level's.
+
+    Raises:
+        ParameterError: If there is no such level.
+    """
+    options, index = options_of(level), level_index(level)
+
+    def make(timing: Timing, **own: Any) -> SampledPlant:
+        bound = own.pop("longest_step", None)
+        given = own | options | {"record": False} | keywords
+        timing = timing_of(LEVELS[index], timing, seed)
+        if index == 0:
+            return ExactPlant(timing, **given)
+        if longest_step is not None or bound is not None:
+            given["longest_step"] = step_of(scene, level) if longest_step is None else longest_step
+        if integrator == "corrected":
+            return CorrectedPlant(timing, **given)
+        return MuJoCoPlant(timing, integrator=integrator, **given)
+
+    return scene.parts(scene.parameters, make=make)
+
+
+def motion_of(plant: SampledPlant, controller: Controller, ticks: int) -> Motion:
+    """Run a scene's parts and return the true motion at the samples."""
+    states: list[tuple[Array, Array]] = []
+    forces: list[Array] = []
+
+    def observe(_: Sample, command: Command) -> None:
+        states.append(plant.state())
+        forces.append(np.maximum(np.abs(command.wrench), np.abs(command.wrench + command.pulse)))
+
+    start = time.perf_counter()
+    run(plant, controller, ticks, observe=observe)
+    taken = time.perf_counter() - start
+    states.append(plant.state())
+    pose, twist = (np.array(part) for part in zip(*states, strict=True))
+    met = isinstance(plant, MuJoCoPlant) and plant.met_stops
+    return Motion(pose, twist, float(np.max(forces, axis=0)[:3].max()), met, taken)
+
+
+def apart(one: Array, other: Array) -> Array:
+    """Return the greatest displacement of a coil between two motions [m], (...,), from poses (K, ..., 6)."""
+    difference = one - other
+    moved, turned = (np.linalg.norm(part, axis=-1) for part in (difference[..., :3], difference[..., 3:]))
+    return np.asarray((moved + Spec.coil_radius.value * turned).max(axis=0))

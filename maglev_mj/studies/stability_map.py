@@ -1,0 +1,234 @@
+"""The map of figure 2 and beyond: where theory has the wall stable, and where a simulation does."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+import maglev_mj
+import maglev_mj.theory as theory
+from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.experiments.choices import PLANTS
+from maglev_mj.frames import Array, Mask
+from maglev_mj.hand import hand_called
+from maglev_mj.parameters import number
+from maglev_mj.spec import Spec
+from maglev_mj.studies.cells import Cell, Record, run_cells
+from maglev_mj.studies.growth import RestingWall, measure_growth
+from maglev_mj.theory.closed_loop import MOST_PERIODS, LoopKeywords
+from maglev_mj.workers import Workers
+
+__all__ = ["StabilityMap", "StabilityParameters", "run_stability", "simulate_walls"]
+
+_NEAR = 0.005
+_TOGETHER = 240
+_AT_ONCE = 50_000
+_MOST_CELLS = 1000
+_AROUND = ("plant", "period", "delay", "mass", "hand")
+
+
+@dataclass(frozen=True, kw_only=True)
+class StabilityParameters:
+    """A grid of gains and the loop around them.
+
+    Attributes:
+        damping: Least and greatest damping [N s/m]; None for what shows the whole stable region.
+        stiffness: Least and greatest stiffness [N/m]; likewise.
+        grid: Points on each axis, at least 2; a range of one value has one.
+        period: Sample period [s].
+        delay: Transport delay [s].
+        mass: Moving mass [kg].
+        hand: See `hand_called`.
+        plant: "none" for theory alone, "exact" or "mujoco".
+
+    Raises:
+        ParameterError: If a value is outside its bounds.
+    """
+
+    damping: tuple[float, float] | None = None
+    stiffness: tuple[float, float] | None = None
+    grid: int = 60
+    period: float = 1.0 / Spec.control_rate.value
+    delay: float = Spec.transport_delay.value
+    mass: float = Spec.moving_mass.value
+    hand: str = "none"
+    plant: str = "none"
+
+    def __post_init__(self) -> None:
+        if self.plant not in ("none", *PLANTS):
+            raise ParameterError(f"plant must be one of none, {', '.join(PLANTS)}, not {self.plant!r}")
+        bounds: dict[str, dict[str, float]] = {
+            "period": {"at_least": 1e-6, "at_most": 1.0},
+            "delay": {"at_least": 0.0},
+            "mass": {"at_least": 1e-3, "at_most": 1e3},
+            "grid": {"at_least": 2, "at_most": _MOST_CELLS},
+        }
+        for name, allowed in bounds.items():
+            object.__setattr__(self, name, number(name, getattr(self, name), **allowed))
+        if self.grid != int(self.grid):
+            raise ParameterError(f"grid must be a whole number, not {self.grid:g}")
+        object.__setattr__(self, "grid", int(self.grid))
+        if self.delay > MOST_PERIODS * self.period:
+            raise ParameterError(
+                f"delay must be at most {MOST_PERIODS} periods of {self.period:g} s, not {self.delay:g}"
+            )
+        hand_called(self.hand)
+        for name, most in (("damping", 1e6), ("stiffness", 1e8)):
+            chosen = getattr(self, name)
+            if chosen is not None:
+                low, high = (number(name, value, at_least=0.0, at_most=most) for value in chosen)
+                if low > high:
+                    raise ParameterError(f"{name} must be from a lower to a higher value, not {low:g} to {high:g}")
+                object.__setattr__(self, name, (low, high))
+
+    @property
+    def loop(self) -> LoopKeywords:
+        """What theory takes beside the gains."""
+        return {"period": self.period, "delay": self.delay, "mass": self.mass, "hand": hand_called(self.hand)}
+
+
+@dataclass(frozen=True, eq=False)
+class StabilityMap:
+    """What theory and simulation say of each cell.
+
+    Attributes:
+        parameters: The grid.
+        damping: Its dampings [N s/m], (B,).
+        stiffness: Its stiffnesses [N/m], (K,).
+        modulus: Largest eigenvalue modulus, (K, B).
+        boundary: Largest stable stiffness at each damping [N/m], (B,).
+        maximum: The stiffest wall over all dampings, in the grid or not.
+        simulated: Whether the simulated wall settles, (K, B); None for theory alone.
+        near: Where half a percent of a gain changes the theory's verdict, (K, B); nowhere for theory alone.
+        others: Other code behind cells of the record; see `Record.others`.
+    """
+
+    parameters: StabilityParameters
+    damping: Array
+    stiffness: Array
+    modulus: Array
+    boundary: Array
+    maximum: theory.StiffestWall
+    simulated: Mask | None
+    near: Mask
+    others: Sequence[Mapping[str, Any]] = ()
+
+    @property
+    def misjudged(self) -> Mask | None:
+        """Cells further than half a percent from the boundary where simulation and theory differ, (K, B)."""
+        return None if self.simulated is None else (theory.is_stable(self.modulus) != self.simulated) & ~self.near
+
+    def as_json(self) -> dict[str, Any]:
+        """Return everything, ready for JSON."""
+        return {
+            "parameters": asdict(self.parameters),
+            "damping": self.damping.tolist(),
+            "stiffness": self.stiffness.tolist(),
+            "modulus": self.modulus.tolist(),
+            "simulated_stable": None if self.simulated is None else self.simulated.tolist(),
+            "boundary": self.boundary.tolist(),
+            "maximum": {"stiffness": float(self.maximum.stiffness), "damping": float(self.maximum.damping)},
+            "other_versions": list(self.others),
+        }
+
+
+def run_stability(
+    parameters: StabilityParameters,
+    *,
+    record: Record | None = None,
+    workers: Workers | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> StabilityMap:
+    """Work out the map, and simulate each cell unless theory alone is asked for.
+
+    A cell without stiffness has nowhere to rest and is not simulated; it counts as not stable, as in theory.
+
+    Raises:
+        StudyInterrupted: On Ctrl-C; the cells done are in the record.
+    """
+    p, loop = parameters, parameters.loop
+    best = theory.stiffest_wall(**loop)
+    some = float(best.stiffness) > 0.0  # without a stable wall there is nothing to frame
+    damping = _axis(p.damping, p.grid, 2.2 * float(best.damping) if some else p.mass / p.period)
+    stiffness = _axis(p.stiffness, p.grid, 1.25 * float(best.stiffness) if some else p.mass / p.period**2)
+    k, b = stiffness[:, None], damping[None, :]
+    modulus = _moduli(stiffness, damping, loop, progress)
+    simulated, near, others = None, np.zeros(modulus.shape, dtype=bool), []
+    if p.plant != "none":
+        for share in (1.0 - _NEAR, 1.0 + _NEAR):
+            for moved in (theory.largest_modulus(share * k, b, **loop), theory.largest_modulus(k, share * b, **loop)):
+                near |= theory.is_stable(moved) != theory.is_stable(modulus)
+        cells = _cells(p, stiffness, damping, modulus)
+        others = [] if record is None else record.others(cells)
+        results = run_cells(
+            simulate_walls, cells, record=record, workers=workers, together=_TOGETHER, progress=progress
+        )
+        verdict = {(cell["stiffness"], cell["damping"]): _stable(result) for cell, result in zip(cells, results)}
+        simulated = np.array([[verdict.get((row, column), False) for column in damping] for row in stiffness])
+    boundary = theory.largest_stable_stiffness(damping, **loop)
+    return StabilityMap(p, damping, stiffness, modulus, boundary, best, simulated, near, others)
+
+
+def _moduli(stiffness: Array, damping: Array, loop: LoopKeywords, progress: Callable[[int, int], None] | None) -> Array:
+    """Return the largest modulus of each cell, a few rows at a time for the sake of the progress."""
+    rows = max(_AT_ONCE // damping.size, 1)
+    parts = []
+    for start in range(0, stiffness.size, rows):
+        parts.append(theory.largest_modulus(stiffness[start : start + rows, None], damping, **loop))
+        if progress is not None:
+            progress(min(start + rows, stiffness.size) * damping.size, stiffness.size * damping.size)
+    return np.concatenate(parts)
+
+
+def _cells(p: StabilityParameters, stiffness: Array, damping: Array, modulus: Array) -> list[Cell]:
+    """Return the cells to simulate, the slow ones near the boundary together and last."""
+    around = {name: getattr(p, name) for name in _AROUND}
+    order = np.argsort(np.abs(np.log(np.maximum(modulus, 1e-9))).ravel())[::-1]
+    places = [np.unravel_index(place, modulus.shape) for place in order]
+    return [
+        {
+            "scene": "stability",
+            "version": maglev_mj.__version__,
+            **around,
+            "stiffness": float(stiffness[row]),
+            "damping": float(damping[column]),
+        }
+        for row, column in places
+        if stiffness[row] > 0.0
+    ]
+
+
+def simulate_walls(cells: list[Cell]) -> list[dict[str, Any]]:
+    """Simulate cells and return for each whether it is stable, its growth a sample, and the samples it took.
+
+    Each cell has plant, period, delay, mass, hand, stiffness and damping; those that share the first five run
+    as one batch.
+    """
+    results: list[dict[str, Any]] = [{}] * len(cells)
+    groups: dict[tuple[Any, ...], list[int]] = {}
+    for place, cell in enumerate(cells):
+        groups.setdefault(tuple(cell[name] for name in _AROUND), []).append(place)
+    for around, places in groups.items():
+        named = dict(zip(_AROUND, around, strict=True))
+        stiffness, damping = (np.array([cells[place][gain] for place in places]) for gain in ("stiffness", "damping"))
+        walls = RestingWall(**{**named, "hand": hand_called(named["hand"])})
+        growth = measure_growth(stiffness, damping, walls)
+        for place, stable, rate, ticks in zip(places, *growth, strict=True):
+            results[place] = {"stable": bool(stable), "rate": float(rate), "ticks": int(ticks)}
+    return results
+
+
+def _stable(result: Any) -> bool:
+    if not isinstance(result, dict) or "stable" not in result:
+        raise MaglevError(f"a cell has no verdict: {result!r}")
+    return bool(result["stable"])
+
+
+def _axis(limits: tuple[float, float] | None, count: int, highest: float) -> Array:
+    """Return the values of one axis; unless told from one step above 0 to the highest."""
+    if limits is None:
+        return np.linspace(highest / count, highest, count)
+    return np.linspace(*limits, count) if limits[0] < limits[1] else np.array([limits[0]])

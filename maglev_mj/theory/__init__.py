@@ -1,0 +1,41 @@
+"""Stability of the rendered wall: the exact closed loop, its boundary over the gains, and walls designed by it."""
+
+from maglev_mj.theory.boundary import (
+    StiffestWall,
+    boundary_of,
+    largest_stable_stiffness,
+    ranges_of,
+    stable_ranges,
+    stiffest_of,
+    stiffest_wall,
+)
+from maglev_mj.theory.design import GOALS, LAWS, Case, DesignedWall, WallRequirements, design_wall, worst_case
+from maglev_mj.theory.modulus import (
+    characteristic_polynomial,
+    critical_delay,
+    is_stable,
+    largest_modulus,
+    least_dynamic_stiffness,
+)
+
+__all__ = [
+    "GOALS",
+    "LAWS",
+    "Case",
+    "DesignedWall",
+    "StiffestWall",
+    "WallRequirements",
+    "boundary_of",
+    "characteristic_polynomial",
+    "critical_delay",
+    "design_wall",
+    "is_stable",
+    "largest_modulus",
+    "largest_stable_stiffness",
+    "least_dynamic_stiffness",
+    "ranges_of",
+    "stable_ranges",
+    "stiffest_of",
+    "stiffest_wall",
+    "worst_case",
+]

@@ -1,0 +1,206 @@
+"""The boundary of stability over the gains: the stiffness up to which every wall is stable, and islands beyond."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple, Unpack, overload
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from maglev_mj.errors import ParameterError
+from maglev_mj.frames import Array, Mask
+from maglev_mj.parameters import common_shape, number, numbers
+from maglev_mj.theory.characteristic import Characteristic, characteristic, crossings, scales, turning_points
+from maglev_mj.theory.closed_loop import LoopKeywords, SampledLoop
+from maglev_mj.theory.modulus import is_stable
+
+__all__ = [
+    "StiffestWall",
+    "boundary_of",
+    "first_end",
+    "flattened",
+    "largest_stable_stiffness",
+    "ranges_of",
+    "spans",
+    "stable_ranges",
+    "stiffest_of",
+    "stiffest_wall",
+]
+
+_HIGHEST = 8.0
+_NEAR = 1e-7
+_LOWEST, _APART = 8e-4, 1e-9
+_GRID = np.geomspace(_LOWEST, _HIGHEST, 60)
+
+
+class StiffestWall(NamedTuple):
+    """The largest stable stiffness [N/m] and the damping [N s/m] at which it is reached, (...,) each."""
+
+    stiffness: Array
+    damping: Array
+
+
+def flattened(loop: SampledLoop, damping: Array) -> tuple[SampledLoop, Array, tuple[int, ...]]:
+    """Return loop and dampings as N of each, and the shape that they had."""
+    shape = common_shape("damping and loop", damping.shape, loop.shape)
+    return loop.part(shape, slice(None)), np.broadcast_to(damping, shape).reshape(-1), shape
+
+
+def spans(loop: SampledLoop, damping: Array, limit: float, parts: Characteristic | None = None) -> tuple[Array, Mask]:
+    """Return the stiffnesses between which the verdict cannot change, (N, c + 1), and the verdicts between, (N, c).
+
+    Args:
+        loop: One, or N of them.
+        damping: (N,).
+        limit: Largest modulus allowed.
+        parts: The loop's characteristic polynomial on that circle, where it is known.
+    """
+    stiff, damp = scales(loop)
+    parts = parts or characteristic(loop, limit)
+    crossed = np.minimum(crossings(parts, damping / damp), _HIGHEST)
+    edges = np.pad(crossed, ((0, 0), (1, 1)), constant_values=(0.0, _HIGHEST))
+    edges = edges * np.broadcast_to(stiff, damping.shape)[:, None]
+    middle = 0.5 * (edges[:, 1:] + edges[:, :-1])
+    good = is_stable(loop.widened().modulus(middle, damping[:, None]), limit)
+    return edges, good
+
+
+def ranges_of(loop: SampledLoop, damping: float, limit: float = 1.0) -> list[tuple[float, float]]:
+    """Return the ranges of stiffness that are stable: `stable_ranges` for any SampledLoop."""
+    if loop.shape:
+        raise ParameterError(f"loop must be one, not {loop.shape}")
+    limit = number("limit", limit, above=0.0, at_most=1.0)
+    edges, good = spans(loop, numbers("damping", [damping], at_least=0.0), limit)
+    ranges: list[tuple[float, float]] = []
+    for low, high, inside in zip(edges[0], edges[0, 1:], good[0]):
+        if inside and high > low:
+            joined = ranges and ranges[-1][1] == low
+            ranges[-1:] = [(ranges[-1][0], float(high))] if joined else [*ranges[-1:], (float(low), float(high))]
+    return ranges
+
+
+def stable_ranges(damping: float, *, limit: float = 1.0, **loop: Unpack[LoopKeywords]) -> list[tuple[float, float]]:
+    """Return every range of stiffness that is stable at one damping.
+
+    The first begins at 0 unless no soft wall is stable; any other is an island, beyond walls that are not stable.
+
+    Args:
+        damping: Wall damping [N s/m].
+        limit: Largest modulus allowed; 1 for stability.
+        loop: Keywords of `SampledLoop`, each a number.
+
+    Returns:
+        Lower and upper end of each range [N/m], ascending, at most 8 m/T².
+
+    Raises:
+        ParameterError: If a value is outside its bounds.
+    """
+    return ranges_of(SampledLoop(**loop), damping, limit)
+
+
+@overload
+def largest_stable_stiffness(damping: ArrayLike, **loop: Unpack[LoopKeywords]) -> Array: ...
+
+
+@overload
+def largest_stable_stiffness(damping: None = None, **loop: Unpack[LoopKeywords]) -> StiffestWall: ...
+
+
+def largest_stable_stiffness(damping: ArrayLike | None = None, **loop: Unpack[LoopKeywords]) -> Array | StiffestWall:
+    """Return the stiffness up to which every wall is stable [N/m].
+
+    Stable from 0 up: an island of stable walls beyond unstable ones does not count (see `stable_ranges`).
+
+    Args:
+        damping: Wall damping [N s/m], (...,); None searches over all of them.
+        loop: Keywords of `SampledLoop`; they broadcast with the damping.
+
+    Returns:
+        The stiffness (...,), 0 where no soft wall is stable, and 8 m/T² at most; for `damping=None` stiffness and
+        damping.
+
+    Raises:
+        ParameterError: If a value is outside its bounds.
+    """
+    if damping is None:
+        return stiffest_wall(**loop)
+    return boundary_of(SampledLoop(**loop), numbers("damping", damping, at_least=0.0))
+
+
+def boundary_of(loop: SampledLoop, damping: Array) -> Array:
+    """Return the stiffness up to which every wall is stable: `largest_stable_stiffness` for any SampledLoop."""
+    flat, b, shape = flattened(loop, damping)
+    edges, good = spans(flat, b, 1.0)
+    rough, first = first_end(edges, good)
+    wide, b = flat.widened(), b[:, None]
+    # the crossing is good to rounding but for a slow one; the eigenvalues have the last word
+    ends = rough[:, None] * [1.0 - _NEAR, 1.0 + _NEAR]
+    verdicts = is_stable(wide.modulus(ends, b))
+    apart = 0.5 * (edges[:, :-1] + edges[:, 1:])
+    rows = np.arange(len(edges))
+    last = np.minimum(first, apart.shape[-1] - 1)
+    low = np.where(verdicts[:, 0], ends[:, 0], apart[rows, np.maximum(last - 1, 0)])
+    high = np.where(verdicts[:, 1], apart[rows, last], ends[:, 1])
+    found = (first > 0) & (first < good.shape[-1])
+    while (found & (high - low > 1e-13 * high)).any():
+        middle = np.linspace(low, high, 17, axis=-1)
+        steady = is_stable(wide.modulus(middle[:, 1:-1], b))
+        # the part that ends with the first that is not; the upper end never is
+        part = np.where(steady.all(axis=-1), 15, np.argmin(steady, axis=-1))
+        low, high = middle[rows, part], middle[rows, part + 1]
+    return np.where(found, low, rough).reshape(shape)
+
+
+def first_end(edges: Array, good: Mask) -> tuple[Array, Array]:
+    """Return where the stable range from 0 up ends, (N,), and the index of the first part that is not stable."""
+    first = np.where(good.all(axis=-1), good.shape[-1], np.argmin(good, axis=-1))
+    return edges[np.arange(len(edges)), first], first
+
+
+def stiffest_wall(**loop: Unpack[LoopKeywords]) -> StiffestWall:
+    """Return the largest stable stiffness over all dampings, and the damping at which it is reached.
+
+    Args:
+        loop: Keywords of `SampledLoop`.
+
+    Raises:
+        ParameterError: If a value is outside its bounds.
+    """
+    return stiffest_of(SampledLoop(**loop))
+
+
+def stiffest_of(loop: SampledLoop) -> StiffestWall:
+    """Return the largest stable stiffness over all dampings: `stiffest_wall` for any SampledLoop."""
+    found = [_stiffest(loop.part(loop.shape, index)) for index in range(math.prod(loop.shape))]
+    stiffness, damping = np.array(found).reshape(*loop.shape, 2).transpose(-1, *range(len(loop.shape)))
+    return StiffestWall(stiffness, damping)
+
+
+def _stiffest(loop: SampledLoop) -> tuple[float, float]:
+    """Return stiffness and damping of the stiffest wall of one loop.
+
+    Where the boundary over the damping can have its maximum: a smooth one of the explicit curve, a fold of it, where it
+    meets the line of z = -1, or an end of the range. Two parts of the curve may also cross; that is looked for
+    between the others.
+    """
+    unit = float(scales(loop)[1])
+
+    parts = characteristic(loop, 1.0)
+
+    def reach(damping: Array) -> Array:
+        return first_end(*spans(loop, damping, 1.0, parts))[0]
+
+    places = [damping for damping in turning_points(parts) if _LOWEST < damping < _HIGHEST]
+    dampings = np.concatenate([place * (1.0 + _APART * np.array([-1.0, 0.0, 1.0])) for place in places] + [_GRID])
+    dampings = unit * np.unique(np.clip(dampings, _LOWEST, _HIGHEST))
+    stiffness = reach(dampings)
+    while True:
+        level = np.flatnonzero(stiffness >= stiffness.max() * (1.0 - 1e-14))
+        best = int(level[len(level) // 2])
+        low, high = dampings[max(best - 1, 0)], dampings[min(best + 1, len(dampings) - 1)]
+        if high - low <= 3.0 * _APART * high:
+            damping = dampings[best]
+            return float(boundary_of(loop, np.asarray(damping))), float(damping)
+        dampings = low + (high - low) * np.linspace(0.0, 1.0, 15)
+        stiffness = reach(dampings)

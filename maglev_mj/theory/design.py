@@ -1,0 +1,437 @@
+"""The inverse of the stability map: gains of the stiffest wall that bears a range of masses, delays and hands."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from maglev_mj.errors import ParameterError
+from maglev_mj.frames import Array
+from maglev_mj.hand import hand_called
+from maglev_mj.laws import Law, ObserverWall
+from maglev_mj.parameters import flag, number
+from maglev_mj.spec import DRIVER_TIME_CONSTANT, Spec
+from maglev_mj.theory.boundary import first_end, flattened, ranges_of, spans
+from maglev_mj.theory.closed_loop import MOST_PERIODS, Design, SampledLoop, rendered_stiffness
+from maglev_mj.theory.modulus import least_dynamic_stiffness
+
+__all__ = ["GOALS", "LAWS", "Case", "DesignedWall", "WallRequirements", "design_wall", "worst_case"]
+
+LAWS = ("pd", "observer", "disturbance-observer")
+"""Laws that a wall can be designed for: the last also estimates a constant unknown force."""
+GOALS = ("static", "dynamic")
+"""Stiffnesses that can be made largest: against a slow push, or the least at any frequency."""
+
+_POLES = (0.0, 0.2, 0.4, 0.6)
+_DAMPINGS = np.geomspace(0.01, 6.0, 32)
+_GRID, _RANDOM, _ROUNDS, _MAP, _STARTS, _YIELDING = 9, 200, 8, 33, 3, 5
+_GOOD = 1e-3
+
+
+class Case(NamedTuple):
+    """One of the loops that a wall must bear: mass [kg], delay [s], and the name or numbers of the hand."""
+
+    mass: float
+    delay: float
+    hand: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class WallRequirements:
+    """Loops that a wall must bear: the product of masses, delays and hands.
+
+    Args:
+        period: Sample period [s].
+        mass: Least and greatest moving mass [kg].
+        delay: Least and greatest transport delay [s].
+        hands: Names or numbers; see `hand_called`. "none" is a flotor let go.
+        driver_lag: Whether the current drivers lag by the device's time constant.
+        modulus: Largest one allowed in any of the loops; 1 for stability alone.
+
+    Raises:
+        ParameterError: If a value is outside its bounds.
+    """
+
+    period: float = 1.0 / Spec.control_rate.value
+    mass: tuple[float, float] = (Spec.moving_mass.value,) * 2
+    delay: tuple[float, float] = (Spec.transport_delay.value,) * 2
+    hands: Sequence[str] = ("none",)
+    driver_lag: bool = False
+    modulus: float = 0.97
+
+    def __post_init__(self) -> None:
+        number("period", self.period, at_least=1e-6, at_most=1.0)
+        number("modulus", self.modulus, above=0.0, at_most=1.0)
+        flag("driver_lag", self.driver_lag)
+        bounds = {"mass": (1e-3, 1e3), "delay": (0.0, MOST_PERIODS * self.period)}
+        for name, (least, most) in bounds.items():
+            low, high = (number(name, value, at_least=least, at_most=most) for value in getattr(self, name))
+            if low > high:
+                raise ParameterError(f"{name} must be from a lower to a higher value, not {low:g} to {high:g}")
+        if not self.hands or len(set(self.hands)) != len(self.hands):
+            raise ParameterError(
+                f"hands must be one or more different ones, not {', '.join(self.hands) or 'none at all'}"
+            )
+        for hand in self.hands:
+            hand_called(hand)
+
+    @property
+    def nominal(self) -> tuple[float, float]:
+        """Mass and delay in the middle of their ranges, which a law's own model has."""
+        return 0.5 * sum(self.mass), 0.5 * sum(self.delay)
+
+    def grid(self, points: int) -> list[Case]:
+        """Return cases on a grid over the masses and delays, corners included, for each hand."""
+        masses, delays = (np.unique(np.linspace(*ends, points)) for ends in (self.mass, self.delay))
+        return [Case(float(m), float(d), hand) for m, d, hand in itertools.product(masses, delays, self.hands)]
+
+    def random(self, count: int, seed: int = 0) -> list[Case]:
+        """Return random cases, spread evenly over masses and delays, each hand in turn."""
+        random = np.random.default_rng(seed)
+        drawn = zip(random.uniform(*self.mass, count), random.uniform(*self.delay, count))
+        return [Case(float(m), float(d), hand) for (m, d), hand in zip(drawn, itertools.cycle(self.hands))]
+
+    def map(self, stiffness: float, damping: float, design: Design | None = None) -> tuple[Array, Array, Array]:
+        """Return masses (M,), delays (D,) and the largest modulus over the hands, (M, D); a range of one value has one.
+
+        Args:
+            stiffness: Gain on the position [N/m].
+            damping: Gain on the velocity [N s/m].
+            design: Another linear controller in place of the PD wall.
+        """
+        cases = self.grid(_MAP)
+        moduli = self.moduli(cases, stiffness, damping, design)
+        masses, delays = (np.unique([case[place] for case in cases]) for place in (0, 1))
+        return masses, delays, moduli.reshape(masses.size, delays.size, len(self.hands)).max(axis=-1)
+
+    def moduli(self, cases: Sequence[Case], stiffness: float, damping: float, design: Design | None = None) -> Array:
+        """Return the largest modulus of each case, (C,); see `map`."""
+        result = np.zeros(len(cases))
+        for index, loop in self.loops(cases, design):
+            result[index] = loop.modulus(stiffness, damping)
+        return result
+
+    def loops(self, cases: Sequence[Case], design: Design | None) -> list[tuple[Array, SampledLoop]]:
+        """Return a loop (C,) for the cases of each hand, with their indices."""
+        result = []
+        for hand in dict.fromkeys(case.hand for case in cases):
+            index = np.array([place for place, case in enumerate(cases) if case.hand == hand])
+            loop = SampledLoop(
+                period=self.period,
+                mass=[cases[place].mass for place in index],
+                delay=[cases[place].delay for place in index],
+                hand=hand_called(hand),
+                driver_lag=DRIVER_TIME_CONSTANT if self.driver_lag else 0.0,
+                design=design,
+            )
+            result.append((index, loop))
+        return result
+
+
+@dataclass(frozen=True, kw_only=True)
+class DesignedWall:
+    """The stiffest wall for some requirements, and how it does at them.
+
+    Attributes:
+        requirements: What it bears.
+        law: One of `LAWS`.
+        stiffness: Gain on the position [N/m].
+        damping: Gain on the velocity [N s/m].
+        pole: Of the observer; None for PD.
+        rendered: Stiffness against a slow push [N/m]; the gain itself for PD.
+        modulus: Largest modulus found over the requirements.
+        worst: The case that has it.
+        dynamic_stiffness: Least dynamic stiffness over the requirements [N/m].
+        softest: The case that has it.
+        island: Least stiffness [N/m] from which on walls at this damping are stable again in some case, beyond
+            ones that are not; None where there is none.
+    """
+
+    requirements: WallRequirements
+    law: str
+    stiffness: float
+    damping: float
+    pole: float | None
+    rendered: float
+    modulus: float
+    worst: Case
+    dynamic_stiffness: float
+    softest: Case
+    island: float | None
+
+    @property
+    def design(self) -> Design | None:
+        """Closed loop inside the wall for any gains; None for PD."""
+        return _design(self.requirements, self.law, self.pole)
+
+    def make(self, *, force_limit: float = math.inf) -> Law | None:
+        """Return the observer's law along z, its model told of the actuators' limit [N]; None for PD."""
+        if self.pole is None:
+            return None
+        return _observer(self.requirements, self.law, self.pole, self.stiffness, self.damping, force_limit)
+
+
+class _Gains(NamedTuple):
+    stiffness: float
+    damping: float
+    figure: float
+
+
+def _observer(
+    requirements: WallRequirements,
+    law: str,
+    pole: float,
+    stiffness: float,
+    damping: float,
+    force_limit: float = math.inf,
+) -> ObserverWall:
+    mass, delay = requirements.nominal
+    return ObserverWall(
+        axes="z",
+        stiffness=stiffness,
+        damping=damping,
+        inertia=mass,
+        period=requirements.period,
+        delay=delay,
+        pole=pole,
+        disturbance=law == "disturbance-observer",
+        force_limit=force_limit,
+    )
+
+
+def _design(requirements: WallRequirements, law: str, pole: float | None) -> Design | None:
+    """Return the closed loop's design for any gains; None for PD."""
+    if pole is None:
+        return None
+    wall = _observer(requirements, law, pole, 1.0, 1.0)
+    return lambda stiffness, damping, period: wall.linear(stiffness, damping)
+
+
+def _rendered(design: Design | None, period: float, stiffness: Array, damping: Array) -> Array:
+    if design is None:
+        return stiffness
+    return rendered_stiffness(design(stiffness, damping, np.asarray(period)))
+
+
+def design_wall(
+    requirements: WallRequirements, law: str = "pd", *, goal: str = "static", pole: float | None = None
+) -> DesignedWall:
+    """Return the stiffest wall that every loop of the requirements bears.
+
+    Each loop's largest modulus is at most the limit, and all softer walls of that damping are stable in it. The gains
+    are found for the corners and the middle of the ranges; then the worst case over the whole product is searched for
+    (a grid, random cases, and ever smaller steps from the worst of them), and where it is too large, it is put to
+    the others and the gains are found anew.
+
+    Args:
+        requirements: What the wall must bear.
+        law: One of `LAWS`; an observer has the delay as states, and the middle of the ranges for its model.
+        goal: "static" for the largest stiffness against a slow push, "dynamic" for the largest least dynamic stiffness.
+        pole: Of the observer, in [0, 1); None for the best of a few.
+
+    Raises:
+        ParameterError: If a value is outside its bounds, or no wall bears the requirements.
+    """
+    if law not in LAWS:
+        raise ParameterError(f"law must be one of {', '.join(LAWS)}, not {law!r}")
+    if goal not in GOALS:
+        raise ParameterError(f"goal must be one of {', '.join(GOALS)}, not {goal!r}")
+    poles: Sequence[float | None] = (None,) if law == "pd" else _POLES if pole is None else (pole,)
+    best: tuple[_Gains, float | None] | None = None
+    cases = _first_cases(requirements)
+    for chosen in poles:
+        gains = _bearing(requirements, _design(requirements, law, chosen), goal, cases)
+        if gains is not None and (best is None or gains.figure > best[0].figure):
+            best = gains, chosen
+    if best is None:
+        raise ParameterError(
+            f"modulus must be above {requirements.modulus:g} here: no {law} wall keeps to that in all of the cases"
+        )
+    return _examined(requirements, law, *best)
+
+
+def _first_cases(requirements: WallRequirements) -> list[Case]:
+    """Return the corners and the middle of the ranges, for each hand; more are added where they are worse."""
+    return list(dict.fromkeys([*requirements.grid(2), *(Case(*requirements.nominal, h) for h in requirements.hands)]))
+
+
+def _bearing(requirements: WallRequirements, design: Design | None, goal: str, cases: list[Case]) -> _Gains | None:
+    """Return the best gains that all cases bear, those found to be worse added to `cases`; None for none."""
+    gains, best = _Gains(0.0, 0.0, 0.0), _Gains(0.0, 0.0, 0.0)
+    grid = requirements.grid(_YIELDING)
+    for _ in range(_ROUNDS):
+        found = (_stiffest if goal == "static" else _least_yielding)(requirements, design, cases)
+        if found is None:
+            return best if best.figure else None
+        gains = found
+        modulus, case = worst_case(requirements, gains.stiffness, gains.damping, design)
+        if modulus > requirements.modulus * (1.0 + 1e-9):
+            cases.append(case)
+            continue
+        if goal == "static":
+            return gains
+        yields = _dynamic(requirements, design, grid, np.asarray(gains.stiffness), np.asarray(gains.damping))
+        if yields.min() > best.figure:
+            best = gains._replace(figure=float(yields.min()))
+        if yields.min() >= 0.99 * gains.figure:
+            return best
+        cases.append(grid[int(np.argmin(yields))])
+    if best.figure:
+        return best
+    # what is left is a hair: taken off the stiffness
+    for share in 1.0 - _GOOD * np.arange(1.0, 6.0):
+        softer = gains._replace(stiffness=gains.stiffness * share, figure=gains.figure * share)
+        if worst_case(requirements, softer.stiffness, softer.damping, design)[0] <= requirements.modulus:
+            return softer
+    return None
+
+
+def _admitted(requirements: WallRequirements, design: Design | None, cases: Sequence[Case], damping: Array) -> Array:
+    """Return the largest stiffness that all cases bear at each damping [N/m], 0 for none, (B,)."""
+    lows, highs, caps = [], [], []
+    for _, loop in requirements.loops(cases, design):
+        flat, b, shape = flattened(loop, damping[:, None])
+        edges, good = spans(flat, b, requirements.modulus)
+        lows.append(np.where(good, edges[:, :-1], np.inf).reshape(*shape, -1))
+        highs.append(np.where(good, edges[:, 1:], -np.inf).reshape(*shape, -1))
+        stable = edges, good
+        if requirements.modulus < 1.0:
+            stable = spans(flat, b, 1.0)
+        caps.append(first_end(*stable)[0].reshape(shape))
+    most = np.concatenate(caps, axis=1).min(axis=1)
+    width = max(part.shape[-1] for part in lows)
+    pad = [((0, 0), (0, 0), (0, width - part.shape[-1])) for part in lows]
+    low = np.concatenate([np.pad(part, by, constant_values=np.inf) for part, by in zip(lows, pad)], axis=1)
+    high = np.concatenate([np.pad(part, by, constant_values=-np.inf) for part, by in zip(highs, pad)], axis=1)
+    result = np.zeros(damping.size)
+    for row, cap in enumerate(most):
+        tops = np.unique(np.minimum(high[row], cap))
+        tops = tops[tops > 0.0]
+        borne = ((low[row] <= tops[:, None, None]) & (tops[:, None, None] <= high[row])).any(axis=-1).all(axis=-1)
+        result[row] = tops[borne].max(initial=0.0)
+    return result
+
+
+def _stiffest(requirements: WallRequirements, design: Design | None, cases: Sequence[Case]) -> _Gains | None:
+    """Return the gains of the largest static stiffness: along each damping explicit, over the damping ever finer."""
+    damping = _DAMPINGS * requirements.nominal[0] / requirements.period
+    while True:
+        stiffness = _admitted(requirements, design, cases, damping)
+        figure = _rendered(design, requirements.period, stiffness, damping) * (stiffness > 0.0)
+        best = int(np.argmax(figure))
+        low, high = damping[max(best - 1, 0)], damping[min(best + 1, len(damping) - 1)]
+        if not figure[best] > 0.0:
+            return None
+        if high - low <= _GOOD * high:
+            return _Gains(float(stiffness[best]), float(damping[best]), float(figure[best]))
+        damping = np.linspace(low, high, 12)
+
+
+def _least_yielding(requirements: WallRequirements, design: Design | None, cases: Sequence[Case]) -> _Gains | None:
+    """Return the gains of the largest least dynamic stiffness: a grid, then finer ones around its best places."""
+
+    def search(share: Array, damping: Array) -> tuple[Array, Array]:
+        """Return stiffnesses and their figures, (S, B), for shares of the largest stiffness at each damping."""
+        stiffness = share[:, None] * _admitted(requirements, design, cases, damping)
+        yields = _dynamic(requirements, design, cases, stiffness, np.broadcast_to(damping, stiffness.shape))
+        return stiffness, yields.min(axis=0)
+
+    unit = requirements.nominal[0] / requirements.period
+    shares, dampings = np.linspace(0.05, 1.0, 20), np.linspace(0.1, 3.0, 24) * unit
+    _, coarse = search(shares, dampings)
+    found = _Gains(0.0, 0.0, 0.0)
+    for _ in range(_STARTS):
+        row, column = np.unravel_index(int(coarse.argmax()), coarse.shape)
+        coarse[max(row - 2, 0) : row + 3, max(column - 2, 0) : column + 3] = 0.0  # the next start is elsewhere
+        at, wide = np.array([shares[row], dampings[column]]), np.array([0.1, 0.2 * unit])
+        best = 0.0
+        for _ in range(6):
+            share, damping = (centre + size * np.linspace(-1.0, 1.0, 7) for centre, size in zip(at, wide))
+            share, damping = np.clip(share, 0.0, 1.0), np.maximum(damping, 0.0)
+            stiffness, yields = search(share, damping)
+            row, column = np.unravel_index(int(yields.argmax()), yields.shape)
+            if yields[row, column] > best:
+                at, best = np.array([share[row], damping[column]]), float(yields[row, column])
+            if best > found.figure:
+                found = _Gains(float(stiffness[row, column]), float(damping[column]), best)
+            wide *= 0.6
+    return found if found.figure > 0.0 else None
+
+
+def _dynamic(
+    requirements: WallRequirements, design: Design | None, cases: Sequence[Case], stiffness: Array, damping: Array
+) -> Array:
+    """Return the least dynamic stiffness of each case [N/m], (C, ...); 0 where it is not below the limit."""
+    result = np.zeros((len(cases), *stiffness.shape))
+    for index, loop in requirements.loops(cases, design):
+        wide = (slice(None), *(None,) * stiffness.ndim)
+        around: Any = {name: getattr(loop, name) for name in ("period", "hand", "driver_lag", "design")}
+        around |= {name: np.asarray(getattr(loop, name))[wide] for name in ("mass", "delay")}
+        result[index] = least_dynamic_stiffness(stiffness, damping, **around)
+    return result
+
+
+def worst_case(
+    requirements: WallRequirements, stiffness: float, damping: float, design: Design | None = None
+) -> tuple[float, Case]:
+    """Return the largest modulus over the product of the requirements, and the case that has it.
+
+    Args:
+        requirements: The product.
+        stiffness: Gain on the position [N/m].
+        damping: Gain on the velocity [N s/m].
+        design: Another linear controller in place of the PD wall.
+    """
+    cases = [*requirements.grid(_GRID), *requirements.random(_RANDOM)]
+    moduli = requirements.moduli(cases, stiffness, damping, design)
+    worst, found = cases[int(np.argmax(moduli))], float(moduli.max())
+    for hand in requirements.hands:  # from the worst of each hand in ever smaller steps
+        place = max((index for index, case in enumerate(cases) if case.hand == hand), key=lambda at: moduli[at])
+        centre, size, modulus = cases[place], 1.0 / _GRID, float(moduli[place])
+        for _ in range(12):
+            mass, delay = (
+                np.unique(np.clip(at + size * (high - low) * np.linspace(-1.0, 1.0, 5), low, high))
+                for at, (low, high) in ((centre.mass, requirements.mass), (centre.delay, requirements.delay))
+            )
+            near = [Case(float(m), float(d), hand) for m, d in itertools.product(mass, delay)]
+            around = requirements.moduli(near, stiffness, damping, design)
+            if around.max() > modulus:
+                centre, modulus = near[int(np.argmax(around))], float(around.max())
+            size *= 0.5
+        if modulus > found:
+            worst, found = centre, modulus
+    return found, worst
+
+
+def _examined(requirements: WallRequirements, law: str, gains: _Gains, pole: float | None) -> DesignedWall:
+    """Return the designed wall with its figures over the whole product."""
+    design = _design(requirements, law, pole)
+    modulus, worst = worst_case(requirements, gains.stiffness, gains.damping, design)
+    cases = [*requirements.grid(_YIELDING), worst]
+    k, b = np.asarray(gains.stiffness), np.asarray(gains.damping)
+    yields = _dynamic(requirements, design, cases, k, b)
+    islands = [
+        low
+        for _, loop in requirements.loops(_first_cases(requirements), design)
+        for place in range(loop.shape[0])
+        for low, _ in ranges_of(loop.part(loop.shape, place), gains.damping)
+        if low > gains.stiffness
+    ]
+    return DesignedWall(
+        requirements=requirements,
+        law=law,
+        stiffness=gains.stiffness,
+        damping=gains.damping,
+        pole=pole,
+        rendered=float(_rendered(design, requirements.period, k, b)),
+        modulus=modulus,
+        worst=worst,
+        dynamic_stiffness=float(yields.min()),
+        softest=cases[int(np.argmin(yields))],
+        island=min(islands, default=None),
+    )
