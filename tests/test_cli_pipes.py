@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from maglev_mj.cli.program import COMMANDS, info, main
+from maglev_mj.cli import info, main
+from maglev_mj.cli.program import COMMANDS
 from maglev_mj.experiments.drop import DropParameters
 from maglev_mj.replay import write_experiment
 
