@@ -7,6 +7,7 @@ from maglev_mj.plots.friction import friction_laws, staircase, stick_slip
 from maglev_mj.plots.precision import WorkPoint, WorkPrecision, pareto, work_precision
 from maglev_mj.plots.press import figure_6
 from maglev_mj.plots.recorded import first_contact, sticks, whole_run
+from maglev_mj.plots.results import pictures_of, series, spread
 from maglev_mj.plots.stability import Panel, figure_2, shares, small_multiples, stability_map
 
 __all__ = [
@@ -22,9 +23,12 @@ __all__ = [
     "pareto",
     "phase_plane",
     "phases",
+    "pictures_of",
     "require",
+    "series",
     "shares",
     "small_multiples",
+    "spread",
     "stability_map",
     "staircase",
     "stick_slip",

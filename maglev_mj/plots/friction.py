@@ -9,33 +9,33 @@ from typing import Any
 import numpy as np
 
 from maglev_mj.experiments.six_axes import SixAxesResult
-from maglev_mj.experiments.stick_slip import StickSlipResult, exact_stick_slip
 from maglev_mj.frames import AXES
 from maglev_mj.plots.drawing import FIRST, IDEAL, MANY, SECOND, new_figure, save
-from maglev_mj.scenes.choices import SLIDES_AT
+from maglev_mj.scenes.run import Phases, Result
 
 __all__ = ["friction_laws", "staircase", "stick_slip"]
 
 
-def stick_slip(result: StickSlipResult, path: Path) -> Path:
+def stick_slip(results: Mapping[str, Result], sweeps: Mapping[str, Phases], path: Path) -> Path:
     """Draw position and velocity against the exact friction that the law stands for, as figure 8 does.
 
     Args:
-        result: The run.
+        results: Runs by label, the first of which is drawn.
+        sweeps: Not drawn.
         path: PNG to write.
 
     Raises:
         ChartsMissingError: If matplotlib is not installed.
     """
     figure, (upper, lower) = new_figure(2, 1, (8.0, 6.4), sharex=True)
-    p, series = result.parameters, result.series(1e-4)
+    result = next(iter(results.values()))
+    p, series = result.scene, result.series(1e-4)
     time, length = series["time"], "mm" if p.axis in AXES[:3] else "mrad"
-    exact = exact_stick_slip(p, time)
-    kind = "Coulomb, exact" if SLIDES_AT.get(p.law, 1.0) else "Karnopp, exact"
+    exact = p.exact(time)
     upper.plot(time, series["position"] * 1e3, color=FIRST, linewidth=1.7, label=f"{p.law}, {1.0 / p.period:g} Hz")
-    anchor = np.where(series["state"] > 0.0, series["stick_position"], np.nan)
+    anchor = np.where(series["state"] == "stuck", series["stick_position"], np.nan)
     upper.plot(time, anchor * 1e3, color=SECOND, linewidth=1.4, linestyle="--", label="stick position")
-    upper.plot(time, exact.position * 1e3, color=IDEAL, linewidth=1.8, linestyle=":", label=kind)
+    upper.plot(time, exact.position * 1e3, color=IDEAL, linewidth=1.8, linestyle=":", label=f"{p.exact_name}, exact")
     lower.plot(time, series["velocity"] * 1e3, color=FIRST, linewidth=1.5)
     lower.plot(time, exact.velocity * 1e3, color=IDEAL, linewidth=1.8, linestyle=":")
     upper.set_ylabel(f"position along {p.axis} ({length})")
@@ -45,7 +45,7 @@ def stick_slip(result: StickSlipResult, path: Path) -> Path:
     upper.legend(frameon=False, loc="lower right")
     upper.set_title(
         f"spring {p.spring:.4g}, breakaway {p.breakaway:.4g}, stiffness {p.stiffness:.4g}, damping {p.damping:.4g} "
-        f"(SI), delay {p.delay * 1e3:g} ms ({p.plant})",
+        f"(SI), delay {p.delay * 1e3:g} ms ({result.plant})",
         loc="left",
         fontsize=10.5,
     )
