@@ -1,6 +1,6 @@
 /* A reference device in C99: the device's side of docs/protocol.md over UDP, one file, libc alone.
 
-       cc -std=c99 -O2 scripts/device_client.c -o device_client -lm
+       cc -std=c99 -O2 scripts/examples/device_client.c -o device_client -lm
        device_client --plant FILE [--port 0] [--rate 200] [--delay 0.0015] [--watchdog 0.05] [--lockstep]
                      [--calibration-hash HEX32] [--device 1] [--seconds 0]
        device_client --golden

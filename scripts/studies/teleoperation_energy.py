@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from teleoperation_run import History
 
 from maglev_mj.frames import Array
 from maglev_mj.scenes.parts import MASS
+from teleoperation_run import History
 
 __all__ = ["Ledger", "ledger"]
 

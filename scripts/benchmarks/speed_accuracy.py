@@ -24,8 +24,6 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import mujoco
 import numpy as np
-from peers import Task
-from ways import SEMI_IMPLICIT, Way, as_json, boundary_shift, measure, our_ways, peer_ways, points_of
 
 from maglev_mj import Controller, run
 from maglev_mj.experiments.choices import PlantMaker
@@ -38,6 +36,8 @@ from maglev_mj.spec import Spec
 from maglev_mj.studies.fidelity_scenes import FIDELITY_SCENES, FidelityScene
 from maglev_mj.studies.integrators import INTEGRATORS
 from maglev_mj.versions import versions
+from peers import Task
+from ways import SEMI_IMPLICIT, Way, as_json, boundary_shift, measure, our_ways, peer_ways, points_of
 
 TITLES = {
     "drop": "on a wall, with a braking pulse",

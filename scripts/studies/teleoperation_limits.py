@@ -8,13 +8,13 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
+
+from maglev_mj.hand import HANDS, hand_called
 from teleoperation_coupling import Coupling
 from teleoperation_run import carry_out
 from teleoperation_slave import BLOCK_DAMPING
 from teleoperation_task import FIRM, Task
 from teleoperation_theory import Gains, TwoBodies
-
-from maglev_mj.hand import HANDS, hand_called
 
 __all__ = ["GRIPS", "Contact", "Growth", "bodies", "contacts", "growth", "measured_boundary"]
 

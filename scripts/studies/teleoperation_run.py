@@ -5,9 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from teleoperation_coupling import Coupling, CouplingLaw
-from teleoperation_slave import Slave
-from teleoperation_task import Task
 
 from maglev_mj import Controller, run
 from maglev_mj.frames import Array, Command, Mask, Sample
@@ -17,6 +14,9 @@ from maglev_mj.plants import MeteredPlant
 from maglev_mj.scenes.parts import INERTIA, MASS, WEIGHT
 from maglev_mj.spacenav.navigation import Mode, Navigation, Navigator
 from maglev_mj.spec import GRAVITY
+from teleoperation_coupling import Coupling, CouplingLaw
+from teleoperation_slave import Slave
+from teleoperation_task import Task
 
 __all__ = ["History", "carry_out"]
 

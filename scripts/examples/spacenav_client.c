@@ -1,6 +1,6 @@
 /* A client of spacenav in C99, with libspnav: prints the events of a 3D mouse, and compares them with what they should be.
 
-       cc -std=c99 -O2 scripts/spacenav_client.c -o spacenav_client -lspnav -lm
+       cc -std=c99 -O2 scripts/examples/spacenav_client.c -o spacenav_client -lspnav -lm
        spacenav_client COUNT [FILE]     ends after so many events; FILE has a line of six numbers for each
        spacenav_client stall            connects and never reads, until its standard input ends
 

@@ -1,6 +1,6 @@
 """What recording costs the tick, and how fast the writer is.
 
-    python scripts/bench_recording.py [--quick]
+    python scripts/benchmarks/bench_recording.py [--quick]
 
 The same loop with and without a recording in turn, with the wall's laws on a plant that costs nothing; the difference
 is what recording adds to a tick. Medians over many short turns of one run; the machine may be shared.

@@ -1,7 +1,7 @@
 """A graphical host of the pose stream, in a terminal: shows where the flotor is, and sets a wall.
 
-    python scripts/stream_host.py --alone                     # with a scene of its own, moved by its scripted hand
-    python scripts/stream_host.py [udp://HOST:PORT] [--key FILE]
+    python scripts/examples/stream_host.py --alone                 # with a scene of its own, moved by its scripted hand
+    python scripts/examples/stream_host.py [udp://HOST:PORT] [--key FILE]
 
 It asks for a wall as stiff as --stiffness says. Where that is refused, the figures of the refusal say how stiff one may
 be, and it asks for half of that.

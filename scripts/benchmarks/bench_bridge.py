@@ -1,6 +1,6 @@
 """What the bridge costs: the host's share of a cycle, two processes in lockstep, and how late answers are.
 
-    python scripts/bench_bridge.py [--quick] [--only host|lockstep|realtime]
+    python scripts/benchmarks/bench_bridge.py [--quick] [--only host|lockstep|realtime]
 
 On a machine that others use, compare medians with medians of the same run, and best values across runs.
 """

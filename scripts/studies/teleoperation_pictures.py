@@ -8,14 +8,14 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from teleoperation_energy import Ledger
-from teleoperation_limits import Growth
-from teleoperation_run import History
-from teleoperation_slave import Slave
 
 from maglev_mj.frames import Array
 from maglev_mj.plots.drawing import FIRST, GRID, IDEAL, MANY, SECOND, new_figure, save
 from maglev_mj.viewer.offscreen import DisplayError
+from teleoperation_energy import Ledger
+from teleoperation_limits import Growth
+from teleoperation_run import History
+from teleoperation_slave import Slave
 
 __all__ = ["chart", "limits", "scenes"]
 

@@ -8,9 +8,6 @@ from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
-from teleoperation_coupling import Coupling
-from teleoperation_slave import BLOCK_STIFFNESS
-from teleoperation_theory import Gains, chosen_gains
 
 from maglev_mj import Timing
 from maglev_mj.errors import ParameterError
@@ -18,6 +15,9 @@ from maglev_mj.frames import Array
 from maglev_mj.hand import Hand, Path
 from maglev_mj.parameters import number
 from maglev_mj.spec import Spec
+from teleoperation_coupling import Coupling
+from teleoperation_slave import BLOCK_STIFFNESS
+from teleoperation_theory import Gains, chosen_gains
 
 __all__ = ["DELAY_SHARE", "FIRM", "Task"]
 

@@ -1,6 +1,6 @@
 """Feeds a device damaged frames, keeps those that take it somewhere new, and damages them further.
 
-    python scripts/fuzz_wire.py [--seconds 10 | --runs N] [--seed 0]
+    python scripts/studies/fuzz_wire.py [--seconds 10 | --runs N] [--seed 0]
 
 An input is a handful of frames, given to a new device one after the other. It is kept if it takes a step from line to
 line in wire.py or firmware.py that none before did. The exit status is 1 if anything raised, if a device was not sane

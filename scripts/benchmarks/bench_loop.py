@@ -12,13 +12,13 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from peers import Task, mujoco_peer
 
 from maglev_mj import AXES, Controller, ExactPlant, Hold, MuJoCoPlant, Sample, Timing, Wall, run
 from maglev_mj.frames import components
 from maglev_mj.plants import CorrectedPlant
 from maglev_mj.spec import INERTIA, Spec
 from maglev_mj.theory import largest_modulus
+from peers import Task, mujoco_peer
 
 REPEATS = 5 if "--quick" in sys.argv else 60
 TICKS = 400

@@ -17,13 +17,6 @@ from pathlib import Path
 os.environ.setdefault("MUJOCO_GL", "osmesa")  # before the engine is imported
 
 import numpy as np
-from teleoperation_coupling import Coupling
-from teleoperation_energy import Ledger, ledger
-from teleoperation_limits import GRIPS, bodies, contacts, growth, measured_boundary
-from teleoperation_pictures import chart, limits, scenes
-from teleoperation_run import History, carry_out
-from teleoperation_task import DELAY_SHARE, Task
-from teleoperation_theory import NO_GAINS, Gains, stiffest_coupling
 
 from maglev_mj import plots
 from maglev_mj.cli.options import Parser, number_option
@@ -31,6 +24,13 @@ from maglev_mj.cli.output import check_outputs
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.parameters import number
+from teleoperation_coupling import Coupling
+from teleoperation_energy import Ledger, ledger
+from teleoperation_limits import GRIPS, bodies, contacts, growth, measured_boundary
+from teleoperation_pictures import chart, limits, scenes
+from teleoperation_run import History, carry_out
+from teleoperation_task import DELAY_SHARE, Task
+from teleoperation_theory import NO_GAINS, Gains, stiffest_coupling
 
 __all__ = ["main"]
 

@@ -10,7 +10,6 @@ from functools import cache, partial
 from typing import Any
 
 import numpy as np
-from peers import Task, available
 
 from maglev_mj import Controller, run
 from maglev_mj.frames import Array
@@ -23,6 +22,7 @@ from maglev_mj.studies.fidelity import stepping_name
 from maglev_mj.studies.fidelity_scenes import FidelityScene
 from maglev_mj.studies.levels import Motion, apart, level_parts, motion_of
 from maglev_mj.theory.closed_loop import SampledLoop
+from peers import Task, available
 
 __all__ = ["SEMI_IMPLICIT", "Way", "as_json", "boundary_shift", "measure", "our_ways", "peer_ways", "points_of"]
 
