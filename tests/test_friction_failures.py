@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj.experiments.choices import LAWS
-from maglev_mj.experiments.friction_study import (
+from friction_study import (
     BREAKAWAY,
     STIFFNESS,
     against_exact,
@@ -19,6 +18,7 @@ from maglev_mj.experiments.friction_study import (
     mean_friction,
     under_load,
 )
+from maglev_mj.experiments.choices import LAWS
 from maglev_mj.experiments.stick_slip import StickSlipParameters, exact_stick_slip, run_stick_slip
 from tests.closed_loop import largest_modulus
 

@@ -14,9 +14,9 @@ from maglev_mj import ExactPlant, Timing, run
 from maglev_mj.experiments.drop import DropParameters
 from maglev_mj.experiments.wall_controller import wall_controller
 from maglev_mj.frames import Array
-from maglev_mj.plots import WorkPoint, pareto
 from maglev_mj.spec import GRAVITY, INERTIA
 from peers import Task, available
+from work_precision import WorkPoint, pareto
 
 SCRIPT = Path(__file__).resolve().parent.parent / "scripts" / "benchmarks" / "speed_accuracy.py"
 SCENES = ["drop", "drop-no-pulse", "press", "stick-slip", "twist", "six-axes"]

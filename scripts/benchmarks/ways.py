@@ -14,7 +14,6 @@ import numpy as np
 from maglev_mj import Controller, run
 from maglev_mj.frames import Array
 from maglev_mj.plants import CorrectedBatchPlant, ExactPlant, MuJoCoBatchPlant, SampledPlant, Timing
-from maglev_mj.plots import WorkPoint, pareto
 from maglev_mj.spec import GRAVITY, Spec
 from maglev_mj.studies import integrators
 from maglev_mj.studies.costs import closed_loop, median_times
@@ -23,6 +22,7 @@ from maglev_mj.studies.fidelity_scenes import FidelityScene
 from maglev_mj.studies.levels import Motion, apart, level_parts, motion_of
 from maglev_mj.theory.closed_loop import SampledLoop
 from peers import Task, available
+from work_precision import WorkPoint, pareto
 
 __all__ = ["SEMI_IMPLICIT", "Way", "as_json", "boundary_shift", "measure", "our_ways", "peer_ways", "points_of"]
 

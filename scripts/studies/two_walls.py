@@ -2,14 +2,15 @@
 
 import argparse
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from maglev_mj import plots
-from maglev_mj.experiments.impacts import RATTLE, rattle
+from impacts import RATTLE, rattle
 from maglev_mj.frames import Array, Mask
+from maglev_mj.plots.drawing import SECOND, new_figure, save
 from maglev_mj.spec import RANGE, Spec
 from maglev_mj.versions import versions
 
@@ -48,6 +49,43 @@ def widest(pulse: float, delay: float, seed: int) -> float:
     return float(gap[found.speed > RATTLE].max(initial=0.0) * 1e3)
 
 
+def draw(
+    maps: Sequence[tuple[str, Array, Mask]], axes: tuple[Array, Array], labels: tuple[str, str, str], path: Path
+) -> Path:
+    """Draw maps of shares over two values side by side.
+
+    Args:
+        maps: Title, shares (M, N), and which cells leave the device's range (M, N), of each map.
+        axes: Values of the rows (M,) and of the columns (N,).
+        labels: Names of rows, columns and share.
+        path: PNG to write.
+
+    Raises:
+        ChartsMissingError: If matplotlib is not installed.
+    """
+    rows, columns = axes
+    size = (0.42 * len(columns) * len(maps) + 0.9, 0.32 * len(rows) + 1.7)
+    figure, panels = new_figure(1, len(maps), size, sharey=True)
+    for panel, (title, share, outside) in zip(panels, maps, strict=True):
+        panel.grid(visible=False)
+        panel.imshow(np.ma.masked_equal(share, 0.0), cmap="GnBu", vmin=-0.1, vmax=1.4, aspect="auto", origin="lower")
+        for (row, column), value in np.ndenumerate(share):
+            if value > 0.0:
+                text = "1" if value == 1.0 else f"{value:.2f}".lstrip("0")
+                panel.text(column, row, text, ha="center", va="center", fontsize=7.5)
+        left_row, left_column = np.nonzero(outside)
+        panel.plot(left_column + 0.32, left_row + 0.32, ".", color=SECOND, markersize=3.5)
+        panel.set_xticks(range(len(columns)), [f"{value:g}" for value in columns], fontsize=8.0, rotation=90)
+        panel.set_yticks(range(len(rows)), [f"{value:g}" for value in rows], fontsize=8.0)
+        panel.set_xlabel(labels[1])
+        panel.set_title(title, loc="left", fontsize=10.5)
+    panels[0].set_ylabel(labels[0])
+    (dot,) = panels[0].plot([], [], ".", color=SECOND, markersize=5)
+    names = f"red dot: leaves the device's range; number: {labels[2]}; white: none"
+    figure.legend([dot], [names], frameon=False, loc="outside lower center", fontsize=9.0)
+    return save(figure, path)
+
+
 print("Two walls of 6000 N/m and 80 N s/m, 200 Hz, 60 N, pulse further to the damping for 3 ms. Share of the starts")
 print(f"that rattle, still above {RATTLE * 1e3:g} mm/s after {DURATION:g} s, among {STARTS} from the middle:")
 print(
@@ -74,4 +112,4 @@ for pulse in PULSES:
     both = [np.array([row[name] for row in rows]) for name in ("share", "outside")]
     maps.append((f"pulse {pulse:.0f} N s/m" if pulse else "no pulse", both[0], both[1]))
 names = ("delay (ms)", "gap (mm)", f"share of {STARTS} starts that rattle")
-print("wrote", plots.shares(maps, (DELAYS, GAPS), names, folder / "two_walls.png"))
+print("wrote", draw(maps, (DELAYS, GAPS), names, folder / "two_walls.png"))

@@ -11,13 +11,14 @@ from typing import Any
 
 import numpy as np
 
+from corner import corner
+from failures import press_at_edge, random_delay_rate
+from impacts import RATTLE, limited_drop, rattle
 from maglev_mj import Timing, Wall, plots
-from maglev_mj.experiments.corner import corner
-from maglev_mj.experiments.failures import hum, press_at_edge, random_delay_rate
-from maglev_mj.experiments.impacts import RATTLE, limited_drop, rattle
 from maglev_mj.hand import Hand
 from maglev_mj.laws import Law, ObserverWall
 from maglev_mj.spec import RANGE, Spec
+from maglev_mj.studies.batches import hum
 from maglev_mj.studies.growth import RestingWall, measure_growth
 from maglev_mj.theory import largest_modulus, stiffest_wall
 from maglev_mj.versions import versions

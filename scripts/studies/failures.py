@@ -1,4 +1,4 @@
-"""Where walls fail: at the edge under a light press, over a coarse sensor, under a delay that varies."""
+"""Where walls fail: at the edge under a light press, and under a delay that varies."""
 
 from __future__ import annotations
 
@@ -7,16 +7,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.experiments.batches import FAR, along_z, each_phase, watched
-from maglev_mj.experiments.wall_controller import around_wall, wall_controller
+from maglev_mj.experiments.wall_controller import wall_controller
 from maglev_mj.frames import Array
-from maglev_mj.hand import Hand
-from maglev_mj.laws import Law, Wall
 from maglev_mj.plants import ExactPlant, Sensor, Timing
-from maglev_mj.spec import GRAVITY, Spec
+from maglev_mj.spec import Spec
+from maglev_mj.studies.batches import along_z, each_phase, watched
 from maglev_mj.theory.closed_loop import LoopKeywords, SampledLoop
 
-__all__ = ["Chatter", "Hum", "hum", "press_at_edge", "random_delay_rate"]
+__all__ = ["Chatter", "press_at_edge", "random_delay_rate"]
 
 _MASS = Spec.moving_mass.value
 _PERIOD = 1.0 / Spec.control_rate.value
@@ -88,72 +86,6 @@ def press_at_edge(
     watch = watched(plant, controller, duration, gate.size)
     swing = np.ptp(watch.places[len(watch.places) // 2 :], axis=0)
     return Chatter(watch.pulses.reshape(-1, phases).mean(axis=1) / duration, swing.reshape(-1, phases).max(axis=1))
-
-
-class Hum(NamedTuple):
-    """What a wall does to a flotor at rest in it, the worst start.
-
-    Attributes:
-        swing: Swing of the position [m].
-        force: Standard deviation of the force [N].
-    """
-
-    swing: Array
-    force: Array
-
-
-def hum(
-    frictions: ArrayLike,
-    *,
-    law: Law | None = None,
-    stiffness: float = 6000.0,
-    damping: float = 80.0,
-    quantum: float = Spec.translation_resolution.value,
-    delay: float = _DELAY,
-    period: float = _PERIOD,
-    mass: float = _MASS,
-    hand: Hand | None = None,
-    duration: float = 4.0,
-    offsets: int = 32,
-) -> Hum:
-    """Rest the flotor in a wall over a sensor with steps, and look at the last quarter of the time.
-
-    Args:
-        frictions: Coulomb friction of the device itself [N], (M,).
-        law: The wall along z; None for PD.
-        stiffness: Wall stiffness, the rendered one of another law [N/m].
-        damping: Wall damping [N s/m].
-        quantum: Step of the sensor [m].
-        delay: Transport delay [s].
-        period: Sample period [s].
-        mass: Moving mass [kg].
-        hand: On the flotor; None for none.
-        duration: Simulated time [s].
-        offsets: How many starts over two steps of the sensor.
-
-    Returns:
-        A figure a friction, (M,) each.
-    """
-    friction, offset = each_phase(frictions, offsets)
-    arm = 0.0 if hand is None else float(hand.static_stiffness)
-    depth = mass * GRAVITY / (stiffness + arm)
-    plant = ExactPlant(
-        Timing(period=period, delay=delay),
-        mass=mass,
-        hand=hand,
-        escape=FAR,
-        pose=along_z(np.floor(-depth / quantum) * quantum + 2.0 * quantum * offset),
-        wrench=along_z(np.full(friction.size, stiffness * depth)),
-        dry_friction=along_z(friction),
-        sensor=Sensor(quantum=np.eye(6)[2] * quantum),
-        record=True,
-    )
-    wall = law or Wall(axes="z", lower=0.0, stiffness=stiffness, damping=damping)
-    watched(plant, around_wall(wall, period=period, delay=delay, mass=mass), duration, friction.size)
-    trace = plant.trace()
-    late = slice(-len(trace.time) // 4, -1)
-    swing, force = np.ptp(trace.pose[late, :, 2], axis=0), np.std(trace.wrench[late, :, 2], axis=0)
-    return Hum(*(part.reshape(-1, offsets).max(axis=1) for part in (swing, force)))
 
 
 def random_delay_rate(stiffness: float, damping: float, delays: ArrayLike, loop: LoopKeywords | None = None) -> float:
