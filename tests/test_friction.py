@@ -13,7 +13,6 @@ import pytest
 
 from maglev_mj import AXES, Controller, Sample
 from maglev_mj.errors import DivergenceError, ParameterError
-from maglev_mj.experiments.six_axes import SixAxesResult, run_six_axes
 from maglev_mj.experiments.stick_slip import StickSlipParameters, exact_stick_slip, run_stick_slip
 from maglev_mj.frames import Array, components
 from maglev_mj.laws import (
@@ -32,6 +31,7 @@ from maglev_mj.laws import (
 from maglev_mj.scenes.choices import LAWS
 from maglev_mj.spec import INERTIA, RANGE
 from maglev_mj.theory.karnopp import karnopp
+from six_axes import SixAxesResult, run_six_axes
 from tests.closed_loop import largest_modulus
 
 T, K, F = 0.005, 6000.0, 2.0
