@@ -15,6 +15,7 @@ from maglev_mj.plants import INTEGRATORS, one_step
 from maglev_mj.spec import Spec
 from maglev_mj.theory import StiffestWall, stiffest_of
 from maglev_mj.theory.closed_loop import SampledLoop
+from maglev_mj.timeline import split_delay
 
 __all__ = ["INTEGRATORS", "SteppedLoop", "boundary_shift", "stiffest_simulated"]
 
@@ -44,8 +45,7 @@ class SteppedLoop(SampledLoop):
         """See `SampledLoop`."""
         period, delay = float(np.asarray(self.period)), float(np.asarray(self.delay))
         longest = number("step", self.step, above=0.0, at_most=period)
-        whole = math.floor(delay / period + 1e-9)
-        rest = max(delay - whole * period, 0.0)
+        whole, rest = map(float, split_delay(delay, period))
         if self.aligned:
             before = max(math.ceil(rest / longest - 1e-9), 0)
             after = max(math.ceil((period - rest) / longest - 1e-9), 0)
@@ -65,7 +65,7 @@ class SteppedLoop(SampledLoop):
             before_it = np.eye(len(phi))[1]
             gained = first * (early[1] - before_it) + second * (phi[1] - early[1])
             phi = phi - 0.5 * np.outer(_PLACE[: len(phi)], gained)
-        return phi, old, new, np.asarray(float(whole)), whole + int(before > 0)
+        return phi, old, new, np.asarray(whole), int(whole) + int(before > 0)
 
     def _steps(self, step: float, count: int) -> tuple[Array, Array]:
         """Return the map of some steps and the share of a force that acts throughout."""
