@@ -125,7 +125,7 @@ def _pieces(stretch: Stretch, known: Known, time: Array) -> _Pieces:
 
 def _switches(stretch: Stretch, known: Known, time: Array) -> tuple[Array, Array]:
     """Return when the actuators' wrench switches [s], (K,), and to what [N, N m], (K, 6)."""
-    held, extra, width = stretch.applied[:, :6], stretch.applied[:, 6:12], stretch.applied[:, 12]
+    held, extra, width = stretch.applied, stretch.applied_pulse, stretch.applied_pulse_width
     on = time + known.delay
     # the next command ends a pulse that is still on
     ends = (width > 0.0) & (on + width < np.append(on[1:], np.inf) - _ROUNDING * known.period)
