@@ -32,9 +32,9 @@ from maglev_mj.hand import ConstantForce, HandForce, Path, SpringHand
 from maglev_mj.laws import Bias, FiniteDifference, Hold
 from maglev_mj.loop import run
 from maglev_mj.plants import MuJoCoPlant, Plant, SpotSensor
-from maglev_mj.recording import row_of
 from maglev_mj.scenes import scene_called
 from maglev_mj.scenes.parts import INERTIA, WEIGHT
+from tests.recorded import command_row
 
 ZERO = (0.0,) * 6
 CENTRE = ZERO
@@ -104,7 +104,7 @@ class Rig:
         start = len(self.witness.poses)
 
         def keep(sample: Sample, command: Command) -> None:
-            self.rows.append([*sample.position, *row_of(command)])
+            self.rows.append([*sample.position, *command_row(command)])
             if observe is not None:
                 observe()
 
@@ -158,7 +158,12 @@ def test_the_same_controller_flies_a_device_bit_for_bit(
 
     def answers(plant: Plant) -> Array:
         rows: list[list[float]] = []
-        run(plant, scene.controller(settings), 450, observe=lambda one, two: rows.append([*one.position, *row_of(two)]))
+        run(
+            plant,
+            scene.controller(settings),
+            450,
+            observe=lambda one, two: rows.append([*one.position, *command_row(two)]),
+        )
         return np.array(rows)
 
     local = answers(

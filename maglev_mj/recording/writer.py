@@ -15,8 +15,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from maglev_mj.recording.mcap_file import Scribe
-from maglev_mj.recording.ring import RowReader
+from maglev_mj.recording.live import RowReader
+from maglev_mj.recording.mcap import McapWriter
 
 __all__ = ["main"]
 
@@ -43,16 +43,16 @@ class _Orders:
             self.waiting.extend(json.loads(line) for line in lines)
 
 
-def _write(ring: RowReader, orders: _Orders, scribe: Scribe, first: Callable[[], object]) -> None:
+def _write(ring: RowReader, orders: _Orders, mcap: McapWriter, first: Callable[[], object]) -> None:
     """Write until the pipe ends; call `first` at the first row."""
 
     def obey(place: int) -> None:
         while orders.waiting and orders.waiting[0]["at"] <= place:
             order = orders.waiting.popleft()
             if "begin" in order:
-                scribe.begin(order["begin"])
+                mcap.begin(order["begin"])
             else:
-                scribe.event(*order["event"])
+                mcap.event(*order["event"])
 
     place = 0
     while True:
@@ -63,10 +63,10 @@ def _write(ring: RowReader, orders: _Orders, scribe: Scribe, first: Callable[[],
             first()
         for place, row in rows:
             obey(place)
-            scribe.row(row)
+            mcap.row(row)
             place += 1
         obey(place)
-        scribe.flush()
+        mcap.flush()
         if over and not rows:
             return
         if not rows:
@@ -79,11 +79,11 @@ def main() -> None:
     error = ""
     try:
         with aside.open("wb") as file:
-            scribe = Scribe(file)
-            _write(ring, _Orders(sys.stdin.fileno()), scribe, lambda: aside.replace(path))
+            mcap = McapWriter(file)
+            _write(ring, _Orders(sys.stdin.fileno()), mcap, lambda: aside.replace(path))
             if ring.lost:
-                scribe.event("lost", f"{ring.lost} samples came too fast to be written")
-            scribe.close()
+                mcap.event("lost", f"{ring.lost} samples came too fast to be written")
+            mcap.close()
         aside.unlink(missing_ok=True)  # there was no row
     except OSError as problem:
         error = problem.strerror or str(problem)
