@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from maglev_mj import ExactPlant, Timing, run
-from maglev_mj.experiments.drop import DropParameters
 from maglev_mj.experiments.wall_controller import wall_controller
 from maglev_mj.frames import Array
+from maglev_mj.scenes.drop import Drop
 from maglev_mj.spec import GRAVITY, INERTIA
 from peers import Task, available
 from work_precision import WorkPoint, pareto
@@ -49,11 +49,12 @@ def truth(task: Any) -> tuple[Array, Array]:
 
 def test_the_task_of_the_peers_is_the_drop_of_this_device() -> None:
     """Its numbers are copies on purpose: the peers run without this package."""
-    task, drop = Task(), DropParameters()
+    task, drop = Task(), Drop()
     assert (*[task.mass] * 3, *task.inertia) == INERTIA
-    assert (task.gravity, task.offset[2]) == (GRAVITY, drop.height)
-    for name in ("period", "delay", "stiffness", "damping", "pulse", "pulse_width"):
-        assert getattr(task, name) == getattr(drop, name)
+    assert (task.gravity, task.offset[2]) == (GRAVITY, drop.height) == (drop.start().gravity, drop.start().pose[2])
+    assert (task.ticks, task.duration) == (drop.end / drop.period, drop.end)
+    for name in ("mass", "period", "delay", "stiffness", "damping", "pulse", "pulse_width"):
+        assert getattr(task, name) == getattr(drop, name) == drop.parameter(name).default
 
 
 def test_the_law_that_the_peers_share_is_the_controller_s() -> None:

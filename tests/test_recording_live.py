@@ -18,8 +18,6 @@ from maglev_mj.analysis import analyse
 from maglev_mj.cli import main
 from maglev_mj.controller import Controller
 from maglev_mj.errors import ParameterError, PlantError
-from maglev_mj.experiments.drop import DropParameters, run_drop
-from maglev_mj.experiments.stick_slip import StickSlipParameters
 from maglev_mj.frames import ZERO, Command, Sample
 from maglev_mj.laws import Wall
 from maglev_mj.loop import run
@@ -27,7 +25,11 @@ from maglev_mj.plants import ExactPlant, Timing
 from maglev_mj.recording import ArrayFile, Recording, RecordingError, open_recording, verify
 from maglev_mj.recording.live import ROWS, Ring, RowReader
 from maglev_mj.recording.mcap import CHANNELS
-from maglev_mj.replay import rebuild, record_experiment, write_experiment
+from maglev_mj.replay import rebuild, record_run, write_run
+from maglev_mj.scenes.drop import Drop
+from maglev_mj.scenes.run import run as run_scene
+from maglev_mj.scenes.scene import Scene
+from maglev_mj.scenes.stick_slip import StickSlip
 from maglev_mj.session import Pacer, Session
 
 
@@ -47,13 +49,13 @@ def same(one: Recording, other: Recording) -> bool:
 
 
 @pytest.mark.parametrize(
-    ("kind", "parameters"),
-    [("drop", DropParameters(plant="mujoco", phase=0.3)), ("stick-slip", StickSlipParameters(plant="exact"))],
+    ("scene", "plant", "phase"),
+    [(Drop(), "mujoco", 0.3), (StickSlip(), "exact", 0.0)],
 )
-def test_a_file_holds_what_memory_does_to_the_last_bit(kind: str, parameters: Any, tmp_path: Path) -> None:
+def test_a_file_holds_what_memory_does_to_the_last_bit(scene: Scene, plant: str, phase: float, tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
-    write_experiment(path, kind, parameters)
-    written, kept = Recording.load(path), record_experiment(kind, parameters)
+    write_run(path, scene, plant=plant, phase=phase)
+    written, kept = Recording.load(path), record_run(scene, plant=plant, phase=phase)
     assert not written.damage and same(written, kept)
     assert verify(written, rebuild).same
 
@@ -62,7 +64,7 @@ def test_any_reader_finds_fields_by_name_with_units_and_what_it_was_made_from(tm
     from mcap.reader import make_reader
 
     path = tmp_path / "run.mcap"
-    write_experiment(path, "drop", DropParameters(plant="exact"))
+    write_run(path, Drop(), plant="exact")
     with path.open("rb") as file:
         summary = make_reader(file).get_summary()
     assert summary is not None and summary.statistics is not None
@@ -84,30 +86,30 @@ def test_any_reader_finds_fields_by_name_with_units_and_what_it_was_made_from(tm
 def test_energy_taken_is_what_the_actuators_took_from_a_fall(phase: float, delay: float, tmp_path: Path) -> None:
     """Against the work of the exact motion up to the last sample."""
     path = tmp_path / "run.mcap"
-    parameters = DropParameters(plant="exact", phase=phase, delay=delay, stiffness=2000.0)
-    write_experiment(path, "drop", parameters)
+    drop = Drop(delay=delay, stiffness=2000.0)
+    write_run(path, drop, plant="exact", phase=phase)
     (stretch,) = Recording.load(path).stretches
-    result, end = run_drop(parameters), stretch.time[-1]
+    result, end = run_scene(drop, plant="exact", phase=phase), stretch.time[-1]
     z, speed = (float(part[0, 2]) for part in result.trace.at(np.array([end]))[:2])
-    fallen = 0.7 * 9.81 * (parameters.height - z) - 0.5 * 0.7 * speed**2
+    fallen = 0.7 * 9.81 * (drop.height - z) - 0.5 * 0.7 * speed**2
     assert messages(path)[-1][1]["taken"] == pytest.approx(fallen, rel=1e-9)
     assert fallen > 0.01
 
 
 @pytest.mark.parametrize(
-    ("kind", "parameters"),
+    ("scene", "phase"),
     [
-        ("drop", DropParameters(plant="exact", mass=0.75, phase=0.2)),
-        ("drop", DropParameters(plant="exact", mass=0.75, pulse=0.0, delay=0.006)),
-        ("drop", DropParameters(plant="exact", force_limit=60.0)),
-        ("stick-slip", StickSlipParameters(plant="exact")),
-        ("stick-slip", StickSlipParameters(plant="exact", axis="ry", delay=0.003)),
+        (Drop(mass=0.75), 0.2),
+        (Drop(mass=0.75, pulse=0.0, delay=0.006), 0.0),
+        (Drop(force_limit=60.0), 0.0),
+        (StickSlip(), 0.0),
+        (StickSlip(axis="ry", delay=0.003), 0.0),
     ],
 )
-def test_energy_taken_is_that_of_the_analysis(kind: str, parameters: Any, tmp_path: Path) -> None:
+def test_energy_taken_is_that_of_the_analysis(scene: Scene, phase: float, tmp_path: Path) -> None:
     """Which puts parabolas between the samples: another way to the same figure, whatever weighs and moves."""
     path = tmp_path / "run.mcap"
-    write_experiment(path, kind, parameters)
+    write_run(path, scene, plant="exact", phase=phase)
     (stretch,) = Recording.load(path).stretches
     found = analyse(stretch, rebuild, simulated=False).recorded.figures.energy
     assert messages(path)[-1][1]["taken"] == pytest.approx(sum(found.taken), rel=1e-6)
@@ -232,7 +234,7 @@ def test_a_recording_that_is_killed_opens_and_replays_to_its_last_row(writer_too
 
 def test_a_file_that_ends_anywhere_opens_up_to_its_last_chunk(tmp_path: Path) -> None:
     path, cut = tmp_path / "run.mcap", tmp_path / "cut.mcap"
-    write_experiment(path, "drop", DropParameters(plant="exact", period=0.002))
+    write_run(path, Drop(period=0.002), plant="exact")
     data, whole = path.read_bytes(), Recording.load(path)
     seen = set()
     for length in range(0, len(data), 97):
@@ -250,7 +252,7 @@ def test_a_file_that_ends_anywhere_opens_up_to_its_last_chunk(tmp_path: Path) ->
 
 def test_of_a_damaged_file_all_before_the_damage_is_there(tmp_path: Path, capsys: Any) -> None:
     path, other = tmp_path / "run.mcap", tmp_path / "other.mcap"
-    write_experiment(path, "drop", DropParameters(plant="exact", period=0.002))
+    write_run(path, Drop(period=0.002), plant="exact")
     data, whole = path.read_bytes(), Recording.load(path)
     found = []
     for place in range(len(data) // 4, len(data) // 2, 61):
@@ -354,7 +356,7 @@ def test_a_recording_is_exported_as_a_table_with_units(suffix: str, tmp_path: Pa
     from pyarrow import parquet
 
     path = tmp_path / f"run{suffix}"
-    write_experiment(path, "drop", DropParameters(plant="exact"))
+    write_run(path, Drop(), plant="exact")
     (stretch,) = Recording.load(path).stretches
     for kind in ("csv", "parquet"):
         assert main(["export", str(path), "--to", kind]) == 0
@@ -387,7 +389,7 @@ def test_a_recording_is_exported_as_a_table_with_units(suffix: str, tmp_path: Pa
 
 def test_a_recording_is_not_exported_over_itself(tmp_path: Path, capsys: Any) -> None:
     path = tmp_path / "run.npz"
-    write_experiment(path, "drop", DropParameters(plant="exact"))
+    write_run(path, Drop(), plant="exact")
     assert main(["export", str(path), "--to", "npz"]) == 2
     assert "out must be another file than the recording" in capsys.readouterr().err
     assert main(["export", str(path), "--to", "csv", "--out", str(tmp_path)]) == 2
@@ -422,13 +424,13 @@ def test_an_answer_that_the_plant_refuses_is_the_last_row(name: str, odd: float,
 @pytest.mark.parametrize("name", ["run.mcap", "run.npz"])
 def test_what_was_there_stays_until_there_is_a_sample(name: str, tmp_path: Path) -> None:
     path = tmp_path / name
-    write_experiment(path, "drop", DropParameters(plant="exact"))
+    write_run(path, Drop(), plant="exact")
     before = path.read_bytes()
     file = open_recording(path)
     file.begin(Still(), Controller([], period=0.005), {"kind": "test"}, delay=0.0)
     assert file.close() is None
     assert path.read_bytes() == before and list(tmp_path.iterdir()) == [path]
-    write_experiment(path, "drop", DropParameters(plant="exact", duration=0.2))
+    write_run(path, Drop(duration=0.2), plant="exact")
     assert Recording.load(path).ticks == 41 and list(tmp_path.iterdir()) == [path]
 
 
@@ -458,7 +460,7 @@ def test_messages_that_are_missing_are_noticed(tmp_path: Path) -> None:
     from mcap.writer import Writer
 
     path, other = tmp_path / "run.mcap", tmp_path / "other.mcap"
-    write_experiment(path, "drop", DropParameters(plant="exact"))
+    write_run(path, Drop(), plant="exact")
     data = path.read_bytes()
     found = []
     for place in range(200, len(data) - 200, 37):
@@ -484,7 +486,7 @@ def test_messages_that_are_missing_are_noticed(tmp_path: Path) -> None:
 
 def test_many_samples_take_little_memory_to_read(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
-    write_experiment(path, "drop", DropParameters(plant="exact", period=0.0001, duration=1.0))
+    write_run(path, Drop(period=0.0001, duration=1.0), plant="exact")
     tracemalloc.start()
     ticks = Recording.load(path).ticks
     _, peak = tracemalloc.get_traced_memory()
