@@ -3,7 +3,6 @@
 from maglev_mj.tables.analysis import analysis_table
 from maglev_mj.tables.bridge import flown_table, served_table
 from maglev_mj.tables.design import design_table
-from maglev_mj.tables.device import device_table
 from maglev_mj.tables.drop import drop_table
 from maglev_mj.tables.fidelity import fidelity_table, levels_table
 from maglev_mj.tables.press import press_table
@@ -15,7 +14,6 @@ from maglev_mj.tables.view import show_table, verdict_table
 __all__ = [
     "analysis_table",
     "design_table",
-    "device_table",
     "drop_table",
     "fidelity_table",
     "flown_table",
