@@ -20,11 +20,10 @@ from numpy.typing import ArrayLike
 from maglev_mj.bridge import connection, firmware, wire
 from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.fault import HandshakeError
-from maglev_mj.bridge.impair import Impairment
 from maglev_mj.bridge.remote import RemotePlant
+from maglev_mj.bridge.simulated_links import Impairment, VirtualLink
 from maglev_mj.bridge.states import Fault, State
 from maglev_mj.bridge.twin import REST, Twin, TwinParameters
-from maglev_mj.bridge.virtual import VirtualLink
 from maglev_mj.controller import Controller
 from maglev_mj.detail import Detail
 from maglev_mj.frames import Array, Command, Sample

@@ -20,13 +20,11 @@ from maglev_mj.bridge import firmware, gate
 from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.connection import Connection
 from maglev_mj.bridge.fault import DeviceFault
-from maglev_mj.bridge.impair import Impairment
-from maglev_mj.bridge.misfortune import MISFORTUNES, Misfortune
 from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.bridge.safety import Warmth
+from maglev_mj.bridge.simulated_links import Impairment, VirtualLink
 from maglev_mj.bridge.states import Fault, Operation, State, fault_names
-from maglev_mj.bridge.twin import REST, Twin, TwinParameters
-from maglev_mj.bridge.virtual import VirtualLink
+from maglev_mj.bridge.twin import MISFORTUNES, REST, Misfortune, Twin, TwinParameters
 from maglev_mj.bridge.wire import Command as CommandFrame
 from maglev_mj.controller import Controller
 from maglev_mj.errors import PlantError

@@ -9,7 +9,7 @@ import numpy as np
 from maglev_mj.experiments.drop import DropResult, DropSweep, share_less_deep
 from maglev_mj.metrics import BounceSummary, percentiles
 from maglev_mj.tables.limits import beyond_force, beyond_range
-from maglev_mj.tables.text import cell
+from maglev_mj.terminal import cell
 
 __all__ = ["drop_table"]
 
