@@ -15,10 +15,9 @@ import pytest
 from maglev_mj.analysis import Analysed, analyse, face_figures, known_of, reconstruct
 from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.flight import Flight
-from maglev_mj.bridge.impair import Impairment
 from maglev_mj.bridge.remote import RemotePlant
+from maglev_mj.bridge.simulated_links import Impairment, VirtualLink
 from maglev_mj.bridge.twin import Twin, TwinParameters
-from maglev_mj.bridge.virtual import VirtualLink
 from maglev_mj.cli import main
 from maglev_mj.frames import AXES, Command, Sample
 from maglev_mj.hand import Path as HandPath

@@ -20,15 +20,14 @@ from numpy.typing import ArrayLike
 from maglev_mj.bridge import connection, firmware, wire
 from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.fault import HandshakeError
-from maglev_mj.bridge.impair import Impairment
 from maglev_mj.bridge.remote import RemotePlant
+from maglev_mj.bridge.simulated_links import Impairment, VirtualLink
 from maglev_mj.bridge.states import Fault, State
 from maglev_mj.bridge.twin import REST, Twin, TwinParameters
-from maglev_mj.bridge.virtual import VirtualLink
 from maglev_mj.controller import Controller
 from maglev_mj.detail import Detail
 from maglev_mj.frames import Array, Command, Sample
-from maglev_mj.hand import ConstantForce, HandForce, Path, SpringHand
+from maglev_mj.hand import HandForce, Path, SpringHand
 from maglev_mj.laws import Bias, FiniteDifference, Hold
 from maglev_mj.loop import run
 from maglev_mj.plants import MuJoCoPlant, Plant, SpotSensor
@@ -453,7 +452,7 @@ def test_where_no_device_answers_the_host_says_what_it_heard(change: Callable[[b
 
 
 def test_a_weight_on_the_handle_is_no_fault() -> None:
-    rig = Rig(hand=ConstantForce([0.0, 0.0, -1.0, 0.0, 0.0, 0.0]))
+    rig = Rig(hand=lambda *_: [0.0, 0.0, -1.0, 0.0, 0.0, 0.0])
     rig.plant.takeoff()
     assert abs(rig.fly(1.0)[-1, 2] + 1.0 / (INERTIA[2] * (0.25 / 0.0065) ** 2)) < 2e-5
     rig.plant.land()

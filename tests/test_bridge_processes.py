@@ -20,10 +20,10 @@ import pytest
 from maglev_mj import MuJoCoPlant, Timing, cli, run
 from maglev_mj.bridge import Calibration, Fault, RemotePlant, State, Twin, TwinParameters, open_link
 from maglev_mj.bridge.connection import Connection
-from maglev_mj.bridge.impair import Impairment, UdpProxy
 from maglev_mj.bridge.link import UdpLink, UdpServer
 from maglev_mj.bridge.realtime import RealtimeError, realtime
 from maglev_mj.bridge.server import TwinServer
+from maglev_mj.bridge.simulated_links import Impairment, UdpProxy
 from maglev_mj.bridge.wire import StateReport
 from maglev_mj.detail import Detail
 from maglev_mj.plants import Plant, SpotSensor

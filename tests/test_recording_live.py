@@ -522,7 +522,7 @@ def test_one_more_recorded_value_is_one_more_line(tmp_path: Path) -> None:
     import maglev_mj
     from maglev_mj.versions import MODELS
 
-    write_experiment(tmp_path / "old.npz", "drop", DropParameters(plant="exact"))
+    write_run(tmp_path / "old.npz", Drop(), plant="exact")
     shutil.copytree(Path(maglev_mj.__file__).parent, tmp_path / "maglev_mj", ignore=shutil.ignore_patterns("*.pyc"))
     shutil.copytree(MODELS, tmp_path / "model", dirs_exist_ok=True)
     table = tmp_path / "maglev_mj" / "recording" / "row.py"
