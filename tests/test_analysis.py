@@ -311,7 +311,7 @@ def test_a_recording_that_begins_inside_a_wall_has_a_contact_without_an_approach
 
 def test_upper_walls_are_seen_as_lower_ones_in_a_mirror() -> None:
     stretch = recorded("press", PressParameters(plant="exact"))
-    known = known_of(stretch, rebuild(stretch.setup, None)[1].laws)
+    known = known_of(stretch, rebuild(stretch.setup, None)[1])
     turned = replace(
         stretch,
         position=-stretch.position,

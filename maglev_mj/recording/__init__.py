@@ -2,7 +2,7 @@
 
 from maglev_mj.recording.export import EXPORTS, ParquetMissingError, export
 from maglev_mj.recording.files import ArrayFile, RecordingFile, best_suffix, check_name, open_recording
-from maglev_mj.recording.recorder import Felt, Mechanics, Recorder, carried_by, row_of
+from maglev_mj.recording.recorder import Felt, Mechanics, Recorder, row_of
 from maglev_mj.recording.stretch import InvalidRecordingError, Recording, RecordingError, Setup, Stretch
 from maglev_mj.recording.verify import Expected, FieldVerdict, Rebuild, Verdict, verify
 
@@ -24,7 +24,6 @@ __all__ = [
     "Stretch",
     "Verdict",
     "best_suffix",
-    "carried_by",
     "check_name",
     "export",
     "open_recording",

@@ -17,7 +17,7 @@ from maglev_mj.loop import Record
 from maglev_mj.parameters import flag
 from maglev_mj.recording.mcap_file import about
 from maglev_mj.recording.mcap_reader import require_mcap
-from maglev_mj.recording.recorder import Felt, Mechanics, carried_by
+from maglev_mj.recording.recorder import Felt, Mechanics
 from maglev_mj.recording.ring import Ring
 from maglev_mj.recording.stretch import RecordingError, Setup
 from maglev_mj.versions import versions
@@ -70,7 +70,7 @@ class LiveFile:
             {**setup, "versions": self._versions},
             period=controller.period,
             delay=delay,
-            carried=carried_by(controller.laws).tolist(),
+            carried=controller.carried.tolist(),
             began=time.time_ns(),
             mechanics=mechanics or Mechanics(),
         )

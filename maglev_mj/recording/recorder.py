@@ -9,13 +9,12 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.frames import AXES, ZERO, Array, Command, Sample
-from maglev_mj.laws import Bias, Law
+from maglev_mj.frames import ZERO, Command, Sample
 from maglev_mj.parameters import numbers
 from maglev_mj.recording.stretch import Setup, Stretch, table
 from maglev_mj.spec import GRAVITY, INERTIA
 
-__all__ = ["Felt", "Mechanics", "Recorder", "carried_by", "row_of"]
+__all__ = ["Felt", "Mechanics", "Recorder", "row_of"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -84,12 +83,3 @@ def row_of(command: Command) -> list[float]:
     """Return a command as 13 numbers."""
     extra = command.extra
     return [*command.force, *(extra if extra is not None else (0.0,) * 6), command.pulse_width if extra else 0.0]
-
-
-def carried_by(laws: Sequence[Law]) -> Array:
-    """Return the wrench by which laws carry the flotor [N, N m], (6,); zeros where they do not."""
-    carried = np.zeros(len(AXES))
-    for law in laws:
-        if isinstance(law, Bias):
-            carried += np.asarray(law.wrench)
-    return carried

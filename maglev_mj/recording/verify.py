@@ -13,7 +13,7 @@ from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import ZERO, Array, Command, Mask, Sample
 from maglev_mj.hand import HandForce, RecordedHand
 from maglev_mj.plants import SampledPlant, engine_warnings_silenced
-from maglev_mj.recording.recorder import Mechanics, carried_by, row_of
+from maglev_mj.recording.recorder import Mechanics, row_of
 from maglev_mj.recording.stretch import Basis, Recording, Setup, Stretch, table
 from maglev_mj.recording.totals import Totals
 
@@ -168,7 +168,7 @@ def _basis(controller: Controller, expected: Expected | None) -> Mapping[str, Ar
     return {
         "period": controller.period,
         "delay": None if expected is None else expected.delay,
-        "carried": carried_by(controller.laws),
+        "carried": controller.carried,
         **{name: None if known is None else getattr(known, name) for name in ("inertia", "load", "before")},
     }
 
