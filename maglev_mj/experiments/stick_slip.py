@@ -211,8 +211,8 @@ def run_stick_slip(parameters: StickSlipParameters) -> StickSlipResult:
     rows: list[tuple[float, float, float, bool]] = []
 
     def observe(sample: Sample, _: Command) -> None:
-        (state,) = controller.states[0]
-        rows.append((float(sample.time), sample.position[index], float(state.anchor), bool(state.stuck)))
+        (anchor,), (stuck,) = controller.signals["stick_position"], controller.signals["stuck"]
+        rows.append((float(sample.time), sample.position[index], float(anchor), bool(stuck)))
 
     with plant, engine_warnings_silenced():
         try:

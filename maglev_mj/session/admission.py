@@ -9,8 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from maglev_mj.frames import AXES, Array
-from maglev_mj.laws import Friction, Hold, Law, Wall
-from maglev_mj.parameters import axis_indices
+from maglev_mj.laws import Law
 from maglev_mj.scenes import Scene, Settings
 from maglev_mj.scenes.parts import INERTIA
 from maglev_mj.theory import largest_modulus, largest_stable_stiffness
@@ -96,26 +95,13 @@ def _loops(laws: Sequence[Law]) -> Iterator[tuple[str, Array, Array]]:
     Walls act in contact only, and the stiffness of friction only while it sticks; its damping always does.
     """
     always, touched, stuck = np.zeros((2, 6)), np.zeros((2, 6)), np.zeros((2, 6))
+    sums = {"always": always, "contact": touched, "stuck": stuck}
     for law in laws:
-        if isinstance(law, Hold):
-            always += _gains(law.axes, law.stiffness, law.damping)
-        elif isinstance(law, Friction):
-            always += _gains(law.axes, 0.0, law.damping)
-            stuck += _gains(law.axes, law.stiffness, 0.0)
-        elif isinstance(law, Wall):
-            met = np.isin(np.arange(len(AXES)), [index for index, _, _ in law.faces])
-            touched += _gains(law.axes, law.stiffness, law.damping) * met
+        for near in law.gains() or ():
+            sums[near.state] += near.stiffness, near.damping
     for touches, sticks in product((False, True), repeat=2):
         if (touches and not touched.any()) or (sticks and not stuck.any()):
             continue
         acting = [name for name, acts in (("walls", touches), ("friction", sticks)) if acts]
         stiffness, damping = always + touches * touched + sticks * stuck
         yield " and ".join(acting) or "nothing but the scene", stiffness, damping
-
-
-def _gains(axes: str | Sequence[str], stiffness: object, damping: object) -> Array:
-    """Return a law's gains on the six axes, (2, 6)."""
-    gains = np.zeros((2, len(AXES)))
-    indices = list(axis_indices(axes))
-    gains[0, indices], gains[1, indices] = np.asarray(stiffness), np.asarray(damping)
-    return gains
