@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 
 from maglev_mj.cli.options import Parser, add_parameters
 from maglev_mj.errors import ParameterError
+from maglev_mj.parameters import flag
 from maglev_mj.scenes.find import find_scene, scene_names
 from maglev_mj.scenes.scene import Scene
 
@@ -23,6 +24,7 @@ def add_scene(
     option: str | None = None,
     default: str | None = None,
     without: Sequence[str] = (),
+    options: bool = True,
 ) -> None:
     """Add the scene to a command, and an option for each parameter of the one that is given.
 
@@ -34,6 +36,7 @@ def add_scene(
         option: Name of the option that says which, such as "--scene"; None for the command's first word.
         default: Scene where none is given; None where one must be.
         without: Names of parameters that get no option.
+        options: False where parameters are given in another way.
     """
     told = f"{', '.join(scene_names())}, or a file" + (f" (default {default})" if default else "")
     if option is not None:
@@ -41,6 +44,7 @@ def add_scene(
     else:
         parser.add_argument("scene", nargs="?" if default else None, default=default, metavar="SCENE", help=told)
     parser.epilog = f"{parser.epilog} {_MORE}" if parser.epilog else _MORE
+    flag("options", options)
 
     def find(arguments: Sequence[str]) -> None:
         parser.before = None
@@ -51,7 +55,8 @@ def add_scene(
             cls = find_scene(text)
         except ParameterError as error:
             parser.error(str(error))
-        add_parameters(parser, cls, without=without)
+        if options:
+            add_parameters(parser, cls, without=without)
         if more is not None:
             more(parser, cls)
         parser.set_defaults(scene_class=cls)
