@@ -29,7 +29,7 @@ from maglev_mj.recording import (
     carried_by,
     open_recording,
 )
-from maglev_mj.recording.fields import start_in
+from maglev_mj.recording.checks import start_in
 from maglev_mj.scenes import SCENES, Settings, scene_called
 from maglev_mj.scenes import Scene as InteractiveScene
 from maglev_mj.scenes.find import find_scene
@@ -223,10 +223,10 @@ class _Shown:
         self.period, self.pose = self.settings.period, stretch.position
         self._time, self._hand = stretch.time, stretch.hand
         _, controller = rebuild(stretch.setup, None)
-        self._force = stretch.applied[:, :6] - carried_by(controller.laws)
+        self._force = stretch.applied - carried_by(controller.laws)
         coils = load("drop").coils
         assert coils is not None
-        self._currents = stretch.applied[:, :6] @ coils.current_per_wrench.T
+        self._currents = stretch.applied @ coils.current_per_wrench.T
         way = np.diff(stretch.position, axis=0, prepend=stretch.position[:1])
         self._work = np.cumsum((np.roll(stretch.hand, 1, axis=0) * way).sum(axis=1))
         self._faces = wall_faces(self.scene.laws(self.settings))

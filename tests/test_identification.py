@@ -17,9 +17,9 @@ from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.excitation import LINES, Motion, Shaker, Trim, collect, excitation
 from maglev_mj.bridge.identification import IdentificationError, Identified, added_mass, find_delay, identify
 from maglev_mj.bridge.remote import RemotePlant
+from maglev_mj.bridge.simulated_links import VirtualLink
 from maglev_mj.bridge.twin import Twin as BridgeTwin
 from maglev_mj.bridge.twin import TwinParameters
-from maglev_mj.bridge.virtual import VirtualLink
 from maglev_mj.coils import CoilMap
 from maglev_mj.controller import Controller
 from maglev_mj.errors import ParameterError

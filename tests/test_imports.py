@@ -16,6 +16,7 @@ FLOORS = {
     "terminal": 0,
     "parameters": 1,
     "workers": 1,
+    "timeline": 1.5,
     "laws": 2,
     "coils": 2,
     "sensing": 2,

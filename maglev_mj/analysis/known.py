@@ -79,7 +79,7 @@ def known_of(stretch: Stretch, laws: Sequence[Law]) -> Known:
     if kind not in ("scene", "device"):
         return known_experiment(kind, setup["parameters"], faces)
     settings = Settings.from_json(setup["settings"])
-    before = setup["wrench"] if kind == "scene" else stretch.applied[0, :6] if len(stretch.applied) else WEIGHT
+    before = setup["wrench"] if kind == "scene" else stretch.applied[0] if len(stretch.applied) else WEIGHT
     return Known(
         kind=kind,
         name=f"{kind} {setup['scene']}" if kind == "scene" else f"{setup['scene']} on a device",

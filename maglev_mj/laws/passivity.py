@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from maglev_mj.frames import AXES, Component
 from maglev_mj.laws.friction import choose
 from maglev_mj.parameters import axis_indices, batch_shape, number, numbers, per_axis
+from maglev_mj.timeline import split_delay
 
 __all__ = ["PassivityController"]
 
@@ -57,8 +58,9 @@ class PassivityController:
         indices = axis_indices(self.axes)
         most = numbers("most", self.most, at_least=0.0)
         period, delay = number("period", self.period, above=0.0), number("delay", self.delay, at_least=0.0)
-        object.__setattr__(self, "_whole", math.floor(delay / period + 1e-9))
-        object.__setattr__(self, "_rest", max(delay - self._whole * period, 0.0))
+        whole, rest = split_delay(delay, period)
+        object.__setattr__(self, "_whole", int(whole))
+        object.__setattr__(self, "_rest", rest)
         number("slow", self.slow, above=0.0)
         object.__setattr__(self, "batch", batch_shape("passivity controller", [most]))
         object.__setattr__(self, "_limits", tuple(zip(indices, per_axis("most", most, len(indices)), strict=True)))

@@ -15,6 +15,7 @@ from maglev_mj.frames import AXES, Array, Component
 from maglev_mj.laws.friction import choose
 from maglev_mj.laws.linear import LinearController
 from maglev_mj.parameters import axis_indices, batch_shape, flag, number, numbers, per_axis
+from maglev_mj.timeline import split_delay
 
 __all__ = ["ObserverWall", "PredictiveWall"]
 
@@ -168,8 +169,9 @@ class ObserverWall:
         period, delay = number("period", self.period, above=0.0), number("delay", self.delay, at_least=0.0)
         object.__setattr__(self, "batch", batch_shape("wall", values))
         object.__setattr__(self, "_gains", tuple(zip(indices, *split, strict=True)))
-        object.__setattr__(self, "_whole", math.floor(delay / period + 1e-9))
-        object.__setattr__(self, "_rest", max(delay - self._whole * period, 0.0))
+        whole, rest = split_delay(delay, period)
+        object.__setattr__(self, "_whole", int(whole))
+        object.__setattr__(self, "_rest", rest)
 
     def start(self) -> list[_Belief | None]:
         """Return the state before the first sample: the observer starts at rest where it first sees the flotor."""

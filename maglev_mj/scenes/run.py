@@ -229,7 +229,7 @@ def checked_plant(scene: Scene, plant: str | None) -> str:
     """
     chosen = scene.plants[0] if plant is None else plant
     if chosen not in scene.plants:
-        raise ParameterError(f"plant must be one of {', '.join(scene.plants)}, not {plant!r}")
+        raise ParameterError(f"plant must be one of {', '.join(sorted(scene.plants))}, not {plant!r}")
     return chosen
 
 

@@ -11,7 +11,6 @@ from maglev_mj.theory.boundary import (
 )
 from maglev_mj.theory.design import GOALS, LAWS, Case, DesignedWall, WallRequirements, design_wall, worst_case
 from maglev_mj.theory.modulus import (
-    characteristic_polynomial,
     critical_delay,
     is_stable,
     largest_modulus,
@@ -26,7 +25,6 @@ __all__ = [
     "StiffestWall",
     "WallRequirements",
     "boundary_of",
-    "characteristic_polynomial",
     "critical_delay",
     "design_wall",
     "is_stable",
