@@ -25,7 +25,8 @@ def add_command(commands: Any) -> None:
     """Add the command to the parser's."""
     text = "what each piece of the device changes in a scene, and the cheapest model that will do"
     parser = commands.add_parser("fidelity", help=text, description=text)
-    add_scene(parser, more=_add_range, find=_found, names=(*COMPARED, "all"), without=_BY_LEVEL)
+    add_scene(parser, more=_add_phase, find=_found, names=("drop-no-pulse", "all"), without=_BY_LEVEL)
+    _add_range(parser)
     parser.add_argument("--json", metavar="FILE", help="write the figures as JSON; - for standard output")
     parser.set_defaults(run=_fidelity)
 
@@ -35,19 +36,20 @@ def _found(text: str) -> Scene | None:
     return None if text == "all" else preset_of(text).scene
 
 
-def _add_range(parser: argparse.ArgumentParser, text: str) -> None:
-    """Add the options of what the answer is to hold for."""
-    preset, usual = preset_of(text), Range()
-    if preset.scene.takes_phase:
+def _add_phase(parser: argparse.ArgumentParser, cls: type[Scene]) -> None:
+    parser.set_defaults(phase=0.0)
+    if cls.takes_phase:
         parser.add_argument(
             "--phase",
             type=number_option,
-            default=0.0,
             metavar="X",
             help="the samples are at (k + phase) period, in [0, 1) (default 0)",
         )
-    else:
-        parser.set_defaults(phase=0.0)
+
+
+def _add_range(parser: argparse.ArgumentParser) -> None:
+    """Add the options of what the answer is to hold for."""
+    usual = Range()
     parser.epilog = (
         "Figures are the worst over phases, jitter seeds and gains of the whole device, and over 4096 cases more on "
         f"the exact plant. A model keeps a tolerance if {MARGIN:g} times its figure does, in all cases of the former "
@@ -57,7 +59,7 @@ def _add_range(parser: argparse.ArgumentParser, text: str) -> None:
         "--tolerance",
         type=number_option,
         metavar="X",
-        help=f"largest displacement of a coil that does not matter [m] (default {preset.tolerance:g})",
+        help="largest displacement of a coil that does not matter [m] (default: the scene's own)",
     )
     parser.add_argument(
         "--boundary-tolerance",
@@ -94,9 +96,9 @@ def _add_range(parser: argparse.ArgumentParser, text: str) -> None:
 
 def _fidelity(options: argparse.Namespace) -> int:
     check_outputs(json=options.json)
-    if options.chosen is None:
+    if options.scene_class is None:
         return _all(options)
-    preset = preset_of(options.scene)._replace(scene=chosen(options, options.chosen))
+    preset = preset_of(options.scene)._replace(scene=chosen(options, options.scene_class))
     over = Range(options.phases, options.around, options.share, options.boundary_tolerance)
     progress = Progress("fidelity")
     try:

@@ -58,12 +58,13 @@ def _sweep(options: argparse.Namespace) -> int:
     if both := sorted(set(fixed) & set(varied)):
         raise ParameterError(f"{both[0]} must be either set or varied, not both")
     how = {name: fixed.pop(name) for name in ("plant", "phase") if name in fixed}
+    first = {name: values[0] for name, values in varied.items() if name not in ("plant", "phase")}
     path = options.record or Path(f"{cls.name}-sweep.jsonl")
     check_outputs(json=options.json, record=path)
     workers = chosen_workers(options, default=None)
     progress = Progress(f"sweep {cls.name}")
     with cells_kept(path, path), closing(progress):
-        found = sweep(cls().replace(**fixed), varied, **how, workers=workers, record=path, progress=progress)
+        found = sweep(cls().replace(**fixed, **first), varied, **how, workers=workers, record=path, progress=progress)
     tell_of_others("sweep", found.others)
     if options.json is not None:
         write_json(options.json, found.as_json())

@@ -7,11 +7,10 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
-from maglev_mj.errors import ParameterError
 from maglev_mj.parameters import number
-from maglev_mj.studies.costs import measure_costs
 from maglev_mj.scenes.run import checked_phase, parameters_json
 from maglev_mj.scenes.scene import Scene
+from maglev_mj.studies.costs import measure_costs
 from maglev_mj.studies.fidelity_cases import Case, Preset, choice_cases, itself, preset_of, screen_levels
 from maglev_mj.studies.fidelity_levels import (
     DEAR,
@@ -240,7 +239,9 @@ def measure_steps(
         motions[integrator, step] = run_case(scene, level, case, integrator=integrator, longest_step=step)
         done()
     sound = {key: motion.seconds for key, motion in motions.items() if motion is not None}
-    makers = [partial(level_parts, scene, level, phase=phase, integrator=kind, longest_step=step) for kind, step in sound]
+    makers = [
+        partial(level_parts, scene, level, phase=phase, integrator=kind, longest_step=step) for kind, step in sound
+    ]
     costs = dict(zip(sound, measure_costs(makers, list(sound.values()), repeats), strict=True))
     return tuple(StepResult(*key, distance(motion, truth), costs.get(key, math.inf)) for key, motion in motions.items())
 

@@ -12,8 +12,8 @@ import numpy as np
 from maglev_mj.errors import PlantError, SensingError
 from maglev_mj.frames import Array
 from maglev_mj.plants import engine_warnings_silenced
-from maglev_mj.studies.costs import measure_costs
 from maglev_mj.scenes.scene import Scene
+from maglev_mj.studies.costs import measure_costs
 from maglev_mj.studies.fidelity_cases import Case, Preset, itself, preset_of, scene_at
 from maglev_mj.studies.levels import LEVELS, Motion, apart, level_index, level_parts, motion_of
 

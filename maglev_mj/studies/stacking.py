@@ -78,4 +78,4 @@ def _stacked_law(laws: Sequence[Any]) -> Any:
                 changed[item.name] = np.array([np.broadcast_to(np.asarray(value, float), (count,)) for value in values])
             except (TypeError, ValueError):
                 raise StackingError(f"{item.name} of {type(first).__name__} must be numbers to differ") from None
-    return replace(first, **changed) if changed else first
+    return replace(laws[0], **changed) if changed else first
