@@ -54,7 +54,10 @@ def cases() -> dict[str, str]:
 
 
 def outcome(line: str) -> dict[str, Any]:
-    """Return status, words and files of a command, run in an empty folder; @FILE is copied there from recordings/."""
+    """Return status, words and files of a command run in an empty folder.
+
+    An argument @FILE is a file of recordings/, copied there.
+    """
     (command,) = entry_points(group="console_scripts", name="maglev-mj")
     out, err = io.StringIO(), io.StringIO()
     with tempfile.TemporaryDirectory() as folder, chdir(folder), redirect_stdout(out), redirect_stderr(err):
@@ -98,7 +101,10 @@ def content(path: Path) -> Any:
 
 
 def pressed(count: int = 400, seed: int = 16) -> list[dict[str, Any]]:
-    """Return setup, ticks and samples after each of some random actions on a session without a window."""
+    """Return ticks, setup and samples after each of some random actions.
+
+    They act on a session without a window: all that is used of the package besides its commands.
+    """
     from maglev_mj.hand import SpringHand
     from maglev_mj.session import ACTIONS, Pacer, Session
 
