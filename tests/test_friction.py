@@ -12,7 +12,6 @@ import pytest
 
 from maglev_mj import AXES, Controller, Sample
 from maglev_mj.errors import DivergenceError, ParameterError
-from maglev_mj.experiments.six_axes import SixAxesResult, run_six_axes
 from maglev_mj.frames import Array, components
 from maglev_mj.laws import (
     AdaptiveWindow,
@@ -32,6 +31,7 @@ from maglev_mj.scenes.run import run
 from maglev_mj.scenes.stick_slip import StickSlip as StickSlipScene
 from maglev_mj.spec import INERTIA, RANGE
 from maglev_mj.theory.karnopp import karnopp
+from six_axes import SixAxesResult, run_six_axes
 from tests.closed_loop import largest_modulus
 
 T, K, F = 0.005, 6000.0, 2.0

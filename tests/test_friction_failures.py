@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj.experiments.friction_study import (
+from friction_study import (
     BREAKAWAY,
     STIFFNESS,
     against_exact,

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike, NDArray
 
+from failures import random_delay_rate
 from maglev_mj.errors import ParameterError
-from maglev_mj.experiments.failures import random_delay_rate
 from maglev_mj.hand import HANDS, Hand, hand_called
 from maglev_mj.laws import LowPass, Window
 from maglev_mj.plants import Timing

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from impacts import limited_drop
 from maglev_mj import Controller, ExactPlant, MuJoCoPlant, Sample, Timing, Wall, run
 from maglev_mj.errors import ParameterError
-from maglev_mj.experiments.impacts import limited_drop
 from maglev_mj.frames import components
 from maglev_mj.hand import exponential
 from maglev_mj.laws import Law, ObserverWall, PassivityController, PredictiveWall

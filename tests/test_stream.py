@@ -1021,7 +1021,7 @@ def test_figures_in_the_text_of_the_page() -> None:
 
 
 def test_the_example_host_shows_a_refusal_and_what_may_be_had() -> None:
-    command = [sys.executable, str(ROOT / "scripts" / "stream_host.py")]
+    command = [sys.executable, str(ROOT / "scripts" / "examples" / "stream_host.py")]
     done = subprocess.run(
         [*command, "--alone", "--seconds", "1.8"], capture_output=True, text=True, check=False, timeout=120
     )
@@ -1053,7 +1053,7 @@ def test_what_the_example_host_cannot_do_is_one_line(
 ) -> None:
     monkeypatch.setattr(sys, "argv", ["stream_host.py", *options])
     with pytest.raises(SystemExit) as ended:
-        runpy.run_path(str(ROOT / "scripts" / "stream_host.py"), run_name="__main__")
+        runpy.run_path(str(ROOT / "scripts" / "examples" / "stream_host.py"), run_name="__main__")
     said, complained = capsys.readouterr()
     assert ended.value.code == status and complaint in complained
     assert len(complained.splitlines()) == 1 and said == ""

@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 
-from maglev_mj.experiments.corner import corner
-from maglev_mj.experiments.failures import hum, press_at_edge
-from maglev_mj.experiments.impacts import RATTLE, LimitedDrop, limited_drop, rattle
+from corner import corner
+from failures import press_at_edge
+from impacts import RATTLE, LimitedDrop, limited_drop, rattle
 from maglev_mj.frames import Array, Mask
 from maglev_mj.hand import Hand
 from maglev_mj.laws import Wall
 from maglev_mj.spec import RANGE
+from maglev_mj.studies.batches import hum
 from maglev_mj.studies.growth import RestingWall, measure_growth
 from maglev_mj.theory import critical_delay, largest_modulus, largest_stable_stiffness
 from maglev_mj.theory.bounds import gil

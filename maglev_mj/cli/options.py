@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import argparse
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from maglev_mj.bridge.seal import LEAST_KEY, MOST_KEY
 from maglev_mj.errors import ParameterError
-from maglev_mj.parameters import flag
+from maglev_mj.parameters import Parameter, Parameters, flag
 from maglev_mj.scenes import Settings
 from maglev_mj.workers import Workers, dask_workers, local_workers
 
@@ -20,9 +21,11 @@ __all__ = [
     "add_bridge",
     "add_options",
     "add_outputs",
+    "add_parameters",
     "add_recording",
     "add_settings",
     "add_workers",
+    "chosen",
     "chosen_key",
     "chosen_settings",
     "chosen_workers",
@@ -32,9 +35,24 @@ __all__ = [
     "range_of",
 ]
 
+P = TypeVar("P", bound=Parameters)
+
 
 class Parser(argparse.ArgumentParser):
     """An argument parser whose complaint is one line."""
+
+    def __init__(self, **keywords: Any) -> None:
+        # the options of a scene are its own: a shorter word must not become one that is added later
+        super().__init__(**{"allow_abbrev": False, **keywords})
+
+    before: Callable[[Sequence[str]], None] | None = None
+    """Called with the arguments before they are parsed, for options that depend on another."""
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """See `argparse.ArgumentParser`."""
+        if self.before is not None:
+            self.before(args or ())
+        return super().parse_known_args(args, namespace)
 
     def error(self, message: str) -> Any:
         """Print one line and exit with status 2."""
@@ -77,6 +95,66 @@ def add_options(
         shown = "none" if getattr(made, name) is None else f"{getattr(made, name):g}"
         option = f"--{name.replace('_', '-')}"
         parser.add_argument(option, type=number_option, default=default, metavar="X", help=f"{text} (default {shown})")
+
+
+def add_parameters(
+    parser: argparse.ArgumentParser, parameters: Parameters | type[Parameters], *, without: Sequence[str] = ()
+) -> None:
+    """Add an option for each declared parameter, with unit and default in its help.
+
+    A value that only a `parse` knows gets none. What is not given is not among the options: see `chosen`.
+
+    Args:
+        parser: Of the command.
+        parameters: Class, or parameters whose values are the defaults.
+        without: Names of parameters that get no option.
+    """
+    made = parameters() if isinstance(parameters, type) else parameters
+    for one in made.parameters():
+        if one.kind is not object and one.name not in without:
+            _add_parameter(parser, one, getattr(made, one.name))
+
+
+def _add_parameter(parser: argparse.ArgumentParser, one: Parameter, default: Any) -> None:
+    option = f"--{one.name.replace('_', '-')}"
+    text, more, rest = one.help.replace("%", "%%").partition(";")
+    said = f"{text} [{one.unit}]{more}{rest}" if one.unit else text + more + rest
+    if one.kind is bool:
+        said += " (default on)" if default else ""
+        parser.add_argument(option, action=argparse.BooleanOptionalAction, default=argparse.SUPPRESS, help=said)
+        return
+    if one.choices:
+        said += f": {', '.join(one.choices)}"
+    shown = "none" if default is None else default if one.kind is str else f"{default:g}"
+    kinds: Mapping[type, tuple[Callable[[str], Any], str]] = {
+        float: (number_option, "X"),
+        int: (count, "N"),
+        str: (str, "NAME"),
+    }
+    read, metavar = kinds[one.kind]
+    if one.optional:
+        read = partial(_or_none, read)
+    said = f"{said} (default {shown})"
+    parser.add_argument(option, type=read, default=argparse.SUPPRESS, metavar=metavar, help=said)
+
+
+def _or_none(read: Callable[[str], Any], text: str) -> Any:
+    return None if text.lower() == "none" else read(text)
+
+
+def chosen(options: argparse.Namespace, parameters: P | type[P]) -> P:
+    """Return parameters with what was chosen by the options of `add_parameters`.
+
+    Args:
+        options: As parsed.
+        parameters: Class, or parameters whose values stand where nothing was chosen.
+
+    Raises:
+        ParameterError: If a value is outside its bounds.
+    """
+    made = parameters() if isinstance(parameters, type) else parameters
+    names = [one.name for one in made.parameters()]
+    return made.replace(**{name: getattr(options, name) for name in names if hasattr(options, name)})
 
 
 def add_outputs(parser: argparse.ArgumentParser) -> None:

@@ -160,6 +160,10 @@ class Scene(Parameters):
         """Return what the JSON has besides parameters, series and summary."""
         return {}
 
+    def compared(self, result: Result) -> Mapping[str, Mapping[str, float]]:
+        """Return figures to stand beside those of a run, such as a closed form's: by label and name."""
+        return {}
+
     # --- what follows --------------------------------------------------------------------------
 
     def controller(self) -> Controller:
