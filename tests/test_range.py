@@ -54,12 +54,13 @@ def test_a_drop_says_when_it_leaves_the_range(limit: float | None, stiffness: fl
     """By force limit and gains, with the pulse and without, one phase and several."""
     drop = Drop(force_limit=limit, stiffness=stiffness, damping=damping, duration=0.3)
     variants = [drop.replace(pulse=pulse) for pulse in (220.0, 0.0)]
-    results, labels = [run(one, plant="exact") for one in variants], ["with pulse", "without pulse"]
-    left = outside([one.trace for one in results])
-    said = remark(run_table(dict(zip(labels, results, strict=True)), {}, 0.0))
+    labels = ["with pulse", "without pulse"]
+    results = {label: run(one, plant="exact") for label, one in zip(labels, variants, strict=True)}
+    left = outside([one.trace for one in results.values()])
+    said = remark(run_table(results, {}, 0.0))
     assert [label in [part.rsplit(" ", 2)[0] for part in (said or "").split(", ")] for label in labels] == left
-    sweeps = [run_phases(one, 8, plant="exact") for one in variants]
-    said = remark(run_table(dict(zip(labels, results, strict=True)), dict(zip(labels, sweeps, strict=True)), 0.0)) or ""
+    sweeps = {label: run_phases(one, 8, plant="exact") for label, one in zip(labels, variants, strict=True)}
+    said = remark(run_table(results, sweeps, 0.0)) or ""
     for label, one in zip(labels, variants, strict=True):
         phases = [run(one, plant="exact", phase=phase / 8).trace for phase in range(8)]
         count = sum(outside(phases))
@@ -79,12 +80,15 @@ def test_a_drop_from_the_very_end_of_the_range_has_not_left_it() -> None:
 )
 def test_a_press_says_when_it_leaves_the_range(change: dict[str, float]) -> None:
     variants = [Press(hits=2, **change).replace(pulse=pulse) for pulse in (220.0, 0.0)]  # type: ignore[arg-type]
-    results, labels = [run(one, plant="exact") for one in variants], ["with pulse", "without pulse"]
-    said = remark(run_table(dict(zip(labels, results, strict=True)), {}, 0.0))
-    left = outside([one.trace for one in results])
+    labels = ["with pulse", "without pulse"]
+    results = {label: run(one, plant="exact") for label, one in zip(labels, variants, strict=True)}
+    said = remark(run_table(results, {}, 0.0))
+    left = outside([one.trace for one in results.values()])
     assert [label in [part.rsplit(" ", 2)[0] for part in (said or "").split(", ")] for label in labels] == left
     sweep = run_phases(variants[0], 3, plant="exact")
-    np.testing.assert_allclose(sweep.furthest[0], results[0].trace.furthest(), atol=1e-7)  # a hand bends the curve
+    np.testing.assert_allclose(
+        sweep.furthest[0], results[labels[0]].trace.furthest(), atol=1e-7
+    )  # a hand bends the curve
     assert sweep.furthest.shape == (3, 6)
 
 
