@@ -11,7 +11,7 @@ import pytest
 
 from maglev_mj import Controller, ExactPlant, MuJoCoPlant, Timing, run
 from maglev_mj.errors import ParameterError
-from maglev_mj.experiments.wall_controller import wall_controller
+from maglev_mj.studies.wall_controller import wall_controller
 from maglev_mj.frames import Array, Command, Sample, quaternions, rotation_matrix, rotation_vector
 from maglev_mj.hand import Hand
 from maglev_mj.plants import CorrectedBatchPlant, CorrectedPlant, MuJoCoBatchPlant

@@ -18,6 +18,7 @@ class Detent(AxisLaw):
     damping: float = gain("damping", "N s/m")
 
     def force(self, x, v, gains, state):
+        """Return the force on one axis."""
         turn = 2.0 * np.pi / gains.pitch
         return -gains.stiffness / turn * np.sin(turn * x) - gains.damping * v
 
@@ -35,10 +36,12 @@ class Detents(Scene):
     duration: float = param("simulated time", "s", default=0.5, above=0.0, at_most=100.0)
 
     def laws(self):
+        """Carry the flotor, give the detents, hold the other axes."""
         detent = Detent(axes="x", pitch=self.pitch, stiffness=self.stiffness, damping=self.damping)
         return [Bias(WEIGHT), detent, hold(self, AXES[1:])]
 
     def start(self):
+        """Rest beside the detent."""
         return Start(pose=(self.away, 0.0, 0.0, 0.0, 0.0, 0.0), wrench=WEIGHT)
 
     script = Path([0.2, 1.0, 2.0, 3.0], [[x, 0.0, 0.0, 0.0, 0.0, 0.0] for x in (0.0, 0.01, -0.01, 0.0)])
