@@ -77,7 +77,7 @@ def rebuild(setup: Setup, hand: HandForce | None) -> tuple[SampledPlant | None, 
             known = ", ".join((*_SCENES, *_SHOWN_BY))
             raise InvalidRecordingError(f"a recording of kind {kind!r} cannot be made here, which knows {known}")
         run, plant, phase = run_in(setup)
-        return run.plant(plant, phase=phase, hand=hand), run.controller()
+        return run.plant(plant, phase=phase, hand=hand, record=True), run.controller()
     except (KeyError, TypeError, ParameterError) as error:
         raise InvalidRecordingError(f"a recording's setup cannot be made here: {error}") from None
 
@@ -141,7 +141,7 @@ def write_run(path: Path, scene: Scene, *, plant: str | None = None, phase: floa
 
 def _run_into(file: RecordingFile, scene: Scene, plant: str | None, phase: float) -> None:
     name, phase = checked_plant(scene, plant), checked_phase(phase)
-    device, controller = scene.plant(name, phase=phase), scene.controller()
+    device, controller = scene.plant(name, phase=phase, record=True), scene.controller()
     setup = {"kind": scene.name, "parameters": parameters_json(scene, name, phase)}
     record = file.begin(device, controller, setup, delay=scene.delay, mechanics=expected(setup).mechanics)
     with device, engine_warnings_silenced():
