@@ -35,7 +35,7 @@ from maglev_mj.recording import (
 )
 from maglev_mj.recording.fields import start_in
 from maglev_mj.scenes import SCENES, Scene, Settings, scene_called
-from maglev_mj.session import View, stick_positions, wall_faces
+from maglev_mj.session import SampledMotion, Snapshot, stick_positions, wall_faces
 
 __all__ = [
     "EXPERIMENTS",
@@ -48,7 +48,6 @@ __all__ = [
     "write_experiment",
 ]
 
-_SHOWN = 2.0
 _SCENES = "scene", "device"
 
 _Parts: TypeAlias = Callable[[Any, HandForce | None], tuple[SampledPlant, Controller, int]]
@@ -176,7 +175,8 @@ class Replay:
         self._stretches = [_Shown(stretch) for stretch in recording.stretches if len(stretch.tick)]
         if not self._stretches:
             raise InvalidRecordingError("there is nothing in the recording")
-        self._place, self._owed, self._paused = (0, 0), 0.0, False
+        self._owed, self._paused = 0.0, False
+        self._show(0, 0)
 
     def tick(self, elapsed: float) -> int:
         """Go on by as much as real time has [s]; return how many samples that were."""
@@ -196,11 +196,27 @@ class Replay:
         if action == "pause":
             self._paused = not self._paused
         elif action in ("centre", "drop"):
-            self._place = 0, 0
+            self._show(0, 0)
 
-    def view(self) -> View:
-        """Return what there was to see."""
-        return self._now.view(self._place[1], "PAUSED" if self._paused else "REPLAY")
+    def snapshot(self) -> Snapshot:
+        """Return the picture of now."""
+        (_, row), now, motion = self._place, self._now, self._motion
+        return Snapshot(
+            scene=now.scene,
+            settings=now.settings,
+            delay=now.settings.delay,
+            tick=row,
+            time=float(now.time[row]),
+            pose=now.pose[row],
+            force=now.force[row],
+            hand=now.hand[row],
+            currents=now.currents[row],
+            faces=now.faces,
+            anchors=None if now.anchors is None else now.anchors[row],
+            history=motion.history.rows,
+            work=motion.work,
+            notes=("PAUSED" if self._paused else "REPLAY",),
+        )
 
     def close(self) -> None:
         """Do nothing: a recording stays as it is."""
@@ -212,52 +228,36 @@ class Replay:
     def _next(self) -> None:
         stretch, row = self._place
         if row + 1 < len(self._now.pose):
-            self._place = stretch, row + 1
+            self._show(stretch, row + 1)
         else:
-            self._place = (stretch + 1) % len(self._stretches), 0
+            self._show((stretch + 1) % len(self._stretches), 0)
+
+    def _show(self, stretch: int, row: int) -> None:
+        """Go to a sample; a stretch begins with a history of its own."""
+        self._place, now = (stretch, row), self._stretches[stretch]
+        if row == 0:
+            self._motion = SampledMotion(now.scene.axis_index)
+        self._motion.add(float(now.time[row]), now.pose[row], now.force[row], now.hand[row])
 
 
 class _Shown:
-    """A stretch of a recording, and what there was to see at each of its samples."""
+    """A stretch of a recording with what its setup tells of it."""
 
     def __init__(self, stretch: Stretch) -> None:
         self.scene, self.settings = scene_of(stretch.setup)
-        self.period, self.pose = self.settings.period, stretch.position
-        self._time, self._hand = stretch.time, stretch.hand
+        self.period, self.time, self.pose, self.hand = (
+            self.settings.period,
+            stretch.time,
+            stretch.position,
+            stretch.hand,
+        )
         _, controller = rebuild(stretch.setup, None)
-        self._force = stretch.applied[:, :6] - carried_by(controller.laws)
+        self.force = stretch.applied[:, :6] - carried_by(controller.laws)
         coils = load("drop").coils
         assert coils is not None
-        self._currents = stretch.applied[:, :6] @ coils.current_per_wrench.T
-        way = np.diff(stretch.position, axis=0, prepend=stretch.position[:1])
-        self._work = np.cumsum((np.roll(stretch.hand, 1, axis=0) * way).sum(axis=1))
-        self._faces = wall_faces(self.scene.laws(self.settings))
-        self._anchors = stick_positions_of(stretch)
-        axis = self.scene.axis_index
-        place = stretch.position[:, axis]
-        speed = np.diff(place, prepend=place[0]) / self.period
-        self._rows = np.column_stack([stretch.time, place, speed, self._force[:, axis], stretch.hand[:, axis]])
-
-    def view(self, row: int, note: str) -> View:
-        """Return what there was to see at a sample."""
-        first = max(row - round(_SHOWN / self.period), 0)
-        return View(
-            scene=self.scene,
-            settings=self.settings,
-            time=float(self._time[row]),
-            pose=self.pose[row],
-            force=self._force[row],
-            hand=self._hand[row],
-            currents=self._currents[row],
-            faces=self._faces,
-            anchors=None if self._anchors is None else self._anchors[row],
-            history=self._rows[first : row + 1],
-            work=float(self._work[row]),
-            taken=float("nan"),
-            cost=0.0,
-            missed=0,
-            notes=(note,),
-        )
+        self.currents = stretch.applied[:, :6] @ coils.current_per_wrench.T
+        self.faces = wall_faces(self.scene.laws(self.settings))
+        self.anchors = stick_positions_of(stretch)
 
 
 def scene_of(setup: Setup) -> tuple[Scene, Settings]:

@@ -115,7 +115,7 @@ def alone(name: str) -> Iterator[str]:
     """Run a scene in its scripted hand, in a thread; yield where its stream is."""
     scene, stopped = scene_called(name), threading.Event()
     stream = PoseStream("udp://127.0.0.1:0")
-    session = Session(scene.name, hand=SpringHand(target=scene.script), outlets=[stream])
+    session = Session(scene.name, hand=SpringHand(target=scene.script), publishers=[stream])
 
     def go_on() -> None:
         last = time.perf_counter()

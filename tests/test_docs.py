@@ -68,7 +68,7 @@ ENOUGH = 120
 def scene(lines: list[str]) -> Iterator[dict[str, str]]:
     """Run the scene that hosts of the stream watch, until they have printed enough."""
     stream, over = PoseStream("udp://127.0.0.1:0"), threading.Event()
-    session = Session("joystick", outlets=[stream])
+    session = Session("joystick", publishers=[stream])
     session.tick(0.0)  # tells of the start
 
     def go_on() -> None:

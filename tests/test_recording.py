@@ -119,7 +119,7 @@ def test_a_replay_shows_what_was_recorded_in_real_time(kind: str, tmp_path: Path
     recording = record_experiment(kind, EXPERIMENTS[kind][0](plant="exact"))
     replay = Replay(recording)
     shown = sum(replay.tick(0.0125) for _ in range(10))
-    view = replay.view()
+    view = replay.snapshot()
     assert shown == 25
     assert (view.pose == recording.stretches[0].position[25]).all()
     assert view.history.shape == (26, 5)
@@ -127,7 +127,7 @@ def test_a_replay_shows_what_was_recorded_in_real_time(kind: str, tmp_path: Path
     replay.act("pause")
     assert replay.tick(1.0) == 0
     replay.act("centre")
-    assert (replay.view().pose == recording.stretches[0].position[0]).all()
+    assert (replay.snapshot().pose == recording.stretches[0].position[0]).all()
 
 
 @pytest.mark.parametrize("ending", ["png", "gif", "mp4"])

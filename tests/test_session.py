@@ -111,7 +111,7 @@ def test_every_scene_runs_in_its_scripted_hand_and_takes_energy(name: str, perio
     settings = Settings.from_json({**scene.settings.as_json(), "period": period, "delay": delay})
     end = scene.script.end if scene.script is not None else 0.5
     session = after(made(name, settings=settings, hand=SpringHand(target=scene.script)), end + 1.0)
-    view = session.view()
+    view = session.snapshot()
     assert not view.notes
     assert view.taken > -stored_at_start(name)
     assert np.abs(view.pose[:3]).max() < 0.0046
@@ -122,16 +122,16 @@ def test_every_scene_runs_in_its_scripted_hand_and_takes_energy(name: str, perio
 @pytest.mark.parametrize("name", [name for name in SCENES if name != "drop"])
 def test_a_scene_left_alone_comes_to_rest(name: str) -> None:
     session = after(made(name), 3.0)
-    assert np.abs(np.diff(session.view().history[-50:, 1])).max() < 1e-7
+    assert np.abs(np.diff(session.snapshot().history[-50:, 1])).max() < 1e-7
 
 
 def test_pause_stops_time_and_owes_nothing() -> None:
     session = after(made(), 0.5)
-    time = session.view().time
+    time = session.snapshot().time
     session.act("pause")
     assert session.tick(5.0) == 0
-    assert session.view().time == time
-    assert session.view().notes == ["PAUSED"]
+    assert session.snapshot().time == time
+    assert session.snapshot().notes == ["PAUSED"]
     session.act("pause")
     assert session.tick(FRAME) <= 4
 
@@ -153,14 +153,14 @@ def test_actions_change_what_they_say_and_the_flotor_goes_on_from_where_it_is() 
         "delay down": ("delay", 0.0015),
     }
     for action, (name, value) in expected.items():
-        before = session.view()
+        before = session.snapshot()
         session.act(action)
-        now = session.view()
+        now = session.snapshot()
         assert getattr(now.settings, name) == pytest.approx(value)
         assert (now.pose == before.pose).all()
         assert now.time == before.time
         after(session, 0.05)
-    assert session.view().time == pytest.approx(0.137 + 11 * 0.05, abs=0.01)
+    assert session.snapshot().time == pytest.approx(0.137 + 11 * 0.05, abs=0.01)
 
 
 def test_gains_rate_and_delay_stay_within_what_can_be() -> None:
@@ -186,20 +186,20 @@ def test_next_scene_goes_round() -> None:
     seen = []
     for _ in SCENES:
         session.act("next scene")
-        seen.append(session.view().scene.name)
+        seen.append(session.snapshot().scene.name)
     assert seen == [*list(SCENES)[1:], "joystick"]
 
 
 def test_drop_lets_go_with_its_weight_and_centre_undoes_it() -> None:
     session = made("box")
     session.act("drop")
-    assert session.view().pose[2] == 0.004
+    assert session.snapshot().pose[2] == 0.004
     after(session, 1.0)
-    view = session.view()
+    view = session.snapshot()
     assert view.pose[2] == pytest.approx(-0.003 - INERTIA[0] * 9.81 / 6000.0, abs=1e-5)
     session.act("centre")
-    assert session.view().settings.weightless
-    assert not session.view().pose.any()
+    assert session.snapshot().settings.weightless
+    assert not session.snapshot().pose.any()
 
 
 @pytest.mark.parametrize(("share", "stops"), [(0.8, False), (1.5, True)])
@@ -208,11 +208,11 @@ def test_a_wall_that_is_unstable_is_stopped_and_restored_by_one_key(share: float
     limit = float(largest_stable_stiffness(87.0, period=0.005, delay=0.0015))
     settings = Settings(weightless=False, pulse=False, stiffness=share * limit, damping=87.0)
     session = after(made("drop", settings=settings), 8.0)
-    (note,) = session.view().notes or [""]
+    (note,) = session.snapshot().notes or [""]
     assert note.startswith("STOPPED: the rendered world made") == stops
     assert (session.tick(1.0) == 0) == stops
     session.act("centre")
-    assert not session.view().notes
+    assert not session.snapshot().notes
     assert session.tick(FRAME) > 0
 
 
@@ -266,7 +266,7 @@ def test_what_was_recorded_before_a_run_is_stopped_is_kept(tmp_path: Path) -> No
     session = made("drop", settings=settings, folder=tmp_path)
     session.act("record")
     after(session, 1.0)
-    assert session.view().notes[0].startswith("STOPPED")
+    assert session.snapshot().notes[0].startswith("STOPPED")
     session.act("record")
     recording = Recording.load(session.recordings[0])
     assert recording.ticks > 5
@@ -321,7 +321,7 @@ def test_what_cannot_be_is_refused(make: Any, words: str) -> None:
 @pytest.mark.parametrize("name", ["run.mcap", "run.npz"])
 def test_a_session_is_recorded_from_its_start_on(name: str, tmp_path: Path) -> None:
     session = made(record=tmp_path / name)
-    assert session.view().notes == ["RECORDING"]
+    assert session.snapshot().notes == ["RECORDING"]
     after(session, 0.3)
     session.act("friction")
     after(session, 0.2)

@@ -12,7 +12,7 @@ from typing import Any
 
 from maglev_mj.bridge.stopping import stopping
 from maglev_mj.cli.options import add_settings, chosen_key, chosen_settings, number_option
-from maglev_mj.cli.outlets import add_spacenav, chosen_spacenav
+from maglev_mj.cli.publishers import add_spacenav, chosen_spacenav
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.hand import Path, SpringHand
 from maglev_mj.parameters import number
@@ -76,7 +76,7 @@ def _serve(options: argparse.Namespace) -> int:
             with stopping(ended.set):
                 _follow(client, servers[0], ended, seconds)
             return _done(servers[0])
-        session = Session(scene.name, settings=settings, hand=SpringHand(target=script), outlets=servers)
+        session = Session(scene.name, settings=settings, hand=SpringHand(target=script), publishers=servers)
         stack.callback(session.close)
         with engine_warnings_silenced(), stopping(ended.set):
             _run(session, ended, seconds)
@@ -86,8 +86,8 @@ def _serve(options: argparse.Namespace) -> int:
 def _follow(client: StreamClient, server: SpacenavServer, ended: threading.Event, seconds: float | None) -> None:
     """Show what a stream tells until it is over."""
     start = time.perf_counter()
-    for moment in client.moments():
-        server.show(moment)
+    for snapshot in client.snapshots():
+        server.show(snapshot)
         if ended.is_set() or (seconds is not None and time.perf_counter() - start >= seconds):
             return
 
@@ -100,7 +100,7 @@ def _run(session: Session, ended: threading.Event, seconds: float | None) -> Non
         if session.tick(now - before):
             moved = now
         if now - moved > _STANDSTILL:
-            raise MaglevError("; ".join(session.view().notes))
+            raise MaglevError("; ".join(session.snapshot().notes))
         before = now
         if seconds is not None and now - start >= seconds:
             return

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from maglev_mj.cli.options import add_recording, add_settings, chosen_settings, number_option
-from maglev_mj.cli.outlets import add_outlets, chosen_outlets
 from maglev_mj.cli.output import check_outputs, check_recording
+from maglev_mj.cli.publishers import add_publishers, chosen_publishers
 from maglev_mj.hand import SpringHand
 from maglev_mj.parameters import number
 from maglev_mj.scenes import SCENES, scene_called
@@ -24,7 +24,7 @@ def add_command(commands: Any) -> None:
     view.add_argument("scene", nargs="?", default="joystick", metavar="SCENE", help=f"one of {', '.join(SCENES)}")
     add_settings(view)
     add_recording(view)
-    add_outlets(view)
+    add_publishers(view)
     view.add_argument(
         "--hand-stiffness",
         type=number_option,
@@ -51,9 +51,9 @@ def _view(options: argparse.Namespace) -> int:
 
     require_display()
     options.out.mkdir(parents=True, exist_ok=True)
-    with chosen_outlets(options) as outlets:
+    with chosen_publishers(options) as publishers:
         session = Session(
-            scene.name, settings=settings, hand=hand, folder=options.out, record=options.record, outlets=outlets
+            scene.name, settings=settings, hand=hand, folder=options.out, record=options.record, publishers=publishers
         )
         try:
             print(show_table(show(session, folder=options.out, duration=seconds)))

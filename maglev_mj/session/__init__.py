@@ -1,23 +1,25 @@
-"""A scene in real time, without a window: pacing, what keys change, recording, and what there is to see."""
+"""A scene in real time, without a window: pacing, what keys change, recording, and the picture of now."""
 
 from maglev_mj.session.admission import Refusal, refusal
 from maglev_mj.session.energy import EnergyAccount
-from maglev_mj.session.outlet import Moment, Outlet, Outlets
 from maglev_mj.session.pacing import Pacer
+from maglev_mj.session.publishers import Publisher, Publishers
 from maglev_mj.session.session import ACTIONS, Session
-from maglev_mj.session.view import Showable, View, stick_positions, wall_faces
+from maglev_mj.session.snapshot import History, SampledMotion, Snapshot, SnapshotSource
+from maglev_mj.session.view import stick_positions, wall_faces
 
 __all__ = [
     "ACTIONS",
     "EnergyAccount",
-    "Moment",
-    "Outlet",
-    "Outlets",
+    "History",
     "Pacer",
+    "Publisher",
+    "Publishers",
     "Refusal",
+    "SampledMotion",
     "Session",
-    "Showable",
-    "View",
+    "Snapshot",
+    "SnapshotSource",
     "refusal",
     "stick_positions",
     "wall_faces",

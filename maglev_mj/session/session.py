@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -15,18 +14,17 @@ from maglev_mj.hand import SpringHand
 from maglev_mj.scenes import SCENES, Settings, scene_called
 from maglev_mj.scenes.parts import WEIGHT
 from maglev_mj.session.actions import CHANGES
-from maglev_mj.session.outlet import Moment, Outlet, Outlets
 from maglev_mj.session.pacing import Pacer
+from maglev_mj.session.publishers import Publisher, Publishers
+from maglev_mj.session.snapshot import History, Snapshot
 from maglev_mj.session.stretch import LiveStretch
 from maglev_mj.session.tape import Tape
-from maglev_mj.session.view import View
 
 __all__ = ["ACTIONS", "Session"]
 
 ACTIONS = (*CHANGES, "next scene", "drop", "centre", "pause", "record")
 """What `Session.act` knows."""
 
-_SHOWN = 2.0
 _MADE = -0.1
 
 
@@ -43,7 +41,7 @@ class Session:
         folder: Where recordings go that a key begins.
         record: File to record to from the start; None for nothing until a key says so.
         pacer: Keeps up with real time.
-        outlets: Ways to other programs; closed with the session.
+        publishers: Ways to other programs; closed with the session.
 
     Attributes:
         simulated: Time simulated so far [s].
@@ -61,19 +59,19 @@ class Session:
         folder: Path = Path(),
         record: Path | None = None,
         pacer: Pacer | None = None,
-        outlets: Sequence[Outlet] = (),
+        publishers: Sequence[Publisher] = (),
     ) -> None:
         self.hand = hand or SpringHand()
         self.simulated = 0.0
         self._pacer = pacer or Pacer()
         self._scene = scene_called(scene)
         self._settings = settings or self._scene.settings
-        self._history: deque[tuple[float, ...]] = deque()
+        self._history = History()
         self._tape = Tape(folder)
         if record is not None:
             self._tape.start(record)
         self._paused, self._stopped = False, ""
-        self._outlets, self._ticks, self._since = Outlets(outlets), 0, 0
+        self._publishers, self._ticks, self._since = Publishers(publishers), 0, 0
         self._stretch = self._begin(self._scene.pose)
 
     @property
@@ -102,7 +100,7 @@ class Session:
                 self._tape.failed(self._stopped)
             made = self._ticks - before
         self._tape.missed(self._pacer.missed)
-        self._outlets.show(self._moment)
+        self._publishers.show(self.snapshot)
         return made
 
     def act(self, action: str) -> None:
@@ -131,13 +129,15 @@ class Session:
             self._settings = Settings.from_json({**self._settings.as_json(), "weightless": weightless})
             self._restart(self._scene.lifted if lift else self._scene.pose)
 
-    def view(self) -> View:
-        """Return what there is to see."""
-        stretch = self._stretch
-        history = np.array(self._history).reshape(-1, 5)
-        return View(
+    def snapshot(self) -> Snapshot:
+        """Return the picture of now."""
+        stretch, settings = self._stretch, self._settings
+        return Snapshot(
             scene=self._scene,
-            settings=self._settings,
+            settings=settings,
+            since=self._since,
+            delay=settings.delay,
+            tick=self._ticks,
             time=stretch.time,
             pose=stretch.pose,
             force=stretch.rendered,
@@ -145,17 +145,19 @@ class Session:
             currents=stretch.plant.currents,
             faces=stretch.faces,
             anchors=stretch.anchors,
-            history=history,
+            history=self._history.rows,
             work=stretch.energy.hand,
             taken=stretch.energy.taken,
             cost=self._pacer.cost,
             missed=self._pacer.missed,
+            state="stopped" if self._stopped else "paused" if self._paused else "running",
+            reason=self._stopped,
             notes=self._notes(),
         )
 
     def close(self) -> None:
         """Keep what is recorded, and let go of the plant."""
-        self._outlets.close()
+        self._publishers.close()
         try:
             self._tape.stop()
         finally:
@@ -173,29 +175,10 @@ class Session:
 
     def _take_wanted(self) -> None:
         """Go on under the settings that another program asks for; rate and delay are the person's here."""
-        wanted = self._outlets.wanted()
+        wanted = self._publishers.wanted()
         if wanted is not None:
             self._settings = replace(wanted, period=self._settings.period, delay=self._settings.delay)
             self._go_on()
-
-    def _moment(self) -> Moment:
-        """Return what other programs are told."""
-        stretch = self._stretch
-        return Moment(
-            scene=self._scene,
-            settings=self._settings,
-            since=self._since,
-            delay=self._settings.delay,
-            tick=self._ticks,
-            time=stretch.time,
-            pose=stretch.pose.tolist(),
-            force=stretch.rendered.tolist(),
-            hand=stretch.plant.hand_wrench,
-            anchors=stretch.anchors,
-            state="stopped" if self._stopped else "paused" if self._paused else "running",
-            reason=self._stopped,
-            missed=self._pacer.missed,
-        )
 
     def _begin(self, pose: Sequence[float], *, going_on: bool = False) -> LiveStretch:
         """Return a new stretch, at rest or as the last one left it."""
@@ -213,7 +196,7 @@ class Session:
             wrench=wrench,
             file=self._tape.file,
             began=began,
-            keep=self._keep,
+            keep=self._history.add,
         )
 
     def _go_on(self) -> None:
@@ -228,12 +211,6 @@ class Session:
         self._history.clear()
         self._pacer.forgive()
         self._stretch = self._begin(pose)
-
-    def _keep(self, row: tuple[float, ...]) -> None:
-        history = self._history
-        history.append(row)
-        while history[0][0] < row[0] - _SHOWN:
-            history.popleft()
 
     def _record(self) -> None:
         """Start recording, or end it."""

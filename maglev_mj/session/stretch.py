@@ -44,7 +44,7 @@ class LiveStretch:
         wrench: What the coils give until the first command takes effect [N, N m].
         file: What every sample is recorded to; None for nothing.
         began: Time of the session at which it starts [s].
-        keep: Called after each tick with a row of history.
+        keep: Called after each tick with a row of history, see `History.add`.
 
     Attributes:
         energy: Where the energy went.
@@ -62,7 +62,7 @@ class LiveStretch:
         wrench: Sequence[float],
         file: RecordingFile | None,
         began: float,
-        keep: Callable[[tuple[float, ...]], object],
+        keep: Callable[..., object],
     ) -> None:
         setup = scene_setup(scene, settings, pose, twist, wrench)
         self.plant = scene.plant(settings, pose=pose, twist=twist, wrench=wrench, hand_force=hand)
@@ -109,4 +109,4 @@ class LiveStretch:
         self.energy.add(self.pose, effort, plant.work)
         self.force = applied.force
         force = float(applied.force[axis] - self._carried[axis])
-        self._keep((self.time, float(self.pose[axis]), float(self.twist[axis]), force, float(effort[axis])))
+        self._keep(self.time, self.pose[axis], self.twist[axis], force, effort[axis])

@@ -1,4 +1,4 @@
-"""What the pose stream says of a moment, and what it makes of a host's request."""
+"""What the pose stream says of a snapshot, and what it makes of a host's request."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ import numpy as np
 
 import maglev_mj
 from maglev_mj.errors import ParameterError
-from maglev_mj.frames import AXES
-from maglev_mj.scenes import Scene, Settings
-from maglev_mj.session import Moment, Refusal, wall_faces
+from maglev_mj.frames import AXES, Array
+from maglev_mj.scenes import Settings
+from maglev_mj.session import Refusal, Snapshot
 from maglev_mj.stream.datagrams import MOST_INTEGER, Message, is_integer
 
 __all__ = [
@@ -23,8 +23,8 @@ __all__ = [
     "description",
     "identifier",
     "mistaken",
-    "moment_told",
     "pose_message",
+    "posed_snapshot",
     "refused",
     "same_rules",
 ]
@@ -39,52 +39,46 @@ _UNITS = {"length": "m", "angle": "rad", "force": "N", "torque": "N m", "time": 
 _MOST_REASON = 300
 
 
-def pose_message(moment: Moment, session: int) -> Message:
-    """Return what subscribers are told of a moment."""
+def pose_message(snapshot: Snapshot, session: int) -> Message:
+    """Return the message to subscribers."""
     return {
         "type": "pose",
         "session": session,
-        "tick": moment.tick,
-        "time": moment.time,
-        "pose": _by_axis(moment.pose),
-        "force": _by_axis(moment.force),
-        "hand": _by_axis(moment.hand),
-        "stuck": None if moment.anchors is None else _by_axis(moment.anchors.tolist()),
-        "state": moment.state,
-        "reason": _short(moment.reason),
-        "missed": moment.missed,
-        "settings_since": moment.since,
+        "tick": snapshot.tick,
+        "time": snapshot.time,
+        "pose": _by_axis(snapshot.pose),
+        "force": _by_axis(snapshot.force),
+        "hand": _by_axis(snapshot.hand),
+        "stuck": None if snapshot.anchors is None else _by_axis(snapshot.anchors),
+        "state": snapshot.state,
+        "reason": _short(snapshot.reason),
+        "missed": snapshot.missed,
+        "settings_since": snapshot.since,
     }
 
 
-def moment_told(pose: Message, scene: Scene, settings: Settings) -> Moment:
-    """Return the moment that a pose tells of; it says nothing of settings."""
+def posed_snapshot(pose: Message, blank: Snapshot) -> Snapshot:
+    """Return a snapshot with the values of a pose message; it says nothing of settings."""
     stuck = pose["stuck"]
 
-    def six(values: Mapping[str, float | None]) -> list[float]:
+    def six(values: Mapping[str, float | None]) -> Array:
         found = (values[axis] for axis in AXES)
-        return [math.nan if value is None else value for value in found]
+        return np.array([math.nan if value is None else value for value in found])
 
-    return Moment(
-        scene=scene,
-        settings=settings,
+    return replace(
+        blank,
         since=pose["settings_since"],
-        delay=settings.delay,
-        tick=pose["tick"],
-        time=pose["time"],
         pose=six(pose["pose"]),
         force=six(pose["force"]),
         hand=six(pose["hand"]),
-        anchors=None if stuck is None else np.array(six(stuck)),
-        state=pose["state"],
-        reason=pose["reason"],
-        missed=pose["missed"],
+        anchors=None if stuck is None else six(stuck),
+        **{name: pose[name] for name in ("tick", "time", "state", "reason", "missed")},
     )
 
 
-def description(moment: Moment, session: int, asked: int | None) -> Message:
+def description(snapshot: Snapshot, session: int, asked: int | None) -> Message:
     """Return all that a host needs to draw a scene and to set it."""
-    settings, scene = moment.settings, moment.scene
+    settings, scene = snapshot.settings, snapshot.scene
     return {
         "type": "description",
         "id": asked,
@@ -92,13 +86,13 @@ def description(moment: Moment, session: int, asked: int | None) -> Message:
         "version": maglev_mj.__version__,
         "scene": scene.name,
         "says": scene.says,
-        "tick": moment.tick,
-        "state": moment.state,
+        "tick": snapshot.tick,
+        "state": snapshot.state,
         "settings": settings.as_json(),
-        "settings_since": moment.since,
-        "delay": moment.delay,
+        "settings_since": snapshot.since,
+        "delay": snapshot.delay,
         "settable": SETTABLE,
-        "faces": [(AXES[index], int(normal), edge) for index, normal, edge in wall_faces(scene.laws(settings))],
+        "faces": [(AXES[index], int(normal), edge) for index, normal, edge in snapshot.faces],
         "axes": AXES,
         "units": _UNITS,
     }

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from maglev_mj.bridge.link import Address
 from maglev_mj.scenes import Settings
-from maglev_mj.session import Moment
+from maglev_mj.session import Snapshot
 from maglev_mj.stream.datagrams import Message
 from maglev_mj.stream.messages import refused, same_rules
 
@@ -89,8 +89,8 @@ class Pending:
             self._taken.append(taken)
         return taken.settings
 
-    def settle(self, moment: Moment) -> list[tuple[Message, Address]]:
-        """Return what is to be said of what the loop has taken, now that a moment under it is there, and to whom."""
+    def settle(self, snapshot: Snapshot) -> list[tuple[Message, Address]]:
+        """Return what is to be said of what the loop has taken, now that a snapshot under it is there, and to whom."""
         if not self._taken or self._untold is self._taken[-1]:
             return []
         with self._lock:
@@ -98,7 +98,7 @@ class Pending:
             said = [(refused(one.asked, _BY_HOST, one.session), one.address) for one in taken[:-1]]
             last = taken[-1]
             message = refused(last.asked, _BY_PERSON, last.session)
-            if same_rules(last.settings, moment.settings):
-                message = {"type": "in force", "id": last.asked, "session": last.session, "tick": moment.since}
+            if same_rules(last.settings, snapshot.settings):
+                message = {"type": "in force", "id": last.asked, "session": last.session, "tick": snapshot.since}
             self._done = (last, message)
         return [*said, (message, last.address)]

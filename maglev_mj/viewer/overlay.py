@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import glfw
 
-from maglev_mj.session import View
+from maglev_mj.session import Snapshot
 from maglev_mj.viewer.scenery import ARROW
 
 __all__ = ["KEYS", "SCREENSHOT", "help_text", "status_text"]
@@ -58,29 +58,28 @@ def help_text() -> tuple[str, str]:
     return "\n".join(keys), "\n".join(does)
 
 
-def status_text(view: View, notes: tuple[str, ...] = ()) -> tuple[str, str]:
+def status_text(snapshot: Snapshot, notes: tuple[str, ...] = ()) -> tuple[str, str]:
     """Return what a person wants to know of a session, names and values a column each.
 
     Args:
-        view: What there is to see.
+        snapshot: The picture of now.
         notes: Further notes, such as the last screenshot.
     """
-    settings = view.settings
+    settings = snapshot.settings
     on = [name for name in ("wall", "pulse", "friction") if getattr(settings, name)]
-    taken = (
-        f"world MADE {-view.taken * 1e3:.1f} mJ" if view.taken < -_NOTHING else f"world took {view.taken * 1e3:.1f} mJ"
-    )
-    if math.isnan(view.taken):  # a recording does not say
+    made = snapshot.taken < -_NOTHING
+    taken = f"world {'MADE' if made else 'took'} {(-snapshot.taken if made else snapshot.taken) * 1e3:.1f} mJ"
+    if math.isnan(snapshot.taken):  # a recording does not say
         taken = "world not known"
     rows = [
-        ("scene", f"{view.scene.name}: {view.scene.says}"),
+        ("scene", f"{snapshot.scene.name}: {snapshot.scene.says}"),
         ("on", ", ".join(on) or "nothing"),
         ("gains", f"{settings.stiffness:.0f} N/m  {settings.damping:.3g} N s/m"),
         ("rate", f"{1.0 / settings.period:.0f} Hz, delay {settings.delay * 1e3:.1f} ms"),
-        ("tick", f"{view.cost * 1e6:.0f} us, {view.missed} missed, {view.time:.1f} s"),
-        ("energy", f"hand gave {view.work * 1e3:.1f} mJ, {taken}"),
+        ("tick", f"{snapshot.cost * 1e6:.0f} us, {snapshot.missed} missed, {snapshot.time:.1f} s"),
+        ("energy", f"hand gave {snapshot.work * 1e3:.1f} mJ, {taken}"),
         ("arrows", f"green hand, red device, 5 N = {5e3 * ARROW:.0f} mm"),
-        *(("", note) for note in (*view.notes, *notes)),
+        *(("", note) for note in (*snapshot.notes, *notes)),
     ]
     names, values = zip(*rows, strict=True)
     return "\n".join(names), "\n".join(values)

@@ -13,7 +13,7 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.scenes import Settings
 from maglev_mj.scenes.parts import MASS
-from maglev_mj.session import View
+from maglev_mj.session import Snapshot
 from maglev_mj.theory import largest_stable_stiffness
 
 __all__ = ["Plots"]
@@ -30,7 +30,7 @@ _Range: TypeAlias = tuple[float, float]
 
 
 class Plots:
-    """Four figures of the engine's own kind, renewed from a view."""
+    """Four figures of the engine's own kind, renewed from a snapshot."""
 
     def __init__(self) -> None:
         self._boundary = _Boundary()
@@ -38,15 +38,15 @@ class Plots:
         for figure in self.figures:
             _prepare(figure)
 
-    def update(self, view: View) -> list[Any]:
+    def update(self, snapshot: Snapshot) -> list[Any]:
         """Return the figures: position, force, phase plane, stability map."""
         position, force, plane, gains = self.figures
-        turning = view.scene.axis_index > 2
+        turning = snapshot.scene.axis_index > 2
         unit, torque = ("mrad", "N m") if turning else ("mm", "N")
-        time, place, speed, device, hand = _thinned(view.history).T
-        when, axis = time - (time[-1] if time.size else 0.0), view.scene.axis
+        time, place, speed, device, hand = _thinned(snapshot.history).T
+        when, axis = time - (time[-1] if time.size else 0.0), snapshot.scene.axis
         across = (-_SECONDS, 0.0)
-        edges = [edge * 1e3 for index, _, edge in view.faces if index == view.scene.axis_index]
+        edges = [edge * 1e3 for index, _, edge in snapshot.faces if index == snapshot.scene.axis_index]
         lines: list[_Line] = [(_GREY, [-_SECONDS, 0.0], [edge, edge]) for edge in edges]
         lines.append((_BLUE, when, place * 1e3))
         _draw(position, f"{axis} [{unit}], grey: wall", lines, across, _span(place * 1e3, edges, 1.0))
@@ -55,12 +55,12 @@ class Plots:
         lines = [(_GREY, [edge, edge], [-1e6, 1e6]) for edge in edges] + [(_BLUE, place * 1e3, speed * 1e3)]
         x_range, y_range = _span(place * 1e3, edges, 1.0), _span(speed * 1e3, [], 30.0)
         _draw(plane, f"speed [{unit}/s] over {axis} [{unit}]", lines, x_range, y_range)
-        self._draw_gains(gains, view.settings)
+        self._draw_gains(gains, snapshot.settings)
         return self.figures
 
-    def wait(self, view: View) -> None:
-        """Wait until the stability map of a view is known."""
-        self._boundary.wait(view.settings)
+    def wait(self, snapshot: Snapshot) -> None:
+        """Wait until the stability map of a snapshot is known."""
+        self._boundary.wait(snapshot.settings)
 
     def _draw_gains(self, figure: Any, settings: Settings) -> None:
         """Draw the boundary of what is stable, and a cross where the gains are."""

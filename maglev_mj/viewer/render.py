@@ -63,10 +63,10 @@ def render(
     )
     drawn = max(round(end * rate), 1) if moving else 1
     with OffscreenPainter(scene.name, width, height, plots=plots) as painter, engine_warnings_silenced():
-        painter.wait(session.view())
+        painter.wait(session.snapshot())
         if not moving:
             session.tick(end)
-            write_picture(painter.picture(session.view()), path)
+            write_picture(painter.picture(session.snapshot()), path)
         else:
             write_clip(_pictures(session, painter, drawn, 1.0 / rate), path, rate)
     session.close()
@@ -75,5 +75,5 @@ def render(
 
 def _pictures(session: Session, painter: OffscreenPainter, count: int, step: float) -> Iterator[Any]:
     for _ in range(count):
-        yield painter.picture(session.view())
+        yield painter.picture(session.snapshot())
         session.tick(step)
