@@ -1,9 +1,16 @@
-"""Checks that parameters share: each failure is one line that names the value and what is allowed."""
+"""Parameters: checks whose failure is one line, and declarations of one line each.
+
+A class of declared parameters gets its checks, its JSON and its command-line options from the declarations.
+"""
 
 from __future__ import annotations
 
+import inspect
 import math
-from collections.abc import Iterable, Sequence
+import types
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from typing import Any, Literal, Self, Union, dataclass_transform, get_args, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,7 +18,20 @@ from numpy.typing import ArrayLike
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Array, Component
 
-__all__ = ["axis_indices", "batch_shape", "common_shape", "flag", "number", "numbers", "parsed_number", "per_axis"]
+__all__ = [
+    "Parameter",
+    "Parameters",
+    "Turn",
+    "axis_indices",
+    "batch_shape",
+    "common_shape",
+    "flag",
+    "number",
+    "numbers",
+    "param",
+    "parsed_number",
+    "per_axis",
+]
 
 _NO_NUMBERS = bool, np.bool_, str, bytes
 """Types that float() takes, and that are a slip in place of a number."""
@@ -163,3 +183,257 @@ def per_axis(name: str, values: Array, count: int) -> tuple[Component, ...]:
 def _has_flag(value: object) -> bool:
     """Return whether there is a bool among numbers; as an array it would be 0 or 1."""
     return isinstance(value, bool | np.bool_) or (isinstance(value, list | tuple) and any(map(_has_flag, value)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Turn:
+    """How far one press of a key changes a value.
+
+    Attributes:
+        factor: Times or over so much, to three figures; 0 for none.
+        add: More or less by so much, on a grid of it.
+        among: From one to the next of these.
+        least: A key goes no lower; the parameter's own bounds may be wider.
+        most: A key goes no higher.
+        inverse: Whether a person thinks of one over it, as of a rate: "up" is less then.
+        word: What an action calls it; the parameter's name by default.
+    """
+
+    factor: float = 0.0
+    add: float = 0.0
+    among: Sequence[float] = ()
+    least: float = -math.inf
+    most: float = math.inf
+    inverse: bool = False
+    word: str = ""
+
+    def __post_init__(self) -> None:
+        flag("inverse", self.inverse)
+
+    def __call__(self, value: float, way: int) -> float:
+        """Return the value after a press up (1) or down (-1)."""
+        if self.among:
+            now = 1.0 / value if self.inverse else value
+            nearest = min(range(len(self.among)), key=lambda place: abs(self.among[place] - now))
+            chosen = self.among[min(max(nearest + way, 0), len(self.among) - 1)]
+            return 1.0 / chosen if self.inverse else chosen
+        if self.add:
+            turned = (round(value / self.add) + way) * self.add
+        else:
+            # three figures are what a person reads and sets again
+            turned = float(f"{value * (self.factor if way > 0 else 1.0 / self.factor):.3g}")
+        return min(max(turned, self.least), self.most)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Parameter:
+    """One declared parameter; see `param` for the attributes that are not said here.
+
+    Attributes:
+        name: Its name.
+        kind: float, int, bool or str; object for a value that `parse` checks.
+        bounds: Keywords of `number`.
+    """
+
+    name: str
+    kind: type
+    default: Any
+    unit: str
+    help: str
+    bounds: Mapping[str, float]
+    choices: Sequence[str]
+    optional: bool
+    derive: Callable[[Any], Any] | None
+    parse: Callable[[Any], Any] | None
+    live: Literal[False] | Turn
+
+    def __post_init__(self) -> None:
+        flag("optional", self.optional)
+
+    def checked(self, value: Any) -> Any:
+        """Return a value, checked.
+
+        Raises:
+            ParameterError: If it is of another kind or outside its bounds.
+        """
+        if value is None and self.optional:
+            return None
+        if self.parse is not None:
+            return self.parse(value)
+        if self.kind is bool:
+            return flag(self.name, value)
+        if self.kind is str:
+            if not isinstance(value, str) or (self.choices and value not in self.choices):
+                allowed = f"one of {', '.join(self.choices)}" if self.choices else "a text"
+                raise ParameterError(f"{self.name} must be {allowed}, not {value!r}")
+            return value
+        result = number(self.name, value, **self.bounds)
+        if self.kind is int:
+            if result != int(result):
+                raise ParameterError(f"{self.name} must be a whole number, not {result:g}")
+            return int(result)
+        return result
+
+    def from_text(self, text: str) -> Any:
+        """Return the value that a word stands for; its bounds are not checked.
+
+        Raises:
+            ParameterError: If it is of another kind.
+        """
+        if self.kind is object:
+            raise ParameterError(f"{self.name} cannot be given as a word, not {text!r}")
+        if self.optional and text.lower() == "none":
+            return None
+        if self.kind is str:
+            return text
+        if self.kind is bool:
+            if text.lower() not in ("true", "false"):
+                raise ParameterError(f"{self.name} must be true or false, not {text!r}")
+            return text.lower() == "true"
+        return parsed_number(self.name, text)
+
+
+def param(
+    help: str,
+    unit: str = "",
+    *,
+    default: Any,
+    above: float | None = None,
+    at_least: float | None = None,
+    below: float | None = None,
+    at_most: float | None = None,
+    choices: Sequence[str] = (),
+    optional: bool = False,
+    derive: Callable[[Any], Any] | None = None,
+    parse: Callable[[Any], Any] | None = None,
+    live: bool | Turn = False,
+) -> Any:
+    """Declare a parameter of a class, in place of a field's default.
+
+    Args:
+        help: What it is, in a few words.
+        unit: Its unit; empty for none.
+        default: Its default; None where `derive` makes it.
+        above: Bound that the value is above; the next three likewise.
+        at_least: See above.
+        below: See above.
+        at_most: See above.
+        choices: Values allowed of a text; empty for any.
+        optional: Whether None is allowed.
+        derive: Makes the default from the object, whose earlier parameters are there already.
+        parse: Checks a value that is no number, truth value or text.
+        live: Whether it may change while the scene runs; a `Turn` says how far a key goes, a quarter by default.
+    """
+    flag("optional", optional)
+    bounds = {"above": above, "at_least": at_least, "below": below, "at_most": at_most}
+    declared = {
+        "help": help,
+        "unit": unit,
+        "bounds": {name: bound for name, bound in bounds.items() if bound is not None},
+        "choices": tuple(choices),
+        "optional": optional,
+        "derive": derive,
+        "parse": parse,
+        "live": Turn(factor=1.25) if live is True else live,
+    }
+    return field(default=default, metadata={"param": declared})
+
+
+@dataclass_transform(kw_only_default=True, frozen_default=True, eq_default=True, field_specifiers=(param,))
+class Parameters:
+    """Base of a frozen dataclass of declared parameters, checked when it is made.
+
+    Raises:
+        ParameterError: If a value is of another kind or outside its bounds.
+        TypeError: If a declaration itself is wrong, when the class is made.
+    """
+
+    def __init_subclass__(cls, **keywords: Any) -> None:
+        super().__init_subclass__(**keywords)
+        for name, value in vars(cls).items():
+            if "param" not in getattr(value, "metadata", ()):
+                continue
+            if name not in inspect.get_annotations(cls):
+                raise TypeError(f"{cls.__name__}.{name} needs a type: `{name}: float = param(...)`")
+            if any(callable(base.__dict__.get(name)) for base in cls.__mro__[1:]):
+                raise TypeError(
+                    f"{cls.__name__}.{name} cannot be a parameter: it is a method of {cls.__mro__[1].__name__}"
+                )
+        dataclass(frozen=True, kw_only=True)(cls)
+
+    def __init__(self, **values: Any) -> None:  # each subclass gets its own
+        raise TypeError("Parameters has none: make a subclass")
+
+    def __post_init__(self) -> None:
+        derived = []
+        for one in self.parameters():
+            value = getattr(self, one.name)
+            if value is None and one.derive is not None:
+                derived.append(one.name)
+                value = one.derive(self)
+            object.__setattr__(self, one.name, one.checked(value))
+        object.__setattr__(self, "_derived", frozenset(derived))
+        self.check()
+
+    def check(self) -> None:
+        """Check what depends on several parameters; raise ParameterError."""
+
+    @classmethod
+    def parameters(cls) -> tuple[Parameter, ...]:
+        """Return the declared parameters, in order."""
+        known: tuple[Parameter, ...] | None = cls.__dict__.get("_declared")
+        if known is None:
+            hints = get_type_hints(cls)
+            known = tuple(_declared(cls, item, hints[item.name]) for item in fields(cls) if "param" in item.metadata)  # type: ignore[arg-type]
+            cls._declared = known  # type: ignore[attr-defined]
+        return known
+
+    @classmethod
+    def parameter(cls, name: str) -> Parameter:
+        """Return one parameter by name.
+
+        Raises:
+            ParameterError: If there is none of that name.
+        """
+        for one in cls.parameters():
+            if one.name == name:
+                return one
+        raise ParameterError(
+            f"parameter must be one of {', '.join(one.name for one in cls.parameters())}, not {name!r}"
+        )
+
+    def replace(self, **changes: Any) -> Self:
+        """Return a copy with some values changed; what was derived is derived anew.
+
+        Raises:
+            ParameterError: If there is no parameter of a name, or a value is outside its bounds.
+        """
+        derived: frozenset[str] = self._derived  # type: ignore[attr-defined]
+        given = {name: value for name, value in self.as_json().items() if name not in derived}
+        return self.from_json({**given, **changes})
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the values by name."""
+        return {one.name: getattr(self, one.name) for one in self.parameters()}
+
+    @classmethod
+    def from_json(cls, values: Mapping[str, Any]) -> Self:
+        """Return the object of values by name.
+
+        Raises:
+            ParameterError: If there is no parameter of a name, or a value is outside its bounds.
+        """
+        for name in values:
+            cls.parameter(name)
+        return cls(**values)
+
+
+def _declared(cls: type, item: Any, hint: Any) -> Parameter:
+    """Return what a field declares; its type decides the kind, not its default."""
+    declared = item.metadata["param"]
+    kinds = [hint]
+    if get_origin(hint) in (Union, types.UnionType):
+        kinds = [part for part in get_args(hint) if part is not type(None)]
+    if declared["parse"] is None and (len(kinds) != 1 or kinds[0] not in (float, int, bool, str)):
+        raise TypeError(f"{cls.__name__}.{item.name} must be float, int, bool or str, or have a `parse`, not {hint}")
+    return Parameter(name=item.name, kind=object if declared["parse"] else kinds[0], default=item.default, **declared)

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from maglev_mj import Controller, Sample, plots
-from maglev_mj.experiments.choices import LAWS, VELOCITIES
 from maglev_mj.experiments.friction_study import against_exact, chatter, creep, cycle_work, friction_law, mean_friction
+from maglev_mj.scenes.choices import LAWS, VELOCITIES
 from maglev_mj.spec import Spec
 from maglev_mj.versions import versions
 

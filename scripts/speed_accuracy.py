@@ -28,12 +28,12 @@ from peers import Task
 from ways import SEMI_IMPLICIT, Way, as_json, boundary_shift, measure, our_ways, peer_ways, points_of
 
 from maglev_mj import Controller, run
-from maglev_mj.experiments.choices import PlantMaker
 from maglev_mj.experiments.drop import DropParameters, drop_parts
 from maglev_mj.experiments.wall_controller import wall_controller
 from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.plants import CorrectedBatchPlant, ExactPlant, MuJoCoBatchPlant, SampledPlant, Timing
 from maglev_mj.plots import Panel, WorkPrecision, small_multiples, work_precision
+from maglev_mj.scenes.choices import PlantMaker
 from maglev_mj.spec import Spec
 from maglev_mj.studies.fidelity_scenes import FIDELITY_SCENES, FidelityScene
 from maglev_mj.studies.integrators import INTEGRATORS

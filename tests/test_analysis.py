@@ -20,7 +20,6 @@ from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.bridge.twin import Twin, TwinParameters
 from maglev_mj.bridge.virtual import VirtualLink
 from maglev_mj.cli import main
-from maglev_mj.experiments.choices import PLANTS
 from maglev_mj.experiments.drop import DropParameters, run_drop
 from maglev_mj.experiments.press import PressParameters, run_press
 from maglev_mj.experiments.stick_slip import StickSlipParameters, run_stick_slip
@@ -32,6 +31,7 @@ from maglev_mj.plants import Timing
 from maglev_mj.recording import ArrayFile, Recording, RecordingError, Stretch
 from maglev_mj.replay import rebuild, record_experiment, stick_positions_of
 from maglev_mj.scenes import scene_called
+from maglev_mj.scenes.choices import PLANTS
 from maglev_mj.scenes.parts import INERTIA, MASS
 from maglev_mj.session import Pacer, Session
 from maglev_mj.spec import GRAVITY

@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 
 from maglev_mj import cli
-from maglev_mj.experiments.choices import LAWS, VELOCITIES
 from maglev_mj.experiments.drop import DropParameters, run_drop
 from maglev_mj.experiments.press import PressParameters, run_press
+from maglev_mj.scenes.choices import LAWS, VELOCITIES
 from maglev_mj.versions import versions
 
 

@@ -13,7 +13,6 @@ import pytest
 
 from maglev_mj import AXES, Controller, Sample
 from maglev_mj.errors import DivergenceError, ParameterError
-from maglev_mj.experiments.choices import LAWS
 from maglev_mj.experiments.six_axes import SixAxesResult, run_six_axes
 from maglev_mj.experiments.stick_slip import StickSlipParameters, exact_stick_slip, run_stick_slip
 from maglev_mj.frames import Array, components
@@ -30,6 +29,7 @@ from maglev_mj.laws import (
     StickSlip,
     Wall,
 )
+from maglev_mj.scenes.choices import LAWS
 from maglev_mj.spec import INERTIA, RANGE
 from maglev_mj.theory.karnopp import karnopp
 from tests.closed_loop import largest_modulus

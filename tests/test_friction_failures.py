@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj.experiments.choices import LAWS
 from maglev_mj.experiments.friction_study import (
     BREAKAWAY,
     STIFFNESS,
@@ -20,6 +19,7 @@ from maglev_mj.experiments.friction_study import (
     under_load,
 )
 from maglev_mj.experiments.stick_slip import StickSlipParameters, exact_stick_slip, run_stick_slip
+from maglev_mj.scenes.choices import LAWS
 from tests.closed_loop import largest_modulus
 
 DELAY = 0.0015

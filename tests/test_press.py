@@ -12,8 +12,8 @@ import pytest
 
 from maglev_mj.errors import DivergenceError, ParameterError
 from maglev_mj.experiments.press import PressParameters, PressResult, run_press, sweep_press
-from maglev_mj.experiments.press_figures import HIT_FIGURES, PressSummary, press_percentiles, summarise_press
 from maglev_mj.frames import Array
+from maglev_mj.scenes.press_figures import HIT_FIGURES, PressSummary, press_percentiles, summarise_press
 from maglev_mj.trace import Trace
 
 SHORT = PressParameters(plant="exact", hits=2, duration=1.6)

@@ -13,9 +13,9 @@ from maglev_mj import plots
 from maglev_mj.cli.options import add_options, add_outputs, add_recording, count
 from maglev_mj.cli.output import check_recording, keep_partial, write_json
 from maglev_mj.errors import DivergenceError
-from maglev_mj.experiments.choices import PLANTS
 from maglev_mj.experiments.drop import DropParameters, drop_variants, run_drop, sweep_drop
 from maglev_mj.replay import write_experiment
+from maglev_mj.scenes.choices import PLANTS
 from maglev_mj.tables import drop_table
 
 __all__ = ["DROP_HELPS", "add_command"]

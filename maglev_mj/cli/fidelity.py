@@ -12,8 +12,8 @@ from maglev_mj.cli.output import check_outputs, write_json
 from maglev_mj.cli.press import PRESS_HANDS, PRESS_HELPS
 from maglev_mj.cli.progress import Progress
 from maglev_mj.cli.stick_slip import STICK_SLIP_HELPS
-from maglev_mj.experiments.choices import LAWS
 from maglev_mj.frames import AXES
+from maglev_mj.scenes.choices import LAWS
 from maglev_mj.studies.fidelity import MARGIN, Range, measure_fidelity
 from maglev_mj.studies.fidelity_levels import measure_levels
 from maglev_mj.studies.fidelity_scenes import FIDELITY_SCENES

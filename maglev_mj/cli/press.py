@@ -13,10 +13,10 @@ from maglev_mj.cli.options import add_options, add_outputs, add_recording, count
 from maglev_mj.cli.output import check_outputs, check_recording, keep_partial, write_json
 from maglev_mj.cli.progress import Progress
 from maglev_mj.errors import DivergenceError
-from maglev_mj.experiments.choices import PLANTS
 from maglev_mj.experiments.press import PressParameters, run_press, sweep_press
 from maglev_mj.hand import HANDS
 from maglev_mj.replay import write_experiment
+from maglev_mj.scenes.choices import PLANTS
 from maglev_mj.tables import press_table
 
 __all__ = ["PRESS_HANDS", "PRESS_HELPS", "add_command"]

@@ -12,8 +12,8 @@ from maglev_mj.cli.options import add_options, add_workers, chosen_workers, coun
 from maglev_mj.cli.output import cells_kept, check_outputs, tell_of_others, write_json
 from maglev_mj.cli.progress import Progress
 from maglev_mj.errors import ParameterError
-from maglev_mj.experiments.choices import PLANTS
 from maglev_mj.hand import HANDS
+from maglev_mj.scenes.choices import PLANTS
 from maglev_mj.studies.cells import Record
 from maglev_mj.studies.stability_map import StabilityParameters, run_stability
 from maglev_mj.tables import stability_table

@@ -10,10 +10,10 @@ from maglev_mj import plots
 from maglev_mj.cli.options import add_options, add_outputs, add_recording
 from maglev_mj.cli.output import check_recording, keep_partial, write_json
 from maglev_mj.errors import DivergenceError
-from maglev_mj.experiments.choices import LAWS, PLANTS, VELOCITIES
 from maglev_mj.experiments.stick_slip import StickSlipParameters, run_stick_slip
 from maglev_mj.frames import AXES
 from maglev_mj.replay import write_experiment
+from maglev_mj.scenes.choices import LAWS, PLANTS, VELOCITIES
 from maglev_mj.tables import stick_slip_table
 
 __all__ = ["STICK_SLIP_HELPS", "add_command"]

@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike
 
 from maglev_mj.controller import Controller
 from maglev_mj.errors import DivergenceError, ParameterError
-from maglev_mj.experiments.choices import PLANTS, PlantMaker
 from maglev_mj.experiments.drop_parameters import DropParameters
 from maglev_mj.experiments.wall_controller import wall_controller
 from maglev_mj.frames import Array
@@ -21,6 +20,7 @@ from maglev_mj.loop import run
 from maglev_mj.metrics import BounceSummary, percentiles, summarise_bounce
 from maglev_mj.parameters import number, numbers
 from maglev_mj.plants import SampledPlant, Sensor, Timing, engine_warnings_silenced
+from maglev_mj.scenes.choices import PLANTS, PlantMaker
 from maglev_mj.spec import ESCAPE
 from maglev_mj.theory.analog_wall import analog_wall
 from maglev_mj.trace import Trace

@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass
 
 from maglev_mj.errors import ParameterError
-from maglev_mj.experiments.choices import PLANTS
 from maglev_mj.parameters import flag, number
+from maglev_mj.scenes.choices import PLANTS
 from maglev_mj.spec import ESCAPE, GRAVITY, Spec
 
 __all__ = ["DropParameters"]

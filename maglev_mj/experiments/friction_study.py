@@ -7,13 +7,13 @@ from typing import NamedTuple
 import numpy as np
 
 from maglev_mj.controller import Controller
-from maglev_mj.experiments.choices import LAWS, VELOCITIES
 from maglev_mj.experiments.stick_slip import StickSlipParameters, exact_stick_slip, run_stick_slip
 from maglev_mj.frames import AXES, Array, Command, Mask, Sample
 from maglev_mj.hand import RecordedHand
 from maglev_mj.laws import Friction
 from maglev_mj.loop import run
 from maglev_mj.plants import ExactPlant, Sensor, Timing
+from maglev_mj.scenes.choices import LAWS, VELOCITIES
 
 __all__ = [
     "LoadOutcome",

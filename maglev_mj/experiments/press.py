@@ -11,9 +11,7 @@ import numpy as np
 
 from maglev_mj.controller import Controller
 from maglev_mj.errors import DivergenceError, ParameterError
-from maglev_mj.experiments.choices import PLANTS, PlantMaker
 from maglev_mj.experiments.drop import escaped_later
-from maglev_mj.experiments.press_figures import PressSummary, press_percentiles, summarise_press
 from maglev_mj.experiments.press_parameters import PressParameters
 from maglev_mj.experiments.wall_controller import wall_controller
 from maglev_mj.frames import AXES, Array, Component
@@ -21,6 +19,8 @@ from maglev_mj.hand import GuidedHand, HandForce
 from maglev_mj.loop import run
 from maglev_mj.parameters import number
 from maglev_mj.plants import SampledPlant, Sensor, Timing, engine_warnings_silenced
+from maglev_mj.scenes.choices import PLANTS, PlantMaker
+from maglev_mj.scenes.press_figures import PressSummary, press_percentiles, summarise_press
 from maglev_mj.spec import ESCAPE
 from maglev_mj.trace import Trace
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from maglev_mj.errors import ParameterError
-from maglev_mj.experiments.choices import PLANTS
 from maglev_mj.hand import Hand, Path, hand_called, motion
 from maglev_mj.parameters import number
+from maglev_mj.scenes.choices import PLANTS
 from maglev_mj.spec import ESCAPE, Spec
 
 __all__ = ["PressParameters"]

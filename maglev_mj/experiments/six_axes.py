@@ -10,12 +10,12 @@ import numpy as np
 
 from maglev_mj.controller import Controller
 from maglev_mj.errors import ParameterError
-from maglev_mj.experiments.choices import PLANTS
 from maglev_mj.frames import Array, Command, Component, Mask, Sample
 from maglev_mj.laws import StickSlip
 from maglev_mj.loop import run
 from maglev_mj.parameters import number
 from maglev_mj.plants import ExactPlant, MuJoCoPlant, Timing
+from maglev_mj.scenes.choices import PLANTS
 from maglev_mj.spec import INERTIA, Spec
 
 __all__ = ["SixAxesResult", "run_six_axes"]

@@ -10,7 +10,6 @@ import numpy as np
 
 from maglev_mj.controller import Controller
 from maglev_mj.errors import DivergenceError, ParameterError
-from maglev_mj.experiments.choices import LAWS, PLANTS, SLIDES_AT, VELOCITIES, PlantMaker
 from maglev_mj.experiments.drop import escaped_later
 from maglev_mj.frames import AXES, Array, Command, Mask, Sample
 from maglev_mj.hand import HandForce
@@ -18,6 +17,7 @@ from maglev_mj.laws import Hold
 from maglev_mj.loop import run
 from maglev_mj.parameters import axis_indices, number
 from maglev_mj.plants import SampledPlant, Sensor, Timing, engine_warnings_silenced
+from maglev_mj.scenes.choices import LAWS, PLANTS, SLIDES_AT, VELOCITIES, PlantMaker
 from maglev_mj.spec import INERTIA, Spec
 from maglev_mj.theory.karnopp import FrictionEvent, KarnoppMotion, karnopp
 from maglev_mj.trace import Trace

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from maglev_mj.experiments.choices import SLIDES_AT
 from maglev_mj.experiments.six_axes import SixAxesResult
 from maglev_mj.experiments.stick_slip import StickSlipResult, exact_stick_slip
 from maglev_mj.frames import AXES
 from maglev_mj.plots.drawing import FIRST, IDEAL, MANY, SECOND, new_figure, save
+from maglev_mj.scenes.choices import SLIDES_AT
 
 __all__ = ["friction_laws", "staircase", "stick_slip"]
 

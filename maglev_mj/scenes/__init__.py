@@ -5,9 +5,9 @@ from collections.abc import Mapping
 from maglev_mj.errors import ParameterError
 from maglev_mj.scenes.box import BOX
 from maglev_mj.scenes.corner import CORNER
-from maglev_mj.scenes.drop import DROP, PRESS
+from maglev_mj.scenes.floor import DROP, PRESS
+from maglev_mj.scenes.interactive import Scene
 from maglev_mj.scenes.joystick import JOYSTICK
-from maglev_mj.scenes.scene import Scene
 from maglev_mj.scenes.settings import Settings
 from maglev_mj.scenes.table import TABLE
 

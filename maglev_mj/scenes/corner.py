@@ -5,8 +5,8 @@ import numpy as np
 from maglev_mj.frames import AXES
 from maglev_mj.hand import Path
 from maglev_mj.laws import Law
+from maglev_mj.scenes.interactive import Scene
 from maglev_mj.scenes.parts import friction, shared, spring, wall, weight
-from maglev_mj.scenes.scene import Scene
 from maglev_mj.scenes.settings import Settings
 
 __all__ = ["CORNER"]

@@ -1,109 +1,231 @@
-"""A scene: laws, where it starts, what a scripted hand does in it, and the MJCF file that shows it."""
+"""A scene: declared parameters, laws, a start, a hand, and the figures to compute of a run."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
-from numpy.typing import ArrayLike
+import numpy as np
 
 from maglev_mj.controller import Controller
-from maglev_mj.detail import Detail
-from maglev_mj.frames import AXES
-from maglev_mj.hand import HandForce, Path
-from maglev_mj.laws import Friction, Law, Wall
-from maglev_mj.parameters import axis_indices
-from maglev_mj.plants import MeteredPlant
-from maglev_mj.scenes.parts import WEIGHT, shared, walls
-from maglev_mj.scenes.settings import Settings
-from maglev_mj.spec import Spec
+from maglev_mj.errors import ParameterError
+from maglev_mj.frames import AXES, ZERO, Array, Component
+from maglev_mj.hand import HandForce
+from maglev_mj.laws import Law, VelocityEstimator
+from maglev_mj.parameters import Parameters, axis_indices, param
+from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant, Timing
+from maglev_mj.scenes.figures import figures_named
+from maglev_mj.spec import ESCAPE, GRAVITY, Spec
 
-__all__ = ["Scene"]
+if TYPE_CHECKING:
+    from maglev_mj.scenes.run import Result
 
-_LIFTED = 0.004
+__all__ = ["PLANTS", "PlantMaker", "Scene", "Start"]
+
+_MOST_PERIODS = 1_000_000
+
+PlantMaker = Callable[..., SampledPlant]
+"""Makes a plant of a timing and the keywords of a plant."""
+
+PLANTS: Mapping[str, PlantMaker] = {"exact": ExactPlant, "mujoco": MuJoCoPlant}
+"""Plants by name."""
+
+RESERVED = frozenset(
+    "plant phase phases json out record seconds size fps workers scheduler vary set scene plots".split()
+)
+"""Names of the options that every command has, which no parameter may take."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Scene:
-    """What a person meets on the joystick. The mechanics are the device's: six coils of 10 A each, and metal stops.
+@dataclass(frozen=True, kw_only=True)
+class Start:
+    """State at release.
 
-    Args:
-        name: Its name, which is also that of `model/scenes/NAME.xml`.
-        says: What it is, in a few words.
-        make: Makes the laws that the settings ask for, with the scene's own walls.
-        settings: Those it starts with.
-        pose: Where the flotor starts [m, rad].
-        axis: Name of the axis that plots show.
-        script: Where the scripted hand of a clip pulls to, on all six axes.
-
-    Raises:
-        ParameterError: If there is no such axis.
+    Attributes:
+        pose: Pose [m, rad], (6,).
+        twist: Velocity [m/s, rad/s], (6,).
+        wrench: Wrench of the coils until the first command acts [N, N m], (6,).
+        gravity: Acceleration of free fall [m/s²].
     """
 
-    name: str
-    says: str
-    make: Callable[[Settings], Sequence[Law]]
-    settings: Settings = field(default_factory=Settings)
-    pose: tuple[float, ...] = (0.0,) * 6
-    axis: str = "z"
-    script: Path | None = None
+    pose: Sequence[float] = ZERO
+    twist: Sequence[float] = ZERO
+    wrench: Sequence[float] = ZERO
+    gravity: float = GRAVITY
+
+
+class Scene(Parameters):
+    """What happens to the flotor. Subclass it, declare parameters with `param`, and give `laws`.
+
+    Class attributes:
+        name: Name on the command line; the class's own in kebab-case by default.
+        shown_axis: Axis that plots and figures look at.
+        figures: Figures of a run: names of stock figures, or `Figure`s; a mapping gives them other names in JSON.
+        plants: Plants that it runs on, the usual one first.
+        takes_phase: Whether the phase of the samples makes a difference that is worth a sweep.
+        tolerance: Displacement of a coil that does not matter [m], as `fidelity` takes it.
+        tolerance_reason: Where that is from.
+        plots: Pictures of its own: name of the file -> "module:function", called with labelled results and a path.
+
+    Raises:
+        ParameterError: If a parameter is outside its bounds, or a run has more than a million periods.
+    """
+
+    name: ClassVar[str] = ""
+    shown_axis: ClassVar[str] = "z"
+    figures: ClassVar[Any] = ()
+    plants: ClassVar[Sequence[str]] = ("mujoco", "exact")
+    takes_phase: ClassVar[bool] = True
+    tolerance: ClassVar[float] = 1e-5
+    tolerance_reason: ClassVar[str] = "two steps of the sensor"
+    plots: ClassVar[Mapping[str, str]] = {}
+
+    period: float = param("sample period", "s", default=1.0 / Spec.control_rate.value, at_least=1e-6, at_most=1.0)
+    delay: float = param(
+        "from a sample to its command taking effect", "s", default=Spec.transport_delay.value, at_least=0.0, at_most=1.0
+    )
+
+    def __init_subclass__(cls, **keywords: Any) -> None:
+        for name, value in vars(cls).items():
+            if name in RESERVED and "param" in getattr(value, "metadata", ()):
+                raise TypeError(f"{cls.__name__}.{name} cannot be a parameter: it is an option of every command")
+        super().__init_subclass__(**keywords)
+        if "name" not in cls.__dict__:
+            cls.name = "".join(f"-{c.lower()}" if c.isupper() else c for c in cls.__name__).strip("-")
+        axis_indices(cls.shown_axis)
+        cls.figures = figures_named(cls.figures)
+
+    def __reduce__(self) -> Any:
+        from maglev_mj.scenes.find import made_again, reference_of
+
+        return made_again, (reference_of(type(self)), self.as_json())
 
     def __post_init__(self) -> None:
-        axis_indices(self.axis)
+        super().__post_init__()
+        if self.end / self.period > _MOST_PERIODS:
+            raise ParameterError(f"duration must be at most {_MOST_PERIODS} periods, not {self.end:g} s")
+
+    # --- what a scene says ---------------------------------------------------------------------
+
+    def laws(self) -> Sequence[Law]:
+        """Return the laws; their wrenches add up."""
+        raise NotImplementedError(f"{type(self).__name__} needs laws()")
+
+    def start(self) -> Start:
+        """Return the state at release."""
+        return Start()
+
+    def scripted_hand(self, phase: float = 0.0) -> HandForce | None:
+        """Return the scripted hand; None for none. Its impedance is its attribute `hand`, if it has one."""
+        return None
+
+    def velocity_estimator(self) -> VelocityEstimator | None:
+        """Return the velocity estimator; None for the finite difference."""
+        return None
+
+    def timing(self, phase: Component = 0.0) -> Timing:
+        """Return when samples are taken and commands act."""
+        return Timing(period=self.period, delay=self.delay, phase=phase)
+
+    def plant_options(self) -> dict[str, Any]:
+        """Return keywords of the plant: mass, limits, sensor; `longest_step` may be a function of the plant's name."""
+        return {}
+
+    def variants(self) -> Mapping[str, Self]:
+        """Return the scenes to compare, by label; this one first."""
+        return {self.name: self}
+
+    def describe(self) -> str:
+        """Return one line on what happens."""
+        return (type(self).__doc__ or self.name).split("\n")[0].rstrip(".")
 
     @property
-    def axis_index(self) -> int:
-        """Index into AXES of the axis that plots show."""
-        return AXES.index(self.axis)
+    def axis(self) -> str:
+        """Axis that plots and figures look at."""
+        return self.shown_axis
 
     @property
-    def lifted(self) -> tuple[float, ...]:
-        """Where the flotor is let go from [m, rad]: the start, lifted to 4 mm."""
-        return (*self.pose[:2], _LIFTED, *self.pose[3:])
+    def end(self) -> float:
+        """When a run ends [s]: the parameter `duration`, or 1 s."""
+        return float(getattr(self, "duration", 1.0))
 
-    def laws(self, settings: Settings) -> list[Law]:
-        """Return the laws that the settings ask for."""
-        laws = list(self.make(settings))
-        if settings.walls is None or not settings.wall:
-            return laws
-        gains = shared(settings) if any(isinstance(law, Friction) for law in laws) else settings
-        return [law for law in laws if not isinstance(law, Wall)] + walls(gains, settings.walls)
+    def series(self, result: Result, time: Array) -> dict[str, Array]:
+        """Return what the JSON has on a time grid (M,): by name, (M,) each."""
+        pose, twist, wrench = result.trace.at(time)
+        index = AXES.index(self.axis)
+        return {"position": pose[:, index], "velocity": twist[:, index], "force": wrench[:, index]}
 
-    def controller(self, settings: Settings) -> Controller:
-        """Return a controller of the scene's laws."""
-        return Controller(self.laws(settings), period=settings.period)
+    def extra_json(self, result: Result) -> dict[str, Any]:
+        """Return what the JSON has besides parameters, series and summary."""
+        return {}
+
+    # --- what follows --------------------------------------------------------------------------
+
+    def controller(self) -> Controller:
+        """Return a new controller of the laws."""
+        return Controller(self.laws(), period=self.period, velocity=self.velocity_estimator())
+
+    def ticks(self, timing: Timing) -> int:
+        """Return how many samples to answer until the end."""
+        return max(math.ceil(self.end / self.period - float(np.min(timing.phase)) + 1e-9), 1)
 
     def plant(
         self,
-        settings: Settings,
+        plant: str | PlantMaker = "mujoco",
         *,
-        pose: ArrayLike | None = None,
-        twist: ArrayLike = (0.0,) * 6,
-        wrench: ArrayLike | None = None,
-        hand_force: HandForce | None = None,
+        phase: Component = 0.0,
+        hand: HandForce | None = None,
+        timing: Timing | None = None,
         **keywords: Any,
-    ) -> MeteredPlant:
-        """Return the device.
+    ) -> SampledPlant:
+        """Return the device at release, in the scripted hand or another.
 
         Args:
-            settings: Period and delay.
-            pose: Where it starts [m, rad], (6,); the scene's by default.
-            twist: How fast [m/s, rad/s], (6,).
-            wrench: What its coils give until the first command takes effect [N, N m], (6,); by default they carry
-                it if the settings say so.
-            hand_force: The hand on it.
-            keywords: Further ones of `MuJoCoPlant`.
+            plant: Name from PLANTS, or what makes one.
+            phase: Of the samples, in [0, 1); (N,) for N devices.
+            hand: In place of the scripted hand.
+            timing: In place of the scene's own.
+            keywords: Further ones of the plant; they go before the scene's.
         """
-        if wrench is None:
-            wrench = WEIGHT if settings.weightless else (0.0,) * 6
-        return MeteredPlant(
-            settings.timing,
-            pose=self.pose if pose is None else pose,
-            twist=twist,
-            wrench=wrench,
-            hand_force=hand_force,
-            current_limit=Spec.peak_current.value,
-            detail=Detail(stops=True),
-            **keywords,
-        )
+        start, scripted = self.start(), self._hands(phase)
+        timing = timing or self.timing(phase)
+        pose: Any = list(start.pose)
+        if np.ndim(phase) and not np.ndim(timing.phase):  # the hands alone differ
+            pose = [pose] * np.size(phase)
+        options: dict[str, Any] = {"pose": pose, "gravity": start.gravity, "escape": (ESCAPE, 1.0)}
+        if any(start.twist):
+            options["twist"] = start.twist
+        if any(start.wrench):
+            options["wrench"] = start.wrench
+        if (impedance := getattr(scripted, "hand", None)) is not None:
+            options["hand"] = impedance
+        options |= self.plant_options() | keywords
+        if callable(step := options.get("longest_step")):
+            options["longest_step"] = step(plant)
+        return (PLANTS[plant] if isinstance(plant, str) else plant)(timing, hand_force=hand or scripted, **options)
+
+    def _hands(self, phase: Component) -> HandForce | None:
+        if np.ndim(phase) == 0:
+            return self.scripted_hand(float(phase))
+        hands = [self.scripted_hand(float(one)) for one in np.asarray(phase)]
+        known = [hand for hand in hands if hand is not None]
+        return _SideBySide(known) if known else None
+
+    def run_figures(self, plant: str, phase: float = 0.0) -> Mapping[str, Any]:
+        """Return the figures of one run, by name."""
+        from maglev_mj.scenes.run import run
+
+        return run(self, plant=plant, phase=phase).figures
+
+
+class _SideBySide:
+    """Hands that differ in their paths alone, one for each device of a batch."""
+
+    def __init__(self, hands: Sequence[HandForce]) -> None:
+        self._hands, self.hand = hands, getattr(hands[0], "hand", None)
+
+    def __call__(self, tick: int, time: Component, state: Any) -> list[Array]:
+        """See `HandForce`."""
+        rows = [hand(tick, time, state) for hand in self._hands]
+        return [np.array(part) for part in zip(*rows, strict=True)]

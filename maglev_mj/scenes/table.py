@@ -3,8 +3,8 @@
 from maglev_mj.frames import AXES
 from maglev_mj.hand import Path
 from maglev_mj.laws import Law
+from maglev_mj.scenes.interactive import Scene
 from maglev_mj.scenes.parts import friction, hold, weight
-from maglev_mj.scenes.scene import Scene
 from maglev_mj.scenes.settings import Settings
 
 __all__ = ["TABLE"]

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from maglev_mj.controller import Controller
-from maglev_mj.experiments.choices import PlantMaker
 from maglev_mj.experiments.drop import DropParameters, drop_parts
 from maglev_mj.experiments.press import PressParameters, press_parts
 from maglev_mj.experiments.stick_slip import StickSlipParameters, stick_slip_parts
@@ -19,6 +18,7 @@ from maglev_mj.hand import Hand
 from maglev_mj.laws import Hold
 from maglev_mj.parameters import number
 from maglev_mj.plants import SampledPlant, Timing
+from maglev_mj.scenes.choices import PlantMaker
 from maglev_mj.spec import GRAVITY, INERTIA, Spec
 
 __all__ = ["FIDELITY_SCENES", "CentringParameters", "FidelityScene", "FreeParameters"]

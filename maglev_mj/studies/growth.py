@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike
 
 from maglev_mj.controller import Controller
 from maglev_mj.errors import ParameterError
-from maglev_mj.experiments.choices import PLANTS
 from maglev_mj.experiments.wall_controller import wall_controller
 from maglev_mj.frames import Array, Command, Mask, Sample
 from maglev_mj.hand import Hand
@@ -18,6 +17,7 @@ from maglev_mj.laws import VelocityEstimator
 from maglev_mj.loop import run
 from maglev_mj.parameters import flag, numbers
 from maglev_mj.plants import ExactPlant, MuJoCoBatchPlant, SampledPlant, Timing, engine_warnings_silenced
+from maglev_mj.scenes.choices import PLANTS
 from maglev_mj.spec import GRAVITY, Spec
 
 __all__ = ["Growth", "RestingWall", "measure_growth"]

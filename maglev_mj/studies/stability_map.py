@@ -11,10 +11,10 @@ import numpy as np
 import maglev_mj
 import maglev_mj.theory as theory
 from maglev_mj.errors import MaglevError, ParameterError
-from maglev_mj.experiments.choices import PLANTS
 from maglev_mj.frames import Array, Mask
 from maglev_mj.hand import hand_called
 from maglev_mj.parameters import number
+from maglev_mj.scenes.choices import PLANTS
 from maglev_mj.spec import Spec
 from maglev_mj.studies.cells import Cell, Record, run_cells
 from maglev_mj.studies.growth import RestingWall, measure_growth

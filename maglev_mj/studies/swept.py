@@ -12,11 +12,11 @@ import numpy as np
 import maglev_mj
 import maglev_mj.theory as theory
 from maglev_mj.errors import MaglevError, ParameterError
-from maglev_mj.experiments.choices import PLANTS
 from maglev_mj.experiments.drop import DropParameters, run_drop
 from maglev_mj.experiments.stick_slip import StickSlipParameters, run_stick_slip
 from maglev_mj.hand import hand_called
 from maglev_mj.parameters import number, parsed_number
+from maglev_mj.scenes.choices import PLANTS
 from maglev_mj.spec import Spec
 from maglev_mj.studies.cells import Cell
 from maglev_mj.studies.growth import RestingWall, measure_growth

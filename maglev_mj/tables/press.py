@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from numpy.typing import ArrayLike
 
 from maglev_mj.experiments.press import PressResult, PressSweep
-from maglev_mj.experiments.press_figures import HIT_FIGURES, press_percentiles
+from maglev_mj.scenes.press_figures import HIT_FIGURES, press_percentiles
 from maglev_mj.tables.limits import beyond_force, beyond_range
 from maglev_mj.tables.text import cell
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from maglev_mj.experiments.choices import SLIDES_AT
 from maglev_mj.experiments.stick_slip import StickSlipResult, exact_stick_slip
 from maglev_mj.frames import AXES
+from maglev_mj.scenes.choices import SLIDES_AT
 from maglev_mj.tables.limits import beyond_range
 
 __all__ = ["stick_slip_table"]

@@ -1,0 +1,100 @@
+"""What scenes on the bench share: the device's own parameters, and a wall below z = 0."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, Self
+
+import numpy as np
+
+from maglev_mj.errors import ParameterError
+from maglev_mj.frames import AXES, Array
+from maglev_mj.laws import Hold, Wall
+from maglev_mj.parameters import axis_indices, param
+from maglev_mj.plants import Sensor
+from maglev_mj.scenes.scene import Scene
+from maglev_mj.spec import INERTIA, Spec
+
+__all__ = ["WallScene", "along", "hold", "others", "stepped"]
+
+
+def others(axis: str) -> list[str]:
+    """Return all axes but one."""
+    return [name for name in AXES if name != axis]
+
+
+def along(axis: str, value: float, elsewhere: float = 0.0) -> Array:
+    """Return six numbers: one on an axis, another elsewhere."""
+    return np.where(np.arange(len(AXES)) == AXES.index(axis), value, elsewhere)
+
+
+def stepped(axis: str, quantum: float) -> Sensor | None:
+    """Return a sensor of some resolution on one axis [m, rad]; None for an ideal one."""
+    return Sensor(quantum=along(axis, quantum)) if quantum else None
+
+
+def hold(scene: Scene, axes: str | Sequence[str], mass: float = Spec.moving_mass.value) -> Hold:
+    """Return a hold that keeps axes where they are, as stiff as period and delay allow with ease."""
+    inertia = [mass if index < 3 else INERTIA[index] for index in axis_indices(axes)]
+    return Hold.critically_damped(axes, inertia=inertia, period=scene.period, delay=scene.delay)
+
+
+class WallScene(Scene):
+    """A wall that fills z <= 0, with a braking pulse; the five other axes are held."""
+
+    stiffness: float = param("wall stiffness", "N/m", default=6000.0, at_least=0.0, at_most=1e8, live=True)
+    damping: float = param("wall damping", "N s/m", default=80.0, at_least=0.0, at_most=1e6, live=True)
+    pulse: float = param(
+        "further damping in the braking pulse; 0 for none", "N s/m", default=220.0, at_least=0.0, at_most=1e6, live=True
+    )
+    pulse_width: float = param("how long the pulse lasts", "s", default=0.003, at_least=0.0, at_most=1.0)
+    mass: float = param("moving mass", "kg", default=Spec.moving_mass.value, at_least=1e-3, at_most=1e3)
+    force_limit: float | None = param(
+        f"largest force of the actuators along z; the device's is {Spec.largest_vertical_force.value:g}",
+        "N",
+        default=None,
+        above=0.0,
+        at_most=1e6,
+        optional=True,
+    )
+    quantize: float = param(
+        "resolution of the position sensor; 0 for an ideal one", "m", default=0.0, at_least=0.0, at_most=1.0
+    )
+
+    def check(self) -> None:
+        """See `Scene`."""
+        if self.pulse > 0.0 and self.pulse_width == 0.0:
+            raise ParameterError("pulse_width must be above 0 where there is a pulse, not 0.0")
+
+    def wall(self, *, gate: float = 0.0, force_limit: float = math.inf) -> Wall:
+        """Return the PD wall of eq. (3) with its braking pulse.
+
+        Args:
+            gate: Least approach speed for a pulse [m/s].
+            force_limit: See `Wall`.
+        """
+        return Wall(
+            axes="z",
+            lower=0.0,
+            stiffness=self.stiffness,
+            damping=self.damping,
+            pulse=self.pulse,
+            pulse_width=self.pulse_width,
+            pulse_gate=gate,
+            force_limit=force_limit,
+        )
+
+    def variants(self) -> Mapping[str, Self]:
+        """See `Scene`."""
+        if self.pulse == 0.0:
+            return {"no pulse": self}
+        return {"with pulse": self, "without pulse": self.replace(pulse=0.0)}
+
+    def plant_options(self) -> dict[str, Any]:
+        """See `Scene`."""
+        return {
+            "mass": self.mass,
+            "wrench_limit": None if self.force_limit is None else along("z", self.force_limit, math.inf),
+            "sensor": stepped("z", self.quantize),
+        }

@@ -1,0 +1,194 @@
+"""Figures of a run: each is one function of a result, with its unit and a few words of help."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from maglev_mj.frames import AXES, Array
+from maglev_mj.metrics import BounceSummary, summarise_bounce
+from maglev_mj.parameters import flag
+from maglev_mj.scenes.press_figures import HIT_FIGURES, PressSummary, summarise_press
+
+if TYPE_CHECKING:
+    from maglev_mj.scenes.run import Result
+
+__all__ = ["STOCK", "Figure", "changes", "figure", "figures_named"]
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One figure of a run.
+
+    Attributes:
+        name: Its name.
+        function: From a `Result` to the figure: a number, or a list of them; of a batch (..., N).
+        unit: Unit in tables; a translation's where the axis may turn.
+        help: What it is, in a few words.
+        scale: From SI units to that unit.
+        batched: Whether the function takes a batch of devices at once, with the same bits as one by one.
+        late: Whether a figure that is missing counts as the greatest in percentiles; otherwise it is left out.
+    """
+
+    name: str
+    function: Callable[[Result], Any]
+    unit: str = ""
+    help: str = ""
+    scale: float = 1.0
+    batched: bool = True
+    late: bool = False
+
+    def __post_init__(self) -> None:
+        flag("batched", self.batched)
+        flag("late", self.late)
+
+    def __call__(self, result: Result) -> Any:
+        """Return the figure of a result."""
+        return self.function(result)
+
+    def percentile(self, values: Array, share: float) -> Array:
+        """Return a percentile over the runs, the first dimension.
+
+        Args:
+            values: Figures of N runs, (N, ...).
+            share: Which percentile, in per cent.
+        """
+        if self.late:
+            late = np.where(np.isnan(values), np.inf, values)
+            if np.isinf(np.percentile(late, share, method="higher")):
+                return np.array(np.nan)
+            # a missing one keeps its rank without spoiling the interpolation
+            return np.asarray(np.percentile(np.where(np.isinf(late), np.finfo(float).max, late), share))
+
+        def known(column: Array) -> float:
+            found = column[np.isfinite(column)]
+            return float(np.percentile(found, share)) if found.size else np.nan
+
+        percentiles: Array = np.apply_along_axis(known, 0, np.asarray(values, dtype=np.float64))
+        return percentiles
+
+
+def figure(
+    unit: str = "",
+    help: str = "",
+    *,
+    scale: float = 1.0,
+    batched: bool = False,
+    late: bool = False,
+) -> Callable[[Callable[[Result], Any]], Figure]:
+    """Make a figure of a function of a result; see `Figure`."""
+
+    flag("batched", batched)
+    flag("late", late)
+
+    def make(function: Callable[[Result], Any]) -> Figure:
+        return Figure(function.__name__, function, unit, help, scale, batched, late)
+
+    return make
+
+
+def figures_named(chosen: Sequence[Figure | str] | Mapping[str, Figure | str]) -> dict[str, Figure]:
+    """Return figures by the names that they have in JSON.
+
+    Raises:
+        TypeError: If a name is that of no stock figure.
+    """
+    if not isinstance(chosen, Mapping):
+        chosen = {one if isinstance(one, str) else one.name: one for one in chosen}
+    found = {}
+    for name, one in chosen.items():
+        if isinstance(one, str) and one not in STOCK:
+            raise TypeError(f"figure must be one of {', '.join(STOCK)}, or made by @figure, not {one!r}")
+        found[name] = STOCK[one] if isinstance(one, str) else one
+    return found
+
+
+def _bounce(name: str) -> Callable[[Result], Any]:
+    """Return what takes one figure of a drop on a wall that fills the shown axis below 0."""
+
+    def made(result: Result) -> BounceSummary:
+        rest = getattr(result.scene, "rest", np.nan)
+        return summarise_bounce(result.trace, rest, axis=AXES.index(result.scene.axis))
+
+    return lambda result: getattr(result.once("bounce", made), name)
+
+
+def _press(name: str) -> Callable[[Result], Any]:
+    """Return what takes one figure of hits and a press."""
+
+    def made(result: Result) -> PressSummary:
+        scene: Any = result.scene
+        settled = scene.path(result.phase).end
+        return summarise_press(result.trace, scene.strokes(result.phase), settled, scene.end, scene.mass)
+
+    return lambda result: getattr(result.once("press", made), name)
+
+
+def changes(result: Result) -> list[int]:
+    """Return the samples at which the friction's state changes."""
+    stuck = result.samples["stuck"][:, 0]
+    found: list[int] = (np.flatnonzero(stuck[1:] != stuck[:-1]) + 1).tolist()
+    return found
+
+
+def _peak_speed(result: Result) -> Any:
+    # greatest at a knot: the speed is linear between them
+    return np.abs(result.line.twist[..., 0]).max(axis=0)
+
+
+def _stick_time(result: Result) -> float:
+    sticks = [result.sample_time[k] for k in changes(result) if result.samples["stuck"][k, 0]]
+    return float(sticks[-1]) if sticks else np.nan
+
+
+def _ripple(result: Result) -> Any:
+    end = float(result.line.time[-1].min())
+    return np.ptp(result.line.at(np.linspace(max(end - 0.05, 0.0), end, 501))[0][..., 0], axis=0)
+
+
+def _press_name(name: str) -> str:
+    return f"hit_{name}" if name in HIT_FIGURES else name if name == "absorbed" else f"press_{name}"
+
+
+STOCK: Mapping[str, Figure] = {
+    one.name: one
+    for one in (
+        Figure("penetration", _bounce("penetration"), "mm", "greatest depth behind the wall", 1e3, late=True),
+        Figure("rebound", _bounce("rebound"), "mm", "greatest height after the first contact", 1e3, late=True),
+        Figure("peak_force", _bounce("peak_force"), "N", "largest force of the actuators", late=True),
+        Figure("settling_time", _bounce("settling_time"), "ms", "time until within 2 % of rest", 1e3, late=True),
+        Figure("final_z", _bounce("final_z"), "mm", "height at the end", 1e3, late=True),
+        Figure("peak_speed", _peak_speed, "mm/s", "greatest speed", 1e3),
+        Figure("stick_time", _stick_time, "ms", "when it last stuck", 1e3, batched=False),
+        Figure(
+            "stick_position",
+            lambda result: float(result.samples["stick_position"][-1, 0]),
+            "mm",
+            "stick position at the end",
+            1e3,
+            batched=False,
+        ),
+        Figure("final_position", lambda result: result.line.pose[-1, ..., 0], "mm", "position at the end", 1e3),
+        Figure("transitions", lambda result: len(changes(result)), "", "changes of state", batched=False),
+        Figure("ripple", _ripple, "µm", "position over the last 50 ms, peak to peak", 1e6),
+        *(
+            Figure(_press_name(name), _press(name), unit, help, scale, batched=False)
+            for name, unit, help, scale in (
+                ("penetration", "mm", "greatest depth of each hit", 1e3),
+                ("approach_speed", "mm/s", "speed at which each hit enters", 1e3),
+                ("peak_force", "N", "largest force of each hit", 1.0),
+                ("contact_time", "ms", "time of each hit behind the wall", 1e3),
+                ("contacts", "", "entries of each hit", 1.0),
+                ("final_force", "N", "mean force, last 20 % of the press", 1.0),
+                ("final_depth", "mm", "mean depth over the same time", 1e3),
+                ("force_ripple", "mN", "its force, peak to peak", 1e3),
+                ("ripple", "µm", "its position, peak to peak", 1e6),
+                ("absorbed", "mJ", "energy that the wall has taken", 1e3),
+            )
+        ),
+    )
+}
+"""Figures that a scene takes by name."""

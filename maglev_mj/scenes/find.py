@@ -1,0 +1,145 @@
+"""Scenes by name, by file, or of other packages."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+import importlib.util
+import sys
+from collections.abc import Mapping
+from functools import lru_cache
+from importlib.metadata import entry_points
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from maglev_mj.errors import ParameterError
+from maglev_mj.scenes.scene import Scene
+
+__all__ = ["BUILT_IN", "GROUP", "find_scene", "made_again", "reference_of", "scene_names", "source_of"]
+
+GROUP = "maglev_mj.scenes"
+"""Entry point group by which other packages add scenes."""
+
+BUILT_IN: Mapping[str, str] = {
+    "drop": "maglev_mj.scenes.drop:Drop",
+    "press": "maglev_mj.scenes.press:Press",
+    "stick-slip": "maglev_mj.scenes.stick_slip:StickSlip",
+    "twist": "maglev_mj.scenes.free:Twist",
+    "let-go": "maglev_mj.scenes.free:LetGo",
+    "six-axes": "maglev_mj.scenes.free:SixAxes",
+}
+"""The scenes of this package: name -> module and class."""
+
+_OWN = "maglev_mj_scene_"
+
+
+def scene_names() -> list[str]:
+    """Return the names of the scenes of this package, then of other packages."""
+    return [*BUILT_IN, *sorted(set(entry_points(group=GROUP).names) - set(BUILT_IN))]
+
+
+def find_scene(text: str) -> type[Scene]:
+    """Return the class of a scene.
+
+    Args:
+        text: NAME, FILE.py, or FILE.py:CLASS where the file has several. A file is run, as Python would run it.
+
+    Raises:
+        ParameterError: If there is none, or a file cannot be read, fails, or has several.
+    """
+    if text in BUILT_IN:
+        return _in_module(BUILT_IN[text])
+    path, _, wanted = text.partition(".py:") if ".py:" in text else (text.removesuffix(".py"), "", "")
+    if path != text:
+        return _of_file(Path(f"{path}.py"), wanted)
+    for entry in entry_points(group=GROUP):
+        if entry.name == text:  # loaded when asked for: a broken package breaks its own scene alone
+            return _installed(entry)
+    raise ParameterError(
+        f"scene must be one of {', '.join(scene_names())}, or a file such as my_scene.py, not {text!r}"
+    )
+
+
+def reference_of(cls: type[Scene]) -> str:
+    """Return the text by which `find_scene` finds a class again, in another process too."""
+    for name, place in BUILT_IN.items():
+        if place == f"{cls.__module__}:{cls.__qualname__}":
+            return name
+    if cls.__module__.startswith(_OWN):
+        return f"{sys.modules[cls.__module__].__file__}:{cls.__name__}"
+    return f"{cls.__module__}:{cls.__qualname__}"
+
+
+def source_of(cls: type[Scene]) -> str | None:
+    """Return a hash of the file of a user's own scene; None for one of a package."""
+    if not cls.__module__.startswith(_OWN):
+        return None
+    file = sys.modules[cls.__module__].__file__
+    assert file is not None
+    return hashlib.sha256(Path(file).read_bytes()).hexdigest()[:16]
+
+
+def made_again(reference: str, values: Mapping[str, Any]) -> Scene:
+    """Return a scene of a reference and its values: how one is unpickled."""
+    path, _, _ = reference.rpartition(":")
+    cls = find_scene(reference) if reference in BUILT_IN or path.endswith(".py") else _in_module(reference)
+    return cls.from_json(values)
+
+
+def _in_module(place: str) -> type[Scene]:
+    module, _, name = place.partition(":")
+    found: type[Scene] = getattr(importlib.import_module(module), name)
+    return found
+
+
+def _installed(entry: Any) -> type[Scene]:
+    try:
+        found = entry.load()
+    except Exception as error:
+        raise ParameterError(f"scene {entry.name} of {entry.value} cannot be loaded: {_said(error)}") from error
+    if not (isinstance(found, type) and issubclass(found, Scene)):
+        raise ParameterError(f"scene {entry.name} of {entry.value} must be a class of Scene, not {found!r}")
+    return found
+
+
+def _of_file(path: Path, wanted: str) -> type[Scene]:
+    if not path.is_file():
+        raise ParameterError(f"scene must be a file that is there, not {str(path)!r}")
+    module = _run(path.resolve(), path.stat().st_mtime_ns)
+    found = {
+        value.__name__: value
+        for value in vars(module).values()
+        if isinstance(value, type) and issubclass(value, Scene) and value.__module__ == module.__name__
+    }
+    if wanted:
+        if wanted not in found:
+            raise ParameterError(f"scene of {path.name} must be one of {', '.join(found) or 'none'}, not {wanted!r}")
+        return found[wanted]
+    if len(found) != 1:
+        several = f"has {', '.join(found)}: name one as {path.name}:CLASS" if found else "has no class of Scene"
+        raise ParameterError(f"scene must be one of its file, but {path.name} {several}")
+    return next(iter(found.values()))
+
+
+@lru_cache(maxsize=16)
+def _run(path: Path, written: int) -> ModuleType:
+    """Run a file as a module, anew where it was written since."""
+    name = _OWN + hashlib.sha256(str(path).encode()).hexdigest()[:8] + "_" + path.stem
+    spec = importlib.util.spec_from_file_location(name, path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    sys.path.insert(0, str(path.parent))  # as `python FILE` has it, so that it finds its neighbours
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        del sys.modules[name]
+        raise ParameterError(f"scene {path.name} cannot be read: {_said(error)}") from error
+    finally:
+        sys.path.remove(str(path.parent))
+    return module
+
+
+def _said(error: Exception) -> str:
+    return f"{type(error).__name__}: {' '.join(str(error).split())}"

@@ -1,0 +1,100 @@
+"""The body alone: turning freely, let go, or drawn back to its centre on all six axes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, ClassVar
+
+import numpy as np
+
+from maglev_mj.laws import Hold, Law
+from maglev_mj.parameters import param
+from maglev_mj.scenes.scene import Scene, Start
+from maglev_mj.spec import INERTIA
+
+__all__ = ["LetGo", "SixAxes", "Twist"]
+
+
+class Twist(Scene):
+    """A free flotor that turns at 3.7 rad/s about all three axes."""
+
+    figures: ClassVar = ("peak_speed", "final_position")
+    takes_phase: ClassVar[bool] = False
+    shown_axis: ClassVar[str] = "rx"
+
+    duration: float = param("simulated time", "s", default=0.04, above=0.0, at_most=1e6)
+
+    def laws(self) -> list[Law]:
+        """Return none."""
+        return []
+
+    def start(self) -> Start:
+        """Return a flotor that turns, its weight compensated."""
+        twist = (0.0, 0.0, 0.0, 2.0, -1.5, 2.7)
+        return Start(pose=(0.0, 0.0, 0.0, -0.04, 0.03, -0.02), twist=twist, gravity=0.0)
+
+    def describe(self) -> str:
+        """Return one line on what happens."""
+        return "a free flotor that turns at 3.7 rad/s about all three axes"
+
+
+class LetGo(Scene):
+    """The currents off at centre: the flotor falls on its stop."""
+
+    figures: ClassVar = ("peak_speed", "final_position")
+    takes_phase: ClassVar[bool] = False
+    tolerance: ClassVar[float] = 1e-4
+    tolerance_reason: ClassVar[str] = "well below the 0.5 mm over which the stop gives"
+
+    duration: float = param("simulated time", "s", default=0.08, above=0.0, at_most=1e6)
+
+    def laws(self) -> list[Law]:
+        """Return none."""
+        return []
+
+    def describe(self) -> str:
+        """Return one line on what happens."""
+        return "the currents off at centre: the flotor falls on its stop"
+
+
+def _soft(gain: str) -> Callable[[Any], float]:
+    """Return what derives a gain: that of the soft hold that period and delay allow."""
+
+    def derived(scene: SixAxes) -> float:
+        soft = Hold.critically_damped("x", inertia=INERTIA[0], period=scene.period, delay=scene.delay)
+        return float(np.asarray(getattr(soft, gain)))
+
+    return derived
+
+
+class SixAxes(Scene):
+    """A flotor drawn back to its centre by a spring and a damper on all six axes.
+
+    The gains of rotations are those of translations times the square of the radius of gyration.
+    """
+
+    figures: ClassVar = ("peak_speed", "final_position", "ripple")
+    takes_phase: ClassVar[bool] = False
+    shown_axis: ClassVar[str] = "x"
+
+    duration: float = param("simulated time", "s", default=0.3, above=0.0, at_most=1e6)
+    stiffness: float = param(
+        "stiffness of the hold", "N/m", default=None, derive=_soft("stiffness"), at_least=0.0, at_most=1e8, live=True
+    )
+    damping: float = param(
+        "damping of the hold", "N s/m", default=None, derive=_soft("damping"), at_least=0.0, at_most=1e6, live=True
+    )
+
+    def laws(self) -> list[Law]:
+        """Return the hold."""
+        share = np.array(INERTIA) / INERTIA[0]
+        return [Hold(stiffness=self.stiffness * share, damping=self.damping * share)]
+
+    def start(self) -> Start:
+        """Return a flotor away from the centre on all six axes, its weight compensated."""
+        return Start(pose=(0.003, -0.002, 0.003, 0.06, -0.04, 0.05), gravity=0.0)
+
+    def describe(self) -> str:
+        """Return one line on what happens."""
+        gains = f"{self.stiffness:.6g} N/m and {self.damping:.4g} N s/m"
+        return f"drawn back to the centre from 3 mm and 3.4 degrees on all six axes, by {gains}"

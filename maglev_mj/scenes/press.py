@@ -1,0 +1,159 @@
+"""A hand that hits the wall several times, then presses against it: figure 6 of Salcudean and Vlaar (1997)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from maglev_mj.errors import ParameterError
+from maglev_mj.frames import Array, Component
+from maglev_mj.hand import GuidedHand, Hand, Path, hand_called, motion
+from maglev_mj.laws import Law
+from maglev_mj.parameters import number, param
+from maglev_mj.plants import Timing
+from maglev_mj.scenes.bench import WallScene, hold, others
+from maglev_mj.scenes.press_figures import PressSummary
+from maglev_mj.scenes.scene import Start
+from maglev_mj.spec import ESCAPE
+
+if TYPE_CHECKING:
+    from maglev_mj.scenes.run import Result
+
+__all__ = ["Press"]
+
+# of an interval: how long the hand stays up before the first stroke, and how long each way takes
+_WAIT, _WAY = 0.5, 0.25
+_LEAST_SAMPLES = 8
+_PRESSING = 1.0
+
+
+class Press(WallScene):
+    """A hand hits the wall several times, then presses against it (figure 6).
+
+    The muscles draw the point to which the arm's spring pulls along z: from `height` down to `resting_point` and back
+    up within half an interval, once a hit, and in the end down to stay. Each way is of minimum jerk. How fast the
+    flotor then meets the wall, and how far it comes back up, is the arm's doing.
+
+    What the muscles exert is held from sample to sample; mass, damping and stiffness of the hand act all the time.
+    Weight is compensated: there is no gravity. The five other axes are held.
+    """
+
+    figures: ClassVar = {
+        name: name if name == "absorbed" else f"hit_{name}" if index < 5 else f"press_{name}"
+        for index, name in enumerate(PressSummary._fields)
+    }
+    plots: ClassVar[Mapping[str, str]] = {"press.png": "maglev_mj.plots.press:figure_6"}
+
+    hand: str = param("arm, stylus, fingertip or MASS,DAMPING,STIFFNESS[,GRIP_DAMPING,GRIP_STIFFNESS]", default="arm")
+    hits: int = param("how many hits", default=4, at_least=1, at_most=1000)
+    interval: float = param("from one hit to the next", "s", default=0.4, at_most=100.0)
+    height: float = param("height above the wall from which the hand hits", "m", default=0.003, above=0.0, below=ESCAPE)
+    press: float = param("force with which it presses in the end", "N", default=5.0, above=0.0, at_most=1e6)
+    # an eighth of the speed of a hit, and 20 times what a step of the device's sensor (5 µm) makes of a flotor at
+    # rest: a hit gets its pulse, and a light press that noise lifts off the edge does not rattle
+    pulse_gate: float = param(
+        "approach speed from which on a pulse is given", "m/s", default=0.02, at_least=0.0, at_most=1e3
+    )
+    duration: float = param(
+        "simulated time; one second from the hand's coming to its end",
+        "s",
+        default=None,
+        derive=lambda scene: scene.down + _PRESSING,
+        at_most=1e5,
+    )
+
+    def check(self) -> None:
+        """See `Scene`."""
+        held = hand_called(self.hand)
+        if held is None or not np.all(np.asarray(held.stiffness) > 0.0):
+            raise ParameterError(f"hand must have an arm of some stiffness, by which it presses, not {self.hand!r}")
+        number("stiffness", self.stiffness, above=0.0, at_most=1e8)
+        super().check()
+        if self.force_limit is not None and not self.press < self.force_limit:
+            raise ParameterError(
+                f"press must be below the force_limit of {self.force_limit:g} N, or it goes through the wall, "
+                f"not {self.press:g}"
+            )
+        number("interval", self.interval, at_least=_LEAST_SAMPLES * self.period, at_most=100.0)
+        number("duration", self.duration, above=self.down, at_most=1e5)
+
+    def start(self) -> Start:
+        """Return a flotor at rest above the wall, its weight compensated."""
+        return Start(pose=(0.0, 0.0, self.height, 0.0, 0.0, 0.0), gravity=0.0)
+
+    def laws(self) -> list[Law]:
+        """Return the wall, and what holds the other axes."""
+        return [self.wall(gate=self.pulse_gate), hold(self, others("z"), self.mass)]
+
+    def timing(self, phase: Component = 0.0) -> Timing:
+        """Return samples from release on, for the hand holds all the time: it is the hand that begins at a phase."""
+        return Timing(period=self.period, delay=self.delay)
+
+    def scripted_hand(self, phase: float = 0.0) -> GuidedHand:
+        """Return the hand that hits and presses."""
+        return GuidedHand(hand=self.impedance, path=self.path(phase))
+
+    def plant_options(self) -> dict[str, Any]:
+        """See `Scene`."""
+        return super().plant_options() | {"longest_step": self.longest_step}
+
+    def longest_step(self, plant: object = None) -> float:
+        """Return the longest stretch between two states [s]: a tenth of a radian of what flotor and hand do fastest.
+
+        The recorded curve is then within a nanometre of the true one; without bound a stiff grip would take for ever.
+        """
+        fastest = float(np.abs(np.linalg.eigvals(motion(self.mass, self.impedance)[0])).max())
+        # the engine integrates the hand, the exact plant has only to record it
+        most = self.period if plant == "exact" else 5e-4
+        return max(min(most, 0.1 / fastest), 1e-5)
+
+    def describe(self) -> str:
+        """Return one line on what happens."""
+        wall = f"a wall of {self.stiffness:.6g} N/m and {self.damping:.4g} N s/m"
+        hits = f"a hand ({self.hand}) hits {wall} from {self.height * 1e3:g} mm"
+        return f"{hits}, then presses by {self.press:g} N"
+
+    @property
+    def impedance(self) -> Hand:
+        """Mass, damping and stiffness of the hand."""
+        hand = hand_called(self.hand)
+        assert hand is not None  # checked when made
+        return hand
+
+    @property
+    def down(self) -> float:
+        """When the hand has come to its end at the latest [s]."""
+        return self.period + (_WAIT + self.hits + _WAY) * self.interval
+
+    @property
+    def resting_point(self) -> float:
+        """Where the arm's spring pulls to in the press [m]: -press (1 / wall + 1 / arm + 1 / grip), of stiffnesses.
+
+        Wall, grip and arm are three springs in a row, and each carries the same force. The wall gives way by
+        press / wall, a soft grip by press / grip, a rigid one by nothing; the rest is the arm's.
+        """
+        hand = self.impedance
+        springs = [self.stiffness, hand.stiffness, *([] if hand.grip_stiffness is None else [hand.grip_stiffness])]
+        return -self.press * sum(1.0 / float(np.asarray(spring)) for spring in springs)
+
+    def strokes(self, phase: float) -> list[float]:
+        """Return when the strokes begin [s], (hits + 1,): those of the hits, then that of the press."""
+        begin = (1.0 - phase) * self.period
+        return [begin + (_WAIT + place) * self.interval for place in range(self.hits + 1)]
+
+    def path(self, phase: float) -> Path:
+        """Return where the arm's spring pulls to."""
+        up, down = ([0.0, 0.0, z, 0.0, 0.0, 0.0] for z in (self.height, self.resting_point))
+        times, poses, way = [(1.0 - phase) * self.period], [up], _WAY * self.interval
+        for start in self.strokes(phase):
+            times += [start, start + way, start + 2.0 * way]
+            poses += [up, down, up]
+        return Path(times[:-1], poses[:-1])
+
+    def series(self, result: Result, time: Array) -> dict[str, Array]:
+        """Return height [m], force of the actuators [N], and the point that the hand pulls to [m]."""
+        place, _, force = result.motion(time)
+        path = self.path(result.phase)
+        return {"z": place, "force": force, "target": np.array([path.at(instant)[2] for instant in time.tolist()])}

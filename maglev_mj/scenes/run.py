@@ -1,0 +1,338 @@
+"""Runs of a scene: one device, N phases at once, or the figures over many phases."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from numbers import Integral
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from maglev_mj.controller import Controller
+from maglev_mj.errors import DivergenceError, ParameterError
+from maglev_mj.frames import AXES, Array, Command, Component, Sample
+from maglev_mj.loop import run as drive
+from maglev_mj.parameters import number, numbers
+from maglev_mj.plants import engine_warnings_silenced
+from maglev_mj.scenes.figures import Figure
+from maglev_mj.scenes.scene import Scene
+from maglev_mj.spec import ESCAPE
+from maglev_mj.trace import Trace
+
+__all__ = ["Phases", "Result", "plain", "run", "run_phases"]
+
+_MOST_PHASES = 10_000
+_TOGETHER = 64
+_STEP = 1e-3
+
+Observe = Callable[[Sample, Command], object]
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """One run, or a batch of them.
+
+    Attributes:
+        scene: The scene.
+        plant: Name of the plant.
+        phase: Phase of the samples, a number or (N,).
+        trace: The motion along all axes.
+        sample_time: When each answered sample was taken [s], (K,) or (K, N).
+        samples: What the laws tell from each sample on, by name, (K, ...).
+    """
+
+    scene: Any
+    plant: str
+    phase: Any
+    trace: Trace
+    sample_time: Array
+    samples: Mapping[str, Array]
+    _known: dict[str, Any] = field(default_factory=dict, repr=False)
+
+    @cached_property
+    def line(self) -> Trace:
+        """Motion along the scene's axis: the last dimension is 1."""
+        return self.trace.along(AXES.index(self.scene.axis))
+
+    @cached_property
+    def figures(self) -> Mapping[str, Any]:
+        """The scene's figures by name."""
+        return {name: one(self) for name, one in self.scene.figures.items()}
+
+    def once(self, name: str, make: Callable[[Result], Any]) -> Any:
+        """Return what several figures share, made once."""
+        if name not in self._known:
+            self._known[name] = make(self)
+        return self._known[name]
+
+    def motion(self, time: Array) -> tuple[Array, Array, Array]:
+        """Return position, velocity and force along the scene's axis at times (M,), (M, ...) each."""
+        pose, twist, wrench = self.line.at(time)
+        return pose[..., 0], twist[..., 0], wrench[..., 0]
+
+    def times(self, step: float = _STEP) -> Array:
+        """Return a time grid over the run [s], (M,).
+
+        Raises:
+            ParameterError: If the step is not above 0.
+        """
+        count = math.floor(float(self.trace.time[-1]) / number("step", step, above=0.0) + 1e-9) + 1
+        grid: Array = np.arange(count, dtype=np.float64) * step
+        return grid
+
+    def series(self, step: float = _STEP) -> dict[str, Array]:
+        """Return time and the scene's series on a grid of `step` [s], by name, (M,) each."""
+        time = self.times(step)
+        return {"time": time, **self.scene.series(self, time)}
+
+    def as_json(self) -> dict[str, Any]:
+        """Return parameters, series every millisecond and figures, ready for JSON."""
+        series = self.series()
+        series["time"] = np.round(series["time"], 9)
+        return {
+            "parameters": parameters_json(self.scene, self.plant, self.phase),
+            **{name: values.tolist() for name, values in series.items()},
+            **self.scene.extra_json(self),
+            "summary": plain(self.figures),
+        }
+
+    def __getitem__(self, device: int) -> Result:
+        """Return the run of one device of a batch."""
+        parts = (part[:, device] for part in (self.trace.time, self.trace.pose, self.trace.twist, self.trace.wrench))
+        kept = {name: values[..., device] for name, values in self.samples.items()}
+        time = self.sample_time[..., device] if self.sample_time.ndim > 1 else self.sample_time
+        return Result(self.scene, self.plant, float(self.phase[device]), Trace(*parts), time, kept)
+
+
+@dataclass(frozen=True, eq=False)
+class Phases:
+    """A scene at several phases.
+
+    Attributes:
+        scene: The scene.
+        plant: Name of the plant.
+        phases: The phases, (N,).
+        figures: The scene's figures by name, (N, ...) each.
+        furthest: Greatest distance from the centre on each axis [m, rad], (N, 6).
+    """
+
+    scene: Any
+    plant: str
+    phases: Array
+    figures: Mapping[str, Array]
+    furthest: Array
+
+    def percentile(self, share: float) -> dict[str, Array]:
+        """Return a percentile of each figure over the phases."""
+        named: Mapping[str, Figure] = self.scene.figures
+        return {name: named[name].percentile(values, share) for name, values in self.figures.items()}
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the figures at each phase, and their median, 5th and 95th percentile, ready for JSON."""
+        rows = [{name: values[place] for name, values in self.figures.items()} for place in range(len(self.phases))]
+        settled = self.figures.get("settling_time")
+        return {
+            **({} if settled is None else {"settled": int(np.isfinite(settled).sum())}),
+            "phases": [{"phase": float(phase), **plain(row)} for phase, row in zip(self.phases, rows, strict=True)],
+            "median": plain(self.percentile(50.0)),
+            "percentile_5": plain(self.percentile(5.0)),
+            "percentile_95": plain(self.percentile(95.0)),
+        }
+
+
+def run(
+    scene: Scene,
+    *,
+    plant: str | None = None,
+    phase: ArrayLike = 0.0,
+    observe: Observe | None = None,
+) -> Result:
+    """Run a scene to its end, on one device or on one for each phase.
+
+    Args:
+        scene: The scene.
+        plant: Name from PLANTS; the scene's usual one by default.
+        phase: The samples are at (k + phase) period, in [0, 1); (N,) for N devices, on the exact plant.
+        observe: Called with each sample and the command as applied.
+
+    Raises:
+        ParameterError: If there is no such plant, or a phase is outside its bounds.
+        DivergenceError: If a flotor leaves its range by a wide margin; its `partial` attribute is the `Result` up to
+            there, for one device.
+    """
+    plant = checked_plant(scene, plant)
+    single = np.ndim(phase) == 0
+    if not single and plant != "exact":
+        raise ParameterError(f"phase must be one number on {plant}, whose runs differ in length: see run_phases")
+    at: Component = checked_phase(phase) if single else _phases(phase)
+    controller, told = scene.controller(), None
+    with scene.plant(plant, phase=at, record=True) as device, engine_warnings_silenced():
+        told = _Told(controller, observe, () if single else (np.size(at),))
+        try:
+            drive(device, controller, scene.ticks(scene.timing(at)), observe=told.observe)
+        except DivergenceError as error:
+            trace = device.trace()
+            if not _escaped_later(trace, scene.end):
+                if single:
+                    error.partial = told.result(scene, plant, at, trace)
+                raise
+        return told.result(scene, plant, at, device.trace().until(scene.end))
+
+
+def run_phases(
+    scene: Scene,
+    phases: int | ArrayLike,
+    *,
+    plant: str | None = None,
+    progress: Callable[[int, int], object] | None = None,
+) -> Phases:
+    """Run a scene at many phases: in batches on the exact plant, one after the other elsewhere.
+
+    Args:
+        scene: The scene.
+        phases: How many, evenly spread over a period, or the phases themselves.
+        plant: Name from PLANTS; the scene's usual one by default.
+        progress: Called with how many phases are done, and with all of them.
+
+    Raises:
+        ParameterError: If there is no phase, or one is outside [0, 1).
+        DivergenceError: If a flotor leaves its range by a wide margin.
+    """
+    chosen, plant = _phases(phases), checked_plant(scene, plant)
+    size = _TOGETHER if plant == "exact" else 1
+    rows: list[tuple[Mapping[str, Array], Array]] = []  # a trace is large: only its figures are kept
+    for start in range(0, chosen.size, size):
+        some = chosen[start : start + size]
+        if plant == "exact":
+            result = run(scene, plant=plant, phase=some)
+            rows.append((_figures(result, some.size), result.trace.furthest()))
+        else:
+            result = run(scene, plant=plant, phase=float(some[0]))
+            rows.append(
+                ({name: np.asarray([value]) for name, value in result.figures.items()}, result.trace.furthest()[None])
+            )
+        if progress is not None:
+            progress(start + some.size, chosen.size)
+    together = {name: np.concatenate([row[name] for row, _ in rows]) for name in rows[0][0]}
+    return Phases(scene, plant, chosen, together, np.concatenate([furthest for _, furthest in rows]))
+
+
+def checked_plant(scene: Scene, plant: str | None) -> str:
+    """Return the name of a plant that a scene runs on.
+
+    Raises:
+        ParameterError: If it does not.
+    """
+    chosen = scene.plants[0] if plant is None else plant
+    if chosen not in scene.plants:
+        raise ParameterError(f"plant must be one of {', '.join(scene.plants)}, not {plant!r}")
+    return chosen
+
+
+def checked_phase(phase: object) -> float:
+    """Return one phase, checked."""
+    return number("phase", phase, at_least=0.0, below=1.0)
+
+
+def parameters_json(scene: Scene, plant: str, phase: Any) -> dict[str, Any]:
+    """Return how a scene was run, then its own parameters, ready for JSON."""
+    head: dict[str, Any] = {"plant": plant}
+    if scene.takes_phase:
+        head["phase"] = phase
+    return {**head, **scene.as_json()}
+
+
+def plain(figures: Mapping[str, Any]) -> dict[str, Any]:
+    """Return plain numbers, lists for arrays, None for what is not there."""
+    return {name: _plain(value) for name, value in figures.items()}
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, bool | np.bool_ | str) or value is None:
+        return bool(value) if isinstance(value, np.bool_) else value
+    if isinstance(value, Integral):
+        return int(value)
+    shown = np.array(value, dtype=object)
+    shown[~np.isfinite(np.asarray(value, dtype=np.float64))] = None
+    return shown.tolist()
+
+
+def _phases(phases: Any) -> Array:
+    if isinstance(phases, Integral):
+        if not 1 <= int(phases) <= _MOST_PHASES:
+            raise ParameterError(f"phases must be at least 1 and at most {_MOST_PHASES}, not {phases}")
+        return np.arange(int(phases)) / int(phases)
+    chosen = numbers("phases", phases, at_least=0.0)
+    if chosen.ndim != 1 or not chosen.size:
+        raise ParameterError(f"phases must be a whole number or a list of phases, not {phases!r}")
+    if not (chosen < 1.0).all():
+        raise ParameterError(f"phases must be below 1 everywhere, not {chosen.max():g}")
+    return chosen
+
+
+def _figures(result: Result, count: int) -> dict[str, Array]:
+    """Return figures (N, ...): at once where the figure takes a batch, device by device elsewhere."""
+    each = [] if all(one.batched for one in result.scene.figures.values()) else [result[k] for k in range(count)]
+    return {
+        name: np.asarray(one(result)) if one.batched else np.array([one(device) for device in each])
+        for name, one in result.scene.figures.items()
+    }
+
+
+class _Told:
+    """Keeps what laws tell of their states at each sample."""
+
+    def __init__(self, controller: Controller, observe: Observe | None, batch: tuple[int, ...]) -> None:
+        self._controller, self._also, self._batch = controller, observe, batch
+        self._tellers: list[tuple[int, Any]] | None = None
+        self._time: list[Any] = []
+        self._rows: list[dict[str, Any]] = []
+
+    def observe(self, sample: Sample, command: Command) -> None:
+        """Note what the laws tell of a sample."""
+        states = self._controller.states
+        if self._tellers is None:  # a state is there from the first sample on
+            laws = enumerate(self._controller.laws)
+            self._tellers = [(place, law) for place, law in laws if _signals(law, states[place])]
+        if self._tellers:
+            row: dict[str, Any] = {"position": self._copied(sample.position)}
+            for place, law in self._tellers:
+                row |= {name: self._copied(parts) for name, parts in _signals(law, states[place]).items()}
+            self._time.append(sample.time)
+            self._rows.append(row)
+        if self._also is not None:
+            self._also(sample, command)
+
+    def _copied(self, parts: Sequence[Any]) -> Any:
+        if not self._batch:
+            return list(parts)
+        return [np.broadcast_to(part, self._batch) for part in parts]
+
+    def result(self, scene: Scene, plant: str, phase: Any, trace: Trace) -> Result:
+        """Return the result of what was told, up to the end of a trace."""
+        time = np.array(self._time)
+        kept = time <= float(trace.time[-1]) if time.ndim == 1 and trace.time.ndim == 1 else slice(None)
+        columns = (
+            {name: np.array([row[name] for row in self._rows])[kept] for name in self._rows[0]} if self._rows else {}
+        )
+        return Result(scene, plant, phase, trace, time[kept], columns)
+
+
+def _signals(law: Any, states: Any) -> dict[str, Any]:
+    if not hasattr(law, "breakaway"):
+        return {}
+    return {"stick_position": [state.anchor for state in states], "stuck": [state.stuck for state in states]}
+
+
+def _escaped_later(trace: Trace, end: float) -> bool:
+    """Return whether a run that diverged was still within bounds at the end asked for [s].
+
+    A run goes on to the sample after its end, and escape is found at samples.
+    """
+    if float(trace.time[-1].min()) < end:
+        return False
+    return bool((np.linalg.norm(trace.until(end).pose[..., :3], axis=-1) < ESCAPE).all())

@@ -1,0 +1,161 @@
+"""The flotor pulled out of rendered friction by a virtual spring: figure 8 of Salcudean and Vlaar (1997)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from maglev_mj.frames import AXES, Array
+from maglev_mj.laws import Hold, Law, VelocityEstimator
+from maglev_mj.parameters import param
+from maglev_mj.scenes.bench import hold, others, stepped
+from maglev_mj.scenes.choices import LAWS, SLIDES_AT, VELOCITIES
+from maglev_mj.scenes.figures import changes
+from maglev_mj.scenes.scene import Scene, Start
+from maglev_mj.spec import INERTIA, Spec
+from maglev_mj.theory.karnopp import FrictionEvent, KarnoppMotion, karnopp
+
+if TYPE_CHECKING:
+    from maglev_mj.scenes.run import Result
+
+__all__ = ["StickSlip"]
+
+
+def _at_radius(value: float, power: int) -> Callable[[Any], float]:
+    """Return what derives a default, given for a translation, at the radius of gyration of the scene's axis."""
+
+    def derived(scene: StickSlip) -> float:
+        radius = 1.0 if AXES.index(scene.axis) < 3 else math.sqrt(scene.inertia / Spec.moving_mass.value)
+        return value * radius**power
+
+    return derived
+
+
+class StickSlip(Scene):
+    """Pull the flotor out of rendered friction (figure 8).
+
+    A flotor at rest and stuck at 0 is released against a virtual spring whose far end is at `target`. On a rotation
+    axis the defaults are those of a translation at the radius of gyration, so that the motion is the same in units of
+    it; what is given is in N m/rad, rad, N m s/rad, N m and rad/s there. Gravity is compensated, the other axes are
+    held.
+    """
+
+    figures: ClassVar = ("peak_speed", "stick_time", "stick_position", "final_position", "transitions", "ripple")
+    takes_phase: ClassVar[bool] = False
+    plots: ClassVar[Mapping[str, str]] = {"stick_slip.png": "maglev_mj.plots.friction:stick_slip"}
+
+    law: str = param("friction law", default="stick-slip", choices=tuple(LAWS))
+    velocity: str = param("velocity estimator", default="difference", choices=tuple(VELOCITIES))
+    axis: str = param("axis", default="x", choices=AXES)
+    quantize: float = param(
+        "resolution of the position sensor; 0 for an ideal one", "m", default=0.0, at_least=0.0, at_most=1.0
+    )
+    spring: float = param(
+        "stiffness of the virtual spring", "N/m", default=None, derive=_at_radius(1000.0, 2), above=0.0, at_most=1e8
+    )
+    target: float = param(
+        "where the spring's far end is", "m", default=None, derive=_at_radius(0.003, -1), at_least=-0.5, at_most=0.5
+    )
+    stiffness: float = param(
+        "stiffness of the friction law while stuck",
+        "N/m",
+        default=None,
+        derive=_at_radius(6000.0, 2),
+        above=0.0,
+        at_most=1e8,
+        live=True,
+    )
+    damping: float = param(
+        "viscous damping", "N s/m", default=None, derive=_at_radius(80.0, 2), at_least=0.0, at_most=1e6, live=True
+    )
+    breakaway: float = param(
+        "breakaway force", "N", default=None, derive=_at_radius(2.0, 1), above=0.0, at_most=1e6, live=True
+    )
+    v_min: float = param(
+        "speed below which the flotor sticks", "m/s", default=None, derive=_at_radius(0.005, -1), above=0.0, at_most=1e3
+    )
+    duration: float = param("simulated time", "s", default=0.3, above=0.0, at_most=1000.0)
+
+    def start(self) -> Start:
+        """Return a flotor at rest, its weight compensated."""
+        return Start(gravity=0.0)
+
+    def laws(self) -> list[Law]:
+        """Return friction, spring, and what holds the other axes."""
+        common = {"axes": self.axis, "stiffness": self.stiffness, "damping": self.damping, "breakaway": self.breakaway}
+        friction = LAWS[self.law](v_min=self.v_min, period=self.period, **common)
+        spring = Hold(axes=self.axis, stiffness=self.spring, damping=0.0, target=self.target)
+        return [friction, spring, hold(self, others(self.axis))]
+
+    def velocity_estimator(self) -> VelocityEstimator:
+        """Return the estimator that is asked for, made for the sensor."""
+        return VELOCITIES[self.velocity](self.quantize)
+
+    def plant_options(self) -> dict[str, Any]:
+        """See `Scene`."""
+        return {"sensor": stepped(self.axis, self.quantize)}
+
+    def describe(self) -> str:
+        """Return one line on what happens."""
+        gains = f"{self.stiffness:.6g} N/m and {self.damping:.4g} N s/m while stuck"
+        return f"pulled out of {self.law} friction by a spring, as in figure 8; {gains}"
+
+    @property
+    def inertia(self) -> float:
+        """Mass or moment of inertia on the axis [kg, kg m²]."""
+        return INERTIA[AXES.index(self.axis)]
+
+    def exact(self, time: Array) -> KarnoppMotion:
+        """Return what the friction that the law stands for does itself with the same spring, mass and damping.
+
+        Karnopp's for the laws that slide freely; for the others Coulomb friction, which against a motion that never
+        turns back is a constant force: the spring's end moved by f / k.
+
+        Args:
+            time: When [s], (M,).
+        """
+        target, breakaway, v_min = self.target, self.breakaway, self.v_min
+        share = SLIDES_AT.get(self.law, 1.0)
+        if share > 0.0 and abs(self.spring * target) > breakaway:
+            target -= math.copysign(share * breakaway / self.spring, target)
+            breakaway, v_min = 1e-9 * breakaway, 1e-9 * v_min
+        return karnopp(
+            time,
+            targets=[(0.0, target)],
+            spring=self.spring,
+            damping=self.damping,
+            breakaway=breakaway,
+            v_min=v_min,
+            mass=self.inertia,
+        )
+
+    def series(self, result: Result, time: Array) -> dict[str, Array]:
+        """Return position, velocity, stick position, state and force."""
+        held = np.clip(np.searchsorted(result.sample_time, time + 1e-12, side="right") - 1, 0, None)
+        place, speed, force = result.motion(time)
+        return {
+            "position": place,
+            "velocity": speed,
+            "stick_position": result.samples["stick_position"][held, 0],
+            "state": np.where(result.samples["stuck"][held, 0], "stuck", "sliding"),
+            "force": force,
+        }
+
+    def events(self, result: Result) -> list[FrictionEvent]:
+        """Return the changes of the law's state, at the samples that found them."""
+        index, told = AXES.index(self.axis), result.samples
+        return [
+            FrictionEvent(
+                float(result.sample_time[k]),
+                "stick" if told["stuck"][k, 0] else "slip",
+                float(told["position"][k, index]),
+            )
+            for k in changes(result)
+        ]
+
+    def extra_json(self, result: Result) -> dict[str, Any]:
+        """Return the changes of state."""
+        return {"events": [event._asdict() for event in self.events(result)]}
