@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -34,8 +34,17 @@ from maglev_mj.recording import (
     open_recording,
 )
 from maglev_mj.recording.fields import start_in
-from maglev_mj.scenes import SCENES, Scene, Settings, scene_called
-from maglev_mj.session import SampledMotion, Snapshot, stick_positions, wall_faces
+from maglev_mj.scenes import Scene, find_scene
+from maglev_mj.scenes.legacy import recorded_scene
+from maglev_mj.session import (
+    SampledMotion,
+    Snapshot,
+    device_controller,
+    live_plant,
+    mechanics,
+    stick_positions,
+    wall_faces,
+)
 
 __all__ = [
     "EXPERIMENTS",
@@ -76,10 +85,10 @@ def rebuild(setup: Setup, hand: HandForce | None) -> tuple[SampledPlant | None, 
     try:
         kind = setup["kind"]
         if kind in _SCENES:
-            scene, settings = scene_called(setup["scene"]), Settings.from_json(setup["settings"])
+            scene = recorded_scene(setup["scene"], setup["settings"])
             if kind == "device":
-                return None, scene.controller(settings)
-            return scene.plant(settings, hand_force=hand, **start_in(setup)), scene.controller(settings)
+                return None, device_controller(scene)
+            return live_plant(scene, hand, **start_in(setup)), scene.controller()
         if kind not in EXPERIMENTS:
             known = ", ".join((*_SCENES, *EXPERIMENTS))
             raise InvalidRecordingError(f"a recording of kind {kind!r} cannot be made here, which knows {known}")
@@ -103,11 +112,11 @@ def expected(setup: Setup) -> Expected:
         parameters = made(**setup["parameters"])
         known, (_, _, samples) = known_experiment(kind, asdict(parameters)), parts(parameters, None)
         load = [0.0, 0.0, known.weight, 0.0, 0.0, 0.0]
-        mechanics = Mechanics(inertia=known.inertia, load=load, before=known.before)
-        return Expected(known.delay, mechanics, scripted=True, samples=samples)
-    delay = Settings.from_json(setup["settings"]).delay
+        masses = Mechanics(inertia=known.inertia, load=load, before=known.before)
+        return Expected(known.delay, masses, scripted=True, samples=samples)
+    scene = recorded_scene(setup["scene"], setup["settings"])
     # on a device, what acted before a stretch is in the flight, not in the setup
-    return Expected(delay, Mechanics(before=setup["wrench"]) if kind == "scene" else None, scripted=False)
+    return Expected(scene.delay, mechanics(scene, setup["wrench"]) if kind == "scene" else None, scripted=False)
 
 
 def record_experiment(kind: str, parameters: Any) -> Recording:
@@ -184,9 +193,9 @@ class Replay:
             return 0
         self._owed += elapsed
         shown = 0
-        while self._owed >= self._now.period:
-            self._owed -= self._now.period
-            self.simulated += self._now.period
+        while self._owed >= (period := self._now.scene.period):
+            self._owed -= period
+            self.simulated += period
             self._next()
             shown += 1
         return shown
@@ -203,8 +212,7 @@ class Replay:
         (_, row), now, motion = self._place, self._now, self._motion
         return Snapshot(
             scene=now.scene,
-            settings=now.settings,
-            delay=now.settings.delay,
+            delay=now.scene.delay,
             tick=row,
             time=float(now.time[row]),
             pose=now.pose[row],
@@ -244,32 +252,24 @@ class _Shown:
     """A stretch of a recording with what its setup tells of it."""
 
     def __init__(self, stretch: Stretch) -> None:
-        self.scene, self.settings = scene_of(stretch.setup)
-        self.period, self.time, self.pose, self.hand = (
-            self.settings.period,
-            stretch.time,
-            stretch.position,
-            stretch.hand,
-        )
+        self.scene = scene_of(stretch.setup)
+        self.time, self.pose, self.hand = stretch.time, stretch.position, stretch.hand
         _, controller = rebuild(stretch.setup, None)
         self.force = stretch.applied[:, :6] - carried_by(controller.laws)
         coils = load("drop").coils
         assert coils is not None
         self.currents = stretch.applied[:, :6] @ coils.current_per_wrench.T
-        self.faces = wall_faces(self.scene.laws(self.settings))
+        self.faces = wall_faces(controller.laws)
         self.anchors = stick_positions_of(stretch)
 
 
-def scene_of(setup: Setup) -> tuple[Scene, Settings]:
-    """Return the scene that shows a stretch, and its settings."""
+def scene_of(setup: Setup) -> Scene:
+    """Return the scene that shows a stretch."""
     rebuild(setup, None)  # complains of what is not known here
     if setup["kind"] in _SCENES:
-        return scene_called(setup["scene"]), Settings.from_json(setup["settings"])
-    parameters, _, name = EXPERIMENTS[setup["kind"]]
-    made = parameters(**setup["parameters"])
-    scene = SCENES[name]
-    gains = {name: getattr(made, name) for name in ("stiffness", "damping", "period", "delay")}
-    return scene, replace(scene.settings, pulse=getattr(made, "pulse", 0.0) > 0.0, **gains)
+        return recorded_scene(setup["scene"], setup["settings"])
+    values = {name: value for name, value in setup["parameters"].items() if name not in ("plant", "phase")}
+    return find_scene(setup["kind"]).from_json(values)
 
 
 def stick_positions_of(stretch: Stretch) -> Array | None:

@@ -8,7 +8,6 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +21,9 @@ from maglev_mj.bridge.impair import Impairment
 from maglev_mj.bridge.virtual import VirtualLink
 from maglev_mj.cli import main
 from maglev_mj.recording import Recording, RecordingError, open_recording
-from maglev_mj.scenes import Settings, scene_called
+from maglev_mj.scenes import Scene
+from maglev_mj.scenes.box import Box
+from maglev_mj.scenes.joystick import Joystick
 from maglev_mj.session import Publishers, Snapshot
 from maglev_mj.stream import StreamClient
 from tests.test_bridge_processes import COMMAND, ended, said_by, twin
@@ -175,12 +176,12 @@ def test_outlets_are_told_sixty_times_a_second_and_asked_every_tick() -> None:
 
     now, made, told = 0.0, 0, [Told(), Told()]
     publishers = Publishers(told, clock=lambda: now)
-    scene = scene_called("box")
+    scene = Box()
 
     def snapshot() -> Snapshot:
         nonlocal made
         made += 1
-        return Snapshot(scene=scene, settings=scene.settings, time=now)
+        return Snapshot(scene=scene, time=now)
 
     for tick in range(2001):
         now = tick * 5e-4
@@ -194,20 +195,20 @@ def test_outlets_are_told_sixty_times_a_second_and_asked_every_tick() -> None:
         publishers.show(snapshot)
         now += 1e-4
     assert made <= 63
-    told[1].waiting = scene.settings
-    assert publishers.wanted() is scene.settings and publishers.wanted() is None
+    told[1].waiting = scene
+    assert publishers.wanted() is scene and publishers.wanted() is None
     publishers.close()
     assert told[0].closed and told[1].closed
 
 
 class Asks:
-    """An publisher that asks for settings, and keeps what it is told."""
+    """A publisher that asks for settings, and keeps what it is told."""
 
-    def __init__(self, *wanted: Settings) -> None:
+    def __init__(self, *wanted: Scene) -> None:
         self._waiting, self._asked = list(wanted), False
         self.snapshots: list[Snapshot] = []
 
-    def take(self) -> Settings | None:
+    def take(self) -> Scene | None:
         asked, self._asked = self._asked, False
         return self._waiting.pop(0) if asked else None
 
@@ -222,8 +223,7 @@ class Asks:
 def flight(**options: Any) -> tuple[Flight, RemotePlant]:
     """Return a flight on a virtual twin, which takes off at once."""
     plant = RemotePlant(VirtualLink(Twin(TwinParameters(), draw=lambda: 7), Impairment(jitter=0.001)))
-    scene = scene_called("joystick")
-    return Flight(plant, scene, replace(scene.settings, period=plant.period, delay=plant.delay), **options), plant
+    return Flight(plant, Joystick(period=plant.period, delay=plant.delay), **options), plant
 
 
 def slow() -> Callable[[], float]:
@@ -235,7 +235,7 @@ def slow() -> Callable[[], float]:
 def test_a_flight_is_recorded_through_changes_as_one_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Settings from outside: what is missed and when counts on from change to change, for a device does."""
     monkeypatch.setattr(Publishers.__init__, "__defaults__", ((), slow()))
-    wishes = [Settings(friction=True), Settings(stiffness=4000.0)]
+    wishes = [Joystick(friction=True), Joystick(stiffness=4000.0)]
     asks, file = Asks(*wishes), open_recording(tmp_path / "run.mcap")
     flown, plant = flight(publishers=[asks], file=file)
     with plant:
@@ -247,7 +247,7 @@ def test_a_flight_is_recorded_through_changes_as_one_run(tmp_path: Path, monkeyp
     assert (np.diff(ticks) >= 1).all() and ticks[0] > 100  # it counts from takeoff on
     for before, after in zip(asks.snapshots, asks.snapshots[1:], strict=False):
         assert after.tick - before.tick <= 3
-    since = [next(one.since for one in asks.snapshots if one.settings.friction == on) for on in (False, True)]
+    since = [next(one.since for one in asks.snapshots if one.scene.as_json()["friction"] == on) for on in (False, True)]
     assert since[1] - asks.snapshots[2].tick <= 2
     with (tmp_path / "run.mcap").open("rb") as opened:
         read = [

@@ -26,7 +26,8 @@ from maglev_mj.cli.options import Parser
 from maglev_mj.cli.publishers import add_spacenav, chosen_spacenav
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
-from maglev_mj.scenes import Settings, scene_called
+from maglev_mj.scenes import find_scene
+from maglev_mj.scenes.joystick import Joystick
 from maglev_mj.session import Snapshot
 from maglev_mj.spacenav import (
     FULL,
@@ -57,8 +58,7 @@ def snapshot(
 ) -> Snapshot:
     """Return a snapshot of a pose."""
     return Snapshot(
-        scene=scene_called(scene),
-        settings=Settings(),
+        scene=find_scene(scene)(),
         time=time,
         pose=np.array(pose, dtype=np.float64),
         anchors=anchors,
@@ -740,12 +740,17 @@ def test_a_program_hears_of_the_scripted_hand(path: Path, capsys: pytest.Capture
 
 
 def test_the_scripted_hand_does_it_again() -> None:
-    script = scene_called("joystick").script
-    assert script is not None
-    again = serve_spacenav._Again(script.times, script.poses)
-    for instant in np.linspace(0.0, script.end, 50):
-        assert again.at(instant) == script.at(instant)
-        assert again.at(instant + 3 * (script.end + 0.4)) == pytest.approx(script.at(instant), abs=1e-12)
+    scene = Joystick()
+    hand = scene.scripted_hand()
+    assert hand is not None
+    again = serve_spacenav._Again(hand, scene.end)
+
+    def state() -> tuple[Array, Array]:
+        return np.zeros(6), np.zeros(6)
+
+    for instant in np.linspace(0.0, scene.end - 0.01, 50):
+        assert again(0, instant, state) == hand(0, instant, state)
+        assert again(0, instant + 3 * scene.end, state) == pytest.approx(hand(0, instant, state), abs=1e-9)
 
 
 @pytest.mark.parametrize("seconds", ["0", "-1", "nan"])

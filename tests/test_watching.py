@@ -17,7 +17,7 @@ import pytest
 
 from maglev_mj.errors import MaglevError
 from maglev_mj.recording import Recording
-from maglev_mj.scenes import Settings, scene_called
+from maglev_mj.scenes.joystick import Joystick
 from maglev_mj.session import SampledMotion, Snapshot
 from maglev_mj.viewer.process import RemoteSession, RemoteViewer
 from tests.virtual_screen import MISSING, VirtualScreen
@@ -27,11 +27,10 @@ pytestmark = pytest.mark.xdist_group("realtime")
 
 def test_a_window_is_told_of_the_device_and_says_what_the_mouse_and_keys_do() -> None:
     near, far = Pipe()
-    watched = RemoteSession(far, Snapshot(scene=scene_called("joystick"), settings=Settings()))
-    pose, settings, faces = np.arange(6.0) * 1e-3, Settings(stiffness=4000.0), ((0, 1.0, 3e-3),)
+    watched = RemoteSession(far, Snapshot(scene=Joystick()))
+    pose, scene, faces = np.arange(6.0) * 1e-3, Joystick(stiffness=4000.0), ((0, 1.0, 3e-3),)
     sent = Snapshot(
-        scene=scene_called("joystick"),
-        settings=settings,
+        scene=scene,
         tick=3,
         time=0.015,
         pose=pose,
@@ -42,7 +41,7 @@ def test_a_window_is_told_of_the_device_and_says_what_the_mouse_and_keys_do() ->
     near.send(sent)
     assert watched.tick(0.02) == 3
     view = watched.snapshot()
-    assert (view.pose == pose).all() and view.settings == settings and view.notes == ["a note"]
+    assert (view.pose == pose).all() and view.scene == scene and view.notes == ["a note"]
     assert view.faces == ((0, 1.0, 3e-3),) and view.history.shape == (3, 5) and view.time == pytest.approx(0.015)
     watched.hand.target = [1e-3] * 6
     watched.act("wall")
@@ -81,7 +80,7 @@ def test_both_ends_of_a_window_agree(monkeypatch: pytest.MonkeyPatch) -> None:
     line, far = Pipe()
     context = SimpleNamespace(Pipe=lambda: (line, SimpleNamespace(close=lambda: None)), Process=opened)
     monkeypatch.setattr(multiprocessing, "get_context", lambda method: context)
-    motion, blank = SampledMotion(0), Snapshot(scene=scene_called("joystick"), settings=Settings())
+    motion, blank = SampledMotion(0), Snapshot(scene=Joystick())
     viewer, closed = RemoteViewer(blank), []
     viewer.on_close = lambda: closed.append(1)
     session = RemoteSession(far, ends[0].blank)
@@ -102,7 +101,7 @@ def test_both_ends_of_a_window_agree(monkeypatch: pytest.MonkeyPatch) -> None:
     for action in ("stiffness up", "pause", "stiffness up", "wall"):
         session.act(action)
     wanted = viewer.take()
-    assert wanted == Settings(stiffness=9380.0, wall=False) and viewer.take() is None
+    assert wanted == Joystick(stiffness=9380.0, wall=False) and viewer.take() is None
     assert viewer.hand.target == [1e-3] * 6
     far.close()
     for _ in range(3):

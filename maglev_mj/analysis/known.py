@@ -12,10 +12,10 @@ from maglev_mj.frames import AXES, Array
 from maglev_mj.hand import hand_called
 from maglev_mj.laws import Law
 from maglev_mj.parameters import flag, number, numbers
-from maglev_mj.recording import Stretch, carried_by
-from maglev_mj.scenes import Settings, scene_called
+from maglev_mj.recording import Mechanics, Stretch, carried_by
+from maglev_mj.scenes.legacy import recorded_scene
 from maglev_mj.scenes.parts import INERTIA, WEIGHT
-from maglev_mj.session import wall_faces
+from maglev_mj.session import mechanics, wall_faces
 from maglev_mj.spec import GRAVITY
 
 __all__ = ["Known", "known_experiment", "known_of"]
@@ -78,21 +78,22 @@ def known_of(stretch: Stretch, laws: Sequence[Law]) -> Known:
     kind, faces = setup["kind"], wall_faces(laws)
     if kind not in ("scene", "device"):
         return known_experiment(kind, setup["parameters"], faces)
-    settings = Settings.from_json(setup["settings"])
+    scene = recorded_scene(setup["scene"], setup["settings"])
     before = setup["wrench"] if kind == "scene" else stretch.applied[0, :6] if len(stretch.applied) else WEIGHT
+    masses = mechanics(scene, before) if kind == "scene" else Mechanics()
     return Known(
         kind=kind,
-        name=f"{kind} {setup['scene']}" if kind == "scene" else f"{setup['scene']} on a device",
-        period=settings.period,
-        delay=settings.delay,
-        inertia=INERTIA,
-        weight=-float(INERTIA[2]) * GRAVITY,
+        name=f"{kind} {scene.name}" if kind == "scene" else f"{scene.name} on a device",
+        period=scene.period,
+        delay=scene.delay,
+        inertia=np.asarray(masses.inertia),
+        weight=float(np.asarray(masses.load)[2]),
         carried=carried_by(laws),
         before=np.array(before, dtype=np.float64),
         felt=kind == "scene",
         pushed=True,
         faces=faces,
-        axis=scene_called(setup["scene"]).axis_index,
+        axis=scene.axis_index,
     )
 
 

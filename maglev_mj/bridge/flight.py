@@ -7,7 +7,6 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from statistics import median
 from typing import NamedTuple
 
@@ -20,9 +19,19 @@ from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.loop import Answers, ControlLoop, Record
 from maglev_mj.recording import Mechanics, RecordingError, RecordingFile, carried_by
-from maglev_mj.scenes import Scene, Settings
+from maglev_mj.scenes import Scene
+from maglev_mj.scenes.find import reference_of
 from maglev_mj.scenes.parts import WEIGHT
-from maglev_mj.session import Publisher, Publishers, SampledMotion, Snapshot, stick_positions, wall_faces
+from maglev_mj.session import (
+    DEVICES_OWN,
+    Publisher,
+    Publishers,
+    SampledMotion,
+    Snapshot,
+    device_controller,
+    stick_positions,
+    wall_faces,
+)
 
 __all__ = ["Flight", "Flown"]
 
@@ -55,8 +64,7 @@ class Flight:
 
     Args:
         plant: The device; closed by the caller.
-        scene: The scene.
-        settings: Of its laws; its period is the device's.
+        scene: The scene; its period is the device's.
         file: What every sample is recorded to; left open.
         publishers: Windows on it and ways to other programs; left open.
         warn: Called, once, with why the flight is not recorded any more.
@@ -65,26 +73,25 @@ class Flight:
         read_at: When the last sample was there [ns].
 
     Raises:
-        ParameterError: If the settings' period is not the device's.
+        ParameterError: If the scene's period is not the device's.
     """
 
     def __init__(
         self,
         plant: RemotePlant,
         scene: Scene,
-        settings: Settings,
         *,
         file: RecordingFile | None = None,
         publishers: Sequence[Publisher] = (),
         warn: Callable[[str], object] | None = None,
     ) -> None:
-        if settings.period != plant.period:
-            raise ParameterError(f"period must be the device's {plant.period:g} s, not {settings.period:g}")
-        self._plant, self._scene, self._settings, self._file = plant, scene, settings, file
+        if scene.period != plant.period:
+            raise ParameterError(f"period must be the device's {plant.period:g} s, not {scene.period:g}")
+        self._plant, self._scene, self._file = plant, scene, file
         self._publishers, self._since = Publishers(publishers), 0
         self._motion, self._note = SampledMotion(scene.axis_index), _NOTE
         self._stopped = threading.Event()
-        self._wanted: Settings | None = None
+        self._wanted: Scene | None = None
         self._answer = Lateness()
         self._force: Sequence[float] = WEIGHT
         self._delays: deque[float] = deque(maxlen=_USUAL)
@@ -121,14 +128,14 @@ class Flight:
         self._stopped.set()
 
     def _stretch(self, last: int | None) -> None:
-        """Fly with unchanged settings."""
+        """Fly with unchanged parameters."""
         if self._wanted is not None:
-            self._settings, self._wanted = self._wanted, None
+            self._scene, self._wanted = self._wanted, None
         self._since = self._plant.samples.tick
-        controller = self._scene.controller(self._settings)
+        controller = device_controller(self._scene)
         record: Record | None = None
         if self._file is not None:
-            setup = {"kind": "device", "scene": self._scene.name, "settings": self._settings.as_json()}
+            setup = {"kind": "device", "scene": reference_of(type(self._scene)), "settings": self._scene.as_json()}
             setup["calibration"] = self._plant.calibration.digest.hex()
             mechanics, delay = Mechanics(before=self._force), self._plant.delay
             record = self._file.begin(self._plant, controller, setup, delay=delay, mechanics=mechanics)
@@ -173,7 +180,7 @@ class Flight:
             self._delays.append(self._plant.last_delay)
         wanted = self._publishers.wanted() if self._wanted is None else None
         if wanted is not None:
-            self._wanted = replace(wanted, period=self._settings.period, delay=self._settings.delay)
+            self._wanted = wanted.replace(**{name: getattr(self._scene, name) for name in DEVICES_OWN})
 
     def _snapshot(
         self, pose: Array, force: Array, faces: Sequence[tuple[int, float, float]], anchors: Array | None
@@ -182,7 +189,6 @@ class Flight:
         plant, samples = self._plant, self._plant.samples
         return Snapshot(
             scene=self._scene,
-            settings=self._settings,
             since=self._since,
             delay=median(self._delays or [plant.delay]),
             tick=samples.tick,

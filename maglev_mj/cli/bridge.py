@@ -6,7 +6,6 @@ import argparse
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -24,9 +23,9 @@ from maglev_mj.bridge.stopping import stopping
 from maglev_mj.cli.options import (
     add_bridge,
     add_recording,
-    add_settings,
+    add_scene,
     chosen_key,
-    chosen_settings,
+    chosen_scene,
     number_option,
 )
 from maglev_mj.cli.output import check_file, check_outputs, check_recording
@@ -34,8 +33,8 @@ from maglev_mj.cli.publishers import add_publishers, chosen_publishers
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.parameters import number
 from maglev_mj.recording import RecordingFile, open_recording
-from maglev_mj.scenes import SCENES, Scene, Settings, scene_called
-from maglev_mj.session import Publisher, Snapshot
+from maglev_mj.scenes import Scene
+from maglev_mj.session import DEVICES_OWN, Publisher, Snapshot
 from maglev_mj.tables import flown_table
 from maglev_mj.terminal import say
 from maglev_mj.viewer.process import RemoteViewer
@@ -49,8 +48,7 @@ def add_command(commands: Any) -> None:
     """Add the command to the parser's."""
     bridge = commands.add_parser("bridge", help="a scene on a device at the other end of a wire")
     bridge.add_argument("address", metavar="ADDRESS", help="udp://HOST:PORT, or serial:///PATH?baud=RATE")
-    bridge.add_argument("--scene", default="joystick", metavar="SCENE", help=f"{', '.join(SCENES)} (default joystick)")
-    add_settings(bridge, timing=False)
+    add_scene(bridge, "--scene", without=DEVICES_OWN)
     add_recording(bridge)
     add_bridge(bridge)
     add_publishers(bridge)
@@ -70,7 +68,7 @@ def add_command(commands: Any) -> None:
 
 
 def _bridge(options: argparse.Namespace) -> int:
-    scene, key = scene_called(options.scene), chosen_key(options.key)
+    scene, key = chosen_scene(options), chosen_key(options.key)  # before the device: what is wrong is said at once
     if options.seconds is not None:
         number("seconds", options.seconds, above=0.0)
     check_recording(options.record)
@@ -82,7 +80,6 @@ def _bridge(options: argparse.Namespace) -> int:
         if options.identify is not None and getattr(options, name):
             raise ParameterError(f"{name} is for scenes, not for --identify")
     check_outputs(out=options.out)
-    wanted = chosen_settings(options, scene.settings)  # before the device: what is wrong is said at once
     calibration = Calibration.nominal() if options.calibration is None else Calibration.load(options.calibration)
     if options.view:
         from maglev_mj.viewer.window import require_display
@@ -94,25 +91,22 @@ def _bridge(options: argparse.Namespace) -> int:
             plant.reset()
         if options.identify is not None:
             return _identify(plant, options)
-        settings = replace(wanted, period=plant.period, delay=plant.delay)
-        _fly(plant, scene, settings, options, publishers)
+        _fly(plant, scene.replace(period=plant.period, delay=plant.delay), options, publishers)
     return 0
 
 
-def _fly(
-    plant: RemotePlant, scene: Scene, settings: Settings, options: argparse.Namespace, publishers: Sequence[Publisher]
-) -> None:
+def _fly(plant: RemotePlant, scene: Scene, options: argparse.Namespace, publishers: Sequence[Publisher]) -> None:
     """Fly a scene; whatever ends it, first the device is let go, then what was recorded is kept."""
     with ExitStack() as last:
         viewer = None
         if options.view:
-            viewer = RemoteViewer(Snapshot(scene=scene, settings=settings), options.out)
+            viewer = RemoteViewer(Snapshot(scene=scene), options.out)
             last.callback(viewer.close)
             publishers = [*publishers, viewer]
         file = None if options.record is None else open_recording(options.record)
         if file is not None:
             last.push(partial(_keep, file))
-        flight = Flight(plant, scene, settings, file=file, publishers=publishers, warn=_warn)
+        flight = Flight(plant, scene, file=file, publishers=publishers, warn=_warn)
         if viewer is not None:
             viewer.on_close = flight.stop
         last.push(plant)  # first of all the device is let go

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import argparse
 import re
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from maglev_mj.bridge.seal import LEAST_KEY, MOST_KEY
 from maglev_mj.errors import ParameterError
-from maglev_mj.parameters import flag
-from maglev_mj.scenes import Settings
+from maglev_mj.scenes import BUILT_IN, Scene, find_scene, scene_names
 from maglev_mj.workers import Workers, dask_workers, local_workers
 
 __all__ = [
@@ -21,10 +20,10 @@ __all__ = [
     "add_options",
     "add_outputs",
     "add_recording",
-    "add_settings",
+    "add_scene",
     "add_workers",
     "chosen_key",
-    "chosen_settings",
+    "chosen_scene",
     "chosen_workers",
     "count",
     "joined",
@@ -33,12 +32,49 @@ __all__ = [
 ]
 
 
+_SCENE = "joystick"
+
+
 class Parser(argparse.ArgumentParser):
-    """An argument parser whose complaint is one line."""
+    """An argument parser whose complaint is one line.
+
+    Attributes:
+        without: Parameters of a scene that are no options; None where no scene is asked for.
+    """
+
+    without: Sequence[str] | None = None
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Parse arguments; those of a command with a scene are the scene's too, whichever it is."""
+        if self.without is not None:
+            self.set_defaults(parameters={})
+            self.allow_abbrev = False
+            try:
+                _add_parameters(self, find_scene(self._named(args or [])), self.without)
+            except ParameterError as error:
+                return argparse.Namespace(run=partial(_refuse, error)), []
+        return super().parse_known_args(args, namespace)
+
+    def _named(self, words: Sequence[str]) -> str:
+        """Return the scene that is named among words, or the one by default."""
+        before = ""
+        for word in words:
+            option = self._option_string_actions.get(before)
+            is_value = before != "--scene" and option is not None and option.nargs is None
+            name, before = word.removeprefix("--scene="), word
+            if is_value:
+                continue
+            if name in BUILT_IN or re.search(r"\.py(:\w+)?$", name) or (name.isidentifier() and name in scene_names()):
+                return name
+        return _SCENE
 
     def error(self, message: str) -> Any:
         """Print one line and exit with status 2."""
         self.exit(2, f"{self.prog}: {message}\n")
+
+
+def _refuse(error: ParameterError, _: argparse.Namespace) -> int:
+    raise error
 
 
 def joined(arguments: Sequence[str]) -> list[str]:
@@ -191,30 +227,68 @@ def chosen_key(path: Path | None, name: str = "key") -> bytes | None:
     return key
 
 
-def add_settings(parser: argparse.ArgumentParser, *, timing: bool = True) -> None:
-    """Add the options for what may be changed while a scene runs; see `Settings`.
+def add_scene(parser: Parser, option: str = "scene", *, without: Sequence[str] = ()) -> None:
+    """Add the scene, and an option for each of its parameters.
 
     Args:
         parser: Of the command.
-        timing: False where period and delay are not the user's to choose.
+        option: Name of the argument: "scene", or "--scene".
+        without: Parameters that are not the user's to choose here.
     """
-    flag("timing", timing)
-    for name in ("wall", "pulse", "friction"):
-        parser.add_argument(f"--{name}", action=argparse.BooleanOptionalAction, default=None, help="on from the start")
-    helps = {
-        "stiffness": "of walls and friction [N/m]",
-        "damping": "likewise [N s/m]",
-        "period": "sample period [s]",
-        "delay": "from a sample to its command taking effect [s]",
-    }
-    if not timing:
-        del helps["period"], helps["delay"]
-        parser.set_defaults(period=None, delay=None)
-    add_options(parser, {}, helps, Settings)
+    parser.without = without
+    known = f"one of {', '.join(BUILT_IN)}, or a file such as my_scene.py (default {_SCENE})"
+    optional: dict[str, Any] = {} if option.startswith("-") else {"nargs": "?"}
+    parser.add_argument(option, metavar="SCENE", help=known, **optional)
 
 
-def chosen_settings(options: argparse.Namespace, settings: Settings) -> Settings:
-    """Return a scene's settings with what was chosen in place of its own."""
-    given = {name: getattr(options, name) for name in ("wall", "pulse", "friction", "stiffness", "damping")}
-    given |= {"period": options.period, "delay": options.delay}
-    return replace(settings, **{name: value for name, value in given.items() if value is not None})
+def chosen_scene(options: argparse.Namespace, **defaults: Any) -> Scene:
+    """Return the scene asked for, with the parameters given.
+
+    Args:
+        options: Of the command line.
+        defaults: Parameters in place of its own defaults, where it has them.
+
+    Raises:
+        ParameterError: If there is no such scene, or a parameter is outside its bounds.
+    """
+    cls = find_scene(options.scene or _SCENE)
+    names = [one.name for one in cls.parameters()]
+    given = {name: value for name, value in defaults.items() if name in names}
+    return cls(**given | {name: options.parameters[name] for name in names if name in options.parameters})
+
+
+_KINDS: Mapping[type, tuple[Callable[[str], Any], str]] = {
+    float: (number_option, "X"),
+    int: (count, "N"),
+    str: (str, "NAME"),
+}
+"""Reader and placeholder of a parameter that is no switch."""
+
+
+class _Given(argparse.Action):
+    """Keeps a parameter among the others, away from the command's own options."""
+
+    def __call__(self, parser: Any, namespace: Any, values: Any, option: str | None = None) -> None:
+        name = self.dest.removeprefix("parameter ")
+        given = not (option or "").startswith("--no-") if self.nargs == 0 else values
+        namespace.parameters = {**namespace.parameters, name: given}
+
+
+def _add_parameters(parser: Parser, cls: type[Scene], without: Sequence[str]) -> None:
+    """Add an option for each parameter of a scene, but for those that are no number, switch or word."""
+    made = cls()
+    for one in cls.parameters():
+        option, value = f"--{one.name.replace('_', '-')}", getattr(made, one.name)
+        # an option of the command itself goes before
+        if one.kind is object or one.name in without or option in parser._option_string_actions:
+            continue
+        unit = f" [{one.unit}]" if one.unit else ""
+        shown = "none" if value is None else f"{value:g}" if one.kind in (float, int) else str(value)
+        common: dict[str, Any] = {"dest": f"parameter {one.name}", "action": _Given, "default": argparse.SUPPRESS}
+        if one.kind is bool:
+            off = f"--no-{one.name.replace('_', '-')}"
+            parser.add_argument(option, off, nargs=0, help=f"{one.help} (default {shown.lower()})", **common)
+            continue
+        kind, letter = _KINDS[one.kind]
+        text = f"{one.help}{unit} (default {shown})".replace("%", "%%")
+        parser.add_argument(option, type=kind, metavar=letter, help=text, **common)

@@ -23,7 +23,7 @@ from maglev_mj.cli.options import add_bridge, chosen_key, count, number_option
 from maglev_mj.errors import ParameterError
 from maglev_mj.parameters import number
 from maglev_mj.plants import engine_warnings_silenced
-from maglev_mj.scenes import Settings, scene_called
+from maglev_mj.scenes import find_scene
 from maglev_mj.scenes.parts import WEIGHT
 from maglev_mj.session import Publishers, SampledMotion, Snapshot
 from maglev_mj.spec import Spec
@@ -68,7 +68,7 @@ def add_command(commands: Any) -> None:
 
 def _twin(options: argparse.Namespace) -> int:
     key = chosen_key(options.key)
-    look = scene_called(options.scene)
+    look = find_scene(options.scene or "joystick")
     seconds = None if options.seconds is None else number("seconds", options.seconds, above=0.0)
     calibration = Calibration.nominal() if options.calibration is None else Calibration.load(options.calibration)
     parameters = TwinParameters(
@@ -88,8 +88,8 @@ def _twin(options: argparse.Namespace) -> int:
 
         require_display()
         # what it renders is for whoever flies it to say
-        settings = Settings(wall=False, pulse=False, period=parameters.period, delay=parameters.delay)
-        blank = Snapshot(scene=look, settings=settings)
+        off = {one.name: False for one in look.parameters() if one.kind is bool and one.live}
+        blank = Snapshot(scene=look(**off, period=parameters.period, delay=parameters.delay))
         viewer = RemoteViewer(blank)
     twin = Twin(parameters, key=key, hand_force=None if viewer is None else viewer.hand)
     server = TwinServer(twin, _server(options.listen, key))
@@ -135,7 +135,7 @@ def _shown(viewer: RemoteViewer, blank: Snapshot, server: TwinServer) -> Callabl
     viewer.on_close = server.stop
 
     def each() -> None:
-        currents, pose, time = np.array(plant.applied_currents), twin.pose, twin.tick * blank.settings.period
+        currents, pose, time = np.array(plant.applied_currents), twin.pose, twin.tick * blank.scene.period
         force = coils.wrench(currents) - carried if currents.any() else np.zeros(6)
         motion.add(time, pose, force, plant.hand_wrench)
         publishers.show(

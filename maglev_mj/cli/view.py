@@ -6,12 +6,11 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from maglev_mj.cli.options import add_recording, add_settings, chosen_settings, number_option
+from maglev_mj.cli.options import add_recording, add_scene, chosen_scene, number_option
 from maglev_mj.cli.output import check_outputs, check_recording
 from maglev_mj.cli.publishers import add_publishers, chosen_publishers
 from maglev_mj.hand import SpringHand
 from maglev_mj.parameters import number
-from maglev_mj.scenes import SCENES, scene_called
 from maglev_mj.session import Session
 from maglev_mj.tables import show_table
 
@@ -21,8 +20,7 @@ __all__ = ["add_command"]
 def add_command(commands: Any) -> None:
     """Add the command to the parser's."""
     view = commands.add_parser("view", help="feel a scene: a window, with the mouse as the hand")
-    view.add_argument("scene", nargs="?", default="joystick", metavar="SCENE", help=f"one of {', '.join(SCENES)}")
-    add_settings(view)
+    add_scene(view)
     add_recording(view)
     add_publishers(view)
     view.add_argument(
@@ -40,8 +38,7 @@ def add_command(commands: Any) -> None:
 
 
 def _view(options: argparse.Namespace) -> int:
-    scene = scene_called(options.scene)
-    settings = chosen_settings(options, scene.settings)
+    scene = chosen_scene(options)
     hand = SpringHand(stiffness=options.hand_stiffness)
     seconds = None if options.seconds is None else number("seconds", options.seconds, above=0.0)
     check_outputs(out=options.out)
@@ -52,9 +49,7 @@ def _view(options: argparse.Namespace) -> int:
     require_display()
     options.out.mkdir(parents=True, exist_ok=True)
     with chosen_publishers(options) as publishers:
-        session = Session(
-            scene.name, settings=settings, hand=hand, folder=options.out, record=options.record, publishers=publishers
-        )
+        session = Session(scene, hand=hand, folder=options.out, record=options.record, publishers=publishers)
         try:
             print(show_table(show(session, folder=options.out, duration=seconds)))
         finally:

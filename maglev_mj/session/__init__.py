@@ -1,15 +1,17 @@
 """A scene in real time, without a window: pacing, what keys change, recording, and the picture of now."""
 
+from maglev_mj.session.actions import DEVICES_OWN, actions, settable
 from maglev_mj.session.admission import Refusal, refusal
 from maglev_mj.session.energy import EnergyAccount
+from maglev_mj.session.live import device_controller, live_plant, mechanics
 from maglev_mj.session.pacing import Pacer
 from maglev_mj.session.publishers import Publisher, Publishers
-from maglev_mj.session.session import ACTIONS, Session
+from maglev_mj.session.session import Session
 from maglev_mj.session.snapshot import History, SampledMotion, Snapshot, SnapshotSource
 from maglev_mj.session.view import stick_positions, wall_faces
 
 __all__ = [
-    "ACTIONS",
+    "DEVICES_OWN",
     "EnergyAccount",
     "History",
     "Pacer",
@@ -20,7 +22,12 @@ __all__ = [
     "Session",
     "Snapshot",
     "SnapshotSource",
+    "actions",
+    "device_controller",
+    "live_plant",
+    "mechanics",
     "refusal",
+    "settable",
     "stick_positions",
     "wall_faces",
 ]

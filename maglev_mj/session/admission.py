@@ -1,4 +1,4 @@
-"""Whether settings may be had: the closed loop of every axis, in and out of contact, at the present rate and delay."""
+"""Whether a scene may be had: the closed loop of every axis, in and out of contact, at the present rate and delay."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from maglev_mj.frames import AXES, Array
 from maglev_mj.laws import Friction, Hold, Law, Wall
 from maglev_mj.parameters import axis_indices
-from maglev_mj.scenes import Scene, Settings
+from maglev_mj.scenes import Scene
 from maglev_mj.scenes.parts import INERTIA
 from maglev_mj.theory import largest_modulus, largest_stable_stiffness
 
@@ -55,20 +55,19 @@ class Refusal(NamedTuple):
         )
 
 
-def refusal(scene: Scene, settings: Settings) -> Refusal | None:
-    """Return why a scene would be unstable under some settings; None where it would not.
+def refusal(scene: Scene) -> Refusal | None:
+    """Return why a scene would be unstable; None where it would not.
 
     The loop is that of a flotor that nobody holds, at its centre, where the axes do not act on each other. A hand
     mostly damps; braking pulses are not in it, for they end by themselves.
 
     Args:
-        scene: The scene.
-        settings: Its settings, with the present period and delay.
+        scene: The scene, with the present period and delay.
     """
-    laws = scene.laws(settings)
+    laws = scene.laws()
     worst: Refusal | None = None
     for acting, stiffness, damping in _loops(laws):
-        modulus = largest_modulus(stiffness, damping, period=settings.period, delay=settings.delay, mass=INERTIA)
+        modulus = largest_modulus(stiffness, damping, period=scene.period, delay=scene.delay, mass=INERTIA)
         # with no stiffness the flotor may stay anywhere, which is one root at 1
         wrong = modulus >= np.where(stiffness > 0.0, 1.0 - _ROUNDING, 1.0 + _ROUNDING)
         for index in np.flatnonzero(wrong):
@@ -80,8 +79,8 @@ def refusal(scene: Scene, settings: Settings) -> Refusal | None:
                     damping=float(damping[index]),
                     modulus=float(modulus[index]),
                     largest_stable=0.0,
-                    period=settings.period,
-                    delay=settings.delay,
+                    period=scene.period,
+                    delay=scene.delay,
                 )
     if worst is None:
         return None

@@ -1,4 +1,4 @@
-"""Ways to other programs: snapshots for them, and settings that they ask for."""
+"""Ways to other programs: snapshots for them, and parameters that they ask for."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
-from maglev_mj.scenes import Settings
+from maglev_mj.scenes import Scene
 from maglev_mj.session.snapshot import Snapshot
 
 __all__ = ["Publisher", "Publishers"]
@@ -17,8 +17,8 @@ _FRAME = 1.0 / 60.0
 class Publisher(Protocol):
     """A way to other programs. It never waits, for it is called where the samples are answered."""
 
-    def take(self) -> Settings | None:
-        """Return settings that a program asks for and may have, once."""
+    def take(self) -> Scene | None:
+        """Return the scene that a program asks for and may have, once."""
 
     def show(self, snapshot: Snapshot) -> None:
         """Publish a snapshot."""
@@ -51,11 +51,11 @@ class Publishers:
         for publisher in self._publishers:
             publisher.show(made)
 
-    def wanted(self) -> Settings | None:
-        """Return settings that a program asks for, once."""
+    def wanted(self) -> Scene | None:
+        """Return the scene that a program asks for, once."""
         for publisher in self._publishers:
-            if (settings := publisher.take()) is not None:
-                return settings
+            if (scene := publisher.take()) is not None:
+                return scene
         return None
 
     def close(self) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from maglev_mj.frames import ZERO, Array
 from maglev_mj.hand import SpringHand
-from maglev_mj.scenes import Scene, Settings
+from maglev_mj.scenes import Scene
 from maglev_mj.session.energy import EnergyAccount
 
 __all__ = ["SHOWN", "History", "SampledMotion", "Snapshot", "SnapshotSource"]
@@ -31,9 +31,8 @@ class Snapshot:
     """Picture of a scene at one instant; the defaults are those of a scene that has not begun.
 
     Attributes:
-        scene: The scene.
-        settings: Its present settings.
-        since: First sample answered under them.
+        scene: The scene with its present parameters.
+        since: First sample answered with them.
         delay: From a sample to its command taking effect [s]; the median of the last 100 where it is measured.
         tick: Samples answered so far.
         time: Time of the session [s].
@@ -55,7 +54,6 @@ class Snapshot:
     """
 
     scene: Scene
-    settings: Settings
     since: int = 0
     delay: float = _NAN
     tick: int = 0

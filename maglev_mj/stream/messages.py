@@ -12,14 +12,12 @@ import numpy as np
 import maglev_mj
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Array
-from maglev_mj.scenes import Settings
-from maglev_mj.session import Refusal, Snapshot
+from maglev_mj.scenes import Scene
+from maglev_mj.session import DEVICES_OWN, Refusal, Snapshot, settable
 from maglev_mj.stream.datagrams import MOST_INTEGER, Message, is_integer
 
 __all__ = [
-    "FIXED",
-    "SETTABLE",
-    "asked_settings",
+    "asked_scene",
     "description",
     "identifier",
     "mistaken",
@@ -28,12 +26,6 @@ __all__ = [
     "refused",
     "same_rules",
 ]
-
-SETTABLE = ("wall", "pulse", "friction", "weightless", "stiffness", "damping", "breakaway", "walls")
-"""Settings that a host may ask for."""
-
-FIXED = ("period", "delay")
-"""Settings that are the device's, or the person's at the machine."""
 
 _UNITS = {"length": "m", "angle": "rad", "force": "N", "torque": "N m", "time": "s"}
 _MOST_REASON = 300
@@ -78,20 +70,20 @@ def posed_snapshot(pose: Message, blank: Snapshot) -> Snapshot:
 
 def description(snapshot: Snapshot, session: int, asked: int | None) -> Message:
     """Return all that a host needs to draw a scene and to set it."""
-    settings, scene = snapshot.settings, snapshot.scene
+    scene = snapshot.scene
     return {
         "type": "description",
         "id": asked,
         "session": session,
         "version": maglev_mj.__version__,
         "scene": scene.name,
-        "says": scene.says,
+        "says": scene.describe(),
         "tick": snapshot.tick,
         "state": snapshot.state,
-        "settings": settings.as_json(),
+        "settings": scene.as_json(),
         "settings_since": snapshot.since,
         "delay": snapshot.delay,
-        "settable": SETTABLE,
+        "settable": settable(scene),
         "faces": [(AXES[index], int(normal), edge) for index, normal, edge in snapshot.faces],
         "axes": AXES,
         "units": _UNITS,
@@ -126,26 +118,24 @@ def identifier(message: Message) -> int | None:
     return asked
 
 
-def asked_settings(present: Settings, given: object) -> Settings:
-    """Return the present settings with what a host asks for in place of theirs.
+def asked_scene(present: Scene, given: object) -> Scene:
+    """Return the present scene with the parameters that a host asks for.
 
     Raises:
         ParameterError: If it asks for what is not there, not a host's to set, or outside its bounds.
     """
     if not isinstance(given, dict):
         raise ParameterError(f"settings must be an object of names and values, not {given!r}")
-    if fixed := [name for name in FIXED if name in given]:
+    if fixed := [name for name in DEVICES_OWN if name in given]:
         raise ParameterError(f"{fixed[0]} is the device's, or the person's at the machine; a host cannot set it")
-    if unknown := sorted(set(given) - set(SETTABLE)):
-        raise ParameterError(f"settings must be of {', '.join(SETTABLE)}, not {', '.join(unknown)}")
-    if not isinstance(given.get("walls"), list | None):
-        raise ParameterError(f"walls must be a list of walls or null, not {given['walls']!r}")
-    return Settings.from_json({**present.as_json(), **given})
+    if unknown := sorted(set(given) - set(known := settable(present))):
+        raise ParameterError(f"settings must be of {', '.join(known)}, not {', '.join(unknown)}")
+    return present.replace(**given)
 
 
-def same_rules(one: Settings, other: Settings) -> bool:
-    """Return whether settings differ in period and delay at most."""
-    return replace(one, period=other.period, delay=other.delay) == other
+def same_rules(one: Scene, other: Scene) -> bool:
+    """Return whether scenes differ in period and delay at most."""
+    return type(one) is type(other) and one.replace(**{name: getattr(other, name) for name in DEVICES_OWN}) == other
 
 
 def _by_axis(values: Iterable[Any]) -> dict[str, float | None]:

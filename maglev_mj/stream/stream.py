@@ -6,16 +6,15 @@ import socket
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from typing import TypeAlias
 
 from maglev_mj.bridge.addresses import check_host, parse_url
 from maglev_mj.bridge.link import Address, LinkError, readable
 from maglev_mj.errors import MaglevError, ParameterError
-from maglev_mj.scenes import Settings
+from maglev_mj.scenes import Scene
 from maglev_mj.session import Snapshot, refusal
 from maglev_mj.stream.datagrams import MOST_ASKED, Datagrams, Guard, Message
-from maglev_mj.stream.messages import asked_settings, description, identifier, mistaken, pose_message, refused
+from maglev_mj.stream.messages import asked_scene, description, identifier, mistaken, pose_message, refused
 from maglev_mj.stream.pending import Asked, Pending
 
 __all__ = ["MOST_SUBSCRIBERS", "SUBSCRIBED", "URL", "PoseStream"]
@@ -73,8 +72,8 @@ class PoseStream:
         self._thread = threading.Thread(target=self._listen, name="pose stream", daemon=True)
         self._thread.start()
 
-    def take(self) -> Settings | None:
-        """Return settings that a host asks for and may have, once."""
+    def take(self) -> Scene | None:
+        """Return the scene that a host asks for and may have, once."""
         return self._pending.take()
 
     def show(self, snapshot: Snapshot) -> None:
@@ -149,8 +148,8 @@ class PoseStream:
         if (known := self._pending.again(address, asked, given)) is not None:
             return [(known, address)]
         try:
-            wanted = asked_settings(snapshot.settings, given)
-            wrong = refusal(snapshot.scene, replace(wanted, delay=snapshot.delay))
+            wanted = asked_scene(snapshot.scene, given)
+            wrong = refusal(wanted.replace(delay=snapshot.delay))
         except MaglevError as error:
             return [(refused(asked, str(error), session), address)]
         if wrong is not None:

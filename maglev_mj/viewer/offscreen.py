@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from maglev_mj.errors import MaglevError
 from maglev_mj.parameters import flag
+from maglev_mj.scenes import Scene
 from maglev_mj.session import Snapshot
 from maglev_mj.viewer.overlay import help_text, status_text
 from maglev_mj.viewer.plots import Plots
@@ -43,7 +44,7 @@ class OffscreenPainter:
     """Draws snapshots of one scene into arrays, by OSMesa or EGL as MUJOCO_GL says; by OSMesa where it says nothing.
 
     Args:
-        name: Name of the scene.
+        scene: The scene.
         width: Of the pictures [pixels].
         height: Likewise.
         plots: Whether plots and words are in them.
@@ -55,9 +56,11 @@ class OffscreenPainter:
         ModelError: If the scene cannot be used.
     """
 
-    def __init__(self, name: str, width: int, height: int, *, plots: bool = True, backend: str | None = None) -> None:
+    def __init__(
+        self, scene: Scene, width: int, height: int, *, plots: bool = True, backend: str | None = None
+    ) -> None:
         self._plots = Plots() if flag("plots", plots) else None
-        self.scenery = Scenery(name)
+        self.scenery = Scenery(scene)
         self._whole = mujoco.MjrRect(0, 0, width, height)
         model = self.scenery.model
         model.vis.global_.offwidth, model.vis.global_.offheight = width, height
@@ -95,7 +98,7 @@ class OffscreenPainter:
             left = mujoco.MjrRect(0, 0, whole.width - column(whole.width), whole.height)
             mujoco.mjr_overlay(font, grid.mjGRID_TOPLEFT, left, *status_text(snapshot), render)
             if whole.height >= _HELPED:
-                mujoco.mjr_overlay(font, grid.mjGRID_BOTTOMLEFT, left, *help_text(), render)
+                mujoco.mjr_overlay(font, grid.mjGRID_BOTTOMLEFT, left, *help_text(type(snapshot.scene)), render)
         pixels = np.empty((whole.height, whole.width, 3), dtype=np.uint8)
         mujoco.mjr_readPixels(pixels, None, whole, render)
         return pixels[::-1]

@@ -14,9 +14,8 @@ import numpy as np
 
 from maglev_mj.errors import MaglevError
 from maglev_mj.hand import SpringHand
-from maglev_mj.scenes import Settings
-from maglev_mj.session import History, Snapshot
-from maglev_mj.session.actions import CHANGES
+from maglev_mj.scenes import Scene
+from maglev_mj.session import History, Snapshot, actions
 from maglev_mj.workers import interrupts_held
 
 __all__ = ["RemoteViewer"]
@@ -39,7 +38,7 @@ class RemoteViewer:
 
     def __init__(self, snapshot: Snapshot, folder: Path = Path()) -> None:
         self.hand, self.on_close = SpringHand(), _nothing
-        self._settings, self._sent, self._closed = snapshot.settings, -np.inf, False
+        self._scene, self._sent, self._closed = snapshot.scene, -np.inf, False
         context = multiprocessing.get_context("spawn")
         self._line, far = context.Pipe()
         self._process = context.Process(target=_open, args=(far, snapshot, folder), daemon=True)
@@ -49,7 +48,7 @@ class RemoteViewer:
 
     def show(self, snapshot: Snapshot) -> None:
         """Show a snapshot; where the window does not keep up, it is left out."""
-        self._settings = snapshot.settings
+        self._scene = snapshot.scene
         if self._closed or not select((), (self._line,), (), 0.0)[1]:
             return
         # only the rows that are new, and so many that writing them cannot wait
@@ -60,16 +59,16 @@ class RemoteViewer:
         except OSError:
             self._end()
 
-    def take(self) -> Settings | None:
-        """Move the hand as the mouse does; return settings that keys ask for."""
+    def take(self) -> Scene | None:
+        """Move the hand as the mouse does; return the scene that keys ask for."""
         wanted = None
         try:
             while not self._closed and self._line.poll():
                 kind, value = self._line.recv()
                 if kind == "hand":
                     self.hand.target = value
-                elif value in CHANGES:
-                    self._settings = wanted = CHANGES[value](self._settings)
+                elif (change := actions(type(self._scene)).get(value)) is not None:
+                    self._scene = wanted = change(self._scene)
         except (EOFError, OSError):
             self._end()
         return wanted
@@ -117,7 +116,7 @@ class RemoteSession:
             self._over = True
             raise MaglevError("the device's program has ended") from None
         made = self._snapshot.tick - before
-        self.simulated += made * self._snapshot.settings.period
+        self.simulated += made * self._snapshot.scene.period
         return made
 
     def act(self, action: str) -> None:

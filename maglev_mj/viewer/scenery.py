@@ -9,6 +9,7 @@ import numpy as np
 
 from maglev_mj.frames import Array, quaternion, rotation_matrix
 from maglev_mj.model import COILS, load
+from maglev_mj.scenes import Scene
 from maglev_mj.session import Snapshot
 from maglev_mj.spec import Spec
 
@@ -37,9 +38,10 @@ class Scenery:
     """The model of a scene to look at, and what is drawn over it.
 
     Args:
-        name: Name of the scene.
+        scene: The scene, or its class.
 
     Attributes:
+        shown: What file that is.
         model: The compiled model, with all its shapes.
         data: Its state, which follows what is seen.
 
@@ -47,9 +49,9 @@ class Scenery:
         ModelError: If the scene's file is missing or cannot be used.
     """
 
-    def __init__(self, name: str) -> None:
-        device = load(f"scenes/{name}", lean=False)
-        self.name = name
+    def __init__(self, scene: Scene | type[Scene]) -> None:
+        device = load(scene.model, lean=False)
+        self.shown = scene.model
         self.model = device.model
         self.model.vis.quality.numslices, self.model.vis.quality.numstacks = _SLICES
         self.data = mujoco.MjData(self.model)

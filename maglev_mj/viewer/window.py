@@ -20,10 +20,11 @@ import mujoco
 from maglev_mj.errors import MaglevError
 from maglev_mj.frames import Array, rotation_matrix, rotation_vector
 from maglev_mj.plants import engine_warnings_silenced
+from maglev_mj.scenes import Scene
 from maglev_mj.session import Snapshot, SnapshotSource
 from maglev_mj.viewer.clip import write_picture
 from maglev_mj.viewer.offscreen import DisplayError, OffscreenPainter, arranged
-from maglev_mj.viewer.overlay import KEYS, SCREENSHOT, help_text, status_text
+from maglev_mj.viewer.overlay import SCREENSHOT, help_text, keys_of, status_text
 from maglev_mj.viewer.plots import Plots
 from maglev_mj.viewer.scenery import GRIP, Scenery
 
@@ -125,7 +126,7 @@ class _Window:
         self._costs: list[float] = []
         self._failed: Exception | None = None
         self._pictures: list[threading.Thread] = []
-        self._scenery = _scenery(session.snapshot().scene.name)
+        self._scenery = _scenery(session.snapshot().scene)
         before = set(threading.enumerate())
         # imported here: it asks for a display as soon as it is
         import mujoco.viewer
@@ -183,7 +184,7 @@ class _Window:
     def _press_keys(self) -> None:
         """Do what the keys pressed since the last tick ask for."""
         while not self._pressed.empty():
-            action = KEYS.get(self._pressed.get())
+            action = keys_of(type(self._session.snapshot().scene)).get(self._pressed.get())
             if action == SCREENSHOT:
                 path = _new_picture(self._folder)
                 thread = threading.Thread(target=self._picture, args=(self._session.snapshot(), path))
@@ -223,8 +224,8 @@ class _Window:
         handle = self._handle
         if not handle.is_running():
             return
-        if snapshot.scene.name != self._scenery.name:
-            self._scenery = _scenery(snapshot.scene.name)
+        if snapshot.scene.model != self._scenery.shown:
+            self._scenery = _scenery(snapshot.scene)
             # the handle offers no way to change the model; the simulation behind it, which opened it, does
             handle._get_sim().load(self._scenery.model, self._scenery.data, "")
             self._frame_camera()
@@ -245,7 +246,8 @@ class _Window:
         notes = (self._note,) if self._note else ()
         status = (font, grid.mjGRID_TOPLEFT, *status_text(snapshot, notes))
         tall = rectangle is not None and rectangle.height >= _HELPED  # in a small window the two would overlap
-        keys = (font, grid.mjGRID_BOTTOMLEFT, *(help_text() if tall else ("keys", "in a taller window")))
+        words = help_text(type(snapshot.scene)) if tall else ("keys", "in a taller window")
+        keys = (font, grid.mjGRID_BOTTOMLEFT, *words)
         handle.set_texts([status, keys])
         handle.sync()
 
@@ -259,7 +261,7 @@ class _Window:
         try:
             # a program draws with one library only, and its window has chosen unless MUJOCO_GL had
             backend = os.environ.get("MUJOCO_GL", "").lower() or "glfw"
-            with OffscreenPainter(snapshot.scene.name, *_PICTURE, backend=backend) as painter:
+            with OffscreenPainter(snapshot.scene, *_PICTURE, backend=backend) as painter:
                 painter.wait(snapshot)
                 write_picture(painter.picture(snapshot), path)
             self._note = f"wrote {path}"
@@ -278,9 +280,9 @@ def _mouse(perturb: Any) -> _Mouse:
     )
 
 
-def _scenery(name: str) -> Scenery:
+def _scenery(scene: Scene) -> Scenery:
     """Return a scene to look at, drawn as finely as a window needs."""
-    scenery = Scenery(name)
+    scenery = Scenery(scene)
     quality: Any = scenery.model.vis.quality
     quality.shadowsize, quality.offsamples = _SHADOWS, _SAMPLES
     return scenery
