@@ -32,13 +32,13 @@ def scenes() -> list[str]:
     return sorted(path.stem for path in MODELS.glob("*.xml"))
 
 
-def model_path(name: str) -> Path:
+def model_path(name: str | Path) -> Path:
     """Return the MJCF file of a model.
 
     Raises:
         ModelError: If there is none of that name.
     """
-    path = MODELS / f"{name}.xml"
+    path = name if isinstance(name, Path) else MODELS / f"{name}.xml"
     if not path.is_file():
         raise ModelError(f"model must be one of {', '.join(scenes())}, not {name!r}")
     return path
@@ -90,7 +90,7 @@ _MODE_DAMPING = 0.01
 
 
 def load(
-    name: str,
+    name: str | Path,
     *,
     lean: bool = True,
     driver_lag: bool = False,
@@ -102,7 +102,7 @@ def load(
     """Compile a model and resolve its names; compiled once, every call gets a copy of its own.
 
     Args:
-        name: A model file's name without its ending, such as "drop".
+        name: A model file's name without its ending, such as "drop"; or a path.
         lean: Leave out the sites that no actuator uses: no equation of motion reads them.
         driver_lag: Give every coil its driver's first-order lag.
         coils: False removes the coils, for an ideal wrench.

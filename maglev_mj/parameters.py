@@ -210,6 +210,11 @@ class Turn:
     def __post_init__(self) -> None:
         flag("inverse", self.inverse)
 
+    @property
+    def has_keys(self) -> bool:
+        """Whether a key goes any way at all; otherwise only other programs change the value."""
+        return bool(self.factor or self.add or self.among)
+
     def __call__(self, value: float, way: int) -> float:
         """Return the value after a press up (1) or down (-1)."""
         if self.among:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -29,20 +27,14 @@ from maglev_mj.recording import (
     open_recording,
 )
 from maglev_mj.recording.checks import start_in
-from maglev_mj.scenes import SCENES, Settings, scene_called
-from maglev_mj.scenes import Scene as InteractiveScene
-from maglev_mj.scenes.find import find_scene
+from maglev_mj.scenes import Scene, find_scene, scene_names
+from maglev_mj.scenes.legacy import recorded_scene
 from maglev_mj.scenes.run import checked_phase, checked_plant, parameters_json
-from maglev_mj.scenes.scene import Scene
-from maglev_mj.session import View
+from maglev_mj.session import SampledMotion, Snapshot, device_controller, live_plant, mechanics
 
 __all__ = ["Replay", "expected", "rebuild", "record_run", "scene_of", "stick_positions_of", "write_run"]
 
-_SHOWN = 2.0
 _SCENES = "scene", "device"
-
-_SHOWN_BY: Mapping[str, str] = {"drop": "drop", "press": "press", "stick-slip": "table"}
-"""Scenes that are recorded without a window, and the one with a window that shows each."""
 
 
 def run_in(setup: Setup) -> tuple[Scene, str, float]:
@@ -69,12 +61,12 @@ def rebuild(setup: Setup, hand: HandForce | None) -> tuple[SampledPlant | None, 
     try:
         kind = setup["kind"]
         if kind in _SCENES:
-            scene, settings = scene_called(setup["scene"]), Settings.from_json(setup["settings"])
+            scene = recorded_scene(setup["scene"], setup["settings"])
             if kind == "device":
-                return None, scene.controller(settings)
-            return scene.plant(settings, hand_force=hand, **start_in(setup)), scene.controller(settings)
-        if kind not in _SHOWN_BY:
-            known = ", ".join((*_SCENES, *_SHOWN_BY))
+                return None, device_controller(scene)
+            return live_plant(scene, hand, **start_in(setup)), scene.controller()
+        if kind not in scene_names():
+            known = ", ".join((*_SCENES, *scene_names()))
             raise InvalidRecordingError(f"a recording of kind {kind!r} cannot be made here, which knows {known}")
         run, plant, phase = run_in(setup)
         return run.plant(plant, phase=phase, hand=hand, record=True), run.controller()
@@ -90,15 +82,15 @@ def expected(setup: Setup) -> Expected:
     """
     rebuild(setup, None)  # complains of what is not known here
     kind = setup["kind"]
-    if kind in _SHOWN_BY:
+    if kind not in _SCENES:
         run, _, phase = run_in(setup)
         known, samples = known_experiment(kind, run.as_json()), run.ticks(run.timing(phase))
         load = [0.0, 0.0, known.weight, 0.0, 0.0, 0.0]
-        mechanics = Mechanics(inertia=known.inertia, load=load, before=known.before)
-        return Expected(known.delay, mechanics, scripted=True, samples=samples)
-    delay = Settings.from_json(setup["settings"]).delay
+        masses = Mechanics(inertia=known.inertia, load=load, before=known.before)
+        return Expected(known.delay, masses, scripted=True, samples=samples)
+    scene = recorded_scene(setup["scene"], setup["settings"])
     # on a device, what acted before a stretch is in the flight, not in the setup
-    return Expected(delay, Mechanics(before=setup["wrench"]) if kind == "scene" else None, scripted=False)
+    return Expected(scene.delay, mechanics(scene, setup["wrench"]) if kind == "scene" else None, scripted=False)
 
 
 def record_run(scene: Scene, *, plant: str | None = None, phase: float = 0.0) -> Recording:
@@ -173,7 +165,8 @@ class Replay:
         self._stretches = [_Shown(stretch) for stretch in recording.stretches if len(stretch.tick)]
         if not self._stretches:
             raise InvalidRecordingError("there is nothing in the recording")
-        self._place, self._owed, self._paused = (0, 0), 0.0, False
+        self._owed, self._paused = 0.0, False
+        self._show(0, 0)
 
     def tick(self, elapsed: float) -> int:
         """Go on by as much as real time has [s]; return how many samples that were."""
@@ -181,9 +174,9 @@ class Replay:
             return 0
         self._owed += elapsed
         shown = 0
-        while self._owed >= self._now.period:
-            self._owed -= self._now.period
-            self.simulated += self._now.period
+        while self._owed >= (period := self._now.scene.period):
+            self._owed -= period
+            self.simulated += period
             self._next()
             shown += 1
         return shown
@@ -193,11 +186,26 @@ class Replay:
         if action == "pause":
             self._paused = not self._paused
         elif action in ("centre", "drop"):
-            self._place = 0, 0
+            self._show(0, 0)
 
-    def view(self) -> View:
-        """Return what there was to see."""
-        return self._now.view(self._place[1], "PAUSED" if self._paused else "REPLAY")
+    def snapshot(self) -> Snapshot:
+        """Return the picture of now."""
+        (_, row), now, motion = self._place, self._now, self._motion
+        return Snapshot(
+            scene=now.scene,
+            delay=now.scene.delay,
+            tick=row,
+            time=float(now.time[row]),
+            pose=now.pose[row],
+            force=now.force[row],
+            hand=now.hand[row],
+            currents=now.currents[row],
+            faces=now.faces,
+            anchors=None if now.anchors is None else now.anchors[row],
+            history=motion.history.rows,
+            work=motion.work,
+            notes=("PAUSED" if self._paused else "REPLAY",),
+        )
 
     def close(self) -> None:
         """Do nothing: a recording stays as it is."""
@@ -209,63 +217,39 @@ class Replay:
     def _next(self) -> None:
         stretch, row = self._place
         if row + 1 < len(self._now.pose):
-            self._place = stretch, row + 1
+            self._show(stretch, row + 1)
         else:
-            self._place = (stretch + 1) % len(self._stretches), 0
+            self._show((stretch + 1) % len(self._stretches), 0)
+
+    def _show(self, stretch: int, row: int) -> None:
+        """Go to a sample; a stretch begins with a history of its own."""
+        self._place, now = (stretch, row), self._stretches[stretch]
+        if row == 0:
+            self._motion = SampledMotion(now.scene.axis_index)
+        self._motion.add(float(now.time[row]), now.pose[row], now.force[row], now.hand[row])
 
 
 class _Shown:
-    """A stretch of a recording, and what there was to see at each of its samples."""
+    """A stretch of a recording with what its setup tells of it."""
 
     def __init__(self, stretch: Stretch) -> None:
-        self.scene, self.settings = scene_of(stretch.setup)
-        self.period, self.pose = self.settings.period, stretch.position
-        self._time, self._hand = stretch.time, stretch.hand
+        self.scene = scene_of(stretch.setup)
+        self.time, self.pose, self.hand = stretch.time, stretch.position, stretch.hand
         _, controller = rebuild(stretch.setup, None)
-        self._force = stretch.applied - controller.carried
+        self.force = stretch.applied - controller.carried
         coils = load("drop").coils
         assert coils is not None
-        self._currents = stretch.applied @ coils.current_per_wrench.T
-        way = np.diff(stretch.position, axis=0, prepend=stretch.position[:1])
-        self._work = np.cumsum((np.roll(stretch.hand, 1, axis=0) * way).sum(axis=1))
-        self._faces = self.scene.controller(self.settings).faces
-        self._anchors = stick_positions_of(stretch)
-        axis = self.scene.axis_index
-        place = stretch.position[:, axis]
-        speed = np.diff(place, prepend=place[0]) / self.period
-        self._rows = np.column_stack([stretch.time, place, speed, self._force[:, axis], stretch.hand[:, axis]])
-
-    def view(self, row: int, note: str) -> View:
-        """Return what there was to see at a sample."""
-        first = max(row - round(_SHOWN / self.period), 0)
-        return View(
-            scene=self.scene,
-            settings=self.settings,
-            time=float(self._time[row]),
-            pose=self.pose[row],
-            force=self._force[row],
-            hand=self._hand[row],
-            currents=self._currents[row],
-            faces=self._faces,
-            anchors=None if self._anchors is None else self._anchors[row],
-            history=self._rows[first : row + 1],
-            work=float(self._work[row]),
-            taken=float("nan"),
-            cost=0.0,
-            missed=0,
-            notes=(note,),
-        )
+        self.currents = stretch.applied @ coils.current_per_wrench.T
+        self.faces = controller.faces
+        self.anchors = stick_positions_of(stretch)
 
 
-def scene_of(setup: Setup) -> tuple[InteractiveScene, Settings]:
-    """Return the scene that shows a stretch, and its settings."""
+def scene_of(setup: Setup) -> Scene:
+    """Return the scene that shows a stretch."""
     rebuild(setup, None)  # complains of what is not known here
     if setup["kind"] in _SCENES:
-        return scene_called(setup["scene"]), Settings.from_json(setup["settings"])
-    run, _, _ = run_in(setup)
-    scene = SCENES[_SHOWN_BY[setup["kind"]]]
-    gains = {name: run.as_json()[name] for name in ("stiffness", "damping", "period", "delay")}
-    return scene, replace(scene.settings, pulse=run.as_json().get("pulse", 0.0) > 0.0, **gains)
+        return recorded_scene(setup["scene"], setup["settings"])
+    return run_in(setup)[0]
 
 
 def stick_positions_of(stretch: Stretch) -> Array | None:

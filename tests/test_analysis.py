@@ -26,9 +26,9 @@ from maglev_mj.metrics import PassivityObserver, perceived_hardness, summarise_b
 from maglev_mj.plants import Timing
 from maglev_mj.recording import ArrayFile, Recording, RecordingError, Stretch
 from maglev_mj.replay import rebuild, record_run, stick_positions_of
-from maglev_mj.scenes import scene_called
 from maglev_mj.scenes.choices import PLANTS
 from maglev_mj.scenes.drop import Drop
+from maglev_mj.scenes.joystick import Joystick
 from maglev_mj.scenes.parts import INERTIA, MASS
 from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.run import run
@@ -61,10 +61,8 @@ def flown(mass: float = MASS, *, hand: bool = False, loss: float = 0.0, **parame
     holder = SpringHand(target=TOUR) if hand else None
     twin = Twin(TwinParameters(truth=truth, **parameters), hand_force=holder, draw=lambda: 7)  # type: ignore[arg-type]
     with RemotePlant(VirtualLink(twin, Impairment(loss=loss))) as plant:
-        scene = scene_called("joystick")
-        settings = replace(scene.settings, period=plant.period, delay=plant.delay)
         file = ArrayFile()
-        Flight(plant, scene, settings, file=file).run(2.0)
+        Flight(plant, Joystick(period=plant.period, delay=plant.delay), file=file).run(2.0)
     (stretch,) = file.recording.stretches
     return stretch
 
@@ -74,7 +72,7 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a recording of the joystick in a hand, without friction and then with it."""
     folder = tmp_path_factory.mktemp("session")
     running = Session(
-        "joystick", folder=folder, hand=SpringHand(target=TOUR), pacer=Pacer(budget=100.0, patience=100.0)
+        Joystick(), folder=folder, hand=SpringHand(target=TOUR), pacer=Pacer(budget=100.0, patience=100.0)
     )
     running.act("record")
     running.tick(1.5)

@@ -118,7 +118,7 @@ def test_a_replay_shows_what_was_recorded_in_real_time(kind: str, tmp_path: Path
     recording = record_run(find_scene(kind)(), plant="exact")
     replay = Replay(recording)
     shown = sum(replay.tick(0.0125) for _ in range(10))
-    view = replay.view()
+    view = replay.snapshot()
     assert shown == 25
     assert (view.pose == recording.stretches[0].position[25]).all()
     assert view.history.shape == (26, 5)
@@ -126,14 +126,14 @@ def test_a_replay_shows_what_was_recorded_in_real_time(kind: str, tmp_path: Path
     replay.act("pause")
     assert replay.tick(1.0) == 0
     replay.act("centre")
-    assert (replay.view().pose == recording.stretches[0].position[0]).all()
+    assert (replay.snapshot().pose == recording.stretches[0].position[0]).all()
 
 
 @pytest.mark.parametrize("ending", ["png", "gif", "mp4"])
 def test_a_scene_is_drawn_without_a_window(ending: str, tmp_path: Path) -> None:
     """In a process of its own, as a program draws with one library only."""
     path = tmp_path / f"scene.{ending}"
-    options = ["--seconds", "0.4", "--rate", "10", "--width", "320", "--height", "200"]
+    options = ["--seconds", "0.4", "--fps", "10", "--size", "320x200"]
     done = subprocess.run(
         [sys.executable, "-m", "maglev_mj.cli", "render", "drop", "--out", str(path), *options],
         capture_output=True,
@@ -169,7 +169,7 @@ def test_a_picture_is_written_as_it_is(tmp_path: Path) -> None:
         (["render", "pub", "--out", "a.png"], "scene must be one of joystick"),
         (["render", "box", "--out", "a.bmp"], "out must end in .png, .gif or .mp4, not 'a.bmp'"),
         (["render", "box", "--out", "nowhere/a.png"], "out must be a file in a folder that is there"),
-        (["render", "box", "--out", "a.png", "--width", "1"], "width must be .* at least 160"),
+        (["render", "box", "--out", "a.png", "--size", "1x1"], "size must be WxH.* of 160 to 4000 pixels"),
         (["render", "box", "--out", "a.png", "--stiffness", "-1"], "stiffness must be"),
         (["view", "pub"], "scene must be one of joystick"),
         (["view", "box", "--seconds", "0"], "seconds must be .* above 0"),

@@ -118,7 +118,7 @@ def test_energy_taken_is_that_of_the_analysis(scene: Scene, phase: float, tmp_pa
 
 def test_energy_of_a_session_goes_on_with_what_acted_before(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
-    session = Session("drop", record=path, pacer=Pacer(budget=60.0, patience=3600.0))
+    session = Session(Drop(), record=path, pacer=Pacer(budget=60.0, patience=3600.0))
     for frame in range(24):
         session.tick(1.0 / 60.0)
         if frame in (3, 5, 9):
@@ -185,7 +185,7 @@ import sys, time
 from pathlib import Path
 from maglev_mj.session import Session, Pacer
 from maglev_mj.hand import SpringHand
-session = Session("joystick", hand=SpringHand(), folder=Path(sys.argv[1]))
+session = Session(hand=SpringHand(), folder=Path(sys.argv[1]))
 session.act("friction"); session.act("record")
 session.hand.target = [0.012, 0.003, 0.0, 0.0, 0.1, 0.0]
 last = time.perf_counter()

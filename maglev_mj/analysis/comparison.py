@@ -16,7 +16,8 @@ from maglev_mj.hand import RecordedHand
 from maglev_mj.loop import ControlLoop
 from maglev_mj.plants import SampledPlant, engine_warnings_silenced
 from maglev_mj.recording import Rebuild, Recorder, Stretch
-from maglev_mj.scenes import Settings, scene_called
+from maglev_mj.scenes.legacy import recorded_scene
+from maglev_mj.session import live_plant
 
 __all__ = ["Comparison", "compare", "simulate"]
 
@@ -114,11 +115,8 @@ def simulate(stretch: Stretch, motion: Motion, known: Known, rebuild: Rebuild) -
 
 def _twin(stretch: Stretch, motion: Motion, known: Known) -> SampledPlant:
     """Return the simulated device in place of a real one."""
-    settings = Settings.from_json(stretch.setup["settings"])
-    first = motion.starts[0]
-    return scene_called(stretch.setup["scene"]).plant(
-        settings, pose=motion.trace.pose[first], twist=motion.trace.twist[first], wrench=known.before
-    )
+    scene, first = recorded_scene(stretch.setup["scene"], stretch.setup["settings"]), motion.starts[0]
+    return live_plant(scene, pose=motion.trace.pose[first], twist=motion.trace.twist[first], wrench=known.before)
 
 
 def compare(stretch: Stretch, simulated: Stretch, motion: Motion) -> Comparison:

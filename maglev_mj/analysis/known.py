@@ -12,9 +12,10 @@ from maglev_mj.controller import Controller
 from maglev_mj.frames import AXES, Array
 from maglev_mj.hand import hand_called
 from maglev_mj.parameters import flag, number, numbers
-from maglev_mj.recording import Stretch
-from maglev_mj.scenes import Settings, scene_called
+from maglev_mj.recording import Mechanics, Stretch
+from maglev_mj.scenes.legacy import recorded_scene
 from maglev_mj.scenes.parts import INERTIA, WEIGHT
+from maglev_mj.session import mechanics
 from maglev_mj.spec import GRAVITY
 
 __all__ = ["Known", "known_experiment", "known_of"]
@@ -77,21 +78,22 @@ def known_of(stretch: Stretch, controller: Controller) -> Known:
     kind, faces = setup["kind"], controller.faces
     if kind not in ("scene", "device"):
         return known_experiment(kind, setup["parameters"], faces)
-    settings = Settings.from_json(setup["settings"])
+    scene = recorded_scene(setup["scene"], setup["settings"])
     before = setup["wrench"] if kind == "scene" else stretch.applied[0] if len(stretch.applied) else WEIGHT
+    masses = mechanics(scene, before) if kind == "scene" else Mechanics()
     return Known(
         kind=kind,
-        name=f"{kind} {setup['scene']}" if kind == "scene" else f"{setup['scene']} on a device",
-        period=settings.period,
-        delay=settings.delay,
-        inertia=INERTIA,
-        weight=-float(INERTIA[2]) * GRAVITY,
+        name=f"{kind} {scene.name}" if kind == "scene" else f"{scene.name} on a device",
+        period=scene.period,
+        delay=scene.delay,
+        inertia=np.asarray(masses.inertia),
+        weight=float(np.asarray(masses.load)[2]),
         carried=controller.carried,
         before=np.array(before, dtype=np.float64),
         felt=kind == "scene",
         pushed=True,
         faces=faces,
-        axis=scene_called(setup["scene"]).axis_index,
+        axis=scene.axis_index,
     )
 
 

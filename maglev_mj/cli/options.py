@@ -5,15 +5,13 @@ from __future__ import annotations
 import argparse
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
 from maglev_mj.bridge.seal import LEAST_KEY, MOST_KEY
 from maglev_mj.errors import ParameterError
-from maglev_mj.parameters import Parameter, Parameters, flag
-from maglev_mj.scenes import Settings
+from maglev_mj.parameters import Parameter, Parameters
 from maglev_mj.workers import Workers, dask_workers, local_workers
 
 __all__ = [
@@ -23,11 +21,9 @@ __all__ = [
     "add_outputs",
     "add_parameters",
     "add_recording",
-    "add_settings",
     "add_workers",
     "chosen",
     "chosen_key",
-    "chosen_settings",
     "chosen_workers",
     "count",
     "described",
@@ -37,6 +33,8 @@ __all__ = [
 ]
 
 P = TypeVar("P", bound=Parameters)
+
+_APART = "parameter "
 
 
 class Parser(argparse.ArgumentParser):
@@ -103,7 +101,8 @@ def add_parameters(
 ) -> None:
     """Add an option for each declared parameter, with unit and default in its help.
 
-    A value that only a `parse` knows gets none. What is not given is not among the options: see `chosen`.
+    A value that only a `parse` knows gets none, and neither does one whose option the command has itself. What is
+    given stands apart from the command's own options: see `chosen`.
 
     Args:
         parser: Of the command.
@@ -112,14 +111,16 @@ def add_parameters(
     """
     made = parameters() if isinstance(parameters, type) else parameters
     for one in made.parameters():
-        if one.kind is not object and one.name not in without:
-            _add_parameter(parser, one, getattr(made, one.name))
+        option = f"--{one.name.replace('_', '-')}"
+        if one.kind is not object and one.name not in without and option not in parser._option_string_actions:
+            _add_parameter(parser, option, one, getattr(made, one.name))
 
 
-def _add_parameter(parser: argparse.ArgumentParser, one: Parameter, default: Any) -> None:
-    option, said = f"--{one.name.replace('_', '-')}", described(one, default).replace("%", "%%")
+def _add_parameter(parser: argparse.ArgumentParser, option: str, one: Parameter, default: Any) -> None:
+    said = described(one, default).replace("%", "%%")
+    kept: dict[str, Any] = {"dest": _APART + one.name, "default": argparse.SUPPRESS, "help": said}
     if one.kind is bool:
-        parser.add_argument(option, action=argparse.BooleanOptionalAction, default=argparse.SUPPRESS, help=said)
+        parser.add_argument(option, action=argparse.BooleanOptionalAction, **kept)
         return
     kinds: Mapping[type, tuple[Callable[[str], Any], str]] = {
         float: (number_option, "X"),
@@ -129,7 +130,7 @@ def _add_parameter(parser: argparse.ArgumentParser, one: Parameter, default: Any
     read, metavar = kinds[one.kind]
     if one.optional:
         read = partial(_or_none, read)
-    parser.add_argument(option, type=read, default=argparse.SUPPRESS, metavar=metavar, help=said)
+    parser.add_argument(option, type=read, metavar=metavar, **kept)
 
 
 def described(one: Parameter, default: Any) -> str:
@@ -159,7 +160,7 @@ def chosen(options: argparse.Namespace, parameters: P | type[P]) -> P:
     """
     made = parameters() if isinstance(parameters, type) else parameters
     names = [one.name for one in made.parameters()]
-    return made.replace(**{name: getattr(options, name) for name in names if hasattr(options, name)})
+    return made.replace(**{name: getattr(options, _APART + name) for name in names if hasattr(options, _APART + name)})
 
 
 def add_outputs(parser: argparse.ArgumentParser) -> None:
@@ -272,32 +273,3 @@ def chosen_key(path: Path | None, name: str = "key") -> bytes | None:
         digits = f"{2 * LEAST_KEY} to {2 * MOST_KEY} hexadecimal digits"
         raise ParameterError(f"{name} must be a file of {digits}, not {str(path)!r}")
     return key
-
-
-def add_settings(parser: argparse.ArgumentParser, *, timing: bool = True) -> None:
-    """Add the options for what may be changed while a scene runs; see `Settings`.
-
-    Args:
-        parser: Of the command.
-        timing: False where period and delay are not the user's to choose.
-    """
-    flag("timing", timing)
-    for name in ("wall", "pulse", "friction"):
-        parser.add_argument(f"--{name}", action=argparse.BooleanOptionalAction, default=None, help="on from the start")
-    helps = {
-        "stiffness": "of walls and friction [N/m]",
-        "damping": "likewise [N s/m]",
-        "period": "sample period [s]",
-        "delay": "from a sample to its command taking effect [s]",
-    }
-    if not timing:
-        del helps["period"], helps["delay"]
-        parser.set_defaults(period=None, delay=None)
-    add_options(parser, {}, helps, Settings)
-
-
-def chosen_settings(options: argparse.Namespace, settings: Settings) -> Settings:
-    """Return a scene's settings with what was chosen in place of its own."""
-    given = {name: getattr(options, name) for name in ("wall", "pulse", "friction", "stiffness", "damping")}
-    given |= {"period": options.period, "delay": options.delay}
-    return replace(settings, **{name: value for name, value in given.items() if value is not None})

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from maglev_mj import plots
-from maglev_mj.cli.options import Parser, add_outputs, add_parameters, add_recording, chosen, count, number_option
+from maglev_mj.cli.options import Parser, add_outputs, add_parameters, add_recording, count, number_option
 from maglev_mj.cli.output import check_outputs, check_recording, keep_partial, write_json
 from maglev_mj.cli.progress import Progress
-from maglev_mj.cli.scenes import add_scene
+from maglev_mj.cli.scenes import add_scene, chosen_scene
 from maglev_mj.errors import DivergenceError
 from maglev_mj.replay import write_run
 from maglev_mj.scenes.find import find_scene
@@ -66,7 +66,7 @@ def _add_outputs(parser: Parser) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
-    scene: Scene = chosen(options, options.scene_class)
+    scene = chosen_scene(options)
     check_recording(options.record)
     if options.out is not None:
         plots.require()

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Sequence
+from typing import Any
 
-from maglev_mj.cli.options import Parser, add_parameters
+from maglev_mj.cli.options import Parser, add_parameters, chosen
 from maglev_mj.errors import ParameterError
 from maglev_mj.parameters import flag
 from maglev_mj.scenes.find import find_scene, scene_names
 from maglev_mj.scenes.scene import Scene
 
-__all__ = ["add_scene"]
+__all__ = ["add_scene", "chosen_scene"]
 
 _MORE = "SCENE is a name, FILE.py or FILE.py:CLASS, and has options of its own: SCENE --help lists them."
 
@@ -81,6 +82,22 @@ def add_scene(
         parser.set_defaults(scene_class=found)
 
     parser.before = before
+
+
+def chosen_scene(options: argparse.Namespace, **defaults: Any) -> Scene:
+    """Return the scene that was given, with the parameters chosen.
+
+    Args:
+        options: As parsed.
+        defaults: Values in place of the scene's own defaults, for the parameters that it has.
+
+    Raises:
+        ParameterError: If a value is outside its bounds.
+    """
+    found = options.scene_class
+    made: Scene = found() if isinstance(found, type) else found
+    names = {one.name for one in made.parameters()}
+    return chosen(options, made.replace(**{name: value for name, value in defaults.items() if name in names}))
 
 
 def _given(arguments: Sequence[str], option: str | None, names: Sequence[str]) -> str | None:

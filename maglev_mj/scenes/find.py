@@ -32,15 +32,19 @@ GROUP = "maglev_mj.scenes"
 """Entry point group by which other packages add scenes."""
 
 BUILT_IN: Mapping[str, str] = {
+    "joystick": "maglev_mj.scenes.joystick:Joystick",
     "drop": "maglev_mj.scenes.drop:Drop",
     "press": "maglev_mj.scenes.press:Press",
+    "table": "maglev_mj.scenes.table:Table",
+    "box": "maglev_mj.scenes.box:Box",
+    "corner": "maglev_mj.scenes.corner:Corner",
     "stick-slip": "maglev_mj.scenes.stick_slip:StickSlip",
     "twist": "maglev_mj.scenes.free:Twist",
     "let-go": "maglev_mj.scenes.free:LetGo",
     "six-axes": "maglev_mj.scenes.free:SixAxes",
     "wall": "maglev_mj.studies.growth:RestingWall",
 }
-"""The scenes of this package: name -> module and class."""
+"""The scenes of this package: name -> module and class, in the order in which a key goes through them."""
 
 _OWN = "maglev_mj_scene_"
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
@@ -14,7 +15,7 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, ZERO, Array, Component
 from maglev_mj.hand import HandForce
 from maglev_mj.laws import Law, VelocityEstimator
-from maglev_mj.parameters import Parameters, axis_indices, param
+from maglev_mj.parameters import Parameters, Turn, axis_indices, param
 from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant, Timing
 from maglev_mj.scenes.figures import figures_named
 from maglev_mj.spec import ESCAPE, GRAVITY, Spec
@@ -22,7 +23,13 @@ from maglev_mj.spec import ESCAPE, GRAVITY, Spec
 if TYPE_CHECKING:
     from maglev_mj.scenes.run import Result
 
-__all__ = ["PLANTS", "PlantMaker", "Scene", "SideBySide", "Start"]
+__all__ = ["DELAY", "PLANTS", "RATE", "PlantMaker", "Scene", "SideBySide", "Start"]
+
+RATE = Turn(among=(50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0), inverse=True, word="rate")
+"""Keys on a sample period."""
+
+DELAY = Turn(add=0.0005, least=0.0, most=0.02, word="delay")
+"""Keys on a delay."""
 
 _MOST_PERIODS = 1_000_000
 
@@ -66,6 +73,7 @@ class Scene(Parameters):
         takes_phase: Whether the phase of the samples makes a difference that is worth a sweep.
         tolerance: Displacement of a coil that does not matter [m], as `fidelity` takes it.
         tolerance_reason: Where that is from.
+        model: MJCF file that shows it: a path, or the name of one of the package's.
         plots: Pictures of its own: name of the file -> "module:function", called with labelled results and a path.
 
     Raises:
@@ -80,10 +88,18 @@ class Scene(Parameters):
     tolerance: ClassVar[float] = 1e-5
     tolerance_reason: ClassVar[str] = "two steps of the sensor"
     plots: ClassVar[Mapping[str, str]] = {}
+    model: ClassVar[str | Path] = "scenes/joystick"
 
-    period: float = param("sample period", "s", default=1.0 / Spec.control_rate.value, at_least=1e-6, at_most=1.0)
+    period: float = param(
+        "sample period", "s", default=1.0 / Spec.control_rate.value, at_least=1e-6, at_most=1.0, live=RATE
+    )
     delay: float = param(
-        "from a sample to its command taking effect", "s", default=Spec.transport_delay.value, at_least=0.0, at_most=1.0
+        "from a sample to its command taking effect",
+        "s",
+        default=Spec.transport_delay.value,
+        at_least=0.0,
+        at_most=1.0,
+        live=DELAY,
     )
 
     def __init_subclass__(cls, **keywords: Any) -> None:
@@ -144,6 +160,11 @@ class Scene(Parameters):
     def axis(self) -> str:
         """Axis that plots and figures look at."""
         return self.shown_axis
+
+    @property
+    def axis_index(self) -> int:
+        """Index into AXES of that axis."""
+        return AXES.index(self.axis)
 
     @property
     def end(self) -> float:

@@ -43,6 +43,7 @@ class StickSlip(Scene):
     held.
     """
 
+    model: ClassVar = "scenes/table"
     figures: ClassVar = ("peak_speed", "stick_time", "stick_position", "final_position", "transitions", "ripple")
     takes_phase: ClassVar[bool] = False
     plots: ClassVar[Mapping[str, str]] = {"stick_slip.png": "maglev_mj.plots.stick_slip:stick_slip"}

@@ -1,4 +1,4 @@
-"""Whether settings may be had: the closed loop of every axis, in and out of contact, at the present rate and delay."""
+"""Whether a scene may be had: the closed loop of every axis, in and out of contact, at the present rate and delay."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES
-from maglev_mj.scenes import Scene, Settings
+from maglev_mj.scenes import Scene
 from maglev_mj.scenes.parts import INERTIA
 from maglev_mj.theory import judge, largest_stable_stiffness
 
@@ -55,20 +55,19 @@ class Refusal(NamedTuple):
         )
 
 
-def refusal(scene: Scene, settings: Settings) -> Refusal | None:
-    """Return why a scene would be unstable under some settings; None where it would not.
+def refusal(scene: Scene) -> Refusal | None:
+    """Return why a scene would be unstable; None where it would not.
 
     The loop is that of a flotor that nobody holds; see `judge`. A hand mostly damps.
 
     Args:
-        scene: The scene.
-        settings: Its settings, with the present period and delay.
+        scene: The scene, with the present period and delay.
 
     Raises:
         ParameterError: If it is not known whether it would be.
     """
-    controller, period, delay = scene.controller(settings), settings.period, settings.delay
-    verdict = judge(controller, delay=delay, pose=scene.pose)
+    period, delay = scene.period, scene.delay
+    verdict = judge(scene.controller(), delay=delay, pose=scene.start().pose)
     if verdict.stable:
         return None
     if verdict.stable is None:

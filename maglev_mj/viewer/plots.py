@@ -11,9 +11,9 @@ import numpy as np
 
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
-from maglev_mj.scenes import Settings
+from maglev_mj.scenes import Scene
 from maglev_mj.scenes.parts import MASS
-from maglev_mj.session import View
+from maglev_mj.session import Snapshot
 from maglev_mj.theory import largest_stable_stiffness
 
 __all__ = ["Plots"]
@@ -21,6 +21,7 @@ __all__ = ["Plots"]
 _SECONDS = 2.0
 _POINTS = 500
 _DAMPINGS = 32
+_LEAST = 1.0
 _BLUE, _RED, _GREEN, _GREY = (0.16, 0.52, 0.80), (0.90, 0.35, 0.33), (0.25, 0.72, 0.42), (0.62, 0.66, 0.70)
 
 _Line: TypeAlias = tuple[tuple[float, float, float], Any, Any]
@@ -30,7 +31,7 @@ _Range: TypeAlias = tuple[float, float]
 
 
 class Plots:
-    """Four figures of the engine's own kind, renewed from a view."""
+    """Four figures of the engine's own kind, renewed from a snapshot."""
 
     def __init__(self) -> None:
         self._boundary = _Boundary()
@@ -38,15 +39,15 @@ class Plots:
         for figure in self.figures:
             _prepare(figure)
 
-    def update(self, view: View) -> list[Any]:
+    def update(self, snapshot: Snapshot) -> list[Any]:
         """Return the figures: position, force, phase plane, stability map."""
         position, force, plane, gains = self.figures
-        turning = view.scene.axis_index > 2
+        turning = snapshot.scene.axis_index > 2
         unit, torque = ("mrad", "N m") if turning else ("mm", "N")
-        time, place, speed, device, hand = _thinned(view.history).T
-        when, axis = time - (time[-1] if time.size else 0.0), view.scene.axis
+        time, place, speed, device, hand = _thinned(snapshot.history).T
+        when, axis = time - (time[-1] if time.size else 0.0), snapshot.scene.axis
         across = (-_SECONDS, 0.0)
-        edges = [edge * 1e3 for index, _, edge in view.faces if index == view.scene.axis_index]
+        edges = [edge * 1e3 for index, _, edge in snapshot.faces if index == snapshot.scene.axis_index]
         lines: list[_Line] = [(_GREY, [-_SECONDS, 0.0], [edge, edge]) for edge in edges]
         lines.append((_BLUE, when, place * 1e3))
         _draw(position, f"{axis} [{unit}], grey: wall", lines, across, _span(place * 1e3, edges, 1.0))
@@ -55,24 +56,24 @@ class Plots:
         lines = [(_GREY, [edge, edge], [-1e6, 1e6]) for edge in edges] + [(_BLUE, place * 1e3, speed * 1e3)]
         x_range, y_range = _span(place * 1e3, edges, 1.0), _span(speed * 1e3, [], 30.0)
         _draw(plane, f"speed [{unit}/s] over {axis} [{unit}]", lines, x_range, y_range)
-        self._draw_gains(gains, view.settings)
+        self._draw_gains(gains, snapshot.scene)
         return self.figures
 
-    def wait(self, view: View) -> None:
-        """Wait until the stability map of a view is known."""
-        self._boundary.wait(view.settings)
+    def wait(self, snapshot: Snapshot) -> None:
+        """Wait until the stability map of a snapshot is known."""
+        self._boundary.wait(snapshot.scene)
 
-    def _draw_gains(self, figure: Any, settings: Settings) -> None:
-        """Draw the boundary of what is stable, and a cross where the gains are."""
-        known = self._boundary.of(settings)
+    def _draw_gains(self, figure: Any, scene: Scene) -> None:
+        """Draw the boundary of what is stable, and a cross at the scene's stiffness and damping, if it has them."""
+        known = self._boundary.of(scene)
         dampings, stiffnesses = known if known is not None else (np.zeros(0), np.zeros(0))
-        width = _round_up(max(float(dampings.max(initial=0.0)), 1.1 * settings.damping))
-        height = _round_up(1e-3 * max(float(stiffnesses.max(initial=0.0)), 1.1 * settings.stiffness))
-        x, y, dx, dy = settings.damping, settings.stiffness * 1e-3, 0.04 * width, 0.06 * height
-        lines: list[_Line] = [
-            (_GREY, dampings, stiffnesses * 1e-3),
-            (_RED, [x - dx, x + dx, x, x, x], [y, y, y, y - dy, y + dy]),
-        ]
+        lines: list[_Line] = [(_GREY, dampings, stiffnesses * 1e-3)]
+        damping, stiffness = getattr(scene, "damping", 0.0), getattr(scene, "stiffness", 0.0)
+        width = _round_up(max(float(dampings.max(initial=0.0)), 1.1 * damping, _LEAST))
+        height = _round_up(1e-3 * max(float(stiffnesses.max(initial=0.0)), 1.1 * stiffness, _LEAST))
+        x, y, dx, dy = damping, stiffness * 1e-3, 0.04 * width, 0.06 * height
+        if damping or stiffness:
+            lines.append((_RED, [x - dx, x + dx, x, x, x], [y, y, y, y - dy, y + dy]))
         _draw(figure, "stable below: kN/m over N s/m", lines, (0.0, width), (0.0, height))
 
 
@@ -82,17 +83,17 @@ class _Boundary:
     def __init__(self) -> None:
         self._known: dict[tuple[float, float], tuple[Array, Array] | None] = {}
 
-    def of(self, settings: Settings) -> tuple[Array, Array] | None:
+    def of(self, scene: Scene) -> tuple[Array, Array] | None:
         """Return dampings [N s/m] and stiffnesses [N/m]; None while they are not known yet."""
-        key = settings.period, settings.delay
+        key = scene.period, scene.delay
         if key not in self._known:
             self._known[key] = None
             threading.Thread(target=self._reckon, args=key, daemon=True).start()
         return self._known[key]
 
-    def wait(self, settings: Settings) -> None:
+    def wait(self, scene: Scene) -> None:
         """Reckon at once what is not known yet."""
-        key = settings.period, settings.delay
+        key = scene.period, scene.delay
         if self._known.get(key) is None:
             self._reckon(*key)
 

@@ -15,7 +15,6 @@ import statistics
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import replace
 from functools import partial
 from multiprocessing.connection import Connection
 from typing import Any
@@ -37,7 +36,8 @@ from maglev_mj.bridge.twin import Twin, TwinParameters
 from maglev_mj.bridge.wire import Codec, Command, StateReport
 from maglev_mj.laws import Bias
 from maglev_mj.plants import engine_warnings_silenced
-from maglev_mj.scenes import Settings, scene_called
+from maglev_mj.scenes.drop import Drop
+from maglev_mj.scenes.joystick import Joystick
 from maglev_mj.scenes.parts import INERTIA, WEIGHT
 from maglev_mj.sensing.solver import FastBeams, PoseTracker
 from maglev_mj.spec import Spec
@@ -58,22 +58,15 @@ clock = time.perf_counter_ns
 
 def hover() -> Controller:
     """Return what carries the flotor at the centre, and nothing else."""
-    settings = Settings()
-    hold = Hold.critically_damped(inertia=INERTIA, period=settings.period, delay=settings.delay)
-    return Controller([Bias(WEIGHT), hold], period=settings.period)
-
-
-def flown(name: str, friction: bool = False, period: float | None = None) -> Controller:
-    """Return the laws of a scene."""
-    scene = scene_called(name)
-    settings = replace(scene.settings, friction=friction, period=period or scene.settings.period)
-    return scene.controller(settings)
+    scene = Joystick()
+    hold = Hold.critically_damped(inertia=INERTIA, period=scene.period, delay=scene.delay)
+    return Controller([Bias(WEIGHT), hold], period=scene.period)
 
 
 SCENES: dict[str, tuple[Callable[[], Controller], Sequence[float]]] = {
     "hold": (hover, START),
-    "drop": (partial(flown, "drop"), scene_called("drop").lifted),
-    "joystick, walls and friction": (partial(flown, "joystick", True), START),
+    "drop": (Drop().controller, (0.0, 0.0, 0.004, 0.0, 0.0, 0.0)),
+    "joystick, walls and friction": (Joystick(friction=True).controller, START),
 }
 
 
@@ -161,7 +154,7 @@ def timed_cycles(cycles: int, over_udp: bool) -> tuple[list[float], list[float]]
     """Return for each cycle how long until the answer had been sent, and until all was done [µs]."""
     twin = Twin(TwinParameters(lockstep=True, limits=COOL), draw=lambda: SESSION)
     link = Switched(twin)
-    plant, controller = RemotePlant(link, envelope=WIDE), flown("joystick", True)
+    plant, controller = RemotePlant(link, envelope=WIDE), Joystick(friction=True).controller()
     plant.arm()
     answers, wholes = [], []
     with closing(UdpServer(HOME, 0)) as server, closing(UdpLink(*server.address)) as wire, no_garbage():
@@ -185,7 +178,7 @@ def timed_cycles(cycles: int, over_udp: bool) -> tuple[list[float], list[float]]
 
 def parts(cycles: int) -> dict[str, Callable[[], object]]:
     """Return the parts of as many cycles, each to be done by itself on the same numbers."""
-    known, codec, controller = Calibration.nominal(), Codec(), flown("joystick", True)
+    known, codec, controller = Calibration.nominal(), Codec(), Joystick(friction=True).controller()
     frames = prepared(cycles, 5_000_000)
     reports: list[Any] = [frame.body for data in frames if (frame := codec.decode(data))]
     poses = [PoseTracker(known.beams)(report.spots) for report in reports]
@@ -298,9 +291,9 @@ def in_real_time(seconds: float) -> None:
     """Print how long after a sample's instant the answer to it is at the device."""
     for rate in RATES:
         with closing(Served({"period": 1.0 / rate}, on_time=True)) as twin:
-            link, scene = UdpLink(HOME, twin.port), scene_called("joystick")
+            link, scene = UdpLink(HOME, twin.port), Joystick()
             with RemotePlant(link) as plant, realtime("ignore") as refused:
-                flight = Flight(plant, scene, replace(scene.settings, period=plant.period, delay=plant.delay))
+                flight = Flight(plant, scene.replace(period=plant.period, delay=plant.delay))
                 flown = flight.run(seconds)
             (ticks, missed, _, sampling), answered = twin.end()
         print(f"real time at {rate} Hz, {'; '.join(refused) or 'nothing refused'}")

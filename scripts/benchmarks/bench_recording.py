@@ -21,10 +21,10 @@ from maglev_mj import Command, Sample
 from maglev_mj.loop import ControlLoop, Record
 from maglev_mj.recording import Recorder, open_recording
 from maglev_mj.recording.live import Ring
-from maglev_mj.scenes import Settings, scene_called
+from maglev_mj.scenes.joystick import Joystick
 
 BLOCK = 200
-PERIOD = Settings().period
+PERIOD = Joystick().period
 
 
 class Nothing:
@@ -57,7 +57,7 @@ def tick_times(makers: Sequence[Callable[[Nothing], Record] | None], turns: int)
     """Return the time of a tick [s] in each turn, recorded in each way; short turns, for a machine is not alone."""
     loops = []
     for make in makers:
-        plant, controller = Nothing(), scene_called("joystick").controller(Settings())
+        plant, controller = Nothing(), Joystick().controller()
         loops.append(ControlLoop(plant, controller, record=None if make is None else make(plant)))
     times: list[list[float]] = [[] for _ in loops]
     gc.disable()
@@ -86,7 +86,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         path, count = Path(folder) / "run.mcap", blocks * BLOCK
         file, start = open_recording(path, wait=True), time.perf_counter()
-        plant, controller = Nothing(), scene_called("joystick").controller(Settings())
+        plant, controller = Nothing(), Joystick().controller()
         record = file.begin(plant, controller, {"kind": "benchmark"}, delay=0.0)
         ControlLoop(plant, controller, record=record).cycle(count)
         file.close()

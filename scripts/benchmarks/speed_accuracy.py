@@ -25,7 +25,6 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import mujoco
 import numpy as np
 from maglev_mj.experiments.drop import DropParameters, drop_parts
-from maglev_mj.studies.wall_controller import wall_controller
 from maglev_mj.studies.fidelity_scenes import FIDELITY_SCENES, FidelityScene
 
 from maglev_mj import Controller, run
@@ -34,6 +33,7 @@ from maglev_mj.plants import CorrectedBatchPlant, ExactPlant, MuJoCoBatchPlant, 
 from maglev_mj.plots import Panel, small_multiples
 from maglev_mj.spec import Spec
 from maglev_mj.studies.integrators import INTEGRATORS
+from maglev_mj.studies.wall_controller import wall_controller
 from maglev_mj.versions import versions
 from peers import Task
 from ways import SEMI_IMPLICIT, Way, as_json, boundary_shift, measure, our_ways, peer_ways, points_of

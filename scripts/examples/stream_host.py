@@ -23,9 +23,8 @@ from typing import Any
 
 from maglev_mj.cli.options import Parser, chosen_key, number_option
 from maglev_mj.errors import MaglevError, ParameterError
-from maglev_mj.hand import SpringHand
 from maglev_mj.parameters import number
-from maglev_mj.scenes import SCENES, scene_called
+from maglev_mj.scenes import BUILT_IN, find_scene
 from maglev_mj.session import Session
 from maglev_mj.stream import Answer, PoseStream, StreamClient
 
@@ -113,9 +112,9 @@ def converse(client: StreamClient, options: argparse.Namespace) -> None:
 @contextmanager
 def alone(name: str) -> Iterator[str]:
     """Run a scene in its scripted hand, in a thread; yield where its stream is."""
-    scene, stopped = scene_called(name), threading.Event()
+    scene, stopped = find_scene(name)(), threading.Event()
     stream = PoseStream("udp://127.0.0.1:0")
-    session = Session(scene.name, hand=SpringHand(target=scene.script), outlets=[stream])
+    session = Session(scene, hand=scene.scripted_hand(), publishers=[stream])
 
     def go_on() -> None:
         last = time.perf_counter()
@@ -142,7 +141,7 @@ def main() -> int:
     parser.add_argument("--key", metavar="FILE", type=Path, help="secret of 16 to 32 bytes as hexadecimal digits")
     parser.add_argument("--alone", action="store_true", help="run a scene here, instead of one that runs elsewhere")
     parser.add_argument(
-        "--scene", default="joystick", metavar="SCENE", help=f"with --alone: one of {', '.join(SCENES)}"
+        "--scene", default="joystick", metavar="SCENE", help=f"with --alone: one of {', '.join(BUILT_IN)}"
     )
     parser.add_argument("--stiffness", type=number_option, default=60000.0, metavar="X", help="of the wall [N/m]")
     parser.add_argument("--edge", type=number_option, default=0.001, metavar="X", help="where it begins, along x [m]")

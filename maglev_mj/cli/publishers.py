@@ -10,13 +10,13 @@ from pathlib import Path
 from maglev_mj.cli.options import chosen_key
 from maglev_mj.errors import ParameterError
 from maglev_mj.parameters import flag
-from maglev_mj.session import Outlet
+from maglev_mj.session import Publisher
 from maglev_mj.spacenav import PoseAxes, RateAxes, SpacenavServer
 from maglev_mj.spacenav.axes import Axes
 from maglev_mj.stream import URL, PoseStream
 from maglev_mj.terminal import say
 
-__all__ = ["add_outlets", "add_spacenav", "chosen_outlets", "chosen_spacenav"]
+__all__ = ["add_publishers", "add_spacenav", "chosen_publishers", "chosen_spacenav"]
 
 
 _AXES_TOLD: dict[str, Callable[[], Axes]] = {"pose": PoseAxes, "rate": RateAxes}
@@ -70,7 +70,7 @@ def chosen_spacenav(options: argparse.Namespace, say: Callable[[str], object] = 
     return [server]
 
 
-def add_outlets(parser: argparse.ArgumentParser) -> None:
+def add_publishers(parser: argparse.ArgumentParser) -> None:
     """Add --stream, --stream-key, --spacenav, --socket and --axes."""
     parser.add_argument(
         "--stream",
@@ -89,7 +89,7 @@ def add_outlets(parser: argparse.ArgumentParser) -> None:
 
 
 @contextmanager
-def chosen_outlets(options: argparse.Namespace) -> Iterator[list[Outlet]]:
+def chosen_publishers(options: argparse.Namespace) -> Iterator[list[Publisher]]:
     """Open what was asked for, and close it at the end.
 
     Raises:
@@ -102,11 +102,11 @@ def chosen_outlets(options: argparse.Namespace) -> Iterator[list[Outlet]]:
         raise ParameterError(f"stream must be udp://HOST:PORT, not {options.stream!r}")
     key = chosen_key(options.stream_key, "stream-key")
     with ExitStack() as open_ones:
-        outlets: list[Outlet] = []
+        publishers: list[Publisher] = []
 
-        def add(outlet: Outlet) -> None:
-            open_ones.callback(outlet.close)
-            outlets.append(outlet)
+        def add(publisher: Publisher) -> None:
+            open_ones.callback(publisher.close)
+            publishers.append(publisher)
 
         for server in chosen_spacenav(options, say):
             add(server)
@@ -115,4 +115,4 @@ def chosen_outlets(options: argparse.Namespace) -> Iterator[list[Outlet]]:
             add(stream)
             host, port = stream.address
             say(f"  a pose stream at udp://{host}:{port}")
-        yield outlets
+        yield publishers

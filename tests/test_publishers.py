@@ -8,7 +8,6 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +20,10 @@ from maglev_mj.bridge.flight import Flight
 from maglev_mj.bridge.simulated_links import Impairment, VirtualLink
 from maglev_mj.cli import main
 from maglev_mj.recording import Recording, RecordingError, open_recording
-from maglev_mj.scenes import Settings, scene_called
-from maglev_mj.session import Moment, Outlets
+from maglev_mj.scenes import Scene
+from maglev_mj.scenes.box import Box
+from maglev_mj.scenes.joystick import Joystick
+from maglev_mj.session import Publishers, Snapshot
 from maglev_mj.stream import StreamClient
 from tests.test_bridge_processes import COMMAND, ended, said_by, twin
 
@@ -64,9 +65,9 @@ def found(said: list[str], pattern: str) -> str:
 def test_a_device_is_seen_set_and_recorded_by_other_programs(tmp_path: Path) -> None:
     """A wall on the wire is refused or taken; what was flown is in the file with both settings."""
     record = tmp_path / "run.mcap"
-    outlets = ("--stream", "udp://127.0.0.1:0", "--spacenav", "--socket", str(tmp_path / "s"))
+    publishers = ("--stream", "udp://127.0.0.1:0", "--spacenav", "--socket", str(tmp_path / "s"))
     with twin("--watchdog", "2") as (device, address):
-        options = ("--scene", "table", "--record", str(record), "--out", str(tmp_path), *outlets)
+        options = ("--scene", "table", "--record", str(record), "--out", str(tmp_path), *publishers)
         with program("bridge", address, *options) as (host, said):
             with StreamClient(found(said, r"(udp://\S+)$"), patience=30.0) as client:
                 assert client.describe()["state"] == "flying"
@@ -164,67 +165,55 @@ def test_outlets_are_told_sixty_times_a_second_and_asked_every_tick() -> None:
             return taken
 
         def __init__(self) -> None:
-            self.moments: list[Moment] = []
+            self.snapshots: list[Snapshot] = []
 
-        def show(self, moment: Moment) -> None:
-            self.moments.append(moment)
+        def show(self, snapshot: Snapshot) -> None:
+            self.snapshots.append(snapshot)
 
         def close(self) -> None:
             self.closed = True
 
     now, made, told = 0.0, 0, [Told(), Told()]
-    outlets = Outlets(told, clock=lambda: now)
-    scene = scene_called("box")
+    publishers = Publishers(told, clock=lambda: now)
+    scene = Box()
 
-    def moment() -> Moment:
+    def snapshot() -> Snapshot:
         nonlocal made
         made += 1
-        return Moment(
-            scene=scene,
-            settings=scene.settings,
-            since=0,
-            delay=0.0,
-            tick=0,
-            time=now,
-            pose=(0.0,) * 6,
-            force=(0.0,) * 6,
-            hand=(0.0,) * 6,
-            anchors=None,
-            state="running",
-        )
+        return Snapshot(scene=scene, time=now)
 
     for tick in range(2001):
         now = tick * 5e-4
-        outlets.show(moment)
-    assert made == len(told[0].moments) == len(told[1].moments)
+        publishers.show(snapshot)
+    assert made == len(told[0].snapshots) == len(told[1].snapshots)
     assert 60 <= made <= 62
-    gaps = [after.time - before.time for before, after in zip(told[0].moments, told[0].moments[1:], strict=False)]
+    gaps = [after.time - before.time for before, after in zip(told[0].snapshots, told[0].snapshots[1:], strict=False)]
     assert max(gaps) - min(gaps) < 1e-3
     now += 5.0  # a pause is not made up for
     for _ in range(10):
-        outlets.show(moment)
+        publishers.show(snapshot)
         now += 1e-4
     assert made <= 63
-    told[1].waiting = scene.settings
-    assert outlets.wanted() is scene.settings and outlets.wanted() is None
-    outlets.close()
+    told[1].waiting = scene
+    assert publishers.wanted() is scene and publishers.wanted() is None
+    publishers.close()
     assert told[0].closed and told[1].closed
 
 
 class Asks:
-    """An outlet that asks for settings, and keeps what it is told."""
+    """A publisher that asks for settings, and keeps what it is told."""
 
-    def __init__(self, *wanted: Settings) -> None:
+    def __init__(self, *wanted: Scene) -> None:
         self._waiting, self._asked = list(wanted), False
-        self.moments: list[Moment] = []
+        self.snapshots: list[Snapshot] = []
 
-    def take(self) -> Settings | None:
+    def take(self) -> Scene | None:
         asked, self._asked = self._asked, False
         return self._waiting.pop(0) if asked else None
 
-    def show(self, moment: Moment) -> None:
-        self.moments.append(moment)
-        if self._waiting and len(self.moments) % 3 == 0:
+    def show(self, snapshot: Snapshot) -> None:
+        self.snapshots.append(snapshot)
+        if self._waiting and len(self.snapshots) % 3 == 0:
             self._asked = True
 
     def close(self) -> None: ...
@@ -233,8 +222,7 @@ class Asks:
 def flight(**options: Any) -> tuple[Flight, RemotePlant]:
     """Return a flight on a virtual twin, which takes off at once."""
     plant = RemotePlant(VirtualLink(Twin(TwinParameters(), draw=lambda: 7), Impairment(jitter=0.001)))
-    scene = scene_called("joystick")
-    return Flight(plant, scene, replace(scene.settings, period=plant.period, delay=plant.delay), **options), plant
+    return Flight(plant, Joystick(period=plant.period, delay=plant.delay), **options), plant
 
 
 def slow() -> Callable[[], float]:
@@ -245,10 +233,10 @@ def slow() -> Callable[[], float]:
 
 def test_a_flight_is_recorded_through_changes_as_one_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Settings from outside: what is missed and when counts on from change to change, for a device does."""
-    monkeypatch.setattr(Outlets.__init__, "__defaults__", ((), slow()))
-    wishes = [Settings(friction=True), Settings(stiffness=4000.0)]
+    monkeypatch.setattr(Publishers.__init__, "__defaults__", ((), slow()))
+    wishes = [Joystick(friction=True), Joystick(stiffness=4000.0)]
     asks, file = Asks(*wishes), open_recording(tmp_path / "run.mcap")
-    flown, plant = flight(outlets=[asks], file=file)
+    flown, plant = flight(publishers=[asks], file=file)
     with plant:
         flown.run(0.5)
     file.close()
@@ -256,10 +244,10 @@ def test_a_flight_is_recorded_through_changes_as_one_run(tmp_path: Path, monkeyp
     assert [stretch.setup["settings"]["friction"] for stretch in recording.stretches] == [False, True, False]
     ticks = np.concatenate([stretch.tick for stretch in recording.stretches])
     assert (np.diff(ticks) >= 1).all() and ticks[0] > 100  # it counts from takeoff on
-    for before, after in zip(asks.moments, asks.moments[1:], strict=False):
+    for before, after in zip(asks.snapshots, asks.snapshots[1:], strict=False):
         assert after.tick - before.tick <= 3
-    since = [next(one.since for one in asks.moments if one.settings.friction == on) for on in (False, True)]
-    assert since[1] - asks.moments[2].tick <= 2
+    since = [next(one.since for one in asks.snapshots if one.scene.as_json()["friction"] == on) for on in (False, True)]
+    assert since[1] - asks.snapshots[2].tick <= 2
     with (tmp_path / "run.mcap").open("rb") as opened:
         read = [
             (message.log_time, json.loads(message.data))
@@ -274,9 +262,9 @@ def test_a_flight_is_recorded_through_changes_as_one_run(tmp_path: Path, monkeyp
 
 
 def test_the_delay_that_is_told_is_the_usual_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Outlets.__init__, "__defaults__", ((), slow()))
+    monkeypatch.setattr(Publishers.__init__, "__defaults__", ((), slow()))
     asks = Asks()
-    flown, plant = flight(outlets=[asks])
+    flown, plant = flight(publishers=[asks])
     measured: list[float] = []
     with plant:
         read = plant.read
@@ -290,7 +278,7 @@ def test_the_delay_that_is_told_is_the_usual_one(monkeypatch: pytest.MonkeyPatch
         flown.run(1.5)
     landing = round(0.6 / plant.period)
     last = [delay for delay in measured[: -landing - 1] if delay == delay][-100:]
-    assert asks.moments[-1].delay == pytest.approx(np.median(last), abs=2e-5)
+    assert asks.snapshots[-1].delay == pytest.approx(np.median(last), abs=2e-5)
     assert plant.delay + 1e-4 < np.median(last) < max(last) - 1e-4
 
 
