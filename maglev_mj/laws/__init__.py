@@ -9,6 +9,7 @@ from __future__ import annotations
 from maglev_mj.laws.base import AxisLaw, Gains, Law, VelocityEstimator, gain
 from maglev_mj.laws.bias import Bias
 from maglev_mj.laws.bristle import Dahl, ElastoPlastic, HaywardArmstrong, LuGre
+from maglev_mj.laws.checking import check
 from maglev_mj.laws.friction import Friction, FrictionState, ImplicitCoulomb, SpringReset, StickSlip
 from maglev_mj.laws.hold import Hold
 from maglev_mj.laws.linear import LinearController
@@ -42,5 +43,6 @@ __all__ = [
     "VelocityEstimator",
     "Wall",
     "Window",
+    "check",
     "gain",
 ]

@@ -152,10 +152,11 @@ class AxisLaw(Law):
     def __init_subclass__(cls, **keywords: Any) -> None:
         super().__init_subclass__(**keywords)
         dataclass(frozen=True, kw_only=True, eq=False)(cls)
+        if hidden := [name for name in inspect.get_annotations(cls) if name != "axes" and hasattr(AxisLaw, name)]:
+            raise ParameterError(f"{cls.__name__} must not have a gain called {hidden[0]}: a law has that itself")
         if not _takes(cls.force, 5):
-            raise ParameterError(
-                f"{cls.__name__}.force must take x, v, gains, state, not {inspect.signature(cls.force)}"
-            )
+            takes = inspect.signature(cls.force)
+            raise ParameterError(f"{cls.__name__}.force must take (self, x, v, gains, state), not {takes}")
 
     def __post_init__(self) -> None:
         name, indices = type(self).__name__, axis_indices(self.axes)
@@ -193,7 +194,7 @@ class AxisLaw(Law):
             gains: The gains of that axis, by name.
             state: The state of that axis; None at the first sample.
         """
-        raise NotImplementedError
+        raise NotImplementedError(f"{type(self).__name__} needs force(self, x, v, gains, state)")
 
     def __call__(
         self, position: Sequence[Component], velocity: Sequence[Component], state: Any, wrench: list[Component]

@@ -114,6 +114,8 @@ def judge(controller: Controller, *, delay: float, pose: ArrayLike = ZERO, inert
     start, body = numbers("pose", pose), numbers("inertia", inertia, at_least=0.0)
     if start.shape != (6,) or body.shape != (6,):
         raise ParameterError(f"pose and inertia must be (6,), not {start.shape} and {body.shape}")
+    if not (body > 0.0).all():
+        raise ParameterError(f"inertia must be above 0 everywhere, not {body.min():g}")
     number("delay", delay, at_least=0.0)
     gains = stated_gains(controller)
     if gains is None:
@@ -210,7 +212,7 @@ def _numerically(controller: Controller, delay: float, pose: Array, body: Array)
     nowhere = set(range(len(AXES))) - judged - {axis for loop in lost for axis in loop.axes}
     worst: tuple[bool, float, _Loop | None] = False, np.nan, None
     for loop, modulus in _moduli(loops + lost, delay, body):
-        free = np.abs(loop.stiffness).min() <= _ROUNDING * np.abs(loop.scaled).max()
+        free = np.abs(loop.stiffness).min() <= _FREE * max(_FREE, np.abs(loop.scaled).max())
         wrong = modulus >= 1.0 + (_FREE if free else -_ROUNDING)
         if worst[2] is None or wrong > worst[0] or (wrong == worst[0] and modulus > worst[1] * (1.0 + _ROUNDING)):
             worst = wrong, modulus, loop
