@@ -11,6 +11,7 @@ import numpy as np
 
 from maglev_mj.analysis.known import known_experiment
 from maglev_mj.controller import Controller
+from maglev_mj.energy import hand_work
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.experiments.drop import DropParameters, drop_parts
 from maglev_mj.experiments.press import PressParameters, press_parts
@@ -229,8 +230,7 @@ class _Shown:
         coils = load("drop").coils
         assert coils is not None
         self._currents = stretch.applied[:, :6] @ coils.current_per_wrench.T
-        way = np.diff(stretch.position, axis=0, prepend=stretch.position[:1])
-        self._work = np.cumsum((np.roll(stretch.hand, 1, axis=0) * way).sum(axis=1))
+        self._work = np.append(0.0, np.cumsum(hand_work(stretch.position, stretch.hand).sum(axis=1)))
         self._faces = wall_faces(self.scene.laws(self.settings))
         self._anchors = stick_positions_of(stretch)
         axis = self.scene.axis_index

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from maglev_mj import AXES, Controller
+from maglev_mj.energy import EnergyAccount
 from maglev_mj.errors import ParameterError
 from maglev_mj.hand import ConstantForce, SpringHand
 from maglev_mj.laws import Hold, Law, StickSlip, Wall
@@ -16,7 +17,7 @@ from maglev_mj.recording import Recording, verify
 from maglev_mj.replay import rebuild
 from maglev_mj.scenes import SCENES, Settings, scene_called
 from maglev_mj.scenes.parts import INERTIA, wall
-from maglev_mj.session import ACTIONS, EnergyAccount, Pacer, Session
+from maglev_mj.session import ACTIONS, Pacer, Session
 from maglev_mj.theory import largest_stable_stiffness
 
 FRAME = 1.0 / 60.0

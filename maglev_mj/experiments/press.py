@@ -221,7 +221,7 @@ def _of_device(trace: Trace, place: int) -> Trace:
 
 def _result(parameters: PressParameters, trace: Trace) -> PressResult:
     p = parameters
-    return PressResult(p, trace, summarise_press(trace, p.strokes, p.path.end, p.end, p.mass))
+    return PressResult(p, trace, summarise_press(trace, p.strokes, p.path.end, p.end))
 
 
 def _plain(summary: PressSummary) -> dict[str, Any]:

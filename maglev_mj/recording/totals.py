@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from maglev_mj.frames import Array, Command, Sample
-from maglev_mj.metrics import PassivityObserver
-from maglev_mj.plants import Timing
+from maglev_mj.energy import HandWork, PassivityObserver
+from maglev_mj.frames import Command, Sample
 from maglev_mj.recording.ring import Row
 from maglev_mj.recording.stretch import Basis
+from maglev_mj.timeline import Timing
 
 __all__ = ["Totals"]
 
@@ -25,9 +25,7 @@ class Totals:
         self._carried = np.array(basis.carried)
         load, before = self._carried + np.array(basis.load), np.array(basis.before) - self._carried
         self._observer = PassivityObserver(timing, basis.inertia, load, before)
-        self._pose: Array | None = None
-        self._effort: Array = np.zeros(6)
-        self._hand, self._missed = 0.0, 0
+        self._hand, self._missed = HandWork(), 0
         self._tick: float | None = None
 
     def miss(self, count: int) -> None:
@@ -36,13 +34,11 @@ class Totals:
 
     def add(self, row: Row) -> tuple[float, float, int]:
         """Return the totals at a sample: energy taken [J], work of the hand [J], samples missed."""
-        pose, force = np.array(row[2:8]), np.array(row[21:27]) - self._carried
+        force = np.array(row[21:27]) - self._carried
         command = Command(force.tolist(), row[27:33], row[33]) if row[33] else Command(force.tolist())
         self._observer(Sample(int(row[0]), row[1], row[2:8]), command)
-        if self._pose is not None:
-            self._hand += float(self._effort @ (pose - self._pose))
-        self._pose, self._effort = pose, np.array(row[34:40])
+        self._hand.add(np.array(row[2:8]), row[34:40])
         if self._tick is not None:  # a device counts on from stretch to stretch
             self._missed += max(int(row[0] - self._tick) - 1, 0)
         self._tick = row[0]
-        return float(self._observer.energy.sum()), self._hand, self._missed
+        return float(self._observer.energy.sum()), self._hand.total, self._missed

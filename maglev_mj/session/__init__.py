@@ -1,7 +1,6 @@
 """A scene in real time, without a window: pacing, what keys change, recording, and what there is to see."""
 
 from maglev_mj.session.admission import Refusal, refusal
-from maglev_mj.session.energy import EnergyAccount
 from maglev_mj.session.outlet import Moment, Outlet, Outlets
 from maglev_mj.session.pacing import Pacer
 from maglev_mj.session.session import ACTIONS, Session

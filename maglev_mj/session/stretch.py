@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from maglev_mj.energy import EnergyAccount
 from maglev_mj.frames import ZERO, Array, Command, Sample
 from maglev_mj.hand import HandForce
 from maglev_mj.loop import ControlLoop
 from maglev_mj.recording import Mechanics, RecordingFile, carried_by
 from maglev_mj.scenes import Scene, Settings
-from maglev_mj.session.energy import EnergyAccount
 from maglev_mj.session.view import stick_positions, wall_faces
 
 __all__ = ["LiveStretch", "scene_setup"]

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from maglev_mj.energy import HandWork
 from maglev_mj.errors import MaglevError
 from maglev_mj.frames import Array
 from maglev_mj.hand import SpringHand
@@ -67,7 +68,7 @@ class Watch:
         self.note = ""
         self._axis = scene_called(scene).axis_index
         self._rows: deque[tuple[float, ...]] = deque(maxlen=_MOST_ROWS)
-        self._sent, self._ticks, self._work = 0.0, 0, 0.0
+        self._sent, self._ticks, self._hand_work = 0.0, 0, HandWork()
         self._last: Array | None = None
         context = multiprocessing.get_context("spawn")
         self._line, far = context.Pipe()
@@ -96,7 +97,7 @@ class Watch:
         axis, period = self._axis, self.settings.period
         last = pose if self._last is None else self._last
         way, self._last = pose - last, pose
-        self._work += float(np.dot(effort, way))
+        self._hand_work.add(pose, effort)
         row = self._ticks * period, pose[axis], way[axis] / period, force[axis], effort[axis]
         self._rows.append(tuple(float(value) for value in row))
         self._ticks += 1
@@ -112,7 +113,7 @@ class Watch:
                     settings=self.settings,
                     faces=self.faces,
                     note=self.note,
-                    work=self._work,
+                    work=self._hand_work.total,
                     pose=pose,
                     force=force,
                     effort=np.array(effort),
