@@ -19,10 +19,11 @@ from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.bridge.simulated_links import Impairment, VirtualLink
 from maglev_mj.bridge.twin import Twin, TwinParameters
 from maglev_mj.cli import main
+from maglev_mj.energy import PassivityObserver
 from maglev_mj.frames import AXES, Command, Sample
 from maglev_mj.hand import Path as HandPath
 from maglev_mj.hand import SpringHand
-from maglev_mj.metrics import PassivityObserver, perceived_hardness, summarise_bounce
+from maglev_mj.metrics import perceived_hardness, summarise_bounce
 from maglev_mj.plants import Timing
 from maglev_mj.recording import ArrayFile, Recording, RecordingError, Stretch
 from maglev_mj.replay import rebuild, record_run, stick_positions_of

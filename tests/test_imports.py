@@ -28,6 +28,7 @@ FLOORS = {
     "plants": 4,
     "loop": 5,
     "theory": 5,
+    "energy": 5,
     "metrics": 5,
     "recording": 6,
     "scenes": 6,

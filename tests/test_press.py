@@ -137,7 +137,7 @@ def test_the_figures_are_those_of_the_curve() -> None:
     twist[:, 2] = [-v, 0.0, v] * 2
     wrench[:, 2] = [m * a, m * a, 0.0, m * a, m * a, 0.0]
     trace = Trace(time, pose, twist, wrench)
-    figures = summarise_press(trace, [0.0, lasts, 2.0 * lasts, 3.0 * lasts], 3.0 * lasts, 4.0 * lasts, m)
+    figures = summarise_press(trace, [0.0, lasts, 2.0 * lasts, 3.0 * lasts], 3.0 * lasts, 4.0 * lasts)
     np.testing.assert_allclose(figures.penetration[:2], 0.5 * v * v / a - h, rtol=1e-9)
     np.testing.assert_allclose(figures.approach_speed[:2], entry, rtol=1e-9)
     np.testing.assert_allclose(figures.peak_force[:2], m * a, rtol=1e-12)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from maglev_mj import AXES, Controller
+from maglev_mj.energy import EnergyAccount
 from maglev_mj.errors import ParameterError
 from maglev_mj.hand import SpringHand
 from maglev_mj.laws import Hold, Law, StickSlip, Wall
@@ -22,7 +23,7 @@ from maglev_mj.scenes.joystick import Joystick
 from maglev_mj.scenes.legacy import recorded_scene
 from maglev_mj.scenes.parts import INERTIA, WEIGHT, wall
 from maglev_mj.scenes.press import Press
-from maglev_mj.session import EnergyAccount, Pacer, Session, device_controller, live_plant
+from maglev_mj.session import Pacer, Session, device_controller, live_plant
 from maglev_mj.spec import Spec
 from maglev_mj.theory import largest_stable_stiffness
 from maglev_mj.viewer.overlay import help_text, keys_of, status_text

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from maglev_mj.frames import Array, Command, Sample
-from maglev_mj.metrics import PassivityObserver
-from maglev_mj.plants import Timing
+from maglev_mj.energy import HandWork, PassivityObserver
+from maglev_mj.frames import Command, Sample
 from maglev_mj.recording.recording import Basis
+from maglev_mj.timeline import Timing
 
 __all__ = ["Totals"]
 
@@ -27,9 +27,7 @@ class Totals:
         self._carried = np.array(basis.carried)
         load, before = self._carried + np.array(basis.load), np.array(basis.before) - self._carried
         self._observer = PassivityObserver(timing, basis.inertia, load, before)
-        self._pose: Array | None = None
-        self._effort: Array = np.zeros(6)
-        self._hand, self._missed = 0.0, 0
+        self._hand, self._missed = HandWork(), 0
         self._tick: float | None = None
 
     def miss(self, count: int) -> None:
@@ -38,14 +36,11 @@ class Totals:
 
     def add(self, row: Mapping[str, Any]) -> tuple[float, float, int]:
         """Return the totals at a sample, given by name: energy taken [J], work of the hand [J], samples missed."""
-        pose, force = np.array(row["position"]), np.array(row["applied"]) - self._carried
-        width = row["applied_pulse_width"]
+        force, width = np.array(row["applied"]) - self._carried, row["applied_pulse_width"]
         command = Command(force.tolist(), row["applied_pulse"], width) if width else Command(force.tolist())
         self._observer(Sample(int(row["tick"]), row["time"], row["position"]), command)
-        if self._pose is not None:
-            self._hand += float(self._effort @ (pose - self._pose))
-        self._pose, self._effort = pose, np.array(row["hand"])
+        self._hand.add(np.array(row["position"]), row["hand"])
         if self._tick is not None:  # a device counts on from stretch to stretch
             self._missed += max(int(row["tick"] - self._tick) - 1, 0)
         self._tick = row["tick"]
-        return float(self._observer.energy.sum()), self._hand, self._missed
+        return float(self._observer.energy.sum()), self._hand.total, self._missed

@@ -2,7 +2,6 @@
 
 from maglev_mj.session.actions import DEVICES_OWN, actions, settable
 from maglev_mj.session.admission import Refusal, refusal
-from maglev_mj.session.energy import EnergyAccount
 from maglev_mj.session.live import device_controller, live_plant, mechanics
 from maglev_mj.session.pacing import Pacer
 from maglev_mj.session.publishers import Publisher, Publishers
@@ -11,7 +10,6 @@ from maglev_mj.session.snapshot import History, SampledMotion, Snapshot, Snapsho
 
 __all__ = [
     "DEVICES_OWN",
-    "EnergyAccount",
     "History",
     "Pacer",
     "Publisher",

@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
+from maglev_mj.energy import EnergyAccount
 from maglev_mj.frames import ZERO, Array, Command, Sample
 from maglev_mj.hand import HandForce
 from maglev_mj.loop import ControlLoop
 from maglev_mj.recording import RecordingFile
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.find import reference_of
-from maglev_mj.session.energy import EnergyAccount
 from maglev_mj.session.live import live_plant, mechanics
 
 __all__ = ["LiveStretch", "scene_setup"]
