@@ -76,8 +76,11 @@ def test_sweep_covers_the_grid(tmp_path: Path, capsys: pytest.CaptureFixture[str
         (["stability", "--delay", "1"], "delay must be at most 10 periods of 0.005 s, not 1"),
         (["stability", "--damping", "20", "--out", "."], "damping must be a range for a picture, not 20 alone"),
         (["stability", "--workers", "-1", "--plant", "exact"], "workers must be at least 0, not -1"),
-        (["sweep", "moon"], "scene must be one of drop, stick-slip, wall, not 'moon'"),
-        (["sweep", "drop", "--vary", "colour=1"], "parameter of drop must be one of plant, height"),
+        (["sweep", "moon"], "scene must be one of drop, press, stick-slip, twist, let-go, six-axes, wall, or a file"),
+        (
+            ["sweep", "drop", "--vary", "colour=1"],
+            "parameter of drop must be one of plant, phase, period, delay, stiffness",
+        ),
         (["sweep", "drop", "--vary", "height=1:2"], "height must vary as LOW:HIGH:COUNT, A,B,C or A;B;C, not '1:2'"),
         (["sweep", "drop", "--vary", "height"], "a parameter must be given as NAME=VALUE, not 'height'"),
         (["sweep", "drop", "--set", "mass=0"], "mass must be a finite number at least 0.001"),
