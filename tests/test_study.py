@@ -118,8 +118,8 @@ def test_an_error_in_the_function_is_raised_with_what_had_landed_kept(tmp_path: 
 
 
 def test_a_run_that_diverges_is_a_result(tmp_path: Path) -> None:
-    unstable = cell_of("drop", {"plant": "exact", "stiffness": 50000.0, "damping": 0.0, "duration": 2.0})
-    (result,) = run_cells(run_scene_cells, [unstable])
+    unstable = swept_cells(Drop(stiffness=50000.0, damping=0.0, duration=2.0), {}, plant="exact")
+    (result,) = run_cells(run_scene_cells, unstable)
     assert "diverged" in result["error"]
 
 
