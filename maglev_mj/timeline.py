@@ -136,6 +136,9 @@ class Timeline:
         self._period, self._rest, self._whole = timing.period, timing.rest, timing.whole
         self._negligible, self._jitters = timing.negligible, timing.jitter > 0.0
         self._each = np.ndim(timing.delay) > 0
+        # one switch within the period, always at the same place
+        self._plain = timing.whole == 0 and not self._jitters and (self._each or self._rest > self._negligible)
+        self._left = timing.period - timing.rest
 
     def answer(
         self, tick: int, held: Any, pulsed: Any = None, width: float = 0.0, *, after: float | None = None
@@ -160,49 +163,57 @@ class Timeline:
             switches.pop()
         switches.append((tick, offset, held, pulsed, width))
 
-    def period(self, tick: int) -> list[Segment]:
+    def period(self, tick: int, answer: tuple[Any, Any, float] | None = None) -> list[Segment]:
         """Return the segments from sample `tick` to the next, in order; their durations add up to the period.
 
         With delays (N,) durations are (N,), and a segment that a device does not have lasts no time.
+
+        Args:
+            tick: Number of the sample.
+            answer: The answer to it as for `answer`: held, pulsed, width; None where that was called, or nobody did.
         """
         switches = self._switches
-        if self._pulse is None:  # most periods have one switch or none, and no pulse
-            if not switches or switches[0][0] > tick:
-                return [(self._period, self.acting)]
-            _, offset, held, _, width = switches[0]
-            if width == 0.0 and len(switches) == 1 and (self._each or offset > self._negligible):
-                switches.clear()
+        if answer is not None:
+            held, pulsed, width = answer
+            if self._plain and width == 0.0 and self._pulse is None and not switches:  # most periods, at half the cost
                 before = self.acting
                 if self.compares and held[0] == before[0]:
                     return [(self._period, before)]
                 self.acting = held
-                return [(offset, before), (self._period - offset, held)]
-        segments, done = list[Segment](), 0.0
+                return [(self._rest, before), (self._left, held)]
+            self.answer(tick, held, pulsed, width)
+        segments: list[Segment] = []
+        done, each, least = 0.0, self._each, self._negligible
         while switches and switches[0][0] <= tick:
             _, offset, held, pulsed, width = switches.popleft()
-            if self.compares and self._pulse is None and width == 0.0 and held[0] == self.acting[0]:
+            duration = offset - done
+            if self._pulse is not None:
+                duration = self._add_pulse(duration, segments)
+            elif width == 0.0 and self.compares and held[0] == self.acting[0]:
                 continue
-            self._stay(offset - done, segments)
+            if each or duration > least:
+                segments.append((duration, self.acting))
             self.acting, self._pulse, done = held, (pulsed, width) if width > 0.0 else None, offset
-        self._stay(self._period - done, segments)
+        duration = self._period - done
+        if self._pulse is not None:
+            duration = self._add_pulse(duration, segments)
+        if each or duration > least:
+            segments.append((duration, self.acting))
         return segments
 
     def now(self) -> Any:
         """Return the drive that acts now, a pulse's where one is on."""
         return self.acting if self._pulse is None else self._pulse[0]
 
-    def _stay(self, duration: Any, segments: list[Segment]) -> None:
-        """Add the segments of a duration [s] without a switch, but for the end of a pulse."""
-        if self._pulse is not None:
-            pulsed, width = self._pulse
-            inside = np.minimum(width, duration) if self._each else min(width, duration)
-            if self._each or inside > self._negligible:
-                segments.append((inside, pulsed))
-            duration = duration - inside
-            lasts = width - inside > self._negligible
-            self._pulse = (pulsed, width - inside) if np.any(lasts) else None
-        if self._each or duration > self._negligible:
-            segments.append((duration, self.acting))
+    def _add_pulse(self, duration: Any, segments: list[Segment]) -> Any:
+        """Add what is left of a pulse within a duration [s]; return the rest of that."""
+        assert self._pulse is not None
+        pulsed, width = self._pulse
+        inside = np.minimum(width, duration) if self._each else min(width, duration)
+        if self._each or inside > self._negligible:
+            segments.append((inside, pulsed))
+        self._pulse = (pulsed, width - inside) if np.any(width - inside > self._negligible) else None
+        return duration - inside
 
 
 def recorded_switches(

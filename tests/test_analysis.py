@@ -309,7 +309,7 @@ def test_a_recording_that_begins_inside_a_wall_has_a_contact_without_an_approach
 
 def test_upper_walls_are_seen_as_lower_ones_in_a_mirror() -> None:
     stretch = recorded(Press())
-    known = known_of(stretch, rebuild(stretch.setup, None)[1].laws)
+    known = known_of(stretch, rebuild(stretch.setup, None)[1])
     turned = stretch.replace(**{name: -stretch.rows[name] for name in ("position", "hand", "applied", "applied_pulse")})
     down = face_figures(reconstruct(stretch, known).trace, (2, 1.0, 0.0))
     up = face_figures(reconstruct(turned, known).trace, (2, -1.0, 0.0))

@@ -11,7 +11,6 @@ import pytest
 
 from maglev_mj import Controller, ExactPlant, MuJoCoPlant, Timing, run
 from maglev_mj.errors import ParameterError
-from maglev_mj.experiments.wall_controller import wall_controller
 from maglev_mj.frames import Array, Command, Sample, quaternions, rotation_matrix, rotation_vector
 from maglev_mj.hand import Hand
 from maglev_mj.plants import CorrectedBatchPlant, CorrectedPlant, MuJoCoBatchPlant
@@ -19,6 +18,7 @@ from maglev_mj.scenes.free import SixAxes, Twist
 from maglev_mj.spec import INERTIA
 from maglev_mj.studies.integrators import INTEGRATORS, SteppedLoop
 from maglev_mj.studies.levels import apart, level_parts, motion_of
+from maglev_mj.studies.wall_controller import wall_controller
 from maglev_mj.theory import stiffest_of, stiffest_wall
 
 SEMI_IMPLICIT = [name for name in INTEGRATORS if name != "rk4"]

@@ -10,7 +10,7 @@ import pytest
 
 from maglev_mj import plots
 from maglev_mj.scenes.drop import Drop
-from maglev_mj.scenes.run import run, run_phases
+from maglev_mj.scenes.run import Result, run, run_phases
 
 pytest.importorskip("matplotlib")
 
@@ -31,8 +31,8 @@ def figures(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     return drawn
 
 
-def runs(drop: Drop, phase: float = PHASE) -> list[Any]:
-    return [(label, run(variant, plant="exact", phase=phase)) for label, variant in drop.variants().items()]
+def runs(drop: Drop, phase: float = PHASE) -> dict[str, Result]:
+    return {label: run(variant, plant="exact", phase=phase) for label, variant in drop.variants().items()}
 
 
 def lines(panel: Any) -> dict[str, Any]:
@@ -47,7 +47,7 @@ def reach(band: Any) -> tuple[float, float]:
 
 
 def test_figure_3_has_a_column_for_each_reading(figures: list[Any]) -> None:
-    plots.time_series(runs(DROP), Path("unused.png"))
+    plots.time_series(runs(DROP), {}, Path("unused.png"))
     heights, forces = figures[0].axes[:2], figures[0].axes[2:]
     for upper, lower, title in zip(
         heights, forces, ("pulse 220 further: 300 N s/m", "pulse 220 in all: 220 N s/m"), strict=True
@@ -63,7 +63,7 @@ def test_figure_3_has_a_column_for_each_reading(figures: list[Any]) -> None:
 
 
 def test_bands_reach_as_far_as_the_drop_at_any_phase(figures: list[Any]) -> None:
-    plots.time_series(runs(DROP), Path("unused.png"))
+    plots.time_series(runs(DROP), {}, Path("unused.png"))
     variants = DROP.variants()
     for column, label in enumerate(list(variants)[:2]):
         for place, variant in enumerate((variants[label], variants["no pulse"])):
@@ -77,7 +77,7 @@ def test_bands_reach_as_far_as_the_drop_at_any_phase(figures: list[Any]) -> None
 @pytest.mark.parametrize("draw", [plots.time_series, plots.phase_plane])
 @pytest.mark.parametrize("phase", [0.0, 0.06, 0.9])
 def test_pictures_name_their_phase_and_how_deep_it_is(draw: Any, phase: float, figures: list[Any]) -> None:
-    draw(runs(DROP, phase), Path("unused.png"))
+    draw(runs(DROP, phase), {}, Path("unused.png"))
     depth = run(DROP, plant="exact", phase=phase).figures["penetration"]
     others = run_phases(DROP, 100, plant="exact").figures["penetration"]
     share = int(np.argmin(np.abs(np.sort(others) - depth)))  # its rank among 100
@@ -99,8 +99,8 @@ def test_the_published_figures_show_a_phase_of_median_penetration() -> None:
 )
 def test_every_drop_can_be_drawn(changes: dict[str, float], columns: int, tmp_path: Path, figures: list[Any]) -> None:
     drop = DROP.replace(**changes)
-    plots.time_series(runs(drop), tmp_path / "time.png")
-    plots.phase_plane(runs(drop), tmp_path / "plane.png")
+    plots.time_series(runs(drop), {}, tmp_path / "time.png")
+    plots.phase_plane(runs(drop), {}, tmp_path / "plane.png")
     assert [len(figure.axes) for figure in figures] == [2 * columns, columns]
     for figure in figures:
         has_analog = any(ANALOG in lines(panel) for panel in figure.axes)

@@ -362,8 +362,8 @@ def test_the_excitation_is_what_it_says() -> None:
         excitation(NOMINAL, period=0.05, delay=0.0)
     with pytest.raises(ParameterError, match=r"lines must be \(6, L\), not \(12,\)"):
         excitation(NOMINAL, period=0.005, delay=0.0, lines=LINES.ravel())
-    with pytest.raises(ParameterError, match=r"trim gain must be \(6,\)"):
-        Trim(gain=1.0, period=0.005)
+    with pytest.raises(ParameterError, match="Trim gain must have a last dimension of 6"):
+        Trim(gain=[1.0] * 5, period=0.005)
 
 
 def test_amplitudes_are_those_asked_for_on_a_device_that_is_known() -> None:

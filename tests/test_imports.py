@@ -31,7 +31,6 @@ FLOORS = {
     "metrics": 5,
     "recording": 6,
     "scenes": 6,
-    "experiments": 7,
     "session": 7,
     "bridge": 8,
     "report": 8,

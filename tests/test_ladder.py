@@ -15,7 +15,6 @@ from maglev_mj import Controller, ExactPlant, Hold, MuJoCoPlant, Timing, run
 from maglev_mj.cli import main
 from maglev_mj.detail import Detail
 from maglev_mj.errors import ParameterError
-from maglev_mj.experiments.wall_controller import wall_controller
 from maglev_mj.frames import Array, Command
 from maglev_mj.hand import hand_called
 from maglev_mj.plants import CorrectedPlant
@@ -38,6 +37,7 @@ from maglev_mj.studies.fidelity_cases import (
 from maglev_mj.studies.fidelity_levels import distance, largest_jump, measure_levels, run_case, run_levels
 from maglev_mj.studies.integrators import SteppedLoop, boundary_shift
 from maglev_mj.studies.levels import LEVELS, apart, level_index, level_parts, loop_of, motion_of
+from maglev_mj.studies.wall_controller import wall_controller
 from maglev_mj.tables import fidelity_table
 from maglev_mj.theory.closed_loop import SampledLoop
 

@@ -16,7 +16,7 @@ from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.run import run, run_phases
 from maglev_mj.scenes.stick_slip import StickSlip
 from maglev_mj.spec import RANGE
-from maglev_mj.tables import drop_table, press_table, stick_slip_table
+from maglev_mj.tables import run_table
 from maglev_mj.trace import Trace
 
 LINE = re.compile(r"  Beyond the range of (.*): (.*)")
@@ -54,12 +54,13 @@ def test_a_drop_says_when_it_leaves_the_range(limit: float | None, stiffness: fl
     """By force limit and gains, with the pulse and without, one phase and several."""
     drop = Drop(force_limit=limit, stiffness=stiffness, damping=damping, duration=0.3)
     variants = [drop.replace(pulse=pulse) for pulse in (220.0, 0.0)]
-    results, labels = [run(one, plant="exact") for one in variants], ["with pulse", "without pulse"]
-    left = outside([one.trace for one in results])
-    said = remark(drop_table(labels, results, [], 0.0))
+    labels = ["with pulse", "without pulse"]
+    results = {label: run(one, plant="exact") for label, one in zip(labels, variants, strict=True)}
+    left = outside([one.trace for one in results.values()])
+    said = remark(run_table(results, {}, 0.0))
     assert [label in [part.rsplit(" ", 2)[0] for part in (said or "").split(", ")] for label in labels] == left
-    sweeps = [run_phases(one, 8, plant="exact") for one in variants]
-    said = remark(drop_table(labels, results, sweeps, 0.0)) or ""
+    sweeps = {label: run_phases(one, 8, plant="exact") for label, one in zip(labels, variants, strict=True)}
+    said = remark(run_table(results, sweeps, 0.0)) or ""
     for label, one in zip(labels, variants, strict=True):
         phases = [run(one, plant="exact", phase=phase / 8).trace for phase in range(8)]
         count = sum(outside(phases))
@@ -71,7 +72,7 @@ def test_a_drop_from_the_very_end_of_the_range_has_not_left_it() -> None:
     for plant in ("exact", "mujoco"):
         for height, left in ((RANGE[2], False), (RANGE[2] * 1.0001, True)):
             result = run(Drop(height=height, duration=0.05), plant=plant)
-            assert (remark(drop_table(["drop"], [result], [], 0.0)) is not None) == left
+            assert (remark(run_table({"drop": result}, {}, 0.0)) is not None) == left
 
 
 @pytest.mark.parametrize(
@@ -79,12 +80,15 @@ def test_a_drop_from_the_very_end_of_the_range_has_not_left_it() -> None:
 )
 def test_a_press_says_when_it_leaves_the_range(change: dict[str, float]) -> None:
     variants = [Press(hits=2, **change).replace(pulse=pulse) for pulse in (220.0, 0.0)]  # type: ignore[arg-type]
-    results, labels = [run(one, plant="exact") for one in variants], ["with pulse", "without pulse"]
-    said = remark(press_table(labels, results, [], 0.0))
-    left = outside([one.trace for one in results])
+    labels = ["with pulse", "without pulse"]
+    results = {label: run(one, plant="exact") for label, one in zip(labels, variants, strict=True)}
+    said = remark(run_table(results, {}, 0.0))
+    left = outside([one.trace for one in results.values()])
     assert [label in [part.rsplit(" ", 2)[0] for part in (said or "").split(", ")] for label in labels] == left
     sweep = run_phases(variants[0], 3, plant="exact")
-    np.testing.assert_allclose(sweep.furthest[0], results[0].trace.furthest(), atol=1e-7)  # a hand bends the curve
+    np.testing.assert_allclose(
+        sweep.furthest[0], results[labels[0]].trace.furthest(), atol=1e-7
+    )  # a hand bends the curve
     assert sweep.furthest.shape == (3, 6)
 
 
@@ -94,7 +98,7 @@ def test_stick_slip_says_when_it_leaves_the_range_on_any_axis(axis: str) -> None
     reach, kind = RANGE[AXES.index(axis)], []
     for share in (0.5, 0.9, 0.97, 1.0, 1.03, 1.08, 1.15, 1.5, -0.9, -1.5):
         result = run(StickSlip(axis=axis, target=share * reach), plant="exact")
-        said = remark(stick_slip_table(result))
+        said = remark(run_table({"stick-slip": result}, {}, None))
         assert (said is not None) == outside([result.trace])[0]
         kind.append(said is not None)
         if said:

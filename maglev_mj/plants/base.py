@@ -88,7 +88,8 @@ class SampledPlant(ABC):
         self._before_period: Callable[[], None] | None = None
         # at hand, for they are used on every tick
         self._period, self._phase = timing.period, timing.phase
-        self._answer, self._until_next = self._timeline.answer, self._timeline.period
+        self._segments_of = self._timeline.period
+        self._answer: tuple[Any, Any, float] | None = None
         self._ahead = timing.phase * timing.period if np.any(timing.phase) else None
         if np.shape(timing.delay) not in ((), batch):
             raise ParameterError(f"delay must be a number or have the shape {batch}, not {np.shape(timing.delay)}")
@@ -129,7 +130,8 @@ class SampledPlant(ABC):
             if self._before_period is not None:
                 self._before_period()
             run = self._run
-            self._segments = segments = self._until_next(tick)
+            self._segments = segments = self._segments_of(tick, self._answer)
+            self._answer = None
             for duration, drive in segments:
                 run(duration, drive)
         elif self._ahead is not None:  # free fall from release to the first sample, which is tick 0
@@ -169,8 +171,7 @@ class SampledPlant(ABC):
             command = self._limited(command)
             if width:
                 total = [one + other for one, other in zip(command.force, command.extra or ())]
-        pulsed = self._prepare(total) if width else None
-        self._answer(self._tick, self._prepare(command.force), pulsed, width)
+        self._answer = self._prepare(command.force), self._prepare(total) if width else None, width
         return command
 
     def close(self) -> None:

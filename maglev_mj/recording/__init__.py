@@ -11,7 +11,7 @@ from maglev_mj.recording.files import (
     export,
     open_recording,
 )
-from maglev_mj.recording.metadata import Mechanics, carried_by
+from maglev_mj.recording.metadata import Mechanics
 from maglev_mj.recording.recording import InvalidRecordingError, Recording, RecordingError, Setup, Stretch
 from maglev_mj.recording.row import FIELDS, ROW, TOTALS, Field, RecordedPlant
 from maglev_mj.recording.verify import Expected, FieldVerdict, Rebuild, Verdict, verify
@@ -38,7 +38,6 @@ __all__ = [
     "Stretch",
     "Verdict",
     "best_suffix",
-    "carried_by",
     "check_name",
     "export",
     "open_recording",

@@ -24,7 +24,7 @@ from maglev_mj.frames import Command, Sample
 from maglev_mj.loop import Record
 from maglev_mj.parameters import flag
 from maglev_mj.recording.mcap import about, require_mcap
-from maglev_mj.recording.metadata import Mechanics, carried_by
+from maglev_mj.recording.metadata import Mechanics
 from maglev_mj.recording.recording import RecordingError, Setup
 from maglev_mj.recording.row import ROW, RecordedPlant, Row, compiled
 from maglev_mj.versions import versions
@@ -193,7 +193,7 @@ class LiveFile:
             {**setup, "versions": self._versions},
             period=controller.period,
             delay=delay,
-            carried=carried_by(controller.laws).tolist(),
+            carried=controller.carried.tolist(),
             began=time.time_ns(),
             mechanics=mechanics or Mechanics(),
         )

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.frames import AXES, ZERO, Array
-from maglev_mj.laws import Bias, Law
+from maglev_mj.frames import ZERO
 from maglev_mj.parameters import numbers
 from maglev_mj.spec import GRAVITY, INERTIA
 
-__all__ = ["Mechanics", "carried_by"]
+__all__ = ["Mechanics"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -37,12 +34,3 @@ class Mechanics:
         numbers("inertia", self.inertia, at_least=1e-12)
         numbers("load", self.load)
         numbers("before", self.before)
-
-
-def carried_by(laws: Sequence[Law]) -> Array:
-    """Return the wrench by which laws carry the flotor [N, N m], (6,); zeros where they do not."""
-    carried = np.zeros(len(AXES))
-    for law in laws:
-        if isinstance(law, Bias):
-            carried += np.asarray(law.wrench)
-    return carried

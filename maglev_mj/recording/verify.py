@@ -14,7 +14,7 @@ from maglev_mj.frames import ZERO, Array, Command, Mask, Sample
 from maglev_mj.hand import HandForce, RecordedHand
 from maglev_mj.plants import SampledPlant, engine_warnings_silenced
 from maglev_mj.recording.files import row_of
-from maglev_mj.recording.metadata import Mechanics, carried_by
+from maglev_mj.recording.metadata import Mechanics
 from maglev_mj.recording.recording import Basis, Recording, Setup, Stretch
 from maglev_mj.recording.row import ARRAYS, FIELDS, ROW, TOTALS, Rows, as_rows, as_table, compiled, named
 from maglev_mj.recording.totals import Totals
@@ -162,7 +162,7 @@ def _basis(controller: Controller, expected: Expected | None) -> Mapping[str, Ar
     return {
         "period": controller.period,
         "delay": None if expected is None else expected.delay,
-        "carried": carried_by(controller.laws),
+        "carried": controller.carried,
         **{name: None if known is None else getattr(known, name) for name in ("inertia", "load", "before")},
     }
 

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from maglev_mj.controller import Controller
-from maglev_mj.experiments.wall_controller import around_wall
 from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.hand import Hand
 from maglev_mj.laws import Law, Wall
@@ -16,6 +15,7 @@ from maglev_mj.loop import run
 from maglev_mj.parameters import numbers
 from maglev_mj.plants import ExactPlant, SampledPlant, Sensor, Timing
 from maglev_mj.spec import GRAVITY, Spec
+from maglev_mj.studies.wall_controller import around_wall
 
 __all__ = ["FAR", "Hum", "Watch", "along_z", "each_phase", "hum", "watched"]
 

@@ -11,7 +11,6 @@ import numpy as np
 
 from maglev_mj.controller import Controller
 from maglev_mj.errors import ParameterError
-from maglev_mj.experiments.wall_controller import around_wall, wall_controller
 from maglev_mj.frames import Array, Command, Mask, Sample
 from maglev_mj.hand import Hand, hand_called
 from maglev_mj.loop import run
@@ -20,6 +19,7 @@ from maglev_mj.parameters import flag, number
 from maglev_mj.plants import ExactPlant, Sensor, Timing
 from maglev_mj.spec import Spec
 from maglev_mj.studies.batches import along_z, hum
+from maglev_mj.studies.wall_controller import around_wall, wall_controller
 from maglev_mj.theory.design import Case, DesignedWall
 
 __all__ = ["Contact", "DesignResult", "evaluate_wall", "growing_cases", "hardest_contact"]

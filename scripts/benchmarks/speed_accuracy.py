@@ -25,7 +25,6 @@ import mujoco
 import numpy as np
 
 from maglev_mj import run
-from maglev_mj.experiments.wall_controller import wall_controller
 from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.plants import CorrectedBatchPlant, ExactPlant, MuJoCoBatchPlant, SampledPlant, Timing
 from maglev_mj.plots import Panel, small_multiples
@@ -34,6 +33,7 @@ from maglev_mj.scenes.scene import Start
 from maglev_mj.spec import Spec
 from maglev_mj.studies.fidelity_cases import preset_of
 from maglev_mj.studies.integrators import INTEGRATORS
+from maglev_mj.studies.wall_controller import wall_controller
 from maglev_mj.versions import versions
 from peers import Task
 from ways import SEMI_IMPLICIT, Way, as_json, boundary_shift, measure, our_ways, peer_ways, points_of

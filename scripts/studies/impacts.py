@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from maglev_mj.controller import Controller
-from maglev_mj.experiments.wall_controller import around_wall
 from maglev_mj.frames import Array
 from maglev_mj.laws import Law, Wall
 from maglev_mj.parameters import numbers
 from maglev_mj.plants import ExactPlant, Timing
 from maglev_mj.spec import Spec
 from maglev_mj.studies.batches import FAR, along_z, watched
+from maglev_mj.studies.wall_controller import around_wall
 
 __all__ = ["RATTLE", "LimitedDrop", "Rattle", "limited_drop", "rattle"]
 
