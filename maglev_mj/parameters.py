@@ -26,6 +26,7 @@ __all__ = [
     "batch_shape",
     "common_shape",
     "flag",
+    "interval",
     "number",
     "numbers",
     "param",
@@ -80,6 +81,26 @@ def number(
         allowed = "a finite number" + (" " + " and ".join(words) if words else "")
         raise ParameterError(f"{name} must be {allowed}, not {value!r}")
     return result
+
+
+def interval(
+    name: str, value: Sequence[object], *, at_least: float = -math.inf, at_most: float = math.inf
+) -> tuple[float, float]:
+    """Return the lower and the higher end of a range, each within the bounds.
+
+    Raises:
+        ParameterError: If they are not two such numbers, in this order.
+    """
+    try:
+        ends = tuple(value)
+    except TypeError:
+        ends = ()
+    if len(ends) != 2:
+        raise ParameterError(f"{name} must be a lower and a higher value, not {value!r}")
+    low, high = (number(name, end, at_least=at_least, at_most=at_most) for end in ends)
+    if low > high:
+        raise ParameterError(f"{name} must be from a lower to a higher value, not {low:g} to {high:g}")
+    return low, high
 
 
 def numbers(name: str, value: ArrayLike, *, at_least: float = -math.inf, finite: bool = True) -> Array:

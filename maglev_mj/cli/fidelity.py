@@ -25,8 +25,7 @@ def add_command(commands: Any) -> None:
     """Add the command to the parser's."""
     text = "what each piece of the device changes in a scene, and the cheapest model that will do"
     parser = commands.add_parser("fidelity", help=text, description=text)
-    add_scene(parser, more=_add_phase, find=_found, names=("drop-no-pulse", "all"), without=_BY_LEVEL)
-    _add_range(parser)
+    add_scene(parser, more=_add_range, find=_found, names=("drop-no-pulse", "all"), without=_BY_LEVEL)
     parser.add_argument("--json", metavar="FILE", help="write the figures as JSON; - for standard output")
     parser.set_defaults(run=_fidelity)
 
@@ -47,8 +46,9 @@ def _add_phase(parser: argparse.ArgumentParser, cls: type[Scene]) -> None:
         )
 
 
-def _add_range(parser: argparse.ArgumentParser) -> None:
+def _add_range(parser: argparse.ArgumentParser, cls: type[Scene]) -> None:
     """Add the options of what the answer is to hold for."""
+    _add_phase(parser, cls)
     usual = Range()
     parser.epilog = (
         "Figures are the worst over phases, jitter seeds and gains of the whole device, and over 4096 cases more on "

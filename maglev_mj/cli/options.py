@@ -148,19 +148,21 @@ def _or_none(read: Callable[[str], Any], text: str) -> Any:
     return None if text.lower() == "none" else read(text)
 
 
-def chosen(options: argparse.Namespace, parameters: P | type[P]) -> P:
+def chosen(options: argparse.Namespace, parameters: P | type[P], **further: Any) -> P:
     """Return parameters with what was chosen by the options of `add_parameters`.
 
     Args:
         options: As parsed.
         parameters: Class, or parameters whose values stand where nothing was chosen.
+        further: Values that have options of their own.
 
     Raises:
         ParameterError: If a value is outside its bounds.
     """
     made = parameters() if isinstance(parameters, type) else parameters
-    names = [one.name for one in made.parameters()]
-    return made.replace(**{name: getattr(options, _APART + name) for name in names if hasattr(options, _APART + name)})
+    given = {one.name: f"{_APART}{one.name}" for one in made.parameters()}
+    found = {name: getattr(options, place) for name, place in given.items() if hasattr(options, place)}
+    return made.replace(**found, **further)
 
 
 def add_outputs(parser: argparse.ArgumentParser) -> None:

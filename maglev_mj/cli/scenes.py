@@ -28,7 +28,7 @@ def add_scene(
     default: str | None = None,
     without: Sequence[str] = (),
     options: bool = True,
-    needed: bool = True,
+    instead: Callable[[Parser], object] | None = None,
     find: Find = find_scene,
     names: Sequence[str] = (),
 ) -> None:
@@ -43,7 +43,7 @@ def add_scene(
         default: Scene where none is given; None where one must be.
         without: Names of parameters that get no option.
         options: False where parameters are given in another way.
-        needed: False where a command may do without.
+        instead: Called with the parser where no scene is given, for a command that may do without.
         find: Finds the scene, or one whose values are the defaults of its options; None for what has no options.
         names: Further names that it finds.
     """
@@ -53,17 +53,18 @@ def add_scene(
         parser.add_argument(option, dest="scene", default=default, metavar="SCENE", help=told)
     else:
         parser.add_argument(
-            "scene", nargs="?" if default or not needed else None, default=default, metavar="SCENE", help=told
+            "scene", nargs="?" if default or instead else None, default=default, metavar="SCENE", help=told
         )
     parser.epilog = f"{parser.epilog} {_MORE}" if parser.epilog else _MORE
     parser.set_defaults(scene_class=None)
     flag("options", options)
-    flag("needed", needed)
 
     def before(arguments: Sequence[str]) -> None:
         parser.before = None
         text = _given(arguments, option, known) or default
         if text is None:
+            if instead is not None:
+                instead(parser)
             return
         try:
             found = find(text)

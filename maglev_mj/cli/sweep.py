@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -53,18 +54,17 @@ def _tell_parameters(parser: Parser, cls: type[Scene]) -> None:
 
 def _sweep(options: argparse.Namespace) -> int:
     cls: type[Scene] = options.scene_class
-    fixed = {name: value_of(cls, name, text) for name, text in _assignments(options.set).items()}
+    fixed = {name: [value_of(cls, name, text)] for name, text in _assignments(options.set).items()}
     varied = {name: _values(cls, name, text) for name, text in _assignments(options.vary).items()}
     if both := sorted(set(fixed) & set(varied)):
         raise ParameterError(f"{both[0]} must be either set or varied, not both")
-    how = {name: fixed.pop(name) for name in ("plant", "phase") if name in fixed}
-    first = {name: values[0] for name, values in varied.items() if name not in ("plant", "phase")}
     path = options.record or Path(f"{cls.name}-sweep.jsonl")
     check_outputs(json=options.json, record=path)
     workers = chosen_workers(options, default=None)
     progress = Progress(f"sweep {cls.name}")
     with cells_kept(path, path), closing(progress):
-        found = sweep(cls().replace(**fixed, **first), varied, **how, workers=workers, record=path, progress=progress)
+        found = sweep(cls, fixed | varied, workers=workers, record=path, progress=progress)
+    found = replace(found, varied=varied)  # what is set is no dimension of the grid
     tell_of_others("sweep", found.others)
     if options.json is not None:
         write_json(options.json, found.as_json())

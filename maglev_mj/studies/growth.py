@@ -23,12 +23,15 @@ from maglev_mj.studies.stacking import stacked
 from maglev_mj.theory import StiffestWall, largest_modulus, largest_stable_stiffness, stiffest_wall
 from maglev_mj.theory.closed_loop import MOST_PERIODS, LoopKeywords
 
-__all__ = ["Growth", "RestingWall", "measure_growth"]
+__all__ = ["HAND_HELP", "Growth", "RestingWall", "measure_growth"]
 
 _MOVED = 1e-6
 _DECIDED = 1e4
 _BLOCK = 16
 _FAR = (1e15, 1.0)
+HAND_HELP = f"{', '.join(HANDS)} or MASS,DAMPING,STIFFNESS[,GRIP_DAMPING,GRIP_STIFFNESS]"
+"""Help of a hand on the flotor."""
+
 _PATIENCE = (128, 512, 2048, 8192)
 _BATCHES: Mapping[str, PlantMaker] = {"exact": ExactPlant, "mujoco": MuJoCoBatchPlant}
 
@@ -66,7 +69,7 @@ class RestingWall(Scene):
     stiffness: float = param("wall stiffness", "N/m", default=6000.0, above=0.0, at_most=1e8)
     damping: float = param("wall damping", "N s/m", default=80.0, at_least=0.0, at_most=1e6)
     mass: float = param("moving mass", "kg", default=Spec.moving_mass.value, at_least=1e-3, at_most=1e3)
-    hand: str = param(f"{', '.join(HANDS)} or MASS,DAMPING,STIFFNESS[,GRIP_DAMPING,GRIP_STIFFNESS]", default="none")
+    hand: str = param(HAND_HELP, default="none")
 
     def check(self) -> None:
         """See `Scene`."""

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from maglev_mj.frames import AXES
+from maglev_mj.scenes.scene import Scene
 from maglev_mj.spec import RANGE
 from maglev_mj.studies.designed_wall import DesignResult
 from maglev_mj.studies.stability_map import StabilityMap
-from maglev_mj.theory import bounds, is_stable
+from maglev_mj.theory import Verdict, bounds, is_stable
 from maglev_mj.theory.design import Case
 
-__all__ = ["design_table", "stability_table"]
+__all__ = ["design_table", "loop_table", "stability_table"]
 
 _MOST_LISTED = 8
 
@@ -43,6 +45,15 @@ def stability_table(result: StabilityMap) -> str:
             f"  further than 0.5 % of a gain from the boundary ({int(result.near.sum())} cells are nearer)",
         ]
     return "\n".join(lines)
+
+
+def loop_table(scene: Scene, verdict: Verdict) -> str:
+    """Return whether the closed loop of a scene is stable, and where it is worst, as text."""
+    place = ", ".join(f"{axis} {value:g}" for axis, value in zip(AXES, verdict.pose, strict=True) if value) or "centre"
+    worst = f"states of the laws: {', '.join(verdict.acting) or 'none'}" if verdict.stated else f"at {place} (m, rad)"
+    means = "by the laws' own gains" if verdict.stated else "by the answers of the laws to small displacements"
+    lines = [f"{scene.name}: {scene.describe()}", f"  {verdict}; {worst}", f"  found {means}"]
+    return "\n".join([*lines, *(f"  {remark}" for remark in verdict.remarks)])
 
 
 def design_table(result: DesignResult) -> str:

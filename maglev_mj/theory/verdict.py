@@ -64,6 +64,18 @@ class Verdict:
         loop = f"{', '.join(self.axes)}: largest root {self.modulus:.4g}" if self.axes else "stability"
         return f"{loop} {word}"
 
+    def as_json(self) -> dict[str, Any]:
+        """Return the verdict, ready for JSON."""
+        return {
+            "stable": self.stable,
+            "modulus": self.modulus if np.isfinite(self.modulus) else None,
+            "axes": list(self.axes),
+            "acting": list(self.acting),
+            "pose": self.pose.tolist(),
+            "stated": self.stated,
+            "remarks": list(self.remarks),
+        }
+
     @property
     def remarks(self) -> tuple[str, ...]:
         """What was left out, one line each."""

@@ -14,7 +14,6 @@ import platform
 import statistics
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -24,14 +23,15 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import mujoco
 import numpy as np
-from maglev_mj.experiments.drop import DropParameters, drop_parts
-from maglev_mj.studies.fidelity_scenes import FIDELITY_SCENES, FidelityScene
 
-from maglev_mj import Controller, run
+from maglev_mj import run
 from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.plants import CorrectedBatchPlant, ExactPlant, MuJoCoBatchPlant, SampledPlant, Timing
 from maglev_mj.plots import Panel, small_multiples
+from maglev_mj.scenes.drop import Drop
+from maglev_mj.scenes.scene import Start
 from maglev_mj.spec import Spec
+from maglev_mj.studies.fidelity_cases import preset_of
 from maglev_mj.studies.integrators import INTEGRATORS
 from maglev_mj.studies.wall_controller import wall_controller
 from maglev_mj.versions import versions
@@ -58,14 +58,16 @@ parser.add_argument(
 )
 
 
-def drop_from(pose: list[float]) -> FidelityScene:
-    """Return the drop from another pose [m, rad], six."""
+class PeersDrop(Drop):
+    """Drop the flotor from the pose of the peers' task, for so many samples as they answer."""
 
-    def parts(parameters: DropParameters, *, make: PlantMaker) -> tuple[SampledPlant, Controller, int]:
-        plant, controller, _ = drop_parts(parameters, make=lambda timing, **own: make(timing, **own | {"pose": pose}))
-        return plant, controller, round(parameters.duration / parameters.period)
+    def start(self) -> Start:
+        """See `Scene`."""
+        return Start(pose=Task().pose)
 
-    return replace(FIDELITY_SCENES["drop"], parts=parts)
+    def ticks(self, timing: Timing) -> int:
+        """See `Scene`."""
+        return round(self.duration / self.period)
 
 
 def boundary_shifts(quick: bool) -> dict[str, Any]:
@@ -169,13 +171,13 @@ def main() -> None:
     options = parser.parse_args()
     folder, quick = options.folder, options.quick
     folder.mkdir(parents=True, exist_ok=True)
-    ways = {name: our_ways(FIDELITY_SCENES[name], quick) for name in options.scenes}
+    ways = {name: our_ways(name, preset_of(name).scene, quick) for name in options.scenes}
     task = Task()
-    drop = drop_from(task.pose)
+    drop = PeersDrop()
     peers, missing = peer_ways(drop, task, quick)
     for line in missing:
         print(line)
-    everyone = our_ways(drop, quick) + peers
+    everyone = our_ways("drop", drop, quick) + peers
     for some in (*ways.values(), everyone):
         measure(some, 2 if quick else 9)
     data: dict[str, Any] = {"machine": machine(), "scenes": {name: as_json(some) for name, some in ways.items()}}

@@ -14,11 +14,11 @@ import numpy as np
 from maglev_mj import Controller, run
 from maglev_mj.frames import Array
 from maglev_mj.plants import CorrectedBatchPlant, ExactPlant, MuJoCoBatchPlant, SampledPlant, Timing
+from maglev_mj.scenes.scene import Scene
 from maglev_mj.spec import GRAVITY, Spec
 from maglev_mj.studies import integrators
 from maglev_mj.studies.costs import closed_loop, median_times
 from maglev_mj.studies.fidelity import stepping_name
-from maglev_mj.studies.fidelity_scenes import FidelityScene
 from maglev_mj.studies.levels import Motion, apart, level_parts, motion_of
 from maglev_mj.theory.closed_loop import SampledLoop
 from peers import Task, available
@@ -47,14 +47,11 @@ class Way:
     cost: float = math.inf
 
 
-def batch_of(scene: FidelityScene, kind: Callable[..., SampledPlant], count: int, **options: Any) -> Any:
+def batch_of(scene: Scene, kind: Callable[..., SampledPlant], count: int, **options: Any) -> Any:
     """Return plant, controller and number of samples of many devices in one scene."""
-
-    def make(timing: Timing, **own: Any) -> SampledPlant:
-        own["pose"] = np.tile(own.get("pose", np.zeros(6)), (count, 1))
-        return kind(timing, **own | options | {"record": False, "longest_step": None})
-
-    return scene.parts(scene.parameters, make=make)
+    timing, pose = scene.timing(), np.tile(scene.start().pose, (count, 1))
+    plant = scene.plant(kind, pose=pose, **options | {"record": False, "longest_step": None})
+    return plant, scene.controller(), scene.ticks(timing)
 
 
 def energy_error(motion: Motion, truth: Motion) -> float:
@@ -76,16 +73,12 @@ def single_ways(quick: bool) -> Iterator[tuple[str, str, str, float | None]]:
         yield "turning", "MuJoCo, full device", integrator, None
 
 
-def our_ways(scene: FidelityScene, quick: bool) -> list[Way]:
-    """Return every way to simulate a scene with this package."""
+def our_ways(name: str, scene: Scene, quick: bool) -> list[Way]:
+    """Return every way to simulate a scene of some name with this package."""
     truths = {
         "turning": motion_of(*level_parts(scene, "turning", longest_step=2e-5)),
         "body": motion_of(
-            *(
-                level_parts(scene, "axes")
-                if scene.name in CLOSED_FORM
-                else level_parts(scene, "body", longest_step=2e-5)
-            )
+            *(level_parts(scene, "axes") if name in CLOSED_FORM else level_parts(scene, "body", longest_step=2e-5))
         ),
     }
     exact = partial(level_parts, scene, "axes")
@@ -95,20 +88,20 @@ def our_ways(scene: FidelityScene, quick: bool) -> list[Way]:
     for level, group, integrator, step in single_ways(quick):
         make = partial(level_parts, scene, level, integrator=integrator, longest_step=step)
         motion = motion_of(*make())
-        name = stepping_name(integrator, step) + (", coils" if level == "turning" else "")
-        energy = energy_error(motion, truths[level]) if scene.name.startswith("drop") else None
+        way = stepping_name(integrator, step) + (", coils" if level == "turning" else "")
+        energy = energy_error(motion, truths[level]) if name.startswith("drop") else None
         error = float(apart(motion.pose, truths[level].pose))
-        ways.append(Way(name, group, partial(closed_loop, make), error, duration, integrator, step, energy))
+        ways.append(Way(way, group, partial(closed_loop, make), error, duration, integrator, step, energy))
     count = 100 if quick else 1000
     many: tuple[tuple[str, str, Callable[..., SampledPlant], dict[str, Any]], ...] = (
         ("exact", "exact", ExactPlant, {}),
         ("corrected", "MuJoCo, batch", CorrectedBatchPlant, {"coils": False}),
         ("rk4", "MuJoCo, batch", MuJoCoBatchPlant, {"coils": False}),
     )
-    for name, group, kind, options in many:
+    for way, group, kind, options in many:
         many_parts = partial(batch_of, scene, kind, count, **options)
         error = float(apart(poses_of(*many_parts()), truth.pose))
-        ways.append(Way(f"{name}, {count} at once", group, partial(closed_loop, many_parts), error, duration * count))
+        ways.append(Way(f"{way}, {count} at once", group, partial(closed_loop, many_parts), error, duration * count))
     return ways
 
 
@@ -119,7 +112,7 @@ def poses_of(plant: SampledPlant, controller: Controller, ticks: int) -> Array:
     return np.array([*poses, plant.state()[0][-1]])
 
 
-def peer_ways(scene: FidelityScene, task: Task, quick: bool) -> tuple[list[Way], list[str]]:
+def peer_ways(scene: Scene, task: Task, quick: bool) -> tuple[list[Way], list[str]]:
     """Return the ways of those who would take another simulator, and a line for each that is not installed."""
     truth = motion_of(*level_parts(scene, "axes", inertia=task.inertia)).pose
     variants, missing = available()

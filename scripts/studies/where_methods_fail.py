@@ -45,10 +45,11 @@ def just_above_the_boundary() -> plots.Panel:
     best = stiffest_wall(period=T, delay=T)
     over = np.geomspace(0.1 if options.quick else 0.01, 0.3, COUNT)
     stiffness, damping = float(best.stiffness) * (1.0 + over), np.full(COUNT, float(best.damping))
+    walls = [RestingWall(stiffness=k, damping=float(best.damping), delay=T) for k in stiffness.tolist()]
     foretold = np.log(1e4) / np.log(largest_modulus(stiffness, damping, period=T, delay=T))
     curves = [("foretold by the modulus", over * 100.0, foretold)]
     for plant in ("exact", "mujoco"):
-        seen = measure_growth(stiffness, damping, RestingWall(plant=plant, delay=T)).ticks
+        seen = measure_growth(walls, plant).ticks
         curves.append((f"simulated, {plant}", over * 100.0, seen))
     return panel(
         "one sample of delay, just above the boundary",
