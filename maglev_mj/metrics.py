@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from typing import NamedTuple
 
 import numpy as np
@@ -10,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.parameters import number, numbers
-from maglev_mj.plants import Timing
+from maglev_mj.timeline import Timeline, Timing
 from maglev_mj.trace import Trace
 
 __all__ = [
@@ -143,55 +142,43 @@ class PassivityObserver:
     def __init__(
         self, timing: Timing, inertia: ArrayLike | None = None, load: ArrayLike = 0.0, before: ArrayLike = 0.0
     ) -> None:
-        self._timing, self._load = timing, numbers("load", load)
+        self._load = numbers("load", load)
         self._inertia = np.inf if inertia is None else numbers("inertia", inertia, at_least=1e-12)
-        count = timing.whole + 2
-        self._commands = deque([_Given(np.zeros(6) + numbers("before", before), None, 0.0)] * count, maxlen=count)
+        acting = np.zeros(6) + numbers("before", before)
+        self._timeline, self._count = Timeline(timing, acting), 0
+        for sample in range(-timing.whole, 0):  # as if it had been the answer to the samples before the first
+            self._timeline.answer(sample, acting.copy())
         self._pose: Array | None = None
         self.energy: Array = np.zeros(6)
         self.least: Array = np.zeros(6)
 
     def __call__(self, sample: Sample, command: Command) -> None:
-        """Take in one sample and the command that answered it."""
+        """Take in one sample and the command that answered it; samples that are missing count for nothing."""
         pose = sample.pose
         if self._pose is not None:
             self.energy = self.energy - self._work(pose - self._pose)
             self.least = np.minimum(self.least, self.energy)
+            self._count += 1
         self._pose = pose
-        pulse = command.pulse if command.extra is not None else None
-        self._commands.append(_Given(command.wrench, pulse, command.pulse_width))
+        held = command.wrench
+        if command.extra is None:
+            self._timeline.answer(self._count, held)
+        else:
+            self._timeline.answer(self._count, held, held + command.pulse, command.pulse_width)
 
     def _work(self, moved: Array) -> Array:
         """Return the work of the forces over the period behind the last sample kept."""
-        timing, older, newer = self._timing, self._commands[0], self._commands[1]
-        left = timing.period - timing.rest
-        stretches = [*_forces(older, timing.rest, gone=left), *_forces(newer, left, gone=0.0)]
-        # speed at the start, such that the stretches add up to the way between the samples
+        segments = self._timeline.period(self._count)
+        # speed at the start, such that the segments add up to the way between the samples
         place, speed = np.zeros_like(moved), np.zeros_like(moved)
-        for duration, force in stretches:
+        for duration, force in segments:
             pull = (force + self._load) / self._inertia
             place, speed = place + duration * (speed + 0.5 * duration * pull), speed + duration * pull
-        speed, work = (moved - place) / timing.period, np.zeros_like(moved)
-        for duration, force in stretches:
+        speed, work = (moved - place) / self._timeline.timing.period, np.zeros_like(moved)
+        for duration, force in segments:
             pull = (force + self._load) / self._inertia
             work, speed = work + force * duration * (speed + 0.5 * duration * pull), speed + duration * pull
         return work
-
-
-class _Given(NamedTuple):
-    """A command as arrays; no pulse is None."""
-
-    wrench: Array
-    pulse: Array | None
-    width: float
-
-
-def _forces(command: _Given, stretch: float, *, gone: float) -> list[tuple[float, Array]]:
-    """Return the forces of one command over a stretch [s] that begins when it has been in effect for `gone` [s]."""
-    if command.pulse is None or stretch == 0.0:
-        return [(stretch, command.wrench)]
-    pulsed = min(max(command.width - gone, 0.0), stretch)
-    return [(pulsed, command.wrench + command.pulse), (stretch - pulsed, command.wrench)]
 
 
 class Hardness(NamedTuple):

@@ -26,16 +26,15 @@ from maglev_mj.recording import (
     RecordingFile,
     Setup,
     Stretch,
-    carried_by,
     open_recording,
 )
-from maglev_mj.recording.fields import start_in
+from maglev_mj.recording.checks import start_in
 from maglev_mj.scenes import SCENES, Settings, scene_called
 from maglev_mj.scenes import Scene as InteractiveScene
 from maglev_mj.scenes.find import find_scene
 from maglev_mj.scenes.run import checked_phase, checked_plant, parameters_json
 from maglev_mj.scenes.scene import Scene
-from maglev_mj.session import View, stick_positions, wall_faces
+from maglev_mj.session import View
 
 __all__ = ["Replay", "expected", "rebuild", "record_run", "scene_of", "stick_positions_of", "write_run"]
 
@@ -78,7 +77,7 @@ def rebuild(setup: Setup, hand: HandForce | None) -> tuple[SampledPlant | None, 
             known = ", ".join((*_SCENES, *_SHOWN_BY))
             raise InvalidRecordingError(f"a recording of kind {kind!r} cannot be made here, which knows {known}")
         run, plant, phase = run_in(setup)
-        return run.plant(plant, phase=phase, hand=hand), run.controller()
+        return run.plant(plant, phase=phase, hand=hand, record=True), run.controller()
     except (KeyError, TypeError, ParameterError) as error:
         raise InvalidRecordingError(f"a recording's setup cannot be made here: {error}") from None
 
@@ -142,7 +141,7 @@ def write_run(path: Path, scene: Scene, *, plant: str | None = None, phase: floa
 
 def _run_into(file: RecordingFile, scene: Scene, plant: str | None, phase: float) -> None:
     name, phase = checked_plant(scene, plant), checked_phase(phase)
-    device, controller = scene.plant(name, phase=phase), scene.controller()
+    device, controller = scene.plant(name, phase=phase, record=True), scene.controller()
     setup = {"kind": scene.name, "parameters": parameters_json(scene, name, phase)}
     record = file.begin(device, controller, setup, delay=scene.delay, mechanics=expected(setup).mechanics)
     with device, engine_warnings_silenced():
@@ -223,13 +222,13 @@ class _Shown:
         self.period, self.pose = self.settings.period, stretch.position
         self._time, self._hand = stretch.time, stretch.hand
         _, controller = rebuild(stretch.setup, None)
-        self._force = stretch.applied[:, :6] - carried_by(controller.laws)
+        self._force = stretch.applied - controller.carried
         coils = load("drop").coils
         assert coils is not None
-        self._currents = stretch.applied[:, :6] @ coils.current_per_wrench.T
+        self._currents = stretch.applied @ coils.current_per_wrench.T
         way = np.diff(stretch.position, axis=0, prepend=stretch.position[:1])
         self._work = np.cumsum((np.roll(stretch.hand, 1, axis=0) * way).sum(axis=1))
-        self._faces = wall_faces(self.scene.laws(self.settings))
+        self._faces = self.scene.controller(self.settings).faces
         self._anchors = stick_positions_of(stretch)
         axis = self.scene.axis_index
         place = stretch.position[:, axis]
@@ -272,10 +271,10 @@ def scene_of(setup: Setup) -> tuple[InteractiveScene, Settings]:
 def stick_positions_of(stretch: Stretch) -> Array | None:
     """Return where the flotor stuck at each sample, as the controller saw it, (N, 6); None without friction."""
     _, controller = rebuild(stretch.setup, None)
-    stuck_at, anchors = stick_positions(controller), []
+    anchors = []
     for tick, place in zip(stretch.tick.tolist(), stretch.position.tolist(), strict=True):
         controller.step(Sample(int(tick), 0.0, place))
-        found = stuck_at()
+        found = controller.stick_positions
         if found is None:
             return None
         anchors.append(found)

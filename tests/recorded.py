@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from maglev_mj.frames import ZERO, Command
 from maglev_mj.hand import SpringHand
 from maglev_mj.recording import Recording
 from maglev_mj.replay import write_run
@@ -105,6 +106,11 @@ def npz_of(header: Message, arrays: Mapping[str, Any], *, compressed: bool = Fal
     save = np.savez_compressed if compressed else np.savez
     save(file, header=np.array(json.dumps(header)), **arrays)
     return file.getvalue()
+
+
+def command_row(command: Command) -> list[float]:
+    """Return a command as 13 numbers: held wrench, pulse, pulse width."""
+    return [*command.force, *(command.extra or ZERO), command.pulse_width if command.extra else 0.0]
 
 
 def numbers_in(value: Any, place: Place = ()) -> Iterator[Place]:

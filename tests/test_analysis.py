@@ -15,10 +15,9 @@ import pytest
 from maglev_mj.analysis import Analysed, analyse, face_figures, known_of, reconstruct
 from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.flight import Flight
-from maglev_mj.bridge.impair import Impairment
 from maglev_mj.bridge.remote import RemotePlant
+from maglev_mj.bridge.simulated_links import Impairment, VirtualLink
 from maglev_mj.bridge.twin import Twin, TwinParameters
-from maglev_mj.bridge.virtual import VirtualLink
 from maglev_mj.cli import main
 from maglev_mj.frames import AXES, Command, Sample
 from maglev_mj.hand import Path as HandPath
@@ -167,7 +166,7 @@ def test_hits_of_a_hand_are_told_apart_and_its_pull_is_found(hand: str) -> None:
 def test_the_pull_of_an_arm_that_nobody_recorded_is_found_between_the_samples() -> None:
     press = Press(hand="0.0,6.45,135")
     stretch = recorded(press)
-    found = analysed(replace(stretch, hand=np.zeros_like(stretch.hand))).recorded
+    found = analysed(stretch.replace(hand=np.zeros_like(stretch.hand))).recorded
     middle = 0.5 * (found.motion.time[1:] + found.motion.time[:-1])
     pose, twist, _ = run(press, plant="exact").trace.at(middle)
     pull = stretch.hand[:-1, 2] - 135.0 * pose[:, 2] - 6.45 * twist[:, 2]
@@ -201,7 +200,7 @@ def test_the_energy_taken_is_what_the_observer_of_the_loop_finds(delay: float) -
     stretch = recorded(scene)
     observer = PassivityObserver(Timing(period=scene.period, delay=delay), INERTIA)
     for row, (place, applied) in enumerate(zip(stretch.position.tolist(), stretch.applied.tolist(), strict=True)):
-        observer(Sample(row, 0.0, place), Command(applied[:6]))
+        observer(Sample(row, 0.0, place), Command(applied))
     energy = analysed(stretch, simulated=False).recorded.figures.energy
     assert abs(observer.energy[0]) > 1e-7
     assert energy.taken[0] == pytest.approx(observer.energy[0], rel=1e-9)
@@ -227,7 +226,7 @@ def test_how_far_a_changed_recording_is_apart_is_found_to_the_digit() -> None:
     place = stretch.position.copy()
     place[:, 0] += 2e-6
     place[30, 0] += 3e-6
-    comparison = analysed(replace(stretch, position=place)).comparison
+    comparison = analysed(stretch.replace(position=place)).comparison
     assert comparison is not None and not comparison.same
     count = len(place)
     assert comparison.rms[0] == pytest.approx(np.sqrt((4.0 * (count - 1) + 25.0) / count) * 1e-6)
@@ -310,13 +309,8 @@ def test_a_recording_that_begins_inside_a_wall_has_a_contact_without_an_approach
 
 def test_upper_walls_are_seen_as_lower_ones_in_a_mirror() -> None:
     stretch = recorded(Press())
-    known = known_of(stretch, rebuild(stretch.setup, None)[1].laws)
-    turned = replace(
-        stretch,
-        position=-stretch.position,
-        hand=-stretch.hand,
-        applied=np.column_stack([-stretch.applied[:, :12], stretch.applied[:, 12]]),
-    )
+    known = known_of(stretch, rebuild(stretch.setup, None)[1])
+    turned = stretch.replace(**{name: -stretch.rows[name] for name in ("position", "hand", "applied", "applied_pulse")})
     down = face_figures(reconstruct(stretch, known).trace, (2, 1.0, 0.0))
     up = face_figures(reconstruct(turned, known).trace, (2, -1.0, 0.0))
     assert down is not None and up is not None
@@ -328,12 +322,11 @@ def test_upper_walls_are_seen_as_lower_ones_in_a_mirror() -> None:
 
 def test_what_cannot_be_analysed_is_refused() -> None:
     stretch = recorded(Drop())
-    names = ("tick", "time", "position", "command", "applied", "hand")
-    short = replace(stretch, **{name: getattr(stretch, name)[:1] for name in names})
+    short = stretch.part(0, 0)
     with pytest.raises(RecordingError, match="at least 2 samples to be analysed, not 1"):
         analysed(short)
     with pytest.raises(RecordingError, match="in the order in which they were taken"):
-        analysed(replace(stretch, time=stretch.time[::-1]))
+        analysed(stretch.replace(time=stretch.time[::-1]))
 
 
 @pytest.mark.parametrize("kind", ["drop", "press", "stick-slip"])
@@ -428,8 +421,7 @@ def test_a_file_with_nothing_in_it_is_one_line_and_status_2(tmp_path: Path, caps
     for name, recording in (("none.npz", Recording([])), ("one.npz", None)):
         if recording is None:
             stretch = recorded(Drop())
-            names = ("tick", "time", "position", "command", "applied", "hand")
-            recording = Recording([replace(stretch, **{part: getattr(stretch, part)[:1] for part in names})])
+            recording = Recording([stretch.part(0, 0)])
         recording.save(tmp_path / name)
         assert main(["analyse", str(tmp_path / name)]) == 2
         said = capsys.readouterr().err

@@ -12,9 +12,16 @@ from maglev_mj.hand import HANDS, Hand, hand_called
 from maglev_mj.laws import LowPass, Window
 from maglev_mj.plants import Timing
 from maglev_mj.studies.growth import RestingWall, measure_growth
-from maglev_mj.studies.integrators import SteppedLoop, stiffest_simulated
+from maglev_mj.studies.integrators import SteppedLoop, boundary_shift
 from maglev_mj.studies.stability_map import StabilityParameters, run_stability
-from maglev_mj.theory import boundary_of, critical_delay, largest_modulus, largest_stable_stiffness, stiffest_wall
+from maglev_mj.theory import (
+    boundary_of,
+    critical_delay,
+    largest_modulus,
+    largest_stable_stiffness,
+    stiffest_of,
+    stiffest_wall,
+)
 from maglev_mj.theory.closed_loop import SampledLoop
 
 T, M = 0.005, 0.7
@@ -114,9 +121,8 @@ def test_driver_lag_shifts_the_boundary_as_the_map_says() -> None:
 
 
 def shifts(integrator: str, steps: NDArray[np.float64], delay: float) -> NDArray[np.float64]:
-    exact = float(stiffest_wall(period=T, delay=delay).stiffness)
-    found = [float(stiffest_simulated(integrator, step, period=T, delay=delay).stiffness) for step in steps]
-    return np.array(found) / exact - 1.0
+    loop = SampledLoop(period=T, delay=delay)
+    return np.array([boundary_shift(integrator, step, loop) for step in steps])
 
 
 def check_first_order(integrator: str, steps: list[float], delay: float) -> None:
@@ -150,7 +156,7 @@ def test_euler_at_half_a_millisecond_is_5_percent_off_and_rk4_exact(delay: float
 
 def test_steps_that_miss_the_switch_lengthen_the_delay() -> None:
     """RK4 at 1 ms sees a delay of 1.5 ms as 2 ms."""
-    found = stiffest_simulated("rk4", 1e-3, period=T, delay=0.0015, aligned=False).stiffness
+    found = stiffest_of(SteppedLoop(period=T, delay=0.0015, integrator="rk4", step=1e-3, aligned=False)).stiffness
     assert found == pytest.approx(float(stiffest_wall(period=T, delay=0.002).stiffness), rel=1e-6)
 
 

@@ -14,7 +14,7 @@ from maglev_mj import Controller, ExactPlant, Hold, MuJoCoPlant, Timing, run
 from maglev_mj.cli import main
 from maglev_mj.detail import Detail
 from maglev_mj.errors import ParameterError
-from maglev_mj.experiments.wall_controller import wall_controller
+from maglev_mj.studies.wall_controller import wall_controller
 from maglev_mj.frames import Array, Command
 from maglev_mj.hand import hand_called
 from maglev_mj.plants import CorrectedPlant

@@ -10,7 +10,6 @@ from contextlib import closing
 
 import pytest
 
-from maglev_mj.bridge.impair import Impairer, Impairment, UdpProxy
 from maglev_mj.bridge.link import (
     Link,
     LinkError,
@@ -31,6 +30,7 @@ from maglev_mj.bridge.serial_link import (
     cobs_decode,
     cobs_encode,
 )
+from maglev_mj.bridge.simulated_links import Impairer, Impairment, UdpProxy
 from maglev_mj.errors import ParameterError
 
 PATIENCE = 5.0

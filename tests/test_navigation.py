@@ -16,7 +16,6 @@ from maglev_mj.loop import ControlLoop
 from maglev_mj.scenes import Settings, scene_called
 from maglev_mj.scenes.joystick import CENTRING
 from maglev_mj.scenes.parts import WEIGHT
-from maglev_mj.session import stick_positions
 from maglev_mj.spacenav.navigation import Mode, Navigation, Navigator
 from maglev_mj.spec import INERTIA
 
@@ -240,7 +239,6 @@ def pushed(
     plant, controller = scene.plant(settings, hand_force=hand), scene.controller(settings)
     given: list[Array] = []
     loop = ControlLoop(plant, controller, observe=lambda sample, applied: given.append(np.array(applied.force)))
-    anchors = stick_positions(controller)
     rows: list[tuple[float, ...]] = []
     for tick in range(round(END / settings.period)):
         time = tick * settings.period
@@ -249,7 +247,7 @@ def pushed(
         loop.cycle()
         if time >= len(rows) * EVERY:
             pose, elapsed = plant.state()[0], time - rows[-1][0] if rows else 0.0
-            navigator.move(pose, anchors(), elapsed, given[-1] - np.array(WEIGHT) if forces else None)
+            navigator.move(pose, controller.stick_positions, elapsed, given[-1] - np.array(WEIGHT) if forces else None)
             rows.append((time, pose[0], navigator.slave[0], navigator.modes[0] is RATE))
     plant.close()
     time, position, slave, rate = np.array(rows).T

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from maglev_mj import ExactPlant, Timing, run
-from maglev_mj.experiments.wall_controller import wall_controller
+from maglev_mj.studies.wall_controller import wall_controller
 from maglev_mj.frames import Array
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.spec import GRAVITY, INERTIA

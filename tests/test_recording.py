@@ -51,7 +51,7 @@ def changed(stretch: Stretch, name: str, row: int) -> Stretch:
     """Return a stretch with the last bit of one number changed."""
     values = getattr(stretch, name).copy()
     values[row, 2] = np.nextafter(values[row, 2], 1.0)
-    return replace(stretch, **{name: values})
+    return stretch.replace(**{name: values})
 
 
 @pytest.mark.parametrize("name", ["position", "command"])
@@ -70,7 +70,7 @@ def test_a_hand_that_differs_moves_the_flotor_elsewhere() -> None:
     (stretch,) = record_run(Drop(), plant="exact").stretches
     hand = stretch.hand.copy()
     hand[10, 2] = 0.1
-    verdict = verify(Recording([replace(stretch, hand=hand)]), rebuild)
+    verdict = verify(Recording([stretch.replace(hand=hand)]), rebuild)
     assert verdict.first == (0, 11)
     assert verdict.fields["position"] == (11, 81, (0, 11))
     assert verdict.fields["command"] == (81, 81, None)

@@ -23,16 +23,14 @@ from maglev_mj.laws import Wall
 from maglev_mj.loop import run
 from maglev_mj.plants import ExactPlant, Timing
 from maglev_mj.recording import ArrayFile, Recording, RecordingError, open_recording, verify
-from maglev_mj.recording.ring import ROWS, Ring, RowReader
-from maglev_mj.recording.schemas import CHANNELS
+from maglev_mj.recording.live import ROWS, Ring, RowReader
+from maglev_mj.recording.mcap import CHANNELS
 from maglev_mj.replay import rebuild, record_run, write_run
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.run import run as run_scene
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.scenes.stick_slip import StickSlip
 from maglev_mj.session import Pacer, Session
-
-ARRAYS = ("tick", "time", "position", "command", "applied", "hand")
 
 
 def messages(path: Path) -> list[tuple[str, dict[str, Any]]]:
@@ -46,8 +44,7 @@ def messages(path: Path) -> list[tuple[str, dict[str, Any]]]:
 def same(one: Recording, other: Recording) -> bool:
     """Whether two recordings hold the same, to the last bit."""
     return len(one.stretches) == len(other.stretches) and all(
-        a.setup == b.setup and all((getattr(a, name) == getattr(b, name)).all() for name in ARRAYS)
-        for a, b in zip(one.stretches, other.stretches, strict=True)
+        a.setup == b.setup and (a.rows == b.rows).all() for a, b in zip(one.stretches, other.stretches, strict=True)
     )
 
 
@@ -205,7 +202,7 @@ def writers_to(folder: Path) -> list[int]:
     for line in Path("/proc").glob("[0-9]*/cmdline"):
         with suppress(OSError):  # it has ended meanwhile; one that nobody has waited for yet has no command line
             said = line.read_bytes().decode(errors="replace")
-            found += [int(line.parent.name)] if "maglev_mj.recording.writing" in said and f"{folder}/" in said else []
+            found += [int(line.parent.name)] if "maglev_mj.recording.writer" in said and f"{folder}/" in said else []
     return found
 
 
@@ -249,8 +246,7 @@ def test_a_file_that_ends_anywhere_opens_up_to_its_last_chunk(tmp_path: Path) ->
             continue
         seen.add(part.ticks)
         for stretch in part.stretches:
-            for name in ARRAYS:
-                assert (getattr(stretch, name) == getattr(whole.stretches[0], name)[: part.ticks]).all()
+            assert (stretch.rows == whole.stretches[0].rows[: part.ticks]).all()
     assert min(seen) == -1 and max(seen) == whole.ticks and len(seen) > 10
 
 
@@ -308,10 +304,11 @@ def test_pulses_and_rows_go_through_the_ring_unchanged() -> None:
         plant.hand_wrench = values[5]
         ring.record(plant)(Sample(count, 0.1 * count, values[4]), command, applied)
         ((place, row),) = reader.rows()
-        pulse = [*values[1], 0.003] if count % 2 else [0.0] * 7
-        given = [*values[3], 0.002] if count % 3 else [0.0] * 7
+        pulse, width = (values[1], 0.003) if count % 2 else (list(ZERO), 0.0)
+        given, lasting = (values[3], 0.002) if count % 3 else (list(ZERO), 0.0)
         assert place == count
-        assert row == (count, 0.1 * count, *values[4], *values[0], *pulse, *values[2], *given, *values[5])
+        expected = [count, 0.1 * count, *values[4], *values[0], *pulse, *values[2], *given, *values[5], width, lasting]
+        assert row == expected
     ring.close()
     reader.close()
 
@@ -375,11 +372,11 @@ def test_a_recording_is_exported_as_a_table_with_units(suffix: str, tmp_path: Pa
         "time": stretch.time,
         "position.z": stretch.position[:, 2],
         "command.z": stretch.command[:, 2],
-        "pulse.z": stretch.command[:, 8],
-        "pulse_width": stretch.command[:, 12],
+        "pulse.z": stretch.pulse[:, 2],
+        "pulse_width": stretch.pulse_width,
         "applied.x": stretch.applied[:, 0],
-        "applied_pulse.z": stretch.applied[:, 8],
-        "applied_pulse_width": stretch.applied[:, 12],
+        "applied_pulse.z": stretch.applied_pulse[:, 2],
+        "applied_pulse_width": stretch.applied_pulse_width,
         "hand.rx": stretch.hand[:, 3],
     }
     for name, values in wanted.items():
@@ -496,3 +493,64 @@ def test_many_samples_take_little_memory_to_read(tmp_path: Path) -> None:
     tracemalloc.stop()
     assert ticks == 10001
     assert peak < 1500 * ticks  # as messages they took 5000 bytes a sample
+
+
+MORE = """    Field("pull", "N", "force along z, squared, for a test", "applied.force[2] ** 2", optional=True),
+"""
+CHANGED = """
+import sys
+from pathlib import Path
+import maglev_mj
+from maglev_mj.cli import main
+from maglev_mj.recording import Recording
+assert Path(maglev_mj.__file__).is_relative_to(Path.cwd())
+for suffix in ("mcap", "npz"):
+    assert main(["drop", "--plant", "exact", "--duration", "0.05", "--record", f"run.{suffix}"]) == 0
+    assert main(["replay", f"run.{suffix}", "--check"]) == 0
+    (stretch,) = Recording.load(Path(f"run.{suffix}")).stretches
+    assert (stretch.pull == stretch.applied[:, 2] ** 2).all() and stretch.pull.any()
+assert main(["export", "run.mcap", "--to", "csv"]) == 0
+(old,) = Recording.load(Path(sys.argv[1])).stretches  # from before the line was there
+assert (old.pull != old.pull).all() and len(old) == 81
+"""
+
+
+def test_one_more_recorded_value_is_one_more_line(tmp_path: Path) -> None:
+    """In a copy of the package: memory, .npz, MCAP and its schema, table and check follow from it."""
+    import shutil
+
+    import maglev_mj
+    from maglev_mj.versions import MODELS
+
+    write_run(tmp_path / "old.npz", Drop(), plant="exact")
+    shutil.copytree(Path(maglev_mj.__file__).parent, tmp_path / "maglev_mj", ignore=shutil.ignore_patterns("*.pyc"))
+    shutil.copytree(MODELS, tmp_path / "model", dirs_exist_ok=True)
+    table = tmp_path / "maglev_mj" / "recording" / "row.py"
+    before, after = table.read_text().split(')\n"""What is recorded of each sample')
+    table.write_text(f'{before}{MORE})\n"""What is recorded of each sample{after}')
+    done = subprocess.run(
+        [sys.executable, "-c", CHANGED, str(tmp_path / "old.npz")],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        timeout=100,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count(", pull") == 2  # of the fields that were compared
+    samples = messages(tmp_path / "run.mcap")[1:]
+    pulls = [message["pull"] for _, message in samples]
+    assert pulls == [message["applied"]["z"] ** 2 for _, message in samples] and any(pulls)
+    with np.load(tmp_path / "run.npz") as arrays:
+        assert arrays["0/pull"].tolist() == pulls
+    head, *lines = (tmp_path / "run.csv").read_text().splitlines()
+    column = head.split(",").index("pull [N]")
+    assert [float(line.split(",")[column]) for line in lines] == pulls
+    from mcap.reader import make_reader
+
+    with (tmp_path / "run.mcap").open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    schemas = {schema.name: json.loads(schema.data) for schema in summary.schemas.values()}
+    assert schemas["maglev_mj.Sample"]["properties"]["pull"]["unit"] == "N"
+    assert verify(Recording.load(tmp_path / "run.mcap"), rebuild).same  # by the program without the line

@@ -8,7 +8,7 @@ import pytest
 
 from maglev_mj import AXES, Controller
 from maglev_mj.errors import ParameterError
-from maglev_mj.hand import ConstantForce, SpringHand
+from maglev_mj.hand import SpringHand
 from maglev_mj.laws import Hold, Law, StickSlip, Wall
 from maglev_mj.loop import ControlLoop
 from maglev_mj.plants import MeteredPlant, Timing
@@ -221,7 +221,7 @@ def test_work_is_metered_whatever_else_pushes() -> None:
     plant = MeteredPlant(
         Timing(period=0.004, delay=0.0013),
         twist=[0.05, -0.03, 0.02, 0.3, -0.2, 0.4],
-        hand_force=ConstantForce([0.5, 0.2, 4.0, 1e-3, -2e-3, 1e-3]),
+        hand_force=lambda *_: [0.5, 0.2, 4.0, 1e-3, -2e-3, 1e-3],
     )
     model_inertia = plant.device.inertia
     laws: list[Law] = [

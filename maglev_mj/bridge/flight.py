@@ -19,10 +19,10 @@ from maglev_mj.controller import Controller
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.loop import Answers, ControlLoop, Record
-from maglev_mj.recording import Mechanics, RecordingError, RecordingFile, carried_by
+from maglev_mj.recording import Mechanics, RecordingError, RecordingFile
 from maglev_mj.scenes import Scene, Settings
 from maglev_mj.scenes.parts import WEIGHT
-from maglev_mj.session import Moment, Outlet, Outlets, stick_positions, wall_faces
+from maglev_mj.session import Moment, Outlet, Outlets
 from maglev_mj.session.actions import CHANGES
 
 __all__ = ["Flight", "Flown", "Watcher"]
@@ -163,15 +163,14 @@ class Flight:
             record = self._file.begin(self._plant, controller, setup, delay=delay, mechanics=mechanics)
         if self._watch is not None:
             self._watch.settings = self._settings
-            self._watch.faces = wall_faces(controller.laws)
+            self._watch.faces = controller.faces
         loop = ControlLoop(self._plant, _Timed(controller, self), observe=self._observe(controller), record=record)
         samples = self._plant.samples
         while not self._stopped.is_set() and self._wanted is None and (last is None or samples.tick < last):
             loop.cycle()
 
     def _observe(self, controller: Controller) -> Callable[[Sample, Command], object]:
-        carried = carried_by(controller.laws)
-        anchors = stick_positions(controller)
+        carried = controller.carried
 
         def observe(sample: Sample, applied: Command) -> None:
             self._answer.add(time.perf_counter_ns() - self.read_at)
@@ -179,9 +178,11 @@ class Flight:
             if self._warn is not None and self._file is not None:
                 self._check(self._file, self._warn)
             if self._watch is not None:
-                self._look(self._watch, sample, np.array(applied.force) - carried, anchors())
+                self._look(self._watch, sample, np.array(applied.force) - carried, controller.stick_positions)
             if self._outlets:
-                self._outlets.show(lambda: self._moment(sample, np.array(applied.force) - carried, anchors()))
+                self._outlets.show(
+                    lambda: self._moment(sample, np.array(applied.force) - carried, controller.stick_positions)
+                )
                 self._listen()
 
         return observe

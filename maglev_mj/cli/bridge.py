@@ -18,9 +18,8 @@ from maglev_mj.bridge.fault import HandshakeError
 from maglev_mj.bridge.flight import Flight
 from maglev_mj.bridge.identification import collect, excitation, identify
 from maglev_mj.bridge.link import open_link
-from maglev_mj.bridge.realtime import realtime
+from maglev_mj.bridge.realtime import realtime, stopping
 from maglev_mj.bridge.remote import RemotePlant
-from maglev_mj.bridge.stopping import stopping
 from maglev_mj.cli.options import (
     add_bridge,
     add_recording,

@@ -30,6 +30,7 @@ __all__ = [
     "chosen_settings",
     "chosen_workers",
     "count",
+    "described",
     "joined",
     "number_option",
     "range_of",
@@ -116,16 +117,10 @@ def add_parameters(
 
 
 def _add_parameter(parser: argparse.ArgumentParser, one: Parameter, default: Any) -> None:
-    option = f"--{one.name.replace('_', '-')}"
-    text, more, rest = one.help.replace("%", "%%").partition(";")
-    said = f"{text} [{one.unit}]{more}{rest}" if one.unit else text + more + rest
+    option, said = f"--{one.name.replace('_', '-')}", described(one, default).replace("%", "%%")
     if one.kind is bool:
-        said += " (default on)" if default else ""
         parser.add_argument(option, action=argparse.BooleanOptionalAction, default=argparse.SUPPRESS, help=said)
         return
-    if one.choices:
-        said += f": {', '.join(one.choices)}"
-    shown = "none" if default is None else default if one.kind is str else f"{default:g}"
     kinds: Mapping[type, tuple[Callable[[str], Any], str]] = {
         float: (number_option, "X"),
         int: (count, "N"),
@@ -134,8 +129,18 @@ def _add_parameter(parser: argparse.ArgumentParser, one: Parameter, default: Any
     read, metavar = kinds[one.kind]
     if one.optional:
         read = partial(_or_none, read)
-    said = f"{said} (default {shown})"
     parser.add_argument(option, type=read, default=argparse.SUPPRESS, metavar=metavar, help=said)
+
+
+def described(one: Parameter, default: Any) -> str:
+    """Return what a parameter is, with its unit, its choices and its default."""
+    text, more, rest = one.help.partition(";")
+    said = f"{text} [{one.unit}]{more}{rest}" if one.unit else text + more + rest
+    if one.choices:
+        said += f": {', '.join(one.choices)}"
+    if one.kind is bool:
+        return f"{said} (default {'on' if default else 'off'})"
+    return f"{said} (default {'none' if default is None else default if one.kind is str else f'{default:g}'})"
 
 
 def _or_none(read: Callable[[str], Any], text: str) -> Any:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Callable, Sequence
 
 from maglev_mj.cli.options import Parser, add_parameters
 from maglev_mj.errors import ParameterError
+from maglev_mj.parameters import flag
 from maglev_mj.scenes.find import find_scene, scene_names
 from maglev_mj.scenes.scene import Scene
 
@@ -14,6 +16,7 @@ __all__ = ["add_scene"]
 _MORE = "SCENE is a name, FILE.py or FILE.py:CLASS, and has options of its own: SCENE --help lists them."
 
 More = Callable[[Parser, type[Scene]], object]
+Find = Callable[[str], "Scene | type[Scene] | None"]
 
 
 def add_scene(
@@ -23,6 +26,10 @@ def add_scene(
     option: str | None = None,
     default: str | None = None,
     without: Sequence[str] = (),
+    options: bool = True,
+    needed: bool = True,
+    find: Find = find_scene,
+    names: Sequence[str] = (),
 ) -> None:
     """Add the scene to a command, and an option for each parameter of the one that is given.
 
@@ -34,32 +41,49 @@ def add_scene(
         option: Name of the option that says which, such as "--scene"; None for the command's first word.
         default: Scene where none is given; None where one must be.
         without: Names of parameters that get no option.
+        options: False where parameters are given in another way.
+        needed: False where a command may do without.
+        find: Finds the scene, or one whose values are the defaults of its options; None for what has no options.
+        names: Further names that it finds.
     """
-    told = f"{', '.join(scene_names())}, or a file" + (f" (default {default})" if default else "")
+    known = [*scene_names(), *names]
+    told = f"{', '.join(known)}, or a file" + (f" (default {default})" if default else "")
     if option is not None:
         parser.add_argument(option, dest="scene", default=default, metavar="SCENE", help=told)
     else:
-        parser.add_argument("scene", nargs="?" if default else None, default=default, metavar="SCENE", help=told)
+        parser.add_argument(
+            "scene", nargs="?" if default or not needed else None, default=default, metavar="SCENE", help=told
+        )
     parser.epilog = f"{parser.epilog} {_MORE}" if parser.epilog else _MORE
+    parser.set_defaults(scene_class=None)
+    flag("options", options)
+    flag("needed", needed)
 
-    def find(arguments: Sequence[str]) -> None:
+    def before(arguments: Sequence[str]) -> None:
         parser.before = None
-        text = _given(arguments, option) or default
+        text = _given(arguments, option, known) or default
         if text is None:
             return
         try:
-            cls = find_scene(text)
+            found = find(text)
         except ParameterError as error:
             parser.error(str(error))
-        add_parameters(parser, cls, without=without)
-        if more is not None:
-            more(parser, cls)
-        parser.set_defaults(scene_class=cls)
+        if found is None:
+            return
+        cls = found if isinstance(found, type) else type(found)
+        try:
+            if options:
+                add_parameters(parser, found, without=without)
+            if more is not None:
+                more(parser, cls)
+        except argparse.ArgumentError as error:  # a parameter has the name of an option of this command
+            parser.error(f"scene {cls.name} cannot be given here: {error}")
+        parser.set_defaults(scene_class=found)
 
-    parser.before = find
+    parser.before = before
 
 
-def _given(arguments: Sequence[str], option: str | None) -> str | None:
+def _given(arguments: Sequence[str], option: str | None, names: Sequence[str]) -> str | None:
     """Return the scene among the arguments, which options of its own may stand in front of."""
     if option is not None:
         for place, word in enumerate(arguments):
@@ -70,5 +94,4 @@ def _given(arguments: Sequence[str], option: str | None) -> str | None:
         return None
     if arguments and not arguments[0].startswith("-"):
         return arguments[0]
-    names = scene_names()
     return next((word for word in arguments if word in names or word.partition(":")[0].endswith(".py")), None)

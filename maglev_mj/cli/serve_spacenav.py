@@ -10,7 +10,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from typing import Any
 
-from maglev_mj.bridge.stopping import stopping
+from maglev_mj.bridge.realtime import stopping
 from maglev_mj.cli.options import add_settings, chosen_key, chosen_settings, number_option
 from maglev_mj.cli.outlets import add_spacenav, chosen_spacenav
 from maglev_mj.errors import MaglevError, ParameterError

@@ -12,7 +12,7 @@ from maglev_mj.controller import Controller
 from maglev_mj.detail import Detail
 from maglev_mj.frames import AXES
 from maglev_mj.hand import HandForce, Path
-from maglev_mj.laws import Friction, Law, Wall
+from maglev_mj.laws import Law
 from maglev_mj.parameters import axis_indices
 from maglev_mj.plants import MeteredPlant
 from maglev_mj.scenes.parts import WEIGHT, shared, walls
@@ -67,8 +67,9 @@ class Scene:
         laws = list(self.make(settings))
         if settings.walls is None or not settings.wall:
             return laws
-        gains = shared(settings) if any(isinstance(law, Friction) for law in laws) else settings
-        return [law for law in laws if not isinstance(law, Wall)] + walls(gains, settings.walls)
+        sticks = any(near.state == "stuck" for law in laws for near in law.gains() or ())
+        gains = shared(settings) if sticks else settings
+        return [law for law in laws if not law.faces()] + walls(gains, settings.walls)
 
     def controller(self, settings: Settings) -> Controller:
         """Return a controller of the scene's laws."""

@@ -22,7 +22,7 @@ from maglev_mj.spec import ESCAPE, GRAVITY, Spec
 if TYPE_CHECKING:
     from maglev_mj.scenes.run import Result
 
-__all__ = ["PLANTS", "PlantMaker", "Scene", "Start"]
+__all__ = ["PLANTS", "PlantMaker", "Scene", "SideBySide", "Start"]
 
 _MOST_PERIODS = 1_000_000
 
@@ -214,7 +214,7 @@ class Scene(Parameters):
             return self.scripted_hand(float(phase))
         hands = [self.scripted_hand(float(one)) for one in np.asarray(phase)]
         known = [hand for hand in hands if hand is not None]
-        return _SideBySide(known) if known else None
+        return SideBySide(known) if known else None
 
     def run_figures(self, plant: str, phase: float = 0.0) -> Mapping[str, Any]:
         """Return the figures of one run, by name."""
@@ -223,7 +223,7 @@ class Scene(Parameters):
         return run(self, plant=plant, phase=phase).figures
 
 
-class _SideBySide:
+class SideBySide:
     """Hands that differ in their paths alone, one for each device of a batch."""
 
     def __init__(self, hands: Sequence[HandForce]) -> None:

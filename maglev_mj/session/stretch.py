@@ -10,10 +10,9 @@ import numpy as np
 from maglev_mj.frames import ZERO, Array, Command, Sample
 from maglev_mj.hand import HandForce
 from maglev_mj.loop import ControlLoop
-from maglev_mj.recording import Mechanics, RecordingFile, carried_by
+from maglev_mj.recording import Mechanics, RecordingFile
 from maglev_mj.scenes import Scene, Settings
 from maglev_mj.session.energy import EnergyAccount
-from maglev_mj.session.view import stick_positions, wall_faces
 
 __all__ = ["LiveStretch", "scene_setup"]
 
@@ -71,10 +70,9 @@ class LiveStretch:
         if file is not None:
             mechanics = Mechanics(before=wrench)
             record = file.begin(self.plant, self.controller, setup, delay=settings.delay, mechanics=mechanics)
-        self._carried = carried_by(self.controller.laws)
+        self._carried = self.controller.carried
         self.energy = EnergyAccount(np.array(pose), self._carried)
-        self.faces = wall_faces(self.controller.laws)
-        self._stick_positions = stick_positions(self.controller)
+        self.faces = self.controller.faces
         self._loop = ControlLoop(self.plant, self.controller, observe=self._observe, record=record)
         self._axis, self._keep, self._began = scene.axis_index, keep, began
         self.ticks, self._settings = 0, settings
@@ -94,7 +92,7 @@ class LiveStretch:
     @property
     def anchors(self) -> Array | None:
         """Where the flotor sticks [m, rad], (6,), NaN on axes without friction; None where there is none at all."""
-        return self._stick_positions()
+        return self.controller.stick_positions
 
     @property
     def rendered(self) -> Array:

@@ -13,7 +13,7 @@ import maglev_mj
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES
 from maglev_mj.scenes import Scene, Settings
-from maglev_mj.session import Moment, Refusal, wall_faces
+from maglev_mj.session import Moment, Refusal
 from maglev_mj.stream.datagrams import MOST_INTEGER, Message, is_integer
 
 __all__ = [
@@ -98,7 +98,7 @@ def description(moment: Moment, session: int, asked: int | None) -> Message:
         "settings_since": moment.since,
         "delay": moment.delay,
         "settable": SETTABLE,
-        "faces": [(AXES[index], int(normal), edge) for index, normal, edge in wall_faces(scene.laws(settings))],
+        "faces": [(AXES[index], int(normal), edge) for index, normal, edge in scene.controller(settings).faces],
         "axes": AXES,
         "units": _UNITS,
     }

@@ -11,7 +11,7 @@ import numpy as np
 
 from maglev_mj.controller import Controller
 from maglev_mj.errors import ParameterError
-from maglev_mj.experiments.wall_controller import around_wall, wall_controller
+from maglev_mj.studies.wall_controller import around_wall, wall_controller
 from maglev_mj.frames import Array, Command, Mask, Sample
 from maglev_mj.hand import Hand, hand_called
 from maglev_mj.loop import run

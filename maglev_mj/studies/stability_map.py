@@ -211,11 +211,10 @@ def simulate_walls(cells: list[Cell]) -> list[dict[str, Any]]:
     groups: dict[tuple[Any, ...], list[int]] = {}
     for place, cell in enumerate(cells):
         groups.setdefault(tuple(cell[name] for name in _AROUND), []).append(place)
-    for around, places in groups.items():
-        named = dict(zip(_AROUND, around, strict=True))
-        stiffness, damping = (np.array([cells[place][gain] for place in places]) for gain in ("stiffness", "damping"))
-        walls = RestingWall(**{**named, "hand": hand_called(named["hand"])})
-        growth = measure_growth(stiffness, damping, walls)
+    for (plant, *around), places in groups.items():
+        named = dict(zip(_AROUND[1:], around, strict=True))
+        gains = ({gain: cells[place][gain] for gain in ("stiffness", "damping")} for place in places)
+        growth = measure_growth([RestingWall(**named, **each) for each in gains], plant)
         for place, stable, rate, ticks in zip(places, *growth, strict=True):
             results[place] = {"stable": bool(stable), "rate": float(rate), "ticks": int(ticks)}
     return results

@@ -13,7 +13,7 @@ from maglev_mj.scenes.figures import Figure
 from maglev_mj.scenes.run import Phases, Result
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.tables.limits import beyond_force, beyond_range
-from maglev_mj.tables.text import cell
+from maglev_mj.terminal import cell
 
 __all__ = ["run_table"]
 

@@ -20,7 +20,7 @@ from pathlib import Path
 from maglev_mj import Command, Sample
 from maglev_mj.loop import ControlLoop, Record
 from maglev_mj.recording import Recorder, open_recording
-from maglev_mj.recording.ring import Ring
+from maglev_mj.recording.live import Ring
 from maglev_mj.scenes import Settings, scene_called
 
 BLOCK = 200

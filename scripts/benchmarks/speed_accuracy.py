@@ -24,15 +24,15 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import mujoco
 import numpy as np
+from maglev_mj.experiments.drop import DropParameters, drop_parts
+from maglev_mj.studies.wall_controller import wall_controller
+from maglev_mj.studies.fidelity_scenes import FIDELITY_SCENES, FidelityScene
 
 from maglev_mj import Controller, run
-from maglev_mj.experiments.drop import DropParameters, drop_parts
-from maglev_mj.experiments.wall_controller import wall_controller
 from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.plants import CorrectedBatchPlant, ExactPlant, MuJoCoBatchPlant, SampledPlant, Timing
 from maglev_mj.plots import Panel, small_multiples
 from maglev_mj.spec import Spec
-from maglev_mj.studies.fidelity_scenes import FIDELITY_SCENES, FidelityScene
 from maglev_mj.studies.integrators import INTEGRATORS
 from maglev_mj.versions import versions
 from peers import Task

@@ -136,13 +136,13 @@ def run_six_axes(
     rows: list[tuple[float, list[float], list[float], list[bool]]] = []
 
     def observe(sample: Sample, _: Command) -> None:
-        states = controller.states[0]
+        signals = controller.signals
         rows.append(
             (
                 float(sample.time),
                 list(sample.position),
-                [state.anchor for state in states],
-                [bool(state.stuck) for state in states],
+                list(signals["stick_position"]),
+                [bool(stuck) for stuck in signals["stuck"]],
             )
         )
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.experiments.wall_controller import wall_controller
+from maglev_mj.studies.wall_controller import wall_controller
 from maglev_mj.frames import Array
 from maglev_mj.plants import ExactPlant, Sensor, Timing
 from maglev_mj.spec import Spec

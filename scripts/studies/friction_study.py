@@ -81,8 +81,8 @@ def under_load(
     rows: list[tuple[float, float, bool]] = []
 
     def observe(sample: Sample, _: Command) -> None:
-        (state,) = controller.states[0]
-        rows.append((sample.position[0], float(state.anchor), bool(state.stuck)))
+        (anchor,), (stuck,) = controller.signals["stick_position"], controller.signals["stuck"]
+        rows.append((sample.position[0], float(anchor), bool(stuck)))
 
     sensor = Sensor(quantum=[quantize, 0.0, 0.0, 0.0, 0.0, 0.0]) if quantize else None
     # a law that drifts does so beyond the device's range too: that is what is measured

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from maglev_mj.controller import Controller
-from maglev_mj.experiments.wall_controller import around_wall
+from maglev_mj.studies.wall_controller import around_wall
 from maglev_mj.frames import Array
 from maglev_mj.laws import Law, Wall
 from maglev_mj.parameters import numbers

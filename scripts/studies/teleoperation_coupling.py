@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from maglev_mj.frames import Array
-from maglev_mj.laws import StickSlip
+from maglev_mj.laws import Law, StickSlip
 from maglev_mj.parameters import number
 from maglev_mj.spacenav.navigation import Mode, Navigator
 
@@ -62,7 +62,7 @@ class Coupling:
         return self.reflection / self.scale
 
 
-class CouplingLaw:
+class CouplingLaw(Law):
     """Stick-slip, where there is any, and the coupling's force, which it also keeps for the slave.
 
     The slave is asked where it is when the joystick is. Where it is drawn to, the target, moves by the navigator's
@@ -81,9 +81,6 @@ class CouplingLaw:
         target: Where the slave is drawn to [m, the slave's], (3,).
         modes: Of the three axes.
     """
-
-    batch: tuple[int, ...] = ()
-    pulse_width = 0.0
 
     def __init__(
         self,
@@ -112,8 +109,8 @@ class CouplingLaw:
         if self._friction is not None:
             state, _ = self._friction(position, velocity, state, wrench)
             anchors = np.full(6, np.nan)
-            for index, axis in zip(self._friction.indices, state, strict=True):
-                anchors[index] = axis.anchor if axis.stuck else np.nan
+            for index, anchor in self._friction.stick_positions(state).items():
+                anchors[index] = anchor
         moved = self._navigator.move(position, anchors, self._period)[:3]
         self.modes = self._navigator.modes[:3]
         place = self._place()
