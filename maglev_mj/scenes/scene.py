@@ -115,7 +115,7 @@ class Scene(Parameters):
     def __reduce__(self) -> Any:
         from maglev_mj.scenes.find import made_again, reference_of
 
-        return made_again, (reference_of(type(self)), self.as_json())
+        return made_again, (reference_of(type(self)), self._given())
 
     def __post_init__(self) -> None:
         super().__post_init__()
