@@ -22,7 +22,7 @@ from maglev_mj.scenes.joystick import Joystick
 from maglev_mj.scenes.legacy import recorded_scene
 from maglev_mj.scenes.parts import INERTIA, WEIGHT, wall
 from maglev_mj.scenes.press import Press
-from maglev_mj.session import EnergyAccount, Pacer, Session, device_controller, live_plant
+from maglev_mj.session import EnergyAccount, Pacer, Session, device_controller, live_plant, real_time
 from maglev_mj.spec import Spec
 from maglev_mj.theory import largest_stable_stiffness
 from maglev_mj.viewer.overlay import help_text, keys_of, status_text
@@ -91,6 +91,19 @@ def test_what_is_forgiven_is_not_caught_up() -> None:
     assert pacer.owed > 0.05
     pacer.forgive()
     assert pacer.advance(0.0, 0.005, lambda: None) == 0
+
+
+def test_real_time_ends_when_it_is_over_and_forgets_a_suspension(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = Clock()
+
+    def sleep(step: float) -> None:
+        clock.now += 30.0 if 0.1 < clock.now < 0.2 else step
+
+    monkeypatch.setattr("time.sleep", sleep)
+    turns = list(real_time(31.0, 0.02, clock))
+    assert max(elapsed for elapsed, _ in turns) == 1.0  # of the 30 s, one
+    assert turns[0] == (0.0, 0.0) and turns[-1][1] == pytest.approx(31.0, abs=0.03)
+    assert len(turns) == pytest.approx(1.0 / 0.02, abs=4)
 
 
 def after(session: Session, seconds: float) -> Session:
