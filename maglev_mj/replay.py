@@ -9,7 +9,6 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from maglev_mj.analysis.known import known_experiment
 from maglev_mj.controller import Controller
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.experiments.drop import DropParameters, drop_parts
@@ -24,18 +23,19 @@ from maglev_mj.recording import (
     ArrayFile,
     Expected,
     InvalidRecordingError,
-    Mechanics,
     Recording,
     RecordingError,
     RecordingFile,
+    RunMetadata,
     Setup,
     Stretch,
     carried_by,
     open_recording,
+    wall_faces,
 )
 from maglev_mj.recording.checks import start_in
 from maglev_mj.scenes import SCENES, Scene, Settings, scene_called
-from maglev_mj.session import View, stick_positions, wall_faces
+from maglev_mj.session import View, stick_positions
 
 __all__ = [
     "EXPERIMENTS",
@@ -101,14 +101,11 @@ def expected(setup: Setup) -> Expected:
     kind = setup["kind"]
     if kind in EXPERIMENTS:
         made, parts, _ = EXPERIMENTS[kind]
-        parameters = made(**setup["parameters"])
-        known, (_, _, samples) = known_experiment(kind, asdict(parameters)), parts(parameters, None)
-        load = [0.0, 0.0, known.weight, 0.0, 0.0, 0.0]
-        mechanics = Mechanics(inertia=known.inertia, load=load, before=known.before)
-        return Expected(known.delay, mechanics, scripted=True, samples=samples)
-    delay = Settings.from_json(setup["settings"]).delay
-    # on a device, what acted before a stretch is in the flight, not in the setup
-    return Expected(delay, Mechanics(before=setup["wrench"]) if kind == "scene" else None, scripted=False)
+        return Expected(scripted=True, samples=parts(made(**setup["parameters"]), None)[2])
+    metadata: dict[str, Any] = {"hand_recorded": kind == "scene"}
+    if kind == "device":  # what it weighs and what acted before a stretch is in the flight, not in the setup
+        metadata |= {"delay": Settings.from_json(setup["settings"]).delay, "hand_acts_on_flotor": True}
+    return Expected(metadata=metadata)
 
 
 def record_experiment(kind: str, parameters: Any) -> Recording:
@@ -145,8 +142,9 @@ def write_experiment(path: Path, kind: str, parameters: Any) -> list[Path]:
 def _run_into(file: RecordingFile, kind: str, parameters: Any) -> None:
     _, parts, _ = EXPERIMENTS[kind]
     plant, controller, ticks = parts(parameters, None)
-    setup = {"kind": kind, "parameters": asdict(parameters)}
-    record = file.begin(plant, controller, setup, delay=parameters.delay, mechanics=expected(setup).mechanics)
+    run = RunMetadata.of(plant, controller, name=kind, axis=getattr(parameters, "axis", "z"))
+    setup = {"kind": kind, "parameters": asdict(parameters), "run": run.as_json()}
+    record = file.begin(plant, controller, setup)
     with plant, engine_warnings_silenced():
         try:
             ControlLoop(plant, controller, record=record).cycle(ticks)

@@ -10,9 +10,10 @@ import pytest
 from maglev_mj import AXES
 from maglev_mj.errors import ParameterError
 from maglev_mj.laws import Hold, StickSlip
+from maglev_mj.recording import wall_faces
 from maglev_mj.scenes import SCENES, Settings
 from maglev_mj.scenes.parts import INERTIA, MASS
-from maglev_mj.session import Pacer, Session, refusal, wall_faces
+from maglev_mj.session import Pacer, Session, refusal
 from maglev_mj.theory import largest_stable_stiffness
 
 

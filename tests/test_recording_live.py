@@ -137,7 +137,7 @@ def test_the_work_of_the_hand_is_in_it(tmp_path: Path) -> None:
     wall = Wall(axes="z", lower=0.0, stiffness=6000.0, damping=80.0, pulse=220.0, pulse_width=0.003)
     file = open_recording(path)
     controller, places = Controller([wall], period=timing.period), []
-    record = file.begin(plant, controller, {"kind": "test"}, delay=timing.delay)
+    record = file.begin(plant, controller, {"kind": "test"})
     run(plant, controller, 60, record=record, observe=lambda sample, applied: places.append(sample.position[2]))
     assert file.close() == path
     assert messages(path)[-1][1]["hand_work"] == pytest.approx(-3.0 * (places[-1] - places[0]), rel=1e-12)
@@ -147,6 +147,7 @@ class Still:
     """A plant that nobody holds."""
 
     hand_wrench: Any = ZERO
+    delay = 0.0
 
 
 def test_missed_samples_and_faults_are_in_it(tmp_path: Path) -> None:
@@ -157,7 +158,7 @@ def test_missed_samples_and_faults_are_in_it(tmp_path: Path) -> None:
 
     file, none = open_recording(path), Command(list(ZERO))
     for ticks in ((0, 1, 4), (2, 3)):
-        record = file.begin(Still(), Controller([], period=0.001), {"kind": "test"}, delay=0.0)
+        record = file.begin(Still(), Controller([], period=0.001), {"kind": "test"})
         for tick in ticks:
             record(Sample(tick, tick * 0.001, list(ZERO)), none, none)
     file.event("missed", "too slow", 5)
@@ -334,7 +335,7 @@ def test_arrays_go_elsewhere_where_their_folder_is_gone(tmp_path: Path) -> None:
     file = ArrayFile(folder / "run-of-a-test.npz")
     plant = ExactPlant(Timing())
     controller = Controller([], period=0.005)
-    run(plant, controller, 1, record=file.begin(plant, controller, {"kind": "test"}, delay=0.0))
+    run(plant, controller, 1, record=file.begin(plant, controller, {"kind": "test"}))
     folder.rmdir()
     path = file.close()
     assert path is not None and path.parent != folder and Recording.load(path).ticks == 1
@@ -364,7 +365,7 @@ def test_a_recording_is_exported_as_a_table_with_units(suffix: str, tmp_path: Pa
     rows = np.array([[float(value) for value in line.split(",")] for line in lines])
     assert names[:4] == ["stretch", "tick", "time [s]", "position.x [m]"]
     table = parquet.read_table(tmp_path / "run.parquet")
-    assert json.loads(table.schema.metadata[b"maglev_mj.setups"])[0] == json.loads(json.dumps(stretch.setup))
+    assert json.loads(table.schema.metadata[b"maglev_mj.setups"])[0] == json.loads(json.dumps(stretch.whole_setup))
     assert table.schema.field("hand.rz").metadata == {b"unit": b"N m"}
     wanted = {
         "time": stretch.time,
@@ -406,7 +407,7 @@ def test_an_answer_that_the_plant_refuses_is_the_last_row(name: str, odd: float,
             return command if sample.tick < 7 else Command([odd, *ZERO[1:]])
 
     file, plant, controller = open_recording(tmp_path / name), ExactPlant(Timing()), Mad([], period=0.005)
-    record = file.begin(plant, controller, {"kind": "test"}, delay=0.0)
+    record = file.begin(plant, controller, {"kind": "test"})
     with pytest.raises(PlantError):
         run(plant, controller, 20, record=record)
     assert file.close() == tmp_path / name
@@ -425,7 +426,7 @@ def test_what_was_there_stays_until_there_is_a_sample(name: str, tmp_path: Path)
     write_experiment(path, "drop", DropParameters(plant="exact"))
     before = path.read_bytes()
     file = open_recording(path)
-    file.begin(Still(), Controller([], period=0.005), {"kind": "test"}, delay=0.0)
+    file.begin(Still(), Controller([], period=0.005), {"kind": "test"})
     assert file.close() is None
     assert path.read_bytes() == before and list(tmp_path.iterdir()) == [path]
     write_experiment(path, "drop", DropParameters(plant="exact", duration=0.2))

@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from statistics import median
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -19,10 +19,10 @@ from maglev_mj.controller import Controller
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.loop import Answers, ControlLoop, Record
-from maglev_mj.recording import Mechanics, RecordingError, RecordingFile, carried_by
+from maglev_mj.recording import Mechanics, RecordingError, RecordingFile, RunMetadata, carried_by, wall_faces
 from maglev_mj.scenes import Scene, Settings
 from maglev_mj.scenes.parts import WEIGHT
-from maglev_mj.session import Moment, Outlet, Outlets, stick_positions, wall_faces
+from maglev_mj.session import Moment, Outlet, Outlets, stick_positions
 from maglev_mj.session.actions import CHANGES
 
 __all__ = ["Flight", "Flown", "Watcher"]
@@ -157,10 +157,11 @@ class Flight:
         controller = self._scene.controller(self._settings)
         record: Record | None = None
         if self._file is not None:
-            setup = {"kind": "device", "scene": self._scene.name, "settings": self._settings.as_json()}
+            setup: dict[str, Any] = {"kind": "device", "scene": self._scene.name, "settings": self._settings.as_json()}
             setup["calibration"] = self._plant.calibration.digest.hex()
-            mechanics, delay = Mechanics(before=self._force), self._plant.delay
-            record = self._file.begin(self._plant, controller, setup, delay=delay, mechanics=mechanics)
+            name, mechanics = f"{self._scene.name} on a device", Mechanics(before=self._force)
+            run = RunMetadata.of(self._plant, controller, name=name, axis=self._scene.axis, mechanics=mechanics)
+            record = self._file.begin(self._plant, controller, {**setup, "run": run.as_json()})
         if self._watch is not None:
             self._watch.settings = self._settings
             self._watch.faces = wall_faces(controller.laws)

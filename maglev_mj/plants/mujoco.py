@@ -93,6 +93,7 @@ class MuJoCoPlant(SampledPlant):
         detail = detail or Detail()
         if not coils and (driver_lag or detail != Detail()):
             raise ParameterError("driver_lag and detail need coils=True")
+        self.hand = hand
         self.device = prepared(
             scene,
             mass=mass,
@@ -202,6 +203,17 @@ class MuJoCoPlant(SampledPlant):
         else:
             self._options.timestep = duration / pieces
             self._step(pieces)
+
+    @property
+    def inertia(self) -> Array:
+        """Mass and moments of inertia of the model, handle included [kg, kg m²], (6,); to 12 digits, as it adds up."""
+        return np.array([float(f"{part:.12g}") for part in (*[self.device.mass] * 3, *self.device.inertia)])
+
+    @property
+    def load(self) -> Array:
+        """Weight [N, N m], (6,)."""
+        weight: Array = np.append(self.device.model.opt.gravity * self.inertia[:3] + 0.0, np.zeros(3))
+        return weight
 
     @property
     def met_stops(self) -> bool:

@@ -80,7 +80,6 @@ def figure(
     late: bool = False,
 ) -> Callable[[Callable[[Result], Any]], Figure]:
     """Make a figure of a function of a result; see `Figure`."""
-
     flag("batched", batched)
     flag("late", late)
 

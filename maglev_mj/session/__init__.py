@@ -5,7 +5,7 @@ from maglev_mj.session.energy import EnergyAccount
 from maglev_mj.session.outlet import Moment, Outlet, Outlets
 from maglev_mj.session.pacing import Pacer
 from maglev_mj.session.session import ACTIONS, Session
-from maglev_mj.session.view import Showable, View, stick_positions, wall_faces
+from maglev_mj.session.view import Showable, View, stick_positions
 
 __all__ = [
     "ACTIONS",
@@ -20,5 +20,4 @@ __all__ = [
     "View",
     "refusal",
     "stick_positions",
-    "wall_faces",
 ]

@@ -10,10 +10,10 @@ import numpy as np
 from maglev_mj.frames import ZERO, Array, Command, Sample
 from maglev_mj.hand import HandForce
 from maglev_mj.loop import ControlLoop
-from maglev_mj.recording import Mechanics, RecordingFile, carried_by
+from maglev_mj.recording import RecordingFile, RunMetadata, carried_by, wall_faces
 from maglev_mj.scenes import Scene, Settings
 from maglev_mj.session.energy import EnergyAccount
-from maglev_mj.session.view import stick_positions, wall_faces
+from maglev_mj.session.view import stick_positions
 
 __all__ = ["LiveStretch", "scene_setup"]
 
@@ -64,13 +64,13 @@ class LiveStretch:
         began: float,
         keep: Callable[[tuple[float, ...]], object],
     ) -> None:
-        setup = scene_setup(scene, settings, pose, twist, wrench)
         self.plant = scene.plant(settings, pose=pose, twist=twist, wrench=wrench, hand_force=hand)
         self.controller = scene.controller(settings)
         record = None
         if file is not None:
-            mechanics = Mechanics(before=wrench)
-            record = file.begin(self.plant, self.controller, setup, delay=settings.delay, mechanics=mechanics)
+            run = RunMetadata.of(self.plant, self.controller, name=f"scene {scene.name}", axis=scene.axis)
+            setup = {**scene_setup(scene, settings, pose, twist, wrench), "run": run.as_json()}
+            record = file.begin(self.plant, self.controller, setup)
         self._carried = carried_by(self.controller.laws)
         self.energy = EnergyAccount(np.array(pose), self._carried)
         self.faces = wall_faces(self.controller.laws)

@@ -11,10 +11,10 @@ import numpy as np
 from maglev_mj.controller import Controller
 from maglev_mj.frames import AXES, Array
 from maglev_mj.hand import SpringHand
-from maglev_mj.laws import Friction, Law, Wall
+from maglev_mj.laws import Friction
 from maglev_mj.scenes import Scene, Settings
 
-__all__ = ["Showable", "View", "stick_positions", "wall_faces"]
+__all__ = ["Showable", "View", "stick_positions"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -75,11 +75,6 @@ class Showable(Protocol):
 
     def close(self) -> None:
         """Keep what is recorded."""
-
-
-def wall_faces(laws: Sequence[Law]) -> tuple[tuple[int, float, float], ...]:
-    """Return every wall of some laws: index into AXES, normal, edge."""
-    return tuple(face for law in laws if isinstance(law, Wall) for face in law.faces)
 
 
 def stick_positions(controller: Controller) -> Callable[[], Array | None]:

@@ -12,8 +12,9 @@ import numpy as np
 import maglev_mj
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES
+from maglev_mj.recording import wall_faces
 from maglev_mj.scenes import Scene, Settings
-from maglev_mj.session import Moment, Refusal, wall_faces
+from maglev_mj.session import Moment, Refusal
 from maglev_mj.stream.datagrams import MOST_INTEGER, Message, is_integer
 
 __all__ = [
