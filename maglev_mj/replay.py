@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -18,23 +19,26 @@ from maglev_mj.frames import Array, Sample
 from maglev_mj.hand import HandForce, SpringHand
 from maglev_mj.loop import ControlLoop
 from maglev_mj.model import load
+from maglev_mj.parameters import number
 from maglev_mj.plants import SampledPlant, engine_warnings_silenced
 from maglev_mj.recording import (
     ArrayFile,
     Expected,
     InvalidRecordingError,
+    Rebuild,
     Recording,
     RecordingError,
     RecordingFile,
     RunMetadata,
     Setup,
     Stretch,
-    carried_by,
+    metadata_of,
     open_recording,
-    wall_faces,
 )
 from maglev_mj.recording.checks import start_in
 from maglev_mj.scenes import SCENES, Scene, Settings, scene_called
+from maglev_mj.scenes.scene import PLANTS
+from maglev_mj.scenes.scene import Scene as OwnScene
 from maglev_mj.session import View, stick_positions
 
 __all__ = [
@@ -42,6 +46,7 @@ __all__ = [
     "Replay",
     "expected",
     "rebuild",
+    "rebuild_for",
     "record_experiment",
     "scene_of",
     "stick_positions_of",
@@ -50,6 +55,7 @@ __all__ = [
 
 _SHOWN = 2.0
 _SCENES = "scene", "device"
+_PLANTS = {f"{make.__module__}.{make.__qualname__}": name for name, make in PLANTS.items()}
 
 _Parts: TypeAlias = Callable[[Any, HandForce | None], tuple[SampledPlant, Controller, int]]
 
@@ -61,12 +67,15 @@ EXPERIMENTS: Mapping[str, tuple[type[Any], _Parts, str]] = {
 """What can be recorded without a window: its parameters, what it is made of, and the scene that shows it."""
 
 
-def rebuild(setup: Setup, hand: HandForce | None) -> tuple[SampledPlant | None, Controller]:
+def rebuild(
+    setup: Setup, hand: HandForce | None, *, scene: type[OwnScene] | None = None
+) -> tuple[SampledPlant | None, Controller]:
     """Make plant and controller from a recording's setup.
 
     Args:
         setup: The setup.
         hand: The hand on the flotor; None for the run's own, if it has one.
+        scene: Scene of a recording of one's own.
 
     Returns:
         Both; None for the plant of a flight on a device.
@@ -77,18 +86,39 @@ def rebuild(setup: Setup, hand: HandForce | None) -> tuple[SampledPlant | None, 
     try:
         kind = setup["kind"]
         if kind in _SCENES:
-            scene, settings = scene_called(setup["scene"]), Settings.from_json(setup["settings"])
+            shown, settings = scene_called(setup["scene"]), Settings.from_json(setup["settings"])
             if kind == "device":
-                return None, scene.controller(settings)
-            return scene.plant(settings, hand_force=hand, **start_in(setup)), scene.controller(settings)
+                return None, shown.controller(settings)
+            return shown.plant(settings, hand_force=hand, **start_in(setup)), shown.controller(settings)
         if kind not in EXPERIMENTS:
             known = ", ".join((*_SCENES, *EXPERIMENTS))
+            if kind == "own" and scene is not None:
+                own = scene.from_json(setup["parameters"])
+                plant, phase = _PLANTS[setup["plant"]], number("phase", setup["phase"], at_least=0.0, below=1.0)
+                start: dict[str, Any] = {**start_in(setup["start"])}
+                return own.plant(plant, phase=phase, hand=hand, **start), own.controller()
+            if kind == "own":
+                raise InvalidRecordingError(
+                    f"a recording of one's own needs its scene, {setup['scene']!r}, to be run again"
+                )
             raise InvalidRecordingError(f"a recording of kind {kind!r} cannot be made here, which knows {known}")
         parameters, parts, _ = EXPERIMENTS[kind]
-        plant, controller, _ = parts(parameters(**setup["parameters"]), hand)
-        return plant, controller
+        return parts(parameters(**setup["parameters"]), hand)[:2]
     except (KeyError, TypeError, ParameterError) as error:
         raise InvalidRecordingError(f"a recording's setup cannot be made here: {error}") from None
+
+
+def rebuild_for(stretch: Stretch, scene: type[OwnScene] | None = None) -> Rebuild | None:
+    """Return what makes plant and controller of a stretch again; None where only its scene could.
+
+    A recording never makes this program execute a file that it names: who has the scene gives it.
+
+    Args:
+        stretch: The stretch.
+        scene: Scene of a recording of one's own.
+    """
+    known = stretch.setup["kind"] in (*_SCENES, *EXPERIMENTS)
+    return partial(rebuild, scene=scene) if known or scene is not None or stretch.metadata is None else None
 
 
 def expected(setup: Setup) -> Expected:
@@ -97,8 +127,10 @@ def expected(setup: Setup) -> Expected:
     Raises:
         InvalidRecordingError: If it is no setup that is known here.
     """
-    rebuild(setup, None)  # complains of what is not known here
     kind = setup["kind"]
+    if kind == "own":
+        return Expected()
+    rebuild(setup, None)  # complains of what is not known here
     if kind in EXPERIMENTS:
         made, parts, _ = EXPERIMENTS[kind]
         return Expected(scripted=True, samples=parts(made(**setup["parameters"]), None)[2])
@@ -159,6 +191,7 @@ class Replay:
 
     Args:
         recording: The recording, of at least one sample.
+        scene: Scene of a recording of one's own, which finds where the flotor sticks; it is shown without too.
 
     Attributes:
         hand: There is none to be moved; the recorded one acts.
@@ -168,10 +201,12 @@ class Replay:
         RecordingError: If there is nothing in it, or its setup is not known here.
     """
 
-    def __init__(self, recording: Recording) -> None:
+    def __init__(self, recording: Recording, scene: type[OwnScene] | None = None) -> None:
         self.hand = SpringHand()
         self.simulated = 0.0
-        self._stretches = [_Shown(stretch) for stretch in recording.stretches if len(stretch.tick)]
+        self._stretches = [
+            _Shown(stretch, rebuild_for(stretch, scene)) for stretch in recording.stretches if len(stretch)
+        ]
         if not self._stretches:
             raise InvalidRecordingError("there is nothing in the recording")
         self._place, self._owed, self._paused = (0, 0), 0.0, False
@@ -218,19 +253,19 @@ class Replay:
 class _Shown:
     """A stretch of a recording, and what there was to see at each of its samples."""
 
-    def __init__(self, stretch: Stretch) -> None:
-        self.scene, self.settings = scene_of(stretch.setup)
+    def __init__(self, stretch: Stretch, again: Rebuild | None) -> None:
+        metadata = metadata_of(stretch, None if again is None else again(stretch.setup, None)[1])
+        self.scene, self.settings = scene_of(stretch.setup, metadata)
         self.period, self.pose = self.settings.period, stretch.position
         self._time, self._hand = stretch.time, stretch.hand
-        _, controller = rebuild(stretch.setup, None)
-        self._force = stretch.applied - carried_by(controller.laws)
+        self._force = stretch.applied - metadata.carried
         coils = load("drop").coils
         assert coils is not None
         self._currents = stretch.applied @ coils.current_per_wrench.T
         way = np.diff(stretch.position, axis=0, prepend=stretch.position[:1])
         self._work = np.cumsum((np.roll(stretch.hand, 1, axis=0) * way).sum(axis=1))
-        self._faces = wall_faces(self.scene.laws(self.settings))
-        self._anchors = stick_positions_of(stretch)
+        self._faces = tuple(metadata.faces or ())
+        self._anchors = stick_positions_of(stretch, again)
         axis = self.scene.axis_index
         place = stretch.position[:, axis]
         speed = np.diff(place, prepend=place[0]) / self.period
@@ -258,8 +293,11 @@ class _Shown:
         )
 
 
-def scene_of(setup: Setup) -> tuple[Scene, Settings]:
+def scene_of(setup: Setup, metadata: RunMetadata) -> tuple[Scene, Settings]:
     """Return the scene that shows a stretch, and its settings."""
+    if setup["kind"] not in (*_SCENES, *EXPERIMENTS):
+        shown = replace(scene_called("joystick"), says=metadata.name, axis=metadata.axis, make=lambda settings: ())
+        return shown, replace(shown.settings, wall=False, period=metadata.period, delay=metadata.delay)
     rebuild(setup, None)  # complains of what is not known here
     if setup["kind"] in _SCENES:
         return scene_called(setup["scene"]), Settings.from_json(setup["settings"])
@@ -270,9 +308,16 @@ def scene_of(setup: Setup) -> tuple[Scene, Settings]:
     return scene, replace(scene.settings, pulse=getattr(made, "pulse", 0.0) > 0.0, **gains)
 
 
-def stick_positions_of(stretch: Stretch) -> Array | None:
-    """Return where the flotor stuck at each sample, as the controller saw it, (N, 6); None without friction."""
-    _, controller = rebuild(stretch.setup, None)
+def stick_positions_of(stretch: Stretch, again: Rebuild | None = rebuild) -> Array | None:
+    """Return where the flotor stuck at each sample, as the controller saw it, (N, 6); None without friction.
+
+    Args:
+        stretch: The stretch.
+        again: Makes plant and controller from a setup and a hand; None where nobody can: then it is not known.
+    """
+    if again is None:
+        return None
+    _, controller = again(stretch.setup, None)
     stuck_at, anchors = stick_positions(controller), []
     for tick, place in zip(stretch.tick.tolist(), stretch.position.tolist(), strict=True):
         controller.step(Sample(int(tick), 0.0, place))

@@ -21,14 +21,16 @@ from maglev_mj.errors import ParameterError, PlantError
 from maglev_mj.experiments.drop import DropParameters, run_drop
 from maglev_mj.experiments.stick_slip import StickSlipParameters
 from maglev_mj.frames import ZERO, Command, Sample
-from maglev_mj.laws import Wall
+from maglev_mj.hand import Hand
+from maglev_mj.laws import Bias, Wall
 from maglev_mj.loop import run
 from maglev_mj.plants import ExactPlant, Timing
-from maglev_mj.recording import ArrayFile, Recording, RecordingError, open_recording, verify
+from maglev_mj.recording import ArrayFile, Recording, RecordingError, open_recording, setup_of, verify
 from maglev_mj.recording.live import ROWS, Ring, RowReader
 from maglev_mj.recording.mcap import CHANNELS
-from maglev_mj.replay import rebuild, record_experiment, write_experiment
+from maglev_mj.replay import Replay, rebuild, record_experiment, write_experiment
 from maglev_mj.session import Pacer, Session
+from maglev_mj.spec import INERTIA
 
 
 def messages(path: Path) -> list[tuple[str, dict[str, Any]]]:
@@ -553,3 +555,109 @@ def test_one_more_recorded_value_is_one_more_line(tmp_path: Path) -> None:
     schemas = {schema.name: json.loads(schema.data) for schema in summary.schemas.values()}
     assert schemas["maglev_mj.Sample"]["properties"]["pull"]["unit"] == "N"
     assert verify(Recording.load(tmp_path / "run.mcap"), rebuild).same  # by the program without the line
+
+
+OWN = """
+from maglev_mj.hand import Hand
+from maglev_mj.laws import Bias, Wall
+from maglev_mj.parameters import param
+from maglev_mj.scenes.scene import Scene, Start
+
+class Tap(Scene):
+    "A wall of one's own."
+    stiffness: float = param("stiffness", "N/m", default=4000.0, at_least=0.0)
+    duration: float = param("how long", "s", default=0.1, above=0.0)
+
+    def laws(self):
+        return [Wall(axes="z", upper=0.001, stiffness=self.stiffness, damping=40.0)]
+
+    def start(self):
+        return Start(pose=(0.0, 0.0, 0.0, 0.01, 0.0, 0.0), twist=(0.0, 0.0, 0.1, 0.0, 0.0, 0.0), gravity=1.0)
+"""
+
+
+@pytest.mark.parametrize("suffix", [".mcap", ".npz"])
+def test_a_recording_of_ones_own_is_shown_and_analysed_without_its_scene_and_checked_with_it(
+    suffix: str, tmp_path: Path, capsys: Any
+) -> None:
+    from maglev_mj.scenes.find import find_scene, reference_of, source_of
+
+    script, path = tmp_path / "own.py", tmp_path / f"run{suffix}"
+    script.write_text(OWN)
+    cls = find_scene(str(script))
+    scene = cls(stiffness=3000.0)  # type: ignore[call-arg]
+    plant, controller = scene.plant("mujoco", phase=0.3), scene.controller()
+    file = open_recording(path, wait=True)
+    setup = setup_of(
+        plant, controller, scene=reference_of(cls), source=source_of(cls), parameters=scene.as_json(), name="tap"
+    )
+    run(plant, controller, 20, record=file.begin(plant, controller, setup))
+    file.close()
+    script.rename(tmp_path / "elsewhere.py")  # what a recording names is never executed
+    (stretch,) = Recording.load(path).stretches
+    known = stretch.metadata
+    assert known is not None and known.faces == [(2, -1.0, 0.001)]
+    assert (known.name, known.axis, known.delay, known.hand_recorded) == ("tap", "z", scene.delay, False)
+    assert known.inertia.tolist() == list(INERTIA) and known.load.tolist() == [0.0, 0.0, -0.7, 0.0, 0.0, 0.0]
+    assert stretch.setup["kind"] == "own" and stretch.setup["start"]["pose"][3] == 0.01
+    replay = Replay(Recording([stretch]))
+    assert replay.tick(0.05) == 10 and (replay.view().pose == stretch.position[10]).all()
+    assert replay.view().faces == ((2, -1.0, 0.001),)
+    assert main(["analyse", str(path), "--json", str(tmp_path / "own.json")]) == 0
+    (found,) = json.loads((tmp_path / "own.json").read_text())["stretches"]
+    (face,) = found["recorded"]["faces"]
+    assert face["edge"] == 0.001 and face["penetration"] > 1e-4 and found["simulated"] is None
+    assert abs(found["recorded"]["unexplained_force"]["z"]) < 1e-9  # gravity and mass are those of the run
+    assert main(["export", str(path), "--to", "csv"]) == 0
+    capsys.readouterr()
+    assert main(["replay", str(path), "--check"]) == 2
+    said = capsys.readouterr().err
+    assert len(said.splitlines()) == 1 and "needs its scene" in said and "own.py" in said
+    again = ["--scene", str(tmp_path / "elsewhere.py")]
+    assert main(["replay", str(path), "--check", *again]) == 0
+    assert not capsys.readouterr().err
+    assert main(["analyse", str(path), *again]) == 0
+    assert "the same to the last bit" in capsys.readouterr().out
+    (tmp_path / "elsewhere.py").write_text(OWN.replace("damping=40.0", "damping=41.0"))
+    assert main(["replay", str(path), "--check", *again]) == 1
+    assert "has changed since, or is another" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("suffix", [".mcap", ".npz"])
+def test_ten_lines_of_ones_own_tell_all_that_plant_and_controller_know(suffix: str, tmp_path: Path) -> None:
+    path = tmp_path / f"run{suffix}"
+    hand, timing = Hand(mass=0.2, axes="z"), Timing(period=0.001, delay=0.0025, phase=0.5)
+    plant = ExactPlant(timing, mass=0.9, gravity=2.0, wrench=[0.0, 0.0, 1.8, 0.0, 0.0, 0.0], hand=hand)
+    controller = Controller([Bias([0.0, 0.0, 1.8, 0.0, 0.0, 0.0])], period=0.001)
+    file = open_recording(path, wait=True)
+    run(plant, controller, 5, record=file.begin(plant, controller))
+    file.close()
+    (stretch,) = Recording.load(path).stretches
+    known, setup = stretch.metadata, stretch.setup
+    assert known is not None and (known.period, known.delay, known.faces) == (0.001, 0.0025, [])
+    assert known.inertia.tolist() == [0.9, 0.9, 0.9 + 0.2, *INERTIA[3:]]
+    assert known.load[2] == -1.8 and known.before[2] == known.carried[2] == 1.8
+    assert (setup["kind"], setup["scene"], setup["source"], setup["phase"]) == ("own", None, None, 0.5)
+    assert setup["plant"] == "maglev_mj.plants.exact.ExactPlant" and setup["laws"] == ["maglev_mj.laws.bias.Bias"]
+    assert setup["start"]["wrench"][2] == 1.8 and setup["versions"]
+    assert analyse(stretch).comparison is None
+    verdict = verify(
+        Recording([stretch]), lambda setup, force: (ExactPlant(timing, mass=0.8, hand_force=force), controller_of())
+    )
+    assert {name for name, field in verdict.fields.items() if field.first} >= {"inertia", "load", "before", "carried"}
+
+
+def controller_of() -> Controller:
+    return Controller([], period=0.001)
+
+
+def test_a_plant_that_does_not_tell_its_delay_is_refused_without_it() -> None:
+    class Bare:
+        hand_wrench = ZERO
+
+    controller = Controller([], period=0.001)
+    with pytest.raises(ParameterError, match="delay must be given for a plant that has neither timing nor delay"):
+        setup_of(Bare(), controller)
+    run_metadata = setup_of(Bare(), controller, delay=0.001, name="bare", axis="x")["run"]
+    assert (run_metadata["delay"], run_metadata["axis"], run_metadata["name"]) == (0.001, "x", "bare")
+    assert run_metadata["inertia"]["z"] == INERTIA[2]

@@ -46,6 +46,7 @@ class ExactPlant(SampledPlant):
     Attributes:
         inertia: Mass and moments of inertia [kg, kg m²], (..., 6).
         load: Weight [N, N m], (..., 6).
+        start: Pose and twist at release [m, rad; m/s, rad/s], (..., 6) each.
 
     Raises:
         ParameterError: If a value is outside its bounds or the shapes do not fit.
@@ -68,7 +69,7 @@ class ExactPlant(SampledPlant):
         timing = timing or Timing()
         start, motion, body = _start(timing, pose, twist, mass, inertia)
         fall = -number("gravity", gravity)
-        self.hand = hand
+        self.hand, self.start = hand, (start, motion)
         self.inertia = join(body)
         self._body = (*(1.0 / value for value in body[2:]), fall)
         self._weight = (0.0, 0.0, fall * body[2], 0.0, 0.0, 0.0)

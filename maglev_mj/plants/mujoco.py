@@ -61,6 +61,9 @@ class MuJoCoPlant(SampledPlant):
             longest integration step is None for as long as the wrench is constant, and by default a quarter of the
             drivers' time constant where their lag is on, 0.5 ms where a hand is.
 
+    Attributes:
+        start: Pose and twist at release [m, rad; m/s, rad/s], (6,) each.
+
     Raises:
         ParameterError: If a value is outside its bounds or the shapes do not fit.
         ModelError: If the scene cannot be used.
@@ -93,7 +96,7 @@ class MuJoCoPlant(SampledPlant):
         detail = detail or Detail()
         if not coils and (driver_lag or detail != Detail()):
             raise ParameterError("driver_lag and detail need coils=True")
-        self.hand = hand
+        self.hand, self.start = hand, (start, motion)
         self.device = prepared(
             scene,
             mass=mass,

@@ -16,6 +16,7 @@ from maglev_mj.laws import Bias, Law, Wall
 from maglev_mj.parameters import axis_indices, number, numbers
 from maglev_mj.recording.checks import check_setup, flag_in, list_in, object_in, six, text_in
 from maglev_mj.spec import GRAVITY, INERTIA
+from maglev_mj.terminal import printable
 
 __all__ = [
     "Face",
@@ -169,7 +170,7 @@ class RunMetadata:
         }
         if "faces" in values:
             known["faces"] = [_face(face) for face in list_in(values, "faces")]
-            known |= {name: text_in(values, name) for name in ("name", "axis")}
+            known["name"], known["axis"] = printable(text_in(values, "name")), text_in(values, "axis")
             known |= {name: flag_in(values, name) for name in ("hand_recorded", "hand_acts_on_flotor")}
             axis_indices(known["axis"])
         return cls(**known)
@@ -236,8 +237,8 @@ def setup_of(
     Raises:
         ParameterError: If a value is not finite, or the plant does not tell its delay and none is given.
     """
-    if start is None and hasattr(plant, "state"):
-        pose, twist = plant.state()
+    if start is None and hasattr(plant, "start"):
+        pose, twist = plant.start
         start = {"pose": pose, "twist": twist, "wrench": np.broadcast_to(getattr(plant, "before", ZERO), 6)}
     known = None if start is None else {name: numbers(name, value).tolist() for name, value in start.items()}
     if scene is not None:
