@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from maglev_mj.analysis import analyse
 from maglev_mj.cli import main
 from maglev_mj.controller import Controller
 from maglev_mj.errors import ParameterError
@@ -373,6 +374,31 @@ def test_a_file_that_ends_anywhere_is_not_passed(tmp_path: Path, capsys: Any) ->
         assert "there is more behind its end" in capsys.readouterr().out
 
 
+SINCE = ("faces", "name", "axis", "hand_recorded", "hand_acts_on_flotor")
+
+
+@pytest.mark.parametrize("suffix", [".mcap", ".npz"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_file_of_before_without_metadata_is_analysed_the_same(kind: str, suffix: str, tmp_path: Path) -> None:
+    if suffix == ".mcap":
+        new = [
+            (topic, {name: part for name, part in message.items() if name not in SINCE})
+            for topic, message in messages_in(made(kind, suffix))
+        ]
+        old = mcap_of(new)
+    else:
+        header, arrays = arrays_in(made(kind, suffix))
+        setups = [{name: part for name, part in setup.items() if name != "run"} for setup in header["setups"]]
+        old = npz_of({**header, "setups": setups}, arrays)
+    one, other = (load(data, tmp_path, suffix) for data in (old, made(kind, suffix)))
+    assert one.stretches[0].metadata is None or one.stretches[0].metadata.faces is None
+    for before, now in zip(one.stretches, other.stretches, strict=True):
+        assert analyse(before, rebuild).as_json() == analyse(now, rebuild).as_json()
+        with pytest.raises(InvalidRecordingError, match="must tell its metadata"):
+            analyse(before)
+    assert check(old, tmp_path, suffix).same
+
+
 def test_missed_samples_of_a_file_of_the_first_version_are_in_its_text(tmp_path: Path) -> None:
     messages = messages_in(made("scene", ".mcap"))
     (row,) = (row for row, (topic, _) in enumerate(messages) if topic == "/maglev/event")
@@ -389,6 +415,7 @@ def test_missed_samples_of_a_file_of_the_first_version_are_in_its_text(tmp_path:
 PEAK = """
 import json, sys, time
 from pathlib import Path
+from maglev_mj.analysis import analyse
 from maglev_mj.cli import main
 found = []
 for path in sys.argv[1:]:

@@ -1,6 +1,7 @@
 """Recordings written while they happen: what they hold, that they outlive whoever makes them, that others read them."""
 
 import json
+import math
 import os
 import signal
 import subprocess
@@ -511,8 +512,9 @@ for suffix in ("mcap", "npz"):
     (stretch,) = Recording.load(Path(f"run.{suffix}")).stretches
     assert (stretch.pull == stretch.applied[:, 2] ** 2).all() and stretch.pull.any()
 assert main(["export", "run.mcap", "--to", "csv"]) == 0
-(old,) = Recording.load(Path(sys.argv[1])).stretches  # from before the line was there
-assert (old.pull != old.pull).all() and len(old) == 81
+for name in sys.argv[1:]:
+    (old,) = Recording.load(Path(name)).stretches  # from before the line was there
+    assert (old.pull != old.pull).all() and len(old) == 81
 """
 
 
@@ -523,14 +525,16 @@ def test_one_more_recorded_value_is_one_more_line(tmp_path: Path) -> None:
     import maglev_mj
     from maglev_mj.versions import MODELS
 
-    write_experiment(tmp_path / "old.npz", "drop", DropParameters(plant="exact"))
+    old = [tmp_path / "old.npz", tmp_path / "old.mcap"]
+    for path in old:
+        write_experiment(path, "drop", DropParameters(plant="exact"))
     shutil.copytree(Path(maglev_mj.__file__).parent, tmp_path / "maglev_mj", ignore=shutil.ignore_patterns("*.pyc"))
     shutil.copytree(MODELS, tmp_path / "model", dirs_exist_ok=True)
     table = tmp_path / "maglev_mj" / "recording" / "row.py"
     before, after = table.read_text().split(')\n"""What is recorded of each sample')
     table.write_text(f'{before}{MORE})\n"""What is recorded of each sample{after}')
     done = subprocess.run(
-        [sys.executable, "-c", CHANGED, str(tmp_path / "old.npz")],
+        [sys.executable, "-c", CHANGED, *map(str, old)],
         cwd=tmp_path,
         env={**os.environ, "PYTHONPATH": str(tmp_path)},
         capture_output=True,
@@ -658,6 +662,8 @@ def test_a_plant_that_does_not_tell_its_delay_is_refused_without_it() -> None:
     controller = Controller([], period=0.001)
     with pytest.raises(ParameterError, match="delay must be given for a plant that has neither timing nor delay"):
         setup_of(Bare(), controller)
+    with pytest.raises(ParameterError, match=r"setup parameters\.gain must be a finite number, not nan"):
+        setup_of(Bare(), controller, delay=0.001, parameters={"gain": math.nan})
     run_metadata = setup_of(Bare(), controller, delay=0.001, name="bare", axis="x")["run"]
     assert (run_metadata["delay"], run_metadata["axis"], run_metadata["name"]) == (0.001, "x", "bare")
     assert run_metadata["inertia"]["z"] == INERTIA[2]

@@ -6,7 +6,7 @@ import math
 import struct
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
+from functools import cached_property, partial
 from typing import Any, TypeAlias, Unpack
 
 import mujoco
@@ -207,7 +207,7 @@ class MuJoCoPlant(SampledPlant):
             self._options.timestep = duration / pieces
             self._step(pieces)
 
-    @property
+    @cached_property
     def inertia(self) -> Array:
         """Mass and moments of inertia of the model, handle included [kg, kg m²], (6,); to 12 digits, as it adds up."""
         return np.array([float(f"{part:.12g}") for part in (*[self.device.mass] * 3, *self.device.inertia)])

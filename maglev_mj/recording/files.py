@@ -126,7 +126,7 @@ class ArrayFile:
         return self._recorders[-1]
 
     def event(self, kind: str, text: str, missed: int = 0) -> None:
-        """Keep what a person should know of."""
+        """See `RecordingFile`."""
         self._events.append(f"{kind}: {text}")
 
     def check(self) -> None:
