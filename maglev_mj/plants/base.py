@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from maglev_mj.errors import ParameterError, PlantError
 from maglev_mj.frames import Array, Command, Component, Sample, clipped, components
-from maglev_mj.hand import HandForce
+from maglev_mj.hand import Hand, HandForce
 from maglev_mj.parameters import flag, number, numbers
 from maglev_mj.plants.complaints import escaped, refusal
 from maglev_mj.plants.sensor import PoseSensor
@@ -54,7 +54,13 @@ class SampledPlant(ABC):
         longest_step: Longest stretch between two recorded or computed states [s]; None for no bound.
         hand_force: What the muscles of a hand exert, from the first sample on: on the flotor, or on the hand's own
             mass where its grip is soft.
+
+    Attributes:
+        before: Wrench of the actuators until the first command takes effect [N, N m], (..., 6).
+        hand: Impedance of the hand on the flotor; None for none.
     """
+
+    hand: Hand | None = None
 
     def __init__(
         self,
@@ -79,10 +85,10 @@ class SampledPlant(ABC):
         self._recorder = TraceRecorder(timing.time) if flag("record", record) else None
         self._run = self._advance if self._recorder is None and longest_step is None else self._run_in_pieces
         self._hand_force, self._effort = hand_force, _NO_EFFORT
+        self.before = self.six("wrench", wrench, at_least=-math.inf, finite=True)
         self._tick = -1
         self._offset: Component = 0.0
-        drive = self._prepare(components(self.six("wrench", wrench, at_least=-math.inf, finite=True)))
-        self._timeline = Timeline(timing, drive, compares=not batch)
+        self._timeline = Timeline(timing, self._prepare(components(self.before)), compares=not batch)
         self._segments: list[Segment] = []
         self._closed = False
         self._before_period: Callable[[], None] | None = None
@@ -191,6 +197,11 @@ class SampledPlant(ABC):
     def state(self) -> tuple[Array, Array]:
         """Return the true pose and twist at the last sample, whatever the sensor made of them, (..., 6) each."""
         return self._state(self._timeline.acting)[:2]
+
+    @property
+    def held(self) -> bool:
+        """True if a hand exerts a force."""
+        return self._hand_force is not None
 
     @property
     def hand_wrench(self) -> Sequence[Component]:

@@ -6,7 +6,7 @@ import math
 import struct
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
+from functools import cached_property, partial
 from typing import Any, TypeAlias, Unpack
 
 import mujoco
@@ -61,6 +61,9 @@ class MuJoCoPlant(SampledPlant):
             longest integration step is None for as long as the wrench is constant, and by default a quarter of the
             drivers' time constant where their lag is on, 0.5 ms where a hand is.
 
+    Attributes:
+        start: Pose and twist at release [m, rad; m/s, rad/s], (6,) each.
+
     Raises:
         ParameterError: If a value is outside its bounds or the shapes do not fit.
         ModelError: If the scene cannot be used.
@@ -93,6 +96,7 @@ class MuJoCoPlant(SampledPlant):
         detail = detail or Detail()
         if not coils and (driver_lag or detail != Detail()):
             raise ParameterError("driver_lag and detail need coils=True")
+        self.hand, self.start = hand, (start, motion)
         self.device = prepared(
             scene,
             mass=mass,
@@ -198,6 +202,17 @@ class MuJoCoPlant(SampledPlant):
         else:
             self._options.timestep = duration / pieces
             self._step(pieces)
+
+    @cached_property
+    def inertia(self) -> Array:
+        """Mass and moments of inertia of the model, handle included [kg, kg m²], (6,); to 12 digits, as it adds up."""
+        return np.array([float(f"{part:.12g}") for part in (*[self.device.mass] * 3, *self.device.inertia)])
+
+    @property
+    def load(self) -> Array:
+        """Weight [N, N m], (6,)."""
+        weight: Array = np.append(self.device.model.opt.gravity * self.inertia[:3] + 0.0, np.zeros(3))
+        return weight
 
     @property
     def met_stops(self) -> bool:
