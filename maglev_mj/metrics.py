@@ -1,24 +1,18 @@
-"""Figures of one motion along one axis: how deep, how hard, how long, how much energy."""
+"""Figures of one motion along one axis: how deep, how hard, how long."""
 
 from __future__ import annotations
 
-from collections import deque
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from maglev_mj.frames import Array, Command, Sample
-from maglev_mj.parameters import number, numbers
-from maglev_mj.plants import Timing
+from maglev_mj.frames import Array
+from maglev_mj.parameters import number
 from maglev_mj.trace import Trace
 
 __all__ = [
     "BounceSummary",
-    "EnergyBalance",
     "Hardness",
-    "PassivityObserver",
-    "energy_balance",
     "perceived_hardness",
     "percentiles",
     "summarise_bounce",
@@ -42,17 +36,6 @@ class BounceSummary(NamedTuple):
     peak_force: Array
     settling_time: Array
     final_z: Array
-
-
-class EnergyBalance(NamedTuple):
-    """Where the energy went between the first and the last knot [J]; each (...)."""
-
-    kinetic: Array
-    """Gain in kinetic energy."""
-    actuators: Array
-    """Work of the actuators."""
-    gravity: Array
-    """Work of gravity."""
 
 
 def summarise_bounce(trace: Trace, rest: float, *, axis: int = 2, wall: float = 0.0) -> BounceSummary:
@@ -96,102 +79,6 @@ def _settling_time(line: Trace, rest: float, share: float = 0.02, step: float = 
     entered = grid[last] + (grid[following] - grid[last]) * np.clip((before - band) / fall, 0.0, 1.0)
     settled = np.where(outside.any(axis=0), entered, 0.0)
     return np.where(outside[-1], np.nan, settled)
-
-
-def energy_balance(trace: Trace, mass: float, gravity: float, *, axis: int = 2) -> EnergyBalance:
-    """Add up work and energy along one axis; exact under a wrench constant between knots.
-
-    Args:
-        trace: The motion.
-        mass: Mass or moment of inertia on the axis [kg, kg m²].
-        gravity: Acceleration of free fall against the axis [m/s²].
-        axis: Index into AXES.
-    """
-    travel = np.diff(trace.pose[..., axis], axis=0)
-    speed = trace.twist[..., axis]
-    return EnergyBalance(
-        kinetic=0.5 * mass * (speed[-1] ** 2 - speed[0] ** 2),
-        actuators=(trace.wrench[:-1, ..., axis] * travel).sum(axis=0),
-        gravity=-mass * gravity * (trace.pose[-1, ..., axis] - trace.pose[0, ..., axis]),
-    )
-
-
-class PassivityObserver:
-    """Adds up the energy that the rendered environment takes in, axis by axis; below 0 it has made energy.
-
-    Hand it to `run` as `observe`. Between two samples up to four forces act in turn: the older command and what is
-    left of its pulse, the newer command and its pulse. How the way between the samples splits among them follows
-    from the inertia, exactly where no other force acts but a constant load; without inertia the way is taken as
-    straight, which is exact only where one force acts throughout, so without delay and pulse.
-
-    Args:
-        timing: Of the plant.
-        inertia: Mass and moments of inertia of the six axes [kg, kg m²], (6,); None for a straight line.
-        load: Constant wrench that acts besides, such as weight [N, N m], (6,).
-        before: What the environment exerts until the first command takes effect [N, N m], (6,).
-
-    Attributes:
-        energy: Taken in so far [J], (..., 6).
-        least: The least it has been [J], (..., 6).
-
-    Raises:
-        ParameterError: If an inertia is not above 0.
-
-    Source: Hannaford & Ryu 2002, with each force paired with the way that it acted over.
-    """
-
-    def __init__(
-        self, timing: Timing, inertia: ArrayLike | None = None, load: ArrayLike = 0.0, before: ArrayLike = 0.0
-    ) -> None:
-        self._timing, self._load = timing, numbers("load", load)
-        self._inertia = np.inf if inertia is None else numbers("inertia", inertia, at_least=1e-12)
-        count = timing.whole + 2
-        self._commands = deque([_Given(np.zeros(6) + numbers("before", before), None, 0.0)] * count, maxlen=count)
-        self._pose: Array | None = None
-        self.energy: Array = np.zeros(6)
-        self.least: Array = np.zeros(6)
-
-    def __call__(self, sample: Sample, command: Command) -> None:
-        """Take in one sample and the command that answered it."""
-        pose = sample.pose
-        if self._pose is not None:
-            self.energy = self.energy - self._work(pose - self._pose)
-            self.least = np.minimum(self.least, self.energy)
-        self._pose = pose
-        pulse = command.pulse if command.extra is not None else None
-        self._commands.append(_Given(command.wrench, pulse, command.pulse_width))
-
-    def _work(self, moved: Array) -> Array:
-        """Return the work of the forces over the period behind the last sample kept."""
-        timing, older, newer = self._timing, self._commands[0], self._commands[1]
-        left = timing.period - timing.rest
-        stretches = [*_forces(older, timing.rest, gone=left), *_forces(newer, left, gone=0.0)]
-        # speed at the start, such that the stretches add up to the way between the samples
-        place, speed = np.zeros_like(moved), np.zeros_like(moved)
-        for duration, force in stretches:
-            pull = (force + self._load) / self._inertia
-            place, speed = place + duration * (speed + 0.5 * duration * pull), speed + duration * pull
-        speed, work = (moved - place) / timing.period, np.zeros_like(moved)
-        for duration, force in stretches:
-            pull = (force + self._load) / self._inertia
-            work, speed = work + force * duration * (speed + 0.5 * duration * pull), speed + duration * pull
-        return work
-
-
-class _Given(NamedTuple):
-    """A command as arrays; no pulse is None."""
-
-    wrench: Array
-    pulse: Array | None
-    width: float
-
-
-def _forces(command: _Given, stretch: float, *, gone: float) -> list[tuple[float, Array]]:
-    """Return the forces of one command over a stretch [s] that begins when it has been in effect for `gone` [s]."""
-    if command.pulse is None or stretch == 0.0:
-        return [(stretch, command.wrench)]
-    pulsed = min(max(command.width - gone, 0.0), stretch)
-    return [(pulsed, command.wrench + command.pulse), (stretch - pulsed, command.wrench)]
 
 
 class Hardness(NamedTuple):

@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import asdict
 from pathlib import Path
-from typing import Any, TypeAlias
 
 import numpy as np
 
 from maglev_mj.analysis.known import known_experiment
 from maglev_mj.controller import Controller
 from maglev_mj.errors import MaglevError, ParameterError
-from maglev_mj.experiments.drop import DropParameters, drop_parts
-from maglev_mj.experiments.press import PressParameters, press_parts
-from maglev_mj.experiments.stick_slip import StickSlipParameters, stick_slip_parts
 from maglev_mj.frames import Array, Sample
 from maglev_mj.hand import HandForce, SpringHand
 from maglev_mj.loop import ControlLoop
@@ -30,43 +24,25 @@ from maglev_mj.recording import (
     RecordingFile,
     Setup,
     Stretch,
-    carried_by,
     open_recording,
 )
-from maglev_mj.recording.fields import start_in
-from maglev_mj.scenes import Scene, find_scene
+from maglev_mj.recording.checks import start_in
+from maglev_mj.scenes import Scene, find_scene, scene_names
 from maglev_mj.scenes.legacy import recorded_scene
-from maglev_mj.session import (
-    SampledMotion,
-    Snapshot,
-    device_controller,
-    live_plant,
-    mechanics,
-    stick_positions,
-    wall_faces,
-)
+from maglev_mj.scenes.run import checked_phase, checked_plant, parameters_json
+from maglev_mj.session import SampledMotion, Snapshot, device_controller, live_plant, mechanics
 
-__all__ = [
-    "EXPERIMENTS",
-    "Replay",
-    "expected",
-    "rebuild",
-    "record_experiment",
-    "scene_of",
-    "stick_positions_of",
-    "write_experiment",
-]
+__all__ = ["Replay", "expected", "rebuild", "record_run", "scene_of", "stick_positions_of", "write_run"]
 
 _SCENES = "scene", "device"
 
-_Parts: TypeAlias = Callable[[Any, HandForce | None], tuple[SampledPlant, Controller, int]]
 
-EXPERIMENTS: Mapping[str, tuple[type[Any], _Parts, str]] = {
-    "drop": (DropParameters, drop_parts, "drop"),
-    "press": (PressParameters, press_parts, "press"),
-    "stick-slip": (StickSlipParameters, stick_slip_parts, "table"),
-}
-"""What can be recorded without a window: its parameters, what it is made of, and the scene that shows it."""
+def run_in(setup: Setup) -> tuple[Scene, str, float]:
+    """Return scene, plant and phase of a recorded run."""
+    values = dict(setup["parameters"])
+    plant, phase = values.pop("plant"), values.pop("phase", 0.0)
+    scene = find_scene(setup["kind"]).from_json(values)
+    return scene, checked_plant(scene, plant), checked_phase(phase)
 
 
 def rebuild(setup: Setup, hand: HandForce | None) -> tuple[SampledPlant | None, Controller]:
@@ -89,12 +65,11 @@ def rebuild(setup: Setup, hand: HandForce | None) -> tuple[SampledPlant | None, 
             if kind == "device":
                 return None, device_controller(scene)
             return live_plant(scene, hand, **start_in(setup)), scene.controller()
-        if kind not in EXPERIMENTS:
-            known = ", ".join((*_SCENES, *EXPERIMENTS))
+        if kind not in scene_names():
+            known = ", ".join((*_SCENES, *scene_names()))
             raise InvalidRecordingError(f"a recording of kind {kind!r} cannot be made here, which knows {known}")
-        parameters, parts, _ = EXPERIMENTS[kind]
-        plant, controller, _ = parts(parameters(**setup["parameters"]), hand)
-        return plant, controller
+        run, plant, phase = run_in(setup)
+        return run.plant(plant, phase=phase, hand=hand, record=True), run.controller()
     except (KeyError, TypeError, ParameterError) as error:
         raise InvalidRecordingError(f"a recording's setup cannot be made here: {error}") from None
 
@@ -107,10 +82,9 @@ def expected(setup: Setup) -> Expected:
     """
     rebuild(setup, None)  # complains of what is not known here
     kind = setup["kind"]
-    if kind in EXPERIMENTS:
-        made, parts, _ = EXPERIMENTS[kind]
-        parameters = made(**setup["parameters"])
-        known, (_, _, samples) = known_experiment(kind, asdict(parameters)), parts(parameters, None)
+    if kind not in _SCENES:
+        run, _, phase = run_in(setup)
+        known, samples = known_experiment(kind, run.as_json()), run.ticks(run.timing(phase))
         load = [0.0, 0.0, known.weight, 0.0, 0.0, 0.0]
         masses = Mechanics(inertia=known.inertia, load=load, before=known.before)
         return Expected(known.delay, masses, scripted=True, samples=samples)
@@ -119,20 +93,27 @@ def expected(setup: Setup) -> Expected:
     return Expected(scene.delay, mechanics(scene, setup["wrench"]) if kind == "scene" else None, scripted=False)
 
 
-def record_experiment(kind: str, parameters: Any) -> Recording:
-    """Run an experiment and record it in memory; where it fails, up to there.
+def record_run(scene: Scene, *, plant: str | None = None, phase: float = 0.0) -> Recording:
+    """Run a scene and record it in memory; where it fails, up to there.
 
     Args:
-        kind: One of EXPERIMENTS.
-        parameters: Its parameters.
+        scene: The scene.
+        plant: Name of a plant; the scene's usual one by default.
+        phase: Of the samples, in [0, 1).
     """
     file = ArrayFile()
-    _run_into(file, kind, parameters)
+    _run_into(file, scene, plant, phase)
     return file.recording
 
 
-def write_experiment(path: Path, kind: str, parameters: Any) -> list[Path]:
-    """Run an experiment and record it to a file, of .mcap or .npz; where it fails, up to there.
+def write_run(path: Path, scene: Scene, *, plant: str | None = None, phase: float = 0.0) -> list[Path]:
+    """Run a scene and record it to a file, of .mcap or .npz; where it fails, up to there.
+
+    Args:
+        path: The file.
+        scene: The scene.
+        plant: Name of a plant; the scene's usual one by default.
+        phase: Of the samples, in [0, 1).
 
     Returns:
         The file that was written, which is elsewhere where its own folder did not take it; none without a sample.
@@ -144,23 +125,23 @@ def write_experiment(path: Path, kind: str, parameters: Any) -> list[Path]:
     """
     file = open_recording(path, wait=True)
     try:
-        _run_into(file, kind, parameters)
+        _run_into(file, scene, plant, phase)
     finally:
         written = file.close()
     return [] if written is None else [written]
 
 
-def _run_into(file: RecordingFile, kind: str, parameters: Any) -> None:
-    _, parts, _ = EXPERIMENTS[kind]
-    plant, controller, ticks = parts(parameters, None)
-    setup = {"kind": kind, "parameters": asdict(parameters)}
-    record = file.begin(plant, controller, setup, delay=parameters.delay, mechanics=expected(setup).mechanics)
-    with plant, engine_warnings_silenced():
+def _run_into(file: RecordingFile, scene: Scene, plant: str | None, phase: float) -> None:
+    name, phase = checked_plant(scene, plant), checked_phase(phase)
+    device, controller = scene.plant(name, phase=phase, record=True), scene.controller()
+    setup = {"kind": scene.name, "parameters": parameters_json(scene, name, phase)}
+    record = file.begin(device, controller, setup, delay=scene.delay, mechanics=expected(setup).mechanics)
+    with device, engine_warnings_silenced():
         try:
-            ControlLoop(plant, controller, record=record).cycle(ticks)
+            ControlLoop(device, controller, record=record).cycle(scene.ticks(scene.timing(phase)))
         except RecordingError:
             raise
-        except MaglevError as error:  # the experiment itself says what happened
+        except MaglevError as error:  # the run itself says what happened
             file.event("fault", str(error))
 
 
@@ -255,11 +236,11 @@ class _Shown:
         self.scene = scene_of(stretch.setup)
         self.time, self.pose, self.hand = stretch.time, stretch.position, stretch.hand
         _, controller = rebuild(stretch.setup, None)
-        self.force = stretch.applied[:, :6] - carried_by(controller.laws)
+        self.force = stretch.applied - controller.carried
         coils = load("drop").coils
         assert coils is not None
-        self.currents = stretch.applied[:, :6] @ coils.current_per_wrench.T
-        self.faces = wall_faces(controller.laws)
+        self.currents = stretch.applied @ coils.current_per_wrench.T
+        self.faces = controller.faces
         self.anchors = stick_positions_of(stretch)
 
 
@@ -268,17 +249,16 @@ def scene_of(setup: Setup) -> Scene:
     rebuild(setup, None)  # complains of what is not known here
     if setup["kind"] in _SCENES:
         return recorded_scene(setup["scene"], setup["settings"])
-    values = {name: value for name, value in setup["parameters"].items() if name not in ("plant", "phase")}
-    return find_scene(setup["kind"]).from_json(values)
+    return run_in(setup)[0]
 
 
 def stick_positions_of(stretch: Stretch) -> Array | None:
     """Return where the flotor stuck at each sample, as the controller saw it, (N, 6); None without friction."""
     _, controller = rebuild(stretch.setup, None)
-    stuck_at, anchors = stick_positions(controller), []
+    anchors = []
     for tick, place in zip(stretch.tick.tolist(), stretch.position.tolist(), strict=True):
         controller.step(Sample(int(tick), 0.0, place))
-        found = stuck_at()
+        found = controller.stick_positions
         if found is None:
             return None
         anchors.append(found)

@@ -15,7 +15,7 @@ from maglev_mj.scenes.interactive import InteractiveScene
 from maglev_mj.scenes.joystick import Joystick
 from maglev_mj.scenes.parts import INERTIA, MASS
 from maglev_mj.scenes.table import Table
-from maglev_mj.session import Pacer, Session, refusal, wall_faces
+from maglev_mj.session import Pacer, Session, refusal
 from maglev_mj.theory import largest_stable_stiffness
 
 
@@ -41,10 +41,10 @@ def test_walls_that_are_none_are_refused(walls: Any, says: str) -> None:
 def test_walls_of_the_settings_take_the_place_of_the_scenes_own(name: str) -> None:
     cls, walls = find_scene(name), [("x", 1, -0.002), ("rz", -1, 0.03), ("z", 1, 0.001), ("z", -1, 0.003)]
     scene = cls().replace(wall=True, friction=False, walls=walls)
-    faces = wall_faces(scene.laws())
+    faces = scene.controller().faces
     assert sorted(faces) == sorted((AXES.index(axis), float(normal), edge) for axis, normal, edge in walls)
-    assert wall_faces(scene.replace(wall=False).laws()) == ()
-    assert wall_faces(scene.replace(walls=[]).laws()) == ()
+    assert scene.replace(wall=False).controller().faces == ()
+    assert scene.replace(walls=[]).controller().faces == ()
     assert cls.from_json(json.loads(json.dumps(scene.as_json()))) == scene
 
 
@@ -71,7 +71,7 @@ def test_settings_are_refused_from_the_boundary_of_theory_on(name: str, period: 
     assert refused is not None and refused.acting == on and refused.modulus > 1.0
     share = 1.0 if refused.axis in AXES[:3] else INERTIA[AXES.index(refused.axis)] / MASS
     assert refused.largest_stable == pytest.approx(bound * share, rel=1e-6)
-    assert refused.stiffness > refused.largest_stable
+    assert refused.largest_stable is not None and refused.stiffness > refused.largest_stable
     assert "must be below 1" in str(refused) and "stable up to" in str(refused)
 
 

@@ -20,21 +20,20 @@ from numpy.typing import ArrayLike
 from maglev_mj.bridge import connection, firmware, wire
 from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.fault import HandshakeError
-from maglev_mj.bridge.impair import Impairment
 from maglev_mj.bridge.remote import RemotePlant
+from maglev_mj.bridge.simulated_links import Impairment, VirtualLink
 from maglev_mj.bridge.states import Fault, State
 from maglev_mj.bridge.twin import REST, Twin, TwinParameters
-from maglev_mj.bridge.virtual import VirtualLink
 from maglev_mj.controller import Controller
 from maglev_mj.detail import Detail
 from maglev_mj.frames import Array, Command, Sample
-from maglev_mj.hand import ConstantForce, HandForce, Path, SpringHand
+from maglev_mj.hand import HandForce, Path, SpringHand
 from maglev_mj.laws import Bias, FiniteDifference, Hold
 from maglev_mj.loop import run
 from maglev_mj.plants import MuJoCoPlant, Plant, SpotSensor
-from maglev_mj.recording import row_of
 from maglev_mj.scenes import find_scene
 from maglev_mj.scenes.parts import INERTIA, WEIGHT
+from tests.recorded import command_row
 
 ZERO = (0.0,) * 6
 CENTRE = ZERO
@@ -104,7 +103,7 @@ class Rig:
         start = len(self.witness.poses)
 
         def keep(sample: Sample, command: Command) -> None:
-            self.rows.append([*sample.position, *row_of(command)])
+            self.rows.append([*sample.position, *command_row(command)])
             if observe is not None:
                 observe()
 
@@ -164,7 +163,7 @@ def test_the_same_controller_flies_a_device_bit_for_bit(
 
     def answers(plant: Plant) -> Array:
         rows: list[list[float]] = []
-        run(plant, scene.controller(), 450, observe=lambda one, two: rows.append([*one.position, *row_of(two)]))
+        run(plant, scene.controller(), 450, observe=lambda one, two: rows.append([*one.position, *command_row(two)]))
         return np.array(rows)
 
     local = answers(
@@ -454,7 +453,7 @@ def test_where_no_device_answers_the_host_says_what_it_heard(change: Callable[[b
 
 
 def test_a_weight_on_the_handle_is_no_fault() -> None:
-    rig = Rig(hand=ConstantForce([0.0, 0.0, -1.0, 0.0, 0.0, 0.0]))
+    rig = Rig(hand=lambda *_: [0.0, 0.0, -1.0, 0.0, 0.0, 0.0])
     rig.plant.takeoff()
     assert abs(rig.fly(1.0)[-1, 2] + 1.0 / (INERTIA[2] * (0.25 / 0.0065) ** 2)) < 2e-5
     rig.plant.land()

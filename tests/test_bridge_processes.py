@@ -20,17 +20,18 @@ import pytest
 from maglev_mj import MuJoCoPlant, Timing, cli, run
 from maglev_mj.bridge import Calibration, Fault, RemotePlant, State, Twin, TwinParameters, open_link
 from maglev_mj.bridge.connection import Connection
-from maglev_mj.bridge.impair import Impairment, UdpProxy
 from maglev_mj.bridge.realtime import RealtimeError, realtime
 from maglev_mj.bridge.server import TwinServer
+from maglev_mj.bridge.simulated_links import Impairment, UdpProxy
 from maglev_mj.bridge.wire import StateReport
 from maglev_mj.detail import Detail
 from maglev_mj.net.udp import UdpLink, UdpServer
 from maglev_mj.plants import Plant, SpotSensor
-from maglev_mj.recording import Recording, row_of
+from maglev_mj.recording import Recording
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.table import Table
+from tests.recorded import command_row
 
 COMMAND = [sys.executable, "-m", "maglev_mj.cli"]
 NEAR = "udp://127.0.0.1:0"
@@ -117,7 +118,7 @@ def looked_at(address: str) -> StateReport:
 
 def rows(plant: Plant, scene: Scene) -> np.ndarray:
     seen: list[tuple[float, ...]] = []
-    run(plant, scene.controller(), 400, observe=lambda s, c: seen.append((*s.position, *row_of(c))))
+    run(plant, scene.controller(), 400, observe=lambda s, c: seen.append((*s.position, *command_row(c))))
     return np.array(seen)
 
 

@@ -10,7 +10,7 @@ from contextlib import closing
 
 import pytest
 
-from maglev_mj.bridge.impair import Impairer, Impairment, UdpProxy
+from maglev_mj.bridge.simulated_links import Impairer, Impairment, UdpProxy
 from maglev_mj.errors import ParameterError
 from maglev_mj.net.serial import (
     LONGEST,

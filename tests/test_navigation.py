@@ -15,7 +15,7 @@ from maglev_mj.hand import SpringHand
 from maglev_mj.loop import ControlLoop
 from maglev_mj.scenes.joystick import CENTRING, Joystick
 from maglev_mj.scenes.parts import WEIGHT
-from maglev_mj.session import live_plant, stick_positions
+from maglev_mj.session import live_plant
 from maglev_mj.spacenav.navigation import Mode, Navigation, Navigator
 from maglev_mj.spec import INERTIA
 
@@ -238,7 +238,6 @@ def pushed(
     plant, controller = live_plant(scene, hand), scene.controller()
     given: list[Array] = []
     loop = ControlLoop(plant, controller, observe=lambda sample, applied: given.append(np.array(applied.force)))
-    anchors = stick_positions(controller)
     rows: list[tuple[float, ...]] = []
     for tick in range(round(END / scene.period)):
         time = tick * scene.period
@@ -247,7 +246,7 @@ def pushed(
         loop.cycle()
         if time >= len(rows) * EVERY:
             pose, elapsed = plant.state()[0], time - rows[-1][0] if rows else 0.0
-            navigator.move(pose, anchors(), elapsed, given[-1] - np.array(WEIGHT) if forces else None)
+            navigator.move(pose, controller.stick_positions, elapsed, given[-1] - np.array(WEIGHT) if forces else None)
             rows.append((time, pose[0], navigator.slave[0], navigator.modes[0] is RATE))
     plant.close()
     time, position, slave, rate = np.array(rows).T

@@ -17,8 +17,7 @@ from mcap.reader import make_reader
 
 from maglev_mj.bridge import RemotePlant, Twin, TwinParameters
 from maglev_mj.bridge.flight import Flight
-from maglev_mj.bridge.impair import Impairment
-from maglev_mj.bridge.virtual import VirtualLink
+from maglev_mj.bridge.simulated_links import Impairment, VirtualLink
 from maglev_mj.cli import main
 from maglev_mj.recording import Recording, RecordingError, open_recording
 from maglev_mj.scenes import Scene

@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 
 from maglev_mj import AXES, Controller
+from maglev_mj.energy import EnergyAccount
 from maglev_mj.errors import ParameterError
-from maglev_mj.hand import ConstantForce, SpringHand
+from maglev_mj.hand import SpringHand
 from maglev_mj.laws import Hold, Law, StickSlip, Wall
 from maglev_mj.loop import ControlLoop
 from maglev_mj.parameters import param
 from maglev_mj.plants import MeteredPlant, Timing
-from maglev_mj.recording import Recording, RecordingError, carried_by, verify
+from maglev_mj.recording import Recording, RecordingError, verify
 from maglev_mj.replay import rebuild
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene
 from maglev_mj.scenes.drop import Drop
@@ -23,17 +24,7 @@ from maglev_mj.scenes.joystick import Joystick
 from maglev_mj.scenes.legacy import recorded_scene
 from maglev_mj.scenes.parts import INERTIA, WEIGHT, wall
 from maglev_mj.scenes.press import Press
-from maglev_mj.session import (
-    EnergyAccount,
-    Pacer,
-    Session,
-    Snapshot,
-    actions,
-    device_controller,
-    live_plant,
-    real_time,
-    settable,
-)
+from maglev_mj.session import Pacer, Session, Snapshot, actions, device_controller, live_plant, real_time, settable
 from maglev_mj.spec import Spec
 from maglev_mj.stream.messages import same_rules
 from maglev_mj.theory import largest_stable_stiffness
@@ -256,7 +247,7 @@ def test_work_is_metered_whatever_else_pushes() -> None:
     plant = MeteredPlant(
         Timing(period=0.004, delay=0.0013),
         twist=[0.05, -0.03, 0.02, 0.3, -0.2, 0.4],
-        hand_force=ConstantForce([0.5, 0.2, 4.0, 1e-3, -2e-3, 1e-3]),
+        hand_force=lambda *_: [0.5, 0.2, 4.0, 1e-3, -2e-3, 1e-3],
     )
     model_inertia = plant.device.inertia
     laws: list[Law] = [
@@ -441,7 +432,7 @@ def test_the_arm_of_a_press_is_there_only_with_its_own_hand() -> None:
 
 def test_a_scene_without_gravity_is_carried_on_a_device() -> None:
     for scene, carried in ((Drop(), 0.0), (Press(), WEIGHT[2]), (Joystick(), WEIGHT[2])):
-        assert carried_by(device_controller(scene).laws)[2] == carried
+        assert device_controller(scene).carried[2] == carried
 
 
 def test_recordings_of_the_old_drop_and_press_are_made_as_they_were() -> None:

@@ -40,7 +40,7 @@ from maglev_mj.spacenav.axes import FULL_POSE, FULL_RATE, REST
 from maglev_mj.spacenav.navigation import Navigation
 from maglev_mj.spacenav.protocol import DEVICE, EVENT, Conversation, GarbageError, motion_event
 
-SOURCE = Path(__file__).parents[1] / "scripts" / "spacenav_client.c"
+SOURCE = Path(__file__).parents[1] / "scripts" / "examples" / "spacenav_client.c"
 COMPILER = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
 FRAME = 1.0 / 60.0
 PATIENCE = 60.0

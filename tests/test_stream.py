@@ -33,7 +33,7 @@ from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.joystick import Joystick
 from maglev_mj.scenes.parts import INERTIA, MASS
 from maglev_mj.scenes.table import Table
-from maglev_mj.session import Pacer, Session, Snapshot, refusal, wall_faces
+from maglev_mj.session import Pacer, Session, Snapshot, refusal
 from maglev_mj.stream import PoseStream, StreamClient, StreamError
 from maglev_mj.stream.datagrams import MOST_ANSWERED, MOST_ASKED, Datagrams, Guard
 from maglev_mj.stream.messages import description, pose_message
@@ -57,7 +57,7 @@ def snapshot(scene: Scene | None = None, **changes: Any) -> Snapshot:
         "delay": scene.delay,
         "tick": 5,
         "time": 0.025,
-        "faces": wall_faces(scene.laws()),
+        "faces": scene.controller().faces,
     }
     return Snapshot(**told | changes)
 
@@ -1046,7 +1046,7 @@ def test_figures_in_the_text_of_the_page() -> None:
 
 
 def test_the_example_host_shows_a_refusal_and_what_may_be_had() -> None:
-    command = [sys.executable, str(ROOT / "scripts" / "stream_host.py")]
+    command = [sys.executable, str(ROOT / "scripts" / "examples" / "stream_host.py")]
     done = subprocess.run(
         [*command, "--alone", "--seconds", "1.8"], capture_output=True, text=True, check=False, timeout=120
     )
@@ -1078,7 +1078,7 @@ def test_what_the_example_host_cannot_do_is_one_line(
 ) -> None:
     monkeypatch.setattr(sys, "argv", ["stream_host.py", *options])
     with pytest.raises(SystemExit) as ended:
-        runpy.run_path(str(ROOT / "scripts" / "stream_host.py"), run_name="__main__")
+        runpy.run_path(str(ROOT / "scripts" / "examples" / "stream_host.py"), run_name="__main__")
     said, complained = capsys.readouterr()
     assert ended.value.code == status and complaint in complained
     assert len(complained.splitlines()) == 1 and said == ""

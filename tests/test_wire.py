@@ -450,7 +450,7 @@ def test_the_fuzzed_device_sees_every_state(lockstep: bool) -> None:
 
 
 def test_coverage_guided_fuzzing_finds_nothing() -> None:
-    command = [sys.executable, str(ROOT / "scripts" / "fuzz_wire.py"), "--runs", "1500", "--seed", "3"]
+    command = [sys.executable, str(ROOT / "scripts" / "studies" / "fuzz_wire.py"), "--runs", "1500", "--seed", "3"]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
     assert done.returncode == 0, done.stdout + done.stderr
     found = dict(re.findall(r"(\w+) +(\d+)", done.stdout))

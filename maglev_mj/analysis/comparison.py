@@ -107,17 +107,10 @@ def simulate(stretch: Stretch, motion: Motion, known: Known, rebuild: Rebuild) -
             raise
         except MaglevError:
             pass  # how far it came is said with the comparison
-    made = recorder.stretch()
-    kept = rows[rows < len(made.tick)]
-    return replace(
-        stretch,
-        tick=stretch.tick[: len(kept)],
-        time=stretch.time[: len(kept)],
-        position=made.position[kept],
-        command=made.command[kept],
-        applied=made.applied[kept],
-        hand=made.hand[kept],
-    )
+    made = recorder.stretch().rows
+    kept = rows[rows < len(made)]
+    simulated = replace(stretch, rows=made[kept])
+    return simulated.replace(tick=stretch.tick[: len(kept)], time=stretch.time[: len(kept)])
 
 
 def _twin(stretch: Stretch, motion: Motion, known: Known) -> SampledPlant:

@@ -11,8 +11,8 @@ import numpy as np
 from maglev_mj.analysis.contacts import FaceFigures, face_figures, plain
 from maglev_mj.analysis.known import Known
 from maglev_mj.analysis.motion import Motion
+from maglev_mj.energy import actuator_work, hand_work
 from maglev_mj.frames import AXES, Array
-from maglev_mj.trace import Trace
 
 __all__ = ["Energy", "Stick", "StretchFigures", "stretch_figures"]
 
@@ -149,17 +149,10 @@ def stretch_figures(
 
 def _energy(motion: Motion, known: Known, hand: Array) -> Energy:
     """Return where energy went; each force is paired with the way that it acted over."""
-    taken = _taken(motion.trace, known.carried)
+    taken = -np.vstack([np.zeros(len(AXES)), np.cumsum(actuator_work(motion.trace, known.carried), axis=0)])
     places = motion.trace.pose[motion.starts]
-    way = np.diff(places, axis=0)
-    work = (hand[:-1] * way).sum(axis=0) if known.felt else np.full(len(AXES), np.nan)
-    return Energy(taken[-1], taken.min(axis=0), work, (motion.unexplained * way).sum(axis=0))
-
-
-def _taken(trace: Trace, carried: Array) -> Array:
-    """Return what the rendered world has taken in at each knot [J], (K, 6)."""
-    work = (trace.wrench[:-1] - carried) * np.diff(trace.pose, axis=0)
-    return -np.vstack([np.zeros(len(AXES)), np.cumsum(work, axis=0)])
+    work = hand_work(places, hand).sum(axis=0) if known.felt else np.full(len(AXES), np.nan)
+    return Energy(taken[-1], taken.min(axis=0), work, (motion.unexplained * np.diff(places, axis=0)).sum(axis=0))
 
 
 def _sticks(time: Array, anchors: Array) -> list[Stick] | None:

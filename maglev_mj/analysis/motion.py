@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from maglev_mj.analysis.known import Known
 from maglev_mj.frames import Array, Mask
 from maglev_mj.recording import InvalidRecordingError, Stretch
+from maglev_mj.timeline import recorded_switches
 from maglev_mj.trace import Trace
 
 __all__ = ["Motion", "reconstruct"]
@@ -110,7 +111,8 @@ def reconstruct(stretch: Stretch, known: Known) -> Motion:
 
 def _pieces(stretch: Stretch, known: Known, time: Array) -> _Pieces:
     """Cut the time from sample to sample where the force switches."""
-    when, force = _switches(stretch, known, time)
+    held, extra, widths = stretch.applied, stretch.applied_pulse, stretch.applied_pulse_width
+    when, force = recorded_switches(time, held, extra, widths, period=known.period, delay=known.delay)
     inside = when[(when > time[0]) & (when < time[-1])]
     knots = np.unique(np.concatenate([time, inside]))[:-1]
     period = np.searchsorted(time, knots, side="right") - 1
@@ -121,22 +123,6 @@ def _pieces(stretch: Stretch, known: Known, time: Array) -> _Pieces:
     width[period, place] = np.diff(knots, append=time[-1])
     forces[period, place] = np.vstack([known.before, force])[np.searchsorted(when, knots, side="right")]
     return _Pieces(there, width, forces, time[:-1])
-
-
-def _switches(stretch: Stretch, known: Known, time: Array) -> tuple[Array, Array]:
-    """Return when the actuators' wrench switches [s], (K,), and to what [N, N m], (K, 6)."""
-    held, extra, width = stretch.applied[:, :6], stretch.applied[:, 6:12], stretch.applied[:, 12]
-    on = time + known.delay
-    # the next command ends a pulse that is still on
-    ends = (width > 0.0) & (on + width < np.append(on[1:], np.inf) - _ROUNDING * known.period)
-    when = np.concatenate([on, (on + width)[ends]])
-    force = np.concatenate([held + np.where(width > 0.0, 1.0, 0.0)[:, None] * extra, held[ends]])
-    order = np.argsort(when, kind="stable")
-    when, force = when[order], force[order]
-    # what is within rounding of a sample is at that sample
-    near = np.clip(np.searchsorted(time, when), 1, len(time) - 1)
-    near -= (when - time[near - 1]) < (time[near] - when)
-    return np.where(np.abs(time[near] - when) <= _ROUNDING * known.period, time[near], when), force
 
 
 def _through(place: Array, pieces: _Pieces, steady: Array, inertia: Array) -> tuple[Array, Array, Array]:

@@ -18,20 +18,11 @@ from maglev_mj.controller import Controller
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.loop import Answers, ControlLoop, Record
-from maglev_mj.recording import Mechanics, RecordingError, RecordingFile, carried_by
+from maglev_mj.recording import Mechanics, RecordingError, RecordingFile
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.find import reference_of
 from maglev_mj.scenes.parts import WEIGHT
-from maglev_mj.session import (
-    DEVICES_OWN,
-    Publisher,
-    Publishers,
-    SampledMotion,
-    Snapshot,
-    device_controller,
-    stick_positions,
-    wall_faces,
-)
+from maglev_mj.session import DEVICES_OWN, Publisher, Publishers, SampledMotion, Snapshot, device_controller
 
 __all__ = ["Flight", "Flown"]
 
@@ -145,8 +136,7 @@ class Flight:
             loop.cycle()
 
     def _observe(self, controller: Controller) -> Callable[[Sample, Command], object]:
-        carried, faces = carried_by(controller.laws), wall_faces(controller.laws)
-        anchors = stick_positions(controller)
+        carried, faces = controller.carried, controller.faces
 
         def observe(sample: Sample, applied: Command) -> None:
             self._answer.add(time.perf_counter_ns() - self.read_at)
@@ -157,7 +147,7 @@ class Flight:
                 return
             plant, force, pose = self._plant, np.array(applied.force) - carried, np.array(sample.position)
             self._motion.add(plant.samples.tick * plant.period, pose, force, plant.hand_wrench)
-            self._publishers.show(lambda: self._snapshot(pose, force, faces, anchors()))
+            self._publishers.show(lambda: self._snapshot(pose, force, faces, controller.stick_positions))
             self._listen()
 
         return observe

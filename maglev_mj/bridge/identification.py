@@ -35,6 +35,7 @@ from maglev_mj.coils import CoilMap
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.parameters import number, numbers
+from maglev_mj.timeline import split_delay
 
 __all__ = [
     "IdentificationError",
@@ -167,14 +168,14 @@ def identify(
         raise ParameterError(f"poses and currents must both be (N, 6), not {places.shape} and {given.shape}")
     shaken = numbers("lines", lines, at_least=0.0).ravel()
     number("the highest line", float(shaken.max(initial=0.0)), below=0.5 / number("period", period, above=0.0))
-    whole = int(number("delay", delay, at_least=0.0) / period + 1e-9)
+    wholes, rest = split_delay(number("delay", delay, at_least=0.0), period)
+    whole, switched = int(wholes), rest / period
     ahead = whole + 2
     count = len(places) - ahead - 1
     if count < 1:
         raise IdentificationError(f"the motion must be longer than {len(places)} samples")
     before, at, after = (places[ahead + step :][:count] for step in (-1, 0, 1))
     bent = (before - 2.0 * at + after) / period**2
-    switched = max(delay / period - whole, 0.0)
     first, last = 0.5 * switched**2, 0.5 * (1.0 - switched) ** 2
     latest, middle, oldest = (given[ahead - whole - age :][:count] for age in (0, 1, 2))
     held = last * latest + (1.0 - first - last) * middle + first * oldest

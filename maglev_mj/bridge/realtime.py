@@ -1,4 +1,4 @@
-"""What a loop in Python needs from the system to be on time."""
+"""What a loop in Python asks of the system: to be on time, and to be told when to stop."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import ctypes
 import errno
 import gc
 import os
+import signal
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from functools import partial
@@ -15,7 +17,7 @@ from maglev_mj.bridge.lateness import Lateness
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.parameters import number
 
-__all__ = ["Lateness", "Realtime", "RealtimeError", "realtime"]
+__all__ = ["Lateness", "Realtime", "RealtimeError", "realtime", "stopping"]
 
 Realtime: TypeAlias = Literal["enforce", "ignore"]
 """What to do where the system refuses: raise, or go on."""
@@ -135,3 +137,27 @@ def _no_garbage() -> Callable[[], object]:
             gc.enable()
 
     return back
+
+
+@contextmanager
+def stopping(stop: Callable[[], object]) -> Iterator[None]:
+    """Call `stop` at the first SIGINT or SIGTERM, and raise KeyboardInterrupt at the second."""
+    if threading.current_thread() is not threading.main_thread():
+        yield  # signals are the main thread's
+        return
+    asked = False
+
+    def ask(*_: Any) -> None:
+        nonlocal asked
+        if asked:
+            raise KeyboardInterrupt
+        asked = True
+        stop()
+
+    kinds = (signal.SIGINT, signal.SIGTERM)
+    before = [signal.signal(kind, ask) for kind in kinds]
+    try:
+        yield
+    finally:
+        for kind, handler in zip(kinds, before, strict=True):
+            signal.signal(kind, handler)

@@ -16,19 +16,17 @@ from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.fault import HandshakeError
 from maglev_mj.bridge.flight import Flight
 from maglev_mj.bridge.identification import collect, excitation, identify
-from maglev_mj.bridge.realtime import realtime
+from maglev_mj.bridge.realtime import realtime, stopping
 from maglev_mj.bridge.remote import RemotePlant
-from maglev_mj.bridge.stopping import stopping
 from maglev_mj.cli.options import (
     add_bridge,
     add_recording,
-    add_scene,
     chosen_key,
-    chosen_scene,
     number_option,
 )
 from maglev_mj.cli.output import check_file, check_outputs, check_recording
 from maglev_mj.cli.publishers import add_publishers, chosen_publishers
+from maglev_mj.cli.scenes import add_scene, chosen_scene
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.net.udp import open_link
 from maglev_mj.parameters import number
@@ -48,7 +46,7 @@ def add_command(commands: Any) -> None:
     """Add the command to the parser's."""
     bridge = commands.add_parser("bridge", help="a scene on a device at the other end of a wire")
     bridge.add_argument("address", metavar="ADDRESS", help="udp://HOST:PORT, or serial:///PATH?baud=RATE")
-    add_scene(bridge, "--scene", without=DEVICES_OWN)
+    add_scene(bridge, option="--scene", default="joystick", without=DEVICES_OWN)
     add_recording(bridge)
     add_bridge(bridge)
     add_publishers(bridge)

@@ -7,11 +7,11 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from maglev_mj.errors import ParameterError
 from maglev_mj.net.authentication import LEAST_KEY, MOST_KEY
-from maglev_mj.scenes import BUILT_IN, Scene, find_scene, scene_names
+from maglev_mj.parameters import Parameter, Parameters
 from maglev_mj.workers import Workers, dask_workers, local_workers
 
 __all__ = [
@@ -19,62 +19,43 @@ __all__ = [
     "add_bridge",
     "add_options",
     "add_outputs",
+    "add_parameters",
     "add_recording",
-    "add_scene",
     "add_workers",
+    "chosen",
     "chosen_key",
-    "chosen_scene",
     "chosen_workers",
     "count",
+    "described",
     "joined",
     "number_option",
     "range_of",
 ]
 
+P = TypeVar("P", bound=Parameters)
 
-_SCENE = "joystick"
+_APART = "parameter "
 
 
 class Parser(argparse.ArgumentParser):
-    """An argument parser whose complaint is one line.
+    """An argument parser whose complaint is one line."""
 
-    Attributes:
-        without: Parameters of a scene that are no options; None where no scene is asked for.
-    """
+    def __init__(self, **keywords: Any) -> None:
+        # the options of a scene are its own: a shorter word must not become one that is added later
+        super().__init__(**{"allow_abbrev": False, **keywords})
 
-    without: Sequence[str] | None = None
+    before: Callable[[Sequence[str]], None] | None = None
+    """Called with the arguments before they are parsed, for options that depend on another."""
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """Parse arguments; those of a command with a scene are the scene's too, whichever it is."""
-        if self.without is not None:
-            self.set_defaults(parameters={})
-            self.allow_abbrev = False
-            try:
-                _add_parameters(self, find_scene(self._named(args or [])), self.without)
-            except ParameterError as error:
-                return argparse.Namespace(run=partial(_refuse, error)), []
+        """See `argparse.ArgumentParser`."""
+        if self.before is not None:
+            self.before(args or ())
         return super().parse_known_args(args, namespace)
-
-    def _named(self, words: Sequence[str]) -> str:
-        """Return the scene that is named among words, or the one by default."""
-        before = ""
-        for word in words:
-            option = self._option_string_actions.get(before)
-            is_value = before != "--scene" and option is not None and option.nargs is None
-            name, before = word.removeprefix("--scene="), word
-            if is_value:
-                continue
-            if name in BUILT_IN or re.search(r"\.py(:\w+)?$", name) or (name.isidentifier() and name in scene_names()):
-                return name
-        return _SCENE
 
     def error(self, message: str) -> Any:
         """Print one line and exit with status 2."""
         self.exit(2, f"{self.prog}: {message}\n")
-
-
-def _refuse(error: ParameterError, _: argparse.Namespace) -> int:
-    raise error
 
 
 def joined(arguments: Sequence[str]) -> list[str]:
@@ -113,6 +94,75 @@ def add_options(
         shown = "none" if getattr(made, name) is None else f"{getattr(made, name):g}"
         option = f"--{name.replace('_', '-')}"
         parser.add_argument(option, type=number_option, default=default, metavar="X", help=f"{text} (default {shown})")
+
+
+def add_parameters(
+    parser: argparse.ArgumentParser, parameters: Parameters | type[Parameters], *, without: Sequence[str] = ()
+) -> None:
+    """Add an option for each declared parameter, with unit and default in its help.
+
+    A value that only a `parse` knows gets none, and neither does one whose option the command has itself. What is
+    given stands apart from the command's own options: see `chosen`.
+
+    Args:
+        parser: Of the command.
+        parameters: Class, or parameters whose values are the defaults.
+        without: Names of parameters that get no option.
+    """
+    made = parameters() if isinstance(parameters, type) else parameters
+    for one in made.parameters():
+        option = f"--{one.name.replace('_', '-')}"
+        if one.kind is not object and one.name not in without and option not in parser._option_string_actions:
+            _add_parameter(parser, option, one, getattr(made, one.name))
+
+
+def _add_parameter(parser: argparse.ArgumentParser, option: str, one: Parameter, default: Any) -> None:
+    said = described(one, default).replace("%", "%%")
+    kept: dict[str, Any] = {"dest": _APART + one.name, "default": argparse.SUPPRESS, "help": said}
+    if one.kind is bool:
+        parser.add_argument(option, action=argparse.BooleanOptionalAction, **kept)
+        return
+    kinds: Mapping[type, tuple[Callable[[str], Any], str]] = {
+        float: (number_option, "X"),
+        int: (count, "N"),
+        str: (str, "NAME"),
+    }
+    read, metavar = kinds[one.kind]
+    if one.optional:
+        read = partial(_or_none, read)
+    parser.add_argument(option, type=read, metavar=metavar, **kept)
+
+
+def described(one: Parameter, default: Any) -> str:
+    """Return what a parameter is, with its unit, its choices and its default."""
+    text, more, rest = one.help.partition(";")
+    said = f"{text} [{one.unit}]{more}{rest}" if one.unit else text + more + rest
+    if one.choices:
+        said += f": {', '.join(one.choices)}"
+    if one.kind is bool:
+        return f"{said} (default {'on' if default else 'off'})"
+    return f"{said} (default {'none' if default is None else default if one.kind is str else f'{default:g}'})"
+
+
+def _or_none(read: Callable[[str], Any], text: str) -> Any:
+    return None if text.lower() == "none" else read(text)
+
+
+def chosen(options: argparse.Namespace, parameters: P | type[P], **further: Any) -> P:
+    """Return parameters with what was chosen by the options of `add_parameters`.
+
+    Args:
+        options: As parsed.
+        parameters: Class, or parameters whose values stand where nothing was chosen.
+        further: Values that have options of their own.
+
+    Raises:
+        ParameterError: If a value is outside its bounds.
+    """
+    made = parameters() if isinstance(parameters, type) else parameters
+    given = {one.name: f"{_APART}{one.name}" for one in made.parameters()}
+    found = {name: getattr(options, place) for name, place in given.items() if hasattr(options, place)}
+    return made.replace(**found, **further)
 
 
 def add_outputs(parser: argparse.ArgumentParser) -> None:
@@ -225,70 +275,3 @@ def chosen_key(path: Path | None, name: str = "key") -> bytes | None:
         digits = f"{2 * LEAST_KEY} to {2 * MOST_KEY} hexadecimal digits"
         raise ParameterError(f"{name} must be a file of {digits}, not {str(path)!r}")
     return key
-
-
-def add_scene(parser: Parser, option: str = "scene", *, without: Sequence[str] = ()) -> None:
-    """Add the scene, and an option for each of its parameters.
-
-    Args:
-        parser: Of the command.
-        option: Name of the argument: "scene", or "--scene".
-        without: Parameters that are not the user's to choose here.
-    """
-    parser.without = without
-    known = f"one of {', '.join(BUILT_IN)}, or a file such as my_scene.py (default {_SCENE})"
-    optional: dict[str, Any] = {} if option.startswith("-") else {"nargs": "?"}
-    parser.add_argument(option, metavar="SCENE", help=known, **optional)
-
-
-def chosen_scene(options: argparse.Namespace, **defaults: Any) -> Scene:
-    """Return the scene asked for, with the parameters given.
-
-    Args:
-        options: Of the command line.
-        defaults: Parameters in place of its own defaults, where it has them.
-
-    Raises:
-        ParameterError: If there is no such scene, or a parameter is outside its bounds.
-    """
-    cls = find_scene(options.scene or _SCENE)
-    names = [one.name for one in cls.parameters()]
-    given = {name: value for name, value in defaults.items() if name in names}
-    return cls(**given | {name: options.parameters[name] for name in names if name in options.parameters})
-
-
-_KINDS: Mapping[type, tuple[Callable[[str], Any], str]] = {
-    float: (number_option, "X"),
-    int: (count, "N"),
-    str: (str, "NAME"),
-}
-"""Reader and placeholder of a parameter that is no switch."""
-
-
-class _Given(argparse.Action):
-    """Keeps a parameter among the others, away from the command's own options."""
-
-    def __call__(self, parser: Any, namespace: Any, values: Any, option: str | None = None) -> None:
-        name = self.dest.removeprefix("parameter ")
-        given = not (option or "").startswith("--no-") if self.nargs == 0 else values
-        namespace.parameters = {**namespace.parameters, name: given}
-
-
-def _add_parameters(parser: Parser, cls: type[Scene], without: Sequence[str]) -> None:
-    """Add an option for each parameter of a scene, but for those that are no number, switch or word."""
-    made = cls()
-    for one in cls.parameters():
-        option, value = f"--{one.name.replace('_', '-')}", getattr(made, one.name)
-        # an option of the command itself goes before
-        if one.kind is object or one.name in without or option in parser._option_string_actions:
-            continue
-        unit = f" [{one.unit}]" if one.unit else ""
-        shown = "none" if value is None else f"{value:g}" if one.kind in (float, int) else str(value)
-        common: dict[str, Any] = {"dest": f"parameter {one.name}", "action": _Given, "default": argparse.SUPPRESS}
-        if one.kind is bool:
-            off = f"--no-{one.name.replace('_', '-')}"
-            parser.add_argument(option, off, nargs=0, help=f"{one.help} (default {shown.lower()})", **common)
-            continue
-        kind, letter = _KINDS[one.kind]
-        text = f"{one.help}{unit} (default {shown})".replace("%", "%%")
-        parser.add_argument(option, type=kind, metavar=letter, help=text, **common)

@@ -7,8 +7,9 @@ import re
 from pathlib import Path
 from typing import Any
 
-from maglev_mj.cli.options import add_scene, chosen_scene, count, number_option
+from maglev_mj.cli.options import count, number_option
 from maglev_mj.cli.output import check_file
+from maglev_mj.cli.scenes import add_scene, chosen_scene
 from maglev_mj.errors import ParameterError
 from maglev_mj.parameters import number
 
@@ -30,7 +31,7 @@ def add_command(commands: Any) -> None:
     render.add_argument("--size", default="1200x750", metavar="WxH", help="pixels (default 1200x750)")
     render.add_argument("--fps", type=count, default=20, metavar="N", help="pictures a second (default 20)")
     render.add_argument("--plain", action="store_true", help="leave plots and words out")
-    add_scene(render)
+    add_scene(render, default="joystick")
     render.set_defaults(run=_render)
 
 

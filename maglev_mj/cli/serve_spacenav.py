@@ -10,9 +10,10 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from typing import Any
 
-from maglev_mj.bridge.stopping import stopping
-from maglev_mj.cli.options import add_scene, chosen_key, chosen_scene, number_option
+from maglev_mj.bridge.realtime import stopping
+from maglev_mj.cli.options import chosen_key, number_option
 from maglev_mj.cli.publishers import add_spacenav, chosen_spacenav
+from maglev_mj.cli.scenes import add_scene, chosen_scene
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import Component
 from maglev_mj.hand import HandForce, SpringHand
@@ -24,6 +25,8 @@ from maglev_mj.stream import StreamClient
 from maglev_mj.terminal import say
 
 __all__ = ["add_command"]
+
+_SCENE = "joystick"
 
 _STEP = 1.0 / 240.0
 _STANDSTILL = 1.0
@@ -41,7 +44,7 @@ def add_command(commands: Any) -> None:
     )
     serve.add_argument("--key", metavar="FILE", type=pathlib.Path, help="the secret of that stream, if it has one")
     serve.add_argument("--seconds", type=number_option, metavar="X", help="end after so long [s]")
-    add_scene(serve)
+    add_scene(serve, default=_SCENE)
     serve.set_defaults(run=_serve)
 
 
@@ -62,7 +65,7 @@ class _Again:
 
 
 def _serve(options: argparse.Namespace) -> int:
-    if options.scene is not None and options.source is not None:
+    if options.scene != _SCENE and options.source is not None:
         raise ParameterError(f"scene must be that of the stream with --from, not {options.scene!r}")
     scene = chosen_scene(options, friction=True)
     key = chosen_key(options.key)

@@ -11,13 +11,11 @@ from typing import Any
 import numpy as np
 
 from maglev_mj.bridge.calibration import Calibration
-from maglev_mj.bridge.misfortune import MISFORTUNES, Misfortune
-from maglev_mj.bridge.realtime import realtime
+from maglev_mj.bridge.realtime import realtime, stopping
 from maglev_mj.bridge.safety import Limits
 from maglev_mj.bridge.server import TwinServer
 from maglev_mj.bridge.states import fault_names
-from maglev_mj.bridge.stopping import stopping
-from maglev_mj.bridge.twin import Twin, TwinParameters
+from maglev_mj.bridge.twin import MISFORTUNES, Misfortune, Twin, TwinParameters
 from maglev_mj.cli.options import add_bridge, chosen_key, count, number_option
 from maglev_mj.errors import ParameterError
 from maglev_mj.net.udp import Server, UdpServer, check_host, parse_url

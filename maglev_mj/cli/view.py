@@ -6,9 +6,10 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from maglev_mj.cli.options import add_recording, add_scene, chosen_scene, number_option
+from maglev_mj.cli.options import add_recording, number_option
 from maglev_mj.cli.output import check_outputs, check_recording
 from maglev_mj.cli.publishers import add_publishers, chosen_publishers
+from maglev_mj.cli.scenes import add_scene, chosen_scene
 from maglev_mj.hand import SpringHand
 from maglev_mj.parameters import number
 from maglev_mj.session import Session
@@ -20,7 +21,7 @@ __all__ = ["add_command"]
 def add_command(commands: Any) -> None:
     """Add the command to the parser's."""
     view = commands.add_parser("view", help="feel a scene: a window, with the mouse as the hand")
-    add_scene(view)
+    add_scene(view, default="joystick")
     add_recording(view)
     add_publishers(view)
     view.add_argument(

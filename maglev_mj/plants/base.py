@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from math import isfinite
 from typing import Any, Self, TypedDict
 
@@ -17,9 +16,9 @@ from maglev_mj.frames import Array, Command, Component, Sample, clipped, compone
 from maglev_mj.hand import HandForce
 from maglev_mj.parameters import flag, number, numbers
 from maglev_mj.plants.complaints import escaped, refusal
-from maglev_mj.plants.contract import Timing
 from maglev_mj.plants.sensor import PoseSensor
 from maglev_mj.spec import ESCAPE
+from maglev_mj.timeline import Segment, Timeline, Timing
 from maglev_mj.trace import Trace, TraceRecorder
 
 __all__ = ["PlantKeywords", "SampledPlant"]
@@ -42,9 +41,7 @@ class PlantKeywords(TypedDict, total=False):
 class SampledPlant(ABC):
     """A simulated device under piecewise constant wrench.
 
-    Between two samples the wrench changes at most three times: where a pulse of the command before runs
-    out, where the next command takes effect (which ends such a pulse too), and where its own pulse runs out.
-    A subclass only has to carry its state from one of these switches to the next.
+    A `Timeline` tells when the wrench switches; a subclass only has to carry its state from one switch to the next.
 
     Args:
         timing: Sample period, delay and phase.
@@ -84,21 +81,19 @@ class SampledPlant(ABC):
         self._hand_force, self._effort = hand_force, _NO_EFFORT
         self._tick = -1
         self._offset: Component = 0.0
-        # one place for each command on its way; None where none was written
-        self._queue: deque[tuple[Any, Any, float] | None] = deque([None] * timing.whole)
-        self._drive = self._prepare(components(self.six("wrench", wrench, at_least=-math.inf, finite=True)))
-        self._tail: tuple[Any, Any] | None = None
+        drive = self._prepare(components(self.six("wrench", wrench, at_least=-math.inf, finite=True)))
+        self._timeline = Timeline(timing, drive, compares=not batch)
+        self._segments: list[Segment] = []
         self._closed = False
-        # the timing's numbers at hand, for they are used on every tick
-        self._period, self._rest, self._whole = timing.period, timing.rest, timing.whole
-        self._negligible, self._phase, self._jitters = timing.negligible, timing.phase, timing.jitter > 0.0
+        self._before_period: Callable[[], None] | None = None
+        # at hand, for they are used on every tick
+        self._period, self._phase = timing.period, timing.phase
+        self._segments_of = self._timeline.period
+        self._answer: tuple[Any, Any, float] | None = None
         self._ahead = timing.phase * timing.period if np.any(timing.phase) else None
         if np.shape(timing.delay) not in ((), batch):
             raise ParameterError(f"delay must be a number or have the shape {batch}, not {np.shape(timing.delay)}")
-        self._over_period = self._carry_each if np.ndim(timing.delay) else self._carry_on
         self._limits = self._limit is not None
-        # whether drives are alike where their first parts, six floats, are
-        self._comparable = not batch
 
     @abstractmethod
     def _prepare(self, force: Sequence[Component]) -> Any:
@@ -132,10 +127,16 @@ class SampledPlant(ABC):
         tick = self._tick
         if tick >= 0:
             self._offset = 0.0
-            self._over_period(self.timing.rest_at(tick) if self._jitters else self._rest)
+            if self._before_period is not None:
+                self._before_period()
+            run = self._run
+            self._segments = segments = self._segments_of(tick, self._answer)
+            self._answer = None
+            for duration, drive in segments:
+                run(duration, drive)
         elif self._ahead is not None:  # free fall from release to the first sample, which is tick 0
             self._offset = -self._ahead
-            self._run(self._ahead, self._drive)
+            self._run(self._ahead, self._timeline.acting)
         self._tick = tick = tick + 1
         position = self._position()
         time = (tick + self._phase) * self._period
@@ -170,10 +171,7 @@ class SampledPlant(ABC):
             command = self._limited(command)
             if width:
                 total = [one + other for one, other in zip(command.force, command.extra or ())]
-        held = self._prepare(command.force)
-        if len(self._queue) > self._whole:  # a second answer to the same sample replaces the first
-            self._queue.pop()
-        self._queue.append((held, self._prepare(total) if width else held, width))
+        self._answer = self._prepare(command.force), self._prepare(total) if width else None, width
         return command
 
     def close(self) -> None:
@@ -188,12 +186,11 @@ class SampledPlant(ABC):
         """
         if self._recorder is None or self._tick < 0:
             raise PlantError("nothing is recorded: make the plant with record=True and read at least one sample")
-        drive = self._drive if self._tail is None else self._tail[0]
-        return self._recorder.finish(self._tick, *self._state(drive))
+        return self._recorder.finish(self._tick, *self._state(self._timeline.now()))
 
     def state(self) -> tuple[Array, Array]:
         """Return the true pose and twist at the last sample, whatever the sensor made of them, (..., 6) each."""
-        return self._state(self._drive)[:2]
+        return self._state(self._timeline.acting)[:2]
 
     @property
     def hand_wrench(self) -> Sequence[Component]:
@@ -214,63 +211,6 @@ class SampledPlant(ABC):
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-    def _carry_on(self, rest: Any) -> None:
-        """Carry the state over one sample period, from switch to switch; the next command takes effect at `rest`."""
-        queue, run, negligible = self._queue, self._run, self._negligible
-        if len(queue) == self._whole:  # no answer to the last sample: the command in effect holds
-            queue.append(None)
-        entry = queue.popleft()
-        if self._tail is not None:
-            self._after_pulse(rest)
-        elif entry is None or (self._comparable and entry[2] == 0.0 and entry[0][0] == self._drive[0]):
-            run(self._period, self._drive)  # no switch, so no step for one
-            return
-        elif rest > negligible:
-            run(rest, self._drive)
-        left = self._period - rest
-        if entry is not None:
-            self._drive, pulsed, width = entry
-            if width > 0.0:
-                inside = min(width, left)
-                run(inside, pulsed)
-                left -= inside
-                if width - inside > negligible:
-                    self._tail = pulsed, width - inside
-        if left > negligible:
-            run(left, self._drive)
-
-    def _after_pulse(self, rest: float) -> None:
-        """Carry the state up to the next command where a pulse of the one before is still on; that command ends it."""
-        assert self._tail is not None
-        (pulsed, width), self._tail = self._tail, None
-        width = min(width, rest)
-        if width > self._negligible:
-            self._run(width, pulsed)
-        if rest - width > self._negligible:
-            self._run(rest - width, self._drive)
-
-    def _carry_each(self, rest: Any) -> None:
-        """Carry devices whose delays differ over one sample period; a stretch that a device has not lasts no time."""
-        if len(self._queue) == self._whole:
-            self._queue.append(None)
-        entry = self._queue.popleft()
-        before: Any = 0.0
-        if self._tail is not None:
-            (pulsed, width), self._tail = self._tail, None
-            before = np.minimum(width, rest)
-            self._run(before, pulsed)
-        self._run(rest - before, self._drive)
-        left = self._period - rest
-        if entry is not None:
-            self._drive, pulsed, width = entry
-            if width > 0.0:
-                inside = np.minimum(width, left)
-                self._run(inside, pulsed)
-                left = left - inside
-                if (width - inside > self._negligible).any():
-                    self._tail = pulsed, width - inside
-        self._run(left, self._drive)
 
     def _run_in_pieces(self, duration: Component, drive: Any) -> None:
         """Advance over one stretch, recorded, and in pieces where a longest step is set."""

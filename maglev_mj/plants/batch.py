@@ -17,9 +17,9 @@ from maglev_mj.hand import Hand
 from maglev_mj.model import COILS
 from maglev_mj.parameters import number, numbers
 from maglev_mj.plants.base import PlantKeywords, SampledPlant
-from maglev_mj.plants.contract import Timing
 from maglev_mj.plants.engine import effort_addresses, longest_step, prepared, start_state
 from maglev_mj.spec import GRAVITY
+from maglev_mj.timeline import Timing
 
 __all__ = ["MuJoCoBatchPlant"]
 
@@ -98,7 +98,7 @@ class MuJoCoBatchPlant(SampledPlant):
             keywords["longest_step"] = longest_step(self.device, driver_lag, hand)
         super().__init__(timing, batch=start.shape[:1], **keywords)
         if driver_lag:
-            self._engine.bind("act")[:] = self._drive[1]
+            self._engine.bind("act")[:] = self._timeline.acting[1]
 
     def _prepare(self, force: Sequence[Component]) -> Drive:
         wrench = np.broadcast_to(join(force), (*self.batch, 6))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import struct
-from collections import deque
 from collections.abc import Sequence
 from functools import partial
 from typing import Any
@@ -18,8 +17,8 @@ from maglev_mj.errors import ParameterError, PlantError
 from maglev_mj.frames import Array, Command
 from maglev_mj.model import COILS
 from maglev_mj.parameters import numbers
-from maglev_mj.plants.contract import Timing
 from maglev_mj.plants.mujoco import Drive, MuJoCoPlant
+from maglev_mj.timeline import Timing
 
 __all__ = ["CoilDrivenPlant"]
 
@@ -40,9 +39,6 @@ class CoilDrivenPlant(MuJoCoPlant):
             base is not level.
         keywords: Those of `MuJoCoPlant`, but for wrench, wrench_limit, current_limit and sensor: who knows the coils
             knows the sensor too.
-
-    Attributes:
-        segments: Which currents flowed from the sample before the last one to that, in turn: how long [s], and six [A].
 
     Raises:
         ParameterError: If gravity is not (3,), or a keyword is one of those, or as for `MuJoCoPlant`.
@@ -70,10 +66,7 @@ class CoilDrivenPlant(MuJoCoPlant):
         self._inverse_map = np.eye(len(COILS))  # from what is commanded, currents, to currents
         self._upright = math.inf
         self._fill = partial(struct.pack_into, "6d", self._currents.data, 0)
-        self._drive = self._prepare(_NO_CURRENTS)
-        # when, in ticks and seconds after one, to which currents, and those of a pulse ahead of them
-        self._switches: deque[tuple[int, float, Drive, Drive, float]] = deque()
-        self.segments: list[tuple[float, Sequence[float]]] = []
+        self._timeline.acting = self._prepare(_NO_CURRENTS)
 
     def drive(
         self,
@@ -96,16 +89,9 @@ class CoilDrivenPlant(MuJoCoPlant):
         """
         if self._tick < 0 or not math.isfinite(sum(currents) + sum(pulsed or ()) + width):
             raise PlantError(f"currents must be finite and follow a sample, not {tuple(currents)} for {width:g} s")
-        tick, offset = self._tick, after
-        if offset is None:
-            tick, offset = tick + self._whole, self._rest
-        while offset >= self._period - self._negligible:
-            tick, offset = tick + 1, max(offset - self._period, 0.0)
-        switches = self._switches
-        while switches and switches[-1][:2] >= (tick, offset):
-            switches.pop()
         held = self._prepare(currents)
-        switches.append((tick, offset, held, held if pulsed is None else self._prepare(pulsed), width))
+        ahead = held if pulsed is None else self._prepare(pulsed)
+        self._timeline.answer(self._tick, held, ahead, width, after=after)
 
     def write(self, command: Command) -> Command:
         """Refuse: a wrench needs somebody who knows the coils.
@@ -118,7 +104,12 @@ class CoilDrivenPlant(MuJoCoPlant):
     @property
     def applied_currents(self) -> tuple[float, ...]:
         """Currents that are held at the last sample, or pulsed where a pulse is on [A], six."""
-        return tuple((self._drive if self._tail is None else self._tail[0])[0])
+        return tuple(self._timeline.now()[0])
+
+    @property
+    def segments(self) -> list[tuple[float, Sequence[float]]]:
+        """Currents from the sample before the last one to that: how long each flowed [s], and six [A]."""
+        return [(duration, drive[0]) for duration, drive in self._segments]
 
     def open_coil(self, coil: int) -> None:
         """Let a coil, 0 to 5, give no force from now on, as one whose wire is broken."""
@@ -136,38 +127,10 @@ class CoilDrivenPlant(MuJoCoPlant):
         model.actuator_gear[: len(COILS), :3] = np.einsum("jba,jb->ja", axes, coils.directions)
         model.actuator_gainprm[: len(COILS), 0] = coils.force_constants
 
-    def _carry_on(self, rest: float) -> None:
-        """Carry the state over one sample period, from switch to switch."""
-        switches, tick, done = self._switches, self._tick, 0.0
-        self.segments = []
-        self._choose_steps()
-        while switches and switches[0][0] <= tick:
-            _, offset, held, pulsed, width = switches.popleft()
-            if self._tail is None and width == 0.0 and held[0] == self._drive[0]:
-                continue  # no switch, so no step for one
-            self._stay(offset - done)
-            self._drive, self._tail = held, (pulsed, width) if width > 0.0 else None
-            done = offset
-        self._stay(self._period - done)
-
     def _apply(self, drive: Drive) -> None:
         """Hand currents to the engine."""
         self._applied = drive
         self._fill(*drive[0])
-
-    def _stay(self, duration: float) -> None:
-        """Carry the state on without a switch but that at the end of a pulse."""
-        if self._tail is not None:
-            pulsed, width = self._tail
-            inside = min(width, duration)
-            if inside > self._negligible:
-                self.segments.append((inside, pulsed[0]))
-                self._run(inside, pulsed)
-            duration -= inside
-            self._tail = (pulsed, width - inside) if width - inside > self._negligible else None
-        if duration > self._negligible:
-            self.segments.append((duration, self._drive[0]))
-            self._run(duration, self._drive)
 
     def _state(self, drive: Drive) -> tuple[Array, Array, Array]:
         pose, twist, currents = super()._state(drive)

@@ -14,8 +14,8 @@ from maglev_mj.hand import Hand
 from maglev_mj.parameters import flag, number, numbers
 from maglev_mj.plants.axes import AxisMotion, FreeAxis, HeldAxis, LaggedAxis, RubbingAxis
 from maglev_mj.plants.base import PlantKeywords, SampledPlant
-from maglev_mj.plants.contract import Timing
 from maglev_mj.spec import DRIVER_TIME_CONSTANT, GRAVITY, INERTIA
+from maglev_mj.timeline import Timing
 
 __all__ = ["ExactPlant"]
 
@@ -87,7 +87,7 @@ class ExactPlant(SampledPlant):
             raise ParameterError("dry_friction must be without driver_lag: the two have no closed form together")
         frictions = [0.0] * 6 if rub is None else components(np.broadcast_to(rub, (*rub.shape[:-1], 6)))
         axes: list[AxisMotion] = []
-        start = zip(self._place, self._velocity, self._drive[1], body, frictions, strict=True)
+        start = zip(self._place, self._velocity, self._timeline.acting[1], body, frictions, strict=True)
         for index, (place, velocity, force, inertia, friction) in enumerate(start):
             if index in held and np.any(np.asarray(friction) > 0.0):
                 raise ParameterError("dry_friction must be 0 on an axis that a hand holds")

@@ -21,10 +21,10 @@ from maglev_mj.hand import Hand
 from maglev_mj.model import COILS, load
 from maglev_mj.parameters import number, numbers
 from maglev_mj.plants.base import PlantKeywords, SampledPlant
-from maglev_mj.plants.contract import Timing
 from maglev_mj.plants.engine import FadingCoils, effort_addresses, longest_step, near_stops, prepared, start_state
 from maglev_mj.plants.sensor import Measure
 from maglev_mj.spec import GRAVITY
+from maglev_mj.timeline import Timing
 
 __all__ = ["MuJoCoPlant"]
 
@@ -108,13 +108,14 @@ class MuJoCoPlant(SampledPlant):
         self._data.qpos[:], self._data.qvel[:] = start_state(self.device, start, motion, hand)
         # where stops alone ask for short steps, those are for when the flotor is near one
         free = longest_step(self.device, driver_lag, hand, replace(detail, stops=False)) is None
-        self._watches_stops = detail.stops and free and keywords.get("longest_step") is None
+        watches_stops = detail.stops and free and keywords.get("longest_step") is None
         if keywords.get("longest_step") is None:
             keywords["longest_step"] = longest_step(self.device, driver_lag, hand, detail)
         super().__init__(timing, batch=(), **keywords)
-        self._watches_stops &= self._recorder is None
+        if watches_stops and self._recorder is None:
+            self._before_period = self._choose_steps
         if driver_lag:
-            self._data.act[:] = self._inverse_map @ np.array(self._drive[0])
+            self._data.act[:] = self._inverse_map @ np.array(self._timeline.acting[0])
         if self.current_limit is not None:
             self._limits = True
             upright = load(scene).coils
@@ -175,15 +176,10 @@ class MuJoCoPlant(SampledPlant):
     def _prepare(self, force: Sequence[float]) -> Drive:
         return tuple(force), self._inverse_map  # the caller may use its list again
 
-    def _carry_on(self, rest: float) -> None:
-        self._choose_steps()
-        super()._carry_on(rest)
-
     def _choose_steps(self) -> None:
-        """Choose how the next period is stepped."""
-        if self._watches_stops:
-            near = near_stops(self._read_pose(), self._qvel.tolist(), self._period)
-            self._run = self._run_in_pieces if near else self._advance
+        """Take short steps over the next period only if the flotor may meet a stop."""
+        near = near_stops(self._read_pose(), self._qvel.tolist(), self._period)
+        self._run = self._run_in_pieces if near else self._advance
 
     def _apply(self, drive: Drive) -> None:
         """Hand a drive to the engine."""
@@ -248,7 +244,7 @@ class MuJoCoPlant(SampledPlant):
     def _follow_turn(self, turned: bool) -> None:
         """Renew the coils' map for a flotor that is turned, or is upright again."""
         assert self._coils is not None
-        self._comparable = not (turned or self._turned)  # the map differs from sample to sample
+        self._timeline.compares = not (turned or self._turned)  # the map differs from sample to sample
         self._turned = turned
         if turned:
             mujoco.mju_quat2Mat(self._rotation, self._qpos[3:])
@@ -265,7 +261,7 @@ class MuJoCoPlant(SampledPlant):
         def measured(position: Sequence[float]) -> list[float]:
             known = measure(position)
             before, self._inverse_map = self._inverse_map, coils.inverse_turned(*known[3:])
-            self._comparable = before is upright is self._inverse_map
+            self._timeline.compares = before is upright is self._inverse_map
             return known
 
         return measured

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 
-from maglev_mj.frames import Array, Command, Sample
-from maglev_mj.metrics import PassivityObserver
-from maglev_mj.plants import Timing
-from maglev_mj.recording.ring import Row
-from maglev_mj.recording.stretch import Basis
+from maglev_mj.energy import HandWork, PassivityObserver
+from maglev_mj.frames import Command, Sample
+from maglev_mj.recording.recording import Basis
+from maglev_mj.timeline import Timing
 
 __all__ = ["Totals"]
 
@@ -25,24 +27,20 @@ class Totals:
         self._carried = np.array(basis.carried)
         load, before = self._carried + np.array(basis.load), np.array(basis.before) - self._carried
         self._observer = PassivityObserver(timing, basis.inertia, load, before)
-        self._pose: Array | None = None
-        self._effort: Array = np.zeros(6)
-        self._hand, self._missed = 0.0, 0
+        self._hand, self._missed = HandWork(), 0
         self._tick: float | None = None
 
     def miss(self, count: int) -> None:
         """Count samples that were missed, other than by a gap in the ticks."""
         self._missed += count
 
-    def add(self, row: Row) -> tuple[float, float, int]:
-        """Return the totals at a sample: energy taken [J], work of the hand [J], samples missed."""
-        pose, force = np.array(row[2:8]), np.array(row[21:27]) - self._carried
-        command = Command(force.tolist(), row[27:33], row[33]) if row[33] else Command(force.tolist())
-        self._observer(Sample(int(row[0]), row[1], row[2:8]), command)
-        if self._pose is not None:
-            self._hand += float(self._effort @ (pose - self._pose))
-        self._pose, self._effort = pose, np.array(row[34:40])
+    def add(self, row: Mapping[str, Any]) -> tuple[float, float, int]:
+        """Return the totals at a sample, given by name: energy taken [J], work of the hand [J], samples missed."""
+        force, width = np.array(row["applied"]) - self._carried, row["applied_pulse_width"]
+        command = Command(force.tolist(), row["applied_pulse"], width) if width else Command(force.tolist())
+        self._observer(Sample(int(row["tick"]), row["time"], row["position"]), command)
+        self._hand.add(np.array(row["position"]), row["hand"])
         if self._tick is not None:  # a device counts on from stretch to stretch
-            self._missed += max(int(row[0] - self._tick) - 1, 0)
-        self._tick = row[0]
-        return float(self._observer.energy.sum()), self._hand, self._missed
+            self._missed += max(int(row["tick"] - self._tick) - 1, 0)
+        self._tick = row["tick"]
+        return float(self._observer.energy.sum()), self._hand.total, self._missed

@@ -121,7 +121,7 @@ def _press(name: str) -> Callable[[Result], Any]:
     def made(result: Result) -> PressSummary:
         scene: Any = result.scene
         settled = scene.path(result.phase).end
-        return summarise_press(result.trace, scene.strokes(result.phase), settled, scene.end, scene.mass)
+        return summarise_press(result.trace, scene.strokes(result.phase), settled, scene.end)
 
     return lambda result: getattr(result.once("press", made), name)
 

@@ -8,7 +8,7 @@ from typing import Any, ClassVar, TypeAlias
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, ZERO
 from maglev_mj.hand import Path, SpringHand
-from maglev_mj.laws import Friction, Law, Wall
+from maglev_mj.laws import Law
 from maglev_mj.parameters import Turn, number, param
 from maglev_mj.scenes import parts
 from maglev_mj.scenes.scene import DELAY, RATE, Scene, Start
@@ -112,8 +112,9 @@ class InteractiveScene(Scene):
         laws = self.own_laws()
         if self.walls is None or not self.wall:
             return laws
-        gains = parts.shared(self) if any(isinstance(law, Friction) for law in laws) else self
-        return [law for law in laws if not isinstance(law, Wall)] + parts.walls(gains, self.walls)
+        sticks = any(near.state == "stuck" for law in laws for near in law.gains() or ())
+        gains = parts.shared(self) if sticks else self
+        return [law for law in laws if not law.faces()] + parts.walls(gains, self.walls)
 
     def start(self) -> Start:
         """Return a flotor at rest, carried by the currents where they do."""

@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from maglev_mj.energy import actuator_work
 from maglev_mj.frames import Array
-from maglev_mj.metrics import energy_balance
 from maglev_mj.parameters import flag
 from maglev_mj.trace import Trace
 
@@ -67,7 +67,7 @@ class _Motion(NamedTuple):
     turn: Array
 
 
-def summarise_press(trace: Trace, strokes: Sequence[float], settled: float, end: float, mass: float) -> PressSummary:
+def summarise_press(trace: Trace, strokes: Sequence[float], settled: float, end: float) -> PressSummary:
     """Summarise one run on a wall that fills z <= 0.
 
     Positions are extremes of the recorded curve, not of samples of it, and speeds those at the crossing itself.
@@ -77,13 +77,12 @@ def summarise_press(trace: Trace, strokes: Sequence[float], settled: float, end:
         strokes: When each stroke begins [s], in order, that of the press last.
         settled: When the hand has come to where it presses from [s].
         end: When the run was to end [s].
-        mass: Mass of the flotor [kg].
     """
     tail = end - _TAIL * (end - settled)
     motion = _refined(trace, [*strokes, tail])
     hits = [_hit(motion, start, finish) for start, finish in pairwise(strokes)]
     press = _press(motion, tail) if motion.time[-1] >= end - 1e-9 else (np.nan,) * 4
-    absorbed = -energy_balance(trace, mass, 0.0).actuators
+    absorbed = -actuator_work(trace)[..., 2].sum(axis=0)
     figures = [*np.array(hits).T, *(np.array(figure) for figure in press), np.asarray(absorbed)]
     return PressSummary(*figures)
 

@@ -23,7 +23,7 @@ from maglev_mj.spec import ESCAPE, GRAVITY, Spec
 if TYPE_CHECKING:
     from maglev_mj.scenes.run import Result
 
-__all__ = ["DELAY", "PLANTS", "RATE", "PlantMaker", "Scene", "Start"]
+__all__ = ["DELAY", "PLANTS", "RATE", "PlantMaker", "Scene", "SideBySide", "Start"]
 
 RATE = Turn(among=(50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0), inverse=True, word="rate")
 """Keys on a sample period."""
@@ -115,7 +115,7 @@ class Scene(Parameters):
     def __reduce__(self) -> Any:
         from maglev_mj.scenes.find import made_again, reference_of
 
-        return made_again, (reference_of(type(self)), self.as_json())
+        return made_again, (reference_of(type(self)), self._given())
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -181,6 +181,10 @@ class Scene(Parameters):
         """Return what the JSON has besides parameters, series and summary."""
         return {}
 
+    def compared(self, result: Result) -> Mapping[str, Mapping[str, float]]:
+        """Return figures to stand beside those of a run, such as a closed form's: by label and name."""
+        return {}
+
     # --- what follows --------------------------------------------------------------------------
 
     def controller(self) -> Controller:
@@ -231,7 +235,7 @@ class Scene(Parameters):
             return self.scripted_hand(float(phase))
         hands = [self.scripted_hand(float(one)) for one in np.asarray(phase)]
         known = [hand for hand in hands if hand is not None]
-        return _SideBySide(known) if known else None
+        return SideBySide(known) if known else None
 
     def run_figures(self, plant: str, phase: float = 0.0) -> Mapping[str, Any]:
         """Return the figures of one run, by name."""
@@ -240,7 +244,7 @@ class Scene(Parameters):
         return run(self, plant=plant, phase=phase).figures
 
 
-class _SideBySide:
+class SideBySide:
     """Hands that differ in their paths alone, one for each device of a batch."""
 
     def __init__(self, hands: Sequence[HandForce]) -> None:

@@ -2,18 +2,15 @@
 
 from maglev_mj.session.actions import DEVICES_OWN, actions, settable
 from maglev_mj.session.admission import Refusal, refusal
-from maglev_mj.session.energy import EnergyAccount
 from maglev_mj.session.live import device_controller, live_plant, mechanics
 from maglev_mj.session.pacing import Due, Pacer, real_time
 from maglev_mj.session.publishers import Publisher, Publishers
 from maglev_mj.session.session import Session
 from maglev_mj.session.snapshot import History, SampledMotion, Snapshot, SnapshotSource
-from maglev_mj.session.view import stick_positions, wall_faces
 
 __all__ = [
     "DEVICES_OWN",
     "Due",
-    "EnergyAccount",
     "History",
     "Pacer",
     "Publisher",
@@ -30,6 +27,4 @@ __all__ = [
     "real_time",
     "refusal",
     "settable",
-    "stick_positions",
-    "wall_faces",
 ]

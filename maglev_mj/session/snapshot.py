@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
 
-from maglev_mj.frames import ZERO, Array
+from maglev_mj.energy import HandWork
+from maglev_mj.frames import Array
 from maglev_mj.hand import SpringHand
 from maglev_mj.scenes import Scene
-from maglev_mj.session.energy import EnergyAccount
 
 __all__ = ["SHOWN", "History", "SampledMotion", "Snapshot", "SnapshotSource"]
 
@@ -131,13 +132,12 @@ class SampledMotion:
 
     def __init__(self, axis: int) -> None:
         self.history, self._axis = History(), axis
-        self._energy: EnergyAccount | None = None
-        self._last = 0.0, 0.0
+        self._hand, self._last = HandWork(), (0.0, float("nan"))
 
     @property
     def work(self) -> float:
         """Work of the hand [J]; its force is held from sample to sample."""
-        return 0.0 if self._energy is None else self._energy.hand
+        return self._hand.total
 
     def add(self, time: float, pose: Array, force: Array, hand: Sequence[float]) -> None:
         """Add a sample.
@@ -149,9 +149,9 @@ class SampledMotion:
             hand: Wrench of the hand [N, N m], six.
         """
         position = float(pose[self._axis])
-        if self._energy is None:
-            self._energy, self._last = EnergyAccount(pose, ZERO), (time - 1.0, position)
-        self._energy.add(pose, hand, 0.0)
+        self._hand.add(pose, hand)
         before, last = self._last
+        if math.isnan(last):
+            before, last = time - 1.0, position
         self.history.add(time, position, (position - last) / (time - before), force[self._axis], hand[self._axis])
         self._last = time, position

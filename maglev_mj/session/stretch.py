@@ -7,15 +7,14 @@ from typing import Any
 
 import numpy as np
 
+from maglev_mj.energy import EnergyAccount
 from maglev_mj.frames import ZERO, Array, Command, Sample
 from maglev_mj.hand import HandForce
 from maglev_mj.loop import ControlLoop
-from maglev_mj.recording import RecordingFile, carried_by
+from maglev_mj.recording import RecordingFile
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.find import reference_of
-from maglev_mj.session.energy import EnergyAccount
 from maglev_mj.session.live import live_plant, mechanics
-from maglev_mj.session.view import stick_positions, wall_faces
 
 __all__ = ["LiveStretch", "scene_setup"]
 
@@ -69,10 +68,9 @@ class LiveStretch:
         if file is not None:
             masses = mechanics(scene, wrench)
             record = file.begin(self.plant, self.controller, setup, delay=scene.delay, mechanics=masses)
-        self._carried = carried_by(self.controller.laws)
+        self._carried = self.controller.carried
         self.energy = EnergyAccount(np.array(pose), self._carried)
-        self.faces = wall_faces(self.controller.laws)
-        self._stick_positions = stick_positions(self.controller)
+        self.faces = self.controller.faces
         self._loop = ControlLoop(self.plant, self.controller, observe=self._observe, record=record)
         self._axis, self._keep, self._began = scene.axis_index, keep, began
         self.ticks, self._period = 0, scene.period
@@ -92,7 +90,7 @@ class LiveStretch:
     @property
     def anchors(self) -> Array | None:
         """Where the flotor sticks [m, rad], (6,), NaN on axes without friction; None where there is none at all."""
-        return self._stick_positions()
+        return self.controller.stick_positions
 
     @property
     def rendered(self) -> Array:

@@ -20,6 +20,7 @@ from maglev_mj.hand import Hand, motion, transition
 from maglev_mj.laws import FiniteDifference, LinearController, LowPass, VelocityEstimator, Window
 from maglev_mj.parameters import common_shape, number, numbers
 from maglev_mj.spec import Spec
+from maglev_mj.timeline import split_delay
 
 __all__ = ["Design", "LoopKeywords", "SampledLoop", "pd", "rendered_stiffness"]
 
@@ -182,9 +183,7 @@ class SampledLoop:
             in the delay (...,), and how many commands are on their way at most.
         """
         period, delay = np.asarray(self.period), np.asarray(self.delay)
-        whole = np.floor(delay / period + 1e-9)
-        rest = np.maximum(delay - whole * period, 0.0)
-        rest = np.where(rest > 1e-9 * period, rest, 0.0)
+        whole, rest = map(np.asarray, split_delay(delay, period))
         a, b = motion(self.mass, self.hand, self.driver_lag)
         before, old = transition(a, b[..., :1], rest)
         after, new = transition(a, b[..., :1], period - rest)

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any, TypeAlias
 
 import mujoco
 import numpy as np
 
-from maglev_mj.errors import ParameterError
+from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.parts import MASS
 from maglev_mj.session import Snapshot
-from maglev_mj.theory import largest_stable_stiffness
+from maglev_mj.theory import judge, largest_stable_stiffness, stated_gains
 
 __all__ = ["Plots"]
 
@@ -22,6 +23,7 @@ _SECONDS = 2.0
 _POINTS = 500
 _DAMPINGS = 32
 _LEAST = 1.0
+_NO_BOUNDARY = np.zeros(0), np.zeros(0)
 _BLUE, _RED, _GREEN, _GREY = (0.16, 0.52, 0.80), (0.90, 0.35, 0.33), (0.25, 0.72, 0.42), (0.62, 0.66, 0.70)
 
 _Line: TypeAlias = tuple[tuple[float, float, float], Any, Any]
@@ -34,7 +36,7 @@ class Plots:
     """Four figures of the engine's own kind, renewed from a snapshot."""
 
     def __init__(self) -> None:
-        self._boundary = _Boundary()
+        self._stability = _Stability()
         self.figures = [mujoco.MjvFigure() for _ in range(4)]
         for figure in self.figures:
             _prepare(figure)
@@ -60,13 +62,16 @@ class Plots:
         return self.figures
 
     def wait(self, snapshot: Snapshot) -> None:
-        """Wait until the stability map of a snapshot is known."""
-        self._boundary.wait(snapshot.scene)
+        """Wait until the stability of a snapshot is known."""
+        self._stability.wait(snapshot.scene)
 
     def _draw_gains(self, figure: Any, scene: Scene) -> None:
-        """Draw the boundary of what is stable, and a cross at the scene's stiffness and damping, if it has them."""
-        known = self._boundary.of(scene)
-        dampings, stiffnesses = known if known is not None else (np.zeros(0), np.zeros(0))
+        """Draw the stability boundary and a cross at the gains; the verdict alone where a law states no gains."""
+        known = self._stability.of(scene)
+        if isinstance(known, str):
+            _draw(figure, known, [], (0.0, 1.0), (0.0, 1.0))
+            return
+        dampings, stiffnesses = known
         lines: list[_Line] = [(_GREY, dampings, stiffnesses * 1e-3)]
         damping, stiffness = getattr(scene, "damping", 0.0), getattr(scene, "stiffness", 0.0)
         width = _round_up(max(float(dampings.max(initial=0.0)), 1.1 * damping, _LEAST))
@@ -77,36 +82,50 @@ class Plots:
         _draw(figure, "stable below: kN/m over N s/m", lines, (0.0, width), (0.0, height))
 
 
-class _Boundary:
-    """The largest stable stiffness over the damping for a rate and a delay, reckoned beside the session."""
+class _Stability:
+    """Stability of the newest settings, found beside the session: a boundary, or a verdict in words."""
 
     def __init__(self) -> None:
-        self._known: dict[tuple[float, float], tuple[Array, Array] | None] = {}
+        self._key: Scene | None = None
+        self._found: tuple[Array, Array] | str = _NO_BOUNDARY
+        self._busy: threading.Thread | None = None
 
-    def of(self, scene: Scene) -> tuple[Array, Array] | None:
-        """Return dampings [N s/m] and stiffnesses [N/m]; None while they are not known yet."""
-        key = scene.period, scene.delay
-        if key not in self._known:
-            self._known[key] = None
-            threading.Thread(target=self._reckon, args=key, daemon=True).start()
-        return self._known[key]
+    def of(self, scene: Scene) -> tuple[Array, Array] | str:
+        """Return dampings [N s/m] and stiffnesses [N/m], or the verdict; the last one until a scene's own is known."""
+        if scene != self._key and (self._busy is None or not self._busy.is_alive()):
+            self._busy = threading.Thread(target=self._find, args=(scene,), daemon=True)
+            self._busy.start()
+        return self._found
 
     def wait(self, scene: Scene) -> None:
-        """Reckon at once what is not known yet."""
-        key = scene.period, scene.delay
-        if self._known.get(key) is None:
-            self._reckon(*key)
+        """Find at once what is not known yet."""
+        if scene != self._key:
+            self._find(scene)
 
-    def _reckon(self, period: float, delay: float) -> None:
-        # no damping beyond this is stable, whatever the stiffness
-        most = 0.5 * np.pi * MASS / (0.5 * period + delay) * 1.1
-        dampings = np.linspace(0.0, most, _DAMPINGS)
-        try:
-            stiffnesses = largest_stable_stiffness(dampings, period=period, delay=delay)
-        except ParameterError:  # theory goes up to ten periods of delay; beyond it there is no boundary to draw
-            stiffnesses = np.zeros_like(dampings)
-        end = int(np.flatnonzero(stiffnesses).max(initial=-2)) + 2
-        self._known[period, delay] = dampings[:end], stiffnesses[:end]
+    def _find(self, scene: Scene) -> None:
+        controller = scene.controller()
+        if stated_gains(controller) is not None:
+            self._found = _boundary(scene.period, scene.delay)
+        else:
+            try:
+                self._found = str(judge(controller, delay=scene.delay, pose=scene.start().pose))
+            except MaglevError:
+                self._found = "stability not known"
+        self._key = scene
+
+
+@lru_cache
+def _boundary(period: float, delay: float) -> tuple[Array, Array]:
+    """Return dampings [N s/m] and the largest stable stiffness at each [N/m]."""
+    # no damping beyond this is stable, whatever the stiffness
+    most = 0.5 * np.pi * MASS / (0.5 * period + delay) * 1.1
+    dampings = np.linspace(0.0, most, _DAMPINGS)
+    try:
+        stiffnesses = largest_stable_stiffness(dampings, period=period, delay=delay)
+    except ParameterError:  # theory goes up to ten periods of delay; beyond it there is no boundary to draw
+        stiffnesses = np.zeros_like(dampings)
+    end = int(np.flatnonzero(stiffnesses).max(initial=-2)) + 2
+    return dampings[:end], stiffnesses[:end]
 
 
 def _prepare(figure: Any) -> None:

@@ -1,0 +1,169 @@
+"""Energy of hand and rendered world: of a session as it runs, of samples alone, and of a whole motion."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from maglev_mj.frames import Array, Command, Sample
+from maglev_mj.parameters import numbers
+from maglev_mj.timeline import Timeline, Timing
+from maglev_mj.trace import Trace
+
+__all__ = ["EnergyAccount", "HandWork", "PassivityObserver", "actuator_work", "hand_work"]
+
+
+def actuator_work(trace: Trace, carried: ArrayLike = 0.0) -> Array:
+    """Return the work of the actuators between knots [J], (K - 1, ..., 6); exact under a constant wrench there.
+
+    Args:
+        trace: The motion.
+        carried: Wrench that carries the flotor and counts for nothing [N, N m], (6,).
+    """
+    work: Array = (trace.wrench[:-1] - np.asarray(carried)) * np.diff(trace.pose, axis=0)
+    return work
+
+
+def hand_work(poses: Array, efforts: Array) -> Array:
+    """Return the work of a hand from each sample to the next [J], (N - 1, 6).
+
+    Args:
+        poses: Poses at the samples [m, rad], (N, 6).
+        efforts: Wrenches of the hand from each sample on [N, N m], (N, 6).
+    """
+    work: Array = efforts[:-1] * np.diff(poses, axis=0)
+    return work
+
+
+class HandWork:
+    """Add up the work of a hand whose wrench is held from sample to sample.
+
+    Attributes:
+        total: Since the first sample [J].
+    """
+
+    def __init__(self) -> None:
+        self._pose: Array | None = None
+        self._effort: Array = np.zeros(6)
+        self.total = 0.0
+
+    def add(self, pose: Array, effort: Sequence[float]) -> None:
+        """Add the way up to a sample.
+
+        Args:
+            pose: At the sample [m, rad], (6,).
+            effort: Wrench of the hand from there on [N, N m], six.
+        """
+        if self._pose is not None:
+            self.total += float(self._effort @ (pose - self._pose))
+        self._pose, self._effort = pose, np.array(effort)
+
+
+class EnergyAccount:
+    """Add up the work of the hand and the energy that the rendered world takes, from sample to sample.
+
+    The rendered world is what the actuators do beyond carrying the flotor: walls, friction, springs. It has a tank:
+    what it takes in fills it, up to a bound that no spring here can store more than, and what it gives empties it. A
+    world that gives more than it has is not passive, and one that keeps on giving is unstable.
+
+    Args:
+        pose: At the start [m, rad], (6,).
+        carried: Wrench by which the actuators carry the flotor [N, N m], (6,); zero where they do not.
+        tank: The most that counts as stored [J].
+
+    Attributes:
+        taken: Energy that the rendered world has taken in [J]; below 0 it has made energy.
+        stored: Energy in the tank [J]; below 0 by as much as the world has made beyond.
+    """
+
+    def __init__(self, pose: Array, carried: ArrayLike, *, tank: float = 0.2) -> None:
+        self._pose, self._carried, self._tank = pose, np.asarray(carried), tank
+        self._hand, self._work = HandWork(), 0.0
+        self.taken = self.stored = 0.0
+
+    @property
+    def hand(self) -> float:
+        """Work of the hand [J]."""
+        return self._hand.total
+
+    def add(self, pose: Array, effort: Sequence[float], work: float) -> None:
+        """Add the way up to a sample.
+
+        Args:
+            pose: At the sample [m, rad], (6,).
+            effort: Wrench of the hand from there on [N, N m], six.
+            work: Work of the actuators since the start [J], as a metered plant adds it up.
+        """
+        taken = float(self._carried @ (pose - self._pose)) - (work - self._work)
+        self._hand.add(pose, effort)
+        self.taken += taken
+        self.stored = min(self.stored + taken, self._tank)
+        self._pose, self._work = pose, work
+
+
+class PassivityObserver:
+    """Add up the energy that the rendered world takes in, axis by axis, from samples and commands alone.
+
+    Hand it to `run` as `observe`. Between two samples up to four forces act in turn: the older command and what is
+    left of its pulse, the newer command and its pulse. How the way between the samples splits among them follows
+    from the inertia, exactly where no other force acts but a constant load; without inertia the way is taken as
+    straight, which is exact only where one force acts throughout, so without delay and pulse.
+
+    Args:
+        timing: Of the plant.
+        inertia: Mass and moments of inertia of the six axes [kg, kg m²], (6,); None for a straight line.
+        load: Constant wrench that acts besides, such as weight [N, N m], (6,).
+        before: What the environment exerts until the first command takes effect [N, N m], (6,).
+
+    Attributes:
+        energy: Taken in so far [J], (..., 6).
+        least: The least it has been [J], (..., 6).
+
+    Raises:
+        ParameterError: If an inertia is not above 0.
+
+    Source: Hannaford & Ryu 2002, with each force paired with the way that it acted over.
+    """
+
+    def __init__(
+        self, timing: Timing, inertia: ArrayLike | None = None, load: ArrayLike = 0.0, before: ArrayLike = 0.0
+    ) -> None:
+        self._load = numbers("load", load)
+        self._inertia = np.inf if inertia is None else numbers("inertia", inertia, at_least=1e-12)
+        acting = np.zeros(6) + numbers("before", before)
+        self._timeline, self._count = Timeline(timing, acting), 0
+        for sample in range(-timing.whole, 0):  # as if it had been the answer to the samples before the first
+            self._timeline.answer(sample, acting.copy())
+        self._pose: Array | None = None
+        self.energy: Array = np.zeros(6)
+        self.least: Array = np.zeros(6)
+
+    def __call__(self, sample: Sample, command: Command) -> None:
+        """Take in one sample and the command that answered it; samples that are missing count for nothing."""
+        pose = sample.pose
+        if self._pose is not None:
+            self.energy = self.energy - self._work(pose - self._pose)
+            self.least = np.minimum(self.least, self.energy)
+            self._count += 1
+        self._pose = pose
+        held = command.wrench
+        if command.extra is None:
+            self._timeline.answer(self._count, held)
+        else:
+            self._timeline.answer(self._count, held, held + command.pulse, command.pulse_width)
+
+    def _work(self, moved: Array) -> Array:
+        """Return the work of the forces over the period behind the last sample kept."""
+        segments = self._timeline.period(self._count)
+        # speed at the start, such that the segments add up to the way between the samples
+        place, speed = np.zeros_like(moved), np.zeros_like(moved)
+        for duration, force in segments:
+            pull = (force + self._load) / self._inertia
+            place, speed = place + duration * (speed + 0.5 * duration * pull), speed + duration * pull
+        speed, work = (moved - place) / self._timeline.timing.period, np.zeros_like(moved)
+        for duration, force in segments:
+            pull = (force + self._load) / self._inertia
+            work, speed = work + force * duration * (speed + 0.5 * duration * pull), speed + duration * pull
+        return work

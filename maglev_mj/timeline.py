@@ -1,0 +1,244 @@
+"""The one clock: when samples are taken, and which command acts from when to when."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from maglev_mj.errors import ParameterError
+from maglev_mj.frames import Array, Component
+from maglev_mj.parameters import number, numbers
+from maglev_mj.spec import Spec
+
+__all__ = ["Segment", "Timeline", "Timing", "recorded_switches", "split_delay"]
+
+Segment: TypeAlias = tuple[Any, Any]
+"""Duration [s], and the drive that acts, in the form in which the commands were given."""
+
+_MOST_PERIODS = 10_000
+_ROUNDING = 1e-9
+"""Share of a period that is rounding, not time."""
+
+
+def split_delay(delay: Component, period: Component) -> tuple[Component, Component]:
+    """Return whole periods in a delay and the rest of it [s], (...,) each.
+
+    A delay within rounding of a whole number of periods is that number.
+
+    Args:
+        delay: Delay [s], 0 or more, (...,).
+        period: Sample period [s], above 0, (...,).
+    """
+    whole = (delay / period + _ROUNDING) // 1.0
+    rest = delay - whole * period
+    return whole, rest * (rest > _ROUNDING * period) + 0.0  # adding 0 takes the sign off a zero
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Timing:
+    """When samples are taken and when commands take effect, counted in whole ticks.
+
+    Sample k is taken at (k + phase) period after release; its command takes effect `delay` later.
+
+    Args:
+        period: Sample period [s], above 0.
+        delay: Transport delay [s], 0 or more; may exceed the period, up to 10 000 times. (N,) for N devices that
+            differ, all with the same whole periods in it.
+        phase: In [0, 1); (N,) for N devices that differ.
+        jitter: The delay of each command is drawn evenly from delay ± jitter [s], the same for a whole batch.
+            Commands must stay in order and in their period.
+        seed: Of the jitter: the same seed gives the same run.
+
+    Raises:
+        ParameterError: If a value is outside its bounds.
+    """
+
+    period: float = 1.0 / Spec.control_rate.value
+    delay: Component = Spec.transport_delay.value
+    phase: Component = 0.0
+    jitter: float = 0.0
+    seed: int = 0
+    whole: int = field(init=False)
+    """Whole periods in the delay."""
+    rest: Component = field(init=False)
+    """What remains of the delay [s], in [0, period)."""
+    negligible: float = field(init=False)
+    """Stretches shorter than this [s] are rounding, not time."""
+
+    def __post_init__(self) -> None:
+        period = number("period", self.period, above=0.0)
+        delay = np.asarray((numbers if np.ndim(self.delay) else number)("delay", self.delay, at_least=0.0))
+        phase = numbers("phase", self.phase, at_least=0.0)
+        if not (phase < 1.0).all():
+            raise ParameterError(f"phase must be at least 0 and below 1, not {float(phase.max()):g}")
+        if (delay / period > _MOST_PERIODS).any():
+            raise ParameterError(
+                f"delay must be at most {_MOST_PERIODS} periods of {period:g} s, not {float(delay.max()):g} s"
+            )
+        wholes, rest = map(np.asarray, split_delay(delay, period))
+        if np.ptp(wholes):
+            raise ParameterError(
+                f"delay must have the same whole periods of {period:g} s for all devices, not "
+                f"{float(delay.min()):g} to {float(delay.max()):g} s"
+            )
+        jitter = number("jitter", self.jitter, at_least=0.0)
+        room = float(np.minimum(rest, period - rest).min())
+        if jitter > room:
+            raise ParameterError(f"jitter must be at most {room:g} s at this delay and period, not {jitter:g}")
+        number("seed", self.seed, at_least=0)
+        object.__setattr__(self, "jitter", jitter)
+        object.__setattr__(self, "period", period)
+        object.__setattr__(self, "delay", delay if delay.ndim else float(delay))
+        object.__setattr__(self, "phase", phase if phase.ndim else float(phase))
+        object.__setattr__(self, "whole", int(wholes.flat[0]))
+        object.__setattr__(self, "negligible", _ROUNDING * period)
+        object.__setattr__(self, "rest", rest if rest.ndim else float(rest))
+
+    def rest_at(self, tick: int) -> Component:
+        """Return what remains of the delay [s] after whole periods, for the command that takes effect after `tick`."""
+        if self.jitter == 0.0:
+            return self.rest
+        # from tick and seed alone, so that it does not matter who asks, nor in which order
+        draw = np.random.default_rng((self.seed, tick)).uniform(-1.0, 1.0)
+        return self.rest + float(self.jitter * draw)
+
+    def time(self, tick: int, offset: Component = 0.0) -> Any:
+        """Return the time [s] of an instant `offset` after sample `tick`; never a running sum."""
+        return (tick + self.phase) * self.period + offset
+
+
+class Timeline:
+    """Commands on their way, and which of them acts from when to when.
+
+    A command is a drive that is held until the next one takes effect, and may begin with a pulse: another drive for
+    its first seconds. The next command ends a pulse; where none comes, it runs out. Drives may be anything: wrenches,
+    currents, or what a plant has made of them.
+
+    Args:
+        timing: Sample period and delay.
+        acting: The drive that acts until the first command takes effect.
+        compares: See below.
+
+    Attributes:
+        acting: The drive that is held since the last switch.
+        compares: True if drives are tuples, and those with equal first parts are the same: from one to the other there
+            is no switch. It may be changed from period to period.
+    """
+
+    def __init__(self, timing: Timing, acting: Any, *, compares: bool = False) -> None:
+        self.timing, self.acting, self.compares = timing, acting, compares
+        # when, in ticks and seconds after one, to which drive, and that of a pulse ahead of it with its width
+        self._switches: deque[tuple[int, Any, Any, Any, float]] = deque()
+        self._pulse: tuple[Any, Any] | None = None
+        self._period, self._rest, self._whole = timing.period, timing.rest, timing.whole
+        self._negligible, self._jitters = timing.negligible, timing.jitter > 0.0
+        self._each = np.ndim(timing.delay) > 0
+        # one switch within the period, always at the same place
+        self._plain = timing.whole == 0 and not self._jitters and (self._each or self._rest > self._negligible)
+        self._left = timing.period - timing.rest
+
+    def answer(
+        self, tick: int, held: Any, pulsed: Any = None, width: float = 0.0, *, after: float | None = None
+    ) -> None:
+        """Take the answer to a sample; whatever was to take effect then or later no longer does.
+
+        Args:
+            tick: Number of the sample.
+            held: The drive.
+            pulsed: The drive in place of it for the first `width` seconds.
+            width: How long [s]; 0 for no pulse.
+            after: When it takes effect, since the sample [s]; the timing's delay by default.
+        """
+        if after is None:
+            tick += self._whole
+            offset = self.timing.rest_at(tick) if self._jitters else self._rest
+        else:
+            whole, offset = split_delay(after, self._period)
+            tick += int(whole)
+        switches = self._switches
+        while switches and switches[-1][0] >= tick and (switches[-1][0] > tick or np.all(switches[-1][1] >= offset)):
+            switches.pop()
+        switches.append((tick, offset, held, pulsed, width))
+
+    def period(self, tick: int, answer: tuple[Any, Any, float] | None = None) -> list[Segment]:
+        """Return the segments from sample `tick` to the next, in order; their durations add up to the period.
+
+        With delays (N,) durations are (N,), and a segment that a device does not have lasts no time.
+
+        Args:
+            tick: Number of the sample.
+            answer: The answer to it as for `answer`: held, pulsed, width; None where that was called, or nobody did.
+        """
+        switches = self._switches
+        if answer is not None:
+            held, pulsed, width = answer
+            if self._plain and width == 0.0 and self._pulse is None and not switches:  # most periods, at half the cost
+                before = self.acting
+                if self.compares and held[0] == before[0]:
+                    return [(self._period, before)]
+                self.acting = held
+                return [(self._rest, before), (self._left, held)]
+            self.answer(tick, held, pulsed, width)
+        segments: list[Segment] = []
+        done, each, least = 0.0, self._each, self._negligible
+        while switches and switches[0][0] <= tick:
+            _, offset, held, pulsed, width = switches.popleft()
+            duration = offset - done
+            if self._pulse is not None:
+                duration = self._add_pulse(duration, segments)
+            elif width == 0.0 and self.compares and held[0] == self.acting[0]:
+                continue
+            if each or duration > least:
+                segments.append((duration, self.acting))
+            self.acting, self._pulse, done = held, (pulsed, width) if width > 0.0 else None, offset
+        duration = self._period - done
+        if self._pulse is not None:
+            duration = self._add_pulse(duration, segments)
+        if each or duration > least:
+            segments.append((duration, self.acting))
+        return segments
+
+    def now(self) -> Any:
+        """Return the drive that acts now, a pulse's where one is on."""
+        return self.acting if self._pulse is None else self._pulse[0]
+
+    def _add_pulse(self, duration: Any, segments: list[Segment]) -> Any:
+        """Add what is left of a pulse within a duration [s]; return the rest of that."""
+        assert self._pulse is not None
+        pulsed, width = self._pulse
+        inside = np.minimum(width, duration) if self._each else min(width, duration)
+        if self._each or inside > self._negligible:
+            segments.append((inside, pulsed))
+        self._pulse = (pulsed, width - inside) if np.any(width - inside > self._negligible) else None
+        return duration - inside
+
+
+def recorded_switches(
+    time: Array, held: Array, extra: Array, width: Array, *, period: float, delay: float
+) -> tuple[Array, Array]:
+    """Return when the wrench of N recorded commands switches [s], (K,), and to what [N, N m], (K, 6).
+
+    The same rule as `Timeline`'s, for all samples at once: the next recorded command ends a pulse, and where samples
+    are missing it runs out.
+
+    Args:
+        time: When the samples were taken [s], (N,), N > 1.
+        held: Held wrenches [N, N m], (N, 6).
+        extra: Wrenches of the pulses on top of them [N, N m], (N, 6).
+        width: Widths of the pulses [s], (N,); 0 for none.
+        period: Sample period [s].
+        delay: From a sample to its command taking effect [s].
+    """
+    on, near = time + delay, _ROUNDING * period
+    ends = (width > 0.0) & (on + width < np.append(on[1:], np.inf) - near)
+    when = np.concatenate([on, (on + width)[ends]])
+    force = np.concatenate([held + np.where(width > 0.0, 1.0, 0.0)[:, None] * extra, held[ends]])
+    order = np.argsort(when, kind="stable")
+    when, force = when[order], force[order]
+    # a switch within rounding of a sample is at that sample
+    nearest = np.clip(np.searchsorted(time, when), 1, len(time) - 1)
+    nearest -= (when - time[nearest - 1]) < (time[nearest] - when)
+    return np.where(np.abs(time[nearest] - when) <= near, time[nearest], when), force

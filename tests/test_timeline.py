@@ -1,0 +1,129 @@
+"""Which command acts from when to when: segments, pulses and their ends, delays, and recorded commands."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from maglev_mj import Command, ExactPlant, MuJoCoPlant, Timing
+from maglev_mj.plants import CoilDrivenPlant
+from maglev_mj.timeline import Timeline, recorded_switches, split_delay
+
+T = 0.005
+
+
+def rounded(segments: list[tuple[float, object]]) -> list[tuple[float, object]]:
+    return [(round(duration, 9), drive) for duration, drive in segments]
+
+
+@pytest.mark.parametrize("periods", [0, 1, 3, 7])
+@pytest.mark.parametrize("period", [T, 1e-4, 0.1, 1.0 / 3.0])
+def test_a_delay_within_rounding_of_whole_periods_is_whole(periods: int, period: float) -> None:
+    for delay in (periods * period, sum([period] * periods), periods * period * (1.0 + 2e-16)):
+        assert split_delay(delay, period) == (periods, 0.0)
+    whole, rest = split_delay((periods + 0.3) * period, period)
+    assert whole == periods and rest == pytest.approx(0.3 * period, rel=1e-12)
+    wholes, rests = split_delay(np.array([periods * period, (periods + 0.3) * period]), period)
+    assert wholes.tolist() == [periods, periods] and rests.tolist() == [0.0, rest]
+    assert not np.signbit(rests).any()
+
+
+def test_a_pulse_runs_out_unless_a_command_ends_it() -> None:
+    line = Timeline(Timing(period=T, delay=0.0015), "before")
+    line.answer(0, "held", "pulsed", 0.009)
+    assert rounded(line.period(0)) == [(0.0015, "before"), (0.0035, "pulsed")]
+    assert line.now() == "pulsed"
+    assert rounded(line.period(1)) == [(0.005, "pulsed")]  # nobody answered
+    assert rounded(line.period(2)) == [(0.0005, "pulsed"), (0.0045, "held")]
+    assert line.now() == "held"
+    line.answer(3, "other", "kick", 0.009)
+    line.period(3)
+    line.answer(4, "last")
+    assert rounded(line.period(4)) == [(0.0015, "kick"), (0.0035, "last")]
+
+
+def test_a_second_answer_replaces_the_first_and_an_early_switch_what_comes_later() -> None:
+    line = Timeline(Timing(period=T, delay=0.0065), "before")
+    line.answer(0, "wrong")
+    line.answer(0, "right")
+    line.period(0)
+    line.answer(1, "never")
+    line.answer(1, "cut", after=0.002)
+    assert rounded(line.period(1)) == [(0.0015, "before"), (0.0005, "right"), (0.003, "cut")]
+    assert line.period(2) == [(T, "cut")]
+    line.answer(3, "late", after=2.2 * T)
+    assert line.period(3) == line.period(4) == [(T, "cut")]
+    assert rounded(line.period(5)) == [(0.001, "cut"), (0.004, "late")]
+
+
+def test_alike_drives_are_no_switch_where_they_are_compared() -> None:
+    one, same, other = ((1.0, 2.0), "a"), ((1.0, 2.0), "b"), ((3.0, 2.0), "c")
+    for compares in (True, False):
+        line = Timeline(Timing(period=T, delay=0.001), one, compares=compares)
+        line.answer(0, same)
+        assert len(line.period(0)) == (1 if compares else 2)
+        line.answer(1, other)
+        assert len(line.period(1)) == 2
+        line.answer(2, other, same, 0.001)
+        assert [drive for _, drive in line.period(2)] == [other, same, other]
+
+
+def test_devices_with_their_own_delays_have_their_own_switches() -> None:
+    delays = np.array([0.0, 0.001, 0.004])
+    together = Timeline(Timing(period=T, delay=delays), 0)
+    alone = [Timeline(Timing(period=T, delay=delay), 0) for delay in delays]
+    for tick, width in enumerate([0.003, 0.0, 0.0045, 0.012, None, 0.001]):
+        for line in (together, *alone):
+            if width is not None:
+                line.answer(tick, tick + 1, 10 * (tick + 1), width)
+        segments = together.period(tick)
+        np.testing.assert_allclose(sum(duration for duration, _ in segments), T, rtol=1e-12)
+        for device, line in enumerate(alone):
+            shares: dict[int, float] = {}
+            for duration, drive in segments:
+                length = float(np.broadcast_to(duration, (3,))[device])
+                shares[drive] = shares.get(drive, 0.0) + length
+            own = {drive: duration for duration, drive in line.period(tick)}
+            assert {drive: length for drive, length in shares.items() if length > 1e-12} == pytest.approx(own)
+
+
+def test_a_pulse_runs_out_after_an_unanswered_sample_on_every_plant() -> None:
+    """A pulse of 9 ms from 1.5 ms on, and the next samples are not answered."""
+    kick = Command([0.0] * 6, [0.0, 0.0, 1.0, 0.0, 0.0, 0.0], 0.009)
+    times = [0.001, 0.002, 0.0064, 0.0066, 0.0104, 0.0106]
+    for plant in (ExactPlant, MuJoCoPlant):
+        with plant(Timing(period=T, delay=0.0015), gravity=0.0, record=True) as made:
+            made.read()
+            made.write(kick)
+            for _ in range(3):
+                made.read()
+            wrench = made.trace().at(times)[2]
+        assert wrench[:, 2].tolist() == [0.0, 1.0, 1.0, 1.0, 1.0, 0.0]
+    driven = CoilDrivenPlant(Timing(period=T, delay=0.0015), gravity=(0.0, 0.0, 0.0))
+    driven.read()
+    driven.drive([0.0] * 6, [1.0, 0, 0, 0, 0, 0], 0.009)
+    seen = []
+    for _ in range(3):
+        driven.read()
+        seen += [(round(duration, 9), currents[0]) for duration, currents in driven.segments]
+    assert seen == [(0.0015, 0.0), (0.0035, 1.0), (0.005, 1.0), (0.0005, 1.0), (0.0045, 0.0)]
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.0015, T, 0.0123])
+def test_recorded_commands_switch_as_live_ones_do(delay: float) -> None:
+    """Random commands with pulses, every fifth sample not answered: the same wrench at every instant."""
+    random = np.random.default_rng(7)
+    ticks = np.flatnonzero(np.arange(60) % 5 != 3)
+    held, extra = random.normal(size=(2, len(ticks), 6))
+    width = random.choice([0.0, 0.001, 0.003, T, 0.008, 0.02], len(ticks))
+    when, force = recorded_switches(np.asarray(ticks * T, dtype=np.float64), held, extra, width, period=T, delay=delay)
+    line, start = Timeline(Timing(period=T, delay=delay), np.zeros(6)), 0.0
+    answers = {tick: row for row, tick in enumerate(ticks.tolist())}
+    for tick in range(60):
+        if (row := answers.get(tick)) is not None:
+            line.answer(tick, held[row], held[row] + extra[row], float(width[row]))
+        for duration, acting in line.period(tick):
+            index = np.searchsorted(when, start + 0.5 * duration) - 1
+            np.testing.assert_array_equal(acting, force[index] if index >= 0 else 0.0)
+            start += duration
+    assert start == pytest.approx(60 * T)
