@@ -214,7 +214,7 @@ def _numerically(controller: Controller, delay: float, pose: Array, body: Array)
                 jumps.append(near.pose)
             elif not near.settled[chosen].all():
                 unknown.append(near.pose)
-            elif loop.stiffness.min() < -_FREE * np.abs(loop.stiffness).max():
+            elif loop.stiffness.min() < -_FREE * np.abs(own).max():
                 away.append(loop)
             else:
                 loops.append(loop)
