@@ -55,6 +55,7 @@ ALLOWED = {
     "serial": {"net"},
     "mcap": {"recording"},
     "pyarrow": {"recording"},
+    "control": {"theory"},
 }
 
 
