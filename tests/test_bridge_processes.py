@@ -20,12 +20,12 @@ import pytest
 from maglev_mj import MuJoCoPlant, Timing, cli, run
 from maglev_mj.bridge import Calibration, Fault, RemotePlant, State, Twin, TwinParameters, open_link
 from maglev_mj.bridge.connection import Connection
-from maglev_mj.bridge.link import UdpLink, UdpServer
 from maglev_mj.bridge.realtime import RealtimeError, realtime
 from maglev_mj.bridge.server import TwinServer
 from maglev_mj.bridge.simulated_links import Impairment, UdpProxy
 from maglev_mj.bridge.wire import StateReport
 from maglev_mj.detail import Detail
+from maglev_mj.net.udp import UdpLink, UdpServer
 from maglev_mj.plants import Plant, SpotSensor
 from maglev_mj.recording import Recording
 from maglev_mj.scenes import Scene
@@ -41,7 +41,7 @@ pytestmark = pytest.mark.xdist_group("realtime")
 LOCKSTEP = """
 import sys
 from maglev_mj.bridge import Twin, TwinParameters
-from maglev_mj.bridge.link import UdpServer
+from maglev_mj.net.udp import UdpServer
 from maglev_mj.bridge.server import TwinServer
 pose = [float(part) for part in sys.argv[1].split()]
 twin = Twin(TwinParameters(lockstep=True, pose=pose, seed=5))

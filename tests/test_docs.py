@@ -16,10 +16,10 @@ from typing import Any
 import pytest
 
 from maglev_mj.bridge import State, Twin, TwinParameters
-from maglev_mj.bridge.link import UdpServer
 from maglev_mj.bridge.server import TwinServer
 from maglev_mj.cli import parser
 from maglev_mj.cli.options import joined
+from maglev_mj.net.udp import UdpServer
 from maglev_mj.session import Session
 from maglev_mj.stream import PoseStream
 

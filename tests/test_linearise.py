@@ -4,7 +4,6 @@ import doctest
 import math
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -35,11 +34,12 @@ from maglev_mj.laws import (
     Window,
     gain,
 )
-from maglev_mj.scenes import SCENES
+from maglev_mj.scenes.legacy import recorded_scene
 from maglev_mj.spec import INERTIA
 from maglev_mj.theory import Verdict, judge, largest_modulus, linearise, stability, stated_gains
 
 T, DELAY = 0.005, 0.0015
+NAMES = ["joystick", "drop", "press", "table", "box", "corner"]
 
 
 class Detent(AxisLaw):
@@ -87,9 +87,8 @@ def at_rest(controller: Controller, delay: float) -> float:
 
 def compare(name: str, seed: int) -> None:
     """Compare both verdicts on a scene with random settings."""
-    random, scene = np.random.default_rng([list(SCENES).index(name), seed]), SCENES[name]
-    settings = replace(
-        scene.settings,
+    random = np.random.default_rng([NAMES.index(name), seed])
+    scene = recorded_scene(name, {"wall": True}).replace(
         stiffness=float(10.0 ** random.uniform(2.0, 4.7)),
         damping=float(10.0 ** random.uniform(0.0, 2.6)),
         friction=bool(random.integers(2)),
@@ -97,23 +96,23 @@ def compare(name: str, seed: int) -> None:
         period=float(random.choice([0.005, 0.002, 0.01])),
         delay=float(random.choice([0.0, 0.0015, 0.005, 0.0065])),
     )
-    laws = scene.laws(settings)
-    how: dict[str, Any] = {"delay": settings.delay, "pose": scene.pose}
-    stated = Controller(laws, period=settings.period)
-    closed, found = judge(stated, **how), judge(Controller([*laws, silent], period=settings.period), **how)
+    laws = scene.laws()
+    how: dict[str, Any] = {"delay": scene.delay, "pose": scene.start().pose}
+    stated = Controller(laws, period=scene.period)
+    closed, found = judge(stated, **how), judge(Controller([*laws, silent], period=scene.period), **how)
     assert closed.stated and not found.stated
-    assert found.stable is closed.stable, settings
-    assert found.modulus == pytest.approx(at_rest(stated, settings.delay), abs=1e-9), settings
+    assert found.stable is closed.stable, scene
+    assert found.modulus == pytest.approx(at_rest(stated, scene.delay), abs=1e-9), scene
 
 
-@pytest.mark.parametrize("name", list(SCENES))
+@pytest.mark.parametrize("name", NAMES)
 def test_the_numerical_verdict_is_that_of_the_closed_forms(name: str) -> None:
     for seed in range(3):
         compare(name, seed)
 
 
 @pytest.mark.study
-@pytest.mark.parametrize("name", list(SCENES))
+@pytest.mark.parametrize("name", NAMES)
 def test_150_numerical_verdicts_are_those_of_the_closed_forms(name: str) -> None:
     for seed in range(25):
         compare(name, 1000 + seed)

@@ -14,6 +14,7 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.hand import SpringHand
 from maglev_mj.laws import Hold, Law, StickSlip, Wall
 from maglev_mj.loop import ControlLoop
+from maglev_mj.parameters import param
 from maglev_mj.plants import MeteredPlant, Timing
 from maglev_mj.recording import Recording, RecordingError, verify
 from maglev_mj.replay import rebuild
@@ -23,8 +24,9 @@ from maglev_mj.scenes.joystick import Joystick
 from maglev_mj.scenes.legacy import recorded_scene
 from maglev_mj.scenes.parts import INERTIA, WEIGHT, wall
 from maglev_mj.scenes.press import Press
-from maglev_mj.session import Pacer, Session, device_controller, live_plant
+from maglev_mj.session import Pacer, Session, Snapshot, actions, device_controller, live_plant, real_time, settable
 from maglev_mj.spec import Spec
+from maglev_mj.stream.messages import same_rules
 from maglev_mj.theory import largest_stable_stiffness
 from maglev_mj.viewer.overlay import help_text, keys_of, status_text
 
@@ -92,6 +94,19 @@ def test_what_is_forgiven_is_not_caught_up() -> None:
     assert pacer.owed > 0.05
     pacer.forgive()
     assert pacer.advance(0.0, 0.005, lambda: None) == 0
+
+
+def test_real_time_ends_when_it_is_over_and_forgets_a_suspension(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = Clock()
+
+    def sleep(step: float) -> None:
+        clock.now += 30.0 if 0.1 < clock.now < 0.2 else step
+
+    monkeypatch.setattr("time.sleep", sleep)
+    turns = list(real_time(31.0, 0.02, clock))
+    assert max(elapsed for elapsed, _ in turns) == 1.0  # of the 30 s, one
+    assert turns[0] == (0.0, 0.0) and turns[-1][1] == pytest.approx(31.0, abs=0.03)
+    assert len(turns) == pytest.approx(1.0 / 0.02, abs=4)
 
 
 def after(session: Session, seconds: float) -> Session:
@@ -418,3 +433,51 @@ def test_recordings_of_the_old_drop_and_press_are_made_as_they_were() -> None:
         old = recorded_scene(name, values)
         assert old.name == name and old.start().pose[2] == height and len(old.laws()) == 3
         assert type(recorded_scene(name, {"stiffness": 6000.0})) is find_scene(name)
+
+
+def test_keys_stop_at_the_bounds_and_leave_what_is_not_theirs() -> None:
+    class Counted(Scene):
+        """Count something."""
+
+        some: int = param("how many", default=2, at_least=0, at_most=5, live=True)
+        none: float | None = param("a limit", "N", default=None, above=0.0, optional=True, live=True)
+
+        def laws(self) -> list[Law]:
+            return []
+
+    changes = actions(Counted)
+    scene: Scene = Counted()
+    seen = []
+    for action in ["some up"] * 5 + ["some down", "some", "some", "none up"]:
+        scene = changes[action](scene)
+        seen.append(scene.as_json()["some"])
+    assert seen == [3, 4, 5, 5, 5, 4, 0, 2, 2] and scene.as_json()["none"] is None
+    assert actions(Drop)["stiffness up"](Drop(stiffness=1e8)) == Drop(stiffness=1e8)
+    assert "walls" not in actions(Joystick) and not any("weightless" in name for name in actions(Joystick))
+    assert set(settable(Joystick())) >= {"walls", "weightless", "breakaway"}
+
+
+def test_what_a_program_asks_of_the_scene_before_is_not_done() -> None:
+    class Late:
+        """A program that answers to the scene that was there when it asked."""
+
+        wanted: Scene | None = None
+
+        def take(self) -> Scene | None:
+            taken, self.wanted = self.wanted, None
+            return taken
+
+        def show(self, snapshot: Snapshot) -> None: ...
+
+        def close(self) -> None: ...
+
+    late = Late()
+    session = made("box", publishers=[late])
+    late.wanted = Joystick(stiffness=3000.0, period=0.001)
+    after(session, 0.1)
+    assert session.snapshot().scene == find_scene("box")()
+    late.wanted = find_scene("box")().replace(stiffness=3000.0, period=0.001)
+    after(session, 0.1)
+    assert session.snapshot().scene == find_scene("box")().replace(stiffness=3000.0)
+    assert same_rules(Joystick(period=0.001), Joystick())
+    assert not same_rules(Joystick(), find_scene("box")()) and not same_rules(Joystick(wall=False), Joystick())

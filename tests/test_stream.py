@@ -22,10 +22,10 @@ import numpy as np
 import pytest
 
 from maglev_mj import AXES
-from maglev_mj.bridge.link import LinkError
 from maglev_mj.errors import ParameterError
 from maglev_mj.hand import SpringHand
 from maglev_mj.laws import Hold
+from maglev_mj.net.udp import LinkError
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.box import Box
 from maglev_mj.scenes.corner import Corner

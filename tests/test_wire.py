@@ -18,7 +18,6 @@ from typing import Any
 import pytest
 
 from maglev_mj.bridge.firmware import Firmware, Profile, Reading
-from maglev_mj.bridge.serial_link import cobs_encode
 from maglev_mj.bridge.states import Fault, HelloStatus, Operation, Result, State
 from maglev_mj.bridge.wire import (
     MAGIC,
@@ -34,6 +33,7 @@ from maglev_mj.bridge.wire import (
     newer,
 )
 from maglev_mj.errors import ParameterError
+from maglev_mj.net.serial import cobs_encode
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = (ROOT / "docs" / "protocol.md").read_text(encoding="utf-8")

@@ -15,9 +15,9 @@ from itertools import count
 from select import select
 from socket import socket, socketpair
 
-from maglev_mj.bridge.link import Address, UdpLink, UdpServer
 from maglev_mj.bridge.twin import Twin
 from maglev_mj.errors import ParameterError
+from maglev_mj.net.udp import Address, UdpLink, UdpServer
 from maglev_mj.parameters import number
 
 __all__ = ["Impairer", "Impairment", "UdpProxy", "VirtualLink"]

@@ -16,7 +16,6 @@ from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.fault import HandshakeError
 from maglev_mj.bridge.flight import Flight
 from maglev_mj.bridge.identification import collect, excitation, identify
-from maglev_mj.bridge.link import open_link
 from maglev_mj.bridge.realtime import realtime, stopping
 from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.cli.options import (
@@ -29,6 +28,7 @@ from maglev_mj.cli.output import check_file, check_outputs, check_recording
 from maglev_mj.cli.publishers import add_publishers, chosen_publishers
 from maglev_mj.cli.scenes import add_scene, chosen_scene
 from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.net.udp import open_link
 from maglev_mj.parameters import number
 from maglev_mj.recording import RecordingFile, open_recording
 from maglev_mj.scenes import Scene

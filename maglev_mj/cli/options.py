@@ -9,8 +9,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
-from maglev_mj.bridge.seal import LEAST_KEY, MOST_KEY
 from maglev_mj.errors import ParameterError
+from maglev_mj.net.authentication import LEAST_KEY, MOST_KEY
 from maglev_mj.parameters import Parameter, Parameters
 from maglev_mj.workers import Workers, dask_workers, local_workers
 

@@ -19,7 +19,7 @@ from maglev_mj.frames import Component
 from maglev_mj.hand import HandForce, SpringHand
 from maglev_mj.parameters import number
 from maglev_mj.plants import engine_warnings_silenced
-from maglev_mj.session import Session
+from maglev_mj.session import Session, real_time
 from maglev_mj.spacenav import SpacenavServer
 from maglev_mj.stream import StreamClient
 from maglev_mj.terminal import say
@@ -100,15 +100,13 @@ def _follow(client: StreamClient, server: SpacenavServer, ended: threading.Event
 
 def _run(session: Session, ended: threading.Event, seconds: float | None) -> None:
     """Keep real time until it is over."""
-    start = before = moved = time.perf_counter()
-    while not ended.wait(_STEP):
-        now = time.perf_counter()
-        if session.tick(now - before):
+    moved = 0.0
+    for elapsed, now in real_time(seconds, _STEP):
+        if session.tick(elapsed):
             moved = now
         if now - moved > _STANDSTILL:
             raise MaglevError("; ".join(session.snapshot().notes))
-        before = now
-        if seconds is not None and now - start >= seconds:
+        if ended.is_set():
             return
 
 

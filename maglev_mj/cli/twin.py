@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from maglev_mj.bridge.calibration import Calibration
-from maglev_mj.bridge.link import Server, UdpServer, check_host, parse_url
 from maglev_mj.bridge.realtime import realtime, stopping
 from maglev_mj.bridge.safety import Limits
 from maglev_mj.bridge.server import TwinServer
@@ -19,6 +18,7 @@ from maglev_mj.bridge.states import fault_names
 from maglev_mj.bridge.twin import MISFORTUNES, Misfortune, Twin, TwinParameters
 from maglev_mj.cli.options import add_bridge, chosen_key, count, number_option
 from maglev_mj.errors import ParameterError
+from maglev_mj.net.udp import Server, UdpServer, check_host, parse_url
 from maglev_mj.parameters import number
 from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.scenes import find_scene
@@ -108,7 +108,7 @@ def _twin(options: argparse.Namespace) -> int:
 
 def _server(listen: str, key: bytes | None) -> Server:
     if listen == "pty":
-        from maglev_mj.bridge.serial_link import PtyServer
+        from maglev_mj.net.serial import PtyServer
 
         return PtyServer()
     if not listen.startswith("udp:"):

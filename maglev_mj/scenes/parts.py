@@ -24,7 +24,6 @@ __all__ = [
     "MASS",
     "WEIGHT",
     "friction",
-    "hold",
     "shared",
     "spring",
     "wall",
@@ -134,12 +133,6 @@ def friction(scene: InteractiveScene, axes: str | Sequence[str] = AXES, *, coupl
         breakaway=scene.breakaway * radius,
         v_min=_V_MIN / radius,
     )
-
-
-def hold(scene: InteractiveScene, axes: str | Sequence[str]) -> Hold:
-    """Return a hold that keeps axes where they are at rest, as stiff as period and delay allow with ease."""
-    inertia = INERTIA[list(axis_indices(axes))]
-    return Hold.critically_damped(axes, inertia=inertia, period=scene.period, delay=scene.delay)
 
 
 def spring(axes: str | Sequence[str], *, stiffness: float, damping: float, target: ArrayLike = 0.0) -> Hold:

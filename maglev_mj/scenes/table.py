@@ -6,8 +6,9 @@ from maglev_mj.frames import AXES
 from maglev_mj.hand import Path
 from maglev_mj.laws import Law
 from maglev_mj.parameters import param
+from maglev_mj.scenes.bench import hold
 from maglev_mj.scenes.interactive import InteractiveScene
-from maglev_mj.scenes.parts import friction, hold, weight
+from maglev_mj.scenes.parts import friction, weight
 
 __all__ = ["Table"]
 

@@ -7,11 +7,10 @@ from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from maglev_mj.scenes import Scene
+from maglev_mj.session.pacing import Due
 from maglev_mj.session.snapshot import Snapshot
 
 __all__ = ["Publisher", "Publishers"]
-
-_FRAME = 1.0 / 60.0
 
 
 class Publisher(Protocol):
@@ -36,17 +35,15 @@ class Publishers:
     """
 
     def __init__(self, publishers: Sequence[Publisher] = (), clock: Callable[[], float] = time.monotonic) -> None:
-        self._publishers, self._clock, self._due = tuple(publishers), clock, -1.0
+        self._publishers, self._due = tuple(publishers), Due(clock=clock)
 
     def __bool__(self) -> bool:
         return bool(self._publishers)
 
     def show(self, snapshot: Callable[[], Snapshot]) -> None:
         """Publish a snapshot, if one is due; only then is it made."""
-        if not self._publishers or (now := self._clock()) < self._due:
+        if not self._publishers or not self._due():
             return
-        # to a grid of frames, from which a late call does not drift away
-        self._due = self._due + _FRAME if now < self._due + _FRAME else now + _FRAME
         made = snapshot()
         for publisher in self._publishers:
             publisher.show(made)

@@ -9,10 +9,10 @@ from collections.abc import Iterator, Mapping
 from types import NoneType
 from typing import Any, NamedTuple, Self
 
-from maglev_mj.bridge.addresses import check_host, parse_url
-from maglev_mj.bridge.link import UdpLink
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import AXES
+from maglev_mj.net.addresses import check_host, parse_url
+from maglev_mj.net.udp import UdpLink
 from maglev_mj.parameters import number
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene
 from maglev_mj.session import DEVICES_OWN, Snapshot

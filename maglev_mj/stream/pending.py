@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from typing import NamedTuple
 
-from maglev_mj.bridge.link import Address
+from maglev_mj.net.udp import Address
 from maglev_mj.scenes import Scene
 from maglev_mj.session import Snapshot
 from maglev_mj.stream.datagrams import Message

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import socket
 import threading
 import time
 from collections.abc import Callable
 from typing import TypeAlias
 
-from maglev_mj.bridge.addresses import check_host, parse_url
-from maglev_mj.bridge.link import Address, LinkError, readable
 from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.net.addresses import check_host, parse_url
+from maglev_mj.net.udp import Address, UdpServer
 from maglev_mj.scenes import Scene
 from maglev_mj.session import Snapshot, refusal
 from maglev_mj.stream.datagrams import MOST_ASKED, Datagrams, Guard, Message
@@ -67,8 +66,8 @@ class PoseStream:
         self._subscribers: dict[Address, float] = {}
         self._lock, self._closing = threading.Lock(), threading.Event()
         self._snapshot: Snapshot | None = None
-        self._socket = _bound(url, check_host(host, key), port)
-        self.address: Address = self._socket.getsockname()
+        self._server = UdpServer(check_host(host, key), port, backlog=None)
+        self.address: Address = self._server.address
         self._thread = threading.Thread(target=self._listen, name="pose stream", daemon=True)
         self._thread.start()
 
@@ -96,7 +95,7 @@ class PoseStream:
         data = self._datagrams.encode({"type": "end", "session": self._guard.session})
         for address in self._subscribed():
             self._send(data, address)
-        self._socket.close()
+        self._server.close()
 
     def answers(self, data: bytes, address: Address) -> _Said:
         """Take a datagram; return what is to be said, and to whom. It never raises.
@@ -174,15 +173,16 @@ class PoseStream:
     def _listen(self) -> None:
         """Answer until closed."""
         while not self._closing.is_set():
-            if not readable(self._socket, _LOOK):
-                continue
             try:
-                data, address = self._socket.recvfrom(MOST_ASKED + 1)
+                arrived = self._server.receive(_LOOK)
             except OSError:  # on some systems this is where a datagram sent earlier comes back
                 self.dropped["network"] += 1
                 continue
+            if arrived is None:
+                continue
             if self._closing.is_set():
                 return
+            data, address = arrived
             began = time.perf_counter()
             for message, peer in self.answers(data, address):
                 self._send(self._datagrams.encode(message), peer)
@@ -193,18 +193,7 @@ class PoseStream:
     def _send(self, data: bytes, address: Address) -> None:
         """Send one datagram; one that cannot leave now is lost."""
         try:
-            self._socket.sendto(data, address)
-        except OSError:  # no room, or nobody there: a newer pose comes in a moment
-            self.unsent += 1
-
-
-def _bound(url: str, host: str, port: int) -> socket.socket:
-    """Return a socket that listens and never waits."""
-    new = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    new.setblocking(False)
-    try:
-        new.bind((host, port))
-    except OSError as error:
-        new.close()
-        raise LinkError(f"cannot listen at {url}: {error.strerror}") from None
-    return new
+            left = self._server.send(data, address)
+        except OSError:
+            left = False
+        self.unsent += not left  # no room, or nobody there: a newer pose comes in a moment

@@ -8,7 +8,6 @@ import sys
 import threading
 import time
 import warnings
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from statistics import median
@@ -21,7 +20,7 @@ from maglev_mj.errors import MaglevError
 from maglev_mj.frames import Array, rotation_matrix, rotation_vector
 from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.scenes import Scene
-from maglev_mj.session import Snapshot, SnapshotSource
+from maglev_mj.session import Due, Snapshot, SnapshotSource, real_time
 from maglev_mj.viewer.clip import write_picture
 from maglev_mj.viewer.offscreen import DisplayError, OffscreenPainter, arranged
 from maglev_mj.viewer.overlay import SCREENSHOT, help_text, keys_of, status_text
@@ -33,7 +32,6 @@ __all__ = ["ShowReport", "require_display", "show"]
 _FRAME = 1.0 / 60.0
 _NAP = 0.001
 _PATIENCE = 10.0
-_LONGEST_PAUSE = 1.0
 _SHADOWS, _SAMPLES = 2048, 4
 _PICTURE = 1600, 1000
 _HELPED = 560
@@ -143,28 +141,25 @@ class _Window:
         self._threads = [thread for thread in threading.enumerate() if thread not in before]
         self._painter.start()
 
-    def run(self, duration: float | None, clock: Callable[[], float] = time.perf_counter) -> ShowReport:
+    def run(self, duration: float | None) -> ShowReport:
         """Make the ticks, until the window is closed."""
-        session, handle = self._session, self._handle
-        started = last = clock()
-        shown, ticks = -_FRAME, 0
-        while handle.is_running() and (duration is None or last - started < duration):
-            now = clock()
-            ticks += session.tick(min(now - last, _LONGEST_PAUSE))  # a machine that was suspended owes no more
-            last = now
+        session, handle, due = self._session, self._handle, Due(_FRAME)
+        ticks, wall_time = 0, 0.0
+        for elapsed, passed in real_time(duration, _NAP):
+            ticks, wall_time = ticks + session.tick(elapsed), passed
             if self._failed is not None:
                 raise self._failed
             self._press_keys()
             self._guide_hand()
-            if now - shown >= _FRAME and self._snapshots.empty():
+            if self._snapshots.empty() and due():
                 self._snapshots.put(session.snapshot())
-                shown = now
-            time.sleep(_NAP)
+            if not handle.is_running():
+                break
         costs = self._costs
         return ShowReport(
             frames=len(costs),
             frame_cost=median(costs) if costs else 0.0,
-            wall_time=last - started,
+            wall_time=wall_time,
             simulated=session.simulated,
             ticks=ticks,
             missed=session.snapshot().missed,

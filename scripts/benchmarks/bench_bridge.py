@@ -26,7 +26,6 @@ from maglev_mj.bridge import server
 from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.flight import Flight
 from maglev_mj.bridge.gate import Gate
-from maglev_mj.bridge.link import Link, UdpLink, UdpServer
 from maglev_mj.bridge.realtime import Lateness, realtime, stopping
 from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.bridge.safety import Envelope, Limits
@@ -35,6 +34,7 @@ from maglev_mj.bridge.simulated_links import VirtualLink
 from maglev_mj.bridge.twin import Twin, TwinParameters
 from maglev_mj.bridge.wire import Codec, Command, StateReport
 from maglev_mj.laws import Bias
+from maglev_mj.net.udp import Link, UdpLink, UdpServer
 from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.joystick import Joystick

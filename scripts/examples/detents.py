@@ -6,7 +6,8 @@ from maglev_mj.frames import AXES
 from maglev_mj.hand import Path
 from maglev_mj.laws import AxisLaw, Bias, gain
 from maglev_mj.parameters import param
-from maglev_mj.scenes.bench import WEIGHT, hold
+from maglev_mj.scenes.bench import hold
+from maglev_mj.scenes.parts import WEIGHT
 from maglev_mj.scenes.scene import Scene, Start
 
 

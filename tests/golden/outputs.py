@@ -47,6 +47,13 @@ _PROGRESS = re.compile(r"(\S+ ?\S*: \d+ of \d+.*)?")
 _NUMBER = re.compile(r"-?\d+(\.\d+)?(e[+-]?\d+)?")
 
 
+PRESSES = (
+    *("wall", "pulse", "friction", "stiffness up", "stiffness down", "damping up", "damping down"),
+    *("rate up", "rate down", "delay up", "delay down", "drop", "centre", "pause"),
+)
+"""Actions that all scenes with keys have."""
+
+
 def cases() -> dict[str, str]:
     """Return the command line of each case."""
     found: dict[str, str] = json.loads((HERE / "cases.json").read_text())
@@ -101,21 +108,30 @@ def content(path: Path) -> Any:
 
 
 def pressed(count: int = 400, seed: int = 16) -> list[dict[str, Any]]:
-    """Return ticks, setup and samples after each of some random actions.
+    """Return ticks, parameters and samples after each of some random actions, a quarter in each of four scenes.
 
     They act on a session without a window: all that is used of the package besides its commands.
     """
-    from maglev_mj.hand import SpringHand
-    from maglev_mj.session import ACTIONS, Pacer, Session
+    made = []
+    for place, name in enumerate(("joystick", "table", "box", "corner")):
+        made += _pressed(name, count // 4, seed + place)
+    return made
 
-    known = [action for action in ACTIONS if action != "record"]
+
+def _pressed(name: str, count: int, seed: int) -> list[dict[str, Any]]:
+    from maglev_mj.hand import SpringHand
+    from maglev_mj.scenes import find_scene
+    from maglev_mj.session import Pacer, Session
+
     draw, paused = random.Random(seed), False
     made: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "run.npz"
-        session = Session("joystick", hand=SpringHand(), record=path, pacer=Pacer(budget=3600.0, patience=3600.0))
+        session = Session(
+            find_scene(name)(), hand=SpringHand(), record=path, pacer=Pacer(budget=3600.0, patience=3600.0)
+        )
         for _ in range(count):
-            action = "pause" if paused and draw.random() < 0.5 else draw.choice(known)
+            action = "pause" if paused and draw.random() < 0.5 else draw.choice(PRESSES)
             paused ^= action == "pause"
             session.act(action)
             if draw.random() < 0.5:
@@ -130,6 +146,7 @@ def pressed(count: int = 400, seed: int = 16) -> list[dict[str, Any]]:
         mine, rows = rows[: one["ticks"]], rows[one["ticks"] :]
         if mine:
             setup, (position, *_) = mine[-1]
+            setup = setup.get("settings") or setup["parameters"]
             digest = hashlib.sha256(json.dumps([row for _, row in mine]).encode()).hexdigest()[:16]
             one |= {"setup": setup, "position": position, "digest": digest}
     return made

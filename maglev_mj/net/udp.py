@@ -12,8 +12,8 @@ from contextlib import suppress
 from select import select
 from typing import Protocol, TypeAlias
 
-from maglev_mj.bridge.addresses import Url, check_host, is_loopback, parse_url, resolve
 from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.net.addresses import Url, check_host, is_loopback, parse_url, resolve
 
 __all__ = [
     "Address",
@@ -90,7 +90,7 @@ class Server(Protocol):
     def receive(self, timeout: float) -> tuple[bytes, Address] | None:
         """Return the oldest frame and its sender, or None if none comes within `timeout` [s]; 0 only looks."""
 
-    def send(self, data: bytes, address: Address) -> None:
+    def send(self, data: bytes, address: Address) -> object:
         """Send one frame; one that cannot leave now is lost."""
 
     def close(self) -> None:
@@ -164,6 +164,7 @@ class UdpServer:
     Args:
         host: Name or address of this machine; 0.0.0.0 for all it has.
         port: To listen at, 1 to 65535; 0 for any that is free.
+        backlog: Bytes of frames that may wait; None for as many as the system has room for by default.
 
     Attributes:
         address: Where it listens.
@@ -173,9 +174,9 @@ class UdpServer:
         LinkError: If it cannot listen there.
     """
 
-    def __init__(self, host: str, port: int) -> None:
+    def __init__(self, host: str, port: int, *, backlog: int | None = _BACKLOG) -> None:
         wanted = (resolve(host), _port(port, 0))
-        self._socket = _new_socket()
+        self._socket = _new_socket(backlog)
         try:
             self._socket.bind(wanted)
         except OSError as error:
@@ -194,13 +195,15 @@ class UdpServer:
                 raise
             return None
 
-    def send(self, data: bytes, address: Address) -> None:
-        """Send one frame; one that cannot leave now is lost."""
+    def send(self, data: bytes, address: Address) -> bool:
+        """Send one frame, and return whether it has left; one that cannot leave now is lost."""
         try:
             self._socket.sendto(data, address)
         except OSError as error:
             if error.errno not in _SILENCE:
                 raise
+            return False
+        return True
 
     def fileno(self) -> int:
         """Return what `select` waits for."""
@@ -227,7 +230,7 @@ def open_link(url: str, key: bytes | None = None) -> Link:
     if scheme == "udp":
         # what was checked is what is opened: a name may have another address the next time
         return UdpLink(check_host(place, key), number)
-    from maglev_mj.bridge.serial_link import SerialLink
+    from maglev_mj.net.serial import SerialLink
 
     return SerialLink(place, number)
 
@@ -244,9 +247,10 @@ def _port(port: int, least: int) -> int:
     return port
 
 
-def _new_socket() -> socket.socket:
+def _new_socket(backlog: int | None = _BACKLOG) -> socket.socket:
     new = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     new.setblocking(False)
-    with suppress(OSError):  # a system may grant less (net.core.rmem_max)
-        new.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BACKLOG)
+    if backlog is not None:
+        with suppress(OSError):  # a system may grant less (net.core.rmem_max)
+            new.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, backlog)
     return new

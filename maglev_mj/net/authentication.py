@@ -6,7 +6,7 @@ import hashlib
 
 from maglev_mj.errors import ParameterError
 
-__all__ = ["LEAST_KEY", "MOST_KEY", "TAG", "Seal"]
+__all__ = ["LEAST_KEY", "MOST_KEY", "TAG", "Authenticator"]
 
 LEAST_KEY, MOST_KEY = 16, 32
 """Bytes that a key has."""
@@ -15,7 +15,7 @@ TAG = 16
 """Bytes of a tag."""
 
 
-class Seal:
+class Authenticator:
     """Tags messages by keyed BLAKE2s.
 
     Args:

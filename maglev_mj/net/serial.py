@@ -10,8 +10,8 @@ import time
 from collections import deque
 from contextlib import suppress
 
-from maglev_mj.bridge.link import Address, LinkError, readable
 from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.net.udp import Address, LinkError, readable
 
 __all__ = ["LONGEST", "Deframer", "PtyServer", "SerialLink", "SerialMissingError", "cobs_decode", "cobs_encode"]
 
