@@ -25,6 +25,7 @@ from maglev_mj.studies.fidelity import MARGIN, FidelityResult, Range, measure_fi
 from maglev_mj.studies.fidelity_cases import (
     COMPARED,
     Preset,
+    StackingError,
     choice_cases,
     has_gains,
     itself,
@@ -354,7 +355,7 @@ def test_a_looser_tolerance_takes_a_lower_level() -> None:
     assert tight.level.level == "body" and loose.level.level == "axes"
     assert tight.cheapest is not None and tight.cheapest.error < 1e-5
     assert loose.cheapest is not None and loose.cheapest.integrator == "closed form"
-    for wrong, words in (("moon", "scene must be one of drop, "), ("twist", "tolerance must be")):
+    for wrong, words in (("moon", "scene must be one of joystick, drop, "), ("twist", "tolerance must be")):
         with pytest.raises(ParameterError, match=words):
             measure_fidelity(wrong, math.nan)
     for over, words in ((Range(share=0.0), "share"), (Range(around=0.6), "around"), (Range(phases=0), "phases")):
@@ -419,7 +420,7 @@ def test_the_command_answers_for_a_wall_of_ones_own(capsys: pytest.CaptureFixtur
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["moon"], "scene must be one of drop, press, "),
+        (["moon"], "scene must be one of joystick, drop, press, "),
         (["drop", "--tolerance", "0"], "tolerance must be a finite number above 0, not 0"),
         (["drop", "--boundary-tolerance", "0"], "boundary must be a finite number above 0, not 0"),
         (["all", "--tolerance", "1e-3"], "unrecognized arguments: --tolerance 1e-3"),
@@ -437,3 +438,32 @@ def test_bad_input_is_one_line_and_status_2(
     assert status == 2
     said = capsys.readouterr().err
     assert words in said and said.count("\n") == 1
+
+
+class Plain:
+    """A law that says nothing of what it is made of."""
+
+    def __init__(self, hold: Hold) -> None:
+        self._hold = hold
+
+    def __getattr__(self, name: str) -> Any:
+        if name == "axes":
+            raise AttributeError(name)
+        return getattr(self._hold, name)
+
+
+class Plainly(SixAxes):
+    """Hold the flotor with a law of no declared gains."""
+
+    def laws(self) -> list[Any]:
+        return [Plain(Hold(axes="x", stiffness=self.stiffness, damping=self.damping))]
+
+
+def test_laws_that_take_one_device_alone_are_not_screened() -> None:
+    points = [(Plainly(stiffness=gain, duration=0.02), 0.0) for gain in (900.0, 1000.0)]
+    with pytest.raises(StackingError, match="law must be of one class with axes and declared gains, not Plain"):
+        run_together(points, "axes", 0)
+    assert screen_levels(points[0][0], 0.1).shape == (len(LEVELS), 1)
+    mixed = [(SixAxes(), 0.0), (Plainly(), 0.0)]
+    with pytest.raises(StackingError):
+        run_together(mixed, "axes", 0)
