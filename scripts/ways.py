@@ -14,7 +14,7 @@ from peers import Task, available
 
 from maglev_mj import Controller, run
 from maglev_mj.frames import Array
-from maglev_mj.plants import CorrectedBatchPlant, ExactPlant, MuJoCoBatchPlant, SampledPlant, Timing
+from maglev_mj.plants import ExactPlant, MuJoCoBatchPlant, SampledPlant, Timing
 from maglev_mj.plots import WorkPoint, pareto
 from maglev_mj.spec import GRAVITY, Spec
 from maglev_mj.studies import integrators
@@ -102,7 +102,7 @@ def our_ways(scene: FidelityScene, quick: bool) -> list[Way]:
     count = 100 if quick else 1000
     many: tuple[tuple[str, str, Callable[..., SampledPlant], dict[str, Any]], ...] = (
         ("exact", "exact", ExactPlant, {}),
-        ("corrected", "MuJoCo, batch", CorrectedBatchPlant, {"coils": False}),
+        ("corrected", "MuJoCo, batch", MuJoCoBatchPlant, {"coils": False, "integrator": "corrected"}),
         ("rk4", "MuJoCo, batch", MuJoCoBatchPlant, {"coils": False}),
     )
     for name, group, kind, options in many:

@@ -130,10 +130,10 @@ def _shown(watch: Watch, server: TwinServer) -> Callable[[], None]:
     assert coils is not None  # it is driven through them
 
     def each() -> None:
-        currents = plant.applied_currents
-        force = coils.wrench(np.array(currents)) - carried if any(currents) else np.zeros(6)
+        currents = plant.currents
+        force = coils.wrench(currents) - carried if currents.any() else np.zeros(6)
         watch.note = f"a device, {twin.firmware.state.name.lower()}{_faults(twin)}"
-        watch.keep(twin.pose, force, plant.hand_wrench, currents)
+        watch.keep(twin.pose, force, plant.hand_wrench, currents.tolist())
         watch.poll()
         if watch.closed:
             server.stop()

@@ -9,12 +9,11 @@ from typing import Any
 from numpy.typing import ArrayLike
 
 from maglev_mj.controller import Controller
-from maglev_mj.detail import Detail
 from maglev_mj.frames import AXES
 from maglev_mj.hand import HandForce, Path
 from maglev_mj.laws import Friction, Law, Wall
 from maglev_mj.parameters import axis_indices
-from maglev_mj.plants import MeteredPlant
+from maglev_mj.plants import MuJoCoPlant
 from maglev_mj.scenes.parts import WEIGHT, shared, walls
 from maglev_mj.scenes.settings import Settings
 from maglev_mj.spec import Spec
@@ -83,7 +82,7 @@ class Scene:
         wrench: ArrayLike | None = None,
         hand_force: HandForce | None = None,
         **keywords: Any,
-    ) -> MeteredPlant:
+    ) -> MuJoCoPlant:
         """Return the device.
 
         Args:
@@ -97,13 +96,14 @@ class Scene:
         """
         if wrench is None:
             wrench = WEIGHT if settings.weightless else (0.0,) * 6
-        return MeteredPlant(
+        return MuJoCoPlant(
             settings.timing,
             pose=self.pose if pose is None else pose,
             twist=twist,
             wrench=wrench,
             hand_force=hand_force,
             current_limit=Spec.peak_current.value,
-            detail=Detail(stops=True),
+            stops=True,
+            metered=True,
             **keywords,
         )

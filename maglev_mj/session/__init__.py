@@ -8,7 +8,6 @@ from maglev_mj.session.view import Showable, View, stick_positions, wall_faces
 
 __all__ = [
     "ACTIONS",
-    "EnergyAccount",
     "Moment",
     "Outlet",
     "Outlets",

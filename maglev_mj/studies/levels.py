@@ -11,12 +11,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from maglev_mj.controller import Controller
-from maglev_mj.detail import Detail
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.loop import run
 from maglev_mj.model import load
-from maglev_mj.plants import CorrectedPlant, ExactPlant, MuJoCoPlant, SampledPlant, Sensor, SpotSensor, Timing
+from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant, Sensor, SpotSensor, Timing
 from maglev_mj.plants.engine import longest_step as step_needed
 from maglev_mj.spec import DRIVER_TIME_CONSTANT, RESOLUTION, Spec
 from maglev_mj.studies.fidelity_scenes import FidelityScene
@@ -39,6 +38,7 @@ __all__ = [
 
 _JITTER = 1e-4
 _LAG = DRIVER_TIME_CONSTANT
+_SHORTEN = ("driver_lag", "stops", "force_falloff", "flexible")  # options that ask for shorter steps
 _STEPS, _SPOTS = Sensor(quantum=RESOLUTION), SpotSensor(quantum=Spec.spot_resolution.value)
 
 
@@ -69,7 +69,7 @@ LEVELS: tuple[Level, ...] = (
     Level(
         "falloff",
         "a tenth of the force lost at the end of the range",
-        {"detail": Detail(force_falloff=0.1)},
+        {"force_falloff": 0.1},
         _LAG,
     ),
     Level("steps", "a sensor of 5 µm and 10 µrad", {"sensor": _STEPS}, _LAG),
@@ -80,12 +80,12 @@ LEVELS: tuple[Level, ...] = (
         _LAG,
     ),
     Level("jitter", "conversions that vary by 0.1 ms either way", {}, _LAG, _JITTER),
-    Level("stops", "metal stops", {"detail": Detail(force_falloff=0.1, stops=True)}, _LAG, _JITTER),
+    Level("stops", "metal stops", {"stops": True}, _LAG, _JITTER),
     Level("filter", "the drivers' lag as the filter that it is", {"driver_lag": True}, 0.0, _JITTER),
     Level(
         "flexible",
         "a handle that swings at 1 kHz",
-        {"detail": Detail(force_falloff=0.1, stops=True, flexible=True)},
+        {"flexible": True},
         0.0,
         _JITTER,
     ),
@@ -153,8 +153,8 @@ def exact_options(level: str) -> dict[str, Any]:
 
 def step_of(scene: FidelityScene, level: str) -> float:
     """Return the longest step of a level in a scene where none is asked for [s]; the period if nothing bounds it."""
-    options = options_of(level)
-    needed = step_needed(load("drop"), "driver_lag" in options, scene.hand, options.get("detail"))
+    needs = {name: value for name, value in options_of(level).items() if name in _SHORTEN}
+    needed = step_needed(load("drop"), hand=scene.hand, **needs)
     return min(bound for bound in (needed, scene.longest_step, scene.period) if bound is not None)
 
 
@@ -198,7 +198,7 @@ def level_parts(
     Args:
         scene: The scene.
         level: Name from LEVELS.
-        integrator: One of `INTEGRATORS`, or "corrected" for `CorrectedPlant`; the lowest level has none.
+        integrator: One of `INTEGRATORS`; the lowest level has none.
         longest_step: Longest step [s]; None for that of the level.
         seed: Of the jitter.
         keywords: Further ones of the plant, in place of the scene's and the level's.
@@ -216,8 +216,6 @@ def level_parts(
             return ExactPlant(timing, **given)
         if longest_step is not None or bound is not None:
             given["longest_step"] = step_of(scene, level) if longest_step is None else longest_step
-        if integrator == "corrected":
-            return CorrectedPlant(timing, **given)
         return MuJoCoPlant(timing, integrator=integrator, **given)
 
     return scene.parts(scene.parameters, make=make)
