@@ -15,7 +15,7 @@ from maglev_mj.hand import SpringHand
 from maglev_mj.laws import Hold, Law, StickSlip, Wall
 from maglev_mj.loop import ControlLoop
 from maglev_mj.parameters import param
-from maglev_mj.plants import MeteredPlant, Timing
+from maglev_mj.plants import MuJoCoPlant, Timing
 from maglev_mj.recording import Recording, RecordingError, verify
 from maglev_mj.replay import rebuild
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene
@@ -244,8 +244,9 @@ def test_a_wall_that_is_unstable_is_stopped_and_restored_by_one_key(share: float
 
 def test_work_is_metered_whatever_else_pushes() -> None:
     """Work of the actuators, of the hand and of weight against kinetic energy, on all six axes."""
-    plant = MeteredPlant(
+    plant = MuJoCoPlant(
         Timing(period=0.004, delay=0.0013),
+        metered=True,
         twist=[0.05, -0.03, 0.02, 0.3, -0.2, 0.4],
         hand_force=lambda *_: [0.5, 0.2, 4.0, 1e-3, -2e-3, 1e-3],
     )
