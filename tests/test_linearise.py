@@ -228,9 +228,19 @@ def test_an_axis_without_stiffness_is_stable() -> None:
         found = verdict(along_x(force))
         assert found.stable is True and found.modulus == pytest.approx(1.0, abs=1e-6)
     assert verdict(along_x(lambda x, v: -400.0 * v)).stable is False
-    # the rounding of a large force is no stiffness
-    weighed = verdict(along_x(lambda x, v: -30.0 * v), Bias([700.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
-    assert weighed.stable is True and not weighed.remarks
+
+
+class Washout(AxisLaw):
+    """A spring that pushes away and gives way: with no stiffness in the end, but for what is cut off its answer."""
+
+    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+        slow = x if state is None else state + 0.05 * (x - state)
+        return 200.0 * (x - slow) - 30.0 * v, slow
+
+
+def test_the_end_of_a_long_answer_does_not_push_away() -> None:
+    found = verdict(Washout(axes="x"))
+    assert found.stable is True and found.modulus == pytest.approx(1.0, abs=1e-6) and not found.remarks
 
 
 class Integral(AxisLaw):
