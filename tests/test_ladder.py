@@ -16,6 +16,8 @@ from maglev_mj.cli import main
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Command
 from maglev_mj.hand import hand_called
+from maglev_mj.laws import AxisLaw, gain
+from maglev_mj.parameters import param
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.free import SixAxes, Twist
 from maglev_mj.spec import Spec
@@ -23,7 +25,6 @@ from maglev_mj.studies.fidelity import MARGIN, FidelityResult, Range, measure_fi
 from maglev_mj.studies.fidelity_cases import (
     COMPARED,
     Preset,
-    StackingError,
     choice_cases,
     has_gains,
     itself,
@@ -437,30 +438,35 @@ def test_bad_input_is_one_line_and_status_2(
     assert words in said and said.count("\n") == 1
 
 
-class Plain:
-    """A law that says nothing of what it is made of."""
+class Branching(AxisLaw):
+    """A wall that asks `if`, which an array does not answer."""
 
-    def __init__(self, hold: Hold) -> None:
-        self._hold = hold
+    stiffness: float = gain("stiffness", "N/m")
 
-    def __getattr__(self, name: str) -> Any:
-        if name == "axes":
-            raise AttributeError(name)
-        return getattr(self._hold, name)
+    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+        """See `AxisLaw`."""
+        return -gains.stiffness * x if x < 0.0 else 0.0
 
 
-class Plainly(SixAxes):
-    """Hold the flotor with a law of no declared gains."""
+class OneAlone(SixAxes):
+    """Hold the flotor with a law that takes one device."""
+
+    branching: bool = param("with a law that asks `if`; otherwise a function", default=False)
 
     def laws(self) -> list[Any]:
-        return [Plain(Hold(axes="x", stiffness=self.stiffness, damping=self.damping))]
+        """See `Scene`."""
+        if self.branching:
+            return [Branching(axes="x", stiffness=self.stiffness)]
+        return [lambda position, velocity: [-self.stiffness * position[0], 0.0, 0.0, 0.0, 0.0, 0.0]]
 
 
 def test_laws_that_take_one_device_alone_are_not_screened() -> None:
-    points = [(Plainly(stiffness=gain, duration=0.02), 0.0) for gain in (900.0, 1000.0)]
-    with pytest.raises(StackingError, match="law must be of one class with axes and declared gains, not Plain"):
+    points = [(OneAlone(stiffness=gain, duration=0.02), 0.0) for gain in (900.0, 1000.0)]
+    with pytest.raises(ParameterError, match="law must be of one class with axes and declared gains, not FunctionLaw"):
         run_together(points, "axes", 0)
-    assert screen_levels(points[0][0], 0.1).shape == (len(LEVELS), 1)
-    mixed = [(SixAxes(), 0.0), (Plainly(), 0.0)]
-    with pytest.raises(StackingError):
-        run_together(mixed, "axes", 0)
+    for branching in (False, True):
+        scene = OneAlone(branching=branching, duration=0.02)
+        assert screen_levels(scene, 0.1).shape == (len(LEVELS), 1)
+        assert math.isfinite(measure_levels(scene, repeats=1)[0].changes)
+    with pytest.raises(ParameterError, match="law must be of one class"):
+        run_together([(SixAxes(), 0.0), points[0]], "axes", 0)

@@ -186,3 +186,11 @@ def test_a_grid_is_refused_before_anything_runs() -> None:
     ):
         with pytest.raises(ParameterError, match=words):
             sweep(twist, vary)
+
+
+def test_a_parameter_with_the_name_of_an_option_is_refused_in_one_line(file: Path, capsys: Any) -> None:
+    file.write_text(FILE.replace("FURTHER", "").replace("damping: float = param", "share: float = param"))
+    with pytest.raises(SystemExit, match="2"):
+        main(["fidelity", str(file)])
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1 and "scene magnet cannot be given here: argument --share: conflicting option" in said

@@ -26,7 +26,6 @@ __all__ = [
     "COMPARED",
     "Case",
     "Preset",
-    "StackingError",
     "choice_cases",
     "has_gains",
     "itself",
@@ -42,10 +41,6 @@ _FAR = (1e9, 1e9)
 _POINTS, _SEEDS = 256, 16
 _STEPS = np.array([0.8191725133961645, 0.6710436067037893, 0.5497004779019703])
 """Additive recurrence that fills a cube evenly: powers of the inverse of the root of x⁴ = x + 1 (Roberts 2018)."""
-
-
-class StackingError(ParameterError):
-    """Scenes differ in more than numbers."""
 
 
 class Preset(NamedTuple):
@@ -193,7 +188,7 @@ def screen_levels(scene: Scene, around: float) -> Array:
     points = [scene_at(scene, case) for case in scattered_cases(scene, _POINTS, around, seed=0)]
     try:
         return _screen(points)
-    except StackingError:
+    except ParameterError:  # of a law that fails for arrays, or differs in more than numbers
         return np.zeros((len(LEVELS), 1))
     except PlantError:  # one diverged, and with it the batch
         return np.full((len(LEVELS), len(points) * _SEEDS), math.inf)
@@ -236,7 +231,7 @@ def run_together(points: Sequence[tuple[Scene, float]], level: str, seed: int) -
     """Run scenes at their phases, which differ in gains alone, as one batch of exact plants; return poses (K, N, 6).
 
     Raises:
-        StackingError: If their laws differ in more than gains.
+        ParameterError: If their laws differ in more than gains.
     """
     timings, starts = zip(*(_parts(scene, phase) for scene, phase in points), strict=True)
     timing, common = timings[0], starts[0]
@@ -275,7 +270,7 @@ def _stacked_law(laws: Sequence[Any]) -> Any:
     """Return one law for N devices: numbers that differ become (N, axes)."""
     first: Any = laws[0]
     if not is_dataclass(first) or not hasattr(first, "axes") or any(type(law) is not type(first) for law in laws):
-        raise StackingError(f"law must be of one class with axes and declared gains, not {type(first).__name__}")
+        raise ParameterError(f"law must be of one class with axes and declared gains, not {type(first).__name__}")
     count = len(axis_indices(first.axes))
     changed = {}
     for item in fields(first):
@@ -284,5 +279,5 @@ def _stacked_law(laws: Sequence[Any]) -> Any:
             try:
                 changed[item.name] = np.array([np.broadcast_to(np.asarray(value, float), (count,)) for value in values])
             except (TypeError, ValueError):
-                raise StackingError(f"{item.name} of {type(first).__name__} must be numbers to differ") from None
+                raise ParameterError(f"{item.name} of {type(first).__name__} must be numbers to differ") from None
     return replace(laws[0], **changed) if changed else first
