@@ -354,7 +354,7 @@ def test_a_looser_tolerance_takes_a_lower_level() -> None:
     assert tight.level.level == "body" and loose.level.level == "axes"
     assert tight.cheapest is not None and tight.cheapest.error < 1e-5
     assert loose.cheapest is not None and loose.cheapest.integrator == "closed form"
-    for wrong, words in (("moon", "scene must be one of drop, "), ("twist", "tolerance must be")):
+    for wrong, words in (("moon", "scene must be one of joystick, drop, "), ("twist", "tolerance must be")):
         with pytest.raises(ParameterError, match=words):
             measure_fidelity(wrong, math.nan)
     for over, words in ((Range(share=0.0), "share"), (Range(around=0.6), "around"), (Range(phases=0), "phases")):
@@ -419,7 +419,7 @@ def test_the_command_answers_for_a_wall_of_ones_own(capsys: pytest.CaptureFixtur
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["moon"], "scene must be one of drop, press, "),
+        (["moon"], "scene must be one of joystick, drop, press, "),
         (["drop", "--tolerance", "0"], "tolerance must be a finite number above 0, not 0"),
         (["drop", "--boundary-tolerance", "0"], "boundary must be a finite number above 0, not 0"),
         (["all", "--tolerance", "1e-3"], "unrecognized arguments: --tolerance 1e-3"),
