@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from maglev_mj.controller import Controller
 from maglev_mj.errors import DivergenceError, ParameterError
 from maglev_mj.frames import AXES, Array, Command, Component, Sample
-from maglev_mj.loop import run as drive
+from maglev_mj.loop import drive
 from maglev_mj.parameters import number, numbers
 from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.scenes.figures import Figure
