@@ -8,23 +8,31 @@ from copy import copy
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
+from typing import NamedTuple, TypeAlias
 
 import mujoco
 import numpy as np
+from numpy.typing import ArrayLike
 
 from maglev_mj.coils import CoilMap
-from maglev_mj.detail import Detail
 from maglev_mj.errors import ModelError, ParameterError
 from maglev_mj.frames import AXES, Array
 from maglev_mj.hand import Hand
-from maglev_mj.parameters import flag, number
+from maglev_mj.parameters import flag, number, numbers
 from maglev_mj.sensing.geometry import Beams
 from maglev_mj.versions import MODELS
 
-__all__ = ["COILS", "Device", "beams", "envelope", "load", "model_path", "scenes"]
+__all__ = ["COILS", "JOINTS", "Device", "Model", "beams", "envelope", "load", "model_path", "scenes"]
 
 COILS = tuple(f"{kind}{arm}" for kind in ("vertical", "horizontal") for arm in range(3))
 """Actuator names, in the order of the six currents."""
+
+JOINTS = ("x", "y", "z", "rotation")
+"""Names of the flotor's joints, in their order."""
+
+
+Model: TypeAlias = str | Path | mujoco.MjSpec
+"""Name of a model of the package, MJCF file (a text that ends in .xml, or a path), or specification."""
 
 
 def scenes() -> list[str]:
@@ -32,21 +40,29 @@ def scenes() -> list[str]:
     return sorted(path.stem for path in MODELS.glob("*.xml"))
 
 
-def model_path(name: str | Path) -> Path:
+def model_path(model: str | Path) -> Path:
     """Return the MJCF file of a model.
 
+    Args:
+        model: Name of a model of the package, or a file.
+
     Raises:
-        ModelError: If there is none of that name.
+        ModelError: If there is none.
     """
-    path = name if isinstance(name, Path) else MODELS / f"{name}.xml"
+    if isinstance(model, Path) or model.endswith(".xml"):
+        path = Path(model)
+        if not path.is_file():
+            raise ModelError(f"model must be an MJCF file that is there, not {str(model)!r}")
+        return path
+    path = MODELS / f"{model}.xml"
     if not path.is_file():
-        raise ModelError(f"model must be one of {', '.join(scenes())}, not {name!r}")
+        raise ModelError(f"model must be one of {', '.join(scenes())}, or an MJCF file, not {model!r}")
     return path
 
 
-def _written() -> tuple[tuple[str, int], ...]:
-    """Return the MJCF files and when each was written, so that one that is changed is read again."""
-    return tuple(sorted((str(path), path.stat().st_mtime_ns) for path in MODELS.glob("*.xml")))
+def _written(folder: Path) -> tuple[tuple[str, int], ...]:
+    """Return the MJCF files of a folder and when each was written, so that one that is changed is read again."""
+    return tuple(sorted((str(path), path.stat().st_mtime_ns) for path in folder.glob("*.xml")))
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +75,7 @@ class Device:
         position_address: Index of x in qpos; y, z and the quaternion follow.
         velocity_address: Index of the x velocity in qvel; five more follow.
         coils: Wrench map of the six coils, the first six actuators, at centre; None without coils.
-        driver_time_constant: The model's current driver time constant [s], whether or not it is switched on.
+        driver_time_constant: The drivers' time constant [s], whether or not their lag is switched on; NaN for none.
     """
 
     model: mujoco.MjModel
@@ -75,14 +91,27 @@ class Device:
         return float(self.model.body_subtreemass[self.flotor])
 
     @property
-    def inertia(self) -> Array:
-        """Moments of inertia of flotor and handle about stator axes through the centre [kg m²], (3,)."""
+    def mass_matrix(self) -> Array:
+        """Mass matrix of the flotor at the centre, upright [kg, kg m, kg m²], (6, 6); a rigid grip's hand is in it."""
         data = mujoco.MjData(self.model)
         mujoco.mj_forward(self.model, data)
-        mass_matrix = np.zeros((self.model.nv, self.model.nv))
-        mujoco.mj_fullM(self.model, data, mass_matrix)
-        start = self.velocity_address + 3
-        return np.diag(mass_matrix)[start : start + 3].copy()
+        whole = np.zeros((self.model.nv, self.model.nv))
+        mujoco.mj_fullM(self.model, data, whole)
+        flotor = slice(self.velocity_address, self.velocity_address + 6)
+        return whole[flotor, flotor].copy()
+
+    @property
+    def inertia(self) -> Array:
+        """Moments of inertia of flotor and handle about stator axes through the centre [kg m²], (3,)."""
+        return np.diag(self.mass_matrix)[3:].copy()
+
+    @property
+    def range(self) -> Array:
+        """Largest displacement along x, y, z and largest angle until a stop [m, rad], (4,); infinite without one."""
+        model = self.model
+        joints = [model.joint(joint).id for joint in JOINTS]
+        limits = np.where(model.jnt_limited[joints], model.jnt_range[joints, 1], np.inf)
+        return np.asarray(limits, dtype=np.float64)
 
 
 _MODE = 1000.0
@@ -90,88 +119,154 @@ _MODE_DAMPING = 0.01
 
 
 def load(
-    name: str | Path,
+    model: Model = "drop",
     *,
     lean: bool = True,
     driver_lag: bool = False,
+    driver_time_constant: float | None = None,
     coils: bool = True,
+    coil_map: CoilMap | None = None,
     mass: float | None = None,
+    inertia: ArrayLike | None = None,
     hand: Hand | None = None,
-    detail: Detail | None = None,
+    flexible: bool = False,
 ) -> Device:
-    """Compile a model and resolve its names; compiled once, every call gets a copy of its own.
+    """Compile a model and resolve its names; a file is compiled once, every call gets a copy of its own.
 
     Args:
-        name: A model file's name without its ending, such as "drop"; or a path.
+        model: The device: bodies `flotor` and, on it, `handle`; the flotor's joints `x`, `y`, `z` (slides) and
+            `rotation` (a ball), in this order; its first six actuators those of COILS.
         lean: Leave out the sites that no actuator uses: no equation of motion reads them.
         driver_lag: Give every coil its driver's first-order lag.
+        driver_time_constant: Time constant of the lag in place of the model's [s].
         coils: False removes the coils, for an ideal wrench.
+        coil_map: Coils in place of the model's.
         mass: Moving mass in place of the model's [kg], shared out as before; the moments of inertia stay.
+        inertia: Moments of inertia about stator axes, the handle included, in place of the model's [kg m²], (3,).
         hand: A hand on the flotor; numbers, and translations only.
-        detail: What else the device has.
+        flexible: Let the handle swing against the flotor along z, at 1 kHz and with a hundredth of critical damping;
+            the frequency is the paper's, the shape and the damping are assumed.
 
     Raises:
-        ModelError: If the file is missing, does not compile, or lacks the flotor, its joints or its coils.
-        ParameterError: If the mass is not above 0, or the hand is for a batch or on a rotation.
+        ModelError: If the file is missing, does not compile, or lacks the flotor, its joints, its coils, or a time
+            constant where one is needed.
+        ParameterError: If a number is not above 0, the flotor cannot have these moments, or the hand is for a batch or
+            on a rotation.
     """
-    lean, driver_lag, coils = flag("lean", lean), flag("driver_lag", driver_lag), flag("coils", coils)
-    path = model_path(name)
-    moving = None if mass is None else number("mass", mass, above=0.0)
-    device = _compiled(path, _written(), lean, driver_lag, coils, moving, hand, detail or Detail())
-    return replace(device, model=copy(device.model))
+    chosen = _Chosen(
+        lean=flag("lean", lean),
+        driver_lag=flag("driver_lag", driver_lag),
+        coils=flag("coils", coils),
+        flexible=flag("flexible", flexible),
+        lag=None if driver_time_constant is None else number("driver_time_constant", driver_time_constant, above=0.0),
+        mass=None if mass is None else number("mass", mass, above=0.0),
+        hand=hand,
+    )
+    if isinstance(model, mujoco.MjSpec):
+        device = _compile(model.modelname, model.copy(), chosen)
+    else:
+        path = model_path(model)
+        device = _compiled(path, _written(path.parent), chosen)
+    device = replace(device, model=copy(device.model))
+    if inertia is not None:
+        _put_inertia(device, numbers("inertia", inertia))
+    if coil_map is not None:
+        if device.coils is None:
+            raise ParameterError("coil_map needs coils=True")
+        _put_coils(device, coil_map)
+        device = replace(device, coils=coil_map)
+    return device
+
+
+class _Chosen(NamedTuple):
+    """The choices of `load` that a compiled model depends on."""
+
+    lean: bool
+    driver_lag: bool
+    coils: bool
+    flexible: bool
+    lag: float | None
+    mass: float | None
+    hand: Hand | None
 
 
 @lru_cache(maxsize=32)
-def _compiled(
-    path: Path,
-    written: tuple[tuple[str, int], ...],
-    lean: bool,
-    driver_lag: bool,
-    coils: bool,
-    mass: float | None,
-    hand: Hand | None,
-    detail: Detail,
-) -> Device:
+def _compiled(path: Path, written: tuple[tuple[str, int], ...], chosen: _Chosen) -> Device:
     """See `load`."""
-    name = path.stem
+    name = path.stem if path.parent == MODELS else path.name
     try:
         spec = mujoco.MjSpec.from_file(str(path))
-        constant = float(spec.numeric("driver_time_constant").data[0])
-        if not coils:
+    except (ValueError, KeyError) as error:
+        raise _unusable(name, error) from error
+    return _compile(name, spec, chosen)
+
+
+def _unusable(name: str, error: object) -> ModelError:
+    return ModelError(f"model {name!r} cannot be used: {' '.join(str(error).split())}")
+
+
+def _compile(name: str, spec: mujoco.MjSpec, chosen: _Chosen) -> Device:
+    """See `load`."""
+    _check_names(name, spec, chosen)
+    numeric = spec.numeric("driver_time_constant")
+    constant = math.nan if numeric is None else float(numeric.data[0])
+    constant = constant if chosen.lag is None else chosen.lag
+    if chosen.driver_lag and not constant > 0.0:
+        raise _unusable(name, "it has no numeric 'driver_time_constant' above 0 for the drivers' lag")
+    try:
+        if not chosen.coils:
             for actuator in list(spec.actuators):
                 spec.delete(actuator)
-        if driver_lag:
+        if chosen.driver_lag:
             for actuator in spec.actuators:
                 actuator.dyntype = mujoco.mjtDyn.mjDYN_FILTER
                 actuator.dynprm[0] = constant
-        if lean:
+        if chosen.lean:
             _leave_out_sites(spec)
-        if hand is not None:
-            _hold(spec, hand)
-        if detail.flexible:
-            _bend(spec, mass)
+        if chosen.hand is not None:
+            _hold(spec, chosen.hand)
+        if chosen.flexible:
+            _bend(spec, chosen.mass)
         model = spec.compile()
         flotor = model.body("flotor").id
-        joints = [model.joint(joint) for joint in ("x", "y", "z", "rotation")]
-        order = [model.actuator(coil).id for coil in COILS] if coils else []
-    except (ValueError, KeyError, AttributeError, IndexError) as error:
-        raise ModelError(f"model {name!r} cannot be used: {' '.join(str(error).split())}") from error
+        joints = [model.joint(joint) for joint in JOINTS]
+        order = [model.actuator(coil).id for coil in COILS] if chosen.coils else []
+    except (ValueError, KeyError) as error:
+        raise _unusable(name, error) from error
     addresses = [int(joint.qposadr[0]) for joint in joints]
     first = addresses[0]
     if addresses != [first, first + 1, first + 2, first + 3]:
-        raise ModelError(f"model {name!r} must list the flotor's joints as x, y, z, rotation")
+        raise ModelError(f"model {name!r} must list the flotor's joints as {', '.join(JOINTS)}")
     if order != list(range(len(order))):
         raise ModelError(f"model {name!r} must list its coils first, as {', '.join(COILS)}")
-    if mass is not None:
-        _share_out(model, flotor, mass)
+    if chosen.mass is not None:
+        _share_out(model, flotor, chosen.mass)
     return Device(
         model=model,
         flotor=flotor,
         position_address=first,
         velocity_address=int(joints[0].dofadr[0]),
-        coils=_coil_map(model, flotor) if coils else None,
+        coils=_coil_map(model, flotor) if chosen.coils else None,
         driver_time_constant=constant,
     )
+
+
+def _check_names(name: str, spec: mujoco.MjSpec, chosen: _Chosen) -> None:
+    """Raise if a specification lacks what a device has, or has another kind of it."""
+    flotor = spec.body("flotor")
+    if flotor is None:
+        raise _unusable(name, "it has no body 'flotor'")
+    if chosen.flexible and spec.body("handle") is None:
+        raise _unusable(name, "it has no body 'handle' to swing")
+    kinds = [mujoco.mjtJoint.mjJNT_SLIDE] * 3 + [mujoco.mjtJoint.mjJNT_BALL]
+    found = {joint.name: joint.type for joint in flotor.joints}
+    for joint, kind in zip(JOINTS, kinds, strict=True):
+        if found.get(joint) != kind:
+            is_kind = "ball" if kind == mujoco.mjtJoint.mjJNT_BALL else "slide"
+            raise _unusable(name, f"its flotor has no {is_kind} joint {joint!r}")
+    names = [actuator.name for actuator in spec.actuators]
+    if missing := [coil for coil in COILS if chosen.coils and coil not in names]:
+        raise _unusable(name, f"of its {len(names)} actuators none is {' or '.join(missing)}")
 
 
 def _leave_out_sites(spec: mujoco.MjSpec) -> None:
@@ -193,6 +288,25 @@ def _share_out(model: mujoco.MjModel, flotor: int, mass: float) -> None:
     model.body_ipos[carried] = np.einsum("ba,bac->bc", places, data.xmat[carried].reshape(-1, 3, 3))
     model.body_mass[carried] *= share
     mujoco.mj_setConst(model, data)
+
+
+def _put_inertia(device: Device, inertia: Array) -> None:
+    """Give flotor and handle together other moments of inertia [kg m²], (3,), by those of the flotor's own body."""
+    if inertia.shape != (3,) or not (inertia > 0.0).all():
+        raise ParameterError(f"inertia must be three numbers above 0, not {inertia.tolist()}")
+    model, body = device.model, device.flotor
+    turn = np.zeros(9)
+    mujoco.mju_quat2Mat(turn, model.body_iquat[body])
+    axes = turn.reshape(3, 3)
+    own = axes @ np.diag(model.body_inertia[body]) @ axes.T + np.diag(inertia) - device.mass_matrix[3:, 3:]
+    moments, axes = np.linalg.eigh(own)
+    if not moments[0] > 0.0:
+        raise ParameterError(f"inertia must be above that of the handle alone, not {inertia.tolist()} kg m²")
+    if np.linalg.det(axes) < 0.0:
+        axes[:, 0] *= -1.0
+    mujoco.mju_mat2Quat(model.body_iquat[body], axes.ravel())
+    model.body_inertia[body] = moments
+    mujoco.mj_setConst(model, mujoco.MjData(model))
 
 
 def _bend(spec: mujoco.MjSpec, mass: float | None) -> None:
@@ -241,13 +355,26 @@ def _coil_map(model: mujoco.MjModel, flotor: int) -> CoilMap:
     )
 
 
+def _put_coils(device: Device, coils: CoilMap) -> None:
+    """Make the model's coils those."""
+    model, known = device.model, device.coils
+    assert known is not None
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    sites, magnets = model.actuator_trnid[: len(COILS)].T
+    model.site_pos[sites] += coils.points - known.points
+    axes = data.site_xmat[magnets].reshape(-1, 3, 3)
+    model.actuator_gear[: len(COILS), :3] = np.einsum("jba,jb->ja", axes, coils.directions)
+    model.actuator_gainprm[: len(COILS), 0] = coils.force_constants
+
+
 def beams() -> Beams:
     """Return the geometry of the device's LEDs and position sensing diodes.
 
     Raises:
         ModelError: If the model lacks one.
     """
-    return _beams(_written())
+    return _beams(_written(MODELS))
 
 
 @lru_cache(maxsize=1)

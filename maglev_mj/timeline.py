@@ -10,7 +10,7 @@ import numpy as np
 
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Component
-from maglev_mj.parameters import number, numbers
+from maglev_mj.parameters import flag, number, numbers
 from maglev_mj.spec import Spec
 
 __all__ = ["Segment", "Timeline", "Timing", "recorded_switches", "split_delay"]
@@ -129,7 +129,7 @@ class Timeline:
     """
 
     def __init__(self, timing: Timing, acting: Any, *, compares: bool = False) -> None:
-        self.timing, self.acting, self.compares = timing, acting, compares
+        self.acting, self.compares, self.timing = acting, flag("compares", compares), timing
         # when, in ticks and seconds after one, to which drive, and that of a pulse ahead of it with its width
         self._switches: deque[tuple[int, Any, Any, Any, float]] = deque()
         self._pulse: tuple[Any, Any] | None = None

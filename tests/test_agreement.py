@@ -11,7 +11,7 @@ import pytest
 
 from maglev_mj import AXES, Controller, ExactPlant, Hold, MuJoCoPlant, Timing, Wall, run
 from maglev_mj.frames import Array
-from maglev_mj.plants import CorrectedPlant, SampledPlant
+from maglev_mj.plants import SampledPlant
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.run import run as run_scene
 from maglev_mj.spec import INERTIA
@@ -108,12 +108,12 @@ def test_the_plants_as_they_come_agree_on_every_axis(axis: str) -> None:
         engines = {
             "coils": MuJoCoPlant(timing, **at),
             "ideal": MuJoCoPlant(timing, coils=False, **at),
-            "corrected": CorrectedPlant(timing, coils=False, **at),
+            "corrected": MuJoCoPlant(timing, integrator="corrected", coils=False, **at),
         }
         for name, engine in engines.items():
             gaps[name] = max(gaps[name], float(np.abs(cross(engine, axis, side, 1.0) - truth).max()))
         # another mass, in the model with a handle of its own
-        heavy = MuJoCoPlant(timing, scene="maglev", mass=1.4, **at), ExactPlant(timing, mass=1.4, **at)
+        heavy = MuJoCoPlant(timing, model="maglev", mass=1.4, **at), ExactPlant(timing, mass=1.4, **at)
         one, other = (cross(plant, axis, side, 1.0, 1.4) for plant in heavy)
         gaps["heavy"] = max(gaps["heavy"], float(np.abs(one - other).max()))
     assert all(gaps[name] < bound for name, bound in bounds.items()), gaps

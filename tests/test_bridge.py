@@ -25,7 +25,6 @@ from maglev_mj.bridge.simulated_links import Impairment, VirtualLink
 from maglev_mj.bridge.states import Fault, State
 from maglev_mj.bridge.twin import REST, Twin, TwinParameters
 from maglev_mj.controller import Controller
-from maglev_mj.detail import Detail
 from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.hand import HandForce, Path, SpringHand
 from maglev_mj.laws import Bias, FiniteDifference, Hold
@@ -114,7 +113,7 @@ class Rig:
     def currents(self) -> Sequence[float]:
         """Go on to the device's next sample; return the largest of the currents since the one before [A], (6,)."""
         self.twin.sample()
-        flowed = [currents for _, currents in self.twin.plant.segments] + [self.twin.plant.applied_currents]
+        flowed = [currents for _, currents in self.twin.plant.segments] + [tuple(self.twin.plant.currents)]
         return np.abs(flowed).max(axis=0).tolist()  # type: ignore[no-any-return]
 
 
@@ -173,7 +172,7 @@ def test_the_same_controller_flies_a_device_bit_for_bit(
             current_limit=10.0,
             wrench_limit=wrench_limit,
             sensor=SpotSensor(**NOISE),
-            detail=Detail(stops=True),
+            stops=True,
             hand_force=hands[0],
         )
     )

@@ -24,7 +24,6 @@ from maglev_mj.bridge.realtime import RealtimeError, realtime
 from maglev_mj.bridge.server import TwinServer
 from maglev_mj.bridge.simulated_links import Impairment, UdpProxy
 from maglev_mj.bridge.wire import StateReport
-from maglev_mj.detail import Detail
 from maglev_mj.net.udp import UdpLink, UdpServer
 from maglev_mj.plants import Plant, SpotSensor
 from maglev_mj.recording import Recording
@@ -143,7 +142,7 @@ def test_in_lockstep_over_udp_every_bit_is_that_of_the_plant_in_this_process(
         pose=pose,
         current_limit=10.0,
         sensor=SpotSensor(quantum=8e-7, noise=4e-7, seed=5),
-        detail=Detail(stops=True),
+        stops=True,
     )
     with started(sys.executable, "-c", LOCKSTEP, " ".join(map(str, pose))) as (_, address):
         host, port = address.removeprefix("udp://").split(":")

@@ -17,7 +17,7 @@ from maglev_mj.coils import CoilMap
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.model import beams, load
-from maglev_mj.plants import CoilDrivenPlant
+from maglev_mj.plants import MuJoCoPlant
 from maglev_mj.sensing.geometry import Beams
 
 _COILS = ("points", "directions", "force_constants", "wrench_per_current", "current_per_wrench")
@@ -253,7 +253,7 @@ def test_hover_carries_the_weight(seed: int) -> None:
     wrench = one.coils.wrench(one.hover)
     np.testing.assert_allclose(wrench, [*(-one.mass * one.gravity), 0.0, 0.0, 0.0], atol=1e-12)
     # and so it does in the engine: upright, at the centre, nothing begins to move
-    with CoilDrivenPlant(coils=one.coils, gravity=one.gravity, mass=one.mass) as plant:
+    with MuJoCoPlant(coil_map=one.coils, gravity=one.gravity, mass=one.mass) as plant:
         plant.read()
         plant.drive(one.hover.tolist(), after=0.0)
         plant.read()

@@ -25,7 +25,7 @@ from maglev_mj.controller import Controller
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.laws import Bias
-from maglev_mj.plants import CoilDrivenPlant, SpotReader, Timing
+from maglev_mj.plants import MuJoCoPlant, SpotReader, Timing
 from maglev_mj.sensing.solver import PoseTracker
 
 NOMINAL = Calibration.nominal()
@@ -61,8 +61,8 @@ class Twin:
         down = [math.sin(tilt) * math.cos(way), math.sin(tilt) * math.sin(way), -math.cos(tilt)]
         self.gravity = 9.81 * np.array(down)
         period, delay = timing
-        self.plant = CoilDrivenPlant(
-            Timing(period=period, delay=delay), coils=self.coils, gravity=self.gravity, mass=mass, **keywords
+        self.plant = MuJoCoPlant(
+            Timing(period=period, delay=delay), coil_map=self.coils, gravity=self.gravity, mass=mass, **keywords
         )
         self.period = period
         self.last_currents: Sequence[float] = (0.0,) * 6
@@ -241,7 +241,7 @@ def test_a_known_mass_gives_forces_and_the_calibration_its_coils() -> None:
 @pytest.mark.parametrize("place", [(0.0, 0.0, 0.06), (0.01, -0.005, 0.06)])
 def test_a_weight_of_known_mass_gives_the_mass(place: tuple[float, float, float]) -> None:
     def found(added: float, noisy: bool, seed: int) -> Identified:
-        twin = Twin(seed, SLOW, noisy=noisy, scene="maglev")
+        twin = Twin(seed, SLOW, noisy=noisy, model="maglev")
         if added:
             twin.lay_on(added, place)
         return identify(*shaken(twin, SLOW, 10.0)[:2], period=SLOW[0], delay=SLOW[1])
@@ -370,7 +370,7 @@ def test_amplitudes_are_those_asked_for_on_a_device_that_is_known() -> None:
     class Known(Twin):
         def __init__(self) -> None:
             super().__init__(0, FAST)
-            self.plant = CoilDrivenPlant(Timing(period=FAST[0], delay=FAST[1]))
+            self.plant = MuJoCoPlant(Timing(period=FAST[0], delay=FAST[1]))
 
     motion = shaken(Known(), FAST, 8.0)
     times = FAST[0] * np.arange(len(motion.poses))

@@ -21,7 +21,6 @@ FLOORS = {
     "net": 2,
     "coils": 2,
     "sensing": 2,
-    "detail": 2,
     "hand": 2,
     "trace": 2,
     "controller": 3,
@@ -55,6 +54,7 @@ ALLOWED = {
     "serial": {"net"},
     "mcap": {"recording"},
     "pyarrow": {"recording"},
+    "control": {"theory"},
 }
 
 

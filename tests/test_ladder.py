@@ -13,13 +13,11 @@ import pytest
 
 from maglev_mj import Controller, ExactPlant, Hold, MuJoCoPlant, Timing, run
 from maglev_mj.cli import main
-from maglev_mj.detail import Detail
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Command
 from maglev_mj.hand import hand_called
 from maglev_mj.laws import AxisLaw, gain
 from maglev_mj.parameters import param
-from maglev_mj.plants import CorrectedPlant
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.free import SixAxes, Twist
 from maglev_mj.spec import Spec
@@ -194,13 +192,12 @@ def test_a_fine_rk4_has_the_loop_of_theory(delay: float, hand: str | None, drive
 def test_the_stepped_loop_is_the_plant(integrator: str, hand: str) -> None:
     delay, step, k, b = 0.0015, 1e-3, 2000.0, 20.0
     loop = SteppedLoop(delay=delay, hand=hand_called(hand), integrator=integrator, step=step)
-    kind = CorrectedPlant if integrator == "corrected" else MuJoCoPlant
-    plant = kind(
+    plant = MuJoCoPlant(
         Timing(delay=delay),
         hand=hand_called(hand),
         gravity=0.0,
         coils=False,
-        integrator="euler" if integrator == "corrected" else integrator,
+        integrator=integrator,
         longest_step=step,
         pose=[0.0, 0.0, 1e-3, 0.0, 0.0, 0.0],
     )
@@ -282,14 +279,13 @@ def steady(plant: MuJoCoPlant, force: float, ticks: int = 2) -> float:
 @pytest.mark.parametrize(("height", "left"), [(0.0, 1.0), (2.25e-3, 0.975), (-4.5e-3, 0.9)])
 def test_a_coil_loses_force_with_the_square_of_its_stroke(height: float, left: float) -> None:
     timing = Timing(period=1e-4, delay=0.0)
-    plant = MuJoCoPlant(timing, pose=[0, 0, height, 0, 0, 0], gravity=0.0, detail=Detail(force_falloff=0.1))
+    plant = MuJoCoPlant(timing, pose=[0, 0, height, 0, 0, 0], gravity=0.0, force_falloff=0.1)
     assert steady(plant, 7.0) == pytest.approx(10.0 * left, rel=1e-5)
 
 
 def test_a_trace_holds_the_force_that_is_left() -> None:
-    detail = Detail(force_falloff=0.1)
     plant = MuJoCoPlant(
-        pose=[0, 0, 4.5e-3, 0, 0, 0], wrench=[0, 0, 7, 0, 0, 0], gravity=0.0, detail=detail, record=True
+        pose=[0, 0, 4.5e-3, 0, 0, 0], wrench=[0, 0, 7, 0, 0, 0], gravity=0.0, force_falloff=0.1, record=True
     )
     plant.read()
     assert plant.trace().wrench[0][2] == pytest.approx(6.3)
@@ -297,9 +293,9 @@ def test_a_trace_holds_the_force_that_is_left() -> None:
 
 def test_falloff_converges_with_the_second_power_of_the_step() -> None:
     def last(step: float) -> float:
-        timing, detail = Timing(delay=0.0), Detail(force_falloff=0.5)
+        timing = Timing(delay=0.0)
         start = [0.0, 0.0, 4e-3, 0.0, 0.0, 0.0]
-        plant = MuJoCoPlant(timing, pose=start, gravity=0.0, detail=detail, longest_step=step)
+        plant = MuJoCoPlant(timing, pose=start, gravity=0.0, force_falloff=0.5, longest_step=step)
         hold = Hold(axes="z", stiffness=2000.0, damping=20.0)
         return float(run(plant, Controller([hold], period=0.005), 10).pose[2])
 
@@ -309,14 +305,14 @@ def test_falloff_converges_with_the_second_power_of_the_step() -> None:
 
 
 def test_the_stops_hold_a_flotor_without_currents() -> None:
-    plant = MuJoCoPlant(Timing(), detail=Detail(stops=True))
+    plant = MuJoCoPlant(Timing(), stops=True)
     last = run(plant, Controller([], period=0.005), 60).pose
     assert last[2] == pytest.approx(-4.5e-3, abs=5e-6)
 
 
 @pytest.mark.parametrize("mass", [0.7, 1.4])
 def test_the_handle_swings_at_a_kilohertz(mass: float) -> None:
-    plant = MuJoCoPlant(Timing(), mass=mass, gravity=0.0, detail=Detail(flexible=True))
+    plant = MuJoCoPlant(Timing(), mass=mass, gravity=0.0, flexible=True)
     model = plant.device.model
     model.dof_damping[:] = 0.0
     # mass matrix and stiffness of z and the bend: the one mode that is not a motion of the whole
@@ -343,11 +339,12 @@ def test_currents_are_limited_without_coils_as_with_upright_ones() -> None:
     assert plant.write(small).force is small.force
 
 
-def test_detail_needs_coils_and_sense() -> None:
-    with pytest.raises(ParameterError, match="driver_lag and detail need coils=True"):
-        MuJoCoPlant(coils=False, detail=Detail(stops=True))
+def test_options_need_coils_and_sense() -> None:
+    for options in ({"driver_lag": True}, {"force_falloff": 0.1}):
+        with pytest.raises(ParameterError, match="driver_lag and force_falloff need coils=True"):
+            MuJoCoPlant(coils=False, **options)
     with pytest.raises(ParameterError, match="force_falloff must be a finite number at least 0 and at most 1, not 2"):
-        Detail(force_falloff=2.0)
+        MuJoCoPlant(force_falloff=2.0)
 
 
 def test_a_looser_tolerance_takes_a_lower_level() -> None:

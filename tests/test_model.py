@@ -13,7 +13,6 @@ import pytest
 
 from maglev_mj import Command, Controller, Hold, MuJoCoPlant, Timing, Wall, model, run
 from maglev_mj.coils import CoilMap
-from maglev_mj.detail import Detail
 from maglev_mj.errors import ModelError, ParameterError
 from maglev_mj.frames import Array, quaternion
 from maglev_mj.hand import Hand, hand_called
@@ -203,7 +202,7 @@ def test_every_compiled_model_is_the_one_device(
 ) -> None:
     """Mass, moments, and the centre of mass at the origin: by mass matrix and weight, upright and turned."""
     held = hand_called(hand) if isinstance(hand, str) else hand
-    one = load(scene, mass=mass, hand=held, detail=Detail(flexible=flexible))
+    one = load(scene, mass=mass, hand=held, flexible=flexible)
     body = np.array([*[mass or INERTIA[0]] * 3, *INERTIA[3:]])
     data, full = mujoco.MjData(one.model), np.zeros((one.model.nv, one.model.nv))
     one.model.opt.gravity[:] = 0.0, 0.0, -GRAVITY
@@ -235,7 +234,7 @@ def test_every_scene_runs_with_noise_and_without_a_warning(name: str) -> None:
 
 
 def test_unknown_and_broken_models_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(ModelError, match="model must be one of drop, maglev, scene, not 'nothing'"):
+    with pytest.raises(ModelError, match="model must be one of drop, maglev, scene, or an MJCF file, not 'nothing'"):
         model_path("nothing")
     with pytest.raises(ParameterError, match="mass must be"):
         load("drop", mass=-1.0)
@@ -254,7 +253,7 @@ def test_unknown_and_broken_models_are_named(tmp_path: Path, monkeypatch: pytest
 
 def drop_bits(scene: str = "drop", **options: Any) -> tuple[Array, ...]:
     """Return every switch of a drop: times, poses, velocities, wrenches."""
-    plant = MuJoCoPlant(Timing(phase=0.3), scene=scene, pose=[0, 0, 4e-3, 0, 0, 0], record=True, **options)
+    plant = MuJoCoPlant(Timing(phase=0.3), model=scene, pose=[0, 0, 4e-3, 0, 0, 0], record=True, **options)
     wall = Wall(axes="z", lower=0.0, stiffness=6000.0, damping=80.0, pulse=220.0, pulse_width=0.003)
     others = ("x", "y", "rx", "ry", "rz")
     hold = Hold.critically_damped(others, inertia=np.delete(INERTIA, 2), period=0.005, delay=0.0015)
@@ -294,7 +293,7 @@ def test_drop_scene_compiles_to_the_bare_mechanics() -> None:
     for flag in (off.mjDSBL_CONTACT, off.mjDSBL_CONSTRAINT):
         assert compiled.opt.disableflags & flag
     for scene in ("drop", "maglev"):  # what every scene gets from the plant, so that none can forget it
-        option = MuJoCoPlant(scene=scene).device.model.opt
+        option = MuJoCoPlant(model=scene).device.model.opt
         assert option.integrator == mujoco.mjtIntegrator.mjINT_RK4
         assert option.disableflags & off.mjDSBL_AUTORESET
         assert option.disableflags & off.mjDSBL_CLAMPCTRL

@@ -18,7 +18,7 @@ from maglev_mj.errors import DivergenceError, ModelError, ParameterError, PlantE
 from maglev_mj.frames import Array, quaternion
 from maglev_mj.hand import Hand
 from maglev_mj.laws import Hold, Wall
-from maglev_mj.plants import CorrectedPlant, SampledPlant, Sensor
+from maglev_mj.plants import SampledPlant, Sensor
 from maglev_mj.spec import INERTIA
 from maglev_mj.trace import Trace
 
@@ -204,11 +204,11 @@ def _matrix(vector: Array) -> Array:
 
 def test_the_coils_map_is_upright_again_when_the_flotor_is() -> None:
     plant = MuJoCoPlant(Timing(), pose=[0, 0, 0, 0.1, 0, 0], twist=[0, 0, 0, -20.0, 0, 0], gravity=0.0)
-    plant.read()
-    assert plant.device.coils is not None
-    assert plant._inverse_map is not plant.device.coils.current_per_wrench
-    assert abs(plant.read().position[3]) < 1e-12
-    assert plant._inverse_map is plant.device.coils.current_per_wrench
+    assert plant._coil_drive is not None
+    for angle, turned in ((0.1, True), (0.0, False)):
+        assert plant.read().position[3] == pytest.approx(angle, abs=1e-12)
+        plant.write(Command([0.0] * 6))
+        assert plant._coil_drive.turned is turned
 
 
 def test_nan_counts_as_diverged() -> None:
@@ -280,7 +280,7 @@ def test_bad_parameters_are_refused_with_the_value() -> None:
     with pytest.raises(ParameterError, match="need coils"):
         MuJoCoPlant(coils=False, driver_lag=True)
     with pytest.raises(ModelError, match=r"model must be one of drop, .*, not 'moon'"):
-        MuJoCoPlant(scene="moon")
+        MuJoCoPlant(model="moon")
 
 
 def bounce(plant: SampledPlant) -> Trace:
@@ -348,7 +348,7 @@ def test_hold_brings_all_six_axes_to_their_target(coils: bool) -> None:
     np.testing.assert_allclose(sample.position, target, atol=1e-9)
 
 
-@pytest.mark.parametrize("kind", [ExactPlant, MuJoCoPlant, CorrectedPlant])
+@pytest.mark.parametrize("kind", [ExactPlant, MuJoCoPlant, partial(MuJoCoPlant, integrator="corrected")])
 def test_a_list_that_is_used_again_is_a_new_command(kind: Any) -> None:
     places = []
     for fresh in (True, False):
@@ -366,7 +366,7 @@ def test_a_list_that_is_used_again_is_a_new_command(kind: Any) -> None:
         plant.write(Command(array))
 
 
-@pytest.mark.parametrize("kind", [ExactPlant, MuJoCoPlant, CorrectedPlant])
+@pytest.mark.parametrize("kind", [ExactPlant, MuJoCoPlant, partial(MuJoCoPlant, integrator="corrected")])
 def test_what_is_done_to_a_sample_does_not_move_the_flotor(kind: Any) -> None:
     plant = kind(gravity=0.0)
     plant.read().position[2] = 1.0
@@ -381,7 +381,7 @@ def test_a_command_that_the_engine_refuses_is_an_error() -> None:
             plant.write(Command([0.0, 0.0, 1e13, 0.0, 0.0, 0.0]))
 
 
-@pytest.mark.parametrize("kind", [MuJoCoPlant, CorrectedPlant])
+@pytest.mark.parametrize("kind", [MuJoCoPlant, partial(MuJoCoPlant, integrator="corrected")])
 def test_recording_changes_nothing(kind: Any) -> None:
     hold = Hold(axes=("rx", "ry", "rz"), stiffness=[1.0] * 3, damping=[0.05] * 3)
     last = [
@@ -400,7 +400,7 @@ def test_a_constant_command_is_one_step_a_period() -> None:
     for forces in ([1.0] * 6, [1.0, 2.0] * 3):
         plant = MuJoCoPlant(gravity=0.0, coils=False)
         count: list[float] = []
-        plant._step = partial(count.append, 0.0)
+        plant._steps._step = partial(count.append, 0.0)
         for force in forces:
             plant.read()
             plant.write(Command([0.0, 0.0, force, 0.0, 0.0, 0.0]))

@@ -106,9 +106,9 @@ def test_a_file_that_is_no_recording_is_one_line(spoil: Callable[[Path], None], 
 def test_a_setup_that_is_not_known_is_refused() -> None:
     (stretch,) = record_run(Drop(), plant="exact").stretches
     with pytest.raises(RecordingError, match="cannot be made here"):
-        verify(Recording([replace(stretch, setup={"kind": "pinball"})]), rebuild)
+        verify(Recording([replace(stretch, setup={"kind": "pinball"}, metadata=None)]), rebuild)
     with pytest.raises(RecordingError, match="cannot be made here"):
-        Replay(Recording([replace(stretch, setup={"kind": "pinball"})]))
+        Replay(Recording([replace(stretch, setup={"kind": "pinball"}, metadata=None)]))
     with pytest.raises(RecordingError, match="nothing in the recording"):
         Replay(Recording([]))
 

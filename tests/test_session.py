@@ -15,7 +15,7 @@ from maglev_mj.hand import SpringHand
 from maglev_mj.laws import Hold, Law, StickSlip, Wall
 from maglev_mj.loop import ControlLoop
 from maglev_mj.parameters import param
-from maglev_mj.plants import MeteredPlant, Timing
+from maglev_mj.plants import MuJoCoPlant, Timing
 from maglev_mj.recording import Recording, RecordingError, verify
 from maglev_mj.replay import rebuild
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene
@@ -244,8 +244,9 @@ def test_a_wall_that_is_unstable_is_stopped_and_restored_by_one_key(share: float
 
 def test_work_is_metered_whatever_else_pushes() -> None:
     """Work of the actuators, of the hand and of weight against kinetic energy, on all six axes."""
-    plant = MeteredPlant(
+    plant = MuJoCoPlant(
         Timing(period=0.004, delay=0.0013),
+        metered=True,
         twist=[0.05, -0.03, 0.02, 0.3, -0.2, 0.4],
         hand_force=lambda *_: [0.5, 0.2, 4.0, 1e-3, -2e-3, 1e-3],
     )
@@ -422,6 +423,14 @@ def test_the_limits_of_the_device_are_added_but_not_to_those_of_the_scene() -> N
     assert live_plant(Drop()).current_limit == Spec.peak_current.value
 
 
+def test_the_arm_of_a_press_is_there_only_with_its_own_hand() -> None:
+    """The mouse's hand has neither mass nor spring."""
+    arm = Press().scripted_hand()
+    for hand, mass in ((SpringHand(), 0.0), (arm, float(np.asarray(arm.hand.mass)))):
+        with live_plant(Press(), hand) as plant:
+            assert plant.device.model.dof_armature.max() == mass
+
+
 def test_a_scene_without_gravity_is_carried_on_a_device() -> None:
     for scene, carried in ((Drop(), 0.0), (Press(), WEIGHT[2]), (Joystick(), WEIGHT[2])):
         assert device_controller(scene).carried[2] == carried
@@ -480,4 +489,5 @@ def test_what_a_program_asks_of_the_scene_before_is_not_done() -> None:
     after(session, 0.1)
     assert session.snapshot().scene == find_scene("box")().replace(stiffness=3000.0)
     assert same_rules(Joystick(period=0.001), Joystick())
+    assert not same_rules(Joystick(), Drop(period=2e-6))  # which no joystick may have
     assert not same_rules(Joystick(), find_scene("box")()) and not same_rules(Joystick(wall=False), Joystick())

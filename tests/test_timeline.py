@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from maglev_mj import Command, ExactPlant, MuJoCoPlant, Timing
-from maglev_mj.plants import CoilDrivenPlant
 from maglev_mj.timeline import Timeline, recorded_switches, split_delay
 
 T = 0.005
@@ -99,7 +98,7 @@ def test_a_pulse_runs_out_after_an_unanswered_sample_on_every_plant() -> None:
                 made.read()
             wrench = made.trace().at(times)[2]
         assert wrench[:, 2].tolist() == [0.0, 1.0, 1.0, 1.0, 1.0, 0.0]
-    driven = CoilDrivenPlant(Timing(period=T, delay=0.0015), gravity=(0.0, 0.0, 0.0))
+    driven = MuJoCoPlant(Timing(period=T, delay=0.0015), gravity=(0.0, 0.0, 0.0))
     driven.read()
     driven.drive([0.0] * 6, [1.0, 0, 0, 0, 0, 0], 0.009)
     seen = []

@@ -16,12 +16,11 @@ from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.firmware import Firmware, Profile, Reading
 from maglev_mj.bridge.safety import Limits
 from maglev_mj.bridge.wire import Codec
-from maglev_mj.detail import Detail
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import ZERO, Array
 from maglev_mj.hand import HandForce
 from maglev_mj.parameters import flag, number
-from maglev_mj.plants import CoilDrivenPlant, SpotReader, Timing
+from maglev_mj.plants import MuJoCoPlant, SpotReader, Timing
 from maglev_mj.spec import Spec
 
 __all__ = ["MISFORTUNES", "REST", "Misfortune", "Twin", "TwinParameters"]
@@ -205,7 +204,7 @@ class Twin:
         spots = self._read(position)
         if self._offsets is not None:
             spots = [spot + offset for spot, offset in zip(spots, self._offsets)]
-        valid, currents = _ALL, self.plant.applied_currents
+        valid, currents = _ALL, self.plant.currents.tolist()
         measured: Sequence[float] = currents
         if self._live:
             spots, valid, measured = self._afflicted(spots, currents)
@@ -257,17 +256,18 @@ class Twin:
         return spots, valid, measured
 
 
-def _plant(parameters: TwinParameters, truth: Calibration, hand_force: HandForce | None) -> CoilDrivenPlant:
+def _plant(parameters: TwinParameters, truth: Calibration, hand_force: HandForce | None) -> MuJoCoPlant:
     known = Calibration.nominal()
     # the model's own numbers where they are the truth: what is set anew is rounded
     same = np.array_equal(truth.coils.wrench_per_current, known.coils.wrench_per_current)
-    return CoilDrivenPlant(
+    return MuJoCoPlant(
         Timing(period=parameters.period, delay=parameters.delay),
-        coils=None if same else truth.coils,
-        gravity=None if np.array_equal(truth.gravity, known.gravity) else truth.gravity,
+        coil_map=None if same else truth.coils,
+        gravity=truth.gravity,
         mass=None if truth.mass == known.mass else truth.mass,
+        inertia=None if np.array_equal(truth.inertia, known.inertia) else truth.inertia,
         pose=parameters.pose,
-        detail=Detail(stops=True),
+        stops=True,
         hand_force=hand_force,
     )
 

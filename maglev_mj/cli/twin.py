@@ -133,7 +133,7 @@ def _shown(viewer: RemoteViewer, blank: Snapshot, server: TwinServer) -> Callabl
     viewer.on_close = server.stop
 
     def each() -> None:
-        currents, pose, time = np.array(plant.applied_currents), twin.pose, twin.tick * blank.scene.period
+        currents, pose, time = plant.currents, twin.pose, twin.tick * blank.scene.period
         force = coils.wrench(currents) - carried if currents.any() else np.zeros(6)
         motion.add(time, pose, force, plant.hand_wrench)
         publishers.show(

@@ -1,4 +1,4 @@
-"""What every simulated plant shares: samples, delay, pulses, limits, the sensor, and errors."""
+"""The contract of a plant, and what every simulated one shares: samples, limits, sensor, meter, errors."""
 
 from __future__ import annotations
 
@@ -6,24 +6,40 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from math import isfinite
-from typing import Any, Self, TypedDict
+from typing import Any, Protocol, Self, TypedDict
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.errors import ParameterError, PlantError
-from maglev_mj.frames import Array, Command, Component, Sample, clipped, components
-from maglev_mj.hand import HandForce
+from maglev_mj.errors import DivergenceError, ParameterError, PlantError
+from maglev_mj.frames import AXES, Array, Command, Component, Sample, clipped, components, join
+from maglev_mj.hand import Hand, HandForce
 from maglev_mj.parameters import flag, number, numbers
-from maglev_mj.plants.complaints import escaped, refusal
 from maglev_mj.plants.sensor import PoseSensor
 from maglev_mj.spec import ESCAPE
 from maglev_mj.timeline import Segment, Timeline, Timing
 from maglev_mj.trace import Trace, TraceRecorder
 
-__all__ = ["PlantKeywords", "SampledPlant"]
+__all__ = ["Plant", "PlantKeywords", "SampledPlant"]
 
 _NO_EFFORT: Sequence[Component] = (0.0,) * 6
+
+
+class Plant(Protocol):
+    """What a control loop asks of a plant, simulated or real."""
+
+    @property
+    def period(self) -> float:
+        """Sample period [s]."""
+
+    def read(self) -> Sample:
+        """Wait for the next sampling instant and return what is measured there."""
+
+    def write(self, command: Command) -> Command:
+        """Send the answer to the last sample; return it as applied, after every limit."""
+
+    def close(self) -> None:
+        """Let go of the plant; safe to call at any time, and more than once."""
 
 
 class PlantKeywords(TypedDict, total=False):
@@ -36,6 +52,7 @@ class PlantKeywords(TypedDict, total=False):
     record: bool
     longest_step: float | None
     hand_force: HandForce | None
+    metered: bool
 
 
 class SampledPlant(ABC):
@@ -54,7 +71,14 @@ class SampledPlant(ABC):
         longest_step: Longest stretch between two recorded or computed states [s]; None for no bound.
         hand_force: What the muscles of a hand exert, from the first sample on: on the flotor, or on the hand's own
             mass where its grip is soft.
+        metered: Add up the work of the actuators, for `work`.
+
+    Attributes:
+        before: Wrench of the actuators until the first command takes effect [N, N m], (..., 6).
+        hand: Impedance of the hand on the flotor; None for none.
     """
+
+    hand: Hand | None = None
 
     def __init__(
         self,
@@ -68,6 +92,7 @@ class SampledPlant(ABC):
         record: bool = False,
         longest_step: float | None = None,
         hand_force: HandForce | None = None,
+        metered: bool = False,
     ) -> None:
         self.timing = timing
         self.batch = batch
@@ -77,12 +102,14 @@ class SampledPlant(ABC):
         self._escape = distance * distance, angle * angle
         self._longest_step = None if longest_step is None else number("longest_step", longest_step, above=0.0)
         self._recorder = TraceRecorder(timing.time) if flag("record", record) else None
-        self._run = self._advance if self._recorder is None and longest_step is None else self._run_in_pieces
+        self._total: Component | None = 0.0 if flag("metered", metered) else None
+        self._carry = self._advance if self._total is None else self._advance_metered
+        self._run = self._carry if self._recorder is None and longest_step is None else self._run_in_pieces
         self._hand_force, self._effort = hand_force, _NO_EFFORT
+        self.before = self.six("wrench", wrench, at_least=-math.inf, finite=True)
         self._tick = -1
         self._offset: Component = 0.0
-        drive = self._prepare(components(self.six("wrench", wrench, at_least=-math.inf, finite=True)))
-        self._timeline = Timeline(timing, drive, compares=not batch)
+        self._timeline = Timeline(timing, self._prepare(components(self.before)), compares=not batch)
         self._segments: list[Segment] = []
         self._closed = False
         self._before_period: Callable[[], None] | None = None
@@ -115,6 +142,14 @@ class SampledPlant(ABC):
     def _state(self, drive: Any) -> tuple[Array, Array, Array]:
         """Return pose, twist and the wrench on the flotor at this instant, (..., 6) each."""
 
+    @abstractmethod
+    def _where(self) -> Sequence[Component]:
+        """Return what `_work` takes for a place."""
+
+    @abstractmethod
+    def _work(self, drive: Any, before: Sequence[Component], after: Sequence[Component]) -> Component:
+        """Return the work of the actuators [J] between two places under a constant drive."""
+
     def read(self) -> Sample:
         """Carry the device to the next sampling instant and return what is measured there.
 
@@ -143,7 +178,7 @@ class SampledPlant(ABC):
         if self._hand_force is not None:
             self._effort = self._hand_force(tick, time, self.state)
             if len(self._effort) != 6 or not self._sound(sum(self._effort)):
-                raise refusal(self._effort, tick, self.batch, "a hand's wrench")
+                raise _refusal(self._effort, tick, self.batch, "a hand's wrench")
             self._exert(self._effort)
         if self._measure is not None:
             position = self._measure(position)
@@ -166,7 +201,7 @@ class SampledPlant(ABC):
                 raise PlantError(f"pulse_width must be finite and above 0, not {width:g}")
         check = sum(total)  # short of overflow, a sum is finite only if all its terms are
         if len(total) != 6 or not (isfinite(check) if check.__class__ is float else self._sound(check)):
-            raise refusal(total, self._tick, self.batch)
+            raise _refusal(total, self._tick, self.batch)
         if self._limits:
             command = self._limited(command)
             if width:
@@ -193,9 +228,25 @@ class SampledPlant(ABC):
         return self._state(self._timeline.acting)[:2]
 
     @property
+    def held(self) -> bool:
+        """True if a hand exerts a force."""
+        return self._hand_force is not None
+
+    @property
     def hand_wrench(self) -> Sequence[Component]:
         """What the muscles of the hand exert since the last sample, six components [N, N m]."""
         return self._effort
+
+    @property
+    def work(self) -> Component:
+        """Work of the actuators since release [J]; with lagging drivers that of the commanded wrench.
+
+        Raises:
+            PlantError: If the plant was made without `metered=True`.
+        """
+        if self._total is None:
+            raise PlantError("work is not added up: make the plant with metered=True")
+        return self._total
 
     @property
     def period(self) -> float:
@@ -212,6 +263,12 @@ class SampledPlant(ABC):
     def __exit__(self, *_: object) -> None:
         self.close()
 
+    def _advance_metered(self, duration: Component, drive: Any, pieces: int = 1) -> None:
+        """Advance, and add up the work: the drive is constant, so it is wrench times way, whatever else pushes."""
+        before = self._where()
+        self._advance(duration, drive, pieces)
+        self._total = self._total + self._work(drive, before, self._where())
+
     def _run_in_pieces(self, duration: Component, drive: Any) -> None:
         """Advance over one stretch, recorded, and in pieces where a longest step is set."""
         pieces = 1
@@ -219,11 +276,11 @@ class SampledPlant(ABC):
             whole = duration if duration.__class__ is float else float(np.max(duration))
             pieces = max(math.ceil(whole / self._longest_step - 1e-9), 1)
         if self._recorder is None:
-            return self._advance(duration, drive, pieces)
+            return self._carry(duration, drive, pieces)
         for piece in range(pieces):
             offset = self._offset + duration * (piece / pieces)
             self._recorder.add(max(self._tick, 0), offset, *self._state(drive))
-            self._advance(duration / pieces, drive)
+            self._carry(duration / pieces, drive)
         self._offset = self._offset + duration
 
     def six(self, name: str, value: ArrayLike, *, at_least: float = 0.0, finite: bool = False) -> Array:
@@ -262,4 +319,47 @@ class SampledPlant(ABC):
                 return angle
         elif np.all((distance < largest_distance) & (angle < largest_angle)):
             return angle
-        raise escaped(distance, angle, self._escape, self.timing.time(self._tick), self.batch)
+        raise _escaped(distance, angle, self._escape, self.timing.time(self._tick), self.batch)
+
+
+def _refusal(force: Sequence[Component], tick: int, batch: tuple[int, ...], what: str = "a command") -> PlantError:
+    """Return the error that names the first thing that is wrong with six components.
+
+    Args:
+        force: Components of a wrench, not finite or of a shape that does not fit [N, N m].
+        tick: The sample that they answer.
+        batch: Shape of the plant's batch.
+        what: What to call them.
+    """
+    if len(force) != 6:
+        return PlantError(f"{what} must have 6 components, not {len(force)}")
+    wrench = join(force)
+    if wrench.shape[:-1] not in ((), batch):
+        return PlantError(f"{what} must have the batch shape {batch} of the plant, not {wrench.shape[:-1]}")
+    place = tuple(np.argwhere(~np.isfinite(wrench))[0])
+    device = f", device {place[:-1]}" if len(place) > 1 else ""
+    name = what.removeprefix("a ")
+    return PlantError(f"{name} at tick {tick} must be finite, not {wrench[place]:g} along {AXES[place[-1]]}{device}")
+
+
+def _escaped(
+    distance: Component, angle: Component, bounds: tuple[float, float], at: Component, batch: tuple[int, ...]
+) -> DivergenceError:
+    """Return the error that names the first flotor far outside its range.
+
+    Args:
+        distance: Squares of the distances from the centre [m²].
+        angle: Squares of the angles [rad²].
+        bounds: Squares of the bounds of both.
+        at: When [s].
+        batch: Shape of the plant's batch.
+    """
+    far, turned, time = np.broadcast_arrays(np.sqrt(distance), np.sqrt(angle), at)
+    out = ~((far**2 < bounds[0]) & (turned**2 < bounds[1]))
+    place = tuple(np.argwhere(out)[0]) if out.ndim else ()
+    device = f" (device {', '.join(map(str, place))} of {batch})" if place else ""
+    return DivergenceError(
+        f"the flotor is {far[place]:.3g} m and {turned[place]:.3g} rad from its centre "
+        f"at {time[place]:.4g} s{device}; a run has diverged beyond "
+        f"{math.sqrt(bounds[0]):.3g} m or {math.sqrt(bounds[1]):.3g} rad"
+    )

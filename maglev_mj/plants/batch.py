@@ -10,14 +10,22 @@ import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import ArrayLike
 
-from maglev_mj.coils import UPRIGHT
+from maglev_mj.coils import UPRIGHT, CoilMap
 from maglev_mj.errors import ParameterError, PlantError
 from maglev_mj.frames import Array, Component, components, join, rotation_vector
 from maglev_mj.hand import Hand
-from maglev_mj.model import COILS
+from maglev_mj.model import COILS, Model
 from maglev_mj.parameters import number, numbers
 from maglev_mj.plants.base import PlantKeywords, SampledPlant
-from maglev_mj.plants.engine import effort_addresses, longest_step, prepared, start_state
+from maglev_mj.plants.engine import (
+    NOTHING,
+    effort_addresses,
+    longest_step,
+    prepared,
+    start_state,
+    turned_back,
+    turned_work,
+)
 from maglev_mj.spec import GRAVITY
 from maglev_mj.timeline import Timing
 
@@ -32,13 +40,16 @@ class MuJoCoBatchPlant(SampledPlant):
 
     Args:
         timing: Sample period, delay and phase; (N,) phases go with poses (N, 6).
-        scene: Name of the model.
+        model: See `MuJoCoPlant`, and for mass, inertia, gravity, coils, coil_map, driver_lag, driver_time_constant.
         mass: Moving mass in place of the model's [kg].
+        inertia: Moments of inertia in place of the model's [kg m²], (3,).
         pose: Poses at release [m, rad], (N, 6).
         twist: Velocities at release [m/s, rad/s], (N, 6) or (6,).
-        gravity: Acceleration of free fall along -z [m/s²].
-        coils: See `MuJoCoPlant`.
+        gravity: Acceleration of free fall [m/s²].
+        coils: Send each wrench through the coils.
+        coil_map: Coils in place of the model's.
         driver_lag: Switch the current drivers' first-order lag on.
+        driver_time_constant: Time constant of that lag in place of the model's [s].
         hand: A hand on each flotor, all alike.
         integrator: One of `INTEGRATORS`.
         threads: How many threads step the devices; 0 for one a processor.
@@ -46,20 +57,23 @@ class MuJoCoBatchPlant(SampledPlant):
 
     Raises:
         ParameterError: If a value is outside its bounds or the shapes do not fit.
-        ModelError: If the scene cannot be used.
+        ModelError: If the model cannot be used.
     """
 
     def __init__(
         self,
         timing: Timing | None = None,
         *,
-        scene: str = "drop",
+        model: Model = "drop",
         mass: float | None = None,
+        inertia: ArrayLike | None = None,
         pose: ArrayLike,
         twist: ArrayLike = (0.0,) * 6,
-        gravity: float = GRAVITY,
+        gravity: ArrayLike = GRAVITY,
         coils: bool = True,
+        coil_map: CoilMap | None = None,
         driver_lag: bool = False,
+        driver_time_constant: float | None = None,
         hand: Hand | None = None,
         integrator: str = "rk4",
         threads: int = 0,
@@ -77,7 +91,16 @@ class MuJoCoBatchPlant(SampledPlant):
         if driver_lag and not coils:
             raise ParameterError("driver_lag needs coils=True")
         self.device = prepared(
-            scene, mass=mass, gravity=gravity, coils=coils, driver_lag=driver_lag, hand=hand, integrator=integrator
+            model,
+            gravity=gravity,
+            integrator=integrator,
+            mass=mass,
+            inertia=inertia,
+            coils=coils,
+            coil_map=coil_map if coils else None,
+            driver_lag=driver_lag,
+            driver_time_constant=driver_time_constant,
+            hand=hand,
         )
         self._engine = Batch(self.device.model, len(start), count)
         for row, (place, speed) in enumerate(zip(start, np.broadcast_to(motion, start.shape), strict=True)):
@@ -95,7 +118,8 @@ class MuJoCoBatchPlant(SampledPlant):
         # inverse maps of the coils, (N, 6, 6) while any flotor is turned; None without coils
         self._inverse_map = None if self.device.coils is None else self.device.coils.current_per_wrench
         if keywords.get("longest_step") is None:
-            keywords["longest_step"] = longest_step(self.device, driver_lag, hand)
+            keywords["longest_step"] = longest_step(self.device, driver_lag=driver_lag, hand=hand)
+        self._corrects, self._excess = integrator == "corrected", np.zeros((len(start), 6))
         super().__init__(timing, batch=start.shape[:1], **keywords)
         if driver_lag:
             self._engine.bind("act")[:] = self._timeline.acting[1]
@@ -109,7 +133,35 @@ class MuJoCoBatchPlant(SampledPlant):
     def _advance(self, duration: Component, drive: Drive, pieces: int = 1) -> None:
         self._controls[:] = drive[1]
         self._timestep[:] = np.reshape(duration, (-1, *(1,) * (self._timestep.ndim - 1))) / pieces
+        if not self._corrects:
+            self._engine.step(nstep=pieces)
+            return
+        before = self._qvel.copy()
         self._engine.step(nstep=pieces)
+        half = np.reshape(0.5 * np.asarray(duration) / pieces, (-1, 1))
+        self._excess = self._excess + half * (self._qvel - before)
+
+    def _where(self) -> Sequence[Component]:
+        return self._corrected()
+
+    def _work(self, drive: Drive, before: Sequence[Component], after: Sequence[Component]) -> Component:
+        return turned_work(components(drive[0]), before, after)
+
+    def _corrected(self) -> list[Component]:
+        """Return x y z and a quaternion, less what the steps since the last sample are ahead; see `CorrectedSteps`."""
+        places: list[Component] = [column.copy() for column in self._qpos.T]  # a batch of one would hand out live views
+        if not self._corrects or not self._excess.any():
+            return places
+        over = self._excess.T
+        moved = [place - ahead for place, ahead in zip(places[:3], over[:3])]
+        turned = np.abs(over[3:]).max() > NOTHING
+        return [*moved, *(turned_back(*places[3:], *over[3:]) if turned else places[3:])]
+
+    def _settle(self) -> None:
+        """Move the flotors back by what the steps since the last sample are ahead."""
+        if self._corrects:
+            self._qpos[:] = np.stack(self._corrected(), axis=-1)
+            self._excess[:] = 0.0
 
     def _exert(self, effort: Sequence[Component]) -> None:
         wrench = np.broadcast_to(join(effort), (*self.batch, 6))
@@ -123,6 +175,7 @@ class MuJoCoBatchPlant(SampledPlant):
     def _position(self) -> list[Component]:
         if self._engine.warning.any():
             raise PlantError(f"MuJoCo warns at tick {self._tick}, in {int(self._engine.warning.any(-1).sum())} devices")
+        self._settle()
         position = self._components()
         squared = self._check_escape(position)
         if (coils := self.device.coils) is not None:
@@ -131,7 +184,7 @@ class MuJoCoBatchPlant(SampledPlant):
         return position
 
     def _components(self) -> list[Component]:
-        x, y, z, q0, q1, q2, q3 = components(self._qpos.copy())  # a batch of one would hand out live views
+        x, y, z, q0, q1, q2, q3 = self._corrected()
         return [x, y, z, *rotation_vector(q0, q1, q2, q3, np.sqrt, np.arctan2)]
 
     def _rotations(self) -> Array:

@@ -1,34 +1,44 @@
-"""The engine set up for a plant: integrator, gravity, the state at release, and the step it needs."""
+"""The engine set up for a plant: integrator, gravity, the state at release, and its steps."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+import struct
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
+from typing import Any
 
 import mujoco
 import numpy as np
+from numpy.typing import ArrayLike
 
-from maglev_mj.detail import Detail
-from maglev_mj.errors import ParameterError
-from maglev_mj.frames import AXES, Array, quaternion
+from maglev_mj.errors import ModelError, ParameterError
+from maglev_mj.frames import AXES, Array, Component, quaternion
 from maglev_mj.hand import Hand
-from maglev_mj.model import COILS, Device, load
-from maglev_mj.parameters import flag, number
-from maglev_mj.spec import GRAVITY, Spec
+from maglev_mj.model import COILS, Device, Model, load
+from maglev_mj.parameters import flag, number, numbers
+from maglev_mj.spec import GRAVITY
 
 __all__ = [
     "INTEGRATORS",
-    "FadingCoils",
+    "CorrectedSteps",
+    "Steps",
     "effort_addresses",
     "engine_warnings_silenced",
     "longest_step",
     "near_stops",
+    "one_step",
     "prepared",
     "start_state",
+    "turned_back",
+    "turned_work",
 ]
 
 _HAND_STEP, _STOP_STEP, _FALLOFF_STEP, _BEND_STEP = 5e-4, 2.5e-4, 2.5e-4, 5e-5
+
+NOTHING = 1e-12
+"""Angle [rad] that is rounding."""
 
 
 @contextmanager
@@ -46,38 +56,52 @@ def engine_warnings_silenced() -> Iterator[None]:
 
 
 _KINDS = mujoco.mjtIntegrator.__members__
-INTEGRATORS = {name.removeprefix("mjINT_").lower(): kind for name, kind in _KINDS.items()}
-"""The engine's integrators by name."""
+INTEGRATORS = {name.removeprefix("mjINT_").lower(): kind for name, kind in _KINDS.items()} | {
+    "corrected": mujoco.mjtIntegrator.mjINT_EULER
+}
+"""Integrators by name: the engine's, and "corrected", Euler's with a half-step correction (see `CorrectedSteps`)."""
 
 
 def prepared(
-    scene: str,
+    model: Model = "drop",
     *,
-    mass: float | None = None,
-    gravity: float = GRAVITY,
-    coils: bool = True,
-    driver_lag: bool = False,
-    hand: Hand | None = None,
+    gravity: ArrayLike = GRAVITY,
     integrator: str = "rk4",
-    detail: Detail | None = None,
+    stops: bool = False,
+    force_falloff: float = 0.0,
+    **device: Any,
 ) -> Device:
     """Load a device and set its model up for a plant.
 
+    Args:
+        model: See `load`.
+        gravity: Acceleration of free fall along -z, or in stator axes (3,) [m/s²].
+        integrator: One of `INTEGRATORS`.
+        stops: Let the metal stops act.
+        force_falloff: See `MuJoCoPlant`; the model must have a range for it.
+        device: Further keywords of `load`.
+
     Raises:
         ParameterError: If a value is outside its bounds.
-        ModelError: If the scene cannot be used.
+        ModelError: If the model cannot be used, or has no stops where they are needed.
     """
     if integrator not in INTEGRATORS:
         raise ParameterError(f"integrator must be one of {', '.join(INTEGRATORS)}, not {integrator!r}")
-    device = load(scene, mass=mass, driver_lag=driver_lag, coils=coils, hand=hand, detail=detail)
-    options = device.model.opt
+    made = load(model, **device)
+    options = made.model.opt
     options.integrator = INTEGRATORS[integrator]
-    options.gravity[:] = 0.0, 0.0, -number("gravity", gravity)
+    falling = numbers("gravity", gravity)
+    if falling.shape not in ((), (3,)):
+        raise ParameterError(f"gravity must be a number or (3,), not {falling.shape}")
+    options.gravity[:] = falling if falling.ndim else (0.0, 0.0, -float(falling))
     # an automatic reset would make a diverging run look stable, and the plant limits currents itself
     options.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET | mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL
-    if detail is not None and detail.stops:
+    if flag("stops", stops):
         options.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
-    return device
+    falloff = number("force_falloff", force_falloff, at_least=0.0, at_most=1.0)
+    if (stops or falloff) and not np.isfinite(made.range).all():
+        raise ModelError("stops and force_falloff need limits on the joints x, y, z and rotation of the model")
+    return made
 
 
 def start_state(device: Device, pose: Array, twist: Array, hand: Hand | None) -> tuple[Array, Array]:
@@ -115,54 +139,185 @@ def effort_addresses(device: Device, hand: Hand | None) -> tuple[int, int, int]:
     return first, second, third
 
 
-def longest_step(device: Device, driver_lag: bool, hand: Hand | None, detail: Detail | None = None) -> float | None:
-    """Return the integration step [s] that a device needs beyond its switches; None for none."""
-    detail = detail or Detail()
-    needed = [0.25 * device.driver_time_constant] * flag("driver_lag", driver_lag) + [_HAND_STEP] * (hand is not None)
-    needed += (
-        [_STOP_STEP] * detail.stops + [_BEND_STEP] * detail.flexible + [_FALLOFF_STEP] * (detail.force_falloff > 0)
+def longest_step(
+    device: Device,
+    *,
+    driver_lag: bool = False,
+    hand: Hand | None = None,
+    stops: bool = False,
+    force_falloff: float = 0.0,
+    flexible: bool = False,
+) -> float | None:
+    """Return the integration step [s] that a device needs beyond its switches; None for none.
+
+    Args:
+        device: The device, for its drivers' time constant.
+        driver_lag: True if the drivers' lag is on.
+        hand: The hand on the flotor.
+        stops: True if the stops act.
+        force_falloff: Share of the force lost at the ends of the range.
+        flexible: True if the handle swings.
+    """
+    needed = (
+        (flag("driver_lag", driver_lag), 0.25 * device.driver_time_constant),
+        (hand is not None, _HAND_STEP),
+        (flag("stops", stops), _STOP_STEP),
+        (force_falloff > 0.0, _FALLOFF_STEP),
+        (flag("flexible", flexible), _BEND_STEP),
     )
-    return min(needed, default=None)
+    return min((step for asked, step in needed if asked), default=None)
 
 
 _FIERCEST, _FIERCEST_TURN = 60.0, 2500.0
 """Half the largest acceleration that coils and a hand give the flotor [m/s², rad/s²]."""
 
-_RANGE, _ANGLE = Spec.translation_range.value, math.radians(Spec.rotation_range.value)
 
-
-def near_stops(position: Sequence[float], velocity: Sequence[float], period: float) -> bool:
+def near_stops(reach: Sequence[float], position: Sequence[float], velocity: Sequence[float], period: float) -> bool:
     """Return whether a flotor may meet a stop within a period, which takes short steps; elsewhere they are waste.
 
     Args:
+        reach: Least displacement and least angle at which there is a stop [m, rad].
         position: x y z [m] and a quaternion.
         velocity: Linear and angular [m/s, rad/s].
         period: Sample period [s].
     """
     x, y, z, w, *_ = position
     u, v, s, p, q, r = velocity
-    if max(abs(x), abs(y), abs(z)) + period * (max(abs(u), abs(v), abs(s)) + _FIERCEST * period) > _RANGE:
+    if max(abs(x), abs(y), abs(z)) + period * (max(abs(u), abs(v), abs(s)) + _FIERCEST * period) > reach[0]:
         return True
     angle = 2.0 * math.sqrt(max(1.0 - w * w, 0.0))
-    return angle + period * (math.sqrt(p * p + q * q + r * r) + _FIERCEST_TURN * period) > _ANGLE
+    return angle + period * (math.sqrt(p * p + q * q + r * r) + _FIERCEST_TURN * period) > reach[1]
 
 
-class FadingCoils:
+class Steps:
+    """The engine's steps for one device under constant controls.
+
+    Args:
+        device: The device.
+        data: Its state.
+        falloff: See `MuJoCoPlant`.
+
+    Attributes:
+        look: Returns x y z [m] and a quaternion, and changes nothing.
+        settle: The same at a sample.
+    """
+
+    def __init__(self, device: Device, data: mujoco.MjData, falloff: float) -> None:
+        model = device.model
+        self._options = model.opt
+        self.falloff = _Falloff(device, data, falloff) if falloff else None
+        self._step: Callable[..., object] = self.falloff or partial(mujoco.mj_step, model, data)
+        self._position = data.qpos[device.position_address :][:7]
+        self.look: Callable[[], Sequence[float]] = self._position.tolist
+        self.settle: Callable[[], Sequence[float]] = self.look
+
+    def __call__(self, duration: float, pieces: int = 1) -> None:
+        """Carry the state over `duration` [s] in so many equal steps."""
+        if pieces == 1:
+            self._options.timestep = duration
+            self._step()
+        else:
+            self._options.timestep = duration / pieces
+            self._step(pieces)
+
+
+class CorrectedSteps(Steps):
+    """Euler's step made exact under a constant force: the cheapest engine for what it gives.
+
+    A semi-implicit step of h moves the flotor by h times the velocity at its end, where a constant force moves it by h
+    times the mean: (h/2) dv too far. That is taken off at each sample. Translation is exact to rounding, as with
+    RK4, and a step costs a third of its. What changes within a step, a hand's force, lagging drivers, the torques of
+    turning about several axes, leaves an error of first order in the step.
+    """
+
+    def __init__(self, device: Device, data: mujoco.MjData, falloff: float) -> None:
+        super().__init__(device, data, falloff)
+        self._read, self.look, self.settle = self.look, self._look, self._settle
+        self._velocity = data.qvel[device.velocity_address :][:6].tolist
+        self._acceleration = data.qacc[device.velocity_address :][:6].tolist
+        self._put = partial(struct.pack_into, "7d", self._position.data, 0)
+        # with damping in the engine the velocity gains something else than the step times the acceleration
+        self._damped = bool(device.model.dof_damping.any() or device.model.tendon_damping.any())
+        # how far each segment since the last correction went too far: a factor, and what it is a factor of
+        self._excess: list[tuple[float, Sequence[float]]] = []
+
+    def __call__(self, duration: float, pieces: int = 1) -> None:
+        """See `Steps`."""
+        if pieces > 1 or self._damped:
+            before = self._velocity()
+            super().__call__(duration, pieces)
+            gained = [after - earlier for after, earlier in zip(self._velocity(), before)]
+            self._excess.append((0.5 * duration / pieces, gained))
+            return
+        self._options.timestep = duration
+        self._step()
+        self._excess.append((0.5 * duration * duration, self._acceleration()))
+
+    def _look(self) -> tuple[float, float, float, float, float, float, float]:
+        x, y, z, w, a, b, c = self._read()
+        rx = ry = rz = 0.0
+        for factor, (u, v, up, p, q, r) in self._excess:
+            x -= factor * u
+            y -= factor * v
+            z -= factor * up
+            rx += factor * p
+            ry += factor * q
+            rz += factor * r
+        if rx * rx + ry * ry + rz * rz > NOTHING * NOTHING:
+            w, a, b, c = turned_back(w, a, b, c, rx, ry, rz)
+        return x, y, z, w, a, b, c
+
+    def _settle(self) -> Sequence[float]:
+        """Move the flotor back by what the steps since the last correction are ahead; return where it is then."""
+        pose = self._look()
+        self._excess.clear()
+        self._put(*pose)
+        return pose
+
+
+def turned_back(
+    w: Component, a: Component, b: Component, c: Component, rx: Component, ry: Component, rz: Component
+) -> tuple[Component, Component, Component, Component]:
+    """Return a unit quaternion turned by a small angle (rx, ry, rz) [rad] about its own axes, backward."""
+    # the engine normalizes what it reads
+    p, q, r = -0.5 * rx, -0.5 * ry, -0.5 * rz
+    one = 1.0 - 0.5 * (p * p + q * q + r * r)
+    return (
+        w * one - a * p - b * q - c * r,
+        w * p + a * one + b * r - c * q,
+        w * q - a * r + b * one + c * p,
+        w * r + a * q - b * p + c * one,
+    )
+
+
+def turned_work(force: Sequence[Component], before: Sequence[Component], after: Sequence[Component]) -> Component:
+    """Return the work [J] of a constant wrench between two places, x y z [m] and a quaternion each.
+
+    Exact for the translations, to second order in the angle for the rotations.
+    """
+    x, y, z, w, a, b, c = before
+    p, q, r, d, i, j, k = after
+    fx, fy, fz, tx, ty, tz = force
+    # twice the vector part of the turn between the two orientations
+    rx = w * i - a * d - b * k + c * j
+    ry = w * j - b * d - c * i + a * k
+    rz = w * k - c * d - a * j + b * i
+    return fx * (p - x) + fy * (q - y) + fz * (r - z) + 2.0 * (tx * rx + ty * ry + tz * rz)
+
+
+class _Falloff:
     """A step of the engine with coils that push the less the further they are from their magnets' centre.
 
     The force constants of a step are those half way through it, so that the error is of second order in the step.
-
-    Args:
-        device: With its coils.
-        data: Its state.
-        falloff: See `Detail`.
     """
 
     def __init__(self, device: Device, data: mujoco.MjData, falloff: float) -> None:
         self._model, self._data, self._falloff = device.model, data, falloff
-        self._centre = _lengths_at_centre(device)
+        at_centre = mujoco.MjData(device.model)
+        mujoco.mj_forward(device.model, at_centre)
+        self._centre = at_centre.actuator_length[: len(COILS)].copy()
         self._flat = device.model.actuator_gainprm[: len(COILS), 0].copy()
-        self._range = Spec.translation_range.value
+        self._range = float(device.range[:3].max())
 
     def __call__(self, steps: int = 1) -> None:
         """Make some steps."""
@@ -182,16 +337,56 @@ class FadingCoils:
     def share(self) -> Array:
         """Return what share of its force each coil gives where the flotor is, (6,)."""
         mujoco.mj_fwdPosition(self._model, self._data)
-        return self._share(self._data.actuator_length[: len(COILS)])
+        length: Array = self._data.actuator_length[: len(COILS)]
+        return self._share(length)
 
     def _share(self, length: Array) -> Array:
-        stroke = (length - self._centre) / self._range
+        stroke: Array = (length - self._centre) / self._range
         return 1.0 - self._falloff * stroke * stroke
 
 
-def _lengths_at_centre(device: Device) -> Array:
-    """Return where each coil is along its force with the flotor at centre [m], (6,)."""
-    data = mujoco.MjData(device.model)
-    mujoco.mj_forward(device.model, data)
-    lengths: Array = data.actuator_length[: len(COILS)].copy()
-    return lengths
+def one_step(
+    integrator: str, mass: float, step: float, hand: Hand | None = None, driver_lag: bool = False
+) -> tuple[Array, Array]:
+    """Return the map of one step of the engine along z, from steps that each begin with one unit of one state.
+
+    The state is that of `motion`: position and velocity of the flotor, then those of a hand in a soft grip, then the
+    force of the drivers where they lag. That of "corrected" is Euler's: the correction comes at the sample.
+
+    Args:
+        integrator: One of `INTEGRATORS`.
+        mass: Moving mass [kg].
+        step: Time step [s].
+        hand: A hand on the flotor.
+        driver_lag: Switch the current drivers' first-order lag on.
+
+    Returns:
+        State after it from that before, (n, n), and from the force commanded, (n,).
+
+    Raises:
+        ParameterError: If there is no such integrator.
+    """
+    device = prepared(gravity=0.0, coils=driver_lag, integrator=integrator, mass=mass, hand=hand, driver_lag=driver_lag)
+    model, coils = device.model, device.coils
+    model.opt.timestep = step
+    positions, speeds = [device.position_address + 2], [device.velocity_address + 2]
+    if hand is not None and hand.soft and 2 in hand.indices:
+        joint = model.joint("hand_z")
+        positions, speeds = [*positions, int(joint.qposadr[0])], [*speeds, int(joint.dofadr[0])]
+    size = 2 * len(positions) + driver_lag
+    columns = []
+    for start in np.eye(size + 1):
+        data = mujoco.MjData(model)
+        data.qpos[positions], data.qvel[speeds] = start[: size - driver_lag : 2], start[1 : size - driver_lag : 2]
+        after = np.empty(size)
+        if coils is None:
+            data.xfrc_applied[device.flotor, 2] = start[-1]
+            mujoco.mj_step(model, data)
+        else:
+            data.act[:], data.ctrl[:] = np.outer(start[-2:], coils.current_per_wrench[:, 2])
+            mujoco.mj_step(model, data)
+            after[-1] = coils.wrench_per_current[2] @ data.act
+        after[: size - driver_lag : 2], after[1 : size - driver_lag : 2] = data.qpos[positions], data.qvel[speeds]
+        columns.append(after)
+    whole = np.array(columns).T
+    return whole[:, :size], whole[:, size]

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from typing import Any, TypeAlias, Unpack
+from typing import Any, Protocol, TypeAlias, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Component, components, join
-from maglev_mj.hand import Hand
+from maglev_mj.hand import Hand, motion, transition
+from maglev_mj.model import Model, load
 from maglev_mj.parameters import flag, number, numbers
-from maglev_mj.plants.axes import AxisMotion, FreeAxis, HeldAxis, LaggedAxis, RubbingAxis
 from maglev_mj.plants.base import PlantKeywords, SampledPlant
 from maglev_mj.spec import DRIVER_TIME_CONSTANT, GRAVITY, INERTIA
 from maglev_mj.timeline import Timing
@@ -32,16 +33,23 @@ class ExactPlant(SampledPlant):
 
     Args:
         timing: Sample period, delay and phase; (N,) delays and phases go with a pose (N, 6).
-        mass: Mass of the flotor with its handle [kg]; (N,) for N devices that differ.
-        inertia: Moments of inertia about x, y, z [kg m²], (3,).
+        model: The device whose mass, moments and drivers these are, as for `MuJoCoPlant`; None for the published one.
+        mass: Mass of the flotor with its handle in place of the model's [kg]; (N,) for N devices that differ.
+        inertia: Moments of inertia about x, y, z in place of the model's [kg m²], (3,).
         pose: Pose at release [m, rad], (..., 6).
         twist: Velocity at release [m/s, rad/s], (..., 6).
         gravity: Acceleration of free fall along -z [m/s²].
         driver_lag: Switch the current drivers' first-order lag on.
+        driver_time_constant: Time constant of that lag in place of the model's [s].
         hand: A hand on the flotor.
         dry_friction: Coulomb friction of the device itself [N, N m], (..., 6) or a number; not together with
             driver lag, nor on an axis that a hand holds.
-        keywords: Those of `SampledPlant`: wrench, wrench_limit, sensor, escape, record.
+        keywords: Those of `SampledPlant`: wrench, wrench_limit, sensor, escape, record, metered.
+
+    Attributes:
+        inertia: Mass and moments of inertia [kg, kg m²], (..., 6).
+        load: Weight [N, N m], (..., 6).
+        start: Pose and twist at release [m, rad; m/s, rad/s], (..., 6) each.
 
     Raises:
         ParameterError: If a value is outside its bounds or the shapes do not fit.
@@ -51,33 +59,46 @@ class ExactPlant(SampledPlant):
         self,
         timing: Timing | None = None,
         *,
-        mass: ArrayLike = INERTIA[0],
-        inertia: ArrayLike = INERTIA[3:],
+        model: Model | None = None,
+        mass: ArrayLike | None = None,
+        inertia: ArrayLike | None = None,
         pose: ArrayLike = (0.0,) * 6,
         twist: ArrayLike = (0.0,) * 6,
         gravity: float = GRAVITY,
         driver_lag: bool = False,
+        driver_time_constant: float | None = None,
         hand: Hand | None = None,
         dry_friction: ArrayLike | None = None,
         **keywords: Unpack[PlantKeywords],
     ) -> None:
         timing = timing or Timing()
-        start, motion, body = _start(timing, pose, twist, mass, inertia)
+        moving, moments, lag = INERTIA[0], np.array(INERTIA[3:]), DRIVER_TIME_CONSTANT
+        if model is not None:
+            device = load(model, driver_lag=driver_lag, driver_time_constant=driver_time_constant)
+            moving, moments, lag = device.mass, device.inertia, device.driver_time_constant
+        if driver_time_constant is not None:
+            lag = number("driver_time_constant", driver_time_constant, above=0.0)
+        start, motion, body = _start(
+            timing, pose, twist, moving if mass is None else mass, moments if inertia is None else inertia
+        )
         fall = -number("gravity", gravity)
+        self.hand, self.start = hand, (start, motion)
+        self.inertia = join(body)
         self._body = (*(1.0 / value for value in body[2:]), fall)
         self._weight = (0.0, 0.0, fall * body[2], 0.0, 0.0, 0.0)
+        self.load = join(self._weight) + 0.0
         self._place, self._velocity = _shared(components(start)), _shared(components(motion))
-        self._lag = DRIVER_TIME_CONSTANT if flag("driver_lag", driver_lag) else 0.0
+        self._lag = lag if flag("driver_lag", driver_lag) else 0.0
         if keywords.get("record") and self._lag:
             # only the recorded curve needs the pieces: the state itself is exact over any stretch
             keywords["longest_step"] = 0.25 * self._lag
         super().__init__(timing, batch=start.shape[:-1], **keywords)
-        self._axes: list[AxisMotion] | None = None
+        self._axes: list[_AxisMotion] | None = None
         self._pull: tuple[Component, ...] | None = None
         if driver_lag or hand is not None or dry_friction is not None:
             self._axes = self._special_axes(body, hand, dry_friction)
 
-    def _special_axes(self, body: list[float], hand: Hand | None, dry_friction: ArrayLike | None) -> list[AxisMotion]:
+    def _special_axes(self, body: list[float], hand: Hand | None, dry_friction: ArrayLike | None) -> list[_AxisMotion]:
         """Return how each axis moves where that is not as a free mass."""
         rub = None if dry_friction is None else self.six("dry_friction", dry_friction, finite=True)
         held = hand.indices if hand is not None else ()
@@ -86,19 +107,19 @@ class ExactPlant(SampledPlant):
         if rub is not None and self._lag:
             raise ParameterError("dry_friction must be without driver_lag: the two have no closed form together")
         frictions = [0.0] * 6 if rub is None else components(np.broadcast_to(rub, (*rub.shape[:-1], 6)))
-        axes: list[AxisMotion] = []
+        axes: list[_AxisMotion] = []
         start = zip(self._place, self._velocity, self._timeline.acting[1], body, frictions, strict=True)
         for index, (place, velocity, force, inertia, friction) in enumerate(start):
             if index in held and np.any(np.asarray(friction) > 0.0):
                 raise ParameterError("dry_friction must be 0 on an axis that a hand holds")
             if hand is not None and index in held:
-                axes.append(HeldAxis(place, velocity, force, inertia, hand, self._lag))
+                axes.append(_HeldAxis(place, velocity, force, inertia, hand, self._lag))
             elif self._lag:
-                axes.append(LaggedAxis(place, velocity, force, inertia, self._lag))
+                axes.append(_LaggedAxis(place, velocity, force, inertia, self._lag))
             elif np.any(np.asarray(friction) > 0.0):
-                axes.append(RubbingAxis(place, velocity, force, inertia, friction))
+                axes.append(_RubbingAxis(place, velocity, force, inertia, friction))
             else:
-                axes.append(FreeAxis(place, velocity, force, inertia))
+                axes.append(_FreeAxis(place, velocity, force, inertia))
         return axes
 
     def _prepare(self, force: Sequence[Component]) -> Drive:
@@ -140,6 +161,12 @@ class ExactPlant(SampledPlant):
             q + duration * ary,
             r + duration * arz,
         ]
+
+    def _where(self) -> Sequence[Component]:
+        return self._place
+
+    def _work(self, drive: Drive, before: Sequence[Component], after: Sequence[Component]) -> Component:
+        return sum(force * (end - start) for force, start, end in zip(drive[1], before, after))
 
     def _exert(self, effort: Sequence[Component]) -> None:
         one, by_x, by_y, by_z, _ = self._body
@@ -190,3 +217,139 @@ def _shared(parts: list[Component]) -> list[Component]:
     if np.ndim(parts[0]) and not any(np.ndim(part) for part in shared):
         shared[2] = parts[2]
     return shared
+
+
+class _AxisMotion(Protocol):
+    """One coordinate of one device or of N."""
+
+    @property
+    def place(self) -> Component:
+        """Position [m, rad]."""
+
+    @property
+    def velocity(self) -> Component:
+        """Velocity [m/s, rad/s]."""
+
+    @property
+    def actual(self) -> Component:
+        """Force of the actuators now [N, N m]; it trails the command where the drivers lag."""
+
+    def advance(self, duration: Component, command: Component, weight: Component, effort: Component) -> None:
+        """Go on for `duration` [s] under a commanded force, a weight, and what a hand's muscles exert [N, N m]."""
+
+
+class _FreeAxis:
+    """A mass, and nothing else."""
+
+    def __init__(self, place: Component, velocity: Component, actual: Component, inertia: float) -> None:
+        self.place, self.velocity, self.actual = place, velocity, actual
+        self._inverse = 1.0 / inertia
+
+    def advance(self, duration: Component, command: Component, weight: Component, effort: Component) -> None:
+        """See `_AxisMotion`."""
+        acceleration = (command + weight + effort) * self._inverse
+        self.place = self.place + duration * (self.velocity + 0.5 * duration * acceleration)
+        self.velocity = self.velocity + duration * acceleration
+        self.actual = command
+
+
+class _LaggedAxis:
+    """A mass behind first-order drivers: actual force = command + (actual - command) exp(-t / lag)."""
+
+    def __init__(self, place: Component, velocity: Component, actual: Component, inertia: float, lag: float) -> None:
+        self.place, self.velocity, self.actual = place, velocity, actual
+        self._inverse, self._lag = 1.0 / inertia, lag
+
+    def advance(self, duration: Component, command: Component, weight: Component, effort: Component) -> None:
+        """See `_AxisMotion`; the exponential is integrated twice."""
+        lag, faded = self._lag, -np.expm1(-duration / self._lag)
+        acceleration, missing = (command + weight + effort) * self._inverse, (self.actual - command) * self._inverse
+        gained = missing * lag * faded
+        travel = self.velocity + 0.5 * duration * acceleration + missing * lag
+        self.place = self.place + duration * travel - lag * gained
+        self.velocity = self.velocity + duration * acceleration + gained
+        self.actual = command + (self.actual - command) * (1.0 - faded)
+
+
+class _HeldAxis:
+    """A mass in a hand, its drivers with or without lag: the transition matrix of `motion`."""
+
+    def __init__(
+        self, place: Component, velocity: Component, actual: Component, inertia: float, hand: Hand, lag: float
+    ) -> None:
+        self._state: list[Component] = [place, velocity, *([hand.place(place), velocity] if hand.soft else [])]
+        self._lags = lag > 0.0
+        if self._lags:
+            self._state.append(actual)
+        self.actual = actual
+        self._a, self._b = motion(inertia, hand, lag)
+        self._known: dict[float | bytes, tuple[list[list[Component]], list[list[Component]]]] = {}
+
+    @property
+    def place(self) -> Component:
+        """Position of the flotor [m]."""
+        return self._state[0]
+
+    @property
+    def velocity(self) -> Component:
+        """Velocity of the flotor [m/s]."""
+        return self._state[1]
+
+    def advance(self, duration: Component, command: Component, weight: Component, effort: Component) -> None:
+        """See `_AxisMotion`."""
+        phi, gamma = self._transition(duration)
+        self._state = [
+            sum((one * part for one, part in zip(row, self._state)), by[0] * command + by[1] * weight + by[2] * effort)
+            for row, by in zip(phi, gamma)
+        ]
+        self.actual = self._state[-1] if self._lags else command
+
+    def _transition(self, duration: Component) -> tuple[list[list[Component]], list[list[Component]]]:
+        """Return the matrices as rows of components, kept because the durations return every period."""
+        key = duration if isinstance(duration, float) else np.asarray(duration).tobytes()
+        known = self._known.get(key)
+        if known is None:
+            if len(self._known) > 64:
+                self._known.clear()
+            phi, gamma = _rows(*transition(self._a, self._b, duration))
+            known = self._known[key] = phi, gamma
+        return known
+
+
+def _rows(*matrices: Array) -> Any:
+    """Return matrices (..., n, m) as rows of components: floats, or arrays (...,)."""
+    result = []
+    for matrix in matrices:
+        if matrix.ndim == 2:
+            result.append(matrix.tolist())
+        else:
+            result.append([[entry.copy() for entry in row] for row in np.moveaxis(matrix, (-2, -1), (0, 1))])
+    return tuple(result)
+
+
+class _RubbingAxis:
+    """A mass with dry friction of its own: it stops, stays, or turns back within the stretch."""
+
+    def __init__(
+        self, place: Component, velocity: Component, actual: Component, inertia: float, friction: Component
+    ) -> None:
+        self.place, self.velocity, self.actual = place, velocity, actual
+        self._inverse, self._friction = 1.0 / inertia, friction
+
+    def advance(self, duration: Component, command: Component, weight: Component, effort: Component) -> None:
+        """See `_AxisMotion`."""
+        force, speed, rub = np.asarray(command + weight + effort), np.asarray(self.velocity), self._friction
+        breaks = np.where(np.abs(force) > rub, np.sign(force), 0.0)
+        sense = np.where(speed != 0.0, np.sign(speed), breaks)
+        first = np.where(sense != 0.0, force - sense * rub, 0.0) * self._inverse
+        stops = first * speed < 0.0
+        until = np.where(stops, np.minimum(-speed / np.where(stops, first, 1.0), duration), duration)
+        place = self.place + until * (speed + 0.5 * until * first)
+        stopped = stops & (until < duration)
+        second = np.where(breaks != 0.0, force - breaks * rub, 0.0) * self._inverse
+        left = duration - until
+        speed = np.where(stopped, left * second, speed + until * first)
+        place = np.where(stopped, place + 0.5 * left * left * second, place)
+        single = not place.ndim and not math.isnan(place)
+        self.place, self.velocity = (float(place), float(speed)) if single else (place, speed)
+        self.actual = command

@@ -4,24 +4,32 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Callable, Sequence
-from dataclasses import replace
-from functools import partial
+from collections.abc import Sequence
+from functools import cached_property, partial
 from typing import Any, TypeAlias, Unpack
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.coils import UPRIGHT, limited_wrench
-from maglev_mj.detail import Detail
+from maglev_mj.coils import UPRIGHT, CoilMap
 from maglev_mj.errors import ParameterError, PlantError
-from maglev_mj.frames import Array, Command, rotation_vector
+from maglev_mj.frames import Array, Command, Component, rotation_vector
 from maglev_mj.hand import Hand
-from maglev_mj.model import COILS, load
+from maglev_mj.model import COILS, Model, load
 from maglev_mj.parameters import number, numbers
 from maglev_mj.plants.base import PlantKeywords, SampledPlant
-from maglev_mj.plants.engine import FadingCoils, effort_addresses, longest_step, near_stops, prepared, start_state
+from maglev_mj.plants.currents import CoilDrive
+from maglev_mj.plants.engine import (
+    CorrectedSteps,
+    Steps,
+    effort_addresses,
+    longest_step,
+    near_stops,
+    prepared,
+    start_state,
+    turned_work,
+)
 from maglev_mj.plants.sensor import Measure
 from maglev_mj.spec import GRAVITY
 from maglev_mj.timeline import Timing
@@ -29,8 +37,8 @@ from maglev_mj.timeline import Timing
 __all__ = ["MuJoCoPlant"]
 
 
-Drive: TypeAlias = tuple[Sequence[float], Any]
-"""A wrench, and the map from it to the currents; None for a wrench applied to the flotor itself."""
+Drive: TypeAlias = tuple[Sequence[float | None], Sequence[float], Any]
+"""The wrench commanded (or None and six currents), the engine's controls, and the map from one to the other or None."""
 
 
 _ENGINE_BOUND = 1e10
@@ -39,48 +47,63 @@ _ENGINE_BOUND = 1e10
 class MuJoCoPlant(SampledPlant):
     """The device in MuJoCo, by default RK4 with a step boundary at every switch: exact to rounding in translation.
 
-    Nothing is limited unless asked for: the device gives 60 N along z, which takes `current_limit=10`.
+    It takes wrenches (`write`) and, for a host that knows the coils, currents (`drive`). Nothing is limited unless
+    asked for: the device gives 60 N along z, which takes `current_limit=10`.
 
     Args:
         timing: Sample period, delay and phase (a number).
-        scene: Name of the model.
+        model: The device: name of a model of the package, MJCF file, or specification; see `load`.
         mass: Moving mass in place of the model's [kg].
+        inertia: Moments of inertia about x, y, z in place of the model's [kg m²], (3,).
         pose: Pose at release [m, rad], (6,).
         twist: Velocity at release [m/s, rad/s], (6,).
-        gravity: Acceleration of free fall along -z [m/s²].
+        gravity: Acceleration of free fall along -z, or in stator axes (3,) where the base is not level [m/s²].
         coils: True sends each wrench through the six coils, by their map at the flotor's angle when the sample
             was taken, as the sensor measured it if there is one; False applies it to the flotor itself, as an ideal
             actuator would.
+        coil_map: Coils in place of the model's, such as calibrated ones.
         current_limit: Largest current in any coil [A]; None for no limit. Without coils, what it leaves of a wrench is
             that of coils that stay upright.
         driver_lag: Switch the current drivers' first-order lag on.
+        driver_time_constant: Time constant of that lag in place of the model's [s].
         hand: A hand on the flotor, along x, y or z.
         integrator: One of `INTEGRATORS`.
-        detail: What else the device has.
-        keywords: Those of `SampledPlant`: wrench, wrench_limit, sensor, escape, record, hand_force, longest_step. The
-            longest integration step is None for as long as the wrench is constant, and by default a quarter of the
-            drivers' time constant where their lag is on, 0.5 ms where a hand is.
+        stops: The metal stops at the ends of the range.
+        force_falloff: Share of its force constant that a coil has lost when it is as far from its magnets' centre,
+            along its force, as the device's range goes; the loss goes with the square of the distance. Assumed.
+        flexible: The handle swings against the flotor along z; see `load`.
+        keywords: Those of `SampledPlant`: wrench, wrench_limit, sensor, escape, record, hand_force, longest_step,
+            metered. The longest integration step is None for as long as the wrench is constant, and by default a
+            quarter of the drivers' time constant where their lag is on, 0.5 ms where a hand is.
+
+    Attributes:
+        start: Pose and twist at release [m, rad; m/s, rad/s], (6,) each.
 
     Raises:
         ParameterError: If a value is outside its bounds or the shapes do not fit.
-        ModelError: If the scene cannot be used.
+        ModelError: If the model cannot be used.
     """
 
     def __init__(
         self,
         timing: Timing | None = None,
         *,
-        scene: str = "drop",
+        model: Model = "drop",
         mass: float | None = None,
+        inertia: ArrayLike | None = None,
         pose: ArrayLike = (0.0,) * 6,
         twist: ArrayLike = (0.0,) * 6,
-        gravity: float = GRAVITY,
+        gravity: ArrayLike = GRAVITY,
         coils: bool = True,
+        coil_map: CoilMap | None = None,
         current_limit: float | None = None,
         driver_lag: bool = False,
+        driver_time_constant: float | None = None,
         hand: Hand | None = None,
         integrator: str = "rk4",
-        detail: Detail | None = None,
+        stops: bool = False,
+        force_falloff: float = 0.0,
+        flexible: bool = False,
         **keywords: Unpack[PlantKeywords],
     ) -> None:
         timing = timing or Timing()
@@ -90,114 +113,134 @@ class MuJoCoPlant(SampledPlant):
                 f"a MuJoCo plant is one device: pose and twist must be (6,) and phase a number, "
                 f"not {start.shape}, {motion.shape} and {np.shape(timing.phase)}"
             )
-        detail = detail or Detail()
-        if not coils and (driver_lag or detail != Detail()):
-            raise ParameterError("driver_lag and detail need coils=True")
+        self.hand, self.start = hand, (start, motion)
         self.device = prepared(
-            scene,
-            mass=mass,
+            model,
             gravity=gravity,
-            coils=coils,
-            driver_lag=driver_lag,
-            hand=hand,
             integrator=integrator,
-            detail=detail,
+            stops=stops,
+            force_falloff=force_falloff,
+            mass=mass,
+            inertia=inertia,
+            coils=coils,
+            coil_map=coil_map if coils else None,
+            driver_lag=driver_lag,
+            driver_time_constant=driver_time_constant,
+            hand=hand,
+            flexible=flexible,
         )
+        if not coils and (driver_lag or force_falloff):
+            raise ParameterError("driver_lag and force_falloff need coils=True")
         self.current_limit = None if current_limit is None else number("current_limit", current_limit, at_least=0.0)
-        self._open(detail, hand)
+        self._coils = self.device.coils
+        known = self._coils
+        if known is None and current_limit is not None:
+            known = load(model, coil_map=coil_map).coils
+        self._coil_drive = None if known is None else CoilDrive(known, self.current_limit)
+        self._open(integrator, force_falloff, hand)
         self._data.qpos[:], self._data.qvel[:] = start_state(self.device, start, motion, hand)
-        # where stops alone ask for short steps, those are for when the flotor is near one
-        free = longest_step(self.device, driver_lag, hand, replace(detail, stops=False)) is None
-        watches_stops = detail.stops and free and keywords.get("longest_step") is None
+        free = False
         if keywords.get("longest_step") is None:
-            keywords["longest_step"] = longest_step(self.device, driver_lag, hand, detail)
+            needs: dict[str, Any] = {
+                "driver_lag": driver_lag,
+                "hand": hand,
+                "force_falloff": force_falloff,
+                "flexible": flexible,
+            }
+            free = longest_step(self.device, **needs) is None
+            keywords["longest_step"] = longest_step(self.device, stops=stops, **needs)
         super().__init__(timing, batch=(), **keywords)
-        if watches_stops and self._recorder is None:
+        # where stops alone ask for short steps, those are for when the flotor is near one
+        if stops and free and self._recorder is None:
             self._before_period = self._choose_steps
+            self._reach = float(self.device.range[:3].min()), float(self.device.range[3])
         if driver_lag:
-            self._data.act[:] = self._inverse_map @ np.array(self._timeline.acting[0])
-        if self.current_limit is not None:
-            self._limits = True
-            upright = load(scene).coils
-            assert upright is not None  # it is loaded with them
-            self._limiting_map: Any = None if coils else upright.current_per_wrench
+            self._data.act[:] = self._timeline.acting[1]
+        self._limits |= current_limit is not None
         if self._measure is not None and self._coils is not None:
             self._upright = math.inf
-            self._measure = self._as_measured(self._measure)
+            self._measure = self._noted(self._measure)
         # it warns of positions and velocities that are not finite or beyond 1e10, each an escape too unless that is
         # wider still; and of controls, which it then leaves out
-        self._warns_unseen = max(self._escape) > _ENGINE_BOUND or detail.stops
+        self._warns_unseen = max(self._escape) > _ENGINE_BOUND or stops
 
-    def _open(self, detail: Detail, hand: Hand | None) -> None:
+    def _open(self, integrator: str, falloff: float, hand: Hand | None) -> None:
         """Make the engine's state, and live views of it: reaching for them on each tick costs as much as using them."""
-        model, coils = self.device.model, self.device.coils
+        model, device = self.device.model, self.device
         self._data = mujoco.MjData(model)
         mujoco.mj_step(model, self._data)  # the first step fetches its memory, which would make the first tick late
         mujoco.mj_resetData(model, self._data)
-        self._model, self._options = model, model.opt
-        self._step: Callable[..., object] = partial(mujoco.mj_step, model, self._data)
-        if detail.force_falloff:
-            self._step = FadingCoils(self.device, self._data, detail.force_falloff)
-        self._qpos = self._data.qpos[self.device.position_address :][:7]
-        self._qvel = self._data.qvel[self.device.velocity_address :][:6]
-        self._read_pose: Callable[[], Sequence[float]] = self._qpos.tolist
+        self._model = model
+        self._steps = (CorrectedSteps if integrator == "corrected" else Steps)(device, self._data, falloff)
+        self._look, self._settle = self._steps.look, self._steps.settle
+        self._qpos = self._data.qpos[device.position_address :][:7]
+        self._qvel = self._data.qvel[device.velocity_address :][:6]
         self._push_on = self._data.qfrc_applied
-        self._effort_addresses = effort_addresses(self.device, hand)
-        self._turning = slice(self.device.velocity_address + 3, self.device.velocity_address + 6)
+        self._effort_addresses = effort_addresses(device, hand)
+        self._turning = slice(device.velocity_address + 3, device.velocity_address + 6)
         self._rotation = np.zeros(9)
-        self._currents = self._data.ctrl[: len(COILS)]
-        self._wrench = self._data.xfrc_applied[self.device.flotor] if coils is None else np.zeros(6)
-        # as `self._wrench[:] = drive`, in half the time
-        self._fill = partial(struct.pack_into, "6d", self._wrench.data, 0)
+        controls = self._data.xfrc_applied[device.flotor] if self._coils is None else self._data.ctrl[: len(COILS)]
+        # as `controls[:] = values`, in half the time
+        self._control = partial(struct.pack_into, "6d", controls.data, 0)
         self._applied: Drive | None = None
-        self._coils = coils
-        # None without coils; the map of the upright flotor until it is seen to turn
-        self._inverse_map: Any = None if coils is None else coils.current_per_wrench
-        self._turned = False
-        self._upright = math.inf if coils is None else UPRIGHT * UPRIGHT
+        self._last: Drive = (), (), None
+        # whether the coils' map is to be renewed for the next wrench, and the angle measured if there is a sensor
+        self._stale = self._turned = False
+        self._angle: Sequence[float] | None = None
+        self._upright = math.inf if self._coils is None else UPRIGHT * UPRIGHT
         self._warnings = self._data.warning.number
         self._refused = memoryview(self._warnings)[int(mujoco.mjtWarning.mjWARN_BADCTRL) :]
 
-    def _limited(self, command: Command) -> Command:
-        command = super()._limited(command)
-        if self.current_limit is None:
-            return command
-        force = self._with_limited_currents(command.force)
-        if command.extra is None:
-            return Command(force)
-        total = self._with_limited_currents([one + other for one, other in zip(command.force, command.extra)])
-        return Command(force, [one - other for one, other in zip(total, force)], command.pulse_width)
+    def write(self, command: Command) -> Command:
+        """See `SampledPlant`."""
+        if self._stale:
+            self._follow_turn()
+        return super().write(command)
 
-    def _with_limited_currents(self, force: Sequence[float]) -> Sequence[float]:
-        """Return the wrench that is left when every current is clipped; the wrench itself where none is."""
-        inverse_map = self._inverse_map if self._limiting_map is None else self._limiting_map
-        return limited_wrench(inverse_map, force, self.current_limit or 0.0)[0]
+    def drive(
+        self,
+        currents: Sequence[float],
+        pulsed: Sequence[float] | None = None,
+        width: float = 0.0,
+        *,
+        after: float | None = None,
+    ) -> None:
+        """Switch the currents; what was to be switched later than that is not.
 
-    def _prepare(self, force: Sequence[float]) -> Drive:
-        return tuple(force), self._inverse_map  # the caller may use its list again
+        Where a switch of the currents falls as a wrench's would, and they are those that `write` computes, the motion
+        is the same to the last bit.
 
-    def _choose_steps(self) -> None:
-        """Take short steps over the next period only if the flotor may meet a stop."""
-        near = near_stops(self._read_pose(), self._qvel.tolist(), self._period)
-        self._run = self._run_in_pieces if near else self._advance
+        Args:
+            currents: Currents from then on [A], six.
+            pulsed: In place of them for the first `width` seconds [A], six.
+            width: How long [s]; 0 for no pulse.
+            after: When, since the last sample [s]; the timing's delay by default.
 
-    def _apply(self, drive: Drive) -> None:
-        """Hand a drive to the engine."""
-        self._applied = drive
-        force, inverse_map = drive
-        self._fill(*force)
-        if inverse_map is not None:
-            inverse_map.dot(self._wrench, out=self._currents)
+        Raises:
+            PlantError: If a current is not finite, no sample was read, or the plant has no coils.
+        """
+        if self._coils is None:
+            raise PlantError("there are no currents: the plant was made with coils=False")
+        if self._tick < 0 or not math.isfinite(sum(currents) + sum(pulsed or ()) + width):
+            raise PlantError(f"currents must be finite and follow a sample, not {tuple(currents)} for {width:g} s")
+        held = _of_currents(currents)
+        ahead = held if pulsed is None else _of_currents(pulsed)
+        self._timeline.answer(self._tick, held, ahead, width, after=after)
 
-    def _advance(self, duration: float, drive: Drive, pieces: int = 1) -> None:
-        if drive is not self._applied:
-            self._apply(drive)
-        if pieces == 1:
-            self._options.timestep = duration
-            self._step()
-        else:
-            self._options.timestep = duration / pieces
-            self._step(pieces)
+    def open_coil(self, coil: int) -> None:
+        """Let a coil, 0 to 5, give no force from now on, as one whose wire is broken."""
+        self._model.actuator_gainprm[coil, 0] = 0.0
+
+    @cached_property
+    def inertia(self) -> Array:
+        """Mass and moments of inertia of the model, handle included [kg, kg m²], (6,); to 12 digits, as it adds up."""
+        return np.array([float(f"{part:.12g}") for part in (*[self.device.mass] * 3, *self.device.inertia)])
+
+    @property
+    def load(self) -> Array:
+        """Weight [N, N m], (6,)."""
+        weight: Array = np.append(self.device.model.opt.gravity * self.inertia[:3] + 0.0, np.zeros(3))
+        return weight
 
     @property
     def met_stops(self) -> bool:
@@ -213,8 +256,41 @@ class MuJoCoPlant(SampledPlant):
         """
         if self._coils is None:
             raise PlantError("there are no currents: the plant was made with coils=False")
-        currents: Array = self._currents.copy()
+        currents: Array = self._data.ctrl[: len(COILS)].copy()
         return currents
+
+    @property
+    def segments(self) -> list[tuple[float, Sequence[float]]]:
+        """Controls from the sample before the last one to that: how long each acted [s], and six [A]."""
+        return [(duration, drive[1]) for duration, drive in self._segments]
+
+    def _limited(self, command: Command) -> Command:
+        command = super()._limited(command)
+        if self.current_limit is None:
+            return command
+        assert self._coil_drive is not None
+        return self._coil_drive.limited(command)
+
+    def _prepare(self, force: Sequence[float]) -> Drive:
+        given = tuple(force)  # the caller may use its list again
+        if self._coils is None:
+            return given, given, None
+        drive = self._coil_drive
+        assert drive is not None
+        if given != self._last[0] or drive.inverse_map is not self._last[2]:
+            self._last = given, drive.currents(force), drive.inverse_map
+        return self._last
+
+    def _choose_steps(self) -> None:
+        """Take short steps over the next period only if the flotor may meet a stop."""
+        near = near_stops(self._reach, self._settle(), self._qvel.tolist(), self._period)
+        self._run = self._run_in_pieces if near else self._carry
+
+    def _advance(self, duration: float, drive: Drive, pieces: int = 1) -> None:
+        if drive is not self._applied:
+            self._applied = drive
+            self._control(*drive[1])
+        self._steps(duration, pieces)
 
     def _exert(self, effort: Sequence[float]) -> None:
         push = self._push_on
@@ -229,7 +305,7 @@ class MuJoCoPlant(SampledPlant):
     def _position(self) -> list[float]:
         if self._warns_unseen or self._refused[0]:
             self._check_warnings()
-        x, y, z, q0, q1, q2, q3 = self._read_pose()
+        x, y, z, q0, q1, q2, q3 = self._settle()
         rx, ry, rz = rotation_vector(q0, q1, q2, q3)
         turned = rx * rx + ry * ry + rz * rz
         far, far_turned = self._escape
@@ -237,31 +313,29 @@ class MuJoCoPlant(SampledPlant):
         if not (x * x + y * y + z * z < far and turned < far_turned):
             self._check_warnings()
             self._check_escape(position)
-        if turned > self._upright or self._turned:
-            self._follow_turn(turned > self._upright)
+        if turned > self._upright:
+            self._stale = self._turned = True
+        elif self._turned:
+            self._stale, self._turned = True, False
         return position
 
-    def _follow_turn(self, turned: bool) -> None:
-        """Renew the coils' map for a flotor that is turned, or is upright again."""
-        assert self._coils is not None
-        self._timeline.compares = not (turned or self._turned)  # the map differs from sample to sample
-        self._turned = turned
-        if turned:
+    def _follow_turn(self) -> None:
+        """Renew the coils' map for the angle at the last sample."""
+        self._stale = False
+        assert self._coil_drive is not None
+        rotation = None
+        if self._turned:
             mujoco.mju_quat2Mat(self._rotation, self._qpos[3:])
-            self._inverse_map = self._coils.inverse_at(self._rotation)
-        else:
-            self._inverse_map = self._coils.current_per_wrench
+            rotation = self._rotation
+        # no two maps of a turned flotor are the same, so no two commands
+        self._timeline.compares = self._coil_drive.follow(rotation, self._angle)
 
-    def _as_measured(self, measure: Measure) -> Measure:
+    def _noted(self, measure: Measure) -> Measure:
         """Return the measurement with one thing more: the coils' map is renewed for the angle that is measured."""
-        coils = self._coils
-        assert coils is not None
-        upright = coils.current_per_wrench
 
-        def measured(position: Sequence[float]) -> list[float]:
+        def measured(position: Sequence[Component]) -> list[Component]:
             known = measure(position)
-            before, self._inverse_map = self._inverse_map, coils.inverse_turned(*known[3:])
-            self._timeline.compares = before is upright is self._inverse_map
+            self._angle, self._stale = known[3:], True
             return known
 
         return measured
@@ -273,18 +347,34 @@ class MuJoCoPlant(SampledPlant):
             names = ", ".join(mujoco.mjtWarning(kind).name for kind, count in enumerate(counts) if count)
             raise PlantError(f"MuJoCo warns at {self.timing.time(self._tick):.4g} s: {names}")
 
-    def _look(self) -> Sequence[float]:
-        """Return where the flotor is, x y z and a quaternion, and change nothing."""
-        return self._read_pose()
+    def _where(self) -> Sequence[float]:
+        return self._look()
+
+    def _work(self, drive: Drive, before: Sequence[float], after: Sequence[float]) -> float:
+        force: Any = self._wrench(drive, before).tolist() if drive[0][0] is None else drive[0]
+        return float(turned_work(force, before, after))
+
+    def _wrench(self, drive: Drive, place: Sequence[float]) -> Array:
+        """Return the wrench on the flotor (6,) under a drive, at x y z and a quaternion."""
+        force, controls, inverse = drive
+        falloff = self._steps.falloff
+        if self._coils is None or (inverse is not None and not self._model.na and falloff is None):
+            return np.array(force, dtype=np.float64)
+        # not what was commanded
+        currents = np.array(self._data.act if self._model.na else controls)
+        if inverse is None:
+            mujoco.mju_quat2Mat(self._rotation, np.array(place[3:]))
+            inverse = self._coils.inverse_at(self._rotation)
+        share = 1.0 if falloff is None else falloff.share()
+        return np.asarray(np.linalg.solve(inverse, currents * share), dtype=np.float64)
 
     def _state(self, drive: Drive) -> tuple[Array, Array, Array]:
-        x, y, z, q0, q1, q2, q3 = self._look()
-        force, inverse_map = drive
-        wrench = np.array(force)
-        if self._model.na or isinstance(self._step, FadingCoils):  # not what was commanded
-            currents = self._data.act if self._model.na else inverse_map @ wrench
-            share = self._step.share() if isinstance(self._step, FadingCoils) else 1.0
-            wrench = np.linalg.solve(inverse_map, currents * share)
+        x, y, z, q0, q1, q2, q3 = place = self._look()
         mujoco.mju_quat2Mat(self._rotation, np.array([q0, q1, q2, q3]))
         twist = np.concatenate([self._qvel[:3], self._rotation.reshape(3, 3) @ self._qvel[3:]])
-        return np.array([x, y, z, *rotation_vector(q0, q1, q2, q3)]), twist, wrench
+        return np.array([x, y, z, *rotation_vector(q0, q1, q2, q3)]), twist, self._wrench(drive, place)
+
+
+def _of_currents(currents: Sequence[float]) -> Drive:
+    """Return the drive of currents that nobody asked for as a wrench; none of those is alike."""
+    return (None, *currents), tuple(currents), None

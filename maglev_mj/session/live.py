@@ -8,17 +8,15 @@ from typing import Any
 from numpy.typing import ArrayLike
 
 from maglev_mj.controller import Controller
-from maglev_mj.detail import Detail
 from maglev_mj.hand import HandForce
 from maglev_mj.laws import Bias
-from maglev_mj.plants import MeteredPlant, Timing
-from maglev_mj.recording import Mechanics
+from maglev_mj.plants import MuJoCoPlant, Timing
 from maglev_mj.scenes import Scene
-from maglev_mj.scenes.parts import INERTIA, WEIGHT
+from maglev_mj.scenes.parts import WEIGHT
 from maglev_mj.session.actions import settable
 from maglev_mj.spec import Spec
 
-__all__ = ["centred", "device_controller", "lifted", "live_plant", "mechanics"]
+__all__ = ["centred", "device_controller", "lifted", "live_plant"]
 
 _LIFTED = 0.004
 
@@ -37,7 +35,7 @@ def centred(scene: Scene) -> Scene:
     return scene.replace(weightless=scene.parameter("weightless").default)
 
 
-def live_plant(scene: Scene, hand: HandForce | None = None, **start: ArrayLike) -> MeteredPlant:
+def live_plant(scene: Scene, hand: HandForce | None = None, **start: ArrayLike) -> MuJoCoPlant:
     """Return the device with its stops, and 10 A at most in each coil unless the scene says otherwise.
 
     Args:
@@ -46,12 +44,12 @@ def live_plant(scene: Scene, hand: HandForce | None = None, **start: ArrayLike) 
         start: Pose, twist and wrench in place of the scene's own.
     """
 
-    def make(timing: Timing, **options: Any) -> MeteredPlant:
-        limits: dict[str, Any] = {"current_limit": Spec.peak_current.value, "detail": Detail(stops=True)}
-        return MeteredPlant(timing, **limits | options | {"hand_force": hand, "hand": getattr(hand, "hand", None)})
+    def make(timing: Timing, **options: Any) -> MuJoCoPlant:
+        limits: dict[str, Any] = {"current_limit": Spec.peak_current.value, "stops": True, "metered": True}
+        return MuJoCoPlant(timing, **limits | options | {"hand_force": hand, "hand": getattr(hand, "hand", None)})
 
     plant = scene.plant(make, **start)  # type: ignore[arg-type]
-    assert isinstance(plant, MeteredPlant)
+    assert isinstance(plant, MuJoCoPlant)
     return plant
 
 
@@ -61,11 +59,3 @@ def device_controller(scene: Scene) -> Controller:
     if scene.start().gravity:
         return controller
     return Controller([*controller.laws, Bias(WEIGHT)], period=scene.period, velocity=scene.velocity_estimator())
-
-
-def mechanics(scene: Scene, wrench: ArrayLike) -> Mechanics:
-    """Return the inertia and load of a scene's flotor, whose coils begin with a wrench [N, N m]."""
-    inertia = INERTIA.copy()
-    inertia[:3] = getattr(scene, "mass", inertia[0])
-    load = [0.0, 0.0, -float(inertia[2]) * scene.start().gravity, 0.0, 0.0, 0.0]
-    return Mechanics(inertia=inertia, load=load, before=wrench)

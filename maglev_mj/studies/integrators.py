@@ -26,7 +26,7 @@ class SteppedLoop(SampledLoop):
     The map of one step is measured on the drop model along z, without gravity; the rest is the exact loop.
 
     Args:
-        integrator: One of `INTEGRATORS`, or "corrected" for Euler's with its half-step correction.
+        integrator: One of `INTEGRATORS`.
         step: Longest time step [s].
         aligned: True ends a step at each switch of the force, in equal steps; False steps at a fixed step, and the
             new command is first seen by the step that begins after it takes effect, as in a plain simulation loop.
@@ -77,7 +77,7 @@ _PLACE = np.eye(5)[0]
 
 @lru_cache(maxsize=256)
 def _steps(integrator: str, mass: float, step: float, count: int, hand: Hand | None, lags: bool) -> tuple[Array, Array]:
-    one, push = one_step("euler" if integrator == "corrected" else integrator, mass, step, hand, lags)
+    one, push = one_step(integrator, mass, step, hand, lags)
     total, share = np.eye(len(push)), np.zeros(len(push))
     for _ in range(count):
         total, share = one @ total, one @ share + push

@@ -11,13 +11,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from maglev_mj.controller import Controller
-from maglev_mj.detail import Detail
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.hand import Hand
 from maglev_mj.loop import run
 from maglev_mj.model import load
-from maglev_mj.plants import CorrectedPlant, ExactPlant, MuJoCoPlant, SampledPlant, Sensor, SpotSensor, Timing
+from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant, Sensor, SpotSensor, Timing
 from maglev_mj.plants.engine import longest_step as step_needed
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.spec import DRIVER_TIME_CONSTANT, RESOLUTION, Spec
@@ -40,6 +39,7 @@ __all__ = [
 
 _JITTER = 1e-4
 _LAG = DRIVER_TIME_CONSTANT
+_SHORTEN = ("driver_lag", "stops", "force_falloff", "flexible")  # options that ask for shorter steps
 _STEPS, _SPOTS = Sensor(quantum=RESOLUTION), SpotSensor(quantum=Spec.spot_resolution.value)
 
 
@@ -70,7 +70,7 @@ LEVELS: tuple[Level, ...] = (
     Level(
         "falloff",
         "a tenth of the force lost at the end of the range",
-        {"detail": Detail(force_falloff=0.1)},
+        {"force_falloff": 0.1},
         _LAG,
     ),
     Level("steps", "a sensor of 5 µm and 10 µrad", {"sensor": _STEPS}, _LAG),
@@ -81,12 +81,12 @@ LEVELS: tuple[Level, ...] = (
         _LAG,
     ),
     Level("jitter", "conversions that vary by 0.1 ms either way", {}, _LAG, _JITTER),
-    Level("stops", "metal stops", {"detail": Detail(force_falloff=0.1, stops=True)}, _LAG, _JITTER),
+    Level("stops", "metal stops", {"stops": True}, _LAG, _JITTER),
     Level("filter", "the drivers' lag as the filter that it is", {"driver_lag": True}, 0.0, _JITTER),
     Level(
         "flexible",
         "a handle that swings at 1 kHz",
-        {"detail": Detail(force_falloff=0.1, stops=True, flexible=True)},
+        {"flexible": True},
         0.0,
         _JITTER,
     ),
@@ -154,10 +154,10 @@ def exact_options(level: str) -> dict[str, Any]:
 
 def step_of(scene: Scene, level: str) -> float:
     """Return the longest step of a level in a scene where none is asked for [s]; the period if nothing bounds it."""
-    options = options_of(level)
     own = scene.plant_options().get("longest_step")
     asked = own("mujoco") if callable(own) else own
-    needed = step_needed(load("drop"), "driver_lag" in options, _hand_of(scene), options.get("detail"))
+    needs = {name: value for name, value in options_of(level).items() if name in _SHORTEN}
+    needed = step_needed(load("drop"), hand=_hand_of(scene), **needs)
     return min(bound for bound in (needed, asked, scene.period) if bound is not None)
 
 
@@ -208,7 +208,7 @@ def level_parts(
         scene: The scene.
         level: Name from LEVELS.
         phase: Of the samples, in [0, 1).
-        integrator: One of `INTEGRATORS`, or "corrected" for `CorrectedPlant`; the lowest level has none.
+        integrator: One of `INTEGRATORS`; the lowest level has none.
         longest_step: Longest step [s]; None for that of the level.
         seed: Of the jitter.
         keywords: Further ones of the plant, in place of the scene's and the level's.
@@ -224,8 +224,6 @@ def level_parts(
             return ExactPlant(timing, **given)
         if longest_step is not None or bound is not None:
             given["longest_step"] = step_of(scene, level) if longest_step is None else longest_step
-        if integrator == "corrected":
-            return CorrectedPlant(timing, **given)
         return MuJoCoPlant(timing, integrator=integrator, **given)
 
     timing = scene.timing(phase)

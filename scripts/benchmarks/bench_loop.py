@@ -15,7 +15,6 @@ import numpy as np
 
 from maglev_mj import AXES, Controller, ExactPlant, Hold, MuJoCoPlant, Sample, Timing, Wall, run
 from maglev_mj.frames import components
-from maglev_mj.plants import CorrectedPlant
 from maglev_mj.spec import INERTIA, Spec
 from maglev_mj.theory import largest_modulus
 from peers import Task, mujoco_peer
@@ -61,9 +60,9 @@ def timed(work: Callable[[], object]) -> float:
     return time.perf_counter() - start
 
 
-def mujoco_loop(kind: type[MuJoCoPlant] = MuJoCoPlant, tilt: float = 0.0, **options: Any) -> float:
+def mujoco_loop(tilt: float = 0.0, **options: Any) -> float:
     """Return the time of one tick of the closed loop on MuJoCo [s], for a flotor released at a tilt [rad]."""
-    plant = kind(TIMING, pose=[*START[:3], tilt, tilt, tilt], **options)
+    plant = MuJoCoPlant(TIMING, pose=[*START[:3], tilt, tilt, tilt], **options)
     controller = drop_controller()
     return timed(lambda: run(plant, controller, TICKS)) / TICKS
 
@@ -108,10 +107,12 @@ WORK: dict[str, Callable[[], float]] = {
     "RK4, body: closed loop": lambda: mujoco_loop(coils=False),
     "RK4, body: bare mj_step, as many": lambda: bare_steps(coils=False),
     "RK4, body: written by hand": lambda: by_hand("split, RK4, slides and ball"),
-    "corrected Euler, body: closed loop": lambda: mujoco_loop(CorrectedPlant, coils=False),
+    "corrected Euler, body: closed loop": lambda: mujoco_loop(integrator="corrected", coils=False),
     "corrected Euler, body: bare mj_step, as many": lambda: bare_steps(coils=False, integrator="euler"),
     "corrected Euler, body: written by hand": lambda: by_hand("split, Euler, half-kick, slides and ball"),
-    "corrected Euler, body, 0.5 ms: closed loop": lambda: mujoco_loop(CorrectedPlant, coils=False, longest_step=5e-4),
+    "corrected Euler, body, 0.5 ms: closed loop": lambda: mujoco_loop(
+        integrator="corrected", coils=False, longest_step=5e-4
+    ),
     "exact plant: closed loop": exact_loop,
     f"exact plant, {BATCH} at once: closed loop": lambda: exact_loop((BATCH,)),
     "six-axis tick, wall + pulse + hold": lambda: controller_tick((), 1000),

@@ -26,7 +26,7 @@ import numpy as np
 
 from maglev_mj import run
 from maglev_mj.frames import Array, Command, Sample
-from maglev_mj.plants import CorrectedBatchPlant, ExactPlant, MuJoCoBatchPlant, SampledPlant, Timing
+from maglev_mj.plants import ExactPlant, MuJoCoBatchPlant, SampledPlant, Timing
 from maglev_mj.plots import Panel, small_multiples
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.scene import Start
@@ -74,7 +74,7 @@ def boundary_shifts(quick: bool) -> dict[str, Any]:
     """Return how far each integrator shifts the stiffest stable wall, over the step, and with which power of it."""
     steps = [1e-3, 1e-4] if quick else [2.5e-3, 1e-3, 5e-4, 2.5e-4, 1e-4]
     rows: dict[str, Any] = {"steps": steps, "shifts": {}, "orders": {}}
-    for integrator in (*INTEGRATORS, "corrected"):
+    for integrator in INTEGRATORS:
         rows["shifts"][integrator] = [boundary_shift(integrator, step) for step in steps]
     for integrator in ("euler", "rk4"):
         missed = [boundary_shift(integrator, 0.93 * step, aligned=False) for step in steps]
@@ -106,8 +106,8 @@ def sweep_of_drops(stiffnesses: int, dampings: int, repeats: int) -> dict[str, A
     stiffness, damping = (values.ravel() for values in grid)
     makers: dict[str, Callable[..., SampledPlant]] = {
         "exact": ExactPlant,
-        "MuJoCo, corrected": partial(CorrectedBatchPlant, coils=False, threads=2),
-        "MuJoCo, corrected, coils": partial(CorrectedBatchPlant, threads=2),
+        "MuJoCo, corrected": partial(MuJoCoBatchPlant, integrator="corrected", coils=False, threads=2),
+        "MuJoCo, corrected, coils": partial(MuJoCoBatchPlant, integrator="corrected", threads=2),
         "MuJoCo, rk4": partial(MuJoCoBatchPlant, coils=False, threads=2),
     }
     raw = partial(MuJoCoBatchPlant, coils=False, threads=2, integrator="euler")

@@ -13,7 +13,7 @@ import numpy as np
 
 from maglev_mj import Controller, run
 from maglev_mj.frames import Array
-from maglev_mj.plants import CorrectedBatchPlant, ExactPlant, MuJoCoBatchPlant, SampledPlant, Timing
+from maglev_mj.plants import ExactPlant, MuJoCoBatchPlant, SampledPlant, Timing
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.spec import GRAVITY, Spec
 from maglev_mj.studies import integrators
@@ -95,7 +95,7 @@ def our_ways(name: str, scene: Scene, quick: bool) -> list[Way]:
     count = 100 if quick else 1000
     many: tuple[tuple[str, str, Callable[..., SampledPlant], dict[str, Any]], ...] = (
         ("exact", "exact", ExactPlant, {}),
-        ("corrected", "MuJoCo, batch", CorrectedBatchPlant, {"coils": False}),
+        ("corrected", "MuJoCo, batch", MuJoCoBatchPlant, {"coils": False, "integrator": "corrected"}),
         ("rk4", "MuJoCo, batch", MuJoCoBatchPlant, {"coils": False}),
     )
     for way, group, kind, options in many:

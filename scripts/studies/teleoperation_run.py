@@ -10,7 +10,7 @@ from maglev_mj import Controller, run
 from maglev_mj.frames import Array, Command, Mask, Sample
 from maglev_mj.hand import GuidedHand
 from maglev_mj.laws import Bias, Hold, StickSlip
-from maglev_mj.plants import MeteredPlant
+from maglev_mj.plants import MuJoCoPlant
 from maglev_mj.scenes.parts import INERTIA, MASS, WEIGHT
 from maglev_mj.spacenav.navigation import Mode, Navigation, Navigator
 from maglev_mj.spec import GRAVITY
@@ -98,7 +98,7 @@ class History:
 class _Exchange:
     """What passes between both sides at a sample: the slave gets its command, and all is noted down."""
 
-    def __init__(self, plant: MeteredPlant, slave: Slave, law: CouplingLaw) -> None:
+    def __init__(self, plant: MuJoCoPlant, slave: Slave, law: CouplingLaw) -> None:
         self._plant, self._slave, self._law = plant, slave, law
         self.rows: list[tuple[Array, Array, list[bool], int]] = []
 
@@ -118,8 +118,9 @@ def carry_out(task: Task) -> History:
     slave = Slave(task.timing, task.block_top, stiffness=task.block, record=True, longest_step=_STEP)
     coupling = task.chosen(float(slave.mass.min()))
     path, pressed = task.path(coupling)
-    plant = MeteredPlant(
+    plant = MuJoCoPlant(
         task.timing,
+        metered=True,
         hand=task.hand,
         hand_force=GuidedHand(hand=task.hand, path=path),
         wrench=WEIGHT,
@@ -151,7 +152,7 @@ def _law(task: Task, coupling: Coupling, slave: Slave) -> CouplingLaw:
 
 
 def _history(
-    task: Task, coupling: Coupling, pressed: float, plant: MeteredPlant, slave: Slave, exchange: _Exchange
+    task: Task, coupling: Coupling, pressed: float, plant: MuJoCoPlant, slave: Slave, exchange: _Exchange
 ) -> History:
     """Put together what was seen."""
     rows = np.array(slave.rows)

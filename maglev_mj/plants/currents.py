@@ -1,0 +1,77 @@
+"""Six coils as a plant drives them: the currents of each command, computed once, within their limit."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+
+from maglev_mj.coils import CoilMap, limited_wrench
+from maglev_mj.frames import Array, Command
+
+__all__ = ["CoilDrive"]
+
+
+class CoilDrive:
+    """The way from a wrench to six currents, by the coils' map at the flotor's angle.
+
+    Args:
+        coils: The coils as whoever commands them knows them.
+        limit: Largest current in any coil [A]; None for no limit.
+
+    Attributes:
+        inverse_map: Currents per wrench at the angle last followed [A/N, A/(N m)], (6, 6).
+    """
+
+    def __init__(self, coils: CoilMap, limit: float | None) -> None:
+        self._coils, self._limit = coils, limit
+        self.inverse_map = self._upright = coils.current_per_wrench
+        self._wrench, self._currents = np.zeros(6), np.zeros(6)
+        # as `self._wrench[:] = force`, in half the time
+        self._fill = partial(struct.pack_into, "6d", self._wrench.data, 0)
+        self._known: tuple[Sequence[float] | None, list[float]] = None, []
+
+    @property
+    def turned(self) -> bool:
+        """True if the map is not that of the upright flotor."""
+        return self.inverse_map is not self._upright
+
+    def follow(self, rotation: Array | None, angle: Sequence[float] | None = None) -> bool:
+        """Renew the map for another angle; return True if the flotor was upright and still is.
+
+        Args:
+            rotation: Rotation matrix of the flotor, (9,); None for upright.
+            angle: In place of that, the rotation vector that was measured [rad], three.
+        """
+        before = self.inverse_map
+        if angle is not None:
+            self.inverse_map = self._coils.inverse_turned(*angle)
+        else:
+            self.inverse_map = self._upright if rotation is None else self._coils.inverse_at(rotation)
+        return before is self._upright is self.inverse_map
+
+    def currents(self, force: Sequence[float]) -> list[float]:
+        """Return the currents [A] that give a wrench [N, N m], six each."""
+        known, currents = self._known
+        if force is known:  # worked out for the limit
+            return currents
+        self._fill(*force)
+        listed: list[float] = self.inverse_map.dot(self._wrench, out=self._currents).tolist()
+        return listed
+
+    def limited(self, command: Command) -> Command:
+        """Return a command with its currents clipped, those of the pulse on their own."""
+        total = None
+        if command.extra is not None:
+            total = self._clipped([one + other for one, other in zip(command.force, command.extra)])
+        force = self._clipped(command.force)
+        if total is None:
+            return Command(force)
+        return Command(force, [one - other for one, other in zip(total, force)], command.pulse_width)
+
+    def _clipped(self, force: Sequence[float]) -> Sequence[float]:
+        assert self._limit is not None
+        self._known = limited_wrench(self.inverse_map, force, self._limit)
+        return self._known[0]
