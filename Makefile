@@ -26,8 +26,8 @@ studies: $(READY)  ## run the sweeps behind the published figures in full: minut
 	$(BIN)/python -m pytest -n auto --dist loadgroup -m study
 
 pictures: $(READY)  ## draw the README's pictures of the scenes anew
-	for scene in $(SCENES); do $(BIN)/maglev-mj render $$scene --out docs/images/scene_$$scene.png --width 960 --height 600 || exit 1; done
-	$(BIN)/maglev-mj render joystick --out docs/images/joystick.gif --width 600 --height 375 --rate 12 --seconds 4.2
+	for scene in $(SCENES); do $(BIN)/maglev-mj render $$scene --out docs/images/scene_$$scene.png --size 960x600 || exit 1; done
+	$(BIN)/maglev-mj render joystick --out docs/images/joystick.gif --size 600x375 --fps 12 --seconds 4.2
 
 check: lint types test  ## what a change must pass
 

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from maglev_mj.errors import ParameterError
-from maglev_mj.frames import AXES, Command, Component, Sample
+from maglev_mj.frames import AXES, Array, Command, Component, Sample
 from maglev_mj.laws import FiniteDifference, Law, VelocityEstimator
+from maglev_mj.laws.base import Face, answer, as_law
 from maglev_mj.parameters import number
 
 __all__ = ["Controller"]
@@ -19,8 +21,8 @@ class Controller:
     """Sum of laws, evaluated once a sample, for one device or for a batch of any shape.
 
     Args:
-        laws: The laws; their wrenches add up. Those with pulses must share one pulse width, because a
-            command carries one.
+        laws: The laws; their wrenches add up. Each is a `Law` or a function f(position, velocity) that returns six
+            wrench components. Those with pulses must share one pulse width, because a command carries one.
         period: Sample period [s].
         velocity: Velocity estimator; the paper's finite difference by default.
 
@@ -29,19 +31,28 @@ class Controller:
         velocity: The velocity estimator.
 
     Raises:
-        ParameterError: If the period is not above 0, or the laws' pulse widths differ.
+        ParameterError: If the period is not above 0, one of the laws is none, or their pulse widths differ.
     """
 
-    def __init__(self, laws: Sequence[Law], *, period: float, velocity: VelocityEstimator | None = None) -> None:
+    def __init__(
+        self,
+        laws: Sequence[Law | Callable[..., Any]],
+        *,
+        period: float,
+        velocity: VelocityEstimator | None = None,
+    ) -> None:
         self.period = number("period", period, above=0.0)
-        self.laws = tuple(laws)
+        self.laws = tuple(map(as_law, laws))
         widths = {law.pulse_width for law in self.laws if law.pulse_width > 0.0}
         if len(widths) > 1:
             raise ParameterError(f"laws must share one pulse_width, not {sorted(widths)}")
         self._pulse_width = widths.pop() if widths else 0.0
         self.velocity = velocity or FiniteDifference()
         self._estimate = self.velocity.__call__
-        self._calls = tuple(enumerate(law.__call__ for law in self.laws))
+        self._calls: tuple[tuple[int, Callable[..., Any]], ...] = tuple(enumerate(law.__call__ for law in self.laws))
+        self._first_calls: tuple[tuple[int, Callable[..., Any]], ...] = tuple(
+            enumerate(partial(answer, law) for law in self.laws)
+        )
         self.reset()
 
     def reset(self) -> None:
@@ -55,17 +66,46 @@ class Controller:
         """The state of each law after the last sample, in the order in which they were given."""
         return tuple(self._states)
 
+    @property
+    def faces(self) -> tuple[Face, ...]:
+        """Every plane of a wall: index into AXES, normal, edge."""
+        return tuple(face for law in self.laws for face in law.faces())
+
+    @property
+    def carried(self) -> Array:
+        """Constant wrench that carries the flotor and renders nothing [N, N m], (..., 6)."""
+        return sum((law.carried() for law in self.laws), np.zeros(len(AXES)))
+
+    @property
+    def stick_positions(self) -> Array | None:
+        """Positions at which the flotor sticks [m, rad], (6,), NaN where it does not; None without friction."""
+        found = [law.stick_positions(state) for law, state in zip(self.laws, self._states)]
+        if not any(found):
+            return None
+        positions = np.full(len(AXES), np.nan)
+        for index, position in (item for one in found for item in one.items()):
+            positions[index] = position
+        return positions
+
+    @property
+    def signals(self) -> dict[str, Sequence[Component]]:
+        """Quantities of the laws' states by name, one for each of a law's axes; see `Law.signals`."""
+        found = [law.signals(state) for law, state in zip(self.laws, self._states)]
+        return {name: value for one in found for name, value in one.items()}
+
     def step(self, sample: Sample) -> Command:
         """Answer one sample.
 
         Raises:
-            ParameterError: If the first sample after a reset does not fit the laws' parameters, or a later one does not
-                follow the one before: then it is of another run, and the controller needs a reset.
+            ParameterError: If the first sample after a reset does not fit the laws' parameters or a law answers it
+                wrongly, or a later one does not follow the one before: then it is of another run, and the controller
+                needs a reset.
         """
-        position, tick, last = sample.position, sample.tick, self._tick
+        position, tick, last, calls = sample.position, sample.tick, self._tick, self._calls
         if last is None:
             self._check(position)
             last = tick - 1
+            calls = self._first_calls
         if tick <= last:
             raise ParameterError(
                 f"a sample's tick must be above {last}, that of the sample before, not {tick}; call reset() before a "
@@ -77,7 +117,7 @@ class Controller:
         wrench: list[Component] = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
         pulse: Sequence[Component] | None = None
         states = self._states
-        for place, law in self._calls:
+        for place, law in calls:
             states[place], extra = law(position, velocity, states[place], wrench)
             if extra is not None:
                 pulse = extra if pulse is None else [one + other for one, other in zip(pulse, extra)]

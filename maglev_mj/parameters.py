@@ -26,6 +26,7 @@ __all__ = [
     "batch_shape",
     "common_shape",
     "flag",
+    "interval",
     "number",
     "numbers",
     "param",
@@ -80,6 +81,26 @@ def number(
         allowed = "a finite number" + (" " + " and ".join(words) if words else "")
         raise ParameterError(f"{name} must be {allowed}, not {value!r}")
     return result
+
+
+def interval(
+    name: str, value: Sequence[object], *, at_least: float = -math.inf, at_most: float = math.inf
+) -> tuple[float, float]:
+    """Return the lower and the higher end of a range, each within the bounds.
+
+    Raises:
+        ParameterError: If they are not two such numbers, in this order.
+    """
+    try:
+        ends = tuple(value)
+    except TypeError:
+        ends = ()
+    if len(ends) != 2:
+        raise ParameterError(f"{name} must be a lower and a higher value, not {value!r}")
+    low, high = (number(name, end, at_least=at_least, at_most=at_most) for end in ends)
+    if low > high:
+        raise ParameterError(f"{name} must be from a lower to a higher value, not {low:g} to {high:g}")
+    return low, high
 
 
 def numbers(name: str, value: ArrayLike, *, at_least: float = -math.inf, finite: bool = True) -> Array:
@@ -209,6 +230,11 @@ class Turn:
 
     def __post_init__(self) -> None:
         flag("inverse", self.inverse)
+
+    @property
+    def has_keys(self) -> bool:
+        """Whether a key goes any way at all; otherwise only other programs change the value."""
+        return bool(self.factor or self.add or self.among)
 
     def __call__(self, value: float, way: int) -> float:
         """Return the value after a press up (1) or down (-1)."""
@@ -350,16 +376,9 @@ class Parameters:
 
     def __init_subclass__(cls, **keywords: Any) -> None:
         super().__init_subclass__(**keywords)
-        for name, value in vars(cls).items():
-            if "param" not in getattr(value, "metadata", ()):
-                continue
-            if name not in inspect.get_annotations(cls):
-                raise TypeError(f"{cls.__name__}.{name} needs a type: `{name}: float = param(...)`")
-            if any(callable(base.__dict__.get(name)) for base in cls.__mro__[1:]):
-                raise TypeError(
-                    f"{cls.__name__}.{name} cannot be a parameter: it is a method of {cls.__mro__[1].__name__}"
-                )
+        _check_names(cls)
         dataclass(frozen=True, kw_only=True)(cls)
+        cls.parameters()
 
     def __init__(self, **values: Any) -> None:  # each subclass gets its own
         raise TypeError("Parameters has none: make a subclass")
@@ -384,7 +403,7 @@ class Parameters:
         known: tuple[Parameter, ...] | None = cls.__dict__.get("_declared")
         if known is None:
             hints = get_type_hints(cls)
-            known = tuple(_declared(cls, item, hints[item.name]) for item in fields(cls) if "param" in item.metadata)  # type: ignore[arg-type]
+            known = tuple(_declared(cls, item, hints[item.name]) for item in fields(cls))  # type: ignore[arg-type]
             cls._declared = known  # type: ignore[attr-defined]
         return known
 
@@ -408,9 +427,12 @@ class Parameters:
         Raises:
             ParameterError: If there is no parameter of a name, or a value is outside its bounds.
         """
+        return self.from_json({**self._given(), **changes})
+
+    def _given(self) -> dict[str, Any]:
+        """Return the values that were not derived, by name."""
         derived: frozenset[str] = self._derived  # type: ignore[attr-defined]
-        given = {name: value for name, value in self.as_json().items() if name not in derived}
-        return self.from_json({**given, **changes})
+        return {name: value for name, value in self.as_json().items() if name not in derived}
 
     def as_json(self) -> dict[str, Any]:
         """Return the values by name."""
@@ -428,8 +450,26 @@ class Parameters:
         return cls(**values)
 
 
+def _check_names(cls: type[Parameters]) -> None:
+    """Refuse a parameter without a type, one that hides what is no parameter, and what hides a parameter."""
+    for name, value in vars(cls).items():
+        bases = [base for base in cls.__mro__[1:] if name in vars(base)]
+        declared = [getattr(base, "__dataclass_fields__", {}).get(name) for base in bases]
+        was_one = any("param" in getattr(item, "metadata", ()) for item in declared)
+        if "param" not in getattr(value, "metadata", ()):
+            if was_one:
+                raise TypeError(f"{cls.__name__}.{name} must be declared by param(...), as in {bases[0].__name__}")
+        elif name not in inspect.get_annotations(cls):
+            raise TypeError(f"{cls.__name__}.{name} needs a type: `{name}: float = param(...)`")
+        elif bases and not was_one and not isinstance(vars(bases[0])[name], property):
+            what = "a method" if callable(getattr(bases[0], name)) else "an attribute"
+            raise TypeError(f"{cls.__name__}.{name} cannot be a parameter: it is {what} of {bases[0].__name__}")
+
+
 def _declared(cls: type, item: Any, hint: Any) -> Parameter:
     """Return what a field declares; its type decides the kind, not its default."""
+    if "param" not in item.metadata:
+        raise TypeError(f"{cls.__name__}.{item.name} must be declared by param(...), or be a ClassVar")
     declared = item.metadata["param"]
     kinds = [hint]
     if get_origin(hint) in (Union, types.UnionType):

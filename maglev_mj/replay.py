@@ -2,20 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any, TypeAlias
 
 import numpy as np
 
 from maglev_mj.analysis.known import known_experiment
 from maglev_mj.controller import Controller
-from maglev_mj.energy import hand_work
 from maglev_mj.errors import MaglevError, ParameterError
-from maglev_mj.experiments.drop import DropParameters, drop_parts
-from maglev_mj.experiments.press import PressParameters, press_parts
-from maglev_mj.experiments.stick_slip import StickSlipParameters, stick_slip_parts
 from maglev_mj.frames import Array, Sample
 from maglev_mj.hand import HandForce, SpringHand
 from maglev_mj.loop import ControlLoop
@@ -31,35 +24,25 @@ from maglev_mj.recording import (
     RecordingFile,
     Setup,
     Stretch,
-    carried_by,
     open_recording,
 )
-from maglev_mj.recording.fields import start_in
-from maglev_mj.scenes import SCENES, Scene, Settings, scene_called
-from maglev_mj.session import View, stick_positions, wall_faces
+from maglev_mj.recording.checks import start_in
+from maglev_mj.scenes import Scene, find_scene, scene_names
+from maglev_mj.scenes.legacy import recorded_scene
+from maglev_mj.scenes.run import checked_phase, checked_plant, parameters_json
+from maglev_mj.session import SampledMotion, Snapshot, device_controller, live_plant, mechanics
 
-__all__ = [
-    "EXPERIMENTS",
-    "Replay",
-    "expected",
-    "rebuild",
-    "record_experiment",
-    "scene_of",
-    "stick_positions_of",
-    "write_experiment",
-]
+__all__ = ["Replay", "expected", "rebuild", "record_run", "scene_of", "stick_positions_of", "write_run"]
 
-_SHOWN = 2.0
 _SCENES = "scene", "device"
 
-_Parts: TypeAlias = Callable[[Any, HandForce | None], tuple[SampledPlant, Controller, int]]
 
-EXPERIMENTS: Mapping[str, tuple[type[Any], _Parts, str]] = {
-    "drop": (DropParameters, drop_parts, "drop"),
-    "press": (PressParameters, press_parts, "press"),
-    "stick-slip": (StickSlipParameters, stick_slip_parts, "table"),
-}
-"""What can be recorded without a window: its parameters, what it is made of, and the scene that shows it."""
+def run_in(setup: Setup) -> tuple[Scene, str, float]:
+    """Return scene, plant and phase of a recorded run."""
+    values = dict(setup["parameters"])
+    plant, phase = values.pop("plant"), values.pop("phase", 0.0)
+    scene = find_scene(setup["kind"]).from_json(values)
+    return scene, checked_plant(scene, plant), checked_phase(phase)
 
 
 def rebuild(setup: Setup, hand: HandForce | None) -> tuple[SampledPlant | None, Controller]:
@@ -78,16 +61,15 @@ def rebuild(setup: Setup, hand: HandForce | None) -> tuple[SampledPlant | None, 
     try:
         kind = setup["kind"]
         if kind in _SCENES:
-            scene, settings = scene_called(setup["scene"]), Settings.from_json(setup["settings"])
+            scene = recorded_scene(setup["scene"], setup["settings"])
             if kind == "device":
-                return None, scene.controller(settings)
-            return scene.plant(settings, hand_force=hand, **start_in(setup)), scene.controller(settings)
-        if kind not in EXPERIMENTS:
-            known = ", ".join((*_SCENES, *EXPERIMENTS))
+                return None, device_controller(scene)
+            return live_plant(scene, hand, **start_in(setup)), scene.controller()
+        if kind not in scene_names():
+            known = ", ".join((*_SCENES, *scene_names()))
             raise InvalidRecordingError(f"a recording of kind {kind!r} cannot be made here, which knows {known}")
-        parameters, parts, _ = EXPERIMENTS[kind]
-        plant, controller, _ = parts(parameters(**setup["parameters"]), hand)
-        return plant, controller
+        run, plant, phase = run_in(setup)
+        return run.plant(plant, phase=phase, hand=hand, record=True), run.controller()
     except (KeyError, TypeError, ParameterError) as error:
         raise InvalidRecordingError(f"a recording's setup cannot be made here: {error}") from None
 
@@ -100,32 +82,38 @@ def expected(setup: Setup) -> Expected:
     """
     rebuild(setup, None)  # complains of what is not known here
     kind = setup["kind"]
-    if kind in EXPERIMENTS:
-        made, parts, _ = EXPERIMENTS[kind]
-        parameters = made(**setup["parameters"])
-        known, (_, _, samples) = known_experiment(kind, asdict(parameters)), parts(parameters, None)
+    if kind not in _SCENES:
+        run, _, phase = run_in(setup)
+        known, samples = known_experiment(kind, run.as_json()), run.ticks(run.timing(phase))
         load = [0.0, 0.0, known.weight, 0.0, 0.0, 0.0]
-        mechanics = Mechanics(inertia=known.inertia, load=load, before=known.before)
-        return Expected(known.delay, mechanics, scripted=True, samples=samples)
-    delay = Settings.from_json(setup["settings"]).delay
+        masses = Mechanics(inertia=known.inertia, load=load, before=known.before)
+        return Expected(known.delay, masses, scripted=True, samples=samples)
+    scene = recorded_scene(setup["scene"], setup["settings"])
     # on a device, what acted before a stretch is in the flight, not in the setup
-    return Expected(delay, Mechanics(before=setup["wrench"]) if kind == "scene" else None, scripted=False)
+    return Expected(scene.delay, mechanics(scene, setup["wrench"]) if kind == "scene" else None, scripted=False)
 
 
-def record_experiment(kind: str, parameters: Any) -> Recording:
-    """Run an experiment and record it in memory; where it fails, up to there.
+def record_run(scene: Scene, *, plant: str | None = None, phase: float = 0.0) -> Recording:
+    """Run a scene and record it in memory; where it fails, up to there.
 
     Args:
-        kind: One of EXPERIMENTS.
-        parameters: Its parameters.
+        scene: The scene.
+        plant: Name of a plant; the scene's usual one by default.
+        phase: Of the samples, in [0, 1).
     """
     file = ArrayFile()
-    _run_into(file, kind, parameters)
+    _run_into(file, scene, plant, phase)
     return file.recording
 
 
-def write_experiment(path: Path, kind: str, parameters: Any) -> list[Path]:
-    """Run an experiment and record it to a file, of .mcap or .npz; where it fails, up to there.
+def write_run(path: Path, scene: Scene, *, plant: str | None = None, phase: float = 0.0) -> list[Path]:
+    """Run a scene and record it to a file, of .mcap or .npz; where it fails, up to there.
+
+    Args:
+        path: The file.
+        scene: The scene.
+        plant: Name of a plant; the scene's usual one by default.
+        phase: Of the samples, in [0, 1).
 
     Returns:
         The file that was written, which is elsewhere where its own folder did not take it; none without a sample.
@@ -137,23 +125,23 @@ def write_experiment(path: Path, kind: str, parameters: Any) -> list[Path]:
     """
     file = open_recording(path, wait=True)
     try:
-        _run_into(file, kind, parameters)
+        _run_into(file, scene, plant, phase)
     finally:
         written = file.close()
     return [] if written is None else [written]
 
 
-def _run_into(file: RecordingFile, kind: str, parameters: Any) -> None:
-    _, parts, _ = EXPERIMENTS[kind]
-    plant, controller, ticks = parts(parameters, None)
-    setup = {"kind": kind, "parameters": asdict(parameters)}
-    record = file.begin(plant, controller, setup, delay=parameters.delay, mechanics=expected(setup).mechanics)
-    with plant, engine_warnings_silenced():
+def _run_into(file: RecordingFile, scene: Scene, plant: str | None, phase: float) -> None:
+    name, phase = checked_plant(scene, plant), checked_phase(phase)
+    device, controller = scene.plant(name, phase=phase, record=True), scene.controller()
+    setup = {"kind": scene.name, "parameters": parameters_json(scene, name, phase)}
+    record = file.begin(device, controller, setup, delay=scene.delay, mechanics=expected(setup).mechanics)
+    with device, engine_warnings_silenced():
         try:
-            ControlLoop(plant, controller, record=record).cycle(ticks)
+            ControlLoop(device, controller, record=record).cycle(scene.ticks(scene.timing(phase)))
         except RecordingError:
             raise
-        except MaglevError as error:  # the experiment itself says what happened
+        except MaglevError as error:  # the run itself says what happened
             file.event("fault", str(error))
 
 
@@ -177,7 +165,8 @@ class Replay:
         self._stretches = [_Shown(stretch) for stretch in recording.stretches if len(stretch.tick)]
         if not self._stretches:
             raise InvalidRecordingError("there is nothing in the recording")
-        self._place, self._owed, self._paused = (0, 0), 0.0, False
+        self._owed, self._paused = 0.0, False
+        self._show(0, 0)
 
     def tick(self, elapsed: float) -> int:
         """Go on by as much as real time has [s]; return how many samples that were."""
@@ -185,9 +174,9 @@ class Replay:
             return 0
         self._owed += elapsed
         shown = 0
-        while self._owed >= self._now.period:
-            self._owed -= self._now.period
-            self.simulated += self._now.period
+        while self._owed >= (period := self._now.scene.period):
+            self._owed -= period
+            self.simulated += period
             self._next()
             shown += 1
         return shown
@@ -197,11 +186,26 @@ class Replay:
         if action == "pause":
             self._paused = not self._paused
         elif action in ("centre", "drop"):
-            self._place = 0, 0
+            self._show(0, 0)
 
-    def view(self) -> View:
-        """Return what there was to see."""
-        return self._now.view(self._place[1], "PAUSED" if self._paused else "REPLAY")
+    def snapshot(self) -> Snapshot:
+        """Return the picture of now."""
+        (_, row), now, motion = self._place, self._now, self._motion
+        return Snapshot(
+            scene=now.scene,
+            delay=now.scene.delay,
+            tick=row,
+            time=float(now.time[row]),
+            pose=now.pose[row],
+            force=now.force[row],
+            hand=now.hand[row],
+            currents=now.currents[row],
+            faces=now.faces,
+            anchors=None if now.anchors is None else now.anchors[row],
+            history=motion.history.rows,
+            work=motion.work,
+            notes=("PAUSED" if self._paused else "REPLAY",),
+        )
 
     def close(self) -> None:
         """Do nothing: a recording stays as it is."""
@@ -213,72 +217,48 @@ class Replay:
     def _next(self) -> None:
         stretch, row = self._place
         if row + 1 < len(self._now.pose):
-            self._place = stretch, row + 1
+            self._show(stretch, row + 1)
         else:
-            self._place = (stretch + 1) % len(self._stretches), 0
+            self._show((stretch + 1) % len(self._stretches), 0)
+
+    def _show(self, stretch: int, row: int) -> None:
+        """Go to a sample; a stretch begins with a history of its own."""
+        self._place, now = (stretch, row), self._stretches[stretch]
+        if row == 0:
+            self._motion = SampledMotion(now.scene.axis_index)
+        self._motion.add(float(now.time[row]), now.pose[row], now.force[row], now.hand[row])
 
 
 class _Shown:
-    """A stretch of a recording, and what there was to see at each of its samples."""
+    """A stretch of a recording with what its setup tells of it."""
 
     def __init__(self, stretch: Stretch) -> None:
-        self.scene, self.settings = scene_of(stretch.setup)
-        self.period, self.pose = self.settings.period, stretch.position
-        self._time, self._hand = stretch.time, stretch.hand
+        self.scene = scene_of(stretch.setup)
+        self.time, self.pose, self.hand = stretch.time, stretch.position, stretch.hand
         _, controller = rebuild(stretch.setup, None)
-        self._force = stretch.applied[:, :6] - carried_by(controller.laws)
+        self.force = stretch.applied - controller.carried
         coils = load("drop").coils
         assert coils is not None
-        self._currents = stretch.applied[:, :6] @ coils.current_per_wrench.T
-        self._work = np.append(0.0, np.cumsum(hand_work(stretch.position, stretch.hand).sum(axis=1)))
-        self._faces = wall_faces(self.scene.laws(self.settings))
-        self._anchors = stick_positions_of(stretch)
-        axis = self.scene.axis_index
-        place = stretch.position[:, axis]
-        speed = np.diff(place, prepend=place[0]) / self.period
-        self._rows = np.column_stack([stretch.time, place, speed, self._force[:, axis], stretch.hand[:, axis]])
-
-    def view(self, row: int, note: str) -> View:
-        """Return what there was to see at a sample."""
-        first = max(row - round(_SHOWN / self.period), 0)
-        return View(
-            scene=self.scene,
-            settings=self.settings,
-            time=float(self._time[row]),
-            pose=self.pose[row],
-            force=self._force[row],
-            hand=self._hand[row],
-            currents=self._currents[row],
-            faces=self._faces,
-            anchors=None if self._anchors is None else self._anchors[row],
-            history=self._rows[first : row + 1],
-            work=float(self._work[row]),
-            taken=float("nan"),
-            cost=0.0,
-            missed=0,
-            notes=(note,),
-        )
+        self.currents = stretch.applied @ coils.current_per_wrench.T
+        self.faces = controller.faces
+        self.anchors = stick_positions_of(stretch)
 
 
-def scene_of(setup: Setup) -> tuple[Scene, Settings]:
-    """Return the scene that shows a stretch, and its settings."""
+def scene_of(setup: Setup) -> Scene:
+    """Return the scene that shows a stretch."""
     rebuild(setup, None)  # complains of what is not known here
     if setup["kind"] in _SCENES:
-        return scene_called(setup["scene"]), Settings.from_json(setup["settings"])
-    parameters, _, name = EXPERIMENTS[setup["kind"]]
-    made = parameters(**setup["parameters"])
-    scene = SCENES[name]
-    gains = {name: getattr(made, name) for name in ("stiffness", "damping", "period", "delay")}
-    return scene, replace(scene.settings, pulse=getattr(made, "pulse", 0.0) > 0.0, **gains)
+        return recorded_scene(setup["scene"], setup["settings"])
+    return run_in(setup)[0]
 
 
 def stick_positions_of(stretch: Stretch) -> Array | None:
     """Return where the flotor stuck at each sample, as the controller saw it, (N, 6); None without friction."""
     _, controller = rebuild(stretch.setup, None)
-    stuck_at, anchors = stick_positions(controller), []
+    anchors = []
     for tick, place in zip(stretch.tick.tolist(), stretch.position.tolist(), strict=True):
         controller.step(Sample(int(tick), 0.0, place))
-        found = stuck_at()
+        found = controller.stick_positions
         if found is None:
             return None
         anchors.append(found)

@@ -1,4 +1,4 @@
-"""What the compiled device yields, beside what the paper prints in Table 1."""
+"""The compiled device measured, beside Table 1 of the paper."""
 
 from __future__ import annotations
 
@@ -8,11 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from maglev_mj.experiments.bandwidth import position_bandwidth
+from maglev_mj.controller import Controller
+from maglev_mj.frames import AXES, Command, Sample
+from maglev_mj.laws import Hold
+from maglev_mj.loop import run
 from maglev_mj.model import COILS, Device, envelope, load
+from maglev_mj.parameters import axis_indices
+from maglev_mj.plants import MuJoCoPlant, Timing
 from maglev_mj.spec import GRAVITY, Spec
 
-__all__ = ["DeviceReport", "Row", "device_report"]
+__all__ = ["DeviceReport", "Row", "device_report", "device_table", "position_bandwidth"]
 
 
 @dataclass(frozen=True)
@@ -133,3 +138,78 @@ def _contradictions(figures: dict[str, Any]) -> tuple[str, ...]:
         "The model's driver lag follows section 2.",
         "Table 1 gives 10 A as the peak per coil; section 2 gives 10 A as the drivers' continuous maximum.",
     )
+
+
+def position_bandwidth(
+    axis: str, *, stiffness: float, damping: float, period: float, delay: float, step: float = 1e-4
+) -> float:
+    """Return the frequency [Hz] at which the response to the hold's target falls to -3 dB.
+
+    Measured on the MuJoCo device without gravity: the target steps, the sampled positions are
+    differenced, and their Fourier transform is the frequency response.
+
+    Args:
+        axis: Name from AXES.
+        stiffness: Stiffness of the hold [N/m, N m/rad].
+        damping: Damping of the hold [N s/m, N m s/rad].
+        period: Sample period [s].
+        delay: Transport delay [s].
+        step: Size of the step [m, rad].
+
+    Returns:
+        The bandwidth; NaN if the response does not fall to -3 dB below half the sample rate.
+    """
+    (index,) = axis_indices(axis)
+    positions: list[float] = []
+
+    def observe(sample: Sample, _: Command) -> None:
+        positions.append(sample.position[index])
+
+    ticks = max(math.ceil(1.0 / period), 100)
+    others = [name for name in AXES if name != axis]
+    with MuJoCoPlant(Timing(period=period, delay=delay), gravity=0.0) as plant:
+        inertia = np.delete([plant.device.mass] * 3 + plant.device.inertia.tolist(), index)
+        laws = [
+            Hold(axes=axis, stiffness=stiffness, damping=damping, target=step),
+            Hold.critically_damped(others, inertia=inertia, period=period, delay=delay),
+        ]
+        run(plant, Controller(laws, period=period), ticks, observe=observe)
+    response = np.abs(np.fft.rfft(np.diff(positions, append=positions[-1]), 8 * ticks)) / step
+    frequencies = np.fft.rfftfreq(8 * ticks, period)
+    below = np.flatnonzero(response < math.sqrt(0.5))
+    return float(frequencies[below[0]]) if below.size else math.nan
+
+
+def device_table(report: DeviceReport) -> str:
+    """Return the report as text for a terminal."""
+    lines = ["The UBC maglev joystick: what the paper prints and what the compiled model yields", ""]
+    lines.append(f"  {'':<32}{'paper':>8}{'model':>9}  unit")
+    for row in report.table:
+        remark = f"   {row.remark}" if row.remark else ""
+        lines.append(f"  {row.name:<32}{row.paper:>8}{row.model:>9}  {row.unit:<5}{remark}".rstrip())
+    figures = report.figures
+    inertia = ", ".join(f"{value * 1e4:.2f}" for value in figures["inertia"])
+    lines += [
+        "",
+        f"  inertia about x, y, z with handle  {inertia}  1e-4 kg m² (assumed)",
+        f"  hover current, each vertical coil  {figures['hover_current']:.2f} A at {figures['moving_mass']:g} kg",
+        "",
+        f"  {'largest pure force or torque':<32}" + "".join(f"{axis:>9}" for axis in AXES),
+    ]
+    for name, key in (
+        (f"at {Spec.continuous_current.value:g} A", "largest_at_continuous_current"),
+        (f"at {figures['peak_current']:g} A", "largest_at_peak_current"),
+    ):
+        lines.append(f"  {name:<32}" + "".join(f"{value:>9.3g}" for value in figures[key]) + "  N, N m")
+    lines += ["", "  wrench map, N/A and N m/A for one ampere in each coil (coil places are assumed)"]
+    lines.append(f"  {'':<6}" + "".join(f"{coil:>13}" for coil in COILS))
+    for axis, row in zip(AXES, figures["wrench_map"], strict=True):
+        lines.append(f"  {axis:<6}" + "".join(f"{value + 0.0:>13.4f}" for value in np.round(row, 12)))
+    lines += [
+        f"  condition number {figures['condition_number']:.2f} with torques over the mean arm of "
+        f"{figures['mean_arm'] * 1e3:.1f} mm, {figures['condition_number_si']:.1f} in SI units",
+        "",
+        "  where the paper contradicts itself",
+    ]
+    lines += [f"  - {text}" for text in report.contradictions]
+    return "\n".join(lines)

@@ -1,10 +1,11 @@
-"""Lines on a terminal: what a file or another program says must not steer it."""
+"""Text on a terminal: figures, and lines of files and other programs, which must not steer it."""
 
 from __future__ import annotations
 
-from typing import TextIO
+import math
+from typing import Any, TextIO
 
-__all__ = ["printable", "say"]
+__all__ = ["cell", "printable", "say"]
 
 
 def printable(text: str) -> str:
@@ -22,3 +23,11 @@ def say(line: str, file: TextIO | None = None) -> None:
         file: Where to; None for standard output.
     """
     print(printable(line), file=file, flush=True)
+
+
+def cell(value: Any, scale: float) -> str:
+    """Return a figure to four digits; a dash for one that is not there."""
+    number = float(value) * scale
+    if not math.isfinite(number):
+        return "-"
+    return f"{number:.0f}" if abs(number) >= 100.0 else f"{number:.1f}" if abs(number) >= 10.0 else f"{number:.2f}"

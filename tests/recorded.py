@@ -12,12 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from maglev_mj.experiments.drop import DropParameters
-from maglev_mj.experiments.press import PressParameters
-from maglev_mj.experiments.stick_slip import StickSlipParameters
+from maglev_mj.frames import ZERO, Command
 from maglev_mj.hand import SpringHand
 from maglev_mj.recording import Recording
-from maglev_mj.replay import write_experiment
+from maglev_mj.replay import write_run
+from maglev_mj.scenes.drop import Drop
+from maglev_mj.scenes.press import Press
+from maglev_mj.scenes.stick_slip import StickSlip
 from maglev_mj.session import Pacer, Session
 
 Message = dict[str, Any]
@@ -26,20 +27,20 @@ Place = tuple[Any, ...]
 
 
 def _drop(path: Path) -> None:
-    write_experiment(path, "drop", DropParameters(plant="exact", duration=0.08, force_limit=60.0))
+    write_run(path, Drop(duration=0.08, force_limit=60.0), plant="exact")
 
 
 def _press(path: Path) -> None:
-    write_experiment(path, "press", PressParameters(plant="exact", hits=1, interval=0.08, duration=0.16))
+    write_run(path, Press(hits=1, interval=0.08, duration=0.16), plant="exact")
 
 
 def _stick_slip(path: Path) -> None:
-    write_experiment(path, "stick-slip", StickSlipParameters(plant="exact", duration=0.06))
+    write_run(path, StickSlip(duration=0.06), plant="exact")
 
 
 def _scene(path: Path) -> None:
     hand = SpringHand(target=[1e-3, 0.0, -2e-3, 0.0, 0.01, 0.0])
-    session = Session("joystick", hand=hand, record=path, pacer=Pacer(budget=60.0, patience=3600.0))
+    session = Session(hand=hand, record=path, pacer=Pacer(budget=60.0, patience=3600.0))
     session.tick(0.05)
     session.act("friction")
     session.tick(0.05)
@@ -105,6 +106,11 @@ def npz_of(header: Message, arrays: Mapping[str, Any], *, compressed: bool = Fal
     save = np.savez_compressed if compressed else np.savez
     save(file, header=np.array(json.dumps(header)), **arrays)
     return file.getvalue()
+
+
+def command_row(command: Command) -> list[float]:
+    """Return a command as 13 numbers: held wrench, pulse, pulse width."""
+    return [*command.force, *(command.extra or ZERO), command.pulse_width if command.extra else 0.0]
 
 
 def numbers_in(value: Any, place: Place = ()) -> Iterator[Place]:

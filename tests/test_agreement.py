@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from maglev_mj import AXES, Controller, ExactPlant, Hold, MuJoCoPlant, Timing, Wall, run
-from maglev_mj.experiments.drop import DropParameters, run_drop
 from maglev_mj.frames import Array
 from maglev_mj.plants import SampledPlant
+from maglev_mj.scenes.drop import Drop
+from maglev_mj.scenes.run import run as run_scene
 from maglev_mj.spec import INERTIA
 from tests.closed_loop import largest_modulus
 
@@ -36,9 +36,8 @@ def test_drops_agree_within_a_nanometre(
     worst = 0.0
     for height in HEIGHTS:
         for phase in phases:
-            drop = DropParameters(
+            drop = Drop(
                 height=height,
-                phase=phase,
                 delay=delay,
                 stiffness=stiffness,
                 damping=damping,
@@ -46,7 +45,7 @@ def test_drops_agree_within_a_nanometre(
                 force_limit=limit,
                 carry=limit is not None,
             )
-            engine, exact = (run_drop(replace(drop, plant=plant)).series()[1] for plant in ("mujoco", "exact"))
+            engine, exact = (run_scene(drop, plant=plant, phase=phase).series()["z"] for plant in ("mujoco", "exact"))
             worst = max(worst, float(np.abs(engine - exact).max()))
     assert worst < 1e-9
     assert worst < 1e-14  # what RK4 with a step boundary at every switch really gives

@@ -15,25 +15,26 @@ import pytest
 from maglev_mj.analysis import Analysed, analyse, face_figures, known_of, reconstruct
 from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.flight import Flight
-from maglev_mj.bridge.impair import Impairment
 from maglev_mj.bridge.remote import RemotePlant
+from maglev_mj.bridge.simulated_links import Impairment, VirtualLink
 from maglev_mj.bridge.twin import Twin, TwinParameters
-from maglev_mj.bridge.virtual import VirtualLink
 from maglev_mj.cli import main
 from maglev_mj.energy import PassivityObserver
-from maglev_mj.experiments.drop import DropParameters, run_drop
-from maglev_mj.experiments.press import PressParameters, run_press
-from maglev_mj.experiments.stick_slip import StickSlipParameters, run_stick_slip
 from maglev_mj.frames import AXES, Command, Sample
 from maglev_mj.hand import Path as HandPath
 from maglev_mj.hand import SpringHand
 from maglev_mj.metrics import perceived_hardness, summarise_bounce
 from maglev_mj.plants import Timing
 from maglev_mj.recording import ArrayFile, Recording, RecordingError, Stretch
-from maglev_mj.replay import rebuild, record_experiment, stick_positions_of
-from maglev_mj.scenes import scene_called
+from maglev_mj.replay import rebuild, record_run, stick_positions_of
 from maglev_mj.scenes.choices import PLANTS
+from maglev_mj.scenes.drop import Drop
+from maglev_mj.scenes.joystick import Joystick
 from maglev_mj.scenes.parts import INERTIA, MASS
+from maglev_mj.scenes.press import Press
+from maglev_mj.scenes.run import run
+from maglev_mj.scenes.scene import Scene
+from maglev_mj.scenes.stick_slip import StickSlip
 from maglev_mj.session import Pacer, Session
 from maglev_mj.spec import GRAVITY
 
@@ -45,8 +46,8 @@ TOUR = HandPath(
 """Where a hand draws the flotor: against walls on x, y and z."""
 
 
-def recorded(kind: str, parameters: Any) -> Stretch:
-    (stretch,) = record_experiment(kind, parameters).stretches
+def recorded(scene: Scene, plant: str = "exact", phase: float = 0.0) -> Stretch:
+    (stretch,) = record_run(scene, plant=plant, phase=phase).stretches
     return stretch
 
 
@@ -61,10 +62,8 @@ def flown(mass: float = MASS, *, hand: bool = False, loss: float = 0.0, **parame
     holder = SpringHand(target=TOUR) if hand else None
     twin = Twin(TwinParameters(truth=truth, **parameters), hand_force=holder, draw=lambda: 7)  # type: ignore[arg-type]
     with RemotePlant(VirtualLink(twin, Impairment(loss=loss))) as plant:
-        scene = scene_called("joystick")
-        settings = replace(scene.settings, period=plant.period, delay=plant.delay)
         file = ArrayFile()
-        Flight(plant, scene, settings, file=file).run(2.0)
+        Flight(plant, Joystick(period=plant.period, delay=plant.delay), file=file).run(2.0)
     (stretch,) = file.recording.stretches
     return stretch
 
@@ -74,7 +73,7 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a recording of the joystick in a hand, without friction and then with it."""
     folder = tmp_path_factory.mktemp("session")
     running = Session(
-        "joystick", folder=folder, hand=SpringHand(target=TOUR), pacer=Pacer(budget=100.0, patience=100.0)
+        Joystick(), folder=folder, hand=SpringHand(target=TOUR), pacer=Pacer(budget=100.0, patience=100.0)
     )
     running.act("record")
     running.tick(1.5)
@@ -99,12 +98,12 @@ DROPS: list[dict[str, Any]] = [
 @pytest.mark.parametrize("changes", DROPS, ids=lambda changes: ",".join(f"{k}={v}" for k, v in changes.items()))
 @pytest.mark.parametrize("plant", PLANTS)
 def test_samples_and_forces_alone_give_the_exact_figures_of_a_drop(plant: str, changes: Mapping[str, Any]) -> None:
-    parameters = DropParameters(plant=plant, **changes)
-    found = analysed(recorded("drop", parameters), rest=parameters.rest, simulated=False).recorded
+    drop, phase = Drop(**{name: value for name, value in changes.items() if name != "phase"}), changes.get("phase", 0.0)
+    found = analysed(recorded(drop, plant, phase), rest=drop.rest, simulated=False).recorded
     (face,) = found.figures.faces
     end = float(found.motion.trace.time[-1])
-    exact = run_drop(parameters).trace.until(end)  # the recording ends with its last sample
-    summary, hardness = summarise_bounce(exact, parameters.rest), perceived_hardness(exact, 0.005)
+    exact = run(drop, plant=plant, phase=phase).trace.until(end)  # the recording ends with its last sample
+    summary, hardness = summarise_bounce(exact, drop.rest), perceived_hardness(exact, 0.005)
     assert face.penetration == pytest.approx(float(summary.penetration), abs=1e-15)
     assert face.rebound == pytest.approx(float(summary.rebound), abs=1e-15)
     assert face.peak_force == float(summary.peak_force)
@@ -116,19 +115,19 @@ def test_samples_and_forces_alone_give_the_exact_figures_of_a_drop(plant: str, c
         assert np.abs(ours[:, 2] - theirs[:, 2]).max() < 1e-13
     # energy: what the fall gave is taken, or still there
     speed = float(exact.twist[-1, 2])
-    fallen = parameters.mass * (GRAVITY * (parameters.height - float(exact.pose[-1, 2])) - 0.5 * speed * speed)
+    fallen = drop.mass * (GRAVITY * (drop.height - float(exact.pose[-1, 2])) - 0.5 * speed * speed)
     assert found.figures.energy.taken[2] == pytest.approx(fallen, rel=1e-12)
     assert found.figures.unexplained[2] < 1e-12
 
 
 def test_a_coarse_sensor_costs_no_more_than_its_steps() -> None:
     step = 5e-6
+    drop = Drop(quantize=step)
     for phase in np.arange(8) / 8:
-        parameters = DropParameters(plant="exact", phase=float(phase), quantize=step)
-        found = analysed(recorded("drop", parameters), rest=parameters.rest, simulated=False).recorded
+        found = analysed(recorded(drop, phase=phase), rest=drop.rest, simulated=False).recorded
         (face,) = found.figures.faces
-        exact = run_drop(parameters).trace.until(float(found.motion.trace.time[-1]))
-        summary = summarise_bounce(exact, parameters.rest)
+        exact = run(drop, plant="exact", phase=phase).trace.until(float(found.motion.trace.time[-1]))
+        summary = summarise_bounce(exact, drop.rest)
         assert abs(face.penetration - summary.penetration) < step
         assert abs(face.rebound - summary.rebound) < step
         assert face.peak_force == float(summary.peak_force)
@@ -137,10 +136,10 @@ def test_a_coarse_sensor_costs_no_more_than_its_steps() -> None:
 
 
 def test_where_a_drop_rests_is_found_in_its_samples() -> None:
-    parameters = DropParameters(plant="exact", phase=0.3)
-    stretch = recorded("drop", parameters)
-    (found,), (told,) = (analysed(stretch, rest=rest).recorded.figures.faces for rest in (None, parameters.rest))
-    assert found.rest == pytest.approx(parameters.rest, abs=1e-8)
+    drop = Drop()
+    stretch = recorded(drop, phase=0.3)
+    (found,), (told,) = (analysed(stretch, rest=rest).recorded.figures.faces for rest in (None, drop.rest))
+    assert found.rest == pytest.approx(drop.rest, abs=1e-8)
     assert found.settling_time == pytest.approx(told.settling_time, abs=1e-6)
     (cut,) = analysed(stretch, end=0.06).recorded.figures.faces
     assert np.isnan(cut.settling_time)  # on its way still
@@ -148,47 +147,44 @@ def test_where_a_drop_rests_is_found_in_its_samples() -> None:
 
 @pytest.mark.parametrize("hand", ["arm", "fingertip", "stylus"])
 def test_hits_of_a_hand_are_told_apart_and_its_pull_is_found(hand: str) -> None:
-    parameters = PressParameters(plant="exact", hand=hand)
-    found, run = analysed(recorded("press", parameters)).recorded, run_press(parameters)
+    press = Press(hand=hand)
+    found, ran = analysed(recorded(press)).recorded, run(press, plant="exact")
     times = np.linspace(0.0, float(found.motion.trace.time[-1]), 4001)
-    assert np.abs(found.motion.trace.at(times)[0][:, 2] - run.trace.at(times)[0][:, 2]).max() < 1e-6
+    assert np.abs(found.motion.trace.at(times)[0][:, 2] - ran.trace.at(times)[0][:, 2]).max() < 1e-6
     (face,) = found.figures.faces
-    starts = [*parameters.strokes, np.inf]
-    for place, (depth, speed, contacts) in enumerate(zip(*run.summary[:2], run.summary.contacts, strict=True)):
+    starts = [*press.strokes(0.0), np.inf]
+    hits = (ran.figures[name] for name in ("penetration", "approach_speed", "contacts"))
+    for place, (depth, speed, contacts) in enumerate(zip(*hits, strict=True)):
         hit = [one for one in face.contacts if starts[place] <= one.start < starts[place + 1]]
         assert len(hit) == contacts
         assert max(one.penetration for one in hit) == pytest.approx(depth, abs=1e-6)
         assert hit[0].approach_speed == pytest.approx(speed, rel=0.005)
-    assert found.figures.energy.taken[2] == pytest.approx(float(run.summary.absorbed), rel=0.005)
+    assert found.figures.energy.taken[2] == pytest.approx(float(ran.figures["absorbed"]), rel=0.005)
 
 
 def test_the_pull_of_an_arm_that_nobody_recorded_is_found_between_the_samples() -> None:
-    parameters = PressParameters(plant="exact", hand="0.0,6.45,135")
-    stretch = recorded("press", parameters)
-    found = analysed(replace(stretch, hand=np.zeros_like(stretch.hand))).recorded
+    press = Press(hand="0.0,6.45,135")
+    stretch = recorded(press)
+    found = analysed(stretch.replace(hand=np.zeros_like(stretch.hand))).recorded
     middle = 0.5 * (found.motion.time[1:] + found.motion.time[:-1])
-    pose, twist, _ = run_press(parameters).trace.at(middle)
+    pose, twist, _ = run(press, plant="exact").trace.at(middle)
     pull = stretch.hand[:-1, 2] - 135.0 * pose[:, 2] - 6.45 * twist[:, 2]
     assert np.abs(pull).max() > 4.0
     assert np.sqrt(np.mean((found.motion.unexplained[:, 2] - pull) ** 2)) < 0.1
 
 
 @pytest.mark.parametrize(
-    "parameters",
-    [
-        StickSlipParameters(plant="exact"),
-        StickSlipParameters(axis="ry"),
-        StickSlipParameters(delay=0.005, duration=1.0),
-    ],
+    ("scene", "plant"),
+    [(StickSlip(), "exact"), (StickSlip(axis="ry"), "mujoco"), (StickSlip(delay=0.005, duration=1.0), "mujoco")],
 )
-def test_sticks_and_slips_are_those_of_the_experiment(parameters: StickSlipParameters) -> None:
-    run, found = run_stick_slip(parameters), analysed(recorded("stick-slip", parameters))
-    axis = AXES.index(parameters.axis)
+def test_sticks_and_slips_are_those_of_the_experiment(scene: StickSlip, plant: str) -> None:
+    ran, found = run(scene, plant=plant), analysed(recorded(scene, plant))
+    axis, events = AXES.index(scene.axis), scene.events(ran)
     figures = found.recorded.figures
     sticks = figures.sticks[axis] or ()
-    slips = [event.time for event in run.events if event.kind == "slip"]
-    stuck = [event for event in run.events if event.kind == "stick"]
-    assert figures.transitions(axis) == run.summary.transitions > 1
+    slips = [event.time for event in events if event.kind == "slip"]
+    stuck = [event for event in events if event.kind == "stick"]
+    assert figures.transitions(axis) == ran.figures["transitions"] > 1
     assert figures.slips(axis) == len(slips)
     assert [stick.start + stick.duration for stick in sticks if stick.slipped] == pytest.approx(slips)
     assert [stick.start for stick in sticks[1:]] == [event.time for event in stuck]
@@ -199,11 +195,11 @@ def test_sticks_and_slips_are_those_of_the_experiment(parameters: StickSlipParam
 
 @pytest.mark.parametrize("delay", [0.0, 0.0015, 0.004, 0.007])
 def test_the_energy_taken_is_what_the_observer_of_the_loop_finds(delay: float) -> None:
-    parameters = StickSlipParameters(plant="exact", delay=delay, duration=0.06)
-    stretch = recorded("stick-slip", parameters)
-    observer = PassivityObserver(Timing(period=parameters.period, delay=delay), INERTIA)
+    scene = StickSlip(delay=delay, duration=0.06)
+    stretch = recorded(scene)
+    observer = PassivityObserver(Timing(period=scene.period, delay=delay), INERTIA)
     for row, (place, applied) in enumerate(zip(stretch.position.tolist(), stretch.applied.tolist(), strict=True)):
-        observer(Sample(row, 0.0, place), Command(applied[:6]))
+        observer(Sample(row, 0.0, place), Command(applied))
     energy = analysed(stretch, simulated=False).recorded.figures.energy
     assert abs(observer.energy[0]) > 1e-7
     assert energy.taken[0] == pytest.approx(observer.energy[0], rel=1e-9)
@@ -212,9 +208,9 @@ def test_the_energy_taken_is_what_the_observer_of_the_loop_finds(delay: float) -
 
 def test_a_simulated_recording_is_its_simulation_bit_for_bit(session: Path) -> None:
     stretches = [
-        recorded("drop", DropParameters(quantize=5e-6)),
-        recorded("press", PressParameters(hits=1)),
-        recorded("stick-slip", StickSlipParameters()),
+        recorded(Drop(quantize=5e-6), "mujoco"),
+        recorded(Press(hits=1), "mujoco"),
+        recorded(StickSlip(), "mujoco"),
         *Recording.load(session).stretches,
     ]
     for stretch in stretches:
@@ -225,11 +221,11 @@ def test_a_simulated_recording_is_its_simulation_bit_for_bit(session: Path) -> N
 
 
 def test_how_far_a_changed_recording_is_apart_is_found_to_the_digit() -> None:
-    stretch = recorded("drop", DropParameters(plant="exact"))
+    stretch = recorded(Drop())
     place = stretch.position.copy()
     place[:, 0] += 2e-6
     place[30, 0] += 3e-6
-    comparison = analysed(replace(stretch, position=place)).comparison
+    comparison = analysed(stretch.replace(position=place)).comparison
     assert comparison is not None and not comparison.same
     count = len(place)
     assert comparison.rms[0] == pytest.approx(np.sqrt((4.0 * (count - 1) + 25.0) / count) * 1e-6)
@@ -291,7 +287,7 @@ def test_samples_that_a_device_lost_are_counted_and_bridged() -> None:
 
 
 def test_a_part_of_a_stretch_has_the_figures_of_that_part() -> None:
-    stretch = recorded("press", PressParameters(plant="exact"))
+    stretch = recorded(Press())
     whole = analysed(stretch).recorded.figures.faces[0]
     part = analysed(stretch, begin=0.6, end=1.3).recorded
     (face,) = part.figures.faces
@@ -302,7 +298,7 @@ def test_a_part_of_a_stretch_has_the_figures_of_that_part() -> None:
 
 
 def test_a_recording_that_begins_inside_a_wall_has_a_contact_without_an_approach() -> None:
-    stretch = recorded("drop", DropParameters(plant="exact", phase=0.3))
+    stretch = recorded(Drop(), phase=0.3)
     (face,) = analysed(stretch, begin=0.1).recorded.figures.faces
     (contact,) = face.contacts
     assert np.isnan(contact.approach_speed)
@@ -311,14 +307,9 @@ def test_a_recording_that_begins_inside_a_wall_has_a_contact_without_an_approach
 
 
 def test_upper_walls_are_seen_as_lower_ones_in_a_mirror() -> None:
-    stretch = recorded("press", PressParameters(plant="exact"))
-    known = known_of(stretch, rebuild(stretch.setup, None)[1].laws)
-    turned = replace(
-        stretch,
-        position=-stretch.position,
-        hand=-stretch.hand,
-        applied=np.column_stack([-stretch.applied[:, :12], stretch.applied[:, 12]]),
-    )
+    stretch = recorded(Press())
+    known = known_of(stretch, rebuild(stretch.setup, None)[1])
+    turned = stretch.replace(**{name: -stretch.rows[name] for name in ("position", "hand", "applied", "applied_pulse")})
     down = face_figures(reconstruct(stretch, known).trace, (2, 1.0, 0.0))
     up = face_figures(reconstruct(turned, known).trace, (2, -1.0, 0.0))
     assert down is not None and up is not None
@@ -329,13 +320,12 @@ def test_upper_walls_are_seen_as_lower_ones_in_a_mirror() -> None:
 
 
 def test_what_cannot_be_analysed_is_refused() -> None:
-    stretch = recorded("drop", DropParameters(plant="exact"))
-    names = ("tick", "time", "position", "command", "applied", "hand")
-    short = replace(stretch, **{name: getattr(stretch, name)[:1] for name in names})
+    stretch = recorded(Drop())
+    short = stretch.part(0, 0)
     with pytest.raises(RecordingError, match="at least 2 samples to be analysed, not 1"):
         analysed(short)
     with pytest.raises(RecordingError, match="in the order in which they were taken"):
-        analysed(replace(stretch, time=stretch.time[::-1]))
+        analysed(stretch.replace(time=stretch.time[::-1]))
 
 
 @pytest.mark.parametrize("kind", ["drop", "press", "stick-slip"])
@@ -410,7 +400,7 @@ def test_a_wrong_option_is_one_line_and_status_2(
     options: list[str], words: str, tmp_path: Path, capsys: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    record_experiment("drop", DropParameters(plant="exact", phase=0.3)).save("run.npz")
+    record_run(Drop(), plant="exact", phase=0.3).save("run.npz")
     try:
         status = main(["analyse", "run.npz", *options])
     except SystemExit as stop:  # argparse's own complaints
@@ -429,9 +419,8 @@ def test_a_part_of_several_stretches_is_not_clear(session: Path, capsys: Any) ->
 def test_a_file_with_nothing_in_it_is_one_line_and_status_2(tmp_path: Path, capsys: Any) -> None:
     for name, recording in (("none.npz", Recording([])), ("one.npz", None)):
         if recording is None:
-            stretch = recorded("drop", DropParameters(plant="exact"))
-            names = ("tick", "time", "position", "command", "applied", "hand")
-            recording = Recording([replace(stretch, **{part: getattr(stretch, part)[:1] for part in names})])
+            stretch = recorded(Drop())
+            recording = Recording([stretch.part(0, 0)])
         recording.save(tmp_path / name)
         assert main(["analyse", str(tmp_path / name)]) == 2
         said = capsys.readouterr().err

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from maglev_mj.errors import ParameterError
-from maglev_mj.experiments.failures import hum
 from maglev_mj.hand import Hand
+from maglev_mj.studies.batches import hum
 from maglev_mj.theory import bounds, largest_stable_stiffness, stiffest_wall
 
 T, M = 0.005, 0.7

@@ -20,20 +20,19 @@ from numpy.typing import ArrayLike
 from maglev_mj.bridge import connection, firmware, wire
 from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.fault import HandshakeError
-from maglev_mj.bridge.impair import Impairment
 from maglev_mj.bridge.remote import RemotePlant
+from maglev_mj.bridge.simulated_links import Impairment, VirtualLink
 from maglev_mj.bridge.states import Fault, State
 from maglev_mj.bridge.twin import REST, Twin, TwinParameters
-from maglev_mj.bridge.virtual import VirtualLink
 from maglev_mj.controller import Controller
 from maglev_mj.frames import Array, Command, Sample
-from maglev_mj.hand import ConstantForce, HandForce, Path, SpringHand
+from maglev_mj.hand import HandForce, Path, SpringHand
 from maglev_mj.laws import Bias, FiniteDifference, Hold
 from maglev_mj.loop import run
 from maglev_mj.plants import MuJoCoPlant, Plant, SpotSensor
-from maglev_mj.recording import row_of
-from maglev_mj.scenes import scene_called
+from maglev_mj.scenes import find_scene
 from maglev_mj.scenes.parts import INERTIA, WEIGHT
+from tests.recorded import command_row
 
 ZERO = (0.0,) * 6
 CENTRE = ZERO
@@ -103,7 +102,7 @@ class Rig:
         start = len(self.witness.poses)
 
         def keep(sample: Sample, command: Command) -> None:
-            self.rows.append([*sample.position, *row_of(command)])
+            self.rows.append([*sample.position, *command_row(command)])
             if observe is not None:
                 observe()
 
@@ -134,14 +133,20 @@ def rms(poses: Array) -> float:
 
 # where a scene starts, and with which settings
 STARTS: dict[str, tuple[tuple[float, ...], dict[str, Any]]] = {
-    "drop": ((0.0, 0.0, 0.004, 0.0, 0.0, 0.0), {"weightless": False}),
+    "drop": ((0.0, 0.0, 0.004, 0.0, 0.0, 0.0), {"pulse": 153.0}),
     "table": ((1e-3, 0.0, 0.0, 0.0, 0.0, 0.0), {"friction": True}),
     "joystick": ((1e-3, -5e-4, 2e-3, 0.01, 0.02, -0.01), {"friction": True}),
 }
 TIMINGS = ((0.005, 0.0015), (0.001, 0.0015), (0.005, 0.007))  # the last two with a delay of more than a period
 SAME: list[tuple[str, float, float, dict[str, Any], ArrayLike | None]] = [
     *((name, period, delay, {}, None) for name in STARTS for period, delay in TIMINGS),
-    ("drop", 0.001, 0.0004, {"stiffness": 20_000.0}, None),  # so hard that the currents' limit is met
+    (
+        "drop",
+        0.001,
+        0.0004,
+        {"stiffness": 20_000.0, "pulse": 1000.0, "pulse_width": 6e-4},
+        None,
+    ),  # so hard that the currents' limit is met
     ("joystick", 0.005, 0.0015, {}, [0.5, 0.5, 7.5, 0.01, 0.01, 0.01]),
 ]
 
@@ -150,19 +155,19 @@ SAME: list[tuple[str, float, float, dict[str, Any], ArrayLike | None]] = [
 def test_the_same_controller_flies_a_device_bit_for_bit(
     name: str, period: float, delay: float, changes: dict[str, Any], wrench_limit: ArrayLike | None
 ) -> None:
-    scene, (start, usual) = scene_called(name), STARTS[name]
-    settings = replace(scene.settings, period=period, delay=delay, **usual, **changes)
+    start, usual = STARTS[name]
+    scene = find_scene(name)().replace(period=period, delay=delay, **(usual | changes))
     times = period * np.array([10, 150, 250, 400])
     hands = [SpringHand(target=Path(times, np.asarray(TOUR.poses)[:4])) for _ in range(2)]
 
     def answers(plant: Plant) -> Array:
         rows: list[list[float]] = []
-        run(plant, scene.controller(settings), 450, observe=lambda one, two: rows.append([*one.position, *row_of(two)]))
+        run(plant, scene.controller(), 450, observe=lambda one, two: rows.append([*one.position, *command_row(two)]))
         return np.array(rows)
 
     local = answers(
         MuJoCoPlant(
-            settings.timing,
+            scene.timing(),
             pose=start,
             current_limit=10.0,
             wrench_limit=wrench_limit,
@@ -447,7 +452,7 @@ def test_where_no_device_answers_the_host_says_what_it_heard(change: Callable[[b
 
 
 def test_a_weight_on_the_handle_is_no_fault() -> None:
-    rig = Rig(hand=ConstantForce([0.0, 0.0, -1.0, 0.0, 0.0, 0.0]))
+    rig = Rig(hand=lambda *_: [0.0, 0.0, -1.0, 0.0, 0.0, 0.0])
     rig.plant.takeoff()
     assert abs(rig.fly(1.0)[-1, 2] + 1.0 / (INERTIA[2] * (0.25 / 0.0065) ** 2)) < 2e-5
     rig.plant.land()

@@ -9,13 +9,13 @@ from pathlib import Path
 import pytest
 
 from maglev_mj.bridge.fault import DeviceFault
-from maglev_mj.bridge.link import LinkError
+from maglev_mj.bridge.simulated_links import VirtualLink
 from maglev_mj.bridge.states import Fault, State
-from maglev_mj.bridge.virtual import VirtualLink
 from maglev_mj.bridge.wire import Command as CommandFrame
 from maglev_mj.bridge.wire import StateReport
 from maglev_mj.errors import MaglevError, PlantError
 from maglev_mj.frames import Command
+from maglev_mj.net.udp import LinkError
 from tests.test_bridge import Rig
 
 

@@ -20,18 +20,16 @@ from maglev_mj.bridge import firmware, gate
 from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.connection import Connection
 from maglev_mj.bridge.fault import DeviceFault
-from maglev_mj.bridge.impair import Impairment
-from maglev_mj.bridge.misfortune import MISFORTUNES, Misfortune
 from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.bridge.safety import Warmth
+from maglev_mj.bridge.simulated_links import Impairment, VirtualLink
 from maglev_mj.bridge.states import Fault, Operation, State, fault_names
-from maglev_mj.bridge.twin import REST, Twin, TwinParameters
-from maglev_mj.bridge.virtual import VirtualLink
+from maglev_mj.bridge.twin import MISFORTUNES, REST, Misfortune, Twin, TwinParameters
 from maglev_mj.bridge.wire import Command as CommandFrame
 from maglev_mj.controller import Controller
 from maglev_mj.errors import PlantError
 from maglev_mj.frames import Command, Sample
-from maglev_mj.hand import ConstantForce, SpringHand
+from maglev_mj.hand import SpringHand
 from maglev_mj.laws import Bias
 from maglev_mj.loop import run
 from maglev_mj.scenes.parts import WEIGHT
@@ -325,7 +323,7 @@ def test_a_host_whose_program_fails_lets_go(closed: bool) -> None:
 
 
 def test_a_flotor_that_is_held_is_not_led() -> None:
-    rig = Rig(hand=ConstantForce([0.0, 0.0, -20.0, 0.0, 0.0, 0.0]))
+    rig = Rig(hand=lambda *_: [0.0, 0.0, -20.0, 0.0, 0.0, 0.0])
     error = fails(rig, rig.plant.takeoff, Fault.NOT_FOLLOWING)
     assert "not where it is led" in str(error) and error.cycles
 
@@ -358,7 +356,7 @@ LOAD = 6.0 * 6.0 - WEIGHT[2]
 def test_a_coil_with_6_A_trips_on_either_end(cold: Any, says: str, monkeypatch: pytest.MonkeyPatch) -> None:
     if cold is not None:
         monkeypatch.setattr(cold, "Warmth", Cold)
-    rig = Rig(hand=ConstantForce([0.0, 0.0, -LOAD, 0.0, 0.0, 0.0]), pose=CENTRE)
+    rig = Rig(hand=lambda *_: [0.0, 0.0, -LOAD, 0.0, 0.0, 0.0], pose=CENTRE)
     controller = Controller([*hover(0.005, REACH).laws, Bias([0.0, 0.0, LOAD, 0.0, 0.0, 0.0])], period=0.005)
     rig.plant.arm()
     warm = []
@@ -384,7 +382,7 @@ def test_a_coil_with_6_A_trips_on_either_end(cold: Any, says: str, monkeypatch: 
 
 def test_the_host_counts_currents_that_nobody_answered_with() -> None:
     """Where samples are lost the currents flow on, and so does the host's count of what warms the coils."""
-    rig = Rig(Impairment(loss=0.2, seed=1), hand=ConstantForce([0.0, 0.0, -10.0, 0.0, 0.0, 0.0]), pose=CENTRE)
+    rig = Rig(Impairment(loss=0.2, seed=1), hand=lambda *_: [0.0, 0.0, -10.0, 0.0, 0.0, 0.0], pose=CENTRE)
     rig.plant.arm()
     controller = Controller([*hover(0.005, BAD_REACH).laws, Bias([0.0, 0.0, 10.0, 0.0, 0.0, 0.0])], period=0.005)
     rig.fly(2.0, controller)

@@ -20,14 +20,17 @@ import pytest
 from maglev_mj import MuJoCoPlant, Timing, cli, run
 from maglev_mj.bridge import Calibration, Fault, RemotePlant, State, Twin, TwinParameters, open_link
 from maglev_mj.bridge.connection import Connection
-from maglev_mj.bridge.impair import Impairment, UdpProxy
-from maglev_mj.bridge.link import UdpLink, UdpServer
 from maglev_mj.bridge.realtime import RealtimeError, realtime
 from maglev_mj.bridge.server import TwinServer
+from maglev_mj.bridge.simulated_links import Impairment, UdpProxy
 from maglev_mj.bridge.wire import StateReport
+from maglev_mj.net.udp import UdpLink, UdpServer
 from maglev_mj.plants import Plant, SpotSensor
-from maglev_mj.recording import Recording, row_of
-from maglev_mj.scenes import Scene, Settings, scene_called
+from maglev_mj.recording import Recording
+from maglev_mj.scenes import Scene
+from maglev_mj.scenes.drop import Drop
+from maglev_mj.scenes.table import Table
+from tests.recorded import command_row
 
 COMMAND = [sys.executable, "-m", "maglev_mj.cli"]
 NEAR = "udp://127.0.0.1:0"
@@ -37,7 +40,7 @@ pytestmark = pytest.mark.xdist_group("realtime")
 LOCKSTEP = """
 import sys
 from maglev_mj.bridge import Twin, TwinParameters
-from maglev_mj.bridge.link import UdpServer
+from maglev_mj.net.udp import UdpServer
 from maglev_mj.bridge.server import TwinServer
 pose = [float(part) for part in sys.argv[1].split()]
 twin = Twin(TwinParameters(lockstep=True, pose=pose, seed=5))
@@ -112,15 +115,15 @@ def looked_at(address: str) -> StateReport:
         return frame.body
 
 
-def rows(plant: Plant, scene: Scene, settings: Settings) -> np.ndarray:
+def rows(plant: Plant, scene: Scene) -> np.ndarray:
     seen: list[tuple[float, ...]] = []
-    run(plant, scene.controller(settings), 400, observe=lambda s, c: seen.append((*s.position, *row_of(c))))
+    run(plant, scene.controller(), 400, observe=lambda s, c: seen.append((*s.position, *command_row(c))))
     return np.array(seen)
 
 
 SCENES = [
-    ("drop", Settings(weightless=False), (0.0, 0.0, 0.004, 0.0, 0.0, 0.0)),
-    ("table", Settings(friction=True), (0.001, 0.0, 0.0, 0.0, 0.01, 0.0)),
+    (Drop(), (0.0, 0.0, 0.004, 0.0, 0.0, 0.0)),
+    (Table(), (0.001, 0.0, 0.0, 0.0, 0.01, 0.0)),
 ]
 
 
@@ -130,11 +133,10 @@ def test_tests_in_real_time_take_turns(request: pytest.FixtureRequest) -> None:
 
 
 @pytest.mark.parametrize("loss", [0.0, 0.03])
-@pytest.mark.parametrize(("name", "settings", "pose"), SCENES, ids=["drop", "stick-slip"])
+@pytest.mark.parametrize(("scene", "pose"), SCENES, ids=["drop", "stick-slip"])
 def test_in_lockstep_over_udp_every_bit_is_that_of_the_plant_in_this_process(
-    name: str, settings: Settings, pose: tuple[float, ...], loss: float
+    scene: Scene, pose: tuple[float, ...], loss: float
 ) -> None:
-    scene = scene_called(name)
     local = MuJoCoPlant(
         Timing(),
         pose=pose,
@@ -148,7 +150,7 @@ def test_in_lockstep_over_udp_every_bit_is_that_of_the_plant_in_this_process(
             place, number = proxy.address
             with RemotePlant(open_link(f"udp://{place}:{number}")) as plant:
                 plant.arm()
-                np.testing.assert_array_equal(rows(plant, scene, settings), rows(local, scene, settings))
+                np.testing.assert_array_equal(rows(plant, scene), rows(local, scene))
 
 
 def test_in_real_time_it_takes_off_flies_lands_and_its_commands_run_again_bit_for_bit(tmp_path: Path) -> None:

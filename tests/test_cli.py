@@ -6,15 +6,15 @@ import json
 import re
 import subprocess
 import sys
-from dataclasses import asdict
 from pathlib import Path
 
 import pytest
 
 from maglev_mj import cli
-from maglev_mj.experiments.drop import DropParameters, run_drop
-from maglev_mj.experiments.press import PressParameters, run_press
 from maglev_mj.scenes.choices import LAWS, VELOCITIES
+from maglev_mj.scenes.drop import Drop
+from maglev_mj.scenes.press import Press
+from maglev_mj.scenes.run import run
 from maglev_mj.versions import versions
 
 
@@ -41,8 +41,9 @@ def test_drop_prints_one_screen(capsys: pytest.CaptureFixture[str]) -> None:
 def test_drop_json_on_standard_output_is_nothing_but_json(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["drop", "--plant", "exact", "--json", "-", "--phases", "3", "--force-limit", "60"]) == 0
     data = json.loads(capsys.readouterr().out)
-    assert data["parameters"] == DropParameters(plant="exact", force_limit=60.0).__dict__
-    assert data["z"] == run_drop(DropParameters(plant="exact", force_limit=60.0)).series()[1].tolist()
+    drop = Drop(force_limit=60.0)
+    assert data["parameters"] == {"plant": "exact", "phase": 0.0, **drop.as_json()}
+    assert data["z"] == run(drop, plant="exact").series()["z"].tolist()
     assert max(data["force"]) <= 60.0
     assert [row["phase"] for row in data["sweep"]["phases"]] == [0.0, 1 / 3, 2 / 3]
 
@@ -246,7 +247,7 @@ def test_press_prints_one_screen_and_writes_json_and_a_picture(
     assert f"wrote {folder / 'press.png'}" in out
     assert (folder / "press.png").stat().st_size > 10_000
     data = json.loads(target.read_text())
-    assert data["parameters"] == asdict(PressParameters(plant="exact"))
+    assert data["parameters"] == {"plant": "exact", "phase": 0.0, **Press().as_json()}
     assert len(data["summary"]["penetration"]) == 4
     assert len(data["sweep"]["phases"]) == 3
 
@@ -255,7 +256,7 @@ def test_press_json_on_standard_output_is_nothing_but_json(capsys: pytest.Captur
     arguments = ["press", "--plant", "exact", "--hand", "0.3,20,500,3,2000", "--hits", "2", "--pulse", "0"]
     assert cli.main([*arguments, "--force-limit", "60", "--json", "-"]) == 0
     data = json.loads(capsys.readouterr().out)
-    expected = run_press(PressParameters(plant="exact", hand="0.3,20,500,3,2000", hits=2, pulse=0.0, force_limit=60.0))
+    expected = run(Press(hand="0.3,20,500,3,2000", hits=2, pulse=0.0, force_limit=60.0), plant="exact")
     assert data == {**json.loads(json.dumps(expected.as_json())), "versions": versions()}
 
 
@@ -272,7 +273,7 @@ def test_press_json_on_standard_output_is_nothing_but_json(capsys: pytest.Captur
         (["--pulse-gate", "nan"], "pulse_gate must be a finite number at least 0 and at most 1000, not nan"),
         (["--stiffness", "0"], "stiffness must be a finite number above 0 and at most 1e+08, not 0.0"),
         (["--duration", "1"], "duration must be a finite number above 1.905 and at most 100000, not 1.0"),
-        (["--phases", "0", "--plant", "exact"], "phases must be a finite number at least 1 and at most 10000, not 0"),
+        (["--phases", "0", "--plant", "exact"], "phases must be at least 1 and at most 10000, not 0"),
         (["--json", "no/such/folder.json"], "json must be a file in a folder that is there, not 'no/such/folder.json'"),
         (["--carry"], "unrecognized arguments: --carry"),
     ],

@@ -9,8 +9,8 @@ import pytest
 
 from maglev_mj.cli import info, main
 from maglev_mj.cli.program import COMMANDS
-from maglev_mj.experiments.drop import DropParameters
-from maglev_mj.replay import write_experiment
+from maglev_mj.replay import write_run
+from maglev_mj.scenes.drop import Drop
 
 CLI = [sys.executable, "-m", "maglev_mj.cli"]
 
@@ -72,7 +72,7 @@ for line in sys.stdin:
 
 def test_every_command_is_silent_where_nobody_reads(tmp_path: Path) -> None:
     """In one process, each with a pipe of its own; those that take long or open a window by their help."""
-    write_experiment(tmp_path / "run.npz", "drop", DropParameters(plant="exact"))
+    write_run(tmp_path / "run.npz", Drop(), plant="exact")
     lines = [
         "drop --json -",
         "press --plant exact",

@@ -76,8 +76,12 @@ def test_sweep_covers_the_grid(tmp_path: Path, capsys: pytest.CaptureFixture[str
         (["stability", "--delay", "1"], "delay must be at most 10 periods of 0.005 s, not 1"),
         (["stability", "--damping", "20", "--out", "."], "damping must be a range for a picture, not 20 alone"),
         (["stability", "--workers", "-1", "--plant", "exact"], "workers must be at least 0, not -1"),
-        (["sweep", "moon"], "scene must be one of drop, stick-slip, wall, not 'moon'"),
-        (["sweep", "drop", "--vary", "colour=1"], "parameter of drop must be one of plant, height"),
+        (["sweep", "moon"], "scene must be one of drop, press, stick-slip, "),
+        (["sweep", "moon.py"], "scene must be a file that is there, not 'moon.py'"),
+        (
+            ["sweep", "drop", "--vary", "colour=1"],
+            "parameter of drop must be one of plant, phase, period, delay, stiffness",
+        ),
         (["sweep", "drop", "--vary", "height=1:2"], "height must vary as LOW:HIGH:COUNT, A,B,C or A;B;C, not '1:2'"),
         (["sweep", "drop", "--vary", "height"], "a parameter must be given as NAME=VALUE, not 'height'"),
         (["sweep", "drop", "--set", "mass=0"], "mass must be a finite number at least 0.001"),
@@ -108,7 +112,11 @@ def test_bad_studies_are_one_line_and_status_2(
     arguments: list[str], words: str, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: Any
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert main(arguments) == 2
+    try:
+        status = main(arguments)
+    except SystemExit as ended:  # of words that are no arguments
+        status = int(str(ended.code))
+    assert status == 2
     said = capsys.readouterr()
     assert said.out == "" and len(said.err.splitlines()) == 1 and words in said.err
     assert not list(tmp_path.iterdir())

@@ -11,14 +11,15 @@ import pytest
 
 from maglev_mj import Controller, ExactPlant, MuJoCoPlant, Timing, run
 from maglev_mj.errors import ParameterError
-from maglev_mj.experiments.wall_controller import wall_controller
 from maglev_mj.frames import Array, Command, Sample, quaternions, rotation_matrix, rotation_vector
 from maglev_mj.hand import Hand
 from maglev_mj.plants import MuJoCoBatchPlant
+from maglev_mj.scenes.free import SixAxes, Twist
 from maglev_mj.spec import INERTIA
-from maglev_mj.studies.fidelity_scenes import FIDELITY_SCENES
-from maglev_mj.studies.integrators import INTEGRATORS, stiffest_simulated
+from maglev_mj.studies.integrators import INTEGRATORS, SteppedLoop
 from maglev_mj.studies.levels import apart, level_parts, motion_of
+from maglev_mj.studies.wall_controller import wall_controller
+from maglev_mj.theory import stiffest_of, stiffest_wall
 
 SEMI_IMPLICIT = [name for name in INTEGRATORS if name not in ("rk4", "corrected")]
 CORRECTED: Any = partial(MuJoCoPlant, integrator="corrected")
@@ -55,7 +56,7 @@ def free_top(time: Any, attitude: Array, spin: Array) -> Array:
 
 @pytest.mark.parametrize(("integrator", "order"), ORDERS)
 def test_a_free_twist_converges_to_the_symmetric_top(integrator: str, order: float) -> None:
-    scene = FIDELITY_SCENES["twist"].changed(delay=0.0)  # one step a stretch at most, the delay on the grid
+    scene = Twist(delay=0.0)  # one step a stretch at most, the delay on the grid
     *_, ticks = level_parts(scene, "body")
     time = np.arange(ticks + 1) * 0.005
     truth = free_top(time, np.array([-0.04, 0.03, -0.02]), np.array([2.0, -1.5, 2.7]))
@@ -148,9 +149,9 @@ def test_a_batch_without_coils_moves_as_its_devices_do() -> None:
 
 
 def test_corrected_steps_do_not_shift_the_boundary() -> None:
-    theory = stiffest_simulated("rk4", 2.5e-3, period=0.005, delay=0.0015)
+    theory = stiffest_wall(period=0.005, delay=0.0015)
     for step in (5e-3, 1e-3, 3e-4):
-        found = stiffest_simulated("corrected", step, period=0.005, delay=0.0015)
+        found = stiffest_of(SteppedLoop(period=0.005, delay=0.0015, integrator="corrected", step=step))
         assert math.isclose(float(found.stiffness), float(theory.stiffness), rel_tol=1e-9)
 
 
@@ -188,7 +189,7 @@ def test_rotation_matrices_are_the_engine_s() -> None:
 
 
 def test_the_answer_of_the_six_axes_is_converged() -> None:
-    scene = FIDELITY_SCENES["six-axes"]
+    scene = SixAxes()
     motions = [motion_of(*level_parts(scene, "body", longest_step=step)).pose for step in (2.5e-3, 1.25e-3, 6.25e-4)]
     coarse, fine = apart(motions[0], motions[1]), apart(motions[1], motions[2])
     assert fine < 1e-13 and fine < coarse / 4.0

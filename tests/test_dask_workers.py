@@ -15,8 +15,9 @@ from pathlib import Path
 import pytest
 
 from maglev_mj.cli import main
+from maglev_mj.scenes.drop import Drop
 from maglev_mj.studies.cells import Record, run_cells
-from maglev_mj.studies.swept import cell_of, run_scene_cells
+from maglev_mj.studies.sweep import run_scene_cells, swept_cells
 from maglev_mj.versions import versions
 from maglev_mj.workers import WorkersError, dask_workers
 
@@ -126,13 +127,12 @@ def test_workers_of_other_code_are_refused_by_name_before_any_cell(
         assert main(command) == 0
     ours = versions()
     cells = [cell["result"] for cell in json.loads(out.read_text())["cells"]]
-    values = [{"plant": "exact", "phase": phase} for phase in (0.0, 0.3, 0.6, 0.9)]
-    assert cells == run_scene_cells([cell_of("drop", value) for value in values])
+    assert cells == run_scene_cells(swept_cells(Drop(), {"phase": [0.0, 0.3, 0.6, 0.9]}, plant="exact"))
     assert all(json.loads(line)["versions"] == ours for line in record.read_text().splitlines())
 
 
 def test_a_worker_of_other_code_that_joins_late_takes_no_cell(cluster: Cluster, tmp_path: Path) -> None:
-    cells = [cell_of("drop", {"plant": "mujoco", "duration": 2.0, "phase": k / 2000}) for k in range(2000)]
+    cells = swept_cells(Drop(duration=2.0), {"phase": [k / 2000 for k in range(2000)]}, plant="mujoco")
     path, late = tmp_path / "record.jsonl", cluster.worker(gravity(tmp_path / "a"), wait=False)
     joined: list[str] = []
 

@@ -27,7 +27,7 @@ from maglev_mj.frames import Array
 from tests.test_firmware import HOVER, ONES, ZERO
 from tests.test_wire import ROOT, golden_bytes, sealed
 
-SOURCE = ROOT / "scripts" / "device_client.c"
+SOURCE = ROOT / "scripts" / "examples" / "device_client.c"
 COMPILER = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
 STRICT = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror"]
 SANITIZED = ["-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]

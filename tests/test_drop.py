@@ -4,27 +4,21 @@ from __future__ import annotations
 
 import functools
 import math
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from maglev_mj.errors import DivergenceError, ParameterError
-from maglev_mj.experiments.drop import (
-    DropParameters,
-    analog_drop,
-    drop_variants,
-    run_drop,
-    sweep_drop,
-    trace_phases,
-)
 from maglev_mj.metrics import BounceSummary, perceived_hardness, percentiles
+from maglev_mj.scenes.drop import Drop
+from maglev_mj.scenes.figures import STOCK
+from maglev_mj.scenes.run import run, run_phases
 
 G = 9.81
 
 
-def reference(p: DropParameters, times: list[float]) -> tuple[list[float], list[float]]:
+def reference(p: Drop, phase: float, times: list[float]) -> tuple[list[float], list[float]]:
     """Return z and force at given times, by the issue of commands as a list of switches: no shared code."""
     switches: list[tuple[float, float]] = [(0.0, 0.0)]
 
@@ -43,7 +37,7 @@ def reference(p: DropParameters, times: list[float]) -> tuple[list[float], list[
 
     before = math.nan
     for k in range(int(p.duration / p.period) + 1):
-        at = (k + p.phase) * p.period
+        at = (k + phase) * p.period
         z = state(at)[0]
         if p.quantize:
             z = round(z / p.quantize) * p.quantize
@@ -79,15 +73,15 @@ def reference(p: DropParameters, times: list[float]) -> tuple[list[float], list[
     ],
 )
 def test_drop_means_what_it_says(plant: str, changes: dict[str, Any]) -> None:
-    parameters = DropParameters(plant=plant, **changes)
-    time, z, _, force = run_drop(parameters).series()
-    expected_z, expected_force = reference(parameters, time.tolist())
-    np.testing.assert_allclose(z, expected_z, rtol=0.0, atol=1e-11)
-    np.testing.assert_allclose(force, expected_force, rtol=0.0, atol=1e-6)
+    drop, phase = Drop(**{name: value for name, value in changes.items() if name != "phase"}), changes.get("phase", 0.0)
+    series = run(drop, plant=plant, phase=phase).series()
+    expected_z, expected_force = reference(drop, phase, series["time"].tolist())
+    np.testing.assert_allclose(series["z"], expected_z, rtol=0.0, atol=1e-11)
+    np.testing.assert_allclose(series["force"], expected_force, rtol=0.0, atol=1e-6)
 
 
 def test_json_has_what_is_promised() -> None:
-    data = run_drop(DropParameters()).as_json()
+    data = run(Drop()).as_json()
     assert list(data) == ["parameters", "time", "z", "force", "summary"]
     assert data["time"] == [round(k * 1e-3, 9) for k in range(401)]
     assert len(data["z"]) == len(data["force"]) == 401
@@ -100,37 +94,36 @@ def test_json_has_what_is_promised() -> None:
 
 def test_summary_is_that_of_a_fine_grid() -> None:
     for phase in (0.0, 0.3, 0.7):
-        result = run_drop(DropParameters(plant="exact", phase=phase))
-        summary = result.summary
-        time, z, _, force = result.series(1e-5)
-        assert summary.penetration == pytest.approx(-z.min(), abs=1e-8)
-        assert summary.penetration >= -z.min()
-        assert summary.peak_force == pytest.approx(np.abs(force).max(), rel=1e-12)
+        result = run(Drop(), plant="exact", phase=phase)
+        figures = result.figures
+        time, z, force = (result.series(1e-5)[name] for name in ("time", "z", "force"))
+        assert figures["penetration"] == pytest.approx(-z.min(), abs=1e-8)
+        assert figures["penetration"] >= -z.min()
+        assert figures["peak_force"] == pytest.approx(np.abs(force).max(), rel=1e-12)
         contact = int(np.argmax(z <= 0.0))
-        assert summary.rebound == pytest.approx(max(z[contact:].max(), 0.0), abs=1e-8)
-        rest = result.parameters.rest
+        assert figures["rebound"] == pytest.approx(max(z[contact:].max(), 0.0), abs=1e-8)
+        rest = result.scene.rest
         outside = np.flatnonzero(np.abs(z - rest) > 0.02 * (0.0045 - rest))
-        assert summary.settling_time == pytest.approx(time[outside[-1]], abs=2e-4)
+        assert figures["settling_time"] == pytest.approx(time[outside[-1]], abs=2e-4)
 
 
 def test_a_drop_that_does_not_settle_says_so() -> None:
-    result = run_drop(DropParameters(plant="exact", duration=0.05))
-    assert math.isnan(result.summary.settling_time)
+    result = run(Drop(duration=0.05), plant="exact")
+    assert math.isnan(result.figures["settling_time"])
     assert result.as_json()["summary"]["settling_time"] is None
-    bare = run_drop(DropParameters(plant="exact", stiffness=0.0, damping=0.0, pulse=0.0, duration=0.02))
-    assert math.isnan(bare.summary.settling_time)
-    assert bare.summary.penetration == 0.0
+    bare = run(Drop(stiffness=0.0, damping=0.0, pulse=0.0, duration=0.02), plant="exact")
+    assert math.isnan(bare.figures["settling_time"])
+    assert bare.figures["penetration"] == 0.0
 
 
 @pytest.mark.parametrize("plant", ["exact", "mujoco"])
 def test_sweep_equals_single_drops(plant: str) -> None:
-    parameters = DropParameters(plant=plant, duration=0.2, force_limit=60.0, carry=True)
-    sweep = sweep_drop(parameters, 8)
+    drop = Drop(duration=0.2, force_limit=60.0, carry=True)
+    sweep = run_phases(drop, 8, plant=plant)
     assert sweep.phases.tolist() == [k / 8 for k in range(8)]
     for place, phase in enumerate(sweep.phases):
-        single = run_drop(replace(parameters, phase=float(phase))).summary
-        for name, value in single._asdict().items():
-            assert getattr(sweep.summary, name)[place] == pytest.approx(float(value), rel=1e-9, nan_ok=True)
+        for name, value in run(drop, plant=plant, phase=float(phase)).figures.items():
+            assert sweep.figures[name][place] == pytest.approx(float(value), rel=1e-9, nan_ok=True)
     data = sweep.as_json()
     assert len(data["phases"]) == 8
     depths = [row["penetration"] for row in data["phases"]]
@@ -146,7 +139,7 @@ PHASES = np.random.default_rng(15).uniform(0.0, 1.0, 100)
 
 @functools.cache
 def pulsed(pulse: float, height: float = 4.5e-3, **options: Any) -> BounceSummary:
-    return sweep_drop(DropParameters(plant="exact", height=height, pulse=pulse, **options), PHASES).summary
+    return BounceSummary(**run_phases(Drop(height=height, pulse=pulse, **options), PHASES, plant="exact").figures)
 
 
 @pytest.mark.parametrize("height", HEIGHTS)
@@ -195,7 +188,7 @@ def test_hardness_of_a_pulse_is_its_damping_over_the_window(height: float) -> No
     """How many times as hard a pulse is, is a choice of its size and of the window."""
 
     def hard(pulse: float, **options: Any) -> list[Any]:
-        trace = trace_phases(DropParameters(height=height, pulse=pulse, **options), PHASES)
+        trace = run(Drop(height=height, pulse=pulse, **options), plant="exact", phase=PHASES).trace
         return [perceived_hardness(trace, window).extended for window in windows]
 
     windows = (0.005, 0.01)
@@ -208,14 +201,14 @@ def test_hardness_of_a_pulse_is_its_damping_over_the_window(height: float) -> No
 
 
 def test_a_pulse_of_the_paper_has_two_readings() -> None:
-    drop = DropParameters(height=3e-3, force_limit=60.0)
-    variants = drop_variants(drop)
+    drop = Drop(height=3e-3, force_limit=60.0)
+    variants = drop.variants()
     assert [(label, variant.pulse) for label, variant in variants.items()] == [
         ("pulse 220 further", FURTHER),
         ("pulse 220 in all", IN_ALL),
         ("no pulse", NONE),
     ]
-    assert all(replace(variant, pulse=drop.pulse) == drop for variant in variants.values())
+    assert all(variant.replace(pulse=drop.pulse) == drop for variant in variants.values())
 
 
 @pytest.mark.parametrize(
@@ -229,8 +222,8 @@ def test_a_pulse_of_the_paper_has_two_readings() -> None:
     ],
 )
 def test_a_pulse_of_ones_own_has_one_reading(changes: dict[str, float], labels: list[str]) -> None:
-    drop = DropParameters(**changes)  # type: ignore[arg-type]
-    variants = drop_variants(drop)
+    drop = Drop(**changes)  # type: ignore[arg-type]
+    variants = drop.variants()
     assert list(variants) == labels
     assert next(iter(variants.values())) == drop
 
@@ -238,27 +231,24 @@ def test_a_pulse_of_ones_own_has_one_reading(changes: dict[str, float], labels: 
 def test_a_diverging_drop_keeps_what_it_recorded() -> None:
     for plant in ("exact", "mujoco"):
         with pytest.raises(DivergenceError, match="diverged") as caught:
-            run_drop(DropParameters(plant=plant, delay=0.005, duration=3.0))
+            run(Drop(delay=0.005, duration=3.0), plant=plant)
         partial = caught.value.partial
-        time, z, _, _ = partial.series()
+        time, z = (partial.series()[name] for name in ("time", "z"))
         assert time[-1] > 0.3
         assert np.abs(z).max() > 0.02
         assert len(caught.value.cycles) == round(time[-1] / 0.005)  # of 200 that are kept
 
 
 def test_analog_drop_is_gentler_than_the_sampled_one() -> None:
-    parameters = DropParameters(plant="exact", pulse=0.0)
-    time = np.arange(0.0, 0.4, 1e-4)
-    z, _, _ = analog_drop(parameters, time)
-    assert -z.min() < sweep_drop(parameters, 20).summary.penetration.min()
+    drop = Drop(pulse=0.0)
+    z, _, _ = drop.analog(np.arange(0.0, 0.4, 1e-4))
+    assert -z.min() < run_phases(drop, 20, plant="exact").figures["penetration"].min()
 
 
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"plant": "real"}, "plant must be one of exact, mujoco, not 'real'"),
         ({"height": 0.0}, "height must be a finite number above 0 and below 0.045, not 0.0"),
-        ({"phase": 1.0}, "phase .* at least 0 and below 1, not 1.0"),
         ({"pulse_width": 0.0}, "pulse_width"),
         ({"force_limit": 0.0}, "force_limit"),
         ({"duration": math.inf}, "duration"),
@@ -270,31 +260,38 @@ def test_analog_drop_is_gentler_than_the_sampled_one() -> None:
 )
 def test_bad_parameters_are_refused(changes: dict[str, Any], words: str) -> None:
     with pytest.raises(ParameterError, match=words):
-        DropParameters(**changes)
+        Drop(**changes)
+
+
+def test_a_bad_plant_or_phase_is_refused() -> None:
+    with pytest.raises(ParameterError, match="plant must be one of exact, mujoco, not 'real'"):
+        run(Drop(), plant="real")
+    with pytest.raises(ParameterError, match=r"phase .* at least 0 and below 1, not 1\.0"):
+        run(Drop(), plant="exact", phase=1.0)
 
 
 def test_bad_phases_are_refused() -> None:
     for phases, words in (
         (0, "phases must be at least 1 and at most 10000, not 0"),
-        ([0.1, 1.0], "phase must be at least 0 and below 1, not 1"),
+        ([0.1, 1.0], "phases must be below 1 everywhere, not 1"),
         ([[0.1]], "a whole number or a list"),
         (["a"], "phases must be a number or an array"),
     ):
         with pytest.raises(ParameterError, match=words):
-            sweep_drop(DropParameters(plant="exact"), phases)
-    assert sweep_drop(DropParameters(plant="exact"), np.int64(2)).phases.tolist() == [0.0, 0.5]
+            run_phases(Drop(), phases, plant="exact")
+    assert run_phases(Drop(), np.int64(2), plant="exact").phases.tolist() == [0.0, 0.5]
 
 
 def test_parameters_are_stored_as_checked() -> None:
-    assert type(DropParameters(duration=1).duration) is float
-    assert DropParameters(pulse=0.0, pulse_width=0.0).pulse_width == 0.0
+    assert type(Drop(duration=1).duration) is float
+    assert Drop(pulse=0.0, pulse_width=0.0).pulse_width == 0.0
 
 
 def test_a_flotor_that_escapes_after_the_end_is_no_failure() -> None:
     for plant in ("exact", "mujoco"):
-        parameters = DropParameters(plant=plant, period=0.12, duration=0.05)
-        assert run_drop(parameters).summary.final_z == pytest.approx(0.0045 - 0.5 * G * 0.05**2)
-        assert sweep_drop(parameters, [0.0, 0.5]).summary.final_z.shape == (2,)
+        drop = Drop(period=0.12, duration=0.05)
+        assert run(drop, plant=plant).figures["final_z"] == pytest.approx(0.0045 - 0.5 * G * 0.05**2)
+        assert run_phases(drop, [0.0, 0.5], plant=plant).figures["final_z"].shape == (2,)
 
 
 def test_unsettled_phases_count_as_late() -> None:
@@ -303,25 +300,30 @@ def test_unsettled_phases_count_as_late() -> None:
     summary = BounceSummary(times, times, times, times, times)
     assert [float(percentiles(summary, share).settling_time) for share in (0, 25, 50, 75)] == [0.1, 0.2, 0.3, 0.4]
     assert math.isnan(float(percentiles(summary, 80).settling_time))
-    sweep = sweep_drop(DropParameters(plant="exact", duration=0.13), 20)
+    for figure in (STOCK[name] for name in Drop.figures):
+        assert [float(figure.percentile(times, share)) for share in (0, 25, 50, 75)] == [0.1, 0.2, 0.3, 0.4]
+        assert math.isnan(figure.percentile(times, 80))
+    sweep = run_phases(Drop(duration=0.13), 20, plant="exact")
     data = sweep.as_json()
     assert data["settled"] == 19
-    finite = np.sort(sweep.summary.settling_time[np.isfinite(sweep.summary.settling_time)])
+    times = sweep.figures["settling_time"]
+    finite = np.sort(times[np.isfinite(times)])
     assert data["median"]["settling_time"] == pytest.approx((finite[9] + finite[10]) / 2)
     assert data["percentile_95"]["settling_time"] is None
 
 
 def test_a_force_that_has_not_acted_is_no_peak() -> None:
     """The pulse takes effect at 36.5 ms: a run that ends there has not felt it."""
-    assert run_drop(DropParameters(plant="exact", duration=0.0365)).summary.peak_force == 0.0
-    assert run_drop(DropParameters(plant="exact", duration=0.0366)).summary.peak_force > 90.0
+    assert run(Drop(duration=0.0365), plant="exact").figures["peak_force"] == 0.0
+    assert run(Drop(duration=0.0366), plant="exact").figures["peak_force"] > 90.0
 
 
 def test_analog_drop_is_that_of_the_parameters() -> None:
-    z, v, f = analog_drop(DropParameters(height=2e-3, stiffness=5000.0), np.array([0.0, 2.0]))
+    z, v, f = Drop(height=2e-3, stiffness=5000.0).analog(np.array([0.0, 2.0]))
     assert (z[0], v[0], f[0]) == (2e-3, 0.0, 0.0)
     assert z[1] == pytest.approx(-0.7 * G / 5000.0, rel=1e-6)
 
 
 def test_summary_fields_are_the_public_ones() -> None:
-    assert BounceSummary._fields == ("penetration", "rebound", "peak_force", "settling_time", "final_z")
+    names = ("penetration", "rebound", "peak_force", "settling_time", "final_z")
+    assert BounceSummary._fields == tuple(Drop.figures) == names

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,11 +9,12 @@ import numpy as np
 import pytest
 
 from maglev_mj import plots
-from maglev_mj.experiments.drop import DropParameters, analog_drop, drop_variants, run_drop, sweep_drop
+from maglev_mj.scenes.drop import Drop
+from maglev_mj.scenes.run import Result, run, run_phases
 
 pytest.importorskip("matplotlib")
 
-DROP = DropParameters(plant="exact", phase=0.56)
+DROP, PHASE = Drop(), 0.56
 ANALOG = "analog wall, 10 kHz filter"
 
 
@@ -31,8 +31,8 @@ def figures(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     return drawn
 
 
-def runs(drop: DropParameters) -> list[Any]:
-    return [(label, run_drop(variant)) for label, variant in drop_variants(drop).items()]
+def runs(drop: Drop, phase: float = PHASE) -> dict[str, Result]:
+    return {label: run(variant, plant="exact", phase=phase) for label, variant in drop.variants().items()}
 
 
 def lines(panel: Any) -> dict[str, Any]:
@@ -47,7 +47,7 @@ def reach(band: Any) -> tuple[float, float]:
 
 
 def test_figure_3_has_a_column_for_each_reading(figures: list[Any]) -> None:
-    plots.time_series(runs(DROP), Path("unused.png"))
+    plots.time_series(runs(DROP), {}, Path("unused.png"))
     heights, forces = figures[0].axes[:2], figures[0].axes[2:]
     for upper, lower, title in zip(
         heights, forces, ("pulse 220 further: 300 N s/m", "pulse 220 in all: 220 N s/m"), strict=True
@@ -59,27 +59,27 @@ def test_figure_3_has_a_column_for_each_reading(figures: list[Any]) -> None:
         assert list(lines(lower)["60 N, the device's largest"].get_ydata()) == [60.0, 60.0]
         for panel, part, scale in ((upper, 0, 1e3), (lower, 2, 1.0)):
             time, drawn = lines(panel)[ANALOG].get_data()
-            np.testing.assert_allclose(drawn, analog_drop(DROP, time)[part] * scale, rtol=0.0, atol=1e-9)
+            np.testing.assert_allclose(drawn, DROP.analog(time)[part] * scale, rtol=0.0, atol=1e-9)
 
 
 def test_bands_reach_as_far_as_the_drop_at_any_phase(figures: list[Any]) -> None:
-    plots.time_series(runs(DROP), Path("unused.png"))
-    variants = drop_variants(DROP)
+    plots.time_series(runs(DROP), {}, Path("unused.png"))
+    variants = DROP.variants()
     for column, label in enumerate(list(variants)[:2]):
         for place, variant in enumerate((variants[label], variants["no pulse"])):
-            summary = sweep_drop(variant, 100).summary
+            over_phases = run_phases(variant, 100, plant="exact").figures
             depth, _ = reach(figures[0].axes[column].collections[place])
             _, peak = reach(figures[0].axes[2 + column].collections[place])
-            assert -depth == pytest.approx(summary.penetration.max() * 1e3, abs=1e-3)
-            assert peak == pytest.approx(summary.peak_force.max(), rel=1e-9)
+            assert -depth == pytest.approx(over_phases["penetration"].max() * 1e3, abs=1e-3)
+            assert peak == pytest.approx(over_phases["peak_force"].max(), rel=1e-9)
 
 
 @pytest.mark.parametrize("draw", [plots.time_series, plots.phase_plane])
 @pytest.mark.parametrize("phase", [0.0, 0.06, 0.9])
 def test_pictures_name_their_phase_and_how_deep_it_is(draw: Any, phase: float, figures: list[Any]) -> None:
-    drop = replace(DROP, phase=phase)
-    draw(runs(drop), Path("unused.png"))
-    depth, others = run_drop(drop).summary.penetration, sweep_drop(drop, 100).summary.penetration
+    draw(runs(DROP, phase), {}, Path("unused.png"))
+    depth = run(DROP, plant="exact", phase=phase).figures["penetration"]
+    others = run_phases(DROP, 100, plant="exact").figures["penetration"]
     share = int(np.argmin(np.abs(np.sort(others) - depth)))  # its rank among 100
     words = f"lines: phase {phase:g}, deeper than {share} % of the phases; shaded: all of 100 phases"
     assert words in figures[0].get_suptitle()
@@ -87,9 +87,10 @@ def test_pictures_name_their_phase_and_how_deep_it_is(draw: Any, phase: float, f
 
 def test_the_published_figures_show_a_phase_of_median_penetration() -> None:
     for pulse in (220.0, 140.0, 0.0):
-        drop = DropParameters(plant="exact", phase=0.56, pulse=pulse)
-        depths = sweep_drop(drop, 101).summary.penetration
-        assert run_drop(drop).summary.penetration == pytest.approx(np.median(depths), abs=0.02e-3)
+        drop = Drop(pulse=pulse)
+        depths = run_phases(drop, 101, plant="exact").figures["penetration"]
+        depth = run(drop, plant="exact", phase=PHASE).figures["penetration"]
+        assert depth == pytest.approx(np.median(depths), abs=0.02e-3)
 
 
 @pytest.mark.parametrize(
@@ -97,9 +98,9 @@ def test_the_published_figures_show_a_phase_of_median_penetration() -> None:
     [({}, 2), ({"pulse": 150.0}, 1), ({"pulse": 0.0}, 1), ({"stiffness": 0.0, "damping": 0.0, "duration": 0.05}, 1)],
 )
 def test_every_drop_can_be_drawn(changes: dict[str, float], columns: int, tmp_path: Path, figures: list[Any]) -> None:
-    drop = replace(DROP, **changes)  # type: ignore[arg-type]
-    plots.time_series(runs(drop), tmp_path / "time.png")
-    plots.phase_plane(runs(drop), tmp_path / "plane.png")
+    drop = DROP.replace(**changes)
+    plots.time_series(runs(drop), {}, tmp_path / "time.png")
+    plots.phase_plane(runs(drop), {}, tmp_path / "plane.png")
     assert [len(figure.axes) for figure in figures] == [2 * columns, columns]
     for figure in figures:
         has_analog = any(ANALOG in lines(panel) for panel in figure.axes)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterable
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,8 +12,6 @@ import pytest
 
 from maglev_mj import AXES, Controller, Sample
 from maglev_mj.errors import DivergenceError, ParameterError
-from maglev_mj.experiments.six_axes import SixAxesResult, run_six_axes
-from maglev_mj.experiments.stick_slip import StickSlipParameters, exact_stick_slip, run_stick_slip
 from maglev_mj.frames import Array, components
 from maglev_mj.laws import (
     AdaptiveWindow,
@@ -30,8 +27,11 @@ from maglev_mj.laws import (
     Wall,
 )
 from maglev_mj.scenes.choices import LAWS
+from maglev_mj.scenes.run import run
+from maglev_mj.scenes.stick_slip import StickSlip as StickSlipScene
 from maglev_mj.spec import INERTIA, RANGE
 from maglev_mj.theory.karnopp import karnopp
+from six_axes import SixAxesResult, run_six_axes
 from tests.closed_loop import largest_modulus
 
 T, K, F = 0.005, 6000.0, 2.0
@@ -150,32 +150,36 @@ def test_exact_karnopp_refuses_bad_input(changes: dict[str, Any], words: str) ->
 
 @pytest.mark.parametrize("plant", ["exact", "mujoco"])
 def test_emulation_breaks_away_once_and_sticks_once(plant: str) -> None:
-    result = run_stick_slip(StickSlipParameters(plant=plant))
-    assert [event.kind for event in result.events] == ["slip", "stick"]
-    exact = exact_stick_slip(result.parameters, np.array([0.3]))
-    assert abs(result.summary.final_position - exact.position[0]) < 1e-4
-    assert result.events[0].time < 5 * T
-    assert result.summary.ripple < 1e-5
+    scene = StickSlipScene()
+    result = run(scene, plant=plant)
+    events = scene.events(result)
+    assert [event.kind for event in events] == ["slip", "stick"]
+    exact = scene.exact(np.array([0.3]))
+    assert abs(result.figures["final_position"] - exact.position[0]) < 1e-4
+    assert events[0].time < 5 * T
+    assert result.figures["ripple"] < 1e-5
 
 
 def test_series_and_summary_follow_the_events() -> None:
     """State and stick position change at the very millisecond of each event, and the last stick is the one told."""
-    result = run_stick_slip(StickSlipParameters(plant="exact", period=2e-4, quantize=5e-6, delay=0.0015))
-    series, events = result.series(2e-4), result.events
+    scene = StickSlipScene(period=2e-4, quantize=5e-6, delay=0.0015)
+    result = run(scene, plant="exact")
+    series, events = result.series(2e-4), scene.events(result)
     assert len(events) >= 4
     for event in events:
         tick = round(event.time / 2e-4)
         before, after = series["state"][tick - 1], series["state"][tick]
-        assert (before, after) == ((1.0, 0.0) if event.kind == "slip" else (0.0, 1.0))
+        assert (before, after) == (("stuck", "sliding") if event.kind == "slip" else ("sliding", "stuck"))
         if event.kind == "stick":
             assert series["stick_position"][tick] == event.position
     sticks = [event.time for event in events if event.kind == "stick"]
-    assert result.summary.stick_time == sticks[-1] > sticks[0]
+    assert result.figures["stick_time"] == sticks[-1] > sticks[0]
+    assert result.figures["transitions"] == len(events)
 
 
 def test_a_run_that_escapes_before_its_end_is_not_passed_off_as_one_that_did_not() -> None:
     with pytest.raises(DivergenceError) as caught:
-        run_stick_slip(StickSlipParameters(plant="exact", period=1.0, duration=0.3))
+        run(StickSlipScene(period=1.0, duration=0.3), plant="exact")
     assert caught.value.partial is not None
 
 
@@ -183,28 +187,28 @@ def test_a_full_period_of_delay_limit_cycles_as_the_stuck_loop_s_eigenvalues_say
     """Stuck, spring and law are one PD of 7000 N/m and 80 N s/m: stable at 1.5 ms, not at 5 ms; 2.96 ms between."""
     for delay in (0.0, 0.0015, 0.0025, 0.0033, 0.004, 0.005):
         modulus = largest_modulus(K + 1000.0, 80.0, period=T, delay=delay, mass=0.7)
-        summary = run_stick_slip(StickSlipParameters(plant="exact", delay=delay, duration=3.0)).summary
+        figures = run(StickSlipScene(delay=delay, duration=3.0), plant="exact").figures
         if modulus < 1.0:
             assert delay <= 0.0025
-            assert summary.ripple < 1e-7
-            assert summary.transitions == 2
+            assert figures["ripple"] < 1e-7
+            assert figures["transitions"] == 2
         else:
             assert delay >= 0.0033
-            assert summary.ripple > 2e-4
-            assert summary.transitions > 4
-    swing = run_stick_slip(StickSlipParameters(plant="exact", delay=0.005, duration=3.0)).series()["position"][-500:]
+            assert figures["ripple"] > 2e-4
+            assert figures["transitions"] > 4
+    swing = run(StickSlipScene(delay=0.005, duration=3.0), plant="exact").series()["position"][-500:]
     assert np.ptp(swing) == pytest.approx(1e-3, rel=0.35)  # the paper's notes say about 1 mm
 
 
 @pytest.mark.parametrize("axis", AXES)
 def test_every_axis_sticks_and_slips_as_x_does(axis: str) -> None:
     """In units of the radius of gyration all six axes give one curve."""
-    along = run_stick_slip(StickSlipParameters(plant="exact", axis=axis))
-    reference = run_stick_slip(StickSlipParameters(plant="exact"))
-    radius = math.sqrt(along.parameters.inertia / 0.7)
+    along = run(StickSlipScene(axis=axis), plant="exact")
+    reference = run(StickSlipScene(), plant="exact")
+    radius = math.sqrt(along.scene.inertia / 0.7)
     for name in ("position", "velocity", "stick_position"):
         np.testing.assert_allclose(along.series()[name] * radius, reference.series()[name], atol=1e-12)
-    assert len(along.events) == 2
+    assert len(along.scene.events(along)) == 2
 
 
 @pytest.mark.parametrize("period", [0.005, 0.001])
@@ -214,9 +218,8 @@ def test_plants_agree_on_every_law(law: str, axis: str, period: float) -> None:
     """Within 1e-12 m in translation, quantized or not; in rotation the coils turn by 4.7 degrees: 1e-4 rad."""
     translation = AXES.index(axis) < 3
     for quantize in (0.0, 5e-6) if translation else (0.0,):
-        parameters = StickSlipParameters(plant="exact", law=law, axis=axis, period=period, quantize=quantize)
-        exact = run_stick_slip(parameters).series()["position"]
-        engine = run_stick_slip(replace(parameters, plant="mujoco")).series()["position"]
+        scene = StickSlipScene(law=law, axis=axis, period=period, quantize=quantize)
+        exact, engine = (run(scene, plant=plant).series()["position"] for plant in ("exact", "mujoco"))
         assert np.abs(engine - exact).max() < (1e-12 if translation else 1e-4)
 
 
@@ -242,9 +245,9 @@ def resting_steps(stiffness: float, seeds: Iterable[int], phases: Iterable[float
     radius = np.sqrt(np.array(INERTIA) / INERTIA[0])
     steps: list[Array] = []
     for seed, phase in itertools.product(seeds, phases):
-        run = run_six_axes(plant="exact", seed=seed, phase=phase, hand_stiffness=stiffness)
-        inside = np.abs(run.position).max(axis=0) <= RANGE
-        steps += [one * scale for one, scale, kept in zip(run.steps(), radius, inside, strict=True) if kept]
+        moved = run_six_axes(plant="exact", seed=seed, phase=phase, hand_stiffness=stiffness)
+        inside = np.abs(moved.position).max(axis=0) <= RANGE
+        steps += [one * scale for one, scale, kept in zip(moved.steps(), radius, inside, strict=True) if kept]
     return np.concatenate(steps)
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj.experiments.friction_study import (
+from friction_study import (
     BREAKAWAY,
     STIFFNESS,
     against_exact,
@@ -18,8 +18,9 @@ from maglev_mj.experiments.friction_study import (
     mean_friction,
     under_load,
 )
-from maglev_mj.experiments.stick_slip import StickSlipParameters, exact_stick_slip, run_stick_slip
 from maglev_mj.scenes.choices import LAWS
+from maglev_mj.scenes.run import run
+from maglev_mj.scenes.stick_slip import StickSlip
 from tests.closed_loop import largest_modulus
 
 DELAY = 0.0015
@@ -32,18 +33,18 @@ def test_restick_test_fails_with_differences_over_a_quantized_sensor(rate: int) 
     Cured by the low-pass and by the adaptive window, at the cost of a few milliseconds of lag and, for the window,
     of a longer tick.
     """
-    fails = StickSlipParameters(plant="exact", period=1 / rate, quantize=5e-6)
-    exact = exact_stick_slip(fails, np.array([0.3]))
+    fails = StickSlip(period=1 / rate, quantize=5e-6)
+    exact = fails.exact(np.array([0.3]))
     true_time = exact.events[-1].time
-    first_stick = next(event for event in run_stick_slip(fails).events if event.kind == "stick")
+    first_stick = next(event for event in fails.events(run(fails, plant="exact")) if event.kind == "stick")
     assert first_stick.time < true_time - 0.03
     for velocity in ("low-pass", "adaptive"):
-        cured = run_stick_slip(StickSlipParameters(plant="exact", period=1 / rate, quantize=5e-6, velocity=velocity))
-        assert [event.kind for event in cured.events] == ["slip", "stick"]
-        assert cured.summary.stick_time == pytest.approx(true_time, abs=0.013)
-        assert abs(cured.summary.final_position - exact.position[0]) < 1e-4
-    at_200 = run_stick_slip(StickSlipParameters(plant="exact", quantize=5e-6))
-    assert at_200.summary.stick_time == pytest.approx(true_time, abs=0.013)  # the paper's own rate is safe
+        cured = run(fails.replace(velocity=velocity), plant="exact")
+        assert [event.kind for event in cured.scene.events(cured)] == ["slip", "stick"]
+        assert cured.figures["stick_time"] == pytest.approx(true_time, abs=0.013)
+        assert abs(cured.figures["final_position"] - exact.position[0]) < 1e-4
+    at_200 = run(StickSlip(quantize=5e-6), plant="exact")
+    assert at_200.figures["stick_time"] == pytest.approx(true_time, abs=0.013)  # the paper's own rate is safe
 
 
 def test_chatter_just_above_breakaway() -> None:
@@ -177,7 +178,7 @@ def test_literal_karnopp_toggles_at_breakaway() -> None:
     assert changes == 5000
     assert travel < 2e-6
     changes, travel = literal_karnopp(breakaway_condition=True)
-    exact = exact_stick_slip(StickSlipParameters(), np.array([0.05]))
+    exact = StickSlip().exact(np.array([0.05]))
     assert changes == 1
     assert travel == pytest.approx(exact.position[0], rel=1e-3)
 

@@ -1,20 +1,30 @@
 """Simulated walls against the exact map: over whole grids, with hands, and with integrators that shift the boundary."""
 
 import itertools
+from dataclasses import replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import ArrayLike, NDArray
 
+from failures import random_delay_rate
 from maglev_mj.errors import ParameterError
-from maglev_mj.experiments.failures import random_delay_rate
-from maglev_mj.hand import HANDS, Hand, hand_called
-from maglev_mj.laws import LowPass, Window
+from maglev_mj.hand import HANDS, hand_called
+from maglev_mj.laws import LowPass, VelocityEstimator, Window
 from maglev_mj.plants import Timing
 from maglev_mj.studies.growth import RestingWall, measure_growth
-from maglev_mj.studies.integrators import SteppedLoop, stiffest_simulated
+from maglev_mj.studies.integrators import SteppedLoop, boundary_shift
 from maglev_mj.studies.stability_map import StabilityParameters, run_stability
-from maglev_mj.theory import boundary_of, critical_delay, largest_modulus, largest_stable_stiffness, stiffest_wall
+from maglev_mj.theory import (
+    boundary_of,
+    critical_delay,
+    largest_modulus,
+    largest_stable_stiffness,
+    stiffest_of,
+    stiffest_wall,
+)
 from maglev_mj.theory.closed_loop import SampledLoop
 
 T, M = 0.005, 0.7
@@ -54,8 +64,13 @@ def test_the_verdict_does_not_depend_on_the_rate(period: float, grid: int) -> No
     assert result.misjudged is not None and not result.misjudged.any()
 
 
+def walls(stiffness: ArrayLike, damping: ArrayLike, **values: Any) -> list[RestingWall]:
+    pairs = np.broadcast_arrays(np.atleast_1d(stiffness), damping)
+    return [RestingWall(stiffness=k, damping=b, **values) for k, b in zip(*(pair.tolist() for pair in pairs))]
+
+
 def test_the_rate_of_walls_that_grow_fast_is_above_one() -> None:
-    growth = measure_growth([6000.0, 3e5], [80.0, 80.0], RestingWall())
+    growth = measure_growth(walls([6000.0, 3e5], 80.0))
     assert growth.stable.tolist() == [True, False]
     assert growth.rate[1] > 1.5
 
@@ -64,37 +79,38 @@ def test_growth_is_the_modulus() -> None:
     """Over a random sample, away from pairs of modes that beat."""
     random = np.random.default_rng(4)
     k, b = random.uniform(500.0, 9000.0, 300), random.uniform(10.0, 100.0, 300)
-    growth = measure_growth(k, b, RestingWall(delay=0.0015))
+    growth = measure_growth(walls(k, b))
     modulus = largest_modulus(k, b, period=T, delay=0.0015)
     long = growth.ticks > 200
     assert long.sum() > 100
     np.testing.assert_allclose(np.log(growth.rate[long]), np.log(modulus[long]), atol=0.01)
 
 
-def settles_just_below(boundary: ArrayLike, damping: ArrayLike, walls: RestingWall, margin: float) -> bool:
-    """Return whether walls settle a margin below a boundary, and grow as far above it; all in one batch."""
-    k, b = (np.atleast_1d(np.asarray(values, dtype=np.float64)) for values in (boundary, damping))
-    stable = measure_growth(np.concatenate([(1.0 - margin) * k, (1.0 + margin) * k]), np.tile(b, 2), walls).stable
+def settles_just_below(boundary: ArrayLike, damping: float, wall: RestingWall, margin: float, **keywords: Any) -> bool:
+    """Return whether a wall settles a margin below each boundary, and grows as far above it; all in one batch."""
+    k = np.atleast_1d(np.asarray(boundary, dtype=np.float64))
+    gains = [*((1.0 - margin) * k).tolist(), *((1.0 + margin) * k).tolist()]
+    stable = measure_growth([wall.replace(stiffness=gain, damping=damping) for gain in gains], **keywords).stable
     return bool(stable[: k.size].all() and not stable[k.size :].any())
 
 
 EXTREME = [
-    Hand(mass=0.6, damping=0.0, stiffness=1050.0),
-    Hand(mass=0.02, damping=28.0, stiffness=40.0),
-    Hand(mass=0.2, damping=10.0, stiffness=200.0, grip_damping=2.0, grip_stiffness=800.0),
+    "0.6,0,1050",
+    "0.02,28,40",
+    "0.2,10,200,2,800",
 ]
 
 
 @pytest.mark.parametrize("plant", ["exact", "mujoco"])
-@pytest.mark.parametrize("hand", [*map(hand_called, HANDS), *EXTREME])
-def test_hands_shift_the_boundary_as_the_map_says(plant: str, hand: Hand | None) -> None:
+@pytest.mark.parametrize("hand", [*HANDS, *EXTREME])
+def test_hands_shift_the_boundary_as_the_map_says(plant: str, hand: str) -> None:
     """Over the published range: 5 % below the boundary it settles, 5 % above it grows."""
-    boundary = largest_stable_stiffness(70.0, period=T, delay=0.0015, hand=hand)
-    assert settles_just_below(boundary, 70.0, RestingWall(plant=plant, delay=0.0015, hand=hand), 0.05)
+    boundary = largest_stable_stiffness(70.0, period=T, delay=0.0015, hand=hand_called(hand))
+    assert settles_just_below(boundary, 70.0, RestingWall(hand=hand), 0.05, plant=plant)
 
 
 def test_hands_do_make_a_difference() -> None:
-    hands = [*map(hand_called, HANDS), *EXTREME]
+    hands = map(hand_called, [*HANDS, *EXTREME])
     boundaries = [largest_stable_stiffness(70.0, period=T, delay=0.0015, hand=hand) for hand in hands]
     assert np.ptp(boundaries) > 2000.0
 
@@ -102,21 +118,27 @@ def test_hands_do_make_a_difference() -> None:
 @pytest.mark.parametrize("plant", ["exact", "mujoco"])
 def test_velocity_estimates_shift_the_boundary_as_the_map_says(plant: str) -> None:
     for estimate in (LowPass(50.0), Window(3)):
+
+        class Estimated(RestingWall):
+            """A wall with another velocity estimate."""
+
+            def velocity_estimator(self, estimate: VelocityEstimator = estimate) -> VelocityEstimator:
+                return estimate
+
         boundary = largest_stable_stiffness(30.0, period=T, delay=0.0015, velocity=estimate)
-        assert settles_just_below(boundary, 30.0, RestingWall(plant=plant, delay=0.0015, velocity=estimate), 0.05)
+        assert settles_just_below(boundary, 30.0, Estimated(), 0.05, plant=plant)
 
 
 def test_driver_lag_shifts_the_boundary_as_the_map_says() -> None:
     """By 3 %, on the exact plant; that MuJoCo moves likewise is in test_stability, to rounding."""
     lag = 1.0 / (2.0 * np.pi * 2000.0)
     boundary = largest_stable_stiffness(30.0, period=T, delay=0.0015, driver_lag=lag)
-    assert settles_just_below(boundary, 30.0, RestingWall(delay=0.0015, driver_lag=True), 0.01)
+    assert settles_just_below(boundary, 30.0, RestingWall(), 0.01, driver_lag=True)
 
 
 def shifts(integrator: str, steps: NDArray[np.float64], delay: float) -> NDArray[np.float64]:
-    exact = float(stiffest_wall(period=T, delay=delay).stiffness)
-    found = [float(stiffest_simulated(integrator, step, period=T, delay=delay).stiffness) for step in steps]
-    return np.array(found) / exact - 1.0
+    loop = SampledLoop(period=T, delay=delay)
+    return np.array([boundary_shift(integrator, step, loop) for step in steps])
 
 
 def check_first_order(integrator: str, steps: list[float], delay: float) -> None:
@@ -150,7 +172,7 @@ def test_euler_at_half_a_millisecond_is_5_percent_off_and_rk4_exact(delay: float
 
 def test_steps_that_miss_the_switch_lengthen_the_delay() -> None:
     """RK4 at 1 ms sees a delay of 1.5 ms as 2 ms."""
-    found = stiffest_simulated("rk4", 1e-3, period=T, delay=0.0015, aligned=False).stiffness
+    found = stiffest_of(SteppedLoop(period=T, delay=0.0015, integrator="rk4", step=1e-3, aligned=False)).stiffness
     assert found == pytest.approx(float(stiffest_wall(period=T, delay=0.002).stiffness), rel=1e-6)
 
 
@@ -164,10 +186,10 @@ def test_a_simulation_in_closed_loop_agrees_with_the_measured_shift(dampings: li
     loop = SteppedLoop(period=T, delay=0.0015, integrator="euler", step=5e-4)
     shifted = boundary_of(loop, b)
     assert (shifted > 1.03 * exact).all()
-    euler = RestingWall(plant="mujoco", delay=0.0015, integrator="euler", longest_step=5e-4)
-    assert settles_just_below(shifted, b, euler, margin)
-    rk4 = RestingWall(plant="mujoco", delay=0.0015)
-    assert not measure_growth((1.0 - margin) * shifted, b, rk4).stable.any()
+    euler: dict[str, Any] = {"plant": "mujoco", "integrator": "euler", "longest_step": 5e-4}
+    assert measure_growth(walls((1.0 - margin) * shifted, b), **euler).stable.all()
+    assert not measure_growth(walls((1.0 + margin) * shifted, b), **euler).stable.any()
+    assert not measure_growth(walls((1.0 - margin) * shifted, b), "mujoco").stable.any()
 
 
 @pytest.mark.parametrize(
@@ -179,7 +201,7 @@ def test_one_sample_of_delay_just_above_the_boundary_diverges_when_foretold(abov
     k = float(best.stiffness) * np.array(above)
     b = np.full(len(above), float(best.damping))
     for plant in ("exact", "mujoco"):
-        growth = measure_growth(k, b, RestingWall(plant=plant, delay=T))
+        growth = measure_growth(walls(k, b, delay=T), plant)
         assert not growth.stable.any()
         predicted = np.log(1e4) / np.log(largest_modulus(k, b, period=T, delay=T))
         np.testing.assert_allclose(growth.ticks, predicted, rtol=0.2, atol=32)
@@ -195,7 +217,7 @@ def test_random_delay_acts_as_its_mean_and_not_as_its_worst() -> None:
         assert np.mean(np.array(delays) > critical) > 0.25
         rate = random_delay_rate(k, b, delays)
         assert (rate < 1.0) == (mean < critical)
-        growth = measure_growth([k], [b], RestingWall(delay=mean, jitter=jitter))
+        growth = measure_growth(walls(k, b, delay=mean), timing=partial(replace, jitter=jitter))
         assert bool(growth.stable[0]) == (mean < critical)
 
 
@@ -210,10 +232,12 @@ def test_delays_that_alternate_are_never_worse_than_the_worse_of_the_two() -> No
 
 def test_bad_resting_walls_are_refused() -> None:
     with pytest.raises(ParameterError, match="plant must be one of exact, mujoco, not 'moon'"):
-        RestingWall(plant="moon")
-    with pytest.raises(ParameterError, match="nowhere to rest"):
-        measure_growth([0.0], [10.0], RestingWall())
+        measure_growth([RestingWall()], "moon")
+    with pytest.raises(ParameterError, match="stiffness must be a finite number above 0"):
+        RestingWall(stiffness=0.0)
+    with pytest.raises(ParameterError, match=r"delay must be a finite number at least 0 and at most 0.05, not 0.06"):
+        RestingWall(delay=0.06)
     with pytest.raises(ParameterError, match="integrator must be one of"):
-        measure_growth([1000.0], [10.0], RestingWall(plant="mujoco", integrator="magic"))
+        measure_growth([RestingWall()], "mujoco", integrator="magic")
     with pytest.raises(ParameterError, match=r"jitter must be at most 0.0015 s at this delay and period, not 0.002"):
         Timing(delay=0.0015, jitter=0.002)

@@ -17,9 +17,9 @@ from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.excitation import LINES, Motion, Shaker, Trim, collect, excitation
 from maglev_mj.bridge.identification import IdentificationError, Identified, added_mass, find_delay, identify
 from maglev_mj.bridge.remote import RemotePlant
+from maglev_mj.bridge.simulated_links import VirtualLink
 from maglev_mj.bridge.twin import Twin as BridgeTwin
 from maglev_mj.bridge.twin import TwinParameters
-from maglev_mj.bridge.virtual import VirtualLink
 from maglev_mj.coils import CoilMap
 from maglev_mj.controller import Controller
 from maglev_mj.errors import ParameterError
@@ -362,8 +362,8 @@ def test_the_excitation_is_what_it_says() -> None:
         excitation(NOMINAL, period=0.05, delay=0.0)
     with pytest.raises(ParameterError, match=r"lines must be \(6, L\), not \(12,\)"):
         excitation(NOMINAL, period=0.005, delay=0.0, lines=LINES.ravel())
-    with pytest.raises(ParameterError, match=r"trim gain must be \(6,\)"):
-        Trim(gain=1.0, period=0.005)
+    with pytest.raises(ParameterError, match="Trim gain must have a last dimension of 6"):
+        Trim(gain=[1.0] * 5, period=0.005)
 
 
 def test_amplitudes_are_those_asked_for_on_a_device_that_is_known() -> None:

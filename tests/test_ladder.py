@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -13,23 +14,28 @@ import pytest
 from maglev_mj import Controller, ExactPlant, Hold, MuJoCoPlant, Timing, run
 from maglev_mj.cli import main
 from maglev_mj.errors import ParameterError
-from maglev_mj.experiments.wall_controller import wall_controller
 from maglev_mj.frames import Array, Command
 from maglev_mj.hand import hand_called
+from maglev_mj.scenes.drop import Drop
+from maglev_mj.scenes.free import SixAxes, Twist
 from maglev_mj.spec import Spec
 from maglev_mj.studies.fidelity import MARGIN, FidelityResult, Range, measure_fidelity, measure_steps, stepping_name
 from maglev_mj.studies.fidelity_cases import (
+    COMPARED,
+    Preset,
     choice_cases,
+    has_gains,
     itself,
+    preset_of,
     run_together,
     scattered_cases,
     scene_at,
     screen_levels,
 )
 from maglev_mj.studies.fidelity_levels import distance, largest_jump, measure_levels, run_case, run_levels
-from maglev_mj.studies.fidelity_scenes import FIDELITY_SCENES, FidelityScene
 from maglev_mj.studies.integrators import SteppedLoop, boundary_shift
 from maglev_mj.studies.levels import LEVELS, apart, level_index, level_parts, loop_of, motion_of
+from maglev_mj.studies.wall_controller import wall_controller
 from maglev_mj.tables import fidelity_table
 from maglev_mj.theory.closed_loop import SampledLoop
 
@@ -51,7 +57,7 @@ NEEDED = {
 def unseen_distances(result: FidelityResult, count: int) -> Array:
     """Return how far the model chosen is from the whole device in cases not used for the choice [m], (count,)."""
     assert result.level is not None and result.cheapest is not None
-    scene, best, level = result.scene, result.cheapest, result.level.level
+    scene, best, level = result.preset.scene, result.cheapest, result.level.level
     options = {"integrator": best.integrator, "longest_step": best.step} if level_index(level) else {}
     return np.array(
         [
@@ -64,23 +70,23 @@ def unseen_distances(result: FidelityResult, count: int) -> Array:
 @pytest.mark.study
 @pytest.mark.parametrize(
     ("name", "wall"),
-    [(name, wall) for name, scene in FIDELITY_SCENES.items() for wall in (WALLS if scene.has_gains else [None])],
+    [(name, wall) for name in COMPARED for wall in (WALLS if has_gains(preset_of(name).scene) else [None])],
 )
 def test_the_model_recommended_holds_in_cases_never_looked_at(
     name: str, wall: tuple[float, float] | None, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    scene = FIDELITY_SCENES[name]
+    preset = preset_of(name)
     if wall is not None:
-        scene = scene.changed(stiffness=wall[0], damping=wall[1])
-    result = measure_fidelity(scene)
+        preset = preset._replace(scene=preset.scene.replace(stiffness=wall[0], damping=wall[1]))
+    result = measure_fidelity(preset)
     assert result.level is not None and result.cheapest is not None and result.furthest is not None
     found = unseen_distances(result, 24)
-    beyond = int((found > scene.tolerance).sum())
+    beyond = int((found > preset.tolerance).sum())
     with capsys.disabled():
         gains = "" if wall is None else f"{wall[0]:g}/{wall[1]:g}"
         step = stepping_name(result.cheapest.integrator, result.cheapest.step)
         print(
-            f"\n| {name} | {gains} | {scene.tolerance * 1e6:.0f} | {result.level.level}, {step} | "
+            f"\n| {name} | {gains} | {preset.tolerance * 1e6:.0f} | {result.level.level}, {step} | "
             f"{(result.cheapest.missing or 0.0) * MARGIN * 1e6:.3g} | {np.median(found) * 1e6:.3g} | "
             f"{found.max() * 1e6:.3g} | {beyond} | {result.furthest * 1e6:.3g} | {result.met_stops} |"
         )
@@ -88,7 +94,7 @@ def test_the_model_recommended_holds_in_cases_never_looked_at(
 
 
 @pytest.mark.study
-@pytest.mark.parametrize("name", FIDELITY_SCENES)
+@pytest.mark.parametrize("name", COMPARED)
 def test_each_scene_needs_its_level(name: str) -> None:
     result = measure_fidelity(name)
     assert result.level is not None and result.level.level == NEEDED[name]
@@ -98,17 +104,18 @@ def test_each_scene_needs_its_level(name: str) -> None:
     assert result.cheapest is not None and abs(result.cheapest.shift or 0.0) <= result.over.boundary
 
 
-def small(name: str, **values: float) -> FidelityScene:
+def small(name: str, **values: float) -> Preset:
     """Return a short version of a scene."""
-    return FIDELITY_SCENES[name].changed(duration=0.1, **values)
+    preset = preset_of(name)
+    return preset._replace(scene=preset.scene.replace(duration=0.1, **values))
 
 
 @pytest.mark.study
 def test_a_level_is_judged_by_the_worst_case() -> None:
-    scene, over = small("drop-no-pulse"), Range(phases=2)
-    result = measure_fidelity(scene, 2e-4, over)
+    preset, over = small("drop-no-pulse"), Range(phases=2)
+    result = measure_fidelity(preset, 2e-4, over)
     assert len(result.cases) == 10 and result.screened == 4096
-    motions = run_levels(scene, result.cases)
+    motions = run_levels(preset.scene, result.cases)
     for index, row in enumerate(result.levels):
         found = [
             max((distance(motion, above[number]) for above in motions[index + 1 :] if number in above), default=0.0)
@@ -122,18 +129,19 @@ def test_a_level_is_judged_by_the_worst_case() -> None:
 
 @pytest.mark.parametrize("name", ["drop", "press", "stick-slip", "six-axes"])
 def test_cases_run_together_as_they_do_alone(name: str) -> None:
-    scene = small(name) if name != "press" else FIDELITY_SCENES[name]
-    scenes = [scene_at(scene, case) for case in scattered_cases(scene, 3, 0.1, seed=1)]
-    assert len({(each.parameters.stiffness, each.parameters.damping) for each in scenes}) == 3
-    together = run_together(scenes, "axes", 0)
-    for place, each in enumerate(scenes):
-        alone = motion_of(*level_parts(each, "axes")).pose
+    scene: Any = (small(name) if name != "press" else preset_of(name)).scene
+    points: list[tuple[Any, float]] = [scene_at(scene, case) for case in scattered_cases(scene, 3, 0.1, seed=1)]
+    assert len({(each.stiffness, each.damping) for each, _ in points}) == 3
+    assert len({phase for _, phase in points}) == (3 if scene.takes_phase else 1)
+    together = run_together(points, "axes", 0)
+    for place, (each, phase) in enumerate(points):
+        alone = motion_of(*level_parts(each, "axes", phase=phase)).pose
         np.testing.assert_allclose(together[:, place], alone[: len(together)], atol=1e-12)
 
 
 @pytest.mark.study
 def test_the_screen_finds_jumps_that_few_cases_miss() -> None:
-    scene = FIDELITY_SCENES["drop-no-pulse"]
+    scene = Drop(pulse=0.0)
     worst = screen_levels(scene, 0.1).max(axis=1)
     # jitter alone, where a sample just meets the wall; a few cases of the whole device see some 60 µm
     assert worst[level_index("spots")] > 5e-4
@@ -150,15 +158,15 @@ def test_a_jump_is_what_goes_far_beyond_the_median() -> None:
 
 
 def test_cases_cover_phases_and_gains() -> None:
-    scene = FIDELITY_SCENES["drop"].changed(phase=0.1)
-    cases = choice_cases(scene, 4, 0.1)
-    assert cases[0][:1] + cases[0][2:] == itself(scene)[:1] + itself(scene)[2:] == (0.1, 1.0, 1.0)
+    scene = Drop()
+    cases = choice_cases(scene, 4, 0.1, phase=0.1)
+    assert cases[0] == itself(0.1) == (0.1, 0, 1.0, 1.0)
     assert {case.phase for case in cases} == {0.1, 0.35, 0.6, 0.85} and len({case.seed for case in cases}) == 20
     assert {(round(case.stiffness, 9), round(case.damping, 9)) for case in cases} == {
         (1.0, 1.0),
         *((k, b) for k in (0.9, 1.1) for b in (0.9, 1.1)),
     }
-    assert len(choice_cases(FIDELITY_SCENES["twist"], 4, 0.1)) == 4
+    assert len(choice_cases(Twist(), 4, 0.1)) == 4
     many = np.array([case[:1] + case[2:] for case in scattered_cases(scene, 256, 0.1, seed=3)])
     counts, _ = np.histogramdd(many, bins=4, range=[(0, 1), (0.9, 1.1), (0.9, 1.1)])
     assert counts.min() >= 1 and counts.max() <= 9  # 4 in each of 64 boxes
@@ -208,7 +216,7 @@ def test_the_stepped_loop_is_the_plant(integrator: str, hand: str) -> None:
 
 
 def test_the_shift_of_the_boundary_is_that_of_the_levels_drivers() -> None:
-    scene = FIDELITY_SCENES["six-axes"]
+    scene = SixAxes()
     body, delayed, drivers = (loop_of(scene, level) for level in ("body", "lag", "filter"))
     assert boundary_shift("euler", 5e-5, body) == pytest.approx(0.0085, abs=2e-4)
     assert boundary_shift("rk4", 2e-5, drivers) == pytest.approx(0.0, abs=1e-6)
@@ -230,8 +238,8 @@ def test_an_integrator_keeps_the_boundary_beside_the_tolerance() -> None:
 
 @pytest.mark.parametrize("wall", [(6000.0, 40.0), (3000.0, 60.0), (6000.0, 80.0)])
 def test_stops_that_the_motion_meets_are_told(wall: tuple[float, float]) -> None:
-    scene = FIDELITY_SCENES["drop"].changed(stiffness=wall[0], damping=wall[1], pulse=0.0)
-    motions = [run_case(scene, level, itself(scene)) for level in ("jitter", "stops")]
+    scene = Drop(stiffness=wall[0], damping=wall[1], pulse=0.0)
+    motions = [run_case(scene, level, itself()) for level in ("jitter", "stops")]
     met = [motion is not None and motion.met_stops for motion in motions]
     assert met == [False, wall != (6000.0, 80.0)]
     assert (distance(*motions) > 1e-4) == met[1]
@@ -352,18 +360,18 @@ def test_a_looser_tolerance_takes_a_lower_level() -> None:
 
 
 def test_a_step_that_diverges_is_no_choice() -> None:
-    scene = FIDELITY_SCENES["six-axes"].changed(duration=0.05)
+    scene = SixAxes(duration=0.05)
     rows = measure_steps(scene, "filter", repeats=1)
     diverged = [row for row in rows if not math.isfinite(row.error)]
     # beyond twice the drivers' time constant Euler's activation grows
     assert diverged and all(row.step is not None and row.step > 2.0 * LAG for row in diverged)
     assert {row.step for row in rows if math.isfinite(row.error)} >= {None, 1e-4, 5e-5}
-    result = FidelityResult(scene, 1e-5, Range(), (itself(scene),), 1, 0.0, 0, (), None, rows, None)
+    result = FidelityResult(preset_of(scene), 1e-5, Range(), (itself(),), 1, 0.0, 0, (), None, rows, None)
     assert json.loads(json.dumps(result.as_json(), allow_nan=False))["steps"][rows.index(diverged[0])]["cost"] is None
 
 
 def test_an_unstable_wall_has_no_model() -> None:
-    wall = FIDELITY_SCENES["six-axes"].changed(stiffness=400000.0, damping=80.0)
+    wall = SixAxes(stiffness=400000.0, damping=80.0)
     result = measure_fidelity(wall, over=Range(phases=1, around=0.0))
     assert result.level is None and result.levels[0].diverged and "diverges in 1" in fidelity_table(result)
     assert "the loop diverges on the exact plant" in fidelity_table(result)
@@ -372,8 +380,8 @@ def test_an_unstable_wall_has_no_model() -> None:
 
 def test_every_level_can_be_built_for_every_scene() -> None:
     with pytest.raises(ParameterError, match="level must be one of axes, body"):
-        level_parts(FIDELITY_SCENES["drop"], "attic")
-    scene = FIDELITY_SCENES["six-axes"]
+        level_parts(Drop(), "attic")
+    scene = SixAxes()
     for level in ("body", "turning"):
         corrected, exact = (motion_of(*level_parts(scene, level, integrator=kind)) for kind in ("corrected", "rk4"))
         assert 0.0 < apart(corrected.pose, exact.pose) < 2e-6
@@ -408,7 +416,7 @@ def test_the_command_answers_for_a_wall_of_ones_own(capsys: pytest.CaptureFixtur
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["moon"], "invalid choice: 'moon' (choose from 'drop', 'drop-no-pulse'"),
+        (["moon"], "scene must be one of drop, press, "),
         (["drop", "--tolerance", "0"], "tolerance must be a finite number above 0, not 0"),
         (["drop", "--boundary-tolerance", "0"], "boundary must be a finite number above 0, not 0"),
         (["all", "--tolerance", "1e-3"], "unrecognized arguments: --tolerance 1e-3"),

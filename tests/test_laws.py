@@ -227,7 +227,7 @@ def test_bad_walls_are_refused_with_the_value(options: dict[str, Any], words: st
 def test_parameters_of_different_batches_are_refused() -> None:
     with pytest.raises(ParameterError, match=r"wall parameters must fit one batch shape, not \[.*\(2,\), \(3,\)\]"):
         Wall(lower=np.zeros((2, 6)), stiffness=np.ones((3, 6)), damping=0.0)
-    with pytest.raises(ParameterError, match="hold parameters must fit one batch shape"):
+    with pytest.raises(ParameterError, match="Hold parameters must fit one batch shape"):
         Hold(stiffness=np.ones((2, 6)), damping=np.ones((3, 6)))
 
 

@@ -10,8 +10,18 @@ from contextlib import closing
 
 import pytest
 
-from maglev_mj.bridge.impair import Impairer, Impairment, UdpProxy
-from maglev_mj.bridge.link import (
+from maglev_mj.bridge.simulated_links import Impairer, Impairment, UdpProxy
+from maglev_mj.errors import ParameterError
+from maglev_mj.net.serial import (
+    LONGEST,
+    Deframer,
+    PtyServer,
+    SerialLink,
+    SerialMissingError,
+    cobs_decode,
+    cobs_encode,
+)
+from maglev_mj.net.udp import (
     Link,
     LinkError,
     Server,
@@ -22,16 +32,6 @@ from maglev_mj.bridge.link import (
     open_link,
     parse_url,
 )
-from maglev_mj.bridge.serial_link import (
-    LONGEST,
-    Deframer,
-    PtyServer,
-    SerialLink,
-    SerialMissingError,
-    cobs_decode,
-    cobs_encode,
-)
-from maglev_mj.errors import ParameterError
 
 PATIENCE = 5.0
 HOME = "127.0.0.1"

@@ -14,14 +14,12 @@ import pytest
 from maglev_mj import Command, Controller, Hold, MuJoCoPlant, Timing, Wall, model, run
 from maglev_mj.coils import CoilMap
 from maglev_mj.errors import ModelError, ParameterError
-from maglev_mj.experiments.bandwidth import position_bandwidth
 from maglev_mj.frames import Array, quaternion
 from maglev_mj.hand import Hand, hand_called
 from maglev_mj.model import COILS, Device, envelope, load, model_path, scenes
 from maglev_mj.plants import Sensor
-from maglev_mj.report import device_report
+from maglev_mj.report import device_report, device_table, position_bandwidth
 from maglev_mj.spec import DRIVER_TIME_CONSTANT, GRAVITY, INERTIA, Spec
-from maglev_mj.tables import device_table
 
 SPEC = Spec()
 

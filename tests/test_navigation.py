@@ -13,10 +13,9 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.hand import SpringHand
 from maglev_mj.loop import ControlLoop
-from maglev_mj.scenes import Settings, scene_called
-from maglev_mj.scenes.joystick import CENTRING
+from maglev_mj.scenes.joystick import CENTRING, Joystick
 from maglev_mj.scenes.parts import WEIGHT
-from maglev_mj.session import stick_positions
+from maglev_mj.session import live_plant
 from maglev_mj.spacenav.navigation import Mode, Navigation, Navigator
 from maglev_mj.spec import INERTIA
 
@@ -232,24 +231,22 @@ EVERY = 1.0 / 60.0
 
 
 def pushed(
-    push: Push, settings: Settings, navigation: Navigation | None = None, *, forces: bool = True
+    push: Push, scene: Joystick, navigation: Navigation | None = None, *, forces: bool = True
 ) -> dict[str, Array]:
     """Return time, position, slave and mode along x, at 60 frames a second of the joystick's scene."""
-    scene = scene_called("joystick")
     hand, navigator = SpringHand(stiffness=1000.0, damping=20.0), Navigator(navigation)
-    plant, controller = scene.plant(settings, hand_force=hand), scene.controller(settings)
+    plant, controller = live_plant(scene, hand), scene.controller()
     given: list[Array] = []
     loop = ControlLoop(plant, controller, observe=lambda sample, applied: given.append(np.array(applied.force)))
-    anchors = stick_positions(controller)
     rows: list[tuple[float, ...]] = []
-    for tick in range(round(END / settings.period)):
-        time = tick * settings.period
+    for tick in range(round(END / scene.period)):
+        time = tick * scene.period
         reach = push.target + (push.press if time >= 0.5 else 0.0)
         hand.target = None if time >= push.release else along(reach).tolist()
         loop.cycle()
         if time >= len(rows) * EVERY:
             pose, elapsed = plant.state()[0], time - rows[-1][0] if rows else 0.0
-            navigator.move(pose, anchors(), elapsed, given[-1] - np.array(WEIGHT) if forces else None)
+            navigator.move(pose, controller.stick_positions, elapsed, given[-1] - np.array(WEIGHT) if forces else None)
             rows.append((time, pose[0], navigator.slave[0], navigator.modes[0] is RATE))
     plant.close()
     time, position, slave, rate = np.array(rows).T
@@ -264,7 +261,7 @@ def test_a_hand_that_lets_go_beyond_the_edge_leaves_the_slave_where_it_is(
     target: float, press: float, release: float, forces: bool
 ) -> None:
     side = math.copysign(1.0, target)
-    run = pushed(Push(target, side * press, release), Settings(friction=True, wall=False), forces=forces)
+    run = pushed(Push(target, side * press, release), Joystick(friction=True, wall=False), forces=forces)
     time, position, slave, rate = (run[name] for name in ("time", "position", "slave", "rate"))
     held = (time > 0.65) & (time < release)
     assert rate[held].all()  # a hand that holds still goes on with the rate
@@ -292,7 +289,7 @@ def test_a_hand_that_lets_go_beyond_the_edge_leaves_the_slave_where_it_is(
 def test_without_friction_a_slave_by_position_is_returned_when_the_hand_lets_go(friction: bool) -> None:
     """What the paper holds against a joystick with a centring spring, and what friction does about it."""
     by_position = Navigation(edge=1.0)
-    run = pushed(Push(0.0045, 0.0005, 1.0), Settings(friction=friction, wall=False), by_position)
+    run = pushed(Push(0.0045, 0.0005, 1.0), Joystick(friction=friction, wall=False), by_position)
     before, after = run["slave"][run["time"] < 1.0][-1], run["slave"][-1]
     assert before > 0.003
     assert after > 0.9 * before if friction else abs(after) < 0.01 * before
@@ -301,10 +298,10 @@ def test_without_friction_a_slave_by_position_is_returned_when_the_hand_lets_go(
 @pytest.mark.parametrize("target", [0.0055, -0.007])
 def test_a_hand_that_holds_against_a_wall_goes_on_with_the_rate_until_it_lets_go(target: float) -> None:
     """The wall at 3.5 mm holds the flotor, and the friction's spring alone would tell nothing."""
-    run = pushed(Push(target, 0.0, 1.0), Settings(friction=True, wall=True))
+    run = pushed(Push(target, 0.0, 1.0), Joystick(friction=True, wall=True))
     time, rate, slave = run["time"], run["rate"], run["slave"]
     assert rate[(time > 0.5) & (time < 1.0)].all()
     assert rate[time >= 1.0].sum() <= 1
     assert abs(slave[-1]) > 6e-3
-    blind = pushed(Push(target, 0.0, 1.0), Settings(friction=True, wall=True), forces=False)
+    blind = pushed(Push(target, 0.0, 1.0), Joystick(friction=True, wall=True), forces=False)
     assert not blind["rate"][(time > 0.5) & (time < 1.0)].any()

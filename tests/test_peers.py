@@ -11,13 +11,14 @@ import numpy as np
 import pytest
 
 from maglev_mj import ExactPlant, Timing, run
-from maglev_mj.experiments.drop import DropParameters
-from maglev_mj.experiments.wall_controller import wall_controller
 from maglev_mj.frames import Array
-from maglev_mj.plots import WorkPoint, pareto
+from maglev_mj.scenes.drop import Drop
 from maglev_mj.spec import GRAVITY, INERTIA
+from maglev_mj.studies.wall_controller import wall_controller
+from peers import Task, available
+from work_precision import WorkPoint, pareto
 
-SCRIPTS = Path(__file__).resolve().parent.parent / "scripts"
+SCRIPT = Path(__file__).resolve().parent.parent / "scripts" / "benchmarks" / "speed_accuracy.py"
 SCENES = ["drop", "drop-no-pulse", "press", "stick-slip", "twist", "six-axes"]
 
 EXACT = {
@@ -28,11 +29,6 @@ EXACT = {
     "control": ("ss, sampled for each length, A x + B u",),
 }
 """Variants that are exact to rounding in translation."""
-
-
-@pytest.fixture(autouse=True)
-def _peers_at_hand(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.syspath_prepend(str(SCRIPTS))
 
 
 def truth(task: Any) -> tuple[Array, Array]:
@@ -53,18 +49,15 @@ def truth(task: Any) -> tuple[Array, Array]:
 
 def test_the_task_of_the_peers_is_the_drop_of_this_device() -> None:
     """Its numbers are copies on purpose: the peers run without this package."""
-    from peers import Task
-
-    task, drop = Task(), DropParameters()
+    task, drop = Task(), Drop()
     assert (*[task.mass] * 3, *task.inertia) == INERTIA
-    assert (task.gravity, task.offset[2]) == (GRAVITY, drop.height)
-    for name in ("period", "delay", "stiffness", "damping", "pulse", "pulse_width"):
-        assert getattr(task, name) == getattr(drop, name)
+    assert (task.gravity, task.offset[2]) == (GRAVITY, drop.height) == (drop.start().gravity, drop.start().pose[2])
+    assert (task.ticks, task.duration) == (drop.end / drop.period, drop.end)
+    for name in ("mass", "period", "delay", "stiffness", "damping", "pulse", "pulse_width"):
+        assert getattr(task, name) == getattr(drop, name) == drop.parameter(name).default
 
 
 def test_the_law_that_the_peers_share_is_the_controller_s() -> None:
-    from peers import Task
-
     task = Task(tilt=0.03)
     poses, wrenches = truth(task)
     law = task.law()
@@ -77,8 +70,6 @@ def test_the_law_that_the_peers_share_is_the_controller_s() -> None:
 @pytest.mark.parametrize("peer", EXACT)
 @pytest.mark.filterwarnings("default")
 def test_a_peer_that_is_said_to_be_exact_is(peer: str, capfd: pytest.CaptureFixture[str]) -> None:
-    from peers import Task, available
-
     variants, missing = available([peer])
     if missing:
         assert missing == [f"{peer} is not installed and left out: pip install 'maglev-mj[peers]'"]
@@ -95,8 +86,6 @@ def test_a_peer_that_is_said_to_be_exact_is(peer: str, capfd: pytest.CaptureFixt
 
 
 def test_steps_that_miss_what_they_should_not_are_seen_to() -> None:
-    from peers import Task, available
-
     task = Task()
     poses, _ = truth(task)
     named = {variant.name: variant for variant in available(["mujoco"])[0]}
@@ -110,8 +99,6 @@ def test_steps_that_miss_what_they_should_not_are_seen_to() -> None:
 
 
 def test_only_steps_that_end_at_the_switches_are_exact_off_the_grid() -> None:
-    from peers import Task, available
-
     task = Task(delay=0.00137, pulse_width=0.00271)
     poses, _ = truth(task)
     named = {variant.name: variant for variant in available(["mujoco"])[0]}
@@ -139,7 +126,7 @@ def test_the_chart_holds_every_scene_and_says_what_is_missing(scenes: list[str],
     pytest.importorskip("matplotlib")
     import subprocess
 
-    command = [sys.executable, str(SCRIPTS / "speed_accuracy.py"), str(tmp_path), "--quick", "--scenes", *scenes]
+    command = [sys.executable, str(SCRIPT), str(tmp_path), "--quick", "--scenes", *scenes]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
     assert done.returncode == 0, done.stderr
     data = json.loads((tmp_path / "speed_accuracy.json").read_text())

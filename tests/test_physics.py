@@ -12,11 +12,16 @@ from maglev_mj import AXES, Controller, ExactPlant, Hold, MuJoCoPlant, Timing, W
 from maglev_mj.energy import actuator_work
 from maglev_mj.errors import ParameterError
 from maglev_mj.spec import INERTIA
-from maglev_mj.theory.analog_wall import analog_wall, damping_ratio, restitution, stopping_gain
+from maglev_mj.theory.analog_wall import analog_wall
 from maglev_mj.trace import Trace
 from tests.closed_loop import largest_modulus, pd_matrix
 
 M, G, T = 0.7, 9.81, 0.005
+
+
+def restitution(ratio: float) -> float:
+    """Return the energy kept in one bounce on the ideal wall of a damping ratio; section 3 of the paper."""
+    return math.exp(-2.0 * math.pi * ratio / math.sqrt(1.0 - ratio**2))
 
 
 def test_restitution_formula_not_the_remark() -> None:
@@ -26,14 +31,9 @@ def test_restitution_formula_not_the_remark() -> None:
     assert restitution(0.0) == 1.0
 
 
-def test_closed_forms_refuse_what_they_do_not_cover() -> None:
-    for call, words in (
-        (lambda: restitution(2.0), "ratio must be below 1 for a bounce, not 2"),
-        (lambda: damping_ratio(-1.0, 1.0, 1.0), "stiffness must be"),
-        (lambda: drop_analog(np.array([0.4, 0.1])), "time must be .* ascending"),
-    ):
-        with pytest.raises(ParameterError, match=words):
-            call()
+def test_the_analog_wall_refuses_times_that_do_not_ascend() -> None:
+    with pytest.raises(ParameterError, match=r"time must be .* ascending"):
+        drop_analog(np.array([0.4, 0.1]))
 
 
 @pytest.mark.parametrize("ratio", [0.05, 0.1, 0.248, 0.5, 0.9])
@@ -41,7 +41,6 @@ def test_restitution_of_the_ideal_wall_from_its_own_dynamics(ratio: float) -> No
     """Half a swing of the damped oscillator, by its eigenvalues: from v into the wall to v out of it."""
     k = 6000.0
     b = 2.0 * ratio * math.sqrt(k * M)
-    assert damping_ratio(k, b, M) == pytest.approx(ratio)
     pole = complex(np.roots([M, b, k])[0])
     half = math.pi / abs(pole.imag)
     assert restitution(ratio) == pytest.approx(math.exp(2.0 * pole.real * half), rel=1e-9)
@@ -79,7 +78,7 @@ def test_pulse_with_the_stopping_gain_stops_the_flotor(plant_type: Any, axis: st
     index, width = AXES.index(axis), 0.003
     inertia = INERTIA[index]
     edge = {"lower": 0.0} if side > 0 else {"upper": 0.0}
-    gain = stopping_gain(inertia, width)
+    gain = inertia / width
     damping = 0.3 * gain  # the pulse takes damping + pulse; the PD damping after it sees the old speed: none here
     pose, twist = np.zeros(6), np.zeros(6)
     pose[index], twist[index] = side * 1e-3, -side * 0.15

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from impacts import limited_drop
 from maglev_mj import Controller, ExactPlant, MuJoCoPlant, Sample, Timing, Wall, run
 from maglev_mj.energy import PassivityObserver, actuator_work
 from maglev_mj.errors import ParameterError
-from maglev_mj.experiments.impacts import limited_drop
 from maglev_mj.frames import components
 from maglev_mj.hand import exponential
 from maglev_mj.laws import Law, ObserverWall, PassivityController, PredictiveWall
@@ -73,7 +73,7 @@ def test_the_line_across_the_edge_counts_for_its_part_inside() -> None:
     law = PredictiveWall(axes="z", lower=1e-3, stiffness=3000.0, damping=20.0, period=T, delay=0.0015)
     for place, speed in itertools.product(np.linspace(-2e-3, 4e-3, 25), (-0.4, -0.1, 0.0, 0.1, 0.4)):
         wrench: list[Any] = [0.0] * 6
-        law([0.0, 0.0, place, 0.0, 0.0, 0.0], [0.0, 0.0, speed, 0.0, 0.0, 0.0], None, wrench)
+        law([0.0, 0.0, place, 0.0, 0.0, 0.0], [0.0, 0.0, speed, 0.0, 0.0, 0.0], law.start(), wrench)
         time = 0.0015 + T * (np.arange(20000) + 0.5) / 20000
         line = place - 1e-3 + speed * time
         mean = np.where(line <= 0.0, -3000.0 * line - 20.0 * speed, 0.0).mean()
@@ -267,7 +267,7 @@ def test_new_laws_drive_mujoco_as_the_exact_plant() -> None:
 def test_bad_laws_are_refused() -> None:
     for options, words in (
         ({"pole": 1.0}, "pole must be a finite number at least 0 and below 1, not 1.0"),
-        ({"inertia": 0.0}, "wall inertia must be above 0"),
+        ({"inertia": 0.0}, "ObserverWall inertia must be above 0"),
         ({"force_limit": 0.0}, "wall force_limit must be above 0, not 0.0"),
         ({"delay": -0.001}, "delay must be"),
     ):

@@ -4,32 +4,41 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import asdict, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import pytest
 
 from maglev_mj.errors import DivergenceError, ParameterError
-from maglev_mj.experiments.press import PressParameters, PressResult, run_press, sweep_press
 from maglev_mj.frames import Array
+from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.press_figures import HIT_FIGURES, PressSummary, press_percentiles, summarise_press
+from maglev_mj.scenes.run import Phases, Result, run, run_phases
 from maglev_mj.trace import Trace
 
-SHORT = PressParameters(plant="exact", hits=2, duration=1.6)
+SHORT = Press(hits=2, duration=1.6)
 ARM_MASS, ARM_DAMPING, ARM_STIFFNESS = 0.554, 6.45, 135.0
 
 
-def drawn_to(p: PressParameters, time: float) -> float:
+def exact(press: Press, phase: float = 0.0) -> Result:
+    return run(press, plant="exact", phase=phase)
+
+
+def swept(press: Press, phases: int) -> Phases:
+    return run_phases(press, phases, plant="exact")
+
+
+def drawn_to(p: Press, phase: float, time: float) -> float:
     """Return where the hand pulls to, written out: up, then down and up again every interval, then down to stay."""
-    since = time - (1.0 - p.phase) * p.period - 0.5 * p.interval
+    since = time - (1.0 - phase) * p.period - 0.5 * p.interval
     stroke = min(math.floor(since / p.interval), p.hits)
     way = max(since - stroke * p.interval, 0.0) / (0.25 * p.interval) if stroke >= 0 else 0.0
     down = min(way, 1.0) if stroke == p.hits else way if way < 1.0 else max(2.0 - way, 0.0)
     return p.height + (down**3 * (10.0 - 15.0 * down + 6.0 * down**2)) * (p.resting_point - p.height)
 
 
-def reference(p: PressParameters) -> tuple[Array, Array]:
+def reference(p: Press, phase: float) -> tuple[Array, Array]:
     """Return z and force every half millisecond, of which every switch is a multiple: no shared code."""
     step, ticks, late, wide = 5e-4, 10, 3, 6
     total = p.mass + ARM_MASS
@@ -48,19 +57,19 @@ def reference(p: PressParameters) -> tuple[Array, Array]:
             if before > 0.0 >= z and p.pulse > 0.0 and speed <= -p.pulse_gate:
                 force[k + late : k + late + wide] = -(p.pulse + p.damping) * speed
             before = z
-            pull = ARM_STIFFNESS * drawn_to(p, k * step)
+            pull = ARM_STIFFNESS * drawn_to(p, phase, k * step)
         places.append(z)
         z, v, _ = carry @ [z, v, pull + force[k]]
     return np.array(places), force[: count + 1]
 
 
 @pytest.mark.parametrize(
-    "changes", [{}, {"phase": 0.37}, {"phase": 0.8, "pulse": 0.0}, {"phase": 0.5, "pulse_gate": 0.15, "press": 3.0}]
+    ("phase", "changes"), [(0.0, {}), (0.37, {}), (0.8, {"pulse": 0.0}), (0.5, {"pulse_gate": 0.15, "press": 3.0})]
 )
-def test_press_means_what_it_says(changes: dict[str, Any]) -> None:
-    parameters = replace(SHORT, **changes)
-    series = run_press(parameters).series(5e-4)
-    z, force = reference(parameters)
+def test_press_means_what_it_says(phase: float, changes: dict[str, Any]) -> None:
+    press = SHORT.replace(**changes)
+    series = exact(press, phase).series(5e-4)
+    z, force = reference(press, phase)
     np.testing.assert_allclose(series["z"], z, rtol=0.0, atol=1e-9)
     # the sample at the end is answered after it
     np.testing.assert_allclose(series["force"][:-1], force[:-1], rtol=0.0, atol=1e-5)
@@ -69,12 +78,12 @@ def test_press_means_what_it_says(changes: dict[str, Any]) -> None:
 @pytest.mark.parametrize("hand", ["arm", "stylus", "fingertip"])
 @pytest.mark.parametrize("phase", [0.0, 0.31, 0.77])
 def test_both_plants_agree(hand: str, phase: float) -> None:
-    parameters = replace(SHORT, hand=hand, phase=phase, hits=1, duration=0.9)
-    exact, engine = (run_press(replace(parameters, plant=plant)) for plant in ("exact", "mujoco"))
-    assert np.abs(exact.series()["z"] - engine.series()["z"]).max() < 1e-7
+    press = SHORT.replace(hand=hand, hits=1, duration=0.9)
+    truth, engine = (run(press, plant=plant, phase=phase) for plant in ("exact", "mujoco"))
+    assert np.abs(truth.series()["z"] - engine.series()["z"]).max() < 1e-7
     for name in HIT_FIGURES:
-        np.testing.assert_allclose(getattr(exact.summary, name), getattr(engine.summary, name), rtol=1e-4)
-    assert exact.summary.absorbed == pytest.approx(float(engine.summary.absorbed), rel=1e-5)
+        np.testing.assert_allclose(truth.figures[name], engine.figures[name], rtol=1e-4)
+    assert truth.figures["absorbed"] == pytest.approx(float(engine.figures["absorbed"]), rel=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -88,33 +97,33 @@ def test_both_plants_agree(hand: str, phase: float) -> None:
 )
 def test_the_press_is_as_hard_as_asked(hand: str, press: float, stiffness: float, springs: tuple[float, ...]) -> None:
     """Wall, grip and arm are springs in a row."""
-    parameters = PressParameters(plant="exact", hand=hand, press=press, stiffness=stiffness, hits=1, duration=4.0)
+    scene = Press(hand=hand, press=press, stiffness=stiffness, hits=1, duration=4.0)
     point = -press * (1.0 / stiffness + sum(1.0 / spring for spring in springs))
-    assert parameters.resting_point == pytest.approx(point, rel=1e-12)
+    assert scene.resting_point == pytest.approx(point, rel=1e-12)
     for phase in (0.0, 0.4):
-        figures = run_press(replace(parameters, phase=phase)).summary
-        assert figures.final_force == pytest.approx(press, abs=1e-6)
-        assert figures.final_depth == pytest.approx(press / stiffness, abs=1e-9)
-        assert figures.force_ripple < 1e-6
-        assert figures.ripple < 1e-9
+        figures = exact(scene, phase).figures
+        assert figures["final_force"] == pytest.approx(press, abs=1e-6)
+        assert figures["final_depth"] == pytest.approx(press / stiffness, abs=1e-9)
+        assert figures["force_ripple"] < 1e-6
+        assert figures["ripple"] < 1e-9
 
 
 @pytest.mark.parametrize("phase", [0.0, 0.6])
 def test_energy_adds_up(phase: float) -> None:
     """What the muscles give is what wall, arm's spring, arm's damper and the masses have at the end."""
-    p = replace(SHORT, phase=phase)
-    result = run_press(p)
+    p, result = SHORT, exact(SHORT, phase)
     samples = np.append(np.arange(p.end / p.period), p.end / p.period) * p.period
     places = result.trace.at(samples)[0][:, 2]
-    pulls = [ARM_STIFFNESS * drawn_to(p, float(time)) for time in samples[:-1]]
+    pulls = [ARM_STIFFNESS * drawn_to(p, phase, float(time)) for time in samples[:-1]]
     muscles = float(np.dot(pulls, np.diff(places)))
     speed, steps = result.trace.twist[:, 2], np.diff(result.trace.time)
     middle = result.trace.at(0.5 * (result.trace.time[1:] + result.trace.time[:-1]))[1][:, 2]
     damper = ARM_DAMPING * float(np.dot(steps, speed[:-1] ** 2 + 4.0 * middle**2 + speed[1:] ** 2)) / 6.0
     spring = 0.5 * ARM_STIFFNESS * (places[-1] ** 2 - places[0] ** 2)
     masses = 0.5 * (p.mass + ARM_MASS) * speed[-1] ** 2
-    assert result.summary.absorbed == pytest.approx(muscles - damper - spring - masses, rel=1e-6)
-    assert result.summary.absorbed > 0.5 * p.press**2 / p.stiffness  # a passive wall: more than its spring stores
+    absorbed = result.figures["absorbed"]
+    assert absorbed == pytest.approx(muscles - damper - spring - masses, rel=1e-6)
+    assert absorbed > 0.5 * p.press**2 / p.stiffness  # a passive wall: more than its spring stores
 
 
 def test_the_figures_are_those_of_the_curve() -> None:
@@ -141,22 +150,22 @@ def test_the_figures_are_those_of_the_curve() -> None:
 
 
 def test_every_hit_counts_and_bounces_are_not_hits() -> None:
-    clean = run_press(replace(SHORT, hits=3, duration=2.2))
-    assert clean.summary.contacts.tolist() == [1.0, 1.0, 1.0]
-    bouncing = run_press(replace(SHORT, hand="stylus")).summary
-    assert bouncing.contacts.tolist() == [2.0, 2.0]
-    series = clean.series(2e-5)
-    for place, (start, end) in enumerate(zip(clean.parameters.strokes, clean.parameters.strokes[1:])):
+    clean = exact(SHORT.replace(hits=3, duration=2.2))
+    figures = clean.figures
+    assert figures["contacts"].tolist() == [1.0, 1.0, 1.0]
+    assert exact(SHORT.replace(hand="stylus")).figures["contacts"].tolist() == [2.0, 2.0]
+    series, strokes = clean.series(2e-5), clean.scene.strokes(0.0)
+    for place, (start, end) in enumerate(pairwise(strokes)):
         window = (series["time"] >= start) & (series["time"] < end)
-        assert clean.summary.penetration[place] == pytest.approx(-series["z"][window].min(), abs=1e-8)
-        assert clean.summary.peak_force[place] == pytest.approx(np.abs(series["force"][window]).max(), rel=1e-12)
-        assert clean.summary.contact_time[place] == pytest.approx((series["z"][window] <= 0.0).sum() * 2e-5, abs=5e-5)
+        assert figures["penetration"][place] == pytest.approx(-series["z"][window].min(), abs=1e-8)
+        assert figures["peak_force"][place] == pytest.approx(np.abs(series["force"][window]).max(), rel=1e-12)
+        assert figures["contact_time"][place] == pytest.approx((series["z"][window] <= 0.0).sum() * 2e-5, abs=5e-5)
 
 
 def test_a_stroke_that_does_not_reach_the_wall_says_so() -> None:
-    far = run_press(replace(SHORT, height=0.02, press=0.1))
-    assert far.summary.penetration[0] == far.summary.contacts[0] == far.summary.peak_force[0] == 0.0
-    assert math.isnan(far.summary.approach_speed[0])
+    far = exact(SHORT.replace(height=0.02, press=0.1))
+    assert [far.figures[name][0] for name in ("penetration", "contacts", "peak_force")] == [0.0] * 3
+    assert math.isnan(far.figures["approach_speed"][0])
     data = json.loads(json.dumps(far.as_json(), allow_nan=False))
     assert data["summary"]["approach_speed"][0] is None
     assert data["summary"]["penetration"][0] == 0.0
@@ -165,33 +174,32 @@ def test_a_stroke_that_does_not_reach_the_wall_says_so() -> None:
 def test_the_hand_holds_on_from_release_at_every_phase() -> None:
     for phase in (0.0, 0.3, 0.99):
         for hand in ("arm", "fingertip"):
-            result = run_press(replace(SHORT, phase=phase, hand=hand))
-            series = result.series()
-            waiting = series["time"] < result.parameters.strokes[0]
+            series = exact(SHORT.replace(hand=hand), phase).series()
+            waiting = series["time"] < SHORT.strokes(phase)[0]
             assert np.abs(series["z"][waiting] - 0.003).max() < 1e-12
             assert (series["target"][waiting] == 0.003).all()
 
 
 def test_a_gate_above_the_approach_is_no_pulse() -> None:
-    variants = (SHORT, replace(SHORT, pulse_gate=1.0), replace(SHORT, pulse=0.0))
-    with_pulse, closed, without = (run_press(variant).series(SHORT.period)["z"] for variant in variants)
+    variants = (SHORT, SHORT.replace(pulse_gate=1.0), SHORT.replace(pulse=0.0))
+    with_pulse, closed, without = (exact(variant).series(SHORT.period)["z"] for variant in variants)
     np.testing.assert_allclose(closed, without, rtol=0.0, atol=1e-15)
     assert np.abs(closed - with_pulse).max() > 1e-4
 
 
 def test_the_gate_quiets_a_light_press_over_a_coarse_sensor() -> None:
-    light = replace(SHORT, hand="fingertip", press=0.02, quantize=5e-6, hits=1, duration=4.0)
-    gated, open_ = (sweep_press(replace(light, pulse_gate=gate), 20).summary for gate in (0.02, 0.0))
-    assert gated.ripple.max() < 1e-5 < open_.ripple.max()
-    assert gated.force_ripple.max() < open_.force_ripple.max()
+    light = SHORT.replace(hand="fingertip", press=0.02, quantize=5e-6, hits=1, duration=4.0)
+    gated, open_ = (swept(light.replace(pulse_gate=gate), 20).figures for gate in (0.02, 0.0))
+    assert gated["ripple"].max() < 1e-5 < open_["ripple"].max()
+    assert gated["force_ripple"].max() < open_["force_ripple"].max()
 
 
 def test_a_coarse_sensor_makes_the_press_ripple() -> None:
     """One step of the sensor, once in the position and twice in its difference."""
     step = 5e-6
-    p = replace(SHORT, quantize=step, hits=1, duration=2.5)
+    p = SHORT.replace(quantize=step, hits=1, duration=2.5)
     one_step = step * (p.stiffness + 2.0 * p.damping / p.period)
-    ripple = sweep_press(p, 10).summary.force_ripple
+    ripple = swept(p, 10).figures["force_ripple"]
     assert (ripple > 0.5 * one_step).all() and (ripple <= one_step * (1.0 + 1e-9)).all()
 
 
@@ -202,14 +210,13 @@ def test_sweep_equals_single_runs() -> None:
         done.append((some, every))
 
     for plant, count in (("exact", 5), ("mujoco", 2)):
-        parameters = replace(SHORT, plant=plant, hits=1, duration=0.9)
-        sweep = sweep_press(parameters, count, progress=progress)
+        press = SHORT.replace(hits=1, duration=0.9)
+        sweep = run_phases(press, count, plant=plant, progress=progress)
         assert done[-1] == (count, count)
         assert sweep.phases.tolist() == [place / count for place in range(count)]
         for place, phase in enumerate(sweep.phases):
-            single = run_press(replace(parameters, phase=float(phase))).summary
-            for name, value in single._asdict().items():
-                np.testing.assert_allclose(getattr(sweep.summary, name)[place], value, rtol=1e-5, atol=1e-9)
+            for name, value in run(press, plant=plant, phase=float(phase)).figures.items():
+                np.testing.assert_allclose(sweep.figures[name][place], value, rtol=1e-5, atol=1e-9)
 
 
 def test_percentiles_leave_out_what_is_not_there() -> None:
@@ -219,42 +226,46 @@ def test_percentiles_leave_out_what_is_not_there() -> None:
     assert middle.approach_speed.tolist() == pytest.approx([0.2, 0.4])
     assert pooled.approach_speed == pytest.approx(0.3)
     assert middle.absorbed == pooled.absorbed == pytest.approx(0.4)
+    hits, once = Press.figures["approach_speed"], Press.figures["absorbed"]
+    assert hits.percentile(speed, 50.0).tolist() == pytest.approx([0.2, 0.4])
+    assert hits.percentile(speed.ravel(), 50.0) == pytest.approx(0.3)
+    assert once.percentile(speed[:, 1], 50.0) == pytest.approx(0.4)
+    assert np.isnan(hits.percentile(np.full((3, 2), math.nan), 5.0)).all()
     nothing = PressSummary(*[np.full((3, 2), math.nan)] * 5, *[np.full(3, math.nan)] * 5)
     assert all(np.isnan(figure).all() for figure in press_percentiles(nothing, 5.0))
 
 
 def test_the_pulse_lessens_every_hit_of_an_arm() -> None:
     """Over 100 phases and four hits; of the paper's 220 N s/m as further damping, not with the damping in it."""
-    press = PressParameters(plant="exact")
-    with_pulse, without = (sweep_press(replace(press, pulse=pulse), 100).summary for pulse in (220.0, 0.0))
-    assert (with_pulse.penetration < without.penetration).all()
-    assert (with_pulse.absorbed > without.absorbed).all()
-    for summary in (with_pulse, without):
-        np.testing.assert_allclose(summary.final_force, 5.0, rtol=0.0, atol=1e-6)
+    with_pulse, without = (swept(Press(pulse=pulse), 100).figures for pulse in (220.0, 0.0))
+    assert (with_pulse["penetration"] < without["penetration"]).all()
+    assert (with_pulse["absorbed"] > without["absorbed"]).all()
+    for figures in (with_pulse, without):
+        np.testing.assert_allclose(figures["final_force"], 5.0, rtol=0.0, atol=1e-6)
 
 
 def test_in_a_soft_grip_the_pulse_throws_the_flotor_back() -> None:
-    press = PressParameters(plant="exact", hand="stylus", hits=2)
-    with_pulse, without = (sweep_press(replace(press, pulse=pulse), 20).summary for pulse in (220.0, 0.0))
-    assert (with_pulse.contacts > 1.0).all() and (without.contacts == 1.0).all()
-    deeper = with_pulse.penetration > without.penetration
+    press = Press(hand="stylus", hits=2)
+    with_pulse, without = (swept(press.replace(pulse=pulse), 20).figures for pulse in (220.0, 0.0))
+    assert (with_pulse["contacts"] > 1.0).all() and (without["contacts"] == 1.0).all()
+    deeper = with_pulse["penetration"] > without["penetration"]
     assert 0.0 < deeper.mean() < 0.2
-    assert np.median(with_pulse.penetration) < 0.7 * np.median(without.penetration)
-    stopping = sweep_press(replace(press, pulse=140.0), 20).summary  # 220 N s/m with the damping in it
-    assert (stopping.contacts == 1.0).all()
-    assert 0.0 < (stopping.penetration > without.penetration).mean() < 0.2
+    assert np.median(with_pulse["penetration"]) < 0.7 * np.median(without["penetration"])
+    stopping = swept(press.replace(pulse=140.0), 20).figures  # 220 N s/m with the damping in it
+    assert (stopping["contacts"] == 1.0).all()
+    assert 0.0 < (stopping["penetration"] > without["penetration"]).mean() < 0.2
 
 
 def test_json_holds_the_run() -> None:
-    result = run_press(SHORT)
+    result = exact(SHORT)
     data = json.loads(json.dumps(result.as_json(), allow_nan=False))
-    assert data["parameters"] == asdict(SHORT)
+    assert data["parameters"] == {"plant": "exact", "phase": 0.0, **SHORT.as_json()}
     assert list(data) == ["parameters", "time", "z", "force", "target", "summary"]
     assert all(len(data[name]) == 1601 for name in ("time", "z", "force", "target"))
     assert data["z"] == result.series()["z"].tolist()
     assert list(data["summary"]) == list(PressSummary._fields)
-    assert data["summary"]["penetration"] == result.summary.penetration.tolist()
-    sweep = sweep_press(SHORT, 3)
+    assert data["summary"]["penetration"] == result.figures["penetration"].tolist()
+    sweep = swept(SHORT, 3)
     rows = json.loads(json.dumps(sweep.as_json(), allow_nan=False))
     assert [row["phase"] for row in rows["phases"]] == [0.0, 1 / 3, 2 / 3]
     second = [row["penetration"][1] for row in rows["phases"]]
@@ -265,25 +276,24 @@ def test_json_holds_the_run() -> None:
 def test_a_diverging_run_keeps_what_it_recorded() -> None:
     for plant in ("exact", "mujoco"):
         with pytest.raises(DivergenceError, match="diverged") as caught:
-            run_press(PressParameters(plant=plant, hand="fingertip", delay=0.005))
+            run(Press(hand="fingertip", delay=0.005), plant=plant)
         partial = caught.value.partial
-        assert isinstance(partial, PressResult)
-        assert 0.5 < partial.series()["time"][-1] < partial.parameters.end
-        assert partial.summary.absorbed < 0.0  # a wall that throws the flotor out makes energy
-        assert math.isnan(float(partial.summary.final_force))
+        assert isinstance(partial, Result)
+        assert 0.5 < partial.series()["time"][-1] < partial.scene.end
+        assert partial.figures["absorbed"] < 0.0  # a wall that throws the flotor out makes energy
+        assert math.isnan(float(partial.figures["final_force"]))
         assert partial.as_json()["summary"]["penetration"][-1] is None
     with pytest.raises(DivergenceError, match="device"):
-        sweep_press(PressParameters(plant="exact", hand="fingertip", delay=0.005), 3)
+        swept(Press(hand="fingertip", delay=0.005), 3)
 
 
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"plant": "real"}, "plant must be one of exact, mujoco, not 'real'"),
         ({"hand": "none"}, "hand must have an arm of some stiffness, .* not 'none'"),
         ({"hand": "0.2,5,0"}, "hand must have an arm of some stiffness, .* not '0.2,5,0'"),
         ({"hand": "fist"}, "hand must be one of none, arm, stylus, fingertip, or mass,damping,stiffness"),
-        ({"hand": None}, "hand must be one of"),
+        ({"hand": None}, "hand must be a text, not None"),
         ({"hits": 0}, "hits must be a finite number at least 1 and at most 1000, not 0"),
         ({"hits": 2.5}, "hits must be a whole number, not 2.5"),
         ({"interval": 0.03}, "interval must be a finite number at least 0.04 and at most 100, not 0.03"),
@@ -291,7 +301,6 @@ def test_a_diverging_run_keeps_what_it_recorded() -> None:
         ({"press": -1.0}, "press must be a finite number above 0 .* not -1.0"),
         ({"press": 60.0, "force_limit": 60.0}, "press must be below the force_limit of 60 N, .* not 60"),
         ({"stiffness": 0.0}, "stiffness must be a finite number above 0"),
-        ({"phase": 1.0}, "phase .* at least 0 and below 1, not 1.0"),
         ({"pulse_width": 0.0}, "pulse_width must be above 0 where there is a pulse"),
         ({"pulse_gate": math.nan}, "pulse_gate"),
         ({"quantize": "fine"}, "quantize must be .* not 'fine'"),
@@ -301,21 +310,29 @@ def test_a_diverging_run_keeps_what_it_recorded() -> None:
 )
 def test_bad_parameters_are_refused(changes: dict[str, Any], words: str) -> None:
     with pytest.raises(ParameterError, match=words):
-        PressParameters(**changes)
+        Press(**changes)
+
+
+def test_a_bad_plant_or_phase_is_refused() -> None:
+    with pytest.raises(ParameterError, match="plant must be one of exact, mujoco, not 'real'"):
+        run(Press(), plant="real")
+    with pytest.raises(ParameterError, match=r"phase .* at least 0 and below 1, not 1\.0"):
+        run(Press(), plant="exact", phase=1.0)
 
 
 def test_bad_phases_are_refused() -> None:
     for phases, words in (
-        (0, "phases must be a finite number at least 1 and at most 10000, not 0"),
-        (1.5, "phases must be a whole number, not 1.5"),
+        (0, "phases must be at least 1 and at most 10000, not 0"),
+        (1.5, "phases must be a whole number or a list of phases, not 1.5"),
         ("a", "phases must be .* not 'a'"),
     ):
         with pytest.raises(ParameterError, match=words):
-            sweep_press(SHORT, phases)  # type: ignore[arg-type]
+            run_phases(SHORT, phases, plant="exact")
 
 
 def test_parameters_are_stored_as_checked() -> None:
-    made = PressParameters(hits=2.0, interval=0.5, height=1e-3)  # type: ignore[arg-type]
+    made = Press(hits=2.0, interval=0.5, height=1e-3)  # type: ignore[arg-type]
     assert (made.hits, type(made.hits), made.interval) == (2, int, 0.5)
     assert made.duration == pytest.approx(0.005 + 2.75 * 0.5 + 1.0)
-    assert len(made.strokes) == 3 and made.path.end == pytest.approx(made.strokes[-1] + 0.125)
+    strokes = made.strokes(0.0)
+    assert len(strokes) == 3 and made.path(0.0).end == pytest.approx(strokes[-1] + 0.125)

@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 
 from maglev_mj import AXES, cli
-from maglev_mj.experiments.drop import DropParameters, run_drop, sweep_drop
-from maglev_mj.experiments.press import PressParameters, run_press, sweep_press
-from maglev_mj.experiments.stick_slip import StickSlipParameters, run_stick_slip
 from maglev_mj.frames import Array
+from maglev_mj.scenes.drop import Drop
+from maglev_mj.scenes.press import Press
+from maglev_mj.scenes.run import run, run_phases
+from maglev_mj.scenes.stick_slip import StickSlip
 from maglev_mj.spec import RANGE
-from maglev_mj.tables import drop_table, press_table, stick_slip_table
+from maglev_mj.tables import run_table
 from maglev_mj.trace import Trace
 
 LINE = re.compile(r"  Beyond the range of (.*): (.*)")
@@ -40,7 +41,7 @@ def outside(traces: Sequence[Trace]) -> list[bool]:
 
 
 def test_the_furthest_of_a_trace_lies_between_its_knots_too() -> None:
-    trace = run_drop(DropParameters(plant="exact", force_limit=15.0)).trace
+    trace = run(Drop(force_limit=15.0), plant="exact").trace
     np.testing.assert_allclose(trace.furthest(), furthest(trace), atol=1e-8)
     assert trace.furthest()[2] > np.abs(trace.pose[:, 2]).max() + 1e-6
     ball = Trace(np.array([0.0, 0.2]), np.zeros((2, 1)), np.array([[1.0], [-1.0]]), np.zeros((2, 1)))
@@ -51,16 +52,17 @@ def test_the_furthest_of_a_trace_lies_between_its_knots_too() -> None:
 @pytest.mark.parametrize(("stiffness", "damping"), [(3000.0, 40.0), (6000.0, 80.0), (9000.0, 60.0)])
 def test_a_drop_says_when_it_leaves_the_range(limit: float | None, stiffness: float, damping: float) -> None:
     """By force limit and gains, with the pulse and without, one phase and several."""
-    base = {"plant": "exact", "force_limit": limit, "stiffness": stiffness, "damping": damping, "duration": 0.3}
-    variants = [DropParameters(**base, pulse=pulse) for pulse in (220.0, 0.0)]  # type: ignore[arg-type]
-    results, labels = [run_drop(one) for one in variants], ["with pulse", "without pulse"]
-    left = outside([one.trace for one in results])
-    said = remark(drop_table(labels, results, [], 0.0))
+    drop = Drop(force_limit=limit, stiffness=stiffness, damping=damping, duration=0.3)
+    variants = [drop.replace(pulse=pulse) for pulse in (220.0, 0.0)]
+    labels = ["with pulse", "without pulse"]
+    results = {label: run(one, plant="exact") for label, one in zip(labels, variants, strict=True)}
+    left = outside([one.trace for one in results.values()])
+    said = remark(run_table(results, {}, 0.0))
     assert [label in [part.rsplit(" ", 2)[0] for part in (said or "").split(", ")] for label in labels] == left
-    sweeps = [sweep_drop(one, 8) for one in variants]
-    said = remark(drop_table(labels, results, sweeps, 0.0)) or ""
+    sweeps = {label: run_phases(one, 8, plant="exact") for label, one in zip(labels, variants, strict=True)}
+    said = remark(run_table(results, sweeps, 0.0)) or ""
     for label, one in zip(labels, variants, strict=True):
-        phases = [run_drop(DropParameters(**{**vars(one), "phase": phase / 8})).trace for phase in range(8)]
+        phases = [run(one, plant="exact", phase=phase / 8).trace for phase in range(8)]
         count = sum(outside(phases))
         found = re.search(rf"{label} [0-9.]+ mm \((\d) of 8 phases\)", said)
         assert (int(found[1]) if found else 0) == count
@@ -69,21 +71,24 @@ def test_a_drop_says_when_it_leaves_the_range(limit: float | None, stiffness: fl
 def test_a_drop_from_the_very_end_of_the_range_has_not_left_it() -> None:
     for plant in ("exact", "mujoco"):
         for height, left in ((RANGE[2], False), (RANGE[2] * 1.0001, True)):
-            result = run_drop(DropParameters(plant=plant, height=height, duration=0.05))
-            assert (remark(drop_table(["drop"], [result], [], 0.0)) is not None) == left
+            result = run(Drop(height=height, duration=0.05), plant=plant)
+            assert (remark(run_table({"drop": result}, {}, 0.0)) is not None) == left
 
 
 @pytest.mark.parametrize(
     "change", [{}, {"height": 0.0045}, {"height": 0.0046}, {"force_limit": 5.5}, {"stiffness": 1000.0}, {"press": 40.0}]
 )
 def test_a_press_says_when_it_leaves_the_range(change: dict[str, float]) -> None:
-    variants = [PressParameters(plant="exact", hits=2, pulse=pulse, **change) for pulse in (220.0, 0.0)]  # type: ignore[arg-type]
-    results, labels = [run_press(one) for one in variants], ["with pulse", "without pulse"]
-    said = remark(press_table(labels, results, [], 0.0))
-    left = outside([one.trace for one in results])
+    variants = [Press(hits=2, **change).replace(pulse=pulse) for pulse in (220.0, 0.0)]  # type: ignore[arg-type]
+    labels = ["with pulse", "without pulse"]
+    results = {label: run(one, plant="exact") for label, one in zip(labels, variants, strict=True)}
+    said = remark(run_table(results, {}, 0.0))
+    left = outside([one.trace for one in results.values()])
     assert [label in [part.rsplit(" ", 2)[0] for part in (said or "").split(", ")] for label in labels] == left
-    sweep = sweep_press(variants[0], 3)
-    np.testing.assert_allclose(sweep.furthest[0], results[0].trace.furthest(), atol=1e-7)  # a hand bends the curve
+    sweep = run_phases(variants[0], 3, plant="exact")
+    np.testing.assert_allclose(
+        sweep.furthest[0], results[labels[0]].trace.furthest(), atol=1e-7
+    )  # a hand bends the curve
     assert sweep.furthest.shape == (3, 6)
 
 
@@ -92,8 +97,8 @@ def test_stick_slip_says_when_it_leaves_the_range_on_any_axis(axis: str) -> None
     """Targets around the end of the range, in m and rad."""
     reach, kind = RANGE[AXES.index(axis)], []
     for share in (0.5, 0.9, 0.97, 1.0, 1.03, 1.08, 1.15, 1.5, -0.9, -1.5):
-        result = run_stick_slip(StickSlipParameters(plant="exact", axis=axis, target=share * reach))
-        said = remark(stick_slip_table(result))
+        result = run(StickSlip(axis=axis, target=share * reach), plant="exact")
+        said = remark(run_table({"stick-slip": result}, {}, None))
         assert (said is not None) == outside([result.trace])[0]
         kind.append(said is not None)
         if said:

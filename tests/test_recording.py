@@ -11,9 +11,11 @@ import numpy as np
 import pytest
 
 from maglev_mj.cli import main
-from maglev_mj.experiments.drop import DropParameters, run_drop
 from maglev_mj.recording import Recording, RecordingError, Stretch, verify
-from maglev_mj.replay import Replay, rebuild, record_experiment
+from maglev_mj.replay import Replay, rebuild, record_run
+from maglev_mj.scenes.drop import Drop
+from maglev_mj.scenes.find import find_scene
+from maglev_mj.scenes.run import run
 from maglev_mj.viewer.clip import write_picture
 
 
@@ -32,9 +34,8 @@ def test_any_run_is_recorded_and_checked(command: str, plant: str, tmp_path: Pat
 
 
 def test_a_recording_holds_the_run_that_the_command_shows(tmp_path: Path) -> None:
-    parameters = DropParameters(plant="exact", phase=0.3)
-    (stretch,) = record_experiment("drop", parameters).stretches
-    pose, _, _ = run_drop(parameters).trace.at(stretch.time[:-1])
+    (stretch,) = record_run(Drop(), plant="exact", phase=0.3).stretches
+    pose, _, _ = run(Drop(), plant="exact", phase=0.3).trace.at(stretch.time[:-1])
     assert np.abs(pose - stretch.position[:-1]).max() < 1e-15
 
 
@@ -50,12 +51,12 @@ def changed(stretch: Stretch, name: str, row: int) -> Stretch:
     """Return a stretch with the last bit of one number changed."""
     values = getattr(stretch, name).copy()
     values[row, 2] = np.nextafter(values[row, 2], 1.0)
-    return replace(stretch, **{name: values})
+    return stretch.replace(**{name: values})
 
 
 @pytest.mark.parametrize("name", ["position", "command"])
 def test_a_single_bit_that_differs_is_found(name: str, tmp_path: Path, capsys: Any) -> None:
-    (stretch,) = record_experiment("drop", DropParameters(plant="exact")).stretches
+    (stretch,) = record_run(Drop(), plant="exact").stretches
     verdict = verify(Recording([changed(stretch, name, 20)]), rebuild)
     assert not verdict.same
     assert verdict.first == (0, 20)
@@ -66,10 +67,10 @@ def test_a_single_bit_that_differs_is_found(name: str, tmp_path: Path, capsys: A
 
 
 def test_a_hand_that_differs_moves_the_flotor_elsewhere() -> None:
-    (stretch,) = record_experiment("drop", DropParameters(plant="exact")).stretches
+    (stretch,) = record_run(Drop(), plant="exact").stretches
     hand = stretch.hand.copy()
     hand[10, 2] = 0.1
-    verdict = verify(Recording([replace(stretch, hand=hand)]), rebuild)
+    verdict = verify(Recording([stretch.replace(hand=hand)]), rebuild)
     assert verdict.first == (0, 11)
     assert verdict.fields["position"] == (11, 81, (0, 11))
     assert verdict.fields["command"] == (81, 81, None)
@@ -94,7 +95,7 @@ def missing(path: Path) -> None:
 @pytest.mark.parametrize("spoil", [cut, text, another, missing])
 def test_a_file_that_is_no_recording_is_one_line(spoil: Callable[[Path], None], tmp_path: Path, capsys: Any) -> None:
     path = tmp_path / "run.npz"
-    record_experiment("drop", DropParameters(plant="exact")).save(path)
+    record_run(Drop(), plant="exact").save(path)
     spoil(path)
     assert main(["replay", str(path), "--check"]) == 2
     said = capsys.readouterr().err
@@ -103,7 +104,7 @@ def test_a_file_that_is_no_recording_is_one_line(spoil: Callable[[Path], None], 
 
 
 def test_a_setup_that_is_not_known_is_refused() -> None:
-    (stretch,) = record_experiment("drop", DropParameters(plant="exact")).stretches
+    (stretch,) = record_run(Drop(), plant="exact").stretches
     with pytest.raises(RecordingError, match="cannot be made here"):
         verify(Recording([replace(stretch, setup={"kind": "pinball"})]), rebuild)
     with pytest.raises(RecordingError, match="cannot be made here"):
@@ -114,12 +115,10 @@ def test_a_setup_that_is_not_known_is_refused() -> None:
 
 @pytest.mark.parametrize("kind", ["drop", "stick-slip"])
 def test_a_replay_shows_what_was_recorded_in_real_time(kind: str, tmp_path: Path) -> None:
-    from maglev_mj.replay import EXPERIMENTS
-
-    recording = record_experiment(kind, EXPERIMENTS[kind][0](plant="exact"))
+    recording = record_run(find_scene(kind)(), plant="exact")
     replay = Replay(recording)
     shown = sum(replay.tick(0.0125) for _ in range(10))
-    view = replay.view()
+    view = replay.snapshot()
     assert shown == 25
     assert (view.pose == recording.stretches[0].position[25]).all()
     assert view.history.shape == (26, 5)
@@ -127,14 +126,14 @@ def test_a_replay_shows_what_was_recorded_in_real_time(kind: str, tmp_path: Path
     replay.act("pause")
     assert replay.tick(1.0) == 0
     replay.act("centre")
-    assert (replay.view().pose == recording.stretches[0].position[0]).all()
+    assert (replay.snapshot().pose == recording.stretches[0].position[0]).all()
 
 
 @pytest.mark.parametrize("ending", ["png", "gif", "mp4"])
 def test_a_scene_is_drawn_without_a_window(ending: str, tmp_path: Path) -> None:
     """In a process of its own, as a program draws with one library only."""
     path = tmp_path / f"scene.{ending}"
-    options = ["--seconds", "0.4", "--rate", "10", "--width", "320", "--height", "200"]
+    options = ["--seconds", "0.4", "--fps", "10", "--size", "320x200"]
     done = subprocess.run(
         [sys.executable, "-m", "maglev_mj.cli", "render", "drop", "--out", str(path), *options],
         capture_output=True,
@@ -170,7 +169,7 @@ def test_a_picture_is_written_as_it_is(tmp_path: Path) -> None:
         (["render", "pub", "--out", "a.png"], "scene must be one of joystick"),
         (["render", "box", "--out", "a.bmp"], "out must end in .png, .gif or .mp4, not 'a.bmp'"),
         (["render", "box", "--out", "nowhere/a.png"], "out must be a file in a folder that is there"),
-        (["render", "box", "--out", "a.png", "--width", "1"], "width must be .* at least 160"),
+        (["render", "box", "--out", "a.png", "--size", "1x1"], "size must be WxH.* of 160 to 4000 pixels"),
         (["render", "box", "--out", "a.png", "--stiffness", "-1"], "stiffness must be"),
         (["view", "pub"], "scene must be one of joystick"),
         (["view", "box", "--seconds", "0"], "seconds must be .* above 0"),

@@ -8,7 +8,6 @@ import subprocess
 import sys
 import zipfile
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -346,7 +345,7 @@ def test_the_two_widths_of_a_pulse_are_not_taken_for_one_another(tmp_path: Path)
         new[row] = SAMPLE, {**messages[row][1], name: 0.002}
         (stretch,) = load(mcap_of(new), tmp_path, ".mcap").stretches
         place = row - 1
-        assert (stretch.command[place, 12], stretch.applied[place, 12]) == (
+        assert (stretch.pulse_width[place], stretch.applied_pulse_width[place]) == (
             (0.002, 0.003) if name == "pulse_width" else (0.003, 0.002)
         )
         verdict = check(mcap_of(new), tmp_path, ".mcap")
@@ -556,4 +555,4 @@ def test_a_part_of_a_stretch_has_no_totals_of_the_whole(tmp_path: Path) -> None:
     (stretch,) = load(made("drop", ".mcap"), tmp_path, ".mcap").stretches
     part = stretch.part(2, 5)
     assert part.totals is None and part.basis is None and len(part.tick) == 4
-    assert replace(stretch, hand=stretch.hand).totals is not None
+    assert stretch.replace(hand=stretch.hand).totals is not None

@@ -18,19 +18,19 @@ from maglev_mj.analysis import analyse
 from maglev_mj.cli import main
 from maglev_mj.controller import Controller
 from maglev_mj.errors import ParameterError, PlantError
-from maglev_mj.experiments.drop import DropParameters, run_drop
-from maglev_mj.experiments.stick_slip import StickSlipParameters
 from maglev_mj.frames import ZERO, Command, Sample
 from maglev_mj.laws import Wall
 from maglev_mj.loop import run
 from maglev_mj.plants import ExactPlant, Timing
 from maglev_mj.recording import ArrayFile, Recording, RecordingError, open_recording, verify
-from maglev_mj.recording.ring import ROWS, Ring, RowReader
-from maglev_mj.recording.schemas import CHANNELS
-from maglev_mj.replay import rebuild, record_experiment, write_experiment
+from maglev_mj.recording.live import ROWS, Ring, RowReader
+from maglev_mj.recording.mcap import CHANNELS
+from maglev_mj.replay import rebuild, record_run, write_run
+from maglev_mj.scenes.drop import Drop
+from maglev_mj.scenes.run import run as run_scene
+from maglev_mj.scenes.scene import Scene
+from maglev_mj.scenes.stick_slip import StickSlip
 from maglev_mj.session import Pacer, Session
-
-ARRAYS = ("tick", "time", "position", "command", "applied", "hand")
 
 
 def messages(path: Path) -> list[tuple[str, dict[str, Any]]]:
@@ -44,19 +44,18 @@ def messages(path: Path) -> list[tuple[str, dict[str, Any]]]:
 def same(one: Recording, other: Recording) -> bool:
     """Whether two recordings hold the same, to the last bit."""
     return len(one.stretches) == len(other.stretches) and all(
-        a.setup == b.setup and all((getattr(a, name) == getattr(b, name)).all() for name in ARRAYS)
-        for a, b in zip(one.stretches, other.stretches, strict=True)
+        a.setup == b.setup and (a.rows == b.rows).all() for a, b in zip(one.stretches, other.stretches, strict=True)
     )
 
 
 @pytest.mark.parametrize(
-    ("kind", "parameters"),
-    [("drop", DropParameters(plant="mujoco", phase=0.3)), ("stick-slip", StickSlipParameters(plant="exact"))],
+    ("scene", "plant", "phase"),
+    [(Drop(), "mujoco", 0.3), (StickSlip(), "exact", 0.0)],
 )
-def test_a_file_holds_what_memory_does_to_the_last_bit(kind: str, parameters: Any, tmp_path: Path) -> None:
+def test_a_file_holds_what_memory_does_to_the_last_bit(scene: Scene, plant: str, phase: float, tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
-    write_experiment(path, kind, parameters)
-    written, kept = Recording.load(path), record_experiment(kind, parameters)
+    write_run(path, scene, plant=plant, phase=phase)
+    written, kept = Recording.load(path), record_run(scene, plant=plant, phase=phase)
     assert not written.damage and same(written, kept)
     assert verify(written, rebuild).same
 
@@ -65,7 +64,7 @@ def test_any_reader_finds_fields_by_name_with_units_and_what_it_was_made_from(tm
     from mcap.reader import make_reader
 
     path = tmp_path / "run.mcap"
-    write_experiment(path, "drop", DropParameters(plant="exact"))
+    write_run(path, Drop(), plant="exact")
     with path.open("rb") as file:
         summary = make_reader(file).get_summary()
     assert summary is not None and summary.statistics is not None
@@ -87,30 +86,30 @@ def test_any_reader_finds_fields_by_name_with_units_and_what_it_was_made_from(tm
 def test_energy_taken_is_what_the_actuators_took_from_a_fall(phase: float, delay: float, tmp_path: Path) -> None:
     """Against the work of the exact motion up to the last sample."""
     path = tmp_path / "run.mcap"
-    parameters = DropParameters(plant="exact", phase=phase, delay=delay, stiffness=2000.0)
-    write_experiment(path, "drop", parameters)
+    drop = Drop(delay=delay, stiffness=2000.0)
+    write_run(path, drop, plant="exact", phase=phase)
     (stretch,) = Recording.load(path).stretches
-    result, end = run_drop(parameters), stretch.time[-1]
+    result, end = run_scene(drop, plant="exact", phase=phase), stretch.time[-1]
     z, speed = (float(part[0, 2]) for part in result.trace.at(np.array([end]))[:2])
-    fallen = 0.7 * 9.81 * (parameters.height - z) - 0.5 * 0.7 * speed**2
+    fallen = 0.7 * 9.81 * (drop.height - z) - 0.5 * 0.7 * speed**2
     assert messages(path)[-1][1]["taken"] == pytest.approx(fallen, rel=1e-9)
     assert fallen > 0.01
 
 
 @pytest.mark.parametrize(
-    ("kind", "parameters"),
+    ("scene", "phase"),
     [
-        ("drop", DropParameters(plant="exact", mass=0.75, phase=0.2)),
-        ("drop", DropParameters(plant="exact", mass=0.75, pulse=0.0, delay=0.006)),
-        ("drop", DropParameters(plant="exact", force_limit=60.0)),
-        ("stick-slip", StickSlipParameters(plant="exact")),
-        ("stick-slip", StickSlipParameters(plant="exact", axis="ry", delay=0.003)),
+        (Drop(mass=0.75), 0.2),
+        (Drop(mass=0.75, pulse=0.0, delay=0.006), 0.0),
+        (Drop(force_limit=60.0), 0.0),
+        (StickSlip(), 0.0),
+        (StickSlip(axis="ry", delay=0.003), 0.0),
     ],
 )
-def test_energy_taken_is_that_of_the_analysis(kind: str, parameters: Any, tmp_path: Path) -> None:
+def test_energy_taken_is_that_of_the_analysis(scene: Scene, phase: float, tmp_path: Path) -> None:
     """Which puts parabolas between the samples: another way to the same figure, whatever weighs and moves."""
     path = tmp_path / "run.mcap"
-    write_experiment(path, kind, parameters)
+    write_run(path, scene, plant="exact", phase=phase)
     (stretch,) = Recording.load(path).stretches
     found = analyse(stretch, rebuild, simulated=False).recorded.figures.energy
     assert messages(path)[-1][1]["taken"] == pytest.approx(sum(found.taken), rel=1e-6)
@@ -119,7 +118,7 @@ def test_energy_taken_is_that_of_the_analysis(kind: str, parameters: Any, tmp_pa
 
 def test_energy_of_a_session_goes_on_with_what_acted_before(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
-    session = Session("drop", record=path, pacer=Pacer(budget=60.0, patience=3600.0))
+    session = Session(Drop(), record=path, pacer=Pacer(budget=60.0, patience=3600.0))
     for frame in range(24):
         session.tick(1.0 / 60.0)
         if frame in (3, 5, 9):
@@ -186,7 +185,7 @@ import sys, time
 from pathlib import Path
 from maglev_mj.session import Session, Pacer
 from maglev_mj.hand import SpringHand
-session = Session("joystick", hand=SpringHand(), folder=Path(sys.argv[1]))
+session = Session(hand=SpringHand(), folder=Path(sys.argv[1]))
 session.act("friction"); session.act("record")
 session.hand.target = [0.012, 0.003, 0.0, 0.0, 0.1, 0.0]
 last = time.perf_counter()
@@ -203,7 +202,7 @@ def writers_to(folder: Path) -> list[int]:
     for line in Path("/proc").glob("[0-9]*/cmdline"):
         with suppress(OSError):  # it has ended meanwhile; one that nobody has waited for yet has no command line
             said = line.read_bytes().decode(errors="replace")
-            found += [int(line.parent.name)] if "maglev_mj.recording.writing" in said and f"{folder}/" in said else []
+            found += [int(line.parent.name)] if "maglev_mj.recording.writer" in said and f"{folder}/" in said else []
     return found
 
 
@@ -235,7 +234,7 @@ def test_a_recording_that_is_killed_opens_and_replays_to_its_last_row(writer_too
 
 def test_a_file_that_ends_anywhere_opens_up_to_its_last_chunk(tmp_path: Path) -> None:
     path, cut = tmp_path / "run.mcap", tmp_path / "cut.mcap"
-    write_experiment(path, "drop", DropParameters(plant="exact", period=0.002))
+    write_run(path, Drop(period=0.002), plant="exact")
     data, whole = path.read_bytes(), Recording.load(path)
     seen = set()
     for length in range(0, len(data), 97):
@@ -247,14 +246,13 @@ def test_a_file_that_ends_anywhere_opens_up_to_its_last_chunk(tmp_path: Path) ->
             continue
         seen.add(part.ticks)
         for stretch in part.stretches:
-            for name in ARRAYS:
-                assert (getattr(stretch, name) == getattr(whole.stretches[0], name)[: part.ticks]).all()
+            assert (stretch.rows == whole.stretches[0].rows[: part.ticks]).all()
     assert min(seen) == -1 and max(seen) == whole.ticks and len(seen) > 10
 
 
 def test_of_a_damaged_file_all_before_the_damage_is_there(tmp_path: Path, capsys: Any) -> None:
     path, other = tmp_path / "run.mcap", tmp_path / "other.mcap"
-    write_experiment(path, "drop", DropParameters(plant="exact", period=0.002))
+    write_run(path, Drop(period=0.002), plant="exact")
     data, whole = path.read_bytes(), Recording.load(path)
     found = []
     for place in range(len(data) // 4, len(data) // 2, 61):
@@ -306,10 +304,11 @@ def test_pulses_and_rows_go_through_the_ring_unchanged() -> None:
         plant.hand_wrench = values[5]
         ring.record(plant)(Sample(count, 0.1 * count, values[4]), command, applied)
         ((place, row),) = reader.rows()
-        pulse = [*values[1], 0.003] if count % 2 else [0.0] * 7
-        given = [*values[3], 0.002] if count % 3 else [0.0] * 7
+        pulse, width = (values[1], 0.003) if count % 2 else (list(ZERO), 0.0)
+        given, lasting = (values[3], 0.002) if count % 3 else (list(ZERO), 0.0)
         assert place == count
-        assert row == (count, 0.1 * count, *values[4], *values[0], *pulse, *values[2], *given, *values[5])
+        expected = [count, 0.1 * count, *values[4], *values[0], *pulse, *values[2], *given, *values[5], width, lasting]
+        assert row == expected
     ring.close()
     reader.close()
 
@@ -357,7 +356,7 @@ def test_a_recording_is_exported_as_a_table_with_units(suffix: str, tmp_path: Pa
     from pyarrow import parquet
 
     path = tmp_path / f"run{suffix}"
-    write_experiment(path, "drop", DropParameters(plant="exact"))
+    write_run(path, Drop(), plant="exact")
     (stretch,) = Recording.load(path).stretches
     for kind in ("csv", "parquet"):
         assert main(["export", str(path), "--to", kind]) == 0
@@ -373,11 +372,11 @@ def test_a_recording_is_exported_as_a_table_with_units(suffix: str, tmp_path: Pa
         "time": stretch.time,
         "position.z": stretch.position[:, 2],
         "command.z": stretch.command[:, 2],
-        "pulse.z": stretch.command[:, 8],
-        "pulse_width": stretch.command[:, 12],
+        "pulse.z": stretch.pulse[:, 2],
+        "pulse_width": stretch.pulse_width,
         "applied.x": stretch.applied[:, 0],
-        "applied_pulse.z": stretch.applied[:, 8],
-        "applied_pulse_width": stretch.applied[:, 12],
+        "applied_pulse.z": stretch.applied_pulse[:, 2],
+        "applied_pulse_width": stretch.applied_pulse_width,
         "hand.rx": stretch.hand[:, 3],
     }
     for name, values in wanted.items():
@@ -390,7 +389,7 @@ def test_a_recording_is_exported_as_a_table_with_units(suffix: str, tmp_path: Pa
 
 def test_a_recording_is_not_exported_over_itself(tmp_path: Path, capsys: Any) -> None:
     path = tmp_path / "run.npz"
-    write_experiment(path, "drop", DropParameters(plant="exact"))
+    write_run(path, Drop(), plant="exact")
     assert main(["export", str(path), "--to", "npz"]) == 2
     assert "out must be another file than the recording" in capsys.readouterr().err
     assert main(["export", str(path), "--to", "csv", "--out", str(tmp_path)]) == 2
@@ -425,13 +424,13 @@ def test_an_answer_that_the_plant_refuses_is_the_last_row(name: str, odd: float,
 @pytest.mark.parametrize("name", ["run.mcap", "run.npz"])
 def test_what_was_there_stays_until_there_is_a_sample(name: str, tmp_path: Path) -> None:
     path = tmp_path / name
-    write_experiment(path, "drop", DropParameters(plant="exact"))
+    write_run(path, Drop(), plant="exact")
     before = path.read_bytes()
     file = open_recording(path)
     file.begin(Still(), Controller([], period=0.005), {"kind": "test"}, delay=0.0)
     assert file.close() is None
     assert path.read_bytes() == before and list(tmp_path.iterdir()) == [path]
-    write_experiment(path, "drop", DropParameters(plant="exact", duration=0.2))
+    write_run(path, Drop(duration=0.2), plant="exact")
     assert Recording.load(path).ticks == 41 and list(tmp_path.iterdir()) == [path]
 
 
@@ -461,7 +460,7 @@ def test_messages_that_are_missing_are_noticed(tmp_path: Path) -> None:
     from mcap.writer import Writer
 
     path, other = tmp_path / "run.mcap", tmp_path / "other.mcap"
-    write_experiment(path, "drop", DropParameters(plant="exact"))
+    write_run(path, Drop(), plant="exact")
     data = path.read_bytes()
     found = []
     for place in range(200, len(data) - 200, 37):
@@ -487,10 +486,71 @@ def test_messages_that_are_missing_are_noticed(tmp_path: Path) -> None:
 
 def test_many_samples_take_little_memory_to_read(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
-    write_experiment(path, "drop", DropParameters(plant="exact", period=0.0001, duration=1.0))
+    write_run(path, Drop(period=0.0001, duration=1.0), plant="exact")
     tracemalloc.start()
     ticks = Recording.load(path).ticks
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert ticks == 10001
     assert peak < 1500 * ticks  # as messages they took 5000 bytes a sample
+
+
+MORE = """    Field("pull", "N", "force along z, squared, for a test", "applied.force[2] ** 2", optional=True),
+"""
+CHANGED = """
+import sys
+from pathlib import Path
+import maglev_mj
+from maglev_mj.cli import main
+from maglev_mj.recording import Recording
+assert Path(maglev_mj.__file__).is_relative_to(Path.cwd())
+for suffix in ("mcap", "npz"):
+    assert main(["drop", "--plant", "exact", "--duration", "0.05", "--record", f"run.{suffix}"]) == 0
+    assert main(["replay", f"run.{suffix}", "--check"]) == 0
+    (stretch,) = Recording.load(Path(f"run.{suffix}")).stretches
+    assert (stretch.pull == stretch.applied[:, 2] ** 2).all() and stretch.pull.any()
+assert main(["export", "run.mcap", "--to", "csv"]) == 0
+(old,) = Recording.load(Path(sys.argv[1])).stretches  # from before the line was there
+assert (old.pull != old.pull).all() and len(old) == 81
+"""
+
+
+def test_one_more_recorded_value_is_one_more_line(tmp_path: Path) -> None:
+    """In a copy of the package: memory, .npz, MCAP and its schema, table and check follow from it."""
+    import shutil
+
+    import maglev_mj
+    from maglev_mj.versions import MODELS
+
+    write_run(tmp_path / "old.npz", Drop(), plant="exact")
+    shutil.copytree(Path(maglev_mj.__file__).parent, tmp_path / "maglev_mj", ignore=shutil.ignore_patterns("*.pyc"))
+    shutil.copytree(MODELS, tmp_path / "model", dirs_exist_ok=True)
+    table = tmp_path / "maglev_mj" / "recording" / "row.py"
+    before, after = table.read_text().split(')\n"""What is recorded of each sample')
+    table.write_text(f'{before}{MORE})\n"""What is recorded of each sample{after}')
+    done = subprocess.run(
+        [sys.executable, "-c", CHANGED, str(tmp_path / "old.npz")],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        timeout=100,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count(", pull") == 2  # of the fields that were compared
+    samples = messages(tmp_path / "run.mcap")[1:]
+    pulls = [message["pull"] for _, message in samples]
+    assert pulls == [message["applied"]["z"] ** 2 for _, message in samples] and any(pulls)
+    with np.load(tmp_path / "run.npz") as arrays:
+        assert arrays["0/pull"].tolist() == pulls
+    head, *lines = (tmp_path / "run.csv").read_text().splitlines()
+    column = head.split(",").index("pull [N]")
+    assert [float(line.split(",")[column]) for line in lines] == pulls
+    from mcap.reader import make_reader
+
+    with (tmp_path / "run.mcap").open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    schemas = {schema.name: json.loads(schema.data) for schema in summary.schemas.values()}
+    assert schemas["maglev_mj.Sample"]["properties"]["pull"]["unit"] == "N"
+    assert verify(Recording.load(tmp_path / "run.mcap"), rebuild).same  # by the program without the line

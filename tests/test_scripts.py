@@ -24,7 +24,6 @@ def run_script(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[st
 
     def run(name: str, *arguments: str) -> str:
         path = str(ROOT / "scripts" / name)
-        monkeypatch.syspath_prepend(str(ROOT / "scripts"))
         monkeypatch.setattr(sys, "argv", [path, *arguments])
         runpy.run_path(path, run_name="__main__")
         return capsys.readouterr().out
@@ -35,14 +34,14 @@ def run_script(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[st
 @pytest.mark.parametrize("name", ["fig2_stability", "fig3_drop", "fig4_phase_plane", "fig6_press", "fig8_stick_slip"])
 def test_figures(name: str, tmp_path: Path, run_script: Script) -> None:
     pytest.importorskip("matplotlib")
-    assert f"{name}.png" in run_script(f"{name}.py", str(tmp_path))
+    assert f"{name}.png" in run_script(f"figures/{name}.py", str(tmp_path))
     assert (tmp_path / f"{name}.png").stat().st_size > 10_000
 
 
 @pytest.mark.skipif(find_library("OSMesa") is None, reason="drawing off screen needs OSMesa (Debian: libosmesa6)")
 def test_render_device_runs_in_a_process_of_its_own(tmp_path: Path) -> None:
     image = pytest.importorskip("matplotlib.image")
-    command = [sys.executable, str(ROOT / "scripts" / "render_device.py"), str(tmp_path / "device.png")]
+    command = [sys.executable, str(ROOT / "scripts" / "figures" / "render_device.py"), str(tmp_path / "device.png")]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
     assert done.returncode == 0 and "device.png" in done.stdout, done.stderr
     picture = image.imread(tmp_path / "device.png")
@@ -51,7 +50,7 @@ def test_render_device_runs_in_a_process_of_its_own(tmp_path: Path) -> None:
 
 
 def test_pulse_effect_prints_the_table_of_the_readme(run_script: Script) -> None:
-    out = run_script("pulse_effect.py").splitlines()
+    out = run_script("figures/pulse_effect.py").splitlines()
     assert sum(line.startswith("| from") for line in out) == 8
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     (table,) = re.findall(r"^\| from 4\.5 mm (?:.*\n)+?\n", readme, re.MULTILINE)
@@ -62,7 +61,7 @@ def test_pulse_effect_prints_the_table_of_the_readme(run_script: Script) -> None
 
 def test_friction_laws_prints_and_writes_every_law(tmp_path: Path, run_script: Script) -> None:
     pytest.importorskip("matplotlib")
-    out = run_script("friction_laws.py", "--quick", str(tmp_path))
+    out = run_script("studies/friction_laws.py", "--quick", str(tmp_path))
     data = json.loads((tmp_path / "friction_laws.json").read_text())
     assert len(data["spring"]) == 7 * 2 * 4
     assert len(data["hard"]) == 7 * 2 * 2
@@ -72,7 +71,7 @@ def test_friction_laws_prints_and_writes_every_law(tmp_path: Path, run_script: S
 
 def test_stability_bounds_prints_and_writes_its_figures(tmp_path: Path, run_script: Script) -> None:
     pytest.importorskip("matplotlib")
-    out = run_script("stability_bounds.py", "--quick", str(tmp_path))
+    out = run_script("studies/stability_bounds.py", "--quick", str(tmp_path))
     data = json.loads((tmp_path / "stability_bounds.json").read_text())
     assert len(data["bounds"]) == 12 and len(data["integrators"]) == 3 * 5 + 2
     assert out.count("euler") == 4
@@ -81,7 +80,7 @@ def test_stability_bounds_prints_and_writes_its_figures(tmp_path: Path, run_scri
 
 def test_where_methods_fail_draws_its_panels(tmp_path: Path, run_script: Script) -> None:
     pytest.importorskip("matplotlib")
-    run_script("where_methods_fail.py", "--quick", str(tmp_path))
+    run_script("studies/where_methods_fail.py", "--quick", str(tmp_path))
     panels = json.loads((tmp_path / "where_methods_fail.json").read_text())["panels"]
     assert len(panels) == 8 and all(panel["curves"] for panel in panels)
     assert (tmp_path / "where_methods_fail.png").stat().st_size > 10_000
@@ -89,7 +88,7 @@ def test_where_methods_fail_draws_its_panels(tmp_path: Path, run_script: Script)
 
 def test_two_walls_prints_draws_and_writes_where_they_rattle(tmp_path: Path, run_script: Script) -> None:
     pytest.importorskip("matplotlib")
-    out = run_script("two_walls.py", "--quick", str(tmp_path))
+    out = run_script("studies/two_walls.py", "--quick", str(tmp_path))
     rows = json.loads((tmp_path / "two_walls.json").read_text())["rows"]
     assert len(rows) == 9 and out.count("\npulse") == 3
     assert [max(row["share"]) for row in rows if row["delay"] == 0.0] == [0.0] * 3
@@ -99,13 +98,13 @@ def test_two_walls_prints_draws_and_writes_where_they_rattle(tmp_path: Path, run
 
 def test_figure_9_prints_how_far_resting_places_are_apart(tmp_path: Path, run_script: Script) -> None:
     pytest.importorskip("matplotlib")
-    out = run_script("fig9_six_axes.py", "--quick", str(tmp_path))
+    out = run_script("figures/fig9_six_axes.py", "--quick", str(tmp_path))
     assert out.count("N/m") == 3 and out.count("6 of 6") == 3
     assert (tmp_path / "fig9_six_axes.png").stat().st_size > 10_000
 
 
 def test_better_walls_prints_and_writes_its_figures(tmp_path: Path, run_script: Script) -> None:
-    out = run_script("better_walls.py", "--quick", str(tmp_path))
+    out = run_script("studies/better_walls.py", "--quick", str(tmp_path))
     data = json.loads((tmp_path / "better_walls.json").read_text())
     assert len(data["designs"]) == 2 and len(data["bounces"]) == 2 and len(data["hum"]) == 2
     assert "observer, poles at 0" in out
@@ -114,9 +113,9 @@ def test_better_walls_prints_and_writes_its_figures(tmp_path: Path, run_script: 
 
 
 def test_bench_loop_prints_its_ratios(run_script: Script) -> None:
-    assert "RK4, coils, closed loop / bare mj_step" in run_script("bench_loop.py", "--quick")
+    assert "RK4, coils, closed loop / bare mj_step" in run_script("benchmarks/bench_loop.py", "--quick")
 
 
 def test_bench_recording_prints_what_a_tick_costs(run_script: Script) -> None:
-    out = run_script("bench_recording.py", "--quick")
+    out = run_script("benchmarks/bench_recording.py", "--quick")
     assert "recorded to .mcap, into shared memory" in out and "samples a second" in out

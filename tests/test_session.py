@@ -1,25 +1,36 @@
 """Sessions without a window: keeping up with real time, what actions do, energy, recording."""
 
+import re
 from pathlib import Path
 from typing import Any
 
+import glfw
 import numpy as np
 import pytest
 
 from maglev_mj import AXES, Controller
 from maglev_mj.energy import EnergyAccount
 from maglev_mj.errors import ParameterError
-from maglev_mj.hand import ConstantForce, SpringHand
+from maglev_mj.hand import SpringHand
 from maglev_mj.laws import Hold, Law, StickSlip, Wall
 from maglev_mj.loop import ControlLoop
+from maglev_mj.parameters import param
 from maglev_mj.plants import MuJoCoPlant, Timing
-from maglev_mj.recording import Recording, verify
+from maglev_mj.recording import Recording, RecordingError, verify
 from maglev_mj.replay import rebuild
-from maglev_mj.scenes import SCENES, Settings, scene_called
-from maglev_mj.scenes.parts import INERTIA, wall
-from maglev_mj.session import ACTIONS, Pacer, Session
+from maglev_mj.scenes import BUILT_IN, Scene, find_scene
+from maglev_mj.scenes.drop import Drop
+from maglev_mj.scenes.joystick import Joystick
+from maglev_mj.scenes.legacy import recorded_scene
+from maglev_mj.scenes.parts import INERTIA, WEIGHT, wall
+from maglev_mj.scenes.press import Press
+from maglev_mj.session import Pacer, Session, Snapshot, actions, device_controller, live_plant, real_time, settable
+from maglev_mj.spec import Spec
+from maglev_mj.stream.messages import same_rules
 from maglev_mj.theory import largest_stable_stiffness
+from maglev_mj.viewer.overlay import help_text, keys_of, status_text
 
+ROOT = Path(__file__).parents[1]
 FRAME = 1.0 / 60.0
 
 
@@ -85,6 +96,19 @@ def test_what_is_forgiven_is_not_caught_up() -> None:
     assert pacer.advance(0.0, 0.005, lambda: None) == 0
 
 
+def test_real_time_ends_when_it_is_over_and_forgets_a_suspension(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = Clock()
+
+    def sleep(step: float) -> None:
+        clock.now += 30.0 if 0.1 < clock.now < 0.2 else step
+
+    monkeypatch.setattr("time.sleep", sleep)
+    turns = list(real_time(31.0, 0.02, clock))
+    assert max(elapsed for elapsed, _ in turns) == 1.0  # of the 30 s, one
+    assert turns[0] == (0.0, 0.0) and turns[-1][1] == pytest.approx(31.0, abs=0.03)
+    assert len(turns) == pytest.approx(1.0 / 0.02, abs=4)
+
+
 def after(session: Session, seconds: float) -> Session:
     """Let a session go on."""
     for _ in range(round(seconds / FRAME)):
@@ -92,47 +116,49 @@ def after(session: Session, seconds: float) -> Session:
     return session
 
 
-def made(scene: str = "joystick", **options: Any) -> Session:
+def made(scene: str | Scene = "joystick", **options: Any) -> Session:
     """Return a session that no slow machine can make late."""
+    scene = find_scene(scene)() if isinstance(scene, str) else scene
     return Session(scene, pacer=Pacer(budget=60.0, patience=3600.0), **options)
 
 
-def stored_at_start(name: str) -> float:
+def stored_at_start(scene: Scene) -> float:
     """Return the energy in a scene's springs where it starts [J]: the corner's is drawn."""
-    scene = SCENES[name]
-    springs = [law for law in scene.laws(scene.settings) if isinstance(law, Hold)]
-    away = [np.asarray(law.target) - np.array(scene.pose)[[AXES.index(axis) for axis in law.axes]] for law in springs]
+    springs = [law for law in scene.laws() if isinstance(law, Hold)]
+    away = [
+        np.asarray(law.target) - np.array(scene.start().pose)[[AXES.index(axis) for axis in law.axes]]
+        for law in springs
+    ]
     return sum(float((0.5 * np.asarray(law.stiffness) * way**2).sum()) for law, way in zip(springs, away, strict=True))
 
 
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("name", BUILT_IN)
 @pytest.mark.parametrize(("period", "delay"), [(0.005, 0.0015), (0.001, 0.0005)])
 def test_every_scene_runs_in_its_scripted_hand_and_takes_energy(name: str, period: float, delay: float) -> None:
-    scene = SCENES[name]
-    settings = Settings.from_json({**scene.settings.as_json(), "period": period, "delay": delay})
-    end = scene.script.end if scene.script is not None else 0.5
-    session = after(made(name, settings=settings, hand=SpringHand(target=scene.script)), end + 1.0)
-    view = session.view()
+    scene = find_scene(name)(period=period, delay=delay)
+    hand = scene.scripted_hand()
+    session = after(made(scene, hand=hand), scene.end + 0.6)
+    view = session.snapshot()
     assert not view.notes
-    assert view.taken > -stored_at_start(name)
+    assert view.taken > -stored_at_start(scene) - 1e-4
     assert np.abs(view.pose[:3]).max() < 0.0046
-    if scene.script is not None:
+    if hand is not None:
         assert abs(view.work) > 1e-4
 
 
-@pytest.mark.parametrize("name", [name for name in SCENES if name != "drop"])
+@pytest.mark.parametrize("name", ["joystick", "table", "box", "corner"])
 def test_a_scene_left_alone_comes_to_rest(name: str) -> None:
     session = after(made(name), 3.0)
-    assert np.abs(np.diff(session.view().history[-50:, 1])).max() < 1e-7
+    assert np.abs(np.diff(session.snapshot().history[-50:, 1])).max() < 1e-7
 
 
 def test_pause_stops_time_and_owes_nothing() -> None:
     session = after(made(), 0.5)
-    time = session.view().time
+    time = session.snapshot().time
     session.act("pause")
     assert session.tick(5.0) == 0
-    assert session.view().time == time
-    assert session.view().notes == ["PAUSED"]
+    assert session.snapshot().time == time
+    assert session.snapshot().notes == ["PAUSED"]
     session.act("pause")
     assert session.tick(FRAME) <= 4
 
@@ -154,14 +180,14 @@ def test_actions_change_what_they_say_and_the_flotor_goes_on_from_where_it_is() 
         "delay down": ("delay", 0.0015),
     }
     for action, (name, value) in expected.items():
-        before = session.view()
+        before = session.snapshot()
         session.act(action)
-        now = session.view()
-        assert getattr(now.settings, name) == pytest.approx(value)
+        now = session.snapshot()
+        assert getattr(now.scene, name) == pytest.approx(value)
         assert (now.pose == before.pose).all()
         assert now.time == before.time
         after(session, 0.05)
-    assert session.view().time == pytest.approx(0.137 + 11 * 0.05, abs=0.01)
+    assert session.snapshot().time == pytest.approx(0.137 + 11 * 0.05, abs=0.01)
 
 
 def test_gains_rate_and_delay_stay_within_what_can_be() -> None:
@@ -175,45 +201,44 @@ def test_gains_rate_and_delay_stay_within_what_can_be() -> None:
 
 def test_every_action_is_known_and_no_other() -> None:
     session = made()
-    for action in ACTIONS:
+    for action in session.actions:
         if action != "record":
             session.act(action)
-    with pytest.raises(ParameterError, match=r"action must be one of wall, pulse, .* not 'jump'"):
+    with pytest.raises(ParameterError, match=r"action must be one of rate up, .* stiffness up, .* record, not 'jump'"):
         session.act("jump")
 
 
 def test_next_scene_goes_round() -> None:
     session = made()
     seen = []
-    for _ in SCENES:
+    for _ in BUILT_IN:
         session.act("next scene")
-        seen.append(session.view().scene.name)
-    assert seen == [*list(SCENES)[1:], "joystick"]
+        seen.append(session.snapshot().scene.name)
+    assert seen == [*list(BUILT_IN)[1:], "joystick"]
 
 
 def test_drop_lets_go_with_its_weight_and_centre_undoes_it() -> None:
     session = made("box")
     session.act("drop")
-    assert session.view().pose[2] == 0.004
+    assert session.snapshot().pose[2] == 0.004
     after(session, 1.0)
-    view = session.view()
+    view = session.snapshot()
     assert view.pose[2] == pytest.approx(-0.003 - INERTIA[0] * 9.81 / 6000.0, abs=1e-5)
     session.act("centre")
-    assert session.view().settings.weightless
-    assert not session.view().pose.any()
+    assert session.snapshot().scene.as_json()["weightless"]
+    assert not session.snapshot().pose.any()
 
 
 @pytest.mark.parametrize(("share", "stops"), [(0.8, False), (1.5, True)])
 def test_a_wall_that_is_unstable_is_stopped_and_restored_by_one_key(share: float, stops: bool) -> None:
     """Beside the boundary that the closed loop's eigenvalues give, at the press that keeps the flotor in the wall."""
     limit = float(largest_stable_stiffness(87.0, period=0.005, delay=0.0015))
-    settings = Settings(weightless=False, pulse=False, stiffness=share * limit, damping=87.0)
-    session = after(made("drop", settings=settings), 8.0)
-    (note,) = session.view().notes or [""]
+    session = after(made(Drop(pulse=0.0, stiffness=share * limit, damping=87.0)), 8.0)
+    (note,) = session.snapshot().notes or [""]
     assert note.startswith("STOPPED: the rendered world made") == stops
     assert (session.tick(1.0) == 0) == stops
     session.act("centre")
-    assert not session.view().notes
+    assert not session.snapshot().notes
     assert session.tick(FRAME) > 0
 
 
@@ -223,7 +248,7 @@ def test_work_is_metered_whatever_else_pushes() -> None:
         Timing(period=0.004, delay=0.0013),
         metered=True,
         twist=[0.05, -0.03, 0.02, 0.3, -0.2, 0.4],
-        hand_force=ConstantForce([0.5, 0.2, 4.0, 1e-3, -2e-3, 1e-3]),
+        hand_force=lambda *_: [0.5, 0.2, 4.0, 1e-3, -2e-3, 1e-3],
     )
     model_inertia = plant.device.inertia
     laws: list[Law] = [
@@ -264,11 +289,10 @@ def test_a_recorded_session_runs_again_bit_for_bit(tmp_path: Path) -> None:
 
 
 def test_what_was_recorded_before_a_run_is_stopped_is_kept(tmp_path: Path) -> None:
-    settings = Settings(weightless=False, stiffness=40000.0, damping=87.0)
-    session = made("drop", settings=settings, folder=tmp_path)
+    session = made(Drop(stiffness=40000.0, damping=87.0), folder=tmp_path)
     session.act("record")
     after(session, 1.0)
-    assert session.view().notes[0].startswith("STOPPED")
+    assert session.snapshot().notes[0].startswith("STOPPED")
     session.act("record")
     recording = Recording.load(session.recordings[0])
     assert recording.ticks > 5
@@ -291,27 +315,26 @@ def test_a_recording_whose_folder_is_gone_goes_elsewhere(tmp_path: Path) -> None
 
 def test_walls_and_friction_on_an_axis_share_the_gains() -> None:
     """Both together are as stiff as either alone: their sum is what the delay bounds."""
-    alone = Settings()
-    both = Settings(friction=True)
     for name in ("joystick", "box", "corner"):
-        for settings in (alone, both):
-            laws = [law for law in SCENES[name].laws(settings) if isinstance(law, Wall | StickSlip)]
-            assert len(laws) == 1 + settings.friction
+        for friction in (False, True):
+            scene = find_scene(name)().replace(friction=friction)
+            laws = [law for law in scene.laws() if isinstance(law, Wall | StickSlip)]
+            assert len(laws) == 1 + friction
             assert sum(float(np.max(law.stiffness)) for law in laws) == 6000.0
             assert sum(float(np.max(law.damping)) for law in laws) == 80.0
-    assert wall(alone, "x", lower=0.0).stiffness == 6000.0
+    assert wall(Joystick(), "x", lower=0.0).stiffness == 6000.0
 
 
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (lambda: scene_called("pub"), "scene must be one of joystick, .* not 'pub'"),
-        (lambda: Settings(stiffness=-1.0), "stiffness must be .* not -1.0"),
+        (lambda: find_scene("pub"), "scene must be one of joystick, .* not 'pub'"),
+        (lambda: Joystick(stiffness=-1.0), "stiffness must be .* not -1.0"),
         (
-            lambda: Settings(wall=1),  # type: ignore[arg-type]
+            lambda: Joystick(wall=1),  # type: ignore[arg-type]
             "wall must be True or False, not 1",
         ),
-        (lambda: Settings.from_json({"speed": 1.0}), "settings must be of .* not speed"),
+        (lambda: Joystick.from_json({"speed": 1.0}), "parameter must be one of .* not 'speed'"),
         (lambda: Pacer(budget=0.0), "budget must be .* above 0"),
     ],
 )
@@ -323,7 +346,7 @@ def test_what_cannot_be_is_refused(make: Any, words: str) -> None:
 @pytest.mark.parametrize("name", ["run.mcap", "run.npz"])
 def test_a_session_is_recorded_from_its_start_on(name: str, tmp_path: Path) -> None:
     session = made(record=tmp_path / name)
-    assert session.view().notes == ["RECORDING"]
+    assert session.snapshot().notes == ["RECORDING"]
     after(session, 0.3)
     session.act("friction")
     after(session, 0.2)
@@ -333,3 +356,129 @@ def test_a_session_is_recorded_from_its_start_on(name: str, tmp_path: Path) -> N
     assert [stretch.setup["settings"]["friction"] for stretch in recording.stretches] == [False, True]
     assert recording.ticks == 100
     assert verify(recording, rebuild).same
+
+
+@pytest.fixture
+def shaft(tmp_path: Path) -> type[Scene]:
+    """Return a user's own scene, in a file of its own."""
+    (text,) = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "viewer.md").read_text(encoding="utf-8"), re.S)
+    path = tmp_path / "shaft.py"
+    path.write_text(text, encoding="utf-8")
+    return find_scene(str(path))
+
+
+def test_a_scene_of_ones_own_has_keys_on_its_parameters(shaft: type[Scene]) -> None:
+    words = dict(zip(*(column.splitlines() for column in help_text(shaft)), strict=True))
+    assert words["Up  Down"] == "stiffness" and words[".   ,"] == "width" and words["6"] == "rubber"
+    keys, session = keys_of(shaft), made(shaft())
+    for key, name, value in (
+        (glfw.KEY_PERIOD, "width", 0.0045),
+        (glfw.KEY_DOWN, "stiffness", 3200.0),
+        (glfw.KEY_6, "rubber", True),
+        (glfw.KEY_F9, "period", 0.002),
+    ):
+        session.act(keys[key])
+        assert session.snapshot().scene.as_json()[name] == pytest.approx(value)
+    for _ in range(20):
+        session.act("width up")
+    assert session.snapshot().scene.as_json()["width"] == 0.009
+    session.act("next scene")
+    assert session.snapshot().scene.name == "joystick"
+    names, values = (column.splitlines() for column in status_text(made(shaft()).snapshot()))
+    assert dict(zip(names, values, strict=True))["gains"] == "width 0.004 m  4000 N/m"
+
+
+def test_a_scene_of_ones_own_runs_and_is_recorded(shaft: type[Scene], tmp_path: Path) -> None:
+    hand = SpringHand(target=[0.006, 0.0, 0.0, 0.0, 0.0, 0.0])
+    session = after(made(shaft(), hand=hand, record=tmp_path / "run.npz"), 1.0)
+    place = session.snapshot().pose[0]
+    assert place == pytest.approx((200.0 * 0.006 + 4000.0 * 0.002) / 4200.0, abs=1e-5)
+    session.close()
+    (stretch,) = Recording.load(tmp_path / "run.npz").stretches
+    assert stretch.setup["settings"] == shaft().as_json()
+    with pytest.raises(RecordingError, match=r"scene must be one of joystick, .* not .*shaft.py:Shaft"):
+        rebuild(stretch.setup, None)  # no recording makes a program run a file
+
+
+def test_a_number_is_taken_off_and_put_back_by_one_key() -> None:
+    session = made(Drop())
+    for expected in (0.0, 220.0):
+        session.act("pulse")
+        assert session.snapshot().scene.as_json()["pulse"] == expected
+    session.act("pulse up")
+    assert session.snapshot().scene.as_json()["pulse"] == 275.0
+
+
+def test_the_limits_of_the_device_are_added_but_not_to_those_of_the_scene() -> None:
+    class Weak(Scene):
+        """Nothing at 1 A."""
+
+        def laws(self) -> list[Law]:
+            return []
+
+        def plant_options(self) -> dict[str, Any]:
+            return {"current_limit": 1.0}
+
+    assert live_plant(Weak()).current_limit == 1.0
+    assert live_plant(Drop()).current_limit == Spec.peak_current.value
+
+
+def test_a_scene_without_gravity_is_carried_on_a_device() -> None:
+    for scene, carried in ((Drop(), 0.0), (Press(), WEIGHT[2]), (Joystick(), WEIGHT[2])):
+        assert device_controller(scene).carried[2] == carried
+
+
+def test_recordings_of_the_old_drop_and_press_are_made_as_they_were() -> None:
+    values = {"wall": True, "pulse": True, "friction": False, "weightless": True, "stiffness": 6000.0}
+    for name, height in (("drop", 0.0045), ("press", 0.003)):
+        old = recorded_scene(name, values)
+        assert old.name == name and old.start().pose[2] == height and len(old.laws()) == 3
+        assert type(recorded_scene(name, {"stiffness": 6000.0})) is find_scene(name)
+
+
+def test_keys_stop_at_the_bounds_and_leave_what_is_not_theirs() -> None:
+    class Counted(Scene):
+        """Count something."""
+
+        some: int = param("how many", default=2, at_least=0, at_most=5, live=True)
+        none: float | None = param("a limit", "N", default=None, above=0.0, optional=True, live=True)
+
+        def laws(self) -> list[Law]:
+            return []
+
+    changes = actions(Counted)
+    scene: Scene = Counted()
+    seen = []
+    for action in ["some up"] * 5 + ["some down", "some", "some", "none up"]:
+        scene = changes[action](scene)
+        seen.append(scene.as_json()["some"])
+    assert seen == [3, 4, 5, 5, 5, 4, 0, 2, 2] and scene.as_json()["none"] is None
+    assert actions(Drop)["stiffness up"](Drop(stiffness=1e8)) == Drop(stiffness=1e8)
+    assert "walls" not in actions(Joystick) and not any("weightless" in name for name in actions(Joystick))
+    assert set(settable(Joystick())) >= {"walls", "weightless", "breakaway"}
+
+
+def test_what_a_program_asks_of_the_scene_before_is_not_done() -> None:
+    class Late:
+        """A program that answers to the scene that was there when it asked."""
+
+        wanted: Scene | None = None
+
+        def take(self) -> Scene | None:
+            taken, self.wanted = self.wanted, None
+            return taken
+
+        def show(self, snapshot: Snapshot) -> None: ...
+
+        def close(self) -> None: ...
+
+    late = Late()
+    session = made("box", publishers=[late])
+    late.wanted = Joystick(stiffness=3000.0, period=0.001)
+    after(session, 0.1)
+    assert session.snapshot().scene == find_scene("box")()
+    late.wanted = find_scene("box")().replace(stiffness=3000.0, period=0.001)
+    after(session, 0.1)
+    assert session.snapshot().scene == find_scene("box")().replace(stiffness=3000.0)
+    assert same_rules(Joystick(period=0.001), Joystick())
+    assert not same_rules(Joystick(), find_scene("box")()) and not same_rules(Joystick(wall=False), Joystick())

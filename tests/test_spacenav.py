@@ -23,11 +23,12 @@ import pytest
 
 from maglev_mj.cli import serve_spacenav
 from maglev_mj.cli.options import Parser
-from maglev_mj.cli.outlets import add_spacenav, chosen_spacenav
+from maglev_mj.cli.publishers import add_spacenav, chosen_spacenav
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
-from maglev_mj.scenes import Settings, scene_called
-from maglev_mj.session import Moment
+from maglev_mj.scenes import find_scene
+from maglev_mj.scenes.joystick import Joystick
+from maglev_mj.session import Snapshot
 from maglev_mj.spacenav import (
     FULL,
     PoseAxes,
@@ -39,7 +40,7 @@ from maglev_mj.spacenav.axes import FULL_POSE, FULL_RATE, REST
 from maglev_mj.spacenav.navigation import Navigation
 from maglev_mj.spacenav.protocol import DEVICE, EVENT, Conversation, GarbageError, motion_event
 
-SOURCE = Path(__file__).parents[1] / "scripts" / "spacenav_client.c"
+SOURCE = Path(__file__).parents[1] / "scripts" / "examples" / "spacenav_client.c"
 COMPILER = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
 FRAME = 1.0 / 60.0
 PATIENCE = 60.0
@@ -47,25 +48,19 @@ CHANGE, TAG = 0x7FAA5500, 0x7FAA0000
 AWAY = (0.001, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
-def moment(
+def snapshot(
     pose: Any = REST,
     time: float = 0.0,
     *,
     state: str = "running",
     anchors: Array | None = None,
     scene: str = "joystick",
-) -> Moment:
-    """Return what an outlet is told of a pose."""
-    return Moment(
-        scene=scene_called(scene),
-        settings=Settings(),
-        delay=0.0015,
-        since=0,
-        tick=0,
+) -> Snapshot:
+    """Return a snapshot of a pose."""
+    return Snapshot(
+        scene=find_scene(scene)(),
         time=time,
-        pose=tuple(float(part) for part in pose),
-        force=(0.0,) * 6,
-        hand=(0.0,) * 6,
+        pose=np.array(pose, dtype=np.float64),
         anchors=anchors,
         state=state,
     )
@@ -118,34 +113,34 @@ def test_a_deflection_to_the_stop_is_500_on_the_axis_that_points_there(
     """In spacenav y is up and z away, for the device the other way round."""
     pose, expected = [0.0] * 6, [0] * 6
     pose[axis], expected[field] = sign * full, round(sign * 500)
-    assert PoseAxes()(moment(pose)) == tuple(expected)
+    assert PoseAxes()(snapshot(pose)) == tuple(expected)
 
 
 def test_deflections_are_rounded_and_no_number_is_none() -> None:
     pose = posed([1.49, -1.49, 1.51, 0.4, -0.4, 1e9])
-    assert PoseAxes()(moment(pose)) == (1, -1, 2, 0, 0, 32767)
-    assert PoseAxes()(moment([math.nan, 0.0, 0.001, 0.0, 0.0, -math.inf])) == (0, 111, 0, 0, -32767, 0)
+    assert PoseAxes()(snapshot(pose)) == (1, -1, 2, 0, 0, 32767)
+    assert PoseAxes()(snapshot([math.nan, 0.0, 0.001, 0.0, 0.0, -math.inf])) == (0, 111, 0, 0, -32767, 0)
 
 
 @pytest.mark.parametrize("axes", [PoseAxes, RateAxes])
 @pytest.mark.parametrize("state", ["paused", "stopped"])
 def test_where_the_scene_stands_still_nothing_moves(axes: Callable[[], Any], state: str) -> None:
     told = axes()
-    told(moment(AWAY, 0.0))
-    assert told(moment([0.003] * 6, FRAME, state=state)) == REST
+    told(snapshot(AWAY, 0.0))
+    assert told(snapshot([0.003] * 6, FRAME, state=state)) == REST
     # nor is what has happened meanwhile a motion, where it goes on
     told = RateAxes()
-    told(moment(AWAY, 0.0))
-    told(moment(AWAY, FRAME, state=state))
-    assert told(moment([0.0] * 6, 2 * FRAME)) == REST
+    told(snapshot(AWAY, 0.0))
+    told(snapshot(AWAY, FRAME, state=state))
+    assert told(snapshot([0.0] * 6, 2 * FRAME)) == REST
     assert not told.navigator.slave.any()
 
 
 def test_a_scene_that_begins_anew_is_no_motion() -> None:
     told = RateAxes()
-    told(moment(AWAY, 5.0))
-    assert told(moment([0.0] * 6, 0.005)) == REST
-    assert told(moment(AWAY, 0.005 + FRAME)) != REST
+    told(snapshot(AWAY, 5.0))
+    assert told(snapshot([0.0] * 6, 0.005)) == REST
+    assert told(snapshot(AWAY, 0.005 + FRAME)) != REST
 
 
 @pytest.mark.parametrize("friction", [True, False])
@@ -155,13 +150,13 @@ def test_a_program_that_adds_up_rates_goes_the_way_of_the_slave(seed: int, frict
     random = np.random.default_rng(seed)
     told, time, went, pose = RateAxes(Navigation(scale=2.0)), 0.0, np.zeros(6), np.zeros(6)
     order, unit = [0, 2, 1, 3, 5, 4], FULL_RATE / FULL
-    told(moment(pose, time))
+    told(snapshot(pose, time))
     for _ in range(3000):
         elapsed = float(random.choice([0.005, 0.015, 0.02, 0.035]))
         time += elapsed
         pose = np.clip(pose + random.normal(0.0, 0.03, 6) * FULL_POSE, -FULL_POSE, FULL_POSE)
         anchors = np.where(random.random(6) < 0.5, pose, np.nan) if friction else None
-        went += np.array(told(moment(pose, time, anchors=anchors)))[order] * unit * elapsed
+        went += np.array(told(snapshot(pose, time, anchors=anchors)))[order] * unit * elapsed
         assert (np.abs(went - told.navigator.slave) <= 0.5000001 * unit * elapsed).all()
     assert (np.abs(told.navigator.slave) > 100.0 * unit * 0.035).any()
 
@@ -169,8 +164,8 @@ def test_a_program_that_adds_up_rates_goes_the_way_of_the_slave(seed: int, frict
 def test_a_full_rate_is_500_at_the_stops() -> None:
     told = RateAxes()
     pose = [0.0045, 0.0, 0.0, 0.0, 0.0, -math.radians(6.0)]
-    told(moment(pose, 0.0))
-    assert told(moment(pose, 0.02)) == (500, 0, 0, 0, -500, 0)
+    told(snapshot(pose, 0.0))
+    assert told(snapshot(pose, 0.02)) == (500, 0, 0, 0, -500, 0)
 
 
 # -- the protocol ----------------------------------------------------------------------------------------
@@ -380,7 +375,7 @@ class Program:
     def open(self, server: SpacenavServer) -> None:
         """Agree on protocol 1."""
         self.line.send(struct.pack("=I", CHANGE | 1))
-        server.show(moment())
+        server.show(snapshot())
         assert self.line.recv(4) == struct.pack("=I", CHANGE | 1)
 
     def events(self) -> list[tuple[int, ...]]:
@@ -404,7 +399,7 @@ def test_an_event_has_its_fields_in_order_and_says_how_long_it_has_been(server: 
     with Program(server.path) as program:
         program.open(server)
         for numbers in ((1, -2, 3, -4, 5, -6), (1, -2, 3, -4, 5, -6)):
-            server.show(moment(posed(numbers)))
+            server.show(snapshot(posed(numbers)))
         assert program.events() == [(0, 1, -2, 3, -4, 5, -6, 17), (0, 1, -2, 3, -4, 5, -6, 17)]
     assert motion_event((1, -2, 3, -4, 5, -6), 17) == struct.pack("=8i", 0, 1, -2, 3, -4, 5, -6, 17)
 
@@ -413,11 +408,11 @@ def test_at_rest_there_is_one_event_of_zeros_and_then_silence(server: SpacenavSe
     with Program(server.path) as program, Program(server.path) as idle:
         program.open(server)
         for _ in range(3):
-            server.show(moment())
-        server.show(moment(AWAY))
+            server.show(snapshot())
+        server.show(snapshot(AWAY))
         idle.open(server)  # this shows a rest
         for _ in range(3):
-            server.show(moment())
+            server.show(snapshot())
         assert [event[1:7] for event in program.events()] == [(111, 0, 0, 0, 0, 0), REST]
         assert idle.events() == []
 
@@ -426,9 +421,9 @@ def test_at_rest_there_is_one_event_of_zeros_and_then_silence(server: SpacenavSe
 def test_a_scene_that_is_halted_lets_programs_rest(server: SpacenavServer, state: str) -> None:
     with Program(server.path) as program:
         program.open(server)
-        server.show(moment(AWAY))
+        server.show(snapshot(AWAY))
         for _ in range(3):
-            server.show(moment(AWAY, state=state))
+            server.show(snapshot(AWAY, state=state))
         assert [event[1:7] for event in program.events()] == [(111, 0, 0, 0, 0, 0), REST]
 
 
@@ -436,7 +431,7 @@ def test_a_server_that_closes_lets_programs_rest_first(path: Path) -> None:
     server = SpacenavServer(path)
     with Program(path) as program:
         program.open(server)
-        server.show(moment(AWAY))
+        server.show(snapshot(AWAY))
         server.close()
         assert [event[1:7] for event in program.events()] == [(111, 0, 0, 0, 0, 0), REST]
         assert program.line.recv(1) == b""
@@ -446,10 +441,10 @@ def test_nothing_is_said_before_the_answer_to_the_first_request(server: Spacenav
     """The first four bytes that come are what libspnav reads as its answer."""
     with Program(server.path) as program:
         for _ in range(5):
-            server.show(moment(AWAY))
+            server.show(snapshot(AWAY))
         program.line.send(struct.pack("=I", CHANGE | 1))
-        server.show(moment(AWAY))
-        server.show(moment(AWAY))
+        server.show(snapshot(AWAY))
+        server.show(snapshot(AWAY))
         assert program.line.recv(4) == struct.pack("=I", CHANGE | 1)
         assert len(program.events()) == 1
 
@@ -457,7 +452,7 @@ def test_nothing_is_said_before_the_answer_to_the_first_request(server: Spacenav
 def test_a_program_that_never_asks_is_told_all_the_same(server: SpacenavServer) -> None:
     with Program(server.path) as program:
         for _ in range(120):
-            server.show(moment(AWAY))
+            server.show(snapshot(AWAY))
         told = len(program.events())
         assert 55 < told < 65  # all but the first second
 
@@ -466,13 +461,13 @@ def test_between_a_request_and_the_next_nothing_else_is_said_and_no_rest_is_lost
     """What comes next is what libspnav takes for its answer."""
     with Program(server.path) as program:
         program.open(server)
-        server.show(moment(AWAY))
+        server.show(snapshot(AWAY))
         assert len(program.events()) == 1
         for _ in range(3):
             program.line.send(request(0x2002))
-            server.show(moment())
+            server.show(snapshot())
             assert [event[0] for event in program.events()] == [TAG | 0x2002]
-        server.show(moment())
+        server.show(snapshot())
         assert [event[1:7] for event in program.events()] == [REST]
 
 
@@ -481,7 +476,7 @@ def test_a_program_that_wants_no_motion_is_told_none(server: SpacenavServer) -> 
         program.open(server)
         program.line.send(request(0x1003, 2))
         for _ in range(3):
-            server.show(moment(AWAY))
+            server.show(snapshot(AWAY))
         assert [event[0] for event in program.events()] == [TAG | 0x1003]
 
 
@@ -491,7 +486,7 @@ def test_a_program_that_does_not_read_is_let_go_and_the_others_miss_nothing(serv
         stalled.open(server)
         got: list[tuple[int, ...]] = []
         for number in range(1, 1001):
-            server.show(moment(posed([number, 0, 0, 0, 0, 0])))
+            server.show(snapshot(posed([number, 0, 0, 0, 0, 0])))
             got += good.events()
         assert [event[1] for event in got] == list(range(1, 1001))
         assert (server.dropped, server.clients) == (1, 1)
@@ -503,10 +498,10 @@ def test_a_program_that_goes_away_is_forgotten_and_not_called_slow(server: Space
         good.open(server)
         gone.open(server)
         if reset:  # something unread makes the end of the line an error
-            server.show(moment(AWAY))
+            server.show(snapshot(AWAY))
         gone.line.close()
         for _ in range(3):
-            server.show(moment(AWAY))
+            server.show(snapshot(AWAY))
         assert (server.dropped, server.clients) == (0, 1)
         assert len(good.events()) == 3 + reset
 
@@ -519,7 +514,7 @@ def test_programs_that_send_rubbish_are_let_go_and_the_others_miss_nothing(serve
             with Program(server.path) as bad:
                 bad.open(server)
                 bad.line.send(b"\xee" + random.bytes(31 + round_ * 40))
-                server.show(moment(AWAY))
+                server.show(snapshot(AWAY))
                 assert server.clients == 1
         assert server.dropped == 30
         assert [event[1] for event in good.events()].count(111) == 30
@@ -529,14 +524,14 @@ def test_no_more_than_16_programs_are_taken(server: SpacenavServer) -> None:
     programs = []
     for count in range(20):
         programs.append(Program(server.path))
-        server.show(moment())
+        server.show(snapshot())
         assert server.clients == min(count + 1, 16)
     assert (server.refused, server.dropped) == (4, 0)
     assert [program.line.recv(1) for program in programs[16:]] == [b""] * 4
     programs[0].line.close()
-    server.show(moment())
+    server.show(snapshot())
     programs[0] = Program(server.path)
-    server.show(moment())
+    server.show(snapshot())
     assert server.clients == 16
     for program in programs:
         program.line.close()
@@ -576,7 +571,7 @@ class Running:
         self._reader.start()
         self.said = ""
         for _ in range(round(PATIENCE / 0.005)):  # at rest, until it has asked all it wants to know
-            server.show(moment())
+            server.show(snapshot())
             try:
                 self.said = self._lines.get(timeout=0.005)
                 break
@@ -621,7 +616,7 @@ def test_libspnav_reads_500_of_500_events_with_the_right_values(
     program = Running(client, server, "500", str(file))
     assert [one.said for one in (program, *others)] == [SAID] * (1 + stalled)
     for row in expected:
-        server.show(moment(posed(row)))
+        server.show(snapshot(posed(row)))
         assert [int(part) for part in program.line().split()[:6]] == list(row)
     assert program.line().startswith("moved ")
     assert program.line() == "500 of 500 events as expected"
@@ -635,7 +630,7 @@ def test_the_client_in_c_notices_a_wrong_value(client: Path, server: SpacenavSer
     file.write_text("1 2 3 4 5 6\n1 2 3 4 5 7\n", encoding="ascii")
     program = Running(client, server, "2", str(file))
     for _ in range(2):
-        server.show(moment(posed([1, 2, 3, 4, 5, 6])))
+        server.show(snapshot(posed([1, 2, 3, 4, 5, 6])))
         program.line()
     assert program.line().startswith("moved ")
     assert program.line() == "1 of 2 events as expected"
@@ -661,7 +656,7 @@ def test_libspnav_moves_an_object_where_the_joystick_goes(
     pose = np.zeros(6)
     pose[axis] = sign * FULL_POSE[axis]
     program = Running(client, server, "1")
-    server.show(moment(pose))
+    server.show(snapshot(pose))
     program.line()
     where, how = program.line().removeprefix("moved ").split(", turned ")
     assert [float(part) for part in where.split()] == pytest.approx([sign * part for part in moved], abs=1e-3)
@@ -745,12 +740,17 @@ def test_a_program_hears_of_the_scripted_hand(path: Path, capsys: pytest.Capture
 
 
 def test_the_scripted_hand_does_it_again() -> None:
-    script = scene_called("joystick").script
-    assert script is not None
-    again = serve_spacenav._Again(script.times, script.poses)
-    for instant in np.linspace(0.0, script.end, 50):
-        assert again.at(instant) == script.at(instant)
-        assert again.at(instant + 3 * (script.end + 0.4)) == pytest.approx(script.at(instant), abs=1e-12)
+    scene = Joystick()
+    hand = scene.scripted_hand()
+    assert hand is not None
+    again = serve_spacenav._Again(hand, scene.end)
+
+    def state() -> tuple[Array, Array]:
+        return np.zeros(6), np.zeros(6)
+
+    for instant in np.linspace(0.0, scene.end - 0.01, 50):
+        assert again(0, instant, state) == hand(0, instant, state)
+        assert again(0, instant + 3 * scene.end, state) == pytest.approx(hand(0, instant, state), abs=1e-9)
 
 
 @pytest.mark.parametrize("seconds", ["0", "-1", "nan"])

@@ -16,8 +16,9 @@ import pytest
 from maglev_mj.cli import main
 from maglev_mj.cli.progress import Progress
 from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.scenes.drop import Drop
 from maglev_mj.studies.cells import Cell, Record, StudyInterrupted, run_cells
-from maglev_mj.studies.swept import cell_of, run_scene_cells
+from maglev_mj.studies.sweep import run_scene_cells, swept_cells
 from maglev_mj.workers import Workers, dask_workers, inline, local_workers
 
 
@@ -26,7 +27,7 @@ def squares(cells: list[Cell]) -> list[Any]:
 
 
 def drop_cells(count: int) -> list[Cell]:
-    return [cell_of("drop", {"plant": "exact", "phase": number / count, "height": 0.003}) for number in range(count)]
+    return swept_cells(Drop(height=0.003), {"phase": [number / count for number in range(count)]}, plant="exact")
 
 
 def deadly(cells: list[Cell]) -> list[Any]:
@@ -117,8 +118,8 @@ def test_an_error_in_the_function_is_raised_with_what_had_landed_kept(tmp_path: 
 
 
 def test_a_run_that_diverges_is_a_result(tmp_path: Path) -> None:
-    unstable = cell_of("drop", {"plant": "exact", "stiffness": 50000.0, "damping": 0.0, "duration": 2.0})
-    (result,) = run_cells(run_scene_cells, [unstable])
+    unstable = swept_cells(Drop(stiffness=50000.0, damping=0.0, duration=2.0), {}, plant="exact")
+    (result,) = run_cells(run_scene_cells, unstable)
     assert "diverged" in result["error"]
 
 

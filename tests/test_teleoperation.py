@@ -19,9 +19,6 @@ from maglev_mj.frames import Array
 from maglev_mj.plants import Timing
 from maglev_mj.scenes.parts import MASS
 from maglev_mj.spacenav.navigation import Navigation, Navigator
-
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "scripts"))
-
 from teleoperation_coupling import Coupling, CouplingLaw
 from teleoperation_energy import Ledger, ledger
 from teleoperation_limits import GRIPS, bodies, contacts, growth, measured_boundary
@@ -30,7 +27,7 @@ from teleoperation_slave import BLOCK_DAMPING, Slave
 from teleoperation_task import DELAY_SHARE, FIRM, Task
 from teleoperation_theory import NO_GAINS, Gains, TwoBodies, chosen_gains, stiffest_coupling
 
-SCRIPT = Path(__file__).resolve().parent.parent / "scripts" / "teleoperation.py"
+SCRIPT = Path(__file__).resolve().parent.parent / "scripts" / "studies" / "teleoperation.py"
 RATES = (200, 1000)
 CASES = [(mode, rate) for mode in ("position", "rate") for rate in RATES]
 SLOW_RATES = [200, pytest.param(1000, marks=pytest.mark.study)]

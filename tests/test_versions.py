@@ -15,9 +15,9 @@ from maglev_mj import versions as module
 from maglev_mj.bridge.fault import BlackBox
 from maglev_mj.bridge.states import Fault
 from maglev_mj.cli import main
-from maglev_mj.experiments.drop import DropParameters
 from maglev_mj.recording import Recording
-from maglev_mj.replay import write_experiment
+from maglev_mj.replay import write_run
+from maglev_mj.scenes.drop import Drop
 from maglev_mj.studies.cells import Record
 from maglev_mj.versions import differences, versions
 
@@ -161,7 +161,7 @@ def test_every_json_names_its_code(
 @pytest.mark.parametrize("suffix", [".npz", ".mcap"])
 def test_every_recording_names_its_code(suffix: str, tmp_path: Path, capsys: Any) -> None:
     path = tmp_path / f"run{suffix}"
-    write_experiment(path, "drop", DropParameters(plant="exact"))
+    write_run(path, Drop(), plant="exact")
     assert Recording.load(path).stretches[0].setup["versions"] == versions()
     # also once it is another file
     other = tmp_path / "other.npz"

@@ -21,10 +21,10 @@ from maglev_mj.hand import SpringHand
 from maglev_mj.model import model_path
 from maglev_mj.recording import Recording, RecordingError, verify
 from maglev_mj.replay import rebuild
-from maglev_mj.scenes.joystick import CENTRING
+from maglev_mj.scenes.joystick import CENTRING, Joystick
 from maglev_mj.stream import StreamClient
 from maglev_mj.stream.datagrams import Message
-from maglev_mj.viewer.overlay import KEYS, help_text
+from maglev_mj.viewer.overlay import help_text, keys_of
 from maglev_mj.viewer.scenery import GRIP
 from tests.virtual_screen import MISSING, VirtualScreen, waited
 
@@ -259,13 +259,14 @@ def camera_drag(scene: str, pixels: int, height: int) -> Array:
 
 
 def test_every_key_is_in_the_overlay_and_none_is_the_viewers_own() -> None:
-    assert len(help_text()[0].splitlines()) == len(help_text()[1].splitlines())
-    words = help_text()[1]
-    for action in KEYS.values():
+    keys = keys_of(Joystick)
+    assert len(help_text(Joystick)[0].splitlines()) == len(help_text(Joystick)[1].splitlines())
+    words = help_text(Joystick)[1]
+    for action in keys.values():
         assert action.removesuffix(" up").removesuffix(" down") in words
     letters, digits, function = set(range(65, 91)), set(range(48, 54)), set(range(290, 297))
     others = {258, 259, 256, 262, 263, 266, 45, 61, 91, 93}  # Tab Backspace Escape right left PageUp - = [ ]
-    assert not set(KEYS) & (letters | digits | function | others)
+    assert not set(keys) & (letters | digits | function | others)
 
 
 def test_without_a_display_one_line_says_what_to_use_instead() -> None:

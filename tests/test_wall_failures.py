@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 
-from maglev_mj.experiments.corner import corner
-from maglev_mj.experiments.failures import hum, press_at_edge
-from maglev_mj.experiments.impacts import RATTLE, LimitedDrop, limited_drop, rattle
+from corner import corner
+from failures import press_at_edge
+from impacts import RATTLE, LimitedDrop, limited_drop, rattle
 from maglev_mj.frames import Array, Mask
-from maglev_mj.hand import Hand
+from maglev_mj.hand import Hand, hand_called
 from maglev_mj.laws import Wall
 from maglev_mj.spec import RANGE
+from maglev_mj.studies.batches import hum
 from maglev_mj.studies.growth import RestingWall, measure_growth
 from maglev_mj.theory import critical_delay, largest_modulus, largest_stable_stiffness
 from maglev_mj.theory.bounds import gil
@@ -222,8 +223,8 @@ def test_a_hand_stiff_enough_undoes_a_stable_wall() -> None:
 
 def test_letting_go_undoes_a_wall_tuned_with_the_hand_on() -> None:
     """9000 N/m and 130 N s/m: the hand's mass carries what is too much damping for the flotor alone."""
-    arm = Hand(mass=0.554, damping=6.45, stiffness=135.0)
-    assert largest_modulus(9000.0, 130.0, period=T, delay=0.0015, hand=arm) < 0.9
+    arm = "0.554,6.45,135"
+    assert largest_modulus(9000.0, 130.0, period=T, delay=0.0015, hand=hand_called(arm)) < 0.9
     assert largest_modulus(9000.0, 130.0, period=T, delay=0.0015) > 1.0
 
 
@@ -242,13 +243,13 @@ def test_mass_alone_never_undoes_a_stable_wall() -> None:
 
 def test_clamps_and_letting_go_are_so_in_simulation_too() -> None:
     """Both plants settle or grow as the modulus says, held, clamped and let go."""
-    arm = Hand(mass=0.554, damping=6.45, stiffness=135.0)
+    arm = "0.554,6.45,135"
     cases = [
-        (6000.0, 80.0, None, True),
-        (6000.0, 80.0, Hand(stiffness=12000.0), False),
+        (6000.0, 80.0, "none", True),
+        (6000.0, 80.0, "0,0,12000", False),
         (9000.0, 130.0, arm, True),
-        (9000.0, 130.0, None, False),
+        (9000.0, 130.0, "none", False),
     ]
     for plant in ("exact", "mujoco"):
         for k, b, hand, settles in cases:
-            assert bool(measure_growth([k], [b], RestingWall(plant=plant, hand=hand)).stable[0]) == settles
+            assert bool(measure_growth([RestingWall(stiffness=k, damping=b, hand=hand)], plant).stable[0]) == settles

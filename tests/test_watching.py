@@ -1,20 +1,25 @@
 """A window on a device, in a process of its own: what it is told, what it says, and a wall felt through the mouse."""
 
+import multiprocessing
 import re
 import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from multiprocessing import Pipe
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from maglev_mj.errors import MaglevError
 from maglev_mj.recording import Recording
-from maglev_mj.scenes import Settings
-from maglev_mj.viewer.process import _Seen, _Watched
+from maglev_mj.scenes.joystick import Joystick
+from maglev_mj.session import SampledMotion, Snapshot
+from maglev_mj.viewer.process import RemoteSession, RemoteViewer
 from tests.virtual_screen import MISSING, VirtualScreen
 
 pytestmark = pytest.mark.xdist_group("realtime")
@@ -22,15 +27,21 @@ pytestmark = pytest.mark.xdist_group("realtime")
 
 def test_a_window_is_told_of_the_device_and_says_what_the_mouse_and_keys_do() -> None:
     near, far = Pipe()
-    watched = _Watched(far, "joystick", Settings())
-    pose, rows = np.arange(6.0) * 1e-3, [(0.005 * tick, 1e-3, 0.0, 0.5, 0.0) for tick in range(3)]
-    settings, faces = Settings(stiffness=4000.0), ((0, 1.0, 3e-3),)
-    near.send(
-        _Seen(3, rows, settings, faces, "a note", 1e-3, pose, np.ones(6), np.zeros(6), np.full(6, 2.0), anchors=None)
+    watched = RemoteSession(far, Snapshot(scene=Joystick()))
+    pose, scene, faces = np.arange(6.0) * 1e-3, Joystick(stiffness=4000.0), ((0, 1.0, 3e-3),)
+    sent = Snapshot(
+        scene=scene,
+        tick=3,
+        time=0.015,
+        pose=pose,
+        faces=faces,
+        history=np.array([(0.005 * tick, 1e-3, 0.0, 0.5, 0.0) for tick in range(3)]),
+        notes=["a note"],
     )
+    near.send(sent)
     assert watched.tick(0.02) == 3
-    view = watched.view()
-    assert (view.pose == pose).all() and view.settings == settings and view.notes == ["a note"]
+    view = watched.snapshot()
+    assert (view.pose == pose).all() and view.scene == scene and view.notes == ["a note"]
     assert view.faces == ((0, 1.0, 3e-3),) and view.history.shape == (3, 5) and view.time == pytest.approx(0.015)
     watched.hand.target = [1e-3] * 6
     watched.act("wall")
@@ -42,6 +53,62 @@ def test_a_window_is_told_of_the_device_and_says_what_the_mouse_and_keys_do() ->
     with pytest.raises(MaglevError, match="the device's program has ended"):
         watched.tick(0.02)
     far.close()
+
+
+class OpenedHere:
+    """A stand-in for a process, whose end of the line stays here."""
+
+    def __init__(self, target: Any, args: Any, daemon: bool) -> None:
+        self.line, self.blank, _ = args
+
+    def start(self) -> None: ...
+
+    def join(self, patience: float) -> None: ...
+
+    def is_alive(self) -> bool:
+        return False
+
+
+def test_both_ends_of_a_window_agree(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each sample's row arrives once; keys pressed between two snapshots add up; a closed window is told of once."""
+    ends: list[OpenedHere] = []
+
+    def opened(**keywords: Any) -> OpenedHere:
+        ends.append(OpenedHere(**keywords))
+        return ends[-1]
+
+    line, far = Pipe()
+    context = SimpleNamespace(Pipe=lambda: (line, SimpleNamespace(close=lambda: None)), Process=opened)
+    monkeypatch.setattr(multiprocessing, "get_context", lambda method: context)
+    motion, blank = SampledMotion(0), Snapshot(scene=Joystick())
+    viewer, closed = RemoteViewer(blank), []
+    viewer.on_close = lambda: closed.append(1)
+    session = RemoteSession(far, ends[0].blank)
+    for tick in range(1, 1001):
+        time = tick * 0.005
+        motion.add(time, np.full(6, 1e-6 * tick), np.ones(6), [0.5] * 6)
+        if tick % 3 == 0:
+            shown = replace(blank, tick=tick, time=time, history=motion.history.rows, work=motion.work)
+            viewer.show(shown)
+            session.tick(0.0)
+    rows = session.snapshot().history
+    assert (rows[-399:] == motion.history.rows[-400:-1]).all()  # the last was not shown
+    assert len(rows) == pytest.approx(400, abs=2)
+    assert rows[1:, 2] == pytest.approx(1e-6 / 0.005)
+    assert session.snapshot().work == pytest.approx(6 * 0.5 * 998e-6)
+    session.hand.target = [1e-3] * 6
+    session.tick(0.0)
+    for action in ("stiffness up", "pause", "stiffness up", "wall"):
+        session.act(action)
+    wanted = viewer.take()
+    assert wanted == Joystick(stiffness=9380.0, wall=False) and viewer.take() is None
+    assert viewer.hand.target == [1e-3] * 6
+    far.close()
+    for _ in range(3):
+        viewer.take()
+        viewer.show(blank)
+    assert closed == [1] and viewer.hand.target is None
+    viewer.close()
 
 
 @pytest.mark.skipif(bool(MISSING), reason=f"{' and '.join(MISSING)} not there")

@@ -18,7 +18,6 @@ from typing import Any
 import pytest
 
 from maglev_mj.bridge.firmware import Firmware, Profile, Reading
-from maglev_mj.bridge.serial_link import cobs_encode
 from maglev_mj.bridge.states import Fault, HelloStatus, Operation, Result, State
 from maglev_mj.bridge.wire import (
     MAGIC,
@@ -34,6 +33,7 @@ from maglev_mj.bridge.wire import (
     newer,
 )
 from maglev_mj.errors import ParameterError
+from maglev_mj.net.serial import cobs_encode
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = (ROOT / "docs" / "protocol.md").read_text(encoding="utf-8")
@@ -450,7 +450,7 @@ def test_the_fuzzed_device_sees_every_state(lockstep: bool) -> None:
 
 
 def test_coverage_guided_fuzzing_finds_nothing() -> None:
-    command = [sys.executable, str(ROOT / "scripts" / "fuzz_wire.py"), "--runs", "1500", "--seed", "3"]
+    command = [sys.executable, str(ROOT / "scripts" / "studies" / "fuzz_wire.py"), "--runs", "1500", "--seed", "3"]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
     assert done.returncode == 0, done.stdout + done.stderr
     found = dict(re.findall(r"(\w+) +(\d+)", done.stdout))

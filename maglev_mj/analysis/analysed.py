@@ -111,7 +111,7 @@ def analyse(
     flag("simulated", simulated)
     if len(stretch.tick) < 2:
         raise InvalidRecordingError(f"a stretch must have at least 2 samples to be analysed, not {len(stretch.tick)}")
-    known = known_of(stretch, rebuild(stretch.setup, None)[1].laws)
+    known = known_of(stretch, rebuild(stretch.setup, None)[1])
     whole = reconstruct(stretch, known)
     first, last = _rows(whole, begin, end)
     comparison = other = None

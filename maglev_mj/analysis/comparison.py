@@ -16,7 +16,8 @@ from maglev_mj.hand import RecordedHand
 from maglev_mj.loop import ControlLoop
 from maglev_mj.plants import SampledPlant, engine_warnings_silenced
 from maglev_mj.recording import Rebuild, Recorder, Stretch
-from maglev_mj.scenes import Settings, scene_called
+from maglev_mj.scenes.legacy import recorded_scene
+from maglev_mj.session import live_plant
 
 __all__ = ["Comparison", "compare", "simulate"]
 
@@ -106,26 +107,16 @@ def simulate(stretch: Stretch, motion: Motion, known: Known, rebuild: Rebuild) -
             raise
         except MaglevError:
             pass  # how far it came is said with the comparison
-    made = recorder.stretch()
-    kept = rows[rows < len(made.tick)]
-    return replace(
-        stretch,
-        tick=stretch.tick[: len(kept)],
-        time=stretch.time[: len(kept)],
-        position=made.position[kept],
-        command=made.command[kept],
-        applied=made.applied[kept],
-        hand=made.hand[kept],
-    )
+    made = recorder.stretch().rows
+    kept = rows[rows < len(made)]
+    simulated = replace(stretch, rows=made[kept])
+    return simulated.replace(tick=stretch.tick[: len(kept)], time=stretch.time[: len(kept)])
 
 
 def _twin(stretch: Stretch, motion: Motion, known: Known) -> SampledPlant:
     """Return the simulated device in place of a real one."""
-    settings = Settings.from_json(stretch.setup["settings"])
-    first = motion.starts[0]
-    return scene_called(stretch.setup["scene"]).plant(
-        settings, pose=motion.trace.pose[first], twist=motion.trace.twist[first], wrench=known.before
-    )
+    scene, first = recorded_scene(stretch.setup["scene"], stretch.setup["settings"]), motion.starts[0]
+    return live_plant(scene, pose=motion.trace.pose[first], twist=motion.trace.twist[first], wrench=known.before)
 
 
 def compare(stretch: Stretch, simulated: Stretch, motion: Motion) -> Comparison:

@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
+from maglev_mj.controller import Controller
 from maglev_mj.frames import AXES, Array
 from maglev_mj.hand import hand_called
-from maglev_mj.laws import Law
 from maglev_mj.parameters import flag, number, numbers
-from maglev_mj.recording import Stretch, carried_by
-from maglev_mj.scenes import Settings, scene_called
+from maglev_mj.recording import Mechanics, Stretch
+from maglev_mj.scenes.legacy import recorded_scene
 from maglev_mj.scenes.parts import INERTIA, WEIGHT
-from maglev_mj.session import wall_faces
+from maglev_mj.session import mechanics
 from maglev_mj.spec import GRAVITY
 
 __all__ = ["Known", "known_experiment", "known_of"]
@@ -64,7 +64,7 @@ class Known:
         flag("pushed", self.pushed)
 
 
-def known_of(stretch: Stretch, laws: Sequence[Law]) -> Known:
+def known_of(stretch: Stretch, controller: Controller) -> Known:
     """Return what a stretch's setup tells.
 
     Of a device it tells that it is the nominal one: mass and inertia are those of the model, and until the first
@@ -72,27 +72,28 @@ def known_of(stretch: Stretch, laws: Sequence[Law]) -> Known:
 
     Args:
         stretch: The stretch, of a setup that `rebuild` has made a controller from.
-        laws: Those of that controller.
+        controller: That controller.
     """
     setup = stretch.setup
-    kind, faces = setup["kind"], wall_faces(laws)
+    kind, faces = setup["kind"], controller.faces
     if kind not in ("scene", "device"):
         return known_experiment(kind, setup["parameters"], faces)
-    settings = Settings.from_json(setup["settings"])
-    before = setup["wrench"] if kind == "scene" else stretch.applied[0, :6] if len(stretch.applied) else WEIGHT
+    scene = recorded_scene(setup["scene"], setup["settings"])
+    before = setup["wrench"] if kind == "scene" else stretch.applied[0] if len(stretch.applied) else WEIGHT
+    masses = mechanics(scene, before) if kind == "scene" else Mechanics()
     return Known(
         kind=kind,
-        name=f"{kind} {setup['scene']}" if kind == "scene" else f"{setup['scene']} on a device",
-        period=settings.period,
-        delay=settings.delay,
-        inertia=INERTIA,
-        weight=-float(INERTIA[2]) * GRAVITY,
-        carried=carried_by(laws),
+        name=f"{kind} {scene.name}" if kind == "scene" else f"{scene.name} on a device",
+        period=scene.period,
+        delay=scene.delay,
+        inertia=np.asarray(masses.inertia),
+        weight=float(np.asarray(masses.load)[2]),
+        carried=controller.carried,
         before=np.array(before, dtype=np.float64),
         felt=kind == "scene",
         pushed=True,
         faces=faces,
-        axis=scene_called(setup["scene"]).axis_index,
+        axis=scene.axis_index,
     )
 
 

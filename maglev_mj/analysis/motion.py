@@ -111,7 +111,7 @@ def reconstruct(stretch: Stretch, known: Known) -> Motion:
 
 def _pieces(stretch: Stretch, known: Known, time: Array) -> _Pieces:
     """Cut the time from sample to sample where the force switches."""
-    held, extra, widths = stretch.applied[:, :6], stretch.applied[:, 6:12], stretch.applied[:, 12]
+    held, extra, widths = stretch.applied, stretch.applied_pulse, stretch.applied_pulse_width
     when, force = recorded_switches(time, held, extra, widths, period=known.period, delay=known.delay)
     inside = when[(when > time[0]) & (when < time[-1])]
     knots = np.unique(np.concatenate([time, inside]))[:-1]

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from contextlib import suppress
 
 from maglev_mj.bridge.fault import HandshakeError
-from maglev_mj.bridge.link import Link, LinkError
 from maglev_mj.bridge.safety import Limits
 from maglev_mj.bridge.states import HelloStatus, Operation
 from maglev_mj.bridge.wire import (
@@ -23,6 +22,7 @@ from maglev_mj.bridge.wire import (
     newer,
 )
 from maglev_mj.frames import ZERO
+from maglev_mj.net.udp import Link, LinkError
 
 __all__ = ["Connection"]
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -14,7 +13,7 @@ from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.controller import Controller
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Array, Command, Component, Sample
-from maglev_mj.laws import Bias, Hold, Law
+from maglev_mj.laws import AxisLaw, Bias, Hold, Law, gain
 from maglev_mj.loop import Answers, run
 from maglev_mj.parameters import number, numbers
 from maglev_mj.plants import Plant
@@ -90,47 +89,28 @@ class Shaker:
         return Command(force)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Trim:
-    """What slowly brings the flotor to the centre, however wrong its weight is known: force' = -gain x.
+class Trim(AxisLaw):
+    """Integral action: it brings the flotor to the centre, however wrong its weight is known, by f' = -gain x.
 
     Args:
-        gain: Of each axis [N/(m s), N m/(rad s)], (6,).
+        gain: Of each axis [N/(m s), N m/(rad s)].
         period: Sample period [s].
 
     Raises:
-        ParameterError: If a gain is negative, or they are not six.
+        ParameterError: If a gain is negative, or the period is not above 0.
     """
 
-    gain: ArrayLike
+    gain: ArrayLike = gain(unit="N/(m s), N m/(rad s)")
     period: float
 
-    batch: tuple[int, ...] = field(init=False, default=())
-    pulse_width: float = field(init=False, default=0.0)
-    _steps: tuple[float, ...] = field(init=False, repr=False)
-
     def __post_init__(self) -> None:
-        gain = numbers("trim gain", self.gain, at_least=0.0)
-        if gain.shape != (len(AXES),):
-            raise ParameterError(f"trim gain must be (6,), not {gain.shape}")
-        object.__setattr__(self, "_steps", tuple((gain * number("period", self.period, above=0.0)).tolist()))
+        super().__post_init__()
+        number("period", self.period, above=0.0)
 
-    def start(self) -> Sequence[Any]:
-        """Return the state before the first sample: no force."""
-        return (0.0,) * len(AXES)
-
-    def __call__(
-        self,
-        position: Sequence[Component],
-        velocity: Sequence[Component],
-        state: Sequence[Any],
-        wrench: list[Component],
-    ) -> tuple[Sequence[Any], None]:
-        """Answer one sample; see `Law`."""
-        force = [before - step * place for before, step, place in zip(state, self._steps, position)]
-        for axis, part in enumerate(force):
-            wrench[axis] = wrench[axis] + part
-        return force, None
+    def force(self, x: Component, v: Component, gains: Any, state: Component | None) -> tuple[Component, Component]:
+        """Return the force on one axis, which is also the next state; see `AxisLaw`."""
+        force = (0.0 if state is None else state) - gains.gain * self.period * x
+        return force, force
 
 
 def excitation(

@@ -7,9 +7,8 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from statistics import median
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,19 +18,18 @@ from maglev_mj.controller import Controller
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.loop import Answers, ControlLoop, Record
-from maglev_mj.recording import Mechanics, RecordingError, RecordingFile, carried_by
-from maglev_mj.scenes import Scene, Settings
+from maglev_mj.recording import Mechanics, RecordingError, RecordingFile
+from maglev_mj.scenes import Scene
+from maglev_mj.scenes.find import reference_of
 from maglev_mj.scenes.parts import WEIGHT
-from maglev_mj.session import Moment, Outlet, Outlets, stick_positions, wall_faces
-from maglev_mj.session.actions import CHANGES
+from maglev_mj.session import DEVICES_OWN, Publisher, Publishers, SampledMotion, Snapshot, device_controller
 
-__all__ = ["Flight", "Flown", "Watcher"]
+__all__ = ["Flight", "Flown"]
 
 _USUAL = 100
 """Answers whose median is the usual delay: one early or late answer makes no loop stable or unstable."""
 
-_FIXED = ("rate up", "rate down", "delay up", "delay down")
-"""What the device decides."""
+_NOTE = "the hand, the rate and the delay are the device's"
 
 
 class Flown(NamedTuple):
@@ -52,63 +50,39 @@ class Flown(NamedTuple):
     answer: Lateness
 
 
-class Watcher(Protocol):
-    """What a flight asks of a window on it."""
-
-    settings: Settings
-    faces: Sequence[tuple[int, float, float]]
-    closed: bool
-
-    def keep(
-        self,
-        pose: Array,
-        force: Array,
-        effort: Sequence[float],
-        currents: Sequence[float],
-        anchors: Array | None = None,
-    ) -> None:
-        """Show a sample."""
-
-    def poll(self) -> Sequence[str]:
-        """Return which actions keys asked for."""
-
-
 class Flight:
     """A scene flown on a device.
 
     Args:
         plant: The device; closed by the caller.
-        scene: The scene.
-        settings: Of its laws; its period is the device's.
+        scene: The scene; its period is the device's.
         file: What every sample is recorded to; left open.
-        watch: A window on it.
-        outlets: Ways to other programs; left open.
+        publishers: Windows on it and ways to other programs; left open.
         warn: Called, once, with why the flight is not recorded any more.
 
     Attributes:
         read_at: When the last sample was there [ns].
 
     Raises:
-        ParameterError: If the settings' period is not the device's.
+        ParameterError: If the scene's period is not the device's.
     """
 
     def __init__(
         self,
         plant: RemotePlant,
         scene: Scene,
-        settings: Settings,
         *,
         file: RecordingFile | None = None,
-        watch: Watcher | None = None,
-        outlets: Sequence[Outlet] = (),
+        publishers: Sequence[Publisher] = (),
         warn: Callable[[str], object] | None = None,
     ) -> None:
-        if settings.period != plant.period:
-            raise ParameterError(f"period must be the device's {plant.period:g} s, not {settings.period:g}")
-        self._plant, self._scene, self._settings, self._file = plant, scene, settings, file
-        self._watch, self._outlets, self._since = watch, Outlets(outlets), 0
+        if scene.period != plant.period:
+            raise ParameterError(f"period must be the device's {plant.period:g} s, not {scene.period:g}")
+        self._plant, self._scene, self._file = plant, scene, file
+        self._publishers, self._since = Publishers(publishers), 0
+        self._motion, self._note = SampledMotion(scene.axis_index), _NOTE
         self._stopped = threading.Event()
-        self._wanted: Settings | None = None
+        self._wanted: Scene | None = None
         self._answer = Lateness()
         self._force: Sequence[float] = WEIGHT
         self._delays: deque[float] = deque(maxlen=_USUAL)
@@ -144,45 +118,37 @@ class Flight:
         """Let `run` land; from any thread."""
         self._stopped.set()
 
-    def change(self, action: str) -> None:
-        """Do what a key asks for, at the next sample; rate and delay are the device's."""
-        if action in CHANGES and action not in _FIXED:
-            self._wanted = CHANGES[action](self._wanted or self._settings)
-
     def _stretch(self, last: int | None) -> None:
-        """Fly with unchanged settings."""
+        """Fly with unchanged parameters."""
         if self._wanted is not None:
-            self._settings, self._wanted = self._wanted, None
+            self._scene, self._wanted = self._wanted, None
         self._since = self._plant.samples.tick
-        controller = self._scene.controller(self._settings)
+        controller = device_controller(self._scene)
         record: Record | None = None
         if self._file is not None:
-            setup = {"kind": "device", "scene": self._scene.name, "settings": self._settings.as_json()}
+            setup = {"kind": "device", "scene": reference_of(type(self._scene)), "settings": self._scene.as_json()}
             setup["calibration"] = self._plant.calibration.digest.hex()
             mechanics, delay = Mechanics(before=self._force), self._plant.delay
             record = self._file.begin(self._plant, controller, setup, delay=delay, mechanics=mechanics)
-        if self._watch is not None:
-            self._watch.settings = self._settings
-            self._watch.faces = wall_faces(controller.laws)
         loop = ControlLoop(self._plant, _Timed(controller, self), observe=self._observe(controller), record=record)
         samples = self._plant.samples
         while not self._stopped.is_set() and self._wanted is None and (last is None or samples.tick < last):
             loop.cycle()
 
     def _observe(self, controller: Controller) -> Callable[[Sample, Command], object]:
-        carried = carried_by(controller.laws)
-        anchors = stick_positions(controller)
+        carried, faces = controller.carried, controller.faces
 
         def observe(sample: Sample, applied: Command) -> None:
             self._answer.add(time.perf_counter_ns() - self.read_at)
             self._force = applied.force
             if self._warn is not None and self._file is not None:
                 self._check(self._file, self._warn)
-            if self._watch is not None:
-                self._look(self._watch, sample, np.array(applied.force) - carried, anchors())
-            if self._outlets:
-                self._outlets.show(lambda: self._moment(sample, np.array(applied.force) - carried, anchors()))
-                self._listen()
+            if not self._publishers:
+                return
+            plant, force, pose = self._plant, np.array(applied.force) - carried, np.array(sample.position)
+            self._motion.add(plant.samples.tick * plant.period, pose, force, plant.hand_wrench)
+            self._publishers.show(lambda: self._snapshot(pose, force, faces, controller.stick_positions))
+            self._listen()
 
         return observe
 
@@ -195,43 +161,40 @@ class Flight:
         try:
             file.check()
         except RecordingError as error:
-            self._warn = None
-            warn(str(error))
+            self._warn, self._note = None, str(error)
+            warn(self._note)
 
     def _listen(self) -> None:
         """Note how late answers are, and what another program asks for; rate and delay are the device's."""
         if not math.isnan(self._plant.last_delay):
             self._delays.append(self._plant.last_delay)
-        wanted = self._outlets.wanted() if self._wanted is None else None
+        wanted = self._publishers.wanted() if self._wanted is None else None
         if wanted is not None:
-            self._wanted = replace(wanted, period=self._settings.period, delay=self._settings.delay)
+            self._wanted = wanted.replace(**{name: getattr(self._scene, name) for name in DEVICES_OWN})
 
-    def _moment(self, sample: Sample, force: Array, anchors: Array | None) -> Moment:
-        """Return what other programs are told; the delay is the usual one of late."""
+    def _snapshot(
+        self, pose: Array, force: Array, faces: Sequence[tuple[int, float, float]], anchors: Array | None
+    ) -> Snapshot:
+        """Return the picture of now; the delay is the usual one of late."""
         plant, samples = self._plant, self._plant.samples
-        return Moment(
+        return Snapshot(
             scene=self._scene,
-            settings=self._settings,
             since=self._since,
             delay=median(self._delays or [plant.delay]),
             tick=samples.tick,
             time=float(samples.tick * plant.period),
-            pose=list(sample.position),
-            force=force.tolist(),
-            hand=plant.hand_wrench,
+            pose=pose,
+            force=force,
+            hand=np.array(plant.hand_wrench),
+            currents=np.array(plant.last_currents),
+            faces=faces,
             anchors=anchors,
-            state="flying",
+            history=self._motion.history.rows,
+            work=self._motion.work,
             missed=samples.lost + samples.skipped,
+            state="flying",
+            notes=[self._note],
         )
-
-    def _look(self, watch: Watcher, sample: Sample, force: Array, anchors: Array | None) -> None:
-        """Show a sample, and do what the window asks for."""
-        plant = self._plant
-        watch.keep(np.array(sample.position), force, plant.hand_wrench, plant.last_currents, anchors)
-        for action in watch.poll():
-            self.change(action)
-        if watch.closed:
-            self.stop()
 
 
 class _Timed:

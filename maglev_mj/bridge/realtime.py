@@ -1,4 +1,4 @@
-"""What a loop in Python needs to be on time: the system's promises, and deadlines that do not drift."""
+"""What a loop in Python asks of the system: to be on time, and to be told when to stop."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ import ctypes
 import errno
 import gc
 import os
-import time
+import signal
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from fractions import Fraction
 from functools import partial
 from typing import Any, Literal, TypeAlias, get_args
 
@@ -17,7 +17,7 @@ from maglev_mj.bridge.lateness import Lateness
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.parameters import number
 
-__all__ = ["Deadlines", "Lateness", "Realtime", "RealtimeError", "realtime"]
+__all__ = ["Lateness", "Realtime", "RealtimeError", "realtime", "stopping"]
 
 Realtime: TypeAlias = Literal["enforce", "ignore"]
 """What to do where the system refuses: raise, or go on."""
@@ -139,53 +139,25 @@ def _no_garbage() -> Callable[[], object]:
     return back
 
 
-class Deadlines:
-    """Instants a period apart, counted from the first and not from one another, so that they do not drift.
+@contextmanager
+def stopping(stop: Callable[[], object]) -> Iterator[None]:
+    """Call `stop` at the first SIGINT or SIGTERM, and raise KeyboardInterrupt at the second."""
+    if threading.current_thread() is not threading.main_thread():
+        yield  # signals are the main thread's
+        return
+    asked = False
 
-    Args:
-        period: Between two [s], at least 1 µs.
-        clock: Returns the instant [ns].
-        sleep: Sleeps for a while [s].
+    def ask(*_: Any) -> None:
+        nonlocal asked
+        if asked:
+            raise KeyboardInterrupt
+        asked = True
+        stop()
 
-    Attributes:
-        deadline: The one waited for last [ns].
-        skipped: How many have been skipped in all.
-
-    Raises:
-        ParameterError: If the period is outside its bounds.
-    """
-
-    def __init__(
-        self,
-        period: float,
-        clock: Callable[[], int] = time.monotonic_ns,
-        sleep: Callable[[float], object] = time.sleep,
-    ) -> None:
-        exact = Fraction(number("period", period, at_least=1e-6)) * 10**9
-        self._numerator, self._denominator = exact.numerator, exact.denominator
-        self._clock, self._sleep = clock, sleep
-        self._start = self.deadline = clock()
-        self._count = 0
-        self.skipped = 0
-
-    def wait(self) -> int:
-        """Sleep until the next deadline; return how many had passed before, and were skipped."""
-        now = self._clock()
-        self._count += 1
-        self.deadline = self._instant(self._count)
-        skipped = 0
-        if now > self.deadline:
-            first = self._count
-            self._count = (now - self._start) * self._denominator // self._numerator
-            while self._instant(self._count) < now:
-                self._count += 1
-            self.deadline = self._instant(self._count)
-            skipped = self._count - first
-            self.skipped += skipped
-        while (left := self.deadline - self._clock()) > 0:
-            self._sleep(left * 1e-9)
-        return skipped
-
-    def _instant(self, count: int) -> int:
-        """Return the instant [ns] of a deadline, to the nearest."""
-        return self._start + (2 * count * self._numerator + self._denominator) // (2 * self._denominator)
+    kinds = (signal.SIGINT, signal.SIGTERM)
+    before = [signal.signal(kind, ask) for kind in kinds]
+    try:
+        yield
+    finally:
+        for kind, handler in zip(kinds, before, strict=True):
+            signal.signal(kind, handler)

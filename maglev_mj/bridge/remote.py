@@ -14,7 +14,6 @@ from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.device import RemoteDevice
 from maglev_mj.bridge.gate import Gate
 from maglev_mj.bridge.lifecycle import Leader
-from maglev_mj.bridge.link import Link, LinkError
 from maglev_mj.bridge.safety import WARM, Envelope, FlotorGuard
 from maglev_mj.bridge.states import Fault, State
 from maglev_mj.bridge.wire import Command as CommandFrame
@@ -22,6 +21,7 @@ from maglev_mj.bridge.wire import Frame, StateReport
 from maglev_mj.errors import PlantError, SensingError
 from maglev_mj.frames import ZERO, Command, Sample
 from maglev_mj.loop import ControlLoop
+from maglev_mj.net.udp import Link, LinkError
 from maglev_mj.sensing.solver import PoseTracker
 
 __all__ = ["RemotePlant"]

@@ -7,9 +7,9 @@ import time
 from collections.abc import Callable
 from typing import NamedTuple
 
-from maglev_mj.bridge.link import Address, Server
 from maglev_mj.bridge.realtime import Lateness
 from maglev_mj.bridge.twin import Twin
+from maglev_mj.net.udp import Address, Server
 
 __all__ = ["Served", "TwinServer"]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import secrets
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -13,21 +14,69 @@ from numpy.typing import ArrayLike
 
 from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.firmware import Firmware, Profile, Reading
-from maglev_mj.bridge.misfortune import Misfortune
 from maglev_mj.bridge.safety import Limits
 from maglev_mj.bridge.wire import Codec
+from maglev_mj.errors import ParameterError
 from maglev_mj.frames import ZERO, Array
 from maglev_mj.hand import HandForce
 from maglev_mj.parameters import flag, number
 from maglev_mj.plants import MuJoCoPlant, SpotReader, Timing
 from maglev_mj.spec import Spec
 
-__all__ = ["REST", "Twin", "TwinParameters"]
+__all__ = ["MISFORTUNES", "REST", "Misfortune", "Twin", "TwinParameters"]
 
 REST = (0.0, 0.0, -Spec.translation_range.value, 0.0, 0.0, 0.0)
 """Where the flotor lies while nothing carries it [m, rad]: on its lower stop."""
 
 _ALL = 7
+
+MISFORTUNES = {
+    "dead-coil": ("coil K gives no current", 5),
+    "stuck-diode": ("diode K repeats its last spot", 2),
+    "invalid-diode": ("diode K says that its spot cannot be trusted", 2),
+    "swapped-diodes": ("the cables of diode K and the next are exchanged", 2),
+    "clock-jump": ("the device's clock jumps ahead by K milliseconds", 10_000),
+    "silence": ("nothing comes or goes for K milliseconds", 60_000),
+}
+"""Faults of a device by name: what goes wrong, and the largest K."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Misfortune:
+    """What goes wrong with a twin, and when.
+
+    Args:
+        kind: One of MISFORTUNES.
+        which: Its K.
+        at: When, in simulated time [s].
+
+    Raises:
+        ParameterError: If there is no such misfortune, or a number is outside its bounds.
+    """
+
+    kind: str
+    which: int
+    at: float
+
+    def __post_init__(self) -> None:
+        if self.kind not in MISFORTUNES:
+            raise ParameterError(f"fault must be one of {', '.join(MISFORTUNES)}, not {self.kind!r}")
+        most = MISFORTUNES[self.kind][1]
+        if not 0 <= self.which <= most:
+            raise ParameterError(f"{self.kind} must be of 0 to {most}, not {self.which}")
+        number("fault time", self.at, at_least=0.0)
+
+    @classmethod
+    def parse(cls, text: str) -> Misfortune:
+        """Return what NAME:K@SECONDS says.
+
+        Raises:
+            ParameterError: If it says nothing.
+        """
+        found = re.fullmatch(r"([a-z-]+):(\d+)@(\d+\.?\d*)", text)
+        if not found:
+            raise ParameterError(f"fault must be NAME:K@SECONDS with a name of {', '.join(MISFORTUNES)}, not {text!r}")
+        return cls(kind=found[1], which=int(found[2]), at=float(found[3]))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -12,7 +12,7 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import NamedTuple, TypeAlias
 
-from maglev_mj.bridge.seal import TAG, Seal
+from maglev_mj.net.authentication import TAG, Authenticator
 
 __all__ = [
     "MAGIC",
@@ -200,7 +200,7 @@ class Codec:
     """
 
     def __init__(self, key: bytes | None = None) -> None:
-        self._seal = None if key is None else Seal(key)
+        self._seal = None if key is None else Authenticator(key)
         self._overhead = _CRC.size + (TAG if self._seal is not None else 0)
         self.dropped: Counter[str] = Counter()
         self.version_met: int | None = None

@@ -6,7 +6,6 @@ import argparse
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -17,28 +16,26 @@ from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.fault import HandshakeError
 from maglev_mj.bridge.flight import Flight
 from maglev_mj.bridge.identification import collect, excitation, identify
-from maglev_mj.bridge.link import open_link
-from maglev_mj.bridge.realtime import realtime
+from maglev_mj.bridge.realtime import realtime, stopping
 from maglev_mj.bridge.remote import RemotePlant
-from maglev_mj.bridge.stopping import stopping
 from maglev_mj.cli.options import (
     add_bridge,
     add_recording,
-    add_settings,
     chosen_key,
-    chosen_settings,
     number_option,
 )
-from maglev_mj.cli.outlets import add_outlets, chosen_outlets
 from maglev_mj.cli.output import check_file, check_outputs, check_recording
+from maglev_mj.cli.publishers import add_publishers, chosen_publishers
+from maglev_mj.cli.scenes import add_scene, chosen_scene
 from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.net.udp import open_link
 from maglev_mj.parameters import number
 from maglev_mj.recording import RecordingFile, open_recording
-from maglev_mj.scenes import SCENES, Scene, Settings, scene_called
-from maglev_mj.session import Outlet
+from maglev_mj.scenes import Scene
+from maglev_mj.session import DEVICES_OWN, Publisher, Snapshot
 from maglev_mj.tables import flown_table
 from maglev_mj.terminal import say
-from maglev_mj.viewer.process import Watch
+from maglev_mj.viewer.process import RemoteViewer
 
 __all__ = ["add_command"]
 
@@ -49,11 +46,10 @@ def add_command(commands: Any) -> None:
     """Add the command to the parser's."""
     bridge = commands.add_parser("bridge", help="a scene on a device at the other end of a wire")
     bridge.add_argument("address", metavar="ADDRESS", help="udp://HOST:PORT, or serial:///PATH?baud=RATE")
-    bridge.add_argument("--scene", default="joystick", metavar="SCENE", help=f"{', '.join(SCENES)} (default joystick)")
-    add_settings(bridge, timing=False)
+    add_scene(bridge, option="--scene", default="joystick", without=DEVICES_OWN)
     add_recording(bridge)
     add_bridge(bridge)
-    add_outlets(bridge)
+    add_publishers(bridge)
     bridge.add_argument("--reset", action="store_true", help="leave the fault state first")
     bridge.add_argument("--view", action="store_true", help="a window on the device; its hand is at the device")
     bridge.add_argument(
@@ -70,7 +66,7 @@ def add_command(commands: Any) -> None:
 
 
 def _bridge(options: argparse.Namespace) -> int:
-    scene, key = scene_called(options.scene), chosen_key(options.key)
+    scene, key = chosen_scene(options), chosen_key(options.key)  # before the device: what is wrong is said at once
     if options.seconds is not None:
         number("seconds", options.seconds, above=0.0)
     check_recording(options.record)
@@ -82,47 +78,43 @@ def _bridge(options: argparse.Namespace) -> int:
         if options.identify is not None and getattr(options, name):
             raise ParameterError(f"{name} is for scenes, not for --identify")
     check_outputs(out=options.out)
-    wanted = chosen_settings(options, scene.settings)  # before the device: what is wrong is said at once
     calibration = Calibration.nominal() if options.calibration is None else Calibration.load(options.calibration)
     if options.view:
         from maglev_mj.viewer.window import require_display
 
         require_display()
-    # outlets first: what is wrong with them is said before the device moves
-    with chosen_outlets(options) as outlets, _opened(options, calibration, key) as plant:
+    # publishers first: what is wrong with them is said before the device moves
+    with chosen_publishers(options) as publishers, _opened(options, calibration, key) as plant:
         if options.reset:
             plant.reset()
         if options.identify is not None:
             return _identify(plant, options)
-        settings = replace(wanted, period=plant.period, delay=plant.delay)
-        _fly(plant, scene, settings, options, outlets)
+        _fly(plant, scene.replace(period=plant.period, delay=plant.delay), options, publishers)
     return 0
 
 
-def _fly(
-    plant: RemotePlant, scene: Scene, settings: Settings, options: argparse.Namespace, outlets: Sequence[Outlet]
-) -> None:
+def _fly(plant: RemotePlant, scene: Scene, options: argparse.Namespace, publishers: Sequence[Publisher]) -> None:
     """Fly a scene; whatever ends it, first the device is let go, then what was recorded is kept."""
     with ExitStack() as last:
-        watch: Watch | None = None
-
-        def warn(text: str) -> None:
-            say(f"  {text}", sys.stderr)
-            if watch is not None:
-                watch.note = text
-
+        viewer = None
         if options.view:
-            watch = Watch(scene.name, settings, options.out)
-            watch.note = "the hand, the rate and the delay are the device's"
-            last.callback(watch.close)
+            viewer = RemoteViewer(Snapshot(scene=scene), options.out)
+            last.callback(viewer.close)
+            publishers = [*publishers, viewer]
         file = None if options.record is None else open_recording(options.record)
         if file is not None:
             last.push(partial(_keep, file))
-        flight = Flight(plant, scene, settings, file=file, watch=watch, outlets=outlets, warn=warn)
+        flight = Flight(plant, scene, file=file, publishers=publishers, warn=_warn)
+        if viewer is not None:
+            viewer.on_close = flight.stop
         last.push(plant)  # first of all the device is let go
         with stopping(flight.stop), _punctual(options):
             print(f"  {scene.name} at {1.0 / plant.period:g} Hz; keep hands off while it takes off", flush=True)
             print(flown_table(flight.run(options.seconds)), flush=True)
+
+
+def _warn(text: str) -> None:
+    say(f"  {text}", sys.stderr)
 
 
 def _keep(file: RecordingFile, _kind: object, error: BaseException | None, _trace: object) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from maglev_mj import plots
-from maglev_mj.cli.options import add_options, number_option, range_of
+from maglev_mj.cli.options import add_parameters, chosen, range_of
 from maglev_mj.cli.output import check_outputs, write_json
 from maglev_mj.errors import ParameterError
 from maglev_mj.hand import HANDS
@@ -18,6 +18,8 @@ from maglev_mj.theory import GOALS, LAWS, WallRequirements, design_wall
 
 __all__ = ["add_command"]
 
+_RANGES = "mass", "delay"
+
 
 def add_command(commands: Any) -> None:
     """Add the command to the parser's."""
@@ -26,9 +28,9 @@ def add_command(commands: Any) -> None:
         help="gains of the stiffest wall for uncertain mass, delay and hand",
         epilog="Example: maglev-mj design --mass 0.56:0.84 --delay 0.0012:0.0018 --hand arm,stylus,fingertip",
     )
-    made = WallRequirements()
-    for name, unit in (("mass", "moving mass [kg]"), ("delay", "from a sample to its command taking effect [s]")):
-        told = f"{unit}: one value, LOW:HIGH or LOW HIGH (default {getattr(made, name)[0]:g})"
+    for name in _RANGES:
+        one = WallRequirements.parameter(name)
+        told = f"{one.help} [{one.unit}]: LOW HIGH, LOW:HIGH, or one value (default {one.default[0]:g})"
         parser.add_argument(f"--{name}", nargs="+", metavar="X", help=told)
     parser.add_argument(
         "--hand",
@@ -38,9 +40,7 @@ def add_command(commands: Any) -> None:
         "MASS,DAMPING,STIFFNESS[,GRIP_DAMPING,GRIP_STIFFNESS]; may be given again (default none)",
     )
     parser.add_argument("--held", action="store_true", help="never let go: leave out the flotor without a hand")
-    helps = {"period": "sample period [s]", "modulus": "largest modulus allowed; 1 for stability alone"}
-    add_options(parser, {}, helps, WallRequirements)
-    parser.add_argument("--driver-lag", action="store_true", help="the current drivers lag, as the device's do")
+    add_parameters(parser, WallRequirements)
     parser.add_argument("--law", default="pd", choices=LAWS, help="law of the wall (default pd)")
     parser.add_argument(
         "--goal",
@@ -48,37 +48,16 @@ def add_command(commands: Any) -> None:
         choices=GOALS,
         help="make the stiffness against a slow push largest, or the least at any frequency (default static)",
     )
-    parser.add_argument("--pulse", action="store_true", help="give a braking pulse, sized to stop the lightest flotor")
-    helps = {
-        "pulse_width": "how long the pulse lasts [s]",
-        "quantize": "resolution of the position sensor [m]; 0 for an ideal one",
-        "speed": "speed of approach [m/s]",
-    }
-    add_options(parser, {}, helps, Contact)
-    limit = Contact().force_limit
-    parser.add_argument(
-        "--force-limit",
-        default=limit,
-        type=_limit,
-        metavar="X",
-        help=f"largest force of the actuators [N], or none (default {limit:g})",
-    )
+    add_parameters(parser, Contact)
     parser.add_argument("--json", metavar="FILE", help="write the design as JSON; - for standard output")
     parser.add_argument("--out", metavar="DIR", type=Path, help="write a picture of the margin to this folder")
     parser.set_defaults(run=_design)
 
 
 def _design(options: argparse.Namespace) -> int:
-    made = WallRequirements()
-    requirements = WallRequirements(
-        mass=range_of("mass", options.mass) or made.mass,
-        delay=range_of("delay", options.delay) or made.delay,
-        hands=_hands(options.hand or ["none"], options.held),
-        **{name: getattr(options, name) for name in ("period", "modulus", "driver_lag")},
-    )
-    contact = Contact(
-        **{name: getattr(options, name) for name in ("pulse", "pulse_width", "quantize", "force_limit", "speed")}
-    )
+    ranges = {name: range_of(name, words) for name in _RANGES if (words := getattr(options, name)) is not None}
+    hands = _hands(options.hand or ["none"], options.held)
+    requirements, contact = chosen(options, WallRequirements, hands=hands, **ranges), chosen(options, Contact)
     if options.out is not None:
         plots.require()
         if all(low == high for low, high in (requirements.mass, requirements.delay)):
@@ -116,7 +95,3 @@ def _hands(given: Sequence[str], held: bool) -> tuple[str, ...]:
     if held:
         return tuple(dict.fromkeys(hand for hand in hands if hand != "none"))
     return tuple(dict.fromkeys(["none", *hands]))
-
-
-def _limit(text: str) -> float | None:
-    return None if text == "none" else number_option(text)

@@ -3,63 +3,52 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable, Mapping
 from typing import Any
 
-from maglev_mj.cli.drop import DROP_HELPS
-from maglev_mj.cli.options import add_options, count, number_option
+from maglev_mj.cli.options import chosen, count, number_option
 from maglev_mj.cli.output import check_outputs, write_json
-from maglev_mj.cli.press import PRESS_HANDS, PRESS_HELPS
 from maglev_mj.cli.progress import Progress
-from maglev_mj.cli.stick_slip import STICK_SLIP_HELPS
-from maglev_mj.frames import AXES
-from maglev_mj.scenes.choices import LAWS
+from maglev_mj.cli.scenes import add_scene
+from maglev_mj.scenes.scene import Scene
 from maglev_mj.studies.fidelity import MARGIN, Range, measure_fidelity
+from maglev_mj.studies.fidelity_cases import COMPARED, preset_of
 from maglev_mj.studies.fidelity_levels import measure_levels
-from maglev_mj.studies.fidelity_scenes import FIDELITY_SCENES
 from maglev_mj.tables import fidelity_table, levels_table
 
 __all__ = ["add_command"]
 
-_FREE = {name: STICK_SLIP_HELPS[name] for name in ("period", "delay", "duration")}
-_GAINS = {"stiffness": "stiffness of the hold [N/m]", "damping": "damping of the hold [N s/m]"}
-
-_OPTIONS: Mapping[str, tuple[Mapping[str, Iterable[str]], Mapping[str, str]]] = {
-    "drop": ({}, DROP_HELPS),
-    "drop-no-pulse": ({}, DROP_HELPS),
-    "press": ({"hand": PRESS_HANDS}, PRESS_HELPS),
-    "stick-slip": ({"law": tuple(LAWS), "axis": AXES}, STICK_SLIP_HELPS),
-    "twist": ({}, _FREE),
-    "six-axes": ({}, {**_FREE, **_GAINS}),
-    "let-go": ({}, _FREE),
-}
-"""Options of each scene: those of its own command."""
-
-_BY_LEVEL = "quantize"
-"""The sensor's steps are a model level here."""
+_BY_LEVEL = ("quantize",)
+"""Parameters that are a model level here: the sensor's steps."""
 
 
 def add_command(commands: Any) -> None:
     """Add the command to the parser's."""
     text = "what each piece of the device changes in a scene, and the cheapest model that will do"
     parser = commands.add_parser("fidelity", help=text, description=text)
-    scenes = parser.add_subparsers(dest="scene", required=True, metavar="scene")
-    for name, scene in FIDELITY_SCENES.items():
-        own = scenes.add_parser(name, help=scene.describe(scene.parameters))
-        _add_range(own, scene.tolerance)
-        names, helps = _OPTIONS[name]
-        helps = {option: text for option, text in helps.items() if option != _BY_LEVEL}
-        add_options(own, names, helps, scene.parameters)
-        # an option that is not given keeps what depends on others derived
-        own.set_defaults(run=_fidelity, parameters=[*names, *helps], **dict.fromkeys([*names, *helps]))
-        own.add_argument("--json", metavar="FILE", help="write the figures as JSON; - for standard output")
-    every = scenes.add_parser("all", help="what each piece changes in every scene, as one table")
-    every.add_argument("--json", metavar="FILE", help="write the figures as JSON; - for standard output")
-    every.set_defaults(run=_all)
+    add_scene(parser, more=_add_range, find=_found, names=("drop-no-pulse", "all"), without=_BY_LEVEL)
+    parser.add_argument("--json", metavar="FILE", help="write the figures as JSON; - for standard output")
+    parser.set_defaults(run=_fidelity)
 
 
-def _add_range(parser: argparse.ArgumentParser, tolerance: float) -> None:
+def _found(text: str) -> Scene | None:
+    """Return a scene; None for all of those that are compared in one table."""
+    return None if text == "all" else preset_of(text).scene
+
+
+def _add_phase(parser: argparse.ArgumentParser, cls: type[Scene]) -> None:
+    parser.set_defaults(phase=0.0)
+    if cls.takes_phase:
+        parser.add_argument(
+            "--phase",
+            type=number_option,
+            metavar="X",
+            help="the samples are at (k + phase) period, in [0, 1) (default 0)",
+        )
+
+
+def _add_range(parser: argparse.ArgumentParser, cls: type[Scene]) -> None:
     """Add the options of what the answer is to hold for."""
+    _add_phase(parser, cls)
     usual = Range()
     parser.epilog = (
         "Figures are the worst over phases, jitter seeds and gains of the whole device, and over 4096 cases more on "
@@ -70,7 +59,7 @@ def _add_range(parser: argparse.ArgumentParser, tolerance: float) -> None:
         "--tolerance",
         type=number_option,
         metavar="X",
-        help=f"largest displacement of a coil that does not matter [m] (default {tolerance:g})",
+        help="largest displacement of a coil that does not matter [m] (default: the scene's own)",
     )
     parser.add_argument(
         "--boundary-tolerance",
@@ -107,12 +96,13 @@ def _add_range(parser: argparse.ArgumentParser, tolerance: float) -> None:
 
 def _fidelity(options: argparse.Namespace) -> int:
     check_outputs(json=options.json)
-    given = {name: value for name in options.parameters if (value := getattr(options, name)) is not None}
-    scene = FIDELITY_SCENES[options.scene].changed(**given)
+    if options.scene_class is None:
+        return _all(options)
+    preset = preset_of(options.scene)._replace(scene=chosen(options, options.scene_class))
     over = Range(options.phases, options.around, options.share, options.boundary_tolerance)
     progress = Progress("fidelity")
     try:
-        result = measure_fidelity(scene, options.tolerance, over, progress=progress)
+        result = measure_fidelity(preset, options.tolerance, over, phase=options.phase, progress=progress)
     finally:
         progress.close()
     if options.json is not None:
@@ -123,12 +113,11 @@ def _fidelity(options: argparse.Namespace) -> int:
 
 
 def _all(options: argparse.Namespace) -> int:
-    check_outputs(json=options.json)
     progress, found = Progress("fidelity"), {}
     try:
-        for place, (name, scene) in enumerate(FIDELITY_SCENES.items()):
-            found[name] = measure_levels(scene)
-            progress(place + 1, len(FIDELITY_SCENES))
+        for place, name in enumerate(COMPARED):
+            found[name] = measure_levels(name)
+            progress(place + 1, len(COMPARED))
     finally:
         progress.close()
     if options.json is not None:

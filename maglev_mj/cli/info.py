@@ -6,8 +6,7 @@ import argparse
 from typing import Any
 
 from maglev_mj.cli.output import write_json
-from maglev_mj.report import device_report
-from maglev_mj.tables import device_table
+from maglev_mj.report import device_report, device_table
 
 __all__ = ["add_command"]
 

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import argparse
 import re
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from maglev_mj.bridge.seal import LEAST_KEY, MOST_KEY
 from maglev_mj.errors import ParameterError
-from maglev_mj.parameters import flag
-from maglev_mj.scenes import Settings
+from maglev_mj.net.authentication import LEAST_KEY, MOST_KEY
+from maglev_mj.parameters import Parameter, Parameters
 from maglev_mj.workers import Workers, dask_workers, local_workers
 
 __all__ = [
@@ -20,21 +19,39 @@ __all__ = [
     "add_bridge",
     "add_options",
     "add_outputs",
+    "add_parameters",
     "add_recording",
-    "add_settings",
     "add_workers",
+    "chosen",
     "chosen_key",
-    "chosen_settings",
     "chosen_workers",
     "count",
+    "described",
     "joined",
     "number_option",
     "range_of",
 ]
 
+P = TypeVar("P", bound=Parameters)
+
+_APART = "parameter "
+
 
 class Parser(argparse.ArgumentParser):
     """An argument parser whose complaint is one line."""
+
+    def __init__(self, **keywords: Any) -> None:
+        # the options of a scene are its own: a shorter word must not become one that is added later
+        super().__init__(**{"allow_abbrev": False, **keywords})
+
+    before: Callable[[Sequence[str]], None] | None = None
+    """Called with the arguments before they are parsed, for options that depend on another."""
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """See `argparse.ArgumentParser`."""
+        if self.before is not None:
+            self.before(args or ())
+        return super().parse_known_args(args, namespace)
 
     def error(self, message: str) -> Any:
         """Print one line and exit with status 2."""
@@ -77,6 +94,75 @@ def add_options(
         shown = "none" if getattr(made, name) is None else f"{getattr(made, name):g}"
         option = f"--{name.replace('_', '-')}"
         parser.add_argument(option, type=number_option, default=default, metavar="X", help=f"{text} (default {shown})")
+
+
+def add_parameters(
+    parser: argparse.ArgumentParser, parameters: Parameters | type[Parameters], *, without: Sequence[str] = ()
+) -> None:
+    """Add an option for each declared parameter, with unit and default in its help.
+
+    A value that only a `parse` knows gets none, and neither does one whose option the command has itself. What is
+    given stands apart from the command's own options: see `chosen`.
+
+    Args:
+        parser: Of the command.
+        parameters: Class, or parameters whose values are the defaults.
+        without: Names of parameters that get no option.
+    """
+    made = parameters() if isinstance(parameters, type) else parameters
+    for one in made.parameters():
+        option = f"--{one.name.replace('_', '-')}"
+        if one.kind is not object and one.name not in without and option not in parser._option_string_actions:
+            _add_parameter(parser, option, one, getattr(made, one.name))
+
+
+def _add_parameter(parser: argparse.ArgumentParser, option: str, one: Parameter, default: Any) -> None:
+    said = described(one, default).replace("%", "%%")
+    kept: dict[str, Any] = {"dest": _APART + one.name, "default": argparse.SUPPRESS, "help": said}
+    if one.kind is bool:
+        parser.add_argument(option, action=argparse.BooleanOptionalAction, **kept)
+        return
+    kinds: Mapping[type, tuple[Callable[[str], Any], str]] = {
+        float: (number_option, "X"),
+        int: (count, "N"),
+        str: (str, "NAME"),
+    }
+    read, metavar = kinds[one.kind]
+    if one.optional:
+        read = partial(_or_none, read)
+    parser.add_argument(option, type=read, metavar=metavar, **kept)
+
+
+def described(one: Parameter, default: Any) -> str:
+    """Return what a parameter is, with its unit, its choices and its default."""
+    text, more, rest = one.help.partition(";")
+    said = f"{text} [{one.unit}]{more}{rest}" if one.unit else text + more + rest
+    if one.choices:
+        said += f": {', '.join(one.choices)}"
+    if one.kind is bool:
+        return f"{said} (default {'on' if default else 'off'})"
+    return f"{said} (default {'none' if default is None else default if one.kind is str else f'{default:g}'})"
+
+
+def _or_none(read: Callable[[str], Any], text: str) -> Any:
+    return None if text.lower() == "none" else read(text)
+
+
+def chosen(options: argparse.Namespace, parameters: P | type[P], **further: Any) -> P:
+    """Return parameters with what was chosen by the options of `add_parameters`.
+
+    Args:
+        options: As parsed.
+        parameters: Class, or parameters whose values stand where nothing was chosen.
+        further: Values that have options of their own.
+
+    Raises:
+        ParameterError: If a value is outside its bounds.
+    """
+    made = parameters() if isinstance(parameters, type) else parameters
+    given = {one.name: f"{_APART}{one.name}" for one in made.parameters()}
+    found = {name: getattr(options, place) for name, place in given.items() if hasattr(options, place)}
+    return made.replace(**found, **further)
 
 
 def add_outputs(parser: argparse.ArgumentParser) -> None:
@@ -189,32 +275,3 @@ def chosen_key(path: Path | None, name: str = "key") -> bytes | None:
         digits = f"{2 * LEAST_KEY} to {2 * MOST_KEY} hexadecimal digits"
         raise ParameterError(f"{name} must be a file of {digits}, not {str(path)!r}")
     return key
-
-
-def add_settings(parser: argparse.ArgumentParser, *, timing: bool = True) -> None:
-    """Add the options for what may be changed while a scene runs; see `Settings`.
-
-    Args:
-        parser: Of the command.
-        timing: False where period and delay are not the user's to choose.
-    """
-    flag("timing", timing)
-    for name in ("wall", "pulse", "friction"):
-        parser.add_argument(f"--{name}", action=argparse.BooleanOptionalAction, default=None, help="on from the start")
-    helps = {
-        "stiffness": "of walls and friction [N/m]",
-        "damping": "likewise [N s/m]",
-        "period": "sample period [s]",
-        "delay": "from a sample to its command taking effect [s]",
-    }
-    if not timing:
-        del helps["period"], helps["delay"]
-        parser.set_defaults(period=None, delay=None)
-    add_options(parser, {}, helps, Settings)
-
-
-def chosen_settings(options: argparse.Namespace, settings: Settings) -> Settings:
-    """Return a scene's settings with what was chosen in place of its own."""
-    given = {name: getattr(options, name) for name in ("wall", "pulse", "friction", "stiffness", "damping")}
-    given |= {"period": options.period, "delay": options.delay}
-    return replace(settings, **{name: value for name, value in given.items() if value is not None})

@@ -14,16 +14,14 @@ from maglev_mj.cli import (
     analyse,
     bridge,
     design,
-    drop,
     export,
     fidelity,
     info,
-    press,
     render,
     replay,
+    run,
     serve_spacenav,
     stability,
-    stick_slip,
     sweep,
     twin,
     view,
@@ -36,7 +34,7 @@ __all__ = ["main", "parser"]
 
 _SCENES = view, render, serve_spacenav
 _RECORDINGS = replay, analyse, export
-_EXPERIMENTS = drop, press, stick_slip, stability, design, sweep, fidelity
+_EXPERIMENTS = run, stability, design, sweep, fidelity
 _DEVICE = twin, bridge, info
 
 COMMANDS = (*_SCENES, *_RECORDINGS, *_EXPERIMENTS, *_DEVICE)

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import argparse
+import re
 from pathlib import Path
 from typing import Any
 
-from maglev_mj.cli.options import add_settings, chosen_settings, count, number_option
+from maglev_mj.cli.options import count, number_option
 from maglev_mj.cli.output import check_file
+from maglev_mj.cli.scenes import add_scene, chosen_scene
+from maglev_mj.errors import ParameterError
 from maglev_mj.parameters import number
-from maglev_mj.scenes import SCENES, scene_called
 
 __all__ = ["add_command"]
 
@@ -19,27 +21,24 @@ _LEAST, _MOST = 160, 4000
 def add_command(commands: Any) -> None:
     """Add the command to the parser's."""
     render = commands.add_parser("render", help="a picture or a clip of a scene, without a window")
-    render.add_argument("scene", metavar="SCENE", help=f"one of {', '.join(SCENES)}")
     render.add_argument("--out", metavar="FILE", type=Path, required=True, help="a .png, .gif or .mp4")
     render.add_argument(
         "--seconds",
         type=number_option,
         metavar="X",
-        help="length of a clip, or when a picture is taken [s] (default: as long as the scripted hand moves, or half)",
+        help="length of a clip, or when a picture is taken [s] (default: as long as the scene lasts, or half)",
     )
-    render.add_argument("--width", type=count, default=1200, metavar="N", help="pixels (default 1200)")
-    render.add_argument("--height", type=count, default=750, metavar="N", help="pixels (default 750)")
-    render.add_argument("--rate", type=count, default=20, metavar="N", help="pictures a second (default 20)")
+    render.add_argument("--size", default="1200x750", metavar="WxH", help="pixels (default 1200x750)")
+    render.add_argument("--fps", type=count, default=20, metavar="N", help="pictures a second (default 20)")
     render.add_argument("--plain", action="store_true", help="leave plots and words out")
-    add_settings(render)
+    add_scene(render, default="joystick")
     render.set_defaults(run=_render)
 
 
 def _render(options: argparse.Namespace) -> int:
-    scene = scene_called(options.scene)
-    settings = chosen_settings(options, scene.settings)
-    size = {name: number(name, getattr(options, name), at_least=_LEAST, at_most=_MOST) for name in ("width", "height")}
-    number("rate", options.rate, at_least=1, at_most=50)
+    scene = chosen_scene(options)
+    width, height = _pixels(options.size)
+    number("fps", options.fps, at_least=1, at_most=50)
     if options.seconds is not None:
         number("seconds", options.seconds, at_least=0.0, at_most=600.0)
     # imported here: it loads the libraries that draw
@@ -49,13 +48,24 @@ def _render(options: argparse.Namespace) -> int:
     check_file("out", checked_name(options.out))
     frames = render(
         scene,
-        settings,
         options.out,
         seconds=options.seconds,
-        width=int(size["width"]),
-        height=int(size["height"]),
-        rate=options.rate,
+        width=width,
+        height=height,
+        rate=options.fps,
         plots=not options.plain,
     )
     print(f"wrote {options.out}" + (f", {frames} pictures" if frames > 1 else ""))
     return 0
+
+
+def _pixels(size: str) -> tuple[int, int]:
+    """Return width and height that a text such as 1200x750 gives.
+
+    Raises:
+        ParameterError: If it gives none, or they are outside their bounds.
+    """
+    found = re.fullmatch(r"(\d{1,5})x(\d{1,5})", size)
+    if found is None or not all(_LEAST <= int(part) <= _MOST for part in found.groups()):
+        raise ParameterError(f"size must be WxH, such as 1200x750, of {_LEAST} to {_MOST} pixels each, not {size!r}")
+    return int(found[1]), int(found[2])

@@ -8,52 +8,65 @@ from pathlib import Path
 from typing import Any
 
 from maglev_mj import plots
-from maglev_mj.cli.options import add_options, add_workers, chosen_workers, count, range_of
+from maglev_mj.cli.options import Parser, add_parameters, add_workers, chosen, chosen_workers, range_of
 from maglev_mj.cli.output import cells_kept, check_outputs, tell_of_others, write_json
 from maglev_mj.cli.progress import Progress
+from maglev_mj.cli.scenes import add_scene
 from maglev_mj.errors import ParameterError
-from maglev_mj.hand import HANDS
-from maglev_mj.scenes.choices import PLANTS
+from maglev_mj.scenes.scene import Scene
+from maglev_mj.spec import INERTIA
 from maglev_mj.studies.cells import Record
 from maglev_mj.studies.stability_map import StabilityParameters, run_stability
-from maglev_mj.tables import stability_table
+from maglev_mj.tables import loop_table, stability_table
+from maglev_mj.theory import stability
 
 __all__ = ["add_command"]
 
+_RANGES = "damping", "stiffness"
 _FALLBACK = Path("stability-cells.jsonl")
 
 
 def add_command(commands: Any) -> None:
     """Add the command to the parser's."""
-    parser = commands.add_parser("stability", help="where a wall is stable, by theory and by simulation (figure 2)")
-    for name, unit in (("damping", "N s/m"), ("stiffness", "N/m")):
-        parser.add_argument(
-            f"--{name}",
-            nargs="+",
-            metavar="X",
-            help=f"wall {name} [{unit}]: LOW HIGH, LOW:HIGH, or one value (default: what shows the stable region)",
-        )
-    made = StabilityParameters()
-    parser.add_argument("--grid", type=count, default=made.grid, metavar="N", help=f"points an axis ({made.grid})")
-    helps = {
-        "period": "sample period [s]",
-        "delay": "from a sample to its command taking effect [s]",
-        "mass": "moving mass [kg]",
-    }
-    hands = (*HANDS, "or MASS,DAMPING,STIFFNESS[,GRIP_DAMPING,GRIP_STIFFNESS]")
-    add_options(parser, {"plant": ("none", *PLANTS), "hand": hands}, helps, StabilityParameters)
-    parser.add_argument("--json", metavar="FILE", help="write the map as JSON; - for standard output")
+    text = "where a wall is stable, by theory and by simulation (figure 2); or whether a scene is"
+    parser = commands.add_parser("stability", help=text, description=text)
+    parser.add_argument("--json", metavar="FILE", help="write the figures as JSON; - for standard output")
+    parser.set_defaults(run=_stability)
+    add_scene(parser, instead=_add_map)
+
+
+def _add_map(parser: Parser) -> None:
+    """Add the options of a map of walls."""
+    for name in _RANGES:
+        one = StabilityParameters.parameter(name)
+        told = f"{one.help} [{one.unit}]: LOW HIGH, LOW:HIGH, or one value (default: what shows the stable region)"
+        parser.add_argument(f"--{name}", nargs="+", metavar="X", help=told)
+    add_parameters(parser, StabilityParameters)
     parser.add_argument("--out", metavar="DIR", type=Path, help="write the picture to this folder")
     add_workers(parser, "cells done are kept here and not done again")
-    parser.set_defaults(run=_stability)
 
 
 def _stability(options: argparse.Namespace) -> int:
-    parameters = StabilityParameters(
-        damping=range_of("damping", options.damping),
-        stiffness=range_of("stiffness", options.stiffness),
-        **{name: getattr(options, name) for name in ("grid", "period", "delay", "mass", "hand", "plant")},
-    )
+    return _map(options) if options.scene_class is None else _verdict(options)
+
+
+def _verdict(options: argparse.Namespace) -> int:
+    """Print whether the closed loop of a scene is stable."""
+    scene: Scene = chosen(options, options.scene_class)
+    check_outputs(json=options.json)
+    mass = scene.plant_options().get("mass", INERTIA[0])
+    found = stability(scene, inertia=[*[mass] * 3, *INERTIA[3:]])
+    if options.json is not None:
+        write_json(options.json, {"scene": scene.name, "parameters": scene.as_json(), **found.as_json()})
+    if options.json != "-":
+        print(loop_table(scene, found))
+    return 0
+
+
+def _map(options: argparse.Namespace) -> int:
+    """Print where walls are stable."""
+    ranges = {name: range_of(name, getattr(options, name)) for name in _RANGES}
+    parameters = chosen(options, StabilityParameters, **ranges)
     if options.out is not None:
         plots.require()
         for name in ("damping", "stiffness"):

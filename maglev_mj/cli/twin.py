@@ -4,29 +4,29 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from maglev_mj.bridge.calibration import Calibration
-from maglev_mj.bridge.link import Server, UdpServer, check_host, parse_url
-from maglev_mj.bridge.misfortune import MISFORTUNES, Misfortune
-from maglev_mj.bridge.realtime import realtime
+from maglev_mj.bridge.realtime import realtime, stopping
 from maglev_mj.bridge.safety import Limits
 from maglev_mj.bridge.server import TwinServer
 from maglev_mj.bridge.states import fault_names
-from maglev_mj.bridge.stopping import stopping
-from maglev_mj.bridge.twin import Twin, TwinParameters
+from maglev_mj.bridge.twin import MISFORTUNES, Misfortune, Twin, TwinParameters
 from maglev_mj.cli.options import add_bridge, chosen_key, count, number_option
 from maglev_mj.errors import ParameterError
+from maglev_mj.net.udp import Server, UdpServer, check_host, parse_url
 from maglev_mj.parameters import number
 from maglev_mj.plants import engine_warnings_silenced
-from maglev_mj.scenes import Settings, scene_called
+from maglev_mj.scenes import find_scene
 from maglev_mj.scenes.parts import WEIGHT
+from maglev_mj.session import Publishers, SampledMotion, Snapshot
 from maglev_mj.spec import Spec
 from maglev_mj.tables import served_table
-from maglev_mj.viewer.process import Watch
+from maglev_mj.viewer.process import RemoteViewer
 
 __all__ = ["add_command"]
 
@@ -66,7 +66,7 @@ def add_command(commands: Any) -> None:
 
 def _twin(options: argparse.Namespace) -> int:
     key = chosen_key(options.key)
-    look = scene_called(options.scene)
+    look = find_scene(options.scene or "joystick")
     seconds = None if options.seconds is None else number("seconds", options.seconds, above=0.0)
     calibration = Calibration.nominal() if options.calibration is None else Calibration.load(options.calibration)
     parameters = TwinParameters(
@@ -80,15 +80,16 @@ def _twin(options: argparse.Namespace) -> int:
         limits=Limits(watchdog=options.watchdog),
         misfortunes=[Misfortune.parse(text) for text in options.fault],
     )
-    watch = None
+    viewer = None
     if options.view:
         from maglev_mj.viewer.window import require_display
 
         require_display()
         # what it renders is for whoever flies it to say
-        settings = Settings(wall=False, pulse=False, period=parameters.period, delay=parameters.delay)
-        watch = Watch(look.name, settings)
-    twin = Twin(parameters, key=key, hand_force=None if watch is None else watch.hand)
+        off = {one.name: False for one in look.parameters() if one.kind is bool and one.live}
+        blank = Snapshot(scene=look(**off, period=parameters.period, delay=parameters.delay))
+        viewer = RemoteViewer(blank)
+    twin = Twin(parameters, key=key, hand_force=None if viewer is None else viewer.hand)
     server = TwinServer(twin, _server(options.listen, key))
     print(_greeting(options, server), flush=True)
     try:
@@ -96,18 +97,18 @@ def _twin(options: argparse.Namespace) -> int:
             for complaint in refused:
                 print(f"  not in real time: {complaint}", flush=True)
             with stopping(server.stop):
-                served = server.run(seconds, None if watch is None else _shown(watch, server))
+                served = server.run(seconds, None if viewer is None else _shown(viewer, blank, server))
     finally:
         server.close()
-        if watch is not None:
-            watch.close()
+        if viewer is not None:
+            viewer.close()
     print(served_table(served, twin))
     return 0
 
 
 def _server(listen: str, key: bytes | None) -> Server:
     if listen == "pty":
-        from maglev_mj.bridge.serial_link import PtyServer
+        from maglev_mj.net.serial import PtyServer
 
         return PtyServer()
     if not listen.startswith("udp:"):
@@ -123,20 +124,33 @@ def _greeting(options: argparse.Namespace, server: TwinServer) -> str:
     return f"  a twin at {address}, {options.rate:g} Hz, {pace}; Ctrl-C ends it"
 
 
-def _shown(watch: Watch, server: TwinServer) -> Callable[[], None]:
-    """Return what shows a sample of the twin in the window, and lets the window end the twin."""
+def _shown(viewer: RemoteViewer, blank: Snapshot, server: TwinServer) -> Callable[[], None]:
+    """Return a function that shows a sample of the twin in the window; the window ends the twin."""
     twin, plant = server.twin, server.twin.plant
     coils, carried = plant.device.coils, np.array(WEIGHT)
     assert coils is not None  # it is driven through them
+    motion, publishers = SampledMotion(blank.scene.axis_index), Publishers([viewer])
+    viewer.on_close = server.stop
 
     def each() -> None:
-        currents = plant.currents
+        currents, pose, time = plant.currents, twin.pose, twin.tick * blank.scene.period
         force = coils.wrench(currents) - carried if currents.any() else np.zeros(6)
-        watch.note = f"a device, {twin.firmware.state.name.lower()}{_faults(twin)}"
-        watch.keep(twin.pose, force, plant.hand_wrench, currents.tolist())
-        watch.poll()
-        if watch.closed:
-            server.stop()
+        motion.add(time, pose, force, plant.hand_wrench)
+        publishers.show(
+            lambda: replace(
+                blank,
+                tick=twin.tick,
+                time=time,
+                pose=pose,
+                force=force,
+                hand=np.array(plant.hand_wrench),
+                currents=currents,
+                history=motion.history.rows,
+                work=motion.work,
+                notes=[f"a device, {twin.firmware.state.name.lower()}{_faults(twin)}"],
+            )
+        )
+        publishers.wanted()  # the mouse; the settings are the host's
 
     return each
 

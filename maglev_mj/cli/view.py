@@ -6,12 +6,12 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from maglev_mj.cli.options import add_recording, add_settings, chosen_settings, number_option
-from maglev_mj.cli.outlets import add_outlets, chosen_outlets
+from maglev_mj.cli.options import add_recording, number_option
 from maglev_mj.cli.output import check_outputs, check_recording
+from maglev_mj.cli.publishers import add_publishers, chosen_publishers
+from maglev_mj.cli.scenes import add_scene, chosen_scene
 from maglev_mj.hand import SpringHand
 from maglev_mj.parameters import number
-from maglev_mj.scenes import SCENES, scene_called
 from maglev_mj.session import Session
 from maglev_mj.tables import show_table
 
@@ -21,10 +21,9 @@ __all__ = ["add_command"]
 def add_command(commands: Any) -> None:
     """Add the command to the parser's."""
     view = commands.add_parser("view", help="feel a scene: a window, with the mouse as the hand")
-    view.add_argument("scene", nargs="?", default="joystick", metavar="SCENE", help=f"one of {', '.join(SCENES)}")
-    add_settings(view)
+    add_scene(view, default="joystick")
     add_recording(view)
-    add_outlets(view)
+    add_publishers(view)
     view.add_argument(
         "--hand-stiffness",
         type=number_option,
@@ -40,8 +39,7 @@ def add_command(commands: Any) -> None:
 
 
 def _view(options: argparse.Namespace) -> int:
-    scene = scene_called(options.scene)
-    settings = chosen_settings(options, scene.settings)
+    scene = chosen_scene(options)
     hand = SpringHand(stiffness=options.hand_stiffness)
     seconds = None if options.seconds is None else number("seconds", options.seconds, above=0.0)
     check_outputs(out=options.out)
@@ -51,10 +49,8 @@ def _view(options: argparse.Namespace) -> int:
 
     require_display()
     options.out.mkdir(parents=True, exist_ok=True)
-    with chosen_outlets(options) as outlets:
-        session = Session(
-            scene.name, settings=settings, hand=hand, folder=options.out, record=options.record, outlets=outlets
-        )
+    with chosen_publishers(options) as publishers:
+        session = Session(scene, hand=hand, folder=options.out, record=options.record, publishers=publishers)
         try:
             print(show_table(show(session, folder=options.out, duration=seconds)))
         finally:

@@ -1,4 +1,4 @@
-"""What a hand exerts from one sample to the next: constant, guided along a path, by a spring, or as recorded.
+"""What a hand exerts from one sample to the next: guided along a path, by a spring, or as recorded.
 
 A hand force is what a plant calls at each sample; the wrench it returns acts until the next one. It is the muscles'
 part: what the hand's mass, damping and stiffness add to it is the plant's `Hand`.
@@ -20,7 +20,7 @@ from maglev_mj.frames import AXES, Array, Component, quaternion, rotation_vector
 from maglev_mj.hand.impedance import Hand
 from maglev_mj.parameters import number, numbers
 
-__all__ = ["ConstantForce", "GuidedHand", "HandForce", "Path", "RecordedHand", "SpringHand"]
+__all__ = ["GuidedHand", "HandForce", "Path", "RecordedHand", "SpringHand"]
 
 State: TypeAlias = Callable[[], tuple[Array, Array]]
 """Returns the true pose and twist of the flotor now, (..., 6) each."""
@@ -39,28 +39,6 @@ class HandForce(Protocol):
             time: When it is taken [s].
             state: Returns the flotor's true pose and twist, for a hand that needs them.
         """
-
-
-@dataclass(frozen=True, eq=False)
-class ConstantForce:
-    """A wrench that never changes, such as a weight laid on the handle.
-
-    Args:
-        wrench: The wrench [N, N m], (6,).
-
-    Raises:
-        ParameterError: If it is not finite or not (6,).
-    """
-
-    wrench: ArrayLike
-    _parts: tuple[float, ...] = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "_parts", tuple(_six("hand wrench", self.wrench)))
-
-    def __call__(self, tick: int, time: Component, state: State) -> Sequence[Component]:
-        """See `HandForce`."""
-        return self._parts
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,14 +193,6 @@ class RecordedHand:
     def __call__(self, tick: int, time: Component, state: State) -> Sequence[Component]:
         """See `HandForce`."""
         return self._rows[tick] if tick < len(self._rows) else _NOTHING
-
-
-def _six(name: str, value: ArrayLike) -> list[float]:
-    values = numbers(name, value)
-    if values.shape != (6,):
-        raise ParameterError(f"{name} must be (6,), not {values.shape}")
-    result: list[float] = values.tolist()
-    return result
 
 
 def _no_more(parts: list[float], limit: float) -> list[float]:

@@ -1,8 +1,8 @@
-"""The hand that holds the flotor, as a mass, a damper and a spring; and how both move under a held force."""
+"""The hand that holds the flotor, as a mass, a damper and a spring; those published; motion under a held force."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -12,7 +12,18 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Component
 from maglev_mj.parameters import axis_indices, common_shape, numbers
 
-__all__ = ["Hand", "exponential", "motion", "transition"]
+__all__ = ["HANDS", "Hand", "exponential", "hand_called", "motion", "transition"]
+
+HANDS: Mapping[str, tuple[float, ...]] = {
+    "none": (),
+    # one trial: van Beek, Bergmann Tiest, Mugge & Kappers 2015, figure 3
+    "arm": (0.554, 6.45, 135.0),
+    # vertical direction of a stylus, after Fu & Cavusoglu 2012; read second-hand
+    "stylus": (0.204, 18.06, 271.7, 0.776, 769.9),
+    # assumed: the low corner of the published range
+    "fingertip": (0.02, 1.0, 40.0),
+}
+"""Hands by name: mass [kg], damping [N s/m] and stiffness [N/m] of the arm, then damping and stiffness of the grip."""
 
 _TERMS = 14
 _LEAST_MASS = 1e-3
@@ -93,6 +104,31 @@ class Hand:
         grip = 0.0 if self.grip_stiffness is None else self.grip_stiffness
         parts = (self.mass, self.damping, self.stiffness, self.grip_damping, grip)
         return tuple(np.asarray(part, dtype=np.float64) for part in parts)
+
+
+def hand_called(text: str) -> Hand | None:
+    """Return a hand by name, or from its numbers as "mass,damping,stiffness[,grip damping,grip stiffness]".
+
+    Raises:
+        ParameterError: If there is no such name, or the numbers do not make a hand.
+    """
+    values = HANDS.get(text)
+    if values is None:
+        try:
+            values = tuple(float(part) for part in text.split(","))
+        except ValueError:
+            values = ()
+        if len(values) not in (3, 5):
+            raise ParameterError(
+                f"hand must be one of {', '.join(HANDS)}, or mass,damping,stiffness in SI units, optionally with "
+                f"grip damping and grip stiffness, not {text!r}"
+            )
+    if not values:
+        return None
+    mass, damping, stiffness, *grip = values
+    if not grip:
+        return Hand(mass=mass, damping=damping, stiffness=stiffness)
+    return Hand(mass=mass, damping=damping, stiffness=stiffness, grip_damping=grip[0], grip_stiffness=grip[1])
 
 
 def motion(mass: ArrayLike, hand: Hand | None = None, lag: float = 0.0) -> tuple[Array, Array]:

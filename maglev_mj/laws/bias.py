@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from maglev_mj.errors import ParameterError
-from maglev_mj.frames import AXES, Component
+from maglev_mj.frames import AXES, Array, Component
+from maglev_mj.laws.base import Gains, Law
 from maglev_mj.parameters import numbers, per_axis
 
 __all__ = ["Bias"]
 
 
 @dataclass(frozen=True, eq=False)
-class Bias:
+class Bias(Law):
     """A constant wrench on top of what the other laws give.
 
     Args:
@@ -28,7 +30,6 @@ class Bias:
     wrench: ArrayLike
 
     batch: tuple[int, ...] = field(init=False)
-    pulse_width: float = field(init=False, default=0.0)
     _parts: tuple[Component, ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -38,9 +39,6 @@ class Bias:
         object.__setattr__(self, "batch", wrench.shape[:-1])
         object.__setattr__(self, "_parts", per_axis("bias wrench", wrench, len(AXES)))
 
-    def start(self) -> None:
-        """Return the state before the first sample: a bias has none."""
-
     def __call__(
         self, position: Sequence[Component], velocity: Sequence[Component], state: None, wrench: list[Component]
     ) -> tuple[None, None]:
@@ -48,3 +46,11 @@ class Bias:
         for axis, part in enumerate(self._parts):
             wrench[axis] = wrench[axis] + part
         return None, None
+
+    def gains(self) -> Iterable[Gains]:
+        """Return nothing: a constant wrench has neither stiffness nor damping."""
+        return ()
+
+    def carried(self) -> Array:
+        """Return the wrench [N, N m], (..., 6)."""
+        return np.asarray(self.wrench, dtype=np.float64)

@@ -6,68 +6,58 @@ equations in z are driven by the travel dx of a sample, over which the velocity 
 
 from __future__ import annotations
 
-from abc import abstractmethod
-from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Component
+from maglev_mj.laws.base import gain
 from maglev_mj.laws.friction import SLIDING_SHARE, Friction, FrictionState, apply, choose
 from maglev_mj.parameters import number
 
 __all__ = ["Dahl", "ElastoPlastic", "HaywardArmstrong", "LuGre"]
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
 class _Bristle(Friction):
     """A friction law whose state is one stretch."""
 
-    @abstractmethod
-    def stretch(
-        self, z: Component, travel: Component, velocity: Component, parameters: dict[str, Component]
-    ) -> Component:
+    def stretch(self, z: Component, travel: Component, velocity: Component, gains: Any) -> Component:
         """Return the stretch [m, rad] after a travel [m, rad] from the stretch before it."""
+        raise NotImplementedError
 
-    def force(
-        self, before: Component, z: Component, velocity: Component, parameters: dict[str, Component]
-    ) -> Component:
+    def pull(self, before: Component, z: Component, velocity: Component, gains: Any) -> Component:
         """Return the force of the bristle [N, N m]."""
-        return -(parameters["stiffness"] * z)
+        return -(gains.stiffness * z)
 
-    def limit(self, velocity: Component, parameters: dict[str, Component]) -> Component:
+    def limit(self, velocity: Component, gains: Any) -> Component:
         """Return the force at which the bristle slides at this velocity [N, N m]."""
-        return parameters["breakaway"]
+        return gains.breakaway
 
     def axis(
-        self, position: Component, velocity: Component, state: FrictionState, parameters: dict[str, Component]
+        self, position: Component, velocity: Component, state: FrictionState, gains: Any
     ) -> tuple[Component, FrictionState]:
         """Answer one sample of one axis; see `Friction`."""
         last, before = (position, 0.0) if state.memory is None else state.memory
-        z = self.stretch(before, position - last, velocity, parameters)
-        force = self.force(before, z, velocity, parameters)
-        sticks = parameters["stiffness"] * abs(z) < SLIDING_SHARE * self.limit(velocity, parameters)
+        z = self.stretch(before, position - last, velocity, gains)
+        force = self.pull(before, z, velocity, gains)
+        sticks = gains.stiffness * abs(z) < SLIDING_SHARE * self.limit(velocity, gains)
         return force, FrictionState(sticks, position - z, (position, z))
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
 class Dahl(_Bristle):
     """Dahl's model, dz = dx (1 - sgn(dx) z / z_c) with z_c = breakaway / stiffness; solved exactly for each travel.
 
     Source: Dahl 1968, in the form of Olsson et al. 1998; formula recalled and derived again.
     """
 
-    def stretch(
-        self, z: Component, travel: Component, velocity: Component, parameters: dict[str, Component]
-    ) -> Component:
+    def stretch(self, z: Component, travel: Component, velocity: Component, gains: Any) -> Component:
         """Return the stretch after a travel; see `_Bristle`."""
-        limit = parameters["breakaway"] / parameters["stiffness"]
+        limit = gains.breakaway / gains.stiffness
         return _relaxed(z, travel, limit)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
 class LuGre(_Bristle):
     """LuGre, dz/dt = v - stiffness |v| z / g(v), g falling from breakaway to Coulomb; F = s0 z + s1 dz/dt.
 
@@ -82,37 +72,34 @@ class LuGre(_Bristle):
 
     period: float
     coulomb: float = 0.8
-    stribeck: ArrayLike = 0.01
-    bristle_damping: ArrayLike = 0.0
-
-    _POSITIVE: ClassVar[tuple[str, ...]] = ("stiffness", "breakaway", "stribeck")
-    _OTHER: ClassVar[tuple[str, ...]] = ("damping", "bristle_damping")
+    stribeck: ArrayLike = gain(unit="m/s, rad/s", default=0.01, above=0.0)
+    bristle_damping: ArrayLike = gain(unit="N s/m, N m s/rad", default=0.0)
 
     def __post_init__(self) -> None:
         super().__post_init__()
         number("period", self.period, above=0.0)
         number("coulomb", self.coulomb, above=0.0, at_most=1.0)
 
-    def stretch(
-        self, z: Component, travel: Component, velocity: Component, parameters: dict[str, Component]
-    ) -> Component:
+    @property
+    def stuck_damping(self) -> ArrayLike:
+        """Damping of the bristle; see `Friction`."""
+        return self.bristle_damping
+
+    def stretch(self, z: Component, travel: Component, velocity: Component, gains: Any) -> Component:
         """Return the stretch after a travel; see `_Bristle`."""
-        return _relaxed(z, travel, self.limit(velocity, parameters) / parameters["stiffness"])
+        return _relaxed(z, travel, self.limit(velocity, gains) / gains.stiffness)
 
-    def limit(self, velocity: Component, parameters: dict[str, Component]) -> Component:
+    def limit(self, velocity: Component, gains: Any) -> Component:
         """Return the Stribeck curve at this velocity [N, N m]; see `_Bristle`."""
-        ratio = velocity / parameters["stribeck"]
+        ratio = velocity / gains.stribeck
         share = self.coulomb + (1.0 - self.coulomb) * apply(np.exp, -(ratio * ratio))
-        return share * parameters["breakaway"]
+        return share * gains.breakaway
 
-    def force(
-        self, before: Component, z: Component, velocity: Component, parameters: dict[str, Component]
-    ) -> Component:
+    def pull(self, before: Component, z: Component, velocity: Component, gains: Any) -> Component:
         """Return the force of the bristle with its damping; see `_Bristle`."""
-        return -(parameters["stiffness"] * z + parameters["bristle_damping"] * ((z - before) / self.period))
+        return -(gains.stiffness * z + gains.bristle_damping * ((z - before) / self.period))
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
 class ElastoPlastic(_Bristle):
     """Elasto-plastic, dz = dx (1 - alpha(z) z / z_ss): purely elastic up to a share of the limit, so no creep there.
 
@@ -131,11 +118,9 @@ class ElastoPlastic(_Bristle):
         super().__post_init__()
         number("elastic", self.elastic, above=0.0, below=1.0)
 
-    def stretch(
-        self, z: Component, travel: Component, velocity: Component, parameters: dict[str, Component]
-    ) -> Component:
+    def stretch(self, z: Component, travel: Component, velocity: Component, gains: Any) -> Component:
         """Return the stretch after a travel; see `_Bristle`."""
-        limit = parameters["breakaway"] / parameters["stiffness"]
+        limit = gains.breakaway / gains.stiffness
         share = abs(z) / limit
         middle = (share - 0.5 * (1.0 + self.elastic)) / (1.0 - self.elastic)
         rising = 0.5 + 0.5 * apply(np.sin, np.pi * choose(middle < -0.5, -0.5, choose(middle > 0.5, 0.5, middle)))
@@ -144,7 +129,6 @@ class ElastoPlastic(_Bristle):
         return choose(moved > limit, limit, choose(moved < -limit, -limit, moved))
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
 class HaywardArmstrong(_Bristle):
     """Displacement-based friction without drift: the anchor follows by alpha(z) |dx| z, and never lags beyond z_max.
 
@@ -163,11 +147,9 @@ class HaywardArmstrong(_Bristle):
         if not 0.0 < number("stick", self.stick) < 1.0:
             raise ParameterError(f"stick must be above 0 and below 1, not {self.stick:g}")
 
-    def stretch(
-        self, z: Component, travel: Component, velocity: Component, parameters: dict[str, Component]
-    ) -> Component:
+    def stretch(self, z: Component, travel: Component, velocity: Component, gains: Any) -> Component:
         """Return the stretch after a travel; see `_Bristle`."""
-        limit = parameters["breakaway"] / parameters["stiffness"]
+        limit = gains.breakaway / gains.stiffness
         moved = z + travel
         square = moved * moved / (limit * limit)
         fourth = square * square

@@ -5,17 +5,17 @@ Every friction law keeps, for each axis, a `FrictionState`; the models with a br
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from typing import Any, ClassVar, NamedTuple
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Component
-from maglev_mj.parameters import axis_indices, batch_shape, flag, number, numbers, per_axis
+from maglev_mj.laws.base import AxisLaw, Gains, gain
+from maglev_mj.parameters import flag, number
 
 __all__ = ["Friction", "FrictionState", "ImplicitCoulomb", "SpringReset", "StickSlip", "apply", "choose"]
 
@@ -38,8 +38,7 @@ class FrictionState(NamedTuple):
     """What else the law needs."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Friction(ABC):
+class Friction(AxisLaw):
     """What friction laws share.
 
     Each parameter is a number for all of the law's axes, one number an axis, or (N, axes) for N devices.
@@ -54,74 +53,45 @@ class Friction(ABC):
         ParameterError: If a value is outside its bounds or a shape does not fit.
     """
 
-    axes: str | Sequence[str] = AXES
-    stiffness: ArrayLike
-    damping: ArrayLike = 0.0
-    breakaway: ArrayLike
+    stiffness: ArrayLike = gain(unit="N/m, N m/rad", above=0.0)
+    damping: ArrayLike = gain(unit="N s/m, N m s/rad", default=0.0)
+    breakaway: ArrayLike = gain(unit="N, N m", above=0.0)
 
-    indices: tuple[int, ...] = field(init=False)
-    batch: tuple[int, ...] = field(init=False)
-    pulse_width: float = field(init=False, default=0.0)
-    _of_axis: tuple[dict[str, Component], ...] = field(init=False, repr=False)
-
-    _POSITIVE: ClassVar[tuple[str, ...]] = ("stiffness", "breakaway")
-    """Parameters that must be above 0; a law adds its own."""
-    _OTHER: ClassVar[tuple[str, ...]] = ("damping",)
-    """Parameters that may be 0."""
-
-    def __post_init__(self) -> None:
-        indices = axis_indices(self.axes)
-        values = {name: numbers(name, getattr(self, name), at_least=0.0) for name in (*self._POSITIVE, *self._OTHER)}
-        for name in self._POSITIVE:
-            if not (values[name] > 0.0).all():
-                raise ParameterError(f"{name} must be above 0 everywhere, not {values[name].min():g}")
-        split = {name: per_axis(name, value, len(indices)) for name, value in values.items()}
-        of_axis = tuple({name: parts[slot] for name, parts in split.items()} for slot in range(len(indices)))
-        object.__setattr__(self, "indices", indices)
-        object.__setattr__(self, "batch", batch_shape("friction", values.values()))
-        object.__setattr__(self, "_of_axis", of_axis)
-
-    def start(self) -> tuple[FrictionState, ...] | None:
-        """Return the state before the first sample: none; at the first sample the law sticks where it is."""
-        return None
-
-    def begin(self, position: Component) -> FrictionState:
-        """Return the state of one axis at the first sample: stuck, unstretched."""
-        return FrictionState(position == position, position)
-
-    @abstractmethod
     def axis(
-        self, position: Component, velocity: Component, state: FrictionState, parameters: dict[str, Component]
+        self, position: Component, velocity: Component, state: FrictionState, gains: Any
     ) -> tuple[Component, FrictionState]:
         """Return the friction force without viscous damping [N, N m], and the next state, of one axis."""
+        raise NotImplementedError
 
-    def __call__(
-        self,
-        position: Sequence[Component],
-        velocity: Sequence[Component],
-        state: tuple[FrictionState, ...] | None,
-        wrench: list[Component],
-    ) -> tuple[tuple[FrictionState, ...], None]:
-        """Answer one sample; see `Law`."""
-        before = state or tuple(self.begin(position[index]) for index in self.indices)
-        after = []
-        answers = self.answers(position, velocity, before)
-        for index, (force, following), parameters in zip(self.indices, answers, self._of_axis):
-            wrench[index] = wrench[index] + (force - parameters["damping"] * velocity[index])
-            after.append(following)
-        return tuple(after), None
+    def force(
+        self, x: Component, v: Component, gains: Any, state: FrictionState | None
+    ) -> tuple[Component, FrictionState]:
+        """Return the force on one axis and its next state: at the first sample it sticks where it is."""
+        friction, following = self.axis(x, v, state or _stuck_at(x), gains)
+        return friction - gains.damping * v, following
 
-    def answers(
-        self, position: Sequence[Component], velocity: Sequence[Component], before: tuple[FrictionState, ...]
-    ) -> list[tuple[Component, FrictionState]]:
-        """Return what `axis` does for each of the law's axes; a law that couples them does it here."""
-        return [
-            self.axis(position[index], velocity[index], memory, parameters)
-            for index, memory, parameters in zip(self.indices, before, self._of_axis)
-        ]
+    def gains(self) -> Iterable[Gains]:
+        """Return the damping, which always acts, and the stiffness while stuck."""
+        none = np.zeros(len(AXES))
+        yield Gains("always", none, self.on_axes(self.damping))
+        yield Gains("stuck", self.on_axes(self.stiffness), self.on_axes(self.stuck_damping))
+
+    @property
+    def stuck_damping(self) -> ArrayLike:
+        """Further damping while stuck [N s/m, N m s/rad]."""
+        return 0.0
+
+    def signals(self, state: Any) -> Mapping[str, Sequence[Component]]:
+        """Return stick_position [m, rad], that of the last stick while sliding, and stuck."""
+        known = [one for one in state if one is not None]
+        return {"stick_position": [one.anchor for one in known], "stuck": [one.stuck for one in known]} if known else {}
+
+    def stick_positions(self, state: Any) -> Mapping[int, float]:
+        """Return stick positions [m, rad] by index into AXES, NaN where an axis slides."""
+        found = zip(self.indices, state)
+        return {index: one.anchor if one.stuck else math.nan for index, one in found if one is not None}
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
 class StickSlip(Friction):
     """Karnopp's stick-slip emulated by PD: a spring to the stick position, none while sliding.
 
@@ -136,40 +106,41 @@ class StickSlip(Friction):
     Source: Salcudean & Vlaar 1997, eq. (12)-(13).
     """
 
-    v_min: ArrayLike
+    v_min: ArrayLike = gain(unit="m/s, rad/s", above=0.0)
     coupled: bool = False
-
-    _POSITIVE: ClassVar[tuple[str, ...]] = ("stiffness", "breakaway", "v_min")
 
     def __post_init__(self) -> None:
         super().__post_init__()
         flag("coupled", self.coupled)
-        if self.coupled and any(np.ndim(getattr(self, name)) for name in (*self._POSITIVE, *self._OTHER)):
+        if self.coupled and any(map(np.ndim, (self.stiffness, self.damping, self.breakaway, self.v_min))):
             raise ParameterError("coupled axes share their parameters: give one number for each")
         if self.coupled and not set(self.indices) <= {0, 1, 2}:
             raise ParameterError(f"coupled axes must be translations, of x, y, z, not {self.axes!r}")
 
     def axis(
-        self, position: Component, velocity: Component, state: FrictionState, parameters: dict[str, Component]
+        self, position: Component, velocity: Component, state: FrictionState, gains: Any
     ) -> tuple[Component, FrictionState]:
         """Answer one sample of one axis; see `Friction`."""
-        pull = parameters["stiffness"] * (state.anchor - position)
-        return self._decide(position, pull, abs(pull), abs(velocity), state, parameters)
+        pull = gains.stiffness * (state.anchor - position)
+        return self._decide(position, pull, abs(pull), abs(velocity), state, gains)
 
-    def answers(
-        self, position: Sequence[Component], velocity: Sequence[Component], before: tuple[FrictionState, ...]
-    ) -> list[tuple[Component, FrictionState]]:
-        """Answer one sample of all axes; see `Friction`."""
+    def __call__(
+        self, position: Sequence[Component], velocity: Sequence[Component], state: Any, wrench: list[Component]
+    ) -> tuple[Any, Sequence[Component] | None]:
+        """Answer one sample of all axes; see `Law`."""
         if not self.coupled:
-            return super().answers(position, velocity, before)
-        shared = self._of_axis[0]
-        pulls = [shared["stiffness"] * (memory.anchor - position[index]) for index, memory in zip(self.indices, before)]
+            return super().__call__(position, velocity, state, wrench)
+        gains = self._each[0][1]
+        before = [one or _stuck_at(position[index]) for index, one in zip(self.indices, state)]
+        pulls = [gains.stiffness * (one.anchor - position[index]) for index, one in zip(self.indices, before)]
         pull = apply(np.sqrt, sum(part * part for part in pulls))
         speed = apply(np.sqrt, sum(velocity[index] * velocity[index] for index in self.indices))
-        return [
-            self._decide(position[index], part, pull, speed, memory, shared)
-            for index, memory, part in zip(self.indices, before, pulls)
-        ]
+        after = []
+        for index, part, one in zip(self.indices, pulls, before):
+            friction, following = self._decide(position[index], part, pull, speed, one, gains)
+            wrench[index] = wrench[index] + (friction - gains.damping * velocity[index])
+            after.append(following)
+        return after, None
 
     def _decide(
         self,
@@ -178,16 +149,15 @@ class StickSlip(Friction):
         size: Component,
         speed: Component,
         state: FrictionState,
-        parameters: dict[str, Component],
+        gains: Any,
     ) -> tuple[Component, FrictionState]:
         """Return the force and the next state, given the spring's pull and the sizes that decide."""
-        holds = state.stuck & (size <= parameters["breakaway"])
-        sticks = (state.stuck == False) & (speed < parameters["v_min"])  # noqa: E712 - elementwise
+        holds = state.stuck & (size <= gains.breakaway)
+        sticks = (state.stuck == False) & (speed < gains.v_min)  # noqa: E712 - elementwise
         anchor = choose(holds, state.anchor, position)
         return choose(holds, pull, 0.0), FrictionState(holds | sticks, anchor)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
 class SpringReset(Friction):
     """A spring to a stick point that moves to the flotor, force gone, where the spring exceeds the limit.
 
@@ -198,15 +168,14 @@ class SpringReset(Friction):
     """
 
     def axis(
-        self, position: Component, velocity: Component, state: FrictionState, parameters: dict[str, Component]
+        self, position: Component, velocity: Component, state: FrictionState, gains: Any
     ) -> tuple[Component, FrictionState]:
         """Answer one sample of one axis; see `Friction`."""
-        pull = parameters["stiffness"] * (state.anchor - position)
-        holds = abs(pull) <= parameters["breakaway"]
+        pull = gains.stiffness * (state.anchor - position)
+        holds = abs(pull) <= gains.breakaway
         return choose(holds, pull, 0.0), FrictionState(holds, choose(holds, state.anchor, position))
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
 class ImplicitCoulomb(Friction):
     """Coulomb friction behind a spring and damper, integrated by implicit Euler: no chatter at any rate.
 
@@ -221,28 +190,36 @@ class ImplicitCoulomb(Friction):
     """
 
     period: float
-    element_damping: ArrayLike = 0.0
-
-    _OTHER: ClassVar[tuple[str, ...]] = ("damping", "element_damping")
+    element_damping: ArrayLike = gain(unit="N s/m, N m s/rad", default=0.0)
 
     def __post_init__(self) -> None:
         super().__post_init__()
         number("period", self.period, above=0.0)
 
+    @property
+    def stuck_damping(self) -> ArrayLike:
+        """Damping of the element in series; see `Friction`."""
+        return self.element_damping
+
     def axis(
-        self, position: Component, velocity: Component, state: FrictionState, parameters: dict[str, Component]
+        self, position: Component, velocity: Component, state: FrictionState, gains: Any
     ) -> tuple[Component, FrictionState]:
         """Answer one sample of one axis; see `Friction`."""
         # the anchor stays while the flotor moves: position - anchor is the old stretch plus the travel
-        drag = parameters["element_damping"] / self.period
-        stiff = parameters["stiffness"] + drag
+        drag = gains.element_damping / self.period
+        stiff = gains.stiffness + drag
         before = 0.0 if state.memory is None else state.memory
         trial = stiff * (position - state.anchor) - drag * before
-        limit = parameters["breakaway"]
+        limit = gains.breakaway
         force = choose(trial > limit, limit, choose(trial < -limit, -limit, trial))
         stretch = (force + drag * before) / stiff
         anchor = choose(abs(trial) <= limit, state.anchor, position - stretch)
         return -force, FrictionState(abs(trial) < SLIDING_SHARE * limit, anchor, stretch)
+
+
+def _stuck_at(position: Component) -> FrictionState:
+    """Return the state of one axis at the first sample: stuck, unstretched."""
+    return FrictionState(position == position, position)
 
 
 def choose(mask: Component, yes: Component, no: Component) -> Component:

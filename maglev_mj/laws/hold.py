@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Self
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import field
+from typing import Any, Self
 
 from numpy.typing import ArrayLike
 
 from maglev_mj.frames import AXES, Component
-from maglev_mj.parameters import axis_indices, batch_shape, number, numbers, per_axis
+from maglev_mj.laws.base import AxisLaw, Gains, gain
+from maglev_mj.parameters import number, numbers
 
 __all__ = ["Hold"]
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Hold:
+class Hold(AxisLaw):
     """PD hold, f = stiffness (target - x) - damping v, on the axes named.
 
     Each parameter is a number for all of the law's axes, one number an axis, or (N, axes) for N devices.
@@ -30,25 +31,16 @@ class Hold:
         ParameterError: If a gain is negative, or a value is not finite or of the wrong shape.
     """
 
-    axes: str | Sequence[str] = AXES
-    stiffness: ArrayLike
-    damping: ArrayLike
-    target: ArrayLike = 0.0
+    stiffness: ArrayLike = gain(unit="N/m, N m/rad")
+    damping: ArrayLike = gain(unit="N s/m, N m s/rad")
+    target: ArrayLike = gain(unit="m, rad", default=0.0, at_least=-math.inf)
 
-    batch: tuple[int, ...] = field(init=False)
-    pulse_width: float = field(init=False, default=0.0)
     _gains: tuple[tuple[int, Component, Component, Component], ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        indices = axis_indices(self.axes)
-        values = [
-            numbers("hold stiffness", self.stiffness, at_least=0.0),
-            numbers("hold damping", self.damping, at_least=0.0),
-            numbers("hold target", self.target),
-        ]
-        split = [per_axis("hold parameter", value, len(indices)) for value in values]
-        object.__setattr__(self, "batch", batch_shape("hold", values))
-        object.__setattr__(self, "_gains", tuple(zip(indices, *split, strict=True)))
+        super().__post_init__()
+        gains = tuple((axis, one.stiffness, one.damping, one.target) for axis, one in self._each)
+        object.__setattr__(self, "_gains", gains)
 
     @classmethod
     def critically_damped(
@@ -77,17 +69,14 @@ class Hold:
         body = numbers("inertia", inertia, at_least=0.0)
         return cls(axes=axes, stiffness=body * frequency**2, damping=2.0 * body * frequency, target=target)
 
-    def start(self) -> None:
-        """Return the state before the first sample: a hold has none."""
-
     def __call__(
-        self,
-        position: Sequence[Component],
-        velocity: Sequence[Component],
-        state: None,
-        wrench: list[Component],
-    ) -> tuple[None, None]:
-        """Answer one sample; see `Law`."""
+        self, position: Sequence[Component], velocity: Sequence[Component], state: Any, wrench: list[Component]
+    ) -> tuple[Any, None]:
+        """Answer one sample; see `Law`. Written out: `force` for each axis takes a quarter of the tick more."""
         for axis, stiffness, damping, target in self._gains:
             wrench[axis] = wrench[axis] + (stiffness * (target - position[axis]) - damping * velocity[axis])
-        return None, None
+        return state, None
+
+    def gains(self) -> Iterable[Gains]:
+        """Return stiffness and damping, which always hold."""
+        return (Gains("always", self.on_axes(self.stiffness), self.on_axes(self.damping)),)

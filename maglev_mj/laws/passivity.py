@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import TypeAlias
 
 from numpy.typing import ArrayLike
 
-from maglev_mj.frames import AXES, Component
+from maglev_mj.frames import Component
+from maglev_mj.laws.base import AxisLaw, gain
 from maglev_mj.laws.friction import choose
-from maglev_mj.parameters import axis_indices, batch_shape, number, numbers, per_axis
+from maglev_mj.parameters import number
 from maglev_mj.timeline import split_delay
 
 __all__ = ["PassivityController"]
@@ -20,8 +21,7 @@ _AxisState: TypeAlias = tuple[Component, Component, tuple[Component, ...]]
 """Energy taken in so far [J], position of the last sample, and forces up to it, newest first."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class PassivityController:
+class PassivityController(AxisLaw):
     """A law to put last: it watches the energy of what the laws before it have rendered, and damps what they make.
 
     The energy taken in over the last period is -f (x[k] - x[k-1]), its own damping included, with f the force then in
@@ -42,32 +42,29 @@ class PassivityController:
     Source: Hannaford & Ryu 2002, series controller in impedance causality; formula as quoted by others.
     """
 
-    axes: str | Sequence[str] = AXES
     period: float
-    most: ArrayLike
+    most: ArrayLike = gain(unit="N s/m, N m s/rad")
     delay: float = 0.0
     slow: float = 1e-4
 
-    batch: tuple[int, ...] = field(init=False)
-    pulse_width: float = field(init=False, default=0.0)
     _whole: int = field(init=False, repr=False)
     _rest: float = field(init=False, repr=False)
-    _limits: tuple[tuple[int, Component], ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        indices = axis_indices(self.axes)
-        most = numbers("most", self.most, at_least=0.0)
+        super().__post_init__()
         period, delay = number("period", self.period, above=0.0), number("delay", self.delay, at_least=0.0)
         whole, rest = split_delay(delay, period)
         object.__setattr__(self, "_whole", int(whole))
         object.__setattr__(self, "_rest", rest)
         number("slow", self.slow, above=0.0)
-        object.__setattr__(self, "batch", batch_shape("passivity controller", [most]))
-        object.__setattr__(self, "_limits", tuple(zip(indices, per_axis("most", most, len(indices)), strict=True)))
 
     def start(self) -> list[_AxisState]:
         """Return the state before the first sample."""
-        return [(0.0, math.nan, (0.0,) * (self._whole + 2))] * len(self._limits)
+        return [(0.0, math.nan, (0.0,) * (self._whole + 2))] * len(self._each)
+
+    def signals(self, state: Sequence[_AxisState]) -> dict[str, Sequence[Component]]:
+        """Return energy: taken in so far [J]."""
+        return {"energy": [one[0] for one in state]}
 
     def __call__(
         self,
@@ -76,9 +73,10 @@ class PassivityController:
         state: Sequence[_AxisState],
         wrench: list[Component],
     ) -> tuple[list[_AxisState], None]:
-        """Answer one sample; see `Law`. The first entry of each axis's state is its energy."""
+        """Answer one sample; see `Law`."""
         following: list[_AxisState] = []
-        for (axis, most), (energy, place, forces) in zip(self._limits, state):
+        for (axis, gains), (energy, place, forces) in zip(self._each, state):
+            most = gains.most
             now, rendered = position[axis], wrench[axis]
             moved = choose(place == place, now - place, 0.0 * now)  # no energy before the first sample
             share = self._rest / self.period

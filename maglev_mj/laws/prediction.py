@@ -4,24 +4,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import NamedTuple, TypeAlias
+from dataclasses import field
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from maglev_mj.errors import ParameterError
-from maglev_mj.frames import AXES, Array, Component
+from maglev_mj.frames import Array, Component
+from maglev_mj.laws.base import AxisLaw, Face, gain
 from maglev_mj.laws.friction import choose
 from maglev_mj.laws.linear import LinearController
-from maglev_mj.parameters import axis_indices, batch_shape, flag, number, numbers, per_axis
+from maglev_mj.parameters import flag, number
 from maglev_mj.timeline import split_delay
 
 __all__ = ["ObserverWall", "PredictiveWall"]
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class PredictiveWall:
+class PredictiveWall(AxisLaw):
     """The mean force of the ideal wall over the coming hold, along the straight line that the samples foretell.
 
     Inside the wall that is half-sample prediction, f = -K (x + v (T_d + T/2)) - B v; where the line crosses the edge
@@ -44,48 +44,30 @@ class PredictiveWall:
         the mean over the hold is this project's.
     """
 
-    axes: str | Sequence[str] = AXES
-    lower: ArrayLike = 0.0
-    stiffness: ArrayLike
-    damping: ArrayLike = 0.0
+    lower: ArrayLike = gain(unit="m, rad", default=0.0, at_least=-math.inf)
+    stiffness: ArrayLike = gain(unit="N/m, N m/rad")
+    damping: ArrayLike = gain(unit="N s/m, N m s/rad", default=0.0)
     period: float
     delay: float = 0.0
 
-    batch: tuple[int, ...] = field(init=False)
-    pulse_width: float = field(init=False, default=0.0)
-    _gains: tuple[tuple[int, Component, Component, Component], ...] = field(init=False, repr=False)
-
     def __post_init__(self) -> None:
-        indices = axis_indices(self.axes)
-        values = [
-            numbers("wall lower", self.lower),
-            numbers("wall stiffness", self.stiffness, at_least=0.0),
-            numbers("wall damping", self.damping, at_least=0.0),
-        ]
-        split = [per_axis("wall parameter", value, len(indices)) for value in values]
+        super().__post_init__()
         number("period", self.period, above=0.0)
         number("delay", self.delay, at_least=0.0)
-        object.__setattr__(self, "batch", batch_shape("wall", values))
-        object.__setattr__(self, "_gains", tuple(zip(indices, *split, strict=True)))
 
-    def start(self) -> None:
-        """Return the state before the first sample: there is none."""
+    def force(self, x: Component, v: Component, gains: Any, state: None) -> Component:
+        """Return the force on one axis; see `AxisLaw`."""
+        begin = x - gains.lower + v * self.delay
+        end = begin + v * self.period
+        deep, deeper = begin * (begin < 0.0), end * (end < 0.0)
+        travel = begin - end
+        rests = travel == 0.0
+        share = (deep - deeper) / (travel + rests) + rests * (begin <= 0.0)
+        return -(share * (0.5 * gains.stiffness * (deep + deeper) + gains.damping * v))
 
-    def __call__(
-        self, position: Sequence[Component], velocity: Sequence[Component], state: None, wrench: list[Component]
-    ) -> tuple[None, None]:
-        """Answer one sample; see `Law`."""
-        period, delay = self.period, self.delay
-        for axis, edge, stiffness, damping in self._gains:
-            speed = velocity[axis]
-            begin = position[axis] - edge + speed * delay
-            end = begin + speed * period
-            deep, deeper = begin * (begin < 0.0), end * (end < 0.0)
-            travel = begin - end
-            rests = travel == 0.0
-            share = (deep - deeper) / (travel + rests) + rests * (begin <= 0.0)
-            wrench[axis] = wrench[axis] - share * (0.5 * stiffness * (deep + deeper) + damping * speed)
-        return None, None
+    def faces(self) -> Sequence[Face]:
+        """Return each plane of the wall."""
+        return [(axis, 1.0, one.lower) for axis, one in self._each]
 
 
 class _Belief(NamedTuple):
@@ -100,11 +82,7 @@ class _Belief(NamedTuple):
     forces: tuple[Component, ...]
 
 
-_Gain: TypeAlias = tuple[int, Component, Component, Component, Component]
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ObserverWall:
+class ObserverWall(AxisLaw):
     """A wall fed back from the state that a model foretells for the moment at which the command takes effect.
 
     The model is a mass under the law's own forces, those still on their way included, so that the delay is a state
@@ -134,77 +112,55 @@ class ObserverWall:
         observer are this project's, the observer's gains those of a fading-memory filter.
     """
 
-    axes: str | Sequence[str] = AXES
-    lower: ArrayLike = 0.0
-    stiffness: ArrayLike
-    damping: ArrayLike
-    inertia: ArrayLike
+    lower: ArrayLike = gain(unit="m, rad", default=0.0, at_least=-math.inf)
+    stiffness: ArrayLike = gain(unit="N/m, N m/rad")
+    damping: ArrayLike = gain(unit="N s/m, N m s/rad")
+    inertia: ArrayLike = gain(unit="kg, kg m²", above=0.0)
     period: float
     delay: float
     pole: float = 0.0
     disturbance: bool = False
     force_limit: float = math.inf
 
-    batch: tuple[int, ...] = field(init=False)
-    pulse_width: float = field(init=False, default=0.0)
-    _gains: tuple[_Gain, ...] = field(init=False, repr=False)
     _whole: int = field(init=False, repr=False)
     _rest: float = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        indices = axis_indices(self.axes)
-        values = [
-            numbers("wall lower", self.lower),
-            numbers("wall stiffness", self.stiffness, at_least=0.0),
-            numbers("wall damping", self.damping, at_least=0.0),
-            numbers("wall inertia", self.inertia, at_least=0.0),
-        ]
-        if not (values[3] > 0.0).all():
-            raise ParameterError("wall inertia must be above 0 everywhere, not 0")
-        split = [per_axis("wall parameter", value, len(indices)) for value in values]
+        period, delay = number("period", self.period, above=0.0), number("delay", self.delay, at_least=0.0)
+        whole, rest = split_delay(delay, period)
+        object.__setattr__(self, "_whole", int(whole))
+        object.__setattr__(self, "_rest", rest)
+        super().__post_init__()
         flag("disturbance", self.disturbance)
         if not self.force_limit > 0.0:
             raise ParameterError(f"wall force_limit must be above 0, not {self.force_limit!r}")
         number("pole", self.pole, at_least=0.0, below=1.0)
-        period, delay = number("period", self.period, above=0.0), number("delay", self.delay, at_least=0.0)
-        object.__setattr__(self, "batch", batch_shape("wall", values))
-        object.__setattr__(self, "_gains", tuple(zip(indices, *split, strict=True)))
-        whole, rest = split_delay(delay, period)
-        object.__setattr__(self, "_whole", int(whole))
-        object.__setattr__(self, "_rest", rest)
 
-    def start(self) -> list[_Belief | None]:
-        """Return the state before the first sample: the observer starts at rest where it first sees the flotor."""
-        return [None] * len(self._gains)
+    def force(self, x: Component, v: Component, gains: Any, state: _Belief | None) -> tuple[Component, _Belief]:
+        """Return the force on one axis and the next belief: at first, at rest where it first sees the flotor.
 
-    def __call__(
-        self,
-        position: Sequence[Component],
-        velocity: Sequence[Component],
-        state: Sequence[_Belief | None],
-        wrench: list[Component],
-    ) -> tuple[list[_Belief | None], None]:
-        """Answer one sample; see `Law`. The controller's own velocity estimate is not used."""
-        following: list[_Belief | None] = []
-        for (axis, edge, stiffness, damping, inertia), belief in zip(self._gains, state):
-            offset = position[axis] - edge
-            if belief is None:
-                known = _Belief(offset, 0.0, 0.0, (0.0,) * (self._whole + 2))
-            else:
-                known = self._corrected(belief, offset, inertia)
-            place, speed = self._at_effect(known, inertia)
-            force = (place <= 0.0) * -(stiffness * place + damping * speed)
-            wrench[axis] = wrench[axis] + force
-            given = force if self.force_limit == math.inf else _limited(force, self.force_limit)
-            following.append(known._replace(forces=(given, *known.forces[:-1])))
-        return following, None
+        The controller's own velocity estimate is not used.
+        """
+        offset = x - gains.lower
+        if state is None:
+            known = _Belief(offset, 0.0, 0.0, (0.0,) * (self._whole + 2))
+        else:
+            known = self._corrected(state, offset, gains.inertia)
+        place, speed = self._at_effect(known, gains.inertia)
+        force = (place <= 0.0) * -(gains.stiffness * place + gains.damping * speed)
+        given = force if self.force_limit == math.inf else _limited(force, self.force_limit)
+        return force, known._replace(forces=(given, *known.forces[:-1]))
+
+    def faces(self) -> Sequence[Face]:
+        """Return each plane of the wall."""
+        return [(axis, 1.0, one.lower) for axis, one in self._each]
 
     def linear(self, stiffness: Array, damping: Array) -> LinearController:
         """Return the law inside the wall as a linear system, with gains (...,) and the inertia of its first axis.
 
         Its memory is place, speed, unknown acceleration, and the forces newest first.
         """
-        inertia = np.asarray(self._gains[0][4])
+        inertia = np.asarray(self._each[0][1].inertia)
         size = 3 + self._whole + 2
         shape = np.broadcast_shapes(stiffness.shape, damping.shape, inertia.shape)
         columns = []

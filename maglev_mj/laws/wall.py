@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple, TypeAlias
 
@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Array, Component, clipped
+from maglev_mj.laws.base import Face, Gains, Law
 from maglev_mj.parameters import axis_indices, batch_shape, number, numbers, per_axis
 
 __all__ = ["Wall"]
@@ -39,7 +40,7 @@ _FREE: _FaceState = (True, None)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Wall:
+class Wall(Law):
     """PD wall below `lower`, above `upper` or both, with a braking pulse on the sample that finds it entered.
 
     Inside, f = -stiffness (x - edge) - damping v. On the sample k with x[k-1] free and x[k] inside, the force
@@ -107,10 +108,16 @@ class Wall:
         object.__setattr__(self, "pulse_width", width)
         object.__setattr__(self, "_faces", faces)
 
-    @property
-    def faces(self) -> tuple[tuple[int, float, Component], ...]:
-        """Each plane of the wall: index into AXES, normal, edge; the axis is free where normal (x - edge) > 0."""
+    def faces(self) -> tuple[Face, ...]:
+        """Return each plane: index into AXES, normal, edge; the axis is free where normal (x - edge) > 0."""
         return tuple(face[:3] for face in self._faces)
+
+    def gains(self) -> Iterable[Gains]:
+        """Return stiffness and damping in contact."""
+        stiffness, damping = np.zeros((2, *self.batch, len(AXES)))
+        for axis, _, _, spring, damper, _ in self._faces:
+            stiffness[..., axis], damping[..., axis] = spring, damper
+        return (Gains("contact", stiffness, damping),)
 
     def start(self) -> Sequence[_FaceState]:
         """Return the state before the first sample: a flotor first seen inside has not entered."""

@@ -228,7 +228,7 @@ class SampledPlant(ABC):
 
     @property
     def work(self) -> Component:
-        """Work of the actuators since release [J]; with lagging drivers or a force falloff that of the commanded wrench.
+        """Work of the actuators since release [J]; where drivers lag or the force falls off, of the commanded wrench.
 
         Raises:
             PlantError: If the plant was made without `metered=True`.

@@ -2,30 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from maglev_mj.experiments.drop import (
-    DropParameters,
-    DropResult,
-    DropSweep,
-    analog_drop,
-    share_less_deep,
-    trace_phases,
-)
 from maglev_mj.frames import Array
-from maglev_mj.metrics import summarise_bounce
 from maglev_mj.plots.drawing import FIRST, IDEAL, MANY, SECOND, new_figure, save
+from maglev_mj.scenes.drop import Drop
+from maglev_mj.scenes.run import Phases, Result, run, run_phases
 from maglev_mj.spec import Spec
-from maglev_mj.trace import Trace
 
 __all__ = ["phase_plane", "phases", "time_series"]
 
 _PHASES = 100
+_SWEPT = 50
 _POINTS = 2001
 _WALL = "#f1efe9"
 
@@ -34,7 +27,7 @@ _WALL = "#f1efe9"
 class _Drop:
     """A drop and the same at N phases, over times (M,): z [mm], velocity [m/s] and force [N]."""
 
-    parameters: DropParameters
+    result: Result
     style: dict[str, Any]
     line: tuple[Array, Array, Array]
     band: tuple[Array, Array, Array]
@@ -42,26 +35,26 @@ class _Drop:
     """Share of the phases with less penetration than the line."""
 
 
-def time_series(runs: Iterable[tuple[str, DropResult]], path: Path) -> Path:
+def time_series(results: Mapping[str, Result], sweeps: Mapping[str, Phases], path: Path) -> Path:
     """Draw position and force over time, as figure 3 does.
 
     One column for each drop with a pulse; a drop without one and the analog wall stand in all of them. A band
     holds the drop at every phase of the sampler.
 
     Args:
-        runs: Label and result of each drop.
+        results: Drops by label.
+        sweeps: Not drawn: the band has phases of its own.
         path: PNG to write.
 
     Raises:
         ChartsMissingError: If matplotlib is not installed.
         DivergenceError: If a flotor leaves its range by a wide margin at one of the phases.
     """
-    shown = list(runs)
-    time = _times(shown)
-    columns = _columns(shown, time)
+    time = _times(results)
+    columns = _columns(results, time)
     figure, panels = new_figure(2, len(columns), (8.0, 6.2), sharex=True, sharey="row")
     heights, forces = panels[: len(columns)], panels[len(columns) :]
-    analog = _analog(columns[0][0].parameters, time)
+    analog = _analog(columns[0][0].result.scene, time)
     for row, part, step in ((heights, 0, None), (forces, 2, "post")):
         for panel, column in zip(row, columns, strict=True):
             for drop in column:
@@ -81,25 +74,25 @@ def time_series(runs: Iterable[tuple[str, DropResult]], path: Path) -> Path:
     return save(figure, path)
 
 
-def phase_plane(runs: Iterable[tuple[str, DropResult]], path: Path) -> Path:
+def phase_plane(results: Mapping[str, Result], sweeps: Mapping[str, Phases], path: Path) -> Path:
     """Draw velocity over position beside the ideal analog wall, as figure 4 does.
 
     One panel for each drop with a pulse; a drop without one and the analog wall stand in all of them. Thin lines
     are the drop at other phases of the sampler.
 
     Args:
-        runs: Label and result of each drop.
+        results: Drops by label.
+        sweeps: Not drawn: the band has phases of its own.
         path: PNG to write.
 
     Raises:
         ChartsMissingError: If matplotlib is not installed.
         DivergenceError: If a flotor leaves its range by a wide margin at one of the phases.
     """
-    shown = list(runs)
-    time = _times(shown)
-    columns = _columns(shown, time)
+    time = _times(results)
+    columns = _columns(results, time)
     figure, panels = new_figure(1, len(columns), (8.0, 5.0), sharex=True, sharey=True)
-    analog = _analog(columns[0][0].parameters, time)
+    analog = _analog(columns[0][0].result.scene, time)
     for panel, column in zip(panels, columns, strict=True):
         for drop in column:
             z, velocity, _ = drop.band
@@ -116,23 +109,24 @@ def phase_plane(runs: Iterable[tuple[str, DropResult]], path: Path) -> Path:
     return save(figure, path)
 
 
-def phases(sweeps: Iterable[tuple[str, DropSweep]], path: Path) -> Path:
+def phases(results: Mapping[str, Result], sweeps: Mapping[str, Phases], path: Path) -> Path:
     """Draw penetration, rebound and peak force over the phase of the sampler.
 
     Args:
-        sweeps: Label and sweep of each variant.
+        results: Drops by label.
+        sweeps: The same at many phases; without any they are run at 50 on the exact plant.
         path: PNG to write.
 
     Raises:
         ChartsMissingError: If matplotlib is not installed.
+        DivergenceError: If a flotor leaves its range by a wide margin at one of the phases.
     """
     figure, panels = new_figure(1, 3, (10.0, 4.0), sharex=True)
-    shown = list(sweeps)
-    for place, (label, sweep) in enumerate(shown):
-        figures = (sweep.summary.penetration * 1e3, sweep.summary.rebound * 1e3, sweep.summary.peak_force)
-        style = _style(place, label, pulsed=sweep.parameters.pulse > 0.0)
-        for panel, values in zip(panels, figures, strict=True):
-            panel.plot(sweep.phases, values, **style)
+    shown = sweeps or {label: run_phases(one.scene, _SWEPT, plant="exact") for label, one in results.items()}
+    for place, (label, sweep) in enumerate(shown.items()):
+        style = _style(place, label, pulsed=sweep.scene.pulse > 0.0)
+        for panel, name in zip(panels, ("penetration", "rebound", "peak_force"), strict=True):
+            panel.plot(sweep.phases, sweep.figures[name] * sweep.scene.figures[name].scale, **style)
     for panel, name in zip(panels, ("penetration (mm)", "rebound (mm)", "peak force (N)"), strict=True):
         panel.set_title(name, loc="left", fontsize=10.5)
         panel.set_ylim(bottom=0.0)
@@ -160,55 +154,55 @@ def _style(place: int, label: str, *, pulsed: bool) -> dict[str, Any]:
     return {"color": color, "linestyle": dashes, "linewidth": 1.8, "zorder": front, "label": label}
 
 
-def _times(runs: Sequence[tuple[str, DropResult]]) -> Array:
+def _times(results: Mapping[str, Result]) -> Array:
     """Return the times to draw [s]: until all drops have settled, and half as long again."""
-    end = runs[0][1].parameters.duration
-    settled = 1.5 * float(np.max([result.summary.settling_time for _, result in runs]))  # NaN if one never does
+    end = next(iter(results.values())).scene.end
+    settled = 1.5 * float(np.max([one.figures["settling_time"] for one in results.values()]))  # NaN if one never does
     return np.linspace(0.0, settled if settled < end else end, _POINTS)
 
 
-def _columns(runs: Sequence[tuple[str, DropResult]], time: Array) -> list[list[_Drop]]:
+def _columns(results: Mapping[str, Result], time: Array) -> list[list[_Drop]]:
     """Return the drops of each column, the one with a pulse first."""
     pulsed: list[_Drop] = []
     plain: list[_Drop] = []
-    for place, (label, result) in enumerate(runs):
-        p = result.parameters
-        band = trace_phases(replace(p, duration=float(time[-1])), _PHASES)
-        less_deep = share_less_deep(result.summary, summarise_bounce(band, p.rest))
-        style = _style(place, label, pulsed=p.pulse > 0.0)
-        drop = _Drop(p, style, _along_z(result.trace, time), _along_z(band, time), less_deep)
-        (pulsed if p.pulse > 0.0 else plain).append(drop)
+    for place, (label, result) in enumerate(results.items()):
+        scene: Drop = result.scene
+        band = run(scene.replace(duration=float(time[-1])), plant="exact", phase=np.arange(_PHASES) / _PHASES)
+        less_deep = scene.less_deep(result.figures["penetration"], band.figures["penetration"])
+        style = _style(place, label, pulsed=scene.pulse > 0.0)
+        drop = _Drop(result, style, _shown(result, time), _shown(band, time), less_deep)
+        (pulsed if scene.pulse > 0.0 else plain).append(drop)
     return [[drop, *plain] for drop in pulsed] or [plain]
 
 
-def _along_z(trace: Trace, time: Array) -> tuple[Array, Array, Array]:
-    pose, twist, wrench = (part[..., 0] for part in trace.along(2).at(time))
-    return pose * 1e3, twist, wrench
+def _shown(result: Result, time: Array) -> tuple[Array, Array, Array]:
+    z, velocity, force = result.motion(time)
+    return z * 1e3, velocity, force
 
 
-def _analog(parameters: DropParameters, time: Array) -> tuple[Array, Array, Array] | None:
+def _analog(scene: Drop, time: Array) -> tuple[Array, Array, Array] | None:
     """Return the drop on the analog wall; None for a wall without stiffness."""
-    if parameters.stiffness == 0.0:
+    if scene.stiffness == 0.0:
         return None
-    z, velocity, force = analog_drop(parameters, time)
+    z, velocity, force = scene.analog(time)
     return z * 1e3, velocity, force
 
 
 def _explain(figure: Any, tops: Sequence[Any], bottoms: Sequence[Any], columns: Sequence[Sequence[_Drop]]) -> None:
     """Add the legend and the titles, which name the phase of the lines."""
     for panel, (drop, *_) in zip(tops, columns, strict=True):
-        total = f"{drop.parameters.damping + drop.parameters.pulse:g} N s/m"
+        total = f"{drop.result.scene.damping + drop.result.scene.pulse:g} N s/m"
         panel.set_title(f"{drop.style['label']}: {total}", loc="left", fontsize=10.5, fontweight="bold")
     entries = zip(*(zip(*panel.get_legend_handles_labels(), strict=True) for panel in bottoms), strict=True)
     handles = {label: handle for row in entries for handle, label in row}
     figure.legend(handles=handles.values(), frameon=False, loc="outside lower center", ncols=3, fontsize=9.5)
     drop = columns[0][0]
-    p = drop.parameters
+    p, result = drop.result.scene, drop.result
     limit = "" if p.force_limit is None else f", limit {p.force_limit:g} N"
     figure.suptitle(
         f"{p.height * 1e3:g} mm drop, {p.stiffness:g} N/m and {p.damping:g} N s/m, {1.0 / p.period:g} Hz, "
-        f"delay {p.delay * 1e3:g} ms{limit} ({p.plant})\n"
-        f"lines: phase {p.phase:g}, deeper than {100.0 * drop.less_deep:.0f} % of the phases; "
+        f"delay {p.delay * 1e3:g} ms{limit} ({result.plant})\n"
+        f"lines: phase {result.phase:g}, deeper than {100.0 * drop.less_deep:.0f} % of the phases; "
         f"shaded: all of {_PHASES} phases",
         x=0.01,
         ha="left",

@@ -2,39 +2,40 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Mapping
 from pathlib import Path
 
-from maglev_mj.experiments.press import PressResult
 from maglev_mj.plots.drawing import FIRST, IDEAL, SECOND, new_figure, save
+from maglev_mj.scenes.run import Phases, Result
 
 __all__ = ["figure_6"]
 
 _WALL = "#f1efe9"
 
 
-def _describe(result: PressResult) -> str:
-    p = result.parameters
+def _describe(result: Result) -> str:
+    p = result.scene
     limit = "" if p.force_limit is None else f", limit {p.force_limit:g} N"
     return (
         f"hand {p.hand}, {p.press:g} N in the end, wall of {p.stiffness:g} N/m and {p.damping:g} N s/m, "
-        f"{1.0 / p.period:g} Hz, delay {p.delay * 1e3:g} ms{limit} ({p.plant})"
+        f"{1.0 / p.period:g} Hz, delay {p.delay * 1e3:g} ms{limit} ({result.plant})"
     )
 
 
-def figure_6(runs: Iterable[tuple[str, PressResult]], path: Path) -> Path:
+def figure_6(results: Mapping[str, Result], sweeps: Mapping[str, Phases], path: Path) -> Path:
     """Draw position and control force over time, as figure 6 does, and where the hand pulls to.
 
     Args:
-        runs: Label and result of each run; the first is drawn in front.
+        results: Runs by label; the first is drawn in front.
+        sweeps: Not drawn.
         path: PNG to write.
 
     Raises:
         ChartsMissingError: If matplotlib is not installed.
     """
     figure, (upper, lower) = new_figure(2, 1, (10.0, 6.8), sharex=True)
-    shown = list(runs)
-    for place, (label, result) in enumerate(shown):
+    first = next(iter(results.values()))
+    for place, (label, result) in enumerate(results.items()):
         series = result.series(1e-4)
         style = {
             "color": (FIRST, SECOND)[place % 2],
@@ -47,10 +48,10 @@ def figure_6(runs: Iterable[tuple[str, PressResult]], path: Path) -> Path:
         lower.step(series["time"], series["force"], where="post", **style)
     bottom, top = upper.get_ylim()
     bottom = min(bottom, -0.5)
-    p, first = shown[0][1].parameters, shown[0][1].series(1e-4)
+    p, pulled = first.scene, first.series(1e-4)
     upper.plot(
-        first["time"],
-        first["target"] * 1e3,
+        pulled["time"],
+        pulled["target"] * 1e3,
         color=IDEAL,
         linewidth=0.8,
         label=f"where the hand pulls to, down to {p.resting_point * 1e3:.1f} mm",
@@ -63,5 +64,5 @@ def figure_6(runs: Iterable[tuple[str, PressResult]], path: Path) -> Path:
     lower.set_xlabel("time (s)")
     lower.set_xlim(0.0, p.end)
     upper.legend(frameon=False, loc="upper right", ncols=3)
-    upper.set_title(_describe(shown[0][1]), loc="left", fontsize=10.5)
+    upper.set_title(_describe(first), loc="left", fontsize=10.5)
     return save(figure, path)

@@ -1,21 +1,35 @@
 """Recordings of runs: what went by at each sample, to be looked at, checked and run again bit for bit."""
 
-from maglev_mj.recording.export import EXPORTS, ParquetMissingError, export
-from maglev_mj.recording.files import ArrayFile, RecordingFile, best_suffix, check_name, open_recording
-from maglev_mj.recording.recorder import Felt, Mechanics, Recorder, carried_by, row_of
-from maglev_mj.recording.stretch import InvalidRecordingError, Recording, RecordingError, Setup, Stretch
+from maglev_mj.recording.files import (
+    EXPORTS,
+    ArrayFile,
+    ParquetMissingError,
+    Recorder,
+    RecordingFile,
+    best_suffix,
+    check_name,
+    export,
+    open_recording,
+)
+from maglev_mj.recording.metadata import Mechanics
+from maglev_mj.recording.recording import InvalidRecordingError, Recording, RecordingError, Setup, Stretch
+from maglev_mj.recording.row import FIELDS, ROW, TOTALS, Field, RecordedPlant
 from maglev_mj.recording.verify import Expected, FieldVerdict, Rebuild, Verdict, verify
 
 __all__ = [
     "EXPORTS",
+    "FIELDS",
+    "ROW",
+    "TOTALS",
     "ArrayFile",
     "Expected",
-    "Felt",
+    "Field",
     "FieldVerdict",
     "InvalidRecordingError",
     "Mechanics",
     "ParquetMissingError",
     "Rebuild",
+    "RecordedPlant",
     "Recorder",
     "Recording",
     "RecordingError",
@@ -24,10 +38,8 @@ __all__ = [
     "Stretch",
     "Verdict",
     "best_suffix",
-    "carried_by",
     "check_name",
     "export",
     "open_recording",
-    "row_of",
     "verify",
 ]

@@ -1,32 +1,59 @@
-"""Files that runs are recorded to: arrays at the end, or MCAP while it happens."""
+"""Files that runs are recorded to, and tables for other programs."""
 
 from __future__ import annotations
 
+import csv
+import json
 import tempfile
+from collections.abc import Callable, Iterator, Mapping
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol, TypeAlias
+
+import numpy as np
 
 from maglev_mj.controller import Controller
-from maglev_mj.errors import ParameterError
+from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.frames import Command, Sample
 from maglev_mj.loop import Record
 from maglev_mj.parameters import flag
 from maglev_mj.recording.live import LiveFile
-from maglev_mj.recording.mcap_reader import require_mcap
-from maglev_mj.recording.recorder import Felt, Mechanics, Recorder
-from maglev_mj.recording.stretch import Recording, Setup
+from maglev_mj.recording.mcap import require_mcap
+from maglev_mj.recording.metadata import Mechanics
+from maglev_mj.recording.recording import Recording, Setup, Stretch, aside
+from maglev_mj.recording.row import RecordedPlant, Row, as_rows, as_table, columns, compiled
 from maglev_mj.versions import versions
 
-__all__ = ["ArrayFile", "RecordingFile", "best_suffix", "check_name", "open_recording"]
+__all__ = [
+    "EXPORTS",
+    "ArrayFile",
+    "ParquetMissingError",
+    "Recorder",
+    "RecordingFile",
+    "best_suffix",
+    "check_name",
+    "export",
+    "open_recording",
+    "row_of",
+]
 
 _SUFFIXES = (".mcap", ".npz")
+
+
+_RowOf: TypeAlias = Callable[[Sample, Command, Command, RecordedPlant], Row]
 
 
 class RecordingFile(Protocol):
     """What a run is recorded to."""
 
     def begin(
-        self, plant: Felt, controller: Controller, setup: Setup, *, delay: float, mechanics: Mechanics | None = None
+        self,
+        plant: RecordedPlant,
+        controller: Controller,
+        setup: Setup,
+        *,
+        delay: float,
+        mechanics: Mechanics | None = None,
     ) -> Record:
         """Begin a stretch; return what the loop records it to.
 
@@ -57,6 +84,31 @@ class RecordingFile(Protocol):
         """
 
 
+class Recorder:
+    """Keeps the samples of a control loop in memory: hand it to the loop as `record`.
+
+    Args:
+        plant: The plant that is driven.
+        setup: What plant and controller were made from.
+    """
+
+    def __init__(self, plant: RecordedPlant, setup: Setup) -> None:
+        self._plant, self._setup = plant, dict(setup)
+        self._rows: list[Row] = []
+
+    def __call__(self, sample: Sample, command: Command, applied: Command) -> None:
+        """Keep one cycle."""
+        self._rows.append(row_of(sample, command, applied, self._plant))
+
+    def stretch(self) -> Stretch:
+        """Return what was kept so far."""
+        return Stretch(setup=self._setup, rows=as_rows(self._rows))
+
+
+row_of: _RowOf = compiled("sample, command, applied, plant", "({values},)")
+"""Return the values of one cycle in the order of FIELDS."""
+
+
 class ArrayFile:
     """Keeps a run in memory, and writes it to a .npz file when it is closed: see `RecordingFile`.
 
@@ -74,10 +126,16 @@ class ArrayFile:
     def recording(self) -> Recording:
         """What is kept so far."""
         stretches = [recorder.stretch() for recorder in self._recorders]
-        return Recording([stretch for stretch in stretches if len(stretch.tick)], events=tuple(self._events))
+        return Recording([stretch for stretch in stretches if len(stretch)], events=tuple(self._events))
 
     def begin(
-        self, plant: Felt, controller: Controller, setup: Setup, *, delay: float, mechanics: Mechanics | None = None
+        self,
+        plant: RecordedPlant,
+        controller: Controller,
+        setup: Setup,
+        *,
+        delay: float,
+        mechanics: Mechanics | None = None,
     ) -> Recorder:
         """Begin a stretch; return what the loop records it to."""
         self._recorders.append(Recorder(plant, {**setup, "versions": self._versions}))
@@ -141,3 +199,72 @@ def open_recording(path: Path, *, wait: bool = False) -> RecordingFile:
     flag("wait", wait)
     check_name(path)
     return LiveFile(path, wait=wait) if path.suffix == ".mcap" else ArrayFile(path)
+
+
+class ParquetMissingError(MaglevError):
+    """The package that writes Parquet is not installed."""
+
+
+def export(recording: Recording, kind: str, path: Path) -> None:
+    """Write a recording as a table, a row for each sample.
+
+    Args:
+        recording: The recording.
+        kind: One of EXPORTS.
+        path: Where to.
+
+    Raises:
+        ParameterError: If the kind is not known.
+        ParquetMissingError: If Parquet is asked for, and the package for it is not installed.
+        OSError: If it cannot be written; then what was there stays.
+    """
+    if kind not in EXPORTS:
+        raise ParameterError(f"to must be one of {', '.join(EXPORTS)}, not {kind!r}")
+    with aside(path) as partial:
+        EXPORTS[kind](recording, partial)
+
+
+def _rows(recording: Recording) -> Iterator[list[float]]:
+    """Yield number of the stretch and values of each sample, in the order of `_COLUMNS`."""
+    for number, stretch in enumerate(recording.stretches):
+        for row in as_table(stretch.rows).tolist():
+            yield [number, *row]
+
+
+_COLUMNS = [("stretch", ""), *columns()]
+
+
+def _as_csv(recording: Recording, path: Path) -> None:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        table = csv.writer(file)
+        table.writerow([f"{name} [{unit}]" if unit else name for name, unit in _COLUMNS])
+        for row in _rows(recording):
+            table.writerow([value if unit else int(value) for value, (_, unit) in zip(row, _COLUMNS)])
+
+
+def _as_parquet(recording: Recording, path: Path) -> None:
+    if find_spec("pyarrow") is None:
+        raise ParquetMissingError("Parquet needs pyarrow: pip install 'maglev-mj[parquet]'")
+    import pyarrow
+    from pyarrow import parquet
+
+    values = np.array(list(_rows(recording)), dtype=np.float64).reshape(-1, len(_COLUMNS))
+    fields, columns = [], []
+    for (name, unit), column in zip(_COLUMNS, values.T, strict=True):
+        kind = pyarrow.float64() if unit else pyarrow.int64()
+        fields.append(pyarrow.field(name, kind, metadata={"unit": unit} if unit else None))
+        columns.append(pyarrow.array(column if unit else column.astype(np.int64), type=kind))
+    about = {"maglev_mj.setups": json.dumps([dict(stretch.setup) for stretch in recording.stretches])}
+    parquet.write_table(pyarrow.table(columns, schema=pyarrow.schema(fields, metadata=about)), path)
+
+
+def _as_arrays(recording: Recording, path: Path) -> None:
+    recording.save(path)
+
+
+EXPORTS: Mapping[str, Callable[[Recording, Path], Any]] = {
+    "npz": _as_arrays,
+    "csv": _as_csv,
+    "parquet": _as_parquet,
+}
+"""What a recording is exported to; each function writes a recording to a path."""

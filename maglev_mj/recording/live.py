@@ -1,32 +1,149 @@
-"""A recording that is written while it happens, by a process of its own: it outlives this one, whatever ends it."""
+"""A recording written while it happens, by a process of its own that outlives this one, whatever ends it.
+
+Rows pass through memory that both share. Each stands between its number from 1 twice over: a reader takes a row whose
+number stands at both ends, for the first is written first and the second last.
+"""
 
 from __future__ import annotations
 
 import json
+import mmap
 import os
+import struct
 import subprocess
 import sys
+import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from maglev_mj.controller import Controller
+from maglev_mj.frames import Command, Sample
 from maglev_mj.loop import Record
 from maglev_mj.parameters import flag
-from maglev_mj.recording.mcap_file import about
-from maglev_mj.recording.mcap_reader import require_mcap
-from maglev_mj.recording.recorder import Felt, Mechanics, carried_by
-from maglev_mj.recording.ring import Ring
-from maglev_mj.recording.stretch import RecordingError, Setup
+from maglev_mj.recording.mcap import about, require_mcap
+from maglev_mj.recording.metadata import Mechanics
+from maglev_mj.recording.recording import RecordingError, Setup
+from maglev_mj.recording.row import ROW, RecordedPlant, Row, compiled
 from maglev_mj.versions import versions
 from maglev_mj.workers import interrupts_held
 
-__all__ = ["LiveFile"]
+__all__ = ["ROWS", "LiveFile", "Ring", "RowReader"]
+
+ROWS = 1 << 14
+"""Rows in the memory: 8 s at 2 kHz, which is how long the writer may be away."""
+
+_SLOT = struct.Struct(f"={ROW.itemsize // 8 + 2}d")
+_HEAD, _PLACE = 64, struct.Struct("=q")  # bytes in front of the rows, the first eight of them the reader's place
 
 _PATIENCE = 60.0
-_WRITER = "maglev_mj.recording.writing"
+_WRITER = "maglev_mj.recording.writer"
+_THERE = {"flags": mmap.MAP_SHARED | mmap.MAP_POPULATE} if hasattr(mmap, "MAP_POPULATE") else {}  # not in the tick
+_LOOKED_AFTER = 512
+_MASK = ROWS - 1
+_NAP = 1e-3
+
+
+class Ring:
+    """The end that puts rows in.
+
+    Args:
+        wait: Called again and again while the reader is a whole ring behind; None for not to wait, and to lose rows.
+
+    Attributes:
+        descriptor: Of the memory, for the reader; it has no name that could outlive both.
+        count: Rows put in so far.
+
+    Raises:
+        OSError: If there is no room for it.
+    """
+
+    def __init__(self, *, wait: Callable[[], object] | None = None) -> None:
+        shared, size = Path("/dev/shm"), _HEAD + ROWS * _SLOT.size
+        self.count, self._wait = 0, wait
+        self._file = tempfile.TemporaryFile(dir=shared if shared.is_dir() else None)
+        try:
+            if hasattr(os, "posix_fallocate"):  # a page that is not to be had would end the process at its first use
+                os.posix_fallocate(self._file.fileno(), 0, size)
+            self._file.truncate(size)
+            self._memory = mmap.mmap(self._file.fileno(), size, **_THERE)
+        except BaseException:
+            self._file.close()
+            raise
+        self.descriptor = self._file.fileno()
+
+    def record(self, plant: RecordedPlant) -> Record:
+        """Return what puts in a row a cycle.
+
+        A function of this one's variables, not a method: it is in the tick, and that is cheaper.
+
+        Args:
+            plant: Tells what the hand exerts.
+        """
+        wait, size = self._wait, _SLOT.size
+        names: dict[str, Any] = {"pack": _SLOT.pack_into, "memory": self._memory, "plant": plant}
+        arguments, written = "place, number, sample, command, applied", "pack(memory, place, number, {values}, number)"
+        write = compiled(arguments, written, **names)
+
+        def put(sample: Sample, command: Command, applied: Command) -> None:
+            count = self.count
+            number = count + 1
+            write(_HEAD + (count & _MASK) * size, number, sample, command, applied)
+            self.count = number
+            if wait is not None and not number % _LOOKED_AFTER:
+                self._let_catch_up(wait)
+
+        return put
+
+    def close(self) -> None:
+        """Let go of the memory; a second time does nothing."""
+        self._memory.close()
+        self._file.close()
+
+    def _let_catch_up(self, wait: Callable[[], object]) -> None:
+        while self.count - _PLACE.unpack_from(self._memory, 0)[0] > ROWS - 2 * _LOOKED_AFTER:
+            wait()
+            time.sleep(_NAP)
+
+
+class RowReader:
+    """The end that takes rows out.
+
+    Args:
+        descriptor: Of the memory; left open.
+
+    Attributes:
+        lost: Rows that were overwritten before they were read.
+    """
+
+    def __init__(self, descriptor: int) -> None:
+        self._memory = mmap.mmap(descriptor, 0)
+        self._place, self.lost = 0, 0
+
+    def rows(self) -> Iterator[tuple[int, Row]]:
+        """Yield the rows that are there, each with its place in the run, from 0."""
+        while True:
+            start = _HEAD + (self._place & (ROWS - 1)) * _SLOT.size
+            data = self._memory[start : start + _SLOT.size]
+            first, *row, last = _SLOT.unpack(data)
+            number = int(first)
+            if number < self._place + 1 or last != first:
+                break
+            if number > self._place + 1:  # the row was overwritten; the next may still be there
+                self._place += 1
+                self.lost += 1
+                continue
+            if self._memory[start : start + _SLOT.size] != data:
+                continue  # it was overwritten meanwhile
+            self._place = number
+            _PLACE.pack_into(self._memory, 0, number)
+            yield number - 1, row
+
+    def close(self) -> None:
+        """Let go of the memory."""
+        self._memory.close()
 
 
 class LiveFile:
@@ -63,14 +180,20 @@ class LiveFile:
         self._result: Path | None = None
 
     def begin(
-        self, plant: Felt, controller: Controller, setup: Setup, *, delay: float, mechanics: Mechanics | None = None
+        self,
+        plant: RecordedPlant,
+        controller: Controller,
+        setup: Setup,
+        *,
+        delay: float,
+        mechanics: Mechanics | None = None,
     ) -> Record:
         """Begin a stretch; return what the loop records it to."""
         what = about(
             {**setup, "versions": self._versions},
             period=controller.period,
             delay=delay,
-            carried=carried_by(controller.laws).tolist(),
+            carried=controller.carried.tolist(),
             began=time.time_ns(),
             mechanics=mechanics or Mechanics(),
         )

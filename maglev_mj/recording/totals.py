@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 
 from maglev_mj.energy import HandWork, PassivityObserver
 from maglev_mj.frames import Command, Sample
-from maglev_mj.recording.ring import Row
-from maglev_mj.recording.stretch import Basis
+from maglev_mj.recording.recording import Basis
 from maglev_mj.timeline import Timing
 
 __all__ = ["Totals"]
@@ -32,13 +34,13 @@ class Totals:
         """Count samples that were missed, other than by a gap in the ticks."""
         self._missed += count
 
-    def add(self, row: Row) -> tuple[float, float, int]:
-        """Return the totals at a sample: energy taken [J], work of the hand [J], samples missed."""
-        force = np.array(row[21:27]) - self._carried
-        command = Command(force.tolist(), row[27:33], row[33]) if row[33] else Command(force.tolist())
-        self._observer(Sample(int(row[0]), row[1], row[2:8]), command)
-        self._hand.add(np.array(row[2:8]), row[34:40])
+    def add(self, row: Mapping[str, Any]) -> tuple[float, float, int]:
+        """Return the totals at a sample, given by name: energy taken [J], work of the hand [J], samples missed."""
+        force, width = np.array(row["applied"]) - self._carried, row["applied_pulse_width"]
+        command = Command(force.tolist(), row["applied_pulse"], width) if width else Command(force.tolist())
+        self._observer(Sample(int(row["tick"]), row["time"], row["position"]), command)
+        self._hand.add(np.array(row["position"]), row["hand"])
         if self._tick is not None:  # a device counts on from stretch to stretch
-            self._missed += max(int(row[0] - self._tick) - 1, 0)
-        self._tick = row[0]
+            self._missed += max(int(row["tick"] - self._tick) - 1, 0)
+        self._tick = row["tick"]
         return float(self._observer.energy.sum()), self._hand.total, self._missed

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -13,16 +13,16 @@ from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import ZERO, Array, Command, Mask, Sample
 from maglev_mj.hand import HandForce, RecordedHand
 from maglev_mj.plants import SampledPlant, engine_warnings_silenced
-from maglev_mj.recording.recorder import Mechanics, carried_by, row_of
-from maglev_mj.recording.stretch import Basis, Recording, Setup, Stretch, table
+from maglev_mj.recording.files import row_of
+from maglev_mj.recording.metadata import Mechanics
+from maglev_mj.recording.recording import Basis, Recording, Setup, Stretch
+from maglev_mj.recording.row import ARRAYS, FIELDS, ROW, TOTALS, Rows, as_rows, as_table, compiled, named
 from maglev_mj.recording.totals import Totals
 
 __all__ = ["Expected", "FieldVerdict", "Rebuild", "Verdict", "verify"]
 
 Rebuild: TypeAlias = Callable[[Setup, HandForce | None], tuple[SampledPlant | None, Controller]]
 """Makes plant and controller; None for a plant that cannot be made, such as a device."""
-
-_APPLIED = ("applied", "applied_pulse", "applied_pulse_width")
 
 _Field: TypeAlias = tuple[str, Array, Array | None]
 
@@ -128,38 +128,32 @@ def _fields(stretch: Stretch, rebuild: Rebuild, expected: Expected | None) -> It
     scripted = expected is not None and expected.scripted
     _, controller = rebuild(stretch.setup, None)
     plant, other = rebuild(stretch.setup, None if scripted else RecordedHand(stretch.hand))
-    seen, failed = (None, False) if plant is None else _seen(plant, other, len(stretch.tick))
+    seen, failed = (None, False) if plant is None else _seen(plant, other, len(stretch))
     if expected is not None and expected.samples is not None:
-        count = float(len(stretch.tick))
+        count = float(len(stretch))
         yield "samples", np.array([count]), np.array([count if failed else float(expected.samples)])
-    for name, part in (("tick", slice(0, 1)), ("time", slice(1, 2)), ("position", slice(2, 8))):
-        yield name, getattr(stretch, name), _columns(seen, part)
-    yield from _commands(("command", "pulse", "pulse_width"), stretch.command, _answers(stretch, controller))
-    yield from _commands(_APPLIED, stretch.applied, _columns(seen, slice(8, 21)))
-    yield "hand", stretch.hand, _columns(seen, slice(21, 27)) if scripted else None
+    answers = _answers(stretch, controller)
+    for field in (field for array in ARRAYS.values() for field in array):
+        again = answers if field in _COMMANDED else seen if field.name != "hand" or scripted else None
+        yield field.name, stretch.rows[field.name], None if again is None else again[field.name]
     if stretch.basis is not None and stretch.totals is not None:
         totals = _totals(stretch, stretch.basis)
-        for index, name in enumerate(("taken", "hand_work", "missed")):
-            yield name, stretch.totals[:, index], totals[:, index]
-        for name, again in _basis(controller, expected).items():
+        for field in TOTALS:
+            yield field.name, stretch.totals[field.name], totals[field.name]
+        for name, known in _basis(controller, expected).items():
             one = np.atleast_2d(getattr(stretch.basis, name))
-            yield name, one, None if again is None else np.broadcast_to(again, one.shape)
+            yield name, one, None if known is None else np.broadcast_to(known, one.shape)
 
 
-def _commands(names: Sequence[str], recorded: Array, again: Array | None) -> Iterator[_Field]:
-    """Yield the fields of commands, (N, 13) each."""
-    for name, part in zip(names, (slice(0, 6), slice(6, 12), slice(12, 13)), strict=True):
-        yield name, recorded[:, part], _columns(again, part)
-
-
-def _columns(rows: Array | None, part: slice) -> Array | None:
-    return None if rows is None else rows[:, part]
-
-
-def _answers(stretch: Stretch, controller: Controller) -> Array:
-    """Return what a new controller answers to the recorded samples, (N, 13)."""
+def _answers(stretch: Stretch, controller: Controller) -> Rows:
+    """Return what a new controller answers to the recorded samples, (N,) of the fields of a command."""
     samples = zip(stretch.tick.tolist(), stretch.time.tolist(), stretch.position.tolist(), strict=True)
-    return table([row_of(controller.step(Sample(int(tick), time, place))) for tick, time, place in samples], 13)
+    answers = [_values(controller.step(Sample(int(tick), time, place))) for tick, time, place in samples]
+    return as_rows(answers, _COMMANDED)
+
+
+_COMMANDED = [field for field in FIELDS if field.array == "command"]
+_values = compiled("command", "({values},)", _COMMANDED)
 
 
 def _basis(controller: Controller, expected: Expected | None) -> Mapping[str, ArrayLike | None]:
@@ -168,26 +162,23 @@ def _basis(controller: Controller, expected: Expected | None) -> Mapping[str, Ar
     return {
         "period": controller.period,
         "delay": None if expected is None else expected.delay,
-        "carried": carried_by(controller.laws),
+        "carried": controller.carried,
         **{name: None if known is None else getattr(known, name) for name in ("inertia", "load", "before")},
     }
 
 
-def _seen(plant: SampledPlant, controller: Controller, count: int) -> tuple[Array, bool]:
-    """Return what a plant is seen to do, and whether it goes no further.
-
-    That is tick, time, position, applied and hand, (count, 27); NaN from where it stops.
-    """
-    seen = np.full((count, 27), np.nan)
+def _seen(plant: SampledPlant, controller: Controller, count: int) -> tuple[Rows, bool]:
+    """Return what a plant is seen to do, (count,), NaN from where it stops; and whether it goes no further."""
+    seen = as_rows(np.full((count, ROW.itemsize // 8), np.nan))
     with plant, engine_warnings_silenced():
         try:
-            for row in seen:
+            for row in as_table(seen):
                 sample = plant.read()
                 command, applied = controller.step(sample), Command(ZERO)
                 try:
                     applied = plant.write(command)
                 finally:  # of one that is refused, nothing is applied
-                    row[:] = [sample.tick, sample.time, *sample.position, *row_of(applied), *plant.hand_wrench]
+                    row[:] = row_of(sample, command, applied, plant)
             plant.write(controller.step(plant.read()))
         except ParameterError:
             raise
@@ -196,20 +187,12 @@ def _seen(plant: SampledPlant, controller: Controller, count: int) -> tuple[Arra
     return seen, False
 
 
-def _totals(stretch: Stretch, basis: Basis) -> Array:
-    """Return energy taken, work of the hand and samples missed at each sample, from the samples, (N, 3)."""
+def _totals(stretch: Stretch, basis: Basis) -> Rows:
+    """Return the totals at each sample, from the samples, (N,)."""
     adding, gaps = Totals(basis), list(stretch.gaps)
-    parts = (
-        stretch.tick[:, None],
-        stretch.time[:, None],
-        stretch.position,
-        stretch.command,
-        stretch.applied,
-        stretch.hand,
-    )
     found = []
-    for place, row in enumerate(np.hstack(parts).tolist()):
-        while gaps and gaps[0][0] <= place:
+    for index, row in enumerate(as_table(stretch.rows).tolist()):
+        while gaps and gaps[0][0] <= index:
             adding.miss(gaps.pop(0)[1])
-        found.append(adding.add(tuple(row)))
-    return table(found, 3)
+        found.append(adding.add(named(row)))
+    return as_rows(found, TOTALS)

@@ -1,15 +1,15 @@
 """A box of stiff walls on all six axes, and nothing else: the flotor floats in it."""
 
 import math
+from typing import ClassVar
 
 from maglev_mj.frames import AXES
 from maglev_mj.hand import Path
 from maglev_mj.laws import Law
-from maglev_mj.scenes.interactive import Scene
+from maglev_mj.scenes.interactive import InteractiveScene
 from maglev_mj.scenes.parts import friction, shared, spring, wall, weight
-from maglev_mj.scenes.settings import Settings
 
-__all__ = ["BOX", "BOX_WALLS"]
+__all__ = ["BOX_WALLS", "Box"]
 
 _AIR = 1.0
 
@@ -17,23 +17,13 @@ BOX_WALLS = (0.003,) * 3 + (math.radians(4.0),) * 3
 """How far each wall is from the centre [m, rad]."""
 
 
-def _laws(settings: Settings) -> list[Law]:
-    # a little damping, as of air, so that the flotor comes to rest within a minute
-    laws: list[Law] = [*weight(settings), spring(AXES, stiffness=0.0, damping=_AIR)]
-    gains = shared(settings)
-    if settings.wall:
-        laws.append(wall(gains, AXES, lower=[-edge for edge in BOX_WALLS], upper=BOX_WALLS))
-    if settings.friction:
-        laws.append(friction(gains))
-    return laws
+class Box(InteractiveScene):
+    """A box of stiff walls on all six axes."""
 
-
-BOX = Scene(
-    name="box",
-    says="a box of walls on all six axes",
-    make=_laws,
-    axis="x",
-    script=Path(
+    says: ClassVar = "a box of walls on all six axes"
+    model: ClassVar = "scenes/box"
+    shown_axis: ClassVar = "x"
+    script: ClassVar = Path(
         [0.2, 0.5, 0.9, 1.4, 1.9, 2.4, 3.0],
         [
             [x * 1e-3, y * 1e-3, z * 1e-3, 0.0, turn, 0.0]
@@ -47,5 +37,15 @@ BOX = Scene(
                 (0, 0, 0, 0),
             )
         ],
-    ),
-)
+    )
+
+    def own_laws(self) -> list[Law]:
+        """See `InteractiveScene`."""
+        # a little damping, as of air, so that the flotor comes to rest within a minute
+        laws: list[Law] = [*weight(self), spring(AXES, stiffness=0.0, damping=_AIR)]
+        gains = shared(self)
+        if self.wall:
+            laws.append(wall(gains, AXES, lower=[-edge for edge in BOX_WALLS], upper=BOX_WALLS))
+        if self.friction:
+            laws.append(friction(gains))
+        return laws

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import importlib
-import importlib.util
 import sys
 from collections.abc import Mapping
 from functools import lru_cache
@@ -16,20 +15,36 @@ from typing import Any
 from maglev_mj.errors import ParameterError
 from maglev_mj.scenes.scene import Scene
 
-__all__ = ["BUILT_IN", "GROUP", "find_scene", "made_again", "reference_of", "scene_names", "source_of"]
+__all__ = [
+    "BUILT_IN",
+    "GROUP",
+    "find_scene",
+    "hash_of",
+    "made_again",
+    "reference_of",
+    "scene_names",
+    "scene_of_text",
+    "source_of",
+    "text_of",
+]
 
 GROUP = "maglev_mj.scenes"
 """Entry point group by which other packages add scenes."""
 
 BUILT_IN: Mapping[str, str] = {
+    "joystick": "maglev_mj.scenes.joystick:Joystick",
     "drop": "maglev_mj.scenes.drop:Drop",
     "press": "maglev_mj.scenes.press:Press",
+    "table": "maglev_mj.scenes.table:Table",
+    "box": "maglev_mj.scenes.box:Box",
+    "corner": "maglev_mj.scenes.corner:Corner",
     "stick-slip": "maglev_mj.scenes.stick_slip:StickSlip",
     "twist": "maglev_mj.scenes.free:Twist",
     "let-go": "maglev_mj.scenes.free:LetGo",
     "six-axes": "maglev_mj.scenes.free:SixAxes",
+    "wall": "maglev_mj.studies.growth:RestingWall",
 }
-"""The scenes of this package: name -> module and class."""
+"""The scenes of this package: name -> module and class, in the order in which a key goes through them."""
 
 _OWN = "maglev_mj_scene_"
 
@@ -75,9 +90,35 @@ def source_of(cls: type[Scene]) -> str | None:
     """Return a hash of the file of a user's own scene; None for one of a package."""
     if not cls.__module__.startswith(_OWN):
         return None
-    file = sys.modules[cls.__module__].__file__
-    assert file is not None
-    return hashlib.sha256(Path(file).read_bytes()).hexdigest()[:16]
+    return hash_of(text_of(cls))
+
+
+def text_of(cls: type[Scene]) -> str:
+    """Return the text of the file that a scene is in.
+
+    Raises:
+        ParameterError: If it is at the top of no file, as one that was typed in.
+    """
+    file = getattr(sys.modules[cls.__module__], "__file__", None)
+    if file is None or cls.__qualname__ != cls.__name__:
+        raise ParameterError(f"scene must be at the top of a file, so that others can run it, not {cls.__qualname__}")
+    return Path(file).read_text(encoding="utf-8")
+
+
+def hash_of(text: str) -> str:
+    """Return the first 16 digits of a text's SHA-256."""
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+@lru_cache(maxsize=16)
+def scene_of_text(text: str, name: str) -> type[Scene]:
+    """Return a class of the text of a file that need not be on this machine; it is run once a process.
+
+    Raises:
+        ParameterError: If the text fails.
+    """
+    found: type[Scene] = getattr(_made(_OWN + hash_of(text), text, f"{name}.py"), name)
+    return found
 
 
 def made_again(reference: str, values: Mapping[str, Any]) -> Scene:
@@ -126,18 +167,23 @@ def _of_file(path: Path, wanted: str) -> type[Scene]:
 def _run(path: Path, written: int) -> ModuleType:
     """Run a file as a module, anew where it was written since."""
     name = _OWN + hashlib.sha256(str(path).encode()).hexdigest()[:8] + "_" + path.stem
-    spec = importlib.util.spec_from_file_location(name, path)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
     sys.path.insert(0, str(path.parent))  # as `python FILE` has it, so that it finds its neighbours
     try:
-        spec.loader.exec_module(module)
-    except Exception as error:
-        del sys.modules[name]
-        raise ParameterError(f"scene {path.name} cannot be read: {_said(error)}") from error
+        return _made(name, path.read_bytes(), str(path))
     finally:
         sys.path.remove(str(path.parent))
+
+
+def _made(name: str, text: str | bytes, file: str) -> ModuleType:
+    """Run the text of a file as a module of some name."""
+    module = ModuleType(name)
+    module.__file__ = file
+    sys.modules[name] = module
+    try:
+        exec(compile(text, file, "exec"), module.__dict__)
+    except Exception as error:
+        del sys.modules[name]
+        raise ParameterError(f"scene {Path(file).name} cannot be read: {_said(error)}") from error
     return module
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any, ClassVar
 
@@ -9,17 +10,27 @@ import numpy as np
 
 from maglev_mj.laws import Hold, Law
 from maglev_mj.parameters import param
+from maglev_mj.plants import Timing
 from maglev_mj.scenes.scene import Scene, Start
 from maglev_mj.spec import INERTIA
 
 __all__ = ["LetGo", "SixAxes", "Twist"]
 
 
-class Twist(Scene):
+class _Body(Scene):
+    """A body whose run ends with a sample, where that meets the end."""
+
+    takes_phase: ClassVar[bool] = False
+
+    def ticks(self, timing: Timing) -> int:
+        """See `Scene`."""
+        return max(math.ceil(self.end / self.period - 1e-9), 1)
+
+
+class Twist(_Body):
     """A free flotor that turns at 3.7 rad/s about all three axes."""
 
     figures: ClassVar = ("peak_speed", "final_position")
-    takes_phase: ClassVar[bool] = False
     shown_axis: ClassVar[str] = "rx"
 
     duration: float = param("simulated time", "s", default=0.04, above=0.0, at_most=1e6)
@@ -38,11 +49,10 @@ class Twist(Scene):
         return "a free flotor that turns at 3.7 rad/s about all three axes"
 
 
-class LetGo(Scene):
+class LetGo(_Body):
     """The currents off at centre: the flotor falls on its stop."""
 
     figures: ClassVar = ("peak_speed", "final_position")
-    takes_phase: ClassVar[bool] = False
     tolerance: ClassVar[float] = 1e-4
     tolerance_reason: ClassVar[str] = "well below the 0.5 mm over which the stop gives"
 
@@ -67,14 +77,13 @@ def _soft(gain: str) -> Callable[[Any], float]:
     return derived
 
 
-class SixAxes(Scene):
+class SixAxes(_Body):
     """A flotor drawn back to its centre by a spring and a damper on all six axes.
 
     The gains of rotations are those of translations times the square of the radius of gyration.
     """
 
     figures: ClassVar = ("peak_speed", "final_position", "ripple")
-    takes_phase: ClassVar[bool] = False
     shown_axis: ClassVar[str] = "x"
 
     duration: float = param("simulated time", "s", default=0.3, above=0.0, at_most=1e6)

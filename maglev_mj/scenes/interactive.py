@@ -1,109 +1,134 @@
-"""A scene: laws, where it starts, what a scripted hand does in it, and the MJCF file that shows it."""
+"""What the interactive scenes share: walls, braking pulses and friction on keys."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, ClassVar, TypeAlias
 
-from numpy.typing import ArrayLike
-
-from maglev_mj.controller import Controller
-from maglev_mj.frames import AXES
-from maglev_mj.hand import HandForce, Path
-from maglev_mj.laws import Friction, Law, Wall
-from maglev_mj.parameters import axis_indices
-from maglev_mj.plants import MuJoCoPlant
-from maglev_mj.scenes.parts import WEIGHT, shared, walls
-from maglev_mj.scenes.settings import Settings
+from maglev_mj.errors import ParameterError
+from maglev_mj.frames import AXES, ZERO
+from maglev_mj.hand import Path, SpringHand
+from maglev_mj.laws import Law
+from maglev_mj.parameters import Turn, number, param
+from maglev_mj.scenes import parts
+from maglev_mj.scenes.scene import DELAY, RATE, Scene, Start
 from maglev_mj.spec import Spec
 
-__all__ = ["Scene"]
+__all__ = ["Face", "InteractiveScene"]
 
-_LIFTED = 0.004
+Face: TypeAlias = tuple[str, int, float]
+"""A wall: name of its axis, its normal (1 or -1), where it begins [m, rad]; the axis is free on the normal's side."""
+
+_UNSCRIPTED, _TAIL = 0.6, 0.4
+_PROGRAMS_ONLY = Turn()
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Scene:
-    """What a person meets on the joystick. The mechanics are the device's: six coils of 10 A each, and metal stops.
+def _faces(walls: Any) -> tuple[Face, ...]:
+    """Return walls, checked."""
+    if isinstance(walls, str) or not isinstance(walls, Sequence):
+        raise ParameterError(f"walls must be a list of an axis, a normal and an edge each, not {walls!r}")
+    faces: dict[tuple[str, int], Face] = {}
+    for wall in walls:
+        if isinstance(wall, str) or not isinstance(wall, Sequence) or len(wall) != 3:
+            raise ParameterError(f"a wall must be an axis, a normal and an edge, not {wall!r}")
+        axis, normal, edge = wall
+        if axis not in AXES:
+            raise ParameterError(f"a wall's axis must be one of {', '.join(AXES)}, not {axis!r}")
+        if isinstance(normal, bool) or normal not in (1, -1):
+            raise ParameterError(f"a wall's normal must be 1 or -1, not {normal!r}")
+        if (axis, normal) in faces:
+            raise ParameterError(f"walls must be one from each side of an axis, not two of normal {normal} on {axis}")
+        faces[axis, int(normal)] = axis, int(normal), number("a wall's edge", edge, at_least=-1.0, at_most=1.0)
+    for axis in AXES:
+        lower, upper = faces.get((axis, 1)), faces.get((axis, -1))
+        if lower is not None and upper is not None and not lower[2] < upper[2]:
+            raise ParameterError(f"walls must leave room between them, not {lower[2]:g} to {upper[2]:g} on {axis}")
+    return tuple(faces.values())
 
-    Args:
-        name: Its name, which is also that of `model/scenes/NAME.xml`.
+
+class InteractiveScene(Scene):
+    """Walls, braking pulses and friction that may be changed while the scene runs.
+
+    Rotations get the gains at their radius of gyration.
+
+    Class attributes:
         says: What it is, in a few words.
-        make: Makes the laws that the settings ask for, with the scene's own walls.
-        settings: Those it starts with.
-        pose: Where the flotor starts [m, rad].
-        axis: Name of the axis that plots show.
-        script: Where the scripted hand of a clip pulls to, on all six axes.
-
-    Raises:
-        ParameterError: If there is no such axis.
+        pose: Pose at the start [m, rad].
+        script: Path of the scripted hand; None for none.
     """
 
-    name: str
-    says: str
-    make: Callable[[Settings], Sequence[Law]]
-    settings: Settings = field(default_factory=Settings)
-    pose: tuple[float, ...] = (0.0,) * 6
-    axis: str = "z"
-    script: Path | None = None
+    says: ClassVar[str] = ""
+    pose: ClassVar[Sequence[float]] = ZERO
+    script: ClassVar[Path | None] = None
 
-    def __post_init__(self) -> None:
-        axis_indices(self.axis)
+    wall: bool = param("walls", default=True, live=True)
+    pulse: bool = param("braking pulses of the walls", default=True, live=True)
+    friction: bool = param("stick-slip friction", default=False, live=True)
+    weightless: bool = param("currents that carry the flotor's weight", default=True, live=_PROGRAMS_ONLY)
+    stiffness: float = param(
+        "stiffness of walls and friction",
+        "N/m",
+        default=6000.0,
+        at_least=parts.LEAST_STIFFNESS,
+        at_most=1e6,
+        live=Turn(factor=1.25, least=100.0, most=1e5),
+    )
+    damping: float = param(
+        "damping of walls and friction",
+        "N s/m",
+        default=80.0,
+        at_least=0.0,
+        at_most=1e4,
+        live=Turn(factor=1.25, least=1.0, most=1e3),
+    )
+    period: float = param(
+        "sample period", "s", default=1.0 / Spec.control_rate.value, at_least=1e-4, at_most=0.1, live=RATE
+    )
+    delay: float = param(
+        "from a sample to its command taking effect",
+        "s",
+        default=Spec.transport_delay.value,
+        at_least=0.0,
+        at_most=0.1,
+        live=DELAY,
+    )
+    breakaway: float = param(
+        "force at which friction breaks away", "N", default=2.0, at_least=0.01, at_most=50.0, live=_PROGRAMS_ONLY
+    )
+    walls: Sequence[Face] | None = param(
+        "walls in place of the scene's own, at most one from each side of an axis",
+        default=None,
+        optional=True,
+        parse=_faces,
+        live=True,
+    )
 
-    @property
-    def axis_index(self) -> int:
-        """Index into AXES of the axis that plots show."""
-        return AXES.index(self.axis)
+    def own_laws(self) -> list[Law]:
+        """Return the laws with the scene's own walls."""
+        raise NotImplementedError(f"{type(self).__name__} needs own_laws()")
 
-    @property
-    def lifted(self) -> tuple[float, ...]:
-        """Where the flotor is let go from [m, rad]: the start, lifted to 4 mm."""
-        return (*self.pose[:2], _LIFTED, *self.pose[3:])
-
-    def laws(self, settings: Settings) -> list[Law]:
-        """Return the laws that the settings ask for."""
-        laws = list(self.make(settings))
-        if settings.walls is None or not settings.wall:
+    def laws(self) -> list[Law]:
+        """Return the laws, with the walls that another program may have put in place of the scene's own."""
+        laws = self.own_laws()
+        if self.walls is None or not self.wall:
             return laws
-        gains = shared(settings) if any(isinstance(law, Friction) for law in laws) else settings
-        return [law for law in laws if not isinstance(law, Wall)] + walls(gains, settings.walls)
+        sticks = any(near.state == "stuck" for law in laws for near in law.gains() or ())
+        gains = parts.shared(self) if sticks else self
+        return [law for law in laws if not law.faces()] + parts.walls(gains, self.walls)
 
-    def controller(self, settings: Settings) -> Controller:
-        """Return a controller of the scene's laws."""
-        return Controller(self.laws(settings), period=settings.period)
+    def start(self) -> Start:
+        """Return a flotor at rest, carried by the currents where they do."""
+        return Start(pose=self.pose, wrench=parts.WEIGHT if self.weightless else ZERO)
 
-    def plant(
-        self,
-        settings: Settings,
-        *,
-        pose: ArrayLike | None = None,
-        twist: ArrayLike = (0.0,) * 6,
-        wrench: ArrayLike | None = None,
-        hand_force: HandForce | None = None,
-        **keywords: Any,
-    ) -> MuJoCoPlant:
-        """Return the device.
+    def scripted_hand(self, phase: float = 0.0) -> SpringHand | None:
+        """Return a hand that is drawn along the script."""
+        return None if self.script is None else SpringHand(target=self.script)
 
-        Args:
-            settings: Period and delay.
-            pose: Where it starts [m, rad], (6,); the scene's by default.
-            twist: How fast [m/s, rad/s], (6,).
-            wrench: What its coils give until the first command takes effect [N, N m], (6,); by default they carry
-                it if the settings say so.
-            hand_force: The hand on it.
-            keywords: Further ones of `MuJoCoPlant`.
-        """
-        if wrench is None:
-            wrench = WEIGHT if settings.weightless else (0.0,) * 6
-        return MuJoCoPlant(
-            settings.timing,
-            pose=self.pose if pose is None else pose,
-            twist=twist,
-            wrench=wrench,
-            hand_force=hand_force,
-            current_limit=Spec.peak_current.value,
-            stops=True,
-            metered=True,
-            **keywords,
-        )
+    def describe(self) -> str:
+        """Return one line on what happens."""
+        return self.says
+
+    @property
+    def end(self) -> float:
+        """When the script and its last movement are over [s]."""
+        return _UNSCRIPTED if self.script is None else self.script.end + _TAIL

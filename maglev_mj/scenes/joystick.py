@@ -1,15 +1,15 @@
 """The joystick: drawn softly to its centre on all six axes, in a box of walls, with stick-slip on a key."""
 
 import math
+from typing import ClassVar
 
 from maglev_mj.frames import AXES
 from maglev_mj.hand import Path
 from maglev_mj.laws import Law
-from maglev_mj.scenes.interactive import Scene
+from maglev_mj.scenes.interactive import InteractiveScene
 from maglev_mj.scenes.parts import friction, shared, spring, wall, weight
-from maglev_mj.scenes.settings import Settings
 
-__all__ = ["CENTRING", "JOYSTICK"]
+__all__ = ["CENTRING", "Joystick"]
 
 CENTRING = 300.0
 """Stiffness of the spring to the centre [N/m]."""
@@ -18,22 +18,13 @@ _DAMPING = 12.0
 _EDGES = (0.0035,) * 3 + (math.radians(4.5),) * 3
 
 
-def _laws(settings: Settings) -> list[Law]:
-    laws: list[Law] = [*weight(settings), spring(AXES, stiffness=CENTRING, damping=_DAMPING)]
-    gains = shared(settings)
-    if settings.wall:
-        laws.append(wall(gains, AXES, lower=[-edge for edge in _EDGES], upper=_EDGES))
-    if settings.friction:
-        laws.append(friction(gains))
-    return laws
+class Joystick(InteractiveScene):
+    """A joystick in a box of walls."""
 
-
-JOYSTICK = Scene(
-    name="joystick",
-    says="soft centring on six axes in a box of walls; friction on a key",
-    make=_laws,
-    axis="x",
-    script=Path(
+    says: ClassVar = "soft centring on six axes in a box of walls; friction on a key"
+    model: ClassVar = "scenes/joystick"
+    shown_axis: ClassVar = "x"
+    script: ClassVar = Path(
         [0.3, 0.8, 1.0, 1.6, 2.1, 2.6, 3.2, 3.8, 4.2],
         [
             [x * 1e-3, y * 1e-3, z * 1e-3, tilt, nod, spin]
@@ -49,5 +40,14 @@ JOYSTICK = Scene(
                 (0, 0, 0, 0, 0, 0),
             )
         ],
-    ),
-)
+    )
+
+    def own_laws(self) -> list[Law]:
+        """See `InteractiveScene`."""
+        laws: list[Law] = [*weight(self), spring(AXES, stiffness=CENTRING, damping=_DAMPING)]
+        gains = shared(self)
+        if self.wall:
+            laws.append(wall(gains, AXES, lower=[-edge for edge in _EDGES], upper=_EDGES))
+        if self.friction:
+            laws.append(friction(gains))
+        return laws

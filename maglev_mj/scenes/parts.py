@@ -1,10 +1,10 @@
-"""The laws that scenes are put together from, with gains from the settings; rotations get theirs by inertia."""
+"""The laws that scenes are put together from, with a scene's gains; rotations get theirs by inertia."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,10 +13,23 @@ from maglev_mj import spec
 from maglev_mj.frames import AXES, Array
 from maglev_mj.laws import Bias, Hold, Law, StickSlip, Wall
 from maglev_mj.parameters import axis_indices, flag
-from maglev_mj.scenes.settings import LEAST_STIFFNESS, Face, Settings
 from maglev_mj.spec import GRAVITY, Spec
 
-__all__ = ["INERTIA", "MASS", "WEIGHT", "friction", "hold", "shared", "spring", "wall", "walls", "weight"]
+if TYPE_CHECKING:
+    from maglev_mj.scenes.interactive import Face, InteractiveScene
+
+__all__ = [
+    "INERTIA",
+    "LEAST_STIFFNESS",
+    "MASS",
+    "WEIGHT",
+    "friction",
+    "shared",
+    "spring",
+    "wall",
+    "walls",
+    "weight",
+]
 
 MASS = Spec.moving_mass.value
 """Moving mass [kg]."""
@@ -26,6 +39,9 @@ INERTIA = np.array(spec.INERTIA)
 
 WEIGHT = (0.0, 0.0, MASS * GRAVITY, 0.0, 0.0, 0.0)
 """The wrench that carries the flotor [N, N m]."""
+
+LEAST_STIFFNESS = 1.0
+"""Least stiffness of walls and friction [N/m]."""
 
 _V_MIN = 0.005
 _PULSE_SHARE = 0.6
@@ -38,48 +54,48 @@ def _share(axes: str | Sequence[str]) -> Array:
     return share
 
 
-def shared(settings: Settings) -> Settings:
-    """Return settings for walls and friction that may act on the same axis: half the gains each where both are on.
+def shared(scene: InteractiveScene) -> InteractiveScene:
+    """Return the scene for walls and friction that may act on the same axis: half the gains each where both are on.
 
     Their stiffnesses add up, and it is the sum that the delay sets a bound to.
     """
-    if not (settings.wall and settings.friction):
-        return settings
-    # half of the least stiffness is less than settings take
-    return replace(settings, stiffness=max(0.5 * settings.stiffness, LEAST_STIFFNESS), damping=0.5 * settings.damping)
+    if not (scene.wall and scene.friction):
+        return scene
+    # half of the least stiffness is less than a scene takes
+    return scene.replace(stiffness=max(0.5 * scene.stiffness, LEAST_STIFFNESS), damping=0.5 * scene.damping)
 
 
 def wall(
-    settings: Settings, axes: str | Sequence[str], *, lower: ArrayLike = -math.inf, upper: ArrayLike = math.inf
+    scene: InteractiveScene, axes: str | Sequence[str], *, lower: ArrayLike = -math.inf, upper: ArrayLike = math.inf
 ) -> Wall:
-    """Return walls with the settings' gains, and a pulse that takes up the momentum of a crossing.
+    """Return walls with the scene's gains, and a pulse that takes up the momentum of a crossing.
 
     The pulse lasts as long in relation to the period as the paper's, 3 ms of 5 ms, and is given from 20 mm/s of
     approach on: below that it would only rattle.
 
     Args:
-        settings: Gains, period, and whether there is a pulse.
+        scene: Gains, period, and whether there is a pulse.
         axes: Names from AXES.
         lower: See `Wall` [m, rad].
         upper: See `Wall` [m, rad].
     """
     share = _share(axes)
-    width = _PULSE_SHARE * settings.period
-    pulse = max(MASS / width - settings.damping, 0.0) if settings.pulse else 0.0
+    width = _PULSE_SHARE * scene.period
+    pulse = max(MASS / width - scene.damping, 0.0) if scene.pulse else 0.0
     return Wall(
         axes=axes,
         lower=lower,
         upper=upper,
-        stiffness=settings.stiffness * share,
-        damping=settings.damping * share,
+        stiffness=scene.stiffness * share,
+        damping=scene.damping * share,
         pulse=pulse * share,
         pulse_width=width,
         pulse_gate=_GATE / np.sqrt(share),
     )
 
 
-def walls(settings: Settings, faces: Sequence[Face]) -> list[Law]:
-    """Return walls where they are told to be, with the settings' gains as for `wall`."""
+def walls(scene: InteractiveScene, faces: Sequence[Face]) -> list[Law]:
+    """Return walls where they are told to be, with the scene's gains as for `wall`."""
     lower = {axis: edge for axis, normal, edge in faces if normal > 0}
     upper = {axis: edge for axis, normal, edge in faces if normal < 0}
     axes = [axis for axis in AXES if axis in lower or axis in upper]
@@ -89,40 +105,34 @@ def walls(settings: Settings, faces: Sequence[Face]) -> list[Law]:
         "lower": [lower.get(axis, -math.inf) for axis in axes],
         "upper": [upper.get(axis, math.inf) for axis in axes],
     }
-    return [wall(settings, axes, **edges)]
+    return [wall(scene, axes, **edges)]
 
 
-def friction(settings: Settings, axes: str | Sequence[str] = AXES, *, coupled: bool = False) -> StickSlip:
+def friction(scene: InteractiveScene, axes: str | Sequence[str] = AXES, *, coupled: bool = False) -> StickSlip:
     """Return stick-slip, on each axis by itself or coupled as on a table.
 
     Args:
-        settings: Gains.
+        scene: Gains.
         axes: Names from AXES.
         coupled: See `StickSlip`.
     """
     if flag("coupled", coupled):
         return StickSlip(
             axes=axes,
-            stiffness=settings.stiffness,
-            damping=settings.damping,
-            breakaway=settings.breakaway,
+            stiffness=scene.stiffness,
+            damping=scene.damping,
+            breakaway=scene.breakaway,
             v_min=_V_MIN,
             coupled=True,
         )
     share, radius = _share(axes), np.sqrt(_share(axes))
     return StickSlip(
         axes=axes,
-        stiffness=settings.stiffness * share,
-        damping=settings.damping * share,
-        breakaway=settings.breakaway * radius,
+        stiffness=scene.stiffness * share,
+        damping=scene.damping * share,
+        breakaway=scene.breakaway * radius,
         v_min=_V_MIN / radius,
     )
-
-
-def hold(settings: Settings, axes: str | Sequence[str]) -> Hold:
-    """Return a hold that keeps axes where they are at rest, as stiff as period and delay allow with ease."""
-    inertia = INERTIA[list(axis_indices(axes))]
-    return Hold.critically_damped(axes, inertia=inertia, period=settings.period, delay=settings.delay)
 
 
 def spring(axes: str | Sequence[str], *, stiffness: float, damping: float, target: ArrayLike = 0.0) -> Hold:
@@ -131,6 +141,6 @@ def spring(axes: str | Sequence[str], *, stiffness: float, damping: float, targe
     return Hold(axes=axes, stiffness=stiffness * share, damping=damping * share, target=target)
 
 
-def weight(settings: Settings) -> list[Bias]:
+def weight(scene: InteractiveScene) -> list[Bias]:
     """Return what carries the flotor, if it is to be carried."""
-    return [Bias(WEIGHT)] if settings.weightless else []
+    return [Bias(WEIGHT)] if scene.weightless else []

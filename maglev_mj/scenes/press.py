@@ -40,6 +40,7 @@ class Press(WallScene):
     Weight is compensated: there is no gravity. The five other axes are held.
     """
 
+    model: ClassVar = "scenes/press"
     figures: ClassVar = {
         name: name if name == "absorbed" else f"hit_{name}" if index < 5 else f"press_{name}"
         for index, name in enumerate(PressSummary._fields)

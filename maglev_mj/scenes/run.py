@@ -229,7 +229,7 @@ def checked_plant(scene: Scene, plant: str | None) -> str:
     """
     chosen = scene.plants[0] if plant is None else plant
     if chosen not in scene.plants:
-        raise ParameterError(f"plant must be one of {', '.join(scene.plants)}, not {plant!r}")
+        raise ParameterError(f"plant must be one of {', '.join(sorted(scene.plants))}, not {plant!r}")
     return chosen
 
 
@@ -288,20 +288,13 @@ class _Told:
 
     def __init__(self, controller: Controller, observe: Observe | None, batch: tuple[int, ...]) -> None:
         self._controller, self._also, self._batch = controller, observe, batch
-        self._tellers: list[tuple[int, Any]] | None = None
         self._time: list[Any] = []
         self._rows: list[dict[str, Any]] = []
 
     def observe(self, sample: Sample, command: Command) -> None:
         """Note what the laws tell of a sample."""
-        states = self._controller.states
-        if self._tellers is None:  # a state is there from the first sample on
-            laws = enumerate(self._controller.laws)
-            self._tellers = [(place, law) for place, law in laws if _signals(law, states[place])]
-        if self._tellers:
-            row: dict[str, Any] = {"position": self._copied(sample.position)}
-            for place, law in self._tellers:
-                row |= {name: self._copied(parts) for name, parts in _signals(law, states[place]).items()}
+        if signals := self._controller.signals:
+            row = {name: self._copied(parts) for name, parts in (("position", sample.position), *signals.items())}
             self._time.append(sample.time)
             self._rows.append(row)
         if self._also is not None:
@@ -320,12 +313,6 @@ class _Told:
             {name: np.array([row[name] for row in self._rows])[kept] for name in self._rows[0]} if self._rows else {}
         )
         return Result(scene, plant, phase, trace, time[kept], columns)
-
-
-def _signals(law: Any, states: Any) -> dict[str, Any]:
-    if not hasattr(law, "breakaway"):
-        return {}
-    return {"stick_position": [state.anchor for state in states], "stuck": [state.stuck for state in states]}
 
 
 def _escaped_later(trace: Trace, end: float) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
@@ -14,7 +15,7 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, ZERO, Array, Component
 from maglev_mj.hand import HandForce
 from maglev_mj.laws import Law, VelocityEstimator
-from maglev_mj.parameters import Parameters, axis_indices, param
+from maglev_mj.parameters import Parameters, Turn, axis_indices, param
 from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant, Timing
 from maglev_mj.scenes.figures import figures_named
 from maglev_mj.spec import ESCAPE, GRAVITY, Spec
@@ -22,7 +23,13 @@ from maglev_mj.spec import ESCAPE, GRAVITY, Spec
 if TYPE_CHECKING:
     from maglev_mj.scenes.run import Result
 
-__all__ = ["PLANTS", "PlantMaker", "Scene", "Start"]
+__all__ = ["DELAY", "PLANTS", "RATE", "PlantMaker", "Scene", "SideBySide", "Start"]
+
+RATE = Turn(among=(50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0), inverse=True, word="rate")
+"""Keys on a sample period."""
+
+DELAY = Turn(add=0.0005, least=0.0, most=0.02, word="delay")
+"""Keys on a delay."""
 
 _MOST_PERIODS = 1_000_000
 
@@ -66,6 +73,7 @@ class Scene(Parameters):
         takes_phase: Whether the phase of the samples makes a difference that is worth a sweep.
         tolerance: Displacement of a coil that does not matter [m], as `fidelity` takes it.
         tolerance_reason: Where that is from.
+        model: MJCF file that shows it: a path, or the name of one of the package's.
         plots: Pictures of its own: name of the file -> "module:function", called with labelled results and a path.
 
     Raises:
@@ -80,10 +88,18 @@ class Scene(Parameters):
     tolerance: ClassVar[float] = 1e-5
     tolerance_reason: ClassVar[str] = "two steps of the sensor"
     plots: ClassVar[Mapping[str, str]] = {}
+    model: ClassVar[str | Path] = "scenes/joystick"
 
-    period: float = param("sample period", "s", default=1.0 / Spec.control_rate.value, at_least=1e-6, at_most=1.0)
+    period: float = param(
+        "sample period", "s", default=1.0 / Spec.control_rate.value, at_least=1e-6, at_most=1.0, live=RATE
+    )
     delay: float = param(
-        "from a sample to its command taking effect", "s", default=Spec.transport_delay.value, at_least=0.0, at_most=1.0
+        "from a sample to its command taking effect",
+        "s",
+        default=Spec.transport_delay.value,
+        at_least=0.0,
+        at_most=1.0,
+        live=DELAY,
     )
 
     def __init_subclass__(cls, **keywords: Any) -> None:
@@ -99,7 +115,7 @@ class Scene(Parameters):
     def __reduce__(self) -> Any:
         from maglev_mj.scenes.find import made_again, reference_of
 
-        return made_again, (reference_of(type(self)), self.as_json())
+        return made_again, (reference_of(type(self)), self._given())
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -146,6 +162,11 @@ class Scene(Parameters):
         return self.shown_axis
 
     @property
+    def axis_index(self) -> int:
+        """Index into AXES of that axis."""
+        return AXES.index(self.axis)
+
+    @property
     def end(self) -> float:
         """When a run ends [s]: the parameter `duration`, or 1 s."""
         return float(getattr(self, "duration", 1.0))
@@ -158,6 +179,10 @@ class Scene(Parameters):
 
     def extra_json(self, result: Result) -> dict[str, Any]:
         """Return what the JSON has besides parameters, series and summary."""
+        return {}
+
+    def compared(self, result: Result) -> Mapping[str, Mapping[str, float]]:
+        """Return figures to stand beside those of a run, such as a closed form's: by label and name."""
         return {}
 
     # --- what follows --------------------------------------------------------------------------
@@ -210,7 +235,7 @@ class Scene(Parameters):
             return self.scripted_hand(float(phase))
         hands = [self.scripted_hand(float(one)) for one in np.asarray(phase)]
         known = [hand for hand in hands if hand is not None]
-        return _SideBySide(known) if known else None
+        return SideBySide(known) if known else None
 
     def run_figures(self, plant: str, phase: float = 0.0) -> Mapping[str, Any]:
         """Return the figures of one run, by name."""
@@ -219,7 +244,7 @@ class Scene(Parameters):
         return run(self, plant=plant, phase=phase).figures
 
 
-class _SideBySide:
+class SideBySide:
     """Hands that differ in their paths alone, one for each device of a batch."""
 
     def __init__(self, hands: Sequence[HandForce]) -> None:

@@ -43,9 +43,10 @@ class StickSlip(Scene):
     held.
     """
 
+    model: ClassVar = "scenes/table"
     figures: ClassVar = ("peak_speed", "stick_time", "stick_position", "final_position", "transitions", "ripple")
     takes_phase: ClassVar[bool] = False
-    plots: ClassVar[Mapping[str, str]] = {"stick_slip.png": "maglev_mj.plots.friction:stick_slip"}
+    plots: ClassVar[Mapping[str, str]] = {"stick_slip.png": "maglev_mj.plots.stick_slip:stick_slip"}
 
     law: str = param("friction law", default="stick-slip", choices=tuple(LAWS))
     velocity: str = param("velocity estimator", default="difference", choices=tuple(VELOCITIES))
@@ -143,6 +144,26 @@ class StickSlip(Scene):
             "state": np.where(result.samples["stuck"][held, 0], "stuck", "sliding"),
             "force": force,
         }
+
+    def compared(self, result: Result) -> Mapping[str, Mapping[str, float]]:
+        """Return the figures of the exact friction that the law stands for."""
+        motion = self.exact(result.times(1e-4))
+        sticks = [event for event in motion.events if event.kind == "stick"]
+        tail = motion.position[motion.time >= self.duration - 0.05]
+        figures = {
+            "peak_speed": float(np.abs(motion.velocity).max()),
+            "stick_time": sticks[-1].time if sticks else math.nan,
+            "stick_position": sticks[-1].position if sticks else math.nan,
+            "final_position": float(motion.position[-1]),
+            "transitions": float(len(motion.events)),
+            "ripple": float(np.ptp(tail)),
+        }
+        return {f"{self.exact_name}, exact": figures}
+
+    @property
+    def exact_name(self) -> str:
+        """Friction that the law stands for."""
+        return "Coulomb" if SLIDES_AT.get(self.law, 1.0) else "Karnopp"
 
     def events(self, result: Result) -> list[FrictionEvent]:
         """Return the changes of the law's state, at the samples that found them."""

@@ -1,22 +1,30 @@
-"""A scene in real time, without a window: pacing, what keys change, recording, and what there is to see."""
+"""A scene in real time, without a window: pacing, what keys change, recording, and the picture of now."""
 
+from maglev_mj.session.actions import DEVICES_OWN, actions, settable
 from maglev_mj.session.admission import Refusal, refusal
-from maglev_mj.session.outlet import Moment, Outlet, Outlets
-from maglev_mj.session.pacing import Pacer
-from maglev_mj.session.session import ACTIONS, Session
-from maglev_mj.session.view import Showable, View, stick_positions, wall_faces
+from maglev_mj.session.live import device_controller, live_plant, mechanics
+from maglev_mj.session.pacing import Due, Pacer, real_time
+from maglev_mj.session.publishers import Publisher, Publishers
+from maglev_mj.session.session import Session
+from maglev_mj.session.snapshot import History, SampledMotion, Snapshot, SnapshotSource
 
 __all__ = [
-    "ACTIONS",
-    "Moment",
-    "Outlet",
-    "Outlets",
+    "DEVICES_OWN",
+    "Due",
+    "History",
     "Pacer",
+    "Publisher",
+    "Publishers",
     "Refusal",
+    "SampledMotion",
     "Session",
-    "Showable",
-    "View",
+    "Snapshot",
+    "SnapshotSource",
+    "actions",
+    "device_controller",
+    "live_plant",
+    "mechanics",
+    "real_time",
     "refusal",
-    "stick_positions",
-    "wall_faces",
+    "settable",
 ]

@@ -1,63 +1,67 @@
-"""What a key does to the settings of a session."""
+"""Changes that keys and other programs make to a running scene, from its live parameters."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 
-from maglev_mj.scenes import Settings
+from maglev_mj.parameters import Parameter
+from maglev_mj.scenes import Scene
 
-__all__ = ["CHANGES"]
+__all__ = ["DEVICES_OWN", "Action", "actions", "settable"]
 
-_RATES = (50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0)
-_GAIN_STEP = 1.25
-_DELAY_STEP = 0.0005
-_MOST_STIFFNESS, _LEAST_STIFFNESS, _MOST_DAMPING, _LEAST_DAMPING = 1e5, 100.0, 1e3, 1.0
-_MOST_DELAY = 0.02
+DEVICES_OWN = "period", "delay"
+"""Parameters of the device, or of the person at the machine: no other program changes them."""
+
+Action = Callable[[Scene], Scene]
 
 
-def _gain(name: str, factor: float, least: float, most: float) -> Callable[[Settings], Settings]:
-    def change(settings: Settings) -> Settings:
-        # three figures are what a person reads and sets again
-        value = float(f"{getattr(settings, name) * factor:.3g}")
-        return Settings.from_json({**settings.as_json(), name: min(max(value, least), most)})
+def settable(scene: Scene) -> tuple[str, ...]:
+    """Return the names of the parameters that other programs may change."""
+    return tuple(one.name for one in scene.parameters() if one.live and one.name not in DEVICES_OWN)
+
+
+def actions(cls: type[Scene]) -> Mapping[str, Action]:
+    """Return the changes that keys make to a scene, by name.
+
+    A switch has its name; a number has "NAME up" and "NAME down", and its name alone turns it off and on again where
+    it may be 0.
+    """
+    found: dict[str, Action] = {}
+    for one in cls.parameters():
+        if not one.live or not one.live.has_keys or one.kind not in (bool, float, int):
+            continue
+        word = one.live.word or one.name
+        if one.kind is bool:
+            found[word] = _switched(one.name)
+            continue
+        if one.default and one.bounds.get("at_least") == 0.0 and not one.live.word:
+            found[word] = _cleared(one.name, one.default)
+        for sense, way in (("up", 1), ("down", -1)):
+            found[f"{word} {sense}"] = _turned(one, way)
+    return found
+
+
+def _switched(name: str) -> Action:
+    return lambda scene: scene.replace(**{name: not getattr(scene, name)})
+
+
+def _cleared(name: str, default: float) -> Action:
+    return lambda scene: scene.replace(**{name: 0.0 if getattr(scene, name) else default})
+
+
+def _turned(one: Parameter, way: int) -> Action:
+    assert one.live
+    turn, least, most = one.live, one.bounds.get("at_least", -math.inf), one.bounds.get("at_most", math.inf)
+
+    def change(scene: Scene) -> Scene:
+        value = getattr(scene, one.name)
+        if value is None:
+            return scene
+        turned = turn(value, way)
+        if one.kind is int:  # a whole step at least, or a small number would stay
+            turned = value + way if round(turned) == value else round(turned)
+        # a person at a key is stopped at a bound, not told off
+        return scene.replace(**{one.name: min(max(turned, least), most)})
 
     return change
-
-
-def _rate(step: int) -> Callable[[Settings], Settings]:
-    def change(settings: Settings) -> Settings:
-        now = 1.0 / settings.period
-        nearest = min(range(len(_RATES)), key=lambda place: abs(_RATES[place] - now))
-        place = min(max(nearest + step, 0), len(_RATES) - 1)
-        return replace(settings, period=1.0 / _RATES[place])
-
-    return change
-
-
-def _delay(step: int) -> Callable[[Settings], Settings]:
-    def change(settings: Settings) -> Settings:
-        count = round(settings.delay / _DELAY_STEP) + step
-        return replace(settings, delay=min(max(count * _DELAY_STEP, 0.0), _MOST_DELAY))
-
-    return change
-
-
-def _toggle(name: str) -> Callable[[Settings], Settings]:
-    return lambda settings: Settings.from_json({**settings.as_json(), name: not getattr(settings, name)})
-
-
-CHANGES: Mapping[str, Callable[[Settings], Settings]] = {
-    "wall": _toggle("wall"),
-    "pulse": _toggle("pulse"),
-    "friction": _toggle("friction"),
-    "stiffness up": _gain("stiffness", _GAIN_STEP, _LEAST_STIFFNESS, _MOST_STIFFNESS),
-    "stiffness down": _gain("stiffness", 1.0 / _GAIN_STEP, _LEAST_STIFFNESS, _MOST_STIFFNESS),
-    "damping up": _gain("damping", _GAIN_STEP, _LEAST_DAMPING, _MOST_DAMPING),
-    "damping down": _gain("damping", 1.0 / _GAIN_STEP, _LEAST_DAMPING, _MOST_DAMPING),
-    "rate up": _rate(1),
-    "rate down": _rate(-1),
-    "delay up": _delay(1),
-    "delay down": _delay(-1),
-}
-"""Settings after each action, from those before it."""

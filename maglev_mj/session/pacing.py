@@ -1,15 +1,54 @@
-"""Keeping up with real time: how many control ticks a stretch of it asks for, within a budget."""
+"""Real time: when a frame is due, and how many control ticks a stretch of it asks for within a budget."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 from maglev_mj.parameters import number
 
-__all__ = ["Pacer"]
+__all__ = ["Due", "Pacer", "real_time"]
 
 _ROUNDING = 1e-9
+_LONGEST_PAUSE = 1.0
+
+
+def real_time(
+    duration: float | None, step: float, clock: Callable[[], float] = time.perf_counter
+) -> Iterator[tuple[float, float]]:
+    """Yield the real time that has gone by since the last turn and since the first [s], sleeping in between.
+
+    Args:
+        duration: For how long [s]; None for as long as the caller goes on.
+        step: How long to sleep after each turn [s].
+        clock: Returns real time [s].
+    """
+    start = last = clock()
+    while duration is None or last - start < duration:
+        now = clock()
+        yield min(now - last, _LONGEST_PAUSE), now - start  # a machine that was suspended owes no more
+        last = now
+        time.sleep(step)
+
+
+class Due:
+    """Tell when a frame is due, on a grid from which a late call does not drift away.
+
+    Args:
+        period: From one frame to the next [s].
+        clock: Returns real time [s].
+    """
+
+    def __init__(self, period: float = 1.0 / 60.0, clock: Callable[[], float] = time.monotonic) -> None:
+        self._period, self._clock, self._next = period, clock, -1.0
+
+    def __call__(self) -> bool:
+        """Return whether a frame is due, once for each."""
+        if (now := self._clock()) < self._next:
+            return False
+        soon = self._next + self._period
+        self._next = soon if now < soon else now + self._period
+        return True
 
 
 class Pacer:

@@ -2,31 +2,26 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from maglev_mj.errors import MaglevError, ParameterError
-from maglev_mj.frames import ZERO
-from maglev_mj.hand import SpringHand
-from maglev_mj.scenes import SCENES, Settings, scene_called
-from maglev_mj.scenes.parts import WEIGHT
-from maglev_mj.session.actions import CHANGES
-from maglev_mj.session.outlet import Moment, Outlet, Outlets
+from maglev_mj.hand import HandForce, SpringHand
+from maglev_mj.scenes import BUILT_IN, Scene, find_scene
+from maglev_mj.session.actions import DEVICES_OWN, actions
+from maglev_mj.session.live import centred, lifted
 from maglev_mj.session.pacing import Pacer
+from maglev_mj.session.publishers import Publisher, Publishers
+from maglev_mj.session.snapshot import History, Snapshot
 from maglev_mj.session.stretch import LiveStretch
 from maglev_mj.session.tape import Tape
-from maglev_mj.session.view import View
 
-__all__ = ["ACTIONS", "Session"]
+__all__ = ["Session"]
 
-ACTIONS = (*CHANGES, "next scene", "drop", "centre", "pause", "record")
-"""What `Session.act` knows."""
+_OWN = "next scene", "drop", "centre", "pause", "record"
 
-_SHOWN = 2.0
 _MADE = -0.1
 
 
@@ -37,44 +32,44 @@ class Session:
     between two changes is a run like any other: it can be recorded, and run again.
 
     Args:
-        scene: Name of the first scene.
-        settings: In place of that scene's own.
-        hand: The hand on it.
+        scene: The first scene; the joystick by default.
+        hand: The hand on it; the mouse's by default.
         folder: Where recordings go that a key begins.
         record: File to record to from the start; None for nothing until a key says so.
         pacer: Keeps up with real time.
-        outlets: Ways to other programs; closed with the session.
+        publishers: Ways to other programs; closed with the session.
 
     Attributes:
         simulated: Time simulated so far [s].
-
-    Raises:
-        ParameterError: If there is no such scene.
     """
 
     def __init__(
         self,
-        scene: str = "joystick",
+        scene: Scene | None = None,
         *,
-        settings: Settings | None = None,
-        hand: SpringHand | None = None,
+        hand: HandForce | None = None,
         folder: Path = Path(),
         record: Path | None = None,
         pacer: Pacer | None = None,
-        outlets: Sequence[Outlet] = (),
+        publishers: Sequence[Publisher] = (),
     ) -> None:
-        self.hand = hand or SpringHand()
+        self._hand = hand or SpringHand()
+        # the mouse moves no other
+        self.hand = self._hand if isinstance(self._hand, SpringHand) else SpringHand()
         self.simulated = 0.0
         self._pacer = pacer or Pacer()
-        self._scene = scene_called(scene)
-        self._settings = settings or self._scene.settings
-        self._history: deque[tuple[float, ...]] = deque()
+        self._scene = scene or find_scene("joystick")()
+        own = type(self._scene)
+        self._scenes = [find_scene(name) for name in BUILT_IN]
+        if own not in self._scenes:
+            self._scenes.insert(0, own)
+        self._history = History()
         self._tape = Tape(folder)
         if record is not None:
             self._tape.start(record)
         self._paused, self._stopped = False, ""
-        self._outlets, self._ticks, self._since = Outlets(outlets), 0, 0
-        self._stretch = self._begin(self._scene.pose)
+        self._publishers, self._ticks, self._since = Publishers(publishers), 0, 0
+        self._stretch = self._begin(self._scene.start().pose)
 
     @property
     def recordings(self) -> Sequence[Path]:
@@ -96,48 +91,55 @@ class Session:
             self._take_wanted()
         else:
             try:
-                self._pacer.advance(elapsed, self._settings.period, self._one)
+                self._pacer.advance(elapsed, self._scene.period, self._one)
             except MaglevError as error:
                 self._stopped = str(error)
                 self._tape.failed(self._stopped)
             made = self._ticks - before
         self._tape.missed(self._pacer.missed)
-        self._outlets.show(self._moment)
+        self._publishers.show(self.snapshot)
         return made
 
+    @property
+    def actions(self) -> Sequence[str]:
+        """Names of what `act` does to the present scene."""
+        return *actions(type(self._scene)), *_OWN
+
     def act(self, action: str) -> None:
-        """Do one of ACTIONS.
+        """Do one of `actions`.
 
         Raises:
             ParameterError: If it is none.
         """
-        if action not in ACTIONS:
-            raise ParameterError(f"action must be one of {', '.join(ACTIONS)}, not {action!r}")
-        if action in CHANGES:
-            self._settings = CHANGES[action](self._settings)
+        changes = actions(type(self._scene))
+        if action in changes:
+            self._scene = changes[action](self._scene)
             self._go_on()
         elif action == "pause":
             self._paused = not self._paused
         elif action == "record":
             self._record()
         elif action == "next scene":
-            names = list(SCENES)
-            self._scene = SCENES[names[(names.index(self._scene.name) + 1) % len(names)]]
-            self._settings = self._scene.settings
-            self._restart(self._scene.pose)
+            place = self._scenes.index(type(self._scene)) + 1
+            self._scene = self._scenes[place % len(self._scenes)]()
+            self._restart(self._scene.start().pose)
+        elif action == "drop":
+            self._scene, pose = lifted(self._scene)
+            self._restart(pose)
+        elif action == "centre":
+            self._scene = centred(self._scene)
+            self._restart(self._scene.start().pose)
         else:
-            lift = action == "drop"
-            weightless = False if lift else self._scene.settings.weightless
-            self._settings = Settings.from_json({**self._settings.as_json(), "weightless": weightless})
-            self._restart(self._scene.lifted if lift else self._scene.pose)
+            raise ParameterError(f"action must be one of {', '.join(self.actions)}, not {action!r}")
 
-    def view(self) -> View:
-        """Return what there is to see."""
+    def snapshot(self) -> Snapshot:
+        """Return the picture of now."""
         stretch = self._stretch
-        history = np.array(self._history).reshape(-1, 5)
-        return View(
+        return Snapshot(
             scene=self._scene,
-            settings=self._settings,
+            since=self._since,
+            delay=self._scene.delay,
+            tick=self._ticks,
             time=stretch.time,
             pose=stretch.pose,
             force=stretch.rendered,
@@ -145,17 +147,19 @@ class Session:
             currents=stretch.plant.currents,
             faces=stretch.faces,
             anchors=stretch.anchors,
-            history=history,
+            history=self._history.rows,
             work=stretch.energy.hand,
             taken=stretch.energy.taken,
             cost=self._pacer.cost,
             missed=self._pacer.missed,
+            state="stopped" if self._stopped else "paused" if self._paused else "running",
+            reason=self._stopped,
             notes=self._notes(),
         )
 
     def close(self) -> None:
         """Keep what is recorded, and let go of the plant."""
-        self._outlets.close()
+        self._publishers.close()
         try:
             self._tape.stop()
         finally:
@@ -166,60 +170,39 @@ class Session:
         self._take_wanted()
         self._stretch.tick()
         self._ticks += 1
-        self.simulated += self._settings.period
+        self.simulated += self._scene.period
         if self._stretch.energy.stored < _MADE:
             made = -self._stretch.energy.stored
             raise MaglevError(f"the rendered world made {made * 1e3:.0f} mJ more than it took: it is unstable")
 
     def _take_wanted(self) -> None:
-        """Go on under the settings that another program asks for; rate and delay are the person's here."""
-        wanted = self._outlets.wanted()
-        if wanted is not None:
-            self._settings = replace(wanted, period=self._settings.period, delay=self._settings.delay)
+        """Go on with the parameters that another program asks for; rate and delay are the person's here."""
+        wanted, scene = self._publishers.wanted(), self._scene
+        if wanted is not None and type(wanted) is type(scene):
+            self._scene = wanted.replace(**{name: getattr(scene, name) for name in DEVICES_OWN})
             self._go_on()
-
-    def _moment(self) -> Moment:
-        """Return what other programs are told."""
-        stretch = self._stretch
-        return Moment(
-            scene=self._scene,
-            settings=self._settings,
-            since=self._since,
-            delay=self._settings.delay,
-            tick=self._ticks,
-            time=stretch.time,
-            pose=stretch.pose.tolist(),
-            force=stretch.rendered.tolist(),
-            hand=stretch.plant.hand_wrench,
-            anchors=stretch.anchors,
-            state="stopped" if self._stopped else "paused" if self._paused else "running",
-            reason=self._stopped,
-            missed=self._pacer.missed,
-        )
 
     def _begin(self, pose: Sequence[float], *, going_on: bool = False) -> LiveStretch:
         """Return a new stretch, at rest or as the last one left it."""
-        began, self._since = 0.0, self._ticks
-        twist: Sequence[float] = ZERO
-        wrench: Sequence[float] = WEIGHT if self._settings.weightless else ZERO
+        began, self._since, start = 0.0, self._ticks, self._scene.start()
+        twist, wrench = start.twist, start.wrench
         if going_on:
             twist, wrench, began = self._stretch.twist.tolist(), self._stretch.force, self._stretch.time
         return LiveStretch(
             self._scene,
-            self._settings,
-            self.hand,
+            self._hand,
             pose=pose,
             twist=twist,
             wrench=wrench,
             file=self._tape.file,
             began=began,
-            keep=self._keep,
+            keep=self._history.add,
         )
 
     def _go_on(self) -> None:
         """Make plant and controller anew where the flotor is; one that was stopped starts again."""
         if self._stopped:
-            self._restart(self._scene.pose)
+            self._restart(self._scene.start().pose)
         else:
             self._stretch = self._begin(self._stretch.pose.tolist(), going_on=True)
 
@@ -228,12 +211,6 @@ class Session:
         self._history.clear()
         self._pacer.forgive()
         self._stretch = self._begin(pose)
-
-    def _keep(self, row: tuple[float, ...]) -> None:
-        history = self._history
-        history.append(row)
-        while history[0][0] < row[0] - _SHOWN:
-            history.popleft()
 
     def _record(self) -> None:
         """Start recording, or end it."""

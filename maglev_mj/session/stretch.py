@@ -1,4 +1,4 @@
-"""A stretch of a session under unchanged settings: one plant, one controller, one loop."""
+"""A stretch of a session with unchanged parameters: one plant, one controller, one loop."""
 
 from __future__ import annotations
 
@@ -11,21 +11,20 @@ from maglev_mj.energy import EnergyAccount
 from maglev_mj.frames import ZERO, Array, Command, Sample
 from maglev_mj.hand import HandForce
 from maglev_mj.loop import ControlLoop
-from maglev_mj.recording import Mechanics, RecordingFile, carried_by
-from maglev_mj.scenes import Scene, Settings
-from maglev_mj.session.view import stick_positions, wall_faces
+from maglev_mj.recording import RecordingFile
+from maglev_mj.scenes import Scene
+from maglev_mj.scenes.find import reference_of
+from maglev_mj.session.live import live_plant, mechanics
 
 __all__ = ["LiveStretch", "scene_setup"]
 
 
-def scene_setup(
-    scene: Scene, settings: Settings, pose: Sequence[float], twist: Sequence[float], wrench: Sequence[float]
-) -> dict[str, Any]:
+def scene_setup(scene: Scene, pose: Sequence[float], twist: Sequence[float], wrench: Sequence[float]) -> dict[str, Any]:
     """Return what a stretch is made from, ready for JSON."""
     return {
         "kind": "scene",
-        "scene": scene.name,
-        "settings": settings.as_json(),
+        "scene": reference_of(type(scene)),
+        "settings": scene.as_json(),
         "pose": [float(part) for part in pose],
         "twist": [float(part) for part in twist],
         "wrench": [float(part) for part in wrench],
@@ -33,18 +32,17 @@ def scene_setup(
 
 
 class LiveStretch:
-    """A scene running under one choice of settings, from a given state on.
+    """A scene running with unchanged parameters, from a given state on.
 
     Args:
         scene: The scene.
-        settings: Its settings.
         hand: The hand.
         pose: Where the flotor starts [m, rad].
         twist: How fast [m/s, rad/s].
         wrench: What the coils give until the first command takes effect [N, N m].
         file: What every sample is recorded to; None for nothing.
         began: Time of the session at which it starts [s].
-        keep: Called after each tick with a row of history.
+        keep: Called after each tick with a row of history, see `History.add`.
 
     Attributes:
         energy: Where the energy went.
@@ -54,7 +52,6 @@ class LiveStretch:
     def __init__(
         self,
         scene: Scene,
-        settings: Settings,
         hand: HandForce,
         *,
         pose: Sequence[float],
@@ -62,22 +59,21 @@ class LiveStretch:
         wrench: Sequence[float],
         file: RecordingFile | None,
         began: float,
-        keep: Callable[[tuple[float, ...]], object],
+        keep: Callable[..., object],
     ) -> None:
-        setup = scene_setup(scene, settings, pose, twist, wrench)
-        self.plant = scene.plant(settings, pose=pose, twist=twist, wrench=wrench, hand_force=hand)
-        self.controller = scene.controller(settings)
+        setup = scene_setup(scene, pose, twist, wrench)
+        self.plant = live_plant(scene, hand, pose=pose, twist=twist, wrench=wrench)
+        self.controller = scene.controller()
         record = None
         if file is not None:
-            mechanics = Mechanics(before=wrench)
-            record = file.begin(self.plant, self.controller, setup, delay=settings.delay, mechanics=mechanics)
-        self._carried = carried_by(self.controller.laws)
+            masses = mechanics(scene, wrench)
+            record = file.begin(self.plant, self.controller, setup, delay=scene.delay, mechanics=masses)
+        self._carried = self.controller.carried
         self.energy = EnergyAccount(np.array(pose), self._carried)
-        self.faces = wall_faces(self.controller.laws)
-        self._stick_positions = stick_positions(self.controller)
+        self.faces = self.controller.faces
         self._loop = ControlLoop(self.plant, self.controller, observe=self._observe, record=record)
         self._axis, self._keep, self._began = scene.axis_index, keep, began
-        self.ticks, self._settings = 0, settings
+        self.ticks, self._period = 0, scene.period
         self.pose, self.twist = np.array(pose, dtype=np.float64), np.array(twist, dtype=np.float64)
         self.force: Sequence[float] = wrench
 
@@ -89,12 +85,12 @@ class LiveStretch:
     @property
     def time(self) -> float:
         """Time of the session [s]."""
-        return self._began + self.ticks * self._settings.period
+        return self._began + self.ticks * self._period
 
     @property
     def anchors(self) -> Array | None:
         """Where the flotor sticks [m, rad], (6,), NaN on axes without friction; None where there is none at all."""
-        return self._stick_positions()
+        return self.controller.stick_positions
 
     @property
     def rendered(self) -> Array:
@@ -109,4 +105,4 @@ class LiveStretch:
         self.energy.add(self.pose, effort, plant.work)
         self.force = applied.force
         force = float(applied.force[axis] - self._carried[axis])
-        self._keep((self.time, float(self.pose[axis]), float(self.twist[axis]), force, float(effort[axis])))
+        self._keep(self.time, self.pose[axis], self.twist[axis], force, effort[axis])

@@ -13,7 +13,7 @@ from typing import TypeAlias
 import numpy as np
 
 from maglev_mj.frames import AXES, Array
-from maglev_mj.session import Moment
+from maglev_mj.session import Snapshot
 from maglev_mj.spacenav.navigation import Navigation, Navigator
 from maglev_mj.spec import RANGE
 
@@ -31,8 +31,8 @@ FULL_RATE: Array = np.array([0.020] * 3 + [math.radians(30.0)] * 3)
 REST = (0,) * len(AXES)
 """What is said where nothing moves."""
 
-Axes: TypeAlias = Callable[[Moment], tuple[int, ...]]
-"""Returns the six numbers for a moment, in spacenav's order."""
+Axes: TypeAlias = Callable[[Snapshot], tuple[int, ...]]
+"""Returns the six numbers for a snapshot, in spacenav's order."""
 
 _ORDER = [0, 2, 1, 3, 5, 4]
 _MOST = 32767.0
@@ -48,18 +48,18 @@ def told(shares: Array) -> Array:
 class PoseAxes:
     """Deflections from the centre, as a 3D mouse has them."""
 
-    def __call__(self, moment: Moment) -> tuple[int, ...]:
-        """Return the six numbers for a moment; see `Axes`."""
-        if moment.state not in _RUNS:
+    def __call__(self, snapshot: Snapshot) -> tuple[int, ...]:
+        """Return the six numbers for a snapshot; see `Axes`."""
+        if snapshot.state not in _RUNS:
             return REST
-        return _exchanged(told(np.asarray(moment.pose) / FULL_POSE))
+        return _exchanged(told(np.asarray(snapshot.pose) / FULL_POSE))
 
 
 class RateAxes:
     """Rates of the slave that a `Navigator` moves.
 
-    What rounding leaves over is said with the next moment: a program that adds up rates over time stays within half
-    a unit of one moment of the slave's way.
+    What rounding leaves over is said with the next snapshot: a program that adds up rates over time stays within half
+    a unit of one snapshot of the slave's way.
 
     Args:
         navigation: What the navigator goes by.
@@ -73,16 +73,16 @@ class RateAxes:
         self._time: float | None = None
         self._owed: Array = np.zeros(len(AXES))
 
-    def __call__(self, moment: Moment) -> tuple[int, ...]:
-        """Return the six numbers for a moment; see `Axes`."""
-        runs = moment.state in _RUNS and bool(np.isfinite([*moment.pose, *moment.force]).all())
-        before, self._time = self._time, moment.time if runs else None
-        if not runs or before is None or moment.time < before:
+    def __call__(self, snapshot: Snapshot) -> tuple[int, ...]:
+        """Return the six numbers for a snapshot; see `Axes`."""
+        runs = snapshot.state in _RUNS and bool(np.isfinite([*snapshot.pose, *snapshot.force]).all())
+        before, self._time = self._time, snapshot.time if runs else None
+        if not runs or before is None or snapshot.time < before:
             self.navigator.restart()  # the scene stood still or began anew: that is no motion
         if not runs:
             return REST
-        elapsed = 0.0 if before is None else max(moment.time - before, 0.0)
-        self._owed += self.navigator.move(moment.pose, moment.anchors, elapsed, moment.force)
+        elapsed = 0.0 if before is None else max(snapshot.time - before, 0.0)
+        self._owed += self.navigator.move(snapshot.pose, snapshot.anchors, elapsed, snapshot.force)
         if elapsed == 0.0:
             return REST
         counts = told(self._owed / (FULL_RATE * elapsed))

@@ -1,4 +1,4 @@
-"""The outlet that programs with a 3D mouse listen to; see `Outlet`."""
+"""Publish six axes to programs that listen to a 3D mouse; see `Publisher`."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from maglev_mj.scenes import Settings
-from maglev_mj.session import Moment
+from maglev_mj.scenes import Scene
+from maglev_mj.session import Snapshot
 from maglev_mj.spacenav.axes import REST, Axes, PoseAxes
 from maglev_mj.spacenav.place import Place
 from maglev_mj.spacenav.protocol import Conversation, GarbageError, motion_event
@@ -83,7 +83,7 @@ class _Client:
 
 
 class SpacenavServer:
-    """Tells six axes to any program that speaks spacenav's protocol, at each moment that it is shown.
+    """Tells six axes to any program that speaks spacenav's protocol, at each snapshot that it is shown.
 
     Nothing waits: a program for which there is no room in its socket, about 4 s of motion, is let go, and so is one
     that sends what is no request. At rest there is one event of zeros and then none, as real devices do it; so it is
@@ -121,16 +121,16 @@ class SpacenavServer:
         """How many programs listen."""
         return len(self._clients)
 
-    def take(self) -> Settings | None:
+    def take(self) -> Scene | None:
         """Return None: programs ask for nothing here."""
         return None
 
-    def show(self, moment: Moment) -> None:
-        """Tell of a moment; see `Outlet`."""
+    def show(self, snapshot: Snapshot) -> None:
+        """Publish a snapshot; see `Publisher`."""
         now = self._clock()
         self._admit(now)
         self._each(_Client.hear)
-        self._tell(self._axes(moment), now)
+        self._tell(self._axes(snapshot), now)
 
     def close(self) -> None:
         """Say that nothing moves, let everybody go and remove the socket; a second time does nothing.

@@ -9,15 +9,15 @@ from collections.abc import Iterator, Mapping
 from types import NoneType
 from typing import Any, NamedTuple, Self
 
-from maglev_mj.bridge.addresses import check_host, parse_url
-from maglev_mj.bridge.link import UdpLink
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import AXES
+from maglev_mj.net.addresses import check_host, parse_url
+from maglev_mj.net.udp import UdpLink
 from maglev_mj.parameters import number
-from maglev_mj.scenes import Settings, scene_called
-from maglev_mj.session import Moment
+from maglev_mj.scenes import BUILT_IN, Scene, find_scene
+from maglev_mj.session import DEVICES_OWN, Snapshot
 from maglev_mj.stream.datagrams import MOST_ANSWERED, MOST_INTEGER, Datagrams, Message
-from maglev_mj.stream.messages import moment_told
+from maglev_mj.stream.messages import posed_snapshot
 from maglev_mj.stream.stream import URL
 
 __all__ = ["Answer", "StreamClient", "StreamError"]
@@ -150,19 +150,20 @@ class StreamClient:
                 raise StreamError(f"no pose from {self._url} for {self._patience:g} s")
             self._hear(_AGAIN)
 
-    def moments(self) -> Iterator[Moment]:
-        """Yield what `poses` does as moments, under the settings that were in force at the beginning.
+    def snapshots(self) -> Iterator[Snapshot]:
+        """Yield the poses of `poses` as snapshots, under the settings that were in force at the beginning.
 
         Raises:
             StreamError: As for `poses`; if the scene or its settings are not known here.
         """
         told = self.describe()
         try:
-            scene, settings = scene_called(told["scene"]), Settings.from_json(told["settings"])
+            scene = _scene_told(told["scene"], told["settings"])
         except ParameterError as error:
             raise StreamError(f"{self._url} shows what is not known here: {error}") from None
+        blank = Snapshot(scene=scene, delay=scene.delay)
         for pose in self.poses():
-            yield moment_told(pose, scene, settings)
+            yield posed_snapshot(pose, blank)
 
     def close(self) -> None:
         """Unsubscribe and close the socket; a second time does nothing."""
@@ -223,6 +224,13 @@ class StreamClient:
             return None
         self._ended = self._ended or said["type"] == "end"
         return said
+
+
+def _scene_told(name: str, settings: Message) -> Scene:
+    """Return a scene of this package; for any other, which may be a file, one that has its timing alone."""
+    if name in BUILT_IN:
+        return find_scene(name).from_json(settings)
+    return Scene.from_json({name: settings.get(name) for name in DEVICES_OWN})
 
 
 def _plausible(said: Message) -> bool:

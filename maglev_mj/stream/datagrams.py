@@ -12,7 +12,7 @@ from collections import Counter
 from collections.abc import Mapping
 from typing import Any, TypeAlias, TypeGuard
 
-from maglev_mj.bridge.seal import Seal
+from maglev_mj.net.authentication import Authenticator
 
 __all__ = ["MOST_ANSWERED", "MOST_ASKED", "MOST_INTEGER", "Datagrams", "Guard", "Message", "is_integer"]
 
@@ -46,7 +46,7 @@ class Datagrams:
     """
 
     def __init__(self, key: bytes | None, most: int) -> None:
-        self._seal, self._most = None if key is None else Seal(key), most
+        self._seal, self._most = None if key is None else Authenticator(key), most
         self.dropped: Counter[str] = Counter()
 
     @property

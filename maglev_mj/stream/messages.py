@@ -1,4 +1,4 @@
-"""What the pose stream says of a moment, and what it makes of a host's request."""
+"""What the pose stream says of a snapshot, and what it makes of a host's request."""
 
 from __future__ import annotations
 
@@ -11,94 +11,80 @@ import numpy as np
 
 import maglev_mj
 from maglev_mj.errors import ParameterError
-from maglev_mj.frames import AXES
-from maglev_mj.scenes import Scene, Settings
-from maglev_mj.session import Moment, Refusal, wall_faces
+from maglev_mj.frames import AXES, Array
+from maglev_mj.scenes import Scene
+from maglev_mj.session import DEVICES_OWN, Refusal, Snapshot, settable
 from maglev_mj.stream.datagrams import MOST_INTEGER, Message, is_integer
 
 __all__ = [
-    "FIXED",
-    "SETTABLE",
-    "asked_settings",
+    "asked_scene",
     "description",
     "identifier",
     "mistaken",
-    "moment_told",
     "pose_message",
+    "posed_snapshot",
     "refused",
     "same_rules",
 ]
-
-SETTABLE = ("wall", "pulse", "friction", "weightless", "stiffness", "damping", "breakaway", "walls")
-"""Settings that a host may ask for."""
-
-FIXED = ("period", "delay")
-"""Settings that are the device's, or the person's at the machine."""
 
 _UNITS = {"length": "m", "angle": "rad", "force": "N", "torque": "N m", "time": "s"}
 _MOST_REASON = 300
 
 
-def pose_message(moment: Moment, session: int) -> Message:
-    """Return what subscribers are told of a moment."""
+def pose_message(snapshot: Snapshot, session: int) -> Message:
+    """Return the message to subscribers."""
     return {
         "type": "pose",
         "session": session,
-        "tick": moment.tick,
-        "time": moment.time,
-        "pose": _by_axis(moment.pose),
-        "force": _by_axis(moment.force),
-        "hand": _by_axis(moment.hand),
-        "stuck": None if moment.anchors is None else _by_axis(moment.anchors.tolist()),
-        "state": moment.state,
-        "reason": _short(moment.reason),
-        "missed": moment.missed,
-        "settings_since": moment.since,
+        "tick": snapshot.tick,
+        "time": snapshot.time,
+        "pose": _by_axis(snapshot.pose),
+        "force": _by_axis(snapshot.force),
+        "hand": _by_axis(snapshot.hand),
+        "stuck": None if snapshot.anchors is None else _by_axis(snapshot.anchors),
+        "state": snapshot.state,
+        "reason": _short(snapshot.reason),
+        "missed": snapshot.missed,
+        "settings_since": snapshot.since,
     }
 
 
-def moment_told(pose: Message, scene: Scene, settings: Settings) -> Moment:
-    """Return the moment that a pose tells of; it says nothing of settings."""
+def posed_snapshot(pose: Message, blank: Snapshot) -> Snapshot:
+    """Return a snapshot with the values of a pose message; it says nothing of settings."""
     stuck = pose["stuck"]
 
-    def six(values: Mapping[str, float | None]) -> list[float]:
+    def six(values: Mapping[str, float | None]) -> Array:
         found = (values[axis] for axis in AXES)
-        return [math.nan if value is None else value for value in found]
+        return np.array([math.nan if value is None else value for value in found])
 
-    return Moment(
-        scene=scene,
-        settings=settings,
+    return replace(
+        blank,
         since=pose["settings_since"],
-        delay=settings.delay,
-        tick=pose["tick"],
-        time=pose["time"],
         pose=six(pose["pose"]),
         force=six(pose["force"]),
         hand=six(pose["hand"]),
-        anchors=None if stuck is None else np.array(six(stuck)),
-        state=pose["state"],
-        reason=pose["reason"],
-        missed=pose["missed"],
+        anchors=None if stuck is None else six(stuck),
+        **{name: pose[name] for name in ("tick", "time", "state", "reason", "missed")},
     )
 
 
-def description(moment: Moment, session: int, asked: int | None) -> Message:
+def description(snapshot: Snapshot, session: int, asked: int | None) -> Message:
     """Return all that a host needs to draw a scene and to set it."""
-    settings, scene = moment.settings, moment.scene
+    scene = snapshot.scene
     return {
         "type": "description",
         "id": asked,
         "session": session,
         "version": maglev_mj.__version__,
         "scene": scene.name,
-        "says": scene.says,
-        "tick": moment.tick,
-        "state": moment.state,
-        "settings": settings.as_json(),
-        "settings_since": moment.since,
-        "delay": moment.delay,
-        "settable": SETTABLE,
-        "faces": [(AXES[index], int(normal), edge) for index, normal, edge in wall_faces(scene.laws(settings))],
+        "says": scene.describe(),
+        "tick": snapshot.tick,
+        "state": snapshot.state,
+        "settings": scene.as_json(),
+        "settings_since": snapshot.since,
+        "delay": snapshot.delay,
+        "settable": settable(scene),
+        "faces": [(AXES[index], int(normal), edge) for index, normal, edge in snapshot.faces],
         "axes": AXES,
         "units": _UNITS,
     }
@@ -132,26 +118,24 @@ def identifier(message: Message) -> int | None:
     return asked
 
 
-def asked_settings(present: Settings, given: object) -> Settings:
-    """Return the present settings with what a host asks for in place of theirs.
+def asked_scene(present: Scene, given: object) -> Scene:
+    """Return the present scene with the parameters that a host asks for.
 
     Raises:
         ParameterError: If it asks for what is not there, not a host's to set, or outside its bounds.
     """
     if not isinstance(given, dict):
         raise ParameterError(f"settings must be an object of names and values, not {given!r}")
-    if fixed := [name for name in FIXED if name in given]:
+    if fixed := [name for name in DEVICES_OWN if name in given]:
         raise ParameterError(f"{fixed[0]} is the device's, or the person's at the machine; a host cannot set it")
-    if unknown := sorted(set(given) - set(SETTABLE)):
-        raise ParameterError(f"settings must be of {', '.join(SETTABLE)}, not {', '.join(unknown)}")
-    if not isinstance(given.get("walls"), list | None):
-        raise ParameterError(f"walls must be a list of walls or null, not {given['walls']!r}")
-    return Settings.from_json({**present.as_json(), **given})
+    if unknown := sorted(set(given) - set(known := settable(present))):
+        raise ParameterError(f"settings must be of {', '.join(known)}, not {', '.join(unknown)}")
+    return present.replace(**given)
 
 
-def same_rules(one: Settings, other: Settings) -> bool:
-    """Return whether settings differ in period and delay at most."""
-    return replace(one, period=other.period, delay=other.delay) == other
+def same_rules(one: Scene, other: Scene) -> bool:
+    """Return whether scenes differ in period and delay at most."""
+    return type(one) is type(other) and one.replace(**{name: getattr(other, name) for name in DEVICES_OWN}) == other
 
 
 def _by_axis(values: Iterable[Any]) -> dict[str, float | None]:

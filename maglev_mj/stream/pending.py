@@ -5,9 +5,9 @@ from __future__ import annotations
 import threading
 from typing import NamedTuple
 
-from maglev_mj.bridge.link import Address
-from maglev_mj.scenes import Settings
-from maglev_mj.session import Moment
+from maglev_mj.net.udp import Address
+from maglev_mj.scenes import Scene
+from maglev_mj.session import Snapshot
 from maglev_mj.stream.datagrams import Message
 from maglev_mj.stream.messages import refused, same_rules
 
@@ -24,7 +24,7 @@ class Asked(NamedTuple):
         address: Of the host.
         asked: The host's number for it; None for none.
         given: What it wrote.
-        settings: What that comes to.
+        scene: The scene with it.
         tick: The newest sample told of when they were accepted.
         session: Of the stream.
     """
@@ -32,7 +32,7 @@ class Asked(NamedTuple):
     address: Address
     asked: int | None
     given: object
-    settings: Settings
+    scene: Scene
     tick: int
     session: int
 
@@ -78,7 +78,7 @@ class Pending:
                 return self._done[1]
         return None
 
-    def take(self) -> Settings | None:
+    def take(self) -> Scene | None:
         """Return what waits, once; for the loop."""
         if self._waiting is None:  # as nearly always: it is asked at every tick
             return None
@@ -87,10 +87,10 @@ class Pending:
             if taken is None:
                 return None
             self._taken.append(taken)
-        return taken.settings
+        return taken.scene
 
-    def settle(self, moment: Moment) -> list[tuple[Message, Address]]:
-        """Return what is to be said of what the loop has taken, now that a moment under it is there, and to whom."""
+    def settle(self, snapshot: Snapshot) -> list[tuple[Message, Address]]:
+        """Return what is to be said of what the loop has taken, now that a snapshot under it is there, and to whom."""
         if not self._taken or self._untold is self._taken[-1]:
             return []
         with self._lock:
@@ -98,7 +98,7 @@ class Pending:
             said = [(refused(one.asked, _BY_HOST, one.session), one.address) for one in taken[:-1]]
             last = taken[-1]
             message = refused(last.asked, _BY_PERSON, last.session)
-            if same_rules(last.settings, moment.settings):
-                message = {"type": "in force", "id": last.asked, "session": last.session, "tick": moment.since}
+            if same_rules(last.scene, snapshot.scene):
+                message = {"type": "in force", "id": last.asked, "session": last.session, "tick": snapshot.since}
             self._done = (last, message)
         return [*said, (message, last.address)]

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import socket
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from typing import TypeAlias
 
-from maglev_mj.bridge.addresses import check_host, parse_url
-from maglev_mj.bridge.link import Address, LinkError, readable
 from maglev_mj.errors import MaglevError, ParameterError
-from maglev_mj.scenes import Settings
-from maglev_mj.session import Moment, refusal
+from maglev_mj.net.addresses import check_host, parse_url
+from maglev_mj.net.udp import Address, UdpServer
+from maglev_mj.scenes import Scene
+from maglev_mj.session import Snapshot, refusal
 from maglev_mj.stream.datagrams import MOST_ASKED, Datagrams, Guard, Message
-from maglev_mj.stream.messages import asked_settings, description, identifier, mistaken, pose_message, refused
+from maglev_mj.stream.messages import asked_scene, description, identifier, mistaken, pose_message, refused
 from maglev_mj.stream.pending import Asked, Pending
 
 __all__ = ["MOST_SUBSCRIBERS", "SUBSCRIBED", "URL", "PoseStream"]
@@ -36,10 +34,10 @@ _Said: TypeAlias = list[tuple[Message, Address]]
 
 
 class PoseStream:
-    """Tells graphical hosts of every frame, and takes settings from them that would be stable: an `Outlet`.
+    """Tells graphical hosts of every frame, and takes settings from them that would be stable: a `Publisher`.
 
-    A thread of its own listens, checks and answers. The loop that shows it a moment makes one datagram of it and sends
-    that without waiting.
+    A thread of its own listens, checks and answers. The loop that shows it a snapshot makes one datagram of it and
+    sends that without waiting.
 
     Args:
         url: Where to listen, udp://HOST:PORT; port 0 for any that is free.
@@ -67,23 +65,23 @@ class PoseStream:
         self._pending = Pending()
         self._subscribers: dict[Address, float] = {}
         self._lock, self._closing = threading.Lock(), threading.Event()
-        self._moment: Moment | None = None
-        self._socket = _bound(url, check_host(host, key), port)
-        self.address: Address = self._socket.getsockname()
+        self._snapshot: Snapshot | None = None
+        self._server = UdpServer(check_host(host, key), port, backlog=None)
+        self.address: Address = self._server.address
         self._thread = threading.Thread(target=self._listen, name="pose stream", daemon=True)
         self._thread.start()
 
-    def take(self) -> Settings | None:
-        """Return settings that a host asks for and may have, once."""
+    def take(self) -> Scene | None:
+        """Return the scene that a host asks for and may have, once."""
         return self._pending.take()
 
-    def show(self, moment: Moment) -> None:
-        """Tell of a moment."""
-        self._moment = moment
-        for message, address in self._pending.settle(moment):
+    def show(self, snapshot: Snapshot) -> None:
+        """Publish a snapshot."""
+        self._snapshot = snapshot
+        for message, address in self._pending.settle(snapshot):
             self._send(self._datagrams.encode(message), address)
         if addresses := self._subscribed():
-            data = self._datagrams.encode(pose_message(moment, self._guard.session))
+            data = self._datagrams.encode(pose_message(snapshot, self._guard.session))
             for address in addresses:
                 self._send(data, address)
 
@@ -97,7 +95,7 @@ class PoseStream:
         data = self._datagrams.encode({"type": "end", "session": self._guard.session})
         for address in self._subscribed():
             self._send(data, address)
-        self._socket.close()
+        self._server.close()
 
     def answers(self, data: bytes, address: Address) -> _Said:
         """Take a datagram; return what is to be said, and to whom. It never raises.
@@ -129,8 +127,8 @@ class PoseStream:
     def _answer(self, kind: object, asked: int | None, session: int, address: Address) -> Message:
         """Return the answer to anything but a set."""
         if kind == "get":
-            moment = self._moment
-            return refused(asked, _NOTHING, session) if moment is None else description(moment, session, asked)
+            snapshot = self._snapshot
+            return refused(asked, _NOTHING, session) if snapshot is None else description(snapshot, session, asked)
         if kind == "subscribe":
             if not self._subscribe(address):
                 return refused(asked, f"there are {MOST_SUBSCRIBERS} subscribers already", session)
@@ -143,19 +141,19 @@ class PoseStream:
 
     def _set(self, asked: int | None, given: object, address: Address) -> _Said:
         """Check what a host asks for, and let it wait for the loop."""
-        moment, session = self._moment, self._guard.session
-        if moment is None:
+        snapshot, session = self._snapshot, self._guard.session
+        if snapshot is None:
             return [(refused(asked, _NOTHING, session), address)]
         if (known := self._pending.again(address, asked, given)) is not None:
             return [(known, address)]
         try:
-            wanted = asked_settings(moment.settings, given)
-            wrong = refusal(moment.scene, replace(wanted, delay=moment.delay))
+            wanted = asked_scene(snapshot.scene, given)
+            wrong = refusal(wanted.replace(delay=snapshot.delay))
         except MaglevError as error:
             return [(refused(asked, str(error), session), address)]
         if wrong is not None:
             return [(refused(asked, str(wrong), session, wrong), address)]
-        return self._pending.put(Asked(address, asked, given, wanted, moment.tick, session))
+        return self._pending.put(Asked(address, asked, given, wanted, snapshot.tick, session))
 
     def _subscribe(self, address: Address) -> bool:
         """Let poses go to an address; return whether there is room for it."""
@@ -175,15 +173,16 @@ class PoseStream:
     def _listen(self) -> None:
         """Answer until closed."""
         while not self._closing.is_set():
-            if not readable(self._socket, _LOOK):
-                continue
             try:
-                data, address = self._socket.recvfrom(MOST_ASKED + 1)
+                arrived = self._server.receive(_LOOK)
             except OSError:  # on some systems this is where a datagram sent earlier comes back
                 self.dropped["network"] += 1
                 continue
+            if arrived is None:
+                continue
             if self._closing.is_set():
                 return
+            data, address = arrived
             began = time.perf_counter()
             for message, peer in self.answers(data, address):
                 self._send(self._datagrams.encode(message), peer)
@@ -194,18 +193,7 @@ class PoseStream:
     def _send(self, data: bytes, address: Address) -> None:
         """Send one datagram; one that cannot leave now is lost."""
         try:
-            self._socket.sendto(data, address)
-        except OSError:  # no room, or nobody there: a newer pose comes in a moment
-            self.unsent += 1
-
-
-def _bound(url: str, host: str, port: int) -> socket.socket:
-    """Return a socket that listens and never waits."""
-    new = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    new.setblocking(False)
-    try:
-        new.bind((host, port))
-    except OSError as error:
-        new.close()
-        raise LinkError(f"cannot listen at {url}: {error.strerror}") from None
-    return new
+            left = self._server.send(data, address)
+        except OSError:
+            left = False
+        self.unsent += not left  # no room, or nobody there: a newer pose comes in a moment

@@ -4,23 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from maglev_mj.controller import Controller
 from maglev_mj.errors import ParameterError
-from maglev_mj.experiments.batches import along_z
-from maglev_mj.experiments.failures import hum
-from maglev_mj.experiments.wall_controller import around_wall, wall_controller
 from maglev_mj.frames import Array, Command, Mask, Sample
 from maglev_mj.hand import Hand, hand_called
 from maglev_mj.loop import run
 from maglev_mj.metrics import summarise_bounce
-from maglev_mj.parameters import flag, number
+from maglev_mj.parameters import Parameters, param
 from maglev_mj.plants import ExactPlant, Sensor, Timing
 from maglev_mj.spec import Spec
+from maglev_mj.studies.batches import along_z, hum
+from maglev_mj.studies.wall_controller import around_wall, wall_controller
 from maglev_mj.theory.design import Case, DesignedWall
 
 __all__ = ["Contact", "DesignResult", "evaluate_wall", "growing_cases", "hardest_contact"]
@@ -31,34 +30,31 @@ _RANDOM, _PHASES = 240, 8
 _GATE_STEPS, _SETTLED_STEPS = 5.0, 20.0
 
 
-@dataclass(frozen=True, kw_only=True)
-class Contact:
+class Contact(Parameters):
     """What else a designed wall meets.
-
-    Args:
-        pulse: Whether the crossing sample gives a braking pulse, sized to stop the lightest flotor.
-        pulse_width: How long it lasts [s].
-        quantize: Step of the position sensor [m]; 0 for an ideal one.
-        force_limit: Largest force of the actuators [N]; None for no limit.
-        speed: Speed of approach [m/s].
 
     Raises:
         ParameterError: If a value is outside its bounds.
     """
 
-    pulse: bool = False
-    pulse_width: float = 0.003
-    quantize: float = Spec.translation_resolution.value
-    force_limit: float | None = Spec.largest_vertical_force.value
-    speed: float = 0.2
-
-    def __post_init__(self) -> None:
-        number("pulse_width", self.pulse_width, above=0.0, at_most=1.0)
-        flag("pulse", self.pulse)
-        number("quantize", self.quantize, at_least=0.0, at_most=1.0)
-        number("speed", self.speed, above=0.0, at_most=10.0)
-        if self.force_limit is not None:
-            number("force_limit", self.force_limit, above=0.0, at_most=1e6)
+    pulse: bool = param("braking pulse at the crossing sample, sized to stop the lightest flotor", default=False)
+    pulse_width: float = param("how long the pulse lasts", "s", default=0.003, above=0.0, at_most=1.0)
+    quantize: float = param(
+        "resolution of the position sensor; 0 for an ideal one",
+        "m",
+        default=Spec.translation_resolution.value,
+        at_least=0.0,
+        at_most=1.0,
+    )
+    force_limit: float | None = param(
+        "largest force of the actuators, or none",
+        "N",
+        default=Spec.largest_vertical_force.value,
+        above=0.0,
+        at_most=1e6,
+        optional=True,
+    )
+    speed: float = param("speed of approach", "m/s", default=0.2, above=0.0, at_most=10.0)
 
     def pulse_of(self, wall: DesignedWall) -> float:
         """Return the further damping in the pulse [N s/m] that stops the lightest flotor, and no heavier one early."""
@@ -108,9 +104,8 @@ class DesignResult:
             for name, value in vars(self.wall).items()
             if name != "requirements"
         }
-        requirements = asdict(self.wall.requirements)
         return {
-            "parameters": {**requirements, "hands": list(requirements["hands"]), **asdict(self.contact)},
+            "parameters": self.wall.requirements.as_json() | self.contact.as_json(),
             "wall": {**figures, "pulse": self.contact.pulse_of(self.wall), "gate": self.gate},
             "approach": {"speed": self.contact.speed, "depth": self.depth, "peak_force": self.peak},
             "hum": self.hum,

@@ -7,10 +7,11 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
-from maglev_mj.errors import ParameterError
 from maglev_mj.parameters import number
+from maglev_mj.scenes.run import checked_phase, parameters_json
+from maglev_mj.scenes.scene import Scene
 from maglev_mj.studies.costs import measure_costs
-from maglev_mj.studies.fidelity_cases import Case, choice_cases, itself, screen_levels
+from maglev_mj.studies.fidelity_cases import Case, Preset, choice_cases, itself, preset_of, screen_levels
 from maglev_mj.studies.fidelity_levels import (
     DEAR,
     DEAR_CASES,
@@ -24,7 +25,6 @@ from maglev_mj.studies.fidelity_levels import (
     run_levels,
     worst_of,
 )
-from maglev_mj.studies.fidelity_scenes import FIDELITY_SCENES, FidelityScene
 from maglev_mj.studies.integrators import boundary_shift
 from maglev_mj.studies.levels import LEVELS, level_index, level_parts, loop_of, step_of
 from maglev_mj.theory.closed_loop import SampledLoop
@@ -95,7 +95,7 @@ class FidelityResult(NamedTuple):
     """The model that a scene needs.
 
     Attributes:
-        scene: The scene.
+        preset: The scene, and how well it is to be known.
         tolerance: Largest displacement of a coil that does not matter [m].
         over: What the answer holds for.
         cases: Cases of the whole device.
@@ -108,7 +108,7 @@ class FidelityResult(NamedTuple):
         cheapest: The cheapest of them that keeps the tolerance and the stability boundary; None if none does.
     """
 
-    scene: FidelityScene
+    preset: Preset
     tolerance: float
     over: Range
     cases: tuple[Case, ...]
@@ -130,8 +130,8 @@ class FidelityResult(NamedTuple):
     def as_json(self) -> dict[str, Any]:
         """Return everything, ready for JSON; null for what is infinite or not there."""
         values = {
-            "scene": self.scene.name,
-            "parameters": dict(vars(self.scene.parameters)),
+            "scene": self.preset.name,
+            "parameters": parameters_json(self.preset.scene, self.preset.scene.plants[0], self.cases[0].phase),
             "tolerance": self.tolerance,
             "margin": MARGIN,
             **self.over._asdict(),
@@ -149,10 +149,11 @@ class FidelityResult(NamedTuple):
 
 
 def measure_fidelity(
-    scene: str | FidelityScene,
+    scene: str | Scene | Preset,
     tolerance: float | None = None,
     over: Range | None = None,
     *,
+    phase: float = 0.0,
     progress: Callable[[int, int], None] | None = None,
 ) -> FidelityResult:
     """Choose the least model level and the cheapest step that keep a tolerance in a scene and around it.
@@ -164,23 +165,21 @@ def measure_fidelity(
     No model short of the device itself keeps it in all: see `largest_jump`.
 
     Args:
-        scene: The scene, or its name from FIDELITY_SCENES.
+        scene: See `preset_of`.
         tolerance: Largest displacement of a coil that does not matter [m]; the scene's own by default.
         over: What the answer is to hold for.
+        phase: Of the samples in the scene itself, in [0, 1).
         progress: Told how many motions are done, and of how many.
 
     Raises:
         ParameterError: If there is no such scene, or a value is outside its bounds.
     """
-    if isinstance(scene, str):
-        if scene not in FIDELITY_SCENES:
-            raise ParameterError(f"scene must be one of {', '.join(FIDELITY_SCENES)}, not {scene!r}")
-        scene = FIDELITY_SCENES[scene]
-    over = over or Range()
+    preset, over = preset_of(scene), over or Range()
+    scene = preset.scene
     number("share", over.share, above=0.0, at_most=1.0)
     number("boundary", over.boundary, above=0.0)
-    kept = scene.tolerance if tolerance is None else number("tolerance", tolerance, above=0.0)
-    cases = choice_cases(scene, over.phases, over.around)
+    kept = preset.tolerance if tolerance is None else number("tolerance", tolerance, above=0.0)
+    cases = choice_cases(scene, over.phases, over.around, checked_phase(phase))
     dear = (len(LEVELS) - DEAR) * min(DEAR_CASES, len(cases))
     done = _Count(progress, len(cases) * DEAR + dear + len(STEPPINGS))
     motions = run_levels(scene, cases, done=done)
@@ -195,7 +194,7 @@ def measure_fidelity(
         check = partial(_missing_of, scene, cases, motions[index:], level.level, over.share)
         beyond = worst_of(screen[index], over.share)
         steps, cheapest = _choose(
-            measure_steps(scene, level.level, done=done),
+            measure_steps(scene, level.level, phase=cases[0].phase, done=done),
             loop_of(scene, level.level),
             step_of(scene, level.level),
             lambda value: MARGIN * value <= kept,
@@ -203,7 +202,7 @@ def measure_fidelity(
             lambda row: max(check(row), beyond),
         )
     jump = largest_jump(screen)
-    return FidelityResult(scene, kept, over, cases, screen.shape[1], jump, met, levels, level, steps, cheapest)
+    return FidelityResult(preset, kept, over, cases, screen.shape[1], jump, met, levels, level, steps, cheapest)
 
 
 class _Count:
@@ -219,33 +218,36 @@ class _Count:
 
 
 def measure_steps(
-    scene: FidelityScene, level: str, *, repeats: int = 3, done: Callable[[], object] = lambda: None
+    scene: Scene, level: str, *, phase: float = 0.0, repeats: int = 3, done: Callable[[], object] = lambda: None
 ) -> tuple[StepResult, ...]:
     """Return error and cost of each integrator and step on a level; of the closed form alone on the lowest.
 
     Args:
         scene: The scene.
         level: Name from LEVELS.
+        phase: Of the samples, in [0, 1).
         repeats: How often each is timed.
         done: Called after each motion.
     """
     if level_index(level) == 0:
-        (cost,) = measure_costs([partial(level_parts, scene, level)], [0.0], repeats)
+        (cost,) = measure_costs([partial(level_parts, scene, level, phase=phase)], [0.0], repeats)
         return (StepResult("closed form", None, 0.0, cost),)
-    case = itself(scene)
+    case = itself(phase)
     truth = run_case(scene, level, case, longest_step=_REFERENCE_STEP)
     motions = {}
     for integrator, step in STEPPINGS:
         motions[integrator, step] = run_case(scene, level, case, integrator=integrator, longest_step=step)
         done()
     sound = {key: motion.seconds for key, motion in motions.items() if motion is not None}
-    makers = [partial(level_parts, scene, level, integrator=kind, longest_step=step) for kind, step in sound]
+    makers = [
+        partial(level_parts, scene, level, phase=phase, integrator=kind, longest_step=step) for kind, step in sound
+    ]
     costs = dict(zip(sound, measure_costs(makers, list(sound.values()), repeats), strict=True))
     return tuple(StepResult(*key, distance(motion, truth), costs.get(key, math.inf)) for key, motion in motions.items())
 
 
 def _missing_of(
-    scene: FidelityScene, cases: Sequence[Case], motions: Motions, level: str, share: float, row: StepResult
+    scene: Scene, cases: Sequence[Case], motions: Motions, level: str, share: float, row: StepResult
 ) -> float:
     """Return how far an integrator and its step are from the motions of a level and those above it [m]."""
     found = []

@@ -5,28 +5,89 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import fields, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from maglev_mj.controller import Controller
 from maglev_mj.errors import ParameterError, PlantError
-from maglev_mj.experiments.press import SideBySide
 from maglev_mj.frames import Array
 from maglev_mj.loop import run
-from maglev_mj.parameters import axis_indices, number
+from maglev_mj.parameters import number
 from maglev_mj.plants import ExactPlant, Timing
-from maglev_mj.studies.fidelity_scenes import FidelityScene
-from maglev_mj.studies.levels import LEVELS, Level, apart, exact_options, timing_of
+from maglev_mj.scenes.drop import Drop
+from maglev_mj.scenes.find import find_scene
+from maglev_mj.scenes.press import Press
+from maglev_mj.scenes.scene import Scene
+from maglev_mj.studies.levels import LEVELS, Level, apart, exact_options, level_index, timing_of
+from maglev_mj.studies.stacking import StackingError, stacked
 
-__all__ = ["Case", "choice_cases", "itself", "run_together", "scattered_cases", "scene_at", "screen_levels"]
+__all__ = [
+    "COMPARED",
+    "Case",
+    "Preset",
+    "choice_cases",
+    "has_gains",
+    "itself",
+    "preset_of",
+    "run_together",
+    "scattered_cases",
+    "scene_at",
+    "screen_levels",
+]
 
 _MOST_PHASES = 1000
 _FAR = (1e9, 1e9)
 _POINTS, _SEEDS = 256, 16
 _STEPS = np.array([0.8191725133961645, 0.6710436067037893, 0.5497004779019703])
 """Additive recurrence that fills a cube evenly: powers of the inverse of the root of x⁴ = x + 1 (Roberts 2018)."""
+
+
+class Preset(NamedTuple):
+    """A scene, and how well its motion is to be known.
+
+    Attributes:
+        name: Its name.
+        scene: The scene.
+        tolerance: Greatest displacement of a coil that does not matter [m].
+        reason: Where that is from.
+    """
+
+    name: str
+    scene: Scene
+    tolerance: float
+    reason: str
+
+
+_PRESETS = (
+    Preset("drop-no-pulse", Drop(pulse=0.0), 1e-4, "what the paper's figure 3 can be read to"),
+    Preset(
+        "press",
+        Press(hits=1, interval=0.2, height=0.001, press=1.0, pulse=0.0, duration=0.5),
+        Press.tolerance,
+        Press.tolerance_reason,
+    ),
+)
+
+COMPARED = ("drop", "drop-no-pulse", "press", "stick-slip", "twist", "six-axes", "let-go")
+"""Names of the scenes that are compared in one table."""
+
+
+def preset_of(scene: str | Scene | Preset) -> Preset:
+    """Return how well a scene is to be known: as its class says, but for two that are compared with other values.
+
+    Args:
+        scene: The scene, or what `find_scene` finds, or "drop-no-pulse".
+
+    Raises:
+        ParameterError: If there is none.
+    """
+    if isinstance(scene, Preset):
+        return scene
+    for preset in _PRESETS:
+        if scene == preset.name:
+            return preset
+    made = find_scene(scene)() if isinstance(scene, str) else scene
+    return Preset(made.name, made, made.tolerance, made.tolerance_reason)
 
 
 class Case(NamedTuple):
@@ -45,12 +106,17 @@ class Case(NamedTuple):
     damping: float = 1.0
 
 
-def itself(scene: FidelityScene) -> Case:
-    """Return the case of the scene as it is."""
-    return Case(scene.parameters.phase if scene.has_phase else 0.0, 0)
+def has_gains(scene: Scene) -> bool:
+    """Return whether stiffness and damping are among the parameters, and numbers."""
+    return all(isinstance(getattr(scene, name, None), float) for name in ("stiffness", "damping"))
 
 
-def choice_cases(scene: FidelityScene, phases: int, around: float) -> tuple[Case, ...]:
+def itself(phase: float = 0.0) -> Case:
+    """Return the case of a scene as it is."""
+    return Case(phase, 0)
+
+
+def choice_cases(scene: Scene, phases: int, around: float, phase: float = 0.0) -> tuple[Case, ...]:
     """Return the cases that a level is chosen by, the scene itself first: phases times pairs of gains.
 
     Each has a jitter seed of its own. The gains are those of the scene and the corners of their neighbourhood.
@@ -59,6 +125,7 @@ def choice_cases(scene: FidelityScene, phases: int, around: float) -> tuple[Case
         scene: The scene.
         phases: How many phases, evenly spread over a period; jitter seeds alone in a scene that starts at rest.
         around: Largest relative change of a gain, in [0, 0.5].
+        phase: Phase of the scene itself.
 
     Raises:
         ParameterError: If a value is outside its bounds.
@@ -67,14 +134,13 @@ def choice_cases(scene: FidelityScene, phases: int, around: float) -> tuple[Case
         raise ParameterError(f"phases must be a whole number, not {phases:g}")
     share = number("around", around, at_least=0.0, at_most=0.5)
     gains = [(1.0, 1.0)]
-    if scene.has_gains and share:
+    if has_gains(scene) and share:
         gains += [(k, b) for k in (1.0 - share, 1.0 + share) for b in (1.0 - share, 1.0 + share)]
-    first = itself(scene).phase
-    chosen = [(first + place / int(phases)) % 1.0 for place in range(int(phases))]
-    return tuple(Case(phase, seed, *pair) for seed, (pair, phase) in enumerate(itertools.product(gains, chosen)))
+    chosen = [(phase + place / int(phases)) % 1.0 for place in range(int(phases))]
+    return tuple(Case(at, seed, *pair) for seed, (pair, at) in enumerate(itertools.product(gains, chosen)))
 
 
-def scattered_cases(scene: FidelityScene, count: int, around: float, *, seed: int) -> tuple[Case, ...]:
+def scattered_cases(scene: Scene, count: int, around: float, *, seed: int) -> tuple[Case, ...]:
     """Return cases spread evenly over phases and neighbouring gains, each with a jitter seed of its own.
 
     Args:
@@ -83,7 +149,7 @@ def scattered_cases(scene: FidelityScene, count: int, around: float, *, seed: in
         around: Largest relative change of a gain.
         seed: Of the first point, and first of the jitter seeds.
     """
-    share = around if scene.has_gains else 0.0
+    share = around if has_gains(scene) else 0.0
     start = np.random.default_rng(seed).uniform(size=3)
     points = (start + np.outer(np.arange(count), _STEPS)) % 1.0
     return tuple(
@@ -92,16 +158,16 @@ def scattered_cases(scene: FidelityScene, count: int, around: float, *, seed: in
     )
 
 
-def scene_at(scene: FidelityScene, case: Case) -> FidelityScene:
-    """Return the scene of a case."""
-    values: dict[str, Any] = {"phase": case.phase} if scene.has_phase else {}
-    if scene.has_gains:
-        values["stiffness"] = scene.parameters.stiffness * case.stiffness
-        values["damping"] = scene.parameters.damping * case.damping
-    return scene.changed(**values) if values else scene
+def scene_at(scene: Scene, case: Case) -> tuple[Scene, float]:
+    """Return the scene of a case, and its phase."""
+    phase = case.phase if scene.takes_phase else 0.0
+    if not has_gains(scene):
+        return scene, phase
+    gains = {name: getattr(scene, name) * getattr(case, name) for name in ("stiffness", "damping")}
+    return scene.replace(**gains), phase
 
 
-def screen_levels(scene: FidelityScene, around: float) -> Array:
+def screen_levels(scene: Scene, around: float) -> Array:
     """Return the distance of each level from those above it in 4096 cases on the exact plant [m], (levels, 4096).
 
     The exact plant has the lag, the current limit along z, the sensor's steps and the jitter, for many devices at
@@ -113,18 +179,21 @@ def screen_levels(scene: FidelityScene, around: float) -> Array:
         around: Largest relative change of a gain.
 
     Returns:
-        The distances; infinite throughout if a case diverges, zero for one case in a scene without gains.
+        The distances; infinite throughout if a case diverges, zero for one case in a scene without gains, or whose
+        laws do not take many devices at once.
     """
-    if not scene.has_gains:  # no loop, so nothing jumps
+    if not has_gains(scene):  # no loop, so nothing jumps
         return np.zeros((len(LEVELS), 1))
     points = [scene_at(scene, case) for case in scattered_cases(scene, _POINTS, around, seed=0)]
     try:
         return _screen(points)
+    except StackingError:
+        return np.zeros((len(LEVELS), 1))
     except PlantError:  # one diverged, and with it the batch
         return np.full((len(LEVELS), len(points) * _SEEDS), math.inf)
 
 
-def _screen(points: Sequence[FidelityScene]) -> Array:
+def _screen(points: Sequence[tuple[Scene, float]]) -> Array:
     steady: dict[str, Array] = {}
     found = []
     for seed in range(_SEEDS):
@@ -157,49 +226,27 @@ def _distances(motions: Sequence[Array]) -> Array:
     return found
 
 
-def run_together(scenes: Sequence[FidelityScene], level: str, seed: int) -> Array:
-    """Run scenes that differ in gains and phases alone as one batch of exact plants; return poses (K, N, 6)."""
-    made: list[tuple[Timing, dict[str, Any]]] = []
+def run_together(points: Sequence[tuple[Scene, float]], level: str, seed: int) -> Array:
+    """Run scenes at their phases, which differ in gains alone, as one batch of exact plants; return poses (K, N, 6).
 
-    def keep(timing: Timing, **keywords: Any) -> Any:
-        made.append((timing, keywords))
-
-    parts = [scene.parts(scene.parameters, make=keep) for scene in scenes]
-    timing, keywords = made[0]
-    keywords = keywords | {"pose": np.array([own.get("pose", (0.0,) * 6) for _, own in made])}
-    if keywords.get("hand_force") is not None:
-        keywords["hand_force"] = SideBySide([own["hand_force"] for _, own in made])
-    keywords.pop("longest_step", None)
-    index = [one.name for one in LEVELS].index(level)
-    timing = timing_of(LEVELS[index], timing, seed)
-    phases = np.array([one.phase for one, _ in made])
-    if (phases != phases[0]).any():
-        timing = replace(timing, phase=phases)
+    Raises:
+        StackingError: If their laws differ in more than gains.
+    """
+    scenes, phases = zip(*points, strict=True)
     near = exact_options(level)
-    if keywords.get("wrench_limit") is not None:  # the scene's own
+    if scenes[0].plant_options().get("wrench_limit") is not None:  # the scene's own
         near.pop("wrench_limit", None)
-    options = keywords | near | {"escape": _FAR, "record": False}
-    with np.errstate(all="ignore"), ExactPlant(timing, **options) as plant:
+
+    def make(timing: Timing, *, longest_step: float | None = None, **keywords: Any) -> ExactPlant:
+        return ExactPlant(timing, **keywords)  # which has no steps
+
+    def as_level(timing: Timing) -> Timing:
+        return timing_of(LEVELS[level_index(level)], timing, seed)
+
+    options = near | {"escape": _FAR, "record": False}
+    device, controller = stacked(scenes, make, phases=phases, timing=as_level, **options)
+    ticks = min(scene.ticks(scene.timing(phase)) for scene, phase in points)
+    with np.errstate(all="ignore"), device as plant:
         poses: list[Array] = []
-        controller = _stacked([controller for _, controller, _ in parts])
-        run(plant, controller, min(ticks for *_, ticks in parts), observe=lambda *_: poses.append(plant.state()[0]))
+        run(plant, controller, ticks, observe=lambda *_: poses.append(plant.state()[0]))
         return np.array(poses)
-
-
-def _stacked(controllers: Sequence[Controller]) -> Controller:
-    """Return one controller for a batch, from those of its devices."""
-    first = controllers[0]
-    laws = [_stacked_law([controller.laws[place] for controller in controllers]) for place in range(len(first.laws))]
-    return Controller(laws, period=first.period, velocity=first.velocity)
-
-
-def _stacked_law(laws: Sequence[Any]) -> Any:
-    """Return one law for a batch: parameters that differ become (N, axes)."""
-    first = laws[0]
-    axes = len(axis_indices(first.axes))
-    changed = {}
-    for item in fields(first):
-        values = [getattr(law, item.name) for law in laws]
-        if item.init and any(not np.array_equal(values[0], value) for value in values[1:]):
-            changed[item.name] = np.array([np.broadcast_to(value, (axes,)) for value in values])
-    return replace(first, **changed) if changed else first

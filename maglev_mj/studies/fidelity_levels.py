@@ -12,9 +12,9 @@ import numpy as np
 from maglev_mj.errors import PlantError, SensingError
 from maglev_mj.frames import Array
 from maglev_mj.plants import engine_warnings_silenced
+from maglev_mj.scenes.scene import Scene
 from maglev_mj.studies.costs import measure_costs
-from maglev_mj.studies.fidelity_cases import Case, itself, scene_at
-from maglev_mj.studies.fidelity_scenes import FidelityScene
+from maglev_mj.studies.fidelity_cases import Case, Preset, itself, preset_of, scene_at
 from maglev_mj.studies.levels import LEVELS, Motion, apart, level_index, level_parts, motion_of
 
 __all__ = [
@@ -80,11 +80,12 @@ def finite(values: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def run_case(scene: FidelityScene, level: str, case: Case, **options: Any) -> Motion | None:
+def run_case(scene: Scene, level: str, case: Case, **options: Any) -> Motion | None:
     """Run one case on a level; return None if it diverges."""
     with engine_warnings_silenced(), np.errstate(all="ignore"):  # what diverges overflows before it is found out
         try:
-            return motion_of(*level_parts(scene_at(scene, case), level, seed=case.seed, **options))
+            chosen, phase = scene_at(scene, case)
+            return motion_of(*level_parts(chosen, level, phase=phase, seed=case.seed, **options))
         except (PlantError, SensingError):
             return None
 
@@ -95,7 +96,7 @@ def distance(one: Motion | None, other: Motion | None) -> float:
 
 
 def run_levels(
-    scene: FidelityScene, cases: Sequence[Case], *, done: Callable[[], object] = lambda: None
+    scene: Scene, cases: Sequence[Case], *, done: Callable[[], object] = lambda: None
 ) -> list[dict[int, Motion | None]]:
     """Run every level in every case; the dear ones in the first case and those that are worst without them.
 
@@ -122,15 +123,16 @@ def run_levels(
     return motions
 
 
-def measure_levels(scene: FidelityScene, *, repeats: int = 3) -> tuple[LevelResult, ...]:
+def measure_levels(scene: str | Scene | Preset, *, repeats: int = 3) -> tuple[LevelResult, ...]:
     """Return what each level changes, lacks and costs in a scene itself.
 
     Args:
-        scene: The scene.
+        scene: See `preset_of`.
         repeats: How often each is timed.
     """
-    none = np.zeros((len(LEVELS), 1))
-    return level_results(scene, run_levels(scene, [itself(scene)]), none, scene.tolerance, repeats=repeats)
+    preset, none = preset_of(scene), np.zeros((len(LEVELS), 1))
+    motions = run_levels(preset.scene, [itself()])
+    return level_results(preset.scene, motions, none, preset.tolerance, repeats=repeats)
 
 
 def distances_above(motions: Motions, index: int) -> dict[int, float]:
@@ -161,7 +163,7 @@ def largest_jump(screen: Array) -> float:
 
 
 def level_results(
-    scene: FidelityScene, motions: Motions, screen: Array, tolerance: float, share: float = 1.0, *, repeats: int = 3
+    scene: Scene, motions: Motions, screen: Array, tolerance: float, share: float = 1.0, *, repeats: int = 3
 ) -> tuple[LevelResult, ...]:
     """Return what each level changes, lacks and costs, each with its own default step.
 

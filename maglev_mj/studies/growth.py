@@ -2,31 +2,38 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from maglev_mj.controller import Controller
 from maglev_mj.errors import ParameterError
-from maglev_mj.experiments.wall_controller import wall_controller
 from maglev_mj.frames import Array, Command, Mask, Sample
-from maglev_mj.hand import Hand
-from maglev_mj.laws import VelocityEstimator
+from maglev_mj.hand import HANDS, Hand, hand_called
+from maglev_mj.laws import Law, Wall
 from maglev_mj.loop import run
-from maglev_mj.parameters import flag, numbers
-from maglev_mj.plants import ExactPlant, MuJoCoBatchPlant, SampledPlant, Timing, engine_warnings_silenced
-from maglev_mj.scenes.choices import PLANTS
+from maglev_mj.parameters import number, param
+from maglev_mj.plants import ExactPlant, MuJoCoBatchPlant, SampledPlant, engine_warnings_silenced
+from maglev_mj.scenes.bench import along, hold, others
+from maglev_mj.scenes.scene import PLANTS, PlantMaker, Scene, Start
 from maglev_mj.spec import GRAVITY, Spec
+from maglev_mj.studies.stacking import stacked
+from maglev_mj.theory import StiffestWall, largest_modulus, largest_stable_stiffness, stiffest_wall
+from maglev_mj.theory.closed_loop import MOST_PERIODS, LoopKeywords
 
-__all__ = ["Growth", "RestingWall", "measure_growth"]
+__all__ = ["HAND_HELP", "Growth", "RestingWall", "measure_growth"]
 
 _MOVED = 1e-6
 _DECIDED = 1e4
 _BLOCK = 16
 _FAR = (1e15, 1.0)
+HAND_HELP = f"{', '.join(HANDS)} or MASS,DAMPING,STIFFNESS[,GRIP_DAMPING,GRIP_STIFFNESS]"
+"""Help of a hand on the flotor."""
+
 _PATIENCE = (128, 512, 2048, 8192)
+_BATCHES: Mapping[str, PlantMaker] = {"exact": ExactPlant, "mujoco": MuJoCoBatchPlant}
 
 
 class Growth(NamedTuple):
@@ -44,84 +51,84 @@ class Growth(NamedTuple):
     ticks: Array
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class RestingWall:
-    """Everything around the gains of walls that the flotor rests in.
+class RestingWall(Scene):
+    """Rest the flotor in a wall, and see whether it is stable.
 
-    Args:
-        plant: "exact" or "mujoco".
-        period: Sample period [s].
-        delay: Transport delay [s].
-        mass: Moving mass [kg].
-        hand: A hand on the flotor; numbers.
-        driver_lag: Switch the drivers' lag on.
-        velocity: Velocity estimate; None for the finite difference.
-        jitter: See `Timing`.
-        integrator: MuJoCo's integrator.
-        longest_step: MuJoCo's longest step [s]; None for as long as the force is constant.
-        threads: MuJoCo's threads; 0 for one a processor.
-
-    Raises:
-        ParameterError: If there is no such plant.
+    The wall fills z <= 0, the five other axes are held. The plant "none" is theory alone; on the others the flotor
+    starts a millionth of its depth off its rest.
     """
 
-    plant: str = "exact"
-    period: float = 1.0 / Spec.control_rate.value
-    delay: float = Spec.transport_delay.value
-    mass: float = Spec.moving_mass.value
-    hand: Hand | None = None
-    driver_lag: bool = False
-    velocity: VelocityEstimator | None = None
-    jitter: float = 0.0
-    integrator: str = "rk4"
-    longest_step: float | None = None
-    threads: int = 0
+    name: ClassVar[str] = "wall"
+    plants: ClassVar[Sequence[str]] = ("none", *PLANTS)
+    takes_phase: ClassVar[bool] = False
 
-    def __post_init__(self) -> None:
-        if self.plant not in PLANTS:
-            raise ParameterError(f"plant must be one of {', '.join(PLANTS)}, not {self.plant!r}")
-        flag("driver_lag", self.driver_lag)
-        if self.hand is not None and self.hand.shape:
-            raise ParameterError(f"hand must be one for all walls, not {self.hand.shape}")
+    # how many periods are allowed depends on the period: see `check`
+    delay: float = param(
+        "from a sample to its command taking effect", "s", default=Spec.transport_delay.value, at_least=0.0
+    )
+    stiffness: float = param("wall stiffness", "N/m", default=6000.0, above=0.0, at_most=1e8)
+    damping: float = param("wall damping", "N s/m", default=80.0, at_least=0.0, at_most=1e6)
+    mass: float = param("moving mass", "kg", default=Spec.moving_mass.value, at_least=1e-3, at_most=1e3)
+    hand: str = param(HAND_HELP, default="none")
 
-    def rest(self, stiffness: Array) -> Array:
-        """Return where weight, wall and arm balance [m]."""
-        arm = 0.0 if self.hand is None else float(self.hand.static_stiffness)
-        return -self.mass * GRAVITY / (stiffness + arm)
+    def check(self) -> None:
+        """See `Scene`."""
+        number("delay", self.delay, at_least=0.0, at_most=MOST_PERIODS * self.period)
+        hand_called(self.hand)
 
-    def start(self, stiffness: Array, damping: Array) -> tuple[SampledPlant, Controller]:
-        """Return N flotors a millionth off their rest, held up by the wall's force, and their controller."""
-        rest = self.rest(stiffness)
-        pose, wrench = np.zeros((stiffness.size, 6)), np.zeros((stiffness.size, 6))
-        pose[:, 2], wrench[:, 2] = rest * (1.0 + _MOVED), -stiffness * rest
-        timing = Timing(period=self.period, delay=self.delay, jitter=self.jitter)
-        common: dict[str, Any] = {
-            "pose": pose,
-            "wrench": wrench,
-            "mass": self.mass,
-            "hand": self.hand,
-            "driver_lag": self.driver_lag,
-            "escape": _FAR,
+    def laws(self) -> list[Law]:
+        """Return the wall, and what holds the other axes."""
+        wall = Wall(axes="z", lower=0.0, stiffness=self.stiffness, damping=self.damping)
+        return [wall, hold(self, others("z"), self.mass)]
+
+    def start(self) -> Start:
+        """Return a flotor a millionth off its rest, held up by the wall's force."""
+        pose = along("z", self.rest * (1.0 + _MOVED)).tolist()
+        return Start(pose=pose, wrench=along("z", -self.stiffness * self.rest).tolist())
+
+    def plant_options(self) -> dict[str, Any]:
+        """See `Scene`."""
+        return {"mass": self.mass, "hand": self.impedance, "escape": _FAR}
+
+    @property
+    def impedance(self) -> Hand | None:
+        """Hand on the flotor; None for none."""
+        return hand_called(self.hand)
+
+    @property
+    def rest(self) -> float:
+        """Where weight, wall and arm balance [m]."""
+        hand = self.impedance
+        arm = 0.0 if hand is None else float(hand.static_stiffness)
+        return -self.mass * GRAVITY / (self.stiffness + arm)
+
+    @property
+    def loop(self) -> LoopKeywords:
+        """Keywords of theory beside the gains."""
+        return {"period": self.period, "delay": self.delay, "mass": self.mass, "hand": self.impedance}
+
+    def run_figures(self, plant: str, phase: float = 0.0) -> Mapping[str, Any]:
+        """Return the figures of theory, and of a simulation unless the plant is "none"."""
+        stiffest = _stiffest(self.period, self.delay, self.mass, self.hand)
+        figures: dict[str, Any] = {
+            "modulus": float(largest_modulus(self.stiffness, self.damping, **self.loop)),
+            "largest_stiffness": float(largest_stable_stiffness(self.damping, **self.loop)),
+            "stiffest_wall": float(stiffest.stiffness),
+            "at_damping": float(stiffest.damping),
         }
-        made: SampledPlant = (
-            ExactPlant(timing, **common)
-            if self.plant == "exact"
-            else MuJoCoBatchPlant(
-                timing, integrator=self.integrator, longest_step=self.longest_step, threads=self.threads, **common
-            )
-        )
-        controller = wall_controller(
-            stiffness=stiffness,
-            damping=damping,
-            period=self.period,
-            delay=self.delay,
-            mass=self.mass,
-            velocity=self.velocity,
-        )
-        return made, controller
+        if plant != "none":
+            growth = measure_growth([self], plant)
+            figures |= {"simulated_rate": float(growth.rate[0]), "simulated_stable": bool(growth.stable[0])}
+        return figures
 
 
-def measure_growth(stiffness: ArrayLike, damping: ArrayLike, walls: RestingWall) -> Growth:
+@lru_cache(maxsize=1024)
+def _stiffest(period: float, delay: float, mass: float, hand: str) -> StiffestWall:
+    """Return what does not depend on the gains, once for all of them."""
+    return stiffest_wall(period=period, delay=delay, mass=mass, hand=hand_called(hand))
+
+
+def measure_growth(walls: Sequence[RestingWall], plant: str = "exact", **keywords: Any) -> Growth:
     """Simulate walls in closed loop, each with the flotor resting in it, and tell whether a small motion grows.
 
     The flotor starts off its rest under gravity by a millionth of its depth. A loop is decided when that has become
@@ -129,22 +136,23 @@ def measure_growth(stiffness: ArrayLike, damping: ArrayLike, walls: RestingWall)
     than 8192 samples is decided by whether its last quarter is larger than its second.
 
     Args:
-        stiffness: Wall stiffness [N/m], above 0, (N,).
-        damping: Wall damping [N s/m], (N,).
-        walls: Everything else.
+        walls: The walls, which differ in their gains alone.
+        plant: "exact" or "mujoco".
+        keywords: Further ones of `stacked` and of the plant.
 
     Raises:
-        ParameterError: If a value is outside its bounds.
+        ParameterError: If there is no such plant, or a value is outside its bounds.
     """
-    k, b = np.broadcast_arrays(numbers("stiffness", stiffness, at_least=0.0), numbers("damping", damping, at_least=0.0))
-    if k.ndim != 1 or not (k > 0.0).all():
-        raise ParameterError("stiffness must be (N,) and above 0 everywhere: without it there is nowhere to rest")
-    stable, rate, spent = np.zeros(k.size, dtype=bool), np.full(k.size, np.nan), np.zeros(k.size)
-    undecided = np.arange(k.size)
+    if plant not in _BATCHES:
+        raise ParameterError(f"plant must be one of {', '.join(_BATCHES)}, not {plant!r}")
+    count = len(walls)
+    stable, rate, spent = np.zeros(count, dtype=bool), np.full(count, np.nan), np.zeros(count)
+    undecided = np.arange(count)
     for ticks in _PATIENCE:
         if undecided.size:
-            gains, drags = k[undecided], b[undecided]
-            sizes = _sizes(*walls.start(gains, drags), walls.rest(gains), ticks)
+            some = [walls[index] for index in undecided.tolist()]
+            device, controller = stacked(some, _BATCHES[plant], **keywords)
+            sizes = _sizes(device, controller, np.array([wall.rest for wall in some]), ticks)
             growth, decided = _judge(sizes, last=ticks == _PATIENCE[-1])
             done = undecided[decided]
             stable[done], rate[done], spent[done] = (part[decided] for part in growth)

@@ -12,12 +12,11 @@ from maglev_mj.frames import Array
 from maglev_mj.hand import Hand
 from maglev_mj.parameters import flag, number
 from maglev_mj.plants import INTEGRATORS, one_step
-from maglev_mj.spec import Spec
-from maglev_mj.theory import StiffestWall, stiffest_of
+from maglev_mj.theory import stiffest_of
 from maglev_mj.theory.closed_loop import SampledLoop
 from maglev_mj.timeline import split_delay
 
-__all__ = ["INTEGRATORS", "SteppedLoop", "boundary_shift", "stiffest_simulated"]
+__all__ = ["INTEGRATORS", "SteppedLoop", "boundary_shift"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -85,33 +84,6 @@ def _steps(integrator: str, mass: float, step: float, count: int, hand: Hand | N
     return total, share
 
 
-def stiffest_simulated(
-    integrator: str,
-    step: float,
-    *,
-    period: float,
-    delay: float,
-    mass: float = Spec.moving_mass.value,
-    aligned: bool = True,
-) -> StiffestWall:
-    """Return the stiffest wall that a simulation with this integrator and step takes for stable.
-
-    Args:
-        integrator: As for `SteppedLoop`.
-        step: Longest time step [s].
-        period: Sample period [s].
-        delay: Transport delay [s], up to 10 periods.
-        mass: Moving mass [kg].
-        aligned: See `SteppedLoop`.
-
-    Raises:
-        ParameterError: If a value is outside its bounds.
-    """
-    return stiffest_of(
-        SteppedLoop(period=period, delay=delay, mass=mass, integrator=integrator, step=step, aligned=aligned)
-    )
-
-
 def boundary_shift(integrator: str, step: float, loop: SampledLoop, *, aligned: bool = True) -> float:
     """Return the relative shift of the stiffest stable wall by an integrator and its step.
 
@@ -124,7 +96,6 @@ def boundary_shift(integrator: str, step: float, loop: SampledLoop, *, aligned: 
     Raises:
         ParameterError: If a value is outside its bounds.
     """
-    flag("aligned", aligned)
     flag("aligned", aligned)
     if integrator in ("exact", "closed form"):
         return 0.0

@@ -13,12 +13,13 @@ import numpy as np
 from maglev_mj.controller import Controller
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Command, Sample
+from maglev_mj.hand import Hand
 from maglev_mj.loop import run
 from maglev_mj.model import load
 from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant, Sensor, SpotSensor, Timing
 from maglev_mj.plants.engine import longest_step as step_needed
+from maglev_mj.scenes.scene import Scene
 from maglev_mj.spec import DRIVER_TIME_CONSTANT, RESOLUTION, Spec
-from maglev_mj.studies.fidelity_scenes import FidelityScene
 from maglev_mj.theory.closed_loop import SampledLoop
 
 __all__ = [
@@ -151,14 +152,21 @@ def exact_options(level: str) -> dict[str, Any]:
     return near
 
 
-def step_of(scene: FidelityScene, level: str) -> float:
+def step_of(scene: Scene, level: str) -> float:
     """Return the longest step of a level in a scene where none is asked for [s]; the period if nothing bounds it."""
     needs = {name: value for name, value in options_of(level).items() if name in _SHORTEN}
-    needed = step_needed(load("drop"), hand=scene.hand, **needs)
-    return min(bound for bound in (needed, scene.longest_step, scene.period) if bound is not None)
+    own = scene.plant_options().get("longest_step")
+    asked = own("mujoco") if callable(own) else own
+    needed = step_needed(load("drop"), hand=_hand_of(scene), **needs)
+    return min(bound for bound in (needed, asked, scene.period) if bound is not None)
 
 
-def loop_of(scene: FidelityScene, level: str) -> SampledLoop:
+def _hand_of(scene: Scene) -> Hand | None:
+    hand: Hand | None = scene.plant_options().get("hand") or getattr(scene.scripted_hand(), "hand", None)
+    return hand
+
+
+def loop_of(scene: Scene, level: str) -> SampledLoop:
     """Return the sampled loop of a wall with a scene's timing, mass and hand, and a level's drivers.
 
     Force falloff, jitter and the handle's swing are not in it.
@@ -166,12 +174,12 @@ def loop_of(scene: FidelityScene, level: str) -> SampledLoop:
     Raises:
         ParameterError: If there is no such level, or the delay is more than 10 periods.
     """
-    p, lags = scene.parameters, "driver_lag" in options_of(level)
+    lags = "driver_lag" in options_of(level)
     return SampledLoop(
-        period=p.period,
-        delay=p.delay + LEVELS[level_index(level)].more_delay,
-        mass=getattr(p, "mass", Spec.moving_mass.value),
-        hand=scene.hand,
+        period=scene.period,
+        delay=scene.delay + LEVELS[level_index(level)].more_delay,
+        mass=scene.plant_options().get("mass", Spec.moving_mass.value),
+        hand=_hand_of(scene),
         driver_lag=_LAG if lags else 0.0,
     )
 
@@ -185,9 +193,10 @@ def timing_of(level: Level, timing: Timing, seed: int) -> Timing:
 
 
 def level_parts(
-    scene: FidelityScene,
+    scene: Scene,
     level: str,
     *,
+    phase: float = 0.0,
     integrator: str = "rk4",
     longest_step: float | None = None,
     seed: int = 0,
@@ -198,6 +207,7 @@ def level_parts(
     Args:
         scene: The scene.
         level: Name from LEVELS.
+        phase: Of the samples, in [0, 1).
         integrator: One of `INTEGRATORS`; the lowest level has none.
         longest_step: Longest step [s]; None for that of the level.
         seed: Of the jitter.
@@ -208,17 +218,22 @@ def level_parts(
     """
     options, index = options_of(level), level_index(level)
 
-    def make(timing: Timing, **own: Any) -> SampledPlant:
-        bound = own.pop("longest_step", None)
-        given = own | options | {"record": False} | keywords
-        timing = timing_of(LEVELS[index], timing, seed)
+    def make(timing: Timing, **given: Any) -> SampledPlant:
+        bound = given.pop("longest_step", None)
         if index == 0:
             return ExactPlant(timing, **given)
         if longest_step is not None or bound is not None:
             given["longest_step"] = step_of(scene, level) if longest_step is None else longest_step
         return MuJoCoPlant(timing, integrator=integrator, **given)
 
-    return scene.parts(scene.parameters, make=make)
+    timing = scene.timing(phase)
+    plant = scene.plant(
+        make,
+        phase=phase,
+        timing=timing_of(LEVELS[index], timing, seed),
+        **options | {"record": False} | keywords,
+    )
+    return plant, scene.controller(), scene.ticks(timing)
 
 
 def motion_of(plant: SampledPlant, controller: Controller, ticks: int) -> Motion:

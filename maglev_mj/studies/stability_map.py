@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,11 +14,10 @@ import maglev_mj.theory as theory
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import Array, Mask
 from maglev_mj.hand import hand_called
-from maglev_mj.parameters import number
-from maglev_mj.scenes.choices import PLANTS
+from maglev_mj.parameters import Parameters, interval, param
 from maglev_mj.spec import Spec
 from maglev_mj.studies.cells import Cell, Record, run_cells
-from maglev_mj.studies.growth import RestingWall, measure_growth
+from maglev_mj.studies.growth import HAND_HELP, RestingWall, measure_growth
 from maglev_mj.theory.closed_loop import MOST_PERIODS, LoopKeywords
 from maglev_mj.workers import Workers
 
@@ -26,63 +26,46 @@ __all__ = ["StabilityMap", "StabilityParameters", "run_stability", "simulate_wal
 _NEAR = 0.005
 _TOGETHER = 240
 _AT_ONCE = 50_000
-_MOST_CELLS = 1000
 _AROUND = ("plant", "period", "delay", "mass", "hand")
 
 
-@dataclass(frozen=True, kw_only=True)
-class StabilityParameters:
-    """A grid of gains and the loop around them.
-
-    Attributes:
-        damping: Least and greatest damping [N s/m]; None for what shows the whole stable region.
-        stiffness: Least and greatest stiffness [N/m]; likewise.
-        grid: Points on each axis, at least 2; a range of one value has one.
-        period: Sample period [s].
-        delay: Transport delay [s].
-        mass: Moving mass [kg].
-        hand: See `hand_called`.
-        plant: "none" for theory alone, "exact" or "mujoco".
+class StabilityParameters(Parameters):
+    """A grid of gains and the loop around them; without a range, what shows the whole stable region.
 
     Raises:
         ParameterError: If a value is outside its bounds.
     """
 
-    damping: tuple[float, float] | None = None
-    stiffness: tuple[float, float] | None = None
-    grid: int = 60
-    period: float = 1.0 / Spec.control_rate.value
-    delay: float = Spec.transport_delay.value
-    mass: float = Spec.moving_mass.value
-    hand: str = "none"
-    plant: str = "none"
+    damping: tuple[float, float] | None = param(
+        "least and greatest damping",
+        "N s/m",
+        default=None,
+        optional=True,
+        parse=partial(interval, "damping", at_least=0.0, at_most=1e6),
+    )
+    stiffness: tuple[float, float] | None = param(
+        "least and greatest stiffness",
+        "N/m",
+        default=None,
+        optional=True,
+        parse=partial(interval, "stiffness", at_least=0.0, at_most=1e8),
+    )
+    grid: int = param("points on each axis; one for a range of one value", default=60, at_least=2, at_most=1000)
+    period: float = param("sample period", "s", default=1.0 / Spec.control_rate.value, at_least=1e-6, at_most=1.0)
+    delay: float = param(
+        "from a sample to its command taking effect", "s", default=Spec.transport_delay.value, at_least=0.0
+    )
+    mass: float = param("moving mass", "kg", default=Spec.moving_mass.value, at_least=1e-3, at_most=1e3)
+    hand: str = param(HAND_HELP, default="none")
+    plant: str = param("plant; none for theory alone", default="none", choices=RestingWall.plants)
 
-    def __post_init__(self) -> None:
-        if self.plant not in ("none", *PLANTS):
-            raise ParameterError(f"plant must be one of none, {', '.join(PLANTS)}, not {self.plant!r}")
-        bounds: dict[str, dict[str, float]] = {
-            "period": {"at_least": 1e-6, "at_most": 1.0},
-            "delay": {"at_least": 0.0},
-            "mass": {"at_least": 1e-3, "at_most": 1e3},
-            "grid": {"at_least": 2, "at_most": _MOST_CELLS},
-        }
-        for name, allowed in bounds.items():
-            object.__setattr__(self, name, number(name, getattr(self, name), **allowed))
-        if self.grid != int(self.grid):
-            raise ParameterError(f"grid must be a whole number, not {self.grid:g}")
-        object.__setattr__(self, "grid", int(self.grid))
+    def check(self) -> None:
+        """See `Parameters`."""
         if self.delay > MOST_PERIODS * self.period:
             raise ParameterError(
                 f"delay must be at most {MOST_PERIODS} periods of {self.period:g} s, not {self.delay:g}"
             )
         hand_called(self.hand)
-        for name, most in (("damping", 1e6), ("stiffness", 1e8)):
-            chosen = getattr(self, name)
-            if chosen is not None:
-                low, high = (number(name, value, at_least=0.0, at_most=most) for value in chosen)
-                if low > high:
-                    raise ParameterError(f"{name} must be from a lower to a higher value, not {low:g} to {high:g}")
-                object.__setattr__(self, name, (low, high))
 
     @property
     def loop(self) -> LoopKeywords:
@@ -124,7 +107,7 @@ class StabilityMap:
     def as_json(self) -> dict[str, Any]:
         """Return everything, ready for JSON."""
         return {
-            "parameters": asdict(self.parameters),
+            "parameters": self.parameters.as_json(),
             "damping": self.damping.tolist(),
             "stiffness": self.stiffness.tolist(),
             "modulus": self.modulus.tolist(),
@@ -211,11 +194,10 @@ def simulate_walls(cells: list[Cell]) -> list[dict[str, Any]]:
     groups: dict[tuple[Any, ...], list[int]] = {}
     for place, cell in enumerate(cells):
         groups.setdefault(tuple(cell[name] for name in _AROUND), []).append(place)
-    for around, places in groups.items():
-        named = dict(zip(_AROUND, around, strict=True))
-        stiffness, damping = (np.array([cells[place][gain] for place in places]) for gain in ("stiffness", "damping"))
-        walls = RestingWall(**{**named, "hand": hand_called(named["hand"])})
-        growth = measure_growth(stiffness, damping, walls)
+    for (plant, *around), places in groups.items():
+        named = dict(zip(_AROUND[1:], around, strict=True))
+        gains = ({gain: cells[place][gain] for gain in ("stiffness", "damping")} for place in places)
+        growth = measure_growth([RestingWall(**named, **each) for each in gains], plant)
         for place, stable, rate, ticks in zip(places, *growth, strict=True):
             results[place] = {"stable": bool(stable), "rate": float(rate), "ticks": int(ticks)}
     return results

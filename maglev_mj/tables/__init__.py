@@ -1,30 +1,23 @@
 """Results as text for a terminal, one module a subject."""
 
 from maglev_mj.tables.analysis import analysis_table
-from maglev_mj.tables.bridge import flown_table, served_table
-from maglev_mj.tables.design import design_table
-from maglev_mj.tables.device import device_table
-from maglev_mj.tables.drop import drop_table
 from maglev_mj.tables.fidelity import fidelity_table, levels_table
-from maglev_mj.tables.press import press_table
-from maglev_mj.tables.stability import stability_table
-from maglev_mj.tables.stick_slip import stick_slip_table
+from maglev_mj.tables.run import run_table
+from maglev_mj.tables.sessions import flown_table, served_table, show_table, verdict_table
+from maglev_mj.tables.stability import design_table, loop_table, stability_table
 from maglev_mj.tables.sweep import sweep_table
-from maglev_mj.tables.view import show_table, verdict_table
 
 __all__ = [
     "analysis_table",
     "design_table",
-    "device_table",
-    "drop_table",
     "fidelity_table",
     "flown_table",
     "levels_table",
-    "press_table",
+    "loop_table",
+    "run_table",
     "served_table",
     "show_table",
     "stability_table",
-    "stick_slip_table",
     "sweep_table",
     "verdict_table",
 ]

@@ -8,7 +8,7 @@ import numpy as np
 
 from maglev_mj.analysis import Analysed, Comparison, FaceFigures, StretchFigures
 from maglev_mj.frames import AXES, Array
-from maglev_mj.tables.text import cell
+from maglev_mj.terminal import cell
 
 __all__ = ["analysis_table"]
 

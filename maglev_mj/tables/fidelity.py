@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from maglev_mj.studies.fidelity import MARGIN, FidelityResult, StepResult, stepping_name
+from maglev_mj.studies.fidelity_cases import has_gains
 from maglev_mj.studies.fidelity_levels import LevelResult
 
 __all__ = ["fidelity_table", "levels_table"]
@@ -16,10 +17,10 @@ _STEPS_SHOWN = 12
 
 def fidelity_table(result: FidelityResult) -> str:
     """Return the model levels, the one chosen, and the steps on it, as text."""
-    scene, chosen = result.scene, result.level
-    own = f" ({scene.reason})" if result.tolerance == scene.tolerance else ""
+    preset, chosen = result.preset, result.level
+    own = f" ({preset.reason})" if result.tolerance == preset.tolerance else ""
     lines = [
-        f"Fidelity of {scene.name}: {scene.describe(scene.parameters)}",
+        f"Fidelity of {preset.name}: {preset.scene.describe()}",
         f"  to be kept: {_micro(result.tolerance)}, as the greatest displacement of a coil{own}",
         *_range_lines(result),
         "  each line adds to those above it; worst: distance from any line below it, over all cases",
@@ -78,9 +79,9 @@ def _jumps(result: FidelityResult) -> str:
 def _range_lines(result: FidelityResult) -> list[str]:
     """Return lines on the cases: which, how many, and whether any meets the stops."""
     over, count = result.over, len(result.cases)
-    seeds = "phases with a jitter seed each" if result.scene.has_phase else "jitter seeds"
+    seeds = "phases with a jitter seed each" if result.preset.scene.takes_phase else "jitter seeds"
     lines = [f"  {count} cases of the whole device: {over.phases} {seeds}"]
-    if result.scene.has_gains and over.around:
+    if has_gains(result.preset.scene) and over.around:
         lines[0] += f", times 5 pairs of gains (given, and {over.around:.3g} of each up and down)"
     if result.screened > 1:
         lines.append(

@@ -2,27 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from maglev_mj.frames import Array, Mask
+from maglev_mj.scenes.run import Result
 from maglev_mj.spec import RANGE, Spec
-from maglev_mj.trace import Trace
 
 __all__ = ["beyond_force", "beyond_range"]
 
 _ROUNDING = 1.0 + 1e-9
 
 
-def beyond_force(trace: Trace) -> list[str]:
-    """Return a line if the actuators exceed the device's force along z, else none."""
+def beyond_force(results: Mapping[str, Result]) -> list[str]:
+    """Return a line if the actuators exceed the device's force along z in a run, else none."""
+    device = Spec.largest_vertical_force.value
     # the last knot's force has not acted yet
-    peak, device = float(np.abs(trace.wrench[:-1, 2]).max(initial=0.0)), Spec.largest_vertical_force.value
-    if peak <= device * _ROUNDING:
+    peaks = {label: float(np.abs(one.trace.wrench[:-1, 2]).max(initial=0.0)) for label, one in results.items()}
+    beyond = [f"{label} {peak:.3g} N" for label, peak in peaks.items() if peak > device * _ROUNDING]
+    if not beyond:
         return []
-    return [f"  The device gives {device:g} N along z, less than this peak: see --force-limit {device:g}"]
+    return [f"  The device gives {device:g} N along z, less than these peaks: {', '.join(beyond)}"]
 
 
 def beyond_range(labels: Sequence[str], runs: Sequence[ArrayLike], sweeps: Sequence[ArrayLike] = ()) -> list[str]:

@@ -2,32 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
-
 import numpy as np
 
+from maglev_mj.studies.sweep import Sweep
 from maglev_mj.terminal import printable
 
 __all__ = ["sweep_table"]
 
 
-def sweep_table(
-    scene: str, varied: Mapping[str, Sequence[Any]], results: Sequence[Mapping[str, Any]], known: int, path: str
-) -> str:
+def sweep_table(found: Sweep, path: str) -> str:
     """Return how many cells were computed and the spread of each figure over them, as text.
 
     Args:
-        scene: What was swept.
-        varied: Values of the parameters that vary.
-        results: Figures of each cell, or {"error": ...}.
-        known: How many cells the record held already.
+        found: The sweep.
         path: Where the record is.
     """
+    results = found.results
     failed = [result["error"] for result in results if "error" in result]
-    over = ", ".join(f"{name} ({len(values)})" for name, values in varied.items()) or "nothing"
+    over = ", ".join(f"{name} ({len(values)})" for name, values in found.varied.items()) or "nothing"
     lines = [
-        f"Sweep of {scene} over {over}: {len(results)} cells, {known} of them already in {path}",
+        f"Sweep of {found.scene.name} over {over}: {len(results)} cells, {found.known} of them already in {path}",
         "",
         f"  {'':<20}{'least':>12}{'median':>12}{'greatest':>12}   cells",
     ]

@@ -10,31 +10,39 @@ from maglev_mj.theory.boundary import (
     stiffest_wall,
 )
 from maglev_mj.theory.design import GOALS, LAWS, Case, DesignedWall, WallRequirements, design_wall, worst_case
+from maglev_mj.theory.linearise import ClosedLoop, Linearised, linearise
 from maglev_mj.theory.modulus import (
-    characteristic_polynomial,
     critical_delay,
     is_stable,
     largest_modulus,
     least_dynamic_stiffness,
 )
+from maglev_mj.theory.verdict import Judged, Verdict, judge, stability, stated_gains
 
 __all__ = [
     "GOALS",
     "LAWS",
     "Case",
+    "ClosedLoop",
     "DesignedWall",
+    "Judged",
+    "Linearised",
     "StiffestWall",
+    "Verdict",
     "WallRequirements",
     "boundary_of",
-    "characteristic_polynomial",
     "critical_delay",
     "design_wall",
     "is_stable",
+    "judge",
     "largest_modulus",
     "largest_stable_stiffness",
     "least_dynamic_stiffness",
+    "linearise",
     "ranges_of",
+    "stability",
     "stable_ranges",
+    "stated_gains",
     "stiffest_of",
     "stiffest_wall",
     "worst_case",

@@ -1,4 +1,4 @@
-"""Closed forms that everything else is held against."""
+"""Closed form of a drop on the ideal analog wall."""
 
 from __future__ import annotations
 
@@ -13,50 +13,7 @@ from maglev_mj.frames import Array
 from maglev_mj.parameters import number, numbers
 from maglev_mj.spec import GRAVITY
 
-__all__ = ["analog_wall", "damping_ratio", "restitution", "stopping_gain"]
-
-
-def damping_ratio(stiffness: float, damping: float, mass: float) -> float:
-    """Return b / (2 sqrt(k m)) of a spring-damper wall under a rigid mass.
-
-    Args:
-        stiffness: Stiffness k [N/m], above 0.
-        damping: Damping b [N s/m].
-        mass: Mass m [kg], above 0.
-
-    Raises:
-        ParameterError: If a value is outside its bounds.
-
-    Source: Salcudean & Vlaar 1997, section 3.
-    """
-    k, m = number("stiffness", stiffness, above=0.0), number("mass", mass, above=0.0)
-    return number("damping", damping, at_least=0.0) / (2.0 * math.sqrt(k * m))
-
-
-def restitution(ratio: ArrayLike) -> Array:
-    """Return the energy kept in one bounce on an ideal spring-damper wall, without gravity.
-
-    Args:
-        ratio: Damping ratio, in [0, 1).
-
-    Raises:
-        ParameterError: If a ratio is outside its bounds.
-
-    Source: Salcudean & Vlaar 1997, section 3: r = exp(-2 pi rho / sqrt(1 - rho²)).
-    """
-    rho = numbers("ratio", ratio, at_least=0.0)
-    if not (rho < 1.0).all():
-        raise ParameterError(f"ratio must be below 1 for a bounce, not {rho.max():g}")
-    kept: Array = np.exp(-2.0 * np.pi * rho / np.sqrt(1.0 - rho**2))
-    return kept
-
-
-def stopping_gain(mass: float, pulse_width: float) -> float:
-    """Return pulse + damping [N s/m] with which a pulse of the given width [s] takes exactly m v away.
-
-    Source: Salcudean & Vlaar 1997, eq. (8), for a pulse shorter than the period.
-    """
-    return number("mass", mass, above=0.0) / number("pulse_width", pulse_width, above=0.0)
+__all__ = ["analog_wall"]
 
 
 def analog_wall(

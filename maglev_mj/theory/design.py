@@ -6,6 +6,7 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,7 +15,7 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.hand import hand_called
 from maglev_mj.laws import Law, ObserverWall
-from maglev_mj.parameters import flag, number
+from maglev_mj.parameters import Parameters, interval, param
 from maglev_mj.spec import DRIVER_TIME_CONSTANT, Spec
 from maglev_mj.theory.boundary import first_end, flattened, ranges_of, spans
 from maglev_mj.theory.closed_loop import MOST_PERIODS, Design, SampledLoop, rendered_stiffness
@@ -41,38 +42,35 @@ class Case(NamedTuple):
     hand: str
 
 
-@dataclass(frozen=True, kw_only=True)
-class WallRequirements:
+class WallRequirements(Parameters):
     """Loops that a wall must bear: the product of masses, delays and hands.
-
-    Args:
-        period: Sample period [s].
-        mass: Least and greatest moving mass [kg].
-        delay: Least and greatest transport delay [s].
-        hands: Names or numbers; see `hand_called`. "none" is a flotor let go.
-        driver_lag: Whether the current drivers lag by the device's time constant.
-        modulus: Largest one allowed in any of the loops; 1 for stability alone.
 
     Raises:
         ParameterError: If a value is outside its bounds.
     """
 
-    period: float = 1.0 / Spec.control_rate.value
-    mass: tuple[float, float] = (Spec.moving_mass.value,) * 2
-    delay: tuple[float, float] = (Spec.transport_delay.value,) * 2
-    hands: Sequence[str] = ("none",)
-    driver_lag: bool = False
-    modulus: float = 0.97
+    period: float = param("sample period", "s", default=1.0 / Spec.control_rate.value, at_least=1e-6, at_most=1.0)
+    mass: tuple[float, float] = param(
+        "least and greatest moving mass",
+        "kg",
+        default=(Spec.moving_mass.value,) * 2,
+        parse=partial(interval, "mass", at_least=1e-3, at_most=1e3),
+    )
+    delay: tuple[float, float] = param(
+        "least and greatest transport delay",
+        "s",
+        default=(Spec.transport_delay.value,) * 2,
+        parse=partial(interval, "delay"),
+    )
+    hands: Sequence[str] = param(
+        'names or numbers of hands, see `hand_called`; "none" for a flotor without one', default=("none",), parse=tuple
+    )
+    driver_lag: bool = param("the current drivers lag, as the device's do", default=False)
+    modulus: float = param("largest modulus allowed; 1 for stability alone", default=0.97, above=0.0, at_most=1.0)
 
-    def __post_init__(self) -> None:
-        number("period", self.period, at_least=1e-6, at_most=1.0)
-        number("modulus", self.modulus, above=0.0, at_most=1.0)
-        flag("driver_lag", self.driver_lag)
-        bounds = {"mass": (1e-3, 1e3), "delay": (0.0, MOST_PERIODS * self.period)}
-        for name, (least, most) in bounds.items():
-            low, high = (number(name, value, at_least=least, at_most=most) for value in getattr(self, name))
-            if low > high:
-                raise ParameterError(f"{name} must be from a lower to a higher value, not {low:g} to {high:g}")
+    def check(self) -> None:
+        """See `Parameters`."""
+        interval("delay", self.delay, at_least=0.0, at_most=MOST_PERIODS * self.period)
         if not self.hands or len(set(self.hands)) != len(self.hands):
             raise ParameterError(
                 f"hands must be one or more different ones, not {', '.join(self.hands) or 'none at all'}"

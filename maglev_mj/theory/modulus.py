@@ -14,7 +14,7 @@ from maglev_mj.frames import Array, Mask
 from maglev_mj.parameters import common_shape, number, numbers
 from maglev_mj.theory.closed_loop import LoopKeywords, SampledLoop
 
-__all__ = ["characteristic_polynomial", "critical_delay", "is_stable", "largest_modulus", "least_dynamic_stiffness"]
+__all__ = ["critical_delay", "is_stable", "largest_modulus", "least_dynamic_stiffness"]
 
 _HALVINGS = 45
 _ROUNDING = 1e-12
@@ -23,17 +23,6 @@ _ROUNDING = 1e-12
 def is_stable(modulus: ArrayLike, limit: float = 1.0) -> Mask:
     """Return whether a largest modulus is below a limit, by more than rounding."""
     return np.asarray(modulus) < limit * (1.0 - _ROUNDING)
-
-
-def characteristic_polynomial(stiffness: ArrayLike, damping: ArrayLike, *, period: float, mass: float) -> Array:
-    """Return the coefficients of eq. (6), highest power first, (..., 5): the PD wall with a full period of delay.
-
-    Source: Salcudean & Vlaar 1997, eq. (6)-(7).
-    """
-    cp = period**2 * numbers("stiffness", stiffness) / (2.0 * mass)
-    cv = period * numbers("damping", damping) / (2.0 * mass)
-    one = np.ones(np.broadcast_shapes(cp.shape, cv.shape))
-    return np.stack([one, -2.0 * one, one + cp + cv, cp * one, -cv * one], axis=-1)
 
 
 def largest_modulus(stiffness: ArrayLike, damping: ArrayLike, **loop: Unpack[LoopKeywords]) -> Array:

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from maglev_mj.errors import MaglevError
 from maglev_mj.parameters import flag
-from maglev_mj.session import View
+from maglev_mj.scenes import Scene
+from maglev_mj.session import Snapshot
 from maglev_mj.viewer.overlay import help_text, status_text
 from maglev_mj.viewer.plots import Plots
 from maglev_mj.viewer.scenery import Scenery
@@ -40,10 +41,10 @@ def arranged(width: int, height: int) -> list[Any]:
 
 
 class OffscreenPainter:
-    """Draws views of one scene into arrays, by OSMesa or EGL as MUJOCO_GL says; by OSMesa where it says nothing.
+    """Draws snapshots of one scene into arrays, by OSMesa or EGL as MUJOCO_GL says; by OSMesa where it says nothing.
 
     Args:
-        name: Name of the scene.
+        scene: The scene.
         width: Of the pictures [pixels].
         height: Likewise.
         plots: Whether plots and words are in them.
@@ -55,9 +56,11 @@ class OffscreenPainter:
         ModelError: If the scene cannot be used.
     """
 
-    def __init__(self, name: str, width: int, height: int, *, plots: bool = True, backend: str | None = None) -> None:
+    def __init__(
+        self, scene: Scene, width: int, height: int, *, plots: bool = True, backend: str | None = None
+    ) -> None:
         self._plots = Plots() if flag("plots", plots) else None
-        self.scenery = Scenery(name)
+        self.scenery = Scenery(scene)
         self._whole = mujoco.MjrRect(0, 0, width, height)
         model = self.scenery.model
         model.vis.global_.offwidth, model.vis.global_.offheight = width, height
@@ -72,28 +75,30 @@ class OffscreenPainter:
         self._render = mujoco.MjrContext(model, scale)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._render)
 
-    def wait(self, view: View) -> None:
+    def wait(self, snapshot: Snapshot) -> None:
         """Wait until all that the plots need is known."""
         if self._plots is not None:
-            self._plots.wait(view)
+            self._plots.wait(snapshot)
 
-    def picture(self, view: View) -> NDArray[np.uint8]:
+    def picture(self, snapshot: Snapshot) -> NDArray[np.uint8]:
         """Return a picture, (height, width, 3)."""
         scenery, scene, whole, render = self.scenery, self._scene, self._whole, self._render
         self._gl.make_current()
-        scenery.place(view)
+        scenery.place(snapshot)
         everything = mujoco.mjtCatBit.mjCAT_ALL.value
         mujoco.mjv_updateScene(scenery.model, scenery.data, self._option, None, self._camera, everything, scene)
-        scenery.decorate(scene, view)
+        scenery.decorate(scene, snapshot)
         mujoco.mjr_render(whole, scene, render)
         if self._plots is not None:
-            for rectangle, figure in zip(arranged(whole.width, whole.height), self._plots.update(view), strict=True):
+            for rectangle, figure in zip(
+                arranged(whole.width, whole.height), self._plots.update(snapshot), strict=True
+            ):
                 mujoco.mjr_figure(rectangle, figure, render)
             font, grid = mujoco.mjtFont.mjFONT_NORMAL, mujoco.mjtGridPos
             left = mujoco.MjrRect(0, 0, whole.width - column(whole.width), whole.height)
-            mujoco.mjr_overlay(font, grid.mjGRID_TOPLEFT, left, *status_text(view), render)
+            mujoco.mjr_overlay(font, grid.mjGRID_TOPLEFT, left, *status_text(snapshot), render)
             if whole.height >= _HELPED:
-                mujoco.mjr_overlay(font, grid.mjGRID_BOTTOMLEFT, left, *help_text(), render)
+                mujoco.mjr_overlay(font, grid.mjGRID_BOTTOMLEFT, left, *help_text(type(snapshot.scene)), render)
         pixels = np.empty((whole.height, whole.width, 3), dtype=np.uint8)
         mujoco.mjr_readPixels(pixels, None, whole, render)
         return pixels[::-1]

@@ -4,23 +4,26 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any, TypeAlias
 
 import mujoco
 import numpy as np
 
-from maglev_mj.errors import ParameterError
+from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import Array
-from maglev_mj.scenes import Settings
+from maglev_mj.scenes import Scene
 from maglev_mj.scenes.parts import MASS
-from maglev_mj.session import View
-from maglev_mj.theory import largest_stable_stiffness
+from maglev_mj.session import Snapshot
+from maglev_mj.theory import judge, largest_stable_stiffness, stated_gains
 
 __all__ = ["Plots"]
 
 _SECONDS = 2.0
 _POINTS = 500
 _DAMPINGS = 32
+_LEAST = 1.0
+_NO_BOUNDARY = np.zeros(0), np.zeros(0)
 _BLUE, _RED, _GREEN, _GREY = (0.16, 0.52, 0.80), (0.90, 0.35, 0.33), (0.25, 0.72, 0.42), (0.62, 0.66, 0.70)
 
 _Line: TypeAlias = tuple[tuple[float, float, float], Any, Any]
@@ -30,23 +33,23 @@ _Range: TypeAlias = tuple[float, float]
 
 
 class Plots:
-    """Four figures of the engine's own kind, renewed from a view."""
+    """Four figures of the engine's own kind, renewed from a snapshot."""
 
     def __init__(self) -> None:
-        self._boundary = _Boundary()
+        self._stability = _Stability()
         self.figures = [mujoco.MjvFigure() for _ in range(4)]
         for figure in self.figures:
             _prepare(figure)
 
-    def update(self, view: View) -> list[Any]:
+    def update(self, snapshot: Snapshot) -> list[Any]:
         """Return the figures: position, force, phase plane, stability map."""
         position, force, plane, gains = self.figures
-        turning = view.scene.axis_index > 2
+        turning = snapshot.scene.axis_index > 2
         unit, torque = ("mrad", "N m") if turning else ("mm", "N")
-        time, place, speed, device, hand = _thinned(view.history).T
-        when, axis = time - (time[-1] if time.size else 0.0), view.scene.axis
+        time, place, speed, device, hand = _thinned(snapshot.history).T
+        when, axis = time - (time[-1] if time.size else 0.0), snapshot.scene.axis
         across = (-_SECONDS, 0.0)
-        edges = [edge * 1e3 for index, _, edge in view.faces if index == view.scene.axis_index]
+        edges = [edge * 1e3 for index, _, edge in snapshot.faces if index == snapshot.scene.axis_index]
         lines: list[_Line] = [(_GREY, [-_SECONDS, 0.0], [edge, edge]) for edge in edges]
         lines.append((_BLUE, when, place * 1e3))
         _draw(position, f"{axis} [{unit}], grey: wall", lines, across, _span(place * 1e3, edges, 1.0))
@@ -55,57 +58,74 @@ class Plots:
         lines = [(_GREY, [edge, edge], [-1e6, 1e6]) for edge in edges] + [(_BLUE, place * 1e3, speed * 1e3)]
         x_range, y_range = _span(place * 1e3, edges, 1.0), _span(speed * 1e3, [], 30.0)
         _draw(plane, f"speed [{unit}/s] over {axis} [{unit}]", lines, x_range, y_range)
-        self._draw_gains(gains, view.settings)
+        self._draw_gains(gains, snapshot.scene)
         return self.figures
 
-    def wait(self, view: View) -> None:
-        """Wait until the stability map of a view is known."""
-        self._boundary.wait(view.settings)
+    def wait(self, snapshot: Snapshot) -> None:
+        """Wait until the stability of a snapshot is known."""
+        self._stability.wait(snapshot.scene)
 
-    def _draw_gains(self, figure: Any, settings: Settings) -> None:
-        """Draw the boundary of what is stable, and a cross where the gains are."""
-        known = self._boundary.of(settings)
-        dampings, stiffnesses = known if known is not None else (np.zeros(0), np.zeros(0))
-        width = _round_up(max(float(dampings.max(initial=0.0)), 1.1 * settings.damping))
-        height = _round_up(1e-3 * max(float(stiffnesses.max(initial=0.0)), 1.1 * settings.stiffness))
-        x, y, dx, dy = settings.damping, settings.stiffness * 1e-3, 0.04 * width, 0.06 * height
-        lines: list[_Line] = [
-            (_GREY, dampings, stiffnesses * 1e-3),
-            (_RED, [x - dx, x + dx, x, x, x], [y, y, y, y - dy, y + dy]),
-        ]
+    def _draw_gains(self, figure: Any, scene: Scene) -> None:
+        """Draw the stability boundary and a cross at the gains; the verdict alone where a law states no gains."""
+        known = self._stability.of(scene)
+        if isinstance(known, str):
+            _draw(figure, known, [], (0.0, 1.0), (0.0, 1.0))
+            return
+        dampings, stiffnesses = known
+        lines: list[_Line] = [(_GREY, dampings, stiffnesses * 1e-3)]
+        damping, stiffness = getattr(scene, "damping", 0.0), getattr(scene, "stiffness", 0.0)
+        width = _round_up(max(float(dampings.max(initial=0.0)), 1.1 * damping, _LEAST))
+        height = _round_up(1e-3 * max(float(stiffnesses.max(initial=0.0)), 1.1 * stiffness, _LEAST))
+        x, y, dx, dy = damping, stiffness * 1e-3, 0.04 * width, 0.06 * height
+        if damping or stiffness:
+            lines.append((_RED, [x - dx, x + dx, x, x, x], [y, y, y, y - dy, y + dy]))
         _draw(figure, "stable below: kN/m over N s/m", lines, (0.0, width), (0.0, height))
 
 
-class _Boundary:
-    """The largest stable stiffness over the damping for a rate and a delay, reckoned beside the session."""
+class _Stability:
+    """Stability of the newest settings, found beside the session: a boundary, or a verdict in words."""
 
     def __init__(self) -> None:
-        self._known: dict[tuple[float, float], tuple[Array, Array] | None] = {}
+        self._key: Scene | None = None
+        self._found: tuple[Array, Array] | str = _NO_BOUNDARY
+        self._busy: threading.Thread | None = None
 
-    def of(self, settings: Settings) -> tuple[Array, Array] | None:
-        """Return dampings [N s/m] and stiffnesses [N/m]; None while they are not known yet."""
-        key = settings.period, settings.delay
-        if key not in self._known:
-            self._known[key] = None
-            threading.Thread(target=self._reckon, args=key, daemon=True).start()
-        return self._known[key]
+    def of(self, scene: Scene) -> tuple[Array, Array] | str:
+        """Return dampings [N s/m] and stiffnesses [N/m], or the verdict; the last one until a scene's own is known."""
+        if scene != self._key and (self._busy is None or not self._busy.is_alive()):
+            self._busy = threading.Thread(target=self._find, args=(scene,), daemon=True)
+            self._busy.start()
+        return self._found
 
-    def wait(self, settings: Settings) -> None:
-        """Reckon at once what is not known yet."""
-        key = settings.period, settings.delay
-        if self._known.get(key) is None:
-            self._reckon(*key)
+    def wait(self, scene: Scene) -> None:
+        """Find at once what is not known yet."""
+        if scene != self._key:
+            self._find(scene)
 
-    def _reckon(self, period: float, delay: float) -> None:
-        # no damping beyond this is stable, whatever the stiffness
-        most = 0.5 * np.pi * MASS / (0.5 * period + delay) * 1.1
-        dampings = np.linspace(0.0, most, _DAMPINGS)
-        try:
-            stiffnesses = largest_stable_stiffness(dampings, period=period, delay=delay)
-        except ParameterError:  # theory goes up to ten periods of delay; beyond it there is no boundary to draw
-            stiffnesses = np.zeros_like(dampings)
-        end = int(np.flatnonzero(stiffnesses).max(initial=-2)) + 2
-        self._known[period, delay] = dampings[:end], stiffnesses[:end]
+    def _find(self, scene: Scene) -> None:
+        controller = scene.controller()
+        if stated_gains(controller) is not None:
+            self._found = _boundary(scene.period, scene.delay)
+        else:
+            try:
+                self._found = str(judge(controller, delay=scene.delay, pose=scene.start().pose))
+            except MaglevError:
+                self._found = "stability not known"
+        self._key = scene
+
+
+@lru_cache
+def _boundary(period: float, delay: float) -> tuple[Array, Array]:
+    """Return dampings [N s/m] and the largest stable stiffness at each [N/m]."""
+    # no damping beyond this is stable, whatever the stiffness
+    most = 0.5 * np.pi * MASS / (0.5 * period + delay) * 1.1
+    dampings = np.linspace(0.0, most, _DAMPINGS)
+    try:
+        stiffnesses = largest_stable_stiffness(dampings, period=period, delay=delay)
+    except ParameterError:  # theory goes up to ten periods of delay; beyond it there is no boundary to draw
+        stiffnesses = np.zeros_like(dampings)
+    end = int(np.flatnonzero(stiffnesses).max(initial=-2)) + 2
+    return dampings[:end], stiffnesses[:end]
 
 
 def _prepare(figure: Any) -> None:

@@ -4,227 +4,144 @@ from __future__ import annotations
 
 import multiprocessing
 import os
-import time
-from collections import deque
-from collections.abc import Sequence
+from dataclasses import replace
 from multiprocessing.connection import Connection
 from pathlib import Path
 from select import select
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from maglev_mj.energy import HandWork
 from maglev_mj.errors import MaglevError
-from maglev_mj.frames import Array
 from maglev_mj.hand import SpringHand
-from maglev_mj.scenes import Settings, scene_called
-from maglev_mj.session import View
+from maglev_mj.scenes import Scene
+from maglev_mj.session import History, Snapshot, actions
 from maglev_mj.workers import interrupts_held
 
-__all__ = ["Watch"]
+__all__ = ["RemoteViewer"]
 
-_FRAME = 1.0 / 60.0
-_HISTORY = 2.0
 _MOST_ROWS = 400
 _PATIENCE = 10.0
 
 
-class _Seen(NamedTuple):
-    """What the window is sent: see `View`."""
-
-    ticks: int
-    rows: Sequence[tuple[float, ...]]
-    settings: Settings
-    faces: Sequence[tuple[int, float, float]]
-    note: str
-    work: float
-    pose: Array
-    force: Array
-    effort: Array
-    currents: Array
-    anchors: Array | None
-
-
-class Watch:
-    """A window on a device.
+class RemoteViewer:
+    """A window in a process of its own: a `Publisher`.
 
     Args:
-        scene: Name of the scene that shows it.
-        settings: Of its laws, and its sample period.
-        folder: Where screenshots go.
+        snapshot: What it shows at first.
+        folder: Folder for screenshots.
 
     Attributes:
         hand: The mouse's.
-        closed: Whether the window is.
-        settings: Those to be shown; may be replaced.
-        faces: Every wall to be shown: index into AXES, normal, edge.
-        note: What a person should know now.
+        on_close: Called once when the person has closed the window; may be replaced.
     """
 
-    def __init__(self, scene: str, settings: Settings, folder: Path = Path()) -> None:
-        self.settings, self.hand, self.closed = settings, SpringHand(), False
-        self.faces: Sequence[tuple[int, float, float]] = ()
-        self.note = ""
-        self._axis = scene_called(scene).axis_index
-        self._rows: deque[tuple[float, ...]] = deque(maxlen=_MOST_ROWS)
-        self._sent, self._ticks, self._hand_work = 0.0, 0, HandWork()
-        self._last: Array | None = None
+    def __init__(self, snapshot: Snapshot, folder: Path = Path()) -> None:
+        self.hand, self.on_close = SpringHand(), _nothing
+        self._scene, self._sent, self._closed = snapshot.scene, -np.inf, False
         context = multiprocessing.get_context("spawn")
         self._line, far = context.Pipe()
-        self._process = context.Process(target=_open, args=(far, scene, settings, folder), daemon=True)
+        self._process = context.Process(target=_open, args=(far, snapshot, folder), daemon=True)
         with interrupts_held():  # it is closed by who opened it
             self._process.start()
         far.close()
 
-    def keep(
-        self,
-        pose: Array,
-        force: Array,
-        effort: Sequence[float],
-        currents: Sequence[float],
-        anchors: Array | None = None,
-    ) -> None:
-        """Show a sample; most are only plotted, and none is waited for.
-
-        Args:
-            pose: Of the flotor [m, rad], (6,).
-            force: Wrench that the device holds beyond what carries the flotor [N, N m], (6,).
-            effort: Wrench of the hand [N, N m], six.
-            currents: In the coils [A], six.
-            anchors: Where the flotor sticks [m, rad], (6,), NaN where it does not; None without friction.
-        """
-        axis, period = self._axis, self.settings.period
-        last = pose if self._last is None else self._last
-        way, self._last = pose - last, pose
-        self._hand_work.add(pose, effort)
-        row = self._ticks * period, pose[axis], way[axis] / period, force[axis], effort[axis]
-        self._rows.append(tuple(float(value) for value in row))
-        self._ticks += 1
-        now = time.monotonic()
-        if now - self._sent < _FRAME or self.closed:
+    def show(self, snapshot: Snapshot) -> None:
+        """Show a snapshot; where the window does not keep up, it is left out."""
+        self._scene = snapshot.scene
+        if self._closed or not select((), (self._line,), (), 0.0)[1]:
             return
-        self._sent = now
-        if select((), (self._line,), (), 0.0)[1]:  # where the window does not keep up, it misses something
-            self._send(
-                _Seen(
-                    ticks=self._ticks,
-                    rows=list(self._rows),
-                    settings=self.settings,
-                    faces=self.faces,
-                    note=self.note,
-                    work=self._hand_work.total,
-                    pose=pose,
-                    force=force,
-                    effort=np.array(effort),
-                    currents=np.array(currents),
-                    anchors=anchors,
-                )
-            )
-            self._rows.clear()
-
-    def poll(self) -> list[str]:
-        """Move the hand as the mouse does, and return which actions keys asked for."""
-        actions: list[str] = []
+        # only the rows that are new, and so many that writing them cannot wait
+        rows = snapshot.history[np.searchsorted(snapshot.history[:, 0], self._sent, side="right") :]
+        self._sent = snapshot.time
         try:
-            while not self.closed and self._line.poll():
+            self._line.send(replace(snapshot, history=rows[-_MOST_ROWS:]))
+        except OSError:
+            self._end()
+
+    def take(self) -> Scene | None:
+        """Move the hand as the mouse does; return the scene that keys ask for."""
+        wanted = None
+        try:
+            while not self._closed and self._line.poll():
                 kind, value = self._line.recv()
                 if kind == "hand":
                     self.hand.target = value
-                else:
-                    actions.append(value)
+                elif (change := actions(type(self._scene)).get(value)) is not None:
+                    self._scene = wanted = change(self._scene)
         except (EOFError, OSError):
-            self.closed = True
-            self.hand.target = None
-        return actions
+            self._end()
+        return wanted
 
     def close(self) -> None:
         """Close the window; a second time does nothing."""
-        self.closed = True
+        self._closed = True
         self._line.close()
         self._process.join(_PATIENCE)
         if self._process.is_alive():
             self._process.terminate()
             self._process.join(_PATIENCE)
 
-    def _send(self, message: Any) -> None:
-        try:
-            self._line.send(message)
-        except OSError:
-            self.closed = True
+    def _end(self) -> None:
+        self._closed, self.hand.target = True, None
+        self.on_close()
 
 
-class _Watched:
-    """What the window's process knows of the device: see `Showable`."""
+class RemoteSession:
+    """The session behind a window in a process of its own: a `SnapshotSource`.
 
-    def __init__(self, line: Connection, scene: str, settings: Settings) -> None:
+    Args:
+        line: To the process that runs the device.
+        snapshot: What is shown until the device has sent something.
+    """
+
+    def __init__(self, line: Connection, snapshot: Snapshot) -> None:
         self.hand, self.simulated = SpringHand(), 0.0
-        self._line, self._scene = line, scene_called(scene)
-        self._history: deque[tuple[float, ...]] = deque()
-        nothing = np.zeros(6)
-        self._seen = _Seen(0, (), settings, (), "", 0.0, nothing, nothing, nothing, nothing, None)
+        self._line, self._snapshot, self._history = line, snapshot, History()
         self._over = False
         self._target: Any = None
 
     def tick(self, elapsed: float) -> int:
-        """Take what the device has sent; return how many samples that were."""
-        before = self._seen.ticks
+        """Take the snapshots that the device has sent; return the number of samples since the last."""
+        before = self._snapshot.tick
         try:
             while not self._over and self._line.poll():
-                self._take(self._line.recv())
+                self._snapshot = self._line.recv()
+                for row in self._snapshot.history:
+                    self._history.add(*row)
             if self._target != self.hand.target:
                 self._target = self.hand.target
                 self._line.send(("hand", self._target))
         except (EOFError, OSError):
             self._over = True
             raise MaglevError("the device's program has ended") from None
-        made = self._seen.ticks - before
-        self.simulated += made * self._seen.settings.period
+        made = self._snapshot.tick - before
+        self.simulated += made * self._snapshot.scene.period
         return made
 
     def act(self, action: str) -> None:
-        """Pass on what a key asks for."""
+        """Pass on the action of a key."""
         if not self._over:
             self._line.send(("act", action))
 
-    def view(self) -> View:
-        """Return what there is to see."""
-        seen = self._seen
-        return View(
-            scene=self._scene,
-            settings=seen.settings,
-            time=seen.ticks * seen.settings.period,
-            pose=seen.pose,
-            force=seen.force,
-            hand=seen.effort,
-            currents=seen.currents,
-            faces=seen.faces,
-            anchors=seen.anchors,
-            history=np.array(self._history).reshape(-1, 5),
-            work=seen.work,
-            taken=float("nan"),
-            cost=0.0,
-            missed=0,
-            notes=[seen.note] if seen.note else [],
-        )
+    def snapshot(self) -> Snapshot:
+        """Return the picture of now."""
+        return replace(self._snapshot, history=self._history.rows)
 
     def close(self) -> None:
         """Let the device's program know."""
         self._line.close()
 
-    def _take(self, seen: _Seen) -> None:
-        self._seen = seen
-        self._history.extend(seen.rows)
-        while self._history and self._history[0][0] < self._history[-1][0] - _HISTORY:
-            self._history.popleft()
+
+def _nothing() -> None: ...
 
 
-def _open(line: Connection, scene: str, settings: Settings, folder: Path) -> None:
+def _open(line: Connection, snapshot: Snapshot, folder: Path) -> None:
     """Open the window; in its own process."""
     from maglev_mj.viewer.window import show
 
     try:
-        show(_Watched(line, scene, settings), folder=folder)
+        show(RemoteSession(line, snapshot), folder=folder)
     except MaglevError:
         pass  # the device's program has ended, and says why
     finally:

@@ -9,21 +9,18 @@ from typing import Any
 from maglev_mj.hand import SpringHand
 from maglev_mj.parameters import flag
 from maglev_mj.plants import engine_warnings_silenced
-from maglev_mj.scenes import Scene, Settings
+from maglev_mj.scenes import Scene
 from maglev_mj.session import Pacer, Session
 from maglev_mj.viewer.clip import CLIPS, write_clip, write_picture
 from maglev_mj.viewer.offscreen import OffscreenPainter
 
 __all__ = ["render"]
 
-_UNSCRIPTED = 0.6
-_TAIL = 0.4
 _FOR_EVER = 3600.0
 
 
 def render(
     scene: Scene,
-    settings: Settings,
     path: Path,
     *,
     seconds: float | None = None,
@@ -36,9 +33,8 @@ def render(
 
     Args:
         scene: The scene.
-        settings: Its settings.
         path: File that ends in .png, .gif or .mp4.
-        seconds: When the picture is taken, or how long the clip is [s]; None for half the script, or all of it.
+        seconds: When the picture is taken, or how long the clip is [s]; None for half the run, or all of it.
         width: Pixels.
         height: Pixels.
         rate: Pictures a second of a clip.
@@ -53,20 +49,18 @@ def render(
     """
     flag("plots", plots)
     moving = path.suffix in CLIPS
-    whole = _UNSCRIPTED if scene.script is None else scene.script.end + _TAIL
-    end = seconds if seconds is not None else whole if moving else 0.5 * whole
+    end = seconds if seconds is not None else scene.end if moving else 0.5 * scene.end
     session = Session(
-        scene.name,
-        settings=settings,
-        hand=SpringHand(target=scene.script),
+        scene,
+        hand=scene.scripted_hand() or SpringHand(),
         pacer=Pacer(budget=_FOR_EVER, patience=_FOR_EVER),  # no hurry
     )
     drawn = max(round(end * rate), 1) if moving else 1
-    with OffscreenPainter(scene.name, width, height, plots=plots) as painter, engine_warnings_silenced():
-        painter.wait(session.view())
+    with OffscreenPainter(scene, width, height, plots=plots) as painter, engine_warnings_silenced():
+        painter.wait(session.snapshot())
         if not moving:
             session.tick(end)
-            write_picture(painter.picture(session.view()), path)
+            write_picture(painter.picture(session.snapshot()), path)
         else:
             write_clip(_pictures(session, painter, drawn, 1.0 / rate), path, rate)
     session.close()
@@ -75,5 +69,5 @@ def render(
 
 def _pictures(session: Session, painter: OffscreenPainter, count: int, step: float) -> Iterator[Any]:
     for _ in range(count):
-        yield painter.picture(session.view())
+        yield painter.picture(session.snapshot())
         session.tick(step)

@@ -9,7 +9,8 @@ import numpy as np
 
 from maglev_mj.frames import Array, quaternion, rotation_matrix
 from maglev_mj.model import COILS, load
-from maglev_mj.session import View
+from maglev_mj.scenes import Scene
+from maglev_mj.session import Snapshot
 from maglev_mj.spec import Spec
 
 __all__ = ["ARROW", "GRIP", "Scenery"]
@@ -37,9 +38,10 @@ class Scenery:
     """The model of a scene to look at, and what is drawn over it.
 
     Args:
-        name: Name of the scene.
+        scene: The scene, or its class.
 
     Attributes:
+        shown: What file that is.
         model: The compiled model, with all its shapes.
         data: Its state, which follows what is seen.
 
@@ -47,9 +49,9 @@ class Scenery:
         ModelError: If the scene's file is missing or cannot be used.
     """
 
-    def __init__(self, name: str) -> None:
-        device = load(f"scenes/{name}", lean=False)
-        self.name = name
+    def __init__(self, scene: Scene | type[Scene]) -> None:
+        device = load(scene.model, lean=False)
+        self.shown = scene.model
         self.model = device.model
         self.model.vis.quality.numslices, self.model.vis.quality.numstacks = _SLICES
         self.data = mujoco.MjData(self.model)
@@ -61,25 +63,25 @@ class Scenery:
         self._handle = handle
         self._windings = self._find_windings()
 
-    def place(self, view: View) -> None:
+    def place(self, snapshot: Snapshot) -> None:
         """Put the model where the flotor is."""
         qpos, first = self.data.qpos, self._address
-        qpos[first : first + 3] = view.pose[:3]
-        qpos[first + 3 : first + 7] = quaternion(view.pose[3:])
+        qpos[first : first + 3] = snapshot.pose[:3]
+        qpos[first + 3 : first + 7] = quaternion(snapshot.pose[3:])
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_comPos(self.model, self.data)
         mujoco.mj_camlight(self.model, self.data)
 
-    def decorate(self, scene: Any, view: View) -> None:
+    def decorate(self, scene: Any, snapshot: Snapshot) -> None:
         """Add what the model does not have to a scene of the engine's, behind what is in it."""
-        self._draw_coils(scene, view)
-        for face in view.faces:
-            self._draw_wall(scene, face, view.pose)
-        if view.anchors is not None:
-            self._draw_ghost(scene, view)
-        knob = self.data.xpos[self.flotor] + rotation_matrix(view.pose[3:]) @ GRIP
-        _draw_arrow(scene, knob, view.hand[:3], _HAND)
-        _draw_arrow(scene, knob, view.force[:3], _DEVICE)
+        self._draw_coils(scene, snapshot)
+        for face in snapshot.faces:
+            self._draw_wall(scene, face, snapshot.pose)
+        if snapshot.anchors is not None:
+            self._draw_ghost(scene, snapshot)
+        knob = self.data.xpos[self.flotor] + rotation_matrix(snapshot.pose[3:]) @ GRIP
+        _draw_arrow(scene, knob, snapshot.hand[:3], _HAND)
+        _draw_arrow(scene, knob, snapshot.force[:3], _DEVICE)
 
     def _find_windings(self) -> list[tuple[int, int]]:
         """Return the shapes of the coils' windings, each with the number of its coil."""
@@ -90,10 +92,10 @@ class Scenery:
         away = np.linalg.norm(self.data.geom_xpos[shapes][:, None] - places, axis=-1)
         return list(zip(shapes.tolist(), away.argmin(axis=1).tolist(), strict=True))
 
-    def _draw_coils(self, scene: Any, view: View) -> None:
+    def _draw_coils(self, scene: Any, snapshot: Snapshot) -> None:
         """Draw a winding over each of the model's, coloured from copper over yellow to red at the limit."""
         for shape, coil in self._windings:
-            share = min(abs(float(view.currents[coil])) / _MOST, 1.0)
+            share = min(abs(float(snapshot.currents[coil])) / _MOST, 1.0)
             colour = _LIMIT if share > 0.999 else _COLD + share * (_WARM - _COLD)
             _add(
                 scene,
@@ -125,14 +127,14 @@ class Scenery:
             centre[2] = edge + (_UNDER_KNOB - _THIN if normal > 0.0 else GRIP[2] + _HALF_HEIGHT + _THIN)
         _add(scene, int(mujoco.mjtGeom.mjGEOM_BOX), size, centre, _IDENTITY, colour)
 
-    def _draw_ghost(self, scene: Any, view: View) -> None:
+    def _draw_ghost(self, scene: Any, snapshot: Snapshot) -> None:
         """Draw the handle where it sticks; along axes that do not stick it is where the handle is."""
-        assert view.anchors is not None
-        if np.isnan(view.anchors).all():
+        assert snapshot.anchors is not None
+        if np.isnan(snapshot.anchors).all():
             return
-        stuck = np.where(np.isnan(view.anchors), view.pose, view.anchors)
+        stuck = np.where(np.isnan(snapshot.anchors), snapshot.pose, snapshot.anchors)
         turn = rotation_matrix(stuck[3:])
-        back = turn @ rotation_matrix(view.pose[3:]).T
+        back = turn @ rotation_matrix(snapshot.pose[3:]).T
         origin = self.data.xpos[self.flotor]
         for shape in self._handle_shapes:
             place = stuck[:3] + back @ (self.data.geom_xpos[shape] - origin)

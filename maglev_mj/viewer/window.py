@@ -8,7 +8,6 @@ import sys
 import threading
 import time
 import warnings
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from statistics import median
@@ -20,10 +19,11 @@ import mujoco
 from maglev_mj.errors import MaglevError
 from maglev_mj.frames import Array, rotation_matrix, rotation_vector
 from maglev_mj.plants import engine_warnings_silenced
-from maglev_mj.session import Showable, View
+from maglev_mj.scenes import Scene
+from maglev_mj.session import Due, Snapshot, SnapshotSource, real_time
 from maglev_mj.viewer.clip import write_picture
 from maglev_mj.viewer.offscreen import DisplayError, OffscreenPainter, arranged
-from maglev_mj.viewer.overlay import KEYS, SCREENSHOT, help_text, status_text
+from maglev_mj.viewer.overlay import SCREENSHOT, help_text, keys_of, status_text
 from maglev_mj.viewer.plots import Plots
 from maglev_mj.viewer.scenery import GRIP, Scenery
 
@@ -32,7 +32,6 @@ __all__ = ["ShowReport", "require_display", "show"]
 _FRAME = 1.0 / 60.0
 _NAP = 0.001
 _PATIENCE = 10.0
-_LONGEST_PAUSE = 1.0
 _SHADOWS, _SAMPLES = 2048, 4
 _PICTURE = 1600, 1000
 _HELPED = 560
@@ -43,7 +42,7 @@ class ShowReport(NamedTuple):
 
     Attributes:
         frames: Frames shown.
-        frame_cost: Median time from a view to its being drawn [s], beside the control ticks.
+        frame_cost: Median time from a snapshot to its being drawn [s], beside the control ticks.
         wall_time: Time that the window was open [s].
         simulated: Time simulated meanwhile [s].
         ticks: Control ticks made.
@@ -82,7 +81,7 @@ def require_display() -> None:
             raise DisplayError(f"a window cannot be opened on this display: {instead}")
 
 
-def show(session: Showable, *, folder: Path = Path(), duration: float | None = None) -> ShowReport:
+def show(session: SnapshotSource, *, folder: Path = Path(), duration: float | None = None) -> ShowReport:
     """Open a window on a session and keep it in real time until the window is closed.
 
     Args:
@@ -111,21 +110,21 @@ def show(session: Showable, *, folder: Path = Path(), duration: float | None = N
 class _Window:
     """One window on a session.
 
-    Three threads: this one makes the control ticks, one of ours hands each view to the engine's viewer, and the viewer
-    draws in its own. Handing over waits for a frame to be drawn, which must not hold up the ticks.
+    Three threads: this one makes the control ticks, one of ours hands each snapshot to the engine's viewer, and the
+    viewer draws in its own. Handing over waits for a frame to be drawn, which must not hold up the ticks.
     """
 
-    def __init__(self, session: Showable, folder: Path) -> None:
+    def __init__(self, session: SnapshotSource, folder: Path) -> None:
         self._session, self._folder = session, folder
         self._plots = Plots()
         self._pressed: queue.SimpleQueue[int] = queue.SimpleQueue()
-        self._views: queue.Queue[View | None] = queue.Queue(maxsize=1)
+        self._snapshots: queue.Queue[Snapshot | None] = queue.Queue(maxsize=1)
         self._mouse: _Mouse | None = None
         self._note = ""
         self._costs: list[float] = []
         self._failed: Exception | None = None
         self._pictures: list[threading.Thread] = []
-        self._scenery = _scenery(session.view().scene.name)
+        self._scenery = _scenery(session.snapshot().scene)
         before = set(threading.enumerate())
         # imported here: it asks for a display as soon as it is
         import mujoco.viewer
@@ -142,32 +141,28 @@ class _Window:
         self._threads = [thread for thread in threading.enumerate() if thread not in before]
         self._painter.start()
 
-    def run(self, duration: float | None, clock: Callable[[], float] = time.perf_counter) -> ShowReport:
+    def run(self, duration: float | None) -> ShowReport:
         """Make the ticks, until the window is closed."""
-        session, handle = self._session, self._handle
-        started = last = clock()
-        shown, ticks = -_FRAME, 0
-        while handle.is_running() and (duration is None or last - started < duration):
-            now = clock()
-            ticks += session.tick(min(now - last, _LONGEST_PAUSE))  # a machine that was suspended owes no more
-            last = now
+        session, handle, due = self._session, self._handle, Due(_FRAME)
+        ticks, wall_time = 0, 0.0
+        for elapsed, passed in real_time(duration, _NAP):
+            ticks, wall_time = ticks + session.tick(elapsed), passed
             if self._failed is not None:
                 raise self._failed
             self._press_keys()
             self._guide_hand()
-            if now - shown >= _FRAME and self._views.empty():
-                self._views.put(session.view())
-                shown = now
-            time.sleep(_NAP)
-        view = session.view()
+            if self._snapshots.empty() and due():
+                self._snapshots.put(session.snapshot())
+            if not handle.is_running():
+                break
         costs = self._costs
         return ShowReport(
             frames=len(costs),
             frame_cost=median(costs) if costs else 0.0,
-            wall_time=last - started,
+            wall_time=wall_time,
             simulated=session.simulated,
             ticks=ticks,
-            missed=view.missed,
+            missed=session.snapshot().missed,
         )
 
     def close(self) -> None:
@@ -176,7 +171,7 @@ class _Window:
         end = time.monotonic() + _PATIENCE
         while self._painter.is_alive() and time.monotonic() < end:
             with suppress(queue.Full):
-                self._views.put(None, timeout=0.1)
+                self._snapshots.put(None, timeout=0.1)
             self._painter.join(0.1)
         for thread in (*self._pictures, *self._threads):
             thread.join(_PATIENCE)
@@ -184,10 +179,10 @@ class _Window:
     def _press_keys(self) -> None:
         """Do what the keys pressed since the last tick ask for."""
         while not self._pressed.empty():
-            action = KEYS.get(self._pressed.get())
+            action = keys_of(type(self._session.snapshot().scene)).get(self._pressed.get())
             if action == SCREENSHOT:
                 path = _new_picture(self._folder)
-                thread = threading.Thread(target=self._picture, args=(self._session.view(), path))
+                thread = threading.Thread(target=self._picture, args=(self._session.snapshot(), path))
                 self._pictures.append(thread)
                 thread.start()
             elif action is not None:
@@ -203,50 +198,51 @@ class _Window:
             if hand.target is not None:
                 hand.target = None
             return
-        pose = self._session.view().pose
+        pose = self._session.snapshot().pose
         goal = mouse.place - rotation_matrix(pose[3:]) @ GRIP if mouse.pushes else pose[:3]
         turned = rotation_vector(*mouse.turn) if mouse.twists else pose[3:]
         hand.target = [float(part) for part in (*goal, *turned)]
 
     def _paint(self) -> None:
-        """Hand over view after view, until there is none."""
-        while (view := self._views.get()) is not None:
+        """Hand over snapshot after snapshot, until there is none."""
+        while (snapshot := self._snapshots.get()) is not None:
             begun = time.perf_counter()
             try:
-                self._draw(view)
+                self._draw(snapshot)
             except Exception as error:
                 if self._handle.is_running():  # otherwise the window was closed meanwhile
                     self._failed = error
                 return
             self._costs.append(time.perf_counter() - begun)
 
-    def _draw(self, view: View) -> None:
+    def _draw(self, snapshot: Snapshot) -> None:
         handle = self._handle
         if not handle.is_running():
             return
-        if view.scene.name != self._scenery.name:
-            self._scenery = _scenery(view.scene.name)
+        if snapshot.scene.model != self._scenery.shown:
+            self._scenery = _scenery(snapshot.scene)
             # the handle offers no way to change the model; the simulation behind it, which opened it, does
             handle._get_sim().load(self._scenery.model, self._scenery.data, "")
             self._frame_camera()
         scenery = self._scenery
         with handle.lock():
-            scenery.place(view)
+            scenery.place(snapshot)
             scene = handle.user_scn
             scene.ngeom = 0
-            scenery.decorate(scene, view)
+            scenery.decorate(scene, snapshot)
             self._mouse = _mouse(handle.perturb)
             handle.perturb.select = scenery.flotor  # always in reach, without a double click
             handle.perturb.localpos[:] = GRIP
         rectangle = handle.viewport
         if rectangle is not None and rectangle.width > 0:
             places = arranged(rectangle.width, rectangle.height)
-            handle.set_figures(list(zip(places, self._plots.update(view), strict=True)))
+            handle.set_figures(list(zip(places, self._plots.update(snapshot), strict=True)))
         font, grid = mujoco.mjtFont.mjFONT_NORMAL, mujoco.mjtGridPos
         notes = (self._note,) if self._note else ()
-        status = (font, grid.mjGRID_TOPLEFT, *status_text(view, notes))
+        status = (font, grid.mjGRID_TOPLEFT, *status_text(snapshot, notes))
         tall = rectangle is not None and rectangle.height >= _HELPED  # in a small window the two would overlap
-        keys = (font, grid.mjGRID_BOTTOMLEFT, *(help_text() if tall else ("keys", "in a taller window")))
+        words = help_text(type(snapshot.scene)) if tall else ("keys", "in a taller window")
+        keys = (font, grid.mjGRID_BOTTOMLEFT, *words)
         handle.set_texts([status, keys])
         handle.sync()
 
@@ -255,14 +251,14 @@ class _Window:
         with self._handle.lock():
             mujoco.mjv_defaultFreeCamera(self._scenery.model, self._handle.cam)
 
-    def _picture(self, view: View, path: Path) -> None:
+    def _picture(self, snapshot: Snapshot, path: Path) -> None:
         """Write what is to be seen, larger than the window and without its edges."""
         try:
             # a program draws with one library only, and its window has chosen unless MUJOCO_GL had
             backend = os.environ.get("MUJOCO_GL", "").lower() or "glfw"
-            with OffscreenPainter(view.scene.name, *_PICTURE, backend=backend) as painter:
-                painter.wait(view)
-                write_picture(painter.picture(view), path)
+            with OffscreenPainter(snapshot.scene, *_PICTURE, backend=backend) as painter:
+                painter.wait(snapshot)
+                write_picture(painter.picture(snapshot), path)
             self._note = f"wrote {path}"
         except (MaglevError, OSError, mujoco.FatalError) as error:
             self._note = f"no screenshot: {error}"
@@ -279,9 +275,9 @@ def _mouse(perturb: Any) -> _Mouse:
     )
 
 
-def _scenery(name: str) -> Scenery:
+def _scenery(scene: Scene) -> Scenery:
     """Return a scene to look at, drawn as finely as a window needs."""
-    scenery = Scenery(name)
+    scenery = Scenery(scene)
     quality: Any = scenery.model.vis.quality
     quality.shadowsize, quality.offsamples = _SHADOWS, _SAMPLES
     return scenery

@@ -1,0 +1,118 @@
+"""The options by which a command lets other programs in: a pose stream, a 3D mouse."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+from maglev_mj.cli.options import chosen_key
+from maglev_mj.errors import ParameterError
+from maglev_mj.parameters import flag
+from maglev_mj.session import Publisher
+from maglev_mj.spacenav import PoseAxes, RateAxes, SpacenavServer
+from maglev_mj.spacenav.axes import Axes
+from maglev_mj.stream import URL, PoseStream
+from maglev_mj.terminal import say
+
+__all__ = ["add_publishers", "add_spacenav", "chosen_publishers", "chosen_spacenav"]
+
+
+_AXES_TOLD: dict[str, Callable[[], Axes]] = {"pose": PoseAxes, "rate": RateAxes}
+"""What may be told, by name."""
+
+
+def add_spacenav(parser: argparse.ArgumentParser, *, always: bool = False) -> None:
+    """Add --spacenav, --socket and --axes.
+
+    Args:
+        parser: Of the command.
+        always: Whether the command is one without asking, so that it needs no --spacenav.
+    """
+    if flag("always", always):
+        parser.set_defaults(spacenav=True)
+    else:
+        parser.add_argument("--spacenav", action="store_true", help="be a 3D mouse to other programs")
+    parser.add_argument(
+        "--socket",
+        metavar="PATH",
+        type=Path,
+        help="where those find it (default: $SPNAV_SOCKET, or one in $XDG_RUNTIME_DIR)",
+    )
+    parser.add_argument(
+        "--axes",
+        metavar="WHAT",
+        help="what those are told: pose, the deflection; or rate, the motion of a slave (default pose)",
+    )
+
+
+def chosen_spacenav(options: argparse.Namespace, say: Callable[[str], object] = print) -> list[SpacenavServer]:
+    """Return the server asked for, which listens already; none if none is.
+
+    Args:
+        options: Of the command line.
+        say: Tells the person where it is.
+
+    Raises:
+        ParameterError: If an option is wrong, or is given without --spacenav.
+    """
+    if not options.spacenav:
+        for name in ("socket", "axes"):
+            if getattr(options, name) is not None:
+                raise ParameterError(f"{name} is for --spacenav")
+        return []
+    axes = "pose" if options.axes is None else options.axes
+    if axes not in _AXES_TOLD:
+        raise ParameterError(f"axes must be one of {', '.join(_AXES_TOLD)}, not {axes!r}")
+    server = SpacenavServer(options.socket, axes=_AXES_TOLD[axes]())
+    say(f"  a 3D mouse; for the programs that are to have it: export SPNAV_SOCKET={server.path.resolve()}")
+    return [server]
+
+
+def add_publishers(parser: argparse.ArgumentParser) -> None:
+    """Add --stream, --stream-key, --spacenav, --socket and --axes."""
+    parser.add_argument(
+        "--stream",
+        nargs="?",
+        const=URL,
+        metavar="ADDRESS",
+        help=f"tell graphical hosts of every frame, and take settings from them (default {URL})",
+    )
+    parser.add_argument(
+        "--stream-key",
+        metavar="FILE",
+        type=Path,
+        help="secret of 16 to 32 bytes as hexadecimal digits, for hosts on other machines",
+    )
+    add_spacenav(parser)
+
+
+@contextmanager
+def chosen_publishers(options: argparse.Namespace) -> Iterator[list[Publisher]]:
+    """Open what was asked for, and close it at the end.
+
+    Raises:
+        ParameterError: If an option is wrong.
+        MaglevError: If an address or a socket is not to be had.
+    """
+    if options.stream is None and options.stream_key is not None:
+        raise ParameterError("stream-key is for --stream")
+    if options.stream is not None and not options.stream.startswith("udp://"):
+        raise ParameterError(f"stream must be udp://HOST:PORT, not {options.stream!r}")
+    key = chosen_key(options.stream_key, "stream-key")
+    with ExitStack() as open_ones:
+        publishers: list[Publisher] = []
+
+        def add(publisher: Publisher) -> None:
+            open_ones.callback(publisher.close)
+            publishers.append(publisher)
+
+        for server in chosen_spacenav(options, say):
+            add(server)
+        if options.stream is not None:
+            stream = PoseStream(options.stream, key=key)
+            add(stream)
+            host, port = stream.address
+            say(f"  a pose stream at udp://{host}:{port}")
+        yield publishers

@@ -1,0 +1,115 @@
+"""The scene that a command is given, and the options that its parameters make."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from maglev_mj.cli.options import Parser, add_parameters, chosen
+from maglev_mj.errors import ParameterError
+from maglev_mj.parameters import flag
+from maglev_mj.scenes.find import find_scene, scene_names
+from maglev_mj.scenes.scene import Scene
+
+__all__ = ["add_scene", "chosen_scene"]
+
+_MORE = "SCENE is a name, FILE.py or FILE.py:CLASS, and has options of its own: SCENE --help lists them."
+
+More = Callable[[Parser, type[Scene]], object]
+Find = Callable[[str], "Scene | type[Scene] | None"]
+
+
+def add_scene(
+    parser: Parser,
+    *,
+    more: More | None = None,
+    option: str | None = None,
+    default: str | None = None,
+    without: Sequence[str] = (),
+    options: bool = True,
+    instead: Callable[[Parser], object] | None = None,
+    find: Find = find_scene,
+    names: Sequence[str] = (),
+) -> None:
+    """Add the scene to a command, and an option for each parameter of the one that is given.
+
+    The class is found as the arguments are parsed, and left in `scene_class`.
+
+    Args:
+        parser: Of the command.
+        more: Called with parser and scene's class, for options that depend on it.
+        option: Name of the option that says which, such as "--scene"; None for the command's first word.
+        default: Scene where none is given; None where one must be.
+        without: Names of parameters that get no option.
+        options: False where parameters are given in another way.
+        instead: Called with the parser where no scene is given, for a command that may do without.
+        find: Finds the scene, or one whose values are the defaults of its options; None for what has no options.
+        names: Further names that it finds.
+    """
+    known = [*scene_names(), *names]
+    told = f"{', '.join(known)}, or a file" + (f" (default {default})" if default else "")
+    if option is not None:
+        parser.add_argument(option, dest="scene", default=default, metavar="SCENE", help=told)
+    else:
+        parser.add_argument(
+            "scene", nargs="?" if default or instead else None, default=default, metavar="SCENE", help=told
+        )
+    parser.epilog = f"{parser.epilog} {_MORE}" if parser.epilog else _MORE
+    parser.set_defaults(scene_class=None)
+    flag("options", options)
+
+    def before(arguments: Sequence[str]) -> None:
+        parser.before = None
+        text = _given(arguments, option, known) or default
+        if text is None:
+            if instead is not None:
+                instead(parser)
+            return
+        try:
+            found = find(text)
+        except ParameterError as error:
+            parser.error(str(error))
+        if found is None:
+            return
+        cls = found if isinstance(found, type) else type(found)
+        try:
+            if options:
+                add_parameters(parser, found, without=without)
+            if more is not None:
+                more(parser, cls)
+        except argparse.ArgumentError as error:  # a parameter has the name of an option of this command
+            parser.error(f"scene {cls.name} cannot be given here: {error}")
+        parser.set_defaults(scene_class=found)
+
+    parser.before = before
+
+
+def chosen_scene(options: argparse.Namespace, **defaults: Any) -> Scene:
+    """Return the scene that was given, with the parameters chosen.
+
+    Args:
+        options: As parsed.
+        defaults: Values in place of the scene's own defaults, for the parameters that it has.
+
+    Raises:
+        ParameterError: If a value is outside its bounds.
+    """
+    found = options.scene_class
+    made: Scene = found() if isinstance(found, type) else found
+    names = {one.name for one in made.parameters()}
+    return chosen(options, made.replace(**{name: value for name, value in defaults.items() if name in names}))
+
+
+def _given(arguments: Sequence[str], option: str | None, names: Sequence[str]) -> str | None:
+    """Return the scene among the arguments, which options of its own may stand in front of."""
+    if option is not None:
+        for place, word in enumerate(arguments):
+            if word == option and place + 1 < len(arguments):
+                return arguments[place + 1]
+            if word.startswith(f"{option}="):
+                return word.partition("=")[2]
+        return None
+    if arguments and not arguments[0].startswith("-"):
+        return arguments[0]
+    return next((word for word in arguments if word in names or word.partition(":")[0].endswith(".py")), None)

@@ -1,1 +1,0 @@
-"""Experiments: a plant, laws and figures put together, one module each."""

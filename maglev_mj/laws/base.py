@@ -1,0 +1,316 @@
+"""Base classes of laws: `Law` answers samples and describes itself; `AxisLaw` is made of gains and one function."""
+
+from __future__ import annotations
+
+import inspect
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import MISSING, dataclass, field, fields
+from typing import Any, NamedTuple, Protocol, Self, TypeAlias, dataclass_transform
+
+import numpy as np
+
+from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.frames import AXES, Array, Component
+from maglev_mj.parameters import axis_indices, batch_shape, numbers, per_axis
+
+__all__ = ["AxisLaw", "Face", "FunctionLaw", "Gains", "Law", "VelocityEstimator", "answer", "as_law", "gain"]
+
+Face: TypeAlias = tuple[int, float, Component]
+"""One plane of a wall: index into AXES, normal, edge; the axis is free where normal (x - edge) > 0."""
+
+
+class Gains(NamedTuple):
+    """Linearisation of a law in one of its states.
+
+    Attributes:
+        state: Name of the state: "always", "contact", "stuck" or another; several may hold at once, and then add up.
+        stiffness: On the six axes [N/m, N m/rad], (..., 6).
+        damping: On the six axes [N s/m, N m s/rad], (..., 6).
+    """
+
+    state: str
+    stiffness: Array
+    damping: Array
+
+
+class Law:
+    """Base class of laws: give `__call__`, and `start` where the law remembers something.
+
+    The other methods say what the law is. A law that says nothing has no faces, carries nothing and sticks nowhere, and
+    its stability is found numerically.
+    """
+
+    batch: tuple[int, ...] = ()
+    """Shape of parameters that differ from device to device; () where they do not."""
+    pulse_width: float = 0.0
+    """How long the law's pulses last [s]; 0 for a law without any."""
+
+    def start(self) -> Any:
+        """Return the state before the first sample."""
+        return None
+
+    def __call__(
+        self, position: Sequence[Component], velocity: Sequence[Component], state: Any, wrench: list[Component]
+    ) -> tuple[Any, Sequence[Component] | None]:
+        """Answer one sample: add the held force to `wrench`.
+
+        Args:
+            position: Six position components [m, rad].
+            velocity: Six velocity components [m/s, rad/s].
+            state: What the previous call returned, or `start()`.
+            wrench: Six components that the laws add up in [N, N m]; the only argument that is changed.
+
+        Returns:
+            The next state, and six components of pulse on top of the held force for `pulse_width`, or None.
+        """
+        raise NotImplementedError
+
+    def gains(self) -> Iterable[Gains] | None:
+        """Return the law's linearisation in each of its states; None to have it found numerically."""
+        return None
+
+    def faces(self) -> Sequence[Face]:
+        """Return each plane of a wall."""
+        return ()
+
+    def signals(self, state: Any) -> Mapping[str, Sequence[Component]]:
+        """Return quantities of a state by name, one for each of the law's axes; empty before the first sample."""
+        return {}
+
+    def stick_positions(self, state: Any) -> Mapping[int, float]:
+        """Return stick positions [m, rad] by index into AXES, NaN where an axis slides; empty without friction."""
+        return {}
+
+    def carried(self) -> Array:
+        """Return the constant wrench that carries the flotor and renders nothing [N, N m], (..., 6)."""
+        return np.zeros(len(AXES))
+
+
+class VelocityEstimator(Protocol):
+    """What the controller asks of a velocity estimate."""
+
+    def __call__(self, position: Sequence[Component], state: Any, period: float) -> tuple[Sequence[Component], Any]:
+        """Return six velocity components and the next state; `state` is None at the first sample."""
+
+
+def gain(
+    help: str = "",
+    unit: str = "",
+    *,
+    default: Any = MISSING,
+    above: float | None = None,
+    at_least: float = 0.0,
+) -> Any:
+    """Declare a gain of an `AxisLaw`: one number, one an axis, or (N, axes) for N devices.
+
+    Args:
+        help: What it is.
+        unit: Its unit.
+        default: Its default; it must be given where there is none.
+        above: Bound that it must exceed; None for none.
+        at_least: Least value; -inf for none.
+    """
+    return field(default=default, metadata={"help": help, "unit": unit, "above": above, "at_least": at_least})
+
+
+@dataclass_transform(kw_only_default=True, frozen_default=True, eq_default=False, field_specifiers=(gain, field))
+@dataclass(frozen=True, kw_only=True, eq=False)
+class AxisLaw(Law):
+    """A law that acts on each of its axes by itself: declare gains, and give `force`. No decorator is needed.
+
+    Use + - * /, comparisons and numpy functions alone, no `if` on a coordinate and no `math`: one line then serves one
+    device, as floats, and N devices, as arrays.
+
+    Args:
+        axes: Names from AXES; all six by default.
+
+    Raises:
+        ParameterError: If a gain is outside its bounds or of the wrong shape.
+
+    Example:
+        >>> class Spring(AxisLaw):
+        ...     stiffness: float = gain("stiffness", "N/m")
+        ...     damping: float = gain("damping", "N s/m", default=0.0)
+        ...
+        ...     def force(self, x, v, gains, state):
+        ...         return -gains.stiffness * x - gains.damping * v
+        >>> wrench = [0.0] * 6
+        >>> Spring(axes="x", stiffness=3000.0)([1e-3, 0, 0, 0, 0, 0], [0.0] * 6, [None], wrench)
+        ([None], None)
+        >>> wrench
+        [-3.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+    """
+
+    axes: str | Sequence[str] = AXES
+
+    indices: tuple[int, ...] = field(init=False, repr=False)
+    batch: tuple[int, ...] = field(init=False, repr=False)
+    _each: tuple[tuple[int, Self], ...] = field(init=False, repr=False)
+    """Index into AXES and the law with the gains of that axis alone, as components."""
+
+    def __init_subclass__(cls, **keywords: Any) -> None:
+        super().__init_subclass__(**keywords)
+        dataclass(frozen=True, kw_only=True, eq=False)(cls)
+        if hidden := [name for name in inspect.get_annotations(cls) if name != "axes" and hasattr(AxisLaw, name)]:
+            raise ParameterError(f"{cls.__name__} must not have a gain called {hidden[0]}: a law has that itself")
+        if not _takes(cls.force, 5):
+            takes = inspect.signature(cls.force)
+            raise ParameterError(f"{cls.__name__}.force must take (self, x, v, gains, state), not {takes}")
+
+    def __post_init__(self) -> None:
+        name, indices = type(self).__name__, axis_indices(self.axes)
+        values: dict[str, Array] = {}
+        for one in fields(self):
+            if "at_least" not in one.metadata:
+                continue
+            what, above = f"{name} {one.name}", one.metadata["above"]
+            array = values[one.name] = numbers(what, getattr(self, one.name), at_least=one.metadata["at_least"])
+            if above is not None and not (array > above).all():
+                raise ParameterError(f"{what} must be above {above:g} everywhere, not {array.min():g}")
+        split = {one: per_axis(f"{name} {one}", array, len(indices)) for one, array in values.items()}
+        each = []
+        for slot, index in enumerate(indices):
+            alone = object.__new__(type(self))
+            for one in fields(self):
+                if one.init:
+                    value = split[one.name][slot] if one.name in split else getattr(self, one.name)
+                    object.__setattr__(alone, one.name, value)
+            each.append((index, alone))
+        object.__setattr__(self, "indices", indices)
+        object.__setattr__(self, "batch", batch_shape(name, values.values()))
+        object.__setattr__(self, "_each", tuple(each))
+
+    def start(self) -> Any:
+        """Return the state before the first sample: None for each axis."""
+        return (None,) * len(self._each)
+
+    def force(self, x: Component, v: Component, gains: Self, state: Any) -> Any:
+        """Return the force on one axis [N, N m], or that and the next state.
+
+        Args:
+            x: Position [m, rad].
+            v: Velocity [m/s, rad/s].
+            gains: The gains of that axis, by name.
+            state: The state of that axis; None at the first sample.
+        """
+        raise NotImplementedError(f"{type(self).__name__} needs force(self, x, v, gains, state)")
+
+    def __call__(
+        self, position: Sequence[Component], velocity: Sequence[Component], state: Any, wrench: list[Component]
+    ) -> tuple[Any, Sequence[Component] | None]:
+        """Answer one sample; see `Law`."""
+        after, force = [], self.force
+        for (axis, gains), before in zip(self._each, state):
+            given = force(position[axis], velocity[axis], gains, before)
+            if given.__class__ is tuple:
+                given, before = given
+            wrench[axis] = wrench[axis] + given
+            after.append(before)
+        return after, None
+
+    def on_axes(self, values: Any) -> Array:
+        """Return a gain on the six axes, (..., 6), 0 on those that are not the law's."""
+        array = np.asarray(values, dtype=np.float64)
+        spread = np.zeros((*array.shape[:-1], len(AXES)))
+        spread[..., list(self.indices)] = array
+        return spread
+
+
+class FunctionLaw(Law):
+    """A law without memory: a function of six positions and six velocities that returns six wrench components."""
+
+    def __init__(self, function: Callable[[Sequence[Component], Sequence[Component]], Sequence[Component]]) -> None:
+        self._function = function
+        self.name = getattr(function, "__name__", type(function).__name__)
+
+    def __call__(
+        self, position: Sequence[Component], velocity: Sequence[Component], state: Any, wrench: list[Component]
+    ) -> tuple[Any, Sequence[Component] | None]:
+        """Answer one sample; see `Law`."""
+        parts: Any = self._function(position, velocity)
+        if isinstance(parts, np.ndarray) and parts.ndim == 1:
+            parts = parts.tolist()
+        try:
+            x, y, z, rx, ry, rz = parts
+        except (TypeError, ValueError):
+            raise ParameterError(f"law {self.name} must return six wrench components, not {parts!r}") from None
+        wrench[:] = (
+            wrench[0] + x,
+            wrench[1] + y,
+            wrench[2] + z,
+            wrench[3] + rx,
+            wrench[4] + ry,
+            wrench[5] + rz,
+        )
+        return None, None
+
+
+def as_law(given: Law | Callable[..., Any]) -> Law:
+    """Return a law, or the law that a function f(position, velocity) is.
+
+    Raises:
+        ParameterError: If it is neither.
+    """
+    if isinstance(given, Law):
+        return given
+    if not isinstance(given, type) and callable(given) and _takes(given, 2):
+        return FunctionLaw(given)
+    raise ParameterError(f"a law must be a Law, an AxisLaw or a function f(position, velocity), not {given!r}")
+
+
+def answer(
+    law: Law, position: Sequence[Component], velocity: Sequence[Component], state: Any, wrench: list[Component]
+) -> tuple[Any, Sequence[Component] | None]:
+    """Return a law's answer to a sample, and check it; see `Law`.
+
+    Raises:
+        ParameterError: If the law fails, changes what it is given, or answers in a wrong shape or not finitely.
+    """
+    name = f"law {getattr(law, 'name', type(law).__name__)}"
+    given = [part if part.__class__ is float else np.array(part) for part in (*position, *velocity)]
+    try:
+        said = law(position, velocity, state, wrench)
+    except MaglevError:
+        raise
+    except Exception as error:
+        raise ParameterError(f"{name} fails: {type(error).__name__}: {error}") from error
+    if not (isinstance(said, tuple) and len(said) == 2):
+        raise ParameterError(f"{name} must return its next state and a pulse or None, not {said!r}")
+    seen = (*position, *velocity)
+    if len(seen) != len(given) or not all(map(_same, seen, given)):
+        raise ParameterError(f"{name} must not change the position or velocity that it is given")
+    single = all(part.__class__ is float for part in given)
+    batch = () if single else np.broadcast_shapes(*map(np.shape, given))
+    _check(name, "wrench", wrench, batch)
+    if said[1] is not None:
+        _check(name, "pulse", said[1], batch)
+    return said
+
+
+def _same(one: Component, other: Component) -> bool:
+    return one is other or np.array_equal(one, other)
+
+
+def _check(name: str, what: str, parts: Sequence[Component], batch: tuple[int, ...]) -> None:
+    """Refuse anything but six finite components of a batch."""
+    if not hasattr(parts, "__len__") or len(parts) != len(AXES):
+        raise ParameterError(f"{name} must leave six components of {what}, not {parts!r}")
+    for axis, part in zip(AXES, parts):
+        if part.__class__ is float and math.isfinite(part):
+            continue
+        array = np.asarray(part)
+        if array.dtype.kind not in "fiu" or array.shape not in ((), batch):
+            shape = f"shape {batch}" if batch else "a number"
+            raise ParameterError(f"{name} must give a {what} of {shape} on {axis}, not {part!r}")
+        if (wrong := array[~np.isfinite(array)]).size:
+            raise ParameterError(f"{name} must give a finite {what} on {axis}, not {wrong.flat[0]}")
+
+
+def _takes(function: Callable[..., Any], count: int) -> bool:
+    """Return whether a function takes so many positional arguments."""
+    try:
+        inspect.signature(function).bind(*[None] * count)
+    except (TypeError, ValueError):
+        return False
+    return True

@@ -1,0 +1,35 @@
+"""The key that two ends of a wire share, and the tag by which each knows that a message is the other's."""
+
+from __future__ import annotations
+
+import hashlib
+
+from maglev_mj.errors import ParameterError
+
+__all__ = ["LEAST_KEY", "MOST_KEY", "TAG", "Authenticator"]
+
+LEAST_KEY, MOST_KEY = 16, 32
+"""Bytes that a key has."""
+
+TAG = 16
+"""Bytes of a tag."""
+
+
+class Authenticator:
+    """Tags messages by keyed BLAKE2s.
+
+    Args:
+        key: Shared by both ends.
+
+    Raises:
+        ParameterError: If it is too short or too long.
+    """
+
+    def __init__(self, key: bytes) -> None:
+        if not LEAST_KEY <= len(key) <= MOST_KEY:
+            raise ParameterError(f"key must have {LEAST_KEY} to {MOST_KEY} bytes, not {len(key)}")
+        self._key = key
+
+    def tag(self, data: bytes) -> bytes:
+        """Return the tag of a message."""
+        return hashlib.blake2s(data, digest_size=TAG, key=self._key).digest()

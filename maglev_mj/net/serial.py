@@ -1,0 +1,232 @@
+"""Frames over a serial line: COBS between zero bytes. It needs pyserial (the extra `serial`), a pty does not.
+
+Source: S. Cheshire and M. Baker, "Consistent Overhead Byte Stuffing", IEEE/ACM Transactions on Networking 7(2), 1999.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections import deque
+from contextlib import suppress
+
+from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.net.udp import Address, LinkError, readable
+
+__all__ = ["LONGEST", "Deframer", "PtyServer", "SerialLink", "SerialMissingError", "cobs_decode", "cobs_encode"]
+
+LONGEST = 4096
+"""Bytes without a zero after which they are no frame."""
+
+_FLOOD = 1e-3  # [s] of reading what is no frame beyond the time that a caller would wait
+_CODES = [bytes([length + 1]) for length in range(255)]
+
+
+class SerialMissingError(MaglevError):
+    """pyserial is not installed."""
+
+
+def cobs_encode(data: bytes) -> bytes:
+    """Return data without a zero byte in it, longer by 1 and by at most another of every 254."""
+    pieces: list[bytes] = []
+    *blocks, tail = data.split(b"\0")
+    for block in blocks:
+        while len(block) > 253:
+            pieces += (b"\xff", block[:254])
+            block = block[254:]
+        pieces += (_CODES[len(block)], block)
+    while len(tail) > 254:
+        pieces += (b"\xff", tail[:254])
+        tail = tail[254:]
+    pieces += (_CODES[len(tail)], tail)
+    return b"".join(pieces)
+
+
+def cobs_decode(data: bytes) -> bytes | None:
+    """Return what was encoded; None for what no encoding can be."""
+    end = len(data)
+    if not end or b"\0" in data:
+        return None
+    pieces = []
+    start = 0
+    while start < end:
+        code = data[start]
+        stop = start + code
+        if stop > end:
+            return None
+        pieces.append(data[start + 1 : stop])
+        if code < 255 and stop < end:
+            pieces.append(b"\0")
+        start = stop
+    return b"".join(pieces)
+
+
+class Deframer:
+    """Cuts a stream of bytes into frames, and finds them again after garbage.
+
+    Attributes:
+        frames: Those that have come, oldest first; to be taken from the left.
+        dropped: How many pieces were no frame.
+    """
+
+    def __init__(self) -> None:
+        self.frames: deque[bytes] = deque()
+        self.dropped = 0
+        self._rest = b""
+        self._lost = False
+
+    def feed(self, data: bytes) -> None:
+        """Take in the next bytes."""
+        *pieces, self._rest = (self._rest + data).split(b"\0")
+        for piece in pieces:
+            frame = None if self._lost or len(piece) > LONGEST else cobs_decode(piece)
+            if frame is not None:
+                self.frames.append(frame)
+            elif piece or self._lost:
+                self.dropped += 1
+            self._lost = False
+        if len(self._rest) > LONGEST:
+            self._rest, self._lost = b"", True
+
+
+class _Line:
+    """Frames through a file descriptor that does not block."""
+
+    def __init__(self, descriptor: int, name: str) -> None:
+        self._descriptor, self._name = descriptor, name
+        self._deframer = Deframer()
+
+    @property
+    def dropped(self) -> int:
+        """How many pieces between zero bytes were no frame."""
+        return self._deframer.dropped
+
+    def _write(self, data: bytes) -> None:
+        try:
+            # the zero before it keeps noise, or a frame cut short for lack of room, from spoiling this one
+            os.write(self._descriptor, b"\0" + cobs_encode(data) + b"\0")
+        except BlockingIOError:
+            pass  # no room: lost, as on any link
+        except OSError as error:
+            raise LinkError(f"{self._name} is gone: {error.strerror}") from None
+
+    def _next(self, timeout: float) -> bytes | None:
+        frames = self._deframer.frames
+        if frames:
+            return frames.popleft()
+        end = time.monotonic() + timeout
+        while not frames:
+            left = end - time.monotonic()
+            if left < -_FLOOD or not readable(self._descriptor, left):
+                return None
+            self._deframer.feed(self._read())
+        return frames.popleft()
+
+    def _read(self) -> bytes:
+        try:
+            data = os.read(self._descriptor, LONGEST)
+        except BlockingIOError:
+            return b""
+        except OSError as error:
+            raise LinkError(f"{self._name} is gone: {error.strerror}") from None
+        if not data:  # though it was readable
+            raise LinkError(f"{self._name} is gone: end of file")
+        return data
+
+
+class SerialLink(_Line):
+    """A link over a serial line, which no other program may have open.
+
+    Args:
+        path: Of the line, such as /dev/ttyUSB0.
+        baud: Rate [1/s], above 0.
+
+    Raises:
+        SerialMissingError: If pyserial is not installed.
+        ParameterError: If the line does not have that rate.
+        LinkError: If it cannot be opened.
+    """
+
+    def __init__(self, path: str, baud: int) -> None:
+        try:
+            from serial import Serial
+        except ImportError:
+            raise SerialMissingError("a serial line needs pyserial: pip install 'maglev-mj[serial]'") from None
+        try:
+            self._port = Serial(path, baud, timeout=0, exclusive=True)
+        except ValueError:
+            raise ParameterError(f"baud must be a rate that {path} has, not {baud!r}") from None
+        except OSError as error:
+            raise LinkError(f"cannot open serial://{path}: {error.strerror or error}") from None
+        # without it some USB adapters hold bytes back for 16 ms; others, and a pty, do not know it
+        with suppress(OSError, ValueError, AttributeError, NotImplementedError):
+            self._port.set_low_latency_mode(True)
+        super().__init__(self._port.fileno(), path)
+
+    def send(self, data: bytes) -> None:
+        """Send one frame; one for which there is no room is lost.
+
+        Raises:
+            LinkError: If the line is gone.
+        """
+        self._write(data)
+
+    def receive(self, timeout: float) -> bytes | None:
+        """Return the oldest frame that has come, or None if none comes within `timeout` [s]; 0 only looks.
+
+        Raises:
+            LinkError: If the line is gone.
+        """
+        return self._next(timeout)
+
+    def now(self) -> int:
+        """Return the instant [ns] of this machine's monotonic clock."""
+        return time.monotonic_ns()
+
+    def close(self) -> None:
+        """Close the line; a second time does nothing."""
+        self._port.close()
+        self._descriptor = -1  # a number that the system may hand out again
+
+
+class PtyServer(_Line):
+    """A device's end of a serial line that is not there: a pseudo-terminal, whose other end anyone may open.
+
+    Attributes:
+        path: Of the other end, for a `SerialLink`.
+        address: Where its one peer is.
+
+    Raises:
+        LinkError: If the system has no pseudo-terminals.
+    """
+
+    def __init__(self) -> None:
+        try:
+            import tty
+
+            master, self._slave = os.openpty()
+        except (ImportError, AttributeError, OSError) as error:
+            raise LinkError(f"no pseudo-terminal: {error}") from None
+        tty.setraw(self._slave)  # kept open, or the line would be gone whenever the peer closes
+        os.set_blocking(master, False)
+        self.path = os.ttyname(self._slave)
+        self.address: Address = (self.path, 0)
+        self._open = True
+        super().__init__(master, self.path)
+
+    def receive(self, timeout: float) -> tuple[bytes, Address] | None:
+        """Return the oldest frame and its sender, or None if none comes within `timeout` [s]; 0 only looks."""
+        data = self._next(timeout)
+        return None if data is None else (data, self.address)
+
+    def send(self, data: bytes, address: Address) -> None:
+        """Send one frame; one for which there is no room is lost."""
+        self._write(data)
+
+    def close(self) -> None:
+        """Close both ends; a second time does nothing."""
+        if self._open:
+            self._open = False
+            os.close(self._descriptor)
+            os.close(self._slave)
+            self._descriptor = -1

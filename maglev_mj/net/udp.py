@@ -1,0 +1,256 @@
+"""How frames travel: what a link is, and links over UDP.
+
+A link may lose, repeat, reorder and damage frames, and says nothing of it: the frames are numbered and sealed.
+"""
+
+from __future__ import annotations
+
+import errno
+import socket
+import time
+from contextlib import suppress
+from select import select
+from typing import Protocol, TypeAlias
+
+from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.net.addresses import Url, check_host, is_loopback, parse_url, resolve
+
+__all__ = [
+    "Address",
+    "Link",
+    "LinkError",
+    "Server",
+    "UdpLink",
+    "UdpServer",
+    "Url",
+    "check_host",
+    "is_loopback",
+    "open_link",
+    "parse_url",
+    "readable",
+    "resolve",
+]
+
+Address: TypeAlias = tuple[str, int]
+"""Where a peer of a server is: host and port, or path and 0 of a serial line."""
+
+_LARGEST = 2048  # of a datagram: a frame has at most 300 bytes
+_BACKLOG = 4096 * 1280  # frames in the receive buffer, and what Linux counts for one
+_SILENCE = {
+    # nobody listens there, nobody is there, no room: what a cable out of its socket looks like;
+    # and an answer to a forged sender, port 0 or everyone, is not let out
+    errno.ECONNREFUSED,
+    errno.ECONNRESET,
+    errno.EHOSTUNREACH,
+    errno.ENETUNREACH,
+    errno.ENETDOWN,
+    errno.ENOBUFS,
+    errno.EAGAIN,
+    errno.EINVAL,
+    errno.EACCES,
+    errno.EPERM,
+}
+
+
+class LinkError(MaglevError):
+    """A link cannot be opened, or its line is gone."""
+
+
+class Link(Protocol):
+    """One end of a connection between two."""
+
+    def send(self, data: bytes) -> None:
+        """Send one frame; one that cannot leave now is lost.
+
+        Raises:
+            LinkError: If the line is gone.
+        """
+
+    def receive(self, timeout: float) -> bytes | None:
+        """Return the oldest frame that has come, or None if none comes within `timeout` [s]; 0 only looks.
+
+        Raises:
+            LinkError: If the line is gone.
+        """
+
+    def now(self) -> int:
+        """Return the instant [ns] by the link's clock, which never goes back."""
+
+    def close(self) -> None:
+        """Close the link; a second time does nothing."""
+
+
+class Server(Protocol):
+    """The end that waits for others to speak first."""
+
+    @property
+    def address(self) -> Address:
+        """Where others reach it."""
+
+    def receive(self, timeout: float) -> tuple[bytes, Address] | None:
+        """Return the oldest frame and its sender, or None if none comes within `timeout` [s]; 0 only looks."""
+
+    def send(self, data: bytes, address: Address) -> object:
+        """Send one frame; one that cannot leave now is lost."""
+
+    def close(self) -> None:
+        """Close it; a second time does nothing."""
+
+
+class UdpLink:
+    """A link over UDP, IPv4; where nobody listens there is silence, not an error.
+
+    Args:
+        host: Name or address of the other end.
+        port: Of the other end, 1 to 65535.
+
+    Raises:
+        ParameterError: If the host has no address, or the port is none.
+        LinkError: If there is no way there.
+    """
+
+    def __init__(self, host: str, port: int) -> None:
+        address = (resolve(host), _port(port, 1))
+        self._socket = _new_socket()
+        try:
+            self._socket.connect(address)
+        except OSError as error:
+            self._socket.close()
+            raise LinkError(f"no way to udp://{host}:{port}: {error.strerror}") from None
+        self._send, self._receive = self._socket.send, self._socket.recv
+
+    def send(self, data: bytes) -> None:
+        """Send one frame; one that cannot leave now is lost."""
+        try:
+            self._send(data)
+        except ConnectionRefusedError:  # of an earlier frame: this one has not been sent yet
+            with suppress(ConnectionRefusedError, BlockingIOError):
+                self._send(data)
+        except OSError as error:
+            if error.errno not in _SILENCE:
+                raise
+
+    def receive(self, timeout: float) -> bytes | None:
+        """Return the oldest frame that has come, or None if none comes within `timeout` [s]; 0 only looks."""
+        if timeout > 0.0 and not readable(self._socket, timeout):
+            return None
+        try:
+            return self._receive(_LARGEST)
+        except BlockingIOError:
+            if timeout <= 0.0:
+                return None
+        except OSError as error:
+            if error.errno not in _SILENCE:
+                raise
+        # that was word of a frame sent earlier; a caller that got None at once, and asked again, would spin
+        return self.receive(timeout)
+
+    def fileno(self) -> int:
+        """Return what `select` waits for."""
+        return self._socket.fileno()
+
+    def now(self) -> int:
+        """Return the instant [ns] of this machine's monotonic clock."""
+        return time.monotonic_ns()
+
+    def close(self) -> None:
+        """Close the socket; a second time does nothing."""
+        self._socket.close()
+
+
+class UdpServer:
+    """A socket that anyone may write to, IPv4; `check_host` says whether it may be opened there.
+
+    Args:
+        host: Name or address of this machine; 0.0.0.0 for all it has.
+        port: To listen at, 1 to 65535; 0 for any that is free.
+        backlog: Bytes of frames that may wait; None for as many as the system has room for by default.
+
+    Attributes:
+        address: Where it listens.
+
+    Raises:
+        ParameterError: If the host has no address, or the port is none.
+        LinkError: If it cannot listen there.
+    """
+
+    def __init__(self, host: str, port: int, *, backlog: int | None = _BACKLOG) -> None:
+        wanted = (resolve(host), _port(port, 0))
+        self._socket = _new_socket(backlog)
+        try:
+            self._socket.bind(wanted)
+        except OSError as error:
+            self._socket.close()
+            raise LinkError(f"cannot listen at udp://{host}:{port}: {error.strerror}") from None
+        self.address: Address = self._socket.getsockname()
+
+    def receive(self, timeout: float) -> tuple[bytes, Address] | None:
+        """Return the oldest frame and its sender, or None if none comes within `timeout` [s]; 0 only looks."""
+        if timeout > 0.0 and not readable(self._socket, timeout):
+            return None
+        try:
+            return self._socket.recvfrom(_LARGEST)
+        except OSError as error:
+            if error.errno not in _SILENCE:
+                raise
+            return None
+
+    def send(self, data: bytes, address: Address) -> bool:
+        """Send one frame, and return whether it has left; one that cannot leave now is lost."""
+        try:
+            self._socket.sendto(data, address)
+        except OSError as error:
+            if error.errno not in _SILENCE:
+                raise
+            return False
+        return True
+
+    def fileno(self) -> int:
+        """Return what `select` waits for."""
+        return self._socket.fileno()
+
+    def close(self) -> None:
+        """Close the socket; a second time does nothing."""
+        self._socket.close()
+
+
+def open_link(url: str, key: bytes | None = None) -> Link:
+    """Return a link to the device at an address.
+
+    Args:
+        url: See `parse_url`.
+        key: With which frames are sealed; needed for any machine but this.
+
+    Raises:
+        ParameterError: If the address is none, or is another machine's and there is no key.
+        LinkError: If it cannot be opened.
+        SerialMissingError: If a serial line is asked for and pyserial is not installed.
+    """
+    scheme, place, number = parse_url(url)
+    if scheme == "udp":
+        # what was checked is what is opened: a name may have another address the next time
+        return UdpLink(check_host(place, key), number)
+    from maglev_mj.net.serial import SerialLink
+
+    return SerialLink(place, number)
+
+
+def readable(descriptor: int | socket.socket, timeout: float) -> bool:
+    """Return whether there is something to read, waiting up to `timeout` [s] for it; 0 or less only looks."""
+    # select, not poll or a timeout of the socket: those wait whole milliseconds
+    return bool(select([descriptor], (), (), timeout if timeout > 0.0 else 0.0)[0])
+
+
+def _port(port: int, least: int) -> int:
+    if not least <= port <= 65535:
+        raise ParameterError(f"port must be {least} to 65535, not {port!r}")
+    return port
+
+
+def _new_socket(backlog: int | None = _BACKLOG) -> socket.socket:
+    new = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    new.setblocking(False)
+    if backlog is not None:
+        with suppress(OSError):  # a system may grant less (net.core.rmem_max)
+            new.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, backlog)
+    return new

@@ -1,0 +1,102 @@
+"""Pictures of any scene: its series over time, and its figures over the phase of the samples."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from importlib import import_module
+from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+
+from maglev_mj.plots.drawing import MANY, new_figure, save
+from maglev_mj.scenes.run import Phases, Result
+from maglev_mj.scenes.scene import Scene
+
+__all__ = ["Picture", "pictures_of", "series", "spread"]
+
+Picture: TypeAlias = Callable[[Mapping[str, Result], Mapping[str, Phases], Path], Path]
+"""Draws results and phases, each by label, to a file."""
+
+_FINE = 1e-4
+_UNITS = {"position": "position (m)", "velocity": "velocity (m/s)", "force": "force (N)", "z": "height (m)"}
+_MOST_PANELS = 4
+
+
+def pictures_of(scene: Scene, sweeps: Mapping[str, Phases]) -> dict[str, Picture]:
+    """Return what draws a scene, by name of the file: its own pictures, or the general ones."""
+    if scene.plots:
+        return {name: _found(place) for name, place in scene.plots.items()}
+    pictures: dict[str, Picture] = {f"{scene.name}.png": series}
+    if sweeps:
+        pictures[f"{scene.name}_phases.png"] = spread
+    return pictures
+
+
+def _found(place: str) -> Picture:
+    module, _, name = place.partition(":")
+    found: Picture = getattr(import_module(module), name)
+    return found
+
+
+def series(results: Mapping[str, Result], sweeps: Mapping[str, Phases], path: Path) -> Path:
+    """Draw what the scene shows over time, a panel each and a line for each run.
+
+    Args:
+        results: Runs by label.
+        sweeps: Not drawn.
+        path: PNG to write.
+
+    Raises:
+        ChartsMissingError: If matplotlib is not installed.
+    """
+    shown = {label: result.series(_FINE) for label, result in results.items()}
+    first = next(iter(shown.values()))
+    names = [name for name, values in first.items() if name != "time" and values.dtype.kind in "fiu"][:_MOST_PANELS]
+    figure, panels = new_figure(len(names), 1, (8.0, 1.2 + 2.2 * len(names)), sharex=True)
+    for panel, name in zip(panels, names, strict=True):
+        step = "steps-post" if "force" in name else "default"
+        for place, (label, values) in enumerate(shown.items()):
+            panel.plot(values["time"], values[name], color=MANY[place % len(MANY)], drawstyle=step, label=label)
+        panel.set_ylabel(_UNITS.get(name, name.replace("_", " ")))
+    panels[-1].set_xlabel("time (s)")
+    panels[-1].set_xlim(0.0, max(float(first["time"][-1]), _FINE))
+    result = next(iter(results.values()))
+    scene = result.scene
+    panels[0].set_title(
+        f"{scene.name}, axis {scene.axis}, {1.0 / scene.period:g} Hz, delay {scene.delay * 1e3:g} ms ({result.plant})",
+        loc="left",
+        fontsize=10.5,
+    )
+    if len(shown) > 1:
+        figure.legend(*panels[0].get_legend_handles_labels(), frameon=False, loc="outside lower center", ncols=4)
+    return save(figure, path)
+
+
+def spread(results: Mapping[str, Result], sweeps: Mapping[str, Phases], path: Path) -> Path:
+    """Draw each figure over the phase of the samples, a panel each.
+
+    Args:
+        results: Not drawn.
+        sweeps: Phases by label.
+        path: PNG to write.
+
+    Raises:
+        ChartsMissingError: If matplotlib is not installed.
+    """
+    scene = next(iter(sweeps.values())).scene
+    figure, panels = new_figure(
+        1, max(len(scene.figures), 1), (3.2 * max(len(scene.figures), 1) + 0.6, 3.8), sharex=True
+    )
+    for panel, (name, one) in zip(panels, scene.figures.items()):
+        for place, (label, sweep) in enumerate(sweeps.items()):
+            values = np.asarray(sweep.figures[name], dtype=np.float64).reshape(len(sweep.phases), -1) * one.scale
+            lines = panel.plot(sweep.phases, values, color=MANY[place % len(MANY)])
+            lines[0].set_label(label)
+        unit = f" ({one.unit})" if one.unit else ""
+        panel.set_title(f"{name.replace('_', ' ')}{unit}", loc="left", fontsize=10.5)
+        panel.set_xlim(0.0, 1.0)
+        panel.set_xlabel("phase of the first sample (periods)")
+    if len(sweeps) > 1:
+        figure.legend(*panels[0].get_legend_handles_labels(), frameon=False, loc="outside lower center", ncols=4)
+    return save(figure, path)

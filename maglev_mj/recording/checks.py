@@ -1,0 +1,314 @@
+"""Checks of files: numbers, texts and sizes, whichever kind of file it is."""
+
+from __future__ import annotations
+
+import json
+import math
+import zlib
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from maglev_mj.errors import ParameterError
+from maglev_mj.frames import AXES, Array
+from maglev_mj.parameters import number
+from maglev_mj.recording.row import FIELDS, TOTALS, Field, Rows, as_row
+
+if TYPE_CHECKING:
+    from mcap.records import Chunk
+
+__all__ = [
+    "LARGEST_PART",
+    "Allowance",
+    "UnpackingError",
+    "check_rows",
+    "check_setup",
+    "object_in",
+    "parsed",
+    "sample_row",
+    "six",
+    "start_in",
+    "text_in",
+    "unpacked",
+    "whole",
+]
+
+_WHOLE = 2**53  # from there on a float skips whole numbers
+_MISSING = 1_000_000
+_FORCE, _POSE = 1e12, 1e3
+LARGEST_PART = 64 << 20
+"""Bytes that a compressed part of a file, a chunk or an array, may unpack to."""
+
+_TIMES = 1000
+_KEPT_TIMES = 100
+_KEPT = 1 << 20
+
+
+def parsed(text: bytes | str) -> Any:
+    """Return what JSON says.
+
+    Raises:
+        ParameterError: If it is none, or has a number that JSON does not know, such as NaN.
+    """
+    try:
+        return json.loads(text, parse_constant=_refuse)
+    except ParameterError:
+        raise
+    except (ValueError, RecursionError):
+        raise ParameterError("a message is not JSON") from None
+
+
+def object_in(holder: Any, name: str) -> Mapping[str, Any]:
+    """Return the object of a name.
+
+    Raises:
+        ParameterError: If there is none.
+    """
+    found: Mapping[str, Any] = _of_kind(dict, "an object", holder, name)
+    return found
+
+
+def text_in(holder: Any, name: str) -> str:
+    """Return the text of a name.
+
+    Raises:
+        ParameterError: If there is none.
+    """
+    return str(_of_kind(str, "a text", holder, name))
+
+
+def whole(holder: Any, name: str, *, at_least: int = 0, at_most: int = _WHOLE) -> int:
+    """Return the whole number of a name.
+
+    Raises:
+        ParameterError: If there is none, or it is outside the bounds.
+    """
+    value = _value(holder, name)
+    if value.__class__ is not int or not at_least <= value <= at_most:
+        bounds = f"{at_least}" if at_least == at_most else f"a whole number from {at_least} to {at_most}"
+        raise ParameterError(f"{name} must be {bounds}, not {_shown(value)}")
+    return int(value)
+
+
+def six(holder: Any, name: str, *, at_least: float = -_FORCE) -> list[float]:
+    """Return the numbers that a name has for each axis.
+
+    Raises:
+        ParameterError: If one is missing, or outside its bounds.
+    """
+    values = object_in(holder, name)
+    return [number(f"{name}.{axis}", _value(values, axis, of=name), at_least=at_least, at_most=_FORCE) for axis in AXES]
+
+
+def start_in(setup: Mapping[str, Any]) -> dict[str, list[float]]:
+    """Return pose, twist and wrench with which a setup starts, six each [m, rad; m/s, rad/s; N, N m].
+
+    Raises:
+        ParameterError: If there is none, or it is outside its bounds.
+    """
+    found = {}
+    for name, most in (("pose", _POSE), ("twist", _POSE), ("wrench", _FORCE)):
+        values = _value(setup, name, of="a setup")
+        if not isinstance(values, list) or len(values) != len(AXES):
+            raise ParameterError(f"{name} must be a list of {len(AXES)} numbers, not {_shown(values)}")
+        found[name] = [number(name, value, at_least=-most, at_most=most) for value in values]
+    return found
+
+
+def check_setup(value: Any) -> Mapping[str, Any]:
+    """Return what plant and controller were made from, if it is an object with a kind and finite numbers.
+
+    Raises:
+        ParameterError: If it is not.
+    """
+    setup = object_in({"setup": value}, "setup")
+    text_in(setup, "kind")
+    waiting: list[tuple[str, Any]] = list(setup.items())
+    while waiting:
+        name, part = waiting.pop()
+        if isinstance(part, dict):
+            waiting += [(f"{name}.{key}", one) for key, one in part.items()]
+        elif isinstance(part, list):
+            waiting += [(name, one) for one in part]
+        elif isinstance(part, float):
+            number(f"setup {name}", part)
+    return setup
+
+
+def sample_row(sample: Any) -> list[float]:
+    """Return the values of a sample, and the totals up to it; a command that was not finite is NaN.
+
+    Raises:
+        ParameterError: If one is missing, or no number.
+    """
+    try:
+        row = as_row(sample)
+    except (KeyError, TypeError):
+        names = ", ".join(field.name for field in (*FIELDS, *TOTALS) if not field.optional)
+        raise ParameterError(f"a sample must have {names}") from None
+    for name in _WHOLE_FIELDS:
+        whole(sample, name)
+    if not set(map(type, row)) <= _NUMBERS:
+        for index, value in enumerate(row):
+            if value is None and index in _COMMANDED:
+                row[index] = math.nan
+            elif type(value) not in _NUMBERS:
+                raise ParameterError(f"a sample must be of numbers, not {_shown(value)}")
+    try:
+        return [float(value) for value in row]
+    except OverflowError:
+        raise ParameterError("a sample must be of numbers that a float can hold") from None
+
+
+_WHOLE_FIELDS = [field.name for field in (*FIELDS, *TOTALS) if not field.unit]
+_NUMBERS = {float, int}
+_COLUMNS = [field for field in FIELDS for _ in field.units]
+_COMMANDED = {index for index, field in enumerate(_COLUMNS) if field.array == "command"}
+"""Columns that may be no number, where the plant refused the command."""
+
+
+def check_rows(rows: Rows, totals: Rows | None = None) -> None:
+    """Check the samples of a file.
+
+    Args:
+        rows: The samples, (N,).
+        totals: Their totals, (N,).
+
+    Raises:
+        ParameterError: If a number is not finite or out of range, or ticks or times do not go up. The last command
+            alone may be what is no number: the plant refused it, and applied nothing.
+    """
+    tick = rows["tick"]
+    _check_count(tick, "tick")
+    steps = np.diff(tick)
+    if not (steps >= 1.0).all():
+        row = int(np.argmin(steps >= 1.0))
+        raise ParameterError(f"tick must go up, not from {tick[row]:g} to {tick[row + 1]:g}")
+    missing = int(steps.sum()) - len(steps)
+    if missing > _MISSING:
+        raise ParameterError(f"at most {_MISSING} samples may be missing, not {missing}")
+    last = rows[-1:]
+    refused = not all(np.isfinite(last[field.name]).all() for field in FIELDS if field.array == "command")
+    if refused and any(last[field.name].any() for field in FIELDS if field.array == "applied"):
+        raise ParameterError("a command that is not finite must be applied as zero")
+    for field in FIELDS:
+        _check_field(field, rows[:-1] if refused and field.array == "command" else rows)
+    if not (np.diff(rows["time"]) > 0.0).all():
+        raise ParameterError("time must go up from sample to sample")
+    if totals is not None:
+        for field in TOTALS:
+            _check_field(field, totals)
+
+
+def _check_field(field: Field, rows: Rows) -> None:
+    values = rows[field.name]
+    if field.optional and np.isnan(values).all():
+        return
+    if not field.unit:
+        return _check_count(values, field.name)
+    _check_size(field.name, values, field.at_most)
+    if not (values >= field.at_least).all():
+        raise ParameterError(f"{field.name} must be at least {field.at_least:g} everywhere, not {values.min():g}")
+
+
+def _check_size(name: str, values: Array, most: float) -> None:
+    good = np.abs(values) <= most  # NaN is not
+    if not good.all():
+        row = int(np.argmin(good.reshape(len(good), -1).all(axis=1)))
+        raise ParameterError(f"{name} must be finite and at most {most:g}, not {values[~good].flat[0]:g} in row {row}")
+
+
+def _check_count(values: Array, name: str) -> None:
+    good = (values >= 0.0) & (values < _WHOLE) & (values == np.floor(values))
+    if not good.all():
+        raise ParameterError(f"{name} must be whole numbers of at least 0, not {values[~good][0]:g}")
+
+
+def _value(holder: Any, name: str, of: str = "a message") -> Any:
+    if not isinstance(holder, Mapping) or name not in holder:
+        raise ParameterError(f"{of} must have {name}")
+    return holder[name]
+
+
+def _of_kind(kind: type, what: str, holder: Any, name: str) -> Any:
+    value = _value(holder, name)
+    if not isinstance(value, kind):
+        raise ParameterError(f"{name} must be {what}, not {_shown(value)}")
+    return value
+
+
+def _shown(value: Any) -> str:
+    """Return a value of any size as a few letters."""
+    if isinstance(value, dict | list):
+        return "an object" if isinstance(value, dict) else "a list"
+    text = repr(value) if not isinstance(value, int) or abs(value) < _WHOLE else "a number beyond them"
+    return text if len(text) <= 40 else f"{text[:37]}..."
+
+
+def _refuse(constant: str) -> None:
+    raise ParameterError(f"numbers must be finite, not {constant}")
+
+
+class UnpackingError(ValueError):
+    """A part of a file is larger than it may be, or is not what it says."""
+
+
+class Allowance:
+    """What a file may unpack to in all: by far more than a recording does, and too little to fill a memory.
+
+    Args:
+        size: Of the file [bytes].
+    """
+
+    def __init__(self, size: int) -> None:
+        self._left, self._kept = LARGEST_PART + _TIMES * size, _KEPT + _KEPT_TIMES * size
+
+    def part(self, size: int) -> None:
+        """Count a part, before it is unpacked.
+
+        Raises:
+            UnpackingError: If it is too large [bytes], or too much with those before.
+        """
+        if size > LARGEST_PART:
+            raise UnpackingError(f"a part of it must unpack to at most {LARGEST_PART} bytes, not {size}")
+        self._left -= size
+        if self._left < 0:
+            raise UnpackingError(f"it must unpack to at most {_TIMES} times its size")
+
+    def text(self, size: int) -> None:
+        """Count a text that is kept; as objects it takes many times its size [bytes].
+
+        Raises:
+            UnpackingError: If it is too much with those before.
+        """
+        self._kept -= size
+        if self._kept < 0:
+            raise UnpackingError(f"its texts must be at most {_KEPT_TIMES} times its size")
+
+
+def unpacked(chunk: Chunk) -> bytes:
+    """Return what is in a chunk, whose size was counted.
+
+    Raises:
+        UnpackingError: If it is more or less than the chunk says, or packed in a way that is not known.
+        Exception: Of the program that unpacks it, if it is damaged.
+    """
+    size = chunk.uncompressed_size
+    if chunk.compression == "zstd":
+        import zstandard
+
+        data = zstandard.ZstdDecompressor(max_window_size=LARGEST_PART).stream_reader(chunk.data).read(size + 1)
+    elif chunk.compression == "lz4":
+        from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]
+
+        data = LZ4FrameDecompressor().decompress(chunk.data, max_length=size + 1)
+    elif chunk.compression == "":
+        data = chunk.data
+    else:
+        raise UnpackingError(f"a chunk must be packed by zstd or lz4, not {chunk.compression[:20]!r}")
+    if len(data) != size:
+        raise UnpackingError(f"a chunk must unpack to {size} bytes, as it says")
+    if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
+        raise UnpackingError("a chunk must have the checksum that it says")
+    return data

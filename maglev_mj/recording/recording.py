@@ -1,0 +1,251 @@
+"""Recordings: stretches of samples under one controller, and files of arrays that hold them."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from dataclasses import replace as replaced
+from pathlib import Path
+from typing import IO, Any, TypeAlias
+from zipfile import ZIP_STORED, ZipFile
+
+import numpy as np
+
+from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.frames import AXES, Array
+from maglev_mj.recording.checks import Allowance, UnpackingError, check_rows, check_setup, parsed, text_in
+from maglev_mj.recording.row import ARRAYS, ROW, Rows
+
+__all__ = ["Basis", "InvalidRecordingError", "Recording", "RecordingError", "Setup", "Stretch", "aside"]
+
+_FORMAT = "maglev_mj recording 1"
+
+Setup: TypeAlias = Mapping[str, Any]
+"""What a plant and a controller are made from, ready for JSON."""
+
+
+class RecordingError(MaglevError):
+    """A recording cannot be written, or cannot be run again here."""
+
+
+class InvalidRecordingError(RecordingError, ParameterError):
+    """A file is no recording, or holds what none can."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Basis:
+    """What a stretch is besides its samples.
+
+    Attributes:
+        period: Sample period [s].
+        delay: From a sample to its command taking effect [s].
+        carried: Wrench that carries the flotor [N, N m], six.
+        inertia: Mass and moments of inertia that the actuators push at [kg, kg m²], six.
+        load: Constant wrench that acts besides the actuators' [N, N m], six.
+        before: Wrench of the actuators until the first command takes effect [N, N m], six.
+    """
+
+    period: float
+    delay: float
+    carried: Sequence[float]
+    inertia: Sequence[float]
+    load: Sequence[float]
+    before: Sequence[float]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Stretch:
+    """N samples under one controller.
+
+    Each field of a sample is an attribute too: `stretch.position` is `stretch.rows["position"]`, (N, 6).
+
+    Attributes:
+        setup: What plant and controller were made from.
+        rows: The samples, (N,), a structured array of `maglev_mj.recording.ROW`; a command is not finite where that is
+            why the plant refused it.
+        totals: Energy that the rendered world has taken in [J], work of the hand [J] and samples missed, each from the
+            beginning on, (N,); None where they are not recorded.
+        basis: What it is besides; None where that is not recorded.
+        gaps: Samples that were missed without a gap in the ticks: before which row, and how many.
+    """
+
+    setup: Setup
+    rows: Rows
+    totals: Rows | None = None
+    basis: Basis | None = None
+    gaps: Sequence[tuple[int, int]] = ()
+
+    def __getattr__(self, name: str) -> Array:
+        rows = self.__dict__.get("rows")
+        if rows is None or name not in rows.dtype.names:
+            raise AttributeError(f"a stretch has no {name!r}")
+        return np.asarray(rows[name])
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def part(self, first: int, last: int) -> Stretch:
+        """Return the samples from one row to another, both included, without what is only of the whole."""
+        return replaced(self, rows=self.rows[first : last + 1], totals=None, basis=None, gaps=())
+
+    def replace(self, **values: Any) -> Stretch:
+        """Return a copy with other samples: arrays of the stretch's length by the names of their fields."""
+        rows = self.rows.copy()
+        for name, value in values.items():
+            rows[name] = value
+        return replaced(self, rows=rows)
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """One run.
+
+    Attributes:
+        stretches: In the order in which they happened.
+        events: What a person should know of, such as faults.
+        damage: What is wrong with the file that it was read from, such as a missing end; empty for nothing.
+    """
+
+    stretches: Sequence[Stretch]
+    events: Sequence[str] = ()
+    damage: str = ""
+
+    def save(self, path: Path | str) -> None:
+        """Write to a file, whole or not at all.
+
+        Raises:
+            OSError: If it cannot be written.
+        """
+        arrays: dict[str, Any] = {
+            f"{index}/{name}": _array_of(stretch.rows, name)
+            for index, stretch in enumerate(self.stretches)
+            for name in ARRAYS
+        }
+        setups = [dict(stretch.setup) for stretch in self.stretches]
+        header = {"format": _FORMAT, "axes": AXES, "setups": setups, "events": list(self.events)}
+        with aside(Path(path)) as partial, partial.open("wb") as file:
+            np.savez(file, header=np.array(json.dumps(header)), **arrays)
+
+    @classmethod
+    def load(cls, path: Path) -> Recording:
+        """Read from a file of either kind; one of MCAP that was not closed, as far as it goes.
+
+        What a file unpacks to is bounded, by 64 MiB for each of its parts among other things.
+
+        Raises:
+            McapMissingError: If it is of MCAP, and the package for it is not installed.
+            InvalidRecordingError: If it is not there, no recording, or holds what none can, such as a number that is
+                not finite, of another type or out of range.
+        """
+        from maglev_mj.recording.mcap import MAGIC, read_mcap  # which needs what is defined here
+
+        try:
+            with path.open("rb") as file:
+                size, first = os.fstat(file.fileno()).st_size, file.read(len(MAGIC))
+                file.seek(0)
+                return (read_mcap if first == MAGIC else _read_arrays)(file, size)
+        except OSError as error:
+            raise InvalidRecordingError(f"recording {str(path)!r} cannot be read: {error.strerror or error}") from None
+        except ParameterError as error:
+            raise InvalidRecordingError(f"{str(path)!r} is not a whole recording: {error}") from None
+
+    @property
+    def ticks(self) -> int:
+        """Samples in all."""
+        return sum(len(stretch) for stretch in self.stretches)
+
+
+@contextmanager
+def aside(path: Path) -> Iterator[Path]:
+    """Return a name to write to; once that is done it takes the place of `path`, and if it fails nothing is left."""
+    partial = path.with_name(f"{path.name}.{os.getpid()}.partial")
+    try:
+        yield partial
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def _array_of(rows: Rows, name: str) -> Array:
+    """Return one array of a file: a field, or several side by side."""
+    values: list[Array] = [rows[field.name] for field in ARRAYS[name]]
+    return np.ascontiguousarray(values[0] if len(values) == 1 else np.column_stack(values))
+
+
+def _read_arrays(file: IO[bytes], size: int) -> Recording:
+    """Return what is in a file of arrays of so many bytes.
+
+    Raises:
+        ParameterError: If there is no recording in it, or it holds what none can.
+        OSError: If it cannot be read.
+    """
+    allowance = Allowance(size)
+    try:
+        with ZipFile(file) as archive:
+            header = _header(archive, allowance)
+            setups = header["setups"]
+            if not isinstance(setups, list):
+                raise ParameterError("setups must be a list")
+            stretches = [_stretch(archive, allowance, index, setup) for index, setup in enumerate(setups)]
+    except (OSError, ParameterError):
+        raise
+    except UnpackingError as error:
+        raise ParameterError(str(error)) from None
+    except Exception:  # of zip files, of what unpacks, of headers: a damaged one fails in many ways
+        raise ParameterError("it is damaged") from None
+    events = header.get("events", [])
+    if not isinstance(events, list):
+        raise ParameterError("events must be a list")
+    return Recording(stretches, events=tuple(text_in({"event": event}, "event") for event in events))
+
+
+def _header(archive: ZipFile, allowance: Allowance) -> Mapping[str, Any]:
+    text = str(_array(archive, allowance, "header"))
+    allowance.text(len(text))
+    header = parsed(text)
+    if text_in(header, "format") != _FORMAT:
+        raise ParameterError(f"format must be {_FORMAT!r}, not {header['format']!r}")
+    return dict(header)
+
+
+def _stretch(archive: ZipFile, allowance: Allowance, index: int, setup: Any) -> Stretch:
+    names = set(archive.namelist())
+    found = {
+        name: _column(_array(archive, allowance, f"{index}/{name}"), name)
+        for name, fields in ARRAYS.items()
+        if f"{index}/{name}.npy" in names or not all(field.optional for field in fields)
+    }
+    lengths = {len(values) for values in found.values()}
+    if len(lengths) > 1:
+        raise ParameterError(f"the arrays of stretch {index} must be of one length")
+    rows = np.full(lengths.pop(), np.nan, dtype=ROW)
+    for name, values in found.items():
+        start, columns = 0, values.reshape(len(values), -1)
+        for field in ARRAYS[name]:
+            part = columns[:, start : start + len(field.units)]
+            rows[field.name] = part if field.six else part[:, 0]
+            start += len(field.units)
+    check_rows(rows)
+    return Stretch(setup=check_setup(setup), rows=rows)
+
+
+def _array(archive: ZipFile, allowance: Allowance, name: str) -> Any:
+    """Return an array; one that is not packed takes up no more than is there."""
+    info = archive.getinfo(f"{name}.npy")
+    if info.compress_type != ZIP_STORED:
+        allowance.part(info.file_size)
+    elif info.file_size != info.compress_size:
+        raise UnpackingError(f"{name} must have one size, not {info.file_size} and {info.compress_size}")
+    with archive.open(info) as member:
+        return np.lib.format.read_array(member, allow_pickle=False)
+
+
+def _column(array: Any, name: str) -> Array:
+    count = sum(len(field.units) for field in ARRAYS[name])
+    if array.dtype != np.float64 or array.ndim != (1 if count == 1 else 2) or (count > 1 and array.shape[1] != count):
+        shape = "(N,)" if count == 1 else f"(N, {count})"
+        raise ParameterError(f"{name} must be numbers {shape}, not {array.dtype} {array.shape}")
+    return np.asarray(array)

@@ -1,0 +1,221 @@
+"""The recorded sample: one table, from which memory, arrays, JSON, tables and schemas follow."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple, Protocol, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from maglev_mj.frames import AXES, ZERO, Array
+
+__all__ = [
+    "ARRAYS",
+    "FIELDS",
+    "ROW",
+    "TOTALS",
+    "Field",
+    "RecordedPlant",
+    "Row",
+    "Rows",
+    "as_row",
+    "as_rows",
+    "as_table",
+    "columns",
+    "compiled",
+    "named",
+    "schema",
+]
+
+Row: TypeAlias = Sequence[float]
+"""The values of one sample in the order of FIELDS, components one by one."""
+
+Rows: TypeAlias = NDArray[np.void]
+"""N samples: a structured array (N,)."""
+
+_POSE, _WRENCH, _FORCE = ("m", "rad"), ("N", "N m"), 1e12
+
+
+class RecordedPlant(Protocol):
+    """A plant as `Field.value` refers to it."""
+
+    @property
+    def hand_wrench(self) -> Sequence[Any]:
+        """What the hand exerts since the last sample [N, N m], six."""
+
+
+class Field(NamedTuple):
+    """One value of a recorded sample.
+
+    Attributes:
+        name: Its name in every file.
+        unit: Its unit; two for the six components of a pose or wrench, of translations and of rotations; empty for a
+            whole number.
+        description: What it is, in a few words.
+        value: Expression of `sample`, `command`, `applied` and `plant`; empty for a running total.
+        array: The array of an .npz file that holds it; empty for one of its own.
+        at_least: Least value in a file.
+        at_most: Largest absolute value in a file; what lies beyond is no device's.
+        optional: True if files without it are read too, as NaN.
+    """
+
+    name: str
+    unit: str | tuple[str, str]
+    description: str
+    value: str = ""
+    array: str = ""
+    at_least: float = -np.inf
+    at_most: float = _FORCE
+    optional: bool = False
+
+    @property
+    def six(self) -> bool:
+        """True if it has six components."""
+        return isinstance(self.unit, tuple)
+
+    @property
+    def units(self) -> Sequence[tuple[str, str]]:
+        """Name and unit of each column of a table."""
+        if isinstance(self.unit, str):
+            return [(self.name, self.unit)]
+        return [(f"{self.name}.{axis}", self.unit[index > 2]) for index, axis in enumerate(AXES)]
+
+
+FIELDS: Sequence[Field] = (
+    Field("tick", "", "sample number, as the plant counts", "sample.tick"),
+    Field(
+        "time",
+        "s",
+        "of the sample, as the plant counts: a device counts on from stretch to stretch",
+        "sample.time",
+        at_most=1e9,
+    ),
+    Field("position", _POSE, "what the controller saw", "sample.position", at_most=1e3),
+    Field("command", _WRENCH, "what it answered, held", "command.force", "command"),
+    Field("pulse", _WRENCH, "what it answered, for as long as a pulse", "command.extra or ZERO", "command"),
+    Field("applied", _WRENCH, "the command after the plant's limits", "applied.force", "applied"),
+    Field("applied_pulse", _WRENCH, "the pulse after the plant's limits", "applied.extra or ZERO", "applied"),
+    Field("hand", _WRENCH, "what the hand exerts from the sample on", "plant.hand_wrench"),
+    Field(
+        "pulse_width",
+        "s",
+        "how long the pulse is asked for",
+        "command.pulse_width if command.extra else 0.0",
+        "command",
+        at_least=0.0,
+    ),
+    Field(
+        "applied_pulse_width",
+        "s",
+        "how long the pulse lasts",
+        "applied.pulse_width if applied.extra else 0.0",
+        "applied",
+        at_least=0.0,
+    ),
+)
+"""What is recorded of each sample, in the order of every file. One more value is one more line."""
+
+TOTALS: Sequence[Field] = (
+    Field(
+        "taken",
+        "J",
+        "energy that the rendered world has taken in, in the stretch; below 0 it has made some",
+        at_most=1e15,
+    ),
+    Field("hand_work", "J", "work of the hand in the stretch", at_most=1e15),
+    Field("missed", "", "samples that did not arrive, or that were not kept up with, in the stretch so far"),
+)
+"""Running totals, which files of MCAP have beside each sample."""
+
+
+def _layout(fields: Sequence[Field]) -> np.dtype[np.void]:
+    return np.dtype([(field.name, np.float64, (6,) if field.six else ()) for field in fields])
+
+
+ROW = _layout(FIELDS)
+"""Structured dtype of a recorded sample: float64 throughout."""
+
+
+def _arrays() -> Mapping[str, Sequence[Field]]:
+    found: dict[str, list[Field]] = {}
+    for field in FIELDS:
+        found.setdefault(field.array or field.name, []).append(field)
+    return found
+
+
+ARRAYS = _arrays()
+"""Fields in each array of an .npz file: (N,) for one number a sample, or (N, columns)."""
+
+
+def compiled(arguments: str, template: str, fields: Sequence[Field] = FIELDS, **names: Any) -> Callable[..., Any]:
+    """Return a function over the values of a sample.
+
+    Written out as source, for in the control tick a loop over FIELDS takes four times as long.
+
+    Args:
+        arguments: Names of the function's arguments.
+        template: Expression that it returns, with {values} for all values one after the other.
+        fields: Whose values.
+        names: What the expression refers to besides its arguments.
+    """
+    values = ", ".join(f"*({field.value})" if field.six else f"({field.value})" for field in fields)
+    made: Callable[..., Any] = eval(f"lambda {arguments}: {template.format(values=values)}", {"ZERO": ZERO, **names})
+    return made
+
+
+def as_rows(values: Any, fields: Sequence[Field] = FIELDS) -> Rows:
+    """Return numbers, (N, columns), as a structured array (N,) of some fields."""
+    layout = _layout(fields)
+    return np.ascontiguousarray(values, dtype=np.float64).reshape(-1, layout.itemsize // 8).view(layout).reshape(-1)
+
+
+def as_table(rows: Rows) -> Array:
+    """Return a structured array (N,) as numbers, (N, columns)."""
+    return np.ascontiguousarray(rows).view(np.float64).reshape(len(rows), rows.dtype.itemsize // 8)
+
+
+def named(row: Row) -> dict[str, Any]:
+    """Return the values of a sample by name; six components as a sequence."""
+    found: dict[str, Any] = {}
+    start = 0
+    for field in FIELDS:
+        found[field.name] = row[start : start + 6] if field.six else row[start]
+        start += 6 if field.six else 1
+    return found
+
+
+def as_row(sample: Mapping[str, Any]) -> list[Any]:
+    """Return the values of a sample out of JSON, and its totals behind them; what is optional and missing as NaN.
+
+    Raises:
+        KeyError, TypeError: If a value is missing.
+    """
+    row: list[Any] = []
+    for field in (*FIELDS, *TOTALS):
+        if field.optional and field.name not in sample:
+            row += [np.nan] * len(field.units)
+        elif field.six:
+            parts = sample[field.name]
+            row += [parts[axis] for axis in AXES]
+        else:
+            row.append(sample[field.name])
+    return row
+
+
+def schema(field: Field) -> dict[str, Any]:
+    """Return the JSON schema of a field."""
+    if isinstance(field.unit, tuple):
+        parts = {
+            axis: schema(Field(field.name, unit, f"{field.description}, {axis}"))
+            for axis, (_, unit) in zip(AXES, field.units, strict=True)
+        }
+        return {"type": "object", "description": field.description, "properties": parts}
+    if not field.unit:
+        return {"type": "integer", "description": field.description}
+    return {"type": "number", "unit": field.unit, "description": f"{field.description} [{field.unit}]"}
+
+
+def columns() -> list[tuple[str, str]]:
+    """Return name and unit of each column of a table of samples."""
+    return [column for field in FIELDS for column in field.units]

@@ -1,0 +1,62 @@
+"""Scenes of old recordings: the drop and the press that windows showed before they were the bench's."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+from maglev_mj.errors import ParameterError
+from maglev_mj.frames import AXES
+from maglev_mj.laws import Law
+from maglev_mj.parameters import param
+from maglev_mj.scenes.bench import hold
+from maglev_mj.scenes.find import BUILT_IN, find_scene, scene_names
+from maglev_mj.scenes.interactive import InteractiveScene
+from maglev_mj.scenes.parts import wall, weight
+from maglev_mj.scenes.scene import Scene
+from maglev_mj.spec import Spec
+
+__all__ = ["recorded_scene"]
+
+_OTHERS = tuple(axis for axis in AXES if axis != "z")
+
+
+class OldPress(InteractiveScene):
+    """A wall below the flotor, in gravity or not."""
+
+    name: ClassVar = "press"
+    model: ClassVar = "scenes/press"
+    pose: ClassVar = (0.0, 0.0, 0.003, 0.0, 0.0, 0.0)
+    says: ClassVar = "hit the wall several times, then press (figure 6)"
+
+    def own_laws(self) -> list[Law]:
+        """See `InteractiveScene`."""
+        laws: list[Law] = [*weight(self), hold(self, _OTHERS)]
+        return [*laws, wall(self, "z", lower=0.0)] if self.wall else laws
+
+
+class OldDrop(OldPress):
+    """The same from a height, let go."""
+
+    name: ClassVar = "drop"
+    model: ClassVar = "scenes/drop"
+    pose: ClassVar = (0.0, 0.0, Spec.translation_range.value, 0.0, 0.0, 0.0)
+    says: ClassVar = "let go above a stiff wall (figure 3)"
+
+    weightless: bool = param("currents that carry the flotor's weight", default=False)
+
+
+_OLD: Mapping[str, type[Scene]] = {"drop": OldDrop, "press": OldPress}
+
+
+def recorded_scene(name: str, values: Mapping[str, Any]) -> Scene:
+    """Return the scene that a recording or another program names; files are never run.
+
+    Raises:
+        ParameterError: If there is no such scene here, or a value is outside its bounds.
+    """
+    if name in _OLD and "wall" in values:
+        return _OLD[name].from_json(values)
+    if name not in BUILT_IN and name not in scene_names():
+        raise ParameterError(f"scene must be one of {', '.join(scene_names())}, not {name!r}")
+    return find_scene(name).from_json(values)

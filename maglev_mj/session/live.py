@@ -1,0 +1,70 @@
+"""A scene on the device with all its limits, for real time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from numpy.typing import ArrayLike
+
+from maglev_mj.controller import Controller
+from maglev_mj.hand import HandForce
+from maglev_mj.laws import Bias
+from maglev_mj.plants import MuJoCoPlant, Timing
+from maglev_mj.recording import Mechanics
+from maglev_mj.scenes import Scene
+from maglev_mj.scenes.parts import INERTIA, WEIGHT
+from maglev_mj.session.actions import settable
+from maglev_mj.spec import Spec
+
+__all__ = ["centred", "device_controller", "lifted", "live_plant", "mechanics"]
+
+_LIFTED = 0.004
+
+
+def lifted(scene: Scene) -> tuple[Scene, Sequence[float]]:
+    """Return the scene without what carries the flotor, and its start lifted to 4 mm [m, rad]."""
+    pose = scene.start().pose
+    falling = scene.replace(weightless=False) if "weightless" in settable(scene) else scene
+    return falling, (*pose[:2], _LIFTED, *pose[3:])
+
+
+def centred(scene: Scene) -> Scene:
+    """Return the scene with what carries the flotor as it is by default."""
+    if "weightless" not in settable(scene):
+        return scene
+    return scene.replace(weightless=scene.parameter("weightless").default)
+
+
+def live_plant(scene: Scene, hand: HandForce | None = None, **start: ArrayLike) -> MuJoCoPlant:
+    """Return the device with its stops, and 10 A at most in each coil unless the scene says otherwise.
+
+    Args:
+        scene: The scene.
+        hand: The hand on it; its impedance is its attribute `hand`, if it has one.
+        start: Pose, twist and wrench in place of the scene's own.
+    """
+
+    def make(timing: Timing, **options: Any) -> MuJoCoPlant:
+        limits: dict[str, Any] = {"current_limit": Spec.peak_current.value, "stops": True, "metered": True}
+        return MuJoCoPlant(timing, **limits | options | {"hand_force": hand, "hand": getattr(hand, "hand", None)})
+
+    plant = scene.plant(make, **start)  # type: ignore[arg-type]
+    assert isinstance(plant, MuJoCoPlant)
+    return plant
+
+
+def device_controller(scene: Scene) -> Controller:
+    """Return a scene's controller for a device, which carries the weight where the scene has no gravity."""
+    controller = scene.controller()
+    if scene.start().gravity:
+        return controller
+    return Controller([*controller.laws, Bias(WEIGHT)], period=scene.period, velocity=scene.velocity_estimator())
+
+
+def mechanics(scene: Scene, wrench: ArrayLike) -> Mechanics:
+    """Return the inertia and load of a scene's flotor, whose coils begin with a wrench [N, N m]."""
+    inertia = INERTIA.copy()
+    inertia[:3] = getattr(scene, "mass", inertia[0])
+    load = [0.0, 0.0, -float(inertia[2]) * scene.start().gravity, 0.0, 0.0, 0.0]
+    return Mechanics(inertia=inertia, load=load, before=wrench)

@@ -1,0 +1,157 @@
+"""The picture of a scene at one instant, which windows and other programs read."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from maglev_mj.energy import HandWork
+from maglev_mj.frames import Array
+from maglev_mj.hand import SpringHand
+from maglev_mj.scenes import Scene
+
+__all__ = ["SHOWN", "History", "SampledMotion", "Snapshot", "SnapshotSource"]
+
+SHOWN = 2.0
+"""Time that a history covers [s]."""
+
+_COLUMNS, _LEAST_ROWS = 5, 512
+_NAN = float("nan")
+
+
+def _zeros() -> Array:
+    return np.zeros(6)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Snapshot:
+    """Picture of a scene at one instant; the defaults are those of a scene that has not begun.
+
+    Attributes:
+        scene: The scene with its present parameters.
+        since: First sample answered with them.
+        delay: From a sample to its command taking effect [s]; the median of the last 100 where it is measured.
+        tick: Samples answered so far.
+        time: Time of the session [s].
+        pose: Pose of the flotor [m, rad], (6,).
+        force: Wrench that the device holds, after every limit and without pulses, beyond what carries the flotor
+            [N, N m], (6,).
+        hand: Wrench of the hand [N, N m], (6,); zeros where it is not measured.
+        currents: Currents in the coils [A], (6,).
+        faces: Every wall: index into AXES, normal, edge.
+        anchors: Stick positions [m, rad], (6,), NaN on axes that do not stick; None without friction.
+        history: Latest samples on the shown axis, (N, 5): time, position, velocity, force of device and of hand.
+        work: Work of the hand [J].
+        taken: Energy taken in by the rendered world [J]; NaN where it is not known.
+        cost: Real time of a tick [s].
+        missed: Ticks given up, or samples that did not arrive.
+        state: "running", "paused", "stopped" or "flying".
+        reason: Why it has stopped; empty otherwise.
+        notes: Messages for the person at the window.
+    """
+
+    scene: Scene
+    since: int = 0
+    delay: float = _NAN
+    tick: int = 0
+    time: float = 0.0
+    pose: Array = field(default_factory=_zeros)
+    force: Array = field(default_factory=_zeros)
+    hand: Array = field(default_factory=_zeros)
+    currents: Array = field(default_factory=_zeros)
+    faces: Sequence[tuple[int, float, float]] = ()
+    anchors: Array | None = None
+    history: Array = field(default_factory=lambda: np.empty((0, _COLUMNS)))
+    work: float = 0.0
+    taken: float = _NAN
+    cost: float = 0.0
+    missed: int = 0
+    state: str = "running"
+    reason: str = ""
+    notes: Sequence[str] = ()
+
+
+class SnapshotSource(Protocol):
+    """A scene in real time that a window can show."""
+
+    hand: SpringHand
+    simulated: float
+
+    def tick(self, elapsed: float) -> int:
+        """Advance by a stretch of real time [s]; return the number of control ticks made."""
+
+    def act(self, action: str) -> None:
+        """Do the action of a key."""
+
+    def snapshot(self) -> Snapshot:
+        """Return the picture of now."""
+
+    def close(self) -> None:
+        """Close what is being recorded."""
+
+
+class History:
+    """Keep the last two seconds of samples; rows handed out are never written again."""
+
+    def __init__(self) -> None:
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget every sample."""
+        self._rows, self._end = np.empty((_LEAST_ROWS, _COLUMNS)), 0
+
+    def add(self, *row: float) -> None:
+        """Add a sample: time, position, velocity, force of the device and of the hand."""
+        if self._end == len(self._rows):
+            kept = self.rows
+            self._rows, self._end = np.empty((2 * len(kept) + _LEAST_ROWS, _COLUMNS)), len(kept)
+            self._rows[: self._end] = kept
+        self._rows[self._end] = row
+        self._end += 1
+
+    @property
+    def rows(self) -> Array:
+        """Samples of the last two seconds, (N, 5)."""
+        rows = self._rows[: self._end]
+        return rows[np.searchsorted(rows[:, 0], rows[-1, 0] - SHOWN) :] if len(rows) else rows
+
+
+class SampledMotion:
+    """Derive speed and work of the hand from samples alone.
+
+    Args:
+        axis: Index into AXES of the shown axis.
+
+    Attributes:
+        history: The last two seconds.
+    """
+
+    def __init__(self, axis: int) -> None:
+        self.history, self._axis = History(), axis
+        self._hand, self._last = HandWork(), (0.0, float("nan"))
+
+    @property
+    def work(self) -> float:
+        """Work of the hand [J]; its force is held from sample to sample."""
+        return self._hand.total
+
+    def add(self, time: float, pose: Array, force: Array, hand: Sequence[float]) -> None:
+        """Add a sample.
+
+        Args:
+            time: Its time [s], later than the last one's.
+            pose: Pose [m, rad], (6,).
+            force: Wrench of the device beyond what carries the flotor [N, N m], (6,).
+            hand: Wrench of the hand [N, N m], six.
+        """
+        position = float(pose[self._axis])
+        self._hand.add(pose, hand)
+        before, last = self._last
+        if math.isnan(last):
+            before, last = time - 1.0, position
+        self.history.add(time, position, (position - last) / (time - before), force[self._axis], hand[self._axis])
+        self._last = time, position

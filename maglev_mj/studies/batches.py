@@ -1,0 +1,124 @@
+"""Batches of flotors that move along z: starts, samples, and the hum of a wall over a coarse sensor."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from maglev_mj.controller import Controller
+from maglev_mj.frames import Array, Command, Sample
+from maglev_mj.hand import Hand
+from maglev_mj.laws import Law, Wall
+from maglev_mj.loop import run
+from maglev_mj.parameters import numbers
+from maglev_mj.plants import ExactPlant, SampledPlant, Sensor, Timing
+from maglev_mj.spec import GRAVITY, Spec
+from maglev_mj.studies.wall_controller import around_wall
+
+__all__ = ["FAR", "Hum", "Watch", "along_z", "each_phase", "hum", "watched"]
+
+FAR = (1e9, 1.0)
+"""Distance [m] and angle [rad] that let an unstable flotor go on to the end of its run."""
+
+
+class Watch:
+    """Keeps the positions along z, (ticks, N), and counts the pulses of each device, (N,)."""
+
+    def __init__(self, ticks: int, devices: int) -> None:
+        self.places = np.zeros((ticks, devices))
+        self.pulses = np.zeros(devices)
+
+    def __call__(self, sample: Sample, command: Command) -> None:
+        """Keep one sample and the command that answers it."""
+        self.places[sample.tick] = sample.position[2]
+        if command.extra is not None:
+            self.pulses += np.broadcast_to(np.asarray(command.extra[2]) != 0.0, self.pulses.shape)
+
+
+def watched(plant: SampledPlant, controller: Controller, duration: float, devices: int) -> Watch:
+    """Run a batch for `duration` [s] and return its samples."""
+    watch = Watch(round(duration / plant.period), devices)
+    with plant:
+        run(plant, controller, len(watch.places), observe=watch)
+    return watch
+
+
+def each_phase(values: ArrayLike, phases: int) -> tuple[Array, Array]:
+    """Return each value once for each sampling phase, and the phases."""
+    chosen = np.atleast_1d(numbers("values", values))
+    return np.repeat(chosen, phases), np.tile(np.arange(phases) / phases, chosen.size)
+
+
+def along_z(values: Array) -> Array:
+    """Return (N, 6) with values along z and zero elsewhere."""
+    result = np.zeros((values.size, 6))
+    result[:, 2] = values
+    return result
+
+
+class Hum(NamedTuple):
+    """What a wall does to a flotor at rest in it, the worst start.
+
+    Attributes:
+        swing: Swing of the position [m].
+        force: Standard deviation of the force [N].
+    """
+
+    swing: Array
+    force: Array
+
+
+def hum(
+    frictions: ArrayLike,
+    *,
+    law: Law | None = None,
+    stiffness: float = 6000.0,
+    damping: float = 80.0,
+    quantum: float = Spec.translation_resolution.value,
+    delay: float = Spec.transport_delay.value,
+    period: float = 1.0 / Spec.control_rate.value,
+    mass: float = Spec.moving_mass.value,
+    hand: Hand | None = None,
+    duration: float = 4.0,
+    offsets: int = 32,
+) -> Hum:
+    """Rest the flotor in a wall over a sensor with steps, and look at the last quarter of the time.
+
+    Args:
+        frictions: Coulomb friction of the device itself [N], (M,).
+        law: The wall along z; None for PD.
+        stiffness: Wall stiffness, the rendered one of another law [N/m].
+        damping: Wall damping [N s/m].
+        quantum: Step of the sensor [m].
+        delay: Transport delay [s].
+        period: Sample period [s].
+        mass: Moving mass [kg].
+        hand: On the flotor; None for none.
+        duration: Simulated time [s].
+        offsets: How many starts over two steps of the sensor.
+
+    Returns:
+        A figure a friction, (M,) each.
+    """
+    friction, offset = each_phase(frictions, offsets)
+    arm = 0.0 if hand is None else float(hand.static_stiffness)
+    depth = mass * GRAVITY / (stiffness + arm)
+    plant = ExactPlant(
+        Timing(period=period, delay=delay),
+        mass=mass,
+        hand=hand,
+        escape=FAR,
+        pose=along_z(np.floor(-depth / quantum) * quantum + 2.0 * quantum * offset),
+        wrench=along_z(np.full(friction.size, stiffness * depth)),
+        dry_friction=along_z(friction),
+        sensor=Sensor(quantum=np.eye(6)[2] * quantum),
+        record=True,
+    )
+    wall = law or Wall(axes="z", lower=0.0, stiffness=stiffness, damping=damping)
+    watched(plant, around_wall(wall, period=period, delay=delay, mass=mass), duration, friction.size)
+    trace = plant.trace()
+    late = slice(-len(trace.time) // 4, -1)
+    swing, force = np.ptp(trace.pose[late, :, 2], axis=0), np.std(trace.wrench[late, :, 2], axis=0)
+    return Hum(*(part.reshape(-1, offsets).max(axis=1) for part in (swing, force)))

@@ -1,0 +1,208 @@
+"""A scene over a grid of its parameters: a cell each, kept in a record, run by many workers."""
+
+from __future__ import annotations
+
+import inspect
+import itertools
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import maglev_mj
+from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.frames import Array
+from maglev_mj.parameters import parsed_number
+from maglev_mj.scenes.find import GROUP, hash_of, made_again, reference_of, scene_of_text, text_of
+from maglev_mj.scenes.run import checked_phase, checked_plant, parameters_json, plain
+from maglev_mj.scenes.scene import Scene
+from maglev_mj.studies.cells import Cell, Record, run_cells
+from maglev_mj.workers import Workers, inline, local_workers
+
+__all__ = ["MOST_CELLS", "Sweep", "run_scene_cells", "sweep", "swept_cells", "value_of"]
+
+MOST_CELLS = 1_000_000
+"""Most cells of a sweep."""
+
+_JOBS, _MOST_TOGETHER = 8, 50
+
+_KNOWN: dict[str, type[Scene]] = {}
+"""Classes that this process has, by the name that they have in cells."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sweep:
+    """A scene over a grid.
+
+    Attributes:
+        scene: Class of the scene.
+        varied: Values of the parameters that vary, by name, as given.
+        cells: What each run depends on, the last parameter varying fastest.
+        results: Figures of each cell by name, or {"error": ...} of a run that failed.
+        known: How many of them the record held already.
+        others: Other code behind cells of the record; see `Record.others`.
+    """
+
+    scene: type[Scene]
+    varied: Mapping[str, Sequence[Any]]
+    cells: Sequence[Cell]
+    results: Sequence[Mapping[str, Any]]
+    known: int
+    others: Sequence[Mapping[str, Any]]
+
+    def figure(self, name: str) -> Array:
+        """Return a figure over the grid, a dimension for each parameter that varies; NaN where there is none."""
+        found = [result.get(name) for result in self.results]
+        values = np.array([math.nan if value is None else value for value in found], dtype=np.float64)
+        return values.reshape([len(given) for given in self.varied.values()])
+
+    def as_json(self) -> dict[str, Any]:
+        """Return everything, ready for JSON."""
+        rows = [{"cell": cell, "result": result} for cell, result in zip(self.cells, self.results, strict=True)]
+        varied = {name: list(values) for name, values in self.varied.items()}
+        return {"scene": self.scene.name, "varied": varied, "cells": rows, "other_versions": list(self.others)}
+
+
+def sweep(
+    scene: Scene | type[Scene],
+    vary: Mapping[str, Sequence[Any]],
+    *,
+    plant: str | None = None,
+    phase: float = 0.0,
+    workers: Workers | int | None = None,
+    record: Path | str | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Sweep:
+    """Run a scene over the product of parameters' values.
+
+    Example:
+        >>> found = sweep(find_scene("drop"), {"height": [0.001, 0.002], "damping": [60.0, 80.0]}, plant="exact")
+        >>> found.figure("penetration").shape
+        (2, 2)
+
+    Args:
+        scene: The scene, or its class. One of a user's own file needs no other file of theirs where others run it.
+        vary: Values by parameter; "plant" and "phase" vary too.
+        plant: Name from PLANTS; the scene's usual one by default.
+        phase: Of the samples, in [0, 1).
+        workers: Where cells run: how many processes of this machine, or `dask_workers`; None for this process.
+        record: File of JSON lines that results are kept in; cells that it has are not run again.
+        progress: Told how many cells are done, and of how many.
+
+    Raises:
+        ParameterError: If there is no such parameter, a value is outside its bounds, or the grid is too large.
+        StudyInterrupted: On Ctrl-C; the cells done are in the record.
+        WorkersError: If a cluster is gone, or one of its workers has other code.
+    """
+    made = scene() if isinstance(scene, type) else scene
+    cells = swept_cells(made, vary, plant=plant, phase=phase)
+    kept = Record(None if record is None else Path(record))
+    known = sum(cell in kept for cell in cells)
+    hands = local_workers(workers) if isinstance(workers, int) else workers or inline()
+    # enough jobs for every worker to get several, few enough that handing them out costs nothing
+    together = max(min((len(cells) - known) // (_JOBS * hands.window), _MOST_TOGETHER), 1)
+    others = kept.others(cells)
+    function = partial(run_scene_cells, text=_text(type(made)))
+    results = run_cells(function, cells, record=kept, workers=hands, together=together, progress=progress)
+    return Sweep(type(made), vary, cells, results, known, others)
+
+
+def swept_cells(
+    scene: Scene, vary: Mapping[str, Sequence[Any]], *, plant: str | None = None, phase: float = 0.0
+) -> list[Cell]:
+    """Return the cells of a sweep: every parameter, checked, with what makes the result repeatable.
+
+    Raises:
+        ParameterError: If there is no such parameter, a value is outside its bounds, or the grid is too large.
+    """
+    count = math.prod(len(values) for values in vary.values())
+    if count > MOST_CELLS:
+        raise ParameterError(f"a sweep must have at most {MOST_CELLS} cells, not {count}")
+    for name in vary:
+        _check_name(type(scene), name)
+    head = {"scene": _name(type(scene)), "version": maglev_mj.__version__}
+    cells = []
+    for values in itertools.product(*vary.values()):
+        changes = {"plant": plant, "phase": phase, **dict(zip(vary, values, strict=True))}
+        chosen, at = checked_plant(scene, changes.pop("plant")), checked_phase(changes.pop("phase"))
+        cells.append(head | parameters_json(scene.replace(**changes), chosen, at))
+    return cells
+
+
+def run_scene_cells(cells: Sequence[Cell], text: str | None = None) -> list[dict[str, Any]]:
+    """Return the figures of each cell; {"error": ...} where the run itself failed, as one that diverges does.
+
+    Args:
+        cells: Cells of one scene.
+        text: Of the file that the scene is in, unless it is a package's.
+
+    Raises:
+        ParameterError: If there is no such scene, or its file fails.
+    """
+    return [_run(dict(cell), text) for cell in cells]
+
+
+def _run(cell: Cell, text: str | None) -> dict[str, Any]:
+    name, plant, phase = cell.pop("scene"), cell.pop("plant"), cell.pop("phase", 0.0)
+    cell.pop("version")
+    if text is None:
+        scene = made_again(name.partition("@")[0], cell)
+    else:
+        cls = _KNOWN.get(name) or scene_of_text(text, name.rpartition(":")[2].partition("@")[0])
+        scene = cls.from_json(cell)
+    try:
+        return plain(scene.run_figures(plant, phase))
+    except MaglevError as error:
+        return {"error": str(error)}
+    except Exception as error:
+        if text is None:
+            raise
+        return {"error": f"{type(error).__name__}: {error}"}  # of the user's own code
+
+
+def _name(cls: type[Scene]) -> str:
+    """Return the name of a scene in cells: its reference, and a hash of the file that another package has it in."""
+    if _is_ours(cls):
+        return reference_of(cls)
+    place = f"{Path(inspect.getfile(cls)).name}:{cls.__name__}" if _text(cls) else _place(cls)
+    name = f"{place}@{hash_of(text_of(cls))}"
+    _KNOWN[name] = cls
+    return name
+
+
+def _text(cls: type[Scene]) -> str | None:
+    """Return the text that workers are given; None for a scene of a package, which they have."""
+    if _is_ours(cls) or any(entry.value == _place(cls) for entry in entry_points(group=GROUP)):
+        return None
+    return text_of(cls)
+
+
+def _place(cls: type[Scene]) -> str:
+    return f"{cls.__module__}:{cls.__qualname__}"
+
+
+def _is_ours(cls: type[Scene]) -> bool:
+    return cls.__module__.partition(".")[0] == "maglev_mj"
+
+
+def value_of(cls: type[Scene], name: str, text: str) -> Any:
+    """Return what a word stands for as the value of a parameter, of "plant" or of "phase".
+
+    Raises:
+        ParameterError: If there is no such parameter, or the word is not of its kind.
+    """
+    _check_name(cls, name)
+    if name == "plant":
+        return text
+    return parsed_number(name, text) if name == "phase" else cls.parameter(name).from_text(text)
+
+
+def _check_name(cls: type[Scene], name: str) -> None:
+    names = ["plant", *(["phase"] if cls.takes_phase else []), *(one.name for one in cls.parameters())]
+    if name not in names:
+        raise ParameterError(f"parameter of {cls.name} must be one of {', '.join(names)}, not {name!r}")

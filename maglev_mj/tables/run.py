@@ -1,0 +1,146 @@
+"""Runs of any scene, and of many phases, as text."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from maglev_mj.frames import AXES
+from maglev_mj.scenes.figures import Figure
+from maglev_mj.scenes.run import Phases, Result
+from maglev_mj.scenes.scene import Scene
+from maglev_mj.tables.limits import beyond_force, beyond_range
+from maglev_mj.terminal import cell
+
+__all__ = ["run_table"]
+
+_NAME, _LEAST, _WIDE = 22, 14, 80
+_MOST_SHOWN = 4
+_SHARES = 50.0, 5.0, 95.0
+_TURNING = {
+    **{"m": "rad", "mm": "mrad", "µm": "µrad", "m/s": "rad/s", "mm/s": "mrad/s"},
+    **{"N": "N m", "mN": "mN m", "N/m": "N m/rad", "N s/m": "N m s/rad"},
+}
+
+
+def run_table(results: Mapping[str, Result], sweeps: Mapping[str, Phases], gap: float | None) -> str:
+    """Return the figures of runs, and of their phases if there are any, as text.
+
+    Args:
+        results: A run for each label; the first one's parameters head the table.
+        sweeps: The same at many phases, or nothing.
+        gap: Greatest distance between the two plants on the first run [m, rad]; None where they were not compared.
+    """
+    first = next(iter(results.values()))
+    scene = first.scene
+    exact = scene.compared(first)
+    labels = [*results, *exact]
+    rows = [[[one.figures[name]] for one in results.values()] for name in scene.figures]
+    for row, name in zip(rows, scene.figures, strict=True):
+        row += [[figures.get(name, np.nan)] for figures in exact.values()]
+    where = f"at phase {first.phase:g}" if scene.takes_phase else ""
+    lines = [*_head(scene, first.plant), "", *_block(where + _rank(first, sweeps), labels, scene, rows)]
+    if sweeps:
+        spreads = [
+            [
+                [_percentile(figure, sweep.figures[name], share) for share in (50.0, 5.0, 95.0)]
+                for sweep in sweeps.values()
+            ]
+            for name, figure in scene.figures.items()
+        ]
+        count = next(iter(sweeps.values())).phases.size
+        lines += ["", *_block(f"over {count} phases: median (5 to 95 %)", list(sweeps), scene, spreads)]
+    remarks = _missing(sweeps) + beyond_force(results)
+    remarks += beyond_range(
+        list(results), [one.trace.furthest() for one in results.values()], [one.furthest for one in sweeps.values()]
+    )
+    if gap is not None:
+        remarks.append(f"  MuJoCo and the exact plant differ by at most {gap:.1e} {_unit(scene, 'm')}")
+    return "\n".join([*lines, *(["", *remarks] if remarks else [])])
+
+
+def _head(scene: Scene, plant: str) -> list[str]:
+    """Return what was run, and every parameter that is a number or a name."""
+    shown = [f"{1.0 / scene.period:g} Hz", f"delay {scene.delay * 1e3:g} ms"]
+    for one in scene.parameters():
+        value = getattr(scene, one.name)
+        if one.name in ("period", "delay") or one.kind in (object, bool) or value is None:
+            continue
+        text = f"{value:.6g} {_unit(scene, one.unit)}".rstrip() if one.kind in (int, float) else str(value)
+        shown.append(f"{one.name.replace('_', ' ')} {text}")
+    # no line ends between a number and its unit
+    lines = textwrap.wrap(", ".join(text.replace(" ", "\0") for text in shown), _WIDE - 2)
+    return [f"{_sentence(scene)}, plant {plant}", *("  " + line.replace("\0", " ") for line in lines)]
+
+
+def _sentence(scene: Scene) -> str:
+    text = (type(scene).__doc__ or scene.name).strip().split("\n")[0]
+    return text.rstrip(".")
+
+
+def _rank(first: Result, sweeps: Mapping[str, Phases]) -> str:
+    """Return how the run is among the phases: one phase alone says little."""
+    if not sweeps or not first.scene.figures:
+        return ""
+    name = next(iter(first.scene.figures))
+    values = next(iter(sweeps.values())).figures[name]
+    if values.ndim > 1:
+        return ""
+    below = float(np.mean(values < first.figures[name] - 1e-9))  # the two plants round differently
+    return f", {name.replace('_', ' ')} above that of {100.0 * below:.0f} % of the phases"
+
+
+def _block(title: str, labels: Sequence[str], scene: Scene, rows: Sequence[Sequence[Sequence[Any]]]) -> list[str]:
+    """Return a line for each figure with a cell for each label: a value, or a median and what is around it."""
+    texts = [
+        [_cell(figure, *values) for values in row] for figure, row in zip(scene.figures.values(), rows, strict=True)
+    ]
+    widths = [
+        max(_LEAST, len(label) + 2, *(len(row[place]) + 2 for row in texts)) if texts else _LEAST
+        for place, label in enumerate(labels)
+    ]
+    head = "".join(f"{label:>{width}}" for label, width in zip(labels, widths, strict=True))
+    lines = [title] if title else []
+    lines.append(" " * _NAME + head)
+    for (name, figure), row in zip(scene.figures.items(), texts, strict=True):
+        cells = "".join(f"{text:>{width}}" for text, width in zip(row, widths, strict=True))
+        lines.append(f"  {name.replace('_', ' '):<{_NAME - 2}}{cells}  {_unit(scene, figure.unit)}".rstrip())
+    return lines
+
+
+def _cell(figure: Figure, value: Any, *bounds: Any) -> str:
+    """Return one value, those of several hits, or a median with its bounds where these differ."""
+    values = np.atleast_1d(np.asarray(value, dtype=np.float64))
+    if values.size > _MOST_SHOWN:
+        return f"{_number(figure, values.min())} to {_number(figure, values.max())}"
+    text = "/".join(_number(figure, one) for one in values)
+    around = [_number(figure, bound) for bound in bounds]
+    return f"{text} ({around[0]} to {around[1]})" if len(set(around)) > 1 else text
+
+
+def _number(figure: Figure, value: float) -> str:
+    return f"{value:g}" if not figure.unit and np.isfinite(value) else cell(value, figure.scale)
+
+
+def _percentile(figure: Figure, values: Any, share: float) -> Any:
+    """Return a percentile over phases, and over hits together where there are several."""
+    return figure.percentile(np.ravel(values) if np.ndim(values) > 1 else values, share)
+
+
+def _missing(sweeps: Mapping[str, Phases]) -> list[str]:
+    """Return a line for each figure that is not there at some phases."""
+    lines = []
+    for label, sweep in sweeps.items():
+        for name, values in sweep.figures.items():
+            there = int(np.isfinite(values).reshape(len(values), -1).all(axis=1).sum())
+            if there < len(values):
+                lines.append(f"  {label}: {name.replace('_', ' ')} is there at {there} of {len(values)} phases")
+    return lines
+
+
+def _unit(scene: Scene, unit: str) -> str:
+    turns = AXES.index(scene.axis) >= 3
+    return _TURNING.get(unit, unit) if turns else unit

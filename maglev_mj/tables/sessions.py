@@ -1,0 +1,77 @@
+"""A session in a window, a twin, a flight and the check of a recording as text."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from maglev_mj.bridge.states import fault_names
+from maglev_mj.recording import Verdict
+
+if TYPE_CHECKING:
+    from maglev_mj.bridge.flight import Flown
+    from maglev_mj.bridge.server import Served
+    from maglev_mj.bridge.twin import Twin
+    from maglev_mj.viewer.window import ShowReport
+
+__all__ = ["flown_table", "served_table", "show_table", "verdict_table"]
+
+
+def served_table(served: Served, twin: Twin) -> str:
+    """Return what a twin came to."""
+    firmware = twin.firmware
+    rate = served.ticks / max(served.wall_time, 1e-9)
+    lines = [
+        f"  {served.wall_time:.1f} s, {served.ticks} samples, {rate:.0f} a second, {served.missed} periods stalled"
+    ]
+    if served.lateness.count:
+        lateness = served.lateness
+        lines.append(f"  late by {lateness.p50 * 1e6:.0f} µs in the median, {lateness.p99 * 1e3:.2f} ms at 99 %")
+    ignored = firmware.counts + twin.codec.dropped
+    if ignored:
+        lines.append(
+            "  frames ignored: " + ", ".join(f"{count} for {reason}" for reason, count in sorted(ignored.items()))
+        )
+    lines.append(f"  {firmware.state.name.lower()}, faults: {fault_names(firmware.faults)}")
+    return "\n".join(lines)
+
+
+def flown_table(flown: Flown) -> str:
+    """Return what a flight came to."""
+    lines = [f"  {flown.wall_time:.1f} s, {flown.ticks} samples, {flown.lost} lost, {flown.skipped} skipped"]
+    if flown.answer.count:
+        answer = flown.answer
+        lines.append(f"  answered within {answer.p50 * 1e6:.0f} µs in the median, {answer.p99 * 1e6:.0f} µs at 99 %")
+    return "\n".join(lines)
+
+
+def show_table(report: ShowReport) -> str:
+    """Return what a session in a window came to."""
+    passed, frames = max(report.wall_time, 1e-9), report.frames
+    factor = report.simulated / passed
+    lines = [
+        f"  {report.wall_time:.1f} s, {report.ticks} control ticks, {report.missed} missed",
+        f"  real-time factor {factor:.3f}",
+        f"  {frames} frames, {frames / passed:.1f} a second, {report.frame_cost * 1e3:.1f} ms each",
+    ]
+    return "\n".join(lines)
+
+
+def verdict_table(verdict: Verdict) -> str:
+    """Return what checking a recording gave: fields that are the same together, each that differs by itself."""
+    lines = [f"  {verdict.ticks} samples, run again and compared to the last bit"]
+    same: dict[int, list[str]] = {}
+    for name, field in verdict.fields.items():
+        if field.first is None:
+            same.setdefault(field.compared, []).append(name)
+    given = same.pop(0, [])
+    lines += [f"  {count} of {count} the same: {', '.join(names)}" for count, names in same.items()]
+    for name, field in verdict.fields.items():
+        if field.first is not None:
+            stretch, tick = field.first
+            lines.append(
+                f"  {field.same} of {field.compared} the same: {name}, which first differs at tick {tick} of stretch "
+                f"{stretch + 1}"
+            )
+    if given:
+        lines.append(f"  not run again, for only the recording knows them: {', '.join(given)}")
+    return "\n".join(lines)

@@ -1,0 +1,284 @@
+"""Any controller linearised at a pose, from its answers to a small displacement, and the closed loop that it makes."""
+
+from __future__ import annotations
+
+import copy
+import importlib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from maglev_mj.controller import Controller
+from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.frames import Array, Mask, Sample, components
+from maglev_mj.parameters import axis_indices, numbers
+from maglev_mj.spec import INERTIA
+from maglev_mj.theory.closed_loop import SampledLoop
+
+__all__ = ["ClosedLoop", "Linearised", "linearise", "loop_matrices"]
+
+_SPEED = np.array([2e-5] * 3 + [2e-4] * 3)
+"""Largest speed that a displacement makes [m/s, rad/s]: far below that at which friction slides or sticks."""
+_LARGEST = np.array([1e-7] * 3 + [1e-6] * 3)
+"""Largest displacement [m, rad]."""
+_REST, _MEMORY, _LONGEST, _QUIET = 40, 64, 512, 8
+"""Samples of rest before the displacement, recorded after it at first and at most, and without answer at the end."""
+_CUT, _BENT = 1e-9, 1e-3
+"""Shares of the largest answer: below the one it counts as none; above the other it is not linear."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Linearised:
+    """A controller near a pose.
+
+    Attributes:
+        pose: Pose [m, rad], (6,).
+        period: Sample period [s].
+        response: Wrench at sample j after a unit displacement at sample 0 alone, (M, 6, 6): [j, to, from].
+        jumps: True for axes along which the wrench jumps or bends at the pose, so that no gains describe it, (6,).
+        settled: True for axes to whose displacement the answer has died away within 512 samples, (6,).
+    """
+
+    pose: Array
+    period: float
+    response: Array
+    jumps: Mask
+    settled: Mask
+
+    @property
+    def stiffness(self) -> Array:
+        """Stiffness against a slow displacement [N/m, N/rad, N, N m/rad], (6, 6): [to, from]."""
+        return np.asarray(-self.response.sum(axis=0))
+
+    @property
+    def damping(self) -> Array:
+        """Damping of a slow motion [N s/m, N s/rad, N s, N m s/rad], (6, 6), lessened by lags such as a filter's."""
+        age = np.arange(len(self.response))[:, None, None]
+        return np.asarray(self.period * (age * self.response).sum(axis=0))
+
+    def scaled(self, inertia: ArrayLike = INERTIA) -> Array:
+        """Return the response without units, T² response / sqrt(inertia inertia), (M, 6, 6)."""
+        root = np.sqrt(np.asarray(inertia, dtype=np.float64))
+        return np.asarray(self.period**2 * self.response / np.outer(root, root))
+
+    def closed_loop(
+        self, *, delay: float, inertia: ArrayLike = INERTIA, axes: str | Sequence[str] | None = None
+    ) -> ClosedLoop:
+        """Return the closed loop of the flotor and the linearised controller.
+
+        Args:
+            delay: Transport delay [s], up to 10 periods.
+            inertia: Mass and moments of inertia [kg, kg m²], (6,).
+            axes: Names from AXES, taken together; all six by default.
+
+        Raises:
+            ParameterError: If a value is outside its bounds.
+        """
+        chosen = list(range(6)) if axes is None else list(axis_indices(axes))
+        body = numbers("inertia", inertia, at_least=0.0)[chosen]
+        response = self.response[:, chosen][:, :, chosen]
+        matrix = loop_matrices(response[None], period=self.period, delay=delay, inertia=body)[0]
+        enters, seen = np.zeros((len(matrix), len(chosen))), np.zeros((len(chosen), len(matrix)))
+        for slot, mass in enumerate(body):
+            enters[slot, slot], enters[len(chosen) + slot, slot] = 0.5 * self.period**2 / mass, self.period / mass
+            seen[slot, slot] = 1.0
+        return ClosedLoop(matrix, enters, seen, self.period)
+
+    def to_statespace(self) -> Any:
+        """Return the controller as python-control's StateSpace: from six positions to six wrench components.
+
+        Its states are the positions sampled before, newest first.
+
+        Raises:
+            ParameterError: If python-control is not installed.
+        """
+        response = self.response if len(self.response) > 1 else np.concatenate([self.response, np.zeros((1, 6, 6))])
+        size = 6 * (len(response) - 1)
+        advance, take = np.eye(size, k=-6), np.eye(size, 6)
+        give = np.concatenate(response[1:], axis=1)
+        return _statespace(advance, take, give, response[0], self.period)
+
+
+@dataclass(frozen=True, eq=False)
+class ClosedLoop:
+    """s[k+1] = matrix s[k] + enters w[k]; position[k] = seen s[k], with w a wrench held from sample to sample.
+
+    Attributes:
+        matrix: (S, S).
+        enters: Effect of a further wrench, such as a hand's, (S, n).
+        seen: (n, S).
+        period: Sample period [s].
+    """
+
+    matrix: Array
+    enters: Array
+    seen: Array
+    period: float
+
+    @property
+    def modulus(self) -> float:
+        """Largest modulus of the eigenvalues; below 1 the loop is stable."""
+        return float(np.abs(np.linalg.eigvals(self.matrix)).max())
+
+    def to_statespace(self) -> Any:
+        """Return python-control's StateSpace: from a hand's wrench to the position.
+
+        Raises:
+            ParameterError: If python-control is not installed.
+        """
+        return _statespace(
+            self.matrix, self.enters, self.seen, np.zeros((len(self.seen), self.enters.shape[1])), self.period
+        )
+
+
+def linearise(controller: Controller, poses: ArrayLike) -> list[Linearised]:
+    """Return a controller's linearisation at each pose.
+
+    Thirteen copies a pose, one left alone and two for each axis, rest there for 40 samples, so that friction sticks
+    and filters settle. Then one coordinate is displaced for one sample, by at most 0.1 µm or 1 µrad one way and half of
+    it the other way, and the difference of the answers is the impulse response, whatever laws and estimator are.
+    Braking pulses are left out: they end by themselves.
+
+    Args:
+        controller: The controller, of laws for one device; it is left as it is.
+        poses: Poses [m, rad], (P, 6).
+
+    Raises:
+        MaglevError: If a law fails at a pose.
+    """
+    rest = np.atleast_2d(numbers("poses", poses))
+    size = np.minimum(_LARGEST, _SPEED * controller.period)
+    shift = np.zeros((13, 6))
+    shift[1:7], shift[7:] = np.diag(size), np.diag(-0.5 * size)
+    still = np.repeat(rest, 13, axis=0)
+    moved = still + np.tile(shift, (len(rest), 1))
+    rows = _answers(controller, still, moved)
+    # by what a coordinate really changes, rounding included
+    change, axes, found = (moved - still).reshape(len(rest), 13, 6), np.arange(6), []
+    for index, pose in enumerate(rest):
+        forces = rows[:, index]
+        difference = forces[:, 1:] - forces[:, :1]
+        up, down = difference[:, :6].swapaxes(1, 2), difference[:, 6:].swapaxes(1, 2)  # [j, to, from]
+        step, back = change[index, 1 + axes, axes], change[index, 7 + axes, axes]
+        rounding = 4.0 * np.spacing(np.abs(forces).max(axis=(0, 1)))[:, None] / -back
+        found.append(_near(pose, controller.period, up / step, down / back, rounding))
+    kept = 1 + max(np.flatnonzero(near.response.any(axis=(1, 2))).max(initial=0) for near in found)
+    return [replace(near, response=near.response[:kept]) for near in found]
+
+
+def _near(pose: Array, period: float, up: Array, down: Array, rounding: Array) -> Linearised:
+    """Return the linearisation from the answers to a displacement and to minus half of it, by unit displacement."""
+    finite = np.isfinite(up).all(axis=(0, 1)) & np.isfinite(down).all(axis=(0, 1))
+    up, down = np.where(finite, up, 0.0), np.where(finite, down, 0.0)
+    root = np.sqrt(np.asarray(INERTIA))
+    weight = 1.0 / np.outer(root, root)
+    # exact to second order in the displacement
+    response = (up + 2.0 * down) / 3.0
+    gap = np.abs(up - down)
+    largest = (weight * np.abs(response)).max(axis=(0, 1))
+    jumps = (weight * np.where(gap > rounding, gap, 0.0)).max(axis=(0, 1)) > _BENT * largest
+    # what shrinks with the displacement, such as the creep of a bristle, is nothing in the limit
+    least = np.maximum(np.maximum(rounding, _CUT * largest / weight), np.where(jumps, 0.0, 2.0 * gap))
+    response = np.where(np.abs(response) > least, response, 0.0)
+    quiet = ~response[-_QUIET:].any(axis=(0, 1))
+    return Linearised(pose=pose, period=period, response=response, jumps=jumps, settled=np.asarray(finite & quiet))
+
+
+def _answers(controller: Controller, still: Array, moved: Array) -> Array:
+    """Return the wrench of each pose's thirteen devices at each sample from the displaced one on, (M, P, 13, 6)."""
+    # a law may answer late: how late, the first pose tells
+    rows = _steps(controller, still[:13], moved[:13], _LONGEST)
+    if len(still) == 13:
+        return rows
+    memory = min(max(_MEMORY, np.flatnonzero(_alive(rows)).max(initial=0) + 1 + _QUIET), _LONGEST)
+    rows = _steps(controller, still, moved, memory)
+    if memory < _LONGEST and _alive(rows)[-_QUIET:].any():
+        rows = _steps(controller, still, moved, _LONGEST)
+    return rows
+
+
+def _alive(rows: Array) -> Mask:
+    """Return whether displaced devices answer otherwise than the one left alone, at each sample (M,)."""
+    with np.errstate(invalid="ignore"):
+        gap = np.abs(rows - rows[:, :, :1])
+        return np.asarray((~(gap <= _CUT * gap.max(axis=0))).any(axis=(1, 2, 3)))
+
+
+def _steps(controller: Controller, still: Array, moved: Array, memory: int) -> Array:
+    """Return the wrench of N devices after a rest, see `_answers`: all at once, or one by one if a law needs that."""
+    try:
+        rows = _together(controller, components(still), components(moved), memory, len(still))
+        one = _together(controller, still[-1].tolist(), moved[-1].tolist(), memory, 1)
+        with np.errstate(invalid="ignore"):
+            apart = np.abs(rows[:, -1:] - one) > _CUT * np.abs(one).max(initial=1e-300)
+        whole = not apart.any()
+    except (MaglevError, TypeError, ValueError):  # of floats alone, as with math.sin or `if`
+        whole = False
+    if not whole:
+        each = (_together(controller, *ends, memory, 1) for ends in zip(still.tolist(), moved.tolist(), strict=True))
+        rows = np.concatenate(list(each), axis=1)
+    return rows.reshape(memory, -1, 13, 6)
+
+
+def _together(controller: Controller, still: Sequence[Any], moved: Sequence[Any], memory: int, count: int) -> Array:
+    """Return the wrench at each sample, (M, N, 6)."""
+    fresh, rows = copy.copy(controller), np.empty((memory, count, 6))
+    fresh.reset()
+    for tick in range(-_REST, memory):
+        force = fresh.step(Sample(tick, 0.0, moved if tick == 0 else still)).force
+        if tick >= 0:
+            for axis, part in enumerate(force):
+                rows[tick, :, axis] = part
+    return rows
+
+
+def loop_matrices(response: Array, *, period: float, delay: float, inertia: Array) -> Array:
+    """Return closed-loop matrices of n axes together, (Q, S, S).
+
+    The state is the positions, the velocities, the positions sampled before, newest first, and the commands on their
+    way, newest first, n of each.
+
+    Args:
+        response: Impulse responses [j, to, from], (Q, M, n, n).
+        period: Sample period [s].
+        delay: Transport delay [s], up to 10 periods.
+        inertia: Mass or moments of inertia [kg, kg m²], (n,).
+    """
+    phi, old, new, whole, waiting = SampledLoop(period=period, delay=delay, mass=inertia).flotor()
+    count, memory, n = response.shape[:3]
+    first_command = n * (1 + memory)
+    size = first_command + n * waiting
+    command = np.zeros((count, n, size))
+    command[:, :, :n] = response[:, 0]
+    for age in range(1, memory):
+        command[:, :, n * (1 + age) : n * (2 + age)] = response[:, age]
+    m = np.zeros((count, size, size))
+    axes = np.arange(n)
+    for row in (0, 1):  # position and velocity
+        for column in (0, 1):
+            m[:, row * n + axes, column * n + axes] = phi[..., row, column]
+        for age in range(waiting + 1):  # the command `age` samples old
+            share = np.where(whole == age, new[..., row], 0.0) + np.where(whole + 1 == age, old[..., row], 0.0)
+            if age == 0:
+                m[:, row * n + axes] += share[:, None] * command
+            else:
+                m[:, row * n + axes, first_command + (age - 1) * n + axes] += share
+    for age in range(1, memory):
+        source = 0 if age == 1 else n * age
+        m[:, n * (1 + age) + axes, source + axes] = 1.0
+    if waiting:
+        m[:, first_command : first_command + n] = command
+        for age in range(1, waiting):
+            m[:, first_command + n * age + axes, first_command + n * (age - 1) + axes] = 1.0
+    return m
+
+
+def _statespace(*system: Any) -> Any:
+    try:
+        control = importlib.import_module("control")
+    except ImportError:
+        raise ParameterError("to_statespace() needs python-control, as in pip install control") from None
+    return control.ss(*system)

@@ -1,0 +1,304 @@
+"""Stability of any controller: by its laws' gains where all state them, numerically otherwise."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import compress, product
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from maglev_mj.controller import Controller
+from maglev_mj.errors import ParameterError
+from maglev_mj.frames import AXES, ZERO, Array
+from maglev_mj.parameters import number, numbers
+from maglev_mj.spec import INERTIA, RANGE
+from maglev_mj.theory.linearise import Linearised, linearise, loop_matrices
+from maglev_mj.theory.modulus import largest_modulus
+
+__all__ = ["Judged", "Verdict", "judge", "stability", "stated_gains"]
+
+_ROUNDING, _FREE = 1e-9, 1e-6
+"""Tolerance of a modulus; that of an axis without stiffness, whose double root at 1 is found to half of the digits."""
+_POINTS, _STRIDE = 23, 0.9871
+"""Poses along each axis, and the share of the range that they span: no usual pitch divides it, so few are edges."""
+_OFF, _DEPTHS = 1e-5, (1e-6, 1e-4)
+"""Distances from an edge [m]: of a start that is moved off it, and of poses inside a face; tenfold [rad]."""
+_SCALE = np.array([1.0] * 3 + [10.0] * 3)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Verdict:
+    """The worst closed loop of a controller.
+
+    Attributes:
+        stable: Whether all loops are; None where that is not known.
+        modulus: Largest modulus of its eigenvalues, below 1 for a stable loop and 1 for a free axis; NaN if not known.
+        axes: Names of its axes; () if not known.
+        acting: States of the laws that act: "always", "contact", "stuck" and so on; () where gains are not stated.
+        pose: Pose at which it is [m, rad], (6,).
+        stiffness: Of all that acts there [N/m, N m/rad], (6, 6).
+        damping: Likewise [N s/m, N m s/rad], (6, 6).
+        stated: Whether all laws state their gains, so that the pose does not matter.
+        jumps: Poses at which the wrench jumps or bends, so that no gains describe it, (J, 6); they are left out.
+        unknown: Poses at which the controller remembers for longer than 512 samples, (U, 6).
+        away: Poses that the laws push away from, as the crest between two detents does, (A, 6); they are left out.
+    """
+
+    stable: bool | None
+    modulus: float
+    axes: tuple[str, ...]
+    acting: tuple[str, ...] = ()
+    pose: Array
+    stiffness: Array
+    damping: Array
+    stated: bool
+    jumps: Array = field(default_factory=lambda: np.zeros((0, 6)))
+    unknown: Array = field(default_factory=lambda: np.zeros((0, 6)))
+    away: Array = field(default_factory=lambda: np.zeros((0, 6)))
+
+    def __str__(self) -> str:
+        word = {True: "stable", False: "UNSTABLE", None: "not known"}[self.stable]
+        loop = f"{', '.join(self.axes)}: largest root {self.modulus:.4g}" if self.axes else "stability"
+        return f"{loop} {word}"
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the verdict, ready for JSON."""
+        return {
+            "stable": self.stable,
+            "modulus": self.modulus if np.isfinite(self.modulus) else None,
+            "axes": list(self.axes),
+            "acting": list(self.acting),
+            "pose": self.pose.tolist(),
+            "stated": self.stated,
+            "remarks": list(self.remarks),
+        }
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What was left out, one line each."""
+        found = (
+            (self.unknown, "the controller remembers for longer than 512 samples"),
+            (self.jumps, "the wrench jumps or bends"),
+            (self.away, "the laws push away from the pose"),
+        )
+        return tuple(f"not judged at {len(poses)} poses, where {why}" for poses, why in found if len(poses))
+
+
+class Judged(Protocol):
+    """What `stability` asks of a scene."""
+
+    @property
+    def delay(self) -> float:
+        """Transport delay [s]."""
+
+    def controller(self) -> Controller:
+        """Return a new controller."""
+
+    def start(self) -> Any:
+        """Return the state at release, with its `pose`."""
+
+
+def stability(scene: Judged, *, inertia: ArrayLike = INERTIA) -> Verdict:
+    """Return the verdict on a scene: see `judge`."""
+    return judge(scene.controller(), delay=scene.delay, pose=scene.start().pose, inertia=inertia)
+
+
+def judge(controller: Controller, *, delay: float, pose: ArrayLike = ZERO, inertia: ArrayLike = INERTIA) -> Verdict:
+    """Return whether the closed loop of a flotor that nobody holds is stable.
+
+    Where all laws state their gains, that is a closed form in every combination of their states. Otherwise the whole
+    controller is linearised at its start, at the centre, along each axis, and inside each face, and axes that act on
+    each other are taken together.
+
+    Args:
+        controller: The controller, of laws for one device; it is left as it is.
+        delay: Transport delay [s], up to 10 periods.
+        pose: Start of the flotor [m, rad], (6,).
+        inertia: Mass and moments of inertia [kg, kg m²], (6,).
+
+    Raises:
+        ParameterError: If a value is outside its bounds.
+        MaglevError: If a law fails at a pose.
+    """
+    start, body = numbers("pose", pose), numbers("inertia", inertia, at_least=0.0)
+    if start.shape != (6,) or body.shape != (6,):
+        raise ParameterError(f"pose and inertia must be (6,), not {start.shape} and {body.shape}")
+    if not (body > 0.0).all():
+        raise ParameterError(f"inertia must be above 0 everywhere, not {body.min():g}")
+    number("delay", delay, at_least=0.0)
+    gains = stated_gains(controller)
+    if gains is None:
+        return _numerically(controller, delay, start, body)
+    return _by_gains(gains, controller, delay, start, body)
+
+
+def stated_gains(controller: Controller) -> dict[tuple[str, ...], tuple[Array, Array]] | None:
+    """Return stiffness and damping on the six axes for each combination of the laws' states.
+
+    None if a law states none, one is negative, or the velocity estimate is not linear.
+    """
+    sums: dict[str, Array] = {"always": np.zeros((2, len(AXES)))}
+    for law in controller.laws:
+        stated = law.gains()
+        if stated is None or law.batch:
+            return None
+        for near in stated:
+            sums[near.state] = sums.get(near.state, 0.0) + np.array([near.stiffness, near.damping])
+    if not hasattr(controller.velocity, "linear"):
+        return None
+    always = sums.pop("always")
+    states = sorted(state for state, gains in sums.items() if gains.any())
+    found = {}
+    for acts in product((False, True), repeat=len(states)):
+        acting = tuple(compress(states, acts))
+        stiffness, damping = sum((sums[state] for state in acting), always)
+        found[acting] = stiffness, damping
+    return None if any((gains < 0.0).any() for both in found.values() for gains in both) else found
+
+
+def _by_gains(
+    gains: dict[tuple[str, ...], tuple[Array, Array]], controller: Controller, delay: float, pose: Array, body: Array
+) -> Verdict:
+    """Return the verdict by closed forms."""
+    worst: tuple[bool, float] = False, -1.0
+    verdict: Verdict | None = None
+    for acting, (stiffness, damping) in gains.items():
+        velocity: Any = controller.velocity
+        loop = {"period": controller.period, "delay": delay, "mass": body, "velocity": velocity}
+        modulus = largest_modulus(stiffness, damping, **loop)
+        # with no stiffness the flotor may stay anywhere, which is one root at 1
+        wrong = modulus >= np.where(stiffness > 0.0, 1.0 - _ROUNDING, 1.0 + _ROUNDING)
+        for index in range(len(AXES)):
+            if wrong[index] > worst[0] or (wrong[index] == worst[0] and modulus[index] > worst[1] * (1.0 + _ROUNDING)):
+                worst = bool(wrong[index]), float(modulus[index])
+                verdict = Verdict(
+                    stable=not worst[0],
+                    modulus=worst[1],
+                    axes=(AXES[index],),
+                    acting=acting,
+                    pose=pose,
+                    stiffness=np.diag(stiffness),
+                    damping=np.diag(damping),
+                    stated=True,
+                )
+    assert verdict is not None
+    return verdict
+
+
+class _Loop(NamedTuple):
+    """Axes that act on each other, at a pose."""
+
+    near: Linearised
+    axes: tuple[int, ...]
+    scaled: Array
+    stiffness: Array
+    """Real parts of the eigenvalues of the stiffness without units."""
+
+
+def _numerically(controller: Controller, delay: float, pose: Array, body: Array) -> Verdict:
+    """Return the verdict by linearisation."""
+    loops: list[_Loop] = []
+    away: list[_Loop] = []
+    jumps, unknown, judged = [], [], set()
+    for near in linearise(controller, _poses(controller, pose)):
+        scaled = near.scaled(body)
+        for axes in _coupled(scaled):
+            chosen = list(axes)
+            own = scaled[:, chosen][:, :, chosen]
+            still = -own.sum(axis=0)
+            loop = _Loop(near, axes, own, still[0] if len(axes) == 1 else np.linalg.eigvals(still).real)
+            if near.jumps[chosen].any():
+                jumps.append(near.pose)
+            elif not near.settled[chosen].all():
+                unknown.append(near.pose)
+            elif loop.stiffness.min() < -_FREE * np.abs(loop.stiffness).max():
+                away.append(loop)
+            else:
+                loops.append(loop)
+                judged |= set(axes)
+    # an axis with no place of rest at all is judged where it is pushed away
+    lost = [loop for loop in away if not judged.issuperset(loop.axes)]
+    nowhere = set(range(len(AXES))) - judged - {axis for loop in lost for axis in loop.axes}
+    worst: tuple[bool, float, _Loop | None] = False, np.nan, None
+    for loop, modulus in _moduli(loops + lost, delay, body):
+        free = np.abs(loop.stiffness).min() <= _FREE * max(_FREE, np.abs(loop.scaled).max())
+        wrong = modulus >= 1.0 + (_FREE if free else -_ROUNDING)
+        if worst[2] is None or wrong > worst[0] or (wrong == worst[0] and modulus > worst[1] * (1.0 + _ROUNDING)):
+            worst = wrong, modulus, loop
+    unstable, modulus, found = worst
+    known = bool(unstable) or not (unknown or nowhere)
+    return Verdict(
+        stable=not unstable if known else None,
+        modulus=modulus,
+        axes=() if found is None else tuple(AXES[axis] for axis in found.axes),
+        pose=pose if found is None else found.near.pose,
+        stiffness=np.full((6, 6), np.nan) if found is None else found.near.stiffness,
+        damping=np.full((6, 6), np.nan) if found is None else found.near.damping,
+        stated=False,
+        jumps=_distinct(jumps),
+        unknown=_distinct(unknown),
+        away=_distinct([loop.near.pose for loop in away]),
+    )
+
+
+def _moduli(loops: Sequence[_Loop], delay: float, body: Array) -> Iterator[tuple[_Loop, float]]:
+    """Yield different loops with their largest modulus, those of one size at once."""
+    known: dict[tuple[int, ...], list[_Loop]] = {}
+    sizes: dict[tuple[tuple[int, ...], int], list[_Loop]] = {}
+    for loop in loops:
+        same = known.setdefault(loop.axes, [])
+        least = _ROUNDING * np.abs(loop.scaled).max()
+        if not any(np.abs(one.scaled - loop.scaled).max() <= least for one in same):
+            same.append(loop)
+            memory = 1 + int(np.flatnonzero(loop.scaled.any(axis=(1, 2))).max(initial=0))
+            sizes.setdefault((loop.axes, memory), []).append(loop)
+    for (axes, memory), different in sizes.items():
+        chosen = list(axes)
+        response = np.array([loop.near.response[:memory, chosen][:, :, chosen] for loop in different])
+        period = different[0].near.period
+        matrices = loop_matrices(response, period=period, delay=delay, inertia=body[chosen])
+        moduli = np.abs(np.linalg.eigvals(matrices)).max(axis=-1)
+        yield from zip(different, moduli.tolist(), strict=True)
+
+
+def _coupled(scaled: Array) -> list[tuple[int, ...]]:
+    """Return groups of axes that act on each other."""
+    size = np.abs(scaled).max(axis=0)
+    linked = (size > _ROUNDING * size.max(initial=0.0)) | np.eye(len(AXES), dtype=bool)
+    linked = np.linalg.matrix_power((linked | linked.T).astype(float), len(AXES)) > 0.0
+    return list(dict.fromkeys(tuple(np.flatnonzero(row).tolist()) for row in linked))
+
+
+def _poses(controller: Controller, start: Array) -> Array:
+    """Return poses to judge: start, centre, along each axis, and inside each face."""
+    start = _off_edges(controller, start)
+    rows = [start, np.zeros(6)]
+    for axis, reach in enumerate(RANGE):
+        rows += [_with(start, axis, value) for value in np.linspace(-1.0, 1.0, _POINTS) * reach * _STRIDE]
+    for axis, normal, edge in controller.faces:
+        rows += [_with(start, axis, float(edge) - normal * depth * _SCALE[axis]) for depth in _DEPTHS]
+    return np.array(rows)
+
+
+def _off_edges(controller: Controller, start: Array) -> Array:
+    """Return a start moved off the edges that it is on, which would make each pose of the grid a jump."""
+    moved = start.copy()
+    for side in (1.0, -2.0):
+        (near,) = linearise(controller, moved[None])
+        if not near.jumps.any():
+            break
+        moved = moved + side * _OFF * _SCALE * near.jumps
+    return moved
+
+
+def _with(pose: Array, axis: int, value: float) -> Array:
+    changed = pose.copy()
+    changed[axis] = value
+    return changed
+
+
+def _distinct(poses: Sequence[Array]) -> Array:
+    return np.unique(np.array(poses).reshape(-1, 6), axis=0)

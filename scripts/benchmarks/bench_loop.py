@@ -1,0 +1,152 @@
+"""What the closed loop costs, as ratios in one run: absolute times mean little on a shared machine.
+
+Everything is timed in turn, many times over, and the medians are compared.
+"""
+
+import math
+import statistics
+import sys
+import time
+from collections.abc import Callable
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from maglev_mj import AXES, Controller, ExactPlant, Hold, MuJoCoPlant, Sample, Timing, Wall, run
+from maglev_mj.frames import components
+from maglev_mj.spec import INERTIA, Spec
+from maglev_mj.theory import largest_modulus
+from peers import Task, mujoco_peer
+
+REPEATS = 5 if "--quick" in sys.argv else 60
+TICKS = 400
+BATCH = 1000
+TIMING = Timing()
+START = [0.5e-3, -0.3e-3, Spec.translation_range.value, 0.0, 0.0, 0.0]
+TASK = Task(ticks=TICKS)
+BY_HAND = {variant.name: variant.build(TASK) for variant in mujoco_peer.variants() if "slides and ball" in variant.name}
+
+
+def drop_controller() -> Controller:
+    """Return the drop's controller: a wall with a pulse along z, a hold on the five other axes."""
+    wall = Wall(axes="z", lower=0.0, stiffness=6000, damping=80, pulse=220, pulse_width=0.003)
+    others = [axis for axis in AXES if axis != "z"]
+    hold = Hold.critically_damped(others, inertia=np.delete(INERTIA, 2), period=TIMING.period, delay=TIMING.delay)
+    return Controller([wall, hold], period=TIMING.period)
+
+
+def full_controller() -> Controller:
+    """Return a wall on both sides, a pulse and a hold on each of the six axes."""
+    stiffness, damping = [6000.0] * 3 + [8.0] * 3, [80.0] * 3 + [0.1] * 3
+    pulse = [220.0] * 3 + [0.2] * 3
+    wall = Wall(lower=-1e-3, upper=1e-3, stiffness=stiffness, damping=damping, pulse=pulse, pulse_width=0.003)
+    hold = Hold.critically_damped(inertia=INERTIA, period=TIMING.period, delay=TIMING.delay)
+    return Controller([wall, hold], period=TIMING.period)
+
+
+def samples(batch: tuple[int, ...], count: int) -> list[Sample]:
+    """Return smooth seeded motion that crosses the walls of `full_controller` again and again."""
+    random = np.random.default_rng(1)
+    phase, speed = random.uniform(0, 6.28, (*batch, 6)), random.uniform(0.05, 0.3, (*batch, 6))
+    poses = [1.3e-3 * np.sin(phase + speed * tick) for tick in range(count)]
+    return [Sample(tick, tick * TIMING.period, components(pose)) for tick, pose in enumerate(poses)]
+
+
+def timed(work: Callable[[], object]) -> float:
+    """Return how long one call takes [s]."""
+    start = time.perf_counter()
+    work()
+    return time.perf_counter() - start
+
+
+def mujoco_loop(tilt: float = 0.0, **options: Any) -> float:
+    """Return the time of one tick of the closed loop on MuJoCo [s], for a flotor released at a tilt [rad]."""
+    plant = MuJoCoPlant(TIMING, pose=[*START[:3], tilt, tilt, tilt], **options)
+    controller = drop_controller()
+    return timed(lambda: run(plant, controller, TICKS)) / TICKS
+
+
+def bare_steps(**options: Any) -> float:
+    """Return the time of as many mj_step calls as one tick of the closed loop makes [s]."""
+    model = MuJoCoPlant(TIMING, **options).device.model
+    data = mujoco.MjData(model)
+    model.opt.timestep = 0.5 * TIMING.period
+    step = mujoco.mj_step
+
+    def steps() -> None:
+        for _ in range(2 * TICKS):  # old command, new command; the one or two pulses of a drop are not counted
+            step(model, data)
+
+    return timed(steps) / TICKS
+
+
+def by_hand(name: str) -> float:
+    """Return the time of one tick of a loop on bare MuJoCo as a careful user writes it, without any check [s]."""
+    return timed(BY_HAND[name]) / TASK.ticks
+
+
+def exact_loop(batch: tuple[int, ...] = ()) -> float:
+    """Return the time of one tick of the closed loop on the exact plant, for each device [s]."""
+    pose = np.broadcast_to(START, (*batch, 6))
+    plant = ExactPlant(TIMING, pose=pose)
+    controller = drop_controller()
+    return timed(lambda: run(plant, controller, TICKS)) / TICKS / math.prod(batch)
+
+
+def controller_tick(batch: tuple[int, ...], count: int) -> float:
+    """Return the time of one controller tick on all six axes, for each device [s]."""
+    controller, seen = full_controller(), samples(batch, count)
+    return timed(lambda: [controller.step(sample) for sample in seen]) / count / math.prod(batch)
+
+
+WORK: dict[str, Callable[[], float]] = {
+    "RK4, coils: closed loop": mujoco_loop,
+    "RK4, coils: bare mj_step, as many": bare_steps,
+    "RK4, coils, tilted: closed loop": lambda: mujoco_loop(tilt=0.01),
+    "RK4, body: closed loop": lambda: mujoco_loop(coils=False),
+    "RK4, body: bare mj_step, as many": lambda: bare_steps(coils=False),
+    "RK4, body: written by hand": lambda: by_hand("split, RK4, slides and ball"),
+    "corrected Euler, body: closed loop": lambda: mujoco_loop(integrator="corrected", coils=False),
+    "corrected Euler, body: bare mj_step, as many": lambda: bare_steps(coils=False, integrator="euler"),
+    "corrected Euler, body: written by hand": lambda: by_hand("split, Euler, half-kick, slides and ball"),
+    "corrected Euler, body, 0.5 ms: closed loop": lambda: mujoco_loop(
+        integrator="corrected", coils=False, longest_step=5e-4
+    ),
+    "exact plant: closed loop": exact_loop,
+    f"exact plant, {BATCH} at once: closed loop": lambda: exact_loop((BATCH,)),
+    "six-axis tick, wall + pulse + hold": lambda: controller_tick((), 1000),
+    f"six-axis tick, {BATCH} at once": lambda: controller_tick((BATCH,), 40),
+}
+
+
+def main() -> None:
+    """Time everything in turn and print medians and ratios."""
+    times: dict[str, list[float]] = {name: [] for name in WORK}
+    for _ in range(REPEATS):
+        for name, work in WORK.items():
+            times[name].append(work())
+    print(f"medians of {REPEATS} interleaved repeats; a tick is {TIMING.period * 1e3:g} simulated ms")
+    for name, values in times.items():
+        print(f"  {name:<48}{statistics.median(values) * 1e6:9.3f} µs a tick and device")
+    print("medians of the ratios, pair by pair")
+    for one in WORK:
+        kind, _, what = one.partition(": ")
+        for other in ("bare mj_step, as many", "written by hand"):
+            if what == "closed loop" and f"{kind}: {other}" in times:
+                ratio = np.median(np.array(times[one]) / np.array(times[f"{kind}: {other}"]))
+                print(f"  {kind + ', closed loop / ' + other:<64}{ratio:9.2f}")
+    exact = np.array(times["exact plant: closed loop"])
+    for kind in ("RK4, coils", "corrected Euler, body"):
+        loop = np.array(times[f"{kind}: closed loop"])
+        batch = np.array(times[f"exact plant, {BATCH} at once: closed loop"])
+        print(f"  {kind + ', closed loop / exact plant':<64}{np.median(loop / exact):9.2f}")
+        print(f"  {kind + ', closed loop / exact batch, a device':<64}{np.median(loop / batch):9.1f}")
+    count = 100 if "--quick" in sys.argv else 1000
+    gains = np.linspace(1.0, 20000.0, count)[:, None], np.linspace(1.0, 200.0, count)
+    whole = timed(lambda: largest_modulus(*gains, period=TIMING.period, delay=TIMING.delay))
+    print(f"  modulus of {count**2:>7} closed loops: {whole:.2f} s")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,181 @@
+"""Ways to simulate a scene, with this package and with others: what to time, and how far each is off."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cache, partial
+from typing import Any
+
+import numpy as np
+
+from maglev_mj import Controller, run
+from maglev_mj.frames import Array
+from maglev_mj.plants import ExactPlant, MuJoCoBatchPlant, SampledPlant, Timing
+from maglev_mj.scenes.scene import Scene
+from maglev_mj.spec import GRAVITY, Spec
+from maglev_mj.studies import integrators
+from maglev_mj.studies.costs import closed_loop, median_times
+from maglev_mj.studies.fidelity import stepping_name
+from maglev_mj.studies.levels import Motion, apart, level_parts, motion_of
+from maglev_mj.theory.closed_loop import SampledLoop
+from peers import Task, available
+from work_precision import WorkPoint, pareto
+
+__all__ = ["SEMI_IMPLICIT", "Way", "as_json", "boundary_shift", "measure", "our_ways", "peer_ways", "points_of"]
+
+CLOSED_FORM = ("drop", "drop-no-pulse", "press", "stick-slip")
+_LOOP = SampledLoop()
+_LEAST_STEP = {"euler": 1e-6, "corrected": 1e-5, "rk4": 1e-5}
+SEMI_IMPLICIT = ("euler", "implicit", "implicitfast", "discrete")
+
+
+@dataclass
+class Way:
+    """One way to simulate a scene: what to time, for how much simulated time, and how far off it is."""
+
+    name: str
+    group: str
+    prepare: Callable[[], Callable[[], object]]
+    error: float
+    simulated: float
+    integrator: str | None = None
+    step: float | None = None
+    energy: float | None = None
+    cost: float = math.inf
+
+
+def batch_of(scene: Scene, kind: Callable[..., SampledPlant], count: int, **options: Any) -> Any:
+    """Return plant, controller and number of samples of many devices in one scene."""
+    timing, pose = scene.timing(), np.tile(scene.start().pose, (count, 1))
+    plant = scene.plant(kind, pose=pose, **options | {"record": False, "longest_step": None})
+    return plant, scene.controller(), scene.ticks(timing)
+
+
+def energy_error(motion: Motion, truth: Motion) -> float:
+    """Return the largest error of the mechanical energy along z, as a share of that of a fall from the range's end."""
+    mass, fall = Spec.moving_mass.value, Spec.translation_range.value
+    kept = [0.5 * mass * one.twist[:, 2] ** 2 + mass * GRAVITY * one.pose[:, 2] for one in (motion, truth)]
+    return float(np.abs(kept[0] - kept[1]).max() / (mass * GRAVITY * fall))
+
+
+def single_ways(quick: bool) -> Iterator[tuple[str, str, str, float | None]]:
+    """Yield rung, group, integrator and longest step of every single device worth looking at."""
+    steps = (1e-3, 1e-4) if quick else (2.5e-3, 1e-3, 5e-4, 1e-4, 1e-5, 1e-6)
+    for integrator in ("corrected", "rk4", *SEMI_IMPLICIT):
+        yield "body", "MuJoCo, body", integrator, None
+        for step in steps:
+            if step >= _LEAST_STEP.get(integrator, 1e-4):  # a microsecond of the dearer ones takes seconds a run
+                yield "body", "MuJoCo, body", integrator, step
+    for integrator in ("corrected", "rk4"):
+        yield "turning", "MuJoCo, full device", integrator, None
+
+
+def our_ways(name: str, scene: Scene, quick: bool) -> list[Way]:
+    """Return every way to simulate a scene of some name with this package."""
+    truths = {
+        "turning": motion_of(*level_parts(scene, "turning", longest_step=2e-5)),
+        "body": motion_of(
+            *(level_parts(scene, "axes") if name in CLOSED_FORM else level_parts(scene, "body", longest_step=2e-5))
+        ),
+    }
+    exact = partial(level_parts, scene, "axes")
+    truth, duration = truths["body"], exact()[2] * scene.period
+    error = float(apart(motion_of(*exact()).pose, truth.pose))
+    ways = [Way("exact", "exact", partial(closed_loop, exact), error, duration, "exact", None, 0.0)]
+    for level, group, integrator, step in single_ways(quick):
+        make = partial(level_parts, scene, level, integrator=integrator, longest_step=step)
+        motion = motion_of(*make())
+        way = stepping_name(integrator, step) + (", coils" if level == "turning" else "")
+        energy = energy_error(motion, truths[level]) if name.startswith("drop") else None
+        error = float(apart(motion.pose, truths[level].pose))
+        ways.append(Way(way, group, partial(closed_loop, make), error, duration, integrator, step, energy))
+    count = 100 if quick else 1000
+    many: tuple[tuple[str, str, Callable[..., SampledPlant], dict[str, Any]], ...] = (
+        ("exact", "exact", ExactPlant, {}),
+        ("corrected", "MuJoCo, batch", MuJoCoBatchPlant, {"coils": False, "integrator": "corrected"}),
+        ("rk4", "MuJoCo, batch", MuJoCoBatchPlant, {"coils": False}),
+    )
+    for way, group, kind, options in many:
+        many_parts = partial(batch_of, scene, kind, count, **options)
+        error = float(apart(poses_of(*many_parts()), truth.pose))
+        ways.append(Way(f"{way}, {count} at once", group, partial(closed_loop, many_parts), error, duration * count))
+    return ways
+
+
+def poses_of(plant: SampledPlant, controller: Controller, ticks: int) -> Array:
+    """Return the poses of the last device of a batch at the samples, (K, 6)."""
+    poses: list[Array] = []
+    run(plant, controller, ticks, observe=lambda *_: poses.append(plant.state()[0][-1]))
+    return np.array([*poses, plant.state()[0][-1]])
+
+
+def peer_ways(scene: Scene, task: Task, quick: bool) -> tuple[list[Way], list[str]]:
+    """Return the ways of those who would take another simulator, and a line for each that is not installed."""
+    truth = motion_of(*level_parts(scene, "axes", inertia=task.inertia)).pose
+    variants, missing = available()
+    ways = []
+    for variant in variants:
+        simulate = variant.build(task)
+        start = time.perf_counter()
+        poses = simulate()
+        if quick and time.perf_counter() - start > 0.1:
+            continue
+        error = float(apart(np.where(np.isnan(poses), truth, poses), truth))
+        group = "MuJoCo by hand" if variant.peer == "mujoco" else variant.peer
+        if np.isnan(poses).any():  # one slide: it leaves the five other axes out
+            group = "MuJoCo, z alone"
+        ways.append(Way(variant.name, group, partial(_same, simulate), error, task.duration))
+    return ways, missing
+
+
+def _same(simulate: Callable[[], object]) -> Callable[[], object]:
+    """Prepare nothing: a peer's run begins anew by itself."""
+    return simulate
+
+
+def measure(ways: list[Way], repeats: int) -> None:
+    """Time every way in turn."""
+    for way, taken in zip(ways, median_times([way.prepare for way in ways], repeats), strict=True):
+        way.cost = taken / way.simulated
+
+
+@cache
+def boundary_shift(integrator: str, step: float, aligned: bool = True) -> float:
+    """Return the relative shift of the stiffest stable wall by an integrator and its step [s], at usual timing."""
+    return integrators.boundary_shift(integrator, step, _LOOP, aligned=aligned)
+
+
+def as_json(ways: list[Way]) -> dict[str, Any]:
+    """Return the ways of one scene and the names of those that nothing beats."""
+    rows = [
+        {
+            "name": way.name,
+            "group": way.group,
+            "microseconds_a_millisecond": way.cost * 1e3,
+            "real_time_factor": 1.0 / way.cost,
+            "error": way.error,
+            "energy_error": way.energy,
+            "boundary_shift": None
+            if way.integrator is None
+            else boundary_shift(way.integrator, way.step or Timing().period),
+            "integrator": way.integrator,
+            "step": way.step,
+        }
+        for way in ways
+    ]
+    points = points_of(ways)
+    fronts = ([point for point in points if point.many is many] for many in (False, True))
+    one, many = ([point.name for point in pareto(front)] for front in fronts)
+    return {"ways": rows, "front": one, "front_of_many": many}
+
+
+def points_of(ways: list[Way]) -> list[WorkPoint]:
+    """Return the ways as points of a chart."""
+    return [
+        WorkPoint(way.name, way.group, way.cost, way.error, many="at once" in way.name)
+        for way in ways
+        if math.isfinite(way.error)
+    ]

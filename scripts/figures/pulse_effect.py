@@ -1,0 +1,80 @@
+"""Tables of what the braking pulse does to a drop, by both readings of its size.
+
+The paper prints 220 N s/m for the pulse. Its equation (9) adds the pulse to the damping of 80: 300 in all. Read as
+both together, 220 is nearly the m/T_pulse = 233 N s/m that stops the flotor. The device gives 60 N at most.
+
+One drop proves nothing: the figures depend on the phase, the time from the crossing to the next sample. A cell is
+the median (5 to 95 %) over 100 phases; the last rows count the phases. Hardness is the extended rate-hardness: the
+fastest rise of the force over a window, over the speed of impact.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from maglev_mj.frames import Array
+from maglev_mj.metrics import perceived_hardness
+from maglev_mj.scenes.drop import Drop
+from maglev_mj.scenes.run import run
+from maglev_mj.spec import Spec
+
+PHASES = 100
+IN_ALL: dict[str, Any] = {"pulse": 220.0 - Drop.damping}
+FURTHER: dict[str, Any] = {"pulse": 220.0}
+LIMIT: dict[str, Any] = {"force_limit": Spec.largest_vertical_force.value}
+CARRY = LIMIT | {"carry": True}
+PLAIN: dict[str, dict[str, Any]] = {"no pulse": {"pulse": 0.0}}  # below 60 N at every phase, limit or not
+TABLES = (
+    PLAIN
+    | {"220 in all": IN_ALL, "220 further": FURTHER}
+    | {"in all, 60 N": IN_ALL | LIMIT, "further, 60 N": FURTHER | LIMIT},
+    PLAIN | {"in all, 60 N, rest carried over": IN_ALL | CARRY, "further, the same": FURTHER | CARRY},
+)
+
+
+def figures(**options: Any) -> dict[str, Array]:
+    """Return the figures of a drop at every phase, (PHASES,) each."""
+    result = run(Drop(**options), plant="exact", phase=np.arange(PHASES) / PHASES)
+    bounce, trace = result.figures, result.trace
+    return {
+        "penetration (mm)": bounce["penetration"] * 1e3,
+        "rebound (mm)": bounce["rebound"] * 1e3,
+        "settling, 2 % (ms)": bounce["settling_time"] * 1e3,
+        "peak force (N)": bounce["peak_force"],
+        "hardness, 5 ms (kN/m)": perceived_hardness(trace, 0.005).extended / 1e3,
+        "hardness, 10 ms (kN/m)": perceived_hardness(trace, 0.01).extended / 1e3,
+    }
+
+
+def spread(values: Array, digits: int) -> str:
+    """Return median and 5 to 95 % as text, one number where they are the same."""
+    middle, low, high = (f"{value:.{digits}f}" for value in np.percentile(values, [50, 5, 95]))
+    return middle if low == high else f"{middle} ({low}\u2013{high})"
+
+
+def print_table(height: float, columns: Mapping[str, dict[str, Any]]) -> None:
+    """Print a Markdown table with a column for each drop, the first without a pulse."""
+    drops = [figures(height=height, **options) for options in columns.values()]
+    plain = drops[0]
+    rows = {name: [spread(drop[name], 2 if "mm" in name else 0) for drop in drops] for name in plain}
+    for name in plain:
+        if "hardness" in name:
+            rows[f"{name[:-7]}, times"] = [spread(drop[name] / plain[name], 1) for drop in drops]
+    counted = {
+        "less penetration": [drop["penetration (mm)"] < plain["penetration (mm)"] for drop in drops],
+        "more rebound": [drop["rebound (mm)"] > plain["rebound (mm)"] for drop in drops],
+        "settled sooner": [drop["settling, 2 % (ms)"] < plain["settling, 2 % (ms)"] for drop in drops],
+        "peak above 80 N": [drop["peak force (N)"] > 80.0 for drop in drops],
+    }
+    rows |= {f"{name}, phases": [str(int(phases.sum())) for phases in counts] for name, counts in counted.items()}
+    print(f"| from {height * 1e3:g} mm | " + " | ".join(columns) + " |")
+    print("|---" * (len(columns) + 1) + "|")
+    for name, cells in rows.items():
+        print(f"| {name} | " + " | ".join(cells) + " |")
+    print()
+
+
+for columns in TABLES:
+    for height in (0.001, 0.002, 0.003, Spec.translation_range.value):
+        print_table(height, columns)

@@ -1,0 +1,108 @@
+"""Where walls fail: at the edge under a light press, and under a delay that varies."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from maglev_mj.frames import Array
+from maglev_mj.plants import ExactPlant, Sensor, Timing
+from maglev_mj.spec import Spec
+from maglev_mj.studies.batches import along_z, each_phase, watched
+from maglev_mj.studies.wall_controller import wall_controller
+from maglev_mj.theory.closed_loop import LoopKeywords, SampledLoop
+
+__all__ = ["Chatter", "press_at_edge", "random_delay_rate"]
+
+_MASS = Spec.moving_mass.value
+_PERIOD = 1.0 / Spec.control_rate.value
+_DELAY = Spec.transport_delay.value
+
+
+class Chatter(NamedTuple):
+    """What goes on at a wall's edge.
+
+    Attributes:
+        pulses: Braking pulses a second, mean over the phases.
+        ripple: Largest swing of the position in the second half [m], the worst phase.
+    """
+
+    pulses: Array
+    ripple: Array
+
+
+def press_at_edge(
+    press: float,
+    gates: ArrayLike,
+    *,
+    height: float | None = None,
+    pulse: float = 220.0,
+    noise: float = 2e-6,
+    quantum: float = Spec.translation_resolution.value,
+    duration: float = 2.0,
+    phases: int = 8,
+    period: float = _PERIOD,
+    delay: float = _DELAY,
+) -> Chatter:
+    """Press the flotor lightly on the paper's wall with its pulse, and count how often the pulse fires.
+
+    Args:
+        press: Constant force of the hand towards the wall, weight compensated [N].
+        gates: Approach speeds from which on a pulse is given [m/s], (M,).
+        height: Where it is let go above the edge [m]; None for at rest in the wall.
+        pulse: Further damping in the pulse [N s/m].
+        noise: Standard deviation of the sensor's noise [m].
+        quantum: Its resolution [m].
+        duration: Simulated time [s].
+        phases: Sampling phases, each with noise of its own.
+        period: Sample period [s].
+        delay: Transport delay [s].
+
+    Returns:
+        A figure a gate, (M,) each.
+    """
+    stiffness, damping, width = 6000.0, 80.0, 0.003
+    gate, phase = each_phase(gates, phases)
+    start = np.full(gate.size, -press / stiffness if height is None else height)
+    plant = ExactPlant(
+        Timing(period=period, delay=delay, phase=phase),
+        pose=along_z(start),
+        wrench=along_z(np.full(gate.size, press if height is None else 0.0)),
+        gravity=press / _MASS,
+        sensor=Sensor(quantum=np.eye(6)[2] * quantum, noise=np.eye(6)[2] * noise, seed=1),
+    )
+    controller = wall_controller(
+        stiffness=stiffness,
+        damping=damping,
+        pulse=np.full(gate.size, pulse),
+        pulse_width=width,
+        pulse_gate=gate,
+        period=period,
+        delay=delay,
+        mass=_MASS,
+    )
+    watch = watched(plant, controller, duration, gate.size)
+    swing = np.ptp(watch.places[len(watch.places) // 2 :], axis=0)
+    return Chatter(watch.pulses.reshape(-1, phases).mean(axis=1) / duration, swing.reshape(-1, phases).max(axis=1))
+
+
+def random_delay_rate(stiffness: float, damping: float, delays: ArrayLike, loop: LoopKeywords | None = None) -> float:
+    """Return the mean growth a sample of a loop whose delay changes from sample to sample, by its matrices' product.
+
+    Args:
+        stiffness: Wall stiffness [N/m].
+        damping: Wall damping [N s/m].
+        delays: The delay of each sample's command [s], (K,), all within one period or all in the same later one.
+        loop: Keywords of `SampledLoop` but the delay.
+    """
+    keywords: LoopKeywords = {**(loop or {}), "delay": delays}
+    matrices = SampledLoop(**keywords).matrix(stiffness, damping)
+    state, sizes = np.ones(matrices.shape[-1]), []
+    for matrix in matrices:
+        state = matrix @ state
+        sizes.append(float(np.linalg.norm(state)))
+        state = state / sizes[-1]
+    # the first tenth turns the state into the direction that grows
+    return float(np.exp(np.mean(np.log(sizes[len(sizes) // 10 :]))))

@@ -1,0 +1,146 @@
+"""Impacts under a force limit: of a flotor between two walls, and of one that is dropped."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from maglev_mj.controller import Controller
+from maglev_mj.frames import Array
+from maglev_mj.laws import Law, Wall
+from maglev_mj.parameters import numbers
+from maglev_mj.plants import ExactPlant, Timing
+from maglev_mj.spec import Spec
+from maglev_mj.studies.batches import FAR, along_z, watched
+from maglev_mj.studies.wall_controller import around_wall
+
+__all__ = ["RATTLE", "LimitedDrop", "Rattle", "limited_drop", "rattle"]
+
+_MASS = Spec.moving_mass.value
+_PERIOD = 1.0 / Spec.control_rate.value
+_DELAY = Spec.transport_delay.value
+
+
+class Rattle(NamedTuple):
+    """Motion between two walls, of the shape of the starts.
+
+    Attributes:
+        speed: Greatest speed in the last second, from sample to sample [m/s]; above `RATTLE` it rattles.
+        furthest: Greatest distance of a sample from the middle [m].
+    """
+
+    speed: Array
+    furthest: Array
+
+
+RATTLE = 0.01
+"""Speed that only a rattle has left after the default duration [m/s]; a flotor that coasts loses it."""
+
+
+def rattle(
+    gaps: ArrayLike,
+    speeds: ArrayLike,
+    phases: ArrayLike = 0.0,
+    *,
+    pulse: float,
+    starts: ArrayLike = 0.0,
+    stiffness: float = 6000.0,
+    damping: float = 80.0,
+    delay: float = _DELAY,
+    period: float = _PERIOD,
+    force_limit: float = Spec.largest_vertical_force.value,
+    duration: float = 16.0,
+) -> Rattle:
+    """Throw flotors between two walls, without weight.
+
+    Args:
+        gaps: Distances between the walls [m]; broadcast with `speeds`, `phases` and `starts`.
+        speeds: Speeds at the start [m/s].
+        phases: Sampling phases, in [0, 1).
+        pulse: Further damping in the pulse of 3 ms [N s/m].
+        starts: Positions at the start: 0 in the middle, -1 and 1 at the walls.
+        stiffness: Of both walls [N/m].
+        damping: Of both walls [N s/m].
+        delay: Transport delay [s].
+        period: Sample period [s].
+        force_limit: Of the actuators [N].
+        duration: Simulated time [s].
+    """
+    shape, (gap, speed, phase, start) = _starts(gaps=gaps, speeds=speeds, phases=phases, starts=starts)
+    edge = 0.5 * gap[:, None]
+    walls = Wall(
+        axes="z",
+        lower=-edge,
+        upper=edge,
+        stiffness=stiffness,
+        damping=damping,
+        pulse=pulse,
+        pulse_width=0.003,
+    )
+    plant = ExactPlant(
+        Timing(period=period, delay=delay, phase=phase),
+        pose=along_z(0.5 * gap * start),
+        twist=along_z(speed),
+        gravity=0.0,
+        wrench_limit=force_limit,
+        escape=FAR,
+    )
+    places = watched(plant, Controller([walls], period=period), duration, gap.size).places
+    late = np.abs(np.diff(places[-round(1.0 / period) :], axis=0)).max(axis=0) / period
+    return Rattle(*(part.reshape(shape) for part in (late, np.abs(places).max(axis=0))))
+
+
+class LimitedDrop(NamedTuple):
+    """Drops on a wall whose actuators saturate, of the shape of the starts.
+
+    Attributes:
+        swing: Swing of the position in the last second [m].
+        furthest: Greatest distance from the centre [m]; the wall fills z <= 0.
+    """
+
+    swing: Array
+    furthest: Array
+
+
+def limited_drop(
+    heights: ArrayLike,
+    law: Law,
+    phases: ArrayLike = 0.0,
+    *,
+    force_limit: ArrayLike,
+    delay: float = _DELAY,
+    period: float = _PERIOD,
+    duration: float = 4.0,
+) -> LimitedDrop:
+    """Drop the flotor on a wall under a force limit.
+
+    Args:
+        heights: Drop heights [m]; broadcast with `phases` and `force_limit`.
+        law: The wall, along z; one, or one for each start.
+        phases: Sampling phases, in [0, 1).
+        force_limit: Of the actuators [N].
+        delay: Transport delay [s].
+        period: Sample period [s].
+        duration: Simulated time [s].
+    """
+    shape, (height, phase, limit) = _starts(heights=heights, phases=phases, force_limit=force_limit)
+    plant = ExactPlant(
+        Timing(period=period, delay=delay, phase=phase),
+        pose=along_z(height),
+        wrench_limit=np.repeat(limit[:, None], 6, axis=1),
+        escape=FAR,
+        record=True,
+    )
+    controller = around_wall(law, period=period, delay=delay, mass=_MASS)
+    places = watched(plant, controller, duration, height.size).places
+    swing = np.ptp(places[-round(1.0 / period) :], axis=0)
+    furthest = plant.trace().furthest()[:, 2]
+    return LimitedDrop(*(part.reshape(shape) for part in (swing, furthest)))
+
+
+def _starts(**given: ArrayLike) -> tuple[tuple[int, ...], list[Array]]:
+    """Return the shape that values broadcast to, and each of them so many times, (N,)."""
+    values = np.broadcast_arrays(*(numbers(name, value) for name, value in given.items()))
+    return values[0].shape, [value.ravel() for value in values]

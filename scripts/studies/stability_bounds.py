@@ -1,0 +1,89 @@
+"""Published bounds beside the exact boundary, and what a simulation's time step makes of that boundary."""
+
+import argparse
+import json
+from pathlib import Path
+
+import numpy as np
+
+from maglev_mj import plots
+from maglev_mj.frames import Array
+from maglev_mj.hand import Hand
+from maglev_mj.spec import Spec
+from maglev_mj.studies.integrators import INTEGRATORS, boundary_shift
+from maglev_mj.theory import bounds, largest_stable_stiffness, stiffest_wall
+from maglev_mj.theory.closed_loop import SampledLoop
+from maglev_mj.versions import versions
+
+parser = argparse.ArgumentParser(description=__doc__)
+parser.add_argument("folder", nargs="?", default="figures", type=Path, help="where files go")
+parser.add_argument("--quick", action="store_true", help="fewer time steps and points")
+options = parser.parse_args()
+folder = options.folder
+folder.mkdir(parents=True, exist_ok=True)
+
+PERIOD, DELAY = 1.0 / Spec.control_rate.value, Spec.transport_delay.value
+OWN = 20.0  # damping of the device or the hand, in one of the panels [N s/m]
+
+panels, rows = [], []
+print("times the exact boundary, at 200 Hz and 0.7 kg (above 1: optimistic, below: conservative)")
+print(f"  {'delay, own damping':<24}{'B N s/m':>8}{'exact N/m':>11}{'Gil':>7}{'Minsky':>8}{'Colgate':>9}")
+for delay, own in ((0.0, 0.0), (DELAY, 0.0), (PERIOD, 0.0), (0.0, OWN)):
+    top = 1.6 * float(stiffest_wall(period=PERIOD, delay=delay, hand=Hand(damping=own)).damping)
+    damping = np.linspace(0.5, top, 8 if options.quick else 120)
+    exact = largest_stable_stiffness(damping, period=PERIOD, delay=delay, hand=Hand(damping=own))
+    gil = bounds.gil(damping, period=PERIOD, delay=delay, physical_damping=own)
+    minsky = bounds.minsky(damping, period=PERIOD, physical_damping=own)
+    colgate = bounds.colgate(damping, period=PERIOD, physical_damping=own)
+    curves = [("exact", damping, exact), ("Gil et al.", damping, gil), ("Minsky et al.", damping, minsky)]
+    if own or delay == 0.0:
+        curves.append(("Colgate & Schenkel (passivity)", damping, colgate))
+    title = f"delay {delay * 1e3:g} ms, damping of its own {own:g} N s/m"
+    labels = ("virtual damping B (N s/m)", "largest stiffness (N/m)")
+    panels.append(plots.Panel(title=title, labels=labels, curves=curves, top=1.6 * float(exact.max())))
+    for place in (5.0, 20.0, 60.0):
+        at = {name: float(np.interp(place, damping, values)) for name, _, values in curves}
+        base = at["exact"]
+        rows.append({"delay": delay, "own_damping": own, "damping": place, **at})
+        passive = f"{at['Colgate & Schenkel (passivity)'] / base:>9.2f}" if len(at) == 4 else f"{'-':>9}"
+        print(
+            f"  {f'{delay * 1e3:g} ms, {own:g} N s/m':<24}{place:>8g}{base:>11.0f}{at['Gil et al.'] / base:>7.2f}"
+            f"{at['Minsky et al.'] / base:>8.2f}{passive}"
+        )
+
+steps = np.array([1e-3] if options.quick else [1e-5, 2e-5, 5e-5, 1e-4, 2e-4, 5e-4, 1e-3, 2.5e-3, 5e-3])
+shifts: list[dict[str, object]] = []
+LOOPS = {delay: SampledLoop(period=PERIOD, delay=delay) for delay in (0.0, DELAY, PERIOD)}
+
+
+def shift(kind: str, delay: float, aligned: bool) -> Array:
+    """Return how much stiffer than the exact one a simulation's stiffest wall is, in percent, and print it."""
+    loop = LOOPS[delay]
+    found = [boundary_shift(kind, step, loop, aligned=aligned) for step in steps]
+    percent = np.round(np.array(found) * 100.0, 6) + 0.0
+    row = {"integrator": kind, "delay": delay, "aligned": aligned}
+    shifts.append({**row, "step": steps.tolist(), "percent": percent.tolist()})
+    name = f"{kind}, {delay * 1e3:g} ms" + ("" if aligned else ", fixed step")
+    print(f"  {name:<26}" + "".join(f"{value:>10.2f}" for value in percent))
+    return percent
+
+
+print()
+print("stiffest wall that a simulation calls stable, over the exact one, in percent, by time step in ms")
+print(f"  {'integrator, delay':<26}" + "".join(f"{step * 1e3:>10g}" for step in steps))
+curves = []
+for delay in LOOPS:
+    for kind in (one for one in INTEGRATORS if one != "corrected"):
+        percent = shift(kind, delay, aligned=True)
+        if kind == "euler":  # the other semi-implicit ones are the same to the last digit here
+            curves.append((f"delay {delay * 1e3:g} ms", steps * 1e3, percent))
+labels = ("time step (ms)", "stiffest wall too stiff by (%)")
+title = "Euler, implicit, discrete; steps end at switches. RK4: 0"
+panels.append(plots.Panel(title=title, labels=labels, curves=curves, log="xy", marked=True))
+fixed = [(kind, steps * 1e3, shift(kind, DELAY, aligned=False)) for kind in ("rk4", "euler")]
+title = "fixed step, the switch seen late (delay 1.5 ms)"
+panels.append(plots.Panel(title=title, labels=labels, curves=fixed, log="x", level=0.0, marked=True))
+data = {"bounds": rows, "integrators": shifts, "versions": versions()}
+(folder / "stability_bounds.json").write_text(json.dumps(data, indent=1) + "\n")
+print("wrote", folder / "stability_bounds.json")
+print("wrote", plots.small_multiples(panels, folder / "stability_bounds.png"))

@@ -1,0 +1,211 @@
+"""Where walls fail, and what cures it: eight panels, each over phases, seeds or a sweep.
+
+`two_walls.py` draws the fourth one's subject over every delay.
+"""
+
+import argparse
+import itertools
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from corner import corner
+from failures import press_at_edge, random_delay_rate
+from impacts import RATTLE, limited_drop, rattle
+from maglev_mj import Timing, Wall, plots
+from maglev_mj.hand import Hand
+from maglev_mj.laws import Law, ObserverWall
+from maglev_mj.spec import RANGE, Spec
+from maglev_mj.studies.batches import hum
+from maglev_mj.studies.growth import RestingWall, measure_growth
+from maglev_mj.theory import largest_modulus, stiffest_wall
+from maglev_mj.versions import versions
+
+parser = argparse.ArgumentParser(description=__doc__)
+parser.add_argument("folder", nargs="?", default="figures", type=Path, help="where files go")
+parser.add_argument("--quick", action="store_true", help="fewer points")
+options = parser.parse_args()
+folder = options.folder
+folder.mkdir(parents=True, exist_ok=True)
+
+T, DELAY, MASS = 1.0 / Spec.control_rate.value, Spec.transport_delay.value, Spec.moving_mass.value
+COUNT = 2 if options.quick else 10
+PHASES = np.arange(32)[:: 8 if options.quick else 1] / 32
+
+
+def panel(title: str, x: str, y: str, curves: list[tuple[str, Any, Any]], **options: Any) -> plots.Panel:
+    """Return a panel of curves with its axes named."""
+    return plots.Panel(title=title, labels=(x, y), curves=curves, legend="below", **options)
+
+
+def just_above_the_boundary() -> plots.Panel:
+    """With one sample of delay: how many samples to grow ten-thousandfold, foretold and simulated."""
+    best = stiffest_wall(period=T, delay=T)
+    over = np.geomspace(0.1 if options.quick else 0.01, 0.3, COUNT)
+    stiffness, damping = float(best.stiffness) * (1.0 + over), np.full(COUNT, float(best.damping))
+    walls = [RestingWall(stiffness=k, damping=float(best.damping), delay=T) for k in stiffness.tolist()]
+    foretold = np.log(1e4) / np.log(largest_modulus(stiffness, damping, period=T, delay=T))
+    curves = [("foretold by the modulus", over * 100.0, foretold)]
+    for plant in ("exact", "mujoco"):
+        seen = measure_growth(walls, plant).ticks
+        curves.append((f"simulated, {plant}", over * 100.0, seen))
+    return panel(
+        "one sample of delay, just above the boundary",
+        "stiffness above it (%)",
+        "samples to grow 10 000-fold",
+        curves,
+        log="xy",
+    )
+
+
+def jitter() -> plots.Panel:
+    """6000 N/m and 80 N s/m under delays drawn afresh each sample, spread evenly around their mean."""
+    means = np.linspace(0.0025, 0.004, COUNT)
+    curves = [("no jitter", means * 1e3, largest_modulus(6000.0, 80.0, period=T, delay=means))]
+    for spread in (0.5e-3, 1e-3):
+        rates = []
+        for mean in means:
+            timing = Timing(delay=float(mean), jitter=spread)
+            rates.append(random_delay_rate(6000.0, 80.0, [timing.rest_at(tick) for tick in range(4000)]))
+        curves.append((f"± {spread * 1e3:g} ms", means * 1e3, np.array(rates)))
+    return panel(
+        "delay jitter acts as its mean (6000 N/m, 80 N s/m)", "mean delay (ms)", "growth a sample", curves, level=1.0
+    )
+
+
+def chatter() -> plots.Panel:
+    """Press lightly at the edge of the paper's wall, over a 5 µm sensor with noise: how often the pulse fires."""
+    presses = np.geomspace(0.003, 1.0, 3 if options.quick else 16)
+    curves, gated = [], np.zeros(presses.size)
+    for noise in (0.0, 1e-6, 2e-6, 5e-6, 10e-6):
+        gates = [0.0, 5.0 * (5e-6 + noise) / T]
+        fired = np.array([press_at_edge(press, gates, noise=noise, phases=20).pulses for press in presses.tolist()])
+        curves.append((f"noise {noise * 1e6:g} µm, no gate", presses, fired[:, 0]))
+        gated = np.maximum(gated, fired[:, 1])
+    curves.append(("each, gate 5 (step + noise)/T", presses, gated))
+    return panel(
+        "the pulse chatters under a light press",
+        "press of the hand (N)",
+        "pulses a second",
+        curves,
+        log="x",
+        marked=True,
+    )
+
+
+def gaps() -> plots.Panel:
+    """Two walls of 6000 N/m and 80 N s/m with 60 N: from how many of 128 starts the flotor rattles between them."""
+    widths = np.geomspace(1e-5, 5e-3, COUNT + 2)
+    speeds, duration = np.arange(1, 17) * 0.02, 2.0 if options.quick else 16.0
+    stops = MASS / 0.003 - 80.0
+    curves, outside = [], []
+    for pulse, delay in (
+        (220.0, 0.001),
+        (220.0, DELAY),
+        (220.0, 0.002),
+        (220.0, 0.003),
+        (stops, 0.002),
+        (stops, 0.003),
+    ):
+        found = rattle(widths[:, None, None], speeds[:, None], PHASES[::4], pulse=pulse, delay=delay, duration=duration)
+        share = (found.speed > RATTLE).mean(axis=(1, 2))
+        curves.append((f"pulse {pulse:.0f} N s/m, {delay * 1e3:g} ms", widths * 1e3, share))
+        outside.append((found.furthest > RANGE[2]).any(axis=(1, 2)))
+    return panel(
+        "two walls close together",
+        "gap between the walls (mm)",
+        "share of the starts that rattle",
+        curves,
+        log="x",
+        marked=True,
+        outside=outside,
+    )
+
+
+def saturation() -> plots.Panel:
+    """Drop on walls under a force limit, the observer's of 27 000 N/m gain: how far it goes, the worst phase."""
+    heights = np.geomspace(5e-5, RANGE[2], COUNT + 4)
+    paper = Wall(axes="z", lower=0.0, stiffness=6000.0, damping=80.0)
+    cases: list[tuple[str, Law, float]] = []
+    for limit, known in ((20.0, False), (30.0, False), (60.0, False), (60.0, True)):
+        law = ObserverWall(
+            axes="z",
+            stiffness=27097.0,
+            damping=238.0,
+            inertia=MASS,
+            period=T,
+            delay=DELAY,
+            force_limit=limit if known else np.inf,
+        )
+        cases.append((f"observer, {limit:g} N" + (", in its model" if known else ""), law, limit))
+    cases += [(f"PD 6000 N/m, {limit:g} N", paper, limit) for limit in (10.0, 20.0, 30.0)]
+    curves, outside = [], []
+    for name, wall, limit in cases:
+        found = limited_drop(heights[:, None], wall, PHASES, force_limit=limit)
+        curves.append((name, heights * 1e3, found.furthest.max(axis=1) * 1e3))
+        outside.append((found.furthest > RANGE[2]).any(axis=1))
+    return panel(
+        "saturation: thrown out, or too deep",
+        "drop height (mm)",
+        "furthest from the centre in 4 s (mm)",
+        curves,
+        log="xy",
+        level=RANGE[2] * 1e3,
+        marked=True,
+        outside=outside,
+    )
+
+
+def quantization() -> plots.Panel:
+    """Swing of a flotor at rest over a 5 µm sensor, by friction of its own over Abbott and Okamura's."""
+    shares = np.linspace(0.0, 1.2, COUNT + 3)
+    curves = []
+    for stiffness, damping in ((2000.0, 30.0), (4000.0, 60.0), (6000.0, 80.0)):
+        swing = hum(shares * 0.5 * stiffness * 5e-6, stiffness=stiffness, damping=damping).swing
+        curves.append((f"{stiffness:g} N/m, {damping:g} N s/m", shares, swing * 1e6))
+    return panel(
+        "a coarse sensor hums unless there is friction",
+        "friction over K quantum / 2",
+        "swing (µm)",
+        curves,
+        marked=True,
+    )
+
+
+def hands() -> plots.Panel:
+    """Put the paper's wall in a clamp, and let go of a wall tuned with the hand on."""
+    share = np.linspace(0.0, 1.0, 60)
+    clamp = Hand(stiffness=20000.0 * share)
+    arm = Hand(mass=0.554 * share, damping=6.45 * share, stiffness=135.0 * share)
+    curves = [
+        (f"{k:g} N/m, {b:g} N s/m: {name}", share, largest_modulus(k, b, period=T, delay=DELAY, hand=hand))
+        for k, b, name, hand in ((6000.0, 80.0, "a clamp of 20 000 N/m", clamp), (9000.0, 130.0, "an arm's hold", arm))
+    ]
+    return panel("hands too stiff, and hands that let go", "share of the hand", "largest modulus", curves, level=1.0)
+
+
+def corners() -> plots.Panel:
+    """Kinetic energy of a flotor thrown into a corner of two walls and a rotation."""
+    curves = []
+    for plant, spin in itertools.product(("exact", "mujoco"), (0.0, 0.5)):
+        _, energy = corner(plant, [2e-3, 1e-3, 3e-3, 0.0, 0.02, 0.0], [-0.1, 0.0, -0.15, spin, -1.0, spin])
+        name = f"{plant}, {'turning about three axes' if spin else 'about one'}"
+        curves.append((name, np.arange(len(energy)) * T, np.maximum(energy, 1e-12)))
+    return panel("a corner: x, z and ry at once", "time (s)", "kinetic energy (J)", curves, log="y")
+
+
+panels = [make() for make in (just_above_the_boundary, jitter, chatter, gaps, saturation, quantization, hands, corners)]
+data = [
+    {
+        "title": one.title,
+        "labels": one.labels,
+        "curves": [[name, list(x), list(y)] for name, x, y in one.curves],
+        "outside": [np.asarray(points).tolist() for points in one.outside],
+    }
+    for one in panels
+]
+(folder / "where_methods_fail.json").write_text(json.dumps({"panels": data, "versions": versions()}, indent=1) + "\n")
+print("wrote", folder / "where_methods_fail.json")
+print("wrote", plots.small_multiples(panels, folder / "where_methods_fail.png"))

@@ -1,0 +1,40 @@
+"""Write anew what the commands of cases.json say: python -m tests.golden.make [GROUP ...]; all without any."""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+from tests.golden.outputs import (
+    ARITHMETIC,
+    HERE,
+    KEYS,
+    arithmetic,
+    as_kept,
+    cases,
+    differences,
+    keep,
+    kept,
+    outcome,
+    pressed,
+)
+
+
+def main() -> None:
+    """Run the cases, and name those that say something else than before."""
+    groups = list(dict.fromkeys(name.split("/")[0] for name in cases()))
+    for group in sys.argv[1:] or [*groups, KEYS]:
+        if group == KEYS:
+            found: dict[str, Any] = {"pressed": pressed()}
+        else:
+            found = {name: outcome(line) for name, line in cases().items() if name.split("/")[0] == group}
+        before = kept(group) if (HERE / "expected" / f"{group}.json.gz").exists() else {}
+        for name, said in found.items():
+            if lines := differences(group, before.get(name), as_kept(said), exact=True):
+                print(f"{name}: {len(lines)} differences, the first: {lines[0]}")
+        keep(group, found)
+    keep(ARITHMETIC, {"digest": arithmetic()})
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,261 @@
+"""Run the commands of cases.json in this process, and compare what they say and write with what is kept."""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import hashlib
+import io
+import json
+import math
+import os
+import random
+import re
+import shutil
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import chdir, redirect_stderr, redirect_stdout
+from functools import cache
+from importlib.metadata import entry_points
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+HERE = Path(__file__).resolve().parent
+KEYS = "keys"
+ARITHMETIC = "arithmetic"
+_RELATIVE, _ABSOLUTE = 1e-9, 1e-12
+"""Bounds where this machine computes otherwise than that of the kept files; the second in SI units."""
+
+_ILL_CONDITIONED = {"stability", "sweep", "design", KEYS}
+_RELATIVE_THERE = 1e-4
+"""For the place of an optimum and the boundary beside it, for growth measured on 1 µm, and for 400 runs in a row."""
+
+_DECIDED_BY_ROUNDING = {"analyse", "replay"}
+"""What they print, and the status of a check, tell of equality to the last bit."""
+
+_CHANGING = {"versions", "version", "other_versions", "began", "cost"}
+"""Names in JSON whose values depend on revision, date or speed of the machine."""
+
+_CHOSEN_BY_COST = {"cheapest", "furthest", "steps"}
+_ROUNDING_NOISE = {"comparison", "growing", "digest"}
+"""Names in JSON of differences between equal runs, of which walls at the limit grow, and of digests."""
+
+_PROGRESS = re.compile(r"(\S+ ?\S*: \d+ of \d+.*)?")
+_NUMBER = re.compile(r"-?\d+(\.\d+)?(e[+-]?\d+)?")
+
+
+PRESSES = (
+    *("wall", "pulse", "friction", "stiffness up", "stiffness down", "damping up", "damping down"),
+    *("rate up", "rate down", "delay up", "delay down", "drop", "centre", "pause"),
+)
+"""Actions that all scenes with keys have."""
+
+
+def cases() -> dict[str, str]:
+    """Return the command line of each case."""
+    found: dict[str, str] = json.loads((HERE / "cases.json").read_text())
+    return found
+
+
+def outcome(line: str) -> dict[str, Any]:
+    """Return status, words and files of a command run in an empty folder.
+
+    An argument @FILE is a file of recordings/, copied there.
+    """
+    (command,) = entry_points(group="console_scripts", name="maglev-mj")
+    out, err = io.StringIO(), io.StringIO()
+    with tempfile.TemporaryDirectory() as folder, chdir(folder), redirect_stdout(out), redirect_stderr(err):
+        words, given = [], set()
+        for word in line.split():
+            if word.startswith("@"):
+                source = HERE / "recordings" / word[1:]
+                word = source.name
+                shutil.copy(source if source.exists() else HERE / word, word)
+                given.add(word)
+            words.append(word)
+        try:
+            status = command.load()(words)
+        except SystemExit as stop:
+            status = stop.code
+        files = {path.name: content(path) for path in sorted(Path().iterdir()) if path.name not in given}
+    said = [] if words[0] == "fidelity" else out.getvalue().splitlines()  # a table of measured costs
+    failed = [part for part in re.split(r"[\r\n]+", err.getvalue()) if not _PROGRESS.fullmatch(part)]
+    return {"status": status, "stdout": said, "stderr": failed, "files": files}
+
+
+def content(path: Path) -> Any:
+    """Return what a file holds, without what changes from run to run."""
+    if path.suffix == ".json":
+        return _lasting(json.loads(path.read_text()))
+    if path.suffix == ".jsonl":
+        return [_lasting(json.loads(line)) for line in sorted(path.read_text().splitlines())]
+    if path.suffix == ".csv":
+        with path.open(newline="") as file:
+            names, *rows = csv.reader(file)
+        return {name: [_number(row[place]) for row in rows] for place, name in enumerate(names)}
+    if path.suffix == ".npz":
+        with np.load(path) as arrays:
+            return {name: _array(arrays[name]) for name in arrays.files}
+    assert path.suffix == ".mcap", path
+    from mcap.reader import make_reader
+
+    with path.open("rb") as file:
+        messages = make_reader(file).iter_messages(log_time_order=False)
+        return [[channel.topic, _lasting(json.loads(message.data))] for _, channel, message in messages]
+
+
+def pressed(count: int = 400, seed: int = 16) -> list[dict[str, Any]]:
+    """Return ticks, parameters and samples after each of some random actions, a quarter in each of four scenes.
+
+    They act on a session without a window: all that is used of the package besides its commands.
+    """
+    made = []
+    for place, name in enumerate(("joystick", "table", "box", "corner")):
+        made += _pressed(name, count // 4, seed + place)
+    return made
+
+
+def _pressed(name: str, count: int, seed: int) -> list[dict[str, Any]]:
+    from maglev_mj.hand import SpringHand
+    from maglev_mj.scenes import find_scene
+    from maglev_mj.session import Pacer, Session
+
+    draw, paused = random.Random(seed), False
+    made: list[dict[str, Any]] = []
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "run.npz"
+        session = Session(
+            find_scene(name)(), hand=SpringHand(), record=path, pacer=Pacer(budget=3600.0, patience=3600.0)
+        )
+        for _ in range(count):
+            action = "pause" if paused and draw.random() < 0.5 else draw.choice(PRESSES)
+            paused ^= action == "pause"
+            session.act(action)
+            if draw.random() < 0.5:
+                pulls = [draw.uniform(-1.0, 1.0) for _ in range(6)]
+                session.hand.target = [*(0.02 * pull for pull in pulls[:3]), *(0.3 * pull for pull in pulls[3:])]
+            made.append({"action": action, "ticks": session.tick(draw.choice((1.0 / 60.0, 0.05)))})
+        session.close()
+        held = content(path)
+    rows = [(setup, row) for place, setup in enumerate(held["header"]["setups"]) for row in _rows(held, place)]
+    assert len(rows) == sum(one["ticks"] for one in made)
+    for one in made:
+        mine, rows = rows[: one["ticks"]], rows[one["ticks"] :]
+        if mine:
+            setup, (position, *_) = mine[-1]
+            setup = setup.get("settings") or setup["parameters"]
+            digest = hashlib.sha256(json.dumps([row for _, row in mine]).encode()).hexdigest()[:16]
+            one |= {"setup": setup, "position": position, "digest": digest}
+    return made
+
+
+def _rows(held: Mapping[str, Any], stretch: int) -> list[Any]:
+    """Return position, command, applied and hand at each sample of a stretch."""
+    return list(zip(*(held[f"{stretch}/{name}"] for name in ("position", "command", "applied", "hand")), strict=True))
+
+
+def kept(group: str) -> dict[str, Any]:
+    """Return what the cases of a group said, by name."""
+    with gzip.open(HERE / "expected" / f"{group}.json.gz", "rt") as file:
+        found: dict[str, Any] = json.load(file)
+    return found
+
+
+def keep(group: str, found: Mapping[str, Any]) -> None:
+    """Write what the cases of a group say: the same bytes for the same words."""
+    data = json.dumps(found, separators=(",", ":")).encode()
+    (HERE / "expected" / f"{group}.json.gz").write_bytes(gzip.compress(data, 9, mtime=0))
+
+
+def as_kept(found: Any) -> Any:
+    """Return values as a file gives them back."""
+    return json.loads(json.dumps(found))
+
+
+def arithmetic() -> str:
+    """Return a digest of what this machine's libm, BLAS and numpy make of some numbers."""
+    values = np.random.default_rng(0).uniform(-2.0, 2.0, (60, 6, 6))
+    waves = [wave(one) for one in values.ravel().tolist() for wave in (math.sin, math.cos, math.exp, math.atan)]
+    arrays = [values @ values, np.linalg.eigvals(values), np.linalg.inv(values), np.exp(values), np.sin(values)]
+    products = [one.ravel() @ other.ravel() for one, other in pairwise(values)]
+    return hashlib.sha256(repr((waves, products, *(array.tolist() for array in arrays))).encode()).hexdigest()
+
+
+@cache
+def is_exact() -> bool:
+    """Return whether numbers are compared to the last bit: MAGLEV_GOLDEN=exact, or as here the files were made."""
+    asked = os.environ.get("MAGLEV_GOLDEN", "")
+    assert asked in ("", "exact", "near"), f"MAGLEV_GOLDEN must be exact or near, not {asked!r}"
+    return asked == "exact" or (not asked and kept(ARITHMETIC)["digest"] == arithmetic())
+
+
+def differences(group: str, old: Any, new: Any, *, exact: bool) -> list[str]:
+    """Return what differs between two outcomes, a line each.
+
+    Args:
+        group: Group of the case, on which the bounds depend.
+        old: What is kept.
+        new: What is said now.
+        exact: Compare numbers to the last bit; otherwise within the bounds, and tables by their words.
+    """
+    before, now = dict(_leaves(old)), dict(_leaves(new))
+    if not exact:
+        before, now = ({name: one for name, one in leaves.items() if _lasts(group, name)} for leaves in (before, now))
+    lines = [f"{name} is gone" for name in before if name not in now]
+    lines += [f"{name} is new" for name in now if name not in before]
+    relative = 0.0 if exact else _RELATIVE_THERE if group in _ILL_CONDITIONED else _RELATIVE
+    for name, value in before.items():
+        if name in now and not _same(value, now[name], relative):
+            lines.append(f"{name}: {value!r} -> {now[name]!r}")
+    return lines
+
+
+def _lasts(group: str, name: str) -> bool:
+    """Return whether a value is the same on every machine, within the bounds."""
+    parts = name.split(".")
+    decided = group in _DECIDED_BY_ROUNDING and parts[0] in ("stdout", *(["status"] if group == "replay" else []))
+    return not (decided or _ROUNDING_NOISE & set(parts))
+
+
+def _same(old: Any, new: Any, relative: float) -> bool:
+    if repr(old) == repr(new) or not relative or type(old) is not type(new):
+        return repr(old) == repr(new)
+    if isinstance(old, float):
+        return bool(abs(new - old) <= max(relative * abs(old), _ABSOLUTE))
+    # of a table: the files hold the numbers
+    return isinstance(old, str) and _NUMBER.sub("#", old).split() == _NUMBER.sub("#", new).split()
+
+
+def _leaves(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield every value under the way to it."""
+    inner: Sequence[tuple[Any, Any]] = ()
+    if isinstance(value, dict):
+        inner = list(value.items())
+    elif isinstance(value, list):
+        inner = list(enumerate(value))
+    else:
+        yield name, value
+        return
+    yield f"{name}.length", len(inner)
+    for key, part in inner:
+        yield from _leaves(part, f"{name}.{key}" if name else str(key))
+
+
+def _lasting(value: Any) -> Any:
+    if isinstance(value, list):
+        return [_lasting(part) for part in value]
+    if isinstance(value, dict):
+        left_out = _CHANGING | (_CHOSEN_BY_COST if "cheapest" in value else set())
+        return {name: _lasting(part) for name, part in value.items() if name not in left_out}
+    return value
+
+
+def _array(array: Any) -> Any:
+    return _lasting(json.loads(str(array))) if array.dtype.kind == "U" else array.tolist()
+
+
+def _number(text: str) -> Any:
+    return float(text) if re.fullmatch(r"-?[\d.]+(e[+-]?\d+)?", text) else text

@@ -1,0 +1,263 @@
+"""Scenes by name, by file, and of other packages; and scenes that go to another process."""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+import json
+import pickle
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from maglev_mj.errors import ParameterError
+from maglev_mj.scenes.drop import Drop
+from maglev_mj.scenes.find import BUILT_IN, find_scene, made_again, reference_of, scene_names, source_of
+from maglev_mj.scenes.press import Press
+from maglev_mj.scenes.run import run
+from maglev_mj.scenes.scene import Scene
+from maglev_mj.scenes.stick_slip import StickSlip
+
+PUSH = """
+from maglev_mj import Hold
+from maglev_mj.scenes.scene import Scene, Start
+from maglev_mj.parameters import param
+
+
+class Push(Scene):
+    '''Draw the flotor back to its centre.'''
+
+    figures = ("peak_speed", "final_position")
+    away: float = param("where it starts", "m", default=1e-3, at_most=4e-3)
+    twice: float = param("twice that", "m", default=None, derive=lambda scene: 2.0 * scene.away)
+    duration: float = param("simulated time", "s", default=0.05, above=0.0)
+
+    def start(self):
+        return Start(pose=(0.0, 0.0, self.away, 0.0, 0.0, 0.0), gravity=0.0)
+
+    def laws(self):
+        return [Hold(stiffness=100.0, damping=5.0)]
+"""
+
+
+@pytest.fixture
+def push(tmp_path: Path) -> Path:
+    """Return a file with one scene."""
+    path = tmp_path / "my_push.py"
+    path.write_text(PUSH)
+    return path
+
+
+@pytest.fixture
+def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., None]]:
+    """Yield what installs a package with scenes."""
+
+    def install(source: str, **entries: str) -> None:
+        folder = tmp_path / "site"
+        info = folder / "other_package-1.0.dist-info"
+        info.mkdir(parents=True)
+        (info / "METADATA").write_text("Metadata-Version: 2.1\nName: other-package\nVersion: 1.0\n")
+        lines = [f"{name.replace('_', '-')} = {place}\n" for name, place in entries.items()]
+        (info / "entry_points.txt").write_text("[maglev_mj.scenes]\n" + "".join(lines))
+        (folder / "other_scenes.py").write_text(source)
+        monkeypatch.syspath_prepend(str(folder))
+
+    yield install
+    sys.modules.pop("other_scenes", None)
+
+
+@pytest.mark.parametrize("name", BUILT_IN)
+def test_a_scene_is_found_by_the_name_that_it_has(name: str) -> None:
+    cls = find_scene(name)
+    assert (cls.name, reference_of(cls), source_of(cls)) == (name, name, None)
+    assert name in scene_names()
+
+
+@pytest.mark.parametrize("text", ["pub", "", "Drop", "maglev_mj.scenes.drop:Drop", "drop.mcap"])
+def test_what_is_no_scene_is_refused_with_those_that_there_are(text: str) -> None:
+    with pytest.raises(ParameterError) as refused:
+        find_scene(text)
+    names = ", ".join(scene_names())
+    assert str(refused.value) == f"scene must be one of {names}, or a file such as my_scene.py, not {text!r}"
+
+
+def test_a_scene_is_found_in_a_file(push: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path, modules = list(sys.path), set(sys.modules)
+    cls = find_scene(str(push))
+    assert issubclass(cls, Scene) and (cls.__name__, cls.name) == ("Push", "push")
+    assert sys.path == path and len(set(sys.modules) - modules) == 1
+    assert find_scene(f"{push}:Push") is cls is find_scene(str(push))
+    monkeypatch.chdir(push.parent)
+    assert find_scene("my_push.py") is cls
+    assert reference_of(cls) == f"{push}:Push"
+    assert source_of(cls) == hashlib.sha256(push.read_bytes()).hexdigest()[:16]
+    result = run(cls(away=2e-3), plant="exact")  # type: ignore[call-arg]
+    assert 0.0 < result.figures["final_position"] < 2e-3
+
+
+def test_a_file_that_was_written_since_is_read_anew(push: Path) -> None:
+    first = find_scene(str(push))
+    push.write_text(PUSH.replace("default=1e-3", "default=3e-3"))
+    second = find_scene(str(push))
+    assert (first().away, second().away) == (1e-3, 3e-3)  # type: ignore[attr-defined]
+
+
+TWO = PUSH + "\n\nclass Pull(Push):\n    pass\n"
+
+
+def test_of_several_scenes_in_a_file_one_is_named(push: Path) -> None:
+    push.write_text(TWO)
+    with pytest.raises(ParameterError) as refused:
+        find_scene(str(push))
+    said = "scene must be one of its file, but my_push.py has Push, Pull: name one as my_push.py:CLASS"
+    assert str(refused.value) == said
+    assert [find_scene(f"{push}:{name}").name for name in ("Push", "Pull")] == ["push", "pull"]
+    with pytest.raises(ParameterError, match=r"scene of my_push\.py must be one of Push, Pull, not 'Shove'"):
+        find_scene(f"{push}:Shove")
+
+
+def test_scenes_that_a_file_imports_are_not_its_own(push: Path) -> None:
+    push.write_text("from maglev_mj.scenes.drop import Drop\n\nclass Mine(Drop):\n    pass\n")
+    assert find_scene(str(push)).__name__ == "Mine"
+    push.write_text("from maglev_mj.scenes.drop import Drop\n")
+    with pytest.raises(ParameterError, match=r"scene must be one of its file, but my_push\.py has no class of Scene"):
+        find_scene(str(push))
+    with pytest.raises(ParameterError, match=r"scene of my_push\.py must be one of none, not 'Drop'"):
+        find_scene(f"{push}:Drop")
+
+
+@pytest.mark.parametrize(
+    ("source", "words"),
+    [
+        ("1 / 0\n", "ZeroDivisionError: division by zero"),
+        ("def (\n", "SyntaxError: invalid syntax (my_push.py, line 1)"),
+        ("import nowhere_to_be_found\n", "ModuleNotFoundError: No module named 'nowhere_to_be_found'"),
+        ("raise ValueError('two\\nlines')\n", "ValueError: two lines"),
+        (PUSH.replace("away: float", "away: list"), "TypeError: Push.away must be float, int, bool or str, or have"),
+        (PUSH.replace("away: float", "away"), "TypeError: Push.away needs a type"),
+        (PUSH.replace('"peak_speed"', '"pek_speed"'), "TypeError: figure must be one of penetration, rebound"),
+    ],
+    ids=lambda value: value[:12] if isinstance(value, str) else None,
+)
+def test_an_error_in_a_file_is_one_line_and_leaves_nothing(source: str, words: str, push: Path) -> None:
+    push.write_text(source)
+    path, modules = list(sys.path), set(sys.modules)
+    for _ in range(2):
+        with pytest.raises(ParameterError) as refused:
+            find_scene(str(push))
+        said = str(refused.value)
+        assert said.startswith(f"scene my_push.py cannot be read: {words}") and "\n" not in said
+    assert sys.path == path and set(sys.modules) == modules
+    push.write_text(PUSH)
+    assert find_scene(str(push)).name == "push"
+
+
+@pytest.mark.parametrize("text", ["nowhere.py", "nowhere.py:Push", "folder.py", ".py"])
+def test_a_file_that_is_not_there_is_named(text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "folder.py").mkdir()
+    with pytest.raises(ParameterError) as refused:
+        find_scene(text)
+    assert str(refused.value) == f"scene must be a file that is there, not {text.partition(':')[0]!r}"
+
+
+def test_a_file_finds_its_neighbours(push: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir("/")
+    (push.parent / "beside_my_push.py").write_text("AWAY = 2.5e-3\n")
+    push.write_text("from beside_my_push import AWAY\n" + PUSH.replace("default=1e-3", "default=AWAY"))
+    path = list(sys.path)
+    try:
+        assert find_scene(str(push))().away == 2.5e-3  # type: ignore[attr-defined]
+        assert sys.path == path
+    finally:
+        del sys.modules["beside_my_push"]
+
+
+def test_an_installed_package_adds_scenes(installed: Callable[..., None]) -> None:
+    installed(PUSH, push_back="other_scenes:Push")
+    assert scene_names() == [*BUILT_IN, "push-back"]
+    assert "other_scenes" not in sys.modules  # loaded when asked for
+    cls = find_scene("push-back")
+    assert cls.__module__ == "other_scenes" and reference_of(cls) == "other_scenes:Push" and source_of(cls) is None
+    assert made_again(reference_of(cls), {"away": 2e-3}) == cls(away=2e-3)  # type: ignore[call-arg]
+    with pytest.raises(ParameterError, match=r"scene must be one of drop, .*, push-back, or a file"):
+        find_scene("push")
+
+
+def test_a_broken_package_breaks_its_own_scenes_alone(installed: Callable[..., None]) -> None:
+    installed(
+        PUSH,
+        missing="nowhere_at_all:Push",
+        absent="other_scenes:Shove",
+        number="other_scenes:PUSH",
+        drop="nowhere:Drop",
+    )
+    (Path(sys.path[0]) / "other_scenes.py").write_text(PUSH + "\nPUSH = 3\n")
+    for name, words in (
+        ("missing", "of nowhere_at_all:Push cannot be loaded: ModuleNotFoundError: No module named 'nowhere_at_all'"),
+        ("absent", "of other_scenes:Shove cannot be loaded: AttributeError: module 'other_scenes' has no attribute"),
+        ("number", "of other_scenes:PUSH must be a class of Scene, not 3"),
+    ):
+        with pytest.raises(ParameterError) as refused:
+            find_scene(name)
+        assert str(refused.value).startswith(f"scene {name} {words}") and "\n" not in str(refused.value)
+    assert find_scene("drop") is Drop  # nobody else's
+    assert scene_names() == [*BUILT_IN, "absent", "missing", "number"]
+
+
+ELSEWHERE = """
+import json, pickle, sys
+from maglev_mj.scenes.run import run
+scene = pickle.load(sys.stdin.buffer)
+figures = run(scene, plant="exact").figures
+changed = scene.replace(**json.loads(sys.argv[1]))
+told = {"cls": type(scene).__name__, "name": scene.name, "values": scene.as_json(), "changed": changed.as_json()}
+print(json.dumps({**told, "figures": {name: float(value) for name, value in figures.items()}}))
+"""
+
+
+def elsewhere(scene: Scene, folder: Path, **changes: Any) -> dict[str, Any]:
+    """Return what another process, in another folder, finds a scene to be."""
+    command = [sys.executable, "-P", "-c", ELSEWHERE, json.dumps(changes)]
+    done = subprocess.run(command, input=pickle.dumps(scene), capture_output=True, cwd=folder, timeout=60)
+    assert done.returncode == 0, done.stderr.decode()
+    told: dict[str, Any] = json.loads(done.stdout)
+    return told
+
+
+@pytest.mark.parametrize(
+    ("scene", "changes"),
+    [(Drop(height=2e-3, force_limit=60.0), {"height": 1e-3}), (StickSlip(axis="ry", v_min=0.2), {"axis": "x"})],
+    ids=["drop", "stick-slip"],
+)
+def test_a_scene_is_the_same_in_another_process(scene: Scene, changes: dict[str, Any], tmp_path: Path) -> None:
+    told = elsewhere(scene, tmp_path, **changes)
+    assert (told["cls"], told["name"], told["values"]) == (type(scene).__name__, scene.name, scene.as_json())
+    assert told["changed"] == scene.replace(**changes).as_json()  # what was derived is derived anew there too
+    assert told["figures"] == {name: float(value) for name, value in run(scene, plant="exact").figures.items()}
+
+
+def test_a_scene_of_a_file_is_the_same_in_another_process(
+    push: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Which was given by a path of this process's folder, and has several scenes."""
+    push.write_text(TWO)
+    monkeypatch.chdir(push.parent)
+    scene = find_scene("my_push.py:Pull")(away=2e-3)  # type: ignore[call-arg]
+    folder = tmp_path / "elsewhere"
+    folder.mkdir()
+    told = elsewhere(scene, folder, away=3e-3)
+    assert (told["cls"], told["values"]) == ("Pull", scene.as_json())
+    assert told["changed"]["twice"] == 6e-3
+    assert told["figures"] == {name: float(value) for name, value in run(scene, plant="exact").figures.items()}
+
+
+def test_a_copy_of_a_scene_derives_anew_as_the_scene_does() -> None:
+    for twin in (copy.copy(Press()), copy.deepcopy(Press()), pickle.loads(pickle.dumps(Press()))):
+        assert twin == Press() and twin.replace(hits=2) == Press(hits=2)
+    given = pickle.loads(pickle.dumps(Press(duration=4.0)))
+    assert given.replace(hits=2).duration == 4.0

@@ -1,0 +1,76 @@
+"""What the commands say and write is what it was, number by number; tests/golden/README.md says how to change it."""
+
+from __future__ import annotations
+
+import math
+from copy import deepcopy
+from functools import cache
+from typing import Any
+
+import pytest
+
+from tests.golden.outputs import ARITHMETIC, HERE, KEYS, as_kept, cases, differences, is_exact, kept, outcome, pressed
+
+kept_once = cache(kept)
+
+
+def check(group: str, name: str, found: Any) -> None:
+    """See that a case says what is kept."""
+    lines = differences(group, kept_once(group)[name], as_kept(found), exact=is_exact())
+    assert not lines, f"{len(lines)} differences:\n" + "\n".join(lines[:10])
+
+
+@pytest.mark.parametrize("name", cases())
+def test_a_command_says_what_it_said(name: str) -> None:
+    check(name.split("/")[0], name, outcome(cases()[name]))
+
+
+def test_keys_pressed_at_random_have_the_same_effects() -> None:
+    check(KEYS, "pressed", pressed())
+
+
+def test_every_case_is_kept_and_no_other() -> None:
+    groups = {file.name.removesuffix(".json.gz") for file in (HERE / "expected").iterdir()} - {ARITHMETIC}
+    held = {name for group in groups for name in kept_once(group)}
+    assert held == {*cases(), "pressed"}
+
+
+def test_every_recording_is_used() -> None:
+    lines = " ".join(cases().values())
+    for path in (HERE / "recordings").rglob("*.*"):
+        assert f"@{path.parent.name}/{path.name}" in lines
+
+
+def changed(said: Any, where: str, new: Any) -> Any:
+    """Return a copy of what a command said with one value replaced; where: names and indices with dots between."""
+    copy = deepcopy(said)
+    *way, last = (int(part) if part.isdigit() else part.replace("_json", ".json") for part in where.split("."))
+    inner = copy
+    for part in way:
+        inner = inner[part]
+    inner[last] = new(inner[last]) if callable(new) else new
+    return copy
+
+
+@pytest.mark.parametrize(
+    ("where", "new", "near"),
+    [
+        ("files.out_json.z.70", lambda z: math.nextafter(z, 1.0), True),
+        ("files.out_json.z.70", lambda z: z * (1.0 + 1e-8), False),
+        ("files.out_json.parameters.force_limit", 60.0, False),
+        ("files.out_json.summary.peak_force", 95, False),
+        ("files.out_json.force", lambda force: force[:-1], False),
+        ("stdout.3", "at phase 0.5", True),
+        ("stdout.3", "at this phase", False),
+        ("stdout", lambda lines: [*lines, ""], False),
+        ("stderr", ["a warning"], False),
+        ("status", 1, False),
+    ],
+)
+def test_one_change_is_seen(where: str, new: Any, near: bool) -> None:
+    """To the last bit each; on another machine those that are more than rounding."""
+    old = kept_once("drop")["drop/default"]
+    found = changed(old, where, new)
+    assert differences("drop", old, found, exact=True)
+    assert bool(differences("drop", old, found, exact=False)) != near
+    assert not differences("drop", old, deepcopy(old), exact=True)

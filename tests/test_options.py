@@ -1,0 +1,83 @@
+"""Options of the command line that declared parameters give."""
+
+from __future__ import annotations
+
+import pytest
+
+from maglev_mj.cli.options import Parser, add_parameters, chosen
+from maglev_mj.errors import ParameterError
+from maglev_mj.parameters import Parameters, param
+
+
+class Lever(Parameters):
+    """One parameter of each kind."""
+
+    length: float = param("length of the arm; 0 for none", "m", default=0.5, at_least=0.0)
+    twice: float = param("twice that", "m", default=None, derive=lambda lever: 2.0 * lever.length)
+    load: float | None = param("load, 100 % of it", "kg", default=None, optional=True)
+    count_of: int = param("how many", default=3, at_least=1)
+    kind: str = param("kind", default="first", choices=("first", "second"))
+    locked: bool = param("locked", default=True)
+    ends: tuple[float, float] = param("ends", default=(0.0, 1.0), parse=tuple)
+
+
+def parser(parameters: Lever | type[Lever], **keywords: list[str]) -> Parser:
+    made = Parser(prog="lever")
+    add_parameters(made, parameters, **keywords)
+    return made
+
+
+def given(*words: str, parameters: Lever | type[Lever] = Lever) -> Lever:
+    return chosen(parser(parameters).parse_args(words), parameters)
+
+
+def test_nothing_given_leaves_every_default() -> None:
+    assert vars(parser(Lever).parse_args([])) == {}
+    assert given() == Lever()
+    other = Lever(length=2.0, load=3.0, locked=False, ends=(1.0, 2.0))
+    assert given(parameters=other) == other
+
+
+def test_each_kind_of_parameter_has_its_option() -> None:
+    words = "--length 1 --load 4 --count-of 2 --kind second --no-locked".split()
+    assert given(*words) == Lever(length=1.0, load=4.0, count_of=2, kind="second", locked=False)
+    assert given("--load", "none", parameters=Lever(load=3.0)).load is None
+
+
+def test_a_derived_value_follows_an_option_unless_it_was_given() -> None:
+    assert given("--length", "3").twice == 6.0
+    assert given("--length", "3", parameters=Lever(twice=1.0)).twice == 1.0
+
+
+def test_the_help_has_unit_and_default() -> None:
+    text = " ".join(parser(Lever(length=0.25)).format_help().split())
+    assert "length of the arm [m]; 0 for none (default 0.25)" in text
+    assert "twice that [m] (default 0.5)" in text
+    assert "load, 100 % of it [kg] (default none)" in text
+    assert "how many (default 3)" in text
+    assert "kind: first, second (default first)" in text
+    assert "locked (default on)" in text
+    assert "--ends" not in text
+    assert "--length" not in parser(Lever, without=["length"]).format_help()
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        ("--length long", "lever: argument --length: must be a number, not 'long'\n"),
+        ("--load much", "lever: argument --load: must be a number, not 'much'\n"),
+        ("--count-of 2.5", "lever: argument --count-of: must be a whole number, not '2.5'\n"),
+        ("--len 1", "lever: unrecognized arguments: --len 1\n"),
+    ],
+)
+def test_a_bad_word_is_one_line(words: str, complaint: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        parser(Lever).parse_args(words.split())
+    assert capsys.readouterr().err == complaint
+
+
+def test_a_value_outside_its_bounds_is_refused_by_the_parameters() -> None:
+    with pytest.raises(ParameterError, match="length must be a finite number at least 0, not -1"):
+        given("--length=-1")
+    with pytest.raises(ParameterError, match="kind must be one of first, second, not 'third'"):
+        given("--kind", "third")

@@ -1,0 +1,295 @@
+"""Programs that a command lets in: a pose stream and a 3D mouse on a device, one from the other, and their options."""
+
+import json
+import re
+import signal
+import subprocess
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+
+from maglev_mj.bridge import RemotePlant, Twin, TwinParameters
+from maglev_mj.bridge.flight import Flight
+from maglev_mj.bridge.simulated_links import Impairment, VirtualLink
+from maglev_mj.cli import main
+from maglev_mj.recording import Recording, RecordingError, open_recording
+from maglev_mj.scenes import Scene
+from maglev_mj.scenes.box import Box
+from maglev_mj.scenes.joystick import Joystick
+from maglev_mj.session import Publishers, Snapshot
+from maglev_mj.stream import StreamClient
+from tests.test_bridge_processes import COMMAND, ended, said_by, twin
+
+pytestmark = pytest.mark.xdist_group("realtime")
+
+KEY = "00112233445566778899aabbccddeeff"
+
+
+@contextmanager
+def program(*arguments: str) -> Iterator[tuple[subprocess.Popen[str], list[str]]]:
+    """Start a command; return it and the lines that it says while it goes on."""
+    child = subprocess.Popen([*COMMAND, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    said: list[str] = []
+    assert child.stdout is not None
+    listener = threading.Thread(target=lambda: said.extend(iter(child.stdout.readline, "")))  # type: ignore[union-attr]
+    listener.start()
+    try:
+        yield child, said
+    finally:
+        child.kill()
+        child.wait()
+        listener.join()
+        for pipe in (child.stdout, child.stderr):
+            assert pipe is not None
+            pipe.close()
+
+
+def found(said: list[str], pattern: str) -> str:
+    """Wait until a line has something in it, and return that."""
+    deadline = time.monotonic() + 60.0
+    while time.monotonic() < deadline:
+        for line in list(said):
+            if match := re.search(pattern, line):
+                return match[1]
+        time.sleep(0.02)
+    raise AssertionError((pattern, said))
+
+
+def test_a_device_is_seen_set_and_recorded_by_other_programs(tmp_path: Path) -> None:
+    """A wall on the wire is refused or taken; what was flown is in the file with both settings."""
+    record = tmp_path / "run.mcap"
+    publishers = ("--stream", "udp://127.0.0.1:0", "--spacenav", "--socket", str(tmp_path / "s"))
+    with twin("--watchdog", "2") as (device, address):
+        options = ("--scene", "table", "--record", str(record), "--out", str(tmp_path), *publishers)
+        with program("bridge", address, *options) as (host, said):
+            with StreamClient(found(said, r"(udp://\S+)$"), patience=30.0) as client:
+                assert client.describe()["state"] == "flying"
+                refused = client.set(wall=True, walls=[["z", 1, -0.001]], stiffness=40000.0)
+                assert refused.figures is not None and refused.figures["modulus"] > 1.0
+                answer = client.set(wall=True, walls=[["z", 1, -0.001]], stiffness=2000.0)
+                assert answer.since is not None and not answer.reason
+                pose = next(client.poses())
+                assert abs(pose["pose"]["z"]) < 1e-3 and pose["tick"] >= answer.since
+            host.send_signal(signal.SIGINT)
+            assert host.wait(30) == 0
+        assert not (tmp_path / "s").exists()
+        assert "inactive, faults: none" in ended(device)[1]
+    recording = Recording.load(record)
+    before, after = (stretch.setup["settings"] for stretch in recording.stretches)
+    assert (before["stiffness"], before["walls"]) == (6000.0, None)
+    assert (after["stiffness"], after["walls"]) == (2000.0, [["z", 1, -0.001]])
+    status, said_again = said_by("replay", str(record), "--check")
+    assert status == 0 and f"{recording.ticks} of {recording.ticks} the same: command," in said_again
+    assert said_by("analyse", str(record))[0] == 0
+
+
+@pytest.mark.parametrize("keyed", [False, True])
+def test_a_3d_mouse_follows_a_stream(keyed: bool, tmp_path: Path) -> None:
+    """One process renders, another serves the socket: what it tells is what the first shows."""
+    secret = tmp_path / "key"
+    secret.write_text(KEY)
+    shown = ["--stream-key", str(secret)] if keyed else []
+    followed = ["--key", str(secret)] if keyed else []
+    with twin("--watchdog", "2", "--noise", "0.00005") as (_, address):  # so that it trembles
+        with program("bridge", address, "--stream", "udp://127.0.0.1:0", "--out", str(tmp_path), *shown) as (_, said):
+            url = found(said, r"(udp://\S+)$")
+            with StreamClient(url, key=bytes.fromhex(KEY) if keyed else None, patience=30.0) as client:
+                client.describe()
+            socket = tmp_path / "s"
+            with program("serve-spacenav", "--from", url, "--socket", str(socket), *followed) as (server, told):
+                found(told, r"(SPNAV_SOCKET)")
+                heard = events(socket, 20)
+                server.send_signal(signal.SIGINT)
+                assert server.wait(30) == 0
+    assert all(event[0] == 0 for event in heard)
+    assert len({event[1:7] for event in heard}) > 5
+
+
+def events(path: Path, count: int) -> list[tuple[int, ...]]:
+    """Return some events as a program without libspnav reads them."""
+    import socket
+    import struct
+
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as line:
+        line.settimeout(30.0)
+        line.connect(str(path))
+        data = b""
+        while len(data) < 32 * count:
+            data += line.recv(4096)
+    return [struct.unpack_from("=8i", data, 32 * place) for place in range(count)]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (
+            ("bridge", "udp://127.0.0.1:5678", "--stream", "tcp://x:1"),
+            "stream must be udp://HOST:PORT, not 'tcp://x:1'",
+        ),
+        (("bridge", "udp://127.0.0.1:5678", "--stream-key", "k"), "stream-key is for --stream"),
+        (("bridge", "udp://127.0.0.1:5678", "--stream", "--stream-key", "no"), "stream-key must be a file"),
+        (("bridge", "udp://127.0.0.1:5678", "--identify", "f.json", "--stream"), "stream is for scenes"),
+        (("serve-spacenav", "--key", __file__), "key must be a file of 32 to 64"),
+        (("serve-spacenav", "--seconds", "0"), "seconds must be"),
+        (("serve-spacenav", "box", "--from", "udp://127.0.0.1:9"), "scene must be that of the stream"),
+    ],
+)
+def test_options_that_do_not_fit_are_one_line(
+    arguments: tuple[str, ...], complaint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    status, said = said_by(*arguments)
+    assert status == 2 and len(said.splitlines()) == 1 and complaint in said, said
+
+
+def test_a_stream_that_is_not_there_is_one_line(tmp_path: Path, capsys: Any) -> None:
+    assert main(["serve-spacenav", "--from", "udp://127.0.0.1:9", "--socket", str(tmp_path / "s")]) == 1
+    said = capsys.readouterr().err
+    assert len(said.splitlines()) == 1 and "udp://127.0.0.1:9" in said
+    assert not (tmp_path / "s").exists()
+
+
+def test_outlets_are_told_sixty_times_a_second_and_asked_every_tick() -> None:
+    class Told:
+        waiting: Any = None
+
+        def take(self) -> Any:
+            taken, self.waiting = self.waiting, None
+            return taken
+
+        def __init__(self) -> None:
+            self.snapshots: list[Snapshot] = []
+
+        def show(self, snapshot: Snapshot) -> None:
+            self.snapshots.append(snapshot)
+
+        def close(self) -> None:
+            self.closed = True
+
+    now, made, told = 0.0, 0, [Told(), Told()]
+    publishers = Publishers(told, clock=lambda: now)
+    scene = Box()
+
+    def snapshot() -> Snapshot:
+        nonlocal made
+        made += 1
+        return Snapshot(scene=scene, time=now)
+
+    for tick in range(2001):
+        now = tick * 5e-4
+        publishers.show(snapshot)
+    assert made == len(told[0].snapshots) == len(told[1].snapshots)
+    assert 60 <= made <= 62
+    gaps = [after.time - before.time for before, after in zip(told[0].snapshots, told[0].snapshots[1:], strict=False)]
+    assert max(gaps) - min(gaps) < 1e-3
+    now += 5.0  # a pause is not made up for
+    for _ in range(10):
+        publishers.show(snapshot)
+        now += 1e-4
+    assert made <= 63
+    told[1].waiting = scene
+    assert publishers.wanted() is scene and publishers.wanted() is None
+    publishers.close()
+    assert told[0].closed and told[1].closed
+
+
+class Asks:
+    """A publisher that asks for settings, and keeps what it is told."""
+
+    def __init__(self, *wanted: Scene) -> None:
+        self._waiting, self._asked = list(wanted), False
+        self.snapshots: list[Snapshot] = []
+
+    def take(self) -> Scene | None:
+        asked, self._asked = self._asked, False
+        return self._waiting.pop(0) if asked else None
+
+    def show(self, snapshot: Snapshot) -> None:
+        self.snapshots.append(snapshot)
+        if self._waiting and len(self.snapshots) % 3 == 0:
+            self._asked = True
+
+    def close(self) -> None: ...
+
+
+def flight(**options: Any) -> tuple[Flight, RemotePlant]:
+    """Return a flight on a virtual twin, which takes off at once."""
+    plant = RemotePlant(VirtualLink(Twin(TwinParameters(), draw=lambda: 7), Impairment(jitter=0.001)))
+    return Flight(plant, Joystick(period=plant.period, delay=plant.delay), **options), plant
+
+
+def slow() -> Callable[[], float]:
+    """Return a clock that goes by a frame a call, for virtual time does not wait."""
+    now = iter(range(10**9))
+    return lambda: next(now) / 60.0
+
+
+def test_a_flight_is_recorded_through_changes_as_one_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Settings from outside: what is missed and when counts on from change to change, for a device does."""
+    monkeypatch.setattr(Publishers.__init__, "__defaults__", ((), slow()))
+    wishes = [Joystick(friction=True), Joystick(stiffness=4000.0)]
+    asks, file = Asks(*wishes), open_recording(tmp_path / "run.mcap")
+    flown, plant = flight(publishers=[asks], file=file)
+    with plant:
+        flown.run(0.5)
+    file.close()
+    recording = Recording.load(tmp_path / "run.mcap")
+    assert [stretch.setup["settings"]["friction"] for stretch in recording.stretches] == [False, True, False]
+    ticks = np.concatenate([stretch.tick for stretch in recording.stretches])
+    assert (np.diff(ticks) >= 1).all() and ticks[0] > 100  # it counts from takeoff on
+    for before, after in zip(asks.snapshots, asks.snapshots[1:], strict=False):
+        assert after.tick - before.tick <= 3
+    since = [next(one.since for one in asks.snapshots if one.scene.as_json()["friction"] == on) for on in (False, True)]
+    assert since[1] - asks.snapshots[2].tick <= 2
+    with (tmp_path / "run.mcap").open("rb") as opened:
+        read = [
+            (message.log_time, json.loads(message.data))
+            for _, _, message in make_reader(opened).iter_messages(topics=["/maglev/sample"])
+        ]
+    firsts = [next(said for _, said in read if said["stretch"] == place) for place in range(3)]
+    assert [said["missed"] for said in firsts] == [0, 0, 0]
+    for place in range(3):
+        logged = [(when, said["tick"]) for when, said in read if said["stretch"] == place]
+        for when, tick in logged:
+            assert (when - logged[0][0]) * 1e-9 == pytest.approx((tick - logged[0][1]) * plant.period, abs=1e-6)
+
+
+def test_the_delay_that_is_told_is_the_usual_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Publishers.__init__, "__defaults__", ((), slow()))
+    asks = Asks()
+    flown, plant = flight(publishers=[asks])
+    measured: list[float] = []
+    with plant:
+        read = plant.read
+
+        def noted() -> Any:
+            sample = read()
+            measured.append(plant.last_delay)
+            return sample
+
+        monkeypatch.setattr(plant, "read", noted)
+        flown.run(1.5)
+    landing = round(0.6 / plant.period)
+    last = [delay for delay in measured[: -landing - 1] if delay == delay][-100:]
+    assert asks.snapshots[-1].delay == pytest.approx(np.median(last), abs=2e-5)
+    assert plant.delay + 1e-4 < np.median(last) < max(last) - 1e-4
+
+
+def test_a_flight_whose_recording_ends_says_so_and_goes_on(tmp_path: Path) -> None:
+    said: list[str] = []
+    file: Any = open_recording(tmp_path / "run.mcap")
+    flown, plant = flight(file=file, warn=said.append)
+    file._process.kill()
+    file._process.wait()
+    with plant:
+        assert flown.run(0.5).ticks == 100
+    assert len(said) == 1 and "is not written any more" in said[0]
+    with pytest.raises(RecordingError):
+        file.close()

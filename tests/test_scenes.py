@@ -1,0 +1,489 @@
+"""Runs of scenes: one device, many phases, batches, figures of one's own, and what they refuse."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+
+from maglev_mj.errors import DivergenceError, ParameterError
+from maglev_mj.frames import AXES, Command, Component, Sample
+from maglev_mj.hand import GuidedHand, Hand, HandForce, Path
+from maglev_mj.laws import Bias, Hold, Law
+from maglev_mj.parameters import param
+from maglev_mj.plants import ExactPlant, MuJoCoPlant, Timing
+from maglev_mj.scenes.drop import Drop
+from maglev_mj.scenes.figures import STOCK, Figure, figure, figures_named
+from maglev_mj.scenes.find import BUILT_IN, find_scene
+from maglev_mj.scenes.free import LetGo, Twist
+from maglev_mj.scenes.press import Press
+from maglev_mj.scenes.run import Result, plain, run, run_phases
+from maglev_mj.scenes.scene import Scene, Start
+from maglev_mj.scenes.stick_slip import StickSlip
+from maglev_mj.spec import GRAVITY, Spec
+
+MASS = Spec.moving_mass.value
+WEIGHT = (0.0, 0.0, MASS * GRAVITY, 0.0, 0.0, 0.0)
+PHASES = np.random.default_rng(16).uniform(0.0, 1.0, 5)
+SHORT = Press(hits=1, interval=0.1, duration=0.4)
+
+
+@figure("mm", "half the way fallen", scale=1e3, batched=True)
+def half_fallen(result: Result) -> Any:
+    return 0.5 * (result.line.pose[0, ..., 0] - result.line.pose[-1, ..., 0])
+
+
+@figure("", "knots of one device alone")
+def knots(result: Result) -> int:
+    assert result.trace.time.ndim == 1
+    return len(result.trace.time)
+
+
+@figure("s", "when it is below 4 mm", late=True)
+def low(result: Result) -> float:
+    time = result.times(1e-3)
+    below = np.flatnonzero(result.motion(time)[0] < 0.004)
+    return float(time[below[0]]) if below.size else math.nan
+
+
+class Fall(Scene):
+    """Fall freely."""
+
+    figures: ClassVar[Any] = (half_fallen, knots, low, "final_position")
+    duration: float = param("simulated time", "s", default=0.02, above=0.0)
+
+    def start(self) -> Start:
+        return Start(pose=(0.0, 0.0, 0.0045, 0.0, 0.0, 0.0))
+
+    def laws(self) -> list[Law]:
+        return []
+
+
+# -- what a scene says -----------------------------------------------------------------------------------
+
+
+def test_a_scene_is_named_after_its_class_unless_it_names_itself() -> None:
+    class TwoWords(Fall):
+        """Two words of mine.
+
+        And more.
+        """
+
+    class Named(Fall):
+        name: ClassVar[str] = "mine"
+
+    class Heir(Named):
+        pass
+
+    assert [cls.name for cls in (Fall, TwoWords, Named, Heir)] == ["fall", "two-words", "mine", "heir"]
+    assert TwoWords().describe() == "Two words of mine"
+    assert dict(Named().variants()) == {"mine": Named()}
+
+
+def test_only_laws_are_required() -> None:
+    class Bare(Scene):
+        pass
+
+    class Empty(Scene):
+        def laws(self) -> list[Law]:
+            return []
+
+    with pytest.raises(NotImplementedError, match=r"Bare needs laws\(\)"):
+        run(Bare(), plant="exact")
+    assert Empty().end == 1.0 and not Empty.figures
+    found = run_phases(Fall().replace(duration=0.01), 3, plant="exact")
+    assert found.furthest.shape == (3, 6)
+    fallen = Start(pose=(0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+    assert Empty().start() == fallen == Start() and Start().gravity == GRAVITY
+
+
+def test_a_class_that_looks_at_no_axis_or_at_unknown_figures_is_refused() -> None:
+    with pytest.raises(ParameterError, match="axis must be one of x, y, z, rx, ry, rz, not 'w'"):
+        type("Mine", (Scene,), {"shown_axis": "w"})
+    with pytest.raises(TypeError, match=r"figure must be one of penetration, .*, or made by @figure, not 'depth'"):
+        type("Mine", (Scene,), {"figures": ("penetration", "depth")})
+
+
+@pytest.mark.parametrize("plant", ["exact", "mujoco"])
+def test_the_start_is_where_how_fast_and_under_what_it_is_let_go(plant: str) -> None:
+    """Thrown up with its weight carried until the first command, which is none: uniform, then a fall."""
+
+    class Thrown(Scene):
+        duration: float = param("simulated time", "s", default=0.02)
+
+        def start(self) -> Start:
+            return Start(pose=(0.0, 0.0, 1e-3, 0.0, 0.0, 0.0), twist=(0.0, 0.0, 0.1, 0.0, 0.0, 0.0), wrench=WEIGHT)
+
+        def laws(self) -> list[Law]:
+            return []
+
+    delay = Spec.transport_delay.value
+    place, speed, force = run(Thrown(), plant=plant).motion(np.array([0.0, 0.001, 0.01]))
+    falls = 0.01 - delay
+    np.testing.assert_allclose(place, [1e-3, 1.1e-3, 2e-3 - 0.5 * GRAVITY * falls**2], rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(speed, [0.1, 0.1, 0.1 - GRAVITY * falls], rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(force, [WEIGHT[2], WEIGHT[2], 0.0], rtol=0.0, atol=1e-9)
+
+
+class Held(Fall):
+    """Fall in a hand."""
+
+    figures: ClassVar[Any] = ("final_position",)
+
+    def scripted_hand(self, phase: float = 0.0) -> GuidedHand:
+        return GuidedHand(hand=Hand(mass=0.5, damping=20.0, stiffness=500.0), path=Path([0.0], [[0.0] * 6]))
+
+
+def test_the_impedance_of_a_scripted_hand_is_on_the_flotor() -> None:
+    held, free = (run(scene, plant="exact").figures["final_position"] for scene in (Held(), Fall()))
+    assert held == pytest.approx(run(Held(), plant="mujoco").figures["final_position"], abs=1e-9)
+    assert held - free > 0.5e-3
+
+
+def test_keywords_hands_and_timings_go_before_the_scene_s() -> None:
+    asked: list[str] = []
+
+    class Heavy(Fall):
+        def plant_options(self) -> dict[str, Any]:
+            return {"mass": 2.0, "longest_step": self.longest}
+
+        def longest(self, plant: str) -> float:
+            asked.append(plant)
+            return 1e-3
+
+    lift: HandForce = lambda tick, time, state: [0.0, 0.0, 2.0, 0.0, 0.0, 0.0]  # noqa: E731
+    seen = []
+    for plant, keywords in (("exact", {}), ("mujoco", {"mass": 1.0}), ("exact", {"timing": Timing(period=0.01)})):
+        device = Heavy().plant(plant, hand=lift, record=True, **keywords)
+        with device:
+            drive(device, 2)
+            trace = device.trace()
+        seen.append((device.period, float(trace.twist[-1, 2])))
+    # it is pulled from the first sample on, held from sample to sample
+    for (period, speed), mass in zip(seen, (2.0, 1.0, 2.0), strict=True):
+        assert speed == pytest.approx(2.0 * period * (2.0 / mass - GRAVITY), rel=1e-9)
+    assert [period for period, _ in seen] == [0.005, 0.005, 0.01]
+    assert asked == ["exact", "mujoco", "exact"]
+    assert isinstance(Heavy().plant(MuJoCoPlant), MuJoCoPlant) and isinstance(Heavy().plant("exact"), ExactPlant)
+
+
+def drive(device: Any, ticks: int) -> None:
+    for _ in range(ticks):
+        device.read()
+        device.write(Command([0.0] * 6))
+    device.read()
+
+
+# -- one run ---------------------------------------------------------------------------------------------
+
+
+def test_a_run_is_on_the_scene_s_usual_plant_unless_it_is_told() -> None:
+    class Exact(Fall):
+        plants: ClassVar[Sequence[str]] = ("exact",)
+
+    assert (run(Fall()).plant, run(Exact()).plant, run_phases(Exact(), 2).plant) == ("mujoco", "exact", "exact")
+    for refused in (lambda: run(Exact(), plant="mujoco"), lambda: run_phases(Exact(), 2, plant="mujoco")):
+        with pytest.raises(ParameterError, match="plant must be one of exact, not 'mujoco'"):
+            refused()
+
+
+@pytest.mark.parametrize("phase", [-0.1, 1.0, math.nan, "x", None])
+def test_a_phase_outside_its_bounds_is_refused(phase: Any) -> None:
+    with pytest.raises(ParameterError, match="phase must be a finite number at least 0 and below 1, not "):
+        run(Fall(), plant="exact", phase=phase)
+
+
+def test_phases_outside_their_bounds_are_refused() -> None:
+    for phases, words in (
+        ([0.5, 1.0], "phases must be below 1 everywhere, not 1"),
+        ([-0.5, 0.0], "phases must be finite and at least 0 everywhere, not -0.5"),
+        ([], "phases must be a whole number or a list of phases"),
+        ([[0.5]], "phases must be a whole number or a list of phases"),
+    ):
+        for call in (lambda given: run(Fall(), plant="exact", phase=given), lambda given: run_phases(Fall(), given)):
+            with pytest.raises(ParameterError, match=words):
+                call(phases)
+    with pytest.raises(ParameterError, match=r"phase must be one number on mujoco, .*: see run_phases"):
+        run(Fall(), plant="mujoco", phase=[0.0, 0.5])
+
+
+@pytest.mark.parametrize("plant", ["exact", "mujoco"])
+def test_whoever_observes_sees_every_sample_and_the_command_as_applied(plant: str) -> None:
+    seen: list[tuple[Sample, Command]] = []
+    drop = Drop(force_limit=60.0)
+    result = run(drop, plant=plant, phase=0.3, observe=lambda sample, applied: seen.append((sample, applied)))
+    assert [sample.tick for sample, _ in seen] == list(range(drop.ticks(drop.timing(0.3)))) == list(range(80))
+    times = np.array([float(sample.time) for sample, _ in seen])
+    np.testing.assert_allclose(times, (np.arange(80) + 0.3) * drop.period, rtol=1e-12)
+    np.testing.assert_allclose(
+        [sample.position[2] for sample, _ in seen], result.motion(times)[0], rtol=0.0, atol=1e-12
+    )
+    pulses = [applied.force[2] + applied.extra[2] for _, applied in seen if applied.extra is not None]
+    assert pulses[0] == pytest.approx(60.0) and max(applied.force[2] for _, applied in seen) <= 60.0
+
+
+def test_in_a_batch_whoever_observes_sees_all_devices() -> None:
+    seen: list[Component] = []
+    run(Drop(), plant="exact", phase=PHASES, observe=lambda sample, _: seen.append(sample.position[2]))
+    assert len(seen) == 80 and np.shape(seen[40]) == PHASES.shape
+
+
+def test_what_laws_tell_is_kept_with_each_sample() -> None:
+    """A batch tells it of every device, and a device of it what that device alone tells."""
+    single = run(StickSlip(), plant="exact")
+    assert set(single.samples) == {"position", "stick_position", "stuck"}
+    assert len(single.sample_time) == len(single.samples["stuck"]) == 61
+    assert single.samples["position"].shape == (61, 6) and single.samples["stuck"].shape == (61, 1)
+    assert single.samples["stuck"].dtype == bool
+    batch = run(StickSlip(), plant="exact", phase=PHASES)
+    assert batch.samples["stick_position"].shape == (60, 1, 5)
+    for device, phase in enumerate(PHASES.tolist()):
+        one, alone = batch[device], run(StickSlip(), plant="exact", phase=phase)
+        count = len(alone.sample_time)
+        np.testing.assert_allclose(one.sample_time[:count], alone.sample_time, rtol=1e-12)
+        np.testing.assert_array_equal(one.samples["stuck"][:count], alone.samples["stuck"])
+        for name in ("position", "stick_position"):
+            np.testing.assert_allclose(one.samples[name][:count], alone.samples[name], rtol=0.0, atol=1e-14)
+    assert not run(Drop(), plant="exact").samples and not run(Fall(), plant="exact", phase=PHASES).samples
+
+
+def test_series_are_on_a_grid_up_to_the_end() -> None:
+    result = run(Fall(duration=0.0105), plant="exact")
+    assert result.times().tolist() == [k * 1e-3 for k in range(11)]
+    series = result.series(5e-3)
+    assert list(series) == ["time", "position", "velocity", "force"]
+    assert series["time"].tolist() == [0.0, 0.005, 0.01]
+    np.testing.assert_allclose(series["position"], 0.0045 - 0.5 * GRAVITY * series["time"] ** 2, rtol=1e-12)
+    np.testing.assert_allclose(series["velocity"], -GRAVITY * series["time"], rtol=1e-12)
+    for step in (0.0, -1e-3, math.nan):
+        with pytest.raises(ParameterError, match="step must be a finite number above 0"):
+            result.series(step)
+
+
+def test_json_names_how_it_was_run_first() -> None:
+    data = run(Fall(), plant="exact", phase=0.25).as_json()
+    assert list(data) == ["parameters", "time", "position", "velocity", "force", "summary"]
+    assert list(data["parameters"]) == ["plant", "phase", "period", "delay", "duration"]
+    assert (data["parameters"]["plant"], data["parameters"]["phase"]) == ("exact", 0.25)
+    assert list(run(Twist(), plant="exact").as_json()["parameters"])[:2] == ["plant", "period"]  # no phase
+    assert list(data["summary"]) == ["half_fallen", "knots", "low", "final_position"]
+
+
+def test_plain_values_are_what_json_knows() -> None:
+    given = {"a": np.float64(1.5), "b": math.nan, "c": np.array([1.0, math.inf]), "d": np.int64(3), "e": np.True_}
+    assert plain({**given, "f": "x", "g": None, "h": True}) == {
+        **{"a": 1.5, "b": None, "c": [1.0, None], "d": 3, "e": True, "f": "x", "g": None, "h": True}
+    }
+
+
+@pytest.mark.parametrize("plant", ["exact", "mujoco"])
+def test_a_diverging_run_keeps_what_it_was_up_to_there(plant: str) -> None:
+    drop = Drop(delay=0.005, duration=3.0)
+    with pytest.raises(DivergenceError, match="diverged") as caught:
+        run(drop, plant=plant, phase=0.3)
+    partial = caught.value.partial
+    assert isinstance(partial, Result) and (partial.scene, partial.plant, partial.phase) == (drop, plant, 0.3)
+    assert 0.3 < partial.trace.time[-1] < 3.0
+    assert abs(partial.figures["final_z"]) > 0.02 and math.isnan(partial.figures["settling_time"])
+    assert partial.as_json()["summary"]["settling_time"] is None
+
+
+def test_a_diverging_batch_keeps_nothing_and_its_samples_are_those_before() -> None:
+    with pytest.raises(DivergenceError, match="device") as caught:
+        run(Drop(delay=0.005, duration=3.0), plant="exact", phase=PHASES)
+    assert caught.value.partial is None
+    with pytest.raises(DivergenceError) as caught:
+        run(StickSlip(spring=30000.0, duration=2.0), plant="exact")
+    partial = caught.value.partial
+    assert partial.sample_time[-1] <= partial.trace.time[-1] < 2.0
+    assert len(partial.sample_time) == len(partial.samples["stuck"])
+
+
+@pytest.mark.parametrize("name", BUILT_IN)
+def test_a_run_has_at_most_a_million_periods(name: str) -> None:
+    cls = find_scene(name)
+    longest = {"duration": 10.0, "period": 1e-5}
+    assert cls(**longest).end == 10.0
+    with pytest.raises(ParameterError, match=r"duration must be at most 1000000 periods, not 10\.1 s"):
+        cls(**longest | {"duration": 10.1})
+    with pytest.raises(ParameterError, match="duration must be at most 1000000 periods, not 10 s"):
+        cls(**longest).replace(period=5e-6)
+
+
+def test_a_scene_that_says_itself_when_it_ends_has_the_same_limit() -> None:
+    class Endless(Fall):
+        @property
+        def end(self) -> float:
+            return 5001.0
+
+    with pytest.raises(ParameterError, match="duration must be at most 1000000 periods, not 5001 s"):
+        Endless()
+
+
+# -- many phases -----------------------------------------------------------------------------------------
+
+WALLS: Mapping[str, Any] = {
+    "no switch between samples": {"delay": 0.0, "pulse": 0.0},
+    "soft": {"delay": 0.0, "pulse": 0.0, "stiffness": 3000.0, "damping": 55.0},
+    "coarse": {"delay": 0.0, "pulse": 0.0, "quantize": 5e-6},
+    "limited": {"delay": 0.0, "pulse": 0.0, "force_limit": 30.0},
+}
+SWITCHED: Mapping[str, Any] = {
+    "as it comes": {},
+    "soft": {"stiffness": 3000.0, "damping": 55.0},
+    "late": {"delay": 0.004, "stiffness": 3000.0, "damping": 55.0},
+    "coarse": {"quantize": 5e-6},
+    "limited": {"force_limit": 60.0},
+    "fast": {"period": 0.001, "delay": 0.0005, "pulse_width": 0.0009},
+}
+
+
+def equal(one: Result, other: Result) -> bool:
+    """Return whether two runs have the same bits."""
+    parts = ("time", "pose", "twist", "wrench")
+    return all(np.array_equal(getattr(one.trace, name), getattr(other.trace, name)) for name in parts) and all(
+        np.array_equal(value, other.figures[name], equal_nan=True) for name, value in one.figures.items()
+    )
+
+
+@pytest.mark.parametrize("gains", WALLS.values(), ids=WALLS)
+@pytest.mark.parametrize("scene", [Drop(duration=0.2), SHORT], ids=["drop", "press"])
+def test_a_batch_has_the_bits_of_its_runs_where_all_forces_change_together(scene: Scene, gains: Any) -> None:
+    """Then every device passes through the same knots."""
+    changed = scene.replace(**gains)
+    batch = run(changed, plant="exact", phase=PHASES)
+    for device, phase in enumerate(PHASES.tolist()):
+        assert equal(batch[device], run(changed, plant="exact", phase=phase))
+
+
+@pytest.mark.parametrize("gains", SWITCHED.values(), ids=SWITCHED)
+@pytest.mark.parametrize("scene", [Drop(duration=0.2), SHORT], ids=["drop", "press"])
+def test_a_batch_is_its_runs_to_rounding(scene: Scene, gains: Any) -> None:
+    """Where one device has a pulse all have a knot, and a way in two parts rounds differently."""
+    changed = scene.replace(**gains)
+    batch = run(changed, plant="exact", phase=PHASES)
+    swept = run_phases(changed, PHASES, plant="exact")
+    times = np.linspace(0.0, changed.end, 500)
+    for device, phase in enumerate(PHASES.tolist()):
+        alone = run(changed, plant="exact", phase=phase)
+        for ours, theirs in zip(batch[device].motion(times)[:2], alone.motion(times)[:2], strict=True):
+            # a hand bends the curve between knots
+            np.testing.assert_allclose(ours, theirs, rtol=0.0, atol=1e-12 if isinstance(scene, Drop) else 1e-6)
+        for name, value in alone.figures.items():
+            one = swept.figures[name][device]
+            np.testing.assert_allclose(one, value, rtol=1e-9 if isinstance(scene, Drop) else 1e-5, atol=1e-9)
+
+
+@pytest.mark.parametrize("scene", [Drop(), Drop(duration=0.05, carry=True, force_limit=60.0), Twist(), LetGo(), Fall()])
+def test_a_figure_that_takes_a_batch_gives_each_device_the_same_bits(scene: Scene) -> None:
+    batch = run(scene, plant="exact", phase=PHASES)
+    together = [name for name, one in scene.figures.items() if one.batched]
+    assert together
+    for name in together:
+        values = scene.figures[name](batch)
+        each = [scene.figures[name](batch[device]) for device in range(PHASES.size)]
+        assert np.array_equal(values, each, equal_nan=True), name
+
+
+def test_figures_of_ones_own_are_swept_whether_they_take_a_batch_or_not() -> None:
+    swept = run_phases(Fall(duration=0.012), PHASES, plant="exact")
+    assert list(swept.figures) == ["half_fallen", "knots", "low", "final_position"]
+    assert all(values.shape == (5,) for values in swept.figures.values())
+    np.testing.assert_allclose(swept.figures["half_fallen"], 0.25 * GRAVITY * 0.012**2, rtol=1e-12)
+    assert np.isin(swept.figures["knots"], range(2, 9)).all()
+    on_engine = run_phases(Fall(duration=0.012), PHASES, plant="mujoco")
+    np.testing.assert_allclose(on_engine.figures["half_fallen"], swept.figures["half_fallen"], rtol=1e-9)
+    data = swept.as_json()
+    assert list(data["phases"][0]) == ["phase", *swept.figures]
+    assert data["median"]["low"] == pytest.approx(math.sqrt(2.0 * 0.0005 / GRAVITY), abs=1e-3)
+    early = run_phases(Fall(duration=0.005), 2, plant="exact").as_json()
+    assert early["median"]["low"] is None and early["phases"][1]["low"] is None
+
+
+def test_missing_values_count_as_late_or_not_at_all() -> None:
+    values = np.array([3.0, math.nan, 1.0, 2.0])
+    late, left = Figure("late", low.function, late=True), Figure("left", low.function)
+    assert [float(late.percentile(values, share)) for share in (0.0, 100.0 / 3.0)] == pytest.approx([1.0, 2.0])
+    assert math.isnan(late.percentile(values, 75.0)) and math.isnan(late.percentile(values, 100.0))
+    assert [float(left.percentile(values, share)) for share in (0.0, 50.0, 100.0)] == [1.0, 2.0, 3.0]
+    assert math.isnan(left.percentile(np.full(3, math.nan), 50.0))
+    both = left.percentile(np.column_stack([values, np.full(4, math.nan)]), 50.0)
+    assert both[0] == 2.0 and math.isnan(both[1])
+    for name in ("batched", "late"):
+        with pytest.raises(ParameterError, match=f"{name} must be True or False, not 1"):
+            figure("", "", **{name: 1})  # type: ignore[arg-type]
+
+
+def test_what_several_figures_share_is_made_once() -> None:
+    made: list[Result] = []
+
+    def deep(result: Result) -> float:
+        made.append(result)
+        return 2.0
+
+    class Shared(Fall):
+        figures: ClassVar[Any] = {
+            "one": Figure("one", lambda result: result.once("deep", deep)),
+            "other": Figure("other", lambda result: 2.0 * result.once("deep", deep)),
+            "end": "final_position",
+        }
+
+    result = run(Shared(), plant="exact")
+    assert (result.figures["one"], result.figures["other"], len(made)) == (2.0, 4.0, 1)
+    assert list(result.figures) == list(Shared.figures) == ["one", "other", "end"]
+    assert figures_named({"end": "final_position"}) == {"end": STOCK["final_position"]}
+    assert result.figures is result.figures
+
+
+def test_phases_are_run_in_parts_and_told_of() -> None:
+    done: list[tuple[int, int]] = []
+    fall = Fall(duration=0.01)
+    swept = run_phases(fall, 130, plant="exact", progress=lambda some, every: done.append((some, every)))
+    assert done == [(64, 130), (128, 130), (130, 130)]
+    assert swept.phases.tolist() == [k / 130 for k in range(130)] and swept.furthest.shape == (130, 6)
+    assert swept.figures["final_position"].shape == (130,)
+    done.clear()
+    run_phases(fall, [0.1, 0.2], plant="mujoco", progress=lambda some, every: done.append((some, every)))
+    assert done == [(1, 2), (2, 2)]
+
+
+def test_a_scene_without_figures_can_be_swept() -> None:
+    class Silent(Fall):
+        figures: ClassVar[Any] = ()
+
+    for plant in ("exact", "mujoco"):
+        swept = run_phases(Silent(), 2, plant=plant)
+        assert not swept.figures and swept.as_json()["phases"] == [{"phase": 0.0}, {"phase": 0.5}]
+
+
+@pytest.mark.parametrize("plant", ["exact", "mujoco"])
+@pytest.mark.parametrize("name", BUILT_IN)
+def test_every_scene_runs_on_both_plants(name: str, plant: str) -> None:
+    scene = find_scene(name)()
+    result = run(scene, plant=plant, phase=0.4)
+    data = result.as_json()
+    assert set(data["summary"]) == set(scene.figures) and len(data["time"]) > 40
+    assert result.trace.time[-1] == pytest.approx(scene.end)
+    assert AXES[AXES.index(scene.axis)] == scene.axis and scene.describe()
+    assert next(iter(scene.variants().values())) == scene
+    assert scene.run_figures(plant, 0.4).keys() == result.figures.keys()
+
+
+@pytest.mark.parametrize("plant", ["exact", "mujoco"])
+def test_laws_add_up(plant: str) -> None:
+    """One carries the weight, the other draws down: together they hold it where the spring is stretched by nothing."""
+
+    class Hover(Scene):
+        duration: float = param("simulated time", "s", default=0.2)
+
+        def start(self) -> Start:
+            return Start(wrench=WEIGHT)
+
+        def laws(self) -> list[Law]:
+            up = [2.0 * part for part in WEIGHT]
+            return [Bias(up), Hold(axes="z", stiffness=100.0, damping=5.0, target=-WEIGHT[2] / 100.0)]
+
+    assert run(Hover(), plant=plant).trace.furthest().max() < 1e-12
