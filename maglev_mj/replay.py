@@ -2,55 +2,77 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from maglev_mj.analysis.known import known_experiment
 from maglev_mj.controller import Controller
 from maglev_mj.errors import MaglevError, ParameterError
-from maglev_mj.frames import Array, Sample
+from maglev_mj.frames import AXES, Array, Sample
 from maglev_mj.hand import HandForce, SpringHand
+from maglev_mj.laws import Law
 from maglev_mj.loop import ControlLoop
 from maglev_mj.model import load
+from maglev_mj.parameters import param
 from maglev_mj.plants import SampledPlant, engine_warnings_silenced
 from maglev_mj.recording import (
     ArrayFile,
     Expected,
     InvalidRecordingError,
-    Mechanics,
+    Rebuild,
     Recording,
     RecordingError,
     RecordingFile,
+    RunMetadata,
     Setup,
     Stretch,
+    metadata_of,
     open_recording,
+    setup_of,
 )
 from maglev_mj.recording.checks import start_in
 from maglev_mj.scenes import Scene, find_scene, scene_names
+from maglev_mj.scenes.find import reference_of, source_of
 from maglev_mj.scenes.legacy import recorded_scene
 from maglev_mj.scenes.run import checked_phase, checked_plant, parameters_json
-from maglev_mj.session import SampledMotion, Snapshot, device_controller, live_plant, mechanics
+from maglev_mj.scenes.scene import PLANTS
+from maglev_mj.session import SampledMotion, Snapshot, device_controller, live_plant
 
-__all__ = ["Replay", "expected", "rebuild", "record_run", "scene_of", "stick_positions_of", "write_run"]
+__all__ = [
+    "Replay",
+    "expected",
+    "rebuild",
+    "rebuild_for",
+    "record_run",
+    "scene_of",
+    "stick_positions_of",
+    "write_run",
+]
 
-_SCENES = "scene", "device"
+_SCENES, _OWN = ("scene", "device"), "own"
+_PLANTS = {f"{make.__module__}.{make.__qualname__}": name for name, make in PLANTS.items() if isinstance(make, type)}
 
 
-def run_in(setup: Setup) -> tuple[Scene, str, float]:
-    """Return scene, plant and phase of a recorded run."""
-    values = dict(setup["parameters"])
-    plant, phase = values.pop("plant"), values.pop("phase", 0.0)
-    scene = find_scene(setup["kind"]).from_json(values)
-    return scene, checked_plant(scene, plant), checked_phase(phase)
+class _Unknown(Scene):
+    """A recording whose scene is not known here."""
+
+    axis: str = param("axis shown", default="z", choices=AXES)
+
+    def laws(self) -> list[Law]:
+        return []
 
 
-def rebuild(setup: Setup, hand: HandForce | None) -> tuple[SampledPlant | None, Controller]:
+def rebuild(
+    setup: Setup, hand: HandForce | None, *, scene: type[Scene] | None = None
+) -> tuple[SampledPlant | None, Controller]:
     """Make plant and controller from a recording's setup.
 
     Args:
         setup: The setup.
         hand: The hand on the flotor; None for the run's own, if it has one.
+        scene: Scene of a recording of one's own.
 
     Returns:
         Both; None for the plant of a flight on a device.
@@ -61,17 +83,53 @@ def rebuild(setup: Setup, hand: HandForce | None) -> tuple[SampledPlant | None, 
     try:
         kind = setup["kind"]
         if kind in _SCENES:
-            scene = recorded_scene(setup["scene"], setup["settings"])
+            live = _live(setup, scene)
             if kind == "device":
-                return None, device_controller(scene)
-            return live_plant(scene, hand, **start_in(setup)), scene.controller()
-        if kind not in scene_names():
-            known = ", ".join((*_SCENES, *scene_names()))
-            raise InvalidRecordingError(f"a recording of kind {kind!r} cannot be made here, which knows {known}")
-        run, plant, phase = run_in(setup)
-        return run.plant(plant, phase=phase, hand=hand, record=True), run.controller()
+                return None, device_controller(live)
+            return live_plant(live, hand, **start_in(setup)), live.controller()
+        run, plant, phase = _run(setup, scene)
+        started: dict[str, Any] = start_in(setup["start"]) if setup.get("start") else {}
+        # in pieces as it was recorded: the exact plant rounds otherwise in one
+        return run.plant(plant, phase=phase, hand=hand, record=True, **started), run.controller()
     except (KeyError, TypeError, ParameterError) as error:
         raise InvalidRecordingError(f"a recording's setup cannot be made here: {error}") from None
+
+
+def _live(setup: Setup, scene: type[Scene] | None) -> Scene:
+    """Return the scene of a session or a flight."""
+    if scene is not None and str(setup["scene"]) not in scene_names():
+        return scene.from_json(setup["settings"])
+    return recorded_scene(setup["scene"], setup["settings"])
+
+
+def _run(setup: Setup, scene: type[Scene] | None) -> tuple[Scene, str, float]:
+    """Return scene, plant and phase of a run."""
+    kind, values = setup["kind"], dict(setup["parameters"])
+    if kind == _OWN:
+        if scene is None:
+            named = setup["scene"]
+            raise InvalidRecordingError(f"a recording of one's own needs its scene, {named!r}, to be run again")
+        return scene.from_json(values), _PLANTS[setup["plant"]], checked_phase(setup["phase"])
+    if kind not in scene_names():
+        known = ", ".join((*_SCENES, _OWN, *scene_names()))
+        raise InvalidRecordingError(f"a recording of kind {kind!r} cannot be made here, which knows {known}")
+    plant, phase = values.pop("plant"), values.pop("phase", 0.0)
+    run = find_scene(kind).from_json(values)
+    return run, checked_plant(run, plant), checked_phase(phase)
+
+
+def rebuild_for(stretch: Stretch, scene: type[Scene] | None = None) -> Rebuild | None:
+    """Return what makes plant and controller of a stretch again; None where only its scene could.
+
+    A recording never makes this program execute a file that it names: who has the scene gives it.
+
+    Args:
+        stretch: The stretch.
+        scene: Scene of a recording of one's own.
+    """
+    kind, names = stretch.setup["kind"], scene_names()
+    known = stretch.setup["scene"] in names if kind in _SCENES else kind in names
+    return partial(rebuild, scene=scene) if known or scene is not None or stretch.metadata is None else None
 
 
 def expected(setup: Setup) -> Expected:
@@ -80,17 +138,17 @@ def expected(setup: Setup) -> Expected:
     Raises:
         InvalidRecordingError: If it is no setup that is known here.
     """
-    rebuild(setup, None)  # complains of what is not known here
     kind = setup["kind"]
+    if kind == _OWN:
+        return Expected()
     if kind not in _SCENES:
-        run, _, phase = run_in(setup)
-        known, samples = known_experiment(kind, run.as_json()), run.ticks(run.timing(phase))
-        load = [0.0, 0.0, known.weight, 0.0, 0.0, 0.0]
-        masses = Mechanics(inertia=known.inertia, load=load, before=known.before)
-        return Expected(known.delay, masses, scripted=True, samples=samples)
-    scene = recorded_scene(setup["scene"], setup["settings"])
-    # on a device, what acted before a stretch is in the flight, not in the setup
-    return Expected(scene.delay, mechanics(scene, setup["wrench"]) if kind == "scene" else None, scripted=False)
+        rebuild(setup, None)  # complains of what is not known here
+        run, _, phase = _run(setup, None)
+        return Expected(scripted=True, samples=run.ticks(run.timing(phase)))
+    metadata: dict[str, Any] = {"hand_recorded": kind == "scene"}
+    if kind == "device":  # what it weighs and what acted before a stretch is in the flight, not in the setup
+        metadata |= {"delay": setup["settings"]["delay"], "hand_acts_on_flotor": True}
+    return Expected(metadata=metadata)
 
 
 def record_run(scene: Scene, *, plant: str | None = None, phase: float = 0.0) -> Recording:
@@ -132,10 +190,16 @@ def write_run(path: Path, scene: Scene, *, plant: str | None = None, phase: floa
 
 
 def _run_into(file: RecordingFile, scene: Scene, plant: str | None, phase: float) -> None:
-    name, phase = checked_plant(scene, plant), checked_phase(phase)
+    name, phase, cls = checked_plant(scene, plant), checked_phase(phase), type(scene)
     device, controller = scene.plant(name, phase=phase, record=True), scene.controller()
-    setup = {"kind": scene.name, "parameters": parameters_json(scene, name, phase)}
-    record = file.begin(device, controller, setup, delay=scene.delay, mechanics=expected(setup).mechanics)
+    setup: Setup
+    if scene.name in scene_names() and find_scene(scene.name) is cls:
+        run = RunMetadata.of(device, controller, name=scene.name, axis=scene.axis)
+        setup = {"kind": scene.name, "parameters": parameters_json(scene, name, phase), "run": run.as_json()}
+    else:
+        own: dict[str, Any] = {"scene": reference_of(cls), "source": source_of(cls), "parameters": scene.as_json()}
+        setup = setup_of(device, controller, **own, name=scene.name, axis=scene.axis)
+    record = file.begin(device, controller, setup)
     with device, engine_warnings_silenced():
         try:
             ControlLoop(device, controller, record=record).cycle(scene.ticks(scene.timing(phase)))
@@ -150,6 +214,7 @@ class Replay:
 
     Args:
         recording: The recording, of at least one sample.
+        scene: Scene of a recording of one's own, which finds where the flotor sticks; it is shown without too.
 
     Attributes:
         hand: There is none to be moved; the recorded one acts.
@@ -159,10 +224,10 @@ class Replay:
         RecordingError: If there is nothing in it, or its setup is not known here.
     """
 
-    def __init__(self, recording: Recording) -> None:
+    def __init__(self, recording: Recording, scene: type[Scene] | None = None) -> None:
         self.hand = SpringHand()
         self.simulated = 0.0
-        self._stretches = [_Shown(stretch) for stretch in recording.stretches if len(stretch.tick)]
+        self._stretches = [_Shown(stretch, scene) for stretch in recording.stretches if len(stretch)]
         if not self._stretches:
             raise InvalidRecordingError("there is nothing in the recording")
         self._owed, self._paused = 0.0, False
@@ -232,29 +297,43 @@ class Replay:
 class _Shown:
     """A stretch of a recording with what its setup tells of it."""
 
-    def __init__(self, stretch: Stretch) -> None:
-        self.scene = scene_of(stretch.setup)
+    def __init__(self, stretch: Stretch, scene: type[Scene] | None) -> None:
+        again = rebuild_for(stretch, scene)
+        metadata = metadata_of(stretch, None if again is None else again(stretch.setup, None)[1])
+        self.scene = scene_of(stretch.setup, metadata, scene)
         self.time, self.pose, self.hand = stretch.time, stretch.position, stretch.hand
-        _, controller = rebuild(stretch.setup, None)
-        self.force = stretch.applied - controller.carried
+        self.force = stretch.applied - metadata.carried
         coils = load("drop").coils
         assert coils is not None
         self.currents = stretch.applied @ coils.current_per_wrench.T
-        self.faces = controller.faces
-        self.anchors = stick_positions_of(stretch)
+        self.faces = tuple(metadata.faces or ())
+        self.anchors = stick_positions_of(stretch, again)
 
 
-def scene_of(setup: Setup) -> Scene:
-    """Return the scene that shows a stretch."""
-    rebuild(setup, None)  # complains of what is not known here
-    if setup["kind"] in _SCENES:
-        return recorded_scene(setup["scene"], setup["settings"])
-    return run_in(setup)[0]
+def scene_of(setup: Setup, metadata: RunMetadata, scene: type[Scene] | None = None) -> Scene:
+    """Return the scene that shows a stretch: its own where that is known here.
+
+    Args:
+        setup: The setup.
+        metadata: What is known of the run in any case.
+        scene: Scene of a recording of one's own.
+    """
+    try:
+        return _live(setup, scene) if setup["kind"] in _SCENES else _run(setup, scene)[0]
+    except (InvalidRecordingError, ParameterError):
+        return _Unknown(period=metadata.period, delay=metadata.delay, axis=metadata.axis)
 
 
-def stick_positions_of(stretch: Stretch) -> Array | None:
-    """Return where the flotor stuck at each sample, as the controller saw it, (N, 6); None without friction."""
-    _, controller = rebuild(stretch.setup, None)
+def stick_positions_of(stretch: Stretch, again: Rebuild | None = rebuild) -> Array | None:
+    """Return where the flotor stuck at each sample, as the controller saw it, (N, 6); None without friction.
+
+    Args:
+        stretch: The stretch.
+        again: Makes plant and controller from a setup and a hand; None where nobody can: then it is not known.
+    """
+    if again is None:
+        return None
+    _, controller = again(stretch.setup, None)
     anchors = []
     for tick, place in zip(stretch.tick.tolist(), stretch.position.tolist(), strict=True):
         controller.step(Sample(int(tick), 0.0, place))

@@ -8,8 +8,9 @@ import pytest
 
 from maglev_mj import AXES
 from maglev_mj.errors import ParameterError
-from maglev_mj.laws import Hold, StickSlip
-from maglev_mj.scenes import find_scene
+from maglev_mj.laws import AxisLaw, Hold, Law, StickSlip, gain
+from maglev_mj.parameters import param
+from maglev_mj.scenes import Scene, find_scene
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.interactive import InteractiveScene
 from maglev_mj.scenes.joystick import Joystick
@@ -17,6 +18,7 @@ from maglev_mj.scenes.parts import INERTIA, MASS
 from maglev_mj.scenes.table import Table
 from maglev_mj.session import Pacer, Session, refusal
 from maglev_mj.theory import largest_stable_stiffness
+from maglev_mj.viewer.plots import Plots
 
 
 @pytest.mark.parametrize(
@@ -86,3 +88,75 @@ def test_what_is_refused_makes_energy_and_what_is_not_does_not(above: bool) -> N
     for _ in range(180):
         session.tick(1.0 / 60.0)
     assert any("unstable" in note for note in session.snapshot().notes) is above
+
+
+class Detent(AxisLaw):
+    """Sine detents with a pitch of 2 mm."""
+
+    stiffness: float = gain()
+    damping: float = gain()
+
+    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+        turn = 1000.0 * np.pi
+        return -gains.stiffness / turn * np.sin(turn * x) - gains.damping * v
+
+
+class Detents(Scene):
+    """Detents along x."""
+
+    shown_axis = "x"
+
+    stiffness: float = param("stiffness at a bottom", "N/m", default=4000.0)
+    damping: float = param("damping", "N s/m", default=50.0)
+
+    def laws(self) -> list[Law]:
+        others = Hold.critically_damped(AXES[1:], inertia=INERTIA[1:], period=self.period, delay=self.delay)
+        return [Detent(axes="x", stiffness=self.stiffness, damping=self.damping), others]
+
+
+class Integral(AxisLaw):
+    """Integral action."""
+
+    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+        area = (0.0 if state is None else state) + x
+        return -100.0 * x - 10.0 * v - area, area
+
+
+class Integrated(Detents):
+    """Detents and an integral."""
+
+    def laws(self) -> list[Law]:
+        return [Integral(), *super().laws()]
+
+
+def test_a_law_that_states_no_gains_is_judged_too() -> None:
+    assert refusal(Detents()) is None
+    refused = refusal(Detents(stiffness=9870.0))
+    assert refused is not None and refused.axis == "x" and refused.acting == "the laws"
+    assert refused.modulus == pytest.approx(1.0308, abs=1e-4) and refused.largest_stable is None
+    assert refused.stiffness == pytest.approx(9870.0, rel=1e-6) and refused.damping == pytest.approx(50.0, rel=1e-6)
+    assert str(refused).endswith("which must be below 1")
+
+
+def test_what_is_not_known_to_be_stable_is_refused() -> None:
+    with pytest.raises(
+        ParameterError, match=r"not known whether the scene would be stable; not judged at .*"
+    ) as caught:
+        refusal(Integrated(stiffness=1000.0))
+    assert "\n" not in str(caught.value)
+
+
+def test_the_stability_plot_shows_gains_only_where_all_laws_state_them() -> None:
+    def shown(scene: Scene) -> tuple[str, int]:
+        session = Session(scene)
+        snapshot, plots = session.snapshot(), Plots()
+        session.close()
+        plots.wait(snapshot)
+        figure = plots.update(snapshot)[3]
+        title = bytes(figure.title).split(b"\0")[0].decode() if not isinstance(figure.title, str) else figure.title
+        return title, int(np.count_nonzero(figure.linepnt))
+
+    assert shown(Detents(stiffness=9870.0)) == ("x: largest root 1.031 UNSTABLE", 0)
+    assert shown(Detents(stiffness=4000.0)) == ("x: largest root 0.9147 stable", 0)
+    assert shown(Joystick(stiffness=4000.0)) == ("stable below: kN/m over N s/m", 2)
+    assert shown(Detents(period=0.001, delay=0.05))[0] == "stability not known"

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj.analysis import Analysed, analyse, face_figures, known_of, reconstruct
+from maglev_mj.analysis import Analysed, analyse, face_figures, reconstruct
 from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.flight import Flight
 from maglev_mj.bridge.remote import RemotePlant
@@ -25,7 +25,7 @@ from maglev_mj.hand import Path as HandPath
 from maglev_mj.hand import SpringHand
 from maglev_mj.metrics import perceived_hardness, summarise_bounce
 from maglev_mj.plants import Timing
-from maglev_mj.recording import ArrayFile, Recording, RecordingError, Stretch
+from maglev_mj.recording import ArrayFile, Recording, RecordingError, Stretch, metadata_of
 from maglev_mj.replay import rebuild, record_run, stick_positions_of
 from maglev_mj.scenes.choices import PLANTS
 from maglev_mj.scenes.drop import Drop
@@ -308,7 +308,7 @@ def test_a_recording_that_begins_inside_a_wall_has_a_contact_without_an_approach
 
 def test_upper_walls_are_seen_as_lower_ones_in_a_mirror() -> None:
     stretch = recorded(Press())
-    known = known_of(stretch, rebuild(stretch.setup, None)[1])
+    known = metadata_of(stretch, None)
     turned = stretch.replace(**{name: -stretch.rows[name] for name in ("position", "hand", "applied", "applied_pulse")})
     down = face_figures(reconstruct(stretch, known).trace, (2, 1.0, 0.0))
     up = face_figures(reconstruct(turned, known).trace, (2, -1.0, 0.0))

@@ -100,7 +100,7 @@ def run_page(page: str) -> list[str]:
             code = "\n" * before + block  # a traceback tells the line of the page
             for written, meant in replaced.items():
                 code = code.replace(written, meant)
-            exec(compile(code, page, "exec"), namespace)
+            exec(compile(code, page, "exec", dont_inherit=True), namespace)
     return lines
 
 

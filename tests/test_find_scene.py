@@ -184,7 +184,7 @@ def test_an_installed_package_adds_scenes(installed: Callable[..., None]) -> Non
     cls = find_scene("push-back")
     assert cls.__module__ == "other_scenes" and reference_of(cls) == "other_scenes:Push" and source_of(cls) is None
     assert made_again(reference_of(cls), {"away": 2e-3}) == cls(away=2e-3)  # type: ignore[call-arg]
-    with pytest.raises(ParameterError, match=r"scene must be one of drop, .*, push-back, or a file"):
+    with pytest.raises(ParameterError, match=r"scene must be one of joystick, drop, .*, push-back, or a file"):
         find_scene("push")
 
 

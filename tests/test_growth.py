@@ -2,7 +2,6 @@
 
 import itertools
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -217,7 +216,8 @@ def test_random_delay_acts_as_its_mean_and_not_as_its_worst() -> None:
         assert np.mean(np.array(delays) > critical) > 0.25
         rate = random_delay_rate(k, b, delays)
         assert (rate < 1.0) == (mean < critical)
-        growth = measure_growth(walls(k, b, delay=mean), timing=partial(replace, jitter=jitter))
+        wall = RestingWall(delay=mean)
+        growth = measure_growth([wall], timing=replace(wall.timing(), jitter=jitter))
         assert bool(growth.stable[0]) == (mean < critical)
 
 

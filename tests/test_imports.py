@@ -54,6 +54,7 @@ ALLOWED = {
     "serial": {"net"},
     "mcap": {"recording"},
     "pyarrow": {"recording"},
+    "control": {"theory"},
 }
 
 

@@ -16,6 +16,8 @@ from maglev_mj.cli import main
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Command
 from maglev_mj.hand import hand_called
+from maglev_mj.laws import AxisLaw, gain
+from maglev_mj.parameters import param
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.free import SixAxes, Twist
 from maglev_mj.spec import Spec
@@ -351,7 +353,7 @@ def test_a_looser_tolerance_takes_a_lower_level() -> None:
     assert tight.level.level == "body" and loose.level.level == "axes"
     assert tight.cheapest is not None and tight.cheapest.error < 1e-5
     assert loose.cheapest is not None and loose.cheapest.integrator == "closed form"
-    for wrong, words in (("moon", "scene must be one of drop, "), ("twist", "tolerance must be")):
+    for wrong, words in (("moon", "scene must be one of joystick, drop, "), ("twist", "tolerance must be")):
         with pytest.raises(ParameterError, match=words):
             measure_fidelity(wrong, math.nan)
     for over, words in ((Range(share=0.0), "share"), (Range(around=0.6), "around"), (Range(phases=0), "phases")):
@@ -416,7 +418,7 @@ def test_the_command_answers_for_a_wall_of_ones_own(capsys: pytest.CaptureFixtur
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["moon"], "scene must be one of drop, press, "),
+        (["moon"], "scene must be one of joystick, drop, press, "),
         (["drop", "--tolerance", "0"], "tolerance must be a finite number above 0, not 0"),
         (["drop", "--boundary-tolerance", "0"], "boundary must be a finite number above 0, not 0"),
         (["all", "--tolerance", "1e-3"], "unrecognized arguments: --tolerance 1e-3"),
@@ -434,3 +436,37 @@ def test_bad_input_is_one_line_and_status_2(
     assert status == 2
     said = capsys.readouterr().err
     assert words in said and said.count("\n") == 1
+
+
+class Branching(AxisLaw):
+    """A wall that asks `if`, which an array does not answer."""
+
+    stiffness: float = gain("stiffness", "N/m")
+
+    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+        """See `AxisLaw`."""
+        return -gains.stiffness * x if x < 0.0 else 0.0
+
+
+class OneAlone(SixAxes):
+    """Hold the flotor with a law that takes one device."""
+
+    branching: bool = param("with a law that asks `if`; otherwise a function", default=False)
+
+    def laws(self) -> list[Any]:
+        """See `Scene`."""
+        if self.branching:
+            return [Branching(axes="x", stiffness=self.stiffness)]
+        return [lambda position, velocity: [-self.stiffness * position[0], 0.0, 0.0, 0.0, 0.0, 0.0]]
+
+
+def test_laws_that_take_one_device_alone_are_not_screened() -> None:
+    points = [(OneAlone(stiffness=gain, duration=0.02), 0.0) for gain in (900.0, 1000.0)]
+    with pytest.raises(ParameterError, match="law must be of one class with axes and declared gains, not FunctionLaw"):
+        run_together(points, "axes", 0)
+    for branching in (False, True):
+        scene = OneAlone(branching=branching, duration=0.02)
+        assert screen_levels(scene, 0.1).shape == (len(LEVELS), 1)
+        assert math.isfinite(measure_levels(scene, repeats=1)[0].changes)
+    with pytest.raises(ParameterError, match="law must be of one class"):
+        run_together([(SixAxes(), 0.0), points[0]], "axes", 0)

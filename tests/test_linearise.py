@@ -199,7 +199,7 @@ def test_axes_that_act_on_each_other_are_judged_together() -> None:
 
 
 def test_walls_that_state_no_gains_are_judged_inside_their_faces() -> None:
-    common: dict[str, Any] = {"axes": "x", "lower": -0.00443, "damping": 80.0, "period": T}
+    common: dict[str, Any] = {"axes": "x", "lower": -0.00447, "damping": 80.0, "period": T}
     for stiffness in (4000.0, 20000.0):
         ahead = PredictiveWall(**common, delay=DELAY, stiffness=stiffness)
         assert [face[0] for face in ahead.faces()] == [0]
@@ -207,7 +207,7 @@ def test_walls_that_state_no_gains_are_judged_inside_their_faces() -> None:
         assert found.stable is (stiffness < 9000.0), found.modulus
     observer = ObserverWall(**common, delay=DELAY, stiffness=4000.0, inertia=INERTIA[0], pole=0.4)
     loop: Any = {"period": T, "delay": DELAY, "mass": INERTIA[0], "design": lambda k, b, _: observer.linear(k, b)}
-    (near,) = linearise(Controller([observer], period=T), [[-0.00446, 0, 0, 0, 0, 0]])
+    (near,) = linearise(Controller([observer], period=T), [[-0.0045, 0, 0, 0, 0, 0]])
     assert near.closed_loop(delay=DELAY, axes="x").modulus == pytest.approx(
         float(largest_modulus(4000.0, 80.0, **loop)), abs=1e-6
     )
@@ -230,6 +230,19 @@ def test_an_axis_without_stiffness_is_stable() -> None:
     assert verdict(along_x(lambda x, v: -400.0 * v)).stable is False
 
 
+class Washout(AxisLaw):
+    """A spring that pushes away and gives way: with no stiffness in the end, but for what is cut off its answer."""
+
+    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+        slow = x if state is None else state + 0.05 * (x - state)
+        return 200.0 * (x - slow) - 30.0 * v, slow
+
+
+def test_the_end_of_a_long_answer_does_not_push_away() -> None:
+    found = verdict(Washout(axes="x"))
+    assert found.stable is True and found.modulus == pytest.approx(1.0, abs=1e-6) and not found.remarks
+
+
 class Integral(AxisLaw):
     """Proportional, integral and derivative action, with a leak."""
 
@@ -247,6 +260,22 @@ def test_an_answer_that_does_not_die_away_is_not_known() -> None:
     assert verdict(Integral(axes="x", leak=0.1)).stable is True
     # what is unstable for certain is said to be
     assert verdict(Integral(axes="y"), Hold(axes="x", stiffness=20000.0, damping=80.0), axes=2).stable is False
+
+
+class Corner(AxisLaw):
+    """Integral action, with a leak or none, that only one end of the range knows of."""
+
+    leak: float = gain(default=0.0)
+
+    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+        area = (0.0 if state is None else state) * (1.0 - gains.leak) + (x < -3e-3) * 0.005 * x
+        return -1000.0 * x - 40.0 * v - 1000.0 * area, area
+
+
+def test_an_answer_that_lasts_at_some_poses_alone_is_waited_for_there() -> None:
+    found = verdict(Corner(axes="x"))
+    assert found.stable is None and 1 < len(found.unknown) < 10
+    assert verdict(Corner(axes="x", leak=0.1)).stable is True
 
 
 class Late(AxisLaw):
@@ -280,16 +309,6 @@ def test_jumps_are_counted_and_no_gains() -> None:
 def test_a_law_that_pushes_away_everywhere_is_unstable() -> None:
     found = verdict(along_x(lambda x, v: 300.0 * x - 20.0 * v))
     assert found.stable is False and found.axes == ("x",) and found.modulus > 1.05
-
-
-def test_the_rounding_of_a_large_force_is_no_answer() -> None:
-    found = verdict(
-        Bias([1000.0, 0.0, 0.0, 0.0, 0.0, 0.0]),
-        Hold(axes="x", stiffness=1.0, damping=0.05),
-        silent,
-        velocity=LowPass(20.0),
-    )
-    assert found.stable is True
 
 
 def test_laws_of_floats_alone_and_laws_that_mix_devices_are_asked_one_by_one() -> None:

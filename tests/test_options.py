@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
 from maglev_mj.cli.options import Parser, add_parameters, chosen
 from maglev_mj.errors import ParameterError
-from maglev_mj.parameters import Parameters, param
+from maglev_mj.parameters import Parameters, interval, param
 
 
 class Lever(Parameters):
@@ -74,6 +76,21 @@ def test_a_bad_word_is_one_line(words: str, complaint: str, capsys: pytest.Captu
     with pytest.raises(SystemExit, match="2"):
         parser(Lever).parse_args(words.split())
     assert capsys.readouterr().err == complaint
+
+
+@pytest.mark.parametrize(
+    ("value", "complaint"),
+    [
+        ((2.0, 1.0), "ends must be from a lower to a higher value, not 2 to 1"),
+        ((0.0, 9.0), "ends must be a finite number at least 0 and at most 5, not 9.0"),
+        ((1.0,), r"ends must be a lower and a higher value, not \(1.0,\)"),
+        (1.0, "ends must be a lower and a higher value, not 1.0"),
+    ],
+)
+def test_a_range_has_two_ends_within_its_bounds(value: Any, complaint: str) -> None:
+    assert interval("ends", [1, 5], at_least=0.0, at_most=5.0) == (1.0, 5.0)
+    with pytest.raises(ParameterError, match=complaint):
+        interval("ends", value, at_least=0.0, at_most=5.0)
 
 
 def test_a_value_outside_its_bounds_is_refused_by_the_parameters() -> None:

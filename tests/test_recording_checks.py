@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from maglev_mj.analysis import analyse
 from maglev_mj.cli import main
 from maglev_mj.controller import Controller
 from maglev_mj.errors import ParameterError
@@ -206,7 +207,7 @@ def test_a_bit_that_differs_in_any_field_is_found_and_named(kind: str, tmp_path:
             try:
                 verdict = check(mcap_of(new), tmp_path, ".mcap")
             except InvalidRecordingError:
-                assert field(place) in ("stretch", "tick", "missed")
+                assert field(place) in ("stretch", "tick", "missed") or place[-1] == "normal"
                 continue
             name = field(place)
             tried.add(name)
@@ -214,7 +215,8 @@ def test_a_bit_that_differs_in_any_field_is_found_and_named(kind: str, tmp_path:
                 assert verdict.fields[name].first is not None, (row, place)
                 assert not verdict.same
     named = {name for _, message in messages for name in message} - {"setup", "versions", "stretch", "kind", "text"}
-    assert tried >= named - {"tick", "missed"}
+    texts_and_no_walls = {"name", "axis"} | ({"faces"} if kind == "stick-slip" else set())
+    assert tried >= named - {"tick", "missed"} - texts_and_no_walls
     given = {name for name, one in whole.fields.items() if not one.compared}
     assert given == set(UNKNOWN.get(kind, ()))
 
@@ -307,7 +309,7 @@ def test_no_number_is_the_same_as_one(recorded: float, answered: float, same: bo
 
     file, plant = ArrayFile(), ExactPlant(Timing())
     controller = refusing(recorded)([], period=0.005)
-    loop = ControlLoop(plant, controller, record=file.begin(plant, controller, {"kind": "test"}, delay=0.0015))
+    loop = ControlLoop(plant, controller, record=file.begin(plant, controller, {"kind": "test"}))
     try:
         loop.cycle(8)
     except RecordingError:
@@ -372,6 +374,31 @@ def test_a_file_that_ends_anywhere_is_not_passed(tmp_path: Path, capsys: Any) ->
         assert "there is more behind its end" in capsys.readouterr().out
 
 
+SINCE = ("faces", "name", "axis", "hand_recorded", "hand_acts_on_flotor")
+
+
+@pytest.mark.parametrize("suffix", [".mcap", ".npz"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_file_of_before_without_metadata_is_analysed_the_same(kind: str, suffix: str, tmp_path: Path) -> None:
+    if suffix == ".mcap":
+        new = [
+            (topic, {name: part for name, part in message.items() if name not in SINCE})
+            for topic, message in messages_in(made(kind, suffix))
+        ]
+        old = mcap_of(new)
+    else:
+        header, arrays = arrays_in(made(kind, suffix))
+        setups = [{name: part for name, part in setup.items() if name != "run"} for setup in header["setups"]]
+        old = npz_of({**header, "setups": setups}, arrays)
+    one, other = (load(data, tmp_path, suffix) for data in (old, made(kind, suffix)))
+    assert one.stretches[0].metadata is None or one.stretches[0].metadata.faces is None
+    for before, now in zip(one.stretches, other.stretches, strict=True):
+        assert analyse(before, rebuild).as_json() == analyse(now, rebuild).as_json()
+        with pytest.raises(InvalidRecordingError, match="must tell its metadata"):
+            analyse(before)
+    assert check(old, tmp_path, suffix).same
+
+
 def test_missed_samples_of_a_file_of_the_first_version_are_in_its_text(tmp_path: Path) -> None:
     messages = messages_in(made("scene", ".mcap"))
     (row,) = (row for row, (topic, _) in enumerate(messages) if topic == "/maglev/event")
@@ -388,6 +415,7 @@ def test_missed_samples_of_a_file_of_the_first_version_are_in_its_text(tmp_path:
 PEAK = """
 import json, sys, time
 from pathlib import Path
+from maglev_mj.analysis import analyse
 from maglev_mj.cli import main
 found = []
 for path in sys.argv[1:]:
@@ -496,7 +524,7 @@ def test_a_recording_of_many_samples_is_within_what_may_be_unpacked(tmp_path: Pa
     path = tmp_path / "run.mcap"
     file, plant = open_recording(path, wait=True), ExactPlant(Timing(), gravity=0.0)
     controller = Controller([], period=0.005)
-    run(plant, controller, 5000, record=file.begin(plant, controller, {"kind": "test"}, delay=0.0015))
+    run(plant, controller, 5000, record=file.begin(plant, controller, {"kind": "test"}))
     file.close()
     recording = Recording.load(path)
     assert recording.ticks == 5000 and not recording.damage
@@ -524,7 +552,8 @@ def test_what_steers_a_terminal_is_escaped(tmp_path: Path, capsys: Any) -> None:
     ]
     files = [(".mcap", mcap_of([*messages[:row], (messages[row][0], event), *messages[row + 1 :]]))]
     files += [(".npz", npz_of({**header, "events": [ESCAPES]}, arrays))]
-    files += [(".mcap", mcap_of([(messages[0][0], {**messages[0][1], "setup": one}), *messages[1:]])) for one in wrong]
+    begun = {name: part for name, part in messages[0][1].items() if name != "faces"}  # else a kind does not matter
+    files += [(".mcap", mcap_of([(messages[0][0], {**begun, "setup": one}), *messages[1:]])) for one in wrong]
     files += [(".npz", npz_of({**header, "format": ESCAPES}, arrays))]
     for suffix, data in files:
         path = tmp_path / f"run{suffix}"
@@ -536,6 +565,14 @@ def test_what_steers_a_terminal_is_escaped(tmp_path: Path, capsys: Any) -> None:
                 assert all(one.isprintable() for one in text.replace("\n", "")), ascii(text)
             assert "\\x1b[2J" in said.out + said.err
             assert "\n 81 of 81" not in said.out + said.err
+
+
+def test_the_name_of_a_run_cannot_steer_a_terminal(tmp_path: Path, capsys: Any) -> None:
+    messages, path = messages_in(made("drop", ".mcap")), tmp_path / "run.mcap"
+    path.write_bytes(mcap_of([(messages[0][0], {**messages[0][1], "name": ESCAPES}), *messages[1:]]))
+    assert main(["analyse", str(path)]) == 0
+    said = capsys.readouterr().out
+    assert "Recording of \\x1b[2J" in said and all(one.isprintable() for one in said.replace("\n", ""))
 
 
 def test_printable_texts_stay_as_they_are() -> None:
@@ -554,5 +591,5 @@ def test_a_stretch_that_is_loaded_says_so_with_the_error_of_parameters(tmp_path:
 def test_a_part_of_a_stretch_has_no_totals_of_the_whole(tmp_path: Path) -> None:
     (stretch,) = load(made("drop", ".mcap"), tmp_path, ".mcap").stretches
     part = stretch.part(2, 5)
-    assert part.totals is None and part.basis is None and len(part.tick) == 4
+    assert part.totals is None and part.metadata is stretch.metadata and len(part) == 4
     assert stretch.replace(hand=stretch.hand).totals is not None

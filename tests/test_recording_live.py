@@ -1,6 +1,7 @@
 """Recordings written while they happen: what they hold, that they outlive whoever makes them, that others read them."""
 
 import json
+import math
 import os
 import signal
 import subprocess
@@ -19,18 +20,20 @@ from maglev_mj.cli import main
 from maglev_mj.controller import Controller
 from maglev_mj.errors import ParameterError, PlantError
 from maglev_mj.frames import ZERO, Command, Sample
-from maglev_mj.laws import Wall
+from maglev_mj.hand import Hand
+from maglev_mj.laws import Bias, Wall
 from maglev_mj.loop import run
 from maglev_mj.plants import ExactPlant, Timing
-from maglev_mj.recording import ArrayFile, Recording, RecordingError, open_recording, verify
+from maglev_mj.recording import ArrayFile, Recording, RecordingError, open_recording, setup_of, verify
 from maglev_mj.recording.live import ROWS, Ring, RowReader
 from maglev_mj.recording.mcap import CHANNELS
-from maglev_mj.replay import rebuild, record_run, write_run
+from maglev_mj.replay import Replay, rebuild, record_run, write_run
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.run import run as run_scene
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.scenes.stick_slip import StickSlip
 from maglev_mj.session import Pacer, Session
+from maglev_mj.spec import INERTIA
 
 
 def messages(path: Path) -> list[tuple[str, dict[str, Any]]]:
@@ -139,7 +142,7 @@ def test_the_work_of_the_hand_is_in_it(tmp_path: Path) -> None:
     wall = Wall(axes="z", lower=0.0, stiffness=6000.0, damping=80.0, pulse=220.0, pulse_width=0.003)
     file = open_recording(path)
     controller, places = Controller([wall], period=timing.period), []
-    record = file.begin(plant, controller, {"kind": "test"}, delay=timing.delay)
+    record = file.begin(plant, controller, {"kind": "test"})
     run(plant, controller, 60, record=record, observe=lambda sample, applied: places.append(sample.position[2]))
     assert file.close() == path
     assert messages(path)[-1][1]["hand_work"] == pytest.approx(-3.0 * (places[-1] - places[0]), rel=1e-12)
@@ -149,6 +152,7 @@ class Still:
     """A plant that nobody holds."""
 
     hand_wrench: Any = ZERO
+    delay = 0.0
 
 
 def test_missed_samples_and_faults_are_in_it(tmp_path: Path) -> None:
@@ -159,7 +163,7 @@ def test_missed_samples_and_faults_are_in_it(tmp_path: Path) -> None:
 
     file, none = open_recording(path), Command(list(ZERO))
     for ticks in ((0, 1, 4), (2, 3)):
-        record = file.begin(Still(), Controller([], period=0.001), {"kind": "test"}, delay=0.0)
+        record = file.begin(Still(), Controller([], period=0.001), {"kind": "test"})
         for tick in ticks:
             record(Sample(tick, tick * 0.001, list(ZERO)), none, none)
     file.event("missed", "too slow", 5)
@@ -336,7 +340,7 @@ def test_arrays_go_elsewhere_where_their_folder_is_gone(tmp_path: Path) -> None:
     file = ArrayFile(folder / "run-of-a-test.npz")
     plant = ExactPlant(Timing())
     controller = Controller([], period=0.005)
-    run(plant, controller, 1, record=file.begin(plant, controller, {"kind": "test"}, delay=0.0))
+    run(plant, controller, 1, record=file.begin(plant, controller, {"kind": "test"}))
     folder.rmdir()
     path = file.close()
     assert path is not None and path.parent != folder and Recording.load(path).ticks == 1
@@ -366,7 +370,7 @@ def test_a_recording_is_exported_as_a_table_with_units(suffix: str, tmp_path: Pa
     rows = np.array([[float(value) for value in line.split(",")] for line in lines])
     assert names[:4] == ["stretch", "tick", "time [s]", "position.x [m]"]
     table = parquet.read_table(tmp_path / "run.parquet")
-    assert json.loads(table.schema.metadata[b"maglev_mj.setups"])[0] == json.loads(json.dumps(stretch.setup))
+    assert json.loads(table.schema.metadata[b"maglev_mj.setups"])[0] == json.loads(json.dumps(stretch.whole_setup))
     assert table.schema.field("hand.rz").metadata == {b"unit": b"N m"}
     wanted = {
         "time": stretch.time,
@@ -408,7 +412,7 @@ def test_an_answer_that_the_plant_refuses_is_the_last_row(name: str, odd: float,
             return command if sample.tick < 7 else Command([odd, *ZERO[1:]])
 
     file, plant, controller = open_recording(tmp_path / name), ExactPlant(Timing()), Mad([], period=0.005)
-    record = file.begin(plant, controller, {"kind": "test"}, delay=0.0)
+    record = file.begin(plant, controller, {"kind": "test"})
     with pytest.raises(PlantError):
         run(plant, controller, 20, record=record)
     assert file.close() == tmp_path / name
@@ -427,7 +431,7 @@ def test_what_was_there_stays_until_there_is_a_sample(name: str, tmp_path: Path)
     write_run(path, Drop(), plant="exact")
     before = path.read_bytes()
     file = open_recording(path)
-    file.begin(Still(), Controller([], period=0.005), {"kind": "test"}, delay=0.0)
+    file.begin(Still(), Controller([], period=0.005), {"kind": "test"})
     assert file.close() is None
     assert path.read_bytes() == before and list(tmp_path.iterdir()) == [path]
     write_run(path, Drop(duration=0.2), plant="exact")
@@ -510,8 +514,9 @@ for suffix in ("mcap", "npz"):
     (stretch,) = Recording.load(Path(f"run.{suffix}")).stretches
     assert (stretch.pull == stretch.applied[:, 2] ** 2).all() and stretch.pull.any()
 assert main(["export", "run.mcap", "--to", "csv"]) == 0
-(old,) = Recording.load(Path(sys.argv[1])).stretches  # from before the line was there
-assert (old.pull != old.pull).all() and len(old) == 81
+for name in sys.argv[1:]:
+    (old,) = Recording.load(Path(name)).stretches  # from before the line was there
+    assert (old.pull != old.pull).all() and len(old) == 81
 """
 
 
@@ -522,14 +527,16 @@ def test_one_more_recorded_value_is_one_more_line(tmp_path: Path) -> None:
     import maglev_mj
     from maglev_mj.versions import MODELS
 
-    write_run(tmp_path / "old.npz", Drop(), plant="exact")
+    old = [tmp_path / "old.npz", tmp_path / "old.mcap"]
+    for path in old:
+        write_run(path, Drop(), plant="exact")
     shutil.copytree(Path(maglev_mj.__file__).parent, tmp_path / "maglev_mj", ignore=shutil.ignore_patterns("*.pyc"))
     shutil.copytree(MODELS, tmp_path / "model", dirs_exist_ok=True)
     table = tmp_path / "maglev_mj" / "recording" / "row.py"
     before, after = table.read_text().split(')\n"""What is recorded of each sample')
     table.write_text(f'{before}{MORE})\n"""What is recorded of each sample{after}')
     done = subprocess.run(
-        [sys.executable, "-c", CHANGED, str(tmp_path / "old.npz")],
+        [sys.executable, "-c", CHANGED, *map(str, old)],
         cwd=tmp_path,
         env={**os.environ, "PYTHONPATH": str(tmp_path)},
         capture_output=True,
@@ -554,3 +561,111 @@ def test_one_more_recorded_value_is_one_more_line(tmp_path: Path) -> None:
     schemas = {schema.name: json.loads(schema.data) for schema in summary.schemas.values()}
     assert schemas["maglev_mj.Sample"]["properties"]["pull"]["unit"] == "N"
     assert verify(Recording.load(tmp_path / "run.mcap"), rebuild).same  # by the program without the line
+
+
+OWN = """
+from maglev_mj.hand import Hand
+from maglev_mj.laws import Bias, Wall
+from maglev_mj.parameters import param
+from maglev_mj.scenes.scene import Scene, Start
+
+class Tap(Scene):
+    "A wall of one's own."
+    stiffness: float = param("stiffness", "N/m", default=4000.0, at_least=0.0)
+    duration: float = param("how long", "s", default=0.1, above=0.0)
+
+    def laws(self):
+        return [Wall(axes="z", upper=0.001, stiffness=self.stiffness, damping=40.0)]
+
+    def start(self):
+        return Start(pose=(0.0, 0.0, 0.0, 0.01, 0.0, 0.0), twist=(0.0, 0.0, 0.1, 0.0, 0.0, 0.0), gravity=1.0)
+"""
+
+
+@pytest.mark.parametrize("suffix", [".mcap", ".npz"])
+def test_a_recording_of_ones_own_is_shown_and_analysed_without_its_scene_and_checked_with_it(
+    suffix: str, tmp_path: Path, capsys: Any
+) -> None:
+    from maglev_mj.scenes.find import find_scene, reference_of, source_of
+
+    script, path = tmp_path / "own.py", tmp_path / f"run{suffix}"
+    script.write_text(OWN)
+    cls = find_scene(str(script))
+    scene = cls(stiffness=3000.0)  # type: ignore[call-arg]
+    plant, controller = scene.plant("mujoco", phase=0.3), scene.controller()
+    file = open_recording(path, wait=True)
+    setup = setup_of(
+        plant, controller, scene=reference_of(cls), source=source_of(cls), parameters=scene.as_json(), name="tap"
+    )
+    run(plant, controller, 20, record=file.begin(plant, controller, setup))
+    file.close()
+    script.rename(tmp_path / "elsewhere.py")  # what a recording names is never executed
+    (stretch,) = Recording.load(path).stretches
+    known = stretch.metadata
+    assert known is not None and known.faces == [(2, -1.0, 0.001)]
+    assert (known.name, known.axis, known.delay, known.hand_recorded) == ("tap", "z", scene.delay, False)
+    assert known.inertia.tolist() == list(INERTIA) and known.load.tolist() == [0.0, 0.0, -0.7, 0.0, 0.0, 0.0]
+    assert stretch.setup["kind"] == "own" and stretch.setup["start"]["pose"][3] == 0.01
+    replay = Replay(Recording([stretch]))
+    assert replay.tick(0.05) == 10 and (replay.snapshot().pose == stretch.position[10]).all()
+    assert replay.snapshot().faces == ((2, -1.0, 0.001),)
+    assert main(["analyse", str(path), "--json", str(tmp_path / "own.json")]) == 0
+    (found,) = json.loads((tmp_path / "own.json").read_text())["stretches"]
+    (face,) = found["recorded"]["faces"]
+    assert face["edge"] == 0.001 and face["penetration"] > 1e-4 and found["simulated"] is None
+    assert abs(found["recorded"]["unexplained_force"]["z"]) < 1e-9  # gravity and mass are those of the run
+    assert main(["export", str(path), "--to", "csv"]) == 0
+    capsys.readouterr()
+    assert main(["replay", str(path), "--check"]) == 2
+    said = capsys.readouterr().err
+    assert len(said.splitlines()) == 1 and "needs its scene" in said and "own.py" in said
+    again = ["--scene", str(tmp_path / "elsewhere.py")]
+    assert main(["replay", str(path), "--check", *again]) == 0
+    assert not capsys.readouterr().err
+    assert main(["analyse", str(path), *again]) == 0
+    assert "the same to the last bit" in capsys.readouterr().out
+    (tmp_path / "elsewhere.py").write_text(OWN.replace("damping=40.0", "damping=41.0"))
+    assert main(["replay", str(path), "--check", *again]) == 1
+    assert "has changed since, or is another" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("suffix", [".mcap", ".npz"])
+def test_ten_lines_of_ones_own_tell_all_that_plant_and_controller_know(suffix: str, tmp_path: Path) -> None:
+    path = tmp_path / f"run{suffix}"
+    hand, timing = Hand(mass=0.2, axes="z"), Timing(period=0.001, delay=0.0025, phase=0.5)
+    plant = ExactPlant(timing, mass=0.9, gravity=2.0, wrench=[0.0, 0.0, 1.8, 0.0, 0.0, 0.0], hand=hand)
+    controller = Controller([Bias([0.0, 0.0, 1.8, 0.0, 0.0, 0.0])], period=0.001)
+    file = open_recording(path, wait=True)
+    run(plant, controller, 5, record=file.begin(plant, controller))
+    file.close()
+    (stretch,) = Recording.load(path).stretches
+    known, setup = stretch.metadata, stretch.setup
+    assert known is not None and (known.period, known.delay, known.faces) == (0.001, 0.0025, [])
+    assert known.inertia.tolist() == [0.9, 0.9, 0.9 + 0.2, *INERTIA[3:]]
+    assert known.load[2] == -1.8 and known.before[2] == known.carried[2] == 1.8
+    assert (setup["kind"], setup["scene"], setup["source"], setup["phase"]) == ("own", None, None, 0.5)
+    assert setup["plant"] == "maglev_mj.plants.exact.ExactPlant" and setup["laws"] == ["maglev_mj.laws.bias.Bias"]
+    assert setup["start"]["wrench"][2] == 1.8 and setup["versions"]
+    assert analyse(stretch).comparison is None
+    verdict = verify(
+        Recording([stretch]), lambda setup, force: (ExactPlant(timing, mass=0.8, hand_force=force), controller_of())
+    )
+    assert {name for name, field in verdict.fields.items() if field.first} >= {"inertia", "load", "before", "carried"}
+
+
+def controller_of() -> Controller:
+    return Controller([], period=0.001)
+
+
+def test_a_plant_that_does_not_tell_its_delay_is_refused_without_it() -> None:
+    class Bare:
+        hand_wrench = ZERO
+
+    controller = Controller([], period=0.001)
+    with pytest.raises(ParameterError, match="delay must be given for a plant that has neither timing nor delay"):
+        setup_of(Bare(), controller)
+    with pytest.raises(ParameterError, match=r"setup parameters\.gain must be a finite number, not nan"):
+        setup_of(Bare(), controller, delay=0.001, parameters={"gain": math.nan})
+    run_metadata = setup_of(Bare(), controller, delay=0.001, name="bare", axis="x")["run"]
+    assert (run_metadata["delay"], run_metadata["axis"], run_metadata["name"]) == (0.001, "x", "bare")
+    assert run_metadata["inertia"]["z"] == INERTIA[2]

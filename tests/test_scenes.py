@@ -18,7 +18,7 @@ from maglev_mj.plants import ExactPlant, MuJoCoPlant, Timing
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.figures import STOCK, Figure, figure, figures_named
 from maglev_mj.scenes.find import BUILT_IN, find_scene
-from maglev_mj.scenes.free import LetGo, Twist
+from maglev_mj.scenes.free import LetGo, SixAxes, Twist
 from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.run import Result, plain, run, run_phases
 from maglev_mj.scenes.scene import Scene, Start
@@ -250,6 +250,13 @@ def test_what_laws_tell_is_kept_with_each_sample() -> None:
     assert not run(Drop(), plant="exact").samples and not run(Fall(), plant="exact", phase=PHASES).samples
 
 
+def test_a_sample_that_rounding_puts_after_the_end_is_not_kept() -> None:
+    scene = StickSlip(period=0.001, duration=0.036)
+    assert 36 * scene.period > scene.end
+    result = run(scene, plant="exact")
+    assert len(result.sample_time) == len(result.samples["stuck"]) == 36 and result.trace.time[-1] == 0.036
+
+
 def test_series_are_on_a_grid_up_to_the_end() -> None:
     result = run(Fall(duration=0.0105), plant="exact")
     assert result.times().tolist() == [k * 1e-3 for k in range(11)]
@@ -302,9 +309,8 @@ def test_a_diverging_batch_keeps_nothing_and_its_samples_are_those_before() -> N
     assert len(partial.sample_time) == len(partial.samples["stuck"])
 
 
-@pytest.mark.parametrize("name", BUILT_IN)
-def test_a_run_has_at_most_a_million_periods(name: str) -> None:
-    cls = find_scene(name)
+@pytest.mark.parametrize("cls", [Drop, Press, StickSlip, Twist, LetGo, SixAxes])
+def test_a_run_has_at_most_a_million_periods(cls: Any) -> None:
     longest = {"duration": 10.0, "period": 1e-5}
     assert cls(**longest).end == 10.0
     with pytest.raises(ParameterError, match=r"duration must be at most 1000000 periods, not 10\.1 s"):
@@ -469,7 +475,7 @@ def test_every_scene_runs_on_both_plants(name: str, plant: str) -> None:
     assert result.trace.time[-1] == pytest.approx(scene.end)
     assert AXES[AXES.index(scene.axis)] == scene.axis and scene.describe()
     assert next(iter(scene.variants().values())) == scene
-    assert scene.run_figures(plant, 0.4).keys() == result.figures.keys()
+    assert scene.run_figures(plant, 0.4).keys() >= result.figures.keys()
 
 
 @pytest.mark.parametrize("plant", ["exact", "mujoco"])

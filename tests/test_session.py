@@ -423,6 +423,14 @@ def test_the_limits_of_the_device_are_added_but_not_to_those_of_the_scene() -> N
     assert live_plant(Drop()).current_limit == Spec.peak_current.value
 
 
+def test_the_arm_of_a_press_is_there_only_with_its_own_hand() -> None:
+    """The mouse's hand has neither mass nor spring."""
+    arm = Press().scripted_hand()
+    for hand, mass in ((SpringHand(), 0.0), (arm, float(np.asarray(arm.hand.mass)))):
+        with live_plant(Press(), hand) as plant:
+            assert plant.device.model.dof_armature.max() == mass
+
+
 def test_a_scene_without_gravity_is_carried_on_a_device() -> None:
     for scene, carried in ((Drop(), 0.0), (Press(), WEIGHT[2]), (Joystick(), WEIGHT[2])):
         assert device_controller(scene).carried[2] == carried
@@ -481,4 +489,5 @@ def test_what_a_program_asks_of_the_scene_before_is_not_done() -> None:
     after(session, 0.1)
     assert session.snapshot().scene == find_scene("box")().replace(stiffness=3000.0)
     assert same_rules(Joystick(period=0.001), Joystick())
+    assert not same_rules(Joystick(), Drop(period=2e-6))  # which no joystick may have
     assert not same_rules(Joystick(), find_scene("box")()) and not same_rules(Joystick(wall=False), Joystick())

@@ -103,6 +103,9 @@ def test_both_ends_of_a_window_agree(monkeypatch: pytest.MonkeyPatch) -> None:
     wanted = viewer.take()
     assert wanted == Joystick(stiffness=9380.0, wall=False) and viewer.take() is None
     assert viewer.hand.target == [1e-3] * 6
+    viewer.show(replace(blank, scene=Joystick(stiffness=3000.0)))  # the person is not the only one who changes it
+    session.act("wall")
+    assert viewer.take() == Joystick(stiffness=3000.0, wall=False)
     far.close()
     for _ in range(3):
         viewer.take()

@@ -4,7 +4,6 @@ from maglev_mj.analysis.analysed import Analysed, Run, analyse
 from maglev_mj.analysis.comparison import Comparison, compare, simulate
 from maglev_mj.analysis.contacts import HARDNESS_WINDOW, Contact, FaceFigures, face_figures
 from maglev_mj.analysis.figures import Energy, Stick, StretchFigures, stretch_figures
-from maglev_mj.analysis.known import Known, known_of
 from maglev_mj.analysis.motion import Motion, reconstruct
 
 __all__ = [
@@ -14,7 +13,6 @@ __all__ = [
     "Contact",
     "Energy",
     "FaceFigures",
-    "Known",
     "Motion",
     "Run",
     "Stick",
@@ -22,7 +20,6 @@ __all__ = [
     "analyse",
     "compare",
     "face_figures",
-    "known_of",
     "reconstruct",
     "simulate",
     "stretch_figures",

@@ -9,12 +9,11 @@ import numpy as np
 
 from maglev_mj.analysis.comparison import Comparison, compare, simulate
 from maglev_mj.analysis.figures import StretchFigures, stretch_figures
-from maglev_mj.analysis.known import Known, known_of
 from maglev_mj.analysis.motion import Motion, reconstruct
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Array
 from maglev_mj.parameters import flag, number
-from maglev_mj.recording import InvalidRecordingError, Rebuild, Stretch
+from maglev_mj.recording import InvalidRecordingError, Rebuild, RunMetadata, Stretch, metadata_of
 
 __all__ = ["Analysed", "Run", "analyse"]
 
@@ -41,13 +40,15 @@ class Analysed:
     """What is found out about a stretch.
 
     Attributes:
-        known: What it was recorded from.
+        kind: Of its setup.
+        metadata: What it is besides its samples.
         recorded: What the samples say.
         simulated: What the simulation does; None where none was asked for, or it failed at once.
         comparison: How far they are apart; None where none was asked for.
     """
 
-    known: Known
+    kind: str
+    metadata: RunMetadata
     recorded: Run
     simulated: Run | None
     comparison: Comparison | None
@@ -70,13 +71,15 @@ class Analysed:
             return AXES.index(name)
         touched = [face.axis for face in figures.faces]
         if touched:
-            return self.known.axis if self.known.axis in touched else touched[0]
+            shown = AXES.index(self.metadata.axis)
+            return shown if shown in touched else touched[0]
         turned = not (figures.travel[:3] > _STILL).any()
         return int(np.argmax(figures.travel[3:])) + 3 if turned else int(np.argmax(figures.travel[:3]))
 
     def as_json(self) -> dict[str, Any]:
         """Return everything, ready for JSON."""
-        data: dict[str, Any] = {name: getattr(self.known, name) for name in ("kind", "name", "period", "delay")}
+        known = {name: getattr(self.metadata, name) for name in ("name", "period", "delay")}
+        data: dict[str, Any] = {"kind": self.kind, **known}
         data["recorded"] = self.recorded.figures.as_json()
         data["simulated"] = None if self.simulated is None else self.simulated.figures.as_json()
         data["comparison"] = None if self.comparison is None else self.comparison.as_json()
@@ -85,7 +88,7 @@ class Analysed:
 
 def analyse(
     stretch: Stretch,
-    rebuild: Rebuild,
+    rebuild: Rebuild | None = None,
     *,
     anchors: Array | None = None,
     begin: float = 0.0,
@@ -97,7 +100,7 @@ def analyse(
 
     Args:
         stretch: The stretch.
-        rebuild: Makes plant and controller from a setup and a hand.
+        rebuild: Makes plant and controller from a setup and a hand; None where nobody can: then nothing is simulated.
         anchors: Where the flotor stuck at each sample [m, rad], (N, 6); None without friction.
         begin: Time of the stretch from which on it is analysed [s].
         end: Up to when [s]; None for its end.
@@ -105,24 +108,24 @@ def analyse(
         rest: Where it comes to rest at a wall [m, rad]; found from the samples by default.
 
     Raises:
-        InvalidRecordingError: If it has less than two samples, or its setup is not known here.
+        InvalidRecordingError: If it has less than two samples, or it tells no metadata and nobody can make it again.
         ParameterError: If there are less than two samples from `begin` to `end`.
     """
     flag("simulated", simulated)
     if len(stretch.tick) < 2:
         raise InvalidRecordingError(f"a stretch must have at least 2 samples to be analysed, not {len(stretch.tick)}")
-    known = known_of(stretch, rebuild(stretch.setup, None)[1])
-    whole = reconstruct(stretch, known)
+    metadata = metadata_of(stretch, None if rebuild is None else rebuild(stretch.setup, None)[1])
+    whole = reconstruct(stretch, metadata)
     first, last = _rows(whole, begin, end)
     comparison = other = None
-    if simulated:
-        twin = simulate(stretch, whole, known, rebuild)
+    if simulated and rebuild is not None:
+        twin = simulate(stretch, whole, metadata, rebuild)
         comparison = compare(stretch.part(first, last), twin.part(first, last), whole.between(first, last))
         until = min(last, len(twin.tick) - 1)
         if until - first >= 1:
-            other = _run(twin, reconstruct(twin, known), known, None, (first, until), rest)
-    run = _run(stretch, whole, known, anchors, (first, last), rest)
-    return Analysed(known=known, recorded=run, simulated=other, comparison=comparison)
+            other = _run(twin, reconstruct(twin, metadata), metadata, None, (first, until), rest)
+    run = _run(stretch, whole, metadata, anchors, (first, last), rest)
+    return Analysed(kind=stretch.setup["kind"], metadata=metadata, recorded=run, simulated=other, comparison=comparison)
 
 
 def _rows(motion: Motion, begin: float, end: float | None) -> tuple[int, int]:
@@ -137,10 +140,15 @@ def _rows(motion: Motion, begin: float, end: float | None) -> tuple[int, int]:
 
 
 def _run(
-    stretch: Stretch, whole: Motion, known: Known, anchors: Array | None, rows: tuple[int, int], rest: float | None
+    stretch: Stretch,
+    whole: Motion,
+    metadata: RunMetadata,
+    anchors: Array | None,
+    rows: tuple[int, int],
+    rest: float | None,
 ) -> Run:
     first, last = rows
     chosen = slice(first, last + 1)
     motion, stuck = whole.between(first, last), None if anchors is None else anchors[chosen]
-    figures = stretch_figures(motion, known, stretch.tick[chosen], stretch.hand[chosen], stuck, rest)
+    figures = stretch_figures(motion, metadata, stretch.tick[chosen], stretch.hand[chosen], stuck, rest)
     return Run(motion=motion, figures=figures, anchors=stuck)

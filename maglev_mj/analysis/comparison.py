@@ -8,14 +8,13 @@ from typing import Any
 import numpy as np
 
 from maglev_mj.analysis.contacts import plain
-from maglev_mj.analysis.known import Known
 from maglev_mj.analysis.motion import Motion
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import AXES, Array
 from maglev_mj.hand import RecordedHand
 from maglev_mj.loop import ControlLoop
 from maglev_mj.plants import SampledPlant, engine_warnings_silenced
-from maglev_mj.recording import Rebuild, Recorder, Stretch
+from maglev_mj.recording import Rebuild, Recorder, RunMetadata, Stretch
 from maglev_mj.scenes.legacy import recorded_scene
 from maglev_mj.session import live_plant
 
@@ -76,7 +75,7 @@ class Comparison:
         }
 
 
-def simulate(stretch: Stretch, motion: Motion, known: Known, rebuild: Rebuild) -> Stretch:
+def simulate(stretch: Stretch, motion: Motion, metadata: RunMetadata, rebuild: Rebuild) -> Stretch:
     """Return the same run simulated: same laws, the recorded hand, from the recorded start.
 
     In place of a device stands the simulated one, from the first sample at the speed that the first two tell, in no
@@ -85,7 +84,7 @@ def simulate(stretch: Stretch, motion: Motion, known: Known, rebuild: Rebuild) -
     Args:
         stretch: The recording.
         motion: Its motion.
-        known: What it was recorded from.
+        metadata: Of the stretch.
         rebuild: Makes plant and controller from a setup and a hand.
 
     Returns:
@@ -98,7 +97,7 @@ def simulate(stretch: Stretch, motion: Motion, known: Known, rebuild: Rebuild) -
     rows = np.round(stretch.tick - stretch.tick[0]).astype(np.intp)
     plant, controller = rebuild(stretch.setup, RecordedHand(stretch.hand))
     if plant is None:
-        plant = _twin(stretch, motion, known)
+        plant = _twin(stretch, motion, metadata)
     recorder = Recorder(plant, stretch.setup)
     with plant, engine_warnings_silenced():
         try:
@@ -113,10 +112,10 @@ def simulate(stretch: Stretch, motion: Motion, known: Known, rebuild: Rebuild) -
     return simulated.replace(tick=stretch.tick[: len(kept)], time=stretch.time[: len(kept)])
 
 
-def _twin(stretch: Stretch, motion: Motion, known: Known) -> SampledPlant:
+def _twin(stretch: Stretch, motion: Motion, metadata: RunMetadata) -> SampledPlant:
     """Return the simulated device in place of a real one."""
     scene, first = recorded_scene(stretch.setup["scene"], stretch.setup["settings"]), motion.starts[0]
-    return live_plant(scene, pose=motion.trace.pose[first], twist=motion.trace.twist[first], wrench=known.before)
+    return live_plant(scene, pose=motion.trace.pose[first], twist=motion.trace.twist[first], wrench=metadata.before)
 
 
 def compare(stretch: Stretch, simulated: Stretch, motion: Motion) -> Comparison:

@@ -9,10 +9,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from maglev_mj.analysis.contacts import FaceFigures, face_figures, plain
-from maglev_mj.analysis.known import Known
 from maglev_mj.analysis.motion import Motion
 from maglev_mj.energy import actuator_work, hand_work
 from maglev_mj.frames import AXES, Array
+from maglev_mj.recording import RunMetadata
 
 __all__ = ["Energy", "Stick", "StretchFigures", "stretch_figures"]
 
@@ -118,20 +118,20 @@ class StretchFigures:
 
 
 def stretch_figures(
-    motion: Motion, known: Known, ticks: Array, hand: Array, anchors: Array | None, rest: float | None = None
+    motion: Motion, metadata: RunMetadata, ticks: Array, hand: Array, anchors: Array | None, rest: float | None = None
 ) -> StretchFigures:
     """Return the figures of a stretch of N samples.
 
     Args:
         motion: The motion through them.
-        known: What they were recorded from.
+        metadata: Of the stretch.
         ticks: Their numbers, (N,).
         hand: What the hand exerted from each on [N, N m], (N, 6).
         anchors: Where the flotor stuck at each [m, rad], (N, 6), NaN where it did not; None without friction.
         rest: Where it comes to rest at a wall [m, rad]; found from the samples by default.
     """
     trace = motion.trace
-    faces = [found for face in known.faces if (found := face_figures(trace, face, rest=rest)) is not None]
+    faces = [found for face in metadata.faces or () if (found := face_figures(trace, face, rest=rest)) is not None]
     return StretchFigures(
         samples=len(ticks),
         missed=round(float(ticks[-1] - ticks[0])) + 1 - len(ticks),
@@ -140,18 +140,18 @@ def stretch_figures(
         travel=np.ptp(trace.pose, axis=0),
         peak_force=np.abs(trace.wrench[:-1]).max(axis=0),
         faces=faces,
-        untouched=len(known.faces) - len(faces),
-        energy=_energy(motion, known, hand),
+        untouched=len(metadata.faces or ()) - len(faces),
+        energy=_energy(motion, metadata, hand),
         unexplained=np.sqrt((motion.unexplained**2).mean(axis=0)),
         sticks=[None] * len(AXES) if anchors is None else [_sticks(motion.time, line) for line in anchors.T],
     )
 
 
-def _energy(motion: Motion, known: Known, hand: Array) -> Energy:
+def _energy(motion: Motion, metadata: RunMetadata, hand: Array) -> Energy:
     """Return where energy went; each force is paired with the way that it acted over."""
-    taken = -np.vstack([np.zeros(len(AXES)), np.cumsum(actuator_work(motion.trace, known.carried), axis=0)])
+    taken = -np.vstack([np.zeros(len(AXES)), np.cumsum(actuator_work(motion.trace, metadata.carried), axis=0)])
     places = motion.trace.pose[motion.starts]
-    work = hand_work(places, hand).sum(axis=0) if known.felt else np.full(len(AXES), np.nan)
+    work = hand_work(places, hand).sum(axis=0) if metadata.hand_recorded else np.full(len(AXES), np.nan)
     return Energy(taken[-1], taken.min(axis=0), work, (motion.unexplained * np.diff(places, axis=0)).sum(axis=0))
 
 

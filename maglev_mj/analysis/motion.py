@@ -8,9 +8,8 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from maglev_mj.analysis.known import Known
 from maglev_mj.frames import Array, Mask
-from maglev_mj.recording import InvalidRecordingError, Stretch
+from maglev_mj.recording import InvalidRecordingError, RunMetadata, Stretch
 from maglev_mj.timeline import recorded_switches
 from maglev_mj.trace import Trace
 
@@ -29,7 +28,7 @@ class Motion:
         trace: The motion through every sample, from 0 on; where the speed jumps at a sample, it has two knots there.
         starts: Number of the knot with which each sample begins, (N,).
         jumps: What each sample is beyond where the one before it, its speed there and the forces recorded since would
-            have brought the flotor [m, rad], (N, 6); NaN for the first two, before which no speed is known.
+            have brought the flotor [m, rad], (N, 6); NaN for the first two, before which no speed is metadata.
         unexplained: Wrench that nothing recorded accounts for, from each sample to the next [N, N m], (N - 1, 6).
     """
 
@@ -68,7 +67,7 @@ class _Pieces(NamedTuple):
     start: Array
 
 
-def reconstruct(stretch: Stretch, known: Known) -> Motion:
+def reconstruct(stretch: Stretch, metadata: RunMetadata) -> Motion:
     """Return the motion through the samples of a stretch.
 
     Between two samples the forces recorded are known, and where they switch; the speed at the first is such that the
@@ -80,7 +79,7 @@ def reconstruct(stretch: Stretch, known: Known) -> Motion:
 
     Args:
         stretch: The stretch.
-        known: What it was recorded from.
+        metadata: Of the stretch.
 
     Raises:
         InvalidRecordingError: If it has less than two samples, or they are not in order.
@@ -89,30 +88,29 @@ def reconstruct(stretch: Stretch, known: Known) -> Motion:
         raise InvalidRecordingError(f"a stretch must have at least 2 samples to be analysed, not {len(stretch.tick)}")
     if not (np.diff(stretch.time) > 0.0).all():
         raise InvalidRecordingError("the samples of a recording must be in the order in which they were taken")
-    released = stretch.time[0] < known.period * (1.0 - _ROUNDING)
+    released = stretch.time[0] < metadata.period * (1.0 - _ROUNDING)
     time = stretch.time if released else stretch.time - stretch.time[0]
-    pieces = _pieces(stretch, known, time)
-    steady = np.zeros((len(time) - 1, 6))
-    steady[:, 2] = known.weight
-    if known.pushed:
+    pieces = _pieces(stretch, metadata, time)
+    steady = np.tile(metadata.load, (len(time) - 1, 1))
+    if metadata.hand_acts_on_flotor:
         steady += stretch.hand[:-1]
-    _, twist, end = _through(stretch.position, pieces, steady, known.inertia)
+    _, twist, end = _through(stretch.position, pieces, steady, metadata.inertia)
     period = np.diff(time)[:, None]
     jump = twist[1:, 0] - end[:-1]
     jumps = np.full((len(time), 6), np.nan)
     jumps[2:] = jump * period[1:]
-    unexplained = _held(known.inertia * jump / (0.5 * (period[1:] + period[:-1])), len(period))
-    pose, twist, end = _through(stretch.position, pieces, steady + unexplained, known.inertia)
+    unexplained = _held(metadata.inertia * jump / (0.5 * (period[1:] + period[:-1])), len(period))
+    pose, twist, end = _through(stretch.position, pieces, steady + unexplained, metadata.inertia)
     trace, starts = _joined(stretch.position, pieces, pose, twist, end, float(time[-1]))
     if time[0] > 0.0:
-        trace, starts = _from_release(trace, known), starts + 1
+        trace, starts = _from_release(trace, metadata), starts + 1
     return Motion(trace, starts, jumps, unexplained)
 
 
-def _pieces(stretch: Stretch, known: Known, time: Array) -> _Pieces:
+def _pieces(stretch: Stretch, metadata: RunMetadata, time: Array) -> _Pieces:
     """Cut the time from sample to sample where the force switches."""
     held, extra, widths = stretch.applied, stretch.applied_pulse, stretch.applied_pulse_width
-    when, force = recorded_switches(time, held, extra, widths, period=known.period, delay=known.delay)
+    when, force = recorded_switches(time, held, extra, widths, period=metadata.period, delay=metadata.delay)
     inside = when[(when > time[0]) & (when < time[-1])]
     knots = np.unique(np.concatenate([time, inside]))[:-1]
     period = np.searchsorted(time, knots, side="right") - 1
@@ -121,7 +119,7 @@ def _pieces(stretch: Stretch, known: Known, time: Array) -> _Pieces:
     there, width, forces = np.zeros(shape, dtype=np.bool_), np.zeros(shape), np.zeros((*shape, 6))
     there[period, place] = True
     width[period, place] = np.diff(knots, append=time[-1])
-    forces[period, place] = np.vstack([known.before, force])[np.searchsorted(when, knots, side="right")]
+    forces[period, place] = np.vstack([metadata.before, force])[np.searchsorted(when, knots, side="right")]
     return _Pieces(there, width, forces, time[:-1])
 
 
@@ -164,14 +162,12 @@ def _joined(
     return Trace(knots[there], poses[there], twists[there], wrench[there]), starts
 
 
-def _from_release(trace: Trace, known: Known) -> Trace:
+def _from_release(trace: Trace, metadata: RunMetadata) -> Trace:
     """Return the curve from time 0 on, from where the flotor moved to the first sample under the wrench at release."""
     ahead = trace.time[0]
-    push = known.before.copy()
-    push[2] += known.weight
-    push = push / known.inertia
+    push = (metadata.before + metadata.load) / metadata.inertia
     twist = trace.twist[0] - ahead * push
     pose = trace.pose[0] - ahead * (twist + 0.5 * ahead * push)
-    rows = (np.zeros(1), pose[None], twist[None], known.before[None])
+    rows = (np.zeros(1), pose[None], twist[None], metadata.before[None])
     old = (trace.time, trace.pose, trace.twist, trace.wrench)
     return Trace(*(np.concatenate([first, others]) for first, others in zip(rows, old, strict=True)))

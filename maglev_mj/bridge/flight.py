@@ -8,7 +8,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from statistics import median
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from maglev_mj.controller import Controller
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.loop import Answers, ControlLoop, Record
-from maglev_mj.recording import Mechanics, RecordingError, RecordingFile
+from maglev_mj.recording import Mechanics, RecordingError, RecordingFile, RunMetadata
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.find import reference_of
 from maglev_mj.scenes.parts import WEIGHT
@@ -126,10 +126,12 @@ class Flight:
         controller = device_controller(self._scene)
         record: Record | None = None
         if self._file is not None:
-            setup = {"kind": "device", "scene": reference_of(type(self._scene)), "settings": self._scene.as_json()}
+            scene = self._scene
+            setup: dict[str, Any] = {"kind": "device", "scene": reference_of(type(scene)), "settings": scene.as_json()}
             setup["calibration"] = self._plant.calibration.digest.hex()
-            mechanics, delay = Mechanics(before=self._force), self._plant.delay
-            record = self._file.begin(self._plant, controller, setup, delay=delay, mechanics=mechanics)
+            name, mechanics = f"{scene.name} on a device", Mechanics(before=self._force)
+            run = RunMetadata.of(self._plant, controller, name=name, axis=scene.axis, mechanics=mechanics)
+            record = self._file.begin(self._plant, controller, {**setup, "run": run.as_json()})
         loop = ControlLoop(self._plant, _Timed(controller, self), observe=self._observe(controller), record=record)
         samples = self._plant.samples
         while not self._stopped.is_set() and self._wanted is None and (last is None or samples.tick < last):

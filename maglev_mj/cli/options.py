@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
@@ -17,7 +17,6 @@ from maglev_mj.workers import Workers, dask_workers, local_workers
 __all__ = [
     "Parser",
     "add_bridge",
-    "add_options",
     "add_outputs",
     "add_parameters",
     "add_recording",
@@ -71,29 +70,6 @@ def joined(arguments: Sequence[str]) -> list[str]:
         else:
             result.append(argument)
     return result
-
-
-def add_options(
-    parser: argparse.ArgumentParser, names: Mapping[str, Iterable[str]], helps: Mapping[str, str], parameters: Any
-) -> None:
-    """Add an option for each name to choose and each number to give, with its default in the help text.
-
-    Args:
-        parser: Of the command.
-        names: Choices of each option that is a name.
-        helps: Help text of each option that is a number.
-        parameters: Class of the parameters, or parameters whose values are the defaults.
-    """
-    made = parameters() if isinstance(parameters, type) else parameters
-    for name, choices in names.items():
-        default = getattr(made, name)
-        parser.add_argument(f"--{name}", default=default, help=f"{', '.join(choices)} (default {default})")
-    for name, text in helps.items():
-        # a default that depends on other options is the class's to fill in: None here, its value in the help
-        default = parameters.__dataclass_fields__[name].default
-        shown = "none" if getattr(made, name) is None else f"{getattr(made, name):g}"
-        option = f"--{name.replace('_', '-')}"
-        parser.add_argument(option, type=number_option, default=default, metavar="X", help=f"{text} (default {shown})")
 
 
 def add_parameters(

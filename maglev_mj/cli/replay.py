@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import argparse
+import sys
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from maglev_mj.recording import InvalidRecordingError, Recording, verify
 from maglev_mj.replay import Replay, expected, rebuild
+from maglev_mj.scenes.find import find_scene, source_of
+from maglev_mj.scenes.scene import Scene
 from maglev_mj.tables import verdict_table
 from maglev_mj.terminal import say
 
-__all__ = ["add_command"]
+__all__ = ["add_command", "add_own_scene", "own_scene"]
 
 
 def add_command(commands: Any) -> None:
@@ -24,7 +28,29 @@ def add_command(commands: Any) -> None:
         help="feed the samples to the controller and the hand to the plant; status 1 if any number differs, or the "
         "file is not whole",
     )
+    add_own_scene(replay)
     replay.set_defaults(run=_replay)
+
+
+def add_own_scene(parser: argparse.ArgumentParser) -> None:
+    """Add the option for the scene of a recording."""
+    said = "scene of a recording of one's own, NAME, FILE.py or FILE.py:CLASS, which is executed, to run it again"
+    parser.add_argument("--scene", metavar="SCENE", help=said)
+
+
+def own_scene(text: str | None, recording: Recording) -> type[Scene] | None:
+    """Return the scene that was given for a recording; None for none. Say so if its file has changed since.
+
+    Raises:
+        ParameterError: If there is no such scene.
+    """
+    if text is None:
+        return None
+    scene = find_scene(text)
+    sources = {stretch.setup.get("source") for stretch in recording.stretches if stretch.setup["kind"] == "own"}
+    if sources - {source_of(scene)}:
+        say(f"  {text} is not the file that was recorded: it has changed since, or is another", sys.stderr)
+    return scene
 
 
 def _replay(options: argparse.Namespace) -> int:
@@ -35,11 +61,12 @@ def _replay(options: argparse.Namespace) -> int:
         say(f"  {options.file}: {recording.damage}; {recording.ticks} samples are there")
     for event in recording.events:
         say(f"  {event}")
+    scene = own_scene(options.scene, recording)
     if options.check:
-        verdict = verify(recording, rebuild, expect=expected)
+        verdict = verify(recording, partial(rebuild, scene=scene), expect=expected)
         print(verdict_table(verdict))
         return 0 if verdict.same else 1
-    session = Replay(recording)
+    session = Replay(recording, scene)
     # imported here: it loads the library that opens windows
     from maglev_mj.viewer.window import show
 

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from maglev_mj.errors import DivergenceError, ParameterError, PlantError
 from maglev_mj.frames import AXES, Array, Command, Component, Sample, clipped, components, join
-from maglev_mj.hand import HandForce
+from maglev_mj.hand import Hand, HandForce
 from maglev_mj.parameters import flag, number, numbers
 from maglev_mj.plants.sensor import PoseSensor
 from maglev_mj.spec import ESCAPE
@@ -72,7 +72,13 @@ class SampledPlant(ABC):
         hand_force: What the muscles of a hand exert, from the first sample on: on the flotor, or on the hand's own
             mass where its grip is soft.
         metered: Add up the work of the actuators, for `work`.
+
+    Attributes:
+        before: Wrench of the actuators until the first command takes effect [N, N m], (..., 6).
+        hand: Impedance of the hand on the flotor; None for none.
     """
+
+    hand: Hand | None = None
 
     def __init__(
         self,
@@ -100,10 +106,10 @@ class SampledPlant(ABC):
         self._total: Component | None = 0.0 if flag("metered", metered) else None
         self._run = self._carry if self._recorder is None and longest_step is None else self._run_in_pieces
         self._hand_force, self._effort = hand_force, _NO_EFFORT
+        self.before = self.six("wrench", wrench, at_least=-math.inf, finite=True)
         self._tick = -1
         self._offset: Component = 0.0
-        drive = self._prepare(components(self.six("wrench", wrench, at_least=-math.inf, finite=True)))
-        self._timeline = Timeline(timing, drive, compares=not batch)
+        self._timeline = Timeline(timing, self._prepare(components(self.before)), compares=not batch)
         self._segments: list[Segment] = []
         self._closed = False
         self._before_period: Callable[[], None] | None = None
@@ -220,6 +226,11 @@ class SampledPlant(ABC):
     def state(self) -> tuple[Array, Array]:
         """Return the true pose and twist at the last sample, whatever the sensor made of them, (..., 6) each."""
         return self._state(self._timeline.acting)[:2]
+
+    @property
+    def held(self) -> bool:
+        """True if a hand exerts a force."""
+        return self._hand_force is not None
 
     @property
     def hand_wrench(self) -> Sequence[Component]:

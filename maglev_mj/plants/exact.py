@@ -46,6 +46,11 @@ class ExactPlant(SampledPlant):
             driver lag, nor on an axis that a hand holds.
         keywords: Those of `SampledPlant`: wrench, wrench_limit, sensor, escape, record, metered.
 
+    Attributes:
+        inertia: Mass and moments of inertia [kg, kg m²], (..., 6).
+        load: Weight [N, N m], (..., 6).
+        start: Pose and twist at release [m, rad; m/s, rad/s], (..., 6) each.
+
     Raises:
         ParameterError: If a value is outside its bounds or the shapes do not fit.
     """
@@ -77,8 +82,11 @@ class ExactPlant(SampledPlant):
             timing, pose, twist, moving if mass is None else mass, moments if inertia is None else inertia
         )
         fall = -number("gravity", gravity)
+        self.hand, self.start = hand, (start, motion)
+        self.inertia = join(body)
         self._body = (*(1.0 / value for value in body[2:]), fall)
         self._weight = (0.0, 0.0, fall * body[2], 0.0, 0.0, 0.0)
+        self.load = join(self._weight) + 0.0
         self._place, self._velocity = _shared(components(start)), _shared(components(motion))
         self._lag = lag if flag("driver_lag", driver_lag) else 0.0
         if keywords.get("record") and self._lag:

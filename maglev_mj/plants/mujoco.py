@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Sequence
-from functools import partial
+from functools import cached_property, partial
 from typing import Any, TypeAlias, Unpack
 
 import mujoco
@@ -76,6 +76,9 @@ class MuJoCoPlant(SampledPlant):
             metered. The longest integration step is None for as long as the wrench is constant, and by default a
             quarter of the drivers' time constant where their lag is on, 0.5 ms where a hand is.
 
+    Attributes:
+        start: Pose and twist at release [m, rad; m/s, rad/s], (6,) each.
+
     Raises:
         ParameterError: If a value is outside its bounds or the shapes do not fit.
         ModelError: If the model cannot be used.
@@ -110,6 +113,7 @@ class MuJoCoPlant(SampledPlant):
                 f"a MuJoCo plant is one device: pose and twist must be (6,) and phase a number, "
                 f"not {start.shape}, {motion.shape} and {np.shape(timing.phase)}"
             )
+        self.hand, self.start = hand, (start, motion)
         self.device = prepared(
             model,
             gravity=gravity,
@@ -226,6 +230,17 @@ class MuJoCoPlant(SampledPlant):
     def open_coil(self, coil: int) -> None:
         """Let a coil, 0 to 5, give no force from now on, as one whose wire is broken."""
         self._model.actuator_gainprm[coil, 0] = 0.0
+
+    @cached_property
+    def inertia(self) -> Array:
+        """Mass and moments of inertia of the model, handle included [kg, kg m²], (6,); to 12 digits, as it adds up."""
+        return np.array([float(f"{part:.12g}") for part in (*[self.device.mass] * 3, *self.device.inertia)])
+
+    @property
+    def load(self) -> Array:
+        """Weight [N, N m], (6,)."""
+        weight: Array = np.append(self.device.model.opt.gravity * self.inertia[:3] + 0.0, np.zeros(3))
+        return weight
 
     @property
     def met_stops(self) -> bool:

@@ -116,7 +116,7 @@ def _over_time(analysed: Analysed, axis: int, path: Path, window: tuple[float, f
 
 
 def _describe(analysed: Analysed) -> str:
-    known, comparison = analysed.known, analysed.comparison
+    known, comparison = analysed.metadata, analysed.comparison
     said = "" if comparison is None else f": {comparison.sentence}"
     return f"{known.name}, {1.0 / known.period:g} Hz, delay {known.delay * 1e3:g} ms{said}"
 
@@ -158,7 +158,7 @@ def _walls(panel: Any, analysed: Analysed, axis: int) -> None:
     """Shade the walls of an axis that are near what is shown."""
     bottom, top = panel.get_ylim()
     room = 0.08 * (top - bottom)
-    for _, normal, edge in (face for face in analysed.known.faces if face[0] == axis):
+    for _, normal, edge in (face for face in analysed.metadata.faces or () if face[0] == axis):
         place = edge * 1e3
         if normal > 0.0 and place > bottom - room:
             bottom = min(bottom, place - room)

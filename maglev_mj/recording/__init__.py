@@ -11,8 +11,15 @@ from maglev_mj.recording.files import (
     export,
     open_recording,
 )
-from maglev_mj.recording.metadata import Mechanics
-from maglev_mj.recording.recording import InvalidRecordingError, Recording, RecordingError, Setup, Stretch
+from maglev_mj.recording.legacy import metadata_of
+from maglev_mj.recording.metadata import (
+    Mechanics,
+    OwnSetup,
+    RunMetadata,
+    Setup,
+    setup_of,
+)
+from maglev_mj.recording.recording import InvalidRecordingError, Recording, RecordingError, Stretch
 from maglev_mj.recording.row import FIELDS, ROW, TOTALS, Field, RecordedPlant
 from maglev_mj.recording.verify import Expected, FieldVerdict, Rebuild, Verdict, verify
 
@@ -27,6 +34,7 @@ __all__ = [
     "FieldVerdict",
     "InvalidRecordingError",
     "Mechanics",
+    "OwnSetup",
     "ParquetMissingError",
     "Rebuild",
     "RecordedPlant",
@@ -34,12 +42,15 @@ __all__ = [
     "Recording",
     "RecordingError",
     "RecordingFile",
+    "RunMetadata",
     "Setup",
     "Stretch",
     "Verdict",
     "best_suffix",
     "check_name",
     "export",
+    "metadata_of",
     "open_recording",
+    "setup_of",
     "verify",
 ]

@@ -24,6 +24,8 @@ __all__ = [
     "UnpackingError",
     "check_rows",
     "check_setup",
+    "flag_in",
+    "list_in",
     "object_in",
     "parsed",
     "sample_row",
@@ -76,6 +78,24 @@ def text_in(holder: Any, name: str) -> str:
         ParameterError: If there is none.
     """
     return str(_of_kind(str, "a text", holder, name))
+
+
+def list_in(holder: Any, name: str) -> list[Any]:
+    """Return the list of a name.
+
+    Raises:
+        ParameterError: If there is none.
+    """
+    return list(_of_kind(list, "a list", holder, name))
+
+
+def flag_in(holder: Any, name: str) -> bool:
+    """Return the switch of a name.
+
+    Raises:
+        ParameterError: If there is none.
+    """
+    return bool(_of_kind(bool, "true or false", holder, name))
 
 
 def whole(holder: Any, name: str, *, at_least: int = 0, at_most: int = _WHOLE) -> int:

@@ -19,8 +19,8 @@ from maglev_mj.loop import Record
 from maglev_mj.parameters import flag
 from maglev_mj.recording.live import LiveFile
 from maglev_mj.recording.mcap import require_mcap
-from maglev_mj.recording.metadata import Mechanics
-from maglev_mj.recording.recording import Recording, Setup, Stretch, aside
+from maglev_mj.recording.metadata import Setup, whole_setup
+from maglev_mj.recording.recording import Recording, Stretch, aside, split_setup
 from maglev_mj.recording.row import RecordedPlant, Row, as_rows, as_table, columns, compiled
 from maglev_mj.versions import versions
 
@@ -46,23 +46,14 @@ _RowOf: TypeAlias = Callable[[Sample, Command, Command, RecordedPlant], Row]
 class RecordingFile(Protocol):
     """What a run is recorded to."""
 
-    def begin(
-        self,
-        plant: RecordedPlant,
-        controller: Controller,
-        setup: Setup,
-        *,
-        delay: float,
-        mechanics: Mechanics | None = None,
-    ) -> Record:
+    def begin(self, plant: RecordedPlant, controller: Controller, setup: Setup | None = None) -> Record:
         """Begin a stretch; return what the loop records it to.
 
         Args:
             plant: The plant that is driven.
             controller: The controller that drives it.
-            setup: What both were made from.
-            delay: From a sample to its command taking effect [s].
-            mechanics: What the actuators push at; the device as published by default.
+            setup: What both were made from, by default `setup_of` both; its metadata, `run`, are added if they are not
+                there.
         """
 
     def event(self, kind: str, text: str, missed: int = 0) -> None:
@@ -93,7 +84,7 @@ class Recorder:
     """
 
     def __init__(self, plant: RecordedPlant, setup: Setup) -> None:
-        self._plant, self._setup = plant, dict(setup)
+        self._plant, (self._setup, self._metadata) = plant, split_setup(dict(setup))
         self._rows: list[Row] = []
 
     def __call__(self, sample: Sample, command: Command, applied: Command) -> None:
@@ -102,7 +93,7 @@ class Recorder:
 
     def stretch(self) -> Stretch:
         """Return what was kept so far."""
-        return Stretch(setup=self._setup, rows=as_rows(self._rows))
+        return Stretch(setup=self._setup, rows=as_rows(self._rows), metadata=self._metadata)
 
 
 row_of: _RowOf = compiled("sample, command, applied, plant", "({values},)")
@@ -128,21 +119,14 @@ class ArrayFile:
         stretches = [recorder.stretch() for recorder in self._recorders]
         return Recording([stretch for stretch in stretches if len(stretch)], events=tuple(self._events))
 
-    def begin(
-        self,
-        plant: RecordedPlant,
-        controller: Controller,
-        setup: Setup,
-        *,
-        delay: float,
-        mechanics: Mechanics | None = None,
-    ) -> Recorder:
+    def begin(self, plant: RecordedPlant, controller: Controller, setup: Setup | None = None) -> Recorder:
         """Begin a stretch; return what the loop records it to."""
-        self._recorders.append(Recorder(plant, {**setup, "versions": self._versions}))
+        whole = {**whole_setup(plant, controller, setup), "versions": self._versions}
+        self._recorders.append(Recorder(plant, whole))
         return self._recorders[-1]
 
     def event(self, kind: str, text: str, missed: int = 0) -> None:
-        """Keep what a person should know of."""
+        """See `RecordingFile`."""
         self._events.append(f"{kind}: {text}")
 
     def check(self) -> None:
@@ -254,7 +238,7 @@ def _as_parquet(recording: Recording, path: Path) -> None:
         kind = pyarrow.float64() if unit else pyarrow.int64()
         fields.append(pyarrow.field(name, kind, metadata={"unit": unit} if unit else None))
         columns.append(pyarrow.array(column if unit else column.astype(np.int64), type=kind))
-    about = {"maglev_mj.setups": json.dumps([dict(stretch.setup) for stretch in recording.stretches])}
+    about = {"maglev_mj.setups": json.dumps([stretch.whole_setup for stretch in recording.stretches])}
     parquet.write_table(pyarrow.table(columns, schema=pyarrow.schema(fields, metadata=about)), path)
 
 

@@ -23,9 +23,9 @@ from maglev_mj.controller import Controller
 from maglev_mj.frames import Command, Sample
 from maglev_mj.loop import Record
 from maglev_mj.parameters import flag
-from maglev_mj.recording.mcap import about, require_mcap
-from maglev_mj.recording.metadata import Mechanics
-from maglev_mj.recording.recording import RecordingError, Setup
+from maglev_mj.recording.mcap import require_mcap
+from maglev_mj.recording.metadata import Setup, whole_setup
+from maglev_mj.recording.recording import RecordingError
 from maglev_mj.recording.row import ROW, RecordedPlant, Row, compiled
 from maglev_mj.versions import versions
 from maglev_mj.workers import interrupts_held
@@ -179,25 +179,10 @@ class LiveFile:
             raise
         self._result: Path | None = None
 
-    def begin(
-        self,
-        plant: RecordedPlant,
-        controller: Controller,
-        setup: Setup,
-        *,
-        delay: float,
-        mechanics: Mechanics | None = None,
-    ) -> Record:
+    def begin(self, plant: RecordedPlant, controller: Controller, setup: Setup | None = None) -> Record:
         """Begin a stretch; return what the loop records it to."""
-        what = about(
-            {**setup, "versions": self._versions},
-            period=controller.period,
-            delay=delay,
-            carried=controller.carried.tolist(),
-            began=time.time_ns(),
-            mechanics=mechanics or Mechanics(),
-        )
-        self._say(begin=what)
+        whole = {**whole_setup(plant, controller, setup), "versions": self._versions}
+        self._say(begin=[whole, time.time_ns()])
         return self._ring.record(plant)
 
     def event(self, kind: str, text: str, missed: int = 0) -> None:

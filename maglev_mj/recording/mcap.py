@@ -22,7 +22,6 @@ import numpy as np
 import maglev_mj
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import AXES
-from maglev_mj.parameters import number
 from maglev_mj.recording.checks import (
     LARGEST_PART,
     Allowance,
@@ -32,31 +31,26 @@ from maglev_mj.recording.checks import (
     object_in,
     parsed,
     sample_row,
-    six,
     text_in,
     unpacked,
     whole,
 )
-from maglev_mj.recording.metadata import Mechanics
-from maglev_mj.recording.recording import Basis, Recording, Setup, Stretch
+from maglev_mj.recording.metadata import RunMetadata, Setup
+from maglev_mj.recording.recording import Recording, Stretch
 from maglev_mj.recording.row import FIELDS, TOTALS, Field, Row, as_rows, named, schema
 from maglev_mj.recording.totals import Totals
 
 if TYPE_CHECKING:
     from mcap.records import Chunk, McapRecord
 
-__all__ = ["CHANNELS", "MAGIC", "About", "McapMissingError", "McapWriter", "about", "read_mcap", "require_mcap"]
+__all__ = ["CHANNELS", "MAGIC", "McapMissingError", "McapWriter", "read_mcap", "require_mcap"]
 
 MAGIC = b"\x89MCAP0\r\n"
 """The first bytes of a file."""
 
-About = Mapping[str, Any]
-"""What a stretch is, ready for JSON: see `about`."""
-
 _CHUNK = 8 * 1024  # about a dozen samples: at 50 Hz a quarter of a second
 _MOST_MESSAGE = 1 << 20
 _MOST_RECORD = LARGEST_PART + (1 << 20)
-_SIX = ("carried", "inertia", "load", "before")
 _WRENCH = "N", "N m"
 
 _NUMBER = schema(Field("stretch", "", "number of the stretch, from 0"))
@@ -74,6 +68,15 @@ _STRETCH_FIELDS = {
     "inertia": schema(Field("inertia", ("kg", "kg m²"), "what the actuators push at, for `taken`")),
     "load": schema(Field("load", _WRENCH, "what acts besides, its weight, for `taken`")),
     "before": schema(Field("before", _WRENCH, "what the actuators give until the first command takes effect")),
+    "faces": {
+        "type": "array",
+        "description": "planes of walls: axis, normal (1 where the axis is free above), edge [m, rad]",
+        "items": {"type": "object"},
+    },
+    "name": {"type": "string", "description": "what to call the run"},
+    "axis": {"type": "string", "description": "the axis that matters most"},
+    "hand_recorded": {"type": "boolean", "description": "whether `hand` is what the hand exerts"},
+    "hand_acts_on_flotor": {"type": "boolean", "description": "whether it acts there, not on a hand in a soft grip"},
     "versions": {
         "type": "object",
         "description": "of maglev_mj, python, mujoco, numpy, mcap; git revision, if changed, and digest of the sources",
@@ -129,23 +132,6 @@ def require_mcap() -> None:
         raise McapMissingError("recordings as MCAP need mcap: pip install 'maglev-mj[record]'")
 
 
-def about(
-    setup: Setup, *, period: float, delay: float, carried: Sequence[float], began: int, mechanics: Mechanics
-) -> About:
-    """Return what a stretch is.
-
-    Args:
-        setup: What plant and controller are made from, and the `versions` of the code.
-        period: Sample period [s].
-        delay: From a sample to its command taking effect [s].
-        carried: Wrench that carries the flotor [N, N m], six.
-        began: When, since 1970 [ns].
-        mechanics: What the actuators push at.
-    """
-    six = {name: np.broadcast_to(getattr(mechanics, name), 6).tolist() for name in ("inertia", "load", "before")}
-    return {"setup": dict(setup), "period": period, "delay": delay, "carried": list(carried), "began": began, **six}
-
-
 class McapWriter:
     """Writes a recording as it happens.
 
@@ -165,22 +151,26 @@ class McapWriter:
         self._totals: Totals | None = None
         self._said = 0  # messages, so that a reader knows whether some are missing
 
-    def begin(self, what: About) -> None:
-        """Begin a stretch."""
+    def begin(self, setup: Setup, began: int) -> None:
+        """Begin a stretch.
+
+        Args:
+            setup: What plant and controller are made from, with the `versions` of the code and the metadata as `run`.
+            began: When, since 1970 [ns].
+        """
         self._stretch += 1
         self._first = None
         # a run that is faster than real time must not lie over the next
-        self._began = self._now = max(int(what["began"]), self._now + 1)
-        self._totals = Totals(Basis(**{name: what[name] for name in ("period", "delay", *_SIX)}))
-        named = {
+        self._began = self._now = max(began, self._now + 1)
+        run = setup["run"]
+        self._totals = Totals(RunMetadata.from_json(run))
+        told = {
             "stretch": self._stretch,
-            "setup": what["setup"],
-            "period": what["period"],
-            "delay": what["delay"],
-            **{name: dict(zip(AXES, what[name], strict=True)) for name in _SIX},
-            "versions": {**what["setup"]["versions"], "mcap": version("mcap")},
+            "setup": {name: part for name, part in setup.items() if name != "run"},
+            **run,
+            "versions": {**setup["versions"], "mcap": version("mcap")},
         }
-        self._say(_STRETCH, named)
+        self._say(_STRETCH, told)
 
     def row(self, row: Row) -> None:
         """Write a sample of the stretch that was begun."""
@@ -337,14 +327,7 @@ class _Part:
 
     def __init__(self, message: Any) -> None:
         self.setup = check_setup(object_in(message, "setup"))
-        self.basis = Basis(
-            period=number("period", message.get("period"), above=0.0, at_most=1e3),
-            delay=number("delay", message.get("delay"), at_least=0.0, at_most=1e3),
-            carried=six(message, "carried"),
-            inertia=six(message, "inertia", at_least=1e-12),
-            load=six(message, "load"),
-            before=six(message, "before"),
-        )
+        self.metadata = RunMetadata.from_json(message)
         self.numbers = array("d")
         self.count = 0
         self.gaps: list[tuple[int, int]] = []
@@ -359,7 +342,7 @@ class _Part:
         table = np.array(self.numbers).reshape(self.count, -1)
         rows, totals = as_rows(table[:, : -len(TOTALS)]), as_rows(table[:, -len(TOTALS) :], TOTALS)
         check_rows(rows, totals)
-        return Stretch(setup=self.setup, rows=rows, totals=totals, basis=self.basis, gaps=self.gaps)
+        return Stretch(setup=self.setup, rows=rows, totals=totals, metadata=self.metadata, gaps=self.gaps)
 
 
 class _Found:

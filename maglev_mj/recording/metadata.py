@@ -1,16 +1,39 @@
-"""Mechanics of a recorded run."""
+"""Metadata of a run: written into its recording from plant and controller, and read back."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any, Self, TypeAlias, TypedDict
 
+import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.frames import ZERO
-from maglev_mj.parameters import numbers
+from maglev_mj.controller import Controller
+from maglev_mj.errors import ParameterError
+from maglev_mj.frames import AXES, ZERO, Array
+from maglev_mj.parameters import axis_indices, number, numbers
+from maglev_mj.recording.checks import check_setup, flag_in, list_in, object_in, six, text_in
 from maglev_mj.spec import GRAVITY, INERTIA
+from maglev_mj.terminal import printable
 
-__all__ = ["Mechanics"]
+__all__ = [
+    "Face",
+    "Mechanics",
+    "OwnSetup",
+    "RunMetadata",
+    "Setup",
+    "setup_of",
+    "whole_setup",
+]
+
+Face: TypeAlias = tuple[int, float, float]
+"""A plane of a wall: index into AXES, normal (1 or -1), edge [m, rad]."""
+
+Setup: TypeAlias = Mapping[str, Any]
+"""What a plant and a controller are made from, ready for JSON; `run` in it are the metadata."""
+
+_WRENCHES = ("load", "before", "carried")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -34,3 +57,217 @@ class Mechanics:
         numbers("inertia", self.inertia, at_least=1e-12)
         numbers("load", self.load)
         numbers("before", self.before)
+
+    @classmethod
+    def of(cls, plant: Any) -> Self:
+        """Return the mechanics of a plant; those of the device where it tells none.
+
+        The mass of a hand in a rigid grip moves with the flotor.
+        """
+        known = {name: getattr(plant, name) for name in ("inertia", "load", "before") if hasattr(plant, name)}
+        hand = getattr(plant, "hand", None)
+        if hand is not None and not hand.soft:
+            known["inertia"] = np.array(known["inertia"], dtype=np.float64)
+            known["inertia"][list(hand.indices)] += float(np.asarray(hand.mass))
+        return cls(**known)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RunMetadata:
+    """What a run is besides its samples.
+
+    Attributes:
+        period: Sample period [s].
+        delay: From a sample to its command taking effect [s].
+        inertia: Mass and moments of inertia that the actuators push at [kg, kg m²], (6,).
+        load: Constant wrench that acts besides the actuators' [N, N m], (6,).
+        before: Wrench of the actuators until the first command takes effect [N, N m], (6,).
+        carried: Wrench of the actuators that carries the flotor and renders nothing [N, N m], (6,).
+        faces: Every plane of a wall; None in files of before, which do not tell, nor any of the following.
+        name: What to call it.
+        axis: Name of the axis that matters most.
+        hand_recorded: True if what the hand exerts was recorded.
+        hand_acts_on_flotor: True if the recorded hand acts on the flotor directly, not through a soft grip.
+
+    Raises:
+        ParameterError: If a number is outside its bounds.
+    """
+
+    period: float
+    delay: float
+    inertia: Array
+    load: Array
+    before: Array
+    carried: Array
+    faces: Sequence[Face] | None = None
+    name: str = ""
+    axis: str = "z"
+    hand_recorded: bool = False
+    hand_acts_on_flotor: bool = True
+
+    @classmethod
+    def of(
+        cls,
+        plant: Any,
+        controller: Controller,
+        *,
+        name: str = "own run",
+        axis: str | None = None,
+        delay: float | None = None,
+        mechanics: Mechanics | None = None,
+        hand_recorded: bool | None = None,
+    ) -> Self:
+        """Return the metadata that a plant and its controller tell.
+
+        Args:
+            plant: The plant.
+            controller: The controller.
+            name: What to call the run.
+            axis: The axis that matters most; by default that of the first wall, or z.
+            delay: From a sample to its command taking effect [s]; the plant's by default.
+            mechanics: What the actuators push at; the plant's by default.
+            hand_recorded: Whether what the hand exerts is recorded; by default where the plant has one.
+
+        Raises:
+            ParameterError: If the plant does not tell its delay, and none is given.
+        """
+        known = getattr(plant, "timing", plant)
+        late = getattr(known, "delay", None) if delay is None else delay
+        if late is None:
+            raise ParameterError("delay must be given for a plant that has neither timing nor delay, not None")
+        masses, faces, hand = mechanics or Mechanics.of(plant), controller.faces, getattr(plant, "hand", None)
+        return cls(
+            period=controller.period,
+            delay=number("delay", late, at_least=0.0),
+            **{part: np.broadcast_to(getattr(masses, part), 6) for part in ("inertia", "load", "before")},
+            carried=controller.carried,
+            faces=faces,
+            name=name,
+            axis=axis or (AXES[faces[0][0]] if faces else "z"),
+            hand_recorded=getattr(plant, "held", False) if hand_recorded is None else hand_recorded,
+            hand_acts_on_flotor=hand is None or not hand.soft,
+        )
+
+    @classmethod
+    def from_json(cls, values: Any) -> Self:
+        """Return metadata out of a file.
+
+        Raises:
+            ParameterError: If something is missing, or outside its bounds.
+        """
+        known: dict[str, Any] = {
+            "period": number("period", values.get("period"), above=0.0, at_most=1e3),
+            "delay": number("delay", values.get("delay"), at_least=0.0, at_most=1e3),
+            "inertia": np.array(six(values, "inertia", at_least=1e-12)),
+            **{name: np.array(six(values, name)) for name in _WRENCHES},
+        }
+        if "faces" in values:
+            known["faces"] = [_face(face) for face in list_in(values, "faces")]
+            known["name"], known["axis"] = printable(text_in(values, "name")), text_in(values, "axis")
+            known |= {name: flag_in(values, name) for name in ("hand_recorded", "hand_acts_on_flotor")}
+            axis_indices(known["axis"])
+        return cls(**known)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return everything, ready for JSON."""
+        wrenches = {
+            name: dict(zip(AXES, getattr(self, name).tolist(), strict=True)) for name in ("inertia", *_WRENCHES)
+        }
+        known: dict[str, Any] = {"period": self.period, "delay": self.delay, **wrenches}
+        if self.faces is not None:
+            known["faces"] = [dict(zip(("axis", "normal", "edge"), (AXES[face[0]], *face[1:]))) for face in self.faces]
+            known |= {name: getattr(self, name) for name in ("name", "axis", "hand_recorded", "hand_acts_on_flotor")}
+        return known
+
+
+class OwnSetup(TypedDict):
+    """What a run was made from, where no scene of this package says it.
+
+    Attributes:
+        kind: "own".
+        scene: Reference of the scene, such as "my_scene.py:Detent"; None for none. It is never executed by itself.
+        source: Hash of the scene's file; None for none.
+        plant: Class of the plant.
+        laws: Classes of the laws.
+        phase: Of the samples, in [0, 1).
+        parameters: Whatever the run depends on, by name.
+        start: Pose, twist and wrench at release, six each [m, rad; m/s, rad/s; N, N m]; None where it is not known.
+        run: See `RunMetadata.as_json`.
+    """
+
+    kind: str
+    scene: str | None
+    source: str | None
+    plant: str
+    laws: list[str]
+    phase: float
+    parameters: dict[str, Any]
+    start: dict[str, list[float]] | None
+    run: dict[str, Any]
+
+
+def setup_of(
+    plant: Any,
+    controller: Controller,
+    *,
+    scene: str | None = None,
+    source: str | None = None,
+    parameters: Mapping[str, Any] | None = None,
+    start: Mapping[str, ArrayLike] | None = None,
+    **metadata: Any,
+) -> OwnSetup:
+    """Return the setup of a run of one's own, before its first sample.
+
+    Args:
+        plant: The plant.
+        controller: The controller.
+        scene: Reference of the scene; None for none.
+        source: Hash of the scene's file; None for none.
+        parameters: Whatever the run depends on, by name, ready for JSON.
+        start: Pose, twist and wrench at release; the plant's by default, if it tells.
+        metadata: In place of what plant and controller tell: see `RunMetadata.of`.
+
+    Raises:
+        ParameterError: If a value is not finite, or the plant does not tell its delay and none is given.
+    """
+    if start is None and hasattr(plant, "start"):
+        pose, twist = plant.start
+        start = {"pose": pose, "twist": twist, "wrench": np.broadcast_to(getattr(plant, "before", ZERO), 6)}
+    known = None if start is None else {name: numbers(name, value).tolist() for name, value in start.items()}
+    if scene is not None:
+        metadata.setdefault("name", scene)
+    setup: OwnSetup = {
+        "kind": "own",
+        "scene": scene,
+        "source": source,
+        "plant": _class(plant),
+        "laws": [_class(law) for law in controller.laws],
+        "phase": float(getattr(getattr(plant, "timing", None), "phase", 0.0)),
+        "parameters": dict(parameters or {}),
+        "start": known,
+        "run": RunMetadata.of(plant, controller, **metadata).as_json(),
+    }
+    check_setup(setup)
+    return setup
+
+
+def whole_setup(plant: Any, controller: Controller, setup: Setup | None) -> Setup:
+    """Return a setup with its metadata in it: that of a run of one's own where none is given."""
+    if setup is None:
+        return setup_of(plant, controller)
+    return setup if "run" in setup else {**setup, "run": RunMetadata.of(plant, controller).as_json()}
+
+
+def _class(value: object) -> str:
+    return f"{type(value).__module__}.{type(value).__qualname__}"
+
+
+def _face(values: Any) -> Face:
+    """Return a plane of a wall out of a file."""
+    face = object_in({"a face": values}, "a face")
+    (axis,) = axis_indices(text_in(face, "axis"))
+    edge = number("edge", face.get("edge"), at_least=-1e3, at_most=1e3)
+    normal = number("normal", face.get("normal"))
+    if abs(normal) != 1.0:
+        raise ParameterError(f"normal must be 1 or -1, not {normal:g}")
+    return axis, normal, edge

@@ -9,22 +9,20 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from dataclasses import replace as replaced
 from pathlib import Path
-from typing import IO, Any, TypeAlias
+from typing import IO, Any
 from zipfile import ZIP_STORED, ZipFile
 
 import numpy as np
 
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import AXES, Array
-from maglev_mj.recording.checks import Allowance, UnpackingError, check_rows, check_setup, parsed, text_in
+from maglev_mj.recording.checks import Allowance, UnpackingError, check_rows, check_setup, object_in, parsed, text_in
+from maglev_mj.recording.metadata import RunMetadata, Setup
 from maglev_mj.recording.row import ARRAYS, ROW, Rows
 
-__all__ = ["Basis", "InvalidRecordingError", "Recording", "RecordingError", "Setup", "Stretch", "aside"]
+__all__ = ["InvalidRecordingError", "Recording", "RecordingError", "Stretch", "aside", "split_setup"]
 
 _FORMAT = "maglev_mj recording 1"
-
-Setup: TypeAlias = Mapping[str, Any]
-"""What a plant and a controller are made from, ready for JSON."""
 
 
 class RecordingError(MaglevError):
@@ -35,27 +33,6 @@ class InvalidRecordingError(RecordingError, ParameterError):
     """A file is no recording, or holds what none can."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Basis:
-    """What a stretch is besides its samples.
-
-    Attributes:
-        period: Sample period [s].
-        delay: From a sample to its command taking effect [s].
-        carried: Wrench that carries the flotor [N, N m], six.
-        inertia: Mass and moments of inertia that the actuators push at [kg, kg m²], six.
-        load: Constant wrench that acts besides the actuators' [N, N m], six.
-        before: Wrench of the actuators until the first command takes effect [N, N m], six.
-    """
-
-    period: float
-    delay: float
-    carried: Sequence[float]
-    inertia: Sequence[float]
-    load: Sequence[float]
-    before: Sequence[float]
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Stretch:
     """N samples under one controller.
@@ -63,19 +40,19 @@ class Stretch:
     Each field of a sample is an attribute too: `stretch.position` is `stretch.rows["position"]`, (N, 6).
 
     Attributes:
-        setup: What plant and controller were made from.
+        setup: What plant and controller were made from, the metadata apart.
         rows: The samples, (N,), a structured array of `maglev_mj.recording.ROW`; a command is not finite where that is
             why the plant refused it.
         totals: Energy that the rendered world has taken in [J], work of the hand [J] and samples missed, each from the
             beginning on, (N,); None where they are not recorded.
-        basis: What it is besides; None where that is not recorded.
+        metadata: What it is besides; None in files of before, which do not tell.
         gaps: Samples that were missed without a gap in the ticks: before which row, and how many.
     """
 
     setup: Setup
     rows: Rows
     totals: Rows | None = None
-    basis: Basis | None = None
+    metadata: RunMetadata | None = None
     gaps: Sequence[tuple[int, int]] = ()
 
     def __getattr__(self, name: str) -> Array:
@@ -87,9 +64,14 @@ class Stretch:
     def __len__(self) -> int:
         return len(self.rows)
 
+    @property
+    def whole_setup(self) -> dict[str, Any]:
+        """Setup with the metadata in it, as a file holds them."""
+        return {**self.setup, **({} if self.metadata is None else {"run": self.metadata.as_json()})}
+
     def part(self, first: int, last: int) -> Stretch:
         """Return the samples from one row to another, both included, without what is only of the whole."""
-        return replaced(self, rows=self.rows[first : last + 1], totals=None, basis=None, gaps=())
+        return replaced(self, rows=self.rows[first : last + 1], totals=None, gaps=())
 
     def replace(self, **values: Any) -> Stretch:
         """Return a copy with other samples: arrays of the stretch's length by the names of their fields."""
@@ -124,7 +106,7 @@ class Recording:
             for index, stretch in enumerate(self.stretches)
             for name in ARRAYS
         }
-        setups = [dict(stretch.setup) for stretch in self.stretches]
+        setups = [stretch.whole_setup for stretch in self.stretches]
         header = {"format": _FORMAT, "axes": AXES, "setups": setups, "events": list(self.events)}
         with aside(Path(path)) as partial, partial.open("wb") as file:
             np.savez(file, header=np.array(json.dumps(header)), **arrays)
@@ -167,6 +149,17 @@ def aside(path: Path) -> Iterator[Path]:
         partial.replace(path)
     finally:
         partial.unlink(missing_ok=True)
+
+
+def split_setup(value: Any) -> tuple[Setup, RunMetadata | None]:
+    """Return a setup out of a file, and the metadata that were in it.
+
+    Raises:
+        ParameterError: If it is none, or something in it is missing or out of range.
+    """
+    setup = dict(check_setup(value))
+    run = setup.pop("run", None)
+    return setup, None if run is None else RunMetadata.from_json(object_in({"run": run}, "run"))
 
 
 def _array_of(rows: Rows, name: str) -> Array:
@@ -229,7 +222,8 @@ def _stretch(archive: ZipFile, allowance: Allowance, index: int, setup: Any) -> 
             rows[field.name] = part if field.six else part[:, 0]
             start += len(field.units)
     check_rows(rows)
-    return Stretch(setup=check_setup(setup), rows=rows)
+    made_from, metadata = split_setup(setup)
+    return Stretch(setup=made_from, rows=rows, metadata=metadata)
 
 
 def _array(archive: ZipFile, allowance: Allowance, name: str) -> Any:

@@ -9,7 +9,7 @@ import numpy as np
 
 from maglev_mj.energy import HandWork, PassivityObserver
 from maglev_mj.frames import Command, Sample
-from maglev_mj.recording.recording import Basis
+from maglev_mj.recording.metadata import RunMetadata
 from maglev_mj.timeline import Timing
 
 __all__ = ["Totals"]
@@ -19,14 +19,14 @@ class Totals:
     """Adds up what the rendered world takes in, what the hand does, and what is missing, from sample to sample.
 
     Args:
-        basis: What a stretch is, besides its samples.
+        metadata: What a stretch is, besides its samples.
     """
 
-    def __init__(self, basis: Basis) -> None:
-        timing = Timing(period=basis.period, delay=basis.delay)
-        self._carried = np.array(basis.carried)
-        load, before = self._carried + np.array(basis.load), np.array(basis.before) - self._carried
-        self._observer = PassivityObserver(timing, basis.inertia, load, before)
+    def __init__(self, metadata: RunMetadata) -> None:
+        timing = Timing(period=metadata.period, delay=metadata.delay)
+        self._carried = metadata.carried
+        load, before = self._carried + metadata.load, metadata.before - self._carried
+        self._observer = PassivityObserver(timing, metadata.inertia, load, before)
         self._hand, self._missed = HandWork(), 0
         self._tick: float | None = None
 

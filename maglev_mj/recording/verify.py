@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from typing import NamedTuple, TypeAlias
+from types import MappingProxyType
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,8 +15,8 @@ from maglev_mj.frames import ZERO, Array, Command, Mask, Sample
 from maglev_mj.hand import HandForce, RecordedHand
 from maglev_mj.plants import SampledPlant, engine_warnings_silenced
 from maglev_mj.recording.files import row_of
-from maglev_mj.recording.metadata import Mechanics
-from maglev_mj.recording.recording import Basis, Recording, Setup, Stretch
+from maglev_mj.recording.metadata import RunMetadata, Setup
+from maglev_mj.recording.recording import Recording, Stretch
 from maglev_mj.recording.row import ARRAYS, FIELDS, ROW, TOTALS, Rows, as_rows, as_table, compiled, named
 from maglev_mj.recording.totals import Totals
 
@@ -31,16 +32,14 @@ class Expected(NamedTuple):
     """What a setup tells of a run besides plant and controller.
 
     Attributes:
-        delay: From a sample to its command taking effect [s].
-        mechanics: What the actuators push at; None where nobody knows it.
         scripted: Whether the hand is the run's own, and not one that was given to it.
         samples: How many samples it takes, unless it fails before; None for as many as there are.
+        metadata: Names and values of metadata that neither plant nor controller tells; None for one that is not known.
     """
 
-    delay: float
-    mechanics: Mechanics | None
-    scripted: bool
+    scripted: bool = False
     samples: int | None = None
+    metadata: Mapping[str, Any] = MappingProxyType({})
 
 
 class FieldVerdict(NamedTuple):
@@ -89,14 +88,14 @@ def verify(recording: Recording, rebuild: Rebuild, *, expect: Callable[[Setup], 
     Args:
         recording: The recording.
         rebuild: Makes plant and controller from a setup and a hand.
-        expect: Tells what else there is to a setup; None for nothing: then neither that is compared, nor the hand.
+        expect: Tells what else there is to a setup; None for nothing.
 
     Raises:
         ParameterError: If a setup is not one that can be made.
     """
     found: dict[str, FieldVerdict] = {}
     for place, stretch in enumerate(recording.stretches):
-        for name, values, again in _fields(stretch, rebuild, expect and expect(stretch.setup)):
+        for name, values, again in _fields(stretch, rebuild, expect(stretch.setup) if expect else Expected()):
             same = None if again is None else _same(values, again)
             found[name] = _added(found.get(name), same, place, stretch.tick)
     return Verdict(recording.ticks, found, recording.damage)
@@ -123,26 +122,52 @@ def _same(recorded: Array, again: Array) -> Mask:
     return np.asarray(good.all(axis=1))
 
 
-def _fields(stretch: Stretch, rebuild: Rebuild, expected: Expected | None) -> Iterator[_Field]:
+def _fields(stretch: Stretch, rebuild: Rebuild, expected: Expected) -> Iterator[_Field]:
     """Yield each recorded field by name: what is recorded, and what comes out again; None for what does not."""
-    scripted = expected is not None and expected.scripted
     _, controller = rebuild(stretch.setup, None)
-    plant, other = rebuild(stretch.setup, None if scripted else RecordedHand(stretch.hand))
+    plant, other = rebuild(stretch.setup, None if expected.scripted else RecordedHand(stretch.hand))
+    metadata = _metadata(stretch, plant, controller, expected)
     seen, failed = (None, False) if plant is None else _seen(plant, other, len(stretch))
-    if expected is not None and expected.samples is not None:
+    if expected.samples is not None:
         count = float(len(stretch))
         yield "samples", np.array([count]), np.array([count if failed else float(expected.samples)])
     answers = _answers(stretch, controller)
     for field in (field for array in ARRAYS.values() for field in array):
-        again = answers if field in _COMMANDED else seen if field.name != "hand" or scripted else None
+        again = answers if field in _COMMANDED else seen if field.name != "hand" or expected.scripted else None
         yield field.name, stretch.rows[field.name], None if again is None else again[field.name]
-    if stretch.basis is not None and stretch.totals is not None:
-        totals = _totals(stretch, stretch.basis)
+    if stretch.totals is not None and stretch.metadata is not None:
+        totals = _totals(stretch, stretch.metadata)
         for field in TOTALS:
             yield field.name, stretch.totals[field.name], totals[field.name]
-        for name, known in _basis(controller, expected).items():
-            one = np.atleast_2d(getattr(stretch.basis, name))
-            yield name, one, None if known is None else np.broadcast_to(known, one.shape)
+    yield from metadata
+
+
+def _metadata(stretch: Stretch, plant: SampledPlant | None, controller: Controller, expected: Expected) -> list[_Field]:
+    """Return the fields of the metadata, one row each; names are not compared."""
+    recorded = stretch.metadata
+    if recorded is None:
+        return []
+    known: dict[str, Any] = {"period": controller.period, "carried": controller.carried}
+    names = ["period", "delay", "carried", "inertia", "load", "before"]
+    if recorded.faces is not None:
+        names += ["faces", "hand_recorded", "hand_acts_on_flotor"]
+        known["faces"] = controller.faces
+    if plant is not None:
+        made = RunMetadata.of(plant, controller)
+        known |= {name: getattr(made, name) for name in names if name not in (*known, "hand_recorded")}
+        known["hand_recorded"] = plant.held if expected.scripted else None
+    known |= expected.metadata
+    return [(name, *_rows(getattr(recorded, name), known.get(name))) for name in names]
+
+
+def _rows(recorded: ArrayLike, again: ArrayLike | None) -> tuple[Array, Array | None]:
+    """Return two values as one row each, of how many numbers each has and these."""
+    one, other = (
+        None if value is None else np.array([np.size(value), *np.ravel(value)], dtype=np.float64)[None]
+        for value in (recorded, again)
+    )
+    assert one is not None
+    return one, np.full_like(one, np.nan) if other is not None and other.size != one.size else other
 
 
 def _answers(stretch: Stretch, controller: Controller) -> Rows:
@@ -154,17 +179,6 @@ def _answers(stretch: Stretch, controller: Controller) -> Rows:
 
 _COMMANDED = [field for field in FIELDS if field.array == "command"]
 _values = compiled("command", "({values},)", _COMMANDED)
-
-
-def _basis(controller: Controller, expected: Expected | None) -> Mapping[str, ArrayLike | None]:
-    """Return what a stretch begins with, as far as it is known."""
-    known = None if expected is None else expected.mechanics
-    return {
-        "period": controller.period,
-        "delay": None if expected is None else expected.delay,
-        "carried": controller.carried,
-        **{name: None if known is None else getattr(known, name) for name in ("inertia", "load", "before")},
-    }
 
 
 def _seen(plant: SampledPlant, controller: Controller, count: int) -> tuple[Rows, bool]:
@@ -187,9 +201,9 @@ def _seen(plant: SampledPlant, controller: Controller, count: int) -> tuple[Rows
     return seen, False
 
 
-def _totals(stretch: Stretch, basis: Basis) -> Rows:
+def _totals(stretch: Stretch, metadata: RunMetadata) -> Rows:
     """Return the totals at each sample, from the samples, (N,)."""
-    adding, gaps = Totals(basis), list(stretch.gaps)
+    adding, gaps = Totals(metadata), list(stretch.gaps)
     found = []
     for index, row in enumerate(as_table(stretch.rows).tolist()):
         while gaps and gaps[0][0] <= index:

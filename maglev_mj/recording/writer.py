@@ -50,7 +50,7 @@ def _write(ring: RowReader, orders: _Orders, mcap: McapWriter, first: Callable[[
         while orders.waiting and orders.waiting[0]["at"] <= place:
             order = orders.waiting.popleft()
             if "begin" in order:
-                mcap.begin(order["begin"])
+                mcap.begin(*order["begin"])
             else:
                 mcap.event(*order["event"])
 

@@ -7,7 +7,7 @@ from maglev_mj.frames import AXES
 from maglev_mj.hand import Path
 from maglev_mj.laws import Law
 from maglev_mj.scenes.interactive import InteractiveScene
-from maglev_mj.scenes.parts import friction, shared, spring, wall, weight
+from maglev_mj.scenes.parts import contacts, spring, weight
 
 __all__ = ["BOX_WALLS", "Box"]
 
@@ -42,10 +42,5 @@ class Box(InteractiveScene):
     def own_laws(self) -> list[Law]:
         """See `InteractiveScene`."""
         # a little damping, as of air, so that the flotor comes to rest within a minute
-        laws: list[Law] = [*weight(self), spring(AXES, stiffness=0.0, damping=_AIR)]
-        gains = shared(self)
-        if self.wall:
-            laws.append(wall(gains, AXES, lower=[-edge for edge in BOX_WALLS], upper=BOX_WALLS))
-        if self.friction:
-            laws.append(friction(gains))
-        return laws
+        soft = spring(AXES, stiffness=0.0, damping=_AIR)
+        return [*weight(self), soft, *contacts(self, AXES, lower=[-edge for edge in BOX_WALLS], upper=BOX_WALLS)]

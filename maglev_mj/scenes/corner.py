@@ -8,7 +8,7 @@ from maglev_mj.frames import AXES
 from maglev_mj.hand import Path
 from maglev_mj.laws import Law
 from maglev_mj.scenes.interactive import InteractiveScene
-from maglev_mj.scenes.parts import friction, shared, spring, wall, weight
+from maglev_mj.scenes.parts import contacts, spring, weight
 
 __all__ = ["Corner"]
 
@@ -33,10 +33,5 @@ class Corner(InteractiveScene):
         """See `InteractiveScene`."""
         # a press of 0.4 N at the walls, and as much acceleration at the stop
         target = np.isin(AXES, _INTO) * -2e-3
-        laws: list[Law] = [*weight(self), spring(AXES, stiffness=200.0, damping=4.0, target=target)]
-        gains = shared(self)
-        if self.wall:
-            laws.append(wall(gains, _INTO, lower=0.0))
-        if self.friction:
-            laws.append(friction(gains))
-        return laws
+        soft = spring(AXES, stiffness=200.0, damping=4.0, target=target)
+        return [*weight(self), soft, *contacts(self, _INTO, lower=0.0)]

@@ -7,7 +7,7 @@ from maglev_mj.frames import AXES
 from maglev_mj.hand import Path
 from maglev_mj.laws import Law
 from maglev_mj.scenes.interactive import InteractiveScene
-from maglev_mj.scenes.parts import friction, shared, spring, wall, weight
+from maglev_mj.scenes.parts import contacts, spring, weight
 
 __all__ = ["CENTRING", "Joystick"]
 
@@ -44,10 +44,5 @@ class Joystick(InteractiveScene):
 
     def own_laws(self) -> list[Law]:
         """See `InteractiveScene`."""
-        laws: list[Law] = [*weight(self), spring(AXES, stiffness=CENTRING, damping=_DAMPING)]
-        gains = shared(self)
-        if self.wall:
-            laws.append(wall(gains, AXES, lower=[-edge for edge in _EDGES], upper=_EDGES))
-        if self.friction:
-            laws.append(friction(gains))
-        return laws
+        soft = spring(AXES, stiffness=CENTRING, damping=_DAMPING)
+        return [*weight(self), soft, *contacts(self, AXES, lower=[-edge for edge in _EDGES], upper=_EDGES)]

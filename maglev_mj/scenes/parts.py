@@ -23,6 +23,7 @@ __all__ = [
     "LEAST_STIFFNESS",
     "MASS",
     "WEIGHT",
+    "contacts",
     "friction",
     "shared",
     "spring",
@@ -106,6 +107,15 @@ def walls(scene: InteractiveScene, faces: Sequence[Face]) -> list[Law]:
         "upper": [upper.get(axis, math.inf) for axis in axes],
     }
     return [wall(scene, axes, **edges)]
+
+
+def contacts(
+    scene: InteractiveScene, axes: str | Sequence[str], *, lower: ArrayLike = -math.inf, upper: ArrayLike = math.inf
+) -> list[Law]:
+    """Return walls on some axes and friction on all, as far as they are on, with gains that they share."""
+    gains = shared(scene)
+    walls = [wall(gains, axes, lower=lower, upper=upper)] if scene.wall else []
+    return [*walls, friction(gains)] if scene.friction else [*walls]
 
 
 def friction(scene: InteractiveScene, axes: str | Sequence[str] = AXES, *, coupled: bool = False) -> StickSlip:

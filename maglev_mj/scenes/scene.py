@@ -40,7 +40,7 @@ PLANTS: Mapping[str, PlantMaker] = {"exact": ExactPlant, "mujoco": MuJoCoPlant}
 """Plants by name."""
 
 RESERVED = frozenset(
-    "plant phase phases json out record seconds size fps workers scheduler vary set scene plots".split()
+    "version plant phase phases json out record seconds size fps workers scheduler vary set scene plots".split()
 )
 """Names of the options that every command has, which no parameter may take."""
 

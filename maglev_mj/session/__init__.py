@@ -2,7 +2,7 @@
 
 from maglev_mj.session.actions import DEVICES_OWN, actions, settable
 from maglev_mj.session.admission import Refusal, refusal
-from maglev_mj.session.live import device_controller, live_plant, mechanics
+from maglev_mj.session.live import device_controller, live_plant
 from maglev_mj.session.pacing import Due, Pacer, real_time
 from maglev_mj.session.publishers import Publisher, Publishers
 from maglev_mj.session.session import Session
@@ -23,7 +23,6 @@ __all__ = [
     "actions",
     "device_controller",
     "live_plant",
-    "mechanics",
     "real_time",
     "refusal",
     "settable",

@@ -11,13 +11,12 @@ from maglev_mj.controller import Controller
 from maglev_mj.hand import HandForce
 from maglev_mj.laws import Bias
 from maglev_mj.plants import MuJoCoPlant, Timing
-from maglev_mj.recording import Mechanics
 from maglev_mj.scenes import Scene
-from maglev_mj.scenes.parts import INERTIA, WEIGHT
+from maglev_mj.scenes.parts import WEIGHT
 from maglev_mj.session.actions import settable
 from maglev_mj.spec import Spec
 
-__all__ = ["centred", "device_controller", "lifted", "live_plant", "mechanics"]
+__all__ = ["centred", "device_controller", "lifted", "live_plant"]
 
 _LIFTED = 0.004
 
@@ -60,11 +59,3 @@ def device_controller(scene: Scene) -> Controller:
     if scene.start().gravity:
         return controller
     return Controller([*controller.laws, Bias(WEIGHT)], period=scene.period, velocity=scene.velocity_estimator())
-
-
-def mechanics(scene: Scene, wrench: ArrayLike) -> Mechanics:
-    """Return the inertia and load of a scene's flotor, whose coils begin with a wrench [N, N m]."""
-    inertia = INERTIA.copy()
-    inertia[:3] = getattr(scene, "mass", inertia[0])
-    load = [0.0, 0.0, -float(inertia[2]) * scene.start().gravity, 0.0, 0.0, 0.0]
-    return Mechanics(inertia=inertia, load=load, before=wrench)

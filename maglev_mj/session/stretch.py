@@ -11,10 +11,10 @@ from maglev_mj.energy import EnergyAccount
 from maglev_mj.frames import ZERO, Array, Command, Sample
 from maglev_mj.hand import HandForce
 from maglev_mj.loop import ControlLoop
-from maglev_mj.recording import RecordingFile
+from maglev_mj.recording import RecordingFile, RunMetadata
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.find import reference_of
-from maglev_mj.session.live import live_plant, mechanics
+from maglev_mj.session.live import live_plant
 
 __all__ = ["LiveStretch", "scene_setup"]
 
@@ -61,13 +61,13 @@ class LiveStretch:
         began: float,
         keep: Callable[..., object],
     ) -> None:
-        setup = scene_setup(scene, pose, twist, wrench)
         self.plant = live_plant(scene, hand, pose=pose, twist=twist, wrench=wrench)
         self.controller = scene.controller()
         record = None
         if file is not None:
-            masses = mechanics(scene, wrench)
-            record = file.begin(self.plant, self.controller, setup, delay=scene.delay, mechanics=masses)
+            run = RunMetadata.of(self.plant, self.controller, name=f"scene {scene.name}", axis=scene.axis)
+            setup = {**scene_setup(scene, pose, twist, wrench), "run": run.as_json()}
+            record = file.begin(self.plant, self.controller, setup)
         self._carried = self.controller.carried
         self.energy = EnergyAccount(np.array(pose), self._carried)
         self.faces = self.controller.faces

@@ -5,21 +5,22 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
+from dataclasses import fields, is_dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from maglev_mj.controller import Controller
 from maglev_mj.errors import ParameterError, PlantError
 from maglev_mj.frames import Array
 from maglev_mj.loop import run
-from maglev_mj.parameters import number
+from maglev_mj.parameters import axis_indices, number
 from maglev_mj.plants import ExactPlant, Timing
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.find import find_scene
 from maglev_mj.scenes.press import Press
-from maglev_mj.scenes.scene import Scene
+from maglev_mj.scenes.scene import Scene, SideBySide
 from maglev_mj.studies.levels import LEVELS, Level, apart, exact_options, level_index, timing_of
-from maglev_mj.studies.stacking import StackingError, stacked
 
 __all__ = [
     "COMPARED",
@@ -187,7 +188,7 @@ def screen_levels(scene: Scene, around: float) -> Array:
     points = [scene_at(scene, case) for case in scattered_cases(scene, _POINTS, around, seed=0)]
     try:
         return _screen(points)
-    except StackingError:
+    except ParameterError:  # of a law that fails for arrays, or differs in more than numbers
         return np.zeros((len(LEVELS), 1))
     except PlantError:  # one diverged, and with it the batch
         return np.full((len(LEVELS), len(points) * _SEEDS), math.inf)
@@ -230,23 +231,53 @@ def run_together(points: Sequence[tuple[Scene, float]], level: str, seed: int) -
     """Run scenes at their phases, which differ in gains alone, as one batch of exact plants; return poses (K, N, 6).
 
     Raises:
-        StackingError: If their laws differ in more than gains.
+        ParameterError: If their laws differ in more than gains.
     """
-    scenes, phases = zip(*points, strict=True)
+    timings, starts = zip(*(_parts(scene, phase) for scene, phase in points), strict=True)
+    timing, common = timings[0], starts[0]
+    phases = np.array([one.phase for one in timings])
+    if (phases != phases[0]).any():
+        timing = replace(timing, phase=phases)
+    for name in ("pose", "twist", "wrench"):
+        if name in common:
+            common[name] = np.array([own[name] for own in starts])
+    if common.get("hand_force") is not None:
+        common["hand_force"] = SideBySide([own["hand_force"] for own in starts])
+    common.pop("longest_step", None)
     near = exact_options(level)
-    if scenes[0].plant_options().get("wrench_limit") is not None:  # the scene's own
+    if common.get("wrench_limit") is not None:  # the scene's own
         near.pop("wrench_limit", None)
-
-    def make(timing: Timing, *, longest_step: float | None = None, **keywords: Any) -> ExactPlant:
-        return ExactPlant(timing, **keywords)  # which has no steps
-
-    def as_level(timing: Timing) -> Timing:
-        return timing_of(LEVELS[level_index(level)], timing, seed)
-
-    options = near | {"escape": _FAR, "record": False}
-    device, controller = stacked(scenes, make, phases=phases, timing=as_level, **options)
+    options = common | near | {"escape": _FAR, "record": False}
+    controllers = [scene.controller() for scene, _ in points]
+    laws = [_stacked_law(alike) for alike in zip(*(controller.laws for controller in controllers), strict=True)]
+    controller = Controller(laws, period=controllers[0].period, velocity=controllers[0].velocity)
     ticks = min(scene.ticks(scene.timing(phase)) for scene, phase in points)
-    with np.errstate(all="ignore"), device as plant:
+    timing = timing_of(LEVELS[level_index(level)], timing, seed)
+    with np.errstate(all="ignore"), ExactPlant(timing, **options) as plant:
         poses: list[Array] = []
         run(plant, controller, ticks, observe=lambda *_: poses.append(plant.state()[0]))
         return np.array(poses)
+
+
+def _parts(scene: Scene, phase: float) -> tuple[Timing, dict[str, Any]]:
+    """Return the timing and the keywords with which a scene makes its plant."""
+    made: list[tuple[Timing, dict[str, Any]]] = []
+    scene.plant(lambda timing, **own: made.append((timing, own)), phase=phase)  # type: ignore[arg-type]
+    return made[0]
+
+
+def _stacked_law(laws: Sequence[Any]) -> Any:
+    """Return one law for N devices: numbers that differ become (N, axes)."""
+    first: Any = laws[0]
+    if not is_dataclass(first) or not hasattr(first, "axes") or any(type(law) is not type(first) for law in laws):
+        raise ParameterError(f"law must be of one class with axes and declared gains, not {type(first).__name__}")
+    count = len(axis_indices(first.axes))
+    changed = {}
+    for item in fields(first):
+        values = [getattr(law, item.name) for law in laws]
+        if item.init and any(not np.array_equal(values[0], value) for value in values[1:]):
+            try:
+                changed[item.name] = np.array([np.broadcast_to(np.asarray(value, float), (count,)) for value in values])
+            except (TypeError, ValueError):
+                raise ParameterError(f"{item.name} of {type(first).__name__} must be numbers to differ") from None
+    return replace(laws[0], **changed) if changed else first

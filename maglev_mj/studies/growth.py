@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any, ClassVar, NamedTuple
 
@@ -19,7 +20,6 @@ from maglev_mj.plants import ExactPlant, MuJoCoBatchPlant, SampledPlant, engine_
 from maglev_mj.scenes.bench import along, hold, others
 from maglev_mj.scenes.scene import PLANTS, PlantMaker, Scene, Start
 from maglev_mj.spec import GRAVITY, Spec
-from maglev_mj.studies.stacking import stacked
 from maglev_mj.theory import StiffestWall, largest_modulus, largest_stable_stiffness, stiffest_wall
 from maglev_mj.theory.closed_loop import MOST_PERIODS, LoopKeywords
 
@@ -138,7 +138,7 @@ def measure_growth(walls: Sequence[RestingWall], plant: str = "exact", **keyword
     Args:
         walls: The walls, which differ in their gains alone.
         plant: "exact" or "mujoco".
-        keywords: Further ones of `stacked` and of the plant.
+        keywords: Further ones of `Scene.plant`, such as another timing, and of the plant.
 
     Raises:
         ParameterError: If there is no such plant, or a value is outside its bounds.
@@ -151,13 +151,23 @@ def measure_growth(walls: Sequence[RestingWall], plant: str = "exact", **keyword
     for ticks in _PATIENCE:
         if undecided.size:
             some = [walls[index] for index in undecided.tolist()]
-            device, controller = stacked(some, _BATCHES[plant], **keywords)
-            sizes = _sizes(device, controller, np.array([wall.rest for wall in some]), ticks)
+            starts = [wall.start() for wall in some]
+            pose, wrench = (np.array(parts) for parts in zip(*((start.pose, start.wrench) for start in starts)))
+            device = some[0].plant(_BATCHES[plant], pose=pose, wrench=wrench, **keywords)
+            sizes = _sizes(device, _controller(some), np.array([wall.rest for wall in some]), ticks)
             growth, decided = _judge(sizes, last=ticks == _PATIENCE[-1])
             done = undecided[decided]
             stable[done], rate[done], spent[done] = (part[decided] for part in growth)
             undecided = undecided[~decided]
     return Growth(stable, rate, spent)
+
+
+def _controller(walls: Sequence[RestingWall]) -> Controller:
+    """Return one controller of many walls."""
+    wall, *held = walls[0].laws()
+    gains = {name: np.array([[getattr(one, name)] for one in walls]) for name in ("stiffness", "damping")}
+    many: Law = replace(wall, **gains)  # type: ignore[type-var]
+    return Controller([many, *held], period=walls[0].period, velocity=walls[0].velocity_estimator())
 
 
 def _sizes(plant: SampledPlant, controller: Controller, rest: Array, ticks: int) -> Array:

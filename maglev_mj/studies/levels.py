@@ -154,9 +154,9 @@ def exact_options(level: str) -> dict[str, Any]:
 
 def step_of(scene: Scene, level: str) -> float:
     """Return the longest step of a level in a scene where none is asked for [s]; the period if nothing bounds it."""
-    needs = {name: value for name, value in options_of(level).items() if name in _SHORTEN}
     own = scene.plant_options().get("longest_step")
     asked = own("mujoco") if callable(own) else own
+    needs = {name: value for name, value in options_of(level).items() if name in _SHORTEN}
     needed = step_needed(load("drop"), hand=_hand_of(scene), **needs)
     return min(bound for bound in (needed, asked, scene.period) if bound is not None)
 

@@ -31,9 +31,6 @@ MOST_CELLS = 1_000_000
 
 _JOBS, _MOST_TOGETHER = 8, 50
 
-_KNOWN: dict[str, type[Scene]] = {}
-"""Classes that this process has, by the name that they have in cells."""
-
 
 @dataclass(frozen=True, eq=False)
 class Sweep:
@@ -153,8 +150,7 @@ def _run(cell: Cell, text: str | None) -> dict[str, Any]:
     if text is None:
         scene = made_again(name.partition("@")[0], cell)
     else:
-        cls = _KNOWN.get(name) or scene_of_text(text, name.rpartition(":")[2].partition("@")[0])
-        scene = cls.from_json(cell)
+        scene = scene_of_text(text, name.rpartition(":")[2].partition("@")[0]).from_json(cell)
     try:
         return plain(scene.run_figures(plant, phase))
     except MaglevError as error:
@@ -170,9 +166,7 @@ def _name(cls: type[Scene]) -> str:
     if _is_ours(cls):
         return reference_of(cls)
     place = f"{Path(inspect.getfile(cls)).name}:{cls.__name__}" if _text(cls) else _place(cls)
-    name = f"{place}@{hash_of(text_of(cls))}"
-    _KNOWN[name] = cls
-    return name
+    return f"{place}@{hash_of(text_of(cls))}"
 
 
 def _text(cls: type[Scene]) -> str | None:

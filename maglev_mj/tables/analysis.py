@@ -38,7 +38,7 @@ def analysis_table(analysed: Analysed, number: int, count: int) -> str:
 
 
 def _head(analysed: Analysed, number: int, count: int) -> str:
-    known, figures = analysed.known, analysed.recorded.figures
+    known, figures = analysed.metadata, analysed.recorded.figures
     which = f"stretch {number} of {count}, " if count > 1 else ""
     return (
         f"Recording of {known.name}: {which}{figures.samples} samples at {1.0 / known.period:g} Hz, "

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import importlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -163,13 +162,12 @@ def linearise(controller: Controller, poses: ArrayLike) -> list[Linearised]:
         difference = forces[:, 1:] - forces[:, :1]
         up, down = difference[:, :6].swapaxes(1, 2), difference[:, 6:].swapaxes(1, 2)  # [j, to, from]
         step, back = change[index, 1 + axes, axes], change[index, 7 + axes, axes]
-        rounding = 4.0 * np.spacing(np.abs(forces).max(axis=(0, 1)))[:, None] / -back
-        found.append(_near(pose, controller.period, up / step, down / back, rounding))
+        found.append(_near(pose, controller.period, up / step, down / back))
     kept = 1 + max(np.flatnonzero(near.response.any(axis=(1, 2))).max(initial=0) for near in found)
     return [replace(near, response=near.response[:kept]) for near in found]
 
 
-def _near(pose: Array, period: float, up: Array, down: Array, rounding: Array) -> Linearised:
+def _near(pose: Array, period: float, up: Array, down: Array) -> Linearised:
     """Return the linearisation from the answers to a displacement and to minus half of it, by unit displacement."""
     finite = np.isfinite(up).all(axis=(0, 1)) & np.isfinite(down).all(axis=(0, 1))
     up, down = np.where(finite, up, 0.0), np.where(finite, down, 0.0)
@@ -179,9 +177,9 @@ def _near(pose: Array, period: float, up: Array, down: Array, rounding: Array) -
     response = (up + 2.0 * down) / 3.0
     gap = np.abs(up - down)
     largest = (weight * np.abs(response)).max(axis=(0, 1))
-    jumps = (weight * np.where(gap > rounding, gap, 0.0)).max(axis=(0, 1)) > _BENT * largest
+    jumps = (weight * gap).max(axis=(0, 1)) > _BENT * largest
     # what shrinks with the displacement, such as the creep of a bristle, is nothing in the limit
-    least = np.maximum(np.maximum(rounding, _CUT * largest / weight), np.where(jumps, 0.0, 2.0 * gap))
+    least = np.maximum(_CUT * largest / weight, np.where(jumps, 0.0, 2.0 * gap))
     response = np.where(np.abs(response) > least, response, 0.0)
     quiet = ~response[-_QUIET:].any(axis=(0, 1))
     return Linearised(pose=pose, period=period, response=response, jumps=jumps, settled=np.asarray(finite & quiet))
@@ -278,7 +276,7 @@ def loop_matrices(response: Array, *, period: float, delay: float, inertia: Arra
 
 def _statespace(*system: Any) -> Any:
     try:
-        control = importlib.import_module("control")
+        import control
     except ImportError:
         raise ParameterError("to_statespace() needs python-control, as in pip install control") from None
     return control.ss(*system)

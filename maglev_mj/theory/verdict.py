@@ -214,7 +214,7 @@ def _numerically(controller: Controller, delay: float, pose: Array, body: Array)
                 jumps.append(near.pose)
             elif not near.settled[chosen].all():
                 unknown.append(near.pose)
-            elif loop.stiffness.min() < -_FREE * np.abs(loop.stiffness).max():
+            elif loop.stiffness.min() < -_FREE * np.abs(own).max():
                 away.append(loop)
             else:
                 loops.append(loop)
@@ -268,7 +268,7 @@ def _coupled(scaled: Array) -> list[tuple[int, ...]]:
     """Return groups of axes that act on each other."""
     size = np.abs(scaled).max(axis=0)
     linked = (size > _ROUNDING * size.max(initial=0.0)) | np.eye(len(AXES), dtype=bool)
-    linked = np.linalg.matrix_power((linked | linked.T).astype(float), len(AXES)) > 0.0
+    linked = np.linalg.matrix_power(linked.astype(float), len(AXES)) > 0.0
     return list(dict.fromkeys(tuple(np.flatnonzero(row).tolist()) for row in linked))
 
 
@@ -285,13 +285,8 @@ def _poses(controller: Controller, start: Array) -> Array:
 
 def _off_edges(controller: Controller, start: Array) -> Array:
     """Return a start moved off the edges that it is on, which would make each pose of the grid a jump."""
-    moved = start.copy()
-    for side in (1.0, -2.0):
-        (near,) = linearise(controller, moved[None])
-        if not near.jumps.any():
-            break
-        moved = moved + side * _OFF * _SCALE * near.jumps
-    return moved
+    (near,) = linearise(controller, start[None])
+    return start + _OFF * _SCALE * near.jumps
 
 
 def _with(pose: Array, axis: int, value: float) -> Array:

@@ -19,7 +19,7 @@ from pathlib import Path
 
 from maglev_mj import Command, Sample
 from maglev_mj.loop import ControlLoop, Record
-from maglev_mj.recording import Recorder, open_recording
+from maglev_mj.recording import Recorder, open_recording, setup_of
 from maglev_mj.recording.live import Ring
 from maglev_mj.scenes.joystick import Joystick
 
@@ -76,7 +76,7 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="fewer turns and samples")
     turns, blocks = (20, 10) if parser.parse_args().quick else (2000, 100)
     ring = Ring()
-    bare, mcap, arrays = tick_times([None, ring.record, lambda plant: Recorder(plant, {})], turns)
+    bare, mcap, arrays = tick_times([None, ring.record, lambda plant: Recorder(plant, {"kind": "benchmark"})], turns)
     ring.close()
     print(f"  a tick without recording             {statistics.median(bare) * 1e6:5.2f} µs")
     for name, times in (("to .mcap, into shared memory", mcap), ("to .npz, into memory", arrays)):
@@ -87,7 +87,7 @@ def main() -> None:
         path, count = Path(folder) / "run.mcap", blocks * BLOCK
         file, start = open_recording(path, wait=True), time.perf_counter()
         plant, controller = Nothing(), Joystick().controller()
-        record = file.begin(plant, controller, {"kind": "benchmark"}, delay=0.0)
+        record = file.begin(plant, controller, setup_of(plant, controller, delay=0.0))
         ControlLoop(plant, controller, record=record).cycle(count)
         file.close()
         rate, size = count / (time.perf_counter() - start), path.stat().st_size / count

@@ -1,0 +1,284 @@
+"""Laws made of gains and one function, plain functions as laws, and how a law that is wrong is refused."""
+
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import ArrayLike
+
+from maglev_mj import AXES, Controller, ExactPlant, Sample, Timing, run
+from maglev_mj.errors import ParameterError
+from maglev_mj.frames import components
+from maglev_mj.laws import (
+    AxisLaw,
+    Bias,
+    Dahl,
+    ElastoPlastic,
+    HaywardArmstrong,
+    Hold,
+    ImplicitCoulomb,
+    Law,
+    LuGre,
+    ObserverWall,
+    PassivityController,
+    PredictiveWall,
+    SpringReset,
+    StickSlip,
+    Wall,
+    check,
+    gain,
+)
+
+T = 0.005
+GAINS: dict[str, Any] = {"stiffness": 3000.0, "damping": 30.0}
+FRICTION: dict[str, Any] = {**GAINS, "breakaway": 1.0}
+
+
+class Detent(AxisLaw):
+    """Sine detents: f = -stiffness pitch / 2π sin(2π x / pitch) - damping v."""
+
+    pitch: ArrayLike = gain("distance between detents", "m", above=0.0)
+    stiffness: ArrayLike = gain("stiffness at the bottom", "N/m")
+    damping: ArrayLike = gain("damping", "N s/m", default=10.0)
+
+    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+        turn = 2.0 * np.pi / gains.pitch
+        return -gains.stiffness / turn * np.sin(turn * x) - gains.damping * v
+
+
+class Leaky(AxisLaw):
+    """Integral action with a leak."""
+
+    leak: float = gain(default=0.1)
+    rate: float = 100.0
+
+    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+        area = (0.0 * x if state is None else state) * (1.0 - gains.leak) + x
+        return -self.rate * area, area
+
+
+LAWS: dict[str, Law] = {
+    "detent": Detent(axes=("x", "rz"), pitch=0.002, stiffness=3000.0),
+    "leaky": Leaky(),
+    "bias": Bias([1.0, 2.0, 3.0, 4.0, 5.0, 6.0]),
+    "hold": Hold(**GAINS, target=1e-3),
+    "wall": Wall(axes="z", upper=0.0, pulse=200.0, pulse_width=0.003, force_limit=10.0, **GAINS),
+    "two walls": Wall(lower=-1e-3, upper=1e-3, **GAINS),
+    "stick-slip": StickSlip(v_min=0.01, **FRICTION),
+    "coupled": StickSlip(axes=("x", "y"), v_min=0.01, coupled=True, **FRICTION),
+    "spring reset": SpringReset(**FRICTION),
+    "implicit": ImplicitCoulomb(period=T, element_damping=5.0, **FRICTION),
+    "lugre": LuGre(period=T, bristle_damping=5.0, **FRICTION),
+    "dahl": Dahl(**FRICTION),
+    "elasto-plastic": ElastoPlastic(**FRICTION),
+    "hayward": HaywardArmstrong(**FRICTION),
+    "predictive": PredictiveWall(period=T, delay=0.0015, **GAINS),
+    "observer": ObserverWall(period=T, delay=0.0015, inertia=0.7, pole=0.4, **GAINS),
+}
+
+
+@pytest.mark.parametrize("name", list(LAWS))
+def test_every_law_is_the_same_alone_and_in_a_batch(name: str) -> None:
+    check(LAWS[name])
+
+
+def test_a_law_of_gains_and_one_function_serves_one_device_and_thousand() -> None:
+    law = Detent(axes="x", pitch=0.002, stiffness=4000.0, damping=50.0)
+    starts = np.zeros((1000, 6))
+    starts[:, 0] = np.linspace(-9e-4, 9e-4, 1000)
+    timing = Timing(period=T)
+    with ExactPlant(timing, pose=starts, gravity=0.0, record=True) as plant:
+        run(plant, Controller([law], period=T), 60)
+        together = plant.trace().pose
+    for device in (0, 499, 731):
+        with ExactPlant(timing, pose=starts[device], gravity=0.0, record=True) as plant:
+            run(plant, Controller([law], period=T), 60)
+            assert np.array_equal(plant.trace().pose, together[:, device])
+
+
+def test_gains_may_differ_by_axis_and_by_device() -> None:
+    law = Detent(axes=("x", "y"), pitch=[0.002, 0.004], stiffness=np.array([[1000.0, 2000.0], [3000.0, 4000.0]]))
+    assert law.batch == (2,) and law.indices == (0, 1) and law.damping == 10.0
+    wrench: list[Any] = [0.0] * 6
+    position = components(np.full((2, 6), 1e-3))
+    law(position, [np.zeros(2)] * 6, law.start(), wrench)
+    quarter = -np.array([2000.0, 4000.0]) * 0.004 / (2.0 * np.pi)
+    assert wrench[0] == pytest.approx([0.0, 0.0], abs=1e-12) and wrench[1] == pytest.approx(quarter)
+    assert law.on_axes(law.stiffness).tolist() == [[1000.0, 2000.0, 0, 0, 0, 0], [3000.0, 4000.0, 0, 0, 0, 0]]
+
+
+def test_a_law_that_says_nothing_has_defaults() -> None:
+    law = LAWS["detent"]
+    assert law.gains() is None and law.faces() == () and law.signals(law.start()) == {}
+    assert law.stick_positions(law.start()) == {} and law.carried().tolist() == [0.0] * 6
+
+
+def test_a_controller_tells_what_its_laws_are() -> None:
+    friction = [StickSlip(axes=axis, v_min=0.01, **FRICTION) for axis in ("x", "rz")]
+    ahead = PredictiveWall(axes="z", lower=-2e-3, period=T, **GAINS)
+    watch = PassivityController(axes="y", period=T, most=10.0)
+    laws = [
+        Bias([0, 0, 6.9, 0, 0, 0]),
+        Bias([0, 0, 1, 0, 0, 2]),
+        *friction,
+        ahead,
+        Wall(axes="y", upper=1e-3, **GAINS),
+        watch,
+    ]
+    controller = Controller(laws, period=T)
+    assert controller.carried == pytest.approx([0, 0, 7.9, 0, 0, 2])
+    assert controller.faces == ((2, 1.0, -2e-3), (1, -1.0, 1e-3))
+    assert controller.stick_positions is None and list(controller.signals) == ["energy"]
+    controller.step(Sample(0, 0.0, [1e-4, 0.0, 0.0, 0.0, 0.0, 2e-4]))
+    controller.step(Sample(1, T, [1e-3, 0.0, 0.0, 0.0, 0.0, 2e-4]))
+    found = controller.stick_positions
+    assert found is not None and np.isnan(found[:5]).all() and found[5] == 2e-4
+    # of two laws with a signal of one name, the later one's
+    assert controller.signals["stuck"] == [True] and controller.signals["stick_position"] == [2e-4]
+
+
+@pytest.mark.parametrize(
+    "function",
+    [
+        lambda position, velocity: [-1000.0 * x for x in position],
+        lambda position, velocity: -1000.0 * np.array(position),
+        lambda position, velocity: tuple(-1000.0 * x for x in position),
+    ],
+)
+def test_a_plain_function_is_a_law(function: Callable[..., Any]) -> None:
+    check(function)
+    controller = Controller([function, Hold(stiffness=500.0, damping=0.0)], period=T)
+    force = controller.step(Sample(0, 0.0, [1e-3] * 6)).force
+    assert list(force) == pytest.approx([-1.5] * 6) and all(part.__class__ is float for part in force)
+    controller.reset()
+    assert controller.step(Sample(0, 0.0, components(np.full((3, 6), 1e-3)))).wrench == pytest.approx(
+        np.full((3, 6), -1.5)
+    )
+
+
+def put(values: list[Any], index: int, value: Any) -> Any:
+    """Set one of some values; return no state."""
+    values[index] = value
+    return None
+
+
+COUNT = itertools.count(1)
+BAD: dict[str, tuple[Callable[..., Any], str, bool]] = {
+    "no return": (lambda p, v, s, w: None, "must return its next state and a pulse or None, not None", True),
+    "a force": (lambda p, v, s, w: -3.0 * p[0], "must return its next state and a pulse or None, not", True),
+    "seventh axis": (lambda p, v, s, w: (w.extend([0.0]), None), "six components of wrench", True),
+    "seventh index": (lambda p, v, s, w: (put(w, 6, 1.0), None), "fails: IndexError", True),
+    "pulse of one": (lambda p, v, s, w: (None, [1.0]), "six components of pulse", True),
+    "not a number": (lambda p, v, s, w: (put(w, 0, math.nan), None), "a finite wrench on x, not nan", True),
+    "a word": (lambda p, v, s, w: (put(w, 1, "a"), None), "a wrench of a number on y, not 'a'", True),
+    "wrong shape": (lambda p, v, s, w: (put(w, 0, np.zeros(2)), None), "a wrench of a number on x", True),
+    "changed position": (lambda p, v, s, w: (put(p, 0, 1.0), None), "must not change the position or velocity", True),
+    "changed velocity": (lambda p, v, s, w: (put(v, 0, 1.0), None), "must not change the position or velocity", False),
+    "nothing added": (lambda p, v, s, w: (None, None), "must add to the wrench", False),
+    "floats alone": (
+        lambda p, v, s, w: (put(w, 0, w[0] + math.sin(p[0])), None),
+        "must take N devices as arrays",
+        False,
+    ),
+    "an if": (lambda p, v, s, w: (put(w, 0, w[0] + (1.0 if p[0] > 0 else 2.0)), None), "must take N devices", False),
+    "devices mixed": (lambda p, v, s, w: (put(w, 0, w[0] - np.mean(p[0])), None), "the same bits: on x", False),
+    "own state": (
+        lambda p, v, s, w: (put(w, 0, w[0] + next(COUNT)), None),
+        "alike each time",
+        False,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", list(BAD))
+def test_a_law_that_is_wrong_is_refused_in_one_line(name: str) -> None:
+    """By `check`, and where that needs no batch and no second look, at the first sample."""
+    body, message, first = BAD[name]
+
+    class Wrong(Law):
+        def __call__(self, position: Any, velocity: Any, state: Any, wrench: Any) -> Any:
+            return body(position, velocity, state, wrench)
+
+    with pytest.raises(ParameterError, match=message) as caught:
+        check(Wrong())
+    assert "\n" not in str(caught.value) and "law Wrong" in str(caught.value)
+    if first:
+        with pytest.raises(ParameterError, match=message):
+            Controller([Wrong()], period=T).step(Sample(0, 0.0, [1e-3] * 6))
+
+
+@pytest.mark.parametrize("sizes", [(3,), (2, 6)])
+def test_a_batch_of_a_wrong_shape_is_refused_at_the_first_sample(sizes: tuple[int, ...]) -> None:
+    def wrong(position: Sequence[Any], velocity: Sequence[Any]) -> Sequence[Any]:
+        return [np.zeros(sizes)] * 6
+
+    with pytest.raises(ParameterError, match=r"a wrench of shape \(4,\) on x"):
+        Controller([wrong], period=T).step(Sample(0, 0.0, components(np.zeros((4, 6)))))
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (5, "not 5"),
+        (Detent, "not <class"),
+        (lambda position: [0.0] * 6, r"f\(position, velocity\)"),
+        (lambda p, v: [0.0] * 5, "six wrench components, not"),
+        (lambda p, v: None, "six wrench components, not None"),
+    ],
+)
+def test_what_is_no_law_is_refused(given: Any, message: str) -> None:
+    with pytest.raises(ParameterError, match=message):
+        Controller([given], period=T).step(Sample(0, 0.0, [0.0] * 6))
+
+
+def test_a_law_of_a_batch_is_not_checked() -> None:
+    with pytest.raises(ParameterError, match=r"must be of one device to be checked, not of shape \(2,\)"):
+        check(Hold(stiffness=np.ones((2, 6)), damping=0.0))
+
+
+def test_gains_that_are_wrong_are_refused_at_construction() -> None:
+    for values, message in (
+        ({"pitch": 0.0, "stiffness": 1.0}, "Detent pitch must be above 0 everywhere, not 0"),
+        ({"pitch": 1.0, "stiffness": -1.0}, "Detent stiffness must be finite and at least 0 everywhere, not -1"),
+        ({"pitch": 1.0, "stiffness": math.nan}, "Detent stiffness must be"),
+        ({"pitch": 1.0, "stiffness": [1.0, 2.0]}, "Detent stiffness must have a last dimension of 6"),
+        ({"pitch": 1.0, "stiffness": 1.0, "axes": "q"}, "axis must be one of"),
+    ):
+        with pytest.raises(ParameterError, match=message):
+            Detent(**values)
+    with pytest.raises(TypeError, match="stiffness"):
+        Detent(pitch=1.0)  # type: ignore[call-arg]
+
+
+def test_a_class_that_is_no_law_is_refused() -> None:
+    with pytest.raises(ParameterError, match=r"Short.force must take \(self, x, v, gains, state\)"):
+
+        class Short(AxisLaw):
+            def force(self, x: Any) -> Any:  # type: ignore[override]
+                return x
+
+    with pytest.raises(ParameterError, match="must not have a gain called faces"):
+
+        class Hidden(AxisLaw):
+            faces: float = gain()  # type: ignore[assignment]
+
+    class Silent(AxisLaw):
+        pass
+
+    with pytest.raises(ParameterError, match="needs force"):
+        Controller([Silent()], period=T).step(Sample(0, 0.0, [0.0] * 6))
+
+
+def test_axes_are_all_six_by_default_and_laws_inherit_gains() -> None:
+    class Scaled(Detent):
+        share: float = gain(default=2.0)
+
+        def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+            return gains.share * super().force(x, v, gains, state)
+
+    law = Scaled(pitch=0.002, stiffness=1.0)
+    assert law.indices == tuple(range(len(AXES))) and law.share == 2.0
+    check(law)

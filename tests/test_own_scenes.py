@@ -1,0 +1,196 @@
+"""Sweeps of a scene in a user's own file: by two processes and by a cluster that know nothing of the file."""
+
+from __future__ import annotations
+
+import json
+from functools import partial
+from importlib.metadata import EntryPoint
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from maglev_mj.cli import main
+from maglev_mj.errors import ParameterError
+from maglev_mj.scenes.find import find_scene, text_of
+from maglev_mj.studies import sweep as sweeping
+from maglev_mj.studies.cells import run_cells
+from maglev_mj.studies.sweep import run_scene_cells, sweep, swept_cells
+from maglev_mj.workers import Workers, dask_workers, local_workers
+
+FILE = '''
+"""A magnet that pulls back by the cube of the distance."""
+
+from typing import ClassVar
+
+from maglev_mj.laws import AxisLaw, gain
+from maglev_mj.parameters import param
+from maglev_mj.scenes.figures import figure
+from maglev_mj.scenes.scene import Scene, Start
+
+
+class Cubic(AxisLaw):
+    stiffness: float = gain("stiffness", "N/m")
+    damping: float = gain("damping", "N s/m")
+
+    def force(self, x, v, gains, state):
+        return -gains.stiffness * x - 1e9 * x * x * x - gains.damping * v
+
+
+@figure("mm", "distance at the end")
+def left(result):
+    return float(abs(result.line.pose[-1, 0])) FURTHER
+
+
+class Magnet(Scene):
+    """Let the flotor go beside a magnet."""
+
+    shown_axis: ClassVar = "x"
+    figures: ClassVar = (left, "peak_speed")
+    stiffness: float = param("stiffness", "N/m", default=1000.0, above=0.0)
+    damping: float = param("damping", "N s/m", default=30.0, at_least=0.0)
+    duration: float = param("time", "s", default=0.05, above=0.0)
+
+    def laws(self):
+        return [Cubic(axes="x", stiffness=self.stiffness, damping=self.damping)]
+
+    def start(self):
+        return Start(pose=(0.002, 0.0, 0.0, 0.0, 0.0, 0.0), gravity=0.0)
+'''
+GRID = {"stiffness": [500.0, 1000.0, 2000.0], "damping": [20.0, 40.0]}
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    path = tmp_path / "magnet.py"
+    path.write_text(FILE.replace("FURTHER", ""))
+    return path
+
+
+def test_cells_name_the_file_and_what_is_in_it(file: Path) -> None:
+    first = swept_cells(find_scene(str(file))(), GRID, plant="exact")
+    assert len(first) == 6 and all(cell["scene"].startswith("magnet.py:Magnet@") for cell in first)
+    assert first[1] == first[0] | {"damping": 40.0}
+    elsewhere = file.parent / "other" / "magnet.py"
+    elsewhere.parent.mkdir()
+    elsewhere.write_bytes(file.read_bytes())
+    assert swept_cells(find_scene(str(elsewhere))(), GRID, plant="exact") == first
+    elsewhere.write_text(FILE.replace("FURTHER", "* 2.0"))
+    changed = swept_cells(find_scene(str(elsewhere))(), GRID, plant="exact")
+    assert changed[0] == first[0] | {"scene": changed[0]["scene"]} and changed[0]["scene"] != first[0]["scene"]
+
+
+def test_a_changed_file_is_not_what_the_record_has(file: Path, tmp_path: Path) -> None:
+    record = tmp_path / "cells.jsonl"
+    first = sweep(find_scene(str(file)), GRID, plant="exact", record=record)
+    again = sweep(find_scene(str(file)), GRID, plant="exact", record=record)
+    assert (first.known, again.known) == (0, 6) and again.results == first.results
+    file.write_text(FILE.replace("FURTHER", "* 2.0"))
+    changed = sweep(find_scene(str(file)), GRID, plant="exact", record=record)
+    assert changed.known == 0 and first.figure("left").shape == (3, 2)
+    np.testing.assert_array_equal(changed.figure("left"), 2.0 * first.figure("left"))
+
+
+def run_without_the_file(file: Path, workers: Workers) -> None:
+    """See workers that cannot have the file give the same as this process."""
+    cls = find_scene(str(file))
+    cells, text = swept_cells(cls(), GRID, plant="exact"), text_of(cls)
+    here = sweep(cls, GRID, plant="exact").results
+    assert len({result["left"] for result in here}) == 6
+    file.unlink()
+    assert run_cells(partial(run_scene_cells, text=text), cells, workers=workers, together=2) == here
+
+
+def test_two_processes_run_a_scene_whose_file_is_gone(file: Path) -> None:
+    run_without_the_file(file, local_workers(2))
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_a_cluster_runs_a_scene_whose_file_it_never_had(file: Path) -> None:
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as cluster:
+        run_without_the_file(file, dask_workers(cluster.scheduler_address))
+
+
+def test_the_command_sweeps_a_file_on_two_processes(file: Path, monkeypatch: Any, capsys: Any) -> None:
+    monkeypatch.chdir(file.parent)
+    command = ["sweep", "magnet.py", "--vary", "stiffness=500,1000", "--set", "damping=20", "--set", "plant=exact"]
+    assert main([*command, "--workers", "2", "--json", "all.json"]) == 0
+    assert (
+        "Sweep of magnet over stiffness (2): 2 cells, 0 of them already in magnet-sweep.jsonl"
+        in capsys.readouterr().out
+    )
+    data = json.loads((file.parent / "all.json").read_text())
+    assert data["scene"] == "magnet" and data["varied"] == {"stiffness": [500.0, 1000.0]}
+    assert [cell["cell"]["damping"] for cell in data["cells"]] == [20.0, 20.0]
+
+
+def test_the_help_lists_the_parameters_of_the_scene(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit, match="0"):
+        main(["sweep", str(file), "--help"])
+    said = capsys.readouterr().out
+    assert "  stiffness      stiffness [N/m] (default 1000)\n" in said
+    assert "  plant          mujoco, exact (default mujoco)\n" in said and "  phase          of the samples" in said
+
+
+@pytest.mark.parametrize(
+    ("further", "words"),
+    [
+        ("+ 1 / 0", "ZeroDivisionError: division by zero"),
+        ("+ missing", "NameError: name 'missing' is not defined"),
+    ],
+)
+def test_an_error_of_ones_own_code_is_the_result_of_its_cell(file: Path, further: str, words: str) -> None:
+    file.write_text(FILE.replace("FURTHER", further))
+    found = sweep(find_scene(str(file)), {"damping": [20.0]}, plant="exact", workers=1)
+    assert found.results == [{"error": words}] and np.isnan(found.figure("left")).all()
+
+
+def test_a_file_that_needs_its_neighbour_is_refused_by_a_worker_in_one_line(file: Path) -> None:
+    (file.parent / "beside_it.py").write_text("pitch = 1.0\n")
+    file.write_text(
+        FILE.replace("FURTHER", "* beside_it.pitch").replace("\nfrom typing", "\nimport beside_it\nfrom typing")
+    )
+    cls = find_scene(str(file))
+    assert len(sweep(cls, GRID, plant="exact").results) == 6  # this process has read both
+    with pytest.raises(ParameterError, match=r"scene Magnet.py cannot be read: ModuleNotFoundError: No module named"):
+        sweep(cls, GRID, plant="exact", workers=1)
+
+
+def test_a_scene_of_another_package_goes_by_its_place_and_a_hash(file: Path, monkeypatch: Any) -> None:
+    monkeypatch.syspath_prepend(file.parent)
+    monkeypatch.setattr(sweeping, "entry_points", lambda group: [EntryPoint("magnet", "magnet:Magnet", group)])
+    import magnet  # type: ignore[import-not-found]
+
+    (cell,) = swept_cells(magnet.Magnet(), {}, plant="exact")
+    assert cell["scene"].startswith("magnet:Magnet@") and len(cell["scene"]) == len("magnet:Magnet@") + 16
+    assert sweep(magnet.Magnet, {}, plant="exact").results == run_scene_cells([cell])
+
+
+def test_scenes_that_no_file_has_at_its_top_are_refused() -> None:
+    class Local(find_scene("twist")):  # type: ignore[misc]
+        """A scene in a function."""
+
+    with pytest.raises(ParameterError, match="scene must be at the top of a file, so that others can run it"):
+        sweep(Local, {})
+
+
+def test_a_grid_is_refused_before_anything_runs() -> None:
+    twist = find_scene("twist")
+    for vary, words in (
+        ({"phase": [0.1]}, "parameter of twist must be one of plant, period, delay, duration, not 'phase'"),
+        ({"plant": ["moon"]}, "plant must be one of exact, mujoco, not 'moon'"),
+        ({"duration": [0.1, -1.0]}, "duration must be a finite number above 0"),
+        ({"duration": [0.1] * 1001, "period": [0.005] * 1000}, "at most 1000000 cells, not 1001000"),
+    ):
+        with pytest.raises(ParameterError, match=words):
+            sweep(twist, vary)
+
+
+def test_a_parameter_with_the_name_of_an_option_is_refused_in_one_line(file: Path, capsys: Any) -> None:
+    file.write_text(FILE.replace("FURTHER", "").replace("damping: float = param", "share: float = param"))
+    with pytest.raises(SystemExit, match="2"):
+        main(["fidelity", str(file)])
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1 and "scene magnet cannot be given here: argument --share: conflicting option" in said
