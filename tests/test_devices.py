@@ -16,11 +16,12 @@ from maglev_mj import Command, Controller, ExactPlant, Hold, MuJoCoPlant, Timing
 from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.twin import Twin, TwinParameters
 from maglev_mj.coils import CoilMap
-from maglev_mj.energy import PassivityObserver, actuator_work
+from maglev_mj.energy import HandWork, PassivityObserver, actuator_work, hand_work
 from maglev_mj.errors import MaglevError, ModelError, ParameterError, PlantError
-from maglev_mj.frames import Array
+from maglev_mj.frames import Array, quaternion
 from maglev_mj.model import load, model_path
-from maglev_mj.plants import MuJoCoBatchPlant, SampledPlant
+from maglev_mj.plants import MuJoCoBatchPlant, SampledPlant, Sensor
+from maglev_mj.plants.currents import CoilDrive
 from maglev_mj.spec import GRAVITY, INERTIA
 
 PERIOD = 0.005
@@ -104,6 +105,15 @@ def test_batches_are_metered_as_their_devices_are() -> None:
             assert np.asarray(together.work)[device] == pytest.approx(alone.work, rel=1e-9)
 
 
+def test_a_hand_that_uses_its_list_again_is_counted_as_it_was() -> None:
+    work, effort = HandWork(), [2.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+    work.add(np.zeros(6), effort)
+    effort[0] = 5.0
+    work.add(np.array([1e-3, 0, 0, 0, 0, 0]), effort)
+    assert work.total == pytest.approx(2e-3)
+    assert hand_work(np.array([[0.0] * 6, [1e-3] * 6]), np.array([[2.0] * 6, [5.0] * 6])).tolist() == [[2e-3] * 6]
+
+
 def test_work_that_is_not_metered_is_not_zero() -> None:
     for kind in (ExactPlant, MuJoCoPlant):
         with pytest.raises(PlantError, match="make the plant with metered=True"):
@@ -135,6 +145,38 @@ def test_currents_that_a_wrench_would_give_move_the_flotor_alike_to_the_last_bit
         assert one.currents.tolist() == other.currents.tolist()
         assert other.work == pytest.approx(one.work, rel=0.02 if "force_falloff" in options else 1e-4)
         np.testing.assert_allclose(one.trace().wrench[:-1], other.trace().wrench[:-1], atol=1e-2)
+
+
+@pytest.mark.parametrize("sensor", [None, Sensor(quantum=1e-12)])
+def test_the_currents_of_a_constant_wrench_follow_the_angle(sensor: Sensor | None) -> None:
+    with MuJoCoPlant(Timing(delay=0.0), twist=[0, 0, 0, 3.0, -2.0, 1.0], gravity=0.0, sensor=sensor) as plant:
+        coils, turn = plant.device.coils, np.zeros(9)
+        assert coils is not None
+        for tick in range(8):
+            place = plant.read().position
+            mujoco.mju_quat2Mat(turn, np.array(quaternion(place[3:])))
+            plant.write(Command([0.0, 1.0, 5.0, 0.0, 0.0, 0.0]))
+            expected = coils.inverse_at(turn) @ [0.0, 1.0, 5.0, 0.0, 0.0, 0.0]
+            if tick:
+                assert not np.allclose(plant.currents, expected, atol=1e-4)  # those of the sample before
+            drive = plant._coil_drive
+            assert drive is not None
+            np.testing.assert_allclose(plant._last[1], expected, atol=1e-9)
+            plant.read()
+            np.testing.assert_allclose(plant.currents, expected, atol=1e-9)
+            plant.write(Command([0.0, 1.0, 5.0, 0.0, 0.0, 0.0]))
+
+
+def test_currents_are_computed_once_a_tick() -> None:
+    coils = load().coils
+    assert coils is not None
+    drive = CoilDrive(coils, 10.0)
+    for force in ([0.0, 0.0, 5.0, 0.0, 0.0, 0.0], [0.0, 0.0, 500.0, 0.0, 0.0, 0.0]):
+        limited = drive.limited(Command(force))
+        currents = drive.currents(limited.force)
+        assert currents is drive.currents(limited.force) and max(currents) <= 10.0
+        np.testing.assert_allclose(currents, coils.current_per_wrench @ limited.force, atol=1e-12)
+    assert drive.currents([0.0] * 6) == [0.0] * 6
 
 
 def test_a_plant_takes_wrenches_and_currents_in_turn() -> None:
@@ -194,7 +236,9 @@ def test_a_device_from_a_file_obeys_its_own_numbers(tmp_path: Path) -> None:
         assert device.range[0] == 0.003
         for plant in (MuJoCoPlant(Timing(delay=0.0), model=model), ExactPlant(Timing(delay=0.0), model=model)):
             assert falls(plant, 5.0) == pytest.approx(5.0 / 1.0 - GRAVITY, rel=1e-9)
-    assert len(spec.actuators) == 6  # it is the user's, and left as it was
+    sites = len(spec.sites)
+    assert load(spec, coils=False).coils is None
+    assert (len(spec.actuators), len(spec.sites)) == (6, sites)  # it is the user's, and left as it was
     carrying = MuJoCoPlant(Timing(delay=0.0), model=path)
     falls(carrying, 1.0 * GRAVITY)
     np.testing.assert_allclose(carrying.currents[:3], 1.0 * GRAVITY / 3.0 / 2.5, rtol=1e-9)
