@@ -18,7 +18,7 @@ from maglev_mj.errors import DivergenceError
 from maglev_mj.replay import write_run
 from maglev_mj.scenes.find import find_scene
 from maglev_mj.scenes.run import Phases, Result, run, run_phases
-from maglev_mj.scenes.scene import Scene
+from maglev_mj.scenes.scene import PLANTS, Scene
 from maglev_mj.tables import run_table
 
 __all__ = ["add_command"]
@@ -117,7 +117,7 @@ def _results(
 
 def _gap(result: Result) -> float | None:
     """Return how far the two plants are apart on a run [m, rad]; None where the scene runs on one."""
-    others = [name for name in result.scene.plants if name != result.plant]
+    others = [name for name in result.scene.plants if name in PLANTS and name != result.plant]
     if not others:
         return None
     twin = run(result.scene, plant=others[0], phase=result.phase)

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 
 from maglev_mj.controller import Controller
-from maglev_mj.loop import run
+from maglev_mj.loop import drive
 from maglev_mj.plants import SampledPlant
 
 __all__ = ["closed_loop", "measure_costs", "median_times"]
@@ -38,7 +38,7 @@ def measure_costs(makers: Sequence[Callable[[], Parts]], seconds: Sequence[float
 
 def closed_loop(make: Callable[[], Parts]) -> Callable[[], object]:
     """Return a closed loop of new parts, ready to run."""
-    return partial(run, *make())
+    return partial(drive, *make())
 
 
 def median_times(prepare: Sequence[Callable[[], Callable[[], object]]], repeats: int) -> tuple[float, ...]:

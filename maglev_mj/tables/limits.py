@@ -21,10 +21,10 @@ def beyond_force(results: Mapping[str, Result]) -> list[str]:
     device = Spec.largest_vertical_force.value
     # the last knot's force has not acted yet
     peaks = {label: float(np.abs(one.trace.wrench[:-1, 2]).max(initial=0.0)) for label, one in results.items()}
-    beyond = [f"{label} {peak:.3g} N" for label, peak in peaks.items() if peak > device * _ROUNDING]
+    beyond = [f"{label} {peak:.3g}" for label, peak in peaks.items() if peak > device * _ROUNDING]
     if not beyond:
         return []
-    return [f"  The device gives {device:g} N along z, less than these peaks: {', '.join(beyond)}"]
+    return [f"  Above the device's {device:g} N (z): {', '.join(beyond)}"]
 
 
 def beyond_range(labels: Sequence[str], runs: Sequence[ArrayLike], sweeps: Sequence[ArrayLike] = ()) -> list[str]:
