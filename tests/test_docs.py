@@ -133,6 +133,10 @@ def test_the_python_of_a_page_runs(page: str, tmp_path: Path, monkeypatch: pytes
     elif page == "docs/recording.md":
         assert -2.6e-3 < float(lines[-1]) < -2.2e-3
         assert (tmp_path / "mine.mcap").is_file()
+    elif page == "docs/devices.md":
+        assert lines[0] == "1.0 kg"
+        for one, other in (lines[1:3], lines[3:5]):  # both plants
+            assert one.split(" ", 1)[1] == other.split(" ", 1)[1]
     elif page == "docs/stream.md":
         assert len(blocks(page, "python")[0][1].strip().splitlines()) <= 11  # ten lines, and an empty one
         assert "'subscribed'" in "".join(lines[:5]) and "'in force'" in "".join(lines[:100])

@@ -97,7 +97,9 @@ def prepared(
     # an automatic reset would make a diverging run look stable, and the plant limits currents itself
     options.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET | mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL
     if flag("stops", stops):
-        options.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+        options.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_LIMIT)
+    else:
+        options.disableflags |= mujoco.mjtDisableBit.mjDSBL_LIMIT
     falloff = number("force_falloff", force_falloff, at_least=0.0, at_most=1.0)
     if (stops or falloff) and not np.isfinite(made.range).all():
         raise ModelError("stops and force_falloff need limits on the joints x, y, z and rotation of the model")
