@@ -141,7 +141,7 @@ def _cell(figure: Figure, value: Any, *bounds: Any) -> str:
 
 
 def _number(figure: Figure, value: float) -> str:
-    return f"{value:g}" if not figure.unit and np.isfinite(value) else cell(value, figure.scale)
+    return f"{value:zg}" if not figure.unit and np.isfinite(value) else cell(value, figure.scale)
 
 
 def _missing(sweeps: Mapping[str, Phases]) -> list[str]:

@@ -17,7 +17,7 @@ from maglev_mj.theory.modulus import (
     largest_modulus,
     least_dynamic_stiffness,
 )
-from maglev_mj.theory.verdict import Judged, Verdict, judge, stability, stated_gains
+from maglev_mj.theory.verdict import Judged, Verdict, inertia_of, judge, stability, stated_gains
 
 __all__ = [
     "GOALS",
@@ -33,6 +33,7 @@ __all__ = [
     "boundary_of",
     "critical_delay",
     "design_wall",
+    "inertia_of",
     "is_stable",
     "judge",
     "largest_modulus",
