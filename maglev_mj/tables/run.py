@@ -19,7 +19,6 @@ __all__ = ["run_table"]
 
 _NAME, _LEAST, _WIDE = 22, 14, 80
 _MOST_SHOWN = 4
-_SHARES = 50.0, 5.0, 95.0
 _TURNING = {
     **{"m": "rad", "mm": "mrad", "µm": "µrad", "m/s": "rad/s", "mm/s": "mrad/s"},
     **{"N": "N m", "mN": "mN m", "N/m": "N m/rad", "N s/m": "N m s/rad"},
