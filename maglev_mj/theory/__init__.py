@@ -9,14 +9,14 @@ from maglev_mj.theory.boundary import (
     stiffest_of,
     stiffest_wall,
 )
-from maglev_mj.theory.design import GOALS, LAWS, Case, DesignedWall, WallRequirements, design_wall, worst_case
-from maglev_mj.theory.linearise import ClosedLoop, Linearised, linearise
-from maglev_mj.theory.modulus import (
+from maglev_mj.theory.closed_loop import (
     critical_delay,
     is_stable,
     largest_modulus,
     least_dynamic_stiffness,
 )
+from maglev_mj.theory.design import GOALS, LAWS, Case, DesignedWall, WallRequirements, design_wall, worst_case
+from maglev_mj.theory.linearise import ClosedLoop, Linearised, linearise
 from maglev_mj.theory.verdict import Judged, Verdict, inertia_of, judge, stability, stated_gains
 
 __all__ = [

@@ -16,8 +16,8 @@ from maglev_mj.frames import AXES, ZERO, Array
 from maglev_mj.model import load
 from maglev_mj.parameters import number, numbers
 from maglev_mj.spec import INERTIA, RANGE
+from maglev_mj.theory.closed_loop import largest_modulus
 from maglev_mj.theory.linearise import Linearised, linearise, loop_matrices
-from maglev_mj.theory.modulus import largest_modulus
 
 __all__ = ["Judged", "Verdict", "inertia_of", "judge", "stability", "stated_gains"]
 
