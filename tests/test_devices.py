@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from maglev_mj import Command, Controller, ExactPlant, Hold, MuJoCoPlant, Timing, Wall, run
+from maglev_mj import Command, Controller, ExactPlant, Hold, MuJoCoPlant, Timing, Wall, drive
 from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.twin import Twin, TwinParameters
 from maglev_mj.coils import CoilMap
@@ -41,7 +41,7 @@ def controller() -> Controller:
 def test_meter_trace_and_observer_agree_on_the_work_of_a_drop(kind: Any, record: bool) -> None:
     plant = kind(TIMING, pose=[0, 0, 4e-3, 0, 0, 0], metered=True, record=record)
     watch = PassivityObserver(TIMING, INERTIA, load=[0, 0, -INERTIA[0] * GRAVITY, 0, 0, 0])
-    last = run(plant, controller(), 60, observe=watch)
+    last = drive(plant, controller(), 60, observe=watch)
     assert last.tick == 60
     watch(last, Command([0.0] * 6))  # the period up to the last sample
     assert plant.work < -0.01
@@ -67,9 +67,9 @@ def test_every_combination_of_options_runs_and_is_metered(integrator: str, optio
     plant = MuJoCoPlant(
         TIMING, pose=[0, 0, 3e-3, 0, 0, 0], integrator=integrator, metered=True, current_limit=10.0, **options
     )
-    run(plant, controller(), 40)
+    drive(plant, controller(), 40)
     exact = ExactPlant(TIMING, pose=[0, 0, 3e-3, 0, 0, 0], metered=True, driver_lag="driver_lag" in options)
-    run(exact, controller(), 40)
+    drive(exact, controller(), 40)
     assert plant.work == pytest.approx(exact.work, rel=0.25)
 
 
@@ -80,7 +80,7 @@ def test_a_plant_is_corrected_and_metered_at_once() -> None:
         plant = MuJoCoPlant(
             TIMING, pose=[0, 0, 4e-3, 0, 0, 0], coils=False, integrator=integrator, metered=True, current_limit=10.0
         )
-        run(plant, controller(), 60)
+        drive(plant, controller(), 60)
         pose, twist = plant.state()
         gained = INERTIA[0] * (0.5 * twist[2] ** 2 + GRAVITY * (pose[2] - 4e-3))
         errors[integrator] = abs(plant.work - gained)
@@ -98,10 +98,10 @@ def test_batches_are_metered_as_their_devices_are() -> None:
     ]
     for many, one in kinds:
         together = many(TIMING, pose=start, metered=True, hand_force=push)
-        run(together, controller(), 30)
+        drive(together, controller(), 30)
         for device in range(2):
             alone = one(TIMING, pose=start[device], metered=True, hand_force=push)
-            run(alone, controller(), 30)
+            drive(alone, controller(), 30)
             assert np.asarray(together.work)[device] == pytest.approx(alone.work, rel=1e-9)
 
 
@@ -252,7 +252,7 @@ def test_both_plants_take_a_device_of_ones_own_through_the_same_drop(tmp_path: P
     for kind in kinds:
         for own in owns:
             plant = kind(TIMING, model=path, pose=[0, 0, 3e-3, 0, 0, 0], **own)
-            moved.append(run(plant, controller(), 40).pose)
+            moved.append(drive(plant, controller(), 40).pose)
     np.testing.assert_allclose(moved[0], moved[2], atol=1e-13)
     np.testing.assert_allclose(moved[1], moved[3], atol=1e-13)
     assert abs(moved[0][2] - moved[1][2]) > 1e-6
@@ -263,7 +263,7 @@ def test_own_stops_hold_the_flotor_at_their_own_range(tmp_path: Path) -> None:
     lowest = []
     for model in ("drop", path):
         plant = MuJoCoPlant(model=model, stops=True)
-        run(plant, Controller([], period=PERIOD), 200)
+        drive(plant, Controller([], period=PERIOD), 200)
         assert plant.met_stops
         lowest.append(plant.state()[0][2])
     np.testing.assert_allclose(lowest, [-0.0045, -0.003], atol=1e-4)
