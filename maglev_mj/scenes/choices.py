@@ -1,4 +1,4 @@
-"""What experiments let one choose by name."""
+"""Plants, friction laws and velocity estimators by name."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The controller of every wall experiment: a wall below z = 0, the five other axes held."""
+"""The controller of every study of walls: a wall below z = 0, the five other axes held."""
 
 from __future__ import annotations
 
