@@ -40,7 +40,7 @@ class DivergenceError(PlantError):
     """The flotor left its range by a wide margin, or its state is no longer a number.
 
     Attributes:
-        partial: What an experiment had recorded up to there, in its own result type; None outside one.
+        partial: `Result` of the scene up to there; None outside a run of a scene.
     """
 
     partial: Any = None

@@ -30,13 +30,11 @@ def add_command(commands: Any) -> None:
     command = commands.add_parser(
         "analyse", help="figures 5, 6 and 9 from a recording, beside its simulation (docs/analysis.md)"
     )
-    command.add_argument(
-        "file", metavar="FILE", type=Path, help="what view, bridge, drop, press or stick-slip recorded"
-    )
+    command.add_argument("file", metavar="FILE", type=Path, help="a recording of run, view or bridge")
     command.add_argument("--json", metavar="FILE", help="write the figures as JSON; - for standard output")
     command.add_argument("--out", metavar="DIR", type=Path, help="write pictures to this folder")
     command.add_argument(
-        "--stretch", type=count, metavar="N", help="only the N-th stretch, from 1; settings change between"
+        "--stretch", type=count, metavar="N", help="only the N-th stretch, from 1; parameters change between"
     )
     begin, end = "from so long after the beginning of a stretch on [s]", "up to so long after it [s]"
     command.add_argument("--from", dest="begin", type=number_option, default=0.0, metavar="SECONDS", help=begin)

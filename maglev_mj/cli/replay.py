@@ -21,7 +21,7 @@ __all__ = ["add_command", "add_own_scene", "own_scene"]
 def add_command(commands: Any) -> None:
     """Add the command to the parser's."""
     replay = commands.add_parser("replay", help="show a recording, or check it bit for bit")
-    replay.add_argument("file", metavar="FILE", type=Path, help="what view, bridge, drop, press or stick-slip recorded")
+    replay.add_argument("file", metavar="FILE", type=Path, help="a recording of run, view or bridge")
     replay.add_argument(
         "--check",
         action="store_true",

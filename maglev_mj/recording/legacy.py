@@ -61,7 +61,7 @@ def _of_scene(stretch: Stretch) -> Mapping[str, Any]:
 
 
 def _of_experiment(kind: str, parameters: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return what the parameters of an experiment tell."""
+    """Return what the parameters of a run of 0.1 tell."""
     inertia, load, acts = np.array(INERTIA), np.zeros(len(AXES)), True
     inertia[:3] = parameters.get("mass", inertia[0])
     if kind == "press":

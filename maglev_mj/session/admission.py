@@ -18,7 +18,7 @@ _ACTING = {"contact": "walls", "stuck": "friction"}
 
 
 class Refusal(NamedTuple):
-    """Why settings may not be had: the worst loop that they make.
+    """Refused parameters: the worst loop that they make.
 
     Attributes:
         axis: Name of its axis.

@@ -82,7 +82,7 @@ class Plots:
 
 
 class _Stability:
-    """Stability of the newest settings, found beside the session: a boundary, or a verdict in words."""
+    """Stability of the newest parameters, found beside the session: a boundary, or a verdict in words."""
 
     def __init__(self) -> None:
         self._key: Scene | None = None
