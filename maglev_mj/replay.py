@@ -83,7 +83,7 @@ def rebuild(
     try:
         kind = setup["kind"]
         if kind in _SCENES:
-            live = _live(setup, scene)
+            live = recorded_scene(setup["scene"], setup["settings"], scene)
             if kind == "device":
                 return None, device_controller(live)
             return live_plant(live, hand, **start_in(setup)), live.controller()
@@ -95,24 +95,18 @@ def rebuild(
         raise InvalidRecordingError(f"a recording's setup cannot be made here: {error}") from None
 
 
-def _live(setup: Setup, scene: type[Scene] | None) -> Scene:
-    """Return the scene of a session or a flight."""
-    if scene is not None and str(setup["scene"]) not in scene_names():
-        return scene.from_json(setup["settings"])
-    return recorded_scene(setup["scene"], setup["settings"])
-
-
 def _run(setup: Setup, scene: type[Scene] | None) -> tuple[Scene, str, float]:
     """Return scene, plant and phase of a run."""
-    kind, values = setup["kind"], dict(setup["parameters"])
+    kind = setup["kind"]
+    if kind != _OWN and kind not in scene_names():
+        known = ", ".join((*_SCENES, _OWN, *scene_names()))
+        raise InvalidRecordingError(f"a recording of kind {kind!r} cannot be made here, which knows {known}")
+    values = dict(setup["parameters"])
     if kind == _OWN:
         if scene is None:
             named = setup["scene"]
             raise InvalidRecordingError(f"a recording of one's own needs its scene, {named!r}, to be run again")
         return scene.from_json(values), _PLANTS[setup["plant"]], checked_phase(setup["phase"])
-    if kind not in scene_names():
-        known = ", ".join((*_SCENES, _OWN, *scene_names()))
-        raise InvalidRecordingError(f"a recording of kind {kind!r} cannot be made here, which knows {known}")
     plant, phase = values.pop("plant"), values.pop("phase", 0.0)
     run = find_scene(kind).from_json(values)
     return run, checked_plant(run, plant), checked_phase(phase)
@@ -319,7 +313,9 @@ def scene_of(setup: Setup, metadata: RunMetadata, scene: type[Scene] | None = No
         scene: Scene of a recording of one's own.
     """
     try:
-        return _live(setup, scene) if setup["kind"] in _SCENES else _run(setup, scene)[0]
+        if setup["kind"] in _SCENES:
+            return recorded_scene(setup["scene"], setup["settings"], scene)
+        return _run(setup, scene)[0]
     except (InvalidRecordingError, ParameterError):
         return _Unknown(period=metadata.period, delay=metadata.delay, axis=metadata.axis)
 

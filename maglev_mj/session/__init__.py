@@ -7,6 +7,7 @@ from maglev_mj.session.pacing import Due, Pacer, real_time
 from maglev_mj.session.publishers import Publisher, Publishers
 from maglev_mj.session.session import Session
 from maglev_mj.session.snapshot import History, SampledMotion, Snapshot, SnapshotSource
+from maglev_mj.session.stretch import settings_of
 
 __all__ = [
     "DEVICES_OWN",
@@ -26,5 +27,6 @@ __all__ = [
     "real_time",
     "refusal",
     "settable",
+    "settings_of",
     "stability_warning",
 ]
