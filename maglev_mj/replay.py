@@ -83,7 +83,7 @@ def rebuild(
     try:
         kind = setup["kind"]
         if kind in _SCENES:
-            live = _live(setup, scene)
+            live = recorded_scene(setup["scene"], setup["settings"], scene)
             if kind == "device":
                 return None, device_controller(live)
             return live_plant(live, hand, **start_in(setup)), live.controller()
@@ -93,13 +93,6 @@ def rebuild(
         return run.plant(plant, phase=phase, hand=hand, record=True, **started), run.controller()
     except (KeyError, TypeError, ParameterError) as error:
         raise InvalidRecordingError(f"a recording's setup cannot be made here: {error}") from None
-
-
-def _live(setup: Setup, scene: type[Scene] | None) -> Scene:
-    """Return the scene of a session or a flight."""
-    if scene is not None and str(setup["scene"]) not in scene_names():
-        return scene.from_json(setup["settings"])
-    return recorded_scene(setup["scene"], setup["settings"])
 
 
 def _run(setup: Setup, scene: type[Scene] | None) -> tuple[Scene, str, float]:
@@ -320,7 +313,9 @@ def scene_of(setup: Setup, metadata: RunMetadata, scene: type[Scene] | None = No
         scene: Scene of a recording of one's own.
     """
     try:
-        return _live(setup, scene) if setup["kind"] in _SCENES else _run(setup, scene)[0]
+        if setup["kind"] in _SCENES:
+            return recorded_scene(setup["scene"], setup["settings"], scene)
+        return _run(setup, scene)[0]
     except (InvalidRecordingError, ParameterError):
         return _Unknown(period=metadata.period, delay=metadata.delay, axis=metadata.axis)
 

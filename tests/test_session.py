@@ -396,7 +396,7 @@ def test_a_scene_of_ones_own_runs_and_is_recorded(shaft: type[Scene], tmp_path: 
     session.close()
     (stretch,) = Recording.load(tmp_path / "run.npz").stretches
     assert stretch.setup["settings"] == shaft().as_json()
-    with pytest.raises(RecordingError, match=r"scene must be one of joystick, .* not .*shaft.py:Shaft"):
+    with pytest.raises(RecordingError, match=r"one's own needs its scene, .*shaft.py:Shaft', to be run"):
         rebuild(stretch.setup, None)  # no recording makes a program run a file
 
 

@@ -14,6 +14,7 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Array
 from maglev_mj.parameters import flag, number
 from maglev_mj.recording import InvalidRecordingError, Rebuild, RunMetadata, Stretch, metadata_of
+from maglev_mj.scenes import Scene
 
 __all__ = ["Analysed", "Run", "analyse"]
 
@@ -95,6 +96,7 @@ def analyse(
     end: float | None = None,
     simulated: bool = True,
     rest: float | None = None,
+    scene: type[Scene] | None = None,
 ) -> Analysed:
     """Return what is found out about a stretch of at least two samples.
 
@@ -106,6 +108,7 @@ def analyse(
         end: Up to when [s]; None for its end.
         simulated: Whether to run the simulation of the same parameters and compare.
         rest: Where it comes to rest at a wall [m, rad]; found from the samples by default.
+        scene: Scene of a recording of one's own.
 
     Raises:
         InvalidRecordingError: If it has less than two samples, or it tells no metadata and nobody can make it again.
@@ -119,7 +122,7 @@ def analyse(
     first, last = _rows(whole, begin, end)
     comparison = other = None
     if simulated and rebuild is not None:
-        twin = simulate(stretch, whole, metadata, rebuild)
+        twin = simulate(stretch, whole, metadata, rebuild, scene)
         comparison = compare(stretch.part(first, last), twin.part(first, last), whole.between(first, last))
         until = min(last, len(twin.tick) - 1)
         if until - first >= 1:

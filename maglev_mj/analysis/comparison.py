@@ -15,6 +15,7 @@ from maglev_mj.hand import RecordedHand
 from maglev_mj.loop import ControlLoop
 from maglev_mj.plants import SampledPlant, engine_warnings_silenced
 from maglev_mj.recording import Rebuild, Recorder, RunMetadata, Stretch
+from maglev_mj.scenes import Scene
 from maglev_mj.scenes.legacy import recorded_scene
 from maglev_mj.session import live_plant
 
@@ -75,7 +76,9 @@ class Comparison:
         }
 
 
-def simulate(stretch: Stretch, motion: Motion, metadata: RunMetadata, rebuild: Rebuild) -> Stretch:
+def simulate(
+    stretch: Stretch, motion: Motion, metadata: RunMetadata, rebuild: Rebuild, scene: type[Scene] | None = None
+) -> Stretch:
     """Return the same run simulated: same laws, the recorded hand, from the recorded start.
 
     In place of a device stands the simulated one, from the first sample at the speed that the first two tell, in no
@@ -86,6 +89,7 @@ def simulate(stretch: Stretch, motion: Motion, metadata: RunMetadata, rebuild: R
         motion: Its motion.
         metadata: Of the stretch.
         rebuild: Makes plant and controller from a setup and a hand.
+        scene: Scene of a recording of one's own.
 
     Returns:
         As many samples as the simulation came to: fewer where it failed.
@@ -97,7 +101,7 @@ def simulate(stretch: Stretch, motion: Motion, metadata: RunMetadata, rebuild: R
     rows = np.round(stretch.tick - stretch.tick[0]).astype(np.intp)
     plant, controller = rebuild(stretch.setup, RecordedHand(stretch.hand))
     if plant is None:
-        plant = _twin(stretch, motion, metadata)
+        plant = _twin(stretch, motion, metadata, scene)
     recorder = Recorder(plant, stretch.setup)
     with plant, engine_warnings_silenced():
         try:
@@ -112,10 +116,10 @@ def simulate(stretch: Stretch, motion: Motion, metadata: RunMetadata, rebuild: R
     return simulated.replace(tick=stretch.tick[: len(kept)], time=stretch.time[: len(kept)])
 
 
-def _twin(stretch: Stretch, motion: Motion, metadata: RunMetadata) -> SampledPlant:
+def _twin(stretch: Stretch, motion: Motion, metadata: RunMetadata, scene: type[Scene] | None) -> SampledPlant:
     """Return the simulated device in place of a real one."""
-    scene, first = recorded_scene(stretch.setup["scene"], stretch.setup["settings"]), motion.starts[0]
-    return live_plant(scene, pose=motion.trace.pose[first], twist=motion.trace.twist[first], wrench=metadata.before)
+    flown, first = recorded_scene(stretch.setup["scene"], stretch.setup["settings"], scene), motion.starts[0]
+    return live_plant(flown, pose=motion.trace.pose[first], twist=motion.trace.twist[first], wrench=metadata.before)
 
 
 def compare(stretch: Stretch, simulated: Stretch, motion: Motion) -> Comparison:

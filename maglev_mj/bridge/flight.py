@@ -8,7 +8,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from statistics import median
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,9 +20,16 @@ from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.loop import Answers, ControlLoop, Record
 from maglev_mj.recording import Mechanics, RecordingError, RecordingFile, RunMetadata
 from maglev_mj.scenes import Scene
-from maglev_mj.scenes.find import reference_of
 from maglev_mj.scenes.parts import WEIGHT
-from maglev_mj.session import DEVICES_OWN, Publisher, Publishers, SampledMotion, Snapshot, device_controller
+from maglev_mj.session import (
+    DEVICES_OWN,
+    Publisher,
+    Publishers,
+    SampledMotion,
+    Snapshot,
+    device_controller,
+    settings_of,
+)
 
 __all__ = ["Flight", "Flown"]
 
@@ -127,8 +134,7 @@ class Flight:
         record: Record | None = None
         if self._file is not None:
             scene = self._scene
-            setup: dict[str, Any] = {"kind": "device", "scene": reference_of(type(scene)), "settings": scene.as_json()}
-            setup["calibration"] = self._plant.calibration.digest.hex()
+            setup = {**settings_of(scene, "device"), "calibration": self._plant.calibration.digest.hex()}
             name, mechanics = f"{scene.name} on a device", Mechanics(before=self._force)
             run = RunMetadata.of(self._plant, controller, name=name, axis=scene.axis, mechanics=mechanics)
             record = self._file.begin(self._plant, controller, {**setup, "run": run.as_json()})

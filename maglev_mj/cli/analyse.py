@@ -103,7 +103,8 @@ def _chosen(stretches: Sequence[Stretch], options: argparse.Namespace) -> list[t
 def _found(stretch: Stretch, options: argparse.Namespace, scene: type[Scene] | None) -> Analysed:
     again = rebuild_for(stretch, scene)
     anchors = stick_positions_of(stretch, again)
-    return analyse(stretch, again, anchors=anchors, begin=options.begin, end=options.end, simulated=options.compare)
+    part = {"begin": options.begin, "end": options.end, "simulated": options.compare}
+    return analyse(stretch, again, anchors=anchors, scene=scene, **part)
 
 
 def _draw(analysed: Analysed, axis: int, folder: Path, stem: str) -> list[str]:

@@ -47,7 +47,7 @@ def own_scene(text: str | None, recording: Recording) -> type[Scene] | None:
     if text is None:
         return None
     scene = find_scene(text)
-    sources = {stretch.setup.get("source") for stretch in recording.stretches if stretch.setup["kind"] == "own"}
+    sources = {stretch.setup["source"] for stretch in recording.stretches if "source" in stretch.setup}
     if sources - {source_of(scene)}:
         say(f"  {text} is not the file that was recorded: it has changed since, or is another", sys.stderr)
     return scene

@@ -64,7 +64,7 @@ def add_scene(
 
     def before(arguments: Sequence[str]) -> None:
         parser.before = None
-        text = _given(arguments, option, known) or default
+        text = _given(parser, arguments, option, known) or default
         if text is None:
             if instead is not None:
                 instead(parser)
@@ -115,7 +115,7 @@ def warn_of_instability(scene: Scene, inertia: Sequence[float] | None = None) ->
         say(f"  warning: {warning}", sys.stderr)
 
 
-def _given(arguments: Sequence[str], option: str | None, names: Sequence[str]) -> str | None:
+def _given(parser: Parser, arguments: Sequence[str], option: str | None, names: Sequence[str]) -> str | None:
     """Return the scene among the arguments, which options of its own may stand in front of."""
     if option is not None:
         for place, word in enumerate(arguments):
@@ -126,4 +126,11 @@ def _given(arguments: Sequence[str], option: str | None, names: Sequence[str]) -
         return None
     if arguments and not arguments[0].startswith("-"):
         return arguments[0]
-    return next((word for word in arguments if word in names or word.partition(":")[0].endswith(".py")), None)
+    before = ""
+    for word in arguments:
+        known = parser._option_string_actions.get(before)
+        before = word
+        # the value of an option is none: a file that is given for something else must not be run
+        if known is None and (word in names or word.partition(":")[0].endswith(".py")):
+            return word
+    return None

@@ -8,6 +8,7 @@ import sys
 from collections.abc import Mapping
 from functools import lru_cache
 from importlib.metadata import entry_points
+from importlib.util import decode_source
 from pathlib import Path
 from traceback import walk_tb
 from types import ModuleType
@@ -48,7 +49,7 @@ BUILT_IN: Mapping[str, str] = {
 }
 """The scenes of this package: name -> module and class, in the order in which a key goes through them."""
 
-_OWN = "maglev_mj_scene_"
+_OWN, _TEXT = "maglev_mj_scene_", "__text__"
 
 
 def scene_names() -> list[str]:
@@ -96,15 +97,17 @@ def source_of(cls: type[Scene]) -> str | None:
 
 
 def text_of(cls: type[Scene]) -> str:
-    """Return the text of the file that a scene is in.
+    """Return the text of the file that a scene is in; of a user's own as it was when it was run.
 
     Raises:
         ParameterError: If it is at the top of no file, as one that was typed in.
     """
-    file = getattr(sys.modules[cls.__module__], "__file__", None)
+    module = sys.modules[cls.__module__]
+    file = getattr(module, "__file__", None)
     if file is None or cls.__qualname__ != cls.__name__:
         raise ParameterError(f"scene must be at the top of a file, so that others can run it, not {cls.__qualname__}")
-    return Path(file).read_text(encoding="utf-8")
+    text: str | None = getattr(module, _TEXT, None)
+    return Path(file).read_text(encoding="utf-8") if text is None else text
 
 
 def line_of(error: BaseException) -> str | None:
@@ -191,6 +194,8 @@ def _made(name: str, text: str | bytes, file: str) -> ModuleType:
     module.__file__ = file
     sys.modules[name] = module
     try:
+        text = text if isinstance(text, str) else decode_source(text)
+        setattr(module, _TEXT, text)
         exec(compile(text, file, "exec"), module.__dict__)
     except Exception as error:
         del sys.modules[name]

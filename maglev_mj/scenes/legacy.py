@@ -49,8 +49,13 @@ class OldDrop(OldPress):
 _OLD: Mapping[str, type[Scene]] = {"drop": OldDrop, "press": OldPress}
 
 
-def recorded_scene(name: str, values: Mapping[str, Any]) -> Scene:
+def recorded_scene(name: str, values: Mapping[str, Any], scene: type[Scene] | None = None) -> Scene:
     """Return the scene that a recording or another program names; files are never run.
+
+    Args:
+        name: Its name.
+        values: Its parameters.
+        scene: Its class where it is neither of this package nor of an installed one.
 
     Raises:
         ParameterError: If there is no such scene here, or a value is outside its bounds.
@@ -58,5 +63,9 @@ def recorded_scene(name: str, values: Mapping[str, Any]) -> Scene:
     if name in _OLD and "wall" in values:
         return _OLD[name].from_json(values)
     if name not in BUILT_IN and name not in scene_names():
+        if scene is not None:
+            return scene.from_json(values)
+        if ":" in name:
+            raise ParameterError(f"a recording of one's own needs its scene, {name!r}, to be run again")
         raise ParameterError(f"scene must be one of {', '.join(scene_names())}, not {name!r}")
     return find_scene(name).from_json(values)

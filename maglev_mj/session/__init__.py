@@ -6,6 +6,7 @@ from maglev_mj.session.live import device_controller, live_plant
 from maglev_mj.session.pacing import Due, Pacer, real_time
 from maglev_mj.session.session import Session
 from maglev_mj.session.snapshot import History, Publisher, Publishers, SampledMotion, Snapshot, SnapshotSource
+from maglev_mj.session.stretch import settings_of
 
 __all__ = [
     "DEVICES_OWN",
@@ -25,5 +26,6 @@ __all__ = [
     "real_time",
     "refusal",
     "settable",
+    "settings_of",
     "stability_warning",
 ]

@@ -13,18 +13,23 @@ from maglev_mj.hand import HandForce
 from maglev_mj.loop import ControlLoop
 from maglev_mj.recording import RecordingFile, RunMetadata
 from maglev_mj.scenes import Scene
-from maglev_mj.scenes.find import reference_of
+from maglev_mj.scenes.find import reference_of, source_of
 from maglev_mj.session.live import live_plant
 
-__all__ = ["LiveStretch", "scene_setup"]
+__all__ = ["LiveStretch", "scene_setup", "settings_of"]
+
+
+def settings_of(scene: Scene, kind: str) -> dict[str, Any]:
+    """Return what a setup of some kind says of its scene, ready for JSON; a file's hash too where it is in one."""
+    cls, source = type(scene), source_of(type(scene))
+    said = {"kind": kind, "scene": reference_of(cls), "settings": scene.as_json()}
+    return said if source is None else {**said, "source": source}
 
 
 def scene_setup(scene: Scene, pose: Sequence[float], twist: Sequence[float], wrench: Sequence[float]) -> dict[str, Any]:
     """Return what a stretch is made from, ready for JSON."""
     return {
-        "kind": "scene",
-        "scene": reference_of(type(scene)),
-        "settings": scene.as_json(),
+        **settings_of(scene, "scene"),
         "pose": [float(part) for part in pose],
         "twist": [float(part) for part in twist],
         "wrench": [float(part) for part in wrench],
