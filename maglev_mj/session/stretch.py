@@ -16,7 +16,7 @@ from maglev_mj.scenes import Scene
 from maglev_mj.scenes.find import reference_of
 from maglev_mj.session.live import live_plant
 
-__all__ = ["LiveStretch", "scene_setup"]
+__all__ = ["LiveStretch"]
 
 
 def scene_setup(scene: Scene, pose: Sequence[float], twist: Sequence[float], wrench: Sequence[float]) -> dict[str, Any]:
