@@ -20,6 +20,7 @@ from maglev_mj.plants import ExactPlant, Sensor, Timing
 from maglev_mj.spec import Spec
 from maglev_mj.studies.batches import along_z, around_wall, hum, wall_controller
 from maglev_mj.theory.design import Case, DesignedWall
+from maglev_mj.timeline import split_delay
 
 __all__ = ["Contact", "DesignResult", "evaluate_wall", "growing_cases", "hardest_contact"]
 
@@ -219,7 +220,7 @@ def _plants(
     groups: dict[tuple[bool, int], list[int]] = {}
     for place, case in enumerate(cases):
         hand = hand_called(case.hand)
-        key = hand is not None and hand.soft, math.floor(case.delay / needs.period + 1e-9)
+        key = hand is not None and hand.soft, int(split_delay(case.delay, needs.period)[0])
         groups.setdefault(key, []).append(place)
     axis = np.eye(6)[2]
     for (soft, _), index in groups.items():
