@@ -10,12 +10,7 @@ from maglev_mj.frames import Array
 from maglev_mj.parameters import number
 from maglev_mj.trace import Trace
 
-__all__ = [
-    "BounceSummary",
-    "Hardness",
-    "perceived_hardness",
-    "summarise_bounce",
-]
+__all__ = ["BounceSummary", "Hardness", "perceived_hardness", "summarise_bounce"]
 
 
 class BounceSummary(NamedTuple):

@@ -23,7 +23,7 @@ from maglev_mj.parameters import flag, number, numbers
 from maglev_mj.sensing.geometry import Beams
 from maglev_mj.versions import MODELS
 
-__all__ = ["COILS", "JOINTS", "Device", "Model", "beams", "envelope", "load", "model_path", "scenes"]
+__all__ = ["COILS", "Device", "Model", "beams", "envelope", "load", "model_path", "scenes"]
 
 COILS = tuple(f"{kind}{arm}" for kind in ("vertical", "horizontal") for arm in range(3))
 """Actuator names, in the order of the six currents."""

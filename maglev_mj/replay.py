@@ -40,16 +40,7 @@ from maglev_mj.scenes.run import checked_phase, checked_plant, parameters_json
 from maglev_mj.scenes.scene import PLANTS
 from maglev_mj.session import SampledMotion, Snapshot, device_controller, live_plant
 
-__all__ = [
-    "Replay",
-    "expected",
-    "rebuild",
-    "rebuild_for",
-    "record_run",
-    "scene_of",
-    "stick_positions_of",
-    "write_run",
-]
+__all__ = ["Replay", "expected", "rebuild", "rebuild_for", "record_run", "stick_positions_of", "write_run"]
 
 _SCENES, _OWN = ("scene", "device"), "own"
 _PLANTS = {f"{make.__module__}.{make.__qualname__}": name for name, make in PLANTS.items() if isinstance(make, type)}

@@ -17,7 +17,7 @@ from maglev_mj.parameters import axis_indices
 from maglev_mj.plants import MuJoCoPlant, Timing
 from maglev_mj.spec import GRAVITY, Spec
 
-__all__ = ["DeviceReport", "Row", "device_report", "device_table", "position_bandwidth"]
+__all__ = ["device_report", "device_table", "position_bandwidth"]
 
 
 @dataclass(frozen=True)

@@ -9,17 +9,7 @@ from typing import Any, NamedTuple, Protocol
 
 from maglev_mj.bridge.safety import WARM, CoilGuard, DiodeGuard, Limits, Warmth, refusal
 from maglev_mj.bridge.states import Fault, Flag, HelloStatus, Operation, Result, State
-from maglev_mj.bridge.wire import (
-    VERSION,
-    Codec,
-    Command,
-    Control,
-    ControlAck,
-    Hello,
-    HelloAck,
-    StateReport,
-    newer,
-)
+from maglev_mj.bridge.wire import VERSION, Codec, Command, Control, ControlAck, Hello, HelloAck, StateReport, newer
 from maglev_mj.frames import ZERO
 from maglev_mj.parameters import flag
 

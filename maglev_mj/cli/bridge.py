@@ -18,12 +18,7 @@ from maglev_mj.bridge.flight import Flight
 from maglev_mj.bridge.identification import collect, excitation, identify
 from maglev_mj.bridge.realtime import realtime, stopping
 from maglev_mj.bridge.remote import RemotePlant
-from maglev_mj.cli.options import (
-    add_bridge,
-    add_recording,
-    chosen_key,
-    number_option,
-)
+from maglev_mj.cli.options import add_bridge, add_recording, chosen_key, number_option
 from maglev_mj.cli.output import check_file, check_outputs, check_recording
 from maglev_mj.cli.publishers import add_publishers, chosen_publishers
 from maglev_mj.cli.scenes import add_scene, chosen_scene, warn_of_instability

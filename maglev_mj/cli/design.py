@@ -9,7 +9,7 @@ from typing import Any
 
 from maglev_mj import plots
 from maglev_mj.cli.options import add_parameters, chosen, range_of
-from maglev_mj.cli.output import check_outputs, write_json
+from maglev_mj.cli.output import check_outputs, write_results
 from maglev_mj.errors import ParameterError
 from maglev_mj.hand import HANDS
 from maglev_mj.studies.designed_wall import Contact, evaluate_wall
@@ -73,16 +73,12 @@ def _design(options: argparse.Namespace) -> int:
         except ParameterError:
             reference = None  # no PD wall bears them
     result = evaluate_wall(wall, contact, reference)
-    if options.json is not None:
-        write_json(options.json, result.as_json())
-    pictures = []
-    if options.out is not None:
-        options.out.mkdir(parents=True, exist_ok=True)
-        pictures.append(plots.design_map(result, options.out / "design.png"))
-    if options.json != "-":
-        print(design_table(result))
-        for path in pictures:
-            print(f"  wrote {path}")
+    write_results(
+        options,
+        result.as_json,
+        lambda: design_table(result),
+        lambda folder: [plots.design_map(result, folder / "design.png")],
+    )
     return int(result.grows.any())
 
 

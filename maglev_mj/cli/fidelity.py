@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import argparse
+from contextlib import closing
 from typing import Any
 
 from maglev_mj.cli.options import chosen, count, number_option
-from maglev_mj.cli.output import check_outputs, write_json
+from maglev_mj.cli.output import check_outputs, write_results
 from maglev_mj.cli.progress import Progress
 from maglev_mj.cli.scenes import add_scene
 from maglev_mj.scenes.scene import Scene
@@ -100,28 +101,18 @@ def _fidelity(options: argparse.Namespace) -> int:
         return _all(options)
     preset = preset_of(options.scene)._replace(scene=chosen(options, options.scene_class))
     over = Range(options.phases, options.around, options.share, options.boundary_tolerance)
-    progress = Progress("fidelity")
-    try:
+    with closing(Progress("fidelity")) as progress:
         result = measure_fidelity(preset, options.tolerance, over, phase=options.phase, progress=progress)
-    finally:
-        progress.close()
-    if options.json is not None:
-        write_json(options.json, result.as_json())
-    if options.json != "-":
-        print(fidelity_table(result))
+    write_results(options, result.as_json, lambda: fidelity_table(result))
     return 0
 
 
 def _all(options: argparse.Namespace) -> int:
-    progress, found = Progress("fidelity"), {}
-    try:
+    found = {}
+    with closing(Progress("fidelity")) as progress:
         for place, name in enumerate(COMPARED):
             found[name] = measure_levels(name)
             progress(place + 1, len(COMPARED))
-    finally:
-        progress.close()
-    if options.json is not None:
-        write_json(options.json, {name: [row.as_json() for row in rows] for name, rows in found.items()})
-    if options.json != "-":
-        print(levels_table(found))
+    data = {name: [row.as_json() for row in rows] for name, rows in found.items()}
+    write_results(options, lambda: data, lambda: levels_table(found))
     return 0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from maglev_mj.cli.output import write_json
+from maglev_mj.cli.output import write_results
 from maglev_mj.report import device_report, device_table
 
 __all__ = ["add_command"]
@@ -20,8 +20,6 @@ def add_command(commands: Any) -> None:
 
 def _info(options: argparse.Namespace) -> int:
     report = device_report()
-    if options.json is not None:
-        write_json(options.json, {"figures": report.figures, "contradictions": report.contradictions})
-    if options.json != "-":
-        print(device_table(report))
+    data = {"figures": report.figures, "contradictions": report.contradictions}
+    write_results(options, lambda: data, lambda: device_table(report))
     return 0

@@ -6,7 +6,7 @@ import argparse
 import json
 import os
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -25,6 +25,7 @@ __all__ = [
     "keep_partial",
     "tell_of_others",
     "write_json",
+    "write_results",
 ]
 
 
@@ -118,3 +119,31 @@ def write_json(target: str, data: Mapping[str, Any]) -> None:
         print(text)
     else:
         Path(target).write_text(text + "\n", encoding="utf-8")
+
+
+def write_results(
+    options: argparse.Namespace,
+    data: Callable[[], Mapping[str, Any]],
+    text: Callable[[], str],
+    draw: Callable[[Path], Sequence[Path]] = lambda folder: (),
+    written: Sequence[Path] = (),
+) -> None:
+    """Write JSON and pictures where they are asked for, and print the text unless standard output has the JSON.
+
+    Args:
+        options: Of the command line.
+        data: Returns what JSON has.
+        text: Returns the table.
+        draw: Draws into a folder and returns the files.
+        written: Files written before, to be named too.
+    """
+    if options.json is not None:
+        write_json(options.json, data())
+    files = list(written)
+    if getattr(options, "out", None) is not None:
+        options.out.mkdir(parents=True, exist_ok=True)
+        files += draw(options.out)
+    if options.json != "-":
+        print(text())
+        for path in files:
+            print(f"  wrote {path}")

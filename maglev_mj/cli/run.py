@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from maglev_mj import plots
 from maglev_mj.cli.options import Parser, add_outputs, add_parameters, add_recording, count, number_option
-from maglev_mj.cli.output import check_outputs, check_recording, keep_partial, write_json
+from maglev_mj.cli.output import check_outputs, check_recording, keep_partial, write_results
 from maglev_mj.cli.progress import Progress
 from maglev_mj.cli.scenes import add_scene, chosen_scene, warn_of_instability
 from maglev_mj.errors import DivergenceError
@@ -82,16 +81,17 @@ def _run(options: argparse.Namespace) -> int:
     except DivergenceError as error:
         keep_partial(error, options)
         raise
-    if options.json is not None:
-        data = next(iter(results.values())).as_json()
-        if sweeps:
-            data["sweep"] = next(iter(sweeps.values())).as_json()
-        write_json(options.json, data)
-    pictures = [] if options.out is None else _draw(scene, results, sweeps, options.out)
-    if options.json != "-":
-        print(run_table(results, sweeps, _gap(next(iter(results.values())))))
-        for path in [*recorded, *pictures]:
-            print(f"  wrote {path}")
+    first = next(iter(results.values()))
+    swept = {"sweep": next(iter(sweeps.values())).as_json()} if sweeps else {}
+    write_results(
+        options,
+        lambda: first.as_json() | swept,
+        lambda: run_table(results, sweeps, _gap(first)),
+        lambda folder: [
+            draw(results, sweeps, folder / name) for name, draw in plots.pictures_of(scene, sweeps).items()
+        ],
+        recorded,
+    )
     return 0
 
 
@@ -124,8 +124,3 @@ def _gap(result: Result) -> float | None:
     twin = run(result.scene, plant=others[0], phase=result.phase)
     time = result.times()
     return float(np.abs(result.motion(time)[0] - twin.motion(time)[0]).max())
-
-
-def _draw(scene: Scene, results: Mapping[str, Result], sweeps: Mapping[str, Phases], folder: Path) -> list[Path]:
-    folder.mkdir(parents=True, exist_ok=True)
-    return [draw(results, sweeps, folder / name) for name, draw in plots.pictures_of(scene, sweeps).items()]

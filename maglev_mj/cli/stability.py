@@ -9,7 +9,7 @@ from typing import Any
 
 from maglev_mj import plots
 from maglev_mj.cli.options import Parser, add_parameters, add_workers, chosen, chosen_workers, range_of
-from maglev_mj.cli.output import cells_kept, check_outputs, tell_of_others, write_json
+from maglev_mj.cli.output import cells_kept, check_outputs, tell_of_others, write_results
 from maglev_mj.cli.progress import Progress
 from maglev_mj.cli.scenes import add_scene
 from maglev_mj.errors import ParameterError
@@ -54,10 +54,8 @@ def _verdict(options: argparse.Namespace) -> int:
     scene: Scene = chosen(options, options.scene_class)
     check_outputs(json=options.json)
     found = stability(scene)
-    if options.json is not None:
-        write_json(options.json, {"scene": scene.name, "parameters": scene.as_json(), **found.as_json()})
-    if options.json != "-":
-        print(loop_table(scene, found))
+    data = {"scene": scene.name, "parameters": scene.as_json(), **found.as_json()}
+    write_results(options, lambda: data, lambda: loop_table(scene, found))
     return 0
 
 
@@ -76,14 +74,10 @@ def _map(options: argparse.Namespace) -> int:
     with cells_kept(options.record, _FALLBACK), closing(progress):
         result = run_stability(parameters, record=Record(options.record), workers=workers, progress=progress)
     tell_of_others("stability", result.others)
-    if options.json is not None:
-        write_json(options.json, result.as_json())
-    pictures = []
-    if options.out is not None:
-        options.out.mkdir(parents=True, exist_ok=True)
-        pictures.append(plots.stability_map(result, options.out / "stability.png"))
-    if options.json != "-":
-        print(stability_table(result))
-        for path in pictures:
-            print(f"  wrote {path}")
+    write_results(
+        options,
+        result.as_json,
+        lambda: stability_table(result),
+        lambda folder: [plots.stability_map(result, folder / "stability.png")],
+    )
     return 0

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from maglev_mj.cli.options import Parser, add_workers, chosen_workers, described
-from maglev_mj.cli.output import cells_kept, check_outputs, tell_of_others, write_json
+from maglev_mj.cli.output import cells_kept, check_outputs, tell_of_others, write_results
 from maglev_mj.cli.progress import Progress
 from maglev_mj.cli.scenes import add_scene
 from maglev_mj.errors import ParameterError
@@ -66,10 +66,7 @@ def _sweep(options: argparse.Namespace) -> int:
         found = sweep(cls, fixed | varied, workers=workers, record=path, progress=progress)
     found = replace(found, varied=varied)  # what is set is no dimension of the grid
     tell_of_others("sweep", found.others)
-    if options.json is not None:
-        write_json(options.json, found.as_json())
-    if options.json != "-":
-        print(sweep_table(found, str(path)))
+    write_results(options, found.as_json, lambda: sweep_table(found, str(path)))
     return 0
 
 

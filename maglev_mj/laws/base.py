@@ -14,18 +14,7 @@ from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import AXES, Array, Component
 from maglev_mj.parameters import axis_indices, batch_shape, numbers, per_axis
 
-__all__ = [
-    "AxisLaw",
-    "Face",
-    "FunctionLaw",
-    "Gains",
-    "Law",
-    "LinearController",
-    "VelocityEstimator",
-    "answer",
-    "as_law",
-    "gain",
-]
+__all__ = ["AxisLaw", "Face", "Gains", "Law", "LinearController", "VelocityEstimator", "answer", "as_law", "gain"]
 
 
 class LinearController(NamedTuple):

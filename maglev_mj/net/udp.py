@@ -13,7 +13,7 @@ from select import select
 from typing import Protocol, TypeAlias
 
 from maglev_mj.errors import MaglevError, ParameterError
-from maglev_mj.net.addresses import Url, check_host, is_loopback, parse_url, resolve
+from maglev_mj.net.addresses import check_host, is_loopback, parse_url, resolve
 
 __all__ = [
     "Address",
@@ -22,13 +22,11 @@ __all__ = [
     "Server",
     "UdpLink",
     "UdpServer",
-    "Url",
     "check_host",
     "is_loopback",
     "open_link",
     "parse_url",
     "readable",
-    "resolve",
 ]
 
 Address: TypeAlias = tuple[str, int]

@@ -1,9 +1,9 @@
 """Pictures of results; the only room that needs matplotlib (the extra `charts`)."""
 
 from maglev_mj.plots.drawing import ChartsMissingError, Panel, require, small_multiples
-from maglev_mj.plots.paper import figure_6, phase_plane, phases, stick_slip, time_series
+from maglev_mj.plots.paper import figure_6, phase_plane, stick_slip, time_series
 from maglev_mj.plots.recorded import first_contact, sticks, whole_run
-from maglev_mj.plots.results import pictures_of, series, spread
+from maglev_mj.plots.results import pictures_of
 from maglev_mj.plots.stability import design_map, stability_map
 
 __all__ = [
@@ -13,12 +13,9 @@ __all__ = [
     "figure_6",
     "first_contact",
     "phase_plane",
-    "phases",
     "pictures_of",
     "require",
-    "series",
     "small_multiples",
-    "spread",
     "stability_map",
     "stick_slip",
     "sticks",

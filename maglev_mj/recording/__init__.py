@@ -12,32 +12,18 @@ from maglev_mj.recording.files import (
     open_recording,
 )
 from maglev_mj.recording.legacy import metadata_of
-from maglev_mj.recording.metadata import (
-    Mechanics,
-    OwnSetup,
-    RunMetadata,
-    Setup,
-    setup_of,
-)
+from maglev_mj.recording.metadata import Mechanics, RunMetadata, Setup, setup_of
 from maglev_mj.recording.recording import InvalidRecordingError, Recording, RecordingError, Stretch
-from maglev_mj.recording.row import FIELDS, ROW, TOTALS, Field, RecordedPlant
-from maglev_mj.recording.verify import Expected, FieldVerdict, Rebuild, Verdict, verify
+from maglev_mj.recording.verify import Expected, Rebuild, Verdict, verify
 
 __all__ = [
     "EXPORTS",
-    "FIELDS",
-    "ROW",
-    "TOTALS",
     "ArrayFile",
     "Expected",
-    "Field",
-    "FieldVerdict",
     "InvalidRecordingError",
     "Mechanics",
-    "OwnSetup",
     "ParquetMissingError",
     "Rebuild",
-    "RecordedPlant",
     "Recorder",
     "Recording",
     "RecordingError",

@@ -19,7 +19,7 @@ from maglev_mj.spec import GRAVITY, INERTIA
 from maglev_mj.terminal import printable
 from maglev_mj.timeline import Timing
 
-__all__ = ["Face", "Mechanics", "OwnSetup", "RunMetadata", "Setup", "Totals", "setup_of", "whole_setup"]
+__all__ = ["Mechanics", "OwnSetup", "RunMetadata", "Setup", "Totals", "setup_of", "whole_setup"]
 
 Face: TypeAlias = tuple[int, float, float]
 """A plane of a wall: index into AXES, normal (1 or -1), edge [m, rad]."""

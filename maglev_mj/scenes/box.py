@@ -9,7 +9,7 @@ from maglev_mj.laws import Law
 from maglev_mj.scenes.interactive import InteractiveScene
 from maglev_mj.scenes.parts import contacts, spring, weight
 
-__all__ = ["BOX_WALLS", "Box"]
+__all__ = ["Box"]
 
 _AIR = 1.0
 

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from maglev_mj.parameters import Parameter
 from maglev_mj.scenes import Scene
 
-__all__ = ["DEVICES_OWN", "Action", "actions", "settable"]
+__all__ = ["DEVICES_OWN", "actions", "settable"]
 
 DEVICES_OWN = "period", "delay"
 """Parameters of the device, or of the person at the machine: no other program changes them."""

@@ -16,7 +16,7 @@ from maglev_mj.hand import SpringHand
 from maglev_mj.scenes import Scene
 from maglev_mj.session.pacing import Due
 
-__all__ = ["SHOWN", "History", "Publisher", "Publishers", "SampledMotion", "Snapshot", "SnapshotSource"]
+__all__ = ["History", "Publisher", "Publishers", "SampledMotion", "Snapshot", "SnapshotSource"]
 
 SHOWN = 2.0
 """Time that a history covers [s]."""

@@ -16,7 +16,7 @@ from maglev_mj.scenes import Scene
 from maglev_mj.scenes.find import reference_of, source_of
 from maglev_mj.session.live import live_plant
 
-__all__ = ["LiveStretch", "scene_setup", "settings_of"]
+__all__ = ["LiveStretch", "settings_of"]
 
 
 def settings_of(scene: Scene, kind: str) -> dict[str, Any]:

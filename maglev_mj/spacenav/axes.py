@@ -17,7 +17,7 @@ from maglev_mj.session import Snapshot
 from maglev_mj.spacenav.navigation import Navigation, Navigator
 from maglev_mj.spec import RANGE
 
-__all__ = ["FULL", "FULL_POSE", "FULL_RATE", "REST", "Axes", "PoseAxes", "RateAxes", "told"]
+__all__ = ["FULL", "FULL_POSE", "FULL_RATE", "REST", "Axes", "PoseAxes", "RateAxes"]
 
 FULL = 500
 """What is said of a full deflection or rate; what programs divide by."""

@@ -11,7 +11,7 @@ from maglev_mj.session import Snapshot
 from maglev_mj.stream.datagrams import Message
 from maglev_mj.stream.messages import refused, same_rules
 
-__all__ = ["Asked", "Pending", "accepted"]
+__all__ = ["Asked", "Pending"]
 
 _BY_HOST = "replaced by a newer set, before it was in force for a sample that was told of"
 _BY_PERSON = "replaced by a change at the machine"

@@ -17,7 +17,7 @@ from maglev_mj.parameters import numbers
 from maglev_mj.plants import ExactPlant, SampledPlant, Sensor, Timing
 from maglev_mj.spec import GRAVITY, INERTIA, Spec
 
-__all__ = ["FAR", "Hum", "along_z", "around_wall", "each_phase", "hum", "wall_controller", "watched"]
+__all__ = ["FAR", "along_z", "around_wall", "each_phase", "hum", "wall_controller", "watched"]
 
 _HELD = tuple(axis for axis in AXES if axis != "z")
 

@@ -29,16 +29,7 @@ from maglev_mj.studies.integrators import boundary_shift
 from maglev_mj.studies.levels import LEVELS, level_index, level_parts, loop_of, step_of
 from maglev_mj.theory.closed_loop import SampledLoop
 
-__all__ = [
-    "MARGIN",
-    "STEPPINGS",
-    "FidelityResult",
-    "Range",
-    "StepResult",
-    "measure_fidelity",
-    "measure_steps",
-    "stepping_name",
-]
+__all__ = ["MARGIN", "FidelityResult", "Range", "StepResult", "measure_fidelity", "measure_steps", "stepping_name"]
 
 MARGIN = 1.25
 """Factor by which a case never looked at may go beyond the worst that was seen."""

@@ -25,7 +25,6 @@ __all__ = [
     "Motions",
     "closed_loop",
     "distance",
-    "distances_above",
     "finite",
     "largest_jump",
     "level_results",

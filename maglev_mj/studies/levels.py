@@ -32,7 +32,6 @@ __all__ = [
     "level_parts",
     "loop_of",
     "motion_of",
-    "options_of",
     "step_of",
     "timing_of",
 ]

@@ -21,7 +21,7 @@ from maglev_mj.studies.growth import HAND_HELP, RestingWall, measure_growth
 from maglev_mj.theory.closed_loop import MOST_PERIODS, LoopKeywords
 from maglev_mj.workers import Workers
 
-__all__ = ["StabilityMap", "StabilityParameters", "run_stability", "simulate_walls"]
+__all__ = ["StabilityMap", "StabilityParameters", "run_stability"]
 
 _NEAR = 0.005
 _TOGETHER = 240

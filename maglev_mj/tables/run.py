@@ -17,7 +17,7 @@ from maglev_mj.spec import RANGE, Spec
 from maglev_mj.studies.sweep import Sweep
 from maglev_mj.terminal import cell, printable
 
-__all__ = ["beyond_force", "beyond_range", "run_table", "sweep_table"]
+__all__ = ["run_table", "sweep_table"]
 
 _NAME, _LEAST, _WIDE, _SCREEN = 13, 12, 80, 110
 _MOST_SHOWN = 4
@@ -59,8 +59,8 @@ def run_table(results: Mapping[str, Result], sweeps: Mapping[str, Phases], gap: 
         count = next(iter(sweeps.values())).phases.size
         blocks.append((f"over {count} phases: median (5 to 95 %)", spreads))
     lines = [*_head(scene, first.plant), "", *_blocks(scene, blocks)]
-    remarks = _missing(sweeps) + beyond_force(results)
-    remarks += beyond_range(
+    remarks = _missing(sweeps) + _beyond_force(results)
+    remarks += _beyond_range(
         list(results), [one.trace.furthest() for one in results.values()], [one.furthest for one in sweeps.values()]
     )
     if gap is not None:
@@ -165,7 +165,7 @@ def _unit(scene: Scene, unit: str) -> str:
 _ROUNDING = 1.0 + 1e-9
 
 
-def beyond_force(results: Mapping[str, Result]) -> list[str]:
+def _beyond_force(results: Mapping[str, Result]) -> list[str]:
     """Return a line if the actuators exceed the device's force along z in a run, else none."""
     device = Spec.largest_vertical_force.value
     # the last knot's force has not acted yet
@@ -174,7 +174,7 @@ def beyond_force(results: Mapping[str, Result]) -> list[str]:
     return [f"  Above the device's {device:g} N (z): {', '.join(beyond)}"] if beyond else []
 
 
-def beyond_range(labels: Sequence[str], runs: Sequence[ArrayLike], sweeps: Sequence[ArrayLike] = ()) -> list[str]:
+def _beyond_range(labels: Sequence[str], runs: Sequence[ArrayLike], sweeps: Sequence[ArrayLike] = ()) -> list[str]:
     """Return a line if a motion leaves the device's range, else none.
 
     Args:

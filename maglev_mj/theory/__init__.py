@@ -9,15 +9,10 @@ from maglev_mj.theory.boundary import (
     stiffest_of,
     stiffest_wall,
 )
-from maglev_mj.theory.closed_loop import (
-    critical_delay,
-    is_stable,
-    largest_modulus,
-    least_dynamic_stiffness,
-)
+from maglev_mj.theory.closed_loop import critical_delay, is_stable, largest_modulus, least_dynamic_stiffness
 from maglev_mj.theory.design import GOALS, LAWS, Case, DesignedWall, WallRequirements, design_wall, worst_case
 from maglev_mj.theory.linearise import ClosedLoop, Linearised, linearise
-from maglev_mj.theory.verdict import Judged, Verdict, inertia_of, judge, stability, stated_gains
+from maglev_mj.theory.verdict import Verdict, inertia_of, judge, stability, stated_gains
 
 __all__ = [
     "GOALS",
@@ -25,7 +20,6 @@ __all__ = [
     "Case",
     "ClosedLoop",
     "DesignedWall",
-    "Judged",
     "Linearised",
     "StiffestWall",
     "Verdict",

@@ -18,7 +18,7 @@ from maglev_mj.viewer.overlay import help_text, status_text
 from maglev_mj.viewer.plots import Plots
 from maglev_mj.viewer.scenery import Scenery
 
-__all__ = ["DisplayError", "OffscreenPainter", "arranged", "column"]
+__all__ = ["DisplayError", "OffscreenPainter", "arranged"]
 
 _SHADOWS, _SAMPLES = 2048, 4
 _NEEDS = {"osmesa": "on Debian libosmesa6", "egl": "on Debian libegl1 and libgl1", "glfw": "and a display"}
