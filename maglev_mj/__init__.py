@@ -37,8 +37,8 @@ if TYPE_CHECKING:
     from maglev_mj.scenes.scene import Scene as Scene
     from maglev_mj.scenes.scene import Start as Start
     from maglev_mj.studies.sweep import sweep as sweep
-    from maglev_mj.theory import linearise as linearise
-    from maglev_mj.theory import stability as stability
+    from maglev_mj.theory.linearise import linearise as linearise
+    from maglev_mj.theory.verdict import stability as stability
 
 __version__ = "0.1.0"
 

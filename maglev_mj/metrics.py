@@ -14,7 +14,6 @@ __all__ = [
     "BounceSummary",
     "Hardness",
     "perceived_hardness",
-    "percentiles",
     "summarise_bounce",
 ]
 
@@ -131,20 +130,3 @@ def perceived_hardness(trace: Trace, window: float, *, axis: int = 2, wall: floa
     most = np.where(during, rise, -np.inf).max(axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
         return Hardness(*(np.where(touched & (speed > 0.0), part / speed, np.nan) for part in (first, most)))
-
-
-def percentiles(summary: BounceSummary, share: float) -> BounceSummary:
-    """Return a percentile of each figure over the devices.
-
-    A settling time that is missing counts as later than every other; where the percentile falls among the
-    missing, it is NaN.
-    """
-    return BounceSummary(*(_percentile(figure, share) for figure in summary))
-
-
-def _percentile(values: Array, share: float) -> Array:
-    late = np.where(np.isnan(values), np.inf, values)
-    if np.isinf(np.percentile(late, share, method="higher")):
-        return np.array(np.nan)
-    finite = np.where(np.isinf(late), np.finfo(float).max, late)  # keeps its rank without spoiling the interpolation
-    return np.asarray(np.percentile(finite, share))

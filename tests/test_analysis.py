@@ -27,13 +27,12 @@ from maglev_mj.metrics import perceived_hardness, summarise_bounce
 from maglev_mj.plants import Timing
 from maglev_mj.recording import ArrayFile, Recording, RecordingError, Stretch, metadata_of
 from maglev_mj.replay import rebuild, record_run, stick_positions_of
-from maglev_mj.scenes.choices import PLANTS
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.joystick import Joystick
 from maglev_mj.scenes.parts import INERTIA, MASS
 from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.run import run
-from maglev_mj.scenes.scene import Scene
+from maglev_mj.scenes.scene import PLANTS, Scene
 from maglev_mj.scenes.stick_slip import StickSlip
 from maglev_mj.session import Pacer, Session
 from maglev_mj.spec import GRAVITY

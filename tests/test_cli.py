@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 
 from maglev_mj import cli
-from maglev_mj.scenes.choices import LAWS, VELOCITIES
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.run import run
+from maglev_mj.scenes.stick_slip import LAWS, VELOCITIES
 from maglev_mj.versions import versions
 
 

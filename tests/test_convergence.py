@@ -16,9 +16,9 @@ from maglev_mj.hand import Hand
 from maglev_mj.plants import MuJoCoBatchPlant
 from maglev_mj.scenes.free import SixAxes, Twist
 from maglev_mj.spec import INERTIA
+from maglev_mj.studies.batches import wall_controller
 from maglev_mj.studies.integrators import INTEGRATORS, SteppedLoop
 from maglev_mj.studies.levels import apart, level_parts, motion_of
-from maglev_mj.studies.wall_controller import wall_controller
 from maglev_mj.theory import stiffest_of, stiffest_wall
 
 SEMI_IMPLICIT = [name for name in INTEGRATORS if name not in ("rk4", "corrected")]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from maglev_mj.errors import DivergenceError, ParameterError
-from maglev_mj.metrics import BounceSummary, perceived_hardness, percentiles
+from maglev_mj.metrics import BounceSummary, perceived_hardness
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.figures import STOCK
 from maglev_mj.scenes.run import run, run_phases
@@ -297,9 +297,6 @@ def test_a_flotor_that_escapes_after_the_end_is_no_failure() -> None:
 def test_unsettled_phases_count_as_late() -> None:
     nan = math.nan
     times = np.array([0.1, 0.2, 0.3, 0.4, nan])
-    summary = BounceSummary(times, times, times, times, times)
-    assert [float(percentiles(summary, share).settling_time) for share in (0, 25, 50, 75)] == [0.1, 0.2, 0.3, 0.4]
-    assert math.isnan(float(percentiles(summary, 80).settling_time))
     for figure in (STOCK[name] for name in Drop.figures):
         assert [float(figure.percentile(times, share)) for share in (0, 25, 50, 75)] == [0.1, 0.2, 0.3, 0.4]
         assert math.isnan(figure.percentile(times, 80))

@@ -27,7 +27,7 @@ def figures(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
         drawn.append(figure)
         return path
 
-    monkeypatch.setattr("maglev_mj.plots.drop.save", keep)
+    monkeypatch.setattr("maglev_mj.plots.paper.save", keep)
     return drawn
 
 

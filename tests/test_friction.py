@@ -26,8 +26,8 @@ from maglev_mj.laws import (
     StickSlip,
     Wall,
 )
-from maglev_mj.scenes.choices import LAWS
 from maglev_mj.scenes.run import run
+from maglev_mj.scenes.stick_slip import LAWS
 from maglev_mj.scenes.stick_slip import StickSlip as StickSlipScene
 from maglev_mj.spec import INERTIA, RANGE
 from maglev_mj.theory.karnopp import karnopp

@@ -18,9 +18,8 @@ from friction_study import (
     mean_friction,
     under_load,
 )
-from maglev_mj.scenes.choices import LAWS
 from maglev_mj.scenes.run import run
-from maglev_mj.scenes.stick_slip import StickSlip
+from maglev_mj.scenes.stick_slip import LAWS, StickSlip
 from tests.closed_loop import largest_modulus
 
 DELAY = 0.0015

@@ -21,6 +21,7 @@ from maglev_mj.parameters import param
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.free import SixAxes, Twist
 from maglev_mj.spec import Spec
+from maglev_mj.studies.batches import wall_controller
 from maglev_mj.studies.fidelity import MARGIN, FidelityResult, Range, measure_fidelity, measure_steps, stepping_name
 from maglev_mj.studies.fidelity_cases import (
     COMPARED,
@@ -37,7 +38,6 @@ from maglev_mj.studies.fidelity_cases import (
 from maglev_mj.studies.fidelity_levels import distance, largest_jump, measure_levels, run_case, run_levels
 from maglev_mj.studies.integrators import SteppedLoop, boundary_shift
 from maglev_mj.studies.levels import LEVELS, apart, level_index, level_parts, loop_of, motion_of
-from maglev_mj.studies.wall_controller import wall_controller
 from maglev_mj.tables import fidelity_table
 from maglev_mj.theory.closed_loop import SampledLoop
 

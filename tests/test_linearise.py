@@ -335,7 +335,10 @@ def test_the_controller_is_left_as_it_is() -> None:
 def test_a_scene_of_any_kind_is_judged() -> None:
     controller = Controller([Hold(stiffness=np.array(INERTIA) * 3e4, damping=np.array(INERTIA) * 300.0)], period=T)
     scene: Any = SimpleNamespace(
-        delay=DELAY, controller=lambda: controller, start=lambda: SimpleNamespace(pose=[0.0] * 6)
+        delay=DELAY,
+        controller=lambda: controller,
+        start=lambda: SimpleNamespace(pose=[0.0] * 6),
+        plant_options=dict,
     )
     assert stability(scene).stable is False
     heavy = stability(scene, inertia=np.array(INERTIA) * 10.0)

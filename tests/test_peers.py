@@ -14,7 +14,7 @@ from maglev_mj import ExactPlant, Timing, drive
 from maglev_mj.frames import Array
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.spec import GRAVITY, INERTIA
-from maglev_mj.studies.wall_controller import wall_controller
+from maglev_mj.studies.batches import wall_controller
 from peers import Task, available
 from work_precision import WorkPoint, pareto
 

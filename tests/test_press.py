@@ -13,7 +13,7 @@ import pytest
 from maglev_mj.errors import DivergenceError, ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.scenes.press import Press
-from maglev_mj.scenes.press_figures import HIT_FIGURES, PressSummary, press_percentiles, summarise_press
+from maglev_mj.scenes.press_figures import HIT_FIGURES, PressSummary, summarise_press
 from maglev_mj.scenes.run import Phases, Result, run, run_phases
 from maglev_mj.trace import Trace
 
@@ -221,18 +221,11 @@ def test_sweep_equals_single_runs() -> None:
 
 def test_percentiles_leave_out_what_is_not_there() -> None:
     speed = np.array([[0.1, 0.2], [math.nan, 0.4], [0.3, 0.6]])
-    summary = PressSummary(*[speed] * 5, *[speed[:, 1]] * 5)
-    middle, pooled = press_percentiles(summary, 50.0), press_percentiles(summary, 50.0, pooled=True)
-    assert middle.approach_speed.tolist() == pytest.approx([0.2, 0.4])
-    assert pooled.approach_speed == pytest.approx(0.3)
-    assert middle.absorbed == pooled.absorbed == pytest.approx(0.4)
     hits, once = Press.figures["approach_speed"], Press.figures["absorbed"]
     assert hits.percentile(speed, 50.0).tolist() == pytest.approx([0.2, 0.4])
     assert hits.percentile(speed.ravel(), 50.0) == pytest.approx(0.3)
     assert once.percentile(speed[:, 1], 50.0) == pytest.approx(0.4)
     assert np.isnan(hits.percentile(np.full((3, 2), math.nan), 5.0)).all()
-    nothing = PressSummary(*[np.full((3, 2), math.nan)] * 5, *[np.full(3, math.nan)] * 5)
-    assert all(np.isnan(figure).all() for figure in press_percentiles(nothing, 5.0))
 
 
 def test_the_pulse_lessens_every_hit_of_an_arm() -> None:

@@ -13,6 +13,7 @@ from typing import TextIO
 import maglev_mj
 from maglev_mj.cli.options import Parser, joined
 from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.scenes.find import line_of
 from maglev_mj.terminal import say
 
 __all__ = ["main", "parser"]
@@ -64,6 +65,11 @@ def _run(options: argparse.Namespace) -> int:
         say(f"maglev-mj {options.command}: {error}", sys.stderr)
         _drop_unwritten()
         return 1
+    except Exception as error:
+        if (line := line_of(error)) is None:
+            raise
+        say(f"maglev-mj {options.command}: {line}: {type(error).__name__}: {error}", sys.stderr)
+        return 2
 
 
 def _is_unread(stream: TextIO) -> bool:

@@ -13,7 +13,7 @@ from maglev_mj import plots
 from maglev_mj.cli.options import Parser, add_outputs, add_parameters, add_recording, count, number_option
 from maglev_mj.cli.output import check_outputs, check_recording, keep_partial, write_json
 from maglev_mj.cli.progress import Progress
-from maglev_mj.cli.scenes import add_scene, chosen_scene
+from maglev_mj.cli.scenes import add_scene, chosen_scene, warn_of_instability
 from maglev_mj.errors import DivergenceError
 from maglev_mj.replay import write_run
 from maglev_mj.scenes.find import find_scene
@@ -71,6 +71,7 @@ def _run(options: argparse.Namespace) -> int:
     if options.out is not None:
         plots.require()
     check_outputs(json=options.json, out=options.out)
+    warn_of_instability(scene)
     recorded = []
     if options.record is not None:
         recorded = write_run(options.record, scene, plant=options.plant, phase=options.phase)

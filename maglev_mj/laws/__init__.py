@@ -6,13 +6,12 @@ and each law adds its force to the same wrench.
 
 from __future__ import annotations
 
-from maglev_mj.laws.base import AxisLaw, Gains, Law, VelocityEstimator, gain
+from maglev_mj.laws.base import AxisLaw, Gains, Law, LinearController, VelocityEstimator, gain
 from maglev_mj.laws.bias import Bias
 from maglev_mj.laws.bristle import Dahl, ElastoPlastic, HaywardArmstrong, LuGre
 from maglev_mj.laws.checking import check
 from maglev_mj.laws.friction import Friction, FrictionState, ImplicitCoulomb, SpringReset, StickSlip
 from maglev_mj.laws.hold import Hold
-from maglev_mj.laws.linear import LinearController
 from maglev_mj.laws.passivity import PassivityController
 from maglev_mj.laws.prediction import ObserverWall, PredictiveWall
 from maglev_mj.laws.velocity import AdaptiveWindow, FiniteDifference, LowPass, Window

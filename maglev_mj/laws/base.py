@@ -14,7 +14,37 @@ from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import AXES, Array, Component
 from maglev_mj.parameters import axis_indices, batch_shape, numbers, per_axis
 
-__all__ = ["AxisLaw", "Face", "FunctionLaw", "Gains", "Law", "VelocityEstimator", "answer", "as_law", "gain"]
+__all__ = [
+    "AxisLaw",
+    "Face",
+    "FunctionLaw",
+    "Gains",
+    "Law",
+    "LinearController",
+    "VelocityEstimator",
+    "answer",
+    "as_law",
+    "gain",
+]
+
+
+class LinearController(NamedTuple):
+    """q[k+1] = advance q[k] + take x[k]; output[k] = give q[k] + direct x[k].
+
+    The position x is measured from the edge of the wall.
+
+    Attributes:
+        advance: (..., n, n).
+        take: (..., n).
+        give: (..., n).
+        direct: (...,).
+    """
+
+    advance: Array
+    take: Array
+    give: Array
+    direct: Array
+
 
 Face: TypeAlias = tuple[int, float, Component]
 """One plane of a wall: index into AXES, normal, edge; the axis is free where normal (x - edge) > 0."""

@@ -12,9 +12,8 @@ from numpy.typing import ArrayLike
 
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Component
-from maglev_mj.laws.base import AxisLaw, Face, gain
+from maglev_mj.laws.base import AxisLaw, Face, LinearController, gain
 from maglev_mj.laws.friction import choose
-from maglev_mj.laws.linear import LinearController
 from maglev_mj.parameters import flag, number
 from maglev_mj.timeline import split_delay
 

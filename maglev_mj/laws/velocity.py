@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Component
+from maglev_mj.laws.base import LinearController
 from maglev_mj.laws.friction import choose
-from maglev_mj.laws.linear import LinearController
 from maglev_mj.parameters import number
 from maglev_mj.spec import RESOLUTION
 

@@ -213,7 +213,7 @@ class Steps:
         self.look: Callable[[], Sequence[float]] = self._position.tolist
         self.settle: Callable[[], Sequence[float]] = self.look
 
-    def __call__(self, duration: float, pieces: int = 1) -> None:
+    def advance(self, duration: float, pieces: int = 1) -> None:
         """Carry the state over `duration` [s] in so many equal steps."""
         if pieces == 1:
             self._options.timestep = duration
@@ -243,11 +243,11 @@ class CorrectedSteps(Steps):
         # how far each segment since the last correction went too far: a factor, and what it is a factor of
         self._excess: list[tuple[float, Sequence[float]]] = []
 
-    def __call__(self, duration: float, pieces: int = 1) -> None:
+    def advance(self, duration: float, pieces: int = 1) -> None:
         """See `Steps`."""
         if pieces > 1 or self._damped:
             before = self._velocity()
-            super().__call__(duration, pieces)
+            super().advance(duration, pieces)
             gained = [after - earlier for after, earlier in zip(self._velocity(), before)]
             self._excess.append((0.5 * duration / pieces, gained))
             return

@@ -1,13 +1,10 @@
 """Pictures of results; the only room that needs matplotlib (the extra `charts`)."""
 
-from maglev_mj.plots.design import design_map
 from maglev_mj.plots.drawing import ChartsMissingError, Panel, require, small_multiples
-from maglev_mj.plots.drop import phase_plane, phases, time_series
-from maglev_mj.plots.press import figure_6
+from maglev_mj.plots.paper import figure_6, phase_plane, phases, stick_slip, time_series
 from maglev_mj.plots.recorded import first_contact, sticks, whole_run
 from maglev_mj.plots.results import pictures_of, series, spread
-from maglev_mj.plots.stability import stability_map
-from maglev_mj.plots.stick_slip import stick_slip
+from maglev_mj.plots.stability import design_map, stability_map
 
 __all__ = [
     "ChartsMissingError",

@@ -18,6 +18,7 @@ __all__ = [
     "IDEAL",
     "MANY",
     "SECOND",
+    "WALL",
     "ChartsMissingError",
     "Panel",
     "new_figure",
@@ -26,7 +27,7 @@ __all__ = [
     "small_multiples",
 ]
 
-FIRST, SECOND, IDEAL, GRID = "#0b6e99", "#d1495b", "#5a5f66", "#e3e5e8"
+FIRST, SECOND, IDEAL, GRID, WALL = "#0b6e99", "#d1495b", "#5a5f66", "#e3e5e8", "#f1efe9"
 MANY = (FIRST, SECOND, "#7a8b3c", "#8d6cab", "#e3973b", "#4f5a65", "#3aa6a0")
 
 

@@ -9,11 +9,11 @@ import numpy as np
 
 from maglev_mj.analysis import Analysed, Run
 from maglev_mj.frames import AXES
-from maglev_mj.plots.drawing import FIRST, IDEAL, SECOND, new_figure, save
+from maglev_mj.plots.drawing import FIRST, IDEAL, SECOND, WALL, new_figure, save
 
 __all__ = ["first_contact", "sticks", "whole_run"]
 
-_WALL, _SHOWN, _LEAD, _POINTS = "#f1efe9", 0.4, 0.1, 2001
+_SHOWN, _LEAD, _POINTS = 0.4, 0.1, 2001
 _MOST_DOTS, _MOST_MARKS, _APART = 150, 12, 0.045
 
 
@@ -162,10 +162,10 @@ def _walls(panel: Any, analysed: Analysed, axis: int) -> None:
         place = edge * 1e3
         if normal > 0.0 and place > bottom - room:
             bottom = min(bottom, place - room)
-            panel.axhspan(bottom - 1e3, place, color=_WALL, zorder=0)
+            panel.axhspan(bottom - 1e3, place, color=WALL, zorder=0)
         elif normal < 0.0 and place < top + room:
             top = max(top, place + room)
-            panel.axhspan(place, top + 1e3, color=_WALL, zorder=0)
+            panel.axhspan(place, top + 1e3, color=WALL, zorder=0)
     panel.set_ylim(bottom, top + 0.16 * (top - bottom))
 
 

@@ -35,10 +35,9 @@ from maglev_mj.recording.checks import (
     unpacked,
     whole,
 )
-from maglev_mj.recording.metadata import RunMetadata, Setup
+from maglev_mj.recording.metadata import RunMetadata, Setup, Totals
 from maglev_mj.recording.recording import Recording, Stretch
 from maglev_mj.recording.row import FIELDS, TOTALS, Field, Row, as_rows, named, schema
-from maglev_mj.recording.totals import Totals
 
 if TYPE_CHECKING:
     from mcap.records import Chunk, McapRecord

@@ -1,4 +1,4 @@
-"""Metadata of a run: written into its recording from plant and controller, and read back."""
+"""Metadata of a run, written from plant and controller and read back, and its running totals."""
 
 from __future__ import annotations
 
@@ -10,22 +10,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from maglev_mj.controller import Controller
+from maglev_mj.energy import HandWork, PassivityObserver
 from maglev_mj.errors import ParameterError
-from maglev_mj.frames import AXES, ZERO, Array
+from maglev_mj.frames import AXES, ZERO, Array, Command, Sample
 from maglev_mj.parameters import axis_indices, flag, number, numbers
 from maglev_mj.recording.checks import check_setup, flag_in, list_in, object_in, six, text_in
 from maglev_mj.spec import GRAVITY, INERTIA
 from maglev_mj.terminal import printable
+from maglev_mj.timeline import Timing
 
-__all__ = [
-    "Face",
-    "Mechanics",
-    "OwnSetup",
-    "RunMetadata",
-    "Setup",
-    "setup_of",
-    "whole_setup",
-]
+__all__ = ["Face", "Mechanics", "OwnSetup", "RunMetadata", "Setup", "Totals", "setup_of", "whole_setup"]
 
 Face: TypeAlias = tuple[int, float, float]
 """A plane of a wall: index into AXES, normal (1 or -1), edge [m, rad]."""
@@ -275,3 +269,34 @@ def _face(values: Any) -> Face:
     if abs(normal) != 1.0:
         raise ParameterError(f"normal must be 1 or -1, not {normal:g}")
     return axis, normal, edge
+
+
+class Totals:
+    """Adds up what the rendered world takes in, what the hand does, and what is missing, from sample to sample.
+
+    Args:
+        metadata: What a stretch is, besides its samples.
+    """
+
+    def __init__(self, metadata: RunMetadata) -> None:
+        timing = Timing(period=metadata.period, delay=metadata.delay)
+        self._carried = metadata.carried
+        load, before = self._carried + metadata.load, metadata.before - self._carried
+        self._observer = PassivityObserver(timing, metadata.inertia, load, before)
+        self._hand, self._missed = HandWork(), 0
+        self._tick: float | None = None
+
+    def miss(self, count: int) -> None:
+        """Count samples that were missed, other than by a gap in the ticks."""
+        self._missed += count
+
+    def add(self, row: Mapping[str, Any]) -> tuple[float, float, int]:
+        """Return the totals at a sample, given by name: energy taken [J], work of the hand [J], samples missed."""
+        force, width = np.array(row["applied"]) - self._carried, row["applied_pulse_width"]
+        command = Command(force.tolist(), row["applied_pulse"], width) if width else Command(force.tolist())
+        self._observer(Sample(int(row["tick"]), row["time"], row["position"]), command)
+        self._hand.add(np.array(row["position"]), row["hand"])
+        if self._tick is not None:  # a device counts on from stretch to stretch
+            self._missed += max(int(row["tick"] - self._tick) - 1, 0)
+        self._tick = row["tick"]
+        return float(self._observer.energy.sum()), self._hand.total, self._missed

@@ -15,10 +15,9 @@ from maglev_mj.frames import ZERO, Array, Command, Mask, Sample
 from maglev_mj.hand import HandForce, RecordedHand
 from maglev_mj.plants import SampledPlant, engine_warnings_silenced
 from maglev_mj.recording.files import row_of
-from maglev_mj.recording.metadata import RunMetadata, Setup
+from maglev_mj.recording.metadata import RunMetadata, Setup, Totals
 from maglev_mj.recording.recording import Recording, Stretch
 from maglev_mj.recording.row import ARRAYS, FIELDS, ROW, TOTALS, Rows, as_rows, as_table, compiled, named
-from maglev_mj.recording.totals import Totals
 
 __all__ = ["Expected", "FieldVerdict", "Rebuild", "Verdict", "verify"]
 

@@ -7,14 +7,12 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from maglev_mj.energy import actuator_work
 from maglev_mj.frames import Array
-from maglev_mj.parameters import flag
 from maglev_mj.trace import Trace
 
-__all__ = ["HIT_FIGURES", "PressSummary", "press_percentiles", "summarise_press"]
+__all__ = ["HIT_FIGURES", "PressSummary", "summarise_press"]
 
 _STEP = 1e-4
 _TAIL = 0.2
@@ -85,28 +83,6 @@ def summarise_press(trace: Trace, strokes: Sequence[float], settled: float, end:
     absorbed = -actuator_work(trace)[..., 2].sum(axis=0)
     figures = [*np.array(hits).T, *(np.array(figure) for figure in press), np.asarray(absorbed)]
     return PressSummary(*figures)
-
-
-def press_percentiles(summary: PressSummary, share: float, *, pooled: bool = False) -> PressSummary:
-    """Return a percentile of each figure over the phases, leaving out those that are not there.
-
-    Args:
-        summary: Figures (N, hits) and (N,).
-        share: Which percentile, in per cent.
-        pooled: Take the hits together with the phases; otherwise each hit has its own.
-    """
-    flag("pooled", pooled)
-    return PressSummary(
-        *(
-            np.apply_along_axis(_percentile, 0, figure.ravel() if pooled else figure, share)
-            for figure in (np.asarray(figure) for figure in summary)
-        )
-    )
-
-
-def _percentile(values: Array, share: float) -> ArrayLike:
-    known = values[np.isfinite(values)]
-    return float(np.percentile(known, share)) if known.size else np.nan
 
 
 def _refined(trace: Trace, bounds: Sequence[float]) -> _Motion:

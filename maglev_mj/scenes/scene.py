@@ -126,8 +126,8 @@ class Scene(Parameters):
 
     # --- what a scene says ---------------------------------------------------------------------
 
-    def laws(self) -> Sequence[Law]:
-        """Return the laws; their wrenches add up."""
+    def laws(self) -> Sequence[Law | Callable[..., Any]]:
+        """Return the laws; their wrenches add up. A function f(position, velocity) is one too; see `Controller`."""
         raise NotImplementedError(f"{type(self).__name__} needs laws()")
 
     def start(self) -> Start:

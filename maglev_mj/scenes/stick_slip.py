@@ -9,10 +9,24 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from maglev_mj.frames import AXES, Array
-from maglev_mj.laws import Hold, Law, VelocityEstimator
+from maglev_mj.laws import (
+    AdaptiveWindow,
+    Dahl,
+    ElastoPlastic,
+    FiniteDifference,
+    Friction,
+    HaywardArmstrong,
+    Hold,
+    ImplicitCoulomb,
+    Law,
+    LowPass,
+    LuGre,
+    SpringReset,
+    VelocityEstimator,
+)
+from maglev_mj.laws import StickSlip as StickSlipFriction
 from maglev_mj.parameters import param
 from maglev_mj.scenes.bench import hold, others, stepped
-from maglev_mj.scenes.choices import LAWS, SLIDES_AT, VELOCITIES
 from maglev_mj.scenes.figures import changes
 from maglev_mj.scenes.scene import Scene, Start
 from maglev_mj.spec import INERTIA, Spec
@@ -21,7 +35,31 @@ from maglev_mj.theory.karnopp import FrictionEvent, KarnoppMotion, karnopp
 if TYPE_CHECKING:
     from maglev_mj.scenes.run import Result
 
-__all__ = ["StickSlip"]
+__all__ = ["LAWS", "VELOCITIES", "StickSlip"]
+
+LAWS: Mapping[str, Callable[..., Friction]] = {
+    "stick-slip": lambda *, period, **common: StickSlipFriction(**common),
+    "spring-reset": lambda *, v_min, period, **common: SpringReset(**common),
+    "dahl": lambda *, v_min, period, **common: Dahl(**common),
+    "lugre": lambda *, v_min, period, **common: LuGre(period=period, stribeck=v_min, **common),
+    "elasto-plastic": lambda *, v_min, period, **common: ElastoPlastic(**common),
+    "hayward-armstrong": lambda *, v_min, period, **common: HaywardArmstrong(**common),
+    "kikuuwe": lambda *, v_min, period, **common: ImplicitCoulomb(period=period, **common),
+}
+"""Friction laws by name; each takes the axes and the common parameters, and drops what it has no use for."""
+
+_SLIDES_AT = {"stick-slip": 0.0, "spring-reset": 0.0, "lugre": 0.8}
+"""Friction in steady sliding that a law stands for, as a share of breakaway; 1 for the others.
+
+The spring that resets is meant as stick-slip; what it gives is a sawtooth.
+"""
+
+VELOCITIES: Mapping[str, Callable[[float], VelocityEstimator]] = {
+    "difference": lambda quantum: FiniteDifference(),
+    "low-pass": lambda quantum: LowPass(),
+    "adaptive": lambda quantum: AdaptiveWindow(noise=(max(quantum, 1e-12),) * 6),
+}
+"""Velocity estimators by name, made for a sensor's resolution [m, rad]."""
 
 
 def _at_radius(value: float, power: int) -> Callable[[Any], float]:
@@ -46,7 +84,7 @@ class StickSlip(Scene):
     model: ClassVar = "scenes/table"
     figures: ClassVar = ("peak_speed", "stick_time", "stick_position", "final_position", "transitions", "ripple")
     takes_phase: ClassVar[bool] = False
-    plots: ClassVar[Mapping[str, str]] = {"stick_slip.png": "maglev_mj.plots.stick_slip:stick_slip"}
+    plots: ClassVar[Mapping[str, str]] = {"stick_slip.png": "maglev_mj.plots.paper:stick_slip"}
 
     law: str = param("friction law", default="stick-slip", choices=tuple(LAWS))
     velocity: str = param("velocity estimator", default="difference", choices=tuple(VELOCITIES))
@@ -119,7 +157,7 @@ class StickSlip(Scene):
             time: When [s], (M,).
         """
         target, breakaway, v_min = self.target, self.breakaway, self.v_min
-        share = SLIDES_AT.get(self.law, 1.0)
+        share = _SLIDES_AT.get(self.law, 1.0)
         if share > 0.0 and abs(self.spring * target) > breakaway:
             target -= math.copysign(share * breakaway / self.spring, target)
             breakaway, v_min = 1e-9 * breakaway, 1e-9 * v_min
@@ -163,7 +201,7 @@ class StickSlip(Scene):
     @property
     def exact_name(self) -> str:
         """Friction that the law stands for."""
-        return "Coulomb" if SLIDES_AT.get(self.law, 1.0) else "Karnopp"
+        return "Coulomb" if _SLIDES_AT.get(self.law, 1.0) else "Karnopp"
 
     def events(self, result: Result) -> list[FrictionEvent]:
         """Return the changes of the law's state, at the samples that found them."""

@@ -13,8 +13,7 @@ from maglev_mj.scenes import BUILT_IN, Scene, find_scene
 from maglev_mj.session.actions import DEVICES_OWN, actions
 from maglev_mj.session.live import centred, lifted
 from maglev_mj.session.pacing import Pacer
-from maglev_mj.session.publishers import Publisher, Publishers
-from maglev_mj.session.snapshot import History, Snapshot
+from maglev_mj.session.snapshot import History, Publisher, Publishers, Snapshot
 from maglev_mj.session.stretch import LiveStretch
 from maglev_mj.session.tape import Tape
 

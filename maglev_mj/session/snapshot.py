@@ -1,9 +1,10 @@
-"""The picture of a scene at one instant, which windows and other programs read."""
+"""The picture of now, and those who are told of it."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -13,8 +14,9 @@ from maglev_mj.energy import HandWork
 from maglev_mj.frames import Array
 from maglev_mj.hand import SpringHand
 from maglev_mj.scenes import Scene
+from maglev_mj.session.pacing import Due
 
-__all__ = ["SHOWN", "History", "SampledMotion", "Snapshot", "SnapshotSource"]
+__all__ = ["SHOWN", "History", "Publisher", "Publishers", "SampledMotion", "Snapshot", "SnapshotSource"]
 
 SHOWN = 2.0
 """Time that a history covers [s]."""
@@ -155,3 +157,51 @@ class SampledMotion:
             before, last = time - 1.0, position
         self.history.add(time, position, (position - last) / (time - before), force[self._axis], hand[self._axis])
         self._last = time, position
+
+
+class Publisher(Protocol):
+    """A way to other programs. It never waits, for it is called where the samples are answered."""
+
+    def take(self) -> Scene | None:
+        """Return the scene that a program asks for and may have, once."""
+
+    def show(self, snapshot: Snapshot) -> None:
+        """Publish a snapshot."""
+
+    def close(self) -> None:
+        """Close every connection; a second time does nothing."""
+
+
+class Publishers:
+    """Publish snapshots 60 times a second.
+
+    Args:
+        publishers: Some, or none.
+        clock: Returns real time [s].
+    """
+
+    def __init__(self, publishers: Sequence[Publisher] = (), clock: Callable[[], float] = time.monotonic) -> None:
+        self._publishers, self._due = tuple(publishers), Due(clock=clock)
+
+    def __bool__(self) -> bool:
+        return bool(self._publishers)
+
+    def show(self, snapshot: Callable[[], Snapshot]) -> None:
+        """Publish a snapshot, if one is due; only then is it made."""
+        if not self._publishers or not self._due():
+            return
+        made = snapshot()
+        for publisher in self._publishers:
+            publisher.show(made)
+
+    def wanted(self) -> Scene | None:
+        """Return the scene that a program asks for, once."""
+        for publisher in self._publishers:
+            if (scene := publisher.take()) is not None:
+                return scene
+        return None
+
+    def close(self) -> None:
+        """Close all."""
+        for publisher in self._publishers:
+            publisher.close()

@@ -18,8 +18,7 @@ from maglev_mj.metrics import summarise_bounce
 from maglev_mj.parameters import Parameters, param
 from maglev_mj.plants import ExactPlant, Sensor, Timing
 from maglev_mj.spec import Spec
-from maglev_mj.studies.batches import along_z, hum
-from maglev_mj.studies.wall_controller import around_wall, wall_controller
+from maglev_mj.studies.batches import along_z, around_wall, hum, wall_controller
 from maglev_mj.theory.design import Case, DesignedWall
 from maglev_mj.timeline import split_delay
 

@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 from maglev_mj.parameters import number
 from maglev_mj.scenes.run import checked_phase, parameters_json
 from maglev_mj.scenes.scene import Scene
-from maglev_mj.studies.costs import measure_costs
 from maglev_mj.studies.fidelity_cases import Case, Preset, choice_cases, itself, preset_of, screen_levels
 from maglev_mj.studies.fidelity_levels import (
     DEAR,
@@ -21,6 +20,7 @@ from maglev_mj.studies.fidelity_levels import (
     finite,
     largest_jump,
     level_results,
+    measure_costs,
     run_case,
     run_levels,
     worst_of,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from functools import lru_cache
 from typing import Any, ClassVar, NamedTuple
 
@@ -20,6 +19,7 @@ from maglev_mj.plants import ExactPlant, MuJoCoBatchPlant, SampledPlant, engine_
 from maglev_mj.scenes.bench import along, hold, others
 from maglev_mj.scenes.scene import PLANTS, PlantMaker, Scene, Start
 from maglev_mj.spec import GRAVITY, Spec
+from maglev_mj.studies.batches import wall_controller
 from maglev_mj.theory import StiffestWall, largest_modulus, largest_stable_stiffness, stiffest_wall
 from maglev_mj.theory.closed_loop import MOST_PERIODS, LoopKeywords
 
@@ -164,10 +164,9 @@ def measure_growth(walls: Sequence[RestingWall], plant: str = "exact", **keyword
 
 def _controller(walls: Sequence[RestingWall]) -> Controller:
     """Return one controller of many walls."""
-    wall, *held = walls[0].laws()
-    gains = {name: np.array([[getattr(one, name)] for one in walls]) for name in ("stiffness", "damping")}
-    many: Law = replace(wall, **gains)  # type: ignore[type-var]
-    return Controller([many, *held], period=walls[0].period, velocity=walls[0].velocity_estimator())
+    first, stiffness, damping = walls[0], [wall.stiffness for wall in walls], [wall.damping for wall in walls]
+    around: Any = {"period": first.period, "delay": first.delay, "mass": first.mass}
+    return wall_controller(stiffness=stiffness, damping=damping, velocity=first.velocity_estimator(), **around)
 
 
 def _sizes(plant: SampledPlant, controller: Controller, rest: Array, ticks: int) -> Array:

@@ -2,10 +2,9 @@
 
 from maglev_mj.tables.analysis import analysis_table
 from maglev_mj.tables.fidelity import fidelity_table, levels_table
-from maglev_mj.tables.run import run_table
+from maglev_mj.tables.run import run_table, sweep_table
 from maglev_mj.tables.sessions import flown_table, served_table, show_table, verdict_table
 from maglev_mj.tables.stability import design_table, loop_table, stability_table
-from maglev_mj.tables.sweep import sweep_table
 
 __all__ = [
     "analysis_table",

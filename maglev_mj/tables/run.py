@@ -1,4 +1,4 @@
-"""Runs of any scene, and of many phases, as text."""
+"""Runs of any scene, their phases and sweeps as text, and what they ask beyond the device."""
 
 from __future__ import annotations
 
@@ -7,15 +7,17 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from maglev_mj.frames import AXES
+from maglev_mj.frames import AXES, Array, Mask
 from maglev_mj.scenes.figures import Figure
 from maglev_mj.scenes.run import Phases, Result
 from maglev_mj.scenes.scene import Scene
-from maglev_mj.tables.limits import beyond_force, beyond_range
-from maglev_mj.terminal import cell
+from maglev_mj.spec import RANGE, Spec
+from maglev_mj.studies.sweep import Sweep
+from maglev_mj.terminal import cell, printable
 
-__all__ = ["run_table"]
+__all__ = ["beyond_force", "beyond_range", "run_table", "sweep_table"]
 
 _NAME, _LEAST, _WIDE, _SCREEN = 13, 12, 80, 110
 _MOST_SHOWN = 4
@@ -141,7 +143,7 @@ def _cell(figure: Figure, value: Any, *bounds: Any) -> str:
 
 
 def _number(figure: Figure, value: float) -> str:
-    return f"{value:g}" if not figure.unit and np.isfinite(value) else cell(value, figure.scale)
+    return f"{value:zg}" if not figure.unit and np.isfinite(value) else cell(value, figure.scale)
 
 
 def _missing(sweeps: Mapping[str, Phases]) -> list[str]:
@@ -158,3 +160,76 @@ def _missing(sweeps: Mapping[str, Phases]) -> list[str]:
 def _unit(scene: Scene, unit: str) -> str:
     turns = AXES.index(scene.axis) >= 3
     return _TURNING.get(unit, unit) if turns else unit
+
+
+_ROUNDING = 1.0 + 1e-9
+
+
+def beyond_force(results: Mapping[str, Result]) -> list[str]:
+    """Return a line if the actuators exceed the device's force along z in a run, else none."""
+    device = Spec.largest_vertical_force.value
+    # the last knot's force has not acted yet
+    peaks = {label: float(np.abs(one.trace.wrench[:-1, 2]).max(initial=0.0)) for label, one in results.items()}
+    beyond = [f"{label} {peak:.3g}" for label, peak in peaks.items() if peak > device * _ROUNDING]
+    return [f"  Above the device's {device:g} N (z): {', '.join(beyond)}"] if beyond else []
+
+
+def beyond_range(labels: Sequence[str], runs: Sequence[ArrayLike], sweeps: Sequence[ArrayLike] = ()) -> list[str]:
+    """Return a line if a motion leaves the device's range, else none.
+
+    Args:
+        labels: A name for each run.
+        runs: Greatest distance from the centre on each axis [m, rad], (6,) each.
+        sweeps: The same for each phase of each run, (N, 6) each; or nothing.
+    """
+    texts, left = [], np.zeros(len(RANGE), dtype=bool)
+    for index, (label, run) in enumerate(zip(labels, runs, strict=True)):
+        swept = np.asarray(sweeps[index]) if sweeps else np.empty((0, len(RANGE)))
+        furthest = np.vstack([np.asarray(run), swept]).max(axis=0)
+        if not (outside := _outside(furthest)).any():
+            continue
+        left |= outside
+        phases = int(_outside(swept).any(axis=1).sum())
+        count = f" ({phases} of {len(swept)} phases)" if phases else ""
+        texts.append(f"{label} {_distances(np.where(outside, furthest, 0.0))}{count}")
+    if not texts:
+        return []
+    return [f"  Beyond the range of {_distances(np.where(left, RANGE, 0.0))}: {', '.join(texts)}"]
+
+
+def _outside(furthest: Array) -> Mask:
+    """Return the axes that leave the device's range."""
+    outside: Mask = furthest > np.array(RANGE) * _ROUNDING
+    return outside
+
+
+def _distances(furthest: Array) -> str:
+    """Return the largest translation and rotation, each with its unit; zero is left out."""
+    parts = [(furthest[:3].max() * 1e3, "mm"), (np.degrees(furthest[3:].max()), "deg")]
+    return " and ".join(f"{value:.4g} {unit}" for value, unit in parts if value > 0.0)
+
+
+def sweep_table(found: Sweep, path: str) -> str:
+    """Return how many cells were computed and the spread of each figure over them, as text.
+
+    Args:
+        found: The sweep.
+        path: Where the record is.
+    """
+    results = found.results
+    failed = [result["error"] for result in results if "error" in result]
+    over = ", ".join(f"{name} ({len(values)})" for name, values in found.varied.items()) or "nothing"
+    lines = [
+        f"Sweep of {found.scene.name} over {over}: {len(results)} cells, {found.known} of them already in {path}",
+        "",
+        f"  {'':<20}{'least':>12}{'median':>12}{'greatest':>12}   cells",
+    ]
+    good = [result for result in results if "error" not in result]
+    for name in good[0] if good else ():
+        values = [float(result[name]) for result in good if isinstance(result[name], int | float)]
+        if values:
+            spread = "".join(f"{share:>12.4g}" for share in np.percentile(values, [0.0, 50.0, 100.0]))
+            lines.append(f"  {printable(name):<20}{spread}   {len(values)}")
+    if failed:
+        lines += ["", f"  {len(failed)} cells failed, the first because {printable(str(failed[0]))}"]
+    return "\n".join(lines)

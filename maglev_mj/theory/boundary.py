@@ -12,8 +12,7 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Mask
 from maglev_mj.parameters import common_shape, number, numbers
 from maglev_mj.theory.characteristic import Characteristic, characteristic, crossings, scales, turning_points
-from maglev_mj.theory.closed_loop import LoopKeywords, SampledLoop
-from maglev_mj.theory.modulus import is_stable
+from maglev_mj.theory.closed_loop import LoopKeywords, SampledLoop, is_stable
 
 __all__ = [
     "StiffestWall",

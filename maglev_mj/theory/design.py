@@ -18,8 +18,7 @@ from maglev_mj.laws import Law, ObserverWall
 from maglev_mj.parameters import Parameters, interval, param
 from maglev_mj.spec import DRIVER_TIME_CONSTANT, Spec
 from maglev_mj.theory.boundary import first_end, flattened, ranges_of, spans
-from maglev_mj.theory.closed_loop import MOST_PERIODS, Design, SampledLoop, rendered_stiffness
-from maglev_mj.theory.modulus import least_dynamic_stiffness
+from maglev_mj.theory.closed_loop import MOST_PERIODS, Design, SampledLoop, least_dynamic_stiffness, rendered_stiffness
 
 __all__ = ["GOALS", "LAWS", "Case", "DesignedWall", "WallRequirements", "design_wall", "worst_case"]
 

@@ -31,9 +31,9 @@ from maglev_mj.plots import Panel, small_multiples
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.scene import Start
 from maglev_mj.spec import Spec
+from maglev_mj.studies.batches import wall_controller
 from maglev_mj.studies.fidelity_cases import preset_of
 from maglev_mj.studies.integrators import INTEGRATORS
-from maglev_mj.studies.wall_controller import wall_controller
 from maglev_mj.versions import versions
 from peers import Task
 from ways import SEMI_IMPLICIT, Way, as_json, boundary_shift, measure, our_ways, peer_ways, points_of

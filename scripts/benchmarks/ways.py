@@ -17,8 +17,8 @@ from maglev_mj.plants import ExactPlant, MuJoCoBatchPlant, SampledPlant, Timing
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.spec import GRAVITY, Spec
 from maglev_mj.studies import integrators
-from maglev_mj.studies.costs import closed_loop, median_times
 from maglev_mj.studies.fidelity import stepping_name
+from maglev_mj.studies.fidelity_levels import closed_loop, median_times
 from maglev_mj.studies.levels import Motion, apart, level_parts, motion_of
 from maglev_mj.theory.closed_loop import SampledLoop
 from peers import Task, available

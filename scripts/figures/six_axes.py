@@ -15,7 +15,7 @@ from maglev_mj.laws import StickSlip
 from maglev_mj.loop import drive
 from maglev_mj.parameters import number
 from maglev_mj.plants import ExactPlant, MuJoCoPlant, Timing
-from maglev_mj.scenes.choices import PLANTS
+from maglev_mj.scenes.scene import PLANTS
 from maglev_mj.spec import INERTIA, Spec
 
 __all__ = ["SixAxesResult", "run_six_axes"]

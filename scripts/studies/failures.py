@@ -10,8 +10,7 @@ from numpy.typing import ArrayLike
 from maglev_mj.frames import Array
 from maglev_mj.plants import ExactPlant, Sensor, Timing
 from maglev_mj.spec import Spec
-from maglev_mj.studies.batches import along_z, each_phase, watched
-from maglev_mj.studies.wall_controller import wall_controller
+from maglev_mj.studies.batches import along_z, each_phase, wall_controller, watched
 from maglev_mj.theory.closed_loop import LoopKeywords, SampledLoop
 
 __all__ = ["Chatter", "press_at_edge", "random_delay_rate"]

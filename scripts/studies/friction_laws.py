@@ -13,7 +13,7 @@ from typing import Any
 from friction_study import against_exact, chatter, creep, cycle_work, friction_law, mean_friction
 from maglev_mj import Controller, Sample
 from maglev_mj.plots.drawing import MANY, new_figure, save
-from maglev_mj.scenes.choices import LAWS, VELOCITIES
+from maglev_mj.scenes.stick_slip import LAWS, VELOCITIES
 from maglev_mj.spec import Spec
 from maglev_mj.versions import versions
 

@@ -12,9 +12,8 @@ from maglev_mj.hand import RecordedHand
 from maglev_mj.laws import Friction
 from maglev_mj.loop import drive
 from maglev_mj.plants import ExactPlant, Sensor, Timing
-from maglev_mj.scenes.choices import LAWS, VELOCITIES
 from maglev_mj.scenes.run import run as run_scene
-from maglev_mj.scenes.stick_slip import StickSlip
+from maglev_mj.scenes.stick_slip import LAWS, VELOCITIES, StickSlip
 
 __all__ = [
     "LoadOutcome",

@@ -13,8 +13,7 @@ from maglev_mj.laws import Law, Wall
 from maglev_mj.parameters import numbers
 from maglev_mj.plants import ExactPlant, Timing
 from maglev_mj.spec import Spec
-from maglev_mj.studies.batches import FAR, along_z, watched
-from maglev_mj.studies.wall_controller import around_wall
+from maglev_mj.studies.batches import FAR, along_z, around_wall, watched
 
 __all__ = ["RATTLE", "LimitedDrop", "Rattle", "limited_drop", "rattle"]
 

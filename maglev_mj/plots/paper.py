@@ -1,4 +1,4 @@
-"""Pictures of drops: over time, in the phase plane, over the sampling phase."""
+"""Pictures of the paper's experiments: drops, a wall that a hand presses, a pull out of friction."""
 
 from __future__ import annotations
 
@@ -9,18 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from maglev_mj.frames import Array
-from maglev_mj.plots.drawing import FIRST, IDEAL, MANY, SECOND, new_figure, save
+from maglev_mj.frames import AXES, Array
+from maglev_mj.plots.drawing import FIRST, IDEAL, MANY, SECOND, WALL, new_figure, save
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.run import Phases, Result, run, run_phases
 from maglev_mj.spec import Spec
 
-__all__ = ["phase_plane", "phases", "time_series"]
+__all__ = ["figure_6", "phase_plane", "phases", "stick_slip", "time_series"]
 
 _PHASES = 100
 _SWEPT = 50
 _POINTS = 2001
-_WALL = "#f1efe9"
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +64,7 @@ def time_series(results: Mapping[str, Result], sweeps: Mapping[str, Phases], pat
                 panel.plot(time, analog[part], **_ANALOG)
     bottom = min(heights[0].get_ylim()[0], -0.5)
     for upper, lower in zip(heights, forces, strict=True):
-        upper.axhspan(bottom, 0.0, color=_WALL, zorder=0)
+        upper.axhspan(bottom, 0.0, color=WALL, zorder=0)
         lower.axhline(Spec.largest_vertical_force.value, **_LIMIT)
         lower.set_xlabel("time after release (s)")
     heights[0].set(ylim=(bottom, None), xlim=(0.0, time[-1]), ylabel="height above the wall (mm)")
@@ -103,7 +102,7 @@ def phase_plane(results: Mapping[str, Result], sweeps: Mapping[str, Phases], pat
         panel.set_xlabel("height above the wall (mm)")
     left = min(panels[0].get_xlim()[0], -0.5)
     for panel in panels:
-        panel.axvspan(left, 0.0, color=_WALL, zorder=0)
+        panel.axvspan(left, 0.0, color=WALL, zorder=0)
     panels[0].set(xlim=(left, None), ylabel="velocity (m/s)")
     _explain(figure, panels, panels, columns)
     return save(figure, path)
@@ -208,3 +207,94 @@ def _explain(figure: Any, tops: Sequence[Any], bottoms: Sequence[Any], columns: 
         ha="left",
         fontsize=10,
     )
+
+
+def _describe(result: Result) -> str:
+    p = result.scene
+    limit = "" if p.force_limit is None else f", limit {p.force_limit:g} N"
+    return (
+        f"hand {p.hand}, {p.press:g} N in the end, wall of {p.stiffness:g} N/m and {p.damping:g} N s/m, "
+        f"{1.0 / p.period:g} Hz, delay {p.delay * 1e3:g} ms{limit} ({result.plant})"
+    )
+
+
+def figure_6(results: Mapping[str, Result], sweeps: Mapping[str, Phases], path: Path) -> Path:
+    """Draw position and control force over time, as figure 6 does, and where the hand pulls to.
+
+    Args:
+        results: Runs by label; the first is drawn in front.
+        sweeps: Not drawn.
+        path: PNG to write.
+
+    Raises:
+        ChartsMissingError: If matplotlib is not installed.
+    """
+    figure, (upper, lower) = new_figure(2, 1, (10.0, 6.8), sharex=True)
+    first = next(iter(results.values()))
+    for place, (label, result) in enumerate(results.items()):
+        series = result.series(1e-4)
+        style = {
+            "color": (FIRST, SECOND)[place % 2],
+            "linestyle": ("-", "--")[place % 2],
+            "linewidth": 1.4,
+            "zorder": 3 - place,
+            "label": label,
+        }
+        upper.plot(series["time"], series["z"] * 1e3, **style)
+        lower.step(series["time"], series["force"], where="post", **style)
+    bottom, top = upper.get_ylim()
+    bottom = min(bottom, -0.5)
+    p, pulled = first.scene, first.series(1e-4)
+    upper.plot(
+        pulled["time"],
+        pulled["target"] * 1e3,
+        color=IDEAL,
+        linewidth=0.8,
+        label=f"where the hand pulls to, down to {p.resting_point * 1e3:.1f} mm",
+    )
+    upper.axhspan(bottom, 0.0, color=WALL, zorder=0)
+    upper.set_ylim(bottom, top + 0.22 * (top - bottom))
+    upper.text(0.008, 0.02, "wall", transform=upper.transAxes, color=IDEAL, fontsize=9.5)
+    upper.set_ylabel("height above the wall (mm)")
+    lower.set_ylabel("control force (N)")
+    lower.set_xlabel("time (s)")
+    lower.set_xlim(0.0, p.end)
+    upper.legend(frameon=False, loc="upper right", ncols=3)
+    upper.set_title(_describe(first), loc="left", fontsize=10.5)
+    return save(figure, path)
+
+
+def stick_slip(results: Mapping[str, Result], sweeps: Mapping[str, Phases], path: Path) -> Path:
+    """Draw position and velocity against the exact friction that the law stands for, as figure 8 does.
+
+    Args:
+        results: Runs by label, the first of which is drawn.
+        sweeps: Not drawn.
+        path: PNG to write.
+
+    Raises:
+        ChartsMissingError: If matplotlib is not installed.
+    """
+    figure, (upper, lower) = new_figure(2, 1, (8.0, 6.4), sharex=True)
+    result = next(iter(results.values()))
+    p, series = result.scene, result.series(1e-4)
+    time, length = series["time"], "mm" if p.axis in AXES[:3] else "mrad"
+    exact = p.exact(time)
+    upper.plot(time, series["position"] * 1e3, color=FIRST, linewidth=1.7, label=f"{p.law}, {1.0 / p.period:g} Hz")
+    anchor = np.where(series["state"] == "stuck", series["stick_position"], np.nan)
+    upper.plot(time, anchor * 1e3, color=SECOND, linewidth=1.4, linestyle="--", label="stick position")
+    upper.plot(time, exact.position * 1e3, color=IDEAL, linewidth=1.8, linestyle=":", label=f"{p.exact_name}, exact")
+    lower.plot(time, series["velocity"] * 1e3, color=FIRST, linewidth=1.5)
+    lower.plot(time, exact.velocity * 1e3, color=IDEAL, linewidth=1.8, linestyle=":")
+    upper.set_ylabel(f"position along {p.axis} ({length})")
+    lower.set_ylabel(f"velocity ({length}/s)")
+    lower.set_xlabel("time (s)")
+    lower.set_xlim(0.0, max(float(time[-1]), 1e-3))
+    upper.legend(frameon=False, loc="lower right")
+    upper.set_title(
+        f"spring {p.spring:.4g}, breakaway {p.breakaway:.4g}, stiffness {p.stiffness:.4g}, damping {p.damping:.4g} "
+        f"(SI), delay {p.delay * 1e3:g} ms ({result.plant})",
+        loc="left",
+        fontsize=10.5,
+    )
+    return save(figure, path)
