@@ -2,12 +2,9 @@
 
 import numpy as np
 
-from maglev_mj.frames import AXES
-from maglev_mj.laws import AxisLaw, Bias, gain
-from maglev_mj.parameters import param
+from maglev_mj import AXES, AxisLaw, Bias, Scene, Start, gain, param
 from maglev_mj.scenes.bench import hold
 from maglev_mj.scenes.parts import WEIGHT
-from maglev_mj.scenes.scene import Scene, Start
 
 
 class Detent(AxisLaw):

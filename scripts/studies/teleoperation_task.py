@@ -25,7 +25,7 @@ DELAY_SHARE = 0.3
 """Transport delay in parts of the period: the paper's 1.5 ms at 200 Hz, 0.3 ms at 1 kHz."""
 
 FIRM = Hand(mass=0.5, damping=25.0, stiffness=1000.0)
-"""A firm grip, near the top of what was published of hands; see `maglev_mj.hand.PUBLISHED_RANGE`."""
+"""A firm grip, near the top of what was published of hands."""
 
 _Point: TypeAlias = tuple[float, float, float, float]
 
