@@ -107,9 +107,9 @@ def _run(setup: Setup, scene: type[Scene] | None) -> tuple[Scene, str, float]:
             named = setup["scene"]
             raise InvalidRecordingError(f"a recording of one's own needs its scene, {named!r}, to be run again")
         return scene.from_json(values), _PLANTS[setup["plant"]], checked_phase(setup["phase"])
-    plant, phase = values.pop("plant"), values.pop("phase", 0.0)
+    plant, phase = values.pop("plant", None), values.pop("phase", 0.0)
     run = find_scene(kind).from_json(values)
-    return run, checked_plant(run, plant), checked_phase(phase)
+    return run, checked_plant(run, setup["parameters"]["plant"] if plant is None else plant), checked_phase(phase)
 
 
 def rebuild_for(stretch: Stretch, scene: type[Scene] | None = None) -> Rebuild | None:
