@@ -100,7 +100,7 @@ def _run(setup: Setup, scene: type[Scene] | None) -> tuple[Scene, str, float]:
         return scene.from_json(values), _PLANTS[setup["plant"]], checked_phase(setup["phase"])
     plant, phase = values.pop("plant", None), values.pop("phase", 0.0)
     run = find_scene(kind).from_json(values)
-    return run, checked_plant(run, plant), checked_phase(phase)
+    return run, checked_plant(run, setup["parameters"]["plant"] if plant is None else plant), checked_phase(phase)
 
 
 def rebuild_for(stretch: Stretch, scene: type[Scene] | None = None) -> Rebuild | None:

@@ -81,7 +81,7 @@ def add_scene(
                 add_parameters(parser, found, without=without)
             if more is not None:
                 more(parser, cls)
-        except argparse.ArgumentError as error:  # a parameter has the name of an option of this command
+        except (argparse.ArgumentError, ParameterError) as error:  # a name that is an option here, or a bad default
             parser.error(f"scene {cls.name} cannot be given here: {error}")
         parser.set_defaults(scene_class=found)
 

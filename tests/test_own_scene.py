@@ -1,0 +1,398 @@
+"""A user's own scene and law, from an empty folder, in every command."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from maglev_mj import AXES, Controller, ExactPlant, MuJoCoPlant, Timing, run
+from maglev_mj.bridge import RemotePlant, Twin, TwinParameters, open_link
+from maglev_mj.bridge.safety import Limits
+from maglev_mj.bridge.server import TwinServer
+from maglev_mj.cli import main
+from maglev_mj.laws import AxisLaw, Bias, gain
+from maglev_mj.net.udp import UdpServer
+from maglev_mj.recording import Recording
+from maglev_mj.scenes import Scene, Start, find_scene
+from maglev_mj.scenes.parts import WEIGHT
+from maglev_mj.session import Pacer, Session
+from maglev_mj.stream import PoseStream, StreamClient
+from maglev_mj.theory import stability
+from maglev_mj.viewer.plots import Plots
+from tests.test_dask_workers import Cluster, cluster
+from tests.test_viewer import Watched
+from tests.virtual_screen import MISSING, VirtualScreen
+
+__all__ = ["cluster"]
+
+EXAMPLE = Path(__file__).parent.parent / "scripts" / "examples" / "detents.py"
+PATIENCE = 60.0
+
+Say = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return an otherwise empty folder with the file, in which commands are typed."""
+    place = tmp_path / "mine"
+    place.mkdir()
+    (place / "detents.py").write_bytes(EXAMPLE.read_bytes())
+    monkeypatch.chdir(place)
+    return place
+
+
+@pytest.fixture
+def say(folder: Path, capsys: pytest.CaptureFixture[str]) -> Say:
+    """Return what types a command: status, output, errors."""
+
+    def typed(*command: object) -> tuple[int, str, str]:
+        capsys.readouterr()
+        try:
+            status = main([str(word) for word in command])
+        except SystemExit as stopped:
+            status = int(stopped.code or 0)
+        said = capsys.readouterr()
+        return status, said.out, said.err
+
+    return typed
+
+
+def test_the_file_is_short_and_has_a_law_of_its_own(folder: Path) -> None:
+    assert len(EXAMPLE.read_text().splitlines()) <= 50
+    cls = find_scene("detents.py")
+    assert cls.name == "detents" and any(type(law).__module__ == cls.__module__ for law in cls().laws())
+
+
+def test_it_runs_with_its_options_at_a_hundred_phases(folder: Path, say: Say) -> None:
+    status, said, wrong = say(
+        *"run detents.py --stiffness 3000 --away 1e-4 --phases 100 --plant exact --json run.json".split()
+    )
+    assert (status, wrong) == (0, "") and "over 100 phases" in said and "stiffness 3000 N/m" in said
+    data = json.loads((folder / "run.json").read_text())
+    assert (data["parameters"]["stiffness"], data["parameters"]["away"]) == (3000.0, 1e-4)
+    assert len(data["sweep"]["phases"]) == 100
+    assert data["position"][0] == 1e-4 and abs(data["position"][-1]) < 1e-6
+
+
+def test_it_is_swept_by_two_processes_as_by_this_one(folder: Path, say: Say) -> None:
+    command = "sweep detents.py --vary stiffness=2000:8000:3 --vary plant=exact --set duration=0.1".split()
+    cells = []
+    for workers in ("0", "2"):
+        status, _, wrong = say(*command, "--workers", workers, "--record", f"{workers}.jsonl", "--json", "all.json")
+        assert status == 0 and "Error" not in wrong
+        cells.append([cell["result"] for cell in json.loads((folder / "all.json").read_text())["cells"]])
+    assert cells[0] == cells[1] and len({cell["peak_speed"] for cell in cells[0]}) == 3
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_it_is_swept_by_a_cluster_that_knows_nothing_of_it(
+    folder: Path, say: Say, cluster: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    monkeypatch.chdir(elsewhere)
+    command = ["sweep", f"{folder}/detents.py", "--vary", "stiffness=2000,4000", "--set", "plant=exact"]
+    with cluster.worker():
+        monkeypatch.chdir(folder)
+        hidden, command[1] = folder / "detents.py", "detents.py"
+        status, _, wrong = say(*command, "--scheduler", cluster.address, "--json", "far.json")
+    assert status == 0 and "Error" not in wrong and hidden.exists()
+    assert say(*command, "--record", "near.jsonl", "--json", "near.json")[0] == 0
+    far, near = (json.loads((folder / f"{name}.json").read_text())["cells"] for name in ("far", "near"))
+    assert [cell["result"] for cell in far] == [cell["result"] for cell in near] and len(far) == 2
+
+
+def test_its_stability_is_told_and_warned_of(folder: Path, say: Say) -> None:
+    for options, stable, modulus in (([], True, 0.9147), (["--stiffness", "9870"], False, 1.0308)):
+        status, said, wrong = say("stability", "detents.py", *options, "--json", "-")
+        found = json.loads(said)
+        assert (status, wrong, found["stable"]) == (0, "", stable)
+        assert found["modulus"] == pytest.approx(modulus, abs=1e-4)
+        status, said, wrong = say("run", "detents.py", *options, "--duration", "0.02", "--json", "-")
+        assert status == 0 and json.loads(said)["parameters"]["duration"] == 0.02
+        assert wrong.count("\n") == (0 if stable else 1) and ("is unstable" in wrong) is not stable
+    assert "x: largest root 1.031 UNSTABLE" in say("stability", "detents.py", "--stiffness", "9870")[1]
+
+
+def test_its_model_levels_are_compared(folder: Path, say: Say) -> None:
+    command = "fidelity detents.py --phases 1 --duration 0.02 --around 0 --json all.json".split()
+    status, said, wrong = say(*command)
+    assert status == 0, wrong
+    assert "detents" in said and json.loads((folder / "all.json").read_text())
+
+
+def test_it_is_rendered(folder: Path, say: Say) -> None:
+    environment = {**os.environ, "MUJOCO_GL": "osmesa"}
+    command = [sys.executable, "-m", "maglev_mj.cli", "render", "detents.py", "--stiffness", "3000"]
+    command += ["--out", "it.png", "--seconds", "0.05", "--size", "160x160"]
+    done = subprocess.run(command, env=environment, cwd=folder, capture_output=True, text=True, timeout=PATIENCE)
+    assert done.returncode == 0, done.stderr
+    assert (folder / "it.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+
+
+@pytest.mark.xdist_group("realtime")
+@pytest.mark.skipif(bool(MISSING), reason=f"a window needs {', '.join(MISSING)}")
+def test_keys_change_its_parameters_in_a_window(folder: Path, say: Say) -> None:
+    command = [sys.executable, "-m", "maglev_mj.cli", "view", "detents.py", "--stiffness", "9870"]
+    command += ["--stream", "udp://127.0.0.1:0", "--record", "seen.npz"]
+    with VirtualScreen(600, 400) as screen:
+        program = subprocess.Popen(
+            command, env=screen.environment, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
+        try:
+            assert program.stdout is not None
+            found = re.search(r"udp://\S+:\d+", program.stdout.readline())
+            assert found
+            window = screen.window("joystick")
+            screen.xdotool("mousemove", 200, 130)  # keys go to the window under the mouse
+            scene = Watched(found[0])
+            scene.until(lambda pose: True, 30)
+            for key, name, value in (("Down", "stiffness", 7900.0), ("period", "damping", 62.5)):
+                time.sleep(1.0)
+                screen.xdotool("key", key)
+                scene.set_to(name, value)
+            screen.close(window)
+            _, wrong = program.communicate(timeout=PATIENCE)
+        finally:
+            program.kill()
+            program.communicate()
+    assert program.returncode == 0 and wrong.count("\n") == 1 and "detents is unstable: the laws on x" in wrong
+    settings = [stretch.setup["settings"] for stretch in Recording.load(folder / "seen.npz").stretches]
+    assert settings[0]["stiffness"] == 9870.0 and settings[-1]["damping"] == 62.5
+    assert_checked_with_the_scene_alone(say, "seen.npz")
+
+
+def assert_checked_with_the_scene_alone(say: Say, name: str) -> None:
+    status, said, wrong = say("replay", name, "--check")
+    assert (status, wrong.count("\n")) == (2, 1) and "needs its scene" in wrong
+    assert say("analyse", name)[0] == 0
+    status, said, wrong = say("replay", name, "--check", "--scene", "detents.py")
+    assert (status, wrong) == (0, "") and "the same: " in said
+    status, said, wrong = say("analyse", name, "--scene", "detents.py")
+    assert (status, wrong) == (0, "") and "simulation" in said
+    file = Path("detents.py")
+    text = file.read_text()
+    file.write_text(text + "# later\n")
+    os.utime(file, ns=(1, 1))
+    assert "has changed since, or is another" in say("replay", name, "--check", "--scene", "detents.py")[2]
+    file.write_text(text)
+
+
+def test_a_run_is_recorded_checked_and_analysed(folder: Path, say: Say) -> None:
+    assert say(*"run detents.py --plant exact --duration 0.1 --record run.npz".split())[0] == 0
+    assert_checked_with_the_scene_alone(say, "run.npz")
+
+
+@contextmanager
+def served() -> Iterator[str]:
+    """Yield the address of a twin in a thread."""
+    server = TwinServer(Twin(TwinParameters(limits=Limits(watchdog=1.0))), UdpServer("127.0.0.1", 0))
+    thread = threading.Thread(target=server.run)
+    thread.start()
+    try:
+        host, port = server.address
+        yield f"udp://{host}:{port}"
+    finally:
+        server.stop()
+        thread.join()
+        server.close()
+
+
+@pytest.mark.xdist_group("realtime")
+def test_it_is_flown_on_a_twin_recorded_checked_and_analysed(folder: Path, say: Say) -> None:
+    with served() as address:
+        flight = ["bridge", address, "--scene", "detents.py", "--seconds", "0.5", "--record", "fly.npz"]
+        status, said, wrong = say(*flight, "--stiffness", "3000")
+        assert (status, wrong) == (0, ""), wrong
+        assert "detents at 200 Hz" in said
+    (stretch,) = Recording.load(folder / "fly.npz").stretches
+    assert stretch.setup["kind"] == "device" and stretch.setup["settings"]["stiffness"] == 3000.0
+    assert_checked_with_the_scene_alone(say, "fly.npz")
+    with served() as address:
+        status, _, wrong = say("bridge", address, *flight[2:4], "--seconds", "0.05", "--stiffness", "9870")
+    assert status == 0 and wrong.startswith("  warning: detents is unstable: the laws on x: 9870 N/m and 50 N s/m")
+
+
+@pytest.mark.xdist_group("realtime")
+def test_other_programs_set_its_parameters_and_one_that_is_unstable_is_refused(folder: Path) -> None:
+    stream = PoseStream("udp://127.0.0.1:0")
+    session = Session(find_scene("detents.py")(), pacer=Pacer(budget=60.0, patience=3600.0), publishers=[stream])
+    stopped = threading.Event()
+
+    def go_on() -> None:
+        while not stopped.wait(0.005):
+            session.tick(0.005)
+
+    session.tick(0.005)
+    thread = threading.Thread(target=go_on)
+    thread.start()
+    try:
+        with StreamClient(f"udp://127.0.0.1:{stream.address[1]}", patience=PATIENCE) as client:
+            accepted, unstable, fixed = (
+                client.set(**asked) for asked in ({"stiffness": 3000.0}, {"stiffness": 9870.0}, {"pitch": 0.001})
+            )
+            assert not accepted.reason and accepted.since is not None
+            assert re.search(r"^the laws on x: 9870 N/m and 50 N s/m .* root modulus 1\.0308", unstable.reason)
+            assert "pitch" in fixed.reason and fixed.since is unstable.since is None
+            assert client.describe()["settings"]["stiffness"] == 3000.0
+    finally:
+        stopped.set()
+        thread.join()
+        session.close()
+
+
+def test_an_installed_scene_runs_by_its_name(folder: Path, say: Say, monkeypatch: pytest.MonkeyPatch) -> None:
+    site = folder / "site"
+    info = site / "other_package-1.0.dist-info"
+    info.mkdir(parents=True)
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: other-package\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[maglev_mj.scenes]\nrow-of-detents = row_of_detents:Detents\n")
+    (folder / "detents.py").rename(site / "row_of_detents.py")
+    monkeypatch.syspath_prepend(str(site))
+    try:
+        status, said, wrong = say(*"run row-of-detents --stiffness 9870 --duration 0.02 --plant exact".split())
+        assert status == 0 and "stiffness 9870 N/m" in said and "detents is unstable" in wrong
+    finally:
+        sys.modules.pop("row_of_detents", None)
+
+
+TEXT = EXAMPLE.read_text()
+FAULTS: dict[str, tuple[str, int, str]] = {
+    "not Python": ("def (", 2, "detents.py cannot be read: SyntaxError"),
+    "an error at the top": (TEXT + "\n1 / 0\n", 2, "detents.py cannot be read: ZeroDivisionError: division by zero"),
+    "two classes": (TEXT + "\n\nclass Other(Detents):\n    pass\n", 2, "name one as detents.py:CLASS"),
+    "an error in a method": (TEXT.replace("return [Bias", "return 1 / 0, [Bias"), 2, "detents.py, line 42: ZeroDiv"),
+    "an error in the law": (TEXT.replace("return -gains", "return 1 / 0 - gains"), 2, "law Detent fails: ZeroDiv"),
+    "a wrong law": (TEXT.replace("def force(self, x, v, gains, state)", "def force(self, x, v)"), 2, "force must take"),
+    "no number": (TEXT.replace("default=4000.0", "default=-1.0"), 2, "stiffness must be a finite number at least 0"),
+    "unstable": (TEXT.replace("default=4000.0", "default=9870.0"), 0, "warning: detents is unstable: the laws on x"),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_what_is_wrong_in_it_is_one_line(fault: str, folder: Path, say: Say) -> None:
+    text, expected, words = FAULTS[fault]
+    (folder / "detents.py").write_text(text)
+    status, _, wrong = say(*"run detents.py --plant exact".split())
+    assert status == expected and wrong.count("\n") == 1 and words in wrong, wrong
+
+
+# a law of one's own, in ten lines
+
+
+class Magnet(AxisLaw):
+    """A pull that grows with the cube of the distance."""
+
+    stiffness: float = gain("stiffness", "N/m")
+    damping: float = gain("damping", "N s/m")
+
+    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+        return -gains.stiffness * x * (1.0 + 1e4 * x * x) - gains.damping * v
+
+
+def pull(position: Any, velocity: Any) -> Any:
+    """Pull along x, and only there."""
+    return [-3000.0 * position[0] * (1.0 + 1e4 * position[0] ** 2) - 40.0 * velocity[0], 0.0, 0.0, 0.0, 0.0, 0.0]
+
+
+def hold(position: Any, velocity: Any) -> Any:
+    """Pull on all axes."""
+    return [-s * (900.0 * x + 30.0 * v) for s, x, v in zip([0.7] * 3 + [9e-4] * 3, position, velocity, strict=True)]
+
+
+LAWS: dict[str, Callable[[], list[Any]]] = {
+    "an AxisLaw": lambda: [Magnet(axes=("x", "y", "z"), stiffness=3000.0, damping=40.0), hold],
+    "a function": lambda: [pull, hold],
+}
+each_law = pytest.mark.parametrize("laws", LAWS.values(), ids=LAWS)
+START = np.array([1e-3, -5e-4, 2e-4, 0.01, 0.0, 0.0])
+
+
+def controller(laws: Callable[[], list[Any]]) -> Controller:
+    return Controller([Bias(WEIGHT), *laws()], period=0.005)
+
+
+def poses(plant: Any, laws: Callable[[], list[Any]], ticks: int = 40) -> Any:
+    seen: list[Any] = []
+    with plant:
+        run(plant, controller(laws), ticks, observe=lambda sample, _: seen.append(sample.pose))
+    return np.array(seen)
+
+
+@each_law
+def test_a_thousand_devices_move_as_one_alone_bit_for_bit(laws: Any) -> None:
+    count = 1000
+    starts = START * np.linspace(-2.0, 2.0, count)[:, None]
+    phases = np.linspace(0.0, 1.0, count, endpoint=False)
+    many = poses(ExactPlant(Timing(phase=phases), pose=starts), laws)
+    for place in range(0, count, 37):
+        alone = poses(ExactPlant(Timing(phase=float(phases[place])), pose=starts[place]), laws)
+        np.testing.assert_array_equal(many[:, place], alone)
+
+
+@each_law
+def test_both_plants_take_it(laws: Any) -> None:
+    upright = START * (np.arange(6) < 3)
+    exact = poses(ExactPlant(Timing(), pose=upright), laws)
+    assert np.abs(poses(MuJoCoPlant(Timing(), pose=upright), laws) - exact).max() < 1e-12
+    assert np.abs(exact[-1]).max() < 0.1 * np.abs(exact[0]).max()
+
+
+@pytest.mark.xdist_group("realtime")
+@each_law
+def test_a_twin_takes_it(laws: Any) -> None:
+    with served() as address, RemotePlant(open_link(address), patience=5.0) as plant:
+        plant.takeoff()
+        made = controller(laws)
+        seen = []
+        for _ in range(40):
+            sample = plant.read()
+            seen.append(sample.pose)
+            plant.write(made.step(sample))
+        plant.land()
+    assert np.abs(seen[-1]).max() < 1e-3
+
+
+class Mine(Scene):
+    """A scene of any laws."""
+
+    shown_axis = "x"
+
+    def laws(self) -> list[Any]:
+        return [Bias(WEIGHT), *LAWS["an AxisLaw"]()]
+
+    def start(self) -> Start:
+        return Start(pose=START.tolist(), wrench=WEIGHT)
+
+
+class Plain(Mine):
+    """A scene of functions."""
+
+    def laws(self) -> list[Any]:
+        return [Bias(WEIGHT), *LAWS["a function"]()]
+
+
+@pytest.mark.parametrize("cls", [Mine, Plain])
+def test_the_viewer_takes_it_and_says_whether_it_is_stable(cls: type[Mine]) -> None:
+    with closing(Session(cls(), pacer=Pacer(budget=60.0, patience=3600.0))) as session:
+        for _ in range(30):
+            session.tick(1.0 / 60.0)
+        shot, plots = session.snapshot(), Plots()
+    assert shot.state == "running" and np.abs(shot.pose).max() < np.abs(START).max()
+    verdict = stability(cls())
+    plots.wait(shot)
+    title = plots.update(shot)[3].title
+    text = title if isinstance(title, str) else bytes(title).split(b"\0")[0].decode()
+    assert verdict.stable and text == str(verdict) and set(verdict.axes) <= set(AXES)
