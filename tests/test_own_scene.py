@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj import AXES, Controller, ExactPlant, MuJoCoPlant, Timing, run
+from maglev_mj import AXES, Controller, ExactPlant, MuJoCoPlant, Timing, drive
 from maglev_mj.bridge import RemotePlant, Twin, TwinParameters, open_link
 from maglev_mj.bridge.safety import Limits
 from maglev_mj.bridge.server import TwinServer
@@ -327,7 +327,7 @@ def controller(laws: Callable[[], list[Any]]) -> Controller:
 def poses(plant: Any, laws: Callable[[], list[Any]], ticks: int = 40) -> Any:
     seen: list[Any] = []
     with plant:
-        run(plant, controller(laws), ticks, observe=lambda sample, _: seen.append(sample.pose))
+        drive(plant, controller(laws), ticks, observe=lambda sample, _: seen.append(sample.pose))
     return np.array(seen)
 
 
