@@ -12,7 +12,7 @@ from maglev_mj.frames import Command, Sample
 from maglev_mj.parameters import number
 from maglev_mj.plants import Plant
 
-__all__ = ["Answers", "ControlLoop", "Record", "run"]
+__all__ = ["Answers", "ControlLoop", "Record", "drive"]
 
 _KEPT = 200
 
@@ -108,7 +108,7 @@ class ControlLoop:
             error.cycles = tuple(cycles)
 
 
-def run(
+def drive(
     plant: Plant,
     controller: Answers,
     ticks: int,

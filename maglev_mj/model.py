@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -93,12 +94,8 @@ class Device:
     @property
     def mass_matrix(self) -> Array:
         """Mass matrix of the flotor at the centre, upright [kg, kg m, kg m²], (6, 6); a rigid grip's hand is in it."""
-        data = mujoco.MjData(self.model)
-        mujoco.mj_forward(self.model, data)
-        whole = np.zeros((self.model.nv, self.model.nv))
-        mujoco.mj_fullM(self.model, data, whole)
         flotor = slice(self.velocity_address, self.velocity_address + 6)
-        return whole[flotor, flotor].copy()
+        return _mass_matrix(self.model)[flotor, flotor].copy()
 
     @property
     def inertia(self) -> Array:
@@ -161,6 +158,7 @@ def load(
         lag=None if driver_time_constant is None else number("driver_time_constant", driver_time_constant, above=0.0),
         mass=None if mass is None else number("mass", mass, above=0.0),
         hand=hand,
+        inertia=None if inertia is None else _moments(inertia),
     )
     if isinstance(model, mujoco.MjSpec):
         device = _compile(model.modelname, model.copy(), chosen)
@@ -168,14 +166,19 @@ def load(
         path = model_path(model)
         device = _compiled(path, _written(path.parent), chosen)
     device = replace(device, model=copy(device.model))
-    if inertia is not None:
-        _put_inertia(device, numbers("inertia", inertia))
     if coil_map is not None:
         if device.coils is None:
             raise ParameterError("coil_map needs coils=True")
         _put_coils(device, coil_map)
         device = replace(device, coils=coil_map)
     return device
+
+
+def _moments(inertia: ArrayLike) -> tuple[float, ...]:
+    moments = numbers("inertia", inertia)
+    if moments.shape != (3,) or not (moments > 0.0).all():
+        raise ParameterError(f"inertia must be three numbers above 0, not {moments.tolist()}")
+    return tuple(moments.tolist())
 
 
 class _Chosen(NamedTuple):
@@ -188,6 +191,7 @@ class _Chosen(NamedTuple):
     lag: float | None
     mass: float | None
     hand: Hand | None
+    inertia: tuple[float, ...] | None
 
 
 @lru_cache(maxsize=32)
@@ -228,9 +232,14 @@ def _compile(name: str, spec: mujoco.MjSpec, chosen: _Chosen) -> Device:
         if chosen.flexible:
             _bend(spec, chosen.mass)
         model = spec.compile()
+        if chosen.inertia is not None:
+            _give_inertia(spec, model, chosen.inertia)
+            model = spec.compile()
         flotor = model.body("flotor").id
         joints = [model.joint(joint) for joint in JOINTS]
         order = [model.actuator(coil).id for coil in COILS] if chosen.coils else []
+    except ParameterError:
+        raise
     except (ValueError, KeyError) as error:
         raise _unusable(name, error) from error
     addresses = [int(joint.qposadr[0]) for joint in joints]
@@ -290,23 +299,32 @@ def _share_out(model: mujoco.MjModel, flotor: int, mass: float) -> None:
     mujoco.mj_setConst(model, data)
 
 
-def _put_inertia(device: Device, inertia: Array) -> None:
-    """Give flotor and handle together other moments of inertia [kg m²], (3,), by those of the flotor's own body."""
-    if inertia.shape != (3,) or not (inertia > 0.0).all():
-        raise ParameterError(f"inertia must be three numbers above 0, not {inertia.tolist()}")
-    model, body = device.model, device.flotor
-    turn = np.zeros(9)
-    mujoco.mju_quat2Mat(turn, model.body_iquat[body])
-    axes = turn.reshape(3, 3)
-    own = axes @ np.diag(model.body_inertia[body]) @ axes.T + np.diag(inertia) - device.mass_matrix[3:, 3:]
-    moments, axes = np.linalg.eigh(own)
-    if not moments[0] > 0.0:
-        raise ParameterError(f"inertia must be above that of the handle alone, not {inertia.tolist()} kg m²")
-    if np.linalg.det(axes) < 0.0:
-        axes[:, 0] *= -1.0
-    mujoco.mju_mat2Quat(model.body_iquat[body], axes.ravel())
-    model.body_inertia[body] = moments
-    mujoco.mj_setConst(model, mujoco.MjData(model))
+def _give_inertia(spec: mujoco.MjSpec, model: mujoco.MjModel, inertia: Sequence[float]) -> None:
+    """Give flotor and handle together other moments of inertia [kg m²], by those of the flotor's own body."""
+    body, turn = spec.body("flotor"), np.zeros(9)
+    address = int(model.joint("rotation").dofadr[0])
+    more = np.diag(inertia) - _mass_matrix(model)[address : address + 3, address : address + 3]
+    if np.isfinite(body.fullinertia).all():
+        xx, yy, zz, xy, xz, yz = body.fullinertia
+        own = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    else:
+        mujoco.mju_quat2Mat(turn, body.iquat)
+        own = turn.reshape(3, 3) @ np.diag(body.inertia) @ turn.reshape(3, 3).T
+    moments, axes = np.linalg.eigh(own + more)
+    if not (moments[0] > 0.0 and moments[0] + moments[1] >= moments[2]):
+        raise ParameterError(f"inertia must leave the flotor without its handle a body's, not {list(inertia)} kg m²")
+    turned = np.zeros(4)
+    mujoco.mju_mat2Quat(turned, (axes * np.linalg.det(axes)).ravel())  # a rotation, not a reflection
+    body.inertia, body.iquat, body.fullinertia = moments, turned, np.full(6, np.nan)
+
+
+def _mass_matrix(model: mujoco.MjModel) -> Array:
+    """Return the mass matrix of a model at its reference pose."""
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    whole = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, whole)
+    return whole
 
 
 def _bend(spec: mujoco.MjSpec, mass: float | None) -> None:

@@ -95,16 +95,17 @@ def _live(setup: Setup, scene: type[Scene] | None) -> Scene:
 
 def _run(setup: Setup, scene: type[Scene] | None) -> tuple[Scene, str, float]:
     """Return scene, plant and phase of a run."""
-    kind, values = setup["kind"], dict(setup["parameters"])
+    kind = setup["kind"]
+    if kind not in (_OWN, *scene_names()):
+        known = ", ".join((*_SCENES, _OWN, *scene_names()))
+        raise InvalidRecordingError(f"a recording of kind {kind!r} cannot be made here, which knows {known}")
+    values = dict(setup["parameters"])
     if kind == _OWN:
         if scene is None:
             named = setup["scene"]
             raise InvalidRecordingError(f"a recording of one's own needs its scene, {named!r}, to be run again")
         return scene.from_json(values), _PLANTS[setup["plant"]], checked_phase(setup["phase"])
-    if kind not in scene_names():
-        known = ", ".join((*_SCENES, _OWN, *scene_names()))
-        raise InvalidRecordingError(f"a recording of kind {kind!r} cannot be made here, which knows {known}")
-    plant, phase = values.pop("plant"), values.pop("phase", 0.0)
+    plant, phase = values.pop("plant", None), values.pop("phase", 0.0)
     run = find_scene(kind).from_json(values)
     return run, checked_plant(run, plant), checked_phase(phase)
 

@@ -11,7 +11,7 @@ import numpy as np
 from maglev_mj.controller import Controller
 from maglev_mj.frames import AXES, Command, Sample
 from maglev_mj.laws import Hold
-from maglev_mj.loop import run
+from maglev_mj.loop import drive
 from maglev_mj.model import COILS, Device, envelope, load
 from maglev_mj.parameters import axis_indices
 from maglev_mj.plants import MuJoCoPlant, Timing
@@ -173,7 +173,7 @@ def position_bandwidth(
             Hold(axes=axis, stiffness=stiffness, damping=damping, target=step),
             Hold.critically_damped(others, inertia=inertia, period=period, delay=delay),
         ]
-        run(plant, Controller(laws, period=period), ticks, observe=observe)
+        drive(plant, Controller(laws, period=period), ticks, observe=observe)
     response = np.abs(np.fft.rfft(np.diff(positions, append=positions[-1]), 8 * ticks)) / step
     frequencies = np.fft.rfftfreq(8 * ticks, period)
     below = np.flatnonzero(response < math.sqrt(0.5))

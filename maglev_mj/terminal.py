@@ -30,4 +30,4 @@ def cell(value: Any, scale: float) -> str:
     number = float(value) * scale
     if not math.isfinite(number):
         return "-"
-    return f"{number:.0f}" if abs(number) >= 100.0 else f"{number:.1f}" if abs(number) >= 10.0 else f"{number:.2f}"
+    return f"{number:.0f}" if abs(number) >= 100.0 else f"{number:.1f}" if abs(number) >= 10.0 else f"{number:z.2f}"

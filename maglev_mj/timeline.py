@@ -34,7 +34,7 @@ def split_delay(delay: Component, period: Component) -> tuple[Component, Compone
     """
     whole = (delay / period + _ROUNDING) // 1.0
     rest = delay - whole * period
-    return whole, rest * (rest > _ROUNDING * period) + 0.0  # adding 0 takes the sign off a zero
+    return whole, rest * (rest > _ROUNDING * period)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

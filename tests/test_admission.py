@@ -3,21 +3,23 @@
 import json
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 
 from maglev_mj import AXES
 from maglev_mj.errors import ParameterError
 from maglev_mj.laws import AxisLaw, Hold, Law, StickSlip, gain
+from maglev_mj.model import model_path
 from maglev_mj.parameters import param
-from maglev_mj.scenes import Scene, find_scene
+from maglev_mj.scenes import BUILT_IN, Scene, find_scene
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.interactive import InteractiveScene
 from maglev_mj.scenes.joystick import Joystick
 from maglev_mj.scenes.parts import INERTIA, MASS
 from maglev_mj.scenes.table import Table
-from maglev_mj.session import Pacer, Session, refusal
-from maglev_mj.theory import largest_stable_stiffness
+from maglev_mj.session import Pacer, Session, Snapshot, refusal, stability_warning
+from maglev_mj.theory import inertia_of, largest_stable_stiffness, stability
 from maglev_mj.viewer.plots import Plots
 
 
@@ -146,6 +148,80 @@ def test_what_is_not_known_to_be_stable_is_refused() -> None:
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("name", BUILT_IN)
+def test_no_scene_warns_as_it_is(name: str) -> None:
+    scene = find_scene(name)()
+    for variant in (scene, *scene.variants().values()):
+        assert stability_warning(variant) is None
+
+
+def test_a_scene_that_may_be_unstable_warns_in_one_line() -> None:
+    assert stability_warning(Detents()) is None
+    wrong = Detents(stiffness=9870.0)
+    assert stability_warning(wrong) == f"detents is unstable: {refusal(wrong)}"
+    assert "have the largest root modulus 1.0308, which must be below 1" in str(stability_warning(wrong))
+    unknown = stability_warning(Integrated(stiffness=1000.0))
+    assert unknown is not None and "\n" not in unknown
+    assert unknown.startswith("integrated may be unstable: it is not known whether the scene would be stable; not")
+    late = stability_warning(Detents(period=0.001, delay=0.05))
+    assert late is not None and late.startswith("detents may be unstable: delay must be at most 10 periods")
+    with pytest.raises(ParameterError, match="law Detent must leave six"):  # a slip in a law is no question of gains
+        stability_warning(Slipped())
+
+
+class Slipped(Detents):
+    """A law that answers wrongly."""
+
+    def laws(self) -> list[Any]:
+        class Detent(Law):
+            def __call__(self, position: Any, velocity: Any, state: Any, wrench: Any) -> Any:
+                wrench.pop()
+                return None, None
+
+        return [Detent()]
+
+
+@pytest.mark.parametrize(
+    ("options", "inertia"),
+    [
+        ({}, INERTIA),
+        ({"mass": None, "inertia": None, "model": None}, INERTIA),
+        ({"mass": 2.0}, (2.0, 2.0, 2.0, *INERTIA[3:])),
+        ({"inertia": [1e-3, 2e-3, 3e-3]}, (*INERTIA[:3], 1e-3, 2e-3, 3e-3)),
+        ({"model": "drop"}, INERTIA),
+        ({"model": "HEAVY", "inertia": [1e-3, 2e-3, 3e-3]}, (0.75, 0.75, 0.75, 1e-3, 2e-3, 3e-3)),
+        ({"model": "HEAVY", "mass": 2.0}, (2.0, 2.0, 2.0, *INERTIA[3:])),
+    ],
+)
+def test_a_scene_is_judged_with_its_own_flotor(options: dict[str, Any], inertia: Any) -> None:
+    """By the mass on which the plants agree."""
+    if options.get("model") == "HEAVY":
+        heavy = mujoco.MjSpec.from_file(str(model_path("drop")))
+        heavy.body("flotor").mass += 0.05
+        options = options | {"model": heavy}
+
+    class Own(Detents):
+        """Detents on a flotor of its own."""
+
+        def plant_options(self) -> dict[str, Any]:
+            return options
+
+    scene = Own(stiffness=9870.0)
+    body = inertia_of(scene)
+    np.testing.assert_allclose(body, inertia, rtol=2e-3)
+    np.testing.assert_array_equal(scene.plant("exact").inertia, body)  # type: ignore[attr-defined]
+    assert stability(scene).modulus == stability(scene, inertia=body).modulus
+    warned = stability_warning(scene, inertia=[10.0] * 3 + [1.0] * 3)
+    assert warned is None and (stability_warning(scene) is None) == (body[0] > 1.0)
+
+
+def test_the_bound_is_that_of_the_scenes_own_mass() -> None:
+    scene = Drop(mass=0.4, pulse=0.0, stiffness=6000.0)
+    refused, bound = refusal(scene), largest_stable_stiffness(80.0, period=0.005, delay=0.0015, mass=0.4)
+    assert refused is not None and refused.largest_stable == pytest.approx(float(bound), rel=1e-9)
+    assert refusal(scene.replace(mass=MASS)) is None and refusal(scene.replace(stiffness=0.99 * float(bound))) is None
+
+
 def test_the_stability_plot_shows_gains_only_where_all_laws_state_them() -> None:
     def shown(scene: Scene) -> tuple[str, int]:
         session = Session(scene)
@@ -160,3 +236,14 @@ def test_the_stability_plot_shows_gains_only_where_all_laws_state_them() -> None
     assert shown(Detents(stiffness=4000.0)) == ("x: largest root 0.9147 stable", 0)
     assert shown(Joystick(stiffness=4000.0)) == ("stable below: kN/m over N s/m", 2)
     assert shown(Detents(period=0.001, delay=0.05))[0] == "stability not known"
+
+
+def test_the_boundary_in_the_plot_is_that_of_the_scenes_own_mass() -> None:
+    def most(mass: float) -> float:
+        """Return the damping up to which a wall may be stable [N s/m], as drawn."""
+        plots, snapshot = Plots(), Snapshot(scene=Drop(mass=mass))
+        plots.wait(snapshot)
+        figure = plots.update(snapshot)[3]
+        return float(figure.linedata[0, 2 * int(figure.linepnt[0]) - 2])
+
+    assert most(1.4) == pytest.approx(2.0 * most(0.7), rel=1e-3)

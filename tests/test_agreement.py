@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj import AXES, Controller, ExactPlant, Hold, MuJoCoPlant, Timing, Wall, run
+from maglev_mj import AXES, Controller, ExactPlant, Hold, MuJoCoPlant, Timing, Wall, drive
 from maglev_mj.frames import Array
 from maglev_mj.plants import SampledPlant
 from maglev_mj.scenes.drop import Drop
@@ -64,7 +64,7 @@ def cross(plant: SampledPlant, axis: str, side: int, size: float, mass: float = 
     hold = Hold.critically_damped(others, inertia=inertia, period=0.005, delay=0.0015)
     # a weak spring pulls the flotor into the wall, again and again
     spring = Hold(axes=axis, stiffness=600.0 * share, damping=0.0)
-    run(plant, Controller([wall, hold, spring], period=0.005), 80)
+    drive(plant, Controller([wall, hold, spring], period=0.005), 80)
     times = np.arange(400) * 1e-3
     motion: Array = plant.trace().at(times)[0][:, AXES.index(axis)] / size
     return motion
@@ -131,7 +131,7 @@ def test_rotations_about_several_axes_differ_by_the_second_order_of_the_angle() 
         motions = []
         for plant in plants:
             springs = Hold(stiffness=[600.0] * 3 + [0.8] * 3, damping=0.0)
-            run(plant, Controller([springs], period=0.005), 40)
+            drive(plant, Controller([springs], period=0.005), 40)
             motions.append(np.stack([plant.trace().at(t)[0][0] for t in np.arange(40) * 0.005]))
         gaps.append(np.abs(motions[0] - motions[1]).max())
     slopes = np.diff(np.log(gaps)) / np.log(0.5)

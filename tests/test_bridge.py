@@ -28,7 +28,7 @@ from maglev_mj.controller import Controller
 from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.hand import HandForce, Path, SpringHand
 from maglev_mj.laws import Bias, FiniteDifference, Hold
-from maglev_mj.loop import run
+from maglev_mj.loop import drive
 from maglev_mj.plants import MuJoCoPlant, Plant, SpotSensor
 from maglev_mj.scenes import find_scene
 from maglev_mj.scenes.parts import INERTIA, WEIGHT
@@ -107,7 +107,7 @@ class Rig:
                 observe()
 
         period = self.plant.period
-        run(self.plant, controller or hover(period, REACH), round(seconds / period), observe=keep)
+        drive(self.plant, controller or hover(period, REACH), round(seconds / period), observe=keep)
         return self.poses[start:]
 
     def currents(self) -> Sequence[float]:
@@ -162,7 +162,7 @@ def test_the_same_controller_flies_a_device_bit_for_bit(
 
     def answers(plant: Plant) -> Array:
         rows: list[list[float]] = []
-        run(plant, scene.controller(), 450, observe=lambda one, two: rows.append([*one.position, *command_row(two)]))
+        drive(plant, scene.controller(), 450, observe=lambda one, two: rows.append([*one.position, *command_row(two)]))
         return np.array(rows)
 
     local = answers(

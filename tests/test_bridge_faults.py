@@ -31,7 +31,7 @@ from maglev_mj.errors import PlantError
 from maglev_mj.frames import Command, Sample
 from maglev_mj.hand import SpringHand
 from maglev_mj.laws import Bias
-from maglev_mj.loop import run
+from maglev_mj.loop import drive
 from maglev_mj.scenes.parts import WEIGHT
 from tests.test_bridge import BAD, BAD_REACH, CENTRE, REACH, TOUR, ZERO, Rig, hover
 
@@ -416,5 +416,5 @@ def test_a_fault_in_a_loop_of_ones_own_has_its_cycles() -> None:
     rig = Rig(misfortunes=[Misfortune(kind="invalid-diode", which=1, at=0.5)], pose=CENTRE)
     rig.plant.arm()
     with pytest.raises(DeviceFault) as caught:
-        run(rig.plant, hover(0.005, REACH), 500)
+        drive(rig.plant, hover(0.005, REACH), 500)
     assert [sample.tick for sample, _ in caught.value.cycles] == list(range(100))

@@ -17,7 +17,7 @@ from typing import Any, NoReturn
 import numpy as np
 import pytest
 
-from maglev_mj import MuJoCoPlant, Timing, cli, run
+from maglev_mj import MuJoCoPlant, Timing, cli, drive
 from maglev_mj.bridge import Calibration, Fault, RemotePlant, State, Twin, TwinParameters, open_link
 from maglev_mj.bridge.connection import Connection
 from maglev_mj.bridge.realtime import RealtimeError, realtime
@@ -117,7 +117,7 @@ def looked_at(address: str) -> StateReport:
 
 def rows(plant: Plant, scene: Scene) -> np.ndarray:
     seen: list[tuple[float, ...]] = []
-    run(plant, scene.controller(), 400, observe=lambda s, c: seen.append((*s.position, *command_row(c))))
+    drive(plant, scene.controller(), 400, observe=lambda s, c: seen.append((*s.position, *command_row(c))))
     return np.array(seen)
 
 

@@ -76,7 +76,7 @@ def test_sweep_covers_the_grid(tmp_path: Path, capsys: pytest.CaptureFixture[str
         (["stability", "--delay", "1"], "delay must be at most 10 periods of 0.005 s, not 1"),
         (["stability", "--damping", "20", "--out", "."], "damping must be a range for a picture, not 20 alone"),
         (["stability", "--workers", "-1", "--plant", "exact"], "workers must be at least 0, not -1"),
-        (["sweep", "moon"], "scene must be one of joystick, drop, press, table, box, corner, stick-slip, "),
+        (["sweep", "moon"], "scene must be one of joystick, drop, press, "),
         (["sweep", "moon.py"], "scene must be a file that is there, not 'moon.py'"),
         (
             ["sweep", "drop", "--vary", "colour=1"],

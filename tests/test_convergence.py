@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj import Controller, ExactPlant, MuJoCoPlant, Timing, run
+from maglev_mj import Controller, ExactPlant, MuJoCoPlant, Timing, drive
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Command, Sample, quaternions, rotation_matrix, rotation_vector
 from maglev_mj.hand import Hand
@@ -76,7 +76,7 @@ def test_a_flotor_in_a_hand_converges_to_its_closed_form(integrator: str, order:
 
     def places(plant: Any) -> Array:
         seen: list[Array] = []
-        run(plant, Controller([], period=0.005), 40, observe=lambda sample, _: seen.append(sample.pose))
+        drive(plant, Controller([], period=0.005), 40, observe=lambda sample, _: seen.append(sample.pose))
         return np.array(seen)
 
     truth = places(ExactPlant(timing, pose=pose, hand=hand))
@@ -93,7 +93,7 @@ def test_raw_steps_of_a_drop_are_off_in_proportion_to_the_step(integrator: str) 
     steps, errors = [1e-3, 5e-4, 2.5e-4], []
     for step in steps:
         plant = MuJoCoPlant(Timing(delay=0.0), pose=[0, 0, 4.5e-3, 0, 0, 0], integrator=integrator, longest_step=step)
-        last = run(plant, Controller([], period=0.005), 5)
+        last = drive(plant, Controller([], period=0.005), 5)
         errors.append(4.5e-3 - 0.5 * 9.81 * 0.025**2 - float(last.pose[2]))
     np.testing.assert_allclose(errors, [0.5 * step * 9.81 * 0.025 for step in steps], rtol=1e-9)
 
@@ -106,7 +106,7 @@ def test_corrected_steps_are_exact_in_translation_at_every_phase(longest: float 
         traces = []
         exact = ExactPlant(timing, pose=start, record=True)
         for plant in (exact, CORRECTED(timing, pose=start, record=True, longest_step=longest)):
-            run(plant, drop_controller(), 60)
+            drive(plant, drop_controller(), 60)
             traces.append(plant.trace())
         times = np.linspace(0.0, 0.3, 400)
         (pose, twist, force), (other, moved, same) = (trace.at(times) for trace in traces)
@@ -120,7 +120,7 @@ def test_corrected_steps_turn_as_exactly_about_one_axis() -> None:
     start = [0.0, 0.0, 4.5e-3, 0.03, 0.0, 0.0]
     exact = ExactPlant(Timing(), pose=start)
     corrected = CORRECTED(Timing(), coils=False, pose=start)
-    poses = [run(plant, drop_controller(), 60).pose for plant in (exact, corrected)]
+    poses = [drive(plant, drop_controller(), 60).pose for plant in (exact, corrected)]
     np.testing.assert_allclose(poses[1], poses[0], atol=1e-12)
 
 
@@ -130,9 +130,9 @@ def test_a_corrected_batch_moves_as_its_devices_do(coils: bool) -> None:
     pose = random.uniform(-1.0, 1.0, (6, 6)) * [1e-3, 1e-3, 2e-3, 0.02, 0.02, 0.02] + [0, 0, 3e-3, 0, 0, 0]
     spin = random.uniform(-0.1, 0.1, (6, 6))
     batch = CORRECTED_BATCH(Timing(), pose=pose, twist=spin, coils=coils)
-    last = run(batch, drop_controller(), 40).pose
+    last = drive(batch, drop_controller(), 40).pose
     for device in range(6):
-        single = run(CORRECTED(Timing(), pose=pose[device], twist=spin[device], coils=coils), drop_controller(), 40)
+        single = drive(CORRECTED(Timing(), pose=pose[device], twist=spin[device], coils=coils), drop_controller(), 40)
         np.testing.assert_allclose(last[device, :3], single.pose[:3], atol=1e-15)
         # where one device has a pulse all end a step, and the error of rotations depends on the steps
         np.testing.assert_allclose(last[device, 3:], single.pose[3:], atol=1e-7)
@@ -140,10 +140,10 @@ def test_a_corrected_batch_moves_as_its_devices_do(coils: bool) -> None:
 
 def test_a_batch_without_coils_moves_as_its_devices_do() -> None:
     pose = np.array([[5e-4, 0.0, 4.5e-3, 0.02, -0.01, 0.0], [0.0, -3e-4, 3e-3, 0.0, 0.01, 0.02]])
-    last = run(MuJoCoBatchPlant(Timing(), pose=pose, coils=False), drop_controller(), 40).pose
+    last = drive(MuJoCoBatchPlant(Timing(), pose=pose, coils=False), drop_controller(), 40).pose
     for device in range(2):
         single = MuJoCoPlant(Timing(), pose=pose[device], coils=False)
-        np.testing.assert_allclose(last[device], run(single, drop_controller(), 40).pose, atol=1e-13)
+        np.testing.assert_allclose(last[device], drive(single, drop_controller(), 40).pose, atol=1e-13)
     with pytest.raises(ParameterError, match="driver_lag needs coils"):
         MuJoCoBatchPlant(pose=pose, coils=False, driver_lag=True)
 
@@ -166,7 +166,7 @@ def test_a_sweep_of_drops_ends_alike_on_the_corrected_batch_and_on_the_exact_one
             seen.append(sample.position[2])
 
         plant: Any = kind(Timing(), pose=pose, escape=(1e6, 1.0))
-        run(plant, drop_controller(stiffness=stiffness, damping=damping), 80, observe=keep)
+        drive(plant, drop_controller(stiffness=stiffness, damping=damping), 80, observe=keep)
         heights.append(np.array(seen))
     for other in heights[1:]:
         np.testing.assert_allclose(other, heights[0], atol=1e-11)

@@ -40,6 +40,24 @@ def blocks(page: str, language: str) -> list[tuple[int, str]]:
     return [(text.count("\n", 0, match.start(1)), match[1]) for match in found]
 
 
+def own_files(page: str) -> dict[str, str]:
+    """Return the files of the reader's own that a page shows: blocks whose first line is their name."""
+    found = ((re.match(r"# (\w+\.py)\n", block), block) for _, block in blocks(page, "python"))
+    return {match[1]: block for match, block in found if match}
+
+
+def code_of(page: str) -> list[tuple[int, str]]:
+    """Return the blocks of a page that are typed in, not kept as a file."""
+    files = own_files(page).values()
+    return [(before, block) for before, block in blocks(page, "python") if block not in files]
+
+
+def write_files(page: str, folder: Path) -> None:
+    """Write the files that a page shows, and one for `my_scene.py`."""
+    for name, text in {"my_scene.py": text_of("scripts/examples/detents.py"), **own_files(page)}.items():
+        (folder / name).write_text(text, encoding="utf-8")
+
+
 # what runs beside a page: a context, handed the lines that the page prints, of what to put in place of addresses
 
 
@@ -96,7 +114,7 @@ def run_page(page: str) -> list[str]:
     namespace: dict[str, Any] = {"__name__": page, "print": lambda *words: lines.append(" ".join(map(str, words)))}
     beside = BESIDE[page](lines) if page in BESIDE else nullcontext({})
     with beside as replaced:
-        for before, block in blocks(page, "python"):
+        for before, block in code_of(page):
             code = "\n" * before + block  # a traceback tells the line of the page
             for written, meant in replaced.items():
                 code = code.replace(written, meant)
@@ -104,20 +122,21 @@ def run_page(page: str) -> list[str]:
     return lines
 
 
-VIEWER = "docs/viewer.md"
-"""Its scene is a file of its own, and run as one."""
-
-
-@pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "python") and page != VIEWER])
+@pytest.mark.parametrize("page", [page for page in PAGES if code_of(page)])
 def test_the_python_of_a_page_runs(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
+    write_files(page, tmp_path)
     lines = run_page(page)
     if page == "README.md":
-        assert len(blocks(page, "python")[0][1].strip().splitlines()) <= 12  # a drop in ten lines
+        assert len(code_of(page)[0][1].strip().splitlines()) <= 12  # a drop in ten lines
         assert lines[0].startswith("height in mm:") and "force in N:" in lines[0]
     elif page == "docs/recording.md":
         assert -2.6e-3 < float(lines[-1]) < -2.2e-3
         assert (tmp_path / "mine.mcap").is_file()
+    elif page == "docs/devices.md":
+        assert lines[0] == "1.0 kg"
+        for one, other in (lines[1:3], lines[3:5]):  # both plants
+            assert one.split(" ", 1)[1] == other.split(" ", 1)[1]
     elif page == "docs/stream.md":
         assert len(blocks(page, "python")[0][1].strip().splitlines()) <= 11  # ten lines, and an empty one
         assert "'subscribed'" in "".join(lines[:5]) and "'in force'" in "".join(lines[:100])
@@ -127,8 +146,7 @@ def test_the_python_of_a_page_runs(page: str, tmp_path: Path, monkeypatch: pytes
 
 @pytest.mark.skipif(find_library("OSMesa") is None, reason="drawing off screen needs OSMesa (Debian: libosmesa6)")
 def test_the_scene_of_ones_own_is_made_as_the_page_says(tmp_path: Path) -> None:
-    ((_, scene),) = blocks(VIEWER, "python")
-    (tmp_path / "shaft.py").write_text(scene)
+    write_files("docs/viewer.md", tmp_path)
     command = [sys.executable, "-m", "maglev_mj.cli", "render", "shaft.py", "--out", "shaft.png", "--width", "0.003"]
     command += ["--size", "320x200"]
     done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)
@@ -161,7 +179,11 @@ def test_there_are_commands_in_the_pages() -> None:
 
 
 @pytest.mark.parametrize(("page", "command"), COMMANDS)
-def test_the_commands_of_a_page_are_understood(page: str, command: str) -> None:
+def test_the_commands_of_a_page_are_understood(
+    page: str, command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_files(page, tmp_path)
     try:
         parser().parse_args(typed(command))
     except SystemExit as ended:

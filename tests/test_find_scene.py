@@ -16,7 +16,7 @@ import pytest
 
 from maglev_mj.errors import ParameterError
 from maglev_mj.scenes.drop import Drop
-from maglev_mj.scenes.find import BUILT_IN, find_scene, made_again, reference_of, scene_names, source_of
+from maglev_mj.scenes.find import BUILT_IN, find_scene, line_of, made_again, reference_of, scene_names, source_of
 from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.run import run
 from maglev_mj.scenes.scene import Scene
@@ -261,3 +261,14 @@ def test_a_copy_of_a_scene_derives_anew_as_the_scene_does() -> None:
         assert twin == Press() and twin.replace(hits=2) == Press(hits=2)
     given = pickle.loads(pickle.dumps(Press(duration=4.0)))
     assert given.replace(hits=2).duration == 4.0
+
+
+def test_an_error_of_a_users_own_file_has_a_line(push: Path) -> None:
+    push.write_text(PUSH.replace("return [Hold(", "return [1 / 0, Hold("))
+    with pytest.raises(ZeroDivisionError) as caught:
+        find_scene(str(push))().controller()
+    line = 1 + push.read_text().split("\n").index("        return [1 / 0, Hold(stiffness=100.0, damping=5.0)]")
+    assert line_of(caught.value) == f"my_push.py, line {line}"
+    with pytest.raises(ZeroDivisionError) as others:
+        1 / 0  # noqa: B018
+    assert line_of(others.value) is None

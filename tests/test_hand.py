@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from maglev_mj import Controller, ExactPlant, Hold, MuJoCoPlant, Timing, Wall, run
+from maglev_mj import Controller, ExactPlant, Hold, MuJoCoPlant, Timing, Wall, drive
 from maglev_mj.errors import ParameterError, PlantError
 from maglev_mj.frames import Array, Component, rotation_matrix
 from maglev_mj.hand import (
@@ -34,7 +34,7 @@ def idle() -> Controller:
 def poses(plant: SampledPlant, controller: Controller, ticks: int) -> Array:
     """Return the true poses at the samples, (ticks + 1, ..., 6)."""
     seen: list[Array] = []
-    run(plant, controller, ticks, observe=lambda *_: seen.append(plant.state()[0]))
+    drive(plant, controller, ticks, observe=lambda *_: seen.append(plant.state()[0]))
     return np.array([*seen, plant.state()[0]])
 
 
@@ -59,7 +59,7 @@ def test_a_torque_is_about_stator_axes() -> None:
     plant = MuJoCoPlant(
         TIMING, gravity=0.0, pose=start, escape=(0.045, 3.0), hand_force=lambda *_: [0.0, 0.0, 0.0, 1e-3, 0.0, 0.0]
     )
-    run(plant, idle(), 10)
+    drive(plant, idle(), 10)
     pose, twist = plant.state()
     assert_allclose(twist[3:], [1e-3 / TILT * 0.04, 0.0, 0.0], atol=1e-6)
     turn = rotation_matrix(pose[3:]) @ rotation_matrix(np.array(start[3:])).T

@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from maglev_mj import Controller, ExactPlant, Hold, MuJoCoPlant, Timing, run
+from maglev_mj import Controller, ExactPlant, Hold, MuJoCoPlant, Timing, drive
 from maglev_mj.cli import main
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Command
@@ -209,7 +209,7 @@ def test_the_stepped_loop_is_the_plant(integrator: str, hand: str) -> None:
         state[2] = float(np.asarray(loop.hand.place(1e-3)))
     controller = Controller([Hold(axes="z", stiffness=k, damping=b)], period=0.005)
     heights: list[float] = []
-    run(plant, controller, 20, observe=lambda sample, _: heights.append(float(sample.position[2])))
+    drive(plant, controller, 20, observe=lambda sample, _: heights.append(float(sample.position[2])))
     expected: list[float] = []
     for _ in heights:
         expected.append(float(state[0]))
@@ -258,7 +258,7 @@ def test_the_drivers_lag_is_so_much_delay_to_two_micrometres(pulse: float) -> No
             stiffness=6000.0, damping=80.0, pulse=pulse, pulse_width=0.003, period=0.005, delay=0.0015, mass=0.7
         )
         seen: list[Array] = []
-        run(plant, controller, 80, observe=lambda sample, _: seen.append(sample.position[2]))
+        drive(plant, controller, 80, observe=lambda sample, _: seen.append(sample.position[2]))
         return np.array(seen)
 
     truth = heights(0.0015, True)
@@ -297,7 +297,7 @@ def test_falloff_converges_with_the_second_power_of_the_step() -> None:
         start = [0.0, 0.0, 4e-3, 0.0, 0.0, 0.0]
         plant = MuJoCoPlant(timing, pose=start, gravity=0.0, force_falloff=0.5, longest_step=step)
         hold = Hold(axes="z", stiffness=2000.0, damping=20.0)
-        return float(run(plant, Controller([hold], period=0.005), 10).pose[2])
+        return float(drive(plant, Controller([hold], period=0.005), 10).pose[2])
 
     places = [last(step) for step in (1.25e-3, 6.25e-4, 3.125e-4, 1e-5)]
     errors = [abs(place - places[-1]) for place in places[:-1]]
@@ -306,7 +306,7 @@ def test_falloff_converges_with_the_second_power_of_the_step() -> None:
 
 def test_the_stops_hold_a_flotor_without_currents() -> None:
     plant = MuJoCoPlant(Timing(), stops=True)
-    last = run(plant, Controller([], period=0.005), 60).pose
+    last = drive(plant, Controller([], period=0.005), 60).pose
     assert last[2] == pytest.approx(-4.5e-3, abs=5e-6)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike
 
-from maglev_mj import AXES, Controller, ExactPlant, Sample, Timing, run
+from maglev_mj import AXES, Controller, ExactPlant, Sample, Timing, drive
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import components
 from maglev_mj.laws import (
@@ -91,11 +91,11 @@ def test_a_law_of_gains_and_one_function_serves_one_device_and_thousand() -> Non
     starts[:, 0] = np.linspace(-9e-4, 9e-4, 1000)
     timing = Timing(period=T)
     with ExactPlant(timing, pose=starts, gravity=0.0, record=True) as plant:
-        run(plant, Controller([law], period=T), 60)
+        drive(plant, Controller([law], period=T), 60)
         together = plant.trace().pose
     for device in (0, 499, 731):
         with ExactPlant(timing, pose=starts[device], gravity=0.0, record=True) as plant:
-            run(plant, Controller([law], period=T), 60)
+            drive(plant, Controller([law], period=T), 60)
             assert np.array_equal(plant.trace().pose, together[:, device])
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj import AXES, Controller, ExactPlant, Timing, run
+from maglev_mj import AXES, Controller, ExactPlant, Timing, drive
 from maglev_mj.errors import ParameterError
 from maglev_mj.laws import (
     AdaptiveWindow,
@@ -178,7 +178,7 @@ def test_detents_are_judged_at_their_bottoms(stiffness: float) -> None:
 def test_the_verdict_on_detents_is_what_the_simulation_does(stiffness: float) -> None:
     laws = [Detent(axes="x", stiffness=stiffness)]
     with ExactPlant(Timing(period=T, delay=DELAY), pose=[1e-5, 0, 0, 0, 0, 0], gravity=0.0, record=True) as plant:
-        run(plant, Controller(laws, period=T), 400)
+        drive(plant, Controller(laws, period=T), 400)
         last = plant.trace().pose[-50:, 0]
     assert bool(np.abs(last).max() > 1e-4) is (verdict(*laws).stable is False)
 
@@ -335,7 +335,10 @@ def test_the_controller_is_left_as_it_is() -> None:
 def test_a_scene_of_any_kind_is_judged() -> None:
     controller = Controller([Hold(stiffness=np.array(INERTIA) * 3e4, damping=np.array(INERTIA) * 300.0)], period=T)
     scene: Any = SimpleNamespace(
-        delay=DELAY, controller=lambda: controller, start=lambda: SimpleNamespace(pose=[0.0] * 6)
+        delay=DELAY,
+        controller=lambda: controller,
+        start=lambda: SimpleNamespace(pose=[0.0] * 6),
+        plant_options=dict,
     )
     assert stability(scene).stable is False
     heavy = stability(scene, inertia=np.array(INERTIA) * 10.0)

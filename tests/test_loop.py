@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from maglev_mj import Command, Controller, ExactPlant, Hold, MuJoCoPlant, Sample, Timing, Wall, run
+from maglev_mj import Command, Controller, ExactPlant, Hold, MuJoCoPlant, Sample, Timing, Wall, drive
 from maglev_mj.errors import DivergenceError, ParameterError, PlantError
 from maglev_mj.laws import AdaptiveWindow, FiniteDifference, Law, LowPass, StickSlip, VelocityEstimator, Window
 
@@ -43,11 +43,11 @@ class Broken(Controller):
 def test_run_answers_every_sample_and_reads_once_more() -> None:
     plant, seen = Recorder(), []
     controller = Controller([Hold(stiffness=100.0, damping=1.0)], period=0.005)
-    last = run(plant, controller, 10, observe=lambda sample, command: seen.append((sample.tick, command)))
+    last = drive(plant, controller, 10, observe=lambda sample, command: seen.append((sample.tick, command)))
     assert last.tick == 10
     assert [tick for tick, _ in seen] == list(range(10))
     assert [command for _, command in seen] == plant.written
-    assert run(plant, controller, 5).tick == 16
+    assert drive(plant, controller, 5).tick == 16
 
 
 LAWS: dict[str, Callable[[], Law]] = {
@@ -68,7 +68,7 @@ def test_a_controller_answers_another_run_only_after_a_reset(
 
     def pushes(first: float) -> list[list[float]]:
         plant, seen = ExactPlant(Timing(), pose=np.full((*batch, 6), first), gravity=0.0), []
-        run(plant, controller, 8, observe=lambda sample, applied: seen.append(applied.wrench.tolist()))
+        drive(plant, controller, 8, observe=lambda sample, applied: seen.append(applied.wrench.tolist()))
         return seen
 
     new = pushes(1e-4)
@@ -108,7 +108,7 @@ def test_ticks_go_up(ticks: tuple[int, ...], good: bool) -> None:
 def test_a_command_that_is_no_number_ends_in_zero_and_carries_the_last_cycles(bad: float) -> None:
     plant = Recorder()
     with pytest.raises(PlantError, match="command at tick 260 must be finite") as caught:
-        run(plant, Broken(bad), 300)
+        drive(plant, Broken(bad), 300)
     assert list(plant.written[-1].force) == [0.0] * 6
     assert [sample.tick for sample, _ in caught.value.cycles] == list(range(61, 261))
     plant.read()  # the plant is still there, with zero on its way
@@ -117,11 +117,11 @@ def test_a_command_that_is_no_number_ends_in_zero_and_carries_the_last_cycles(ba
 def test_any_exception_ends_in_zero_and_is_the_one_reported() -> None:
     plant = Recorder()
     with pytest.raises(ZeroDivisionError):
-        run(plant, Broken(ZeroDivisionError()), 300)
+        drive(plant, Broken(ZeroDivisionError()), 300)
     assert list(plant.written[-1].force) == [0.0] * 6
     plant = Recorder()
     with pytest.raises(KeyboardInterrupt):
-        run(plant, Broken(KeyboardInterrupt()), 300)
+        drive(plant, Broken(KeyboardInterrupt()), 300)
     assert list(plant.written[-1].force) == [0.0] * 6
 
 
@@ -129,26 +129,26 @@ def test_a_closed_plant_does_not_hide_the_error() -> None:
     plant = Recorder()
     plant.close()
     with pytest.raises(PlantError, match="closed"):
-        run(plant, Broken(0.0), 300)
+        drive(plant, Broken(0.0), 300)
 
 
 def test_divergence_carries_its_cycles() -> None:
     unstable = Controller([Hold(axes="z", stiffness=20_000.0, damping=10.0)], period=0.005)
     with pytest.raises(DivergenceError) as caught:
-        run(MuJoCoPlant(pose=[0, 0, 1e-3, 0, 0, 0]), unstable, 1000)
+        drive(MuJoCoPlant(pose=[0, 0, 1e-3, 0, 0, 0]), unstable, 1000)
     assert 0 < len(caught.value.cycles) <= 200
 
 
 def test_ticks_must_be_whole_and_positive() -> None:
     with pytest.raises(ParameterError, match="ticks must be a finite number at least 1, not 0"):
-        run(Recorder(), Broken(0.0), 0)
+        drive(Recorder(), Broken(0.0), 0)
     with pytest.raises(ParameterError, match=r"ticks must be a whole number, not 2.7"):
-        run(Recorder(), Broken(0.0), 2.7)  # type: ignore[arg-type]
+        drive(Recorder(), Broken(0.0), 2.7)  # type: ignore[arg-type]
 
 
 def test_controller_and_plant_must_share_a_period() -> None:
     with pytest.raises(ParameterError, match=r"period must be the plant's 0.005 in the controller, not 0.001"):
-        run(Recorder(), Controller([], period=0.001), 3)
+        drive(Recorder(), Controller([], period=0.001), 3)
 
 
 def test_a_plant_that_fails_to_release_is_closed_and_the_first_error_reported() -> None:
@@ -160,6 +160,6 @@ def test_a_plant_that_fails_to_release_is_closed_and_the_first_error_reported() 
 
     plant = Deaf()
     with pytest.raises(ZeroDivisionError):
-        run(plant, Broken(ZeroDivisionError()), 300)
+        drive(plant, Broken(ZeroDivisionError()), 300)
     with pytest.raises(PlantError, match="closed"):
         plant.read()

@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from maglev_mj import Command, Controller, Hold, MuJoCoPlant, Timing, Wall, model, run
+from maglev_mj import Command, Controller, Hold, MuJoCoPlant, Timing, Wall, drive, model
 from maglev_mj.coils import CoilMap
 from maglev_mj.errors import ModelError, ParameterError
 from maglev_mj.frames import Array, quaternion
@@ -257,7 +257,7 @@ def drop_bits(scene: str = "drop", **options: Any) -> tuple[Array, ...]:
     wall = Wall(axes="z", lower=0.0, stiffness=6000.0, damping=80.0, pulse=220.0, pulse_width=0.003)
     others = ("x", "y", "rx", "ry", "rz")
     hold = Hold.critically_damped(others, inertia=np.delete(INERTIA, 2), period=0.005, delay=0.0015)
-    run(plant, Controller([wall, hold], period=0.005), 80)
+    drive(plant, Controller([wall, hold], period=0.005), 80)
     trace = plant.trace()
     return trace.time, trace.pose, trace.twist, trace.wrench
 
@@ -345,7 +345,7 @@ def test_what_the_drop_keeps_does_change_an_answer() -> None:
     tilted = MuJoCoPlant(pose=[5e-4, -5e-4, 0, 0.01, 0.01, 0.01], gravity=0.0)
     hold = Hold.critically_damped(inertia=INERTIA, period=0.005, delay=0.0015)
     before = np.abs(tilted.read().pose)[[0, 1, 3, 4, 5]]
-    after = np.abs(run(tilted, Controller([hold], period=0.005), 40).pose)[[0, 1, 3, 4, 5]]
+    after = np.abs(drive(tilted, Controller([hold], period=0.005), 40).pose)[[0, 1, 3, 4, 5]]
     assert (after < 0.5 * before).all()
 
 

@@ -18,7 +18,7 @@ from maglev_mj.parameters import flag, number, numbers, parsed_number
 from maglev_mj.plants import ExactPlant
 from maglev_mj.plants.base import PlantKeywords
 
-RESULTS = {"Comparison", "Stick"}
+RESULTS = {"Comparison", "Stick", "Verdict"}
 """What the package itself makes and hands out."""
 
 NEEDED: dict[str, Any] = {

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj import ExactPlant, Timing, run
+from maglev_mj import ExactPlant, Timing, drive
 from maglev_mj.frames import Array
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.spec import GRAVITY, INERTIA
@@ -43,7 +43,7 @@ def truth(task: Any) -> tuple[Array, Array]:
         poses.append(sample.pose)
         wrenches.append(np.array([command.wrench, command.wrench + command.pulse]))
 
-    last = run(plant, controller, task.ticks, observe=keep)
+    last = drive(plant, controller, task.ticks, observe=keep)
     return np.array([*poses, last.pose]), np.array(wrenches)
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj import AXES, Controller, ExactPlant, Hold, MuJoCoPlant, Timing, Wall, run
+from maglev_mj import AXES, Controller, ExactPlant, Hold, MuJoCoPlant, Timing, Wall, drive
 from maglev_mj.energy import actuator_work
 from maglev_mj.errors import ParameterError
 from maglev_mj.spec import INERTIA
@@ -61,7 +61,7 @@ def test_sampled_wall_approaches_restitution_at_first_order(ratio: float) -> Non
         wall = Wall(axes="z", lower=0.0, stiffness=k, damping=b)
         swing = math.pi / math.sqrt(k / M * (1.0 - ratio**2))
         ticks = int((1e-3 / 0.2 + 1.1 * swing) / period)
-        last = run(plant, Controller([wall], period=period), ticks)
+        last = drive(plant, Controller([wall], period=period), ticks)
         assert (np.asarray(last.position[2]) > 0.0).all()
         kept = (np.asarray(plant._velocity[2]) / 0.2) ** 2
         errors.append(abs(kept.mean() / restitution(ratio) - 1.0))
@@ -84,7 +84,7 @@ def test_pulse_with_the_stopping_gain_stops_the_flotor(plant_type: Any, axis: st
     pose[index], twist[index] = side * 1e-3, -side * 0.15
     plant = plant_type(Timing(period=T, phase=0.5), pose=pose, twist=twist, gravity=0.0, record=True)
     wall = Wall(axes=axis, stiffness=0.0, damping=damping, pulse=gain - damping, pulse_width=width, **edge)
-    run(plant, Controller([wall], period=T), 3)
+    drive(plant, Controller([wall], period=T), 3)
     trace = plant.trace()
     force = trace.wrench[:, index]
     start = int(np.argmax(np.abs(force)))
@@ -103,7 +103,7 @@ def test_energy_books_balance(plant_type: Any, pulse: float) -> None:
     """Kinetic energy gained = work of the actuators + work of gravity, over every stretch of a drop."""
     plant = plant_type(Timing(phase=0.3), pose=[0, 0, 4e-3, 0, 0, 0], record=True)
     wall = Wall(axes="z", lower=0.0, stiffness=6000.0, damping=80.0, pulse=pulse, pulse_width=0.003)
-    run(plant, Controller([wall], period=T), 80)
+    drive(plant, Controller([wall], period=T), 80)
     trace = plant.trace()
     for end in range(2, len(trace.time), 7):
         part = Trace(trace.time[:end], trace.pose[:end], trace.twist[:end], trace.wrench[:end])
@@ -186,7 +186,7 @@ def test_fast_sampled_wall_converges_to_the_analog_one_at_first_order() -> None:
         timing = Timing(period=period, delay=0.0, phase=np.arange(64) / 64)
         plant = ExactPlant(timing, pose=pose, record=True)
         wall = Wall(axes="z", lower=0.0, stiffness=6000.0, damping=80.0)
-        run(plant, Controller([wall], period=period), int(0.2 / period))
+        drive(plant, Controller([wall], period=period), int(0.2 / period))
         gap = plant.trace().at(time)[0][..., 2].mean(axis=1) - ideal
         errors.append(np.sqrt(np.mean(gap**2)))
     slopes = np.diff(np.log(errors)) / np.diff(np.log(periods))

@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from maglev_mj import Command, ExactPlant, MuJoCoPlant, Timing, run
+from maglev_mj import Command, ExactPlant, MuJoCoPlant, Timing, drive
 from maglev_mj.controller import Controller
 from maglev_mj.errors import DivergenceError, ModelError, ParameterError, PlantError
 from maglev_mj.frames import Array, quaternion
@@ -285,7 +285,7 @@ def test_bad_parameters_are_refused_with_the_value() -> None:
 
 def bounce(plant: SampledPlant) -> Trace:
     wall = Wall(axes="z", lower=0.0, stiffness=6000.0, damping=80.0, pulse=220.0, pulse_width=0.003)
-    run(plant, Controller([wall], period=plant.timing.period), 60)
+    drive(plant, Controller([wall], period=plant.timing.period), 60)
     return plant.trace()
 
 
@@ -344,7 +344,7 @@ def test_hold_brings_all_six_axes_to_their_target(coils: bool) -> None:
     target = np.array([1e-3, -5e-4, 8e-4, 0.02, -0.01, 0.015])
     plant = MuJoCoPlant(coils=coils, gravity=0.0)
     hold = Hold.critically_damped(inertia=INERTIA, period=T, delay=0.0015, target=target)
-    sample = run(plant, Controller([hold], period=T), 400)
+    sample = drive(plant, Controller([hold], period=T), 400)
     np.testing.assert_allclose(sample.position, target, atol=1e-9)
 
 
@@ -385,7 +385,7 @@ def test_a_command_that_the_engine_refuses_is_an_error() -> None:
 def test_recording_changes_nothing(kind: Any) -> None:
     hold = Hold(axes=("rx", "ry", "rz"), stiffness=[1.0] * 3, damping=[0.05] * 3)
     last = [
-        run(
+        drive(
             kind(pose=[0, 0, 1e-3, 0.02, -0.01, 0.03], twist=[0, 0, 0, 4, -3, 5], gravity=0.0, record=record),
             Controller([hold], period=0.005),
             20,

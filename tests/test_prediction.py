@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from impacts import limited_drop
-from maglev_mj import Controller, ExactPlant, MuJoCoPlant, Sample, Timing, Wall, run
+from maglev_mj import Controller, ExactPlant, MuJoCoPlant, Sample, Timing, Wall, drive
 from maglev_mj.energy import PassivityObserver, actuator_work
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import components
@@ -40,7 +40,7 @@ def bounce(laws: list[Law], delay: float) -> tuple[NDArray[np.float64], Passivit
     pose[:, 2], twist[:, 2] = 3e-3, -0.2
     plant = ExactPlant(timing, pose=pose, twist=twist, gravity=0.0, record=True, escape=(1e3, 1.0))
     watch = PassivityObserver(timing, inertia=[M, M, M, 1e-3, 1e-3, 1e-3])
-    run(plant, Controller(laws, period=T), 200, observe=watch)
+    drive(plant, Controller(laws, period=T), 200, observe=watch)
     trace = plant.trace()
     return (trace.twist[-1, :, 2] / 0.2) ** 2, watch, trace
 
@@ -92,7 +92,7 @@ def test_observer_wall_moves_and_yields_as_its_matrix_says(pole: float, disturba
     assert static == pytest.approx(2000.0) if disturbance else static < 2000.0
     plant = ExactPlant(Timing(period=T, delay=delay), pose=[0.0, 0.0, -M * GRAVITY / static, 0.0, 0.0, 0.0])
     heights: list[float] = []
-    run(plant, Controller([law], period=T), 1200, observe=lambda s, _: heights.append(s.position[2]))
+    drive(plant, Controller([law], period=T), 1200, observe=lambda s, _: heights.append(s.position[2]))
     assert heights[-1] == pytest.approx(-M * GRAVITY / static, rel=1e-6)
 
 
@@ -192,7 +192,7 @@ def test_passivity_observer_without_inertia_is_exact_for_one_force_a_period() ->
     timing = Timing(period=T, delay=0.0)
     plant = ExactPlant(timing, pose=[0.0, 0.0, 3e-3, 0.0, 0.0, 0.0], record=True)
     watch = PassivityObserver(timing)
-    run(plant, Controller([plain(2000.0)], period=T), 100, observe=watch)
+    drive(plant, Controller([plain(2000.0)], period=T), 100, observe=watch)
     # the trace goes on to the sample after the last one observed
     trace = plant.trace().until(99 * T)
     np.testing.assert_allclose(watch.energy[2], -actuator_work(trace)[:, 2].sum(), rtol=0.0, atol=1e-15)
@@ -209,7 +209,7 @@ def test_hardness_of_an_analog_wall_is_stiffness_and_damping_over_the_window() -
         record=True,
     )
     wall = Wall(axes="z", lower=0.0, stiffness=3000.0, damping=10.0)
-    run(plant, Controller([wall], period=fast), 1500)
+    drive(plant, Controller([wall], period=fast), 1500)
     hard = perceived_hardness(plant.trace(), window)
     place, speed = exponential(np.array([[0.0, 1.0], [-3000.0 / M, -10.0 / M]]) * window) @ [0.0, -1.0]
     assert hard.rate == pytest.approx((-3000.0 * place - 10.0 * speed) / window, rel=0.02)
@@ -219,7 +219,7 @@ def test_hardness_of_an_analog_wall_is_stiffness_and_damping_over_the_window() -
 
 def test_hardness_of_a_flotor_that_touches_nothing_is_nan() -> None:
     plant = ExactPlant(Timing(period=T), pose=[0.0, 0.0, 1e-3, 0.0, 0.0, 0.0], gravity=0.0, record=True)
-    run(plant, Controller([plain(1000.0)], period=T), 5)
+    drive(plant, Controller([plain(1000.0)], period=T), 5)
     hard = perceived_hardness(plant.trace(), T)
     assert np.isnan(hard.rate) and np.isnan(hard.extended)
 
@@ -259,7 +259,7 @@ def test_new_laws_drive_mujoco_as_the_exact_plant() -> None:
         for kind in (ExactPlant, MuJoCoPlant):
             plant = kind(Timing(), pose=[0.0, 0.0, 2e-3, 0.0, 0.0, 0.0], record=True)
             control = PassivityController(axes="z", period=T, delay=0.0015, most=20.0)
-            run(plant, Controller([law, control], period=T), 60)
+            drive(plant, Controller([law, control], period=T), 60)
             heights.append(plant.trace().at(np.arange(60) * T)[0][:, 2])
         np.testing.assert_allclose(heights[0], heights[1], rtol=0.0, atol=1e-12)
 

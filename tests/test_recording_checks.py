@@ -518,13 +518,13 @@ def test_what_unpacks_to_a_gigabyte_is_one_line_and_little_memory(tmp_path: Path
 
 def test_a_recording_of_many_samples_is_within_what_may_be_unpacked(tmp_path: Path) -> None:
     """A flotor at rest packs best of all."""
-    from maglev_mj.loop import run
+    from maglev_mj.loop import drive
     from maglev_mj.recording import open_recording
 
     path = tmp_path / "run.mcap"
     file, plant = open_recording(path, wait=True), ExactPlant(Timing(), gravity=0.0)
     controller = Controller([], period=0.005)
-    run(plant, controller, 5000, record=file.begin(plant, controller, {"kind": "test"}))
+    drive(plant, controller, 5000, record=file.begin(plant, controller, {"kind": "test"}))
     file.close()
     recording = Recording.load(path)
     assert recording.ticks == 5000 and not recording.damage

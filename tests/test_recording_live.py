@@ -22,7 +22,7 @@ from maglev_mj.errors import ParameterError, PlantError
 from maglev_mj.frames import ZERO, Command, Sample
 from maglev_mj.hand import Hand
 from maglev_mj.laws import Bias, Wall
-from maglev_mj.loop import run
+from maglev_mj.loop import drive
 from maglev_mj.plants import ExactPlant, Timing
 from maglev_mj.recording import ArrayFile, Recording, RecordingError, open_recording, setup_of, verify
 from maglev_mj.recording.live import ROWS, Ring, RowReader
@@ -143,7 +143,7 @@ def test_the_work_of_the_hand_is_in_it(tmp_path: Path) -> None:
     file = open_recording(path)
     controller, places = Controller([wall], period=timing.period), []
     record = file.begin(plant, controller, {"kind": "test"})
-    run(plant, controller, 60, record=record, observe=lambda sample, applied: places.append(sample.position[2]))
+    drive(plant, controller, 60, record=record, observe=lambda sample, applied: places.append(sample.position[2]))
     assert file.close() == path
     assert messages(path)[-1][1]["hand_work"] == pytest.approx(-3.0 * (places[-1] - places[0]), rel=1e-12)
 
@@ -340,7 +340,7 @@ def test_arrays_go_elsewhere_where_their_folder_is_gone(tmp_path: Path) -> None:
     file = ArrayFile(folder / "run-of-a-test.npz")
     plant = ExactPlant(Timing())
     controller = Controller([], period=0.005)
-    run(plant, controller, 1, record=file.begin(plant, controller, {"kind": "test"}))
+    drive(plant, controller, 1, record=file.begin(plant, controller, {"kind": "test"}))
     folder.rmdir()
     path = file.close()
     assert path is not None and path.parent != folder and Recording.load(path).ticks == 1
@@ -414,7 +414,7 @@ def test_an_answer_that_the_plant_refuses_is_the_last_row(name: str, odd: float,
     file, plant, controller = open_recording(tmp_path / name), ExactPlant(Timing()), Mad([], period=0.005)
     record = file.begin(plant, controller, {"kind": "test"})
     with pytest.raises(PlantError):
-        run(plant, controller, 20, record=record)
+        drive(plant, controller, 20, record=record)
     assert file.close() == tmp_path / name
     recording = Recording.load(tmp_path / name)
     (stretch,) = recording.stretches
@@ -597,7 +597,7 @@ def test_a_recording_of_ones_own_is_shown_and_analysed_without_its_scene_and_che
     setup = setup_of(
         plant, controller, scene=reference_of(cls), source=source_of(cls), parameters=scene.as_json(), name="tap"
     )
-    run(plant, controller, 20, record=file.begin(plant, controller, setup))
+    drive(plant, controller, 20, record=file.begin(plant, controller, setup))
     file.close()
     script.rename(tmp_path / "elsewhere.py")  # what a recording names is never executed
     (stretch,) = Recording.load(path).stretches
@@ -636,7 +636,7 @@ def test_ten_lines_of_ones_own_tell_all_that_plant_and_controller_know(suffix: s
     plant = ExactPlant(timing, mass=0.9, gravity=2.0, wrench=[0.0, 0.0, 1.8, 0.0, 0.0, 0.0], hand=hand)
     controller = Controller([Bias([0.0, 0.0, 1.8, 0.0, 0.0, 0.0])], period=0.001)
     file = open_recording(path, wait=True)
-    run(plant, controller, 5, record=file.begin(plant, controller))
+    drive(plant, controller, 5, record=file.begin(plant, controller))
     file.close()
     (stretch,) = Recording.load(path).stretches
     known, setup = stretch.metadata, stretch.setup

@@ -493,3 +493,15 @@ def test_laws_add_up(plant: str) -> None:
             return [Bias(up), Hold(axes="z", stiffness=100.0, damping=5.0, target=-WEIGHT[2] / 100.0)]
 
     assert run(Hover(), plant=plant).trace.furthest().max() < 1e-12
+
+
+def test_an_option_that_a_plant_lacks_is_named() -> None:
+    class Stopped(find_scene("twist")):  # type: ignore[misc]
+        """A body that meets its stops."""
+
+        def plant_options(self) -> dict[str, Any]:
+            return {"stops": True}
+
+    Stopped().plant("mujoco", model="maglev").close()
+    with pytest.raises(ParameterError, match="plant_options must be those of plant exact, which has no stops"):
+        run(Stopped(), plant="exact")

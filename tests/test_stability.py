@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from maglev_mj import Controller, ExactPlant, Hold, MuJoCoPlant, Timing, run
+from maglev_mj import Controller, ExactPlant, Hold, MuJoCoPlant, Timing, drive
 from maglev_mj.errors import ParameterError
 from maglev_mj.hand import Hand, exponential
 from maglev_mj.laws import AdaptiveWindow, FiniteDifference, LowPass, VelocityEstimator, Window
@@ -158,7 +158,7 @@ def simulated(plant_type: Any, delay: float, gains: tuple[float, float], **optio
     )
     heights: list[float] = []
     hold = Hold(axes="z", stiffness=gains[0], damping=gains[1])
-    run(
+    drive(
         plant,
         Controller([hold], period=T, velocity=velocity),
         60,

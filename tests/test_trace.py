@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from maglev_mj import Command, Controller, ExactPlant, MuJoCoPlant, Timing, Wall, run
+from maglev_mj import Command, Controller, ExactPlant, MuJoCoPlant, Timing, Wall, drive
 from maglev_mj.errors import ParameterError
 from maglev_mj.trace import Trace
 
@@ -11,7 +11,7 @@ from maglev_mj.trace import Trace
 def bounce(**options: object) -> Trace:
     plant = MuJoCoPlant(Timing(phase=0.3), pose=[0, 0, 3e-3, 0, 0, 0], record=True, **options)  # type: ignore[arg-type]
     wall = Wall(axes="z", lower=0.0, stiffness=6000.0, damping=80.0, pulse=220.0, pulse_width=0.003)
-    run(plant, Controller([wall], period=0.005), 40)
+    drive(plant, Controller([wall], period=0.005), 40)
     return plant.trace()
 
 
@@ -57,7 +57,7 @@ def test_cut_of_a_batch_with_different_phases() -> None:
     pose = np.zeros((3, 6))
     pose[:, 2] = 3e-3
     plant = ExactPlant(Timing(phase=np.array([0.0, 0.4, 0.9])), pose=pose, record=True)
-    run(plant, Controller([Wall(axes="z", lower=0.0, stiffness=6000.0, damping=80.0)], period=0.005), 40)
+    drive(plant, Controller([Wall(axes="z", lower=0.0, stiffness=6000.0, damping=80.0)], period=0.005), 40)
     cut = plant.trace().until(0.1)
     assert (cut.time[-1] == 0.1).all()
     np.testing.assert_allclose(cut.pose[-1], plant.trace().at(0.1)[0][0], rtol=1e-15)

@@ -14,7 +14,7 @@ from maglev_mj.controller import Controller
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Array, Command, Component, Sample
 from maglev_mj.laws import AxisLaw, Bias, Hold, Law, gain
-from maglev_mj.loop import Answers, run
+from maglev_mj.loop import Answers, drive
 from maglev_mj.parameters import number, numbers
 from maglev_mj.plants import Plant
 
@@ -184,7 +184,7 @@ def collect(
         delays[sample.tick - 1] = plant.last_delay
         seen.append((sample.tick, tuple(sample.position), tuple(plant.last_currents)))
 
-    run(plant, controller, ticks, observe=observe)
+    drive(plant, controller, ticks, observe=observe)
     if then is not None:
         then()
     kept = seen[ahead:]

@@ -11,8 +11,9 @@ from numpy.typing import ArrayLike
 from maglev_mj.bridge.safety import Limits, Warmth
 from maglev_mj.coils import CoilMap, limited_wrench
 from maglev_mj.errors import PlantError
-from maglev_mj.frames import Command, clipped
+from maglev_mj.frames import ZERO, Command, clipped
 from maglev_mj.parameters import numbers
+from maglev_mj.timeline import Timeline, Timing
 
 __all__ = ["Gate"]
 
@@ -40,18 +41,18 @@ class Gate:
             self._limit = [float(part) for part in np.broadcast_to(values, (6,))]
         self._inverse_turned, self._current, self._period = coils.inverse_turned, limits.current, period
         self.warmth = Warmth(limits)
+        self._timeline = Timeline(Timing(period=period, delay=0.0), ZERO)
 
     def passed(self, held: Sequence[float], pulsed: Sequence[float] | None, width: float) -> None:
         """Let what `currents` returned flow for a period: it has been sent."""
-        if pulsed is None:
-            self.warmth.add(((self._period, held),))
-        else:
-            inside = min(width, self._period)
-            self.warmth.add(((inside, pulsed), (self._period - inside, held)))
+        self.warmth.add(self._timeline.period(0, (held, pulsed, width)))
 
     def stay(self, periods: int, currents: Sequence[float]) -> None:
-        """Let currents [A] flow for so many periods in which none were let through."""
-        self.warmth.add(((periods * self._period, currents),))
+        """Let currents [A] flow for so many periods in which none were let through; a pulse runs out before them."""
+        switch = None if currents == self._timeline.acting else (currents, None, 0.0)
+        self.warmth.add(self._timeline.period(0, switch))
+        if periods > 1:
+            self.warmth.add((((periods - 1) * self._period, currents),))
 
     def currents(
         self, command: Command, position: Sequence[float]

@@ -21,7 +21,7 @@ from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.cli.options import add_bridge, add_recording, chosen_key, number_option
 from maglev_mj.cli.output import check_file, check_outputs, check_recording
 from maglev_mj.cli.publishers import add_publishers, chosen_publishers
-from maglev_mj.cli.scenes import add_scene, chosen_scene
+from maglev_mj.cli.scenes import add_scene, chosen_scene, warn_of_instability
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.net.udp import open_link
 from maglev_mj.parameters import number
@@ -84,7 +84,9 @@ def _bridge(options: argparse.Namespace) -> int:
             plant.reset()
         if options.identify is not None:
             return _identify(plant, options)
-        _fly(plant, scene.replace(period=plant.period, delay=plant.delay), options, publishers)
+        scene = scene.replace(period=plant.period, delay=plant.delay)
+        warn_of_instability(scene, [*[calibration.mass] * 3, *calibration.inertia])
+        _fly(plant, scene, options, publishers)
     return 0
 
 

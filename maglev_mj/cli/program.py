@@ -7,38 +7,23 @@ import os
 import select
 import sys
 from collections.abc import Sequence
+from importlib import import_module
 from typing import TextIO
 
 import maglev_mj
-from maglev_mj.cli import (
-    analyse,
-    bridge,
-    design,
-    export,
-    fidelity,
-    info,
-    render,
-    replay,
-    run,
-    serve_spacenav,
-    stability,
-    sweep,
-    twin,
-    view,
-)
 from maglev_mj.cli.options import Parser, joined
 from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.scenes.find import line_of
 from maglev_mj.terminal import say
 
 __all__ = ["main", "parser"]
 
-_SCENES = view, render, serve_spacenav
-_RECORDINGS = replay, analyse, export
-_EXPERIMENTS = run, stability, design, sweep, fidelity
-_DEVICE = twin, bridge, info
-
-COMMANDS = (*_SCENES, *_RECORDINGS, *_EXPERIMENTS, *_DEVICE)
-"""In the order in which the help lists them."""
+COMMANDS = {
+    **dict.fromkeys(("run", "drop", "press", "stick-slip"), "run"),
+    **{name: name.replace("-", "_") for name in ("view", "render", "serve-spacenav", "replay", "analyse", "export")},
+    **{name: name for name in ("stability", "design", "sweep", "fidelity", "twin", "bridge", "info")},
+}
+"""Commands in the order in which the help lists them, and the module of each."""
 
 _UNREAD = 141  # as a shell gives for a program that a closed pipe ends
 
@@ -51,7 +36,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     try:
         try:
-            return _run(parser().parse_args(joined(sys.argv[1:] if arguments is None else arguments)))
+            words = joined(sys.argv[1:] if arguments is None else arguments)
+            return _run(parser(words[0] if words else None).parse_args(words))
         finally:
             if sys.stdout is not None:
                 sys.stdout.flush()  # a failure at the interpreter's end would be a traceback
@@ -79,6 +65,11 @@ def _run(options: argparse.Namespace) -> int:
         say(f"maglev-mj {options.command}: {error}", sys.stderr)
         _drop_unwritten()
         return 1
+    except Exception as error:
+        if (line := line_of(error)) is None:
+            raise
+        say(f"maglev-mj {options.command}: {line}: {type(error).__name__}: {error}", sys.stderr)
+        return 2
 
 
 def _is_unread(stream: TextIO) -> bool:
@@ -101,14 +92,16 @@ def _drop_unwritten() -> None:
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
-def parser() -> Parser:
-    """Return the parser of every command."""
+def parser(command: str | None = None) -> Parser:
+    """Return the parser of a command; of every command where it is none of them."""
     made = Parser(prog="maglev-mj", description=maglev_mj.__doc__)
     made.add_argument("--version", action="version", version=f"maglev-mj {maglev_mj.__version__}")
     made.epilog = (
         "Exit status: 0; 1 for a run that failed, 2 for bad input, 130 for Ctrl-C, 141 for an output that nobody reads."
     )
     commands = made.add_subparsers(dest="command", required=True, metavar="command")
-    for command in COMMANDS:
-        command.add_command(commands)
+    # a command loads what it needs, and no other's libraries
+    needed = {command: COMMANDS[command]} if command in COMMANDS else COMMANDS
+    for module in dict.fromkeys(needed.values()):
+        import_module(f"maglev_mj.cli.{module}").add_command(commands)
     return made

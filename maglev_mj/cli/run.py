@@ -12,12 +12,12 @@ from maglev_mj import plots
 from maglev_mj.cli.options import Parser, add_outputs, add_parameters, add_recording, count, number_option
 from maglev_mj.cli.output import check_outputs, check_recording, keep_partial, write_results
 from maglev_mj.cli.progress import Progress
-from maglev_mj.cli.scenes import add_scene, chosen_scene
+from maglev_mj.cli.scenes import add_scene, chosen_scene, warn_of_instability
 from maglev_mj.errors import DivergenceError
 from maglev_mj.replay import write_run
 from maglev_mj.scenes.find import find_scene
 from maglev_mj.scenes.run import Phases, Result, run, run_phases
-from maglev_mj.scenes.scene import Scene
+from maglev_mj.scenes.scene import PLANTS, Scene
 from maglev_mj.tables import run_table
 
 __all__ = ["add_command"]
@@ -70,6 +70,7 @@ def _run(options: argparse.Namespace) -> int:
     if options.out is not None:
         plots.require()
     check_outputs(json=options.json, out=options.out)
+    warn_of_instability(scene)
     recorded = []
     if options.record is not None:
         recorded = write_run(options.record, scene, plant=options.plant, phase=options.phase)
@@ -117,7 +118,7 @@ def _results(
 
 def _gap(result: Result) -> float | None:
     """Return how far the two plants are apart on a run [m, rad]; None where the scene runs on one."""
-    others = [name for name in result.scene.plants if name != result.plant]
+    others = [name for name in result.scene.plants if name in PLANTS and name != result.plant]
     if not others:
         return None
     twin = run(result.scene, plant=others[0], phase=result.phase)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -11,8 +12,10 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.parameters import flag
 from maglev_mj.scenes.find import find_scene, scene_names
 from maglev_mj.scenes.scene import Scene
+from maglev_mj.session import stability_warning
+from maglev_mj.terminal import say
 
-__all__ = ["add_scene", "chosen_scene"]
+__all__ = ["add_scene", "chosen_scene", "warn_of_instability"]
 
 _MORE = "SCENE is a name, FILE.py or FILE.py:CLASS, and has options of its own: SCENE --help lists them."
 
@@ -99,6 +102,17 @@ def chosen_scene(options: argparse.Namespace, **defaults: Any) -> Scene:
     made: Scene = found() if isinstance(found, type) else found
     names = {one.name for one in made.parameters()}
     return chosen(options, made.replace(**{name: value for name, value in defaults.items() if name in names}))
+
+
+def warn_of_instability(scene: Scene, inertia: Sequence[float] | None = None) -> None:
+    """Print on standard error that a scene may be unstable; nothing for a stable one.
+
+    Args:
+        scene: See `stability_warning`.
+        inertia: See `stability_warning`.
+    """
+    if (warning := stability_warning(scene, inertia=inertia)) is not None:
+        say(f"  warning: {warning}", sys.stderr)
 
 
 def _given(arguments: Sequence[str], option: str | None, names: Sequence[str]) -> str | None:

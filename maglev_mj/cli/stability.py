@@ -14,7 +14,6 @@ from maglev_mj.cli.progress import Progress
 from maglev_mj.cli.scenes import add_scene
 from maglev_mj.errors import ParameterError
 from maglev_mj.scenes.scene import Scene
-from maglev_mj.spec import INERTIA
 from maglev_mj.studies.cells import Record
 from maglev_mj.studies.stability_map import StabilityParameters, run_stability
 from maglev_mj.tables import loop_table, stability_table
@@ -54,8 +53,7 @@ def _verdict(options: argparse.Namespace) -> int:
     """Print whether the closed loop of a scene is stable."""
     scene: Scene = chosen(options, options.scene_class)
     check_outputs(json=options.json)
-    mass = scene.plant_options().get("mass", INERTIA[0])
-    found = stability(scene, inertia=[*[mass] * 3, *INERTIA[3:]])
+    found = stability(scene)
     data = {"scene": scene.name, "parameters": scene.as_json(), **found.as_json()}
     write_results(options, lambda: data, lambda: loop_table(scene, found))
     return 0

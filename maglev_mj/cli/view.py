@@ -9,7 +9,7 @@ from typing import Any
 from maglev_mj.cli.options import add_recording, number_option
 from maglev_mj.cli.output import check_outputs, check_recording
 from maglev_mj.cli.publishers import add_publishers, chosen_publishers
-from maglev_mj.cli.scenes import add_scene, chosen_scene
+from maglev_mj.cli.scenes import add_scene, chosen_scene, warn_of_instability
 from maglev_mj.hand import SpringHand
 from maglev_mj.parameters import number
 from maglev_mj.session import Session
@@ -48,6 +48,7 @@ def _view(options: argparse.Namespace) -> int:
     from maglev_mj.viewer.window import require_display, show
 
     require_display()
+    warn_of_instability(scene)
     options.out.mkdir(parents=True, exist_ok=True)
     with chosen_publishers(options) as publishers:
         session = Session(scene, hand=hand, folder=options.out, record=options.record, publishers=publishers)

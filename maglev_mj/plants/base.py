@@ -94,6 +94,7 @@ class SampledPlant(ABC):
         hand_force: HandForce | None = None,
         metered: bool = False,
     ) -> None:
+        # not more of them than needed: with more than 30 in a plant Python finds each more slowly
         self.timing = timing
         self.batch = batch
         self._limit = None if wrench_limit is None else components(self.six("wrench_limit", wrench_limit))
@@ -103,7 +104,6 @@ class SampledPlant(ABC):
         self._longest_step = None if longest_step is None else number("longest_step", longest_step, above=0.0)
         self._recorder = TraceRecorder(timing.time) if flag("record", record) else None
         self._total: Component | None = 0.0 if flag("metered", metered) else None
-        self._carry = self._advance if self._total is None else self._advance_metered
         self._run = self._carry if self._recorder is None and longest_step is None else self._run_in_pieces
         self._hand_force, self._effort = hand_force, _NO_EFFORT
         self.before = self.six("wrench", wrench, at_least=-math.inf, finite=True)
@@ -117,7 +117,6 @@ class SampledPlant(ABC):
         self._period, self._phase = timing.period, timing.phase
         self._segments_of = self._timeline.period
         self._answer: tuple[Any, Any, float] | None = None
-        self._ahead = timing.phase * timing.period if np.any(timing.phase) else None
         if np.shape(timing.delay) not in ((), batch):
             raise ParameterError(f"delay must be a number or have the shape {batch}, not {np.shape(timing.delay)}")
         self._limits = self._limit is not None
@@ -169,9 +168,10 @@ class SampledPlant(ABC):
             self._answer = None
             for duration, drive in segments:
                 run(duration, drive)
-        elif self._ahead is not None:  # free fall from release to the first sample, which is tick 0
-            self._offset = -self._ahead
-            self._run(self._ahead, self._timeline.acting)
+        elif np.any(self._phase):  # free fall from release to the first sample, which is tick 0
+            ahead = self._phase * self._period
+            self._offset = -ahead
+            self._run(ahead, self._timeline.acting)
         self._tick = tick = tick + 1
         position = self._position()
         time = (tick + self._phase) * self._period
@@ -239,7 +239,7 @@ class SampledPlant(ABC):
 
     @property
     def work(self) -> Component:
-        """Work of the actuators since release [J]; with lagging drivers that of the commanded wrench.
+        """Work of the actuators since release [J]; where drivers lag or the force falls off, of the commanded wrench.
 
         Raises:
             PlantError: If the plant was made without `metered=True`.
@@ -262,6 +262,10 @@ class SampledPlant(ABC):
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+    @property
+    def _carry(self) -> Callable[..., None]:
+        return self._advance if self._total is None else self._advance_metered
 
     def _advance_metered(self, duration: Component, drive: Any, pieces: int = 1) -> None:
         """Advance, and add up the work: the drive is constant, so it is wrench times way, whatever else pushes."""

@@ -97,7 +97,9 @@ def prepared(
     # an automatic reset would make a diverging run look stable, and the plant limits currents itself
     options.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET | mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL
     if flag("stops", stops):
-        options.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+        options.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_LIMIT)
+    else:
+        options.disableflags |= mujoco.mjtDisableBit.mjDSBL_LIMIT
     falloff = number("force_falloff", force_falloff, at_least=0.0, at_most=1.0)
     if (stops or falloff) and not np.isfinite(made.range).all():
         raise ModelError("stops and force_falloff need limits on the joints x, y, z and rotation of the model")
@@ -211,7 +213,7 @@ class Steps:
         self.look: Callable[[], Sequence[float]] = self._position.tolist
         self.settle: Callable[[], Sequence[float]] = self.look
 
-    def __call__(self, duration: float, pieces: int = 1) -> None:
+    def advance(self, duration: float, pieces: int = 1) -> None:
         """Carry the state over `duration` [s] in so many equal steps."""
         if pieces == 1:
             self._options.timestep = duration
@@ -241,11 +243,11 @@ class CorrectedSteps(Steps):
         # how far each segment since the last correction went too far: a factor, and what it is a factor of
         self._excess: list[tuple[float, Sequence[float]]] = []
 
-    def __call__(self, duration: float, pieces: int = 1) -> None:
+    def advance(self, duration: float, pieces: int = 1) -> None:
         """See `Steps`."""
         if pieces > 1 or self._damped:
             before = self._velocity()
-            super().__call__(duration, pieces)
+            super().advance(duration, pieces)
             gained = [after - earlier for after, earlier in zip(self._velocity(), before)]
             self._excess.append((0.5 * duration / pieces, gained))
             return

@@ -172,7 +172,7 @@ class MuJoCoPlant(SampledPlant):
         mujoco.mj_resetData(model, self._data)
         self._model = model
         self._steps = (CorrectedSteps if integrator == "corrected" else Steps)(device, self._data, falloff)
-        self._look, self._settle = self._steps.look, self._steps.settle
+        self._look, self._settle, self._step_on = self._steps.look, self._steps.settle, self._steps.advance
         self._qpos = self._data.qpos[device.position_address :][:7]
         self._qvel = self._data.qvel[device.velocity_address :][:6]
         self._push_on = self._data.qfrc_applied
@@ -190,12 +190,6 @@ class MuJoCoPlant(SampledPlant):
         self._upright = math.inf if self._coils is None else UPRIGHT * UPRIGHT
         self._warnings = self._data.warning.number
         self._refused = memoryview(self._warnings)[int(mujoco.mjtWarning.mjWARN_BADCTRL) :]
-
-    def write(self, command: Command) -> Command:
-        """See `SampledPlant`."""
-        if self._stale:
-            self._follow_turn()
-        return super().write(command)
 
     def drive(
         self,
@@ -268,6 +262,8 @@ class MuJoCoPlant(SampledPlant):
         command = super()._limited(command)
         if self.current_limit is None:
             return command
+        if self._stale:
+            self._follow_turn()
         assert self._coil_drive is not None
         return self._coil_drive.limited(command)
 
@@ -275,6 +271,8 @@ class MuJoCoPlant(SampledPlant):
         given = tuple(force)  # the caller may use its list again
         if self._coils is None:
             return given, given, None
+        if self._stale:
+            self._follow_turn()
         drive = self._coil_drive
         assert drive is not None
         if given != self._last[0] or drive.inverse_map is not self._last[2]:
@@ -290,7 +288,7 @@ class MuJoCoPlant(SampledPlant):
         if drive is not self._applied:
             self._applied = drive
             self._control(*drive[1])
-        self._steps(duration, pieces)
+        self._step_on(duration, pieces)
 
     def _exert(self, effort: Sequence[float]) -> None:
         push = self._push_on

@@ -35,7 +35,8 @@ def metadata_of(stretch: Stretch, controller: Controller | None) -> RunMetadata:
         return stretch.metadata
     kind, setup = stretch.setup["kind"], stretch.setup
     if controller is None:
-        raise InvalidRecordingError(f"a recording of kind {kind!r} must tell its metadata")
+        named = f" {setup['scene']!r}" if "scene" in setup else ""
+        raise InvalidRecordingError(f"a recording of kind {kind!r}{named} must tell its metadata")
     try:
         known = _of_scene(stretch) if kind in ("scene", "device") else _of_experiment(kind, setup["parameters"])
         return RunMetadata(faces=controller.faces, carried=controller.carried, **known)

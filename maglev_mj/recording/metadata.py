@@ -13,7 +13,7 @@ from maglev_mj.controller import Controller
 from maglev_mj.energy import HandWork, PassivityObserver
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, ZERO, Array, Command, Sample
-from maglev_mj.parameters import axis_indices, number, numbers
+from maglev_mj.parameters import axis_indices, flag, number, numbers
 from maglev_mj.recording.checks import check_setup, flag_in, list_in, object_in, six, text_in
 from maglev_mj.spec import GRAVITY, INERTIA
 from maglev_mj.terminal import printable
@@ -98,6 +98,10 @@ class RunMetadata:
     axis: str = "z"
     hand_recorded: bool = False
     hand_acts_on_flotor: bool = True
+
+    def __post_init__(self) -> None:
+        flag("hand_recorded", self.hand_recorded)
+        flag("hand_acts_on_flotor", self.hand_acts_on_flotor)
 
     @classmethod
     def of(

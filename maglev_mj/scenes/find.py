@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from functools import lru_cache
 from importlib.metadata import entry_points
 from pathlib import Path
+from traceback import walk_tb
 from types import ModuleType
 from typing import Any
 
@@ -20,6 +21,7 @@ __all__ = [
     "GROUP",
     "find_scene",
     "hash_of",
+    "line_of",
     "made_again",
     "reference_of",
     "scene_names",
@@ -103,6 +105,15 @@ def text_of(cls: type[Scene]) -> str:
     if file is None or cls.__qualname__ != cls.__name__:
         raise ParameterError(f"scene must be at the top of a file, so that others can run it, not {cls.__qualname__}")
     return Path(file).read_text(encoding="utf-8")
+
+
+def line_of(error: BaseException) -> str | None:
+    """Return file and line of a user's own scene that an error comes from; None for another's."""
+    found = None
+    for frame, line in walk_tb(error.__traceback__):
+        if frame.f_globals.get("__name__", "").startswith(_OWN):
+            found = f"{Path(frame.f_code.co_filename).name}, line {line}"
+    return found
 
 
 def hash_of(text: str) -> str:

@@ -15,11 +15,11 @@ from numpy.typing import ArrayLike
 from maglev_mj.controller import Controller
 from maglev_mj.errors import DivergenceError, ParameterError
 from maglev_mj.frames import AXES, Array, Command, Component, Sample
-from maglev_mj.loop import run as drive
+from maglev_mj.loop import drive
 from maglev_mj.parameters import number, numbers
 from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.scenes.figures import Figure
-from maglev_mj.scenes.scene import Scene
+from maglev_mj.scenes.scene import PLANTS, Scene
 from maglev_mj.spec import ESCAPE
 from maglev_mj.trace import Trace
 
@@ -165,6 +165,8 @@ def run(
             there, for one device.
     """
     plant = checked_plant(scene, plant)
+    if plant not in PLANTS:
+        raise ParameterError(f"plant must be one of {', '.join(PLANTS)} to run {scene.name}, not {plant!r}")
     single = np.ndim(phase) == 0
     if not single and plant != "exact":
         raise ParameterError(f"phase must be one number on {plant}, whose runs differ in length: see run_phases")

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import inspect
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
@@ -16,7 +18,7 @@ from maglev_mj.frames import AXES, ZERO, Array, Component
 from maglev_mj.hand import HandForce
 from maglev_mj.laws import Law, VelocityEstimator
 from maglev_mj.parameters import Parameters, Turn, axis_indices, param
-from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant, Timing
+from maglev_mj.plants import ExactPlant, MuJoCoPlant, PlantKeywords, SampledPlant, Timing
 from maglev_mj.scenes.figures import figures_named
 from maglev_mj.spec import ESCAPE, GRAVITY, Spec
 
@@ -124,8 +126,8 @@ class Scene(Parameters):
 
     # --- what a scene says ---------------------------------------------------------------------
 
-    def laws(self) -> Sequence[Law]:
-        """Return the laws; their wrenches add up."""
+    def laws(self) -> Sequence[Law | Callable[..., Any]]:
+        """Return the laws; their wrenches add up. A function f(position, velocity) is one too; see `Controller`."""
         raise NotImplementedError(f"{type(self).__name__} needs laws()")
 
     def start(self) -> Start:
@@ -212,6 +214,9 @@ class Scene(Parameters):
             hand: In place of the scripted hand.
             timing: In place of the scene's own.
             keywords: Further ones of the plant; they go before the scene's.
+
+        Raises:
+            ParameterError: If a plant that is named does not have an option of the scene.
         """
         start, scripted = self.start(), self._hands(phase)
         timing = timing or self.timing(phase)
@@ -228,7 +233,11 @@ class Scene(Parameters):
         options |= self.plant_options() | keywords
         if callable(step := options.get("longest_step")):
             options["longest_step"] = step(plant)
-        return (PLANTS[plant] if isinstance(plant, str) else plant)(timing, hand_force=hand or scripted, **options)
+        if isinstance(plant, str):
+            if unknown := sorted(options.keys() - _keywords(plant)):
+                raise ParameterError(f"plant_options must be those of plant {plant}, which has no {', '.join(unknown)}")
+            plant = PLANTS[plant]
+        return plant(timing, hand_force=hand or scripted, **options)
 
     def _hands(self, phase: Component) -> HandForce | None:
         if np.ndim(phase) == 0:
@@ -242,6 +251,12 @@ class Scene(Parameters):
         from maglev_mj.scenes.run import run
 
         return run(self, plant=plant, phase=phase).figures
+
+
+@cache
+def _keywords(plant: str) -> frozenset[str]:
+    """Return the keywords of a plant."""
+    return frozenset(inspect.signature(PLANTS[plant]).parameters) | frozenset(PlantKeywords.__annotations__)
 
 
 class SideBySide:

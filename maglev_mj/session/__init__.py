@@ -1,7 +1,7 @@
 """A scene in real time, without a window: pacing, what keys change, recording, and the picture of now."""
 
 from maglev_mj.session.actions import DEVICES_OWN, actions, settable
-from maglev_mj.session.admission import Refusal, refusal
+from maglev_mj.session.admission import Refusal, refusal, stability_warning
 from maglev_mj.session.live import device_controller, live_plant
 from maglev_mj.session.pacing import Due, Pacer, real_time
 from maglev_mj.session.session import Session
@@ -25,4 +25,5 @@ __all__ = [
     "real_time",
     "refusal",
     "settable",
+    "stability_warning",
 ]

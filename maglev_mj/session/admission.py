@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from maglev_mj.errors import ParameterError
-from maglev_mj.frames import AXES
-from maglev_mj.scenes import Scene
-from maglev_mj.scenes.parts import INERTIA
-from maglev_mj.theory import judge, largest_stable_stiffness
+from numpy.typing import ArrayLike
 
-__all__ = ["Refusal", "refusal"]
+from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.frames import AXES, Sample, components
+from maglev_mj.parameters import numbers
+from maglev_mj.scenes import Scene
+from maglev_mj.theory import inertia_of, largest_stable_stiffness, stability
+
+__all__ = ["Refusal", "refusal", "stability_warning"]
 
 _ACTING = {"contact": "walls", "stuck": "friction"}
 
@@ -55,19 +57,21 @@ class Refusal(NamedTuple):
         )
 
 
-def refusal(scene: Scene) -> Refusal | None:
+def refusal(scene: Scene, *, inertia: ArrayLike | None = None) -> Refusal | None:
     """Return why a scene would be unstable; None where it would not.
 
     The loop is that of a flotor that nobody holds; see `judge`. A hand mostly damps.
 
     Args:
         scene: The scene, with the present period and delay.
+        inertia: Mass and moments of inertia in place of the scene's own [kg, kg m²], (6,).
 
     Raises:
         ParameterError: If it is not known whether it would be.
     """
     period, delay = scene.period, scene.delay
-    verdict = judge(scene.controller(), delay=delay, pose=scene.start().pose)
+    body = inertia_of(scene) if inertia is None else numbers("inertia", inertia)
+    verdict = stability(scene, inertia=body)
     if verdict.stable:
         return None
     if verdict.stable is None:
@@ -75,7 +79,7 @@ def refusal(scene: Scene) -> Refusal | None:
     index = AXES.index(verdict.axes[0])
     damping, bound = float(verdict.damping[index, index]), None
     if verdict.stated:
-        bound = float(largest_stable_stiffness(damping, period=period, delay=delay, mass=INERTIA[index]))
+        bound = float(largest_stable_stiffness(damping, period=period, delay=delay, mass=body[index]))
     return Refusal(
         axis=AXES[index],
         acting=" and ".join(_ACTING.get(state, state) for state in verdict.acting)
@@ -87,3 +91,21 @@ def refusal(scene: Scene) -> Refusal | None:
         period=period,
         delay=delay,
     )
+
+
+def stability_warning(scene: Scene, *, inertia: ArrayLike | None = None) -> str | None:
+    """Return one line on a scene that may be unstable; None for a stable one.
+
+    Args:
+        scene: See `refusal`.
+        inertia: See `refusal`.
+
+    Raises:
+        ParameterError: If a law answers the first sample wrongly, as a run would say too.
+    """
+    scene.controller().step(Sample(0, 0.0, components(numbers("pose", scene.start().pose))))
+    try:
+        wrong = refusal(scene, inertia=inertia)
+    except MaglevError as error:
+        return f"{scene.name} may be unstable: {error}"
+    return None if wrong is None else f"{scene.name} is unstable: {wrong}"

@@ -12,7 +12,7 @@ from maglev_mj.controller import Controller
 from maglev_mj.frames import AXES, Array, Command, Sample
 from maglev_mj.hand import Hand
 from maglev_mj.laws import Hold, Law, VelocityEstimator, Wall
-from maglev_mj.loop import run
+from maglev_mj.loop import drive
 from maglev_mj.parameters import numbers
 from maglev_mj.plants import ExactPlant, SampledPlant, Sensor, Timing
 from maglev_mj.spec import GRAVITY, INERTIA, Spec
@@ -43,7 +43,7 @@ def watched(plant: SampledPlant, controller: Controller, duration: float, device
     """Run a batch for `duration` [s] and return its samples."""
     watch = Watch(round(duration / plant.period), devices)
     with plant:
-        run(plant, controller, len(watch.places), observe=watch)
+        drive(plant, controller, len(watch.places), observe=watch)
     return watch
 
 

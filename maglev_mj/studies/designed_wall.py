@@ -13,7 +13,7 @@ from maglev_mj.controller import Controller
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Command, Mask, Sample
 from maglev_mj.hand import Hand, hand_called
-from maglev_mj.loop import run
+from maglev_mj.loop import drive
 from maglev_mj.metrics import summarise_bounce
 from maglev_mj.parameters import Parameters, param
 from maglev_mj.plants import ExactPlant, Sensor, Timing
@@ -182,7 +182,7 @@ def growing_cases(wall: DesignedWall, contact: Contact, cases: Sequence[Case], *
             seen.append(plant.state()[0][:, 2])
 
         with plant:
-            run(plant, _controller(wall, contact), _TICKS, observe=observe)
+            drive(plant, _controller(wall, contact), _TICKS, observe=observe)
         early, late = (np.ptp(seen[start : start + quarter], axis=0) for start in (quarter, 3 * quarter))
         grows[index] = (late > floor) & (late > slowest * early)
     return grows
@@ -196,7 +196,7 @@ def hardest_contact(wall: DesignedWall, contact: Contact) -> tuple[float, float]
     depth, peak = 0.0, 0.0
     for _, plant in _plants(wall, contact, cases, *starts, np.arange(len(cases)) % _PHASES / _PHASES, record=True):
         with plant:
-            run(plant, _controller(wall, contact), _CONTACT_TICKS)
+            drive(plant, _controller(wall, contact), _CONTACT_TICKS)
         summary = summarise_bounce(plant.trace().along(2), rest=0.0, axis=0)
         depth, peak = max(depth, float(summary.penetration.max())), max(peak, float(summary.peak_force.max()))
     return depth, peak

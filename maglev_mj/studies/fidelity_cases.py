@@ -13,7 +13,7 @@ import numpy as np
 from maglev_mj.controller import Controller
 from maglev_mj.errors import ParameterError, PlantError
 from maglev_mj.frames import Array
-from maglev_mj.loop import run
+from maglev_mj.loop import drive
 from maglev_mj.parameters import axis_indices, number
 from maglev_mj.plants import ExactPlant, Timing
 from maglev_mj.scenes.drop import Drop
@@ -255,7 +255,7 @@ def run_together(points: Sequence[tuple[Scene, float]], level: str, seed: int) -
     timing = timing_of(LEVELS[level_index(level)], timing, seed)
     with np.errstate(all="ignore"), ExactPlant(timing, **options) as plant:
         poses: list[Array] = []
-        run(plant, controller, ticks, observe=lambda *_: poses.append(plant.state()[0]))
+        drive(plant, controller, ticks, observe=lambda *_: poses.append(plant.state()[0]))
         return np.array(poses)
 
 

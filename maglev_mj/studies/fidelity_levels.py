@@ -14,7 +14,7 @@ import numpy as np
 from maglev_mj.controller import Controller
 from maglev_mj.errors import PlantError, SensingError
 from maglev_mj.frames import Array
-from maglev_mj.loop import run
+from maglev_mj.loop import drive
 from maglev_mj.plants import SampledPlant, engine_warnings_silenced
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.studies.fidelity_cases import Case, Preset, itself, preset_of, scene_at
@@ -60,7 +60,7 @@ def measure_costs(makers: Sequence[Callable[[], Parts]], seconds: Sequence[float
 
 def closed_loop(make: Callable[[], Parts]) -> Callable[[], object]:
     """Return a closed loop of new parts, ready to run."""
-    return partial(run, *make())
+    return partial(drive, *make())
 
 
 def median_times(prepare: Sequence[Callable[[], Callable[[], object]]], repeats: int) -> tuple[float, ...]:

@@ -13,7 +13,7 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Command, Mask, Sample
 from maglev_mj.hand import HANDS, Hand, hand_called
 from maglev_mj.laws import Law, Wall
-from maglev_mj.loop import run
+from maglev_mj.loop import drive
 from maglev_mj.parameters import number, param
 from maglev_mj.plants import ExactPlant, MuJoCoBatchPlant, SampledPlant, engine_warnings_silenced
 from maglev_mj.scenes.bench import along, hold, others
@@ -178,7 +178,7 @@ def _sizes(plant: SampledPlant, controller: Controller, rest: Array, ticks: int)
         np.maximum(row, np.abs(sample.position[2] / rest - 1.0) / _MOVED, out=row)
 
     with plant, engine_warnings_silenced():
-        run(plant, controller, ticks, observe=observe)
+        drive(plant, controller, ticks, observe=observe)
     return blocks
 
 

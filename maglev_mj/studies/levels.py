@@ -14,7 +14,7 @@ from maglev_mj.controller import Controller
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.hand import Hand
-from maglev_mj.loop import run
+from maglev_mj.loop import drive
 from maglev_mj.model import load
 from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant, Sensor, SpotSensor, Timing
 from maglev_mj.plants.engine import longest_step as step_needed
@@ -245,7 +245,7 @@ def motion_of(plant: SampledPlant, controller: Controller, ticks: int) -> Motion
         forces.append(np.maximum(np.abs(command.wrench), np.abs(command.wrench + command.pulse)))
 
     start = time.perf_counter()
-    run(plant, controller, ticks, observe=observe)
+    drive(plant, controller, ticks, observe=observe)
     taken = time.perf_counter() - start
     states.append(plant.state())
     pose, twist = (np.array(part) for part in zip(*states, strict=True))

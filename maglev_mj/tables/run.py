@@ -19,8 +19,9 @@ from maglev_mj.terminal import cell, printable
 
 __all__ = ["run_table", "sweep_table"]
 
-_NAME, _LEAST, _WIDE = 22, 14, 80
+_NAME, _LEAST, _WIDE, _SCREEN = 13, 12, 80, 110
 _MOST_SHOWN = 4
+_SHARES = 50.0, 5.0, 95.0
 _TURNING = {
     **{"m": "rad", "mm": "mrad", "µm": "µrad", "m/s": "rad/s", "mm/s": "mrad/s"},
     **{"N": "N m", "mN": "mN m", "N/m": "N m/rad", "N s/m": "N m s/rad"},
@@ -38,22 +39,26 @@ def run_table(results: Mapping[str, Result], sweeps: Mapping[str, Phases], gap: 
     first = next(iter(results.values()))
     scene = first.scene
     exact = scene.compared(first)
-    labels = [*results, *exact]
-    rows = [[[one.figures[name]] for one in results.values()] for name in scene.figures]
-    for row, name in zip(rows, scene.figures, strict=True):
-        row += [[figures.get(name, np.nan)] for figures in exact.values()]
+    runs = {
+        **{
+            label: [_cell(figure, one.figures[name]) for name, figure in scene.figures.items()]
+            for label, one in results.items()
+        },
+        **{
+            label: [_cell(figure, told.get(name, np.nan)) for name, figure in scene.figures.items()]
+            for label, told in exact.items()
+        },
+    }
+    spreads = {
+        label: [_spread(figure, sweep.figures[name]) for name, figure in scene.figures.items()]
+        for label, sweep in sweeps.items()
+    }
     where = f"at phase {first.phase:g}" if scene.takes_phase else ""
-    lines = [*_head(scene, first.plant), "", *_block(where + _rank(first, sweeps), labels, scene, rows)]
+    blocks = [(where + _rank(first, sweeps), runs)]
     if sweeps:
-        spreads = [
-            [
-                [_percentile(figure, sweep.figures[name], share) for share in (50.0, 5.0, 95.0)]
-                for sweep in sweeps.values()
-            ]
-            for name, figure in scene.figures.items()
-        ]
         count = next(iter(sweeps.values())).phases.size
-        lines += ["", *_block(f"over {count} phases: median (5 to 95 %)", list(sweeps), scene, spreads)]
+        blocks.append((f"over {count} phases: median (5 to 95 %)", spreads))
+    lines = [*_head(scene, first.plant), "", *_blocks(scene, blocks)]
     remarks = _missing(sweeps) + _beyond_force(results)
     remarks += _beyond_range(
         list(results), [one.trace.furthest() for one in results.values()], [one.furthest for one in sweeps.values()]
@@ -94,22 +99,37 @@ def _rank(first: Result, sweeps: Mapping[str, Phases]) -> str:
     return f", {name.replace('_', ' ')} above that of {100.0 * below:.0f} % of the phases"
 
 
-def _block(title: str, labels: Sequence[str], scene: Scene, rows: Sequence[Sequence[Sequence[Any]]]) -> list[str]:
-    """Return a line for each figure with a cell for each label: a value, or a median and what is around it."""
-    texts = [
-        [_cell(figure, *values) for values in row] for figure, row in zip(scene.figures.values(), rows, strict=True)
-    ]
-    widths = [
-        max(_LEAST, len(label) + 2, *(len(row[place]) + 2 for row in texts)) if texts else _LEAST
-        for place, label in enumerate(labels)
-    ]
-    head = "".join(f"{label:>{width}}" for label, width in zip(labels, widths, strict=True))
-    lines = [title] if title else []
-    lines.append(" " * _NAME + head)
-    for (name, figure), row in zip(scene.figures.items(), texts, strict=True):
-        cells = "".join(f"{text:>{width}}" for text, width in zip(row, widths, strict=True))
-        lines.append(f"  {name.replace('_', ' '):<{_NAME - 2}}{cells}  {_unit(scene, figure.unit)}".rstrip())
+def _blocks(scene: Scene, blocks: Sequence[tuple[str, Mapping[str, Sequence[str]]]]) -> list[str]:
+    """Return a line for each figure with the cells of every label: blocks side by side where a screen has room."""
+    names = [name.replace("_", " ") for name in scene.figures]
+    units = [_unit(scene, figure.unit) for figure in scene.figures.values()]
+    left = max([_NAME, *map(len, names)]) + 2
+    parts = [(title, *_columns(columns)) for title, columns in blocks]
+    if (
+        left + sum(len(head) for _, head, _ in parts) + max(map(len, units), default=0) + 2 <= _SCREEN
+        and len(parts) > 1
+    ):
+        titles = "".join(f"{title.split(',')[0]:>{len(head)}}" for title, head, _ in parts)
+        head, rows = "".join(head for _, head, _ in parts), ["".join(row) for row in zip(*(rows for *_, rows in parts))]
+        parts = [(" " * left + titles, head, rows)]
+    lines: list[str] = []
+    for title, head, rows in parts:
+        lines += [""] * bool(lines) + [title] * bool(title) + [" " * left + head]
+        lines += [f"  {name:<{left - 2}}{row}  {unit}".rstrip() for name, row, unit in zip(names, rows, units)]
     return lines
+
+
+def _columns(columns: Mapping[str, Sequence[str]]) -> tuple[str, list[str]]:
+    """Return the labels as a line, and a line of cells for each figure."""
+    widths = [max(_LEAST, *(len(text) + 1 for text in (label, *texts))) for label, texts in columns.items()]
+    head = "".join(f"{label:>{width}}" for label, width in zip(columns, widths))
+    return head, ["".join(f"{text:>{width}}" for text, width in zip(row, widths)) for row in zip(*columns.values())]
+
+
+def _spread(figure: Figure, values: Any) -> str:
+    """Return median, and 5 to 95 %, over phases, and over hits together where there are several."""
+    pooled = np.ravel(values) if np.ndim(values) > 1 else values
+    return _cell(figure, *(figure.percentile(pooled, share) for share in _SHARES))
 
 
 def _cell(figure: Figure, value: Any, *bounds: Any) -> str:
@@ -123,12 +143,7 @@ def _cell(figure: Figure, value: Any, *bounds: Any) -> str:
 
 
 def _number(figure: Figure, value: float) -> str:
-    return f"{value:g}" if not figure.unit and np.isfinite(value) else cell(value, figure.scale)
-
-
-def _percentile(figure: Figure, values: Any, share: float) -> Any:
-    """Return a percentile over phases, and over hits together where there are several."""
-    return figure.percentile(np.ravel(values) if np.ndim(values) > 1 else values, share)
+    return f"{value:zg}" if not figure.unit and np.isfinite(value) else cell(value, figure.scale)
 
 
 def _missing(sweeps: Mapping[str, Phases]) -> list[str]:
@@ -155,10 +170,8 @@ def _beyond_force(results: Mapping[str, Result]) -> list[str]:
     device = Spec.largest_vertical_force.value
     # the last knot's force has not acted yet
     peaks = {label: float(np.abs(one.trace.wrench[:-1, 2]).max(initial=0.0)) for label, one in results.items()}
-    beyond = [f"{label} {peak:.3g} N" for label, peak in peaks.items() if peak > device * _ROUNDING]
-    if not beyond:
-        return []
-    return [f"  The device gives {device:g} N along z, less than these peaks: {', '.join(beyond)}"]
+    beyond = [f"{label} {peak:.3g}" for label, peak in peaks.items() if peak > device * _ROUNDING]
+    return [f"  Above the device's {device:g} N (z): {', '.join(beyond)}"] if beyond else []
 
 
 def _beyond_range(labels: Sequence[str], runs: Sequence[ArrayLike], sweeps: Sequence[ArrayLike] = ()) -> list[str]:

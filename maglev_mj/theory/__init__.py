@@ -12,7 +12,7 @@ from maglev_mj.theory.boundary import (
 from maglev_mj.theory.closed_loop import critical_delay, is_stable, largest_modulus, least_dynamic_stiffness
 from maglev_mj.theory.design import GOALS, LAWS, Case, DesignedWall, WallRequirements, design_wall, worst_case
 from maglev_mj.theory.linearise import ClosedLoop, Linearised, linearise
-from maglev_mj.theory.verdict import Verdict, judge, stability, stated_gains
+from maglev_mj.theory.verdict import Verdict, inertia_of, judge, stability, stated_gains
 
 __all__ = [
     "GOALS",
@@ -27,6 +27,7 @@ __all__ = [
     "boundary_of",
     "critical_delay",
     "design_wall",
+    "inertia_of",
     "is_stable",
     "judge",
     "largest_modulus",

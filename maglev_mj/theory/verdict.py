@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import compress, product
 from typing import Any, NamedTuple, Protocol
@@ -13,12 +13,13 @@ from numpy.typing import ArrayLike
 from maglev_mj.controller import Controller
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, ZERO, Array
+from maglev_mj.model import load
 from maglev_mj.parameters import number, numbers
 from maglev_mj.spec import INERTIA, RANGE
 from maglev_mj.theory.closed_loop import largest_modulus
 from maglev_mj.theory.linearise import Linearised, linearise, loop_matrices
 
-__all__ = ["Judged", "Verdict", "judge", "stability", "stated_gains"]
+__all__ = ["Judged", "Verdict", "inertia_of", "judge", "stability", "stated_gains"]
 
 _ROUNDING, _FREE = 1e-9, 1e-6
 """Tolerance of a modulus; that of an axis without stiffness, whose double root at 1 is found to half of the digits."""
@@ -100,10 +101,36 @@ class Judged(Protocol):
     def start(self) -> Any:
         """Return the state at release, with its `pose`."""
 
+    def plant_options(self) -> Mapping[str, Any]:
+        """Return keywords of the plant; those asked for are model, mass and inertia."""
 
-def stability(scene: Judged, *, inertia: ArrayLike = INERTIA) -> Verdict:
-    """Return the verdict on a scene: see `judge`."""
-    return judge(scene.controller(), delay=scene.delay, pose=scene.start().pose, inertia=inertia)
+
+def inertia_of(scene: Judged) -> Array:
+    """Return mass and moments of inertia of a scene's flotor [kg, kg m²], (6,).
+
+    Raises:
+        ModelError: If its device is a model that cannot be used.
+    """
+    options = scene.plant_options()
+    body = np.array(INERTIA)
+    if options.get("model") is not None:
+        device = load(options["model"])
+        body[:3], body[3:] = device.mass, device.inertia
+    for name, axes in (("mass", slice(3)), ("inertia", slice(3, None))):
+        if options.get(name) is not None:
+            body[axes] = options[name]
+    return body
+
+
+def stability(scene: Judged, *, inertia: ArrayLike | None = None) -> Verdict:
+    """Return the verdict on a scene: see `judge`.
+
+    Args:
+        scene: The scene.
+        inertia: Mass and moments of inertia in place of the scene's own [kg, kg m²], (6,).
+    """
+    body = inertia_of(scene) if inertia is None else inertia
+    return judge(scene.controller(), delay=scene.delay, pose=scene.start().pose, inertia=body)
 
 
 def judge(controller: Controller, *, delay: float, pose: ArrayLike = ZERO, inertia: ArrayLike = INERTIA) -> Verdict:

@@ -13,9 +13,8 @@ import numpy as np
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.scenes import Scene
-from maglev_mj.scenes.parts import MASS
 from maglev_mj.session import Snapshot
-from maglev_mj.theory import judge, largest_stable_stiffness, stated_gains
+from maglev_mj.theory import inertia_of, largest_stable_stiffness, stability, stated_gains
 
 __all__ = ["Plots"]
 
@@ -103,25 +102,24 @@ class _Stability:
             self._find(scene)
 
     def _find(self, scene: Scene) -> None:
-        controller = scene.controller()
-        if stated_gains(controller) is not None:
-            self._found = _boundary(scene.period, scene.delay)
-        else:
-            try:
-                self._found = str(judge(controller, delay=scene.delay, pose=scene.start().pose))
-            except MaglevError:
-                self._found = "stability not known"
+        try:
+            if stated_gains(scene.controller()) is None:
+                self._found = str(stability(scene))
+            else:
+                self._found = _boundary(scene.period, scene.delay, float(inertia_of(scene)[0]))
+        except MaglevError:
+            self._found = "stability not known"
         self._key = scene
 
 
 @lru_cache
-def _boundary(period: float, delay: float) -> tuple[Array, Array]:
+def _boundary(period: float, delay: float, mass: float) -> tuple[Array, Array]:
     """Return dampings [N s/m] and the largest stable stiffness at each [N/m]."""
     # no damping beyond this is stable, whatever the stiffness
-    most = 0.5 * np.pi * MASS / (0.5 * period + delay) * 1.1
+    most = 0.5 * np.pi * mass / (0.5 * period + delay) * 1.1
     dampings = np.linspace(0.0, most, _DAMPINGS)
     try:
-        stiffnesses = largest_stable_stiffness(dampings, period=period, delay=delay)
+        stiffnesses = largest_stable_stiffness(dampings, period=period, delay=delay, mass=mass)
     except ParameterError:  # theory goes up to ten periods of delay; beyond it there is no boundary to draw
         stiffnesses = np.zeros_like(dampings)
     end = int(np.flatnonzero(stiffnesses).max(initial=-2)) + 2

@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from maglev_mj import Controller, Hold, Sample, run
+from maglev_mj import Controller, Hold, Sample
 from maglev_mj.bridge import server
 from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.flight import Flight
@@ -34,6 +34,7 @@ from maglev_mj.bridge.simulated_links import VirtualLink
 from maglev_mj.bridge.twin import Twin, TwinParameters
 from maglev_mj.bridge.wire import Codec, Command, StateReport
 from maglev_mj.laws import Bias
+from maglev_mj.loop import drive
 from maglev_mj.net.udp import Link, UdpLink, UdpServer
 from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.scenes.drop import Drop
@@ -283,7 +284,7 @@ def lockstep(blocks: int) -> None:
                 with RemotePlant(link, patience=10.0) as plant, no_garbage():
                     plant.arm()
                     laws = controller()
-                    rates = [BLOCK / timed(partial(run, plant, laws, BLOCK)) for _ in range(blocks)]
+                    rates = [BLOCK / timed(partial(drive, plant, laws, BLOCK)) for _ in range(blocks)]
             print(f"  {scene + ', ' + way:<52}{statistics.median(rates):8.0f} {max(rates):8.0f}")
 
 

@@ -13,7 +13,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from maglev_mj import AXES, Controller, ExactPlant, Hold, MuJoCoPlant, Sample, Timing, Wall, run
+from maglev_mj import AXES, Controller, ExactPlant, Hold, MuJoCoPlant, Sample, Timing, Wall, drive
 from maglev_mj.frames import components
 from maglev_mj.spec import INERTIA, Spec
 from maglev_mj.theory import largest_modulus
@@ -64,7 +64,7 @@ def mujoco_loop(tilt: float = 0.0, **options: Any) -> float:
     """Return the time of one tick of the closed loop on MuJoCo [s], for a flotor released at a tilt [rad]."""
     plant = MuJoCoPlant(TIMING, pose=[*START[:3], tilt, tilt, tilt], **options)
     controller = drop_controller()
-    return timed(lambda: run(plant, controller, TICKS)) / TICKS
+    return timed(lambda: drive(plant, controller, TICKS)) / TICKS
 
 
 def bare_steps(**options: Any) -> float:
@@ -91,7 +91,7 @@ def exact_loop(batch: tuple[int, ...] = ()) -> float:
     pose = np.broadcast_to(START, (*batch, 6))
     plant = ExactPlant(TIMING, pose=pose)
     controller = drop_controller()
-    return timed(lambda: run(plant, controller, TICKS)) / TICKS / math.prod(batch)
+    return timed(lambda: drive(plant, controller, TICKS)) / TICKS / math.prod(batch)
 
 
 def controller_tick(batch: tuple[int, ...], count: int) -> float:

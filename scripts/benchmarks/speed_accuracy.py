@@ -24,7 +24,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import mujoco
 import numpy as np
 
-from maglev_mj import run
+from maglev_mj import drive
 from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.plants import ExactPlant, MuJoCoBatchPlant, SampledPlant, Timing
 from maglev_mj.plots import Panel, small_multiples
@@ -135,7 +135,7 @@ def sweep_of_drops(stiffnesses: int, dampings: int, repeats: int) -> dict[str, A
                 heights.append(sample.position[2])
 
             start = time.perf_counter()
-            run(plant, controller, 80, observe=keep)
+            drive(plant, controller, 80, observe=keep)
             costs[name].append((time.perf_counter() - start) / stiffness.size)
             settled[name] = np.ptp(heights[60:], axis=0) < 1e-4
     return {

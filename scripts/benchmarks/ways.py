@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from maglev_mj import Controller, run
+from maglev_mj import Controller, drive
 from maglev_mj.frames import Array
 from maglev_mj.plants import ExactPlant, MuJoCoBatchPlant, SampledPlant, Timing
 from maglev_mj.scenes.scene import Scene
@@ -108,7 +108,7 @@ def our_ways(name: str, scene: Scene, quick: bool) -> list[Way]:
 def poses_of(plant: SampledPlant, controller: Controller, ticks: int) -> Array:
     """Return the poses of the last device of a batch at the samples, (K, 6)."""
     poses: list[Array] = []
-    run(plant, controller, ticks, observe=lambda *_: poses.append(plant.state()[0][-1]))
+    drive(plant, controller, ticks, observe=lambda *_: poses.append(plant.state()[0][-1]))
     return np.array([*poses, plant.state()[0][-1]])
 
 

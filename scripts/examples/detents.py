@@ -3,7 +3,6 @@
 import numpy as np
 
 from maglev_mj.frames import AXES
-from maglev_mj.hand import Path
 from maglev_mj.laws import AxisLaw, Bias, gain
 from maglev_mj.parameters import param
 from maglev_mj.scenes.bench import hold
@@ -44,5 +43,3 @@ class Detents(Scene):
     def start(self):
         """Rest beside the detent."""
         return Start(pose=(self.away, 0.0, 0.0, 0.0, 0.0, 0.0), wrench=WEIGHT)
-
-    script = Path([0.2, 1.0, 2.0, 3.0], [[x, 0.0, 0.0, 0.0, 0.0, 0.0] for x in (0.0, 0.01, -0.01, 0.0)])

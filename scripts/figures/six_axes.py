@@ -12,7 +12,7 @@ from maglev_mj.controller import Controller
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Command, Component, Mask, Sample
 from maglev_mj.laws import StickSlip
-from maglev_mj.loop import run
+from maglev_mj.loop import drive
 from maglev_mj.parameters import number
 from maglev_mj.plants import ExactPlant, MuJoCoPlant, Timing
 from maglev_mj.scenes.scene import PLANTS
@@ -148,6 +148,6 @@ def run_six_axes(
 
     kind = ExactPlant if plant == "exact" else MuJoCoPlant
     with kind(Timing(period=period, delay=delay, phase=phase), gravity=0.0, hand_force=hand) as device:
-        run(device, controller, ticks, observe=observe)
+        drive(device, controller, ticks, observe=observe)
     time, position, anchor, stuck = (np.array(column) for column in zip(*rows, strict=True))
     return SixAxesResult(time, position, anchor, stuck, breakaway / stiffness)

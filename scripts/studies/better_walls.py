@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from maglev_mj import ExactPlant, Timing, Wall, run
+from maglev_mj import ExactPlant, Timing, Wall, drive
 from maglev_mj.controller import Controller
 from maglev_mj.frames import Array
 from maglev_mj.hand import HANDS
@@ -61,7 +61,7 @@ def returned(laws: list[Law], delay: float) -> Array:
         record=True,
         escape=(1e3, 1.0),
     )
-    run(plant, Controller(laws, period=PERIOD), 200)
+    drive(plant, Controller(laws, period=PERIOD), 200)
     return np.asarray((plant.trace().twist[-1, :, 2] / 0.2) ** 2)
 
 

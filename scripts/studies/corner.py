@@ -9,7 +9,7 @@ import numpy as np
 from maglev_mj.controller import Controller
 from maglev_mj.frames import Array
 from maglev_mj.laws import Hold, Wall
-from maglev_mj.loop import run
+from maglev_mj.loop import drive
 from maglev_mj.plants import ExactPlant, MuJoCoPlant, Timing, engine_warnings_silenced
 from maglev_mj.spec import INERTIA
 
@@ -47,7 +47,7 @@ def corner(plant: str, pose: Sequence[float], twist: Sequence[float], *, duratio
     )
     kind = ExactPlant if plant == "exact" else MuJoCoPlant
     with kind(Timing(), pose=pose, twist=twist, gravity=0.0, record=True) as made, engine_warnings_silenced():
-        run(made, Controller([walls, pull], period=made.period), round(duration / made.period))
+        drive(made, Controller([walls, pull], period=made.period), round(duration / made.period))
         time = np.arange(round(duration / made.period)) * made.period
         poses, twists, _ = made.trace().at(time)
     return poses, 0.5 * (body * twists**2).sum(axis=1)

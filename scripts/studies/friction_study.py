@@ -10,7 +10,7 @@ from maglev_mj.controller import Controller
 from maglev_mj.frames import AXES, Array, Command, Mask, Sample
 from maglev_mj.hand import RecordedHand
 from maglev_mj.laws import Friction
-from maglev_mj.loop import run
+from maglev_mj.loop import drive
 from maglev_mj.plants import ExactPlant, Sensor, Timing
 from maglev_mj.scenes.run import run as run_scene
 from maglev_mj.scenes.stick_slip import LAWS, VELOCITIES, StickSlip
@@ -88,7 +88,7 @@ def under_load(
     far = (1e6, 1e6)
     timing, hand = Timing(period=period, delay=delay), RecordedHand(wrenches)
     with ExactPlant(timing, gravity=0.0, sensor=sensor, escape=far, hand_force=hand) as plant:
-        run(plant, controller, len(forces), observe=observe)
+        drive(plant, controller, len(forces), observe=observe)
     return LoadOutcome(*(np.array(column) for column in zip(*rows, strict=True)))
 
 

@@ -73,7 +73,7 @@ print("stiffest wall that a simulation calls stable, over the exact one, in perc
 print(f"  {'integrator, delay':<26}" + "".join(f"{step * 1e3:>10g}" for step in steps))
 curves = []
 for delay in LOOPS:
-    for kind in INTEGRATORS:
+    for kind in (one for one in INTEGRATORS if one != "corrected"):
         percent = shift(kind, delay, aligned=True)
         if kind == "euler":  # the other semi-implicit ones are the same to the last digit here
             curves.append((f"delay {delay * 1e3:g} ms", steps * 1e3, percent))

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from maglev_mj import Controller, run
+from maglev_mj import Controller, drive
 from maglev_mj.frames import Array, Command, Mask, Sample
 from maglev_mj.hand import GuidedHand
 from maglev_mj.laws import Bias, Hold, StickSlip
@@ -131,7 +131,7 @@ def carry_out(task: Task) -> History:
     keep = Hold.critically_damped(("rx", "ry", "rz"), inertia=INERTIA[3:], period=task.period, delay=task.delay)
     exchange = _Exchange(plant, slave, law)
     end = max(path.end, pressed + task.hold)
-    run(plant, Controller([Bias(WEIGHT), law, keep], period=task.period), round(end / task.period), observe=exchange)
+    drive(plant, Controller([Bias(WEIGHT), law, keep], period=task.period), round(end / task.period), observe=exchange)
     slave.note()
     return _history(task, coupling, pressed, plant, slave, exchange)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 from pathlib import Path
 
 import mujoco
@@ -12,7 +11,7 @@ import numpy as np
 from maglev_mj.errors import PlantError
 from maglev_mj.frames import Array
 from maglev_mj.parameters import number, numbers
-from maglev_mj.plants import Timing
+from maglev_mj.timeline import Timeline, Timing
 
 __all__ = ["BLOCK_DAMPING", "BLOCK_STIFFNESS", "Slave"]
 
@@ -74,7 +73,7 @@ class Slave:
         inertia = np.zeros((model.nv, model.nv))
         mujoco.mj_fullM(model, self.data, inertia)
         self.mass: Array = np.diag(inertia).copy()
-        self._queue: deque[Array] = deque([np.zeros(3)] * timing.whole)
+        self._timeline = Timeline(timing, np.zeros(3))
         self._force, self._tick, self._touched = np.zeros(3), 0, False
         self.contacts = 0
         self.rows: list[list[float]] = []
@@ -93,18 +92,16 @@ class Slave:
         Raises:
             PlantError: If the slave has gone where it cannot be.
         """
-        timing = self._timing
-        self._queue.append(force)
-        self._advance(0.0, timing.rest)
-        self._force = self._queue.popleft()
-        self._advance(timing.rest, timing.period - timing.rest)
+        offset = 0.0
+        for duration, acting in self._timeline.period(self._tick, (force, None, 0.0)):
+            self._force = acting
+            self._advance(offset, duration)
+            offset += duration
         self._tick += 1
         if not np.abs(self.data.qpos).max() < 1.0:
             raise PlantError(f"the slave is at {self.data.qpos.max():g} m after {self._tick} ticks")
 
     def _advance(self, offset: float, duration: float) -> None:
-        if duration <= self._timing.negligible:
-            return
         pieces = math.ceil(duration / self._longest - 1e-9)
         data, model = self.data, self.model
         model.opt.timestep = duration / pieces

@@ -1,0 +1,379 @@
+"""Plants put together from options, and devices of a user's own: model files, specifications, calibrated numbers."""
+
+from __future__ import annotations
+
+import itertools
+import pickle
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+from maglev_mj import Command, Controller, ExactPlant, Hold, MuJoCoPlant, Timing, Wall, drive
+from maglev_mj.bridge.calibration import Calibration
+from maglev_mj.bridge.twin import Twin, TwinParameters
+from maglev_mj.coils import CoilMap
+from maglev_mj.energy import HandWork, PassivityObserver, actuator_work, hand_work
+from maglev_mj.errors import MaglevError, ModelError, ParameterError, PlantError
+from maglev_mj.frames import Array, quaternion
+from maglev_mj.model import load, model_path
+from maglev_mj.plants import MuJoCoBatchPlant, SampledPlant, Sensor
+from maglev_mj.plants.currents import CoilDrive
+from maglev_mj.spec import GRAVITY, INERTIA
+
+PERIOD = 0.005
+TIMING = Timing(delay=0.0015)
+
+
+def controller() -> Controller:
+    wall = Wall(axes="z", lower=0.0, stiffness=4000.0, damping=40.0, pulse=120.0, pulse_width=0.003)
+    return Controller([wall], period=PERIOD)
+
+
+# -- options combine -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", [ExactPlant, MuJoCoPlant, partial(MuJoCoPlant, integrator="corrected")])
+@pytest.mark.parametrize("record", [False, True])
+def test_meter_trace_and_observer_agree_on_the_work_of_a_drop(kind: Any, record: bool) -> None:
+    plant = kind(TIMING, pose=[0, 0, 4e-3, 0, 0, 0], metered=True, record=record)
+    watch = PassivityObserver(TIMING, INERTIA, load=[0, 0, -INERTIA[0] * GRAVITY, 0, 0, 0])
+    last = drive(plant, controller(), 60, observe=watch)
+    assert last.tick == 60
+    watch(last, Command([0.0] * 6))  # the period up to the last sample
+    assert plant.work < -0.01
+    assert -watch.energy.sum() == pytest.approx(plant.work, abs=1e-12)
+    if record:
+        assert actuator_work(plant.trace()).sum() == pytest.approx(plant.work, abs=1e-12)
+
+
+@pytest.mark.parametrize("integrator", ["rk4", "corrected"])
+@pytest.mark.parametrize(
+    "options",
+    [
+        dict(chosen)
+        for count in range(4)
+        for chosen in itertools.combinations(
+            [("stops", True), ("force_falloff", 0.1), ("driver_lag", True), ("flexible", True)], count
+        )
+    ],
+    ids=lambda options: "+".join(options) or "plain",
+)
+def test_every_combination_of_options_runs_and_is_metered(integrator: str, options: dict[str, Any]) -> None:
+    """The flotor falls onto the wall: the work is that of the exact plant but for what the options change."""
+    plant = MuJoCoPlant(
+        TIMING, pose=[0, 0, 3e-3, 0, 0, 0], integrator=integrator, metered=True, current_limit=10.0, **options
+    )
+    drive(plant, controller(), 40)
+    exact = ExactPlant(TIMING, pose=[0, 0, 3e-3, 0, 0, 0], metered=True, driver_lag="driver_lag" in options)
+    drive(exact, controller(), 40)
+    assert plant.work == pytest.approx(exact.work, rel=0.25)
+
+
+def test_a_plant_is_corrected_and_metered_at_once() -> None:
+    """Work is gain in kinetic and potential energy, which raw Euler misses by a thousand times as much."""
+    errors = {}
+    for integrator in ("corrected", "euler"):
+        plant = MuJoCoPlant(
+            TIMING, pose=[0, 0, 4e-3, 0, 0, 0], coils=False, integrator=integrator, metered=True, current_limit=10.0
+        )
+        drive(plant, controller(), 60)
+        pose, twist = plant.state()
+        gained = INERTIA[0] * (0.5 * twist[2] ** 2 + GRAVITY * (pose[2] - 4e-3))
+        errors[integrator] = abs(plant.work - gained)
+    assert errors["corrected"] < 1e-14 and errors["euler"] > 1e-4
+
+
+def test_batches_are_metered_as_their_devices_are() -> None:
+    start = np.array([[0, 0, 4e-3, 0.01, 0, 0], [0, 0, 3e-3, 0, 0.02, 0]])
+    push = lambda *_: [0.2, 0.0, 0.0, 1e-3, 0.0, 0.0]  # noqa: E731
+    kinds: list[tuple[Any, Any]] = [(ExactPlant, ExactPlant)]
+    kinds += [
+        (partial(MuJoCoBatchPlant, integrator=one, coils=coils), partial(MuJoCoPlant, integrator=one, coils=coils))
+        for one in ("rk4", "corrected")
+        for coils in (True, False)
+    ]
+    for many, one in kinds:
+        together = many(TIMING, pose=start, metered=True, hand_force=push)
+        drive(together, controller(), 30)
+        for device in range(2):
+            alone = one(TIMING, pose=start[device], metered=True, hand_force=push)
+            drive(alone, controller(), 30)
+            assert np.asarray(together.work)[device] == pytest.approx(alone.work, rel=1e-9)
+
+
+def test_a_hand_that_uses_its_list_again_is_counted_as_it_was() -> None:
+    work, effort = HandWork(), [2.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+    work.add(np.zeros(6), effort)
+    effort[0] = 5.0
+    work.add(np.array([1e-3, 0, 0, 0, 0, 0]), effort)
+    assert work.total == pytest.approx(2e-3)
+    assert hand_work(np.array([[0.0] * 6, [1e-3] * 6]), np.array([[2.0] * 6, [5.0] * 6])).tolist() == [[2e-3] * 6]
+
+
+def test_work_that_is_not_metered_is_not_zero() -> None:
+    for kind in (ExactPlant, MuJoCoPlant):
+        with pytest.raises(PlantError, match="make the plant with metered=True"):
+            _ = kind().work
+
+
+# -- wrenches and currents -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("options", [{}, {"stops": True}, {"integrator": "corrected"}, {"force_falloff": 0.1}])
+def test_currents_that_a_wrench_would_give_move_the_flotor_alike_to_the_last_bit(options: dict[str, Any]) -> None:
+    start: dict[str, Any] = {"pose": [0, 0, 4e-3, 0.02, -0.01, 0], "metered": True, "record": True, **options}
+    with MuJoCoPlant(TIMING, **start) as one, MuJoCoPlant(TIMING, **start) as other:
+        coils = one.device.coils
+        hold = Hold(axes=("rx", "ry"), stiffness=0.4, damping=0.01)  # or a turned flotor's nothing is no switch
+        laws = Controller([*controller().laws, hold], period=PERIOD)
+        assert coils is not None
+        for _ in range(40):
+            sample, again = one.read(), other.read()
+            assert sample.position == again.position
+            command = one.write(laws.step(sample))
+            turn = np.zeros(9)
+            mujoco.mju_quat2Mat(turn, other._qpos[3:])
+            inverse = coils.inverse_at(turn)
+            total = None
+            if command.extra is not None:
+                total = (inverse @ (command.wrench + command.pulse)).tolist()
+            other.drive((inverse @ command.wrench).tolist(), total, command.pulse_width)
+        assert one.currents.tolist() == other.currents.tolist()
+        assert other.work == pytest.approx(one.work, rel=0.02 if "force_falloff" in options else 1e-4)
+        np.testing.assert_allclose(one.trace().wrench[:-1], other.trace().wrench[:-1], atol=1e-2)
+
+
+@pytest.mark.parametrize("sensor", [None, Sensor(quantum=1e-12)])
+def test_the_currents_of_a_constant_wrench_follow_the_angle(sensor: Sensor | None) -> None:
+    with MuJoCoPlant(Timing(delay=0.0), twist=[0, 0, 0, 3.0, -2.0, 1.0], gravity=0.0, sensor=sensor) as plant:
+        coils, turn = plant.device.coils, np.zeros(9)
+        assert coils is not None
+        for tick in range(8):
+            place = plant.read().position
+            mujoco.mju_quat2Mat(turn, np.array(quaternion(place[3:])))
+            plant.write(Command([0.0, 1.0, 5.0, 0.0, 0.0, 0.0]))
+            expected = coils.inverse_at(turn) @ [0.0, 1.0, 5.0, 0.0, 0.0, 0.0]
+            if tick:
+                assert not np.allclose(plant.currents, expected, atol=1e-4)  # those of the sample before
+            drive = plant._coil_drive
+            assert drive is not None
+            np.testing.assert_allclose(plant._last[1], expected, atol=1e-9)
+            plant.read()
+            np.testing.assert_allclose(plant.currents, expected, atol=1e-9)
+            plant.write(Command([0.0, 1.0, 5.0, 0.0, 0.0, 0.0]))
+
+
+def test_currents_are_computed_once_a_tick() -> None:
+    coils = load().coils
+    assert coils is not None
+    drive = CoilDrive(coils, 10.0)
+    for force in ([0.0, 0.0, 5.0, 0.0, 0.0, 0.0], [0.0, 0.0, 500.0, 0.0, 0.0, 0.0]):
+        limited = drive.limited(Command(force))
+        currents = drive.currents(limited.force)
+        assert currents is drive.currents(limited.force) and max(currents) <= 10.0
+        np.testing.assert_allclose(currents, coils.current_per_wrench @ limited.force, atol=1e-12)
+    assert drive.currents([0.0] * 6) == [0.0] * 6
+
+
+def test_a_plant_takes_wrenches_and_currents_in_turn() -> None:
+    with MuJoCoPlant(Timing(delay=0.0), gravity=0.0) as plant:
+        plant.read()
+        plant.write(Command([0.0, 0.0, 3.0, 0.0, 0.0, 0.0]))
+        plant.read()
+        carried = plant.currents
+        plant.drive([0.0] * 6, after=0.002)
+        plant.read()
+        assert [round(duration, 9) for duration, _ in plant.segments] == [0.002, 0.003]
+        np.testing.assert_array_equal([one for _, one in plant.segments], [carried, np.zeros(6)])
+    with pytest.raises(PlantError, match="no currents: the plant was made with coils=False"):
+        MuJoCoPlant(coils=False).drive([0.0] * 6)
+
+
+# -- devices of a user's own ---------------------------------------------------------------------------
+
+
+def own_model(folder: Path, *changes: tuple[str, str]) -> Path:
+    """Write a changed copy of the device's model."""
+    text = model_path("maglev").read_text(encoding="utf-8")
+    for old, new in changes:
+        assert old in text, old
+        text = text.replace(old, new)
+    path = folder / "own.xml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+HEAVIER = (
+    ('pos="0 0 -0.0051" mass="0.65"', 'pos="0 0 -0.0051" mass="0.95"'),
+    ('name="coil_vertical" pos="0.046 0 0.008"', 'name="coil_vertical" pos="0.060 0 0.008"'),
+    ('name="magnet" pos="0.046 0 0"', 'name="magnet" pos="0.060 0 0"'),
+    ('gainprm="2"', 'gainprm="2.5"'),
+    ('range="-0.0045 0.0045"', 'range="-0.003 0.003"'),
+)
+
+
+def falls(plant: SampledPlant, force: float, ticks: int = 10) -> Array:
+    """Return the acceleration along z under a constant force, from the way."""
+    plant.read()
+    for _ in range(ticks):
+        plant.write(Command([0.0, 0.0, force, 0.0, 0.0, 0.0]))
+        sample = plant.read()
+    return np.asarray(2.0 * np.asarray(sample.position[2]) / (ticks * PERIOD) ** 2)
+
+
+def test_a_device_from_a_file_obeys_its_own_numbers(tmp_path: Path) -> None:
+    path = own_model(tmp_path, *HEAVIER)
+    spec = mujoco.MjSpec.from_file(str(path))
+    for model in (path, str(path), spec):
+        device = load(model)
+        assert device.mass == pytest.approx(1.0, rel=1e-12)
+        assert device.coils is not None
+        np.testing.assert_allclose(np.hypot(*device.coils.points[:3, :2].T), 0.060, rtol=1e-12)
+        assert device.range[0] == 0.003
+        for plant in (MuJoCoPlant(Timing(delay=0.0), model=model), ExactPlant(Timing(delay=0.0), model=model)):
+            assert falls(plant, 5.0) == pytest.approx(5.0 / 1.0 - GRAVITY, rel=1e-9)
+    sites = len(spec.sites)
+    assert load(spec, coils=False).coils is None
+    assert (len(spec.actuators), len(spec.sites)) == (6, sites)  # it is the user's, and left as it was
+    carrying = MuJoCoPlant(Timing(delay=0.0), model=path)
+    falls(carrying, 1.0 * GRAVITY)
+    np.testing.assert_allclose(carrying.currents[:3], 1.0 * GRAVITY / 3.0 / 2.5, rtol=1e-9)
+
+
+def test_both_plants_take_a_device_of_ones_own_through_the_same_drop(tmp_path: Path) -> None:
+    path = own_model(tmp_path, *HEAVIER)
+    moved = []
+    kinds: tuple[Any, ...] = (MuJoCoPlant, ExactPlant)
+    owns: tuple[dict[str, Any], ...] = ({}, {"mass": 0.8, "inertia": [1e-3, 1e-3, 9e-4]})
+    for kind in kinds:
+        for own in owns:
+            plant = kind(TIMING, model=path, pose=[0, 0, 3e-3, 0, 0, 0], **own)
+            moved.append(drive(plant, controller(), 40).pose)
+    np.testing.assert_allclose(moved[0], moved[2], atol=1e-13)
+    np.testing.assert_allclose(moved[1], moved[3], atol=1e-13)
+    assert abs(moved[0][2] - moved[1][2]) > 1e-6
+
+
+def test_own_stops_hold_the_flotor_at_their_own_range(tmp_path: Path) -> None:
+    path = own_model(tmp_path, *HEAVIER)
+    lowest = []
+    for model in ("drop", path):
+        plant = MuJoCoPlant(model=model, stops=True)
+        drive(plant, Controller([], period=PERIOD), 200)
+        assert plant.met_stops
+        lowest.append(plant.state()[0][2])
+    np.testing.assert_allclose(lowest, [-0.0045, -0.003], atol=1e-4)
+
+
+def test_inertia_of_ones_own_turns_the_flotor_as_it_says() -> None:
+    moments = [1.3e-3, 1.1e-3, 9e-4]
+    for mass in (None, 1.2):
+        device = load(inertia=moments, mass=mass)
+        np.testing.assert_allclose(device.inertia, moments, rtol=1e-12)
+        np.testing.assert_allclose(device.mass_matrix, np.diag(np.diag(device.mass_matrix)), atol=1e-16)
+        assert device.mass == pytest.approx(mass or INERTIA[0])
+    for kind in (MuJoCoPlant, ExactPlant, partial(MuJoCoBatchPlant, pose=np.zeros((1, 6)))):
+        plant: Any = kind(Timing(delay=0.0), inertia=moments, gravity=0.0)
+        plant.read()
+        plant.write(Command([0.0, 0.0, 0.0, 0.0, 1e-3, 0.0]))
+        plant.read()
+        assert np.ravel(plant.state()[1])[4] == pytest.approx(1e-3 * PERIOD / moments[1], rel=1e-6)
+    with pytest.raises(ParameterError, match="inertia must leave the flotor without its handle a body's, not"):
+        load("maglev", inertia=[2e-4, 1e-3, 1e-3])
+    with pytest.raises(ParameterError, match=r"not \[0.001, 0.0001, 0.0001\] kg m²"):
+        MuJoCoPlant(inertia=[1e-3, 1e-4, 1e-4])
+    with pytest.raises(ParameterError, match="inertia must be three numbers above 0, not"):
+        MuJoCoPlant(inertia=[1e-3, 1e-3])
+
+
+@pytest.mark.parametrize("kind", [MuJoCoPlant, ExactPlant, partial(MuJoCoBatchPlant, pose=np.zeros((2, 6)))])
+def test_drivers_time_constant_of_ones_own(kind: Any) -> None:
+    """Behind a lag tau the momentum after a time t is f (t - tau (1 - exp(-t / tau)))."""
+    for constant, tau in ((None, 1.0 / (2.0 * np.pi * 2000.0)), (5e-4, 5e-4)):
+        plant = kind(Timing(delay=0.0), gravity=0.0, driver_lag=True, driver_time_constant=constant)
+        plant.read()
+        plant.write(Command([0.0, 0.0, 2.0, 0.0, 0.0, 0.0]))
+        plant.read()
+        momentum = INERTIA[0] * np.ravel(plant.state()[1])[2]
+        assert momentum == pytest.approx(2.0 * (PERIOD - tau * (1.0 - np.exp(-PERIOD / tau))), rel=1e-5)
+    with pytest.raises(ParameterError, match="driver_time_constant must be a finite number above 0, not 0"):
+        kind(driver_lag=True, driver_time_constant=0.0)
+
+
+def test_calibrated_coils_take_the_place_of_the_models() -> None:
+    known = load().coils
+    assert known is not None
+    weaker = CoilMap(points=known.points, directions=known.directions, force_constants=0.5 * known.force_constants)
+    ones = MuJoCoPlant(Timing(delay=0.0)), MuJoCoPlant(Timing(delay=0.0), coil_map=weaker)
+    motion = [falls(plant, 6.0) for plant in ones]
+    np.testing.assert_allclose(motion[1], motion[0], rtol=1e-9)  # the same wrench, by twice the currents
+    np.testing.assert_allclose(ones[1].currents, 2.0 * ones[0].currents, atol=1e-12)
+    limited = MuJoCoPlant(coils=False, coil_map=weaker, current_limit=10.0)
+    limited.read()
+    assert limited.write(Command([0.0, 0.0, 100.0, 0.0, 0.0, 0.0])).force[2] == pytest.approx(30.0)
+
+
+NOT_FITTING = {
+    "body 'flotor'": ('<body name="flotor">', '<body name="floater">'),
+    "ball joint 'rotation'": ('name="rotation" type="ball" limited="true" range="0 6"', 'name="turn" type="ball"'),
+    "slide joint 'y'": ('name="y" type="slide"', 'name="y" type="hinge"'),
+    "none is vertical1": ('name="vertical1"', 'name="upright"'),
+    "6 actuators none is horizontal2": ('name="horizontal2"', 'name="last"'),
+    "must list its coils first": (
+        "<actuator>",
+        '<actuator><general name="more" site="coil_vertical0" refsite="magnet0" gear="0 0 1 0 0 0"/>',
+    ),
+    "singular": ('gear="0 1 0 0 0 0"', 'gear="0 0 1 0 0 0"'),
+}
+
+
+@pytest.mark.parametrize("what", NOT_FITTING)
+def test_what_does_not_fit_a_device_is_named_in_one_line(what: str, tmp_path: Path) -> None:
+    path = own_model(tmp_path, NOT_FITTING[what])
+    for kind in (MuJoCoPlant, ExactPlant):
+        with pytest.raises(ModelError, match=what) as refused:
+            kind(model=path)
+        assert "\n" not in str(refused.value)
+
+
+def test_what_an_option_needs_of_a_model_is_named(tmp_path: Path) -> None:
+    path = own_model(tmp_path, ("driver_time_constant", "something_else"), (' limited="true" range="0 6"', ""))
+    MuJoCoPlant(model=path)
+    MuJoCoPlant(model=path, driver_lag=True, driver_time_constant=1e-4)
+    for options, what in (
+        ({"driver_lag": True}, "no numeric 'driver_time_constant'"),
+        ({"stops": True}, "need limits on the joints x, y, z and rotation"),
+        ({"force_falloff": 0.1}, "need limits on the joints x, y, z and rotation"),
+    ):
+        with pytest.raises(ModelError, match=what):
+            MuJoCoPlant(model=path, **options)
+    with pytest.raises(ModelError, match=r"model must be an MJCF file that is there, not '.*nothing.xml'"):
+        MuJoCoPlant(model=tmp_path / "nothing.xml")
+    with pytest.raises(ModelError, match="model must be one of drop, maglev, scene, or an MJCF file, not 'mine'"):
+        ExactPlant(model="mine")
+    (tmp_path / "broken.xml").write_text("<mujoco><nonsense/></mujoco>", encoding="utf-8")
+    with pytest.raises(MaglevError, match=r"model 'broken.xml' cannot be used: .*nonsense"):
+        MuJoCoPlant(model=tmp_path / "broken.xml")
+
+
+def test_a_file_that_is_changed_is_read_again(tmp_path: Path) -> None:
+    assert load(own_model(tmp_path)).mass == pytest.approx(0.7)
+    path = own_model(tmp_path, *HEAVIER)
+    assert load(path).mass == pytest.approx(1.0)
+
+
+def test_options_of_a_plant_go_to_another_process() -> None:
+    options: dict[str, Any] = {"model": Path("own.xml"), "integrator": "corrected", "metered": True, "stops": True}
+    assert pickle.loads(pickle.dumps(options)) == options
+
+
+def test_a_twin_has_the_inertia_that_it_truly_has() -> None:
+    nominal = Calibration.nominal()
+    values = nominal.as_json() | {"inertia": [1.3e-3, 1.1e-3, 9e-4]}
+    twin = Twin(TwinParameters(truth=Calibration.from_json(values)))
+    np.testing.assert_allclose(twin.plant.device.inertia, [1.3e-3, 1.1e-3, 9e-4], rtol=1e-12)
+    np.testing.assert_array_equal(Twin(TwinParameters()).plant.device.inertia, load().inertia)
