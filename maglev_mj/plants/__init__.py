@@ -1,6 +1,6 @@
 """Plants: what a controller can be put in front of, behind one contract."""
 
-from maglev_mj.plants.base import Plant, SampledPlant
+from maglev_mj.plants.base import Plant, PlantKeywords, SampledPlant
 from maglev_mj.plants.batch import MuJoCoBatchPlant
 from maglev_mj.plants.engine import INTEGRATORS, engine_warnings_silenced, one_step
 from maglev_mj.plants.exact import ExactPlant
@@ -14,6 +14,7 @@ __all__ = [
     "MuJoCoBatchPlant",
     "MuJoCoPlant",
     "Plant",
+    "PlantKeywords",
     "PoseSensor",
     "SampledPlant",
     "Sensor",
