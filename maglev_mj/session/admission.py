@@ -101,8 +101,9 @@ def stability_warning(scene: Scene, *, inertia: ArrayLike | None = None) -> str 
         inertia: See `refusal`.
 
     Raises:
-        ParameterError: If a law answers the first sample wrongly, as a run would say too.
+        ParameterError: If the timing or a law's answer to the first sample is wrong, as a run would say too.
     """
+    scene.timing()
     controller = scene.controller()
     controller.step(Sample(0, 0.0, components(numbers("pose", scene.start().pose))))
     if not hasattr(controller.velocity, "linear"):  # no loop is its: seconds to find out for a start that goes on
