@@ -269,11 +269,16 @@ def test_an_installed_scene_runs_by_its_name(folder: Path, say: Say, monkeypatch
 
 
 TEXT = EXAMPLE.read_text()
+LINE = TEXT[: TEXT.index("return [Bias")].count("\n") + 1
 FAULTS: dict[str, tuple[str, int, str]] = {
     "not Python": ("def (", 2, "detents.py cannot be read: SyntaxError"),
     "an error at the top": (TEXT + "\n1 / 0\n", 2, "detents.py cannot be read: ZeroDivisionError: division by zero"),
     "two classes": (TEXT + "\n\nclass Other(Detents):\n    pass\n", 2, "name one as detents.py:CLASS"),
-    "an error in a method": (TEXT.replace("return [Bias", "return 1 / 0, [Bias"), 2, "detents.py, line 42: ZeroDiv"),
+    "an error in a method": (
+        TEXT.replace("return [Bias", "return 1 / 0, [Bias"),
+        2,
+        f"detents.py, line {LINE}: ZeroDiv",
+    ),
     "an error in the law": (TEXT.replace("return -gains", "return 1 / 0 - gains"), 2, "law Detent fails: ZeroDiv"),
     "a wrong law": (TEXT.replace("def force(self, x, v, gains, state)", "def force(self, x, v)"), 2, "force must take"),
     "no number": (TEXT.replace("default=4000.0", "default=-1.0"), 2, "stiffness must be a finite number at least 0"),
