@@ -78,6 +78,9 @@ class SampledPlant(ABC):
         hand: Impedance of the hand on the flotor; None for none.
     """
 
+    # apart from what is used on every tick: an object of more than 30 attributes is looked up in more slowly
+    __slots__ = ("__dict__", "__weakref__", "_longest_step", "batch", "before", "inertia", "load", "start")
+
     hand: Hand | None = None
 
     def __init__(
