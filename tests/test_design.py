@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -192,3 +193,29 @@ def test_bad_options_are_one_line(arguments: list[str], words: str, capsys: Any)
     assert main(["design", *arguments]) == 2
     said = capsys.readouterr()
     assert said.out == "" and said.err.count("\n") == 1 and words in said.err
+
+
+def test_a_scene_gives_rate_delay_and_mass(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+    """Of a file too; what is given as an option goes before."""
+    text = "from maglev_mj import Scene, param\n\n\nclass Fast(Scene):\n"
+    text += '    period: float = param("period", "s", default=0.002)\n'
+    text += '    delay: float = param("delay", "s", default=0.001)\n\n'
+    text += "    def laws(self):\n        return []\n\n    def plant_options(self):\n        return {'mass': 0.5}\n"
+    (tmp_path / "fast.py").write_text(text)
+    monkeypatch.chdir(tmp_path)
+    told = []
+    for words in (
+        "fast.py",
+        "--period 0.002 --delay 0.001 --mass 0.5",
+        "drop",
+        "",
+        "fast.py --mass 0.7 --period 0.005",
+    ):
+        assert main(["design", *words.split(), "--json", "-"]) == 0
+        told.append({name: part for name, part in json.loads(capsys.readouterr().out).items() if name != "versions"})
+    assert told[0] == told[1] != told[2] == told[3]
+    assert told[4] not in (told[0], told[2])
+    with pytest.raises(SystemExit) as ended:
+        main(["design", "slow.py"])
+    assert ended.value.code == 2
+    assert "scene must be a file that is there, not 'slow.py'" in capsys.readouterr().err

@@ -10,8 +10,10 @@ from typing import Any
 from maglev_mj import plots
 from maglev_mj.cli.options import add_parameters, chosen, range_of
 from maglev_mj.cli.output import check_outputs, write_results
+from maglev_mj.cli.scenes import add_scene
 from maglev_mj.errors import ParameterError
 from maglev_mj.hand import HANDS
+from maglev_mj.scenes.scene import Scene
 from maglev_mj.studies.designed_wall import Contact, evaluate_wall
 from maglev_mj.tables import design_table
 from maglev_mj.theory import GOALS, LAWS, WallRequirements, design_wall
@@ -25,7 +27,7 @@ def add_command(commands: Any) -> None:
     """Add the command to the parser's."""
     parser = commands.add_parser(
         "design",
-        help="gains of the stiffest wall for uncertain mass, delay and hand",
+        help="gains of the stiffest wall for uncertain mass, delay and hand; rate, delay and mass may be a scene's",
         epilog="Example: maglev-mj design --mass 0.56:0.84 --delay 0.0012:0.0018 --hand arm,stylus,fingertip",
     )
     for name in _RANGES:
@@ -51,13 +53,24 @@ def add_command(commands: Any) -> None:
     add_parameters(parser, Contact)
     parser.add_argument("--json", metavar="FILE", help="write the design as JSON; - for standard output")
     parser.add_argument("--out", metavar="DIR", type=Path, help="write a picture of the margin to this folder")
+    add_scene(parser, options=False, instead=lambda _: None)
     parser.set_defaults(run=_design)
+
+
+def _required(found: type[Scene] | None) -> WallRequirements:
+    """Return the requirements on the walls of a scene: its rate, delay and moving mass."""
+    if found is None:
+        return WallRequirements()
+    scene, usual = found(), WallRequirements()
+    mass = scene.plant_options().get("mass", usual.mass[0])
+    return usual.replace(period=scene.period, delay=(scene.delay,) * 2, mass=(mass,) * 2)
 
 
 def _design(options: argparse.Namespace) -> int:
     ranges = {name: range_of(name, words) for name in _RANGES if (words := getattr(options, name)) is not None}
     hands = _hands(options.hand or ["none"], options.held)
-    requirements, contact = chosen(options, WallRequirements, hands=hands, **ranges), chosen(options, Contact)
+    requirements = chosen(options, _required(options.scene_class), hands=hands, **ranges)
+    contact = chosen(options, Contact)
     if options.out is not None:
         plots.require()
         if all(low == high for low, high in (requirements.mass, requirements.delay)):
