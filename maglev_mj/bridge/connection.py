@@ -8,7 +8,6 @@ from contextlib import suppress
 
 from maglev_mj.bridge.fault import HandshakeError
 from maglev_mj.bridge.safety import Limits
-from maglev_mj.bridge.states import HelloStatus, Operation
 from maglev_mj.bridge.wire import (
     VERSION,
     Codec,
@@ -18,6 +17,8 @@ from maglev_mj.bridge.wire import (
     Frame,
     Hello,
     HelloAck,
+    HelloStatus,
+    Operation,
     StateReport,
     newer,
 )
@@ -164,7 +165,7 @@ class Connection:
         raise HandshakeError(f"no device answered within {self._patience:g} s{reason}")
 
     def _welcome(self, data: bytes, nonce: int, calibration: bytes) -> HelloAck | None:
-        """Return the answer to a HELLO, if data is that, and keep the session; complain where it is a refusal."""
+        """Return the answer to a HELLO, if data is that, and keep the session; complain where it is a command_fault."""
         self.codec.version_met = None
         frame = self.codec.decode(data)
         version = self.codec.version_met

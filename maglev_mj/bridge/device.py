@@ -10,7 +10,7 @@ from typing import Any, NoReturn, Self
 from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.connection import Connection
 from maglev_mj.bridge.fault import BlackBox, DeviceFault
-from maglev_mj.bridge.states import Fault, Operation, State, fault_names
+from maglev_mj.bridge.wire import Fault, Operation, State, fault_names
 from maglev_mj.errors import PlantError
 from maglev_mj.frames import ZERO
 from maglev_mj.net.udp import Link, LinkError

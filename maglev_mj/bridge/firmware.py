@@ -7,9 +7,24 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
 
-from maglev_mj.bridge.safety import WARM, CoilGuard, DiodeGuard, Limits, Warmth, refusal
-from maglev_mj.bridge.states import Fault, Flag, HelloStatus, Operation, Result, State
-from maglev_mj.bridge.wire import VERSION, Codec, Command, Control, ControlAck, Hello, HelloAck, StateReport, newer
+from maglev_mj.bridge.safety import WARNING_RISE, CoilGuard, Limits, SpotGuard, ThermalModel, command_fault
+from maglev_mj.bridge.wire import (
+    VERSION,
+    Codec,
+    Command,
+    Control,
+    ControlAck,
+    Fault,
+    Flag,
+    Hello,
+    HelloAck,
+    HelloStatus,
+    Operation,
+    Result,
+    State,
+    StateReport,
+    newer,
+)
 from maglev_mj.frames import ZERO
 from maglev_mj.parameters import flag
 
@@ -101,8 +116,8 @@ class Firmware:
         self._acknowledgement: ControlAck | None = None
         self._hover: Sequence[float] = ZERO
         self._commanded_at, self._answers, self._holding, self._sampled = 0, _NEVER, False, 0
-        self._coils, self._diodes = CoilGuard(), DiodeGuard(profile.limits, profile.period * 1e-9)
-        self._warmth = Warmth(profile.limits)
+        self._coils, self._diodes = CoilGuard(), SpotGuard(profile.limits, profile.period * 1e-9)
+        self._thermal = ThermalModel(profile.limits)
         self._watchdog = round(profile.limits.watchdog * 1e9)
         # how many samples an answer may be behind
         self._stale = 0 if profile.lockstep else self._watchdog // profile.period
@@ -141,7 +156,7 @@ class Firmware:
         flies may be opened and turned over.
         """
         self._sampled = tick & 0xFFFFFFFF
-        warmest = self._warmth.add(reading.segments)
+        warmest = self._thermal.add(reading.segments)
         if self.state == State.ACTIVE:
             diodes = self._diodes.check(reading.spots, reading.valid)
             coils, waited = self._coils.check(reading.commanded, reading.measured), self._waited(now)
@@ -155,7 +170,7 @@ class Firmware:
         report = StateReport(
             tuple(reading.spots),
             tuple(reading.measured),
-            tuple(self._warmth.shares),
+            tuple(self._thermal.rises),
             self.state,
             reading.valid,
             Flag.HOLDING if self._holding else 0,
@@ -231,7 +246,7 @@ class Firmware:
         if self.state != State.ACTIVE:
             self.counts["inactive"] += 1
             return
-        if wrong := refusal(self.profile.limits, command.held, command.pulsed, command.width):
+        if wrong := command_fault(self.profile.limits, command.held, command.pulsed, command.width):
             self.trip(wrong)
             return
         self._commanded_at, self._answers, self._holding = now, command.answers, False
@@ -272,15 +287,15 @@ class Firmware:
         return True
 
     def _arm(self, hover: Sequence[float], now: int) -> bool:
-        if self.state != State.INACTIVE or refusal(self.profile.limits, hover, hover, 0.0):
+        if self.state != State.INACTIVE or command_fault(self.profile.limits, hover, hover, 0.0):
             return False
         self._hover, self._commanded_at, self._answers, self._holding = hover, now, _NEVER, False
-        self._coils, self._diodes = CoilGuard(), DiodeGuard(self.profile.limits, self.profile.period * 1e-9)
+        self._coils, self._diodes = CoilGuard(), SpotGuard(self.profile.limits, self.profile.period * 1e-9)
         self.state = State.ACTIVE
         return True
 
     def _reset(self) -> bool:
-        if self.state == State.ACTIVE or max(self._warmth.shares) >= WARM:
+        if self.state == State.ACTIVE or max(self._thermal.rises) >= WARNING_RISE:
             return False
         self.state, self.faults = State.INACTIVE, Fault(0)
         return True

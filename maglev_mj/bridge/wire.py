@@ -10,6 +10,7 @@ import struct
 import zlib
 from collections import Counter
 from collections.abc import Sequence
+from enum import IntEnum, IntFlag
 from typing import NamedTuple, TypeAlias
 
 from maglev_mj.net.authentication import TAG, Authenticator
@@ -21,12 +22,96 @@ __all__ = [
     "Command",
     "Control",
     "ControlAck",
+    "Fault",
+    "Flag",
     "Frame",
     "Hello",
     "HelloAck",
+    "HelloStatus",
+    "Operation",
+    "Result",
+    "State",
     "StateReport",
+    "fault_names",
     "newer",
 ]
+
+
+class State(IntEnum):
+    """Of a device. A fault is latched: only an explicit reset leads out of it."""
+
+    INACTIVE = 0
+    ACTIVE = 1
+    FAULT = 2
+
+
+class Fault(IntFlag):
+    """Why a device is in the fault state; the first four have the bits that Maglev 200 users know."""
+
+    SENSOR_OUT_OF_RANGE = 1
+    COIL_OVERTEMP = 2
+    COIL_OVERCURRENT = 4
+    FLOTOR_OVERSPEED = 8
+    BOUNDARY = 16
+    """The flotor is beyond the envelope that the host allows."""
+    WATCHDOG = 32
+    """No command for longer than the device waits."""
+    INVALID_COMMAND = 64
+    """A command that is not finite."""
+    ESTOP = 128
+    COIL_NOT_FOLLOWING = 256
+    """A coil's measured current is not the one commanded."""
+    SENSOR_FROZEN = 512
+    """A diode repeats itself while the others do not."""
+    CLOCK = 1024
+    """The device's timestamps jumped."""
+    NOT_FOLLOWING = 2048
+    """The flotor does not go where it is led: wrong signs, diodes exchanged, or something holds it."""
+    HOST = 4096
+    """The host's program failed, or lost the device's samples."""
+
+
+class Flag(IntFlag):
+    """In a STATE frame."""
+
+    HOLDING = 1
+    """Commands are missing: the currents agreed at arming are on."""
+
+
+class Operation(IntEnum):
+    """What a host asks for in a CTRL frame."""
+
+    ARM = 1
+    DISARM = 2
+    ESTOP = 3
+    RESET = 4
+    TRIP = 5
+    """Go to the fault state for the faults that the host has seen."""
+    BYE = 6
+
+
+class Result(IntEnum):
+    """How a device answers a CTRL frame."""
+
+    DONE = 0
+    REFUSED = 1
+
+
+class HelloStatus(IntEnum):
+    """How a device answers a HELLO frame."""
+
+    WELCOME = 0
+    VERSION = 1
+    BUSY = 2
+    CALIBRATION = 3
+
+
+def fault_names(faults: int) -> str:
+    """Return the names of fault bits, or "none"."""
+    known = [fault.name or "" for fault in Fault if faults & fault]
+    rest = faults & ~sum(Fault)
+    return " ".join(known + ([f"0x{rest:x}"] if rest else [])) or "none"
+
 
 MAGIC = 0x4A4D
 """The bytes "MJ"."""
@@ -116,7 +201,7 @@ class StateReport(NamedTuple):
     Attributes:
         spots: Both coordinates of each of the three spots [m], six.
         currents: Measured in the coils [A], six.
-        warmth: Each coil's share of what it bears, 1 where it trips, six.
+        temperatures: Each coil's share of what it bears, 1 where it trips, six.
         state: See `State`.
         valid: Bit k is set where diode k's spot can be trusted.
         flags: See `Flag`.
@@ -127,7 +212,7 @@ class StateReport(NamedTuple):
 
     spots: tuple[float, ...]
     currents: tuple[float, ...]
-    warmth: tuple[float, ...]
+    temperatures: tuple[float, ...]
     state: int
     valid: int
     flags: int
@@ -219,7 +304,7 @@ class Codec:
         if isinstance(body, Command):
             values = (body.answers, body.flags, *body.held, *body.pulsed, body.width)
         elif isinstance(body, StateReport):
-            values = (*body.spots, *body.currents, *body.warmth, *body[3:])
+            values = (*body.spots, *body.currents, *body.temperatures, *body[3:])
         elif isinstance(body, Control):
             values = (*body[:3], *body.hover)
         data = _STRUCTS[number].pack(MAGIC, VERSION, number, session, sequence & 0xFFFFFFFF, time, *values)
