@@ -116,7 +116,9 @@ class RemoteDevice:
 
     def estop(self) -> None:
         """Switch the currents off in whatever state, and latch that it was asked for; the next sample is a fault."""
-        self._ask(Operation.ESTOP)
+        self._check_open()
+        if self._line.estop() is None:
+            raise PlantError(f"the device did not answer an emergency stop within {self._patience:g} s: cut its power")
         self.state, self.faults = State.FAULT, self.faults | Fault.ESTOP
 
     def reset(self) -> None:

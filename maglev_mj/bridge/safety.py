@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,6 +18,7 @@ from maglev_mj.spec import Spec
 from maglev_mj.timeline import Timeline, Timing
 
 __all__ = [
+    "OFF",
     "WARNING_RISE",
     "CoilGuard",
     "Envelope",
@@ -32,8 +33,11 @@ __all__ = [
 WARNING_RISE = 0.8
 """Share of what a coil bears from which there is a warning."""
 
+OFF = 0.25
+"""Measured current up to which a coil counts as off [A]."""
+
 _NO_FAULT = Fault(0)
-_CLOSE, _CLOSE_SHARE = 0.25, 0.1
+_CLOSE_SHARE = 0.1
 _IMPLAUSIBLE = 4.0
 
 
@@ -48,7 +52,9 @@ class Limits:
         spot: Largest coordinate of a spot on its diode [m]; assumed.
         spot_speed: Largest speed of a spot [m/s]; assumed.
         watchdog: How long a device waits for a command before it lets go [s].
-        frozen: Equal readings in a row after which a diode counts as stuck; 0 for never.
+        enable: How long the amplifiers' enable line may stand still [s].
+        hover: Largest current of a coil where the device holds the flotor by itself [A].
+        frozen: Equal readings in a row that the sensor's noise rules out; 0 for a sensor without noise.
 
     Raises:
         ParameterError: If a value is not above 0, or `frozen` is negative or not whole.
@@ -60,10 +66,12 @@ class Limits:
     spot: float = 0.012
     spot_speed: float = 1.0
     watchdog: float = 0.05
-    frozen: int = 40
+    enable: float = 0.015
+    hover: float = Spec.continuous_current.value
+    frozen: int = 20
 
     def __post_init__(self) -> None:
-        for name in ("current", "continuous_current", "thermal_time", "spot", "spot_speed", "watchdog"):
+        for name in (one.name for one in fields(self) if one.name != "frozen"):
             object.__setattr__(self, name, number(name, getattr(self, name), above=0.0))
         if number("frozen", self.frozen, at_least=0) != int(self.frozen):
             raise ParameterError(f"frozen must be a whole number, not {self.frozen!r}")
@@ -157,7 +165,7 @@ class CoilGuard:
             self._strikes = 0
             return _NO_FAULT
         for wanted, found in zip(commanded, measured):
-            if not abs(wanted - found) <= _CLOSE + _CLOSE_SHARE * abs(wanted):
+            if not abs(wanted - found) <= OFF + _CLOSE_SHARE * abs(wanted):
                 self._strikes += 1
                 return Fault.COIL_NOT_FOLLOWING if self._strikes >= self._PATIENCE else _NO_FAULT
         self._strikes = 0
@@ -165,7 +173,7 @@ class CoilGuard:
 
 
 class SpotGuard:
-    """Finds spots that are invalid, off their diode, too fast, or that never change while the others do.
+    """Finds a sensor that does not live, and spots that cannot be true.
 
     Args:
         limits: Of the device.
@@ -176,33 +184,37 @@ class SpotGuard:
         self._most, self._frozen = limits.spot, limits.frozen
         self._step = limits.spot_speed * period
         self._last: Sequence[float] | None = None
+        self._conversions: int | None = None
         self._same = [0, 0, 0]
 
-    def check(self, spots: Sequence[float], valid: int) -> Fault:
-        """Look at a sample's spots [m], six, and which diodes say that theirs can be trusted, a bit each."""
+    def check(self, spots: Sequence[float], valid: int, conversions: int, steps: int) -> Fault:
+        """Check a sample.
+
+        Args:
+            spots: Both coordinates of each of the three spots [m], six.
+            valid: A bit for each diode whose spot can be trusted.
+            conversions: Counter of the sensor interface.
+            steps: Samples since the one checked before, by their numbers.
+        """
         most = self._most
+        stopped, self._conversions = conversions == self._conversions, conversions
+        fault = Fault.SENSOR_STOPPED if stopped else _NO_FAULT
         if valid & 7 != 7 or not (math.isfinite(sum(spots)) and max(spots) <= most and min(spots) >= -most):
             self._last = None
-            return Fault.SENSOR_OUT_OF_RANGE
+            return fault | Fault.SENSOR_OUT_OF_RANGE
         last, self._last = self._last, spots
         if last is None:
-            return _NO_FAULT
-        fastest = max([abs(one - other) for one, other in zip(spots, last)])
-        if fastest > self._step:
+            return fault
+        moved, step = max([abs(one - other) for one, other in zip(spots, last)]), self._step * max(steps, 1)
+        if moved > step:
             # faster than any flotor: it is the sensor that jumped
-            return Fault.FLOTOR_OVERSPEED if fastest < _IMPLAUSIBLE * self._step else Fault.SENSOR_OUT_OF_RANGE
-        return self._stuck(spots, last) if self._frozen else _NO_FAULT
-
-    def _stuck(self, spots: Sequence[float], last: Sequence[float]) -> Fault:
+            return fault | (Fault.FLOTOR_OVERSPEED if moved < _IMPLAUSIBLE * step else Fault.SENSOR_OUT_OF_RANGE)
         same = self._same
         for diode in (0, 1, 2):
             first = 2 * diode
             frozen = spots[first] == last[first] and spots[first + 1] == last[first + 1]
             same[diode] = same[diode] + 1 if frozen else 0
-        # one that has not changed for long while another has not stood still for half as long
-        if max(same) >= self._frozen and min(same) * 2 < self._frozen:
-            return Fault.SENSOR_FROZEN
-        return _NO_FAULT
+        return fault | Fault.SENSOR_FROZEN if self._frozen and max(same) >= self._frozen else fault
 
 
 class FlotorGuard:

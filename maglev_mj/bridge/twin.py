@@ -7,7 +7,7 @@ import secrets
 import threading
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -33,6 +33,8 @@ REST = (0.0, 0.0, -Spec.translation_range.value, 0.0, 0.0, 0.0)
 """Where the flotor lies while nothing carries it [m, rad]: on its lower stop."""
 
 _ALL = 7
+_MARGIN = 1.25
+"""Hover currents may be that much above those of the calibration."""
 
 INJECTED_FAULTS = {
     "dead-coil": ("coil K gives no current", 5),
@@ -131,8 +133,19 @@ class TwinParameters:
             period=round(self.period * 1e9),
             delay=round(self.delay * 1e9),
             calibration=self.calibration.digest,
-            limits=self.limits,
+            limits=self._limits(),
             lockstep=self.lockstep,
+        )
+
+    def _limits(self) -> Limits:
+        """Return the limits, as far as calibration, sample period and sensor narrow them."""
+        limits, known = self.limits, self.calibration
+        return replace(
+            limits,
+            enable=min(max(limits.enable, 3.0 * self.period), limits.watchdog),
+            hover=min(limits.hover, limits.continuous_current, _MARGIN * float(np.abs(known.hover).max())),
+            # noise of half a step keeps no reading
+            frozen=limits.frozen if self.noise > 0.0 and self.noise >= 0.5 * self.quantum else 0,
         )
 
 
@@ -168,11 +181,13 @@ class Twin:
         self.firmware = Firmware(parameters.profile, self, self.codec, draw or _draw)
         self.tick = -1
         self._period, self._delay = parameters.profile.period, parameters.delay
+        self._enable = round(parameters.profile.limits.enable * 1e9)
         self._sampled_at, self._now = 0, 0
         self._waiting = sorted(parameters.faults, key=lambda one: one.at)
         self._live: dict[str, int] = {}
         self._silent_until, self._ahead = -1, 0
         self._stuck: list[float] = []
+        self._conversions, self._toggled = 0, -1
 
     @property
     def answered(self) -> bool:
@@ -214,7 +229,11 @@ class Twin:
         measured: Sequence[float] = currents
         if self._live:
             spots, valid, measured = self._afflicted(spots, currents)
-        reading = Reading(spots, valid, measured, currents, self.plant.segments)
+        self._conversions += 1
+        enabled = self._toggled >= 0 and self._now - self._toggled <= self._enable
+        if not enabled:
+            self.cut()
+        reading = Reading(spots, valid, measured, currents, self.plant.segments, self._conversions, enabled)
         frame = self.firmware.sample(self.tick, self._now + self._ahead, reading)
         return None if self.silent else frame
 
@@ -228,6 +247,10 @@ class Twin:
         """Switch all currents off at once; see `Amplifiers`."""
         if self.tick >= 0:
             self.plant.drive(ZERO, after=(self._now - self._sampled_at) * 1e-9)
+
+    def toggle(self, now: int) -> None:
+        """Keep the amplifier board's enable line alive; see `Amplifiers`."""
+        self._toggled = self._now
 
     def _suffer(self) -> None:
         """Begin with what goes wrong by now."""
@@ -426,7 +449,7 @@ class TwinServer:
                 return
             now = clock()
             if now > patience:
-                twin.firmware.lose_host()
+                twin.firmware.lose_host(max(twin.tick, 0) * self._period)
             elif now > again:
                 self._say(frame)
                 again = now + round(_AGAIN * 1e9)
