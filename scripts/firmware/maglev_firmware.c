@@ -333,8 +333,8 @@ static uint32_t spot_fault(struct maglev_device *d, const struct maglev_reading 
         most = d->same[k] > most ? d->same[k] : most;
     }
     /* a sample that was missed is time, not speed */
-    double periods = (double)(r->number - d->spots_number);
-    double step = d->profile->spot_speed * ((double)d->profile->period * 1e-9) * periods;
+    uint32_t periods = r->number == d->spots_number ? 1 : r->number - d->spots_number;
+    double step = d->profile->spot_speed * ((double)d->profile->period * 1e-9) * (double)periods;
     copy_six(d->spots, r->spots), d->spots_number = r->number;
     if (had && fastest > step) /* far above it, it is the sensor that jumped */
         return fastest < IMPLAUSIBLE * step ? MAGLEV_FLOTOR_OVERSPEED : MAGLEV_SENSOR_OUT_OF_RANGE;
@@ -354,9 +354,10 @@ static bool follows(const struct maglev_reading *r) {
 }
 
 /* What is wrong at a sample of a device that is active. */
-static uint32_t flight_fault(struct maglev_device *d, const struct maglev_reading *r, bool stopped) {
+static uint32_t flight_fault(struct maglev_device *d, const struct maglev_reading *r) {
     uint32_t fault = spot_fault(d, r);
-    if (stopped) fault |= MAGLEV_SENSOR_STOPPED;
+    if (d->has_conversions && r->conversions == d->conversions) fault |= MAGLEV_SENSOR_STOPPED;
+    d->has_conversions = true, d->conversions = r->conversions;
     if (strikes(&d->not_following, !follows(r), PATIENCE)) fault |= MAGLEV_COIL_NOT_FOLLOWING;
     if (strikes(&d->not_enabled, !r->enabled, 2)) fault |= MAGLEV_WATCHDOG;
     if (d->profile->lockstep) return fault;
@@ -395,7 +396,7 @@ void maglev_lose_host(struct maglev_device *d) {
 static bool arm(struct maglev_device *d, const double *hover, uint64_t now) {
     if (d->state != MAGLEV_INACTIVE || !all_within(hover, d->profile->hover_limit)) return false;
     copy_six(d->hover, hover);
-    d->commanded_at = now, d->answers = MAGLEV_NONE, d->holding = d->has_spots = false;
+    d->commanded_at = now, d->answers = MAGLEV_NONE, d->holding = d->has_spots = d->has_conversions = false;
     d->not_following = d->not_off = d->not_enabled = 0;
     d->same[0] = d->same[1] = d->same[2] = 0;
     d->state = MAGLEV_ACTIVE;
@@ -461,6 +462,7 @@ static size_t hello(struct maglev_device *d, const struct maglev_frame *f, uint6
 static size_t control(struct maglev_device *d, const struct maglev_frame *f, uint64_t now, uint8_t *answer) {
     if (!d->last.any || f->of.ctrl.request != d->last.request) {
         if (d->last.any && !newer(f->of.ctrl.request, d->last.request)) return ignore(d, MAGLEV_OLD);
+        d->heard = now;
         d->last.request = f->of.ctrl.request, d->last.operation = f->of.ctrl.operation;
         d->last.result = perform(d, f, now) ? MAGLEV_DONE : MAGLEV_REFUSED;
         d->last.any = true;
@@ -473,7 +475,7 @@ static size_t control(struct maglev_device *d, const struct maglev_frame *f, uin
 
 static size_t obey(struct maglev_device *d, const struct maglev_frame *f, uint64_t now) {
     if (!newer(f->sequence, d->sequence)) return ignore(d, MAGLEV_OLD);
-    d->sequence = f->sequence;
+    d->sequence = f->sequence, d->heard = now;
     uint64_t stale = d->profile->lockstep ? 0 : d->profile->watchdog / d->profile->period;
     if (d->number - f->of.cmd.answers > stale) return ignore(d, MAGLEV_OLD); /* it lay in a queue, or is yet to come */
     d->is_answered = true, d->answered = f->of.cmd.answers;
@@ -520,7 +522,6 @@ size_t maglev_receive(struct maglev_device *d, const uint8_t *data, size_t lengt
     if (f.type == MAGLEV_HELLO) return hello(d, &f, now, peer, answer);
     if (f.type != MAGLEV_CTRL && f.type != MAGLEV_CMD) return ignore(d, MAGLEV_DIRECTION);
     if (!d->session || f.session != d->session || peer != d->peer) return ignore(d, MAGLEV_SESSION);
-    d->heard = now;
     return f.type == MAGLEV_CTRL ? control(d, &f, now, answer) : obey(d, &f, now);
 }
 
@@ -545,17 +546,12 @@ size_t maglev_sample(struct maglev_device *d, uint8_t *data) {
     struct maglev_reading r = {0};
     d->hardware->read(d->hardware->context, &r);
     if (!d->heated && d->has_sampled) maglev_heat(d, (double)(r.time - d->sampled) * 1e-9, r.measured);
-    bool stopped = d->has_sampled && r.conversions == d->conversions;
     d->heated = false, d->has_sampled = true, d->number = r.number, d->sampled = r.time;
-    d->conversions = r.conversions;
     copy_six(d->measured, r.measured);
-    if (d->state == MAGLEV_ACTIVE) {
-        uint32_t fault = flight_fault(d, &r, stopped);
-        if (fault) latch(d, fault, r.time);
-        else d->hardware->toggle(d->hardware->context, r.time); /* a step that hangs toggles no more */
-    } else if (strikes(&d->not_off, !all_within(r.measured, CLOSE), PATIENCE)) {
-        latch(d, MAGLEV_COIL_NOT_OFF, r.time);
-    }
-    if (!(warmest(d) < 1.0)) latch(d, MAGLEV_COIL_OVERTEMP, r.time);
+    uint32_t fault = warmest(d) < 1.0 ? 0 : MAGLEV_COIL_OVERTEMP;
+    if (d->state == MAGLEV_ACTIVE) fault |= flight_fault(d, &r);
+    else if (strikes(&d->not_off, !all_within(r.measured, CLOSE), PATIENCE)) fault |= MAGLEV_COIL_NOT_OFF;
+    if (fault) latch(d, fault, r.time);
+    if (d->state == MAGLEV_ACTIVE) d->hardware->toggle(d->hardware->context, r.time); /* a step that hangs does not */
     return d->session ? report(d, &r, data) : 0;
 }

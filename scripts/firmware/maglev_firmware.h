@@ -151,7 +151,7 @@ struct maglev_device {
     uint64_t sampled;
     uint32_t number, spots_number, conversions, same[3];
     uint8_t not_following, not_off, not_enabled;
-    bool has_spots, has_sampled, heated;
+    bool has_spots, has_conversions, has_sampled, heated;
 };
 
 /* Begin, inactive and with the currents cut. Return false, and do nothing, where the profile is not one of a device: a
