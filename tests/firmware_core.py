@@ -193,7 +193,8 @@ class CoreFirmware:
         for seconds, currents in reading.segments or ((0.0, reading.measured),):
             self._core.maglev_heat(self._memory, seconds, _Six(*currents))
         frame = ctypes.create_string_buffer(_LARGEST)
-        return self._passed_on(frame.raw[: self._core.maglev_sample(self._memory, frame)])
+        length = self._core.maglev_sample(self._memory, frame)
+        return self._passed_on(frame.raw[:length])
 
     def trip(self, faults: Fault, now: int) -> None:
         self._now = now

@@ -353,9 +353,9 @@ static bool follows(const struct maglev_reading *r) {
     return true;
 }
 
-/* What is wrong at a sample of a device that is active. */
-static uint32_t flight_fault(struct maglev_device *d, const struct maglev_reading *r) {
-    uint32_t fault = spot_fault(d, r);
+/* What is wrong at a sample of a device that is active, beside the fault that is known. */
+static uint32_t flight_fault(struct maglev_device *d, const struct maglev_reading *r, uint32_t fault) {
+    fault |= spot_fault(d, r);
     if (d->has_conversions && r->conversions == d->conversions) fault |= MAGLEV_SENSOR_STOPPED;
     d->has_conversions = true, d->conversions = r->conversions;
     if (strikes(&d->not_following, !follows(r), PATIENCE)) fault |= MAGLEV_COIL_NOT_FOLLOWING;
@@ -549,7 +549,7 @@ size_t maglev_sample(struct maglev_device *d, uint8_t *data) {
     d->heated = false, d->has_sampled = true, d->number = r.number, d->sampled = r.time;
     copy_six(d->measured, r.measured);
     uint32_t fault = warmest(d) < 1.0 ? 0 : MAGLEV_COIL_OVERTEMP;
-    if (d->state == MAGLEV_ACTIVE) fault |= flight_fault(d, &r);
+    if (d->state == MAGLEV_ACTIVE) fault = flight_fault(d, &r, fault);
     else if (strikes(&d->not_off, !all_within(r.measured, CLOSE), PATIENCE)) fault |= MAGLEV_COIL_NOT_OFF;
     if (fault) latch(d, fault, r.time);
     if (d->state == MAGLEV_ACTIVE) d->hardware->toggle(d->hardware->context, r.time); /* a step that hangs does not */
