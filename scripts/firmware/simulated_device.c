@@ -1,7 +1,7 @@
 /* The firmware's simulated hardware: UDP on 127.0.0.1, a clock, an amplifier board, and a flotor for small angles.
 
        cc -std=c99 -O2 scripts/firmware/simulated_device.c scripts/firmware/maglev_firmware.c -o simulated_device -lm
-       simulated_device --plant FILE [--port 0] [--rate 200] [--delay 0.0015] [--watchdog 0.05] [--enable 0.015]
+       simulated_device --plant FILE [--port 0] [--rate 200] [--delay 0.0015] [--watchdog 0.05] [--enable SECONDS]
                         [--hover-limit 3] [--noise 0] [--lockstep] [--calibration-hash HEX32] [--key FILE] [--device 1]
                         [--seconds 0] [--fault NAME:K@SECONDS]
        simulated_device --golden [--key FILE] < FRAMES
@@ -344,7 +344,7 @@ int main(int count, char **arguments) {
     enum { PORT, RATE, DELAY, WATCHDOG, ENABLE, HOVER, NOISE, DEVICE, SECONDS, NUMBERS };
     struct { const char *name; double value, least, most; } numbers[NUMBERS] = {
         {"--port", 0.0, 0.0, 65535.0}, {"--rate", 200.0, 1.0, 1e5}, {"--delay", 0.0015, 0.0, 0.1},
-        {"--watchdog", 0.05, 0.001, 10.0}, {"--enable", 0.015, 0.001, 10.0}, {"--hover-limit", 3.0, 0.001, 10.0},
+        {"--watchdog", 0.05, 0.001, 10.0}, {"--enable", 0.0, 0.0, 10.0}, {"--hover-limit", 3.0, 0.001, 10.0},
         {"--noise", 0.0, 0.0, 0.001}, {"--device", 1.0, 0.0, 4294967295.0}, {"--seconds", 0.0, 0.0, 1e6}};
     const char *plant_file = NULL;
     int only_golden = 0;
@@ -370,6 +370,10 @@ int main(int count, char **arguments) {
     plant.noise = numbers[NOISE].value;
     profile.period = nanoseconds(1.0 / numbers[RATE].value), profile.delay = nanoseconds(numbers[DELAY].value);
     profile.watchdog = nanoseconds(numbers[WATCHDOG].value), profile.enable = nanoseconds(numbers[ENABLE].value);
+    if (!profile.enable) { /* 3 periods or 10 ms, and at most the watchdog */
+        profile.enable = 3 * profile.period > 10000000 ? 3 * profile.period : 10000000;
+        if (profile.enable > profile.watchdog) profile.enable = profile.watchdog;
+    }
     profile.hover_limit = numbers[HOVER].value, profile.device = (uint32_t)numbers[DEVICE].value;
     profile.frozen = plant.noise > 0.0 ? 20 : 0;
     if (!maglev_start(&device, &profile, &hardware)) fail("no device is like this", "profile");
