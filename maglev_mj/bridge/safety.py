@@ -66,7 +66,7 @@ class Limits:
     spot: float = 0.012
     spot_speed: float = 1.0
     watchdog: float = 0.05
-    enable: float = 0.015
+    enable: float = 0.01
     hover: float = Spec.continuous_current.value
     frozen: int = 20
 
