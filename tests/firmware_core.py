@@ -7,7 +7,7 @@ import shutil
 import subprocess
 import tempfile
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from ctypes import c_bool, c_char_p, c_double, c_size_t, c_uint8, c_uint32, c_uint64, c_void_p
 from functools import cache
 from pathlib import Path
@@ -32,7 +32,8 @@ _Six = c_double * 6
 class _Profile(ctypes.Structure):
     _fields_ = [
         *[(name, c_uint64) for name in ("period", "delay", "watchdog", "enable")],
-        *[(name, c_double) for name in ("current", "continuous_current", "hover", "thermal_time", "spot", "spot_speed")],
+        *[(name, c_double) for name in ("current", "continuous_current", "hover", "thermal_time")],
+        *[(name, c_double) for name in ("spot", "spot_speed")],
         *[(name, c_uint32) for name in ("frozen", "number", "key_length")],
         ("key", c_uint8 * 32),
         ("calibration", c_uint8 * 16),
@@ -86,7 +87,8 @@ def library() -> ctypes.CDLL:
     size = folder / "size.c"
     size.write_text('#include "maglev_firmware.h"\nconst size_t maglev_size = sizeof(struct maglev_device);\n')
     source, target = FOLDER / "maglev_firmware.c", folder / "maglev_firmware.so"
-    command = [COMPILER, *STRICT, *TRAPPED, "-shared", "-fPIC", f"-I{FOLDER}", str(source), str(size), "-o", str(target)]
+    command = [COMPILER, *STRICT, *TRAPPED, f"-I{FOLDER}", str(source), str(size)]
+    command += ["-shared", "-fPIC", "-o", str(target)]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
     if done.returncode:
         pytest.fail(f"{' '.join(command)}:\n{done.stderr}")
@@ -225,8 +227,3 @@ class CoreFirmware:
 
 
 FIRMWARE: dict[str, Callable[..., Any]] = {"python": Firmware, "c": CoreFirmware}
-
-
-def six(values: Sequence[float]) -> Any:
-    """Return six doubles as C has them."""
-    return _Six(*values)

@@ -1,4 +1,4 @@
-"""The firmware in C against the one in Python: the same frames and samples, the same bytes, currents and faults."""
+"""The firmware in C: it does what the one in Python does, flies the twin, is hardened, and fits a Cortex-M4."""
 
 from __future__ import annotations
 
@@ -14,10 +14,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.firmware import Firmware, Profile, Reading
 from maglev_mj.bridge.safety import Limits
+from maglev_mj.bridge.twin import Twin, TwinParameters
 from maglev_mj.bridge.wire import Codec, Command, Control, ControlAck, Estop, Fault, Hello, Operation, State
 from maglev_mj.net.serial import cobs_decode, cobs_encode
 from tests.firmware_core import COMPILER, FOLDER, NEEDS_COMPILER, SANITIZED, STRICT, CoreFirmware, library
@@ -185,3 +188,101 @@ def test_it_does_what_the_firmware_in_python_does(key: bytes | None, lockstep: b
     assert faults == BY_DEVICE | Fault.BOUNDARY | Fault.CLOCK
     assert {2, 4, 5, 8} == set(frames)
     assert {"direction", "session", "old", "inactive", "busy", "crc", "magic", "short"} <= set(counts)
+
+
+def springs(spots: Sequence[float], before: Sequence[float] | None, known: Calibration) -> tuple[float, ...]:
+    """Return currents that pull the flotor to the centre."""
+    slopes = known.beams._spots(np.zeros(6))[1]
+    pose = np.linalg.solve(slopes, spots)
+    speed = (pose - np.linalg.solve(slopes, before)) / (PERIOD * 1e-9) if before else np.zeros(6)
+    pull = np.array([*[known.mass] * 3, *known.inertia]) * (-2500.0 * pose - 90.0 * speed)
+    currents = np.clip(known.hover + known.coils.currents(pull), -9.0, 9.0)
+    return tuple(currents.tolist())
+
+
+@pytest.mark.parametrize("key", [None, KEY], ids=["no key", "key"])
+def test_it_flies_the_twin_to_the_same_bytes(key: bytes | None) -> None:
+    parameters = TwinParameters(lockstep=True)
+    known, host = parameters.calibration, Codec(key)
+    twins = [Twin(parameters, key=key, draw=lambda: 7) for _ in range(2)]
+    twins[1].firmware = CoreFirmware(parameters.profile, twins[1], twins[1].codec, lambda: 7)  # type: ignore[assignment]
+
+    def told(session: int, sequence: int, body: Any) -> None:
+        data = host.encode(session, sequence, 0, body)
+        one, other = (twin.receive(data, 0, "host") for twin in twins)
+        assert one == other
+
+    told(0, 0, Hello(1, known.digest))
+    before: Sequence[float] | None = None
+    for tick in range(300):
+        one, other = (twin.sample() for twin in twins)
+        assert one is not None and one == other
+        frame = host.decode(one)
+        assert frame is not None
+        report: Any = frame.body
+        if tick == 1:
+            told(7, 0, Control(1, Operation.ARM, 0, tuple(known.hover.tolist())))
+        assert report.state == (State.ACTIVE if tick > 1 else State.INACTIVE)
+        told(7, tick + 1, Command(frame.sequence, 0, springs(report.spots, before, known), ZERO, 0.0))
+        before = report.spots
+    assert np.abs(twins[1].pose).max() < 2e-5
+
+
+@pytest.mark.parametrize(
+    ("change", "limits"),
+    [({"period": 0}, {}), ({}, {"watchdog": 1e-10}), ({}, {"enable": 1e-10}), ({}, {"spot_speed": 0.0})],
+)
+def test_it_does_not_start_as_no_device(change: dict[str, Any], limits: dict[str, float]) -> None:
+    profile = replace(PROFILE, limits=Limits(), **change)
+    for name, value in limits.items():
+        object.__setattr__(profile.limits, name, value)  # which Limits itself would refuse
+    with pytest.raises(ValueError):
+        CoreFirmware(profile, Amplifiers(), Codec(), lambda: 1)
+
+
+@pytest.mark.parametrize("length", [*range(1, 9), 253, 254, 255, 256])
+def test_cobs_is_that_of_the_serial_line(length: int) -> None:
+    core, draw = library(), random.Random(length)
+    line = ctypes.create_string_buffer(512)
+    for zeros in (0.0, 0.01, 0.3, 1.0):
+        data = bytes(0 if draw.random() < zeros else draw.randrange(1, 256) for _ in range(length))
+        out = ctypes.create_string_buffer(length + 4)
+        size = core.maglev_stuff(data, ctypes.c_size_t(length), out)
+        sent = out.raw[:size]
+        assert sent == b"\0" + cobs_encode(data) + b"\0"
+        noise = bytes(draw.randrange(1, 256) for _ in range(draw.randrange(600)))
+        lengths = [core.maglev_unstuff(line, ctypes.c_uint8(byte)) for byte in noise + sent]
+        assert lengths[-1] == length and line.raw[:length] == data
+
+
+def test_bytes_of_a_line_that_are_no_frame_are_skipped() -> None:
+    core, draw = library(), random.Random(3)
+    line = ctypes.create_string_buffer(512)
+    for _ in range(2000):
+        piece = bytes(draw.choice([1, 2, 3, 255, draw.randrange(1, 256)]) for _ in range(draw.choice([3, 8, 300])))
+        lengths = [core.maglev_unstuff(line, ctypes.c_uint8(byte)) for byte in piece + b"\0"]
+        decoded = cobs_decode(piece) or b""
+        decoded = decoded if len(decoded) <= 256 else b""
+        assert not any(lengths[:-1]) and line.raw[: lengths[-1]] == decoded
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_mutated_frames_do_no_harm(seed: int, tmp_path: Path) -> None:
+    program, sources = tmp_path / "fuzz", [str(FOLDER / name) for name in ("fuzz_firmware.c", "maglev_firmware.c")]
+    command = [str(COMPILER), *STRICT, *SANITIZED, *sources, "-o", str(program)]
+    if subprocess.run(command, capture_output=True, check=False, timeout=120).returncode:
+        pytest.skip("the compiler has no sanitizers")
+    done = subprocess.run([program, "50000", str(seed)], capture_output=True, text=True, check=False, timeout=120)
+    assert done.returncode == 0, done.stderr
+    counts = dict(re.findall(r"(\w+) (\d+)", done.stdout.splitlines()[1]))
+    assert len(counts) == 12 and all(map(int, counts.values()))  # each reason was met
+    frames, flights, driven, stopped = map(int, re.findall(r"\d+", done.stdout.splitlines()[0]))
+    assert frames == 100_000 and flights > 500 and driven > 5000 and stopped > 300
+
+
+@pytest.mark.skipif(CROSS is None, reason=NEEDS_CROSS)
+def test_it_compiles_for_a_cortex_m4_and_asks_for_no_library() -> None:
+    make = subprocess.run(["make", "firmware"], cwd=FOLDER.parent.parent, capture_output=True, text=True, check=False)
+    assert make.returncode == 0, make.stderr
+    code, data, bss = map(int, re.findall(r"^\s*(\d+)\s+(\d+)\s+(\d+)", make.stdout, re.MULTILINE)[0])
+    assert code < 8192 and data == bss == 0
