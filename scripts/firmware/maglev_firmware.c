@@ -8,7 +8,7 @@
                      256 bytes that are no frame: 3 000.
      maglev_sample   read(), the guards, one exp step, one drive() or cut(), toggle(), CRC over 152 bytes and 4 blocks of
                      BLAKE2s; 26 000 instructions, without a key 16 000.
-   Add 300 for each further maglev_heat() and what the hardware's functions take. Doubles are the wire's; a Cortex-M4
+   Add 4 400 for each maglev_heat() and what the hardware's functions take. Doubles are the wire's; a Cortex-M4
    computes them in software, which is in these figures. */
 #include "maglev_firmware.h"
 
