@@ -49,7 +49,7 @@ def fault_of(rig: Rig, act: Callable[[Rig], object]) -> DeviceFault:
     """Do something in mid-flight; return the fault that it ends in, which must have left a file."""
     rig.plant.takeoff()
     with pytest.raises(DeviceFault) as caught:
-        rig.fly(1.0, observe=at_tick(rig, 200, act))
+        rig.fly(1.0, observe=at_tick(rig, 240, act))
     assert caught.value.path is not None and len(json.loads(caught.value.path.read_text())["cycles"]) == 200
     for _ in range(15):
         rig.twin.sample()
@@ -88,7 +88,7 @@ def test_a_command_of_no_numbers_is_invalid_too(force: object) -> None:
 
 
 def disarms(rig: Rig) -> None:
-    rig.twin.cut()
+    rig.twin.board.cut()
     rig.twin.firmware.state = State.INACTIVE
 
 

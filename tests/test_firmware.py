@@ -811,7 +811,7 @@ def test_diodes_may_be_left_unwatched() -> None:
 @pytest.mark.parametrize("steps", [1, 2, 7])
 def test_a_spot_that_jumps(step: float, fault: Fault | None, steps: int) -> None:
     """By so much for each period, of which some had no sample."""
-    bench = Bench(watchdog=1.0).brought_to(State.ACTIVE)
+    bench = Bench(watchdog=1.0, spot=0.1).brought_to(State.ACTIVE)
     for place in (-0.5 * step * steps, 0.5 * step * steps):
         bench.command()
         bench.sample(spots=[*ZERO[:3], place, *ZERO[:2]], steps=steps)
