@@ -173,6 +173,7 @@ def test_the_same_controller_flies_a_device_bit_for_bit(
             wrench_limit=wrench_limit,
             sensor=SpotSensor(**NOISE),
             stops=True,
+            stop_damping=True,
             hand_force=hands[0],
         )
     )
