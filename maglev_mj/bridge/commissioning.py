@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.remote import RemotePlant
@@ -113,9 +114,9 @@ def record_step(plant: RemotePlant, coil: int, current: float = 0.2, samples: in
     first = plant.samples.tick
     rows = []
     for _ in range(int(number("samples", samples, at_least=1))):
-        plant.write_currents([current if index == coil else 0.0 for index in range(6)])
+        plant.drive([current if index == coil else 0.0 for index in range(6)])
         plant.read()
-        rows.append(((plant.samples.tick - first) * plant.period, plant.measured[coil]))
+        rows.append(((plant.samples.tick - first) * plant.period, plant.report.currents[coil]))
     plant.disarm()
     return np.array(rows)
 
@@ -130,12 +131,12 @@ def mean_pose(plant: RemotePlant, duration: float = 1.0) -> tuple[Array, Array]:
     spots = []
     for _ in range(max(round(number("duration", duration, above=0.0) / plant.period), 2)):
         plant.read()
-        spots.append(plant.spots)
+        spots.append(plant.report.spots)
     rows = np.array(spots)
     return rows.mean(axis=0), rows.std(axis=0) / np.sqrt(len(rows))
 
 
-def with_offsets(calibration: Calibration, spots: Sequence[float]) -> Calibration:
+def with_offsets(calibration: Calibration, spots: ArrayLike) -> Calibration:
     """Return a calibration whose offsets make these spots those of the centre.
 
     Args:
@@ -152,9 +153,9 @@ def _hold(plant: RemotePlant, currents: Sequence[float]) -> tuple[Array, Array]:
     settle = max(round(_PAUSE / plant.period), 2)
     for tick in range(2 * settle):
         position = plant.read().position
-        plant.write_currents(currents)
+        plant.drive(currents)
         if tick >= settle:
-            rows.append((tuple(position), tuple(plant.measured)))
+            rows.append((tuple(position), plant.report.currents))
     return np.array([one for one, _ in rows]), np.array([other for _, other in rows])
 
 

@@ -20,6 +20,7 @@ from maglev_mj.bridge.safety import (
     Limits,
     OutputLimiter,
     SpotGuard,
+    command_fault,
     reading_fault,
     weight_fault,
 )
@@ -196,12 +197,34 @@ class RemotePlant:
             PlantError: If no sample was read.
         """
         self._check_open()
-        if (frame := self._frame) is None:
+        if self._frame is None:
             raise PlantError("write() needs a sample: call read() first")
         try:
             command, held, pulsed, width = self._output.currents(command, self._known)
         except (PlantError, TypeError) as error:
             self._fail(Fault.INVALID_COMMAND, str(error))
+        self._answer(self._frame, held, pulsed, width)
+        return command
+
+    def drive(self, currents: Sequence[float]) -> None:
+        """Send six currents in place of a wrench: one coil at a time.
+
+        Args:
+            currents: Of the coils [A], six.
+
+        Raises:
+            ParameterError: If one is not finite or above the limit.
+            PlantError: If no sample was read.
+        """
+        self._check_open()
+        if self._frame is None:
+            raise PlantError("drive() needs a sample: call read() first")
+        if command_fault(self.limits, currents, currents, 0.0):
+            raise ParameterError(f"currents must be within {self.limits.current:g} A, not {list(currents)}")
+        self._answer(self._frame, currents, None, 0.0)
+
+    def _answer(self, frame: Frame, held: Sequence[float], pulsed: Sequence[float] | None, width: float) -> None:
+        """Send the answer to the last sample, and count what it heats."""
         self._send(held, pulsed, width)
         self._owed = False
         if self.state is _ACTIVE:
@@ -209,7 +232,17 @@ class RemotePlant:
         else:
             self._output.stay(1, ZERO)
         self._box.keep((frame, self._seen, held, pulsed, width, self.last_delay, self._line.latency))
-        return command
+
+    @property
+    def report(self) -> StateReport:
+        """What the device said at the last sample.
+
+        Raises:
+            PlantError: If no sample was read.
+        """
+        if self._frame is None:
+            raise PlantError("there is no sample: call read() first")
+        return self._frame.body  # type: ignore[return-value]
 
     @property
     def temperatures(self) -> list[float]:
@@ -222,13 +255,17 @@ class RemotePlant:
         """From the last sample's arrival to its answer's leaving [s]."""
         return self._line.latency * 1e-9
 
-    def arm(self) -> None:
-        """Let the currents flow. Where commands are missing, the device holds the flotor by those that carry it.
+    def arm(self, hover: Sequence[float] | None = None) -> None:
+        """Let the currents flow.
+
+        Args:
+            hover: Currents that the device holds where commands are missing [A], six; those that carry the flotor by
+                default.
 
         Raises:
             PlantError: If the device refuses, as in the fault state.
         """
-        self._ask(Operation.ARM, hover=self._hover)
+        self._ask(Operation.ARM, hover=self._hover if hover is None else hover)
         self.state, self._armed = _ACTIVE, True
 
     def disarm(self) -> None:

@@ -154,9 +154,7 @@ class AmplifierBoard:
         """Take note of the instant of a sample [ns]."""
         self._sampled_at = self.now = now
 
-    def _switch(
-        self, held: Sequence[float], pulsed: Sequence[float] | None, width: float, after: float | None
-    ) -> None:
+    def _switch(self, held: Sequence[float], pulsed: Sequence[float] | None, width: float, after: float | None) -> None:
         self._told = held
         if self._sampled_at >= 0:  # before that nothing flows
             pulsed = None if pulsed is None else self._flowing(pulsed)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import itertools
+import math
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +13,11 @@ import numpy as np
 
 from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.commissioning import CoilCheck, check_coil, mean_pose, record_step, with_offsets
-from maglev_mj.bridge.realtime import stopping
 from maglev_mj.bridge.remote import RemotePlant
-from maglev_mj.cli.bridge import opened
 from maglev_mj.cli.options import add_bridge, chosen_key, count, number_option
 from maglev_mj.cli.output import check_file
 from maglev_mj.errors import ParameterError, SensingError
+from maglev_mj.net.udp import open_link
 from maglev_mj.parameters import number
 
 __all__ = ["add_command"]
@@ -38,9 +38,7 @@ def add_command(commands: Any) -> None:
         "clamped upright at the centre, currents off",
     )
     parser.add_argument("--coil", type=count, metavar="K", help="one coil, 0 to 5 (default: all; for step 0)")
-    parser.add_argument(
-        "--current", type=number_option, default=0.2, metavar="X", help="in one coil [A] (default 0.2)"
-    )
+    parser.add_argument("--current", type=number_option, default=0.2, metavar="X", help="in one coil [A] (default 0.2)")
     parser.add_argument("--write", type=Path, metavar="FILE", help="calibration file that offsets writes")
     add_bridge(parser)
     parser.set_defaults(run=_commission)
@@ -53,7 +51,8 @@ def _commission(options: argparse.Namespace) -> int:
     if options.write is not None:
         check_file("write", options.write)
     calibration = Calibration.nominal() if options.calibration is None else Calibration.load(options.calibration)
-    with opened(options, calibration, chosen_key(options.key)) as plant:
+    key = chosen_key(options.key)
+    with RemotePlant(open_link(options.address, key), calibration=calibration, key=key) as plant:
         if options.test == "spots":
             _show_spots(plant, seconds)
         elif options.test == "offsets":
@@ -70,22 +69,20 @@ def _commission(options: argparse.Namespace) -> int:
 
 
 def _show_spots(plant: RemotePlant, seconds: float | None) -> None:
-    """Print spots and pose, currents off, until the first signal or for so long [s]."""
-    stopped: list[bool] = []
-    end = None if seconds is None else time.monotonic() + seconds
-    print(f"  {'spots x and y on diodes 0, 1, 2 [mm]':<50}  {'x y z [mm]':<21}  rx ry rz [°]")
-    with stopping(lambda: stopped.append(True)):
-        for tick in itertools.count():
-            if stopped or (end is not None and time.monotonic() > end):
-                return
+    """Print spots and pose, currents off, until Ctrl-C or for so long [s]."""
+    end = math.inf if seconds is None else time.monotonic() + seconds
+    print(f"  {'x and y of the spots on diodes 0, 1, 2 [mm]':<52}  {'x y z [mm]':<21}  rx ry rz [°]")
+    every = max(round(_SHOWN / plant.period), 1)
+    with suppress(KeyboardInterrupt):
+        while time.monotonic() < end:
             try:
                 pose = np.array(plant.read().position)
                 found = " ".join(f"{part:6.3f}" for part in pose[:3] * 1e3)
-                found += "  " + " ".join(f"{part:6.2f}" for part in np.degrees(pose[3:]))
+                found += "   " + " ".join(f"{part:6.2f}" for part in np.degrees(pose[3:]))
             except SensingError:
                 found = "no pose has these spots"
-            if tick % max(round(_SHOWN / plant.period), 1) == 0:
-                spots = "  ".join(f"{part * 1e3:7.3f}" for part in plant.spots)
+            if plant.samples.tick % every == 0:
+                spots = "  ".join(f"{part * 1e3:7.3f}" for part in plant.report.spots)
                 print(f"  {spots}  {found}", flush=True)
 
 
