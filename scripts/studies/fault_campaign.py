@@ -87,18 +87,19 @@ def injected(names: Fault, largest: int, what: str, push: str = "", seconds: flo
     return Case(names, f"{options} --push {push}" if push else options, largest, seconds=seconds)
 
 
+BAD, ALL = Fault.COIL_NOT_FOLLOWING | Fault.COIL_NOT_OFF, "x:4@{at}-9 --push y:4@{at}-9"
 AWAY = Fault.FLOTOR_OVERSPEED | Fault.BOUNDARY | Fault.SENSOR_OUT_OF_RANGE
 FROZEN, HOT, LEFT, DOWN = Fault.SENSOR_FROZEN, Fault.COIL_OVERTEMP, "x:4@{at}-9", "z:-8@1.5-{at}"
 CASES: dict[str, Case] = {
-    "dead-coil": injected(Fault.COIL_NOT_FOLLOWING, 5, "dead-coil:{k}", LEFT),
-    "stuck-amplifier": injected(Fault.COIL_NOT_OFF, 5, "stuck-amplifier:{k}", LEFT),
+    "dead-coil": injected(BAD, 5, "dead-coil:{k}", ALL),
+    "stuck-amplifier": injected(BAD, 5, "stuck-amplifier:{k}", ALL),
     "stuck-diode": injected(FROZEN, 2, "stuck-diode:{k}"),
     "stuck-diode under a hand": injected(FROZEN, 2, "stuck-diode:{k}", DOWN),
     "stuck-diodes": injected(FROZEN, 0, "stuck-diodes:0"),
     "stuck-diodes under a hand": injected(FROZEN, 0, "stuck-diodes:0", DOWN),
     "stuck-counter": injected(Fault.SENSOR_STOPPED, 0, "stuck-counter:0"),
     "invalid-diode": injected(Fault.SENSOR_OUT_OF_RANGE, 2, "invalid-diode:{k}"),
-    "swapped-diodes in flight": injected(AWAY, 2, "swapped-diodes:{k}", LEFT),
+    "swapped-diodes in flight": injected(AWAY, 2, "swapped-diodes:{k}", ALL),
     "swapped-diodes at takeoff": injected(Fault.NOT_FOLLOWING, 2, "swapped-diodes:{k}@0"),
     "nan-spot": injected(Fault.SENSOR_OUT_OF_RANGE, 5, "nan-spot:{k}"),
     "nan-current": injected(Fault.COIL_OVERCURRENT, 5, "nan-current:{k}"),
