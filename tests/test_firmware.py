@@ -872,8 +872,11 @@ def test_reset_is_refused_while_a_current_flows() -> None:
     assert bench.device.state == State.INACTIVE
 
 
-def test_currents_of_a_flight_are_not_counted_after_it() -> None:
-    bench = Bench().brought_to(State.ACTIVE)
+def test_currents_of_a_flight_are_not_counted_after_it_nor_those_before() -> None:
+    bench = Bench().brought_to(State.INACTIVE)
+    for _ in range(2):
+        bench.sample(measured=[*ZERO[:5], 2.0])
+    bench.ask(Operation.ARM)
     for _ in range(2):
         bench.command()
         bench.sample(measured=[*ONES[:5], 2.0])
