@@ -24,11 +24,12 @@ from maglev_mj.bridge.twin import Twin, TwinParameters
 from maglev_mj.bridge.wire import Codec, Command, Control, ControlAck, Estop, Fault, Hello, Operation, State
 from maglev_mj.net.serial import cobs_decode, cobs_encode
 from tests.firmware_core import COMPILER, FOLDER, NEEDS_COMPILER, SANITIZED, STRICT, CoreFirmware, library
+from tests.test_wire import sealed
 
 PERIOD = 5_000_000
 KEY = bytes(range(32))
 CALIBRATION = bytes(range(16))
-PROFILE = Profile(period=PERIOD, delay=1_500_000, calibration=CALIBRATION)
+PROFILE = Profile(period=PERIOD, delay=1_500_000, calibration=CALIBRATION, limits=Limits(hover=1.5))
 ZERO = (0.0,) * 6
 HOVER = (1.1, 1.1, 1.1, 0.0, 0.0, 0.0)
 ODD = (math.nan, math.inf, -math.inf, 10.1, -10.1, 1e300, 5e-324)
@@ -238,6 +239,27 @@ def test_it_does_not_start_as_no_device(change: dict[str, Any], limits: dict[str
         object.__setattr__(profile.limits, name, value)  # which Limits itself would refuse
     with pytest.raises(ValueError):
         CoreFirmware(profile, Amplifiers(), Codec(), lambda: 1)
+
+
+def test_a_board_that_tells_no_heating_has_its_coils_heated_by_what_is_measured() -> None:
+    side = Side(CoreFirmware, PROFILE, None)
+    side.device.heats = False
+    currents = (6.0, 0.0, 0.0, 0.0, 0.0, -10.0)
+    for tick in range(1, 1000):
+        side.device.sample(tick, tick * PERIOD, Reading(ZERO, 7, currents, currents, ((1.0, ZERO),), tick))
+        if side.device.faults & Fault.COIL_OVERTEMP:
+            break
+    expected = -10.0 * math.log(1.0 - 0.3**2)
+    assert tick * PERIOD * 1e-9 == pytest.approx(expected, abs=2.1 * PERIOD * 1e-9)
+
+
+def test_a_frame_that_is_too_long_for_a_board_is_none() -> None:
+    side = Side(CoreFirmware, PROFILE, None)
+    for length, reason in ((256, "version"), (257, "length")):
+        data = bytearray(length)
+        data[:4] = b"MJ\x03\x01"
+        answer = side.device.receive(sealed(bytes(data)), 0, "host")
+        assert (answer is not None) == (reason == "version") and side.codec.dropped[reason] == 1
 
 
 @pytest.mark.parametrize("length", [*range(1, 9), 253, 254, 255, 256])
