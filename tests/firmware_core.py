@@ -127,7 +127,7 @@ class CoreFirmware:
         known.calibration[:] = profile.calibration
         if codec._seal is not None:
             key = codec._seal._key
-            known.key_length, known.key[: len(key)] = len(key), key
+            known.key_length, known.key[:] = len(key), key[:32].ljust(32, b"\0")
         self._now, self._reading = 0, _Reading()
         self._told: list[Callable[[], None]] = []
         self.heats = True
@@ -146,6 +146,7 @@ class CoreFirmware:
         self._device = _Device.from_buffer(self._memory)
         if not self._core.maglev_start(self._memory, ctypes.byref(known), ctypes.byref(hardware)):
             raise ValueError(f"no device is like this: {profile}")
+        assert len(self._told) == 1  # a board begins with its currents cut
         self._told.clear()
 
     @property

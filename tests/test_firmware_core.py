@@ -253,6 +253,20 @@ def test_a_board_that_tells_no_heating_has_its_coils_heated_by_what_is_measured(
     assert tick * PERIOD * 1e-9 == pytest.approx(expected, abs=2.1 * PERIOD * 1e-9)
 
 
+@pytest.mark.parametrize("length", [15, 33])
+def test_it_does_not_start_with_a_key_of_another_length(length: int) -> None:
+    codec = Codec(KEY)
+    codec._seal._key = bytes(length)  # type: ignore[union-attr]
+    with pytest.raises(ValueError):
+        CoreFirmware(PROFILE, Amplifiers(), codec, lambda: 1)
+
+
+def test_no_session_has_the_number_0() -> None:
+    device = CoreFirmware(PROFILE, Amplifiers(), Codec(), lambda: 0)
+    assert device.receive(Codec().encode(0, 0, 0, Hello(1, CALIBRATION)), 0, "host") is not None
+    assert device.session == 1
+
+
 def test_a_frame_that_is_too_long_for_a_board_is_none() -> None:
     side = Side(CoreFirmware, PROFILE, None)
     for length, reason in ((256, "version"), (257, "length")):
