@@ -423,20 +423,23 @@ class TwinServer:
             self._take(*self._waiting.popleft())
             if count % _FEW == 0:
                 self._collect(0.0)
-                if not self._lockstep and time.monotonic_ns() > self._deadline + self._period:
+                if self._overdue:
                     return
 
     def _collect(self, timeout: float) -> None:
         """Put what has come into the queue; take emergency stops at once."""
-        for _ in range(_MOST):
-            arrived = self._server.receive(timeout)
-            if arrived is None:
+        for count in range(_MOST):
+            if (count % _FEW == _FEW - 1 and self._overdue) or (arrived := self._server.receive(timeout)) is None:
                 return
             timeout = 0.0
             if arrived[0][3:4] == _ESTOP:
                 self._take(*arrived)
             elif len(self._waiting) < _MOST:
                 self._waiting.append(arrived)
+
+    @property
+    def _overdue(self) -> bool:
+        return not self._lockstep and time.monotonic_ns() > self._deadline + self._period
 
     def _take(self, data: bytes, sender: Address) -> None:
         now = max(self.twin.tick, 0) * self._period

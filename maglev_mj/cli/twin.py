@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,8 @@ from maglev_mj.bridge.twin import Twin, TwinParameters, TwinServer
 from maglev_mj.bridge.wire import fault_names
 from maglev_mj.cli.options import add_bridge, chosen_key, count, number_option
 from maglev_mj.errors import ParameterError
+from maglev_mj.frames import AXES
+from maglev_mj.hand import HandForce
 from maglev_mj.net.udp import Server, UdpServer, check_host, parse_url
 from maglev_mj.parameters import number
 from maglev_mj.plants import engine_warnings_silenced
@@ -55,6 +58,13 @@ def add_command(commands: Any) -> None:
     twin.add_argument(
         "--fault", action="append", default=[], metavar="NAME:K@SECONDS", help=f"what goes wrong, and when: {faults}"
     )
+    twin.add_argument(
+        "--push",
+        action="append",
+        default=[],
+        metavar="AXIS:NEWTONS@START-END",
+        help="a hand that pushes along x, y, z (N) or about rx, ry, rz (N m) from START to END [s], such as z:-5@2-3",
+    )
     twin.add_argument("--truth", metavar="FILE", type=Path, help="what the device is, where a host knows it wrongly")
     add_bridge(twin)
     twin.add_argument("--view", action="store_true", help="a window, with the mouse as the hand")
@@ -80,6 +90,7 @@ def _twin(options: argparse.Namespace) -> int:
         limits=Limits(watchdog=options.watchdog),
         faults=[InjectedFault.parse(text) for text in options.fault],
     )
+    _hand(options.push, None)  # a push that is none is said before a window opens
     viewer = None
     if options.view:
         from maglev_mj.viewer.window import require_display
@@ -89,7 +100,7 @@ def _twin(options: argparse.Namespace) -> int:
         off = {one.name: False for one in look.parameters() if one.kind is bool and one.live}
         blank = Snapshot(scene=look(**off, period=parameters.period, delay=parameters.delay))
         viewer = RemoteViewer(blank)
-    twin = Twin(parameters, key=key, hand_force=None if viewer is None else viewer.hand)
+    twin = Twin(parameters, key=key, hand_force=_hand(options.push, None if viewer is None else viewer.hand))
     server = TwinServer(twin, _server(options.listen, key))
     print(_greeting(options, server), flush=True)
     try:
@@ -104,6 +115,27 @@ def _twin(options: argparse.Namespace) -> int:
             viewer.close()
     print(served_table(served, twin))
     return 0
+
+
+def _hand(pushes: Sequence[str], mouse: HandForce | None) -> HandForce | None:
+    """Return a hand that pushes when it is time to, beside that of the mouse."""
+    parts: list[tuple[int, float, float, float]] = []
+    for text in pushes:
+        found = re.fullmatch(r"(r?[xyz]):([+-]?\d+\.?\d*)@(\d+\.?\d*)-(\d+\.?\d*)", text)
+        if not found or float(found[3]) >= float(found[4]):
+            axes = ", ".join(AXES)
+            raise ParameterError(
+                f"push must be AXIS:NEWTONS@START-END with an axis of {axes} and START before END, not {text!r}"
+            )
+        parts.append((AXES.index(found[1]), float(found[2]), float(found[3]), float(found[4])))
+
+    def pushing(tick: int, time: Any, state: Any) -> Sequence[Any]:
+        wrench = [0.0] * 6 if mouse is None else list(mouse(tick, time, state))
+        for axis, force, start, end in parts:
+            wrench[axis] += force * (start <= time < end)
+        return wrench
+
+    return pushing if parts else mouse
 
 
 def _server(listen: str, key: bytes | None) -> Server:
