@@ -31,6 +31,7 @@ class SampleCounter:
     Attributes:
         period: Sample period [ns].
         tick: Of the last sample, from 0 at the first that came.
+        time: Of the device's clock at the last sample [ns].
         elapsed: Samples from the one before to the last.
         lost: Samples that did not arrive.
         skipped: Samples that nobody answered because a newer one was there.
@@ -38,7 +39,7 @@ class SampleCounter:
 
     def __init__(self, period: int) -> None:
         self.tick, self.elapsed, self.lost, self.skipped = -1, 0, 0, 0
-        self.period, self._sequence, self._time = period, 0, 0
+        self.period, self._sequence, self.time = period, 0, 0
 
     def count(self, sequence: int, time: int, skipped: int) -> str:
         """Count a sample; return what is wrong with the device's clock, nothing where it keeps step.
@@ -53,7 +54,7 @@ class SampleCounter:
             self.tick = 0
         else:
             self.elapsed = (sequence - self._sequence) & _WRAP
-            passed = time - self._time
+            passed = time - self.time
             if abs(passed - self.elapsed * self.period) > self.period // 2:
                 said = f"{passed * 1e-6:.3f} ms went by in {self.elapsed} samples of {self.period * 1e-6:.3f} ms"
             self.tick += self.elapsed
@@ -61,7 +62,7 @@ class SampleCounter:
             if missing:
                 self.skipped += min(skipped, missing)
                 self.lost += missing - min(skipped, missing)
-        self._sequence, self._time = sequence, time
+        self._sequence, self.time = sequence, time
         return said
 
 

@@ -6,16 +6,17 @@ import math
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from statistics import median
 from typing import NamedTuple
 
 import numpy as np
 
-from maglev_mj.bridge.realtime import LatencyHistogram
+from maglev_mj.bridge.realtime import LatencyHistogram, interrupt
 from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.controller import Controller
-from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.errors import MaglevError, ParameterError, PlantError
 from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.loop import Answers, ControlLoop, Record
 from maglev_mj.recording import Mechanics, RecordingError, RecordingFile, RunMetadata
@@ -30,13 +31,129 @@ from maglev_mj.session import (
     device_controller,
     settings_of,
 )
+from maglev_mj.theory import stability
 
-__all__ = ["Flight", "FlightReport"]
+__all__ = ["LANDING_TIME", "Flight", "FlightReport", "LoopTiming", "StopSwitch", "delay_check"]
 
 _USUAL = 100
 """Answers whose median is the usual delay: one early or late answer makes no loop stable or unstable."""
 
 _NOTE = "the hand, the rate and the delay are the device's"
+
+
+LANDING_TIME = 2.0
+"""A flight that is to land has so long before it is cut [s]."""
+
+
+class StopSwitch:
+    """Ends a flight: lands it, or cuts the currents."""
+
+    def __init__(self) -> None:
+        self._landing, self._flying = threading.Event(), False
+
+    @property
+    def landing(self) -> bool:
+        """Whether the flight is to land."""
+        return self._landing.is_set()
+
+    def land(self) -> None:
+        """Let the flight land; from any thread."""
+        self._landing.set()
+
+    def cut(self) -> None:
+        """Raise KeyboardInterrupt, once, which cuts the currents; in the flying thread. Nothing where none flies."""
+        self._landing.set()
+        if self._flying:
+            self._flying = False
+            interrupt()
+
+    @contextmanager
+    def flying(self, plant: RemotePlant) -> Iterator[None]:
+        """Take off, fly and land; an interrupt is an emergency stop of the plant.
+
+        Raises:
+            KeyboardInterrupt: If the flight is to land before it has begun.
+            DeviceFault: If it was cut.
+            PlantError: If the device does not confirm that it was cut.
+        """
+        if self.landing:
+            interrupt()
+        self._flying = True
+        try:
+            yield
+        except KeyboardInterrupt:
+            self._flying = False
+            try:
+                plant.estop()
+            except PlantError as error:
+                raise PlantError(f"emergency stop not confirmed, cut the power: {error}") from None
+            plant.read()  # raises the fault, with the last cycles on disk
+            raise
+        finally:
+            self._flying = False
+
+
+class LoopTiming:
+    """How late a loop over a device's samples is.
+
+    Attributes:
+        answer: From reading a sample to having sent its answer.
+        age: From a sample to having sent its answer, beyond the quickest way here of late; a device's clock and the
+            host's have no common zero.
+        delay: From a sample to its answer's taking effect, by the device's clock.
+    """
+
+    def __init__(self) -> None:
+        self.answer, self.age, self.delay = LatencyHistogram(), LatencyHistogram(), LatencyHistogram()
+        self._least = self._before = math.inf
+        self._renewed = 0
+
+    def add(self, plant: RemotePlant, read: int, sent: int) -> None:
+        """Add a sample that was read and answered at two instants of this machine's clock [ns]."""
+        self.answer.add(sent - read)
+        if not math.isnan(plant.newest_delay):
+            self.delay.add(round(plant.newest_delay * 1e9))
+        if plant.lockstep:
+            return  # the device's time stands still meanwhile
+        way = read - plant.samples.time
+        if read > self._renewed:
+            self._least, self._before, self._renewed = way, self._least, read + _RENEWED
+        self._least = min(self._least, way)
+        self.age.add(sent - plant.samples.time - round(min(self._least, self._before)))
+
+    def __str__(self) -> str:
+        kinds = {"answer": self.answer, "age when the answer left": self.age, "delay at the device": self.delay}
+        return "; ".join(
+            f"{name} {one.p50 * 1e3:.3f} ms at 50 %, {one.p99 * 1e3:.3f} at 99 %, {one.max * 1e3:.3f} at most"
+            for name, one in kinds.items()
+            if one.count
+        )
+
+
+_RENEWED = 2_000_000_000
+"""The quickest way is that of the last so many nanoseconds: clocks drift apart by up to 100 µs a second."""
+
+
+def delay_check(timing: LoopTiming, scene: Scene, inertia: Sequence[float]) -> str:
+    """Return how the measured delay compares with the one whose stability was checked; empty where it is no longer.
+
+    Args:
+        timing: Of the flight.
+        scene: The scene, with the delay that was assumed.
+        inertia: Mass and moments of inertia [kg, kg m²], six.
+    """
+    if not timing.delay.p99 > scene.delay:  # which NaN is not
+        return ""
+    said = (
+        f"99 % of the delays are up to {timing.delay.p99 * 1e3:.2f} ms; "
+        f"the stability check assumed {scene.delay * 1e3:.2f} ms"
+    )
+    try:
+        verdict = stability(scene.replace(delay=timing.delay.p99), inertia=inertia)
+    except MaglevError as error:
+        return f"{said}; stability at the measured delay is not known: {error}"
+    word = {True: "stable", False: "UNSTABLE", None: "of unknown stability"}[verdict.stable]
+    return f"{said}; at the measured delay {scene.name} is {word}, largest root modulus {verdict.modulus:.4f}"
 
 
 class FlightReport(NamedTuple):
@@ -47,14 +164,16 @@ class FlightReport(NamedTuple):
         lost: Samples that did not arrive.
         skipped: Samples that were too old when they were read.
         wall_time: How long it took [s].
-        answer: Time from reading a sample to having sent its answer [s].
+        timing: How late the loop was.
+        warning: What is wrong with its delay; empty for nothing.
     """
 
     ticks: int
     lost: int
     skipped: int
     wall_time: float
-    answer: LatencyHistogram
+    timing: LoopTiming
+    warning: str
 
 
 class Flight:
@@ -63,11 +182,13 @@ class Flight:
     Args:
         plant: The device; closed by the caller.
         scene: The scene; its period is the device's.
+        switch: Lands or cuts it; its own by default.
         file: What every sample is recorded to; left open.
         publishers: Windows on it and ways to other programs; left open.
         warn: Called, once, with why the flight is not recorded any more.
 
     Attributes:
+        switch: Lands or cuts it.
         read_at: When the last sample was there [ns].
 
     Raises:
@@ -79,6 +200,7 @@ class Flight:
         plant: RemotePlant,
         scene: Scene,
         *,
+        switch: StopSwitch | None = None,
         file: RecordingFile | None = None,
         publishers: Sequence[Publisher] = (),
         warn: Callable[[str], object] | None = None,
@@ -88,42 +210,60 @@ class Flight:
         self._plant, self._scene, self._file = plant, scene, file
         self._publishers, self._since = Publishers(publishers), 0
         self._motion, self._note = SampledMotion(scene.axis_index), _NOTE
-        self._stopped = threading.Event()
+        self.switch, self.timing = switch or StopSwitch(), LoopTiming()
         self._wanted: Scene | None = None
-        self._answer = LatencyHistogram()
         self._force: Sequence[float] = WEIGHT
         self._delays: deque[float] = deque(maxlen=_USUAL)
         self._warn, self._checked = warn, 0.0
         self.read_at = 0
 
     def run(self, duration: float | None = None) -> FlightReport:
-        """Take off, render the scene until `stop` or for so long [s] of the device's time, and land.
+        """Take off, render the scene until told to land or for so long [s] of the device's time, and land.
 
         Raises:
-            DeviceFault: If something is wrong with the device, or with how it is flown.
+            KeyboardInterrupt: If it is told to land before it has begun.
+            DeviceFault: If something is wrong with the device, or with how it is flown, or it was cut.
+            PlantError: If the device does not confirm that it was cut.
         """
+        start, plant, warning = time.monotonic(), self._plant, ""
         try:
-            return self._run(duration)
+            with self.switch.flying(plant):
+                ticks = self._fly(duration)
         except MaglevError as error:
             if self._file is not None:
                 self._file.event("fault", str(error))
             raise
+        finally:
+            if self.timing.answer.count:
+                warning = self._compare()
+        lost, skipped = plant.samples.lost, plant.samples.skipped
+        return FlightReport(ticks, lost, skipped, time.monotonic() - start, self.timing, warning)
 
-    def _run(self, duration: float | None) -> FlightReport:
-        start, plant = time.monotonic(), self._plant
-        plant.takeoff()
+    def _fly(self, duration: float | None) -> int:
+        plant, switch = self._plant, self.switch
+        plant.takeoff(watch=self._watch)
         first = plant.samples.tick
         last = None if duration is None else first + round(duration / plant.period)
-        while not self._stopped.is_set() and (last is None or plant.samples.tick < last):
+        while not switch.landing and (last is None or plant.samples.tick < last):
             self._stretch(last)
         ticks = plant.samples.tick - first
-        plant.land()
-        samples = plant.samples
-        return FlightReport(ticks, samples.lost, samples.skipped, time.monotonic() - start, self._answer)
+        plant.land(watch=lambda: self._watch() and False)
+        return ticks
 
-    def stop(self) -> None:
-        """Let `run` land; from any thread."""
-        self._stopped.set()
+    def _watch(self) -> bool:
+        """Look at the keys of windows while the scene is not rendered; return whether to land."""
+        self._publishers.wanted()
+        return self.switch.landing
+
+    def _compare(self) -> str:
+        """Compare the delay with the one assumed, and record both."""
+        known = self._plant.calibration
+        warning = delay_check(self.timing, self._scene, [*[known.mass] * 3, *known.inertia])
+        if self._file is not None:
+            samples = self._plant.samples
+            text = f"{self.timing}; {samples.lost} samples lost, {samples.skipped} skipped"
+            self._file.event("timing", f"{text}; {warning}" if warning else text)
+        return warning
 
     def _stretch(self, last: int | None) -> None:
         """Fly with unchanged parameters."""
@@ -140,14 +280,14 @@ class Flight:
             record = self._file.begin(self._plant, controller, {**setup, "run": run.as_json()})
         loop = ControlLoop(self._plant, _Timed(controller, self), observe=self._observe(controller), record=record)
         samples = self._plant.samples
-        while not self._stopped.is_set() and self._wanted is None and (last is None or samples.tick < last):
+        while not self.switch.landing and self._wanted is None and (last is None or samples.tick < last):
             loop.cycle()
 
     def _observe(self, controller: Controller) -> Callable[[Sample, Command], object]:
         carried, faces = controller.carried, controller.faces
 
         def observe(sample: Sample, applied: Command) -> None:
-            self._answer.add(time.perf_counter_ns() - self.read_at)
+            self.timing.add(self._plant, self.read_at, time.perf_counter_ns())
             self._force = applied.force
             if self._warn is not None and self._file is not None:
                 self._check(self._file, self._warn)

@@ -29,6 +29,7 @@ from maglev_mj.sensing.solver import PoseTracker
 __all__ = ["Leader", "RemotePlant"]
 
 _ASIDE, _ASKEW = 0.002, math.radians(3.0)
+_NONE = 0xFFFFFFFF
 
 
 class Leader:
@@ -109,6 +110,8 @@ class RemotePlant(RemoteDevice):
         last_currents: What was sent last [A], six.
         last_delay: From the sample before the last to its answer's taking effect, by the device's clock [s]; NaN where
             the command in force at the last sample answers another.
+        newest_delay: Likewise of the newest answer that has arrived, whichever sample it answers; NaN where that is the
+            one before.
         rest: Where the flotor lay before it took off [m, rad]; where it is landed.
         samples: Their count, and what is missing of them.
         hand_wrench: Zero: nobody measures what the hand does.
@@ -143,7 +146,8 @@ class RemotePlant(RemoteDevice):
         self._output = OutputLimiter(self.calibration.coils, self.limits, wrench_limit, self.period)
         self._felt: Sequence[float] = ZERO  # what the device says of its coils' temperatures
         self._warned = False
-        self.last_delay = math.nan
+        self.last_delay = self.newest_delay = math.nan
+        self._answered: int | None = None
         self.rest: Sequence[float] = ZERO
         self._sequence = 0
         self._owed = False  # an answer, to the last sample
@@ -204,11 +208,12 @@ class RemotePlant(RemoteDevice):
         """Of the six coils, the higher of what the device says and what was sent: 1 where they trip."""
         return [max(one, other) for one, other in zip(self._felt, self._output.thermal.rises)]
 
-    def takeoff(self, duration: float = 0.6) -> None:
+    def takeoff(self, duration: float = 0.6, *, watch: Callable[[], object] | None = None) -> None:
         """Arm, and lead the flotor from where it lies to the centre; keep hands off it.
 
         Args:
             duration: How long [s].
+            watch: Called after each sample; leading ends early where it returns True.
 
         Raises:
             DeviceFault: If it does not follow, or anything else goes wrong.
@@ -216,23 +221,36 @@ class RemotePlant(RemoteDevice):
         rest = list(self.read().position)
         self.arm()
         self.rest = rest
-        self._lead(self.rest, ZERO, duration, self._astray)
+        self._lead(self.rest, ZERO, duration, self._astray, watch)
 
-    def land(self, duration: float = 0.6) -> None:
+    def land(self, duration: float = 0.6, *, watch: Callable[[], object] | None = None) -> None:
         """Lead the flotor back to where it lay, and disarm; a hand that holds it then has it.
+
+        Args:
+            duration: How long [s].
+            watch: As for `takeoff`.
 
         Raises:
             DeviceFault: As for `takeoff`.
         """
-        self._lead(self.read().position, self.rest, duration, lambda place: None)
+        self._lead(self.read().position, self.rest, duration, lambda place: None, watch)
         self.disarm()
 
     def _lead(
-        self, start: Sequence[float], end: Sequence[float], duration: float, astray: Callable[[Sequence[float]], object]
+        self,
+        start: Sequence[float],
+        end: Sequence[float],
+        duration: float,
+        astray: Callable[[Sequence[float]], object],
+        watch: Callable[[], object] | None,
     ) -> None:
         known, period, delay = self.calibration, self.period, self.delay
         leader = Leader(known, start, end, duration=duration, period=period, delay=delay, astray=astray)
-        ControlLoop(self, leader).cycle(max(round(duration / period), 1))
+        loop = ControlLoop(self, leader)
+        for _ in range(max(round(duration / period), 1)):
+            loop.cycle()
+            if watch is not None and watch():
+                return
 
     def _astray(self, place: Sequence[float]) -> NoReturn:
         self._fail(Fault.NOT_FOLLOWING, f"the flotor is at {_shown(place)}, not where it is led")
@@ -258,11 +276,18 @@ class RemotePlant(RemoteDevice):
         if (unanswered := samples.elapsed - answered) > 0:  # what nobody wrote for: the coils cool, or go on
             self._output.stay(unanswered, self.last_currents if self.state == State.ACTIVE else ZERO)
         self._felt = report.temperatures
-        in_force = samples.elapsed == 1 and report.answered == self._sequence
-        self.last_delay = self.period - report.age * 1e-6 + self.delay if in_force else math.nan
+        self._measure(frame.sequence, report)
         self._sequence = frame.sequence
         self._row, self._seen = (frame.sequence, frame.time, report.state, report.faults, report.spots), _UNKNOWN
         return out_of_step
+
+    def _measure(self, sequence: int, report: StateReport) -> None:
+        """Measure the delay of the newest answer that has arrived, once."""
+        behind = (sequence - report.answered) & _NONE
+        fresh = report.answered != self._answered and report.age != _NONE
+        self._answered = report.answered
+        self.newest_delay = behind * self.period - report.age * 1e-6 + self.delay if fresh else math.nan
+        self.last_delay = self.newest_delay if self.samples.elapsed == behind == 1 else math.nan
 
     def _locate(self, spots: Sequence[float]) -> list[float]:
         """Return the pose whose spots these are; an answer to it is owed."""

@@ -18,7 +18,7 @@ from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.firmware import Firmware, Profile, Reading
 from maglev_mj.bridge.realtime import LatencyHistogram
 from maglev_mj.bridge.safety import Limits
-from maglev_mj.bridge.wire import Codec
+from maglev_mj.bridge.wire import Codec, Fault
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import ZERO, Array
 from maglev_mj.hand import HandForce
@@ -247,6 +247,10 @@ class Twin:
         """Switch all currents off at once; see `Amplifiers`."""
         if self.tick >= 0:
             self.plant.drive(ZERO, after=(self._now - self._sampled_at) * 1e-9)
+
+    def estop(self) -> None:
+        """Stop as an emergency stop's frame does."""
+        self.firmware.trip(Fault.ESTOP, self._now + self._ahead)
 
     def toggle(self, now: int) -> None:
         """Keep the amplifier board's enable line alive; see `Amplifiers`."""

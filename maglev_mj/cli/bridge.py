@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -14,9 +14,9 @@ import numpy as np
 
 from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.fault import HandshakeError
-from maglev_mj.bridge.flight import Flight
+from maglev_mj.bridge.flight import LANDING_TIME, Flight, StopSwitch
 from maglev_mj.bridge.identification import collect, excitation, identify
-from maglev_mj.bridge.realtime import realtime, stopping
+from maglev_mj.bridge.realtime import interrupt, realtime, stopping
 from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.cli.options import add_bridge, add_recording, chosen_key, number_option
 from maglev_mj.cli.output import check_file, check_outputs, check_recording
@@ -79,7 +79,11 @@ def _bridge(options: argparse.Namespace) -> int:
 
         require_display()
     # publishers first: what is wrong with them is said before the device moves
-    with chosen_publishers(options) as publishers, _opened(options, calibration, key) as plant:
+    with (
+        stopping(interrupt, lambda: None),  # what closes is not stopped by a second Ctrl-C
+        chosen_publishers(options) as publishers,
+        _opened(options, calibration, key) as plant,
+    ):
         if options.reset:
             plant.reset()
         if options.identify is not None:
@@ -92,7 +96,9 @@ def _bridge(options: argparse.Namespace) -> int:
 
 def _fly(plant: RemotePlant, scene: Scene, options: argparse.Namespace, publishers: Sequence[Publisher]) -> None:
     """Fly a scene; whatever ends it, first the device is let go, then what was recorded is kept."""
+    switch = StopSwitch()
     with ExitStack() as last:
+        last.enter_context(stopping(switch.land, switch.cut, within=LANDING_TIME))
         viewer = None
         if options.view:
             viewer = RemoteViewer(Snapshot(scene=scene), options.out)
@@ -101,17 +107,18 @@ def _fly(plant: RemotePlant, scene: Scene, options: argparse.Namespace, publishe
         file = None if options.record is None else open_recording(options.record)
         if file is not None:
             last.push(partial(_keep, file))
-        flight = Flight(plant, scene, file=file, publishers=publishers, warn=_warn)
+        flight = Flight(plant, scene, switch=switch, file=file, publishers=publishers, warn=_warn)
         if viewer is not None:
-            viewer.on_close = flight.stop
+            viewer.on_close, viewer.on_emergency = switch.land, switch.cut
         last.push(plant)  # first of all the device is let go
-        with stopping(flight.stop), _punctual(options):
+        with _punctual(options):
             print(f"  {scene.name} at {1.0 / plant.period:g} Hz; keep hands off while it takes off", flush=True)
             print(flown_table(flight.run(options.seconds)), flush=True)
 
 
 def _warn(text: str) -> None:
-    say(f"  {text}", sys.stderr)
+    with suppress(OSError):  # a terminal that is gone is no reason to let go
+        say(f"  {text}", sys.stderr)
 
 
 def _keep(file: RecordingFile, _kind: object, error: BaseException | None, _trace: object) -> None:
@@ -147,9 +154,10 @@ def _identify(plant: RemotePlant, options: argparse.Namespace) -> int:
     mass = plant.calibration.mass if options.mass is None else number("mass", options.mass, above=0.0)
     # before takeoff: the device would take the time that this needs for a host that is gone
     shaker = excitation(plant.calibration, period=plant.period, delay=plant.delay)
-    with _punctual(options):
-        plant.takeoff()
-        motion = collect(plant, shaker, _IDENTIFYING, then=plant.land)
+    switch = StopSwitch()
+    with stopping(switch.land, switch.cut, within=LANDING_TIME), _punctual(options), switch.flying(plant):
+        plant.takeoff(watch=lambda: switch.landing)
+        motion = collect(plant, shaker, _IDENTIFYING, then=plant.land, watch=lambda: switch.landing)
     # the wire and this program take their time too, which the map would have to pay for
     found = identify(motion.poses, motion.currents, period=plant.period, delay=motion.delay)
     found.calibration(plant.calibration, mass).save(options.identify)

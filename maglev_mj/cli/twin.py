@@ -129,7 +129,7 @@ def _shown(viewer: RemoteViewer, blank: Snapshot, server: TwinServer) -> Callabl
     coils, carried = plant.device.coils, np.array(WEIGHT)
     assert coils is not None  # it is driven through them
     motion, publishers = SampledMotion(blank.scene.axis_index), Publishers([viewer])
-    viewer.on_close = server.stop
+    viewer.on_close, viewer.on_emergency = server.stop, twin.estop
 
     def each() -> None:
         currents, pose, time = plant.currents, twin.pose, twin.tick * blank.scene.period

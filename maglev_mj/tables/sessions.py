@@ -37,9 +37,19 @@ def served_table(served: ServerReport, twin: Twin) -> str:
 def flown_table(flown: FlightReport) -> str:
     """Return what a flight came to."""
     lines = [f"  {flown.wall_time:.1f} s, {flown.ticks} samples, {flown.lost} lost, {flown.skipped} skipped"]
-    if flown.answer.count:
-        answer = flown.answer
-        lines.append(f"  answered within {answer.p50 * 1e6:.0f} µs in the median, {answer.p99 * 1e6:.0f} µs at 99 %")
+    timing = flown.timing
+    kinds = {
+        "answer, from reading the sample [ms]": timing.answer,
+        "age of the sample when it left [ms]": timing.age,
+        "delay at the device [ms]": timing.delay,
+    }
+    if timing.answer.count:
+        lines.append(f"  {'':<38}{'median':>9}{'99 %':>9}{'most':>9}")
+    for name, one in kinds.items():
+        if one.count:
+            lines.append(f"  {name:<38}" + "".join(f"{part * 1e3:9.3f}" for part in (one.p50, one.p99, one.max)))
+    if flown.warning:
+        lines.append(f"  warning: {flown.warning}")
     return "\n".join(lines)
 
 
