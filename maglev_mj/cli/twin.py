@@ -14,7 +14,7 @@ from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.realtime import realtime, stopping
 from maglev_mj.bridge.safety import Limits
 from maglev_mj.bridge.twin import INJECTED_FAULTS, InjectedFault, Twin, TwinParameters, TwinServer
-from maglev_mj.bridge.wire import fault_names
+from maglev_mj.bridge.wire import State, fault_names
 from maglev_mj.cli.options import add_bridge, chosen_key, count, number_option
 from maglev_mj.errors import ParameterError
 from maglev_mj.net.udp import Server, UdpServer, check_host, parse_url
@@ -146,6 +146,8 @@ def _shown(viewer: RemoteViewer, blank: Snapshot, server: TwinServer) -> Callabl
                 currents=currents,
                 history=motion.history.rows,
                 work=motion.work,
+                state="stopped" if twin.firmware.state == State.FAULT else "running",
+                remedy="bridge ADDRESS --reset",
                 notes=[f"a device, {twin.firmware.state.name.lower()}{_faults(twin)}"],
             )
         )

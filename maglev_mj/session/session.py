@@ -230,7 +230,7 @@ class Session:
     def _notes(self) -> list[str]:
         notes = []
         if self._stopped:
-            notes.append(f"STOPPED: {self._stopped}; / starts again")
+            notes.append(f"STOPPED: {self._stopped}")
         elif self._paused:
             notes.append("PAUSED")
         if self._pacer.late:
