@@ -15,6 +15,7 @@ import numpy as np
 
 from maglev_mj.bridge.realtime import LatencyHistogram, interrupt
 from maglev_mj.bridge.remote import RemotePlant
+from maglev_mj.bridge.takeoff import LandingReport
 from maglev_mj.controller import Controller
 from maglev_mj.errors import MaglevError, ParameterError, PlantError
 from maglev_mj.frames import Array, Command, Sample
@@ -164,16 +165,14 @@ class FlightReport(NamedTuple):
         lost: Samples that did not arrive.
         skipped: Samples that were too old when they were read.
         wall_time: How long it took [s].
-        timing: How late the loop was.
-        warning: What is wrong with its delay; empty for nothing.
+        landing: How the flotor lies.
     """
 
     ticks: int
     lost: int
     skipped: int
     wall_time: float
-    timing: LoopTiming
-    warning: str
+    landing: LandingReport
 
 
 class Flight:
@@ -189,6 +188,8 @@ class Flight:
 
     Attributes:
         switch: Lands or cuts it.
+        timing: How late its loop is.
+        warning: What is wrong with its delay, once it is over; empty for nothing.
         read_at: When the last sample was there [ns].
 
     Raises:
@@ -210,7 +211,7 @@ class Flight:
         self._plant, self._scene, self._file = plant, scene, file
         self._publishers, self._since = Publishers(publishers), 0
         self._motion, self._note = SampledMotion(scene.axis_index), _NOTE
-        self.switch, self.timing = switch or StopSwitch(), LoopTiming()
+        self.switch, self.timing, self.warning = switch or StopSwitch(), LoopTiming(), ""
         self._wanted: Scene | None = None
         self._force: Sequence[float] = WEIGHT
         self._delays: deque[float] = deque(maxlen=_USUAL)
@@ -225,21 +226,21 @@ class Flight:
             DeviceFault: If something is wrong with the device, or with how it is flown, or it was cut.
             PlantError: If the device does not confirm that it was cut.
         """
-        start, plant, warning = time.monotonic(), self._plant, ""
+        start, plant = time.monotonic(), self._plant
         try:
             with self.switch.flying(plant):
-                ticks = self._fly(duration)
+                ticks, landing = self._fly(duration)
         except MaglevError as error:
             if self._file is not None:
                 self._file.event("fault", str(error))
             raise
         finally:
             if self.timing.answer.count:
-                warning = self._compare()
+                self._compare()
         lost, skipped = plant.samples.lost, plant.samples.skipped
-        return FlightReport(ticks, lost, skipped, time.monotonic() - start, self.timing, warning)
+        return FlightReport(ticks, lost, skipped, time.monotonic() - start, landing)
 
-    def _fly(self, duration: float | None) -> int:
+    def _fly(self, duration: float | None) -> tuple[int, LandingReport]:
         plant, switch = self._plant, self.switch
         plant.takeoff(watch=self._watch)
         first = plant.samples.tick
@@ -247,23 +248,20 @@ class Flight:
         while not switch.landing and (last is None or plant.samples.tick < last):
             self._stretch(last)
         ticks = plant.samples.tick - first
-        plant.land(watch=lambda: self._watch() and False)
-        return ticks
+        return ticks, plant.land(watch=lambda: self._watch() and False)
 
     def _watch(self) -> bool:
         """Look at the keys of windows while the scene is not rendered; return whether to land."""
         self._publishers.wanted()
         return self.switch.landing
 
-    def _compare(self) -> str:
+    def _compare(self) -> None:
         """Compare the delay with the one assumed, and record both."""
-        known = self._plant.calibration
-        warning = delay_check(self.timing, self._scene, [*[known.mass] * 3, *known.inertia])
+        known, samples = self._plant.calibration, self._plant.samples
+        self.warning = delay_check(self.timing, self._scene, [*[known.mass] * 3, *known.inertia])
         if self._file is not None:
-            samples = self._plant.samples
-            text = f"{self.timing}; {samples.lost} samples lost, {samples.skipped} skipped"
-            self._file.event("timing", f"{text}; {warning}" if warning else text)
-        return warning
+            said = [str(self.timing), f"{samples.lost} samples lost, {samples.skipped} skipped", self.warning]
+            self._file.event("timing", "; ".join(part for part in said if part))
 
     def _stretch(self, last: int | None) -> None:
         """Fly with unchanged parameters."""

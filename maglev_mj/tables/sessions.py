@@ -8,11 +8,11 @@ from maglev_mj.bridge.wire import fault_names
 from maglev_mj.recording import Verdict
 
 if TYPE_CHECKING:
-    from maglev_mj.bridge.flight import FlightReport
+    from maglev_mj.bridge.flight import FlightReport, LoopTiming
     from maglev_mj.bridge.twin import ServerReport, Twin
     from maglev_mj.viewer.window import ShowReport
 
-__all__ = ["flown_table", "served_table", "show_table", "verdict_table"]
+__all__ = ["flown_table", "served_table", "show_table", "timing_table", "verdict_table"]
 
 
 def served_table(served: ServerReport, twin: Twin) -> str:
@@ -36,21 +36,31 @@ def served_table(served: ServerReport, twin: Twin) -> str:
 
 def flown_table(flown: FlightReport) -> str:
     """Return what a flight came to."""
-    lines = [f"  {flown.wall_time:.1f} s, {flown.ticks} samples, {flown.lost} lost, {flown.skipped} skipped"]
-    timing = flown.timing
+    return (
+        f"  {flown.wall_time:.1f} s, {flown.ticks} samples, {flown.lost} lost, {flown.skipped} skipped\n"
+        f"  {flown.landing}"
+    )
+
+
+def timing_table(timing: LoopTiming, warning: str = "") -> str:
+    """Return how late a loop was, whole lines; nothing for one that did not run.
+
+    Args:
+        timing: Of the loop.
+        warning: What is wrong with it.
+    """
     kinds = {
-        "answer, from reading the sample [ms]": timing.answer,
-        "age of the sample when it left [ms]": timing.age,
-        "delay at the device [ms]": timing.delay,
+        "answer, from reading the sample": timing.answer,
+        "age of the sample when that left": timing.age,
+        "delay at the device": timing.delay,
     }
-    if timing.answer.count:
-        lines.append(f"  {'':<38}{'median':>9}{'99 %':>9}{'most':>9}")
-    for name, one in kinds.items():
-        if one.count:
-            lines.append(f"  {name:<38}" + "".join(f"{part * 1e3:9.3f}" for part in (one.p50, one.p99, one.max)))
-    if flown.warning:
-        lines.append(f"  warning: {flown.warning}")
-    return "\n".join(lines)
+    known = [
+        f"  {name:<34}" + "".join(f"{part * 1e3:10.3f}" for part in (one.p50, one.p99, one.max))
+        for name, one in kinds.items()
+        if one.count
+    ]
+    head = [f"  {'milliseconds':<34}{'median':>10}{'99 %':>10}{'most':>10}"] if known else []
+    return "".join(f"{line}\n" for line in [*head, *known, *([f"  warning: {warning}"] if warning else [])])
 
 
 def show_table(report: ShowReport) -> str:
