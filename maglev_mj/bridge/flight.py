@@ -19,7 +19,7 @@ from maglev_mj.bridge.takeoff import LandingReport
 from maglev_mj.controller import Controller
 from maglev_mj.errors import MaglevError, ParameterError, PlantError
 from maglev_mj.frames import Array, Command, Sample
-from maglev_mj.loop import Answers, ControlLoop, Record
+from maglev_mj.loop import ControlLoop, Record
 from maglev_mj.recording import Mechanics, RecordingError, RecordingFile, RunMetadata
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.parts import WEIGHT
@@ -98,7 +98,7 @@ class LoopTiming:
     """How late a loop over a device's samples is.
 
     Attributes:
-        answer: From reading a sample to having sent its answer.
+        answer: From a sample's arrival to having sent its answer.
         age: From a sample to having sent its answer, beyond the quickest way here of late; a device's clock and the
             host's have no common zero.
         delay: From a sample to its answer's taking effect, by the device's clock.
@@ -106,21 +106,21 @@ class LoopTiming:
 
     def __init__(self) -> None:
         self.answer, self.age, self.delay = LatencyHistogram(), LatencyHistogram(), LatencyHistogram()
-        self._least = self._before = math.inf
+        self._least = self._before = float(math.inf)
         self._renewed = 0
 
-    def add(self, plant: RemotePlant, read: int, sent: int) -> None:
-        """Add a sample that was read and answered at two instants of this machine's clock [ns]."""
-        self.answer.add(sent - read)
+    def add(self, plant: RemotePlant) -> None:
+        """Add the last sample, once it is answered."""
+        answer, way = round(plant.answer_latency * 1e9), plant.transport
+        self.answer.add(answer)
         if not math.isnan(plant.newest_delay):
             self.delay.add(round(plant.newest_delay * 1e9))
         if plant.lockstep:
             return  # the device's time stands still meanwhile
-        way = read - plant.samples.time
-        if read > self._renewed:
-            self._least, self._before, self._renewed = way, self._least, read + _RENEWED
+        if plant.samples.time > self._renewed:
+            self._least, self._before, self._renewed = way, self._least, plant.samples.time + _RENEWED
         self._least = min(self._least, way)
-        self.age.add(sent - plant.samples.time - round(min(self._least, self._before)))
+        self.age.add(answer + way - int(min(self._least, self._before)))
 
     def __str__(self) -> str:
         kinds = {"answer": self.answer, "age when the answer left": self.age, "delay at the device": self.delay}
@@ -190,7 +190,6 @@ class Flight:
         switch: Lands or cuts it.
         timing: How late its loop is.
         warning: What is wrong with its delay, once it is over; empty for nothing.
-        read_at: When the last sample was there [ns].
 
     Raises:
         ParameterError: If the scene's period is not the device's.
@@ -216,7 +215,6 @@ class Flight:
         self._force: Sequence[float] = WEIGHT
         self._delays: deque[float] = deque(maxlen=_USUAL)
         self._warn, self._checked = warn, 0.0
-        self.read_at = 0
 
     def run(self, duration: float | None = None) -> FlightReport:
         """Take off, render the scene until told to land or for so long [s] of the device's time, and land.
@@ -276,7 +274,7 @@ class Flight:
             name, mechanics = f"{scene.name} on a device", Mechanics(before=self._force)
             run = RunMetadata.of(self._plant, controller, name=name, axis=scene.axis, mechanics=mechanics)
             record = self._file.begin(self._plant, controller, {**setup, "run": run.as_json()})
-        loop = ControlLoop(self._plant, _Timed(controller, self), observe=self._observe(controller), record=record)
+        loop = ControlLoop(self._plant, controller, observe=self._observe(controller), record=record)
         samples = self._plant.samples
         while not self.switch.landing and self._wanted is None and (last is None or samples.tick < last):
             loop.cycle()
@@ -285,7 +283,7 @@ class Flight:
         carried, faces = controller.carried, controller.faces
 
         def observe(sample: Sample, applied: Command) -> None:
-            self.timing.add(self._plant, self.read_at, time.perf_counter_ns())
+            self.timing.add(self._plant)
             self._force = applied.force
             if self._warn is not None and self._file is not None:
                 self._check(self._file, self._warn)
@@ -341,14 +339,3 @@ class Flight:
             state="flying",
             notes=[self._note],
         )
-
-
-class _Timed:
-    """Stands in front of a controller and notes when a sample was there."""
-
-    def __init__(self, answers: Answers, flight: Flight) -> None:
-        self.period, self._step, self._flight = answers.period, answers.step, flight
-
-    def step(self, sample: Sample) -> Command:
-        self._flight.read_at = time.perf_counter_ns()
-        return self._step(sample)
