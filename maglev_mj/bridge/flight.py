@@ -6,7 +6,7 @@ import math
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from statistics import median
 from typing import NamedTuple
@@ -122,13 +122,15 @@ class LoopTiming:
         self._least = min(self._least, way)
         self.age.add(answer + way - int(min(self._least, self._before)))
 
-    def __str__(self) -> str:
-        kinds = {"answer": self.answer, "age when the answer left": self.age, "delay at the device": self.delay}
-        return "; ".join(
-            f"{name} {one.p50 * 1e3:.3f} ms at 50 %, {one.p99 * 1e3:.3f} at 99 %, {one.max * 1e3:.3f} at most"
-            for name, one in kinds.items()
-            if one.count
-        )
+    @property
+    def kinds(self) -> Mapping[str, LatencyHistogram]:
+        """Those that were measured, by name."""
+        kinds = {
+            "answer, from the sample's arrival": self.answer,
+            "age of the sample when that left": self.age,
+            "delay at the device": self.delay,
+        }
+        return {name: one for name, one in kinds.items() if one.count}
 
 
 _RENEWED = 2_000_000_000
@@ -145,16 +147,14 @@ def delay_check(timing: LoopTiming, scene: Scene, inertia: Sequence[float]) -> s
     """
     if not timing.delay.p99 > scene.delay:  # which NaN is not
         return ""
-    said = (
-        f"99 % of the delays are up to {timing.delay.p99 * 1e3:.2f} ms; "
-        f"the stability check assumed {scene.delay * 1e3:.2f} ms"
-    )
+    late = timing.delay.p99
+    said = f"99 % of delays are below {late * 1e3:.2f} ms, and {scene.delay * 1e3:.2f} ms was checked"
     try:
-        verdict = stability(scene.replace(delay=timing.delay.p99), inertia=inertia)
+        verdict = stability(scene.replace(delay=late), inertia=inertia)
     except MaglevError as error:
-        return f"{said}; stability at the measured delay is not known: {error}"
-    word = {True: "stable", False: "UNSTABLE", None: "of unknown stability"}[verdict.stable]
-    return f"{said}; at the measured delay {scene.name} is {word}, largest root modulus {verdict.modulus:.4f}"
+        return f"{said}; stability at {late * 1e3:.2f} ms is not known: {error}"
+    word = {True: "stable", False: "UNSTABLE", None: "perhaps unstable"}[verdict.stable]
+    return f"{said}; held at {late * 1e3:.2f} ms, {scene.name} is {word} (largest root {verdict.modulus:.4f})"
 
 
 class FlightReport(NamedTuple):
@@ -257,9 +257,14 @@ class Flight:
         """Compare the delay with the one assumed, and record both."""
         known, samples = self._plant.calibration, self._plant.samples
         self.warning = delay_check(self.timing, self._scene, [*[known.mass] * 3, *known.inertia])
-        if self._file is not None:
-            said = [str(self.timing), f"{samples.lost} samples lost, {samples.skipped} skipped", self.warning]
-            self._file.event("timing", "; ".join(part for part in said if part))
+        if self._file is None:
+            return
+        for name, one in self.timing.kinds.items():
+            parts = f"{one.p50 * 1e3:.3f} ms in the median, {one.p99 * 1e3:.3f} at 99 %, {one.max * 1e3:.3f} at most"
+            self._file.event("timing", f"{name}: {parts}")
+        self._file.event("timing", f"{samples.lost} samples lost, {samples.skipped} skipped")
+        for line in filter(None, self.warning.split("; ")):
+            self._file.event("timing", line)
 
     def _stretch(self, last: int | None) -> None:
         """Fly with unchanged parameters."""

@@ -50,7 +50,6 @@ how a flight ends, in takeoff, flight and landing alike:
 A cut latches a fault: --reset shows and clears it. None of this replaces a switch
 that cuts the amplifiers. Exit status: 0 landed, 1 cut or failed, 2 bad input,
 130 stopped before takeoff.
-
 """
 
 

@@ -58,7 +58,7 @@ def add_scene(
         parser.add_argument(
             "scene", nargs="?" if default or instead else None, default=default, metavar="SCENE", help=told
         )
-    parser.epilog = f"{parser.epilog} {_MORE}" if parser.epilog else _MORE
+    parser.epilog = f"{parser.epilog}\n{_MORE}" if parser.epilog else _MORE
     parser.set_defaults(scene_class=None)
     flag("options", options)
 

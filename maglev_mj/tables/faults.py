@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 from maglev_mj.bridge.wire import Fault
@@ -53,16 +54,19 @@ def fault_table(record: FaultRecord, *, whole: bool = False) -> str:
     widths = [max(len(row[place]) for row in (head, *shown)) for place in range(len(head))]
     lines = ["  ".join(text.rjust(width) for text, width in zip(row, widths, strict=True)) for row in (head, *shown)]
     first = f", first {record.first}" if record.first != record.faults else ""
-    code = ", ".join(f"{name} {value}" for name, value in record.versions.items() if isinstance(value, str))
+    before = (record.columns["time"][-1:] - record.fault_time) * 1e3
+    since = [f"  the first fault came {one:.1f} ms before the last cycle" for one in before if math.isfinite(one)]
+    code = [f"{name} {record.versions[name]!s:.12}" for name in ("maglev_mj", "revision") if name in record.versions]
     left_out = len(rows) - len(shown)
     return "\n".join(
         [
             f"  {printable(record.faults)}{printable(first)}",
             *_reasons(record.faults),
             f"  {printable(record.message)}",
-            f"  at sample {record.tick} of the flight, {1.0 / record.period:g} Hz; {record.lost} samples lost, "
-            f"{record.skipped} skipped",
-            *([f"  written by {printable(code)}"] if code else []),
+            f"  {record.tick * record.period:.3f} s after the first of {record.tick + 1} samples at "
+            f"{1.0 / record.period:g} Hz, {record.lost} lost, {record.skipped} skipped",
+            *since,
+            *([f"  written by {printable(', '.join(code))}"] if code else []),
             *([f"  the last {len(shown)} of {len(rows)} cycles; --all shows them all"] if left_out else []),
             "",
             *lines,

@@ -49,18 +49,13 @@ def timing_table(timing: LoopTiming, warning: str = "") -> str:
         timing: Of the loop.
         warning: What is wrong with it.
     """
-    kinds = {
-        "answer, from reading the sample": timing.answer,
-        "age of the sample when that left": timing.age,
-        "delay at the device": timing.delay,
-    }
     known = [
         f"  {name:<34}" + "".join(f"{part * 1e3:10.3f}" for part in (one.p50, one.p99, one.max))
-        for name, one in kinds.items()
-        if one.count
+        for name, one in timing.kinds.items()
     ]
     head = [f"  {'milliseconds':<34}{'median':>10}{'99 %':>10}{'most':>10}"] if known else []
-    return "".join(f"{line}\n" for line in [*head, *known, *([f"  warning: {warning}"] if warning else [])])
+    said = [f"  warning: {warning}".replace("; ", "\n    ")] if warning else []
+    return "".join(f"{line}\n" for line in [*head, *known, *said])
 
 
 def show_table(report: ShowReport) -> str:
