@@ -1,9 +1,6 @@
 """What ends a flight: Ctrl-C once and twice, SIGTERM, SIGHUP, a window's key; and how soon the currents are zero."""
 
-import contextlib
 import json
-import os
-import re
 import signal
 import subprocess
 import sys
@@ -18,11 +15,9 @@ import numpy as np
 import pytest
 
 from maglev_mj.bridge import Fault, State, Twin, TwinParameters
-from maglev_mj.bridge.realtime import stopping
 from maglev_mj.bridge.safety import Limits
 from maglev_mj.bridge.twin import TwinServer
 from maglev_mj.net.udp import UdpServer
-from maglev_mj.recording import Recording
 
 COMMAND = [sys.executable, "-m", "maglev_mj.cli"]
 ZERO_CURRENT = 1e-9

@@ -162,8 +162,8 @@ class FlightReport(NamedTuple):
 
     Attributes:
         ticks: Samples answered.
-        lost: Samples that did not arrive.
-        skipped: Samples that were too old when they were read.
+        lost: Samples that did not arrive, from takeoff on.
+        skipped: Likewise those that were too old when they were read.
         wall_time: How long it took [s].
         landing: How the flotor lies.
     """
@@ -212,6 +212,7 @@ class Flight:
         self._motion, self._note = SampledMotion(scene.axis_index), _NOTE
         self.switch, self.timing, self.warning = switch or StopSwitch(), LoopTiming(), ""
         self._wanted: Scene | None = None
+        self._lost = self._skipped = 0
         self._force: Sequence[float] = WEIGHT
         self._delays: deque[float] = deque(maxlen=_USUAL)
         self._warn, self._checked = warn, 0.0
@@ -235,18 +236,22 @@ class Flight:
         finally:
             if self.timing.answer.count:
                 self._compare()
-        lost, skipped = plant.samples.lost, plant.samples.skipped
-        return FlightReport(ticks, lost, skipped, time.monotonic() - start, landing)
+        return FlightReport(ticks, *self._missing(), time.monotonic() - start, landing)
 
     def _fly(self, duration: float | None) -> tuple[int, LandingReport]:
         plant, switch = self._plant, self.switch
         plant.takeoff(watch=self._watch)
-        first = plant.samples.tick
+        first, (self._lost, self._skipped) = plant.samples.tick, self._missing()
         last = None if duration is None else first + round(duration / plant.period)
         while not switch.landing and (last is None or plant.samples.tick < last):
             self._stretch(last)
         ticks = plant.samples.tick - first
         return ticks, plant.land(watch=lambda: self._watch() and False)
+
+    def _missing(self) -> tuple[int, int]:
+        """Return how many samples were lost and skipped since takeoff."""
+        samples = self._plant.samples
+        return samples.lost - self._lost, samples.skipped - self._skipped
 
     def _watch(self) -> bool:
         """Look at the keys of windows while the scene is not rendered; return whether to land."""
@@ -255,14 +260,14 @@ class Flight:
 
     def _compare(self) -> None:
         """Compare the delay with the one assumed, and record both."""
-        known, samples = self._plant.calibration, self._plant.samples
+        known, (lost, skipped) = self._plant.calibration, self._missing()
         self.warning = delay_check(self.timing, self._scene, [*[known.mass] * 3, *known.inertia])
         if self._file is None:
             return
         for name, one in self.timing.kinds.items():
             parts = f"{one.p50 * 1e3:.3f} ms in the median, {one.p99 * 1e3:.3f} at 99 %, {one.max * 1e3:.3f} at most"
             self._file.event("timing", f"{name}: {parts}")
-        self._file.event("timing", f"{samples.lost} samples lost, {samples.skipped} skipped")
+        self._file.event("timing", f"{lost} samples lost, {skipped} skipped")
         for line in filter(None, self.warning.split("; ")):
             self._file.event("timing", line)
 
