@@ -204,7 +204,7 @@ def test_every_action_is_known_and_no_other() -> None:
     for action in session.actions:
         if action != "record":
             session.act(action)
-    with pytest.raises(ParameterError, match=r"action must be one of rate up, .* stiffness up, .* record, not 'jump'"):
+    with pytest.raises(ParameterError, match=r"action must be one of rate up, .* stiffness up, .* record, emergency stop, not 'jump'"):
         session.act("jump")
 
 
