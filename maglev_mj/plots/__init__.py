@@ -1,7 +1,6 @@
 """Pictures of results; the only room that needs matplotlib (the extra `charts`)."""
 
 from maglev_mj.plots.drawing import ChartsMissingError, Panel, require, small_multiples
-from maglev_mj.plots.faults import fault_run
 from maglev_mj.plots.paper import figure_6, phase_plane, stick_slip, time_series
 from maglev_mj.plots.recorded import first_contact, sticks, whole_run
 from maglev_mj.plots.results import pictures_of
@@ -11,7 +10,6 @@ __all__ = [
     "ChartsMissingError",
     "Panel",
     "design_map",
-    "fault_run",
     "figure_6",
     "first_contact",
     "phase_plane",
