@@ -31,5 +31,5 @@ def _fault(options: argparse.Namespace) -> int:
     print(fault_table(record, whole=options.all))
     if options.out is not None:
         options.out.mkdir(parents=True, exist_ok=True)
-        print(f"  wrote {plots.fault_run(record, options.out / f'{options.file.stem}.png')}")
+        print(f"  wrote {plots.last_cycles(record, options.out / f'{options.file.stem}.png')}")
     return 0

@@ -1,7 +1,7 @@
 """Results as text for a terminal, one module a subject."""
 
 from maglev_mj.tables.analysis import analysis_table
-from maglev_mj.tables.faults import fault_table, latched_table
+from maglev_mj.tables.fault import fault_table, latched_table
 from maglev_mj.tables.fidelity import fidelity_table, levels_table
 from maglev_mj.tables.run import run_table, sweep_table
 from maglev_mj.tables.sessions import flown_table, served_table, show_table, timing_table, verdict_table
