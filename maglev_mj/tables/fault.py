@@ -42,13 +42,6 @@ _REASONS = {
 }
 
 
-def latched_table(plant: RemotePlant) -> str:
-    """Return what is latched in a device, since when and why."""
-    if not plant.faults:
-        return f"  no fault is latched; the device is {plant.state.name.lower()}"
-    return "\n".join([f"  {plant.latched}", *_reasons(" ".join(fault.name or "" for fault in plant.faults))])
-
-
 def fault_table(record: FaultRecord, *, whole: bool = False) -> str:
     """Return a fault and its last cycles as text: 99 columns, a dash where a value is unknown.
 
