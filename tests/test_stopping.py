@@ -129,7 +129,7 @@ def test_the_first_signal_lands_at_any_time_of_takeoff_and_flight(
         print(f"{kind.name} at {at} s: {after * 1e3:.0f} ms to zero current")
     assert host.returncode == 0, said
     assert (twin.last.state, twin.last.faults) == (State.INACTIVE, Fault(0))
-    assert 0.5 < after < 1.5
+    assert 0.5 < after < 1.0
     assert abs(twin.twin.pose[2] + 0.0045) < 1e-4  # it lies where it lay
     assert record.exists() == (at > 0.6), said
 

@@ -86,8 +86,8 @@ class StopSwitch:
             self._flying = False
             try:
                 plant.estop()
-            except PlantError as error:
-                raise PlantError(f"emergency stop not confirmed, cut the power: {error}") from None
+            except MaglevError as error:
+                raise PlantError(f"the flight was to be cut, {error}") from None
             plant.read()  # raises the fault, with the last cycles on disk
             raise
         finally:
