@@ -15,6 +15,7 @@ import pytest
 from maglev_mj.bridge import RemotePlant, Twin, TwinParameters
 from maglev_mj.bridge.flight import Flight, LoopTiming, delay_check
 from maglev_mj.bridge.realtime import LatencyHistogram, RealtimeError, realtime
+from maglev_mj.bridge.safety import Limits
 from maglev_mj.bridge.simulated_links import Impairment, VirtualLink
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.recording import Recording, open_recording
@@ -267,3 +268,16 @@ def test_the_delay_of_late_answers_is_measured_too(tmp_path: Path) -> None:
     table = timing_table(timing, flown.warning)
     assert all(name in table for name in timing.kinds) and "warning: " in table
     assert max(map(len, table.splitlines())) <= 100
+
+
+def test_each_answer_is_measured_once_and_samples_are_missed_from_takeoff_on() -> None:
+    twin = Twin(TwinParameters(limits=Limits(watchdog=1.0)), draw=lambda: 7)
+    with RemotePlant(VirtualLink(twin, Impairment(loss=0.15, seed=3))) as plant:
+        for _ in range(40):
+            plant.read()
+        before = plant.samples.lost
+        flown = Flight(plant, Table(period=plant.period, delay=plant.delay, friction=False))
+        report = flown.run(1.0)
+        assert 0 < before < plant.samples.lost and 0 < report.lost <= plant.samples.lost - before
+        # an answer that is lost leaves the one before in force, which has been measured
+        assert 0.6 < flown.timing.delay.count / flown.timing.answer.count < 0.95

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -279,6 +280,21 @@ def test_a_windows_key_cuts_in_every_phase(phase: str, tmp_path: Path) -> None:
         assert (twin.firmware.state, twin.firmware.faults) == (State.FAULT, Fault.ESTOP)
         assert plant.samples.tick - before - AT[phase] <= 3
         assert not twin.plant.currents.any()
+
+
+def test_a_cut_is_one_interrupt_and_none_where_nobody_flies() -> None:
+    switch, cut = StopSwitch(), Mock()
+    switch.cut()
+    assert switch.landing and not cut.mock_calls
+    switch = StopSwitch()
+    with pytest.raises(DeviceFault), switch.flying(cut):
+        cut.read.side_effect = DeviceFault(Fault.ESTOP, "asked for", None)
+        with pytest.raises(KeyboardInterrupt):
+            switch.cut()
+        switch.cut()  # the second of two that come together
+        raise KeyboardInterrupt
+    switch.cut()
+    assert [call[0] for call in cut.mock_calls] == ["estop", "read"]
 
 
 def test_a_flight_that_is_to_land_before_it_begins_never_arms() -> None:
