@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -47,23 +46,22 @@ LANDING_TIME = 2.0
 
 
 class StopSwitch:
-    """Ends a flight: lands it, or cuts the currents."""
+    """Ends a flight: lands it, or cuts the currents.
+
+    Attributes:
+        landing: True if the flight is to land.
+    """
 
     def __init__(self) -> None:
-        self._landing, self._flying = threading.Event(), False
-
-    @property
-    def landing(self) -> bool:
-        """Whether the flight is to land."""
-        return self._landing.is_set()
+        self.landing = self._flying = False
 
     def land(self) -> None:
         """Let the flight land; from any thread."""
-        self._landing.set()
+        self.landing = True
 
     def cut(self) -> None:
-        """Raise KeyboardInterrupt, once, which cuts the currents; in the flying thread. Nothing where none flies."""
-        self._landing.set()
+        """Interrupt a flight, once, which cuts its currents; in the thread that flies."""
+        self.landing = True
         if self._flying:
             self._flying = False
             interrupt()
@@ -98,9 +96,9 @@ class LoopTiming:
     """How late a loop over a device's samples is.
 
     Attributes:
-        answer: From a sample's arrival to having sent its answer.
-        age: From a sample to having sent its answer, beyond the quickest way here of late; a device's clock and the
-            host's have no common zero.
+        answer: From a sample's arrival to sending its answer.
+        age: From a sample to sending its answer, beyond the quickest transport of the last seconds: the clocks of
+            device and host have no common zero.
         delay: From a sample to its answer's taking effect, by the device's clock.
     """
 
