@@ -7,7 +7,7 @@ READY := $(VENV)/.ready# stamp: what tests and checks need is installed
 
 SCENES := joystick drop press table box corner
 
-.PHONY: demo test studies pictures check lint types wheel clean
+.PHONY: demo test studies pictures check lint types wheel firmware clean
 
 demo: $(CHARTS)  ## drop the flotor: a summary here, pictures in figures/
 	@echo 'A flotor falls on a wall at 100 phases of the sampler, with and without pulse:'
@@ -37,6 +37,18 @@ lint: $(READY)
 
 types: $(READY)
 	$(BIN)/mypy
+
+# the device's firmware for a Cortex-M4, with nothing but the compiler's own arithmetic left to link
+CROSS := arm-none-eabi-
+M4 := -mcpu=cortex-m4 -mthumb -mfpu=fpv4-sp-d16 -mfloat-abi=hard
+firmware:  ## compile the device's firmware for a board, and say how large it is
+	@command -v $(CROSS)gcc >/dev/null || { echo 'firmware: skipped, no $(CROSS)gcc (Debian: gcc-arm-none-eabi)'; exit 0; } && \
+	mkdir -p build && \
+	$(CROSS)gcc -std=c99 -ffreestanding -DMAGLEV_NO_LIBRARY -Wall -Wextra -Wpedantic -Werror $(M4) -Os -fstack-usage \
+	  -c scripts/firmware/maglev_firmware.c -o build/maglev_firmware.o && \
+	$(CROSS)size build/maglev_firmware.o && \
+	if $(CROSS)nm --undefined-only build/maglev_firmware.o | grep -v __aeabi_; then \
+	  echo 'firmware: a board would have to bring those'; exit 1; fi
 
 wheel: $(READY)
 	$(BIN)/python -m pip --disable-pip-version-check wheel --quiet --no-deps --wheel-dir dist .

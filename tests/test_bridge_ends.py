@@ -49,7 +49,7 @@ def fault_of(rig: Rig, act: Callable[[Rig], object]) -> DeviceFault:
     """Do something in mid-flight; return the fault that it ends in, which must have left a file."""
     rig.plant.takeoff()
     with pytest.raises(DeviceFault) as caught:
-        rig.fly(1.0, observe=at_tick(rig, 200, act))
+        rig.fly(1.0, observe=at_tick(rig, 240, act))
     assert caught.value.path is not None and len(json.loads(caught.value.path.read_text())["cycles"]) == 200
     for _ in range(15):
         rig.twin.sample()

@@ -141,7 +141,7 @@ def test_the_gate_refuses_what_is_no_command(command: Command) -> None:
     rig = Rig()
     broken = Broken(hover(0.005, REACH).laws, period=0.005)
     error = fails(rig, fly(rig, 1.0, broken), Fault.INVALID_COMMAND)
-    assert [sample.tick for sample, _ in error.cycles] == list(range(121, 151)) and error.cycles[-1][1] is command
+    assert [sample.tick for sample, _ in error.cycles] == list(range(143, 151)) and error.cycles[-1][1] is command
 
 
 HOVER = tuple(Calibration.nominal().hover.tolist())
@@ -221,7 +221,7 @@ def test_a_clock_set_while_the_device_rests_is_no_fault(jump: int) -> None:
         rig.plant.read()
     fly(rig, 0.5)()
     rig.plant.land()
-    assert not rig.plant.faults and np.abs(rig.poses[-1] - REST).max() < 1e-4
+    assert not rig.plant.faults and np.abs(rig.poses[-1] - REST).max() < 2e-4
 
 
 class Stopped(RemotePlant):
@@ -276,7 +276,7 @@ def test_an_estop_that_nobody_hears_is_not_taken_for_granted() -> None:
     rig = Rig(Impairment(blackouts=((0.8, 9.0),)))
     with pytest.raises(DeviceFault, match="HOST: no sample from the device within 1 s"):
         fly(rig)()
-    with pytest.raises(PlantError, match="did not answer ESTOP within 1 s"):
+    with pytest.raises(PlantError, match=r"emergency stop not confirmed: cut the power \(no answer within 1 s"):
         rig.plant.estop()
     assert rig.twin.firmware.faults == Fault.WATCHDOG and rig.currents() == [0.0] * 6
 
@@ -331,7 +331,7 @@ def test_a_flotor_that_is_held_is_not_led() -> None:
 def test_a_second_takeoff_is_refused_and_forgets_nothing() -> None:
     rig = Rig()
     fly(rig, 0.2)()
-    with pytest.raises(PlantError, match="refused ARM: it is ACTIVE, faults none"):
+    with pytest.raises(PlantError, match="no takeoff: the device is ACTIVE, faults none"):
         rig.plant.takeoff()
     rig.plant.land()
     assert np.abs(rig.twin.pose - REST).max() < 1e-4

@@ -143,6 +143,7 @@ def test_in_lockstep_over_udp_every_bit_is_that_of_the_plant_in_this_process(
         current_limit=10.0,
         sensor=SpotSensor(quantum=8e-7, noise=4e-7, seed=5),
         stops=True,
+        stop_damping=True,
     )
     with started(sys.executable, "-c", LOCKSTEP, " ".join(map(str, pose))) as (_, address):
         host, port = address.removeprefix("udp://").split(":")

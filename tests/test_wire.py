@@ -15,8 +15,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.firmware import Firmware, Profile, Reading
 from maglev_mj.bridge.wire import (
     MAGIC,
@@ -25,7 +27,10 @@ from maglev_mj.bridge.wire import (
     Command,
     Control,
     ControlAck,
+    Estop,
+    EstopAck,
     Fault,
+    Flag,
     Frame,
     Hello,
     HelloAck,
@@ -37,6 +42,7 @@ from maglev_mj.bridge.wire import (
     newer,
 )
 from maglev_mj.errors import ParameterError
+from maglev_mj.model import COILS
 from maglev_mj.net.serial import cobs_encode
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -49,8 +55,11 @@ BODIES: dict[str, Any] = {
     "CTRL_ACK": ControlAck,
     "STATE": StateReport,
     "CMD": Command,
+    "ESTOP": Estop,
+    "ESTOP_ACK": EstopAck,
 }
 SIX = (0.1, -0.2, 0.3, -0.4, 0.5, -0.6)
+FLOATS = (0.0, -0.5, 2.0**100, math.inf, -math.inf, 2.0**-149)
 FORMATS = {"u8": "B", "u16": "H", "u32": "I", "u64": "Q", "f32": "f", "f64": "d", "bytes": "s", "zeros": "x"}
 
 
@@ -96,6 +105,10 @@ def tables(heading: str) -> list[list[str]]:
         if not line.startswith("|---"):
             rows.append([cell.strip() for cell in line.strip("|").split("|")])
     return rows
+
+
+def _floats(cell: str) -> list[float]:
+    return [float(part) for part in cell.split()]
 
 
 def _value(field: str, value: Any) -> Any:
@@ -155,13 +168,58 @@ def test_the_page_has_the_words_of_both_ends() -> None:
     for words in (State, Operation, HelloStatus):
         assert ", ".join(f"{one.value} {one.name}" for one in words) in PAGE
     assert ", ".join(f"{one.value} {one.name}" for one in Result) in PAGE
+    (flags,) = [row[3] for row in tables("### STATE,") if row[2] == "flags"]
+    assert re.findall(r"(\d) ([A-Z]+)", flags) == [(str(one.value), one.name) for one in Flag]
+
+
+def test_the_page_says_where_coils_and_diodes_are_and_which_way_they_point() -> None:
+    known = Calibration.nominal()
+    coils, beams = known.coils, known.beams
+    rows = [[_floats(cell) for cell in row[2:]] for row in tables("| coil | name |")[1:]]
+    assert [row[1] for row in tables("| coil | name |")[1:]] == list(COILS)
+    for found, expected in ((0, 1e3 * coils.points), (1, coils.directions), (2, coils.force_constants[:, None])):
+        assert np.allclose([row[found] for row in rows], expected, atol=6e-4)
+    rows = [[_floats(cell) for cell in row[1:]] for row in tables("| diode | LED")[1:]]
+    places = (1e3 * beams.leds, 1e3 * beams.diodes, beams.across[:, 0], beams.across[:, 1])
+    for place, expected in enumerate(places):
+        assert np.allclose([row[place] for row in rows], expected, atol=6e-4)
+    moved = [[float(cell) for cell in row[1:]] for row in tables("| spot | +x |")[1:]]
+    small = np.diag([1e-6] * 3 + [1e-6] * 3)  # m and rad, of which the page has a thousand and ten thousand
+    slopes = (beams.spots(small) - beams.spots(-small)).T / 2e-6 * ([1.0] * 3 + [10.0] * 3)
+    assert np.allclose(moved, slopes, atol=6e-4)
+    assert np.round(known.hover, 4).tolist() == [1.1445] * 3 + [0.0] * 3 and "1.1445 A carry 0.7 kg" in PAGE
+    assert round(float(coils.wrench(np.array([0, 0, 0, 1, 1, 1.0]))[5]), 3) == 0.252 and "0.252 N m about +z" in PAGE
+
+
+def test_the_page_says_what_a_calibration_file_is() -> None:
+    values = Calibration.nominal().as_json()
+    (form, name, units), rows = (tables("| entry | unit |")[1:4], tables("| entry | unit |")[4:])
+    assert [form[0], name[0], units[0]] == ["format", "name", "units"] and values["format"] in form[3]
+    entries, found = {"format": 0, "name": 0, "units": 0}, {}
+    for path, unit, shape, _ in rows:
+        part, _, entry = path.partition(".")
+        value, named = (
+            (values[part][entry], values["units"][part][entry]) if entry else (values[part], values["units"][part])
+        )
+        assert np.shape(value) == tuple(int(one) for one in shape.split()) and named == unit, path
+        entries[part] = 0
+        found[path] = value
+    assert set(entries) == set(values) and len(found) == 11
+    # the digest, by what the page says of it and nothing else
+    del values["name"]
+    text = json.dumps(values, sort_keys=True, separators=(",", ":"))
+    assert hashlib.blake2s(text.encode("ascii"), digest_size=16).hexdigest() in PAGE
+    assert Calibration.nominal().digest.hex() in PAGE
 
 
 def test_check_values_of_the_page() -> None:
     assert "`11 22 00 33` is sent as `03 11 22 02 33 00`" in PAGE
     assert cobs_encode(bytes.fromhex("11220033")).hex(" ") == "03 11 22 02 33"
-    assert len(cobs_encode(golden_bytes()["STATE"])) + 2 == 139
-    assert len(cobs_encode(golden_bytes()["STATE keyed"])) + 2 == 155
+    for name, size, slow, fast, once in tables("| | bytes on the line |")[1:]:
+        frame, keyed = name.split()[0], " keyed" * name.endswith("key")
+        assert len(cobs_encode(golden_bytes()[frame + keyed])) + 2 == int(size)
+        figures = (f"{int(size) * 2} kbaud", f"{int(size) * 1e-2:.2f} Mbaud", f"{int(size) * 1e4 / 921_600:.2f} ms")
+        assert (slow, fast, once) == figures
     assert f"`{zlib.crc32(b'123456789'):08x}`" in PAGE
     assert f"`{hashlib.blake2s(b'123456789', digest_size=16, key=KEY).hexdigest()}`" in PAGE
 
@@ -171,13 +229,16 @@ def test_check_values_of_the_page() -> None:
     "body",
     [
         Hello(2**64 - 1, b"\xff" * 16),
-        HelloAck(1, 2, 1, 255, 2, 2**32 - 1, bytes(16), 2**64 - 1, 0, 1, math.inf, -0.0, 1e-310, 1e308, math.pi),
+        HelloAck(
+            *(1, 2, 1, 255, 2, 2**32 - 1, bytes(16), 2**64 - 1, 0, 1, 2**64 - 2, 3, 2**32 - 1, 5, 2**31),
+            *(math.inf, -0.0, 1e-310, 1e308, math.pi, -math.inf),
+        ),
         Control(2**32 - 1, 255, 2**32 - 1, SIX),
         ControlAck(0, 0, 255, 255, 2**32 - 1),
-        StateReport(
-            SIX, (0.0, -0.5, 2.0**100, math.inf, -math.inf, 2.0**-149), SIX[:0] + (1.0,) * 6, 2, 7, 65535, 1, 2, 3
-        ),
+        StateReport(SIX, FLOATS, (1.0,) * 6, 2, 7, 65535, 1, 2, 3, 2**32 - 1),
         Command(2**32 - 1, 2**32 - 1, SIX, SIX[::-1], 5e-324),
+        Estop(2**64 - 1),
+        EstopAck(2**64 - 1, 255, 2**32 - 1, 2**64 - 1, FLOATS),
     ],
     ids=lambda body: type(body).__name__,
 )
@@ -191,7 +252,11 @@ def test_nan_keeps_its_payload() -> None:
     codec = Codec()
     (strange,) = struct.unpack("<d", bytes.fromhex("efbeadde0000f8ff"))
     six = (strange, math.nan, -math.nan, 0.0, math.inf, -math.inf)
-    for body in (Command(1, 0, six, six, strange), StateReport(six, six, six, 1, 7, 0, 0, 1, 2), Control(1, 1, 0, six)):
+    for body in (
+        Command(1, 0, six, six, strange),
+        StateReport(six, six, six, 1, 7, 0, 0, 1, 2, 3),
+        Control(1, 1, 0, six),
+    ):
         data = codec.encode(1, 2, 3, body)
         frame = codec.decode(data)
         assert frame is not None and codec.encode(*frame) == data
@@ -238,8 +303,8 @@ def test_with_a_key_a_right_crc_is_not_enough(bit: int) -> None:
     assert codec.decode(sealed(bytes(data))) is None
     reasons = ("magic", "magic", "version", "type")
     expected = reasons[bit // 8] if bit < 32 else "tag"
-    if expected == "type" and list(BODIES)[(data[3] - 1) % 6] and 1 <= data[3] <= 6:
-        expected = "tag" if data[3] == 5 else "length"
+    if expected == "type" and 1 <= data[3] <= len(BODIES):
+        expected = "length"
     assert codec.dropped == {expected: 1}
 
 
@@ -269,16 +334,17 @@ def test_a_key_has_16_to_32_bytes(size: int) -> None:
     ("data", "reason"),
     [
         (b"", "short"),
-        (b"MJ\x01", "short"),
-        (b"MJ\x01\x06", "crc"),
-        (b"JM\x01\x06" + bytes(132), "magic"),
-        (sealed(b"MJ\x02\x01" + bytes(4)), "version"),
+        (b"MJ\x02", "short"),
+        (b"MJ\x02\x06", "crc"),
+        (b"JM\x02\x06" + bytes(132), "magic"),
+        (sealed(b"MJ\x01\x01" + bytes(4)), "version"),
+        (sealed(b"MJ\x03\x07" + bytes(28)), "version"),
         (sealed(b"MJ\x00\x06" + bytes(132)), "version"),
-        (sealed(b"MJ\x01\x00" + bytes(132)), "type"),
-        (sealed(b"MJ\x01\x07" + bytes(132)), "type"),
-        (sealed(b"MJ\x01\x06" + bytes(4)), "length"),
-        (sealed(b"MJ\x01\x06" + bytes(133)), "length"),
-        (b"MJ\x02\x06" + bytes(132), "crc"),
+        (sealed(b"MJ\x02\x00" + bytes(132)), "type"),
+        (sealed(b"MJ\x02\x09" + bytes(132)), "type"),
+        (sealed(b"MJ\x02\x06" + bytes(4)), "length"),
+        (sealed(b"MJ\x02\x06" + bytes(133)), "length"),
+        (b"MJ\x03\x06" + bytes(132), "crc"),
     ],
 )
 def test_what_is_no_frame_is_counted_by_reason(data: bytes, reason: str) -> None:
@@ -304,15 +370,20 @@ class Watched:
     def __init__(self) -> None:
         self.firmware: Firmware
         self.drives = 0
+        self.currents: Sequence[float] = (0.0,) * 6
 
     def drive(self, now: int, held: Sequence[float], pulsed: Sequence[float] | None, width: float) -> None:
         assert self.firmware.state == State.ACTIVE and self.firmware.session
         assert all(abs(one) <= 10.00000001 for one in (*held, *(pulsed or ())))
         assert 0.0 <= width <= 1.0 and (pulsed is None) == (width == 0.0)
         self.drives += 1
+        self.currents = held
 
     def cut(self) -> None:
-        pass
+        self.currents = (0.0,) * 6
+
+    def toggle(self, now: int) -> None:
+        assert self.firmware.state == State.ACTIVE
 
 
 class Rig:
@@ -344,8 +415,8 @@ class Rig:
             body = Hello(draw.randrange(4), self.CALIBRATION)
         elif kind < 0.5:
             self.request += draw.random() < 0.9  # else the same again, and perhaps not quite
-            operation = draw.choice([*[Operation.ARM, Operation.RESET] * 4, *Operation, 9])
-            body = Control(self.request, operation, draw.randrange(8192), SIX)
+            operation = draw.choice([*[Operation.ARM, Operation.RESET] * 4, *Operation, 3, 9])
+            body = Control(self.request, operation, draw.randrange(32768), SIX)
         elif kind < 0.95:
             body = Command(self.tick, 0, SIX, SIX, draw.choice([0.0, 0.001]))
         else:
@@ -369,7 +440,7 @@ class Rig:
         if kind == 0:
             data = bytearray(draw.randbytes(draw.randrange(200)))
             if draw.random() < 0.7:
-                data[:4] = bytes([0x4D, 0x4A, 1, draw.randrange(9)])
+                data[:4] = bytes([0x4D, 0x4A, VERSION, draw.randrange(11)])
         elif kind == 1:
             other = draw.choice(self.recent)
             data = data[: draw.randrange(len(data))] + other[draw.randrange(len(other)) :]
@@ -402,7 +473,10 @@ class Rig:
         """Let the device sample."""
         self.tick += 1
         self.now += 5_000_000
-        self.firmware.sample(self.tick, self.now, Reading((0.001,) * 6, 7, SIX, SIX, ((0.005, SIX),)))
+        spots, currents = (0.001 + 1e-6 * (self.tick % 2),) * 6, self.amplifiers.currents
+        self.firmware.sample(
+            self.tick, self.now, Reading(spots, 7, currents, currents, ((0.005, currents),), self.tick)
+        )
 
 
 STRANGE = [
@@ -463,7 +537,7 @@ def test_coverage_guided_fuzzing_finds_nothing() -> None:
 
 
 def test_what_arrives_makes_nothing_raise() -> None:
-    makers: list[Callable[[], bytes]] = [lambda: bytes(1_000_000), lambda: b"MJ\x01\x05" * 50_000]
+    makers: list[Callable[[], bytes]] = [lambda: bytes(1_000_000), lambda: b"MJ\x02\x05" * 50_000]
     for make in makers:
         assert Codec().decode(make()) is None
         assert Codec(KEY).decode(make()) is None

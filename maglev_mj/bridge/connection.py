@@ -1,15 +1,18 @@
-"""The host's end of a session: the handshake, requests that are repeated until answered, and the newest sample."""
+"""The host's end of a session: handshake, requests repeated until answered, the newest sample; and emergency stops."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
+from typing import NamedTuple
 
 from maglev_mj.bridge.fault import HandshakeError
-from maglev_mj.bridge.safety import Limits
+from maglev_mj.bridge.safety import OFF, Limits
 from maglev_mj.bridge.wire import (
     VERSION,
+    Body,
     Codec,
     Command,
     Control,
@@ -21,85 +24,222 @@ from maglev_mj.bridge.wire import (
     HelloAck,
     HelloStatus,
     Operation,
+    State,
     StateReport,
+    fault_names,
     newer,
 )
+from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import ZERO
 from maglev_mj.net.udp import Link, LinkError
+from maglev_mj.parameters import number
 
-__all__ = ["Connection"]
+__all__ = ["Connection", "EstopReport", "SampleCounter", "estop"]
 
 _AGAIN = 0.02
 """A request is repeated after so long without an answer [s]."""
 
-_ESTOP_AGAIN = 0.005
-"""An emergency stop is asked for again after so long without an answer [s]."""
+_HELLO_AGAIN, _ESTOP_AGAIN = 0.1, 0.005
 
-_TAKEOVER = 1_000_000_000
-"""A device gives up a host that says nothing for so long [ns], unless it flies."""
+_TAKEOVER = 1.0
+"""A device gives up a host that says nothing for so long [s], unless it flies."""
+
+_STILL = 4
+"""Answers of one instant after which a clock stands still: that of a device in lockstep."""
+
+_WRAP = 0xFFFFFFFF
+
+
+class EstopReport(NamedTuple):
+    """Outcome of an emergency stop.
+
+    Attributes:
+        confirmed: Whether the device is in the fault state and measured no current after it.
+        duration: From the first request to the end [s].
+        faults: Latched in the device; 0 without an answer.
+        currents: Measured last [A], six; empty without an answer.
+        at: When the device first answered, by its own clock [ns]; 0 without an answer.
+    """
+
+    confirmed: bool
+    duration: float
+    faults: int
+    currents: tuple[float, ...]
+    at: int
+
+    def __str__(self) -> str:
+        if self.confirmed:
+            return (
+                f"stopped: {fault_names(self.faults)}, no current {self.duration * 1e3:.1f} ms after the first request"
+            )
+        why = f"no answer within {self.duration:.3g} s"
+        if self.currents:
+            coil = max(range(6), key=lambda place: abs(self.currents[place]))
+            why = f"faults {fault_names(self.faults)}, {self.currents[coil]:.2f} A in coil {coil}"
+        return f"not confirmed: cut the power ({why})"
+
+
+def estop(link: Link, key: bytes | None = None, patience: float = 1.0) -> EstopReport:
+    """Stop a device, whoever flies it; no session is needed.
+
+    Args:
+        link: The wire; left open.
+        key: With which frames are sealed.
+        patience: How long to try [s], above 0.
+
+    Raises:
+        LinkError: If the line is gone.
+        ParameterError: If the key or the patience is outside its bounds.
+    """
+    return _stop(link, Codec(key), number("patience", patience, above=0.0), lambda frame: None)
+
+
+def _stop(link: Link, codec: Codec, patience: float, aside: Callable[[Frame], object]) -> EstopReport:
+    """Send ESTOP until a device confirms it; frames that are no answer go aside."""
+    body = Estop(int.from_bytes(os.urandom(8), "little"))
+    start, times, answer = link.now(), Counter[int](), None
+    confirmed, first = False, 0
+    for data in _exchange(link, codec, 0, body, _ESTOP_AGAIN, patience):
+        frame = codec.decode(data)
+        if frame is None:
+            continue
+        if not isinstance(frame.body, EstopAck) or frame.body.request != body.request:
+            aside(frame)
+            continue
+        answer, first = frame.body, first if times else frame.time
+        times[frame.time] += 1
+        # in lockstep there may be no further sample: the clock stands still until the host answers
+        still = len(times) == 1 and times[frame.time] >= _STILL
+        off = answer.sampled > first and all(abs(current) < OFF for current in answer.currents)
+        confirmed = answer.state == State.FAULT and (off or still)
+        if confirmed:
+            break
+    duration = (link.now() - start) * 1e-9
+    faults, currents = (answer.faults, answer.currents) if answer is not None else (0, ())
+    return EstopReport(confirmed, duration, faults, currents, first)
+
+
+def _exchange(link: Link, codec: Codec, session: int, body: Body, every: float, patience: float) -> Iterator[bytes]:
+    """Send a request every so often [s], for so long [s]; yield what arrives meanwhile."""
+    end = link.now() + int(patience * 1e9)
+    while (now := link.now()) < end:
+        link.send(codec.encode(session, 0, now, body))
+        again = now + int(every * 1e9)
+        while (left := again - link.now()) > 0 and (data := link.receive(left * 1e-9)) is not None:
+            yield data
+
+
+class SampleCounter:
+    """Counts samples by the numbers that the device gives them.
+
+    Args:
+        period: Sample period [ns].
+
+    Attributes:
+        period: Sample period [ns].
+        tick: Of the last sample, from 0 at the first that came.
+        elapsed: Samples from the one before to the last.
+        out_of_step: What is wrong with the device's clock; empty while it keeps step.
+        lost: Samples that did not arrive.
+        skipped: Samples left unanswered because a newer one was there.
+    """
+
+    def __init__(self, period: int) -> None:
+        self.tick, self.elapsed, self.lost, self.skipped = -1, 0, 0, 0
+        self.period, self._sequence, self._time = period, 0, 0
+        self.out_of_step = ""
+
+    def count(self, sequence: int, time: int, skipped: int) -> None:
+        """Count a sample.
+
+        Args:
+            sequence: Its number.
+            time: Of the device's clock [ns].
+            skipped: Older samples that came with it.
+        """
+        self.out_of_step = ""
+        if self.tick < 0:
+            self.tick = 0
+        else:
+            self.elapsed = (sequence - self._sequence) & _WRAP
+            passed = time - self._time
+            if abs(passed - self.elapsed * self.period) > self.period // 2:
+                said = f"{passed * 1e-6:.3f} ms went by in {self.elapsed} samples of {self.period * 1e-6:.3f} ms"
+                self.out_of_step = said
+            self.tick += self.elapsed
+            missing = self.elapsed - 1
+            if missing:
+                self.skipped += min(skipped, missing)
+                self.lost += missing - min(skipped, missing)
+        self._sequence, self._time = sequence, time
 
 
 class Connection:
     """A session with a device.
 
     Args:
-        link: The wire; closed with the connection.
-        calibration: First 16 bytes of the hash of what the host knows of the device.
+        link: The wire; closed with the connection, and if there is none.
+        calibration: First 16 bytes of the hash of the host's calibration.
         key: With which frames are sealed.
         patience: How long to wait for an answer [s].
 
     Attributes:
         welcome: What the device said of itself.
-        limits: What it bears.
+        limits: Its limits, within sane bounds.
         codec: Its frames, and what was dropped of them, by reason.
         open: Whether it has not been closed.
-        skipped: Samples left out for the newer one that the last `state` returned.
+        samples: Their count, and what is missing of them.
+        heard: When that was there, by the link's clock [ns].
+        latency: From there to having sent the last command [ns].
         settled: When the device last did what it was asked for, by its own clock [ns]: what a sample from before that
             says of its state is old.
 
     Raises:
-        HandshakeError: If there is no device, or it will not have this host.
+        HandshakeError: If no device answers, it refuses this host, or its numbers are outside sane bounds.
+        LinkError: If the line is gone.
+        ParameterError: If the key or the patience is outside its bounds.
     """
 
     def __init__(self, link: Link, calibration: bytes, key: bytes | None, patience: float) -> None:
-        self._link, self._patience = link, patience
-        self.codec = Codec(key)
+        self._link, self._keyed, self.open = link, key is not None, True
         self._session, self._sequence, self._request = 0, 0, 0
         self._newest: int | None = None
         self._waiting: Frame | None = None
         self._last: Command | None = None
-        self.skipped, self._overtaken, self.settled = 0, 0, 0
-        self.open = True
+        self._overtaken, self.settled, self.heard, self.latency, self._greeted = 0, 0, 0, 0, 0
         try:
+            self._patience = number("patience", patience, above=0.0)
+            self.codec = Codec(key)
             self.welcome = self._greet(calibration)
-        except BaseException:
-            self.open = False
-            link.close()
+            self.limits = _limits(self.welcome)
+            self.samples = SampleCounter(self.welcome.period)
+        except BaseException as error:
+            self._abandon()
+            if isinstance(error, (ValueError, ArithmeticError)) and not isinstance(error, MaglevError):
+                raise HandshakeError(f"the device's answer makes no sense: {error}") from error
             raise
+
+    @property
+    def latched(self) -> str:
+        """One line about faults latched at the handshake; empty if there were none."""
         one = self.welcome
-        self.limits = Limits(
-            current=one.current_limit,
-            continuous_current=one.continuous_current,
-            thermal_time=one.thermal_time,
-            spot=one.spot_limit,
-            spot_speed=one.spot_speed,
-            watchdog=one.watchdog * 1e-9,
-            enable=one.enable * 1e-9,
-            hover=one.hover_limit,
-            frozen=one.frozen,
-        )
+        if not one.faults:
+            return ""
+        ago = max(self._greeted - one.fault_time, 0) * 1e-9
+        return f"latched: {fault_names(one.faults)}, {ago:.1f} s ago, first {fault_names(one.first)}"
 
     def command(self, command: Command) -> None:
         """Send currents."""
         self._last = command
-        self._sequence = (self._sequence + 1) & 0xFFFFFFFF
+        self._sequence = (self._sequence + 1) & _WRAP
         link = self._link
         link.send(self.codec.encode(self._session, self._sequence, link.now(), command))
+        self.latency = link.now() - self.heard
 
     def state(self, timeout: float) -> Frame | None:
         """Return the newest sample, or None if none comes in time [s]."""
         frame, self._waiting = self._waiting, None
-        self.skipped, self._overtaken = self._overtaken, 0
+        skipped, self._overtaken = self._overtaken, 0
         link = self._link
         end = link.now() + int(timeout * 1e9)
         while frame is None:
@@ -107,12 +247,13 @@ class Connection:
             if data is None:
                 return None
             frame = self._sample_in(data)
-        if self.welcome.lockstep:
-            return frame  # there is no newer one: the device waits for the answer to this
-        while (data := link.receive(0.0)) is not None:
+        # in lockstep there is no newer one: the device waits for the answer to this
+        while not self.welcome.lockstep and (data := link.receive(0.0)) is not None:
             if (later := self._sample_in(data)) is not None:
                 frame = later
-                self.skipped += 1
+                skipped += 1
+        self.heard = link.now()
+        self.samples.count(frame.sequence, frame.time, skipped)
         return frame
 
     def control(self, operation: Operation, *, faults: int = 0, hover: Sequence[float] = ZERO) -> ControlAck | None:
@@ -121,38 +262,25 @@ class Connection:
             return None
         self._request += 1
         body = Control(self._request, operation, faults, tuple(hover))
-        link = self._link
-        end = link.now() + int(self._patience * 1e9)
-        while link.now() < end:
-            link.send(self.codec.encode(self._session, 0, link.now(), body))
-            again = link.now() + int(_AGAIN * 1e9)
-            while (left := again - link.now()) > 0:
-                data = link.receive(left * 1e-9)
-                if data is None:
-                    break
-                frame = self._trusted(data)
-                if frame is None:
-                    continue
-                if isinstance(frame.body, ControlAck) and frame.body.request == self._request:
-                    self.settled = frame.time
-                    return frame.body
-                if isinstance(frame.body, StateReport) and self._is_newer(frame):
-                    self._overtaken += self._waiting is not None
-                    self._waiting = frame  # a sample that came meanwhile is read later
+        for data in _exchange(self._link, self.codec, self._session, body, _AGAIN, self._patience):
+            frame = self._trusted(data)
+            if frame is not None and isinstance(frame.body, ControlAck) and frame.body.request == self._request:
+                self.settled = frame.time
+                return frame.body
+            if frame is not None:
+                self._keep(frame)
         return None
 
-    def estop(self) -> EstopAck | None:
-        """Ask for an emergency stop until the device answers; None if it does not."""
-        link, body = self._link, Estop(int.from_bytes(os.urandom(8), "little"))
-        end = link.now() + int(self._patience * 1e9)
-        while link.now() < end:
-            link.send(self.codec.encode(0, 0, link.now(), body))
-            again = link.now() + int(_ESTOP_AGAIN * 1e9)
-            while (left := again - link.now()) > 0 and (data := link.receive(left * 1e-9)) is not None:
-                frame = self.codec.decode(data)
-                if frame is not None and isinstance(frame.body, EstopAck) and frame.body.request == body.request:
-                    return frame.body
-        return None
+    def estop(self) -> EstopReport:
+        """Send ESTOP until the device confirms it; samples that come meanwhile are read later."""
+
+        def aside(frame: Frame) -> None:
+            if frame.session == self._session:
+                self._keep(frame)
+
+        report = _stop(self._link, self.codec, self._patience, aside)
+        self.settled = max(self.settled, report.at)
+        return report
 
     def close(self) -> None:
         """End the session, if the device still listens, and close the link; a second time does nothing."""
@@ -162,33 +290,51 @@ class Connection:
                     self.control(Operation.BYE)
             finally:
                 self.open = False
-                self._link.close()
+                with suppress(LinkError):
+                    self._link.close()
+
+    def _abandon(self) -> None:
+        """Let go of a device with which there is no session to be."""
+        self.open = False
+        with suppress(Exception):
+            if self._session:
+                bye = Control(1, Operation.BYE, 0, ZERO)
+                self._link.send(self.codec.encode(self._session, 0, self._link.now(), bye))
+        with suppress(Exception):
+            self._link.close()
 
     def _greet(self, calibration: bytes) -> HelloAck:
         """Say hello until the device answers."""
-        link, codec = self._link, self.codec
         nonce = int.from_bytes(os.urandom(8), "little")
         hello = Hello(nonce, calibration)
-        end, busy = link.now() + int(self._patience * 1e9), False
-        while link.now() < end + busy * _TAKEOVER:
-            link.send(codec.encode(0, 0, link.now(), hello))
-            again = link.now() + int(5.0 * _AGAIN * 1e9)
-            while (left := again - link.now()) > 0 and (data := link.receive(left * 1e-9)) is not None:
-                answer = self._welcome(data, nonce, calibration)
+        versions = set[int]()
+        for patience in (self._patience, _TAKEOVER):
+            busy = False
+            for data in _exchange(self._link, self.codec, 0, hello, _HELLO_AGAIN, patience):
+                answer = self._welcome(data, nonce, calibration, versions)
                 if answer is not None and answer.status == HelloStatus.WELCOME:
                     return answer
                 busy |= answer is not None
+            if not busy:
+                break
         if busy:
             raise HandshakeError("another host has the device")
-        dropped = ", ".join(f"{count} for {reason}" for reason, count in codec.dropped.items())
+        dropped = ", ".join(
+            f"{count} for {reason}" + (f" ({', '.join(map(str, sorted(versions)))})" if reason == "version" else "")
+            for reason, count in self.codec.dropped.items()
+        )
         reason = f"; frames dropped: {dropped}" if dropped else ""
         raise HandshakeError(f"no device answered within {self._patience:g} s{reason}")
 
-    def _welcome(self, data: bytes, nonce: int, calibration: bytes) -> HelloAck | None:
-        """Return the answer to a HELLO, if data is that, and keep the session; complain where it is a command_fault."""
+    def _welcome(self, data: bytes, nonce: int, calibration: bytes, versions: set[int]) -> HelloAck | None:
+        """Return the answer to a HELLO, if data is that, and keep the session; complain where it is a refusal."""
         self.codec.version_met = None
         frame = self.codec.decode(data)
         version = self.codec.version_met
+        if version is not None:
+            versions.add(version)
+            if self._keyed:  # the tag of another version is not known: anyone may have sent it
+                return None
         if frame is not None and isinstance(frame.body, HelloAck):
             answer = frame.body
             if answer.status == HelloStatus.VERSION:
@@ -199,8 +345,10 @@ class Connection:
                 raise HandshakeError(
                     f"the device's calibration is {answer.calibration.hex()}, this host's {calibration.hex()}"
                 )
-            else:
-                self._session = frame.session
+            elif answer.status == HelloStatus.WELCOME:
+                self._session, self._greeted = frame.session, frame.time
+                return answer
+            elif answer.status == HelloStatus.BUSY:
                 return answer
         if version is not None:
             raise HandshakeError(f"the device speaks version {version} of the protocol, this host version {VERSION}")
@@ -224,9 +372,41 @@ class Connection:
         self._newest = frame.sequence
         return True
 
+    def _keep(self, frame: Frame) -> None:
+        """Keep a sample that came during a request, for the next `state`."""
+        if isinstance(frame.body, StateReport) and self._is_newer(frame):
+            self._overtaken += self._waiting is not None
+            self._waiting = frame
+
     def _sample_in(self, data: bytes) -> Frame | None:
         """Return the sample in a frame, if it is newer than the last."""
         frame = self._trusted(data)
         if frame is None or not isinstance(frame.body, StateReport) or not self._is_newer(frame):
             return None
         return frame
+
+
+def _limits(welcome: HelloAck) -> Limits:
+    """Return a device's limits.
+
+    Raises:
+        HandshakeError: If one of its numbers is outside sane bounds.
+    """
+    try:
+        number("period", welcome.period * 1e-9, at_least=1e-5, at_most=0.1)
+        number("delay", welcome.delay * 1e-9, at_least=0.0, at_most=0.1)
+        number("lockstep", welcome.lockstep, at_least=0, at_most=1)
+        number("state", welcome.state, at_least=0, at_most=max(State))
+        return Limits(
+            current=welcome.current_limit,
+            continuous_current=welcome.continuous_current,
+            thermal_time=welcome.thermal_time,
+            spot=welcome.spot_limit,
+            spot_speed=welcome.spot_speed,
+            watchdog=welcome.watchdog * 1e-9,
+            enable=welcome.enable * 1e-9,
+            hover=welcome.hover_limit,
+            frozen=welcome.frozen,
+        )
+    except ParameterError as error:
+        raise HandshakeError(f"the device says what cannot be: {error}") from None

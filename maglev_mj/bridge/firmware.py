@@ -125,12 +125,11 @@ class Firmware:
         self._acknowledgement: ControlAck | None = None
         self._hover: Sequence[float] = ZERO
         self._commanded_at, self._answers, self._holding, self._sampled = 0, _NEVER, False, 0
-        self._coils, self._spots = CoilGuard(), SpotGuard(profile.limits, profile.period * 1e-9)
         self._thermal = ThermalModel(profile.limits)
         self._watchdog = round(profile.limits.watchdog * 1e9)
-        self._first, self._fault_time, self._disabled = Fault(0), 0, 0
-        self._sampled_at = 0
+        self._first, self._fault_time, self._sampled_at = Fault(0), 0, 0
         self._measured: Sequence[float] = ZERO
+        self._watch_anew()
         # how many samples an answer may be behind
         self._stale = 0 if profile.lockstep else self._watchdog // profile.period
 
@@ -174,20 +173,20 @@ class Firmware:
         steps, self._sampled = (tick - self._sampled) & 0xFFFFFFFF, tick & 0xFFFFFFFF
         self._sampled_at, self._measured = now, reading.measured
         warmest = self._thermal.add(reading.segments)
-        active = self.state == State.ACTIVE
-        faults = self._coils.check(reading.commanded if active else ZERO, reading.measured)
-        if faults and not active:
-            faults = Fault.COIL_NOT_OFF
-        if active:
-            self._amplifiers.toggle(now)
-            faults |= self._spots.check(reading.spots, reading.valid, reading.conversions, steps) | self._waited(now)
+        faults = Fault.COIL_OVERTEMP if warmest >= 1.0 else Fault(0)
+        if self.state == State.ACTIVE:
+            faults |= self._coils.check(reading.commanded, reading.measured)
+            faults |= self._spots.check(reading.spots, reading.valid, reading.conversions, steps)
             self._disabled = 0 if reading.enabled else self._disabled + 1
             if self._disabled > 1:
                 faults |= Fault.WATCHDOG
-        if warmest >= 1.0:
-            faults |= Fault.COIL_OVERTEMP
+            faults |= self._waited(now, faults)
+        elif self._off.check(ZERO, reading.measured):
+            faults |= Fault.COIL_NOT_OFF
         if faults:
             self.trip(faults, now)
+        if self.state == State.ACTIVE:
+            self._amplifiers.toggle(now)  # last: a step that hangs before it opens the amplifiers
         if self.session == 0:
             return None
         age = min(max(now - self._commanded_at, 0) // 1000, _NEVER - 1) if self._answers != _NEVER else _NEVER
@@ -219,15 +218,20 @@ class Firmware:
             self.trip(Fault.WATCHDOG, now)
         self.session, self.peer = 0, None
 
-    def _waited(self, now: int) -> Fault:
+    def _waited(self, now: int, faults: Fault) -> Fault:
         """Hold the flotor where commands are missing; return the watchdog's fault where they have for too long."""
-        gap = now - self._commanded_at
-        if gap > self._watchdog and not self.profile.lockstep:
+        gap = 0 if self.profile.lockstep else now - self._commanded_at
+        if gap > self._watchdog:
             return Fault.WATCHDOG
-        if gap > _GAP * self.profile.period and not self._holding and not self.profile.lockstep:
+        if gap > _GAP * self.profile.period and not self._holding and not faults:
             self._holding = True
             self._amplifiers.drive(now, self._hover, None, 0.0)
         return Fault(0)
+
+    def _watch_anew(self) -> None:
+        """Forget what the guards saw before."""
+        self._coils, self._off, self._disabled = CoilGuard(), CoilGuard(), 0
+        self._spots = SpotGuard(self.profile.limits, self.profile.period * 1e-9)
 
     def _hello(self, hello: Hello, now: int, peer: Any) -> bytes:
         if self.session and hello.nonce == self._nonce and peer == self.peer:
@@ -246,27 +250,11 @@ class Firmware:
     def _greet(self, now: int, nonce: int, status: HelloStatus) -> bytes:
         profile, limits = self.profile, self.profile.limits
         body = HelloAck(
-            nonce,
-            status,
-            int(profile.lockstep),
-            VERSION,
-            self.state,
-            profile.number,
-            profile.calibration,
-            profile.period,
-            profile.delay,
-            self._watchdog,
-            round(limits.enable * 1e9),
-            self._fault_time,
-            self.faults,
-            self._first,
-            limits.frozen,
-            limits.current,
-            limits.continuous_current,
-            limits.hover,
-            limits.thermal_time,
-            limits.spot,
-            limits.spot_speed,
+            *(nonce, status, int(profile.lockstep), VERSION, self.state, profile.number, profile.calibration),
+            *(profile.period, profile.delay, self._watchdog, round(limits.enable * 1e9)),
+            *(self._fault_time, self.faults, self._first, limits.frozen),
+            *(limits.current, limits.continuous_current, limits.hover),
+            *(limits.thermal_time, limits.spot, limits.spot_speed),
         )
         session = self.session if status == HelloStatus.WELCOME else 0
         return self._codec.encode(session, 0, now, body)
@@ -322,8 +310,7 @@ class Firmware:
         if self.state != State.INACTIVE or not all(abs(one) <= self.profile.limits.hover for one in hover):
             return False
         self._hover, self._commanded_at, self._answers, self._holding = hover, now, _NEVER, False
-        self._coils, self._spots = CoilGuard(), SpotGuard(self.profile.limits, self.profile.period * 1e-9)
-        self._disabled = 0
+        self._watch_anew()
         self.state = State.ACTIVE
         self._amplifiers.toggle(now)
         return True

@@ -2,101 +2,58 @@
 
 from __future__ import annotations
 
+import gc
 import math
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
-from typing import NoReturn
-
-import numpy as np
-from numpy.typing import ArrayLike
+from typing import Any, NoReturn, Self
 
 from maglev_mj.bridge.calibration import Calibration
-from maglev_mj.bridge.device import RemoteDevice
-from maglev_mj.bridge.safety import WARNING_RISE, Envelope, FlotorGuard, OutputLimiter
+from maglev_mj.bridge.connection import Connection, EstopReport
+from maglev_mj.bridge.fault import BlackBox, DeviceFault, HandshakeError
+from maglev_mj.bridge.safety import (
+    WARNING_RISE,
+    FlotorGuard,
+    HostLimits,
+    Limits,
+    OutputLimiter,
+    SpotGuard,
+    reading_fault,
+    weight_fault,
+)
+from maglev_mj.bridge.takeoff import LandingReport, Leader, Motion, off_stop, shown
 from maglev_mj.bridge.wire import Command as CommandFrame
-from maglev_mj.bridge.wire import Fault, Frame, State, StateReport
-from maglev_mj.controller import Controller
-from maglev_mj.errors import PlantError, SensingError
+from maglev_mj.bridge.wire import Fault, Frame, Operation, State, StateReport, fault_names
+from maglev_mj.errors import ParameterError, PlantError, SensingError
 from maglev_mj.frames import ZERO, Command, Sample
-from maglev_mj.hand import Trajectory
-from maglev_mj.laws import Bias, Hold
 from maglev_mj.loop import ControlLoop
 from maglev_mj.net.udp import Link, LinkError
-from maglev_mj.parameters import number
 from maglev_mj.sensing.solver import PoseTracker
 
-__all__ = ["Leader", "RemotePlant"]
+__all__ = ["RemotePlant"]
 
-_ASIDE, _ASKEW = 0.002, math.radians(3.0)
-
-
-class Leader:
-    """A controller that leads the flotor along a minimum-jerk path by a soft spring and damper, and carries its weight.
-
-    Args:
-        calibration: What is known of the device.
-        start: Where the path begins [m, rad], six components.
-        end: Where it ends.
-        duration: How long it takes [s].
-        period: Sample period [s].
-        delay: From a sample to its command taking effect [s], however it comes about.
-        astray: Called with the pose where the flotor does not follow.
-
-    Attributes:
-        period: Sample period [s].
-
-    Raises:
-        ParameterError: If the duration is not above 0.
-    """
-
-    def __init__(
-        self,
-        calibration: Calibration,
-        start: Sequence[float],
-        end: Sequence[float],
-        *,
-        duration: float,
-        period: float,
-        delay: float,
-        astray: Callable[[Sequence[float]], object],
-    ) -> None:
-        self.period = period
-        self._path = Trajectory([0.0, number("duration", duration, above=0.0)], [list(start), list(end)])
-        self._astray = astray
-        inertia = np.concatenate([[calibration.mass] * 3, calibration.inertia])
-        weight = np.concatenate([-calibration.mass * calibration.gravity, np.zeros(3)])
-        hold = Hold.critically_damped(inertia=inertia, period=period, delay=delay)
-        self._controller = Controller([Bias(weight), hold], period=period)
-        self._first: int | None = None
-
-    def step(self, sample: Sample) -> Command:
-        """Answer one sample."""
-        if self._first is None:
-            self._first = sample.tick
-        goal = self._path.at((sample.tick - self._first) * self.period)
-        off = [found - wanted for found, wanted in zip(sample.position, goal)]
-        if math.hypot(*off[:3]) > _ASIDE or math.hypot(*off[3:]) > _ASKEW:
-            self._astray(sample.position)
-        return self._controller.step(Sample(sample.tick, sample.time, off))
+_NAN = math.nan
+_UNKNOWN = (_NAN,) * 6
+_MOST = Limits(current=100.0, continuous_current=100.0, hover=100.0)
+_SETTLING, _WATCHING = 0.3, 0.2
+"""How long a landing waits for the flotor to come to rest before it disarms, and watches it after [s]."""
 
 
-_UNKNOWN = (math.nan,) * 6
-
-
-class RemotePlant(RemoteDevice):
+class RemotePlant:
     """A device at the other end of a wire. The controller cannot tell it from `MuJoCoPlant`.
 
     The device is the clock: `read` waits for its next sample. A sample that was lost leaves a gap in the tick numbers.
     Six currents leave through one output limiter: finite, wrench limit, current limit, temperatures. What goes wrong
-    ends in zero currents, a fault that is latched until `reset`, and a file with the last cycles.
+    ends in zero currents, a fault that is latched until `reset`, and a file with the last cycles. All of it is for the
+    thread that flies the device.
 
     Args:
-        link: The wire; see `open_link`. It is closed with the plant.
+        link: The wire; see `open_link`. It is closed with the plant, and where there is none.
         calibration: What is known of the device, whose hash it must have.
         key: With which frames are sealed.
-        envelope: Where and how fast the flotor may go.
-        wrench_limit: Largest wrench, a number or (6,) [N, N m]; None for what the currents allow.
+        limits: Those of the host; the smaller of these and the device's counts.
         patience: How long to wait for the device [s]: for an answer, and for a sample.
         folder: Where the last cycles before a fault are written.
 
@@ -104,8 +61,12 @@ class RemotePlant(RemoteDevice):
         period: Sample period [s].
         delay: From a command's arrival to its taking effect [s].
         lockstep: Whether the device's time waits for each answer.
+        limits: The smaller of the device's and the host's.
+        latched: One line about faults that were latched in the device when it answered; empty without.
         state: Of the device, at the last sample.
         faults: Likewise.
+        first: Those of them that came first.
+        fault_time: When, by the device's clock [ns]; 0 without.
         last_currents: What was sent last [A], six.
         last_delay: From the sample before the last to its answer's taking effect, by the device's clock [s]; NaN where
             the command in force at the last sample answers another.
@@ -115,8 +76,9 @@ class RemotePlant(RemoteDevice):
 
     Raises:
         HandshakeError: If no device answers, or it will not have this host: another is flying it, its protocol is of
-            another version, or its calibration is another.
-        ParameterError: If a value is outside its bounds.
+            another version, or its calibration is another; or if its numbers are not sane or do not carry the weight.
+        LinkError: If the line is gone.
+        ParameterError: If a value is outside its bounds, or the host's own limits do not carry the weight.
     """
 
     hand_wrench = ZERO
@@ -127,27 +89,67 @@ class RemotePlant(RemoteDevice):
         *,
         calibration: Calibration | None = None,
         key: bytes | None = None,
-        envelope: Envelope | None = None,
-        wrench_limit: ArrayLike | None = None,
+        limits: HostLimits | None = None,
         patience: float = 1.0,
         folder: Path = Path(),
     ) -> None:
-        super().__init__(link, calibration or Calibration.nominal(), key, patience, folder)
-        self._guard = FlotorGuard(envelope or Envelope())
-        self._track = PoseTracker(self.calibration.beams)
-        offsets = self.calibration.spot_offsets
-        self._offsets: list[float] | None = offsets.tolist() if offsets.any() else None
-        welcome = self._line.welcome
-        self.period, self.delay = welcome.period / 1e9, welcome.delay / 1e9
-        self.lockstep, self.limits = bool(welcome.lockstep), self._line.limits
-        self._output = OutputLimiter(self.calibration.coils, self.limits, wrench_limit, self.period)
-        self._felt: Sequence[float] = ZERO  # what the device says of its coils' temperatures
-        self._warned = False
-        self.last_delay = math.nan
+        known = self.calibration = calibration or Calibration.nominal()
+        own = limits or HostLimits()
+        self._hover: list[float] = known.hover.tolist()
+        weight = known.mass * math.hypot(*known.gravity)
+        if said := weight_fault(weight, self._hover, own, own.narrowed(_MOST)):
+            link.close()
+            raise ParameterError(said)
+        self._line = Connection(link, known.digest, key, patience)
+        try:
+            self._patience, welcome = patience, self._line.welcome
+            self.limits = own.narrowed(self._line.limits)
+            if said := weight_fault(weight, self._hover, own, self.limits):
+                raise HandshakeError(f"the device does not carry the flotor: {said}")
+            self.period, self.delay = welcome.period / 1e9, welcome.delay / 1e9
+            self.lockstep, self.latched = bool(welcome.lockstep), self._line.latched
+            self.state, self.faults = State(welcome.state), Fault(welcome.faults)
+            self.first, self.fault_time = Fault(welcome.first), welcome.fault_time
+            self.samples = self._line.samples
+            self._box = BlackBox(folder)
+            self._spots, self._guard = SpotGuard(self.limits, self.period), FlotorGuard(own)
+            self._track = PoseTracker(known.beams)
+            offsets = known.spot_offsets
+            self._offsets: list[float] | None = offsets.tolist() if offsets.any() else None
+            self._output = OutputLimiter(known.coils, self.limits, own.wrench, self.period)
+            self._leader = Leader(known, self.period, self.delay)
+        except BaseException:
+            self._line.close()
+            raise
+        self.last_currents: Sequence[float] = ZERO
+        self.last_delay = _NAN
         self.rest: Sequence[float] = ZERO
-        self._sequence = 0
+        self._armed = False  # by this host, and nothing has ended it that was reported
+        self._warned = False
+        self._sequence, self._located = 0, 0  # of the last sample, and tick of the last whose pose is known
         self._owed = False  # an answer, to the last sample
-        self._known: Sequence[float] = ZERO  # the pose at the last sample
+        self._doubt = ""  # what is wrong with the last sample
+        # the last sample, and its pose, which may not be known
+        self._report: StateReport | None = None
+        self._row: tuple[Any, ...] = ()
+        self._seen: Sequence[float] = _UNKNOWN
+        self._known: Sequence[float] = ZERO
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
+        try:
+            if self._armed and isinstance(error, Exception) and self.state == State.ACTIVE:
+                with suppress(DeviceFault):
+                    self._fail(Fault.HOST, f"{type(error).__name__}: {error}")
+        finally:
+            self.close()
+
+    def close(self) -> None:
+        """Switch the currents off and let go of the device; safe to call at any time, and more than once."""
+        self._armed = False
+        self._line.close()
 
     def read(self) -> Sample:
         """Wait for the device's next sample and return what is measured there; the newest, if several are there.
@@ -161,22 +163,29 @@ class RemotePlant(RemoteDevice):
             self._send(self.last_currents, None, 0.0)
         frame = self._next_frame()
         report: StateReport = frame.body  # type: ignore[assignment]
-        out_of_step = self._account(frame, report)
+        self._account(frame, report)
         # one from before the device did what it was asked for is old
         if (report.state != self.state or report.faults != self.faults) and frame.time > self._line.settled:
             self._adopt(report.state, report.faults)
         if self.state == State.FAULT and self._armed:
             self._fail(self.faults, "asked for")
+        samples, limits = self.samples, self.limits
+        fault = self._spots.check(report.spots, report.valid, report.conversions, samples.elapsed)
+        fault |= reading_fault(limits, report.currents, report.temperatures)
+        if fault or self._doubt:
+            self._mistrust(fault, report)
         position = self._locate(report.spots)
-        wrong = self._guard.check(position, self.samples.elapsed * self.period)
-        if self.state == State.ACTIVE:
-            if out_of_step:
-                self._fail(Fault.CLOCK, out_of_step)
-            if wrong:
-                self._fail(wrong, f"the flotor is at {_shown(position)}")
+        tick, active = samples.tick, self.state == State.ACTIVE
+        if wrong := self._guard.check(position, (tick - self._located) * self.period):
+            self._doubt = f"{fault_names(wrong)}: the flotor is at {shown(position)}"
+            if active:
+                self._fail(wrong, f"the flotor is at {shown(position)}")
+        self._located = tick
+        if active:
+            if samples.out_of_step:
+                self._fail(Fault.CLOCK, samples.out_of_step)
             if max(report.temperatures) >= WARNING_RISE or max(self._output.thermal.rises) >= WARNING_RISE:
                 self._watch_temperatures()
-        tick = self.samples.tick
         return Sample(tick, tick * self.period, position)
 
     def write(self, command: Command) -> Command:
@@ -187,7 +196,7 @@ class RemotePlant(RemoteDevice):
             PlantError: If no sample was read.
         """
         self._check_open()
-        if self.samples.tick < 0:
+        if self._report is None:
             raise PlantError("write() needs a sample: call read() first")
         try:
             command, held, pulsed, width = self._output.currents(command, self._known)
@@ -195,47 +204,155 @@ class RemotePlant(RemoteDevice):
             self._fail(Fault.INVALID_COMMAND, str(error))
         self._send(held, pulsed, width)
         self._owed = False
-        self._output.passed(held, pulsed, width)
-        self._box.keep((*self._row, self._seen, held, held if pulsed is None else pulsed, width))
+        if self.state == State.ACTIVE:
+            self._output.passed(held, pulsed, width)
+        else:
+            self._output.stay(1, ZERO)
+        self._keep(held, held if pulsed is None else pulsed, width)
         return command
 
     @property
     def temperatures(self) -> list[float]:
         """Of the six coils, the higher of what the device says and what was sent: 1 where they trip."""
-        return [max(one, other) for one, other in zip(self._felt, self._output.thermal.rises)]
+        said = ZERO if self._report is None else self._report.temperatures
+        return [max(one, other) for one, other in zip(said, self._output.thermal.rises)]
+
+    @property
+    def answer_latency(self) -> float:
+        """From the last sample's arrival to its answer's leaving [s]."""
+        return self._line.latency * 1e-9
+
+    def arm(self) -> None:
+        """Let the currents flow. Where commands are missing, the device holds the flotor by those that carry it.
+
+        Raises:
+            PlantError: If the device refuses, as in the fault state.
+        """
+        self._ask(Operation.ARM, hover=self._hover)
+        self.state, self._armed = State.ACTIVE, True
+
+    def disarm(self) -> None:
+        """Switch the currents off."""
+        self._ask(Operation.DISARM)
+        self._armed = False
+        if self.state == State.ACTIVE:
+            self.state = State.INACTIVE
+
+    def estop(self) -> EstopReport:
+        """Switch the currents off in whatever state, and latch that it was asked for; the next sample is a fault.
+
+        Raises:
+            PlantError: If the device does not confirm it.
+        """
+        self._check_open()
+        report = self._line.estop()
+        self._latch(Fault.ESTOP, report.at)
+        if not report.confirmed:
+            raise PlantError(f"emergency stop {report}")
+        return report
+
+    def reset(self) -> None:
+        """Leave the fault state; a PlantError if the device refuses because its coils are too warm."""
+        self._ask(Operation.RESET)
+        self.state, self.faults, self.first, self.fault_time, self._armed = State.INACTIVE, Fault(0), Fault(0), 0, False
+
+    def trip(self, faults: Fault) -> None:
+        """Put the device into the fault state, whether or not the line is good enough for an answer."""
+        self._latch(faults, self._row[1] if self._row else 0)
+        with suppress(LinkError):  # the watchdog does it where there is no line
+            self._line.control(Operation.TRIP, faults=faults)
 
     def takeoff(self, duration: float = 0.6) -> None:
-        """Arm, and lead the flotor from where it lies to the centre; keep hands off it.
+        """Check that the flotor rests, arm, and lead it from where it lies to the centre; keep hands off it.
+
+        It is watched for 0.1 s; it rests up to 2 mm/s and 0.05 rad/s. All that is slow is done before the currents
+        flow.
 
         Args:
             duration: How long [s].
 
         Raises:
             DeviceFault: If it does not follow, or anything else goes wrong.
+            PlantError: If it moves, does not lie on its lower stop, or is not measured; the device is not armed.
         """
-        rest = list(self.read().position)
+        self._check_open()
+        if self.state != State.INACTIVE:
+            raise PlantError(f"no takeoff: the device is {self.state.name}, faults {fault_names(self.faults)}")
+        leader, loop = self._leader, ControlLoop(self, self._leader)
+        gc.collect()
+        motion = self._watch(0.0)
+        if self._doubt or not motion.full:
+            raise PlantError(f"no takeoff: {self._doubt or 'the flotor is not measured'}")
+        rest = motion.pose
+        if not motion.at_rest:
+            raise PlantError(f"no takeoff: the flotor moves at {motion}, and must rest")
+        if off_stop(rest, self.calibration.gravity.tolist()):
+            raise PlantError(f"no takeoff: the flotor is at {shown(rest)}, and must lie on its lower stop")
+        leader.aim(rest, rest, duration)
+        loop.cycle(2)  # the device does not look at these answers; what is slow at first has been once
+        leader.aim(rest, ZERO, duration, self._astray)
         self.arm()
         self.rest = rest
-        self._lead(self.rest, ZERO, duration, self._astray)
+        self._lead(loop, duration)
 
-    def land(self, duration: float = 0.6) -> None:
+    def land(self, duration: float = 0.6) -> LandingReport:
         """Lead the flotor back to where it lay, and disarm; a hand that holds it then has it.
+
+        Args:
+            duration: How long [s]; up to 0.3 s more until it rests.
+
+        Returns:
+            How it lies 0.2 s after.
 
         Raises:
             DeviceFault: As for `takeoff`.
         """
-        self._lead(self.read().position, self.rest, duration, lambda place: None)
+        leader = self._leader
+        leader.aim(self.read().position, self.rest, duration)
+        loop = ControlLoop(self, leader)
+        self._lead(loop, duration)
+        end = self.samples.tick + round(_SETTLING / self.period)
+        while self.samples.tick < end and not leader.motion.at_rest:
+            loop.cycle()
         self.disarm()
+        motion = self._watch(_WATCHING)
+        error = math.dist(motion.pose[:3], self.rest[:3])
+        return LandingReport(error, *motion.speeds, motion.at_rest and not self._doubt)
 
-    def _lead(
-        self, start: Sequence[float], end: Sequence[float], duration: float, astray: Callable[[Sequence[float]], object]
-    ) -> None:
-        known, period, delay = self.calibration, self.period, self.delay
-        leader = Leader(known, start, end, duration=duration, period=period, delay=delay, astray=astray)
-        ControlLoop(self, leader).cycle(max(round(duration / period), 1))
+    def _lead(self, loop: ControlLoop, duration: float) -> None:
+        end = self.samples.tick + max(round(duration / self.period), 1)
+        while self.samples.tick < end:
+            loop.cycle()
+
+    def _watch(self, duration: float) -> Motion:
+        """Look at the flotor until so long [s] is over and the last 0.1 s are known, or in doubt."""
+        motion, self._doubt = Motion(self.period), ""
+        end = self.samples.tick + round(duration / self.period)
+        while self.samples.tick < end or not (motion.full or self._doubt):
+            try:
+                motion.add(self.read())
+            except SensingError as error:
+                self._doubt = str(error)
+        return motion
 
     def _astray(self, place: Sequence[float]) -> NoReturn:
-        self._fail(Fault.NOT_FOLLOWING, f"the flotor is at {_shown(place)}, not where it is led")
+        self._fail(Fault.NOT_FOLLOWING, f"the flotor is at {shown(place)}, not where it is led")
+
+    def _ask(self, operation: Operation, *, hover: Sequence[float] = ZERO) -> None:
+        self._check_open()
+        answer = self._line.control(operation, hover=hover)
+        if answer is None:
+            raise PlantError(f"the device did not answer {operation.name} within {self._patience:g} s")
+        if answer.result:
+            hint = "; see to it, then reset" if answer.state == State.FAULT else ""
+            state = State(answer.state).name if answer.state in tuple(State) else f"in state {answer.state}"
+            raise PlantError(
+                f"the device refused {operation.name}: it is {state}, faults {fault_names(answer.faults)}{hint}"
+            )
+
+    def _check_open(self) -> None:
+        if not self._line.open:
+            raise PlantError("the plant is closed")
 
     def _next_frame(self) -> Frame:
         """Return the newest STATE."""
@@ -250,19 +367,43 @@ class RemotePlant(RemoteDevice):
             self._fail(Fault.HOST, missing)
         raise PlantError(missing)
 
-    def _account(self, frame: Frame, report: StateReport) -> str:
-        """Count a sample and its heat; return what is wrong with the device's clock, nothing where it keeps step."""
+    def _account(self, frame: Frame, report: StateReport) -> None:
+        """Keep a sample, and what warmed the coils up to it."""
         answered, self._owed = not self._owed, False
-        samples = self.samples
-        out_of_step = samples.count(frame.sequence, frame.time, self._line.skipped)
-        if (unanswered := samples.elapsed - answered) > 0:  # what nobody wrote for: the coils cool, or go on
+        elapsed = self.samples.elapsed
+        if (unanswered := elapsed - answered) > 0:  # what nobody wrote for: the coils cool, or go on
             self._output.stay(unanswered, self.last_currents if self.state == State.ACTIVE else ZERO)
-        self._felt = report.temperatures
-        in_force = samples.elapsed == 1 and report.answered == self._sequence
-        self.last_delay = self.period - report.age * 1e-6 + self.delay if in_force else math.nan
-        self._sequence = frame.sequence
+        in_force = elapsed == 1 and report.answered == self._sequence
+        self.last_delay = self.period - report.age * 1e-6 + self.delay if in_force else _NAN
+        self._sequence, self._report = frame.sequence, report
         self._row, self._seen = (frame.sequence, frame.time, report.state, report.faults, report.spots), _UNKNOWN
-        return out_of_step
+
+    def _adopt(self, state: int, faults: int) -> None:
+        """Take over the state that the device says it is in, and complain of one that flying cannot go on in."""
+        if state not in tuple(State):
+            self._fail(Fault.HOST, f"the device says that it is in state {state}, which is none")
+        before = self.state
+        if state == State.FAULT:
+            self._latch(Fault(faults), self._row[1])
+        self.state, self.faults = State(state), Fault(faults)
+        if self.state == State.FAULT != before:
+            self._fail(self.faults, "said by the device")
+        if self.state == State.INACTIVE and before == State.ACTIVE:
+            self._fail(Fault.HOST, "the device switched its currents off without being asked to")
+
+    def _mistrust(self, fault: Fault, report: StateReport) -> None:
+        """Note what is wrong with a sample's numbers; a fault if the device is active."""
+        self._doubt = ""
+        if not fault:
+            return
+        spots = ", ".join(f"{part * 1e3:.3f}" for part in report.spots)
+        rest = [f"{part:.3g}" for part in (*report.currents, *report.temperatures)]
+        said = f"spots {spots} mm, valid {report.valid:03b}, conversion {report.conversions}"
+        if fault & (Fault.COIL_OVERCURRENT | Fault.COIL_OVERTEMP):
+            said = f"measured currents {', '.join(rest[:6])} A, temperatures {', '.join(rest[6:])}"
+        self._doubt = f"{fault_names(fault)}: {said}"
+        if self.state == State.ACTIVE:
+            self._fail(fault, said)
 
     def _locate(self, spots: Sequence[float]) -> list[float]:
         """Return the pose whose spots these are; an answer to it is owed."""
@@ -289,6 +430,24 @@ class RemotePlant(RemoteDevice):
                 self._fail(Fault.HOST, str(error))
             raise
 
+    def _keep(self, held: Sequence[float], pulsed: Sequence[float], width: float) -> None:
+        """Keep a cycle for the black box."""
+        report, latency = self._report, self._line.latency * 1e-9
+        assert report is not None
+        self._box.keep(
+            (
+                *self._row,
+                self._seen,
+                held,
+                pulsed,
+                width,
+                report.currents,
+                report.temperatures,
+                self.last_delay,
+                latency,
+            )
+        )
+
     def _watch_temperatures(self) -> None:
         warmest = max(temperatures := self.temperatures)
         if warmest >= 1.0:
@@ -297,6 +456,24 @@ class RemotePlant(RemoteDevice):
             self._warned = True
             warnings.warn(f"a coil is at {warmest:.0%} of what it bears", stacklevel=3)
 
+    def _latch(self, faults: Fault, time: int) -> None:
+        if not self.faults:
+            self.first, self.fault_time = faults, time
+        self.state, self.faults = State.FAULT, self.faults | faults
 
-def _shown(position: Sequence[float]) -> str:
-    return ", ".join(f"{part * 1e3:.2f}" for part in position) + " (mm, mrad)"
+    def _fail(self, faults: Fault, message: str) -> NoReturn:
+        """Put the device into the fault state, keep the last cycles, and say so."""
+        self._armed = False
+        if self.state != State.FAULT or not self.faults & faults:
+            with suppress(Exception):  # what went wrong is told, and the last cycles kept, whatever else fails
+                self.trip(faults)
+        faults |= self.faults  # such as an e-stop, after which it fell
+        samples = self.samples
+        about = {
+            **{"first": fault_names(self.first), "fault_time_ns": self.fault_time, "tick": samples.tick},
+            **{"lost": samples.lost, "skipped": samples.skipped, "period_ns": samples.period},
+        }
+        if self._report is not None:
+            self._keep(self.last_currents, self.last_currents, 0.0)
+        path = self._box.write(faults, message, about)
+        raise DeviceFault(faults, message, path)

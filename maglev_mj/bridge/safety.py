@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,7 +15,7 @@ from maglev_mj.bridge.wire import Fault
 from maglev_mj.coils import CoilMap, limited_wrench
 from maglev_mj.errors import ParameterError, PlantError
 from maglev_mj.frames import ZERO, Command, clipped
-from maglev_mj.parameters import number, numbers
+from maglev_mj.parameters import Parameters, numbers, param
 from maglev_mj.spec import Spec
 from maglev_mj.timeline import Timeline, Timing
 
@@ -21,13 +23,15 @@ __all__ = [
     "OFF",
     "WARNING_RISE",
     "CoilGuard",
-    "Envelope",
     "FlotorGuard",
+    "HostLimits",
     "Limits",
     "OutputLimiter",
     "SpotGuard",
     "ThermalModel",
     "command_fault",
+    "reading_fault",
+    "weight_fault",
 ]
 
 WARNING_RISE = 0.8
@@ -39,66 +43,132 @@ OFF = 0.25
 _NO_FAULT = Fault(0)
 _CLOSE_SHARE = 0.1
 _IMPLAUSIBLE = 4.0
+_MARGIN = 1.25
+"""Over the weight and its currents, for control."""
+_COLD, _HOT, _OVER = -0.01, 2.0, 1.5
+"""Temperatures that a device may report, and measured current over its limit."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Limits:
-    """What a device bears; sent to the host in the handshake.
-
-    Args:
-        current: Largest current in any coil [A].
-        continuous_current: Current that a coil bears for ever [A].
-        thermal_time: Time constant of a coil's warming [s]; assumed, the paper has none.
-        spot: Largest coordinate of a spot on its diode [m]; assumed.
-        spot_speed: Largest speed of a spot [m/s]; assumed.
-        watchdog: How long a device waits for a command before it lets go [s].
-        enable: How long the amplifiers' enable line may stand still [s].
-        hover: Largest current of a coil where the device holds the flotor by itself [A].
-        frozen: Equal readings in a row that the sensor's noise rules out; 0 for a sensor without noise.
+class Limits(Parameters):
+    """Limits of a device; sent to the host in the handshake, which refuses what is outside these bounds.
 
     Raises:
-        ParameterError: If a value is not above 0, or `frozen` is negative or not whole.
+        ParameterError: If a value is outside its bounds.
     """
 
-    current: float = Spec.peak_current.value
-    continuous_current: float = Spec.continuous_current.value
-    thermal_time: float = 10.0
-    spot: float = 0.012
-    spot_speed: float = 1.0
-    watchdog: float = 0.05
-    enable: float = 0.015
-    hover: float = Spec.continuous_current.value
-    frozen: int = 20
+    current: float = param(
+        "largest current in any coil", "A", default=Spec.peak_current.value, above=0.0, at_most=100.0
+    )
+    continuous_current: float = param(
+        "current that a coil bears continuously", "A", default=Spec.continuous_current.value, above=0.0, at_most=100.0
+    )
+    thermal_time: float = param(
+        "time constant of a coil's warming; assumed, the paper has none", "s", default=10.0, at_least=0.01, at_most=1e7
+    )
+    spot: float = param("largest coordinate of a spot; assumed", "m", default=0.012, at_least=1e-4, at_most=0.1)
+    spot_speed: float = param("largest speed of a spot; assumed", "m/s", default=1.0, at_least=1e-3, at_most=100.0)
+    watchdog: float = param("longest wait for a command", "s", default=0.05, at_least=1e-3, at_most=10.0)
+    enable: float = param("longest pause of the enable line", "s", default=0.01, at_least=1e-5, at_most=10.0)
+    hover: float = param(
+        "largest current in a coil of ARM's hover",
+        "A",
+        default=Spec.continuous_current.value,
+        at_least=0.0,
+        at_most=100.0,
+    )
+    frozen: int = param(
+        "equal readings in a row that the sensor's noise rules out; 0 without noise",
+        default=20,
+        at_least=0,
+        at_most=1_000_000,
+    )
 
-    def __post_init__(self) -> None:
-        for name in (one.name for one in fields(self) if one.name != "frozen"):
-            object.__setattr__(self, name, number(name, getattr(self, name), above=0.0))
-        if number("frozen", self.frozen, at_least=0) != int(self.frozen):
-            raise ParameterError(f"frozen must be a whole number, not {self.frozen!r}")
 
-
-@dataclass(frozen=True, kw_only=True)
-class Envelope:
-    """Where and how fast the host lets the flotor go.
-
-    Args:
-        translation: Largest coordinate [m]; a little beyond the metal stops.
-        rotation: Largest angle [rad].
-        speed: Largest speed [m/s].
-        turning_speed: Largest angular speed [rad/s].
+class HostLimits(Parameters):
+    """Limits of the host's own; the smaller of these and the device's counts.
 
     Raises:
         ParameterError: If a value is not above 0.
     """
 
-    translation: float = 0.0055
-    rotation: float = math.radians(7.5)
-    speed: float = 0.6
-    turning_speed: float = 15.0
+    max_current: float | None = param(
+        "largest current in any coil; the device's alone for none", "A", default=None, optional=True, above=0.0
+    )
+    continuous_current: float | None = param(
+        "current that a coil bears continuously; the device's alone for none",
+        "A",
+        default=None,
+        optional=True,
+        above=0.0,
+    )
+    force_limit: float | None = param(
+        "largest force along each axis, weight included", "N", default=None, optional=True, above=0.0
+    )
+    torque_limit: float | None = param("largest torque about each axis", "N m", default=None, optional=True, above=0.0)
+    envelope: float = param(
+        "largest coordinate of the flotor; a little beyond the metal stops", "m", default=0.0055, above=0.0
+    )
+    envelope_angle: float = param("largest angle of the flotor", "rad", default=math.radians(7.5), above=0.0)
+    speed_limit: float = param("largest speed of the flotor", "m/s", default=0.6, above=0.0)
+    spin_limit: float = param("largest angular speed of the flotor", "rad/s", default=15.0, above=0.0)
 
-    def __post_init__(self) -> None:
-        for name in ("translation", "rotation", "speed", "turning_speed"):
-            object.__setattr__(self, name, number(name, getattr(self, name), above=0.0))
+    @classmethod
+    def load(cls, path: str | Path) -> Self:
+        """Read a profile: a JSON object of these parameters by name, SI units.
+
+        Raises:
+            ParameterError: If it cannot be read, or a value is outside its bounds; one line with file and value.
+        """
+        try:
+            values = json.loads(Path(path).read_text(encoding="utf-8"))
+            if not isinstance(values, dict):
+                raise ParameterError(f"must be a JSON object of limits by name, not {values!r:.60}")
+            return cls.from_json(values)
+        except OSError as error:
+            raise ParameterError(f"profile {str(path)!r} cannot be read: {error.strerror}") from None
+        except ParameterError as error:
+            raise ParameterError(f"profile {str(path)!r}: {error}") from None
+        except (ValueError, RecursionError) as error:
+            raise ParameterError(f"profile {str(path)!r} is not JSON: {error}") from None
+
+    @property
+    def wrench(self) -> list[float] | None:
+        """Largest wrench [N, N m], six; None without a limit."""
+        if self.force_limit is None and self.torque_limit is None:
+            return None
+        return [self.force_limit or math.inf] * 3 + [self.torque_limit or math.inf] * 3
+
+    def narrowed(self, limits: Limits) -> Limits:
+        """Return a device's limits, each the smaller of the device's and the host's."""
+        current = min(limits.current, self.max_current or math.inf)
+        continuous = min(limits.continuous_current, self.continuous_current or math.inf)
+        return limits.replace(
+            current=current, continuous_current=continuous, hover=min(limits.hover, current, continuous)
+        )
+
+
+def weight_fault(weight: float, hover: Sequence[float], own: HostLimits, limits: Limits) -> str:
+    """Return why the flotor's weight cannot be carried, with the numbers; empty if it can.
+
+    Args:
+        weight: Of the flotor [N].
+        hover: Currents that carry it [A], six.
+        own: Limits of the host.
+        limits: Those of the device, narrowed by the host's.
+    """
+    most = max(map(abs, hover))
+    if own.force_limit is not None and own.force_limit <= _MARGIN * weight:
+        return (
+            f"force_limit must be above {_MARGIN * weight:.3g} N, not {own.force_limit:g}: the weight is {weight:.3g} N"
+        )
+    if limits.current < _MARGIN * most:
+        return (
+            f"max_current must be at least {_MARGIN * most:.3g} A, not {limits.current:g}: "
+            f"hovering needs {most:.3g} A, and control a quarter more"
+        )
+    if limits.hover < most:
+        return f"the hover limit must be at least {most:.3g} A, which carries the weight, not {limits.hover:g}"
+    return ""
 
 
 class ThermalModel:
@@ -149,6 +219,16 @@ def command_fault(limits: Limits, held: Sequence[float], pulsed: Sequence[float]
     if max(held) > most or min(held) < -most or max(pulsed) > most or min(pulsed) < -most:
         return Fault.COIL_OVERCURRENT
     return _NO_FAULT
+
+
+def reading_fault(limits: Limits, currents: Sequence[float], temperatures: Sequence[float]) -> Fault:
+    """Return what is wrong with a device's measured currents [A] and temperatures, six each."""
+    most, total = _OVER * limits.current, sum(currents) + sum(temperatures)
+    cool = max(temperatures) <= _HOT and min(temperatures) >= _COLD
+    if max(currents) <= most and min(currents) >= -most and cool and total - total == 0.0:
+        return _NO_FAULT
+    fault = _NO_FAULT if all(_COLD <= one <= _HOT for one in temperatures) else Fault.COIL_OVERTEMP
+    return fault if all(abs(one) <= most for one in currents) else fault | Fault.COIL_OVERCURRENT
 
 
 class CoilGuard:
@@ -221,12 +301,12 @@ class FlotorGuard:
     """Finds a flotor that is beyond its envelope.
 
     Args:
-        envelope: Where it may be.
+        limits: Where it may be, and how fast.
     """
 
-    def __init__(self, envelope: Envelope) -> None:
-        self._far, self._turned = envelope.translation, envelope.rotation**2
-        self._fast, self._turning = envelope.speed**2, envelope.turning_speed**2
+    def __init__(self, limits: HostLimits) -> None:
+        self._far, self._turned = limits.envelope, limits.envelope_angle**2
+        self._fast, self._turning = limits.speed_limit**2, limits.spin_limit**2
         self._last: Sequence[float] | None = None
 
     def check(self, position: Sequence[float], elapsed: float) -> Fault:

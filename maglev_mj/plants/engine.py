@@ -35,6 +35,9 @@ __all__ = [
     "turned_work",
 ]
 
+_STOP_TIME = 0.02
+"""Time constant with which a stop slows what moves along it [s]; assumed."""
+
 _HAND_STEP, _STOP_STEP, _FALLOFF_STEP, _BEND_STEP = 5e-4, 2.5e-4, 2.5e-4, 5e-5
 
 NOTHING = 1e-12
@@ -198,17 +201,19 @@ class Steps:
         device: The device.
         data: Its state.
         falloff: See `MuJoCoPlant`.
+        stop_damping: See `MuJoCoPlant`.
 
     Attributes:
         look: Returns x y z [m] and a quaternion, and changes nothing.
         settle: The same at a sample.
     """
 
-    def __init__(self, device: Device, data: mujoco.MjData, falloff: float) -> None:
+    def __init__(self, device: Device, data: mujoco.MjData, falloff: float = 0.0, stop_damping: bool = False) -> None:
         model = device.model
         self._options = model.opt
-        self.falloff = _Falloff(device, data, falloff) if falloff else None
-        self._step: Callable[..., object] = self.falloff or partial(mujoco.mj_step, model, data)
+        step = _DampedStops(device, data) if stop_damping else partial(mujoco.mj_step, model, data)
+        self.falloff = _Falloff(device, data, falloff, step) if falloff else None
+        self._step: Callable[..., object] = self.falloff or step
         self._position = data.qpos[device.position_address :][:7]
         self.look: Callable[[], Sequence[float]] = self._position.tolist
         self.settle: Callable[[], Sequence[float]] = self.look
@@ -232,8 +237,8 @@ class CorrectedSteps(Steps):
     turning about several axes, leaves an error of first order in the step.
     """
 
-    def __init__(self, device: Device, data: mujoco.MjData, falloff: float) -> None:
-        super().__init__(device, data, falloff)
+    def __init__(self, device: Device, data: mujoco.MjData, falloff: float = 0.0, stop_damping: bool = False) -> None:
+        super().__init__(device, data, falloff, stop_damping)
         self._read, self.look, self.settle = self.look, self._look, self._settle
         self._velocity = data.qvel[device.velocity_address :][:6].tolist
         self._acceleration = data.qacc[device.velocity_address :][:6].tolist
@@ -307,14 +312,33 @@ def turned_work(force: Sequence[Component], before: Sequence[Component], after: 
     return fx * (p - x) + fy * (q - y) + fz * (r - z) + 2.0 * (tx * rx + ty * ry + tz * rz)
 
 
+class _DampedStops:
+    """A step of the engine in which a stop that is touched slows motion along it too.
+
+    A joint's limit acts across itself only: a flotor that turns with its angle at the stop would never come to rest.
+    """
+
+    def __init__(self, device: Device, data: mujoco.MjData) -> None:
+        self._model, self._data = device.model, data
+        self._damping = device.model.dof_damping[device.velocity_address :][:6]
+        self._free = self._damping.copy()
+        self._touching = self._free + np.append([device.mass] * 3, device.inertia) / _STOP_TIME
+
+    def __call__(self, steps: int = 1) -> None:
+        """Make some steps."""
+        for _ in range(steps):
+            self._damping[:] = self._touching if self._data.nl else self._free
+            mujoco.mj_step(self._model, self._data)
+
+
 class _Falloff:
     """A step of the engine with coils that push the less the further they are from their magnets' centre.
 
     The force constants of a step are those half way through it, so that the error is of second order in the step.
     """
 
-    def __init__(self, device: Device, data: mujoco.MjData, falloff: float) -> None:
-        self._model, self._data, self._falloff = device.model, data, falloff
+    def __init__(self, device: Device, data: mujoco.MjData, falloff: float, step: Callable[[], object]) -> None:
+        self._model, self._data, self._falloff, self._step = device.model, data, falloff, step
         at_centre = mujoco.MjData(device.model)
         mujoco.mj_forward(device.model, at_centre)
         self._centre = at_centre.actuator_length[: len(COILS)].copy()
@@ -334,7 +358,7 @@ class _Falloff:
             mujoco.mj_fwdPosition(model, data)
             mujoco.mj_fwdVelocity(model, data)
             gains[:] = self._flat * self._share(length + half * speed)
-            mujoco.mj_step(model, data)
+            self._step()
 
     def share(self) -> Array:
         """Return what share of its force each coil gives where the flotor is, (6,)."""

@@ -17,7 +17,7 @@ from maglev_mj.errors import ParameterError, PlantError
 from maglev_mj.frames import Array, Command, Component, rotation_vector
 from maglev_mj.hand import Hand
 from maglev_mj.model import COILS, Model, load
-from maglev_mj.parameters import number, numbers
+from maglev_mj.parameters import flag, number, numbers
 from maglev_mj.plants.base import PlantKeywords, SampledPlant
 from maglev_mj.plants.currents import CoilDrive
 from maglev_mj.plants.engine import (
@@ -69,6 +69,8 @@ class MuJoCoPlant(SampledPlant):
         hand: A hand on the flotor, along x, y or z.
         integrator: One of `INTEGRATORS`.
         stops: The metal stops at the ends of the range.
+        stop_damping: A stop that is touched slows motion along it as well, within 20 ms; assumed. Without it a flotor
+            slides and turns along its stops without end.
         force_falloff: Share of its force constant that a coil has lost when it is as far from its magnets' centre,
             along its force, as the device's range goes; the loss goes with the square of the distance. Assumed.
         flexible: The handle swings against the flotor along z; see `load`.
@@ -102,6 +104,7 @@ class MuJoCoPlant(SampledPlant):
         hand: Hand | None = None,
         integrator: str = "rk4",
         stops: bool = False,
+        stop_damping: bool = False,
         force_falloff: float = 0.0,
         flexible: bool = False,
         **keywords: Unpack[PlantKeywords],
@@ -137,7 +140,7 @@ class MuJoCoPlant(SampledPlant):
         if known is None and current_limit is not None:
             known = load(model, coil_map=coil_map).coils
         self._coil_drive = None if known is None else CoilDrive(known, self.current_limit)
-        self._open(integrator, force_falloff, hand)
+        self._open(integrator, force_falloff, flag("stop_damping", stop_damping), hand)
         self._data.qpos[:], self._data.qvel[:] = start_state(self.device, start, motion, hand)
         free = False
         if keywords.get("longest_step") is None:
@@ -164,14 +167,15 @@ class MuJoCoPlant(SampledPlant):
         # wider still; and of controls, which it then leaves out
         self._warns_unseen = max(self._escape) > _ENGINE_BOUND or stops
 
-    def _open(self, integrator: str, falloff: float, hand: Hand | None) -> None:
+    def _open(self, integrator: str, falloff: float, stop_damping: bool, hand: Hand | None) -> None:
         """Make the engine's state, and live views of it: reaching for them on each tick costs as much as using them."""
         model, device = self.device.model, self.device
         self._data = mujoco.MjData(model)
         mujoco.mj_step(model, self._data)  # the first step fetches its memory, which would make the first tick late
         mujoco.mj_resetData(model, self._data)
         self._model = model
-        self._steps = (CorrectedSteps if integrator == "corrected" else Steps)(device, self._data, falloff)
+        steps = CorrectedSteps if integrator == "corrected" else Steps
+        self._steps = steps(device, self._data, falloff, stop_damping)
         self._look, self._settle, self._step_on = self._steps.look, self._steps.settle, self._steps.advance
         self._qpos = self._data.qpos[device.position_address :][:7]
         self._qvel = self._data.qvel[device.velocity_address :][:6]

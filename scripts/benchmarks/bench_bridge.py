@@ -26,7 +26,7 @@ from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.flight import Flight
 from maglev_mj.bridge.realtime import LatencyHistogram, realtime, stopping
 from maglev_mj.bridge.remote import RemotePlant
-from maglev_mj.bridge.safety import Envelope, Limits, OutputLimiter
+from maglev_mj.bridge.safety import HostLimits, Limits, OutputLimiter
 from maglev_mj.bridge.simulated_links import VirtualLink
 from maglev_mj.bridge.twin import ServerReport, Twin, TwinParameters, TwinServer
 from maglev_mj.bridge.wire import Codec, Command, StateReport
@@ -45,7 +45,7 @@ HOME = "127.0.0.1"
 SESSION = 1
 START = (1e-3, 0.0, 0.0, 0.0, 0.01, 0.0)
 BLOCK = 500
-WIDE = Envelope(translation=1.0, rotation=1.0, speed=10.0, turning_speed=100.0)
+WIDE = HostLimits(envelope=1.0, envelope_angle=1.0, speed_limit=10.0, spin_limit=100.0)
 COOL = Limits(thermal_time=1e6)
 RATES = 200, 1000, 2000, 4000
 clock = time.perf_counter_ns
@@ -126,7 +126,7 @@ def prepared(count: int, period: int) -> list[bytes]:
     frames = []
     for tick in range(1, count + 1):
         spots = tuple(beams.spots((size * np.sin(phase + speed * tick)).tolist()))
-        report = StateReport(spots, (1.0,) * 6, (0.1,) * 6, 1, 7, 0, 0, tick - 1, 5000)
+        report = StateReport(spots, (1.0,) * 6, (0.1,) * 6, 1, 7, 0, 0, tick - 1, 5000, tick)
         frames.append(codec.encode(SESSION, tick, tick * period, report))
     return frames
 
@@ -152,7 +152,7 @@ def timed_cycles(cycles: int, over_udp: bool) -> tuple[list[float], list[float]]
     """Return for each cycle how long until the answer had been sent, and until all was done [µs]."""
     twin = Twin(TwinParameters(lockstep=True, limits=COOL), draw=lambda: SESSION)
     link = Switched(twin)
-    plant, controller = RemotePlant(link, envelope=WIDE), Joystick(friction=True).controller()
+    plant, controller = RemotePlant(link, limits=WIDE), Joystick(friction=True).controller()
     plant.arm()
     answers, wholes = [], []
     with closing(UdpServer(HOME, 0)) as server, closing(UdpLink(*server.address)) as wire, no_garbage():

@@ -1,15 +1,16 @@
-"""The reference device in C, built and spoken with over UDP: the page's bytes, a flight, faults, and rubbish."""
+"""The firmware in C on its simulated hardware, spoken with over UDP: a flight, faults, the board, and rubbish."""
 
 from __future__ import annotations
 
 import math
 import random
 import re
-import shutil
 import socket
 import subprocess
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,13 +20,14 @@ from numpy.typing import ArrayLike
 
 from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.firmware import Firmware, Profile, Reading
-from maglev_mj.bridge.safety import Limits
 from maglev_mj.bridge.twin import REST, TwinParameters
 from maglev_mj.bridge.wire import (
     Codec,
     Command,
     Control,
     ControlAck,
+    Estop,
+    EstopAck,
     Fault,
     Flag,
     Frame,
@@ -38,24 +40,23 @@ from maglev_mj.bridge.wire import (
     StateReport,
 )
 from maglev_mj.frames import Array
+from tests.firmware_core import COMPILER, FOLDER, NEEDS_COMPILER, SANITIZED, STRICT
 from tests.test_firmware import HOVER, ONES, ZERO
-from tests.test_wire import ROOT, golden_bytes, sealed
+from tests.test_wire import KEY, golden_bytes, sealed
 
-SOURCE = ROOT / "scripts" / "examples" / "device_client.c"
-COMPILER = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
-STRICT = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror"]
-SANITIZED = ["-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+PROFILE = TwinParameters().profile
 NOMINAL = Calibration.nominal()
 SLOPES = NOMINAL.beams._spots(np.zeros(6))[1]
 PERIOD = 5_000_000
 
-pytestmark = pytest.mark.skipif(COMPILER is None, reason="the device in C needs a compiler (Debian: gcc libc6-dev)")
+pytestmark = pytest.mark.skipif(COMPILER is None, reason=NEEDS_COMPILER)
 
 
 def built(folder: Path, flags: Sequence[str]) -> Path | None:
     """Return the program, compiled with these flags; None if they are not known here."""
-    program = folder / "device_client"
-    command = [str(COMPILER), *STRICT, *flags, str(SOURCE), "-o", str(program), "-lm"]
+    program = folder / "simulated_device"
+    sources = [str(FOLDER / name) for name in ("simulated_device.c", "maglev_firmware.c")]
+    command = [str(COMPILER), *STRICT, *flags, *sources, "-o", str(program), "-lm"]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
     if done.returncode and flags == ["-O2"]:
         pytest.fail(f"{' '.join(command)}:\n{done.stderr}")
@@ -68,6 +69,14 @@ def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
     optimised = built(tmp_path_factory.mktemp("optimised"), ["-O2"])
     assert optimised is not None
     return built(tmp_path_factory.mktemp("sanitized"), SANITIZED) or optimised
+
+
+@pytest.fixture(scope="module")
+def key_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a file with the page's key."""
+    path = tmp_path_factory.mktemp("key") / "key"
+    path.write_text(KEY.hex() + "\n", encoding="ascii")
+    return path
 
 
 def write_plant(path: Path, calibration: Calibration) -> Path:
@@ -96,8 +105,8 @@ class Host:
         state: The last STATE.
     """
 
-    def __init__(self, port: int) -> None:
-        self.codec = Codec()
+    def __init__(self, port: int, key: bytes | None) -> None:
+        self.codec = Codec(key)
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.socket.bind(("127.0.0.1", 0))
         self.socket.connect(("127.0.0.1", port))
@@ -131,6 +140,15 @@ class Host:
         self.sequence += 1
         session, sequence = header.get("session", self.session), header.get("sequence", self.sequence)
         self.socket.send(self.codec.encode(session, sequence, time.monotonic_ns(), body))
+
+    def estop(self, request: int = 1) -> EstopAck:
+        for _ in range(400):  # again every 5 ms, as the page says: a flood leaves no room for some
+            self.send(Estop(request), session=0)
+            with suppress(AssertionError):
+                answer: EstopAck = self.wait(EstopAck, 0.005).body
+                break
+        assert answer.request == request
+        return answer
 
     def hello(self, nonce: int = 1, calibration: bytes = NOMINAL.digest) -> HelloAck:
         self.send(Hello(nonce, calibration), session=0)
@@ -174,6 +192,8 @@ class Device:
 
     def __init__(self, program: Path, plant: Path, *arguments: str) -> None:
         command = [str(program), "--plant", str(plant), "--calibration-hash", NOMINAL.digest.hex(), "--seconds", "60"]
+        command += ["--hover-limit", str(PROFILE.limits.hover)]
+        self.key = KEY if "--key" in arguments else None
         self.process = subprocess.Popen(
             [*command, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
         )
@@ -186,7 +206,7 @@ class Device:
         self.counts: dict[str, int] = {}
 
     def host(self) -> Host:
-        self.hosts.append(Host(self.port))
+        self.hosts.append(Host(self.port, self.key))
         return self.hosts[-1]
 
     def end(self) -> dict[str, int]:
@@ -230,6 +250,7 @@ def flying(host: Host, ticks: int) -> list[Array]:
     for _ in range(ticks):
         report: Any = host.state.body
         assert report.state == State.ACTIVE and report.valid == 7 and report.faults == 0
+        assert report.flags == Flag.ENABLED
         pose = inverse @ report.spots
         speed = np.zeros(6) if last is None else (pose - last) / (PERIOD * 1e-9)
         last = pose
@@ -239,16 +260,13 @@ def flying(host: Host, ticks: int) -> list[Array]:
     return poses
 
 
-def test_golden_bytes(program: Path) -> None:
-    done = subprocess.run([str(program), "--golden"], capture_output=True, text=True, check=True, timeout=30)
-    expected = [data for name, data in golden_bytes().items() if not name.endswith("keyed")]
-    assert [bytes.fromhex(line) for line in done.stdout.split()] == expected
-
-
-def test_it_compiles_without_a_word_and_fits_a_page(tmp_path: Path) -> None:
-    assert built(tmp_path, ["-O2"]) is not None
-    lines = SOURCE.read_text(encoding="ascii").splitlines()
-    assert len(lines) < 600 and max(map(len, lines)) <= 120
+@pytest.mark.parametrize("keyed", [False, True], ids=["no key", "key"])
+def test_golden_bytes(program: Path, key_file: Path, keyed: bool) -> None:
+    frames = [data for name, data in golden_bytes().items() if name.endswith("keyed") == keyed]
+    command = [str(program), "--golden", *(["--key", str(key_file)] if keyed else [])]
+    lines = "\n".join(data.hex() for data in frames)
+    done = subprocess.run(command, input=lines, capture_output=True, text=True, check=True, timeout=30)
+    assert done.stdout.split() == lines.split() and len(frames) == 8
 
 
 @pytest.mark.parametrize(
@@ -261,28 +279,34 @@ def test_it_compiles_without_a_word_and_fits_a_page(tmp_path: Path) -> None:
         ["--calibration-hash", "00"],
         ["--calibration-hash", "g" * 32],
         ["--plant", "/nowhere"],
-        ["--plant", str(SOURCE)],
+        ["--plant", str(FOLDER / "README.md")],
+        ["--key", "/nowhere"],
+        ["--key", str(FOLDER / "README.md")],
+        ["--fault", "stuck-diode:3@0"],
+        ["--fault", "dead-coil:1"],
+        ["--fault", "hot-coil:1@2"],
         [],
     ],
 )
 def test_arguments_that_cannot_be_are_refused(program: Path, arguments: list[str]) -> None:
     done = subprocess.run([str(program), *arguments], capture_output=True, text=True, check=False, timeout=30)
-    assert done.returncode == 2 and done.stderr.startswith("device_client: ") and done.stderr.count("\n") == 1
+    assert done.returncode == 2 and done.stderr.startswith("simulated_device: ") and done.stderr.count("\n") == 1
 
 
 def test_a_session_in_lockstep(start: Starter) -> None:
     device = start("--lockstep")
     host = device.host()
     welcome = host.hello()
-    limits, profile = Limits(), TwinParameters().profile
-    bears = limits.current, limits.continuous_current, limits.thermal_time, limits.spot, limits.spot_speed
-    watchdog = round(limits.watchdog * 1e9)
+    limits = PROFILE.limits
     assert welcome == HelloAck(
-        *(1, 0, 1, 1, State.INACTIVE, 1, NOMINAL.digest, profile.period, profile.delay, watchdog, *bears)
+        *(1, 0, 1, 2, State.INACTIVE, 1, NOMINAL.digest, PROFILE.period, PROFILE.delay),
+        *(round(limits.watchdog * 1e9), round(limits.enable * 1e9), 0, 0, 0, 0),
+        *(limits.current, limits.continuous_current, pytest.approx(limits.hover, rel=1e-15)),
+        *(limits.thermal_time, limits.spot, limits.spot_speed),
     )
     report = host.sampled()
     assert report.spots == pytest.approx(SLOPES @ REST, abs=1e-15)
-    assert report[1:] == (ZERO, ZERO, State.INACTIVE, 7, 0, 0, 0xFFFFFFFF, 0xFFFFFFFF)
+    assert report[1:] == (ZERO, ZERO, State.INACTIVE, 7, 0, 0, 0xFFFFFFFF, 0xFFFFFFFF, 1)
     session = host.session
     assert host.hello(nonce=1).status == HelloStatus.WELCOME and host.session == session  # the same again
 
@@ -294,7 +318,7 @@ def test_a_session_in_lockstep(start: Starter) -> None:
     # a second host disturbs nobody
     other = device.host()
     assert other.hello(nonce=7).status == HelloStatus.BUSY
-    other.send(Control(1, Operation.ESTOP, 0, ZERO), session=session)
+    other.send(Control(1, Operation.TRIP, 0, ZERO), session=session)
     assert host.answered(NOMINAL.hover).state == State.ACTIVE
 
     # a command that is none: fault, currents off, latched
@@ -307,10 +331,10 @@ def test_a_session_in_lockstep(start: Starter) -> None:
     assert host.ask(Operation.RESET)[2:] == (Result.DONE, State.INACTIVE, 0)
 
     flying(host, 100)
-    assert host.ask(Operation.ESTOP)[2:] == (Result.DONE, State.FAULT, Fault.ESTOP)
-    assert host.ask(Operation.ESTOP)[2:] == (Result.DONE, State.FAULT, Fault.ESTOP)
+    for _ in range(2):  # anyone may
+        assert other.estop()[1:3] == (State.FAULT, Fault.ESTOP)
     assert host.ask(Operation.BYE).state == State.FAULT
-    assert other.hello(nonce=8)[1:5] == (HelloStatus.WELCOME, 1, 1, State.FAULT)
+    assert other.hello(nonce=8)[1:5] == (HelloStatus.WELCOME, 1, 2, State.FAULT)
     counts = device.end()
     # 20 commands while faulted, and the one that was answered into the void before it
     assert counts["busy"] == 1 and counts["session"] == 1 and counts["inactive"] == 20
@@ -383,15 +407,15 @@ def test_real_time_holds_and_then_lets_go_of_a_silent_host(start: Starter) -> No
     # a slow device, so that a machine that stalls for 30 ms makes no difference
     device = start("--rate", "20", "--watchdog", "0.4", "--delay", "0")
     host = device.host()
-    assert host.hello()[2] == 0
+    assert host.hello().lockstep == 0
     host.sampled()
     host.ask(Operation.ARM, hover=HOVER)
     host.answered(ONES)
     seen = [host.sampled() for _ in range(12)]
     at = [report.state == State.FAULT for report in seen].index(True)
-    held = [report for report in seen[:at] if report.flags == Flag.HOLDING]
+    held = [report for report in seen[:at] if report.flags == Flag.HOLDING | Flag.ENABLED]
     # what it says first was measured before the cut
-    assert seen[at].faults == Fault.WATCHDOG and seen[at].flags == 0 and seen[at + 1].currents == ZERO
+    assert seen[at].faults == Fault.WATCHDOG and seen[at].flags == Flag.ENABLED and seen[at + 1].currents == ZERO
     assert seen[at].age > 400_000
     assert held and held[-1].currents == pytest.approx(HOVER)
     assert all(report.age > 100_000 for report in held)
@@ -442,24 +466,103 @@ def test_warmth_trips_as_the_page_says(start: Starter, current: float, seconds: 
     assert host.ask(Operation.RESET).result == Result.DONE
 
 
+@pytest.mark.parametrize(
+    ("fault", "named", "samples"),
+    [
+        ("dead-coil:1", Fault.COIL_NOT_FOLLOWING, 4),  # the sample that measures it, and two more
+        ("stuck-diode:2", Fault.SENSOR_FROZEN, 22),
+        ("stuck-diodes:0", Fault.SENSOR_FROZEN, 22),
+        ("invalid-diode:0", Fault.SENSOR_OUT_OF_RANGE, 2),
+        ("stuck-counter:0", Fault.SENSOR_STOPPED, 2),
+    ],
+)
+def test_a_fault_of_the_hardware_is_named_and_cut(start: Starter, fault: str, named: Fault, samples: int) -> None:
+    host = start("--lockstep", "--noise", "5e-7", "--fault", f"{fault}@0.5").host()
+    assert host.hello().frozen == 20
+    host.sampled()
+    assert host.ask(Operation.ARM).state == State.ACTIVE
+    for _ in range(200):
+        report = host.answered(HOVER)
+        if report.state == State.FAULT:
+            break
+    assert report.faults == named
+    assert 0.5 <= host.state.time * 1e-9 <= 0.5 + samples * PERIOD * 1e-9
+    report = host.answered(HOVER)
+    assert report.currents == ZERO and report.flags == Flag.ENABLED
+    for _ in range(4):
+        report = host.answered(HOVER)
+    assert report.flags == 0  # nobody toggles the enable line
+
+
+def test_a_current_that_does_not_stop_is_a_fault_of_its_own(start: Starter) -> None:
+    host = start("--lockstep", "--fault", "stuck-amplifier:1@0.02").host()
+    host.hello()
+    host.sampled()
+    host.ask(Operation.ARM)
+    for _ in range(6):
+        host.answered(HOVER)
+    assert host.ask(Operation.DISARM).state == State.INACTIVE
+    seen = [host.answered() for _ in range(3)]
+    assert [report.faults for report in seen] == [0, 0, Fault.COIL_NOT_OFF]
+    assert [report.currents[1] for report in seen] == pytest.approx([HOVER[1]] * 3)
+    assert host.ask(Operation.RESET).result == Result.REFUSED
+    assert host.estop().currents[1] == pytest.approx(HOVER[1])
+
+
+def test_hover_currents_beyond_their_limit_are_refused(start: Starter) -> None:
+    host = start("--lockstep").host()
+    host.hello()
+    most = PROFILE.limits.hover
+    for current, result in ((most * 1.0001, Result.REFUSED), (math.nan, Result.REFUSED), (-most, Result.DONE)):
+        assert host.ask(Operation.ARM, hover=(*ZERO[:5], current)).result == result
+
+
+@pytest.mark.parametrize("keyed", [False, True], ids=["no key", "key"])
+def test_anyone_stops_it_whatever_came_before(start: Starter, key_file: Path, keyed: bool) -> None:
+    device = start("--rate", "200", "--watchdog", "5", *(["--key", str(key_file)] if keyed else []))
+    host, other = device.host(), device.host()
+    host.hello()
+    host.sampled()
+    host.ask(Operation.ARM)
+    report = host.answered(ONES)
+    host.sequence += 2**31 - 2
+    host.command(ONES)
+    host.sequence = 100
+    for _ in range(5):  # deaf to those
+        host.command(HOVER)
+        report = host.sampled()
+    assert report.state == State.ACTIVE and report.flags & Flag.HOLDING
+    assert report.currents == pytest.approx(NOMINAL.hover)
+    for _ in range(500):  # a flood
+        other.socket.send(b"MJ, but no frame at all")
+    first = other.estop(request=7)
+    assert (first.state, first.faults) == (State.FAULT, Fault.ESTOP)
+    time.sleep(0.011)
+    again = other.estop(request=7)
+    assert again.sampled > first.sampled and again.currents == ZERO
+    assert host.ask(Operation.RESET).state == State.INACTIVE
+
+
 def test_handshakes_that_fail(start: Starter) -> None:
     device = start("--lockstep")
     host = device.host()
     answer = host.hello(calibration=bytes(16))
     assert (answer.status, answer.calibration) == (HelloStatus.CALIBRATION, NOMINAL.digest)
     data = bytearray(host.codec.encode(0, 0, 0, Hello(1, NOMINAL.digest)))
-    data[2] = 2
-    host.socket.send(sealed(bytes(data) + b"of version 2"))
-    assert host.wait(HelloAck).body[:4] == (0, HelloStatus.VERSION, 1, 1)
+    data[2] = 3
+    host.socket.send(sealed(bytes(data) + b"of version 3"))
+    assert host.wait(HelloAck).body[:4] == (0, HelloStatus.VERSION, 1, 2)
     assert device.end()["version"] == 1
 
 
-def test_it_answers_as_the_firmware_in_python_does(start: Starter) -> None:
-    device = start("--lockstep")
+@pytest.mark.parametrize("keyed", [False, True], ids=["no key", "key"])
+def test_it_answers_as_the_firmware_in_python_does(start: Starter, key_file: Path, keyed: bool) -> None:
+    device = start("--lockstep", *(["--key", str(key_file)] if keyed else []))
     host = device.host()
     draw = random.Random(5)
-    codec = Codec()
-    profile = Profile(period=PERIOD, delay=1_500_000, calibration=NOMINAL.digest, lockstep=True)
+    codec = Codec(device.key)
+    limits = replace(PROFILE.limits, frozen=0)
+    profile = Profile(period=PERIOD, delay=1_500_000, calibration=NOMINAL.digest, limits=limits, lockstep=True)
     twin = Firmware(profile, _Nothing(), codec, lambda: 1)
 
     def sampled(before: int) -> int:
@@ -468,20 +571,22 @@ def test_it_answers_as_the_firmware_in_python_does(start: Starter) -> None:
             pass
         tick, report = host.state.sequence, host.state.body
         assert isinstance(report, StateReport)
-        mine = twin.sample(tick, tick * PERIOD, Reading(report.spots, 7, ZERO, ZERO))
+        enabled = bool(report.flags & Flag.ENABLED)
+        reading = Reading(report.spots, 7, ZERO, ZERO, (), report.conversions, enabled)
+        mine = twin.sample(tick, tick * PERIOD, reading)
         assert mine is not None and _decoded(codec, mine).body == report
         return tick
 
     host.hello()
     twin.receive(codec.encode(0, 0, 0, Hello(1, NOMINAL.digest)), 0, "host")
     tick = sampled(-1)
-    sequence = newest = request = 0
+    sequence = request = 0
     for number in range(1500):
         sequence = max(sequence + draw.choice([1, 1, 1, 1, 0, -1, 3]), 0)
         kind = draw.random()
         body: Any
         if number % 50 == 49:  # an answer to the sample, before the device in C gives its host up
-            sequence, body = newest + 1, Command(tick, 0, ZERO, ZERO, 0.0)
+            sequence, body = sequence + 5, Command(tick, 0, ZERO, ZERO, 0.0)
         elif kind < 0.06:
             body = Hello(draw.choice([1, 1, 2]), draw.choice([NOMINAL.digest, bytes(16)]))
         elif kind < 0.8:
@@ -490,9 +595,8 @@ def test_it_answers_as_the_firmware_in_python_does(start: Starter) -> None:
             operation = draw.choice([1, 1, 1, 1, 4, 4, 4, 4, 2, 3, 5, 0, 7, 255])
             body = Control(request, operation, draw.randrange(2**14), hover)
         else:
-            body = draw.choice([Command(tick + 1, 0, ONES, ONES, 0.0), ControlAck(1, 1, 0, 0, 0)])
-        newest = max(sequence, newest)
-        session = 0 if isinstance(body, Hello) else 1
+            body = draw.choice([Command(tick + 1, 0, ONES, ONES, 0.0), ControlAck(1, 1, 0, 0, 0), Estop(number)])
+        session = 0 if isinstance(body, (Hello, Estop)) else 1
         mine = twin.receive(codec.encode(session, sequence, 0, body), tick * PERIOD, "host")
         host.send(body, session=session and host.session, sequence=sequence)
         if number % 50 == 49:
@@ -526,7 +630,7 @@ def test_rubbish_does_no_harm(start: Starter) -> None:
         else:
             for _ in range(draw.randrange(1, 6)):
                 data[draw.randrange(len(data))] = draw.randrange(256)
-            data[2:4] = bytes([1, draw.randrange(8)]) if kind == 2 else data[2:4]
+            data[2:4] = bytes([2, draw.randrange(10)]) if kind == 2 else data[2:4]
         host.socket.send(sealed(bytes(data)) if kind > 2 and len(data) > 4 else bytes(data))
         if number % 50 == 49:  # no more than its socket holds; and it still answers a stranger
             _drain(host)
@@ -558,4 +662,7 @@ class _Nothing:
         assert held == ZERO and pulsed is None
 
     def cut(self) -> None:
+        pass
+
+    def toggle(self, now: int) -> None:
         pass

@@ -1,0 +1,161 @@
+"""Takeoff and landing: the rest before and after, and the controller that leads the flotor between."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from maglev_mj.bridge.calibration import Calibration
+from maglev_mj.controller import Controller
+from maglev_mj.frames import ZERO, Command, Sample
+from maglev_mj.hand import Trajectory
+from maglev_mj.laws import Bias, Hold
+from maglev_mj.parameters import number
+from maglev_mj.spec import Spec
+
+__all__ = ["LandingReport", "Leader", "Motion", "off_stop", "shown"]
+
+_ASIDE, _ASKEW = 0.002, math.radians(3.0)
+
+_SLOW, _SLOW_SPIN = 2e-3, 0.05
+"""Speed [m/s] and angular speed [rad/s] up to which a flotor rests: fifty times what noise of half a spot's step looks
+like over 0.1 s."""
+
+_ON_STOP = 0.6 * Spec.translation_range.value
+_WATCHED = 0.1
+
+
+class Motion:
+    """Pose and speed of the flotor over the last 0.1 s.
+
+    The speeds are the ranges that the pose went through, over the time that took: noise hardly counts, and neither a
+    steady motion nor a swing to and fro is missed.
+
+    Args:
+        period: Sample period [s].
+    """
+
+    def __init__(self, period: float) -> None:
+        self._period = period
+        self._seen: deque[Sample] = deque(maxlen=max(round(_WATCHED / period), 2) + 1)
+        self.add = self._seen.append
+
+    @property
+    def full(self) -> bool:
+        """Whether the samples reach back that far."""
+        return len(self._seen) == self._seen.maxlen
+
+    @property
+    def pose(self) -> list[float]:
+        """Mean pose [m, rad], six; NaN without samples."""
+        return np.mean([one.position for one in self._seen] or [[math.nan] * 6], axis=0).tolist()  # type: ignore[no-any-return]
+
+    @property
+    def speeds(self) -> tuple[float, float]:
+        """Speed [m/s] and angular speed [rad/s]; NaN for less than two samples."""
+        if len(self._seen) < 2:
+            return math.nan, math.nan
+        took = (self._seen[-1].tick - self._seen[0].tick) * self._period
+        gone = np.ptp([one.position for one in self._seen], axis=0) / took
+        return math.hypot(*gone[:3]), math.hypot(*gone[3:])
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether the flotor rests."""
+        speed, spin = self.speeds
+        return speed <= _SLOW and spin <= _SLOW_SPIN
+
+    def __str__(self) -> str:
+        speed, spin = self.speeds
+        return f"{speed * 1e3:.2g} mm/s and {spin:.2g} rad/s"
+
+
+class LandingReport(NamedTuple):
+    """Where and how a flotor lies after landing.
+
+    Attributes:
+        error: Distance from where it lay before takeoff [m]; NaN where its pose is not known.
+        speed: Over the last 0.1 s [m/s].
+        spin: Likewise [rad/s].
+        at_rest: Whether it rests.
+    """
+
+    error: float
+    speed: float
+    spin: float
+    at_rest: bool
+
+    def __str__(self) -> str:
+        moves = f"{self.speed * 1e3:.2g} mm/s and {self.spin:.2g} rad/s"
+        where = f"landed {self.error * 1e3:.2f} mm from where it lay"
+        return f"{where}, at rest" if self.at_rest else f"{where}, NOT at rest: {moves}"
+
+
+class Leader:
+    """A controller that leads the flotor along a minimum-jerk path by a soft spring and damper, and carries its weight.
+
+    Args:
+        calibration: What is known of the device.
+        period: Sample period [s].
+        delay: From a sample to its command taking effect [s], however it comes about.
+
+    Attributes:
+        period: Sample period [s].
+    """
+
+    def __init__(self, calibration: Calibration, period: float, delay: float) -> None:
+        self.period = period
+        inertia = np.concatenate([[calibration.mass] * 3, calibration.inertia])
+        weight = np.concatenate([-calibration.mass * calibration.gravity, np.zeros(3)])
+        hold = Hold.critically_damped(inertia=inertia, period=period, delay=delay)
+        self._controller = Controller([Bias(weight), hold], period=period)
+        self.aim(ZERO, ZERO, 1.0)
+
+    def aim(
+        self,
+        start: Sequence[float],
+        end: Sequence[float],
+        duration: float,
+        astray: Callable[[Sequence[float]], object] | None = None,
+    ) -> None:
+        """Begin a path at the next sample.
+
+        Args:
+            start: Where it begins [m, rad], six components.
+            end: Where it ends.
+            duration: How long it takes [s].
+            astray: Called with the pose where the flotor does not follow.
+
+        Raises:
+            ParameterError: If the duration is not above 0.
+        """
+        self._path = Trajectory([0.0, number("duration", duration, above=0.0)], [list(start), list(end)])
+        self._astray, self._first = astray, -1
+        self.motion = Motion(self.period)
+        self._controller.reset()
+
+    def step(self, sample: Sample) -> Command:
+        """Answer one sample."""
+        if self._first < 0:
+            self._first = sample.tick
+        self.motion.add(sample)
+        goal = self._path.at((sample.tick - self._first) * self.period)
+        off = [found - wanted for found, wanted in zip(sample.position, goal)]
+        if self._astray is not None and (math.hypot(*off[:3]) > _ASIDE or math.hypot(*off[3:]) > _ASKEW):
+            self._astray(sample.position)
+        return self._controller.step(Sample(sample.tick, sample.time, off))
+
+
+def off_stop(pose: Sequence[float], gravity: Sequence[float]) -> bool:
+    """Return whether a pose [m, rad] is not on the lower stop, as gravity [m/s²] has it; without gravity all are."""
+    pull = math.hypot(*gravity)
+    return sum(one * other for one, other in zip(pose, gravity)) < _ON_STOP * pull
+
+
+def shown(position: Sequence[float]) -> str:
+    """Return a pose as text."""
+    return ", ".join(f"{part * 1e3:.2f}" for part in position) + " (mm, mrad)"

@@ -1,0 +1,186 @@
+/* Mutated frames into the firmware: what it does is looked at after each.
+
+       cc -std=c99 -g -O1 -fsanitize=address,undefined -fno-sanitize-recover=all scripts/firmware/fuzz_firmware.c
+          scripts/firmware/maglev_firmware.c -o fuzz_firmware
+       fuzz_firmware [FRAMES [SEED]]      1 000 000 without a key and as many with one, by default
+
+   It ends with status 1 where a current flows outside ACTIVE or is beyond its limit, an answer is longer than it may
+   be, or the enable line is toggled in another state; a sanitizer ends it where memory or arithmetic is misused. */
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "maglev_firmware.h"
+
+enum { COILS = MAGLEV_COILS };
+#define PERIOD UINT64_C(5000000)
+
+static struct maglev_device device;
+static struct maglev_profile profile = {
+    .period = PERIOD, .delay = 1500000, .watchdog = 10 * PERIOD, .enable = 3 * PERIOD, .current_limit = 10.0,
+    .continuous_current = 3.0, .hover_limit = 1.5, .thermal_time = 10.0, .spot_limit = 0.012, .spot_speed = 1.0,
+    .frozen = 20, .device = 1};
+static uint64_t now, state_of_random;
+static uint32_t number;
+static double flowing[COILS];
+static unsigned long done, driven, flights, stopped;
+
+static uint64_t draw(uint64_t below) { /* xorshift64* */
+    state_of_random ^= state_of_random >> 12, state_of_random ^= state_of_random << 25;
+    state_of_random ^= state_of_random >> 27;
+    return (state_of_random * UINT64_C(2685821657736338717) >> 11) % below;
+}
+
+static void require(int so, const char *what) {
+    if (so) return;
+    fprintf(stderr, "fuzz_firmware: after %lu frames: %s\n", done, what);
+    exit(1);
+}
+
+static double number_at_random(void) {
+    static const double odd[] = {0.0, -0.0, 10.0, -10.0, 10.00000002, 1.5, 1.500001, 5e-324, 1e308, -1e308, 0.001, 1.0};
+    union { uint64_t bits; double value; } any = {draw(2) ? draw(UINT64_MAX) : draw(8) << 61 | 0x7FF0000000000000};
+    return draw(20) ? (double)draw(1000) * 0.001 : draw(2) ? odd[draw(sizeof odd / sizeof *odd)] : any.value;
+}
+
+static void read_sample(void *context, struct maglev_reading *r) {
+    (void)context;
+    r->time = now, r->number = number, r->conversions = number - (draw(300) == 0), r->valid = draw(300) ? 7 : 5;
+    r->enabled = draw(50) != 0;
+    for (int i = 0; i < 6; i++) {
+        r->spots[i] = draw(500) ? 1e-6 * (double)draw(2000) : number_at_random();
+        r->commanded[i] = flowing[i], r->measured[i] = draw(500) ? flowing[i] : number_at_random();
+    }
+}
+
+static void drive(void *context, uint64_t at, const double *held, const double *pulsed, double width) {
+    (void)context, (void)at;
+    require(device.state == MAGLEV_ACTIVE, "driven in another state than ACTIVE");
+    require(width >= 0.0 && width <= 1.0, "a pulse of another width");
+    for (int i = 0; i < COILS; i++) {
+        double most = 10.0 * (1.0 + 1e-9);
+        require(held[i] >= -most && held[i] <= most && pulsed[i] >= -most && pulsed[i] <= most, "beyond the limit");
+        flowing[i] = held[i];
+    }
+    driven++;
+}
+
+static void cut(void *context) {
+    (void)context;
+    memset(flowing, 0, sizeof flowing);
+}
+
+static void toggle(void *context, uint64_t at) {
+    (void)context, (void)at;
+    require(device.state == MAGLEV_ACTIVE, "toggled in another state than ACTIVE");
+}
+
+static uint64_t device_now(void *context) {
+    (void)context;
+    return now;
+}
+
+static uint32_t draw_session(void *context) {
+    (void)context;
+    return (uint32_t)draw(4) * 0x40000001u;
+}
+
+static const struct maglev_hardware hardware = {NULL, read_sample, drive, cut, toggle, device_now, draw_session};
+
+static void fill(struct maglev_frame *f) {
+    static const uint8_t usual[] = {MAGLEV_CMD, MAGLEV_CMD, MAGLEV_CMD, MAGLEV_CTRL, MAGLEV_CTRL};
+    f->type = draw(20) ? usual[draw(sizeof usual)] : (uint8_t)(1 + draw(MAGLEV_TYPES - 1));
+    if (!device.session) f->type = MAGLEV_HELLO;
+    f->session = f->type == MAGLEV_CTRL || f->type == MAGLEV_CMD ? device.session : 0;
+    f->sequence = device.sequence + (draw(20) ? 1 : (uint32_t)draw(UINT32_MAX));
+    f->time = draw(UINT64_MAX);
+    switch (f->type) {
+    case MAGLEV_HELLO: f->of.hello.nonce = draw(20) == 0; break; /* and the calibration, all zeros */
+    case MAGLEV_CTRL:
+        f->of.ctrl.request = device.last.request + (draw(10) ? 1 : (uint32_t)draw(3) - 1);
+        f->of.ctrl.operation = draw(8) ? device.state == MAGLEV_INACTIVE ? MAGLEV_ARM : MAGLEV_RESET : (uint8_t)draw(8);
+        f->of.ctrl.faults = (uint32_t)draw(UINT32_MAX);
+        for (int i = 0; i < COILS; i++) f->of.ctrl.hover[i] = number_at_random();
+        break;
+    case MAGLEV_CMD:
+        f->of.cmd.answers = number - (draw(10) ? 0 : (uint32_t)draw(14) - 1);
+        for (int i = 0; i < COILS; i++) {
+            f->of.cmd.held[i] = draw(10) ? 0.5 : number_at_random();
+            f->of.cmd.pulsed[i] = draw(10) ? 0.5 : number_at_random();
+        }
+        f->of.cmd.width = draw(10) ? 0.001 : number_at_random(); break;
+    default: break; /* whatever was there */
+    }
+}
+
+static void turn_bits(void *start, size_t length) {
+    for (uint64_t flips = 1 + draw(4); flips; flips--) ((uint8_t *)start)[draw(length)] ^= (uint8_t)(1u << draw(8));
+}
+
+static void seal(uint8_t *data, size_t body) {
+    uint32_t crc = 0xFFFFFFFFu;
+    for (size_t bit = 0; bit < 8 * body; bit++) {
+        if (bit % 8 == 0) crc ^= data[bit / 8];
+        crc = crc & 1 ? crc >> 1 ^ 0xEDB88320u : crc >> 1;
+    }
+    for (int i = 0; i < 4; i++) data[body + (size_t)i] = (uint8_t)(~crc >> 8 * i);
+}
+
+/* Bits are turned in what a frame says, or in its bytes with the CRC made right again, or not; or it is cut short. */
+static size_t make(uint8_t *data) {
+    struct maglev_frame f = {.type = 0};
+    uint64_t kind = draw(12);
+    fill(&f);
+    if (kind == 0) turn_bits(draw(4) ? (void *)&f.of : (void *)&f.session, draw(4) ? 8 : sizeof f.of);
+    size_t length = maglev_encode(&profile, &f, data);
+    if (kind == 1 || kind == 2) turn_bits(data, draw(3) ? length : 4);
+    if (kind == 3) length = draw(length + 1);
+    if ((kind == 1 || kind == 3) && length > 8) data[0] = 'M', data[1] = 'J', seal(data, length - 4);
+    return length;
+}
+
+static void look(size_t length) {
+    require(length <= MAGLEV_LARGEST, "an answer longer than it may be");
+    require(device.state <= MAGLEV_FAULT && (device.faults != 0) == (device.state == MAGLEV_FAULT), "a state that is none");
+    if (device.state == MAGLEV_ACTIVE) return;
+    for (int i = 0; i < COILS; i++) require(flowing[i] == 0.0, "a current outside ACTIVE");
+}
+
+static void run(unsigned long count) {
+    memset(&device, 0, sizeof device);
+    require(maglev_start(&device, &profile, &hardware), "it does not start");
+    for (unsigned long end = done + count; done < end; done++) {
+        /* of the exact length, so that a sanitizer sees every byte beyond it that is touched */
+        uint8_t data[MAGLEV_LARGEST], *answer = malloc(MAGLEV_LARGEST);
+        size_t length = make(data);
+        uint8_t *exact = malloc(length ? length : 1);
+        require(answer && exact, "no memory");
+        memcpy(exact, data, length);
+        uint8_t before = device.state;
+        now += draw(PERIOD / 4);
+        look(maglev_receive(&device, exact, length, draw(50) ? 0 : draw(3), answer));
+        flights += before == MAGLEV_INACTIVE && device.state == MAGLEV_ACTIVE;
+        if (draw(3) == 0) {
+            number += draw(100) ? 1 : (uint32_t)draw(15), now += PERIOD;
+            before = device.state;
+            look(maglev_sample(&device, answer));
+            stopped += before == MAGLEV_ACTIVE && device.state != MAGLEV_ACTIVE;
+        }
+        if (draw(5000) == 0) memset(device.rises, 0, sizeof device.rises), now += UINT64_C(2000000000); /* it cools */
+        free(exact), free(answer);
+    }
+}
+
+int main(int count, char **arguments) {
+    unsigned long each = count > 1 ? strtoul(arguments[1], NULL, 10) : 1000000;
+    state_of_random = (count > 2 ? strtoul(arguments[2], NULL, 10) : 1) * 2 + 1;
+    run(each);
+    profile.key_length = 32;
+    for (int i = 0; i < 32; i++) profile.key[i] = (uint8_t)i;
+    run(each);
+    printf("%lu frames, %lu flights, %lu commands driven, %lu flights ended by a guard at a sample\n", done, flights,
+           driven, stopped);
+    for (int i = 0; i < MAGLEV_REASONS; i++)
+        printf("%s %lu%s", maglev_reasons[i], (unsigned long)device.counts[i], i + 1 < MAGLEV_REASONS ? ", " : "\n");
+    return 0;
+}

@@ -1,0 +1,557 @@
+/* See maglev_firmware.h. Sections: bytes and numbers, CRC and tag, frames, serial line, temperatures, guards, session.
+
+   Bounded time: every loop below runs over the coils, the spots, or the bytes of a frame, of which there are
+   MAGLEV_LARGEST at most; nothing waits and nothing calls itself. The longest ways through are
+     maglev_receive  CRC over 256 bytes, 5 blocks of BLAKE2s to check a tag and 4 to write one, one drive() or cut();
+     maglev_sample   read(), the guards, one exp step (12 halvings at most), drive() or cut(), toggle(), CRC over 152
+                     bytes and 4 blocks of BLAKE2s.
+   Doubles are the wire's; on a Cortex-M4 they are computed in software, about 400 operations in a sample. */
+#include "maglev_firmware.h"
+
+#define SILENCE UINT64_C(1000000000) /* [ns]; a session is another host's after so long without a frame */
+#define GAP 2          /* periods without a command after which the hover currents are on */
+#define PATIENCE 3     /* samples in a row in which a current is not what it should be */
+#define CLOSE 0.25     /* [A]; how far a current may be from what it should be, */
+#define CLOSE_SHARE 0.1 /* and this share of it */
+#define IMPLAUSIBLE 4.0 /* times the largest speed of a spot: that is no flotor */
+#define WARNING_RISE 0.8 /* temperature from which RESET is refused */
+#define ROUNDING 1e-9  /* of the host's currents */
+
+enum { MAGIC = 0x4A4D, HEADER = 20, CRC = 4, TAG = 16, BLOCK = 64 };
+
+const char *const maglev_reasons[MAGLEV_REASONS] = {"short", "magic", "crc", "version", "type", "length", "tag",
+                                                    "direction", "session", "old", "inactive", "busy"};
+static const uint8_t SIZES[MAGLEV_TYPES] = {0, 44, 152, 80, 32, 136, 132, 28, 68}; /* of header and body */
+
+#ifdef MAGLEV_NO_LIBRARY /* all that a compiler asks of a C library, for a board that has none */
+void *memset(void *start, int value, size_t count);
+void *memset(void *start, int value, size_t count) {
+    for (volatile uint8_t *to = start; count; count--) *to++ = (uint8_t)value; /* volatile: else it may call itself */
+    return start;
+}
+#endif
+
+/* ---- bytes and numbers ---- */
+
+static void copy_bytes(uint8_t *to, const uint8_t *from, size_t count) {
+    for (size_t i = 0; i < count; i++) to[i] = from[i];
+}
+
+/* In the same time wherever they differ. */
+static bool same_bytes(const uint8_t *one, const uint8_t *other, size_t count) {
+    unsigned difference = 0;
+    for (size_t i = 0; i < count; i++) difference |= one[i] ^ other[i];
+    return difference == 0;
+}
+
+static void copy_six(double *to, const double *from) {
+    for (int i = 0; i < 6; i++) to[i] = from[i];
+}
+
+static double size(double value) { return value < 0.0 ? -value : value; }
+
+/* By the exponent: a compiler that was told that there is no NaN cannot take it away. */
+static bool finite(double value) {
+    union { double value; uint64_t bits; } both = {value};
+    return (both.bits >> 52 & 0x7FF) != 0x7FF;
+}
+
+static bool all_finite(const double *values) {
+    for (int i = 0; i < 6; i++)
+        if (!finite(values[i])) return false;
+    return true;
+}
+
+static bool all_within(const double *values, double most) {
+    for (int i = 0; i < 6; i++)
+        if (!(size(values[i]) <= most)) return false;
+    return true;
+}
+
+/* RFC 1982 */
+static bool newer(uint32_t one, uint32_t other) { return one != other && one - other < 0x80000000u; }
+
+/* ---- CRC and tag ---- */
+
+static uint32_t crc32(const uint8_t *data, size_t length) {
+    static const uint32_t table[16] = {
+        0x00000000, 0x1DB71064, 0x3B6E20C8, 0x26D930AC, 0x76DC4190, 0x6B6B51F4, 0x4DB26158, 0x5005713C,
+        0xEDB88320, 0xF00F9344, 0xD6D6A3E8, 0xCB61B38C, 0x9B64C2B0, 0x86D3D2D4, 0xA00AE278, 0xBDBDF21C};
+    uint32_t crc = 0xFFFFFFFFu;
+    for (size_t i = 0; i < length; i++) {
+        crc ^= data[i];
+        crc = crc >> 4 ^ table[crc & 15];
+        crc = crc >> 4 ^ table[crc & 15];
+    }
+    return ~crc;
+}
+
+static const uint32_t BLAKE_START[8] = {0x6A09E667, 0xBB67AE85, 0x3C6EF372, 0xA54FF53A,
+                                        0x510E527F, 0x9B05688C, 0x1F83D9AB, 0x5BE0CD19};
+
+static uint32_t turned(uint32_t value, int bits) { return value >> bits | value << (32 - bits); }
+
+static void mix(uint32_t *v, int a, int b, int c, int d, uint32_t x, uint32_t y) {
+    v[a] += v[b] + x, v[d] = turned(v[d] ^ v[a], 16);
+    v[c] += v[d], v[b] = turned(v[b] ^ v[c], 12);
+    v[a] += v[b] + y, v[d] = turned(v[d] ^ v[a], 8);
+    v[c] += v[d], v[b] = turned(v[b] ^ v[c], 7);
+}
+
+static void compress(uint32_t *h, const uint8_t *block, uint32_t count, bool last) {
+    static const uint8_t order[10][16] = {
+        {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15}, {14, 10, 4, 8, 9, 15, 13, 6, 1, 12, 0, 2, 11, 7, 5, 3},
+        {11, 8, 12, 0, 5, 2, 15, 13, 10, 14, 3, 6, 7, 1, 9, 4}, {7, 9, 3, 1, 13, 12, 11, 14, 2, 6, 5, 10, 4, 0, 15, 8},
+        {9, 0, 5, 7, 2, 4, 10, 15, 14, 1, 11, 12, 6, 8, 3, 13}, {2, 12, 6, 10, 0, 11, 8, 3, 4, 13, 7, 5, 15, 14, 1, 9},
+        {12, 5, 1, 15, 14, 13, 4, 10, 0, 7, 6, 3, 9, 2, 8, 11}, {13, 11, 7, 14, 12, 1, 3, 9, 5, 0, 15, 4, 8, 6, 2, 10},
+        {6, 15, 14, 9, 11, 3, 0, 8, 12, 2, 13, 7, 1, 4, 10, 5}, {10, 2, 8, 4, 7, 6, 1, 5, 15, 11, 9, 14, 3, 12, 13, 0}};
+    uint32_t m[16], v[16];
+    for (int i = 0; i < 16; i++, block += 4)
+        m[i] = (uint32_t)block[0] | (uint32_t)block[1] << 8 | (uint32_t)block[2] << 16 | (uint32_t)block[3] << 24;
+    for (int i = 0; i < 8; i++) v[i] = h[i], v[i + 8] = BLAKE_START[i];
+    v[12] ^= count;
+    if (last) v[14] = ~v[14];
+    for (int round = 0; round < 10; round++) {
+        const uint8_t *s = order[round];
+        for (int i = 0; i < 4; i++) mix(v, i, 4 + i, 8 + i, 12 + i, m[s[2 * i]], m[s[2 * i + 1]]);
+        for (int i = 0; i < 4; i++)
+            mix(v, i, 4 + (i + 1) % 4, 8 + (i + 2) % 4, 12 + (i + 3) % 4, m[s[8 + 2 * i]], m[s[9 + 2 * i]]);
+    }
+    for (int i = 0; i < 8; i++) h[i] ^= v[i] ^ v[i + 8];
+}
+
+/* BLAKE2s with a digest of 16 bytes, RFC 7693. */
+static void write_tag(const struct maglev_profile *profile, const uint8_t *data, size_t length, uint8_t *tag) {
+    uint32_t h[8];
+    uint8_t block[BLOCK] = {0};
+    for (int i = 0; i < 8; i++) h[i] = BLAKE_START[i];
+    h[0] ^= 0x01010000u ^ profile->key_length << 8 ^ TAG;
+    copy_bytes(block, profile->key, profile->key_length);
+    compress(h, block, BLOCK, false);
+    size_t done = 0;
+    for (; length - done > BLOCK; done += BLOCK) compress(h, data + done, (uint32_t)(BLOCK + done + BLOCK), false);
+    for (size_t i = 0; i < BLOCK; i++) block[i] = done + i < length ? data[done + i] : 0;
+    compress(h, block, (uint32_t)(BLOCK + length), true);
+    for (size_t i = 0; i < TAG; i++) tag[i] = (uint8_t)(h[i / 4] >> 8 * (i % 4));
+}
+
+/* ---- frames ---- */
+
+/* One walk over a frame's fields both writes and reads them, byte by byte, the lowest first. */
+struct cursor { uint8_t *to; const uint8_t *from; };
+
+static uint64_t bytes(struct cursor *c, uint64_t value, int count) {
+    uint64_t found = 0;
+    for (int i = 0; i < count; i++) {
+        if (c->to) *c->to++ = (uint8_t)(value >> (8 * i));
+        else found |= (uint64_t)*c->from++ << (8 * i);
+    }
+    return c->to ? value : found;
+}
+
+static void u8(struct cursor *c, uint8_t *value) { *value = (uint8_t)bytes(c, *value, 1); }
+static void u16(struct cursor *c, uint16_t *value) { *value = (uint16_t)bytes(c, *value, 2); }
+static void u32(struct cursor *c, uint32_t *value) { *value = (uint32_t)bytes(c, *value, 4); }
+static void u64(struct cursor *c, uint64_t *value) { *value = bytes(c, *value, 8); }
+static void gap(struct cursor *c, int count) { (void)bytes(c, 0, count); }
+static void hash(struct cursor *c, uint8_t *value) { for (int i = 0; i < MAGLEV_HASH; i++) u8(c, &value[i]); }
+
+static void f64(struct cursor *c, double *values, int count) {
+    for (int i = 0; i < count; i++) {
+        union { double value; uint64_t bits; } both = {values[i]};
+        u64(c, &both.bits);
+        values[i] = both.value;
+    }
+}
+
+static void f32(struct cursor *c, float *values, int count) {
+    for (int i = 0; i < count; i++) {
+        union { float value; uint32_t bits; } both = {values[i]};
+        u32(c, &both.bits);
+        values[i] = both.value;
+    }
+}
+
+static void walk(struct cursor *c, struct maglev_frame *f) {
+    uint16_t magic = MAGIC;
+    uint8_t version = MAGLEV_VERSION;
+    u16(c, &magic), u8(c, &version), u8(c, &f->type), u32(c, &f->session), u32(c, &f->sequence), u64(c, &f->time);
+    switch (f->type) {
+    case MAGLEV_HELLO: u64(c, &f->of.hello.nonce), hash(c, f->of.hello.calibration); break;
+    case MAGLEV_HELLO_ACK:
+        u64(c, &f->of.hello_ack.nonce), u8(c, &f->of.hello_ack.status), u8(c, &f->of.hello_ack.lockstep);
+        u8(c, &f->of.hello_ack.version), u8(c, &f->of.hello_ack.state), u32(c, &f->of.hello_ack.device);
+        hash(c, f->of.hello_ack.calibration), u64(c, &f->of.hello_ack.period), u64(c, &f->of.hello_ack.delay);
+        u64(c, &f->of.hello_ack.watchdog), u64(c, &f->of.hello_ack.enable), u64(c, &f->of.hello_ack.fault_time);
+        u32(c, &f->of.hello_ack.faults), u32(c, &f->of.hello_ack.first), u32(c, &f->of.hello_ack.frozen);
+        f64(c, &f->of.hello_ack.current_limit, 1), f64(c, &f->of.hello_ack.continuous_current, 1);
+        f64(c, &f->of.hello_ack.hover_limit, 1), f64(c, &f->of.hello_ack.thermal_time, 1);
+        f64(c, &f->of.hello_ack.spot_limit, 1), f64(c, &f->of.hello_ack.spot_speed, 1); break;
+    case MAGLEV_CTRL:
+        u32(c, &f->of.ctrl.request), u8(c, &f->of.ctrl.operation), gap(c, 3), u32(c, &f->of.ctrl.faults);
+        f64(c, f->of.ctrl.hover, MAGLEV_COILS); break;
+    case MAGLEV_CTRL_ACK:
+        u32(c, &f->of.ctrl_ack.request), u8(c, &f->of.ctrl_ack.operation), u8(c, &f->of.ctrl_ack.result);
+        u8(c, &f->of.ctrl_ack.state), gap(c, 1), u32(c, &f->of.ctrl_ack.faults); break;
+    case MAGLEV_STATE:
+        f64(c, f->of.state.spots, MAGLEV_SPOTS), f32(c, f->of.state.currents, MAGLEV_COILS);
+        f32(c, f->of.state.temperatures, MAGLEV_COILS), u8(c, &f->of.state.state), u8(c, &f->of.state.valid);
+        u16(c, &f->of.state.flags), u32(c, &f->of.state.faults), u32(c, &f->of.state.answered);
+        u32(c, &f->of.state.age), u32(c, &f->of.state.conversions); break;
+    case MAGLEV_CMD:
+        u32(c, &f->of.cmd.answers), u32(c, &f->of.cmd.flags), f64(c, f->of.cmd.held, MAGLEV_COILS);
+        f64(c, f->of.cmd.pulsed, MAGLEV_COILS), f64(c, &f->of.cmd.width, 1); break;
+    case MAGLEV_ESTOP: u64(c, &f->of.estop.request); break;
+    default:
+        u64(c, &f->of.estop_ack.request), u8(c, &f->of.estop_ack.state), gap(c, 3), u32(c, &f->of.estop_ack.faults);
+        u64(c, &f->of.estop_ack.sampled), f32(c, f->of.estop_ack.currents, MAGLEV_COILS);
+    }
+}
+
+static size_t trailer(const struct maglev_profile *profile) { return CRC + (profile->key_length ? TAG : 0); }
+
+size_t maglev_encode(const struct maglev_profile *profile, struct maglev_frame *frame, uint8_t *data) {
+    struct cursor c = {data, NULL};
+    size_t length = SIZES[frame->type];
+    walk(&c, frame);
+    if (profile->key_length) write_tag(profile, data, length, c.to), c.to += TAG, length += TAG;
+    (void)bytes(&c, crc32(data, length), CRC);
+    return length + CRC;
+}
+
+enum maglev_reason maglev_decode(const struct maglev_profile *profile, const uint8_t *data, size_t length,
+                                 struct maglev_frame *frame) {
+    if (length < 4) return MAGLEV_SHORT;
+    if (data[0] != (MAGIC & 0xFF) || data[1] != MAGIC >> 8) return MAGLEV_BAD_MAGIC;
+    if (length > MAGLEV_LARGEST) return MAGLEV_BAD_LENGTH; /* before the CRC, whose time has to end */
+    if (length < 4 + trailer(profile)) return MAGLEV_BAD_CRC;
+    struct cursor c = {NULL, data + length - CRC};
+    if (bytes(&c, 0, CRC) != crc32(data, length - CRC)) return MAGLEV_BAD_CRC;
+    if (data[2] != MAGLEV_VERSION) return MAGLEV_BAD_VERSION;
+    if (data[3] < MAGLEV_HELLO || data[3] >= MAGLEV_TYPES) return MAGLEV_BAD_TYPE;
+    size_t body = SIZES[data[3]];
+    if (length != body + trailer(profile)) return MAGLEV_BAD_LENGTH;
+    if (profile->key_length) {
+        uint8_t tag[TAG];
+        write_tag(profile, data, body, tag);
+        if (!same_bytes(tag, data + body, TAG)) return MAGLEV_BAD_TAG;
+    }
+    c.from = data;
+    walk(&c, frame);
+    return MAGLEV_REASONS;
+}
+
+/* ---- serial line ---- */
+
+size_t maglev_stuff(const uint8_t *frame, size_t length, uint8_t *out) {
+    size_t code = 1, end = 2; /* where the piece's length goes, and where its next byte */
+    out[0] = 0;
+    for (size_t i = 0; i < length; i++) {
+        if (frame[i]) out[end++] = frame[i];
+        if (frame[i] == 0 || (end - code == 255 && i + 1 < length)) out[code] = (uint8_t)(end - code), code = end++;
+    }
+    out[code] = (uint8_t)(end - code);
+    out[end++] = 0;
+    return end;
+}
+
+static void add_byte(struct maglev_line *line, uint8_t byte) {
+    if (line->length == MAGLEV_LARGEST) line->lost = true;
+    else line->data[line->length++] = byte;
+}
+
+size_t maglev_unstuff(struct maglev_line *line, uint8_t byte) {
+    if (byte == 0) {
+        size_t length = line->lost || line->left ? 0 : line->length;
+        line->length = 0, line->code = line->left = 0, line->lost = false;
+        return length;
+    }
+    if (line->lost) return 0;
+    if (line->left) {
+        line->left--;
+        add_byte(line, byte);
+    } else {
+        if (line->code && line->code != 255) add_byte(line, 0);
+        line->code = byte, line->left = (uint8_t)(byte - 1);
+    }
+    return 0;
+}
+
+/* ---- temperatures ---- */
+
+/* 1 - exp(-x) for x >= 0: a series for a small part of x, doubled until it is all of it. */
+static double risen(double x) {
+    if (!(x < 64.0)) return 1.0;
+    int doublings = 0;
+    for (; x > 0.015625; x *= 0.5) doublings++; /* 12 times at most */
+    double sum = 1.0;
+    for (int i = 8; i > 1; i--) sum = 1.0 - sum * x / (double)i;
+    sum *= x;
+    for (; doublings; doublings--) sum *= 2.0 - sum;
+    return sum;
+}
+
+void maglev_heat(struct maglev_device *d, double seconds, const double *currents) {
+    double share = risen(seconds / d->profile->thermal_time);
+    d->heated = true;
+    for (int i = 0; i < MAGLEV_COILS; i++) {
+        double ratio = currents[i] / d->profile->continuous_current;
+        d->rises[i] += share * (ratio * ratio - d->rises[i]);
+    }
+    if (all_finite(d->rises)) return;
+    for (int i = 0; i < MAGLEV_COILS; i++) d->rises[i] = 1.0; /* a meter that says nonsense is no reason to go on */
+}
+
+static double warmest(const struct maglev_device *d) {
+    double most = d->rises[0];
+    for (int i = 1; i < MAGLEV_COILS; i++) most = d->rises[i] > most ? d->rises[i] : most;
+    return most;
+}
+
+/* ---- guards ---- */
+
+/* What is wrong with a command: nothing is ever clipped. */
+static uint32_t command_fault(const struct maglev_device *d, const double *held, const double *pulsed, double width) {
+    double most = d->profile->current_limit * (1.0 + ROUNDING);
+    if (!all_finite(held) || !all_finite(pulsed) || !(width >= 0.0 && width <= 1.0)) return MAGLEV_INVALID_COMMAND;
+    return all_within(held, most) && all_within(pulsed, most) ? 0 : MAGLEV_COIL_OVERCURRENT;
+}
+
+static uint32_t spot_fault(struct maglev_device *d, const struct maglev_reading *r) {
+    bool had = d->has_spots;
+    d->has_spots = (r->valid & 7) == 7 && all_within(r->spots, d->profile->spot_limit);
+    if (!d->has_spots) return MAGLEV_SENSOR_OUT_OF_RANGE;
+    double fastest = 0.0;
+    uint32_t most = 0;
+    for (int i = 0; had && i < MAGLEV_SPOTS; i++) {
+        double moved = size(r->spots[i] - d->spots[i]);
+        fastest = moved > fastest ? moved : fastest;
+    }
+    for (int k = 0; k < 3; k++) {
+        bool same = had && r->spots[2 * k] == d->spots[2 * k] && r->spots[2 * k + 1] == d->spots[2 * k + 1];
+        d->same[k] = same ? d->same[k] + 1 : 0;
+        most = d->same[k] > most ? d->same[k] : most;
+    }
+    /* a sample that was missed is time, not speed */
+    uint32_t periods = r->number == d->spots_number ? 1 : r->number - d->spots_number;
+    double step = d->profile->spot_speed * ((double)d->profile->period * 1e-9) * (double)periods;
+    copy_six(d->spots, r->spots), d->spots_number = r->number;
+    if (had && fastest > step) /* far above it, it is the sensor that jumped */
+        return fastest < IMPLAUSIBLE * step ? MAGLEV_FLOTOR_OVERSPEED : MAGLEV_SENSOR_OUT_OF_RANGE;
+    return d->profile->frozen && most >= d->profile->frozen ? MAGLEV_SENSOR_FROZEN : 0;
+}
+
+/* Count samples in a row in which something is so; return whether they are enough. */
+static bool strikes(uint8_t *count, bool so, uint8_t enough) {
+    *count = so ? (uint8_t)(*count + (*count < enough)) : 0;
+    return *count >= enough;
+}
+
+static bool follows(const struct maglev_reading *r) {
+    for (int i = 0; i < MAGLEV_COILS; i++)
+        if (!(size(r->commanded[i] - r->measured[i]) <= CLOSE + CLOSE_SHARE * size(r->commanded[i]))) return false;
+    return true;
+}
+
+/* What is wrong at a sample of a device that is active, beside the fault that is known. */
+static uint32_t flight_fault(struct maglev_device *d, const struct maglev_reading *r, uint32_t fault) {
+    fault |= spot_fault(d, r);
+    if (d->has_conversions && r->conversions == d->conversions) fault |= MAGLEV_SENSOR_STOPPED;
+    d->has_conversions = true, d->conversions = r->conversions;
+    if (strikes(&d->not_following, !follows(r), PATIENCE)) fault |= MAGLEV_COIL_NOT_FOLLOWING;
+    if (strikes(&d->not_enabled, !r->enabled, 2)) fault |= MAGLEV_WATCHDOG;
+    if (d->profile->lockstep) return fault;
+    uint64_t waited = r->time - d->commanded_at;
+    if (r->time < d->commanded_at) waited = 0;
+    if (waited > d->profile->watchdog) fault |= MAGLEV_WATCHDOG;
+    else if (waited > GAP * d->profile->period && !d->holding && !fault) {
+        d->holding = true;
+        d->hardware->drive(d->hardware->context, r->time, d->hover, d->hover, 0.0);
+    }
+    return fault;
+}
+
+/* ---- states ---- */
+
+static void cut(struct maglev_device *d) {
+    d->hardware->cut(d->hardware->context);
+    d->holding = false;
+}
+
+static void latch(struct maglev_device *d, uint32_t faults, uint64_t now) {
+    cut(d);
+    if (d->state != MAGLEV_FAULT) d->fault_time = now, d->first = faults;
+    d->state = MAGLEV_FAULT, d->faults |= faults;
+}
+
+void maglev_trip(struct maglev_device *d, uint32_t faults) {
+    latch(d, faults, d->hardware->now(d->hardware->context));
+}
+
+void maglev_lose_host(struct maglev_device *d) {
+    if (d->state == MAGLEV_ACTIVE) maglev_trip(d, MAGLEV_WATCHDOG);
+    d->session = 0, d->peer = 0;
+}
+
+static bool arm(struct maglev_device *d, const double *hover, uint64_t now) {
+    if (d->state != MAGLEV_INACTIVE || !all_within(hover, d->profile->hover_limit)) return false;
+    copy_six(d->hover, hover);
+    d->commanded_at = now, d->answers = MAGLEV_NONE, d->holding = d->has_spots = d->has_conversions = false;
+    d->not_following = d->not_off = d->not_enabled = 0;
+    d->same[0] = d->same[1] = d->same[2] = 0;
+    d->state = MAGLEV_ACTIVE;
+    d->hardware->toggle(d->hardware->context, now);
+    return true;
+}
+
+static bool reset(struct maglev_device *d) {
+    if (d->state == MAGLEV_ACTIVE || !(warmest(d) < WARNING_RISE) || !all_within(d->measured, CLOSE)) return false;
+    d->state = MAGLEV_INACTIVE, d->faults = d->first = 0, d->fault_time = 0;
+    return true;
+}
+
+static bool perform(struct maglev_device *d, const struct maglev_frame *f, uint64_t now) {
+    uint32_t known = f->of.ctrl.faults & MAGLEV_ALL_FAULTS;
+    switch (f->of.ctrl.operation) {
+    case MAGLEV_TRIP: latch(d, known ? known : MAGLEV_HOST, now); return true;
+    case MAGLEV_RESET: return reset(d);
+    case MAGLEV_ARM: return arm(d, f->of.ctrl.hover, now);
+    case MAGLEV_DISARM: case MAGLEV_BYE:
+        if (d->state == MAGLEV_ACTIVE) cut(d), d->state = MAGLEV_INACTIVE;
+        return true;
+    default: return false;
+    }
+}
+
+/* ---- session ---- */
+
+static size_t ignore(struct maglev_device *d, enum maglev_reason reason) {
+    d->counts[reason]++;
+    return 0;
+}
+
+static size_t greet(struct maglev_device *d, uint64_t now, uint64_t nonce, uint8_t status, uint8_t *answer) {
+    const struct maglev_profile *p = d->profile;
+    struct maglev_frame f = {MAGLEV_HELLO_ACK, status == MAGLEV_WELCOME ? d->session : 0, 0, now, .of.hello_ack = {
+        .nonce = nonce, .status = status, .lockstep = p->lockstep, .version = MAGLEV_VERSION, .state = d->state,
+        .device = p->device, .period = p->period, .delay = p->delay, .watchdog = p->watchdog, .enable = p->enable,
+        .fault_time = d->fault_time, .faults = d->faults, .first = d->first, .frozen = p->frozen,
+        .current_limit = p->current_limit, .continuous_current = p->continuous_current, .hover_limit = p->hover_limit,
+        .thermal_time = p->thermal_time, .spot_limit = p->spot_limit, .spot_speed = p->spot_speed}};
+    copy_bytes(f.of.hello_ack.calibration, p->calibration, MAGLEV_HASH);
+    return maglev_encode(p, &f, answer);
+}
+
+static size_t hello(struct maglev_device *d, const struct maglev_frame *f, uint64_t now, uint64_t peer,
+                    uint8_t *answer) {
+    uint64_t nonce = f->of.hello.nonce;
+    if (!(d->session && nonce == d->nonce && peer == d->peer)) { /* else the answer before was lost */
+        if (d->session && (d->state == MAGLEV_ACTIVE || now - d->heard < SILENCE))
+            return ignore(d, MAGLEV_BUSY_HELLO), greet(d, now, nonce, MAGLEV_BUSY, answer);
+        if (!same_bytes(f->of.hello.calibration, d->profile->calibration, MAGLEV_HASH))
+            return greet(d, now, nonce, MAGLEV_OTHER_CALIBRATION, answer);
+        d->session = d->hardware->random(d->hardware->context);
+        d->session += d->session == 0;
+        d->nonce = nonce, d->peer = peer, d->sequence = 0, d->last.any = false;
+        d->is_answered = false, d->answers = MAGLEV_NONE;
+    }
+    d->heard = now;
+    return greet(d, now, nonce, MAGLEV_WELCOME, answer);
+}
+
+static size_t control(struct maglev_device *d, const struct maglev_frame *f, uint64_t now, uint8_t *answer) {
+    if (!d->last.any || f->of.ctrl.request != d->last.request) {
+        if (d->last.any && !newer(f->of.ctrl.request, d->last.request)) return ignore(d, MAGLEV_OLD);
+        d->heard = now;
+        d->last.request = f->of.ctrl.request, d->last.operation = f->of.ctrl.operation;
+        d->last.result = perform(d, f, now) ? MAGLEV_DONE : MAGLEV_REFUSED;
+        d->last.any = true;
+    }
+    struct maglev_frame a = {MAGLEV_CTRL_ACK, d->session, 0, now, .of.ctrl_ack = {
+        d->last.request, d->last.operation, d->last.result, d->state, d->faults}};
+    if (d->last.operation == MAGLEV_BYE) d->session = 0, d->peer = 0;
+    return maglev_encode(d->profile, &a, answer);
+}
+
+static size_t obey(struct maglev_device *d, const struct maglev_frame *f, uint64_t now) {
+    if (!newer(f->sequence, d->sequence)) return ignore(d, MAGLEV_OLD);
+    d->sequence = f->sequence, d->heard = now;
+    uint64_t stale = d->profile->lockstep ? 0 : d->profile->watchdog / d->profile->period;
+    if (d->number - f->of.cmd.answers > stale) return ignore(d, MAGLEV_OLD); /* it lay in a queue, or is yet to come */
+    d->is_answered = true, d->answered = f->of.cmd.answers;
+    if (d->state != MAGLEV_ACTIVE) return ignore(d, MAGLEV_NOT_ACTIVE);
+    uint32_t fault = command_fault(d, f->of.cmd.held, f->of.cmd.pulsed, f->of.cmd.width);
+    if (fault) return latch(d, fault, now), 0;
+    d->commanded_at = now, d->answers = f->of.cmd.answers, d->holding = false;
+    d->hardware->drive(d->hardware->context, now, f->of.cmd.held, f->of.cmd.pulsed, f->of.cmd.width);
+    return 0;
+}
+
+static size_t emergency(struct maglev_device *d, const struct maglev_frame *f, uint64_t now, uint8_t *answer) {
+    latch(d, MAGLEV_ESTOPPED, now);
+    struct maglev_frame a = {MAGLEV_ESTOP_ACK, 0, 0, now, .of.estop_ack = {
+        .request = f->of.estop.request, .state = d->state, .faults = d->faults, .sampled = d->sampled}};
+    for (int i = 0; i < MAGLEV_COILS; i++) a.of.estop_ack.currents[i] = (float)d->measured[i];
+    return maglev_encode(d->profile, &a, answer);
+}
+
+static bool positive(double value) { return finite(value) && value > 0.0; }
+
+bool maglev_start(struct maglev_device *d, const struct maglev_profile *p, const struct maglev_hardware *h) {
+    bool key = p->key_length == 0 || (p->key_length >= 16 && p->key_length <= MAGLEV_KEY);
+    if (!key || !p->period || !p->watchdog || !p->enable || !positive(p->current_limit) ||
+        !positive(p->continuous_current) || !positive(p->hover_limit) || !positive(p->thermal_time) ||
+        !positive(p->spot_limit) || !positive(p->spot_speed) ||
+        !h->read || !h->drive || !h->cut || !h->toggle || !h->now || !h->random) return false;
+    for (size_t i = 0; i < sizeof *d; i++) ((uint8_t *)d)[i] = 0;
+    d->profile = p, d->hardware = h, d->answers = MAGLEV_NONE;
+    cut(d);
+    return true;
+}
+
+size_t maglev_receive(struct maglev_device *d, const uint8_t *data, size_t length, uint64_t peer, uint8_t *answer) {
+    struct maglev_frame f;
+    uint64_t now = d->hardware->now(d->hardware->context);
+    enum maglev_reason reason = maglev_decode(d->profile, data, length, &f);
+    if (reason != MAGLEV_REASONS) {
+        ignore(d, reason);
+        bool other = reason == MAGLEV_BAD_VERSION && data[3] == MAGLEV_HELLO;
+        return other ? greet(d, now, 0, MAGLEV_OTHER_VERSION, answer) : 0;
+    }
+    if (f.type == MAGLEV_ESTOP) return emergency(d, &f, now, answer);
+    if (f.type == MAGLEV_HELLO) return hello(d, &f, now, peer, answer);
+    if (f.type != MAGLEV_CTRL && f.type != MAGLEV_CMD) return ignore(d, MAGLEV_DIRECTION);
+    if (!d->session || f.session != d->session || peer != d->peer) return ignore(d, MAGLEV_SESSION);
+    return f.type == MAGLEV_CTRL ? control(d, &f, now, answer) : obey(d, &f, now);
+}
+
+static size_t report(struct maglev_device *d, const struct maglev_reading *r, uint8_t *data) {
+    struct maglev_frame f = {MAGLEV_STATE, d->session, r->number, r->time, .of.state = {
+        .state = d->state, .valid = r->valid, .faults = d->faults, .answered = d->answers, .age = MAGLEV_NONE,
+        .flags = (uint16_t)((d->holding ? MAGLEV_HOLDING : 0) | (r->enabled ? MAGLEV_ENABLED : 0)),
+        .conversions = r->conversions}};
+    copy_six(f.of.state.spots, r->spots);
+    for (int i = 0; i < MAGLEV_COILS; i++) {
+        f.of.state.currents[i] = (float)r->measured[i];
+        f.of.state.temperatures[i] = (float)d->rises[i];
+    }
+    if (d->answers != MAGLEV_NONE) {
+        uint64_t age = r->time > d->commanded_at ? (r->time - d->commanded_at) / 1000 : 0;
+        f.of.state.age = age < MAGLEV_NONE ? (uint32_t)age : MAGLEV_NONE - 1;
+    }
+    return maglev_encode(d->profile, &f, data);
+}
+
+size_t maglev_sample(struct maglev_device *d, uint8_t *data) {
+    struct maglev_reading r = {0};
+    d->hardware->read(d->hardware->context, &r);
+    if (!d->heated && d->has_sampled) maglev_heat(d, (double)(r.time - d->sampled) * 1e-9, r.measured);
+    d->heated = false, d->has_sampled = true, d->number = r.number, d->sampled = r.time;
+    copy_six(d->measured, r.measured);
+    uint32_t fault = warmest(d) < 1.0 ? 0 : MAGLEV_COIL_OVERTEMP;
+    if (d->state == MAGLEV_ACTIVE) fault = flight_fault(d, &r, fault);
+    else if (strikes(&d->not_off, !all_within(r.measured, CLOSE), PATIENCE)) fault |= MAGLEV_COIL_NOT_OFF;
+    if (fault) latch(d, fault, r.time);
+    if (d->state == MAGLEV_ACTIVE) d->hardware->toggle(d->hardware->context, r.time); /* a step that hangs does not */
+    return d->session ? report(d, &r, data) : 0;
+}

@@ -1,0 +1,391 @@
+/* The firmware's simulated hardware: UDP on 127.0.0.1, a clock, an amplifier board, and a flotor for small angles.
+
+       cc -std=c99 -O2 scripts/firmware/simulated_device.c scripts/firmware/maglev_firmware.c -o simulated_device -lm
+       simulated_device --plant FILE [--port 0] [--rate 200] [--delay 0.0015] [--watchdog 0.05] [--enable SECONDS]
+                        [--hover-limit 3] [--noise 0] [--lockstep] [--calibration-hash HEX32] [--key FILE] [--device 1]
+                        [--seconds 0] [--fault NAME:K@SECONDS]
+       simulated_device --golden [--key FILE] < FRAMES
+
+   The plant's FILE has five names, each before its numbers: wrench_per_current (36, by rows) [N/A, N m/A], inertia (6:
+   the mass three times, then the moments) [kg, kg m^2], gravity (6: accelerations) [m/s^2, rad/s^2], spots_per_pose
+   (36, by rows) [1, m], rest (6) [m, rad]. A key's FILE has 32 to 64 hexadecimal digits. --noise [m] is what a spot's
+   reading jitters by; with it 20 equal readings in a row are a fault. --golden reads frames, a line of hexadecimal
+   digits each, and prints each as it writes what it read. Faults are those of FAULTS below. */
+#define _POSIX_C_SOURCE 200809L
+
+#include <arpa/inet.h>
+#include <errno.h>
+#include <fcntl.h>
+#include <math.h>
+#include <signal.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/select.h>
+#include <sys/socket.h>
+#include <time.h>
+#include <unistd.h>
+
+#include "maglev_firmware.h"
+
+#define AGAIN UINT64_C(20000000)    /* [ns]; lockstep: a STATE is sent again after so long without an answer */
+#define LET_GO UINT64_C(2000000000) /* [ns]; lockstep: and the host is given up after so long */
+
+enum { COILS = MAGLEV_COILS, SWITCHES = 64, WAITING = 4096 };
+enum fault { DEAD_COIL, STUCK_AMPLIFIER, STUCK_DIODE, INVALID_DIODE, STUCK_DIODES, STUCK_COUNTER, NO_FAULT };
+static const struct { const char *name; int count; } FAULTS[NO_FAULT] = {
+    {"dead-coil", COILS}, {"stuck-amplifier", COILS}, {"stuck-diode", 3}, {"invalid-diode", 3}, {"stuck-diodes", 1},
+    {"stuck-counter", 1}};
+
+static void fail(const char *what, const char *name) {
+    fprintf(stderr, "simulated_device: %s: %s\n", what, name);
+    exit(2);
+}
+
+/* ---- the flotor, the amplifier board, the sensors: time in whole nanoseconds, exact between switches ---- */
+
+struct drive { uint64_t at, pulse_end; double held[COILS], pulsed[COILS]; };
+static struct {
+    double wrench[36], inertia[6], gravity[6], slopes[36], rest[6], pose[6], twist[6], noise;
+    uint64_t now, live_until, fault_at;
+    struct drive on, due[SWITCHES];
+    double flowing[COILS], stuck[6], kept;
+    uint32_t number, conversions, random;
+    int waiting, lying, fault, which, has_stuck;
+} plant = {.fault = NO_FAULT, .random = 1};
+
+static struct maglev_device device;
+static struct maglev_profile profile = {.current_limit = 10.0, .continuous_current = 3.0, .thermal_time = 10.0,
+                                        .spot_limit = 0.012, .spot_speed = 1.0};
+
+static int suffers(int fault) { return plant.fault == fault && plant.now >= plant.fault_at; }
+
+/* What flows from now on; the board lets nothing flow where its enable line stands still, whatever it was told. */
+static const double *flow(void) {
+    const double *told = plant.now < plant.on.pulse_end ? plant.on.pulsed : plant.on.held;
+    for (int i = 0; i < COILS; i++) plant.flowing[i] = plant.now < plant.live_until ? told[i] : 0.0;
+    if (suffers(DEAD_COIL)) plant.flowing[plant.which] = 0.0;
+    if (suffers(STUCK_AMPLIFIER)) plant.flowing[plant.which] = plant.kept;
+    plant.kept = plant.flowing[plant.which];
+    return plant.flowing;
+}
+
+static void move(double duration) {
+    const double *currents = flow();
+    double pull[6];
+    maglev_heat(&device, duration, currents);
+    for (int i = 0; i < 6; i++) {
+        double wrench = 0.0;
+        for (int j = 0; j < COILS; j++) wrench += plant.wrench[6 * i + j] * currents[j];
+        pull[i] = wrench / plant.inertia[i] + plant.gravity[i];
+    }
+    if (plant.lying && !(pull[2] > 0.0)) return;
+    plant.lying = 0;
+    for (int i = 0; i < 6; i++) {
+        plant.pose[i] += duration * (plant.twist[i] + 0.5 * duration * pull[i]);
+        plant.twist[i] += duration * pull[i];
+    }
+    if (plant.pose[2] <= plant.rest[2] && plant.twist[2] <= 0.0) { /* it lands, and stays where it is */
+        plant.pose[2] = plant.rest[2], plant.lying = 1;
+        memset(plant.twist, 0, sizeof plant.twist);
+    }
+}
+
+static uint64_t sooner(uint64_t next, uint64_t event) { return plant.now < event && event < next ? event : next; }
+
+static void advance(uint64_t now) {
+    for (;;) {
+        while (plant.waiting && plant.due[0].at <= plant.now) {
+            plant.on = plant.due[0];
+            memmove(plant.due, plant.due + 1, (size_t)--plant.waiting * sizeof *plant.due);
+        }
+        if (plant.now >= now) return;
+        uint64_t next = sooner(sooner(now, plant.live_until), plant.on.pulse_end);
+        if (plant.waiting) next = sooner(next, plant.due[0].at);
+        move((double)(next - plant.now) * 1e-9);
+        plant.now = next;
+    }
+}
+
+/* ---- what the firmware asks of the hardware ---- */
+
+static double jitter(void) { /* even over -1 to 1 */
+    plant.random ^= plant.random << 13, plant.random ^= plant.random >> 17, plant.random ^= plant.random << 5;
+    return (double)plant.random / 2147483648.0 - 1.0;
+}
+
+static void read_sample(void *context, struct maglev_reading *r) {
+    (void)context;
+    r->time = plant.now, r->number = plant.number, r->valid = 7, r->enabled = plant.now <= plant.live_until;
+    if (!suffers(STUCK_COUNTER)) plant.conversions++;
+    r->conversions = plant.conversions;
+    for (int i = 0; i < 6; i++) {
+        for (int j = 0; j < 6; j++) r->spots[i] += plant.slopes[6 * i + j] * plant.pose[j];
+        if (plant.noise > 0.0) r->spots[i] += plant.noise * jitter();
+        int stuck = suffers(STUCK_DIODES) || (suffers(STUCK_DIODE) && i / 2 == plant.which);
+        if (stuck && plant.has_stuck) r->spots[i] = plant.stuck[i];
+    }
+    if (!plant.has_stuck) memcpy(plant.stuck, r->spots, sizeof plant.stuck);
+    plant.has_stuck = suffers(STUCK_DIODES) || suffers(STUCK_DIODE);
+    if (suffers(INVALID_DIODE)) r->valid &= (uint8_t)~(1 << plant.which);
+    memcpy(r->commanded, plant.now < plant.on.pulse_end ? plant.on.pulsed : plant.on.held, sizeof r->commanded);
+    memcpy(r->measured, flow(), sizeof r->measured);
+}
+
+static void drive(void *context, uint64_t now, const double *held, const double *pulsed, double width) {
+    uint64_t at = now + profile.delay;
+    (void)context;
+    while (plant.waiting && plant.due[plant.waiting - 1].at >= at) plant.waiting--;
+    if (plant.waiting == SWITCHES) plant.waiting--; /* more than 64 within the delay: the newest counts */
+    struct drive *next = &plant.due[plant.waiting++];
+    next->at = at, next->pulse_end = at + (uint64_t)(width * 1e9 + 0.5);
+    memcpy(next->held, held, sizeof next->held);
+    memcpy(next->pulsed, pulsed, sizeof next->pulsed);
+}
+
+static void cut(void *context) {
+    (void)context;
+    plant.waiting = 0;
+    memset(&plant.on, 0, sizeof plant.on);
+}
+
+static void toggle(void *context, uint64_t now) {
+    (void)context;
+    plant.live_until = now + profile.enable;
+}
+
+static uint64_t device_now(void *context) {
+    (void)context;
+    return plant.now;
+}
+
+static uint32_t draw(void *context) {
+    uint32_t number = 0;
+    FILE *source = fopen("/dev/urandom", "rb");
+    (void)context;
+    if (!source || fread(&number, sizeof number, 1, source) != 1) fail("cannot be read", "/dev/urandom");
+    fclose(source);
+    return number;
+}
+
+static const struct maglev_hardware hardware = {NULL, read_sample, drive, cut, toggle, device_now, draw};
+
+/* ---- socket and clock ---- */
+
+static volatile sig_atomic_t ended;
+static int line; /* the socket */
+static uint64_t begun;
+
+static void end(int number) { (void)number, ended = 1; }
+
+static uint64_t clock_now(void) {
+    struct timespec t;
+    clock_gettime(CLOCK_MONOTONIC, &t);
+    return (uint64_t)t.tv_sec * 1000000000u + (uint64_t)t.tv_nsec;
+}
+
+/* A peer's number is its address and port. One that cannot leave is lost, as on any line. */
+static void send_to(uint64_t peer, const uint8_t *data, size_t length) {
+    struct sockaddr_in to = {.sin_family = AF_INET, .sin_port = (in_port_t)peer};
+    to.sin_addr.s_addr = (in_addr_t)(peer >> 16);
+    if (length) (void)!sendto(line, data, length, 0, (const struct sockaddr *)&to, sizeof to);
+}
+
+static void take(const uint8_t *data, size_t length, uint64_t peer) {
+    uint8_t answer[MAGLEV_LARGEST];
+    if (!profile.lockstep) { /* what comes after the next sample is due belongs to that sample's instant */
+        uint64_t due = ((uint64_t)plant.number + 1) * profile.period, passed = clock_now() - begun;
+        advance(passed < due ? passed : due);
+    }
+    send_to(peer, answer, maglev_receive(&device, data, length, peer, answer));
+}
+
+/* Wait until an instant of the machine's clock for what comes, and take all that waits, emergency stops first. */
+static void hear(uint64_t until) {
+    static struct { uint8_t data[2 * MAGLEV_LARGEST]; size_t length; uint64_t peer; } frames[WAITING];
+    uint64_t now = clock_now(), left = until > now ? until - now : 0;
+    struct timespec wait = {(time_t)(left / 1000000000u), (long)(left % 1000000000u)};
+    fd_set ready;
+    FD_ZERO(&ready);
+    FD_SET(line, &ready);
+    if (pselect(line + 1, &ready, NULL, NULL, &wait, NULL) < 1) return;
+    int count = 0;
+    for (; count < WAITING; count++) {
+        struct sockaddr_in from;
+        socklen_t size = sizeof from;
+        ssize_t length = recvfrom(line, frames[count].data, sizeof frames[count].data, 0,
+                                  (struct sockaddr *)&from, &size);
+        if (length < 0) break; /* no more, or word of a datagram that nobody took */
+        frames[count].length = (size_t)length;
+        frames[count].peer = (uint64_t)from.sin_addr.s_addr << 16 | from.sin_port;
+    }
+    for (int stops = 1; stops >= 0; stops--)
+        for (int i = 0; i < count; i++)
+            if ((frames[i].length > 3 && frames[i].data[3] == MAGLEV_ESTOP) == stops)
+                take(frames[i].data, frames[i].length, frames[i].peer);
+}
+
+/* Simulated time waits for the answer to each sample; without a host it stands still. */
+static void in_lockstep(uint64_t stop) {
+    uint8_t data[MAGLEV_LARGEST];
+    while (!ended && clock_now() < stop) {
+        while (!device.session && !ended && clock_now() < stop) hear(clock_now() + AGAIN);
+        if (!device.session) return;
+        plant.number++;
+        advance((uint64_t)plant.number * profile.period);
+        uint32_t session = device.session;
+        size_t length = maglev_sample(&device, data);
+        uint64_t sent = clock_now(), again = sent;
+        while (!ended && device.session == session && !(device.is_answered && device.answered == plant.number)) {
+            if (clock_now() >= again) send_to(device.peer, data, length), again = clock_now() + AGAIN;
+            hear(again);
+            if (clock_now() - sent > LET_GO) maglev_lose_host(&device);
+        }
+    }
+}
+
+/* Samples are due at whole periods; those that were missed are left out, never caught up. */
+static void in_real_time(uint64_t stop) {
+    uint8_t data[MAGLEV_LARGEST];
+    while (!ended && clock_now() < stop) {
+        uint64_t due = begun + ((uint64_t)plant.number + 1) * profile.period;
+        do hear(due); while (!ended && clock_now() < due);
+        plant.number += (uint32_t)((clock_now() - due) / profile.period + 1);
+        advance((uint64_t)plant.number * profile.period);
+        size_t length = maglev_sample(&device, data);
+        send_to(device.peer, data, length);
+    }
+}
+
+/* ---- arguments ---- */
+
+static void read_plant(const char *path) {
+    static const char *const names[] = {"wrench_per_current", "inertia", "gravity", "spots_per_pose", "rest"};
+    double *const places[] = {plant.wrench, plant.inertia, plant.gravity, plant.slopes, plant.rest};
+    FILE *file = fopen(path, "r");
+    if (!file) fail("cannot be read", path);
+    for (int i = 0; i < 5; i++) {
+        char name[32];
+        if (fscanf(file, "%31s", name) != 1 || strcmp(name, names[i]))
+            fail("not in its place in the plant's file", names[i]);
+        for (int k = 0; k < (i == 0 || i == 3 ? 36 : 6); k++)
+            if (fscanf(file, "%lf", &places[i][k]) != 1 || !isfinite(places[i][k]))
+                fail("too few numbers, or one that is none", names[i]);
+    }
+    fclose(file);
+    for (int i = 0; i < 6; i++)
+        if (!(plant.inertia[i] > 0.0)) fail("must be above 0", names[1]);
+    memcpy(plant.pose, plant.rest, sizeof plant.pose);
+    plant.lying = 1;
+}
+
+/* Return how many bytes hexadecimal digits stand for; 0 where they are none, or more than there is room for. */
+static uint32_t read_hex(uint8_t *place, uint32_t room, const char *text) {
+    size_t digits = strspn(text, "0123456789abcdefABCDEF");
+    if (text[digits] || digits % 2 || digits > 2 * room) return 0;
+    for (size_t i = 0; i < digits / 2; i++) {
+        char pair[] = {text[2 * i], text[2 * i + 1], 0};
+        place[i] = (uint8_t)strtoul(pair, NULL, 16);
+    }
+    return (uint32_t)(digits / 2);
+}
+
+static void read_key(const char *path) {
+    char text[72] = "";
+    FILE *file = fopen(path, "r");
+    if (!file) fail("cannot be read", path);
+    int found = fscanf(file, "%71s", text);
+    fclose(file);
+    profile.key_length = read_hex(profile.key, MAGLEV_KEY, text);
+    if (found != 1 || profile.key_length < 16) fail("must have 32 to 64 hexadecimal digits", path);
+}
+
+static void read_fault(const char *text) {
+    char name[32];
+    double at;
+    int last = 0;
+    if (sscanf(text, "%31[a-z-]:%d@%lf%n", name, &plant.which, &at, &last) != 3 || text[last] || !(at >= 0.0))
+        fail("must be NAME:K@SECONDS", text);
+    for (plant.fault = 0; plant.fault < NO_FAULT && strcmp(name, FAULTS[plant.fault].name);) plant.fault++;
+    if (plant.fault == NO_FAULT || plant.which < 0 || plant.which >= FAULTS[plant.fault].count)
+        fail("no such fault", text);
+    plant.fault_at = (uint64_t)(at * 1e9);
+}
+
+static int golden(void) {
+    char text[2 * MAGLEV_LARGEST + 1];
+    while (scanf("%512s", text) == 1) {
+        uint8_t data[MAGLEV_LARGEST];
+        struct maglev_frame frame;
+        if (maglev_decode(&profile, data, read_hex(data, sizeof data, text), &frame) != MAGLEV_REASONS)
+            fail("no frame", text);
+        size_t length = maglev_encode(&profile, &frame, data);
+        for (size_t k = 0; k < length; k++) printf("%02x", data[k]);
+        printf("\n");
+    }
+    return 0;
+}
+
+static void listen_on(uint16_t port) {
+    struct sockaddr_in address = {.sin_family = AF_INET, .sin_port = htons(port)};
+    socklen_t size = sizeof address;
+    address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+    line = socket(AF_INET, SOCK_DGRAM, 0);
+    if (line < 0 || bind(line, (struct sockaddr *)&address, size) ||
+        getsockname(line, (struct sockaddr *)&address, &size) || fcntl(line, F_SETFL, O_NONBLOCK))
+        fail("cannot listen", strerror(errno));
+    printf("listening udp://127.0.0.1:%u\n", ntohs(address.sin_port));
+    fflush(stdout);
+}
+
+static uint64_t nanoseconds(double seconds) { return (uint64_t)(seconds * 1e9 + 0.5); }
+
+int main(int count, char **arguments) {
+    enum { PORT, RATE, DELAY, WATCHDOG, ENABLE, HOVER, NOISE, DEVICE, SECONDS, NUMBERS };
+    struct { const char *name; double value, least, most; } numbers[NUMBERS] = {
+        {"--port", 0.0, 0.0, 65535.0}, {"--rate", 200.0, 1.0, 1e5}, {"--delay", 0.0015, 0.0, 0.1},
+        {"--watchdog", 0.05, 0.001, 10.0}, {"--enable", 0.0, 0.0, 10.0}, {"--hover-limit", 3.0, 0.001, 10.0},
+        {"--noise", 0.0, 0.0, 0.001}, {"--device", 1.0, 0.0, 4294967295.0}, {"--seconds", 0.0, 0.0, 1e6}};
+    const char *plant_file = NULL;
+    int only_golden = 0;
+    char rest;
+    for (int i = 1, k; i < count; i += 2) {
+        const char *name = arguments[i], *value = i + 1 < count ? arguments[i + 1] : "";
+        for (k = 0; k < NUMBERS && strcmp(name, numbers[k].name);) k++;
+        if (!strcmp(name, "--lockstep")) profile.lockstep = true, i--;
+        else if (!strcmp(name, "--golden")) only_golden = 1, i--;
+        else if (!strcmp(name, "--plant")) plant_file = value;
+        else if (!strcmp(name, "--key")) read_key(value);
+        else if (!strcmp(name, "--fault")) read_fault(value);
+        else if (!strcmp(name, "--calibration-hash")) {
+            if (read_hex(profile.calibration, MAGLEV_HASH, value) != MAGLEV_HASH)
+                fail("must be 32 hexadecimal digits", name);
+        } else if (k == NUMBERS) fail("no such argument", name);
+        else if (sscanf(value, "%lf%c", &numbers[k].value, &rest) != 1 || !(numbers[k].value >= numbers[k].least) ||
+                 !(numbers[k].value <= numbers[k].most)) fail("not a number that is allowed", name);
+    }
+    if (only_golden) return golden();
+    if (!plant_file) fail("needed", "--plant FILE");
+    read_plant(plant_file);
+    plant.noise = numbers[NOISE].value;
+    profile.period = nanoseconds(1.0 / numbers[RATE].value), profile.delay = nanoseconds(numbers[DELAY].value);
+    profile.watchdog = nanoseconds(numbers[WATCHDOG].value), profile.enable = nanoseconds(numbers[ENABLE].value);
+    if (!profile.enable) { /* 3 periods or 10 ms, and at most the watchdog */
+        profile.enable = 3 * profile.period > 10000000 ? 3 * profile.period : 10000000;
+        if (profile.enable > profile.watchdog) profile.enable = profile.watchdog;
+    }
+    profile.hover_limit = numbers[HOVER].value, profile.device = (uint32_t)numbers[DEVICE].value;
+    profile.frozen = plant.noise > 0.0 ? 20 : 0;
+    if (!maglev_start(&device, &profile, &hardware)) fail("no device is like this", "profile");
+
+    struct sigaction action = {.sa_handler = end};
+    sigaction(SIGTERM, &action, NULL), sigaction(SIGINT, &action, NULL);
+    listen_on((uint16_t)numbers[PORT].value);
+    begun = clock_now();
+    uint64_t stop = numbers[SECONDS].value > 0.0 ? begun + nanoseconds(numbers[SECONDS].value) : UINT64_MAX;
+    (profile.lockstep ? in_lockstep : in_real_time)(stop);
+    for (int i = 0; i < MAGLEV_REASONS; i++)
+        printf("%s %lu%s", maglev_reasons[i], (unsigned long)device.counts[i], i + 1 < MAGLEV_REASONS ? ", " : "\n");
+    close(line);
+    return 0;
+}
