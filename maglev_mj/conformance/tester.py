@@ -12,8 +12,9 @@ from typing import Any, NoReturn, TypeAlias
 from maglev_mj.bridge import wire
 from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.fault import HandshakeError
-from maglev_mj.bridge.remote import Leader
 from maglev_mj.bridge.safety import OFF, Limits, OutputLimiter
+from maglev_mj.bridge.takeoff import Leader, Motion
+from maglev_mj.bridge.takeoff import shown as pose_shown
 from maglev_mj.bridge.wire import Fault, Flag, HelloStatus, Operation, State, fault_names, newer
 from maglev_mj.errors import MaglevError
 from maglev_mj.frames import ZERO, Sample
@@ -26,7 +27,7 @@ WRAP = 0xFFFFFFFF
 _AGAIN, _PATIENCE, _TAKEOVER = 0.02, 0.5, 1.0  # [s]
 _ANSWERS: dict[type, type] = {wire.Hello: wire.HelloAck, wire.Control: wire.ControlAck, wire.Estop: wire.EstopAck}
 _LED = 0.6  # [s] of takeoff and landing
-_ASIDE, _ASKEW, _STILL = 0.001, 0.03, 2e-5  # [m], [rad], [m]
+_ASIDE, _ASKEW = 0.001, 0.03  # from the centre [m], [rad]
 _Law: TypeAlias = Callable[[Any], Sequence[float]]
 
 
@@ -100,11 +101,11 @@ class Tester:
             if frame is not None and source == peer:
                 return frame
 
-    def wait(self, seconds: float, kind: type = type(None), peer: int = 0) -> Any:
+    def wait(self, seconds: float, kind: type | None = None, peer: int = 0) -> Any:
         """Listen for so long, or until a frame of a kind comes; return that."""
         end = self.now() + round(seconds * 1e9)
         while (left := end - self.now()) > 0:
-            if (frame := self.hear(left * 1e-9, peer)) is not None and isinstance(frame.body, kind):
+            if (frame := self.hear(left * 1e-9, peer)) is not None and kind and isinstance(frame.body, kind):
                 return frame
         return None
 
@@ -155,7 +156,7 @@ class Tester:
 
     def _sampled(self, frame: Any, data: bytes) -> Any:
         """Return a sample that is newer than the last, and answer it."""
-        before, body, arrived, self.arrived = self.last, frame.body, self.arrived, self.now()
+        before, arrived, self.arrived = self.last, self.arrived, self.now()
         is_newer = before is None or newer(frame.sequence, before.sequence)
         if is_newer:
             self._judge(frame, before)
@@ -258,6 +259,13 @@ class Tester:
                 fail(f"{said} instead of {state.name}, faults {fault_names(faults)}")
         return seen[-1]
 
+    def leave(self) -> None:
+        """End the session; a new one knows nothing of what was sent before."""
+        if self.session:
+            with suppress(Unexpected):
+                self.ask(Operation.BYE)
+        self.session = 0
+
     def release(self) -> None:
         """Leave the device INACTIVE without a session; if it does not answer, ask for an emergency stop."""
         try:
@@ -270,40 +278,37 @@ class Tester:
 
     # flights
 
-    def _locate(self, frame: Any) -> list[float]:
-        return self._track([one - other for one, other in zip(frame.body.spots, self._offsets)])
-
-    def _leading(self, start: Sequence[float], end: Sequence[float], astray: Callable[[Any], object]) -> _Law:
-        """Return a law that leads the flotor from a pose to another; slow to make."""
+    @contextmanager
+    def flying(self) -> Iterator[None]:
+        """Take off from rest, and land whatever happens."""
         one, period, known = self.welcome, self.welcome.period * 1e-9, self.calibration
+        # before ARM: the device would take the time for a host that is gone
         limits = Limits(
             current=one.current_limit, continuous_current=one.continuous_current, thermal_time=one.thermal_time
         )
         output = OutputLimiter(known.coils, limits, None, period)
-        leader = Leader(known, start, end, duration=_LED, period=period, delay=one.delay * 1e-9, astray=astray)
+        leader = Leader(known, period, one.delay * 1e-9)
 
         def law(frame: Any) -> Sequence[float]:
             pose = self._locate(frame)
             return output.currents(leader.step(Sample(frame.sequence, frame.time * 1e-9, pose)), pose)[1]
 
-        return law
+        def astray(pose: Sequence[float]) -> None:
+            if self.last.body.state == State.ACTIVE:
+                fail(f"the flotor does not follow: {pose_shown(pose)}")
 
-    @contextmanager
-    def flying(self) -> Iterator[None]:
-        """Take off from rest, and land whatever happens."""
-        rest = self._rest()
-        # before ARM: the device would take the time for a host that is gone
-        up = self._leading(rest, ZERO, lambda pose: fail(f"the flotor does not follow: {_millimetres(pose)}"))
-        down = self._leading(ZERO, rest, lambda pose: None)
-        led, self.law = round(1.5 * _LED * 1e9) // self.welcome.period, up
+        rest, led = self._rest(), round(1.5 * _LED * 1e9) // one.period
+        leader.aim(rest, ZERO, _LED, astray)
+        self.law = law
         try:
-            same("state after ARM", self.ask(Operation.ARM, hover=self.calibration.hover.tolist()).state, State.ACTIVE)
+            same("state after ARM", self.ask(Operation.ARM, hover=known.hover.tolist()).state, State.ACTIVE)
             self.states(led)
             self.hovers()
             yield
         finally:
             if self.last.body.state == State.ACTIVE:
-                self.law, self.answering, self.loss = down, True, 0.0
+                leader.aim(ZERO, rest, _LED)
+                self.law, self.answering, self.loss = law, True, 0.0
                 with suppress(MaglevError):
                     self.states(led)
 
@@ -311,16 +316,21 @@ class Tester:
         """Return where a flotor hovers that should do so at the centre."""
         pose = self._locate(self.expect(State.ACTIVE))
         if math.hypot(*pose[:3]) > _ASIDE or math.hypot(*pose[3:]) > _ASKEW:
-            fail(f"the flotor hovers at {_millimetres(pose)}")
-        return _millimetres(pose)
+            fail(f"the flotor hovers at {pose_shown(pose)}")
+        return pose_shown(pose)
 
     def _rest(self) -> list[float]:
         """Wait until the flotor lies at rest, and return where."""
-        for _ in range(100):
-            frames = self.states(max(100_000_000 // self.welcome.period, 5))
-            if max(abs(one - other) for one, other in zip(frames[0].body.spots, frames[-1].body.spots)) < _STILL:
-                return self._locate(frames[-1])
-        fail("the flotor does not come to rest within 10 s")
+        motion, end = Motion(self.welcome.period * 1e-9), self.now() + 10_000_000_000
+        while not (motion.full and motion.at_rest):
+            frame = self.states(1)[0]
+            motion.add(Sample(frame.sequence, frame.time * 1e-9, self._locate(frame)))
+            if self.now() > end:
+                fail(f"the flotor does not come to rest within 10 s: {motion}")
+        return motion.pose
+
+    def _locate(self, frame: Any) -> list[float]:
+        return self._track([one - other for one, other in zip(frame.body.spots, self._offsets)])
 
 
 def draw() -> int:
@@ -333,10 +343,11 @@ def fail(seen: str) -> NoReturn:
     raise Unexpected(seen)
 
 
-def same(what: str, seen: Any, wanted: Any) -> None:
-    """Fail a check if values differ."""
+def same(what: str, seen: Any, wanted: Any) -> str:
+    """Fail a check if values differ; return what was seen."""
     if seen != wanted:
         fail(f"{what} {shown(seen)} instead of {shown(wanted)}")
+    return f"{what} {shown(seen)}"
 
 
 def is_off(currents: Sequence[float]) -> bool:
@@ -346,15 +357,13 @@ def is_off(currents: Sequence[float]) -> bool:
 
 def shown(value: Any) -> str:
     """Return figures as text."""
-    return f"({', '.join(map(shown, value))})" if isinstance(value, (tuple, list)) else f"{value:.6g}"
+    if isinstance(value, (tuple, list)):
+        return f"({', '.join(map(shown, value))})"
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 def _zeros(frame: Any) -> Sequence[float]:
     return ZERO
-
-
-def _millimetres(pose: Sequence[float]) -> str:
-    return f"{', '.join(f'{1e3 * one:.2f}' for one in pose)} (mm, mrad)"
 
 
 def _named(words: Any, number: int) -> str:
