@@ -388,7 +388,7 @@ class Codec:
         if data[0] != MAGIC & 0xFF or data[1] != MAGIC >> 8:
             return "magic"
         # the seal first: what it does not vouch for is not looked at
-        if len(data) < _CRC.size + 4 or zlib.crc32(data) != _SEALED:
+        if len(data) < self._overhead + 4 or zlib.crc32(data) != _SEALED:
             return "crc"
         if data[2] != VERSION:
             self.version_met = data[2]

@@ -66,7 +66,7 @@ def _calibration(t: Tester) -> str:
 def _version(t: Tester) -> str:
     hello = t.encode(wire.Hello(draw(), t.calibration.digest))
     for version in (VERSION - 1, VERSION + 1, 255):
-        for data in (hello, hello[:8] + bytes(4), hello + bytes(40)):
+        for data in (hello, hello[:20] + bytes(8), hello + bytes(40)):
             t.links[0].send(sealed(data[:2] + bytes([version]) + data[3:]))
             answer = t.wait(QUIET, wire.HelloAck) or fail(f"no answer to version {version} in {len(data)} bytes")
             same("nonce, status, version", (answer.body[:2], answer.body.version), ((0, HelloStatus.VERSION), VERSION))
@@ -174,6 +174,17 @@ def _arm(t: Tester) -> str:
             same(f"{current:g} A: result, state", (answer.result, answer.state), (Result.REFUSED, State.INACTIVE))
     t.expect(State.INACTIVE)
     return f"30 of 30, at {above:.3g} A"
+
+
+@check("RESET is refused while a measured current is above 0.25 A")
+def _reset_flowing(t: Tester) -> str:
+    t.bring(State.ACTIVE, lambda frame: t.half)
+    t.answering = False
+    t.ask(Operation.TRIP)
+    answer = t.ask(Operation.RESET)
+    if answer.result != Result.REFUSED and not is_off(t.last.body.currents):
+        fail(f"done with {shown(t.last.body.currents)} A")
+    return f"result {answer.result}"
 
 
 @check("TRIP latches the bits of the table, HOST where there is none of them, and adds later ones")
@@ -285,6 +296,13 @@ def _pulse(t: Tester) -> str:
     close(during, t.half)
     close(after, ZERO)
     return f"{shown(t.half)} A for a period"
+
+
+@check("no sample is taken before the last one is answered", name="lockstep", lockstep=True)
+def _lockstep(t: Tester) -> str:
+    t.answering, number = False, t.states(1)[0].sequence
+    t.wait(0.2)
+    return same("sample after 0.2 s", t.last.sequence, number)
 
 
 @check("temperatures rise as the measured currents say")

@@ -9,7 +9,6 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 from maglev_mj.bridge import wire
-from maglev_mj.bridge.fault import HandshakeError
 from maglev_mj.bridge.wire import Fault, Operation, State
 from maglev_mj.conformance.tester import WRAP, Tester, Unexpected, draw, fail, is_off, same, shown
 from maglev_mj.errors import PlantError
@@ -25,7 +24,7 @@ QUIET = 0.06
 
 HALF, NEVER = 0x7FFFFFFF, 0xFFFFFFFF
 NAN = (math.nan,) * 6
-_TRIES = 3  # of a check in which this host was late
+_TRIES = 5  # of a check in which this host was late
 
 
 class CheckResult(NamedTuple):
@@ -54,6 +53,7 @@ class Check(NamedTuple):
         real_time: Whether it makes no sense in lockstep.
         peers: Addresses of the host.
         keyed: Whether it makes no sense without a key.
+        lockstep: Whether it makes no sense in real time.
     """
 
     expected: str
@@ -62,6 +62,7 @@ class Check(NamedTuple):
     real_time: bool = False
     peers: int = 1
     keyed: bool = False
+    lockstep: bool = False
 
     def result(self, name: str, tester: Tester, flight: bool) -> CheckResult:
         """Run the check, again where this host was late."""
@@ -70,6 +71,7 @@ class Check(NamedTuple):
             "needs real time, and this device is in lockstep": self.real_time and tester.welcome.lockstep,
             "needs a second address; a serial line has one peer": self.peers > len(tester.links),
             "needs a key": self.keyed and not tester.keyed,
+            "needs a device in lockstep": self.lockstep and not tester.welcome.lockstep,
         }
         if reason := next((reason for reason, holds in reasons.items() if holds), ""):
             return CheckResult(name, self.expected, reason, None)
@@ -78,10 +80,9 @@ class Check(NamedTuple):
             try:
                 tester.bring(State.INACTIVE)
                 return CheckResult(name, self.expected, self.run(tester), True)
-            except HandshakeError:
-                raise
             except (Unexpected, PlantError) as error:
-                result = CheckResult(name, self.expected, str(error), False)
+                late = "; this host was late" if tester.late else ""
+                result = CheckResult(name, self.expected, f"{error}{late}", False)
             tester.leave()
             if not tester.late:
                 break
@@ -148,9 +149,11 @@ def ignored(
     for body in bodies:
         t.sequence = (t.sequence + (back is None)) & WRAP
         frame = t.encode(body, session=session, sequence=(t.sequence - (back or 0)) & WRAP)
+        t.others.clear()
         t.links[peer].send(change(frame))
         try:
             t.expect(State.ACTIVE)
+            same("answers", t.others, [])
         except Unexpected as error:
             fail(f"{type(body).__name__} {said} is taken: {error}")
     return "ignored"

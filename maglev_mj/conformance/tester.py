@@ -51,6 +51,7 @@ class Tester:
         loss: Share of the answers that is lost; as many are damaged first, and as many doubled.
         late: Whether STATEs were read late, which is no fault of the device.
         wrong: First violation of each rule that every frame must keep.
+        others: Frames that came, but for STATEs.
     """
 
     def __init__(self, links: Sequence[Link], calibration: Calibration, key: bytes | None) -> None:
@@ -62,6 +63,7 @@ class Tester:
         self.law: _Law = _zeros
         self.answering, self.late, self.loss = True, False, 0.0
         self.wrong: dict[str, str] = {}
+        self.others: list[Any] = []
         self._sessions: set[int] = set()
         self._random, self._raw, self._idle = random.Random(1), b"", 0
         self._track, self._offsets = PoseTracker(calibration.beams), calibration.spot_offsets.tolist()
@@ -152,7 +154,10 @@ class Tester:
             self.wrong.setdefault("frames", f"{said} of a {kind.__name__}: {data.hex()}")
         if ours and frame.session != self.session:
             return None
-        return self._sampled(frame, data) if reports else frame
+        if reports:
+            return self._sampled(frame, data)
+        self.others.append(frame)
+        return frame
 
     def _sampled(self, frame: Any, data: bytes) -> Any:
         """Return a sample that is newer than the last, and answer it."""
