@@ -421,7 +421,7 @@ class TwinServer:
             self._server.send(answer, sender)
 
     def _say(self, frame: bytes | None) -> None:
-        if frame is not None:
+        if frame is not None and self.twin.firmware.session:  # it may have ended since
             self._server.send(frame, self.twin.firmware.peer)
 
     def _in_lockstep(self, end: int | None, each: Callable[[], object] | None) -> None:

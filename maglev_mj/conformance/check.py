@@ -141,16 +141,23 @@ def ignored(
         peer: Address that it is sent from.
     """
     t.bring(State.ACTIVE)
-    bodies: list[Any] = [wire.Command((t.last.sequence - answers) & WRAP, 0, NAN, NAN, 0.0)]
+    bodies: list[Any] = [wire.Command(0, 0, NAN, NAN, 0.0)]
     if back is None and not answers:
         bodies.append(wire.Control((t.request + 1) & WRAP, Operation.TRIP, 0, ZERO))
     if change is not bytes:
         bodies.append(wire.Estop(draw()))
     for body in bodies:
-        t.sequence = (t.sequence + (back is None)) & WRAP
-        frame = t.encode(body, session=session, sequence=(t.sequence - (back or 0)) & WRAP)
+        # before the sample's own answer: in lockstep anything after that is old
+        t.answering = False
+        t.states(1)
         t.others.clear()
+        t.sequence = (t.sequence + (back is None)) & WRAP
+        if isinstance(body, wire.Command):
+            body = body._replace(answers=(t.last.sequence - answers) & WRAP)
+        frame = t.encode(body, session=session, sequence=(t.sequence - (back or 0)) & WRAP)
         t.links[peer].send(change(frame))
+        t.answering = True
+        t.command(t.last.sequence, ZERO)
         try:
             t.expect(State.ACTIVE)
             same("answers", t.others, [])

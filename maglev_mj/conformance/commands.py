@@ -27,7 +27,7 @@ def _not_active(t: Tester) -> str:
     for state, faults in ((State.INACTIVE, 0), (State.FAULT, Fault.HOST)):
         t.bring(state)
         for held in (t.half, NAN, (100.0,) * 6):
-            t.command(t.last.sequence, held)
+            t.once = [[held]]
             t.expect(state, faults)
             zero(t)
     return "not obeyed, not examined"
@@ -42,7 +42,7 @@ def _bad_commands(name: str, fault: Fault, expected: str, values: Callable[[Test
             t.bring(State.ACTIVE, lambda frame: t.half)
             numbers = [*t.half, *t.half, 0.0]
             numbers[place] = value
-            t.command(t.last.sequence, numbers[:6], numbers[6:12], numbers[12])
+            t.once = [[numbers[:6], numbers[6:12], numbers[12]]]
             try:
                 t.expect(State.FAULT, fault, 1)
                 zero(t)
@@ -250,7 +250,7 @@ def _let_go(t: Tester, operation: Operation) -> str:
 
 
 def _over_current(t: Tester) -> str:
-    t.command(t.last.sequence, [1.001 * t.welcome.current_limit] * 6)
+    t.once = [[[1.001 * t.welcome.current_limit] * 6]]
     t.expect(State.FAULT, Fault.COIL_OVERCURRENT, 1)
     return zero(t)
 
