@@ -88,7 +88,7 @@ def test_a_command_of_no_numbers_is_invalid_too(force: object) -> None:
 
 
 def disarms(rig: Rig) -> None:
-    rig.twin.cut()
+    rig.twin.board.cut()
     rig.twin.firmware.state = State.INACTIVE
 
 

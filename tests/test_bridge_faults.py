@@ -20,10 +20,11 @@ from maglev_mj.bridge import firmware, safety
 from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.connection import Connection
 from maglev_mj.bridge.fault import DeviceFault
+from maglev_mj.bridge.fault_injection import INJECTED_FAULTS, InjectedFault
 from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.bridge.safety import ThermalModel
 from maglev_mj.bridge.simulated_links import Impairment, VirtualLink
-from maglev_mj.bridge.twin import INJECTED_FAULTS, REST, InjectedFault, Twin, TwinParameters
+from maglev_mj.bridge.twin import REST, Twin, TwinParameters
 from maglev_mj.bridge.wire import Command as CommandFrame
 from maglev_mj.bridge.wire import Fault, Operation, State, fault_names
 from maglev_mj.controller import Controller
@@ -185,7 +186,15 @@ SUFFERED: list[tuple[str, int, float, bool, Fault]] = [
     *(("clock-jump", jump, 1.0, False, Fault.CLOCK) for jump in (3, 30)),
     ("clock-jump", 100, 1.0, False, Fault.WATCHDOG),
     ("silence", 200, 1.0, False, Fault.WATCHDOG),
+    *(("stuck-diodes", 0, 1.0, moved, Fault.SENSOR_FROZEN) for moved in (False, True)),
+    ("stuck-counter", 0, 1.0, False, Fault.SENSOR_STOPPED),
+    *(("nan-spot", place, 1.0, False, Fault.SENSOR_OUT_OF_RANGE) for place in range(6)),
+    *(("nan-current", coil, 1.0, False, Fault.COIL_OVERCURRENT) for coil in range(6)),
+    *(("nan-temperature", coil, 1.0, False, Fault.COIL_OVERTEMP) for coil in range(6)),
+    *(("hot-report", coil, 1.0, False, Fault.COIL_OVERTEMP) for coil in range(6)),
 ]
+ELSEWHERE = {"stuck-amplifier", "hung-firmware"}
+"""Kinds with a test of their own: what they leave is another thing."""
 
 
 @pytest.mark.parametrize(
@@ -196,14 +205,14 @@ def test_a_misfortune_is_named(kind: str, which: int, at: float, moved: bool, fa
     hand = SpringHand(target=TOUR) if moved else None
     rig = Rig(faults=[InjectedFault(kind=kind, which=which, at=at)], hand=hand, period=period)
     error = fails(rig, fly(rig), fault)
-    assert rig.twin.firmware.faults == error.faults
+    assert rig.twin.firmware.faults & ~Fault.COIL_NOT_OFF == error.faults  # which a current that is NaN is too
     last = error.cycles[-1][0].tick
     assert last >= rig.plant.samples.tick - 1 or kind == "silence"
     print(f"{error.faults!r} after {(rig.plant.samples.tick * period - at) * 1e3:.0f} ms")
 
 
 def test_all_misfortunes_are_tried() -> None:
-    assert {kind for kind, *_ in SUFFERED} == set(INJECTED_FAULTS)
+    assert {kind for kind, *_ in SUFFERED} | ELSEWHERE == set(INJECTED_FAULTS)
 
 
 def test_a_device_that_says_nothing_is_given_up() -> None:
@@ -334,7 +343,7 @@ def test_a_second_takeoff_is_refused_and_forgets_nothing() -> None:
     with pytest.raises(PlantError, match="no takeoff: the device is ACTIVE, faults none"):
         rig.plant.takeoff()
     rig.plant.land()
-    assert np.abs(rig.twin.pose - REST).max() < 1e-4
+    assert np.abs(rig.twin.pose - REST).max() < 2e-4
 
 
 class Cold(ThermalModel):

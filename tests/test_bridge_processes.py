@@ -90,7 +90,7 @@ def flown(address: str, folder: Path, *options: str) -> Iterator[subprocess.Pope
     try:
         assert child.stdout is not None
         assert "takes off" in child.stdout.readline(), child.communicate(timeout=20)
-        time.sleep(1.2)  # twice as long as that
+        time.sleep(1.4)  # twice as long as that
         yield child
     finally:
         child.kill()
@@ -188,7 +188,7 @@ def test_a_host_that_is_killed_leaves_zero_current_and_the_next_one_must_reset(t
         report = looked_at(address)
         assert (report.state, report.faults, report.currents) == (State.FAULT, Fault.WATCHDOG, (0.0,) * 6)
         status, said = said_by("bridge", address, "--seconds", "0.5", "--out", str(tmp_path))
-        assert status == 1 and "refused ARM: it is FAULT, faults WATCHDOG" in said
+        assert status == 1 and "no takeoff: the device is FAULT, faults WATCHDOG" in said
         assert "fault, faults: WATCHDOG" in ended(device)[1]
 
 

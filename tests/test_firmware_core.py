@@ -205,7 +205,7 @@ def test_it_flies_the_twin_to_the_same_bytes(key: bytes | None) -> None:
     parameters = TwinParameters(lockstep=True)
     known, host = parameters.calibration, Codec(key)
     twins = [Twin(parameters, key=key, draw=lambda: 7) for _ in range(2)]
-    twins[1].firmware = CoreFirmware(parameters.profile, twins[1], twins[1].codec, lambda: 7)  # type: ignore[assignment]
+    twins[1].firmware = CoreFirmware(parameters.profile, twins[1].board, twins[1].codec, lambda: 7)  # type: ignore[assignment]
 
     def told(session: int, sequence: int, body: Any) -> None:
         data = host.encode(session, sequence, 0, body)

@@ -190,7 +190,7 @@ class Connection:
         open: Whether it has not been closed.
         samples: Their count, and what is missing of them.
         heard: When that was there, by the link's clock [ns].
-        latency: From there to having sent the last command [ns].
+        latency: From there to sending the last command [ns].
         settled: When the device last did what it was asked for, by its own clock [ns]: what a sample from before that
             says of its state is old.
 
@@ -232,27 +232,27 @@ class Connection:
         """Send currents."""
         self._last = command
         self._sequence = (self._sequence + 1) & _WRAP
-        link = self._link
-        link.send(self.codec.encode(self._session, self._sequence, link.now(), command))
-        self.latency = link.now() - self.heard
+        now = self._link.now()
+        self._link.send(self.codec.encode(self._session, self._sequence, now, command))
+        self.latency = now - self.heard
 
     def state(self, timeout: float) -> Frame | None:
         """Return the newest sample, or None if none comes in time [s]."""
         frame, self._waiting = self._waiting, None
         skipped, self._overtaken = self._overtaken, 0
-        link = self._link
+        link, left = self._link, timeout
         end = link.now() + int(timeout * 1e9)
         while frame is None:
-            data = link.receive(max((end - link.now()) * 1e-9, 0.0))
-            if data is None:
+            if (data := link.receive(left)) is None:
                 return None
             frame = self._sample_in(data)
+            self.heard = now = link.now()
+            left = max((end - now) * 1e-9, 0.0)
         # in lockstep there is no newer one: the device waits for the answer to this
         while not self.welcome.lockstep and (data := link.receive(0.0)) is not None:
             if (later := self._sample_in(data)) is not None:
-                frame = later
+                frame, self.heard = later, link.now()
                 skipped += 1
-        self.heard = link.now()
         self.samples.count(frame.sequence, frame.time, skipped)
         return frame
 
@@ -364,6 +364,9 @@ class Connection:
 
     def _is_newer(self, frame: Frame) -> bool:
         newest = self._newest
+        if newest is not None and frame.sequence == (newest + 1) & _WRAP:  # as nearly all are
+            self._newest = frame.sequence
+            return True
         if newest == frame.sequence and self.welcome.lockstep and self._last is not None:
             self.command(self._last)  # the device waits, so the answer was lost
         if newest is not None and not newer(frame.sequence, newest):

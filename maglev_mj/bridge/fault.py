@@ -11,11 +11,11 @@ from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
-from maglev_mj.bridge.wire import Fault, State, fault_names
+from maglev_mj.bridge.wire import Fault, Frame, StateReport, fault_names
 from maglev_mj.errors import MaglevError, PlantError
 from maglev_mj.frames import AXES, Array
 from maglev_mj.versions import versions
@@ -37,6 +37,10 @@ _COLUMNS = (
     *(f"{kind}{place}" for kind in ("measured", "temperature") for place in _SIX),
     *("delay", "latency"),
 )
+
+
+Cycle: TypeAlias = tuple[Frame, Sequence[float], Sequence[float], Sequence[float] | None, float, float, int]
+"""STATE frame, pose, held and pulsed currents [A], width [s], delay at the device [s], latency of the answer [ns]."""
 
 
 class HandshakeError(PlantError):
@@ -70,7 +74,7 @@ class BlackBox:
 
     def __init__(self, folder: Path) -> None:
         self._folder, self._versions = folder, versions()
-        self._rows: deque[tuple[Any, ...]] = deque(maxlen=_KEPT)
+        self._rows: deque[Cycle] = deque(maxlen=_KEPT)
         self.keep = self._rows.append
 
     def write(self, faults: Fault, message: str, about: Mapping[str, Any]) -> Path | None:
@@ -110,13 +114,15 @@ def _write(folder: Path, text: str, now: Callable[[], float] = time.time) -> Pat
             raise
 
 
-def _flat(row: Sequence[Any]) -> list[float | None]:
+def _flat(cycle: Cycle) -> list[float | None]:
     """Return a cycle as plain numbers, None for what is none: JSON knows no NaN."""
-    values: list[float | None] = []
-    for part in row:
-        for value in part if isinstance(part, (tuple, list)) else (part,):
-            values.append(value if value - value == 0 else None)
-    return values
+    frame, pose, held, pulsed, width, delay, latency = cycle
+    report: StateReport = frame.body  # type: ignore[assignment]
+    values = (
+        *(frame.sequence, frame.time, report.state, report.faults, *report.spots, *pose, *held, *(pulsed or held)),
+        *(width, *report.currents, *report.temperatures, delay, latency * 1e-9),
+    )
+    return [value if value - value == 0 else None for value in values]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -159,40 +165,6 @@ class FaultRecord:
         """Return six columns of a kind, such as "measured" or "pose", (N, 6)."""
         names = AXES if kind == "pose" else [f"{kind}{place}" for place in _SIX]
         return np.stack([self.columns[name] for name in names], axis=-1)
-
-    def rows(self) -> list[tuple[str, ...]]:
-        """Return the cycles as text, a row each, under a heading.
-
-        Sample, time before the last cycle [ms], state, pose [mm, mrad], the currents commanded and measured that are
-        largest [A], the highest temperature [%], delay and latency [ms]; a dash where a value is unknown.
-        """
-        told: list[tuple[str, ...]] = [
-            ("sample", "ms", "state", *AXES, "A cmd", "A meas", "warm %", "delay ms", "answer ms")
-        ]
-        pose, time = self.six("pose") * 1e3, self.time * 1e3
-        held, measured = (np.abs(self.six(kind)) for kind in ("held", "measured"))
-        commanded = np.where(self.columns["width"][:, None] > 0.0, np.maximum(held, np.abs(self.six("pulsed"))), held)
-        warm = self.six("temperature").max(axis=-1, initial=-np.inf) * 100.0
-        delay, latency = (self.columns[name] * 1e3 for name in ("delay", "latency"))
-        for place, sample in enumerate(self.columns["sample"]):
-            values = [*pose[place], commanded[place].max(), measured[place].max()]
-            state = self.columns["state"][place]
-            told.append(
-                (
-                    f"{sample:.0f}",
-                    f"{time[place]:.1f}",
-                    State(int(state)).name.lower() if state in tuple(State) else f"{state:.0f}",
-                    *(_cell(value, 2) for value in values),
-                    _cell(warm[place], 0),
-                    _cell(delay[place], 2),
-                    _cell(latency[place], 2),
-                )
-            )
-        return told
-
-
-def _cell(value: float, places: int) -> str:
-    return "-" if np.isnan(value) else f"{value:.{places}f}"
 
 
 def load_black_box(path: str | Path) -> FaultRecord:

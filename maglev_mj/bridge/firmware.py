@@ -133,6 +133,11 @@ class Firmware:
         # how many samples an answer may be behind
         self._stale = 0 if profile.lockstep else self._watchdog // profile.period
 
+    def _watch_anew(self) -> None:
+        """Forget what the guards saw before."""
+        self._coils, self._off, self._disabled = CoilGuard(), CoilGuard(), 0
+        self._spots = SpotGuard(self.profile.limits, self.profile.period * 1e-9)
+
     def receive(self, data: bytes, now: int, peer: Any) -> bytes | None:
         """Take a frame from a peer at an instant [ns]; return what to send back to it, if anything."""
         codec = self._codec
@@ -227,11 +232,6 @@ class Firmware:
             self._holding = True
             self._amplifiers.drive(now, self._hover, None, 0.0)
         return Fault(0)
-
-    def _watch_anew(self) -> None:
-        """Forget what the guards saw before."""
-        self._coils, self._off, self._disabled = CoilGuard(), CoilGuard(), 0
-        self._spots = SpotGuard(self.profile.limits, self.profile.period * 1e-9)
 
     def _hello(self, hello: Hello, now: int, peer: Any) -> bytes:
         if self.session and hello.nonce == self._nonce and peer == self.peer:

@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, NoReturn, Self
+from typing import NoReturn, Self
 
 from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.connection import Connection, EstopReport
@@ -20,6 +20,7 @@ from maglev_mj.bridge.safety import (
     Limits,
     OutputLimiter,
     SpotGuard,
+    command_fault,
     reading_fault,
     weight_fault,
 )
@@ -34,6 +35,7 @@ from maglev_mj.sensing.solver import PoseTracker
 
 __all__ = ["RemotePlant"]
 
+_INACTIVE, _ACTIVE, _FAULT = State  # an enumeration's members are slow to look up
 _NAN = math.nan
 _UNKNOWN = (_NAN,) * 6
 _MOST = Limits(current=100.0, continuous_current=100.0, hover=100.0)
@@ -130,8 +132,7 @@ class RemotePlant:
         self._owed = False  # an answer, to the last sample
         self._doubt = ""  # what is wrong with the last sample
         # the last sample, and its pose, which may not be known
-        self._report: StateReport | None = None
-        self._row: tuple[Any, ...] = ()
+        self._frame: Frame | None = None
         self._seen: Sequence[float] = _UNKNOWN
         self._known: Sequence[float] = ZERO
 
@@ -140,7 +141,7 @@ class RemotePlant:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
         try:
-            if self._armed and isinstance(error, Exception) and self.state == State.ACTIVE:
+            if self._armed and isinstance(error, Exception) and self.state is _ACTIVE:
                 with suppress(DeviceFault):
                     self._fail(Fault.HOST, f"{type(error).__name__}: {error}")
         finally:
@@ -167,15 +168,15 @@ class RemotePlant:
         # one from before the device did what it was asked for is old
         if (report.state != self.state or report.faults != self.faults) and frame.time > self._line.settled:
             self._adopt(report.state, report.faults)
-        if self.state == State.FAULT and self._armed:
+        if self.state is _FAULT and self._armed:
             self._fail(self.faults, "asked for")
         samples, limits = self.samples, self.limits
         fault = self._spots.check(report.spots, report.valid, report.conversions, samples.elapsed)
-        fault |= reading_fault(limits, report.currents, report.temperatures)
-        if fault or self._doubt:
-            self._mistrust(fault, report)
+        wrong = reading_fault(limits, report.currents, report.temperatures)
+        if fault or wrong or self._doubt:
+            self._mistrust(fault | wrong, report)
         position = self._locate(report.spots)
-        tick, active = samples.tick, self.state == State.ACTIVE
+        tick, active = samples.tick, self.state is _ACTIVE
         if wrong := self._guard.check(position, (tick - self._located) * self.period):
             self._doubt = f"{fault_names(wrong)}: the flotor is at {shown(position)}"
             if active:
@@ -184,7 +185,7 @@ class RemotePlant:
         if active:
             if samples.out_of_step:
                 self._fail(Fault.CLOCK, samples.out_of_step)
-            if max(report.temperatures) >= WARNING_RISE or max(self._output.thermal.rises) >= WARNING_RISE:
+            if max(report.temperatures) >= WARNING_RISE or self._output.thermal.warmest >= WARNING_RISE:
                 self._watch_temperatures()
         return Sample(tick, tick * self.period, position)
 
@@ -196,25 +197,57 @@ class RemotePlant:
             PlantError: If no sample was read.
         """
         self._check_open()
-        if self._report is None:
+        if self._frame is None:
             raise PlantError("write() needs a sample: call read() first")
         try:
             command, held, pulsed, width = self._output.currents(command, self._known)
         except (PlantError, TypeError) as error:
             self._fail(Fault.INVALID_COMMAND, str(error))
+        self._answer(self._frame, held, pulsed, width)
+        return command
+
+    def drive(self, currents: Sequence[float]) -> None:
+        """Send six currents in place of a wrench: one coil at a time.
+
+        Args:
+            currents: Of the coils [A], six.
+
+        Raises:
+            ParameterError: If one is not finite or above the limit.
+            PlantError: If no sample was read.
+        """
+        self._check_open()
+        if self._frame is None:
+            raise PlantError("drive() needs a sample: call read() first")
+        if command_fault(self.limits, currents, currents, 0.0):
+            raise ParameterError(f"currents must be within {self.limits.current:g} A, not {list(currents)}")
+        self._answer(self._frame, currents, None, 0.0)
+
+    def _answer(self, frame: Frame, held: Sequence[float], pulsed: Sequence[float] | None, width: float) -> None:
+        """Send the answer to the last sample, and count what it heats."""
         self._send(held, pulsed, width)
         self._owed = False
-        if self.state == State.ACTIVE:
+        if self.state is _ACTIVE:
             self._output.passed(held, pulsed, width)
         else:
             self._output.stay(1, ZERO)
-        self._keep(held, held if pulsed is None else pulsed, width)
-        return command
+        self._box.keep((frame, self._seen, held, pulsed, width, self.last_delay, self._line.latency))
+
+    @property
+    def report(self) -> StateReport:
+        """What the device said at the last sample.
+
+        Raises:
+            PlantError: If no sample was read.
+        """
+        if self._frame is None:
+            raise PlantError("there is no sample: call read() first")
+        return self._frame.body  # type: ignore[return-value]
 
     @property
     def temperatures(self) -> list[float]:
         """Of the six coils, the higher of what the device says and what was sent: 1 where they trip."""
-        said = ZERO if self._report is None else self._report.temperatures
+        said = ZERO if self._frame is None else self._frame.body.temperatures  # type: ignore[union-attr]
         return [max(one, other) for one, other in zip(said, self._output.thermal.rises)]
 
     @property
@@ -222,21 +255,25 @@ class RemotePlant:
         """From the last sample's arrival to its answer's leaving [s]."""
         return self._line.latency * 1e-9
 
-    def arm(self) -> None:
-        """Let the currents flow. Where commands are missing, the device holds the flotor by those that carry it.
+    def arm(self, hover: Sequence[float] | None = None) -> None:
+        """Let the currents flow.
+
+        Args:
+            hover: Currents that the device holds where commands are missing [A], six; those that carry the flotor by
+                default.
 
         Raises:
             PlantError: If the device refuses, as in the fault state.
         """
-        self._ask(Operation.ARM, hover=self._hover)
-        self.state, self._armed = State.ACTIVE, True
+        self._ask(Operation.ARM, hover=self._hover if hover is None else hover)
+        self.state, self._armed = _ACTIVE, True
 
     def disarm(self) -> None:
         """Switch the currents off."""
         self._ask(Operation.DISARM)
         self._armed = False
-        if self.state == State.ACTIVE:
-            self.state = State.INACTIVE
+        if self.state is _ACTIVE:
+            self.state = _INACTIVE
 
     def estop(self) -> EstopReport:
         """Switch the currents off in whatever state, and latch that it was asked for; the next sample is a fault.
@@ -254,11 +291,11 @@ class RemotePlant:
     def reset(self) -> None:
         """Leave the fault state; a PlantError if the device refuses because its coils are too warm."""
         self._ask(Operation.RESET)
-        self.state, self.faults, self.first, self.fault_time, self._armed = State.INACTIVE, Fault(0), Fault(0), 0, False
+        self.state, self.faults, self.first, self.fault_time, self._armed = _INACTIVE, Fault(0), Fault(0), 0, False
 
     def trip(self, faults: Fault) -> None:
         """Put the device into the fault state, whether or not the line is good enough for an answer."""
-        self._latch(faults, self._row[1] if self._row else 0)
+        self._latch(faults, self._frame.time if self._frame is not None else 0)
         with suppress(LinkError):  # the watchdog does it where there is no line
             self._line.control(Operation.TRIP, faults=faults)
 
@@ -276,7 +313,7 @@ class RemotePlant:
             PlantError: If it moves, does not lie on its lower stop, or is not measured; the device is not armed.
         """
         self._check_open()
-        if self.state != State.INACTIVE:
+        if self.state is not _INACTIVE:
             raise PlantError(f"no takeoff: the device is {self.state.name}, faults {fault_names(self.faults)}")
         leader, loop = self._leader, ControlLoop(self, self._leader)
         gc.collect()
@@ -344,7 +381,7 @@ class RemotePlant:
         if answer is None:
             raise PlantError(f"the device did not answer {operation.name} within {self._patience:g} s")
         if answer.result:
-            hint = "; see to it, then reset" if answer.state == State.FAULT else ""
+            hint = "; see to it, then reset" if answer.state == _FAULT else ""
             state = State(answer.state).name if answer.state in tuple(State) else f"in state {answer.state}"
             raise PlantError(
                 f"the device refused {operation.name}: it is {state}, faults {fault_names(answer.faults)}{hint}"
@@ -356,14 +393,13 @@ class RemotePlant:
 
     def _next_frame(self) -> Frame:
         """Return the newest STATE."""
-        missing = f"no sample from the device within {self._patience:g} s"
         try:
-            frame = self._line.state(self._patience)
+            if (frame := self._line.state(self._patience)) is not None:
+                return frame
+            missing = f"no sample from the device within {self._patience:g} s"
         except LinkError as error:
-            frame, missing = None, str(error)
-        if frame is not None:
-            return frame
-        if self.state == State.ACTIVE:
+            missing = str(error)
+        if self.state is _ACTIVE:
             self._fail(Fault.HOST, missing)
         raise PlantError(missing)
 
@@ -372,23 +408,22 @@ class RemotePlant:
         answered, self._owed = not self._owed, False
         elapsed = self.samples.elapsed
         if (unanswered := elapsed - answered) > 0:  # what nobody wrote for: the coils cool, or go on
-            self._output.stay(unanswered, self.last_currents if self.state == State.ACTIVE else ZERO)
+            self._output.stay(unanswered, self.last_currents if self.state is _ACTIVE else ZERO)
         in_force = elapsed == 1 and report.answered == self._sequence
         self.last_delay = self.period - report.age * 1e-6 + self.delay if in_force else _NAN
-        self._sequence, self._report = frame.sequence, report
-        self._row, self._seen = (frame.sequence, frame.time, report.state, report.faults, report.spots), _UNKNOWN
+        self._sequence, self._frame, self._seen = frame.sequence, frame, _UNKNOWN
 
     def _adopt(self, state: int, faults: int) -> None:
         """Take over the state that the device says it is in, and complain of one that flying cannot go on in."""
         if state not in tuple(State):
             self._fail(Fault.HOST, f"the device says that it is in state {state}, which is none")
         before = self.state
-        if state == State.FAULT:
-            self._latch(Fault(faults), self._row[1])
+        if state == _FAULT:
+            self._latch(Fault(faults), self._frame.time if self._frame is not None else 0)
         self.state, self.faults = State(state), Fault(faults)
-        if self.state == State.FAULT != before:
+        if self.state is _FAULT is not before:
             self._fail(self.faults, "said by the device")
-        if self.state == State.INACTIVE and before == State.ACTIVE:
+        if self.state is _INACTIVE and before == _ACTIVE:
             self._fail(Fault.HOST, "the device switched its currents off without being asked to")
 
     def _mistrust(self, fault: Fault, report: StateReport) -> None:
@@ -402,7 +437,7 @@ class RemotePlant:
         if fault & (Fault.COIL_OVERCURRENT | Fault.COIL_OVERTEMP):
             said = f"measured currents {', '.join(rest[:6])} A, temperatures {', '.join(rest[6:])}"
         self._doubt = f"{fault_names(fault)}: {said}"
-        if self.state == State.ACTIVE:
+        if self.state is _ACTIVE:
             self._fail(fault, said)
 
     def _locate(self, spots: Sequence[float]) -> list[float]:
@@ -412,7 +447,7 @@ class RemotePlant:
         try:
             position = self._track(spots)
         except SensingError as error:
-            if self.state == State.ACTIVE:
+            if self.state is _ACTIVE:
                 self._fail(Fault.SENSOR_OUT_OF_RANGE, str(error))
             raise
         self._known = position
@@ -422,31 +457,13 @@ class RemotePlant:
 
     def _send(self, held: Sequence[float], pulsed: Sequence[float] | None, width: float) -> None:
         self.last_currents = held
-        one, other = tuple(held), tuple(held if pulsed is None else pulsed)
+        one = tuple(held)
         try:
-            self._line.command(CommandFrame(self._sequence, 0, one, other, width))
+            self._line.command(CommandFrame(self._sequence, 0, one, one if pulsed is None else tuple(pulsed), width))
         except LinkError as error:
-            if self.state == State.ACTIVE:
+            if self.state is _ACTIVE:
                 self._fail(Fault.HOST, str(error))
             raise
-
-    def _keep(self, held: Sequence[float], pulsed: Sequence[float], width: float) -> None:
-        """Keep a cycle for the black box."""
-        report, latency = self._report, self._line.latency * 1e-9
-        assert report is not None
-        self._box.keep(
-            (
-                *self._row,
-                self._seen,
-                held,
-                pulsed,
-                width,
-                report.currents,
-                report.temperatures,
-                self.last_delay,
-                latency,
-            )
-        )
 
     def _watch_temperatures(self) -> None:
         warmest = max(temperatures := self.temperatures)
@@ -459,12 +476,12 @@ class RemotePlant:
     def _latch(self, faults: Fault, time: int) -> None:
         if not self.faults:
             self.first, self.fault_time = faults, time
-        self.state, self.faults = State.FAULT, self.faults | faults
+        self.state, self.faults = _FAULT, self.faults | faults
 
     def _fail(self, faults: Fault, message: str) -> NoReturn:
         """Put the device into the fault state, keep the last cycles, and say so."""
         self._armed = False
-        if self.state != State.FAULT or not self.faults & faults:
+        if self.state is not _FAULT or not self.faults & faults:
             with suppress(Exception):  # what went wrong is told, and the last cycles kept, whatever else fails
                 self.trip(faults)
         faults |= self.faults  # such as an e-stop, after which it fell
@@ -473,7 +490,9 @@ class RemotePlant:
             **{"first": fault_names(self.first), "fault_time_ns": self.fault_time, "tick": samples.tick},
             **{"lost": samples.lost, "skipped": samples.skipped, "period_ns": samples.period},
         }
-        if self._report is not None:
-            self._keep(self.last_currents, self.last_currents, 0.0)
+        if self._frame is not None:
+            self._box.keep(
+                (self._frame, self._seen, self.last_currents, None, 0.0, self.last_delay, self._line.latency)
+            )
         path = self._box.write(faults, message, about)
         raise DeviceFault(faults, message, path)

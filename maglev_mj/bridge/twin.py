@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import re
 import secrets
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from maglev_mj.bridge.calibration import Calibration
+from maglev_mj.bridge.fault_injection import INJECTED_FAULTS, Effect, InjectedFault
 from maglev_mj.bridge.firmware import Firmware, Profile, Reading
 from maglev_mj.bridge.realtime import LatencyHistogram
 from maglev_mj.bridge.safety import Limits
-from maglev_mj.bridge.wire import Codec
-from maglev_mj.errors import ParameterError
+from maglev_mj.bridge.wire import Codec, StateReport
 from maglev_mj.frames import ZERO, Array
 from maglev_mj.hand import HandForce
 from maglev_mj.net.udp import Address, Server
@@ -27,7 +27,7 @@ from maglev_mj.parameters import flag, number
 from maglev_mj.plants import MuJoCoPlant, SpotReader, Timing
 from maglev_mj.spec import Spec
 
-__all__ = ["INJECTED_FAULTS", "REST", "InjectedFault", "ServerReport", "Twin", "TwinParameters", "TwinServer"]
+__all__ = ["REST", "AmplifierBoard", "ServerReport", "Twin", "TwinParameters", "TwinServer"]
 
 REST = (0.0, 0.0, -Spec.translation_range.value, 0.0, 0.0, 0.0)
 """Where the flotor lies while nothing carries it [m, rad]: on its lower stop."""
@@ -35,56 +35,6 @@ REST = (0.0, 0.0, -Spec.translation_range.value, 0.0, 0.0, 0.0)
 _ALL = 7
 _MARGIN = 1.25
 """Hover currents may be that much above those of the calibration."""
-
-INJECTED_FAULTS = {
-    "dead-coil": ("coil K gives no current", 5),
-    "stuck-diode": ("diode K repeats its last spot", 2),
-    "invalid-diode": ("diode K says that its spot cannot be trusted", 2),
-    "swapped-diodes": ("the cables of diode K and the next are exchanged", 2),
-    "clock-jump": ("the device's clock jumps ahead by K milliseconds", 10_000),
-    "silence": ("nothing comes or goes for K milliseconds", 60_000),
-}
-"""Faults of a device by name: what goes wrong, and the largest K."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class InjectedFault:
-    """What goes wrong with a twin, and when.
-
-    Args:
-        kind: One of INJECTED_FAULTS.
-        which: Its K.
-        at: When, in simulated time [s].
-
-    Raises:
-        ParameterError: If there is no such fault, or a number is outside its bounds.
-    """
-
-    kind: str
-    which: int
-    at: float
-
-    def __post_init__(self) -> None:
-        if self.kind not in INJECTED_FAULTS:
-            raise ParameterError(f"fault must be one of {', '.join(INJECTED_FAULTS)}, not {self.kind!r}")
-        most = INJECTED_FAULTS[self.kind][1]
-        if not 0 <= self.which <= most:
-            raise ParameterError(f"{self.kind} must be of 0 to {most}, not {self.which}")
-        number("fault time", self.at, at_least=0.0)
-
-    @classmethod
-    def parse(cls, text: str) -> InjectedFault:
-        """Return what NAME:K@SECONDS says.
-
-        Raises:
-            ParameterError: If it says nothing.
-        """
-        found = re.fullmatch(r"([a-z-]+):(\d+)@(\d+\.?\d*)", text)
-        if not found:
-            raise ParameterError(
-                f"fault must be NAME:K@SECONDS with a name of {', '.join(INJECTED_FAULTS)}, not {text!r}"
-            )
-        return cls(kind=found[1], which=int(found[2]), at=float(found[3]))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -149,6 +99,71 @@ class TwinParameters:
         )
 
 
+class AmplifierBoard:
+    """Six amplifiers with an enable line, in simulated hardware: no program stands between line and currents.
+
+    They open at the instant at which the line has stood still for too long; see `Amplifiers`.
+
+    Args:
+        plant: The coils.
+        parameters: Of the twin.
+
+    Attributes:
+        now: The hardware's time [ns].
+        stuck: Currents of coils that keep theirs whatever is asked for [A], by coil.
+    """
+
+    def __init__(self, plant: MuJoCoPlant, parameters: TwinParameters) -> None:
+        self._plant, self._lockstep, self._delay = plant, parameters.lockstep, parameters.delay
+        self._enable = round(parameters.profile.limits.enable * 1e9)
+        self._sampled_at, self.now, self._opens = -1, 0, 0
+        self._told: Sequence[float] = ZERO
+        self.stuck: dict[int, float] = {}
+
+    @property
+    def enabled(self) -> bool:
+        """Whether the line lives and currents can flow."""
+        return self.now < self._opens
+
+    def commanded(self, currents: list[float]) -> list[float]:
+        """Return what the amplifiers were told, where so much flows [A], six."""
+        return [self._told[coil] if coil in self.stuck else one for coil, one in enumerate(currents)]
+
+    def drive(self, now: int, held: Sequence[float], pulsed: Sequence[float] | None, width: float) -> None:
+        """Switch the currents [A] after the conversion's delay."""
+        if self.enabled:
+            # in lockstep the answer takes no time; saying so in seconds would round
+            after = None if self._lockstep else (self.now - self._sampled_at) * 1e-9 + self._delay
+            self._switch(held, pulsed, width, after)
+
+    def cut(self) -> None:
+        """Switch all currents off at once."""
+        self._switch(ZERO, None, 0.0, (self.now - self._sampled_at) * 1e-9)
+
+    def toggle(self, now: int) -> None:
+        """Change the level of the enable line."""
+        self._opens = self.now + self._enable
+
+    def go_on(self, now: int) -> None:
+        """Go on to the next sample [ns]; open on the way if it is time."""
+        if self._sampled_at < self._opens <= now:
+            self.now = self._opens
+            self.cut()
+
+    def sampled(self, now: int) -> None:
+        """Take note of the instant of a sample [ns]."""
+        self._sampled_at = self.now = now
+
+    def _switch(self, held: Sequence[float], pulsed: Sequence[float] | None, width: float, after: float | None) -> None:
+        self._told = held
+        if self._sampled_at >= 0:  # before that nothing flows
+            pulsed = None if pulsed is None else self._flowing(pulsed)
+            self._plant.drive(self._flowing(held), pulsed, width, after=after)
+
+    def _flowing(self, told: Sequence[float]) -> Sequence[float]:
+        return [self.stuck.get(coil, one) for coil, one in enumerate(told)] if self.stuck else told
+
+
 class Twin:
     """A device that is not there. Its time [ns] is the simulated one: whole sample periods, and what others say.
 
@@ -159,9 +174,13 @@ class Twin:
         draw: See `Firmware`.
 
     Attributes:
-        plant: The device in the engine; commanded by nobody else.
+        plant: The device in the engine; commanded by nobody but the board.
+        board: Its amplifiers.
         firmware: Its side of the wire.
         tick: Number of the last sample; -1 before the first.
+        ahead: How far the firmware's clock has jumped [ns].
+        hung: Whether the firmware hangs.
+        silent_until: Until when nothing comes or goes [ns].
     """
 
     def __init__(
@@ -178,26 +197,18 @@ class Twin:
         self._read = SpotReader(truth.beams, quantum=parameters.quantum, noise=parameters.noise, seed=parameters.seed)
         self._offsets: list[float] | None = truth.spot_offsets.tolist() if truth.spot_offsets.any() else None
         self.codec = Codec(key)
-        self.firmware = Firmware(parameters.profile, self, self.codec, draw or _draw)
+        self.board = AmplifierBoard(self.plant, parameters)
+        self.firmware = Firmware(parameters.profile, self.board, self.codec, draw or _draw)
         self.tick = -1
-        self._period, self._delay = parameters.profile.period, parameters.delay
-        self._enable = round(parameters.profile.limits.enable * 1e9)
-        self._sampled_at, self._now = 0, 0
+        self._period = parameters.profile.period
         self._waiting = sorted(parameters.faults, key=lambda one: one.at)
-        self._live: dict[str, int] = {}
-        self._silent_until, self._ahead = -1, 0
-        self._stuck: list[float] = []
-        self._conversions, self._toggled = 0, -1
+        self._live: list[tuple[Effect, int, Reading]] = []
+        self.ahead, self.hung, self.silent_until = 0, False, 0
 
     @property
     def answered(self) -> bool:
         """Whether the last sample has had its answer, in lockstep."""
         return self.firmware.answered == self.tick & 0xFFFFFFFF
-
-    @property
-    def silent(self) -> bool:
-        """Whether nothing comes or goes for the moment."""
-        return self._sampled_at < self._silent_until
 
     @property
     def pose(self) -> Array:
@@ -206,10 +217,10 @@ class Twin:
 
     def receive(self, data: bytes, now: int, peer: Any) -> bytes | None:
         """Take a frame from a peer at an instant of simulated time [ns]; return what to send back, if anything."""
-        if self.silent:
+        if self.hung or self._silent:
             return None
-        self._now = max(now, self._sampled_at)
-        return self.firmware.receive(data, self._now + self._ahead, peer)
+        self.board.now = max(now, self.tick * self._period)
+        return self.firmware.receive(data, self.board.now + self.ahead, peer)
 
     def sample(self) -> bytes | None:
         """Go on to the next sampling instant; return what to send to the host in session, if there is one.
@@ -217,72 +228,49 @@ class Twin:
         Raises:
             DivergenceError: If the flotor leaves its range by a wide margin, which metal stops do not allow.
         """
+        now = (self.tick + 1) * self._period
+        self.board.go_on(now)
         position = self.plant.read().position
         self.tick += 1
-        self._sampled_at = self._now = self.tick * self._period
-        if self._waiting:
-            self._suffer()
-        spots = self._read(position)
+        self.board.sampled(now)
+        spots: Sequence[float] = self._read(position)
         if self._offsets is not None:
             spots = [spot + offset for spot, offset in zip(spots, self._offsets)]
-        valid, currents = _ALL, self.plant.currents.tolist()
-        measured: Sequence[float] = currents
-        if self._live:
-            spots, valid, measured = self._afflicted(spots, currents)
-        self._conversions += 1
-        enabled = self._toggled >= 0 and self._now - self._toggled <= self._enable
-        if not enabled:
-            self.cut()
-        reading = Reading(spots, valid, measured, currents, self.plant.segments, self._conversions, enabled)
-        frame = self.firmware.sample(self.tick, self._now + self._ahead, reading)
-        return None if self.silent else frame
+        currents = self.plant.currents.tolist()
+        told = self.board.commanded(currents) if self.board.stuck else currents
+        reading = Reading(spots, _ALL, currents, told, self.plant.segments, self.tick + 1, self.board.enabled)
+        if self._waiting:
+            self._begin(reading)
+        for effect, which, first in self._live:
+            reading = reading if effect.read is None else effect.read(reading, first, which)
+        if self.hung:
+            return None
+        frame = self.firmware.sample(self.tick, now + self.ahead, reading)
+        return None if frame is None or self._silent else self._reported(frame)
 
-    def drive(self, now: int, held: Sequence[float], pulsed: Sequence[float] | None, width: float) -> None:
-        """Switch the currents [A] after the conversion's delay; see `Amplifiers`."""
-        # in lockstep the answer takes no time; saying so in seconds would round
-        after = None if self.parameters.lockstep else (self._now - self._sampled_at) * 1e-9 + self._delay
-        self.plant.drive(held, pulsed, width, after=after)
+    @property
+    def _silent(self) -> bool:
+        return max(self.tick, 0) * self._period < self.silent_until
 
-    def cut(self) -> None:
-        """Switch all currents off at once; see `Amplifiers`."""
-        if self.tick >= 0:
-            self.plant.drive(ZERO, after=(self._now - self._sampled_at) * 1e-9)
-
-    def toggle(self, now: int) -> None:
-        """Keep the amplifier board's enable line alive; see `Amplifiers`."""
-        self._toggled = self._now
-
-    def _suffer(self) -> None:
-        """Begin with what goes wrong by now."""
-        while self._waiting and self._waiting[0].at * 1e9 <= self._sampled_at:
+    def _begin(self, reading: Reading) -> None:
+        """Begin with the faults whose time has come."""
+        while self._waiting and self._waiting[0].at * 1e9 <= self.tick * self._period:
             one = self._waiting.pop(0)
-            if one.kind == "clock-jump":
-                self._ahead += one.which * 1_000_000
-            elif one.kind == "silence":
-                self._silent_until = self._sampled_at + one.which * 1_000_000
-            else:
-                self._live[one.kind] = one.which
-                if one.kind == "dead-coil":
-                    self.plant.open_coil(one.which)
+            effect = INJECTED_FAULTS[one.kind]
+            if effect.begin is not None:
+                effect.begin(self, one.which)
+            self._live.append((effect, one.which, reading))
 
-    def _afflicted(self, spots: list[float], currents: Sequence[float]) -> tuple[list[float], int, Sequence[float]]:
-        """Return spots, which of them are valid, and currents, as a device reads them that is not well."""
-        live, valid = self._live, _ALL
-        if "swapped-diodes" in live:
-            one = live["swapped-diodes"]
-            pairs = [spots[0:2], spots[2:4], spots[4:6]]
-            pairs[one], pairs[(one + 1) % 3] = pairs[(one + 1) % 3], pairs[one]
-            spots = [part for pair in pairs for part in pair]
-        if "stuck-diode" in live:
-            first = 2 * live["stuck-diode"]
-            self._stuck = self._stuck or spots[first : first + 2]
-            spots[first : first + 2] = self._stuck
-        if "invalid-diode" in live:
-            valid = _ALL & ~(1 << live["invalid-diode"])
-        measured = list(currents)
-        if "dead-coil" in live:
-            measured[live["dead-coil"]] = 0.0
-        return spots, valid, measured
+    def _reported(self, data: bytes) -> bytes:
+        """Return a STATE frame as the faults let it be."""
+        changes = [(effect.report, which) for effect, which, _ in self._live if effect.report is not None]
+        frame = self.codec.decode(data) if changes else None
+        if frame is None or not isinstance(frame.body, StateReport):
+            return data
+        body = frame.body
+        for change, which in changes:
+            body = change(body, which)
+        return self.codec.encode(frame.session, frame.sequence, frame.time, body)
 
 
 def _plant(parameters: TwinParameters, truth: Calibration, hand_force: HandForce | None) -> MuJoCoPlant:
@@ -297,6 +285,7 @@ def _plant(parameters: TwinParameters, truth: Calibration, hand_force: HandForce
         inertia=None if np.array_equal(truth.inertia, known.inertia) else truth.inertia,
         pose=parameters.pose,
         stops=True,
+        stop_damping=True,
         hand_force=hand_force,
     )
 
@@ -305,10 +294,10 @@ def _draw() -> int:
     return secrets.randbelow(2**32 - 1) + 1
 
 
-_AGAIN = 0.02
-_LET_GO = 2.0
-_LOOK = 0.05
-_AT_ONCE = 8
+_AGAIN, _LET_GO, _LOOK = 0.02, 2.0, 0.05
+_MOST, _FEW = 4096, 32
+_ESTOP = b"\x07"
+"""The fourth byte of an emergency stop."""
 
 
 class ServerReport(NamedTuple):
@@ -332,7 +321,7 @@ class TwinServer:
 
     In real time it is the clock of both ends: it samples at absolute deadlines, and where it is late by whole periods
     simulated time stands still for as long. In lockstep it takes a sample when the one before is answered, says it
-    again after 20 ms without answer, and lets go after 2 s.
+    again after 20 ms without answer, and lets go after 2 s. Emergency stops are taken before whatever else waits.
 
     Args:
         twin: The device.
@@ -346,10 +335,12 @@ class TwinServer:
 
     def __init__(self, twin: Twin, server: Server, *, spin: float = 0.0) -> None:
         self.twin, self._server, self._spin = twin, server, spin
-        self._period = twin.firmware.profile.period
+        self._lockstep, self._period = twin.parameters.lockstep, twin.firmware.profile.period
         self.address: Address = server.address
         self.missed = 0
         self.latency = LatencyHistogram()
+        self._waiting: deque[tuple[bytes, Address]] = deque()
+        self._zero = self._deadline = 0
         self._stopped = threading.Event()
 
     def run(self, duration: float | None = None, each: Callable[[], object] | None = None) -> ServerReport:
@@ -362,17 +353,26 @@ class TwinServer:
         Raises:
             MaglevError: If the simulated device cannot go on, or the line is gone.
         """
-        start = time.monotonic_ns()
+        twin, start = self.twin, time.monotonic_ns()
         end = None if duration is None else start + round(duration * 1e9)
+        self._zero = start - max(twin.tick, 0) * self._period
         try:
-            if self.twin.parameters.lockstep:
-                self._in_lockstep(end, each)
-            else:
-                self._in_real_time(end, each)
+            while not self._stopped.is_set() and (end is None or time.monotonic_ns() < end):
+                if not self._lockstep:
+                    self._await_deadline()
+                elif twin.firmware.session == 0:
+                    self._hear(_LOOK)
+                    continue
+                frame = twin.sample()
+                self._say(frame)
+                if each is not None:
+                    each()
+                if self._lockstep:
+                    self._await_answer(frame)
         finally:
-            self.twin.cut()
+            twin.board.cut()
         wall = (time.monotonic_ns() - start) * 1e-9
-        return ServerReport(self.twin.tick + 1, self.missed, wall, self.latency)
+        return ServerReport(twin.tick + 1, self.missed, wall, self.latency)
 
     def stop(self) -> None:
         """Let `run` end; from any thread."""
@@ -383,65 +383,25 @@ class TwinServer:
         self.stop()
         self._server.close()
 
-    def _over(self, end: int | None) -> bool:
-        return self._stopped.is_set() or (end is not None and time.monotonic_ns() >= end)
-
-    def _in_real_time(self, end: int | None, each: Callable[[], object] | None) -> None:
-        twin, clock, period = self.twin, time.monotonic_ns, self._period
-        zero = clock() - max(twin.tick, 0) * period
-        while not self._over(end):
-            deadline = zero + (twin.tick + 1) * period
-            self._listen(deadline, zero)
-            late = clock() - deadline
-            self.latency.add(late)
-            # a machine that stalls makes simulated time stall, where catching up would look like a host gone silent
-            self.missed += late // period
-            zero += late // period * period
-            self._say(twin.sample())
-            if each is not None:
-                each()
-
-    def _listen(self, deadline: int, zero: int) -> None:
-        """Take frames until a deadline [ns]; a few where it has passed already, for late is not deaf."""
-        clock, server = time.monotonic_ns, self._server
-        for _ in range(_AT_ONCE if clock() >= deadline else 0):
-            if (arrived := server.receive(0.0)) is None:
-                break
-            self._take(*arrived, deadline - zero)
-        while (left := deadline - clock()) > 0:
-            arrived = server.receive(min(left * 1e-9, _LOOK))
-            if arrived is not None:
-                self._take(*arrived, clock() - zero)
-            elif self._stopped.is_set():
-                return
-
-    def _take(self, data: bytes, sender: Address, now: int) -> None:
-        answer = self.twin.receive(data, now, sender)
-        if answer is not None:
-            self._server.send(answer, sender)
-
-    def _say(self, frame: bytes | None) -> None:
-        if frame is not None and self.twin.firmware.session:  # it may have ended since
-            self._server.send(frame, self.twin.firmware.peer)
-
-    def _in_lockstep(self, end: int | None, each: Callable[[], object] | None) -> None:
-        twin = self.twin
-        while not self._over(end):
-            if twin.firmware.session == 0:
-                self._hear(_LOOK)
-                continue
-            frame = twin.sample()
-            self._say(frame)
-            if each is not None:
-                each()
-            self._await_answer(frame)
+    def _await_deadline(self) -> None:
+        """Take frames until the next sample is due, and those that wait then: late is not deaf."""
+        clock, period = time.monotonic_ns, self._period
+        self._deadline = self._zero + (self.twin.tick + 1) * period
+        left = 1
+        while left > 0 and not self._stopped.is_set():
+            left = self._deadline - clock()
+            self._hear(min(max(left * 1e-9, 0.0), _LOOK))
+        late = max(clock() - self._deadline, 0)
+        self.latency.add(late)
+        # a machine that stalls makes simulated time stall, where catching up would look like a host gone silent
+        self.missed += late // period
+        self._zero += late // period * period
 
     def _await_answer(self, frame: bytes | None) -> None:
         """Wait until the last sample is answered, or nobody is there any more."""
         twin, clock = self.twin, time.monotonic_ns
         asked = clock()
-        patience = asked + round(_LET_GO * 1e9)
-        again = asked + round(_AGAIN * 1e9)
+        patience, again = asked + round(_LET_GO * 1e9), asked + round(_AGAIN * 1e9)
         spun = asked + round(self._spin * 1e9)
         while not twin.answered and twin.firmware.session and not self._stopped.is_set():
             self._hear(0.0 if clock() < spun else _AGAIN)
@@ -455,7 +415,38 @@ class TwinServer:
                 again = now + round(_AGAIN * 1e9)
 
     def _hear(self, timeout: float) -> None:
-        """Take a frame if one comes in time [s]."""
-        arrived = self._server.receive(timeout)
-        if arrived is not None:
-            self._take(*arrived, max(self.twin.tick, 0) * self._period)
+        """Wait so long for a frame [s], and take those that wait then, for a period at most once the sample is due."""
+        self._collect(0.0 if self._waiting else timeout)
+        for count in range(1, len(self._waiting) + 1):
+            self._take(*self._waiting.popleft())
+            if count % _FEW == 0:
+                self._collect(0.0)
+                if self._overdue:
+                    return
+
+    def _collect(self, timeout: float) -> None:
+        """Put what has come into the queue; take emergency stops at once."""
+        for count in range(_MOST):
+            if (count % _FEW == _FEW - 1 and self._overdue) or (arrived := self._server.receive(timeout)) is None:
+                return
+            timeout = 0.0
+            if arrived[0][3:4] == _ESTOP:
+                self._take(*arrived)
+            elif len(self._waiting) < _MOST:
+                self._waiting.append(arrived)
+
+    @property
+    def _overdue(self) -> bool:
+        return not self._lockstep and time.monotonic_ns() > self._deadline + self._period
+
+    def _take(self, data: bytes, sender: Address) -> None:
+        now = max(self.twin.tick, 0) * self._period
+        if not self._lockstep:
+            now = min(time.monotonic_ns(), self._deadline) - self._zero
+        answer = self.twin.receive(data, now, sender)
+        if answer is not None:
+            self._server.send(answer, sender)
+
+    def _say(self, frame: bytes | None) -> None:
+        if frame is not None and self.twin.firmware.session:  # it may have ended since
+            self._server.send(frame, self.twin.firmware.peer)

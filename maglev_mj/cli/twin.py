@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+import math
+import re
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,23 +13,26 @@ from typing import Any
 import numpy as np
 
 from maglev_mj.bridge.calibration import Calibration
+from maglev_mj.bridge.fault_injection import INJECTED_FAULTS, InjectedFault
 from maglev_mj.bridge.realtime import realtime, stopping
 from maglev_mj.bridge.safety import Limits
-from maglev_mj.bridge.twin import INJECTED_FAULTS, InjectedFault, Twin, TwinParameters, TwinServer
+from maglev_mj.bridge.twin import Twin, TwinParameters, TwinServer
 from maglev_mj.bridge.wire import fault_names
 from maglev_mj.cli.options import add_bridge, chosen_key, count, number_option
 from maglev_mj.errors import ParameterError
+from maglev_mj.frames import AXES, ZERO
+from maglev_mj.hand import HandForce, SpringHand
 from maglev_mj.net.udp import Server, UdpServer, check_host, parse_url
 from maglev_mj.parameters import number
 from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.scenes import find_scene
 from maglev_mj.scenes.parts import WEIGHT
 from maglev_mj.session import Publishers, SampledMotion, Snapshot
-from maglev_mj.spec import Spec
+from maglev_mj.spec import INERTIA, Spec
 from maglev_mj.tables import served_table
 from maglev_mj.viewer.process import RemoteViewer
 
-__all__ = ["add_command"]
+__all__ = ["add_command", "foam"]
 
 _LISTEN = "udp://127.0.0.1:5678"
 
@@ -50,9 +55,19 @@ def add_command(commands: Any) -> None:
         )
     twin.add_argument("--seed", type=count, default=0, metavar="N", help="of the noise (default 0)")
     twin.add_argument("--lockstep", action="store_true", help="wait for each answer instead of keeping real time")
-    faults = "; ".join(f"{name}:K, {text}" for name, (text, _) in INJECTED_FAULTS.items())
+    faults = "; ".join(f"{name}:K, {effect.words}" for name, effect in INJECTED_FAULTS.items())
     twin.add_argument(
         "--fault", action="append", default=[], metavar="NAME:K@SECONDS", help=f"what goes wrong, and when: {faults}"
+    )
+    twin.add_argument(
+        "--push",
+        action="append",
+        default=[],
+        metavar="AXIS:NEWTONS@START-END",
+        help="a hand that pushes along x, y, z (N) or about rx, ry, rz (N m) from START to END [s], such as z:-5@2-3",
+    )
+    twin.add_argument(
+        "--block", type=number_option, metavar="X", help="foam around the centre, so stiff [N/m], as for `commission`"
     )
     twin.add_argument("--truth", metavar="FILE", type=Path, help="what the device is, where a host knows it wrongly")
     add_bridge(twin)
@@ -79,6 +94,8 @@ def _twin(options: argparse.Namespace) -> int:
         limits=Limits(watchdog=options.watchdog),
         faults=[InjectedFault.parse(text) for text in options.fault],
     )
+    block = None if options.block is None else foam(number("block", options.block, above=0.0, at_most=20_000.0))
+    _hand(options.push, None)  # a push that is none is said before a window opens
     viewer = None
     if options.view:
         from maglev_mj.viewer.window import require_display
@@ -88,7 +105,7 @@ def _twin(options: argparse.Namespace) -> int:
         off = {one.name: False for one in look.parameters() if one.kind is bool and one.live}
         blank = Snapshot(scene=look(**off, period=parameters.period, delay=parameters.delay))
         viewer = RemoteViewer(blank)
-    twin = Twin(parameters, key=key, hand_force=None if viewer is None else viewer.hand)
+    twin = Twin(parameters, key=key, hand_force=_hand(options.push, block if viewer is None else viewer.hand))
     server = TwinServer(twin, _server(options.listen, key))
     print(_greeting(options, server), flush=True)
     try:
@@ -103,6 +120,42 @@ def _twin(options: argparse.Namespace) -> int:
             viewer.close()
     print(served_table(served, twin))
     return 0
+
+
+def foam(stiffness: float) -> SpringHand:
+    """Return what holds the flotor at the centre, elastically, with critical damping of its translations."""
+    mass, lever = INERTIA[0], 0.02  # [m]
+    damping = 2.0 * math.sqrt(stiffness * mass)
+    return SpringHand(
+        stiffness=stiffness,
+        damping=0.5 * damping,
+        turning_stiffness=stiffness * lever**2,
+        turning_damping=0.5 * damping * lever**2,
+        force_limit=100.0,
+        torque_limit=2.0,
+        target=ZERO,
+    )
+
+
+def _hand(pushes: Sequence[str], mouse: HandForce | None) -> HandForce | None:
+    """Return a hand that pushes when it is time to, beside that of the mouse."""
+    parts: list[tuple[int, float, float, float]] = []
+    for text in pushes:
+        found = re.fullmatch(r"(r?[xyz]):([+-]?\d+\.?\d*)@(\d+\.?\d*)-(\d+\.?\d*)", text)
+        if not found or float(found[3]) >= float(found[4]):
+            axes = ", ".join(AXES)
+            raise ParameterError(
+                f"push must be AXIS:NEWTONS@START-END with an axis of {axes} and START before END, not {text!r}"
+            )
+        parts.append((AXES.index(found[1]), float(found[2]), float(found[3]), float(found[4])))
+
+    def pushing(tick: int, time: Any, state: Any) -> Sequence[Any]:
+        wrench = [0.0] * 6 if mouse is None else list(mouse(tick, time, state))
+        for axis, force, start, end in parts:
+            wrench[axis] += force * (start <= time < end)
+        return wrench
+
+    return pushing if parts else mouse
 
 
 def _server(listen: str, key: bytes | None) -> Server:

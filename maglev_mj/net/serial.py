@@ -185,8 +185,9 @@ class SerialLink(_Line):
 
     def close(self) -> None:
         """Close the line; a second time does nothing."""
-        self._port.close()
         self._descriptor = -1  # a number that the system may hand out again
+        with suppress(OSError):  # an adapter that was pulled out
+            self._port.close()
 
 
 class PtyServer(_Line):

@@ -118,18 +118,27 @@ class UdpLink:
         self._send, self._receive = self._socket.send, self._socket.recv
 
     def send(self, data: bytes) -> None:
-        """Send one frame; one that cannot leave now is lost."""
+        """Send one frame; one that cannot leave now is lost.
+
+        Raises:
+            LinkError: If the line is gone.
+        """
         try:
             self._send(data)
         except ConnectionRefusedError:  # of an earlier frame: this one has not been sent yet
-            with suppress(ConnectionRefusedError, BlockingIOError):
+            try:
                 self._send(data)
+            except OSError as error:
+                _complain("send", error)
         except OSError as error:
-            if error.errno not in _SILENCE:
-                raise
+            _complain("send", error)
 
     def receive(self, timeout: float) -> bytes | None:
-        """Return the oldest frame that has come, or None if none comes within `timeout` [s]; 0 only looks."""
+        """Return the oldest frame that has come, or None if none comes within `timeout` [s]; 0 only looks.
+
+        Raises:
+            LinkError: If the line is gone.
+        """
         if timeout > 0.0 and not readable(self._socket, timeout):
             return None
         try:
@@ -138,8 +147,7 @@ class UdpLink:
             if timeout <= 0.0:
                 return None
         except OSError as error:
-            if error.errno not in _SILENCE:
-                raise
+            _complain("receive", error)
         # that was word of a frame sent earlier; a caller that got None at once, and asked again, would spin
         return self.receive(timeout)
 
@@ -189,8 +197,7 @@ class UdpServer:
         try:
             return self._socket.recvfrom(_LARGEST)
         except OSError as error:
-            if error.errno not in _SILENCE:
-                raise
+            _complain("receive", error)
             return None
 
     def send(self, data: bytes, address: Address) -> bool:
@@ -198,8 +205,7 @@ class UdpServer:
         try:
             self._socket.sendto(data, address)
         except OSError as error:
-            if error.errno not in _SILENCE:
-                raise
+            _complain("send", error)
             return False
         return True
 
@@ -234,9 +240,22 @@ def open_link(url: str, key: bytes | None = None) -> Link:
 
 
 def readable(descriptor: int | socket.socket, timeout: float) -> bool:
-    """Return whether there is something to read, waiting up to `timeout` [s] for it; 0 or less only looks."""
-    # select, not poll or a timeout of the socket: those wait whole milliseconds
-    return bool(select([descriptor], (), (), timeout if timeout > 0.0 else 0.0)[0])
+    """Return whether there is something to read, waiting up to `timeout` [s] for it; 0 or less only looks.
+
+    Raises:
+        LinkError: If the line is gone.
+    """
+    try:
+        # select, not poll or a timeout of the socket: those wait whole milliseconds
+        return bool(select([descriptor], (), (), timeout if timeout > 0.0 else 0.0)[0])
+    except (OSError, ValueError) as error:  # a descriptor that is closed is a ValueError
+        raise LinkError(f"the line is gone: {error}") from None
+
+
+def _complain(what: str, error: OSError) -> None:
+    """Raise for what is not mere silence."""
+    if error.errno not in _SILENCE:
+        raise LinkError(f"cannot {what}: {error.strerror or error}") from None
 
 
 def _port(port: int, least: int) -> int:

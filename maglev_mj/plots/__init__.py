@@ -1,6 +1,7 @@
 """Pictures of results; the only room that needs matplotlib (the extra `charts`)."""
 
 from maglev_mj.plots.drawing import ChartsMissingError, Panel, require, small_multiples
+from maglev_mj.plots.fault import last_cycles
 from maglev_mj.plots.paper import figure_6, phase_plane, stick_slip, time_series
 from maglev_mj.plots.recorded import first_contact, sticks, whole_run
 from maglev_mj.plots.results import pictures_of
@@ -12,6 +13,7 @@ __all__ = [
     "design_map",
     "figure_6",
     "first_contact",
+    "last_cycles",
     "phase_plane",
     "pictures_of",
     "require",
