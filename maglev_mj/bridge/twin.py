@@ -452,5 +452,5 @@ class TwinServer:
             self._server.send(answer, sender)
 
     def _say(self, frame: bytes | None) -> None:
-        if frame is not None:
+        if frame is not None and self.twin.firmware.session:  # it may have ended since
             self._server.send(frame, self.twin.firmware.peer)
