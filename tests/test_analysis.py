@@ -21,8 +21,7 @@ from maglev_mj.bridge.twin import Twin, TwinParameters
 from maglev_mj.cli import main
 from maglev_mj.energy import PassivityObserver
 from maglev_mj.frames import AXES, Command, Sample
-from maglev_mj.hand import Path as HandPath
-from maglev_mj.hand import SpringHand
+from maglev_mj.hand import SpringHand, Trajectory
 from maglev_mj.metrics import perceived_hardness, summarise_bounce
 from maglev_mj.plants import Timing
 from maglev_mj.recording import ArrayFile, Recording, RecordingError, Stretch, metadata_of
@@ -38,7 +37,7 @@ from maglev_mj.session import Pacer, Session
 from maglev_mj.spec import GRAVITY
 
 ZERO = (0.0,) * 6
-TOUR = HandPath(
+TOUR = Trajectory(
     [0.8, 1.1, 1.4, 1.8, 2.2],
     [ZERO, (0.016, 0.004, 0, 0, 0.1, 0), (-0.016, 0.01, 0.005, 0.1, 0, 0.1), (0, -0.012, -0.016, 0.1, 0, -0.1), ZERO],
 )

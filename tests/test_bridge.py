@@ -22,11 +22,11 @@ from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.fault import HandshakeError
 from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.bridge.simulated_links import Impairment, VirtualLink
-from maglev_mj.bridge.states import Fault, State
 from maglev_mj.bridge.twin import REST, Twin, TwinParameters
+from maglev_mj.bridge.wire import Fault, State
 from maglev_mj.controller import Controller
 from maglev_mj.frames import Array, Command, Sample
-from maglev_mj.hand import HandForce, Path, SpringHand
+from maglev_mj.hand import HandForce, SpringHand, Trajectory
 from maglev_mj.laws import Bias, FiniteDifference, Hold
 from maglev_mj.loop import drive
 from maglev_mj.plants import MuJoCoPlant, Plant, SpotSensor
@@ -42,7 +42,7 @@ REACH = 0.0015
 BAD_REACH = 0.010
 """How late on the bad one: there and back, and now and then a sample that is missing [s]."""
 BAD = Impairment(loss=0.05, delay=0.002, jitter=0.002, duplicate=0.02, corrupt=0.01)
-TOUR = Path(
+TOUR = Trajectory(
     [0.7, 1.0, 1.3, 1.6, 1.9],
     [ZERO, (0.012, 0.004, 0, 0, 0.1, 0), (-0.01, 0.01, 0.005, 0.1, 0, 0.1), (0, -0.012, 0, 0.1, 0, -0.1), ZERO],
 )
@@ -158,7 +158,7 @@ def test_the_same_controller_flies_a_device_bit_for_bit(
     start, usual = STARTS[name]
     scene = find_scene(name)().replace(period=period, delay=delay, **(usual | changes))
     times = period * np.array([10, 150, 250, 400])
-    hands = [SpringHand(target=Path(times, np.asarray(TOUR.poses)[:4])) for _ in range(2)]
+    hands = [SpringHand(target=Trajectory(times, np.asarray(TOUR.poses)[:4])) for _ in range(2)]
 
     def answers(plant: Plant) -> Array:
         rows: list[list[float]] = []

@@ -10,9 +10,8 @@ import pytest
 
 from maglev_mj.bridge.fault import DeviceFault
 from maglev_mj.bridge.simulated_links import VirtualLink
-from maglev_mj.bridge.states import Fault, State
 from maglev_mj.bridge.wire import Command as CommandFrame
-from maglev_mj.bridge.wire import StateReport
+from maglev_mj.bridge.wire import Fault, State, StateReport
 from maglev_mj.errors import MaglevError, PlantError
 from maglev_mj.frames import Command
 from maglev_mj.net.udp import LinkError

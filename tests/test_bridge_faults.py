@@ -16,16 +16,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj.bridge import firmware, gate
+from maglev_mj.bridge import firmware, safety
 from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.connection import Connection
 from maglev_mj.bridge.fault import DeviceFault
 from maglev_mj.bridge.remote import RemotePlant
-from maglev_mj.bridge.safety import Warmth
+from maglev_mj.bridge.safety import ThermalModel
 from maglev_mj.bridge.simulated_links import Impairment, VirtualLink
-from maglev_mj.bridge.states import Fault, Operation, State, fault_names
-from maglev_mj.bridge.twin import MISFORTUNES, REST, Misfortune, Twin, TwinParameters
+from maglev_mj.bridge.twin import INJECTED_FAULTS, REST, InjectedFault, Twin, TwinParameters
 from maglev_mj.bridge.wire import Command as CommandFrame
+from maglev_mj.bridge.wire import Fault, Operation, State, fault_names
 from maglev_mj.controller import Controller
 from maglev_mj.errors import PlantError
 from maglev_mj.frames import Command, Sample
@@ -194,7 +194,7 @@ SUFFERED: list[tuple[str, int, float, bool, Fault]] = [
 )
 def test_a_misfortune_is_named(kind: str, which: int, at: float, moved: bool, fault: Fault, period: float) -> None:
     hand = SpringHand(target=TOUR) if moved else None
-    rig = Rig(misfortunes=[Misfortune(kind=kind, which=which, at=at)], hand=hand, period=period)
+    rig = Rig(faults=[InjectedFault(kind=kind, which=which, at=at)], hand=hand, period=period)
     error = fails(rig, fly(rig), fault)
     assert rig.twin.firmware.faults == error.faults
     last = error.cycles[-1][0].tick
@@ -203,11 +203,11 @@ def test_a_misfortune_is_named(kind: str, which: int, at: float, moved: bool, fa
 
 
 def test_all_misfortunes_are_tried() -> None:
-    assert {kind for kind, *_ in SUFFERED} == set(MISFORTUNES)
+    assert {kind for kind, *_ in SUFFERED} == set(INJECTED_FAULTS)
 
 
 def test_a_device_that_says_nothing_is_given_up() -> None:
-    rig = Rig(misfortunes=[Misfortune(kind="silence", which=10_000, at=1.0)])
+    rig = Rig(faults=[InjectedFault(kind="silence", which=10_000, at=1.0)])
     with pytest.raises(DeviceFault, match="HOST: no sample from the device within 1 s") as caught:
         fly(rig)()
     check_file(rig, caught.value)
@@ -216,7 +216,7 @@ def test_a_device_that_says_nothing_is_given_up() -> None:
 
 @pytest.mark.parametrize("jump", [3, 12, 10_000])
 def test_a_clock_set_while_the_device_rests_is_no_fault(jump: int) -> None:
-    rig = Rig(misfortunes=[Misfortune(kind="clock-jump", which=jump, at=0.1)])
+    rig = Rig(faults=[InjectedFault(kind="clock-jump", which=jump, at=0.1)])
     for _ in range(30):
         rig.plant.read()
     fly(rig, 0.5)()
@@ -337,7 +337,7 @@ def test_a_second_takeoff_is_refused_and_forgets_nothing() -> None:
     assert np.abs(rig.twin.pose - REST).max() < 1e-4
 
 
-class Cold(Warmth):
+class Cold(ThermalModel):
     """Coils that never warm."""
 
     def add(self, segments: Any) -> float:
@@ -350,19 +350,19 @@ LOAD = 6.0 * 6.0 - WEIGHT[2]
 
 @pytest.mark.parametrize(
     ("cold", "says"),
-    [(None, ""), (firmware, "bears no more"), (gate, "said by the device")],
+    [(None, ""), (firmware, "bears no more"), (safety, "said by the device")],
     ids=["", "host", "device"],
 )
 def test_a_coil_with_6_A_trips_on_either_end(cold: Any, says: str, monkeypatch: pytest.MonkeyPatch) -> None:
     if cold is not None:
-        monkeypatch.setattr(cold, "Warmth", Cold)
+        monkeypatch.setattr(cold, "ThermalModel", Cold)
     rig = Rig(hand=lambda *_: [0.0, 0.0, -LOAD, 0.0, 0.0, 0.0], pose=CENTRE)
     controller = Controller([*hover(0.005, REACH).laws, Bias([0.0, 0.0, LOAD, 0.0, 0.0, 0.0])], period=0.005)
     rig.plant.arm()
     warm = []
 
     def watch() -> None:
-        warm.append(max(rig.plant.warmth))
+        warm.append(max(rig.plant.temperatures))
 
     with pytest.warns(UserWarning, match="a coil is at 80% of what it bears") as warned:
         error = fails(rig, lambda: rig.fly(5.0, controller, observe=watch), Fault.COIL_OVERTEMP)
@@ -376,7 +376,9 @@ def test_a_coil_with_6_A_trips_on_either_end(cold: Any, says: str, monkeypatch: 
         for _ in range(600):
             rig.plant.read()
         cooled = (rig.plant.samples.tick - tripped) * 0.005
-        assert max(rig.plant.warmth) == pytest.approx(math.exp(-cooled / 10.0), abs=0.01)  # the higher of both ends'
+        assert max(rig.plant.temperatures) == pytest.approx(
+            math.exp(-cooled / 10.0), abs=0.01
+        )  # the higher of both ends'
         rig.plant.reset()
 
 
@@ -388,7 +390,7 @@ def test_the_host_counts_currents_that_nobody_answered_with() -> None:
     rig.fly(2.0, controller)
     assert rig.plant.samples.lost > 50
     expected = (-math.expm1(-rig.twin.tick * 0.005 / 10.0)) * ((10.0 + WEIGHT[2]) / 18.0) ** 2
-    assert rig.plant._gate.warmth.shares[:3] == pytest.approx([expected] * 3, rel=0.05)
+    assert rig.plant._output.thermal.rises[:3] == pytest.approx([expected] * 3, rel=0.05)
 
 
 def test_without_a_folder_of_its_own_the_file_goes_to_the_temporary_one(
@@ -413,7 +415,7 @@ def test_without_a_folder_of_its_own_the_file_goes_to_the_temporary_one(
 
 
 def test_a_fault_in_a_loop_of_ones_own_has_its_cycles() -> None:
-    rig = Rig(misfortunes=[Misfortune(kind="invalid-diode", which=1, at=0.5)], pose=CENTRE)
+    rig = Rig(faults=[InjectedFault(kind="invalid-diode", which=1, at=0.5)], pose=CENTRE)
     rig.plant.arm()
     with pytest.raises(DeviceFault) as caught:
         drive(rig.plant, hover(0.005, REACH), 500)

@@ -20,9 +20,23 @@ from numpy.typing import ArrayLike
 from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.firmware import Firmware, Profile, Reading
 from maglev_mj.bridge.safety import Limits
-from maglev_mj.bridge.states import Fault, Flag, HelloStatus, Operation, Result, State
 from maglev_mj.bridge.twin import REST, TwinParameters
-from maglev_mj.bridge.wire import Codec, Command, Control, ControlAck, Frame, Hello, HelloAck, StateReport
+from maglev_mj.bridge.wire import (
+    Codec,
+    Command,
+    Control,
+    ControlAck,
+    Fault,
+    Flag,
+    Frame,
+    Hello,
+    HelloAck,
+    HelloStatus,
+    Operation,
+    Result,
+    State,
+    StateReport,
+)
 from maglev_mj.frames import Array
 from tests.test_firmware import HOVER, ONES, ZERO
 from tests.test_wire import ROOT, golden_bytes, sealed
@@ -313,17 +327,17 @@ def test_motion_is_exact_between_switches(start: Starter) -> None:
     inertia = np.array([*[NOMINAL.mass] * 3, *NOMINAL.inertia])
     gravity = np.array([*NOMINAL.gravity, 0.0, 0.0, 0.0])
     pose, speed = np.array(REST), np.zeros(6)
-    warmth = np.zeros(6)
+    temperatures = np.zeros(6)
     for currents, duration in ((ZERO, 0.0015), (pulsed, width), (held, 0.0015)):
         share = -math.expm1(-duration / 10.0)
-        warmth += share * ((np.array(currents) / 3.0) ** 2 - warmth)
+        temperatures += share * ((np.array(currents) / 3.0) ** 2 - temperatures)
         pull = NOMINAL.coils.wrench(np.array(currents)) / inertia + gravity
         if not any(currents):
             continue  # it lies until something lifts it
         pose += duration * speed + 0.5 * duration**2 * pull
         speed += duration * pull
     assert np.linalg.solve(SLOPES, report.spots) == pytest.approx(pose, abs=1e-15)
-    assert report.warmth == pytest.approx(warmth, rel=1e-6)
+    assert report.temperatures == pytest.approx(temperatures, rel=1e-6)
     assert report.currents == pytest.approx(held, rel=1e-6) and report.age == 5000
 
 

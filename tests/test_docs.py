@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 from maglev_mj.bridge import State, Twin, TwinParameters
-from maglev_mj.bridge.server import TwinServer
+from maglev_mj.bridge.twin import TwinServer
 from maglev_mj.cli import parser
 from maglev_mj.cli.options import joined
 from maglev_mj.net.udp import UdpServer

@@ -11,8 +11,22 @@ import pytest
 
 from maglev_mj.bridge.firmware import Firmware, Profile, Reading
 from maglev_mj.bridge.safety import Limits
-from maglev_mj.bridge.states import Fault, Flag, HelloStatus, Operation, Result, State
-from maglev_mj.bridge.wire import Codec, Command, Control, ControlAck, Frame, Hello, HelloAck, StateReport
+from maglev_mj.bridge.wire import (
+    Codec,
+    Command,
+    Control,
+    ControlAck,
+    Fault,
+    Flag,
+    Frame,
+    Hello,
+    HelloAck,
+    HelloStatus,
+    Operation,
+    Result,
+    State,
+    StateReport,
+)
 from tests.test_wire import sealed, tables
 
 PERIOD, DELAY = 5_000_000, 1_500_000
@@ -512,13 +526,13 @@ def test_warmth_trips_when_the_closed_form_says(current: float, time: float) -> 
     assert report is not None
     if math.isinf(expected):
         assert bench.device.state == State.ACTIVE
-        assert report.warmth[2] == pytest.approx(1.0 - math.exp(-6.0), rel=1e-3)
+        assert report.temperatures[2] == pytest.approx(1.0 - math.exp(-6.0), rel=1e-3)
         return
     assert bench.now * 1e-9 == pytest.approx(expected, abs=1.1 * PERIOD * 1e-9)
     assert bench.device.faults == Fault.COIL_OVERTEMP and bench.currents == ZERO
-    assert report.warmth[2] >= 1.0 > max(report.warmth[:2] + report.warmth[3:])
+    assert report.temperatures[2] >= 1.0 > max(report.temperatures[:2] + report.temperatures[3:])
     # it is reset when it has cooled to 0.8, not before
-    hot, since = report.warmth[2], bench.now
+    hot, since = report.temperatures[2], bench.now
     while bench.ask(Operation.RESET).result == Result.REFUSED:
         assert bench.device.state == State.FAULT
         bench.sample()
@@ -541,7 +555,7 @@ def test_warmth_goes_by_what_flowed_between_samples() -> None:
         bench.device.sample(bench.tick, bench.now, Reading(moving(bench.tick), 7, ZERO, ZERO, pulse))
     mean = (10.0 / 3.0) ** 2 / 5.0
     report = bench.sample()
-    assert report is not None and report.warmth[0] == pytest.approx(mean * (1.0 - math.exp(-0.05)), rel=2e-3)
+    assert report is not None and report.temperatures[0] == pytest.approx(mean * (1.0 - math.exp(-0.05)), rel=2e-3)
 
 
 def test_a_dead_coil_is_found_in_three_samples() -> None:

@@ -15,9 +15,9 @@ from maglev_mj.hand import (
     HANDS,
     GuidedHand,
     Hand,
-    Path,
     RecordedHand,
     SpringHand,
+    Trajectory,
     hand_called,
 )
 from maglev_mj.plants import MuJoCoBatchPlant, SampledPlant
@@ -73,7 +73,7 @@ def test_both_plants_agree_on_a_guided_hand(name: str, lag: bool) -> None:
     hand = hand_called(name)
     assert hand is not None
     down, up = [0.002, 0.0, -0.015, 0.0, 0.0, 0.0], [0.0, -0.001, 0.003, 0.0, 0.0, 0.0]
-    guided = GuidedHand(hand=hand, path=Path([0.0, 0.1, 0.2, 0.35], [up, down, up, down]))
+    guided = GuidedHand(hand=hand, path=Trajectory([0.0, 0.1, 0.2, 0.35], [up, down, up, down]))
     walls = Wall(axes="z", lower=0.0, stiffness=3000.0, damping=60.0)
     hold = Hold(axes=("rx", "ry", "rz"), stiffness=0.6, damping=0.03)
     paths = [
@@ -90,7 +90,7 @@ def test_both_plants_agree_on_a_guided_hand(name: str, lag: bool) -> None:
 
 def test_a_guided_hand_comes_to_rest_where_springs_balance() -> None:
     hand, target = Hand(mass=0.3, damping=20.0, stiffness=500.0, grip_damping=3.0, grip_stiffness=2000.0), 0.004
-    guided = GuidedHand(hand=hand, path=Path([0.0], [[target, 0, 0, 0, 0, 0]]))
+    guided = GuidedHand(hand=hand, path=Trajectory([0.0], [[target, 0, 0, 0, 0, 0]]))
     plant = ExactPlant(TIMING, gravity=0.0, hand=hand, hand_force=guided)
     rest = poses(plant, Controller([Hold(axes="x", stiffness=800.0, damping=30.0)], period=TIMING.period), 2000)[-1]
     pull = 1.0 / (1.0 / 500.0 + 1.0 / 2000.0)  # the two springs in a row
@@ -98,7 +98,7 @@ def test_a_guided_hand_comes_to_rest_where_springs_balance() -> None:
 
 
 def test_a_path_is_of_minimum_jerk() -> None:
-    path = Path([0.5, 1.5], [[0.0] * 6, [1.0, 2.0, 0.0, 0.0, 0.0, -1.0]])
+    path = Trajectory([0.5, 1.5], [[0.0] * 6, [1.0, 2.0, 0.0, 0.0, 0.0, -1.0]])
     assert path.at(0.1) == [0.0] * 6
     assert path.at(2.0) == [1.0, 2.0, 0.0, 0.0, 0.0, -1.0]
     assert path.at(1.0)[:2] == pytest.approx([0.5, 1.0])
@@ -196,9 +196,9 @@ def test_published_hands_are_within_the_published_range() -> None:
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (lambda: Path([0.0, 0.0], [[0.0] * 6] * 2), "times must increase"),
-        (lambda: Path([0.0], [[0.0] * 5]), r"poses \(N, 6\)"),
-        (lambda: GuidedHand(hand=Hand(mass=0.1), path=Path([0.0], [[0.0] * 6])), "stiffness above 0"),
+        (lambda: Trajectory([0.0, 0.0], [[0.0] * 6] * 2), "times must increase"),
+        (lambda: Trajectory([0.0], [[0.0] * 5]), r"poses \(N, 6\)"),
+        (lambda: GuidedHand(hand=Hand(mass=0.1), path=Trajectory([0.0], [[0.0] * 6])), "stiffness above 0"),
         (lambda: SpringHand(stiffness=-1.0), "hand stiffness must be .* at least 0, not -1.0"),
         (lambda: RecordedHand([[0.0] * 5]), r"must be \(N, 6\), not \(1, 5\)"),
     ],

@@ -14,8 +14,19 @@ import numpy as np
 import pytest
 
 from maglev_mj.bridge.calibration import Calibration
-from maglev_mj.bridge.excitation import LINES, Motion, Shaker, Trim, collect, excitation
-from maglev_mj.bridge.identification import IdentificationError, Identified, added_mass, find_delay, identify
+from maglev_mj.bridge.identification import (
+    LINES,
+    IdentificationError,
+    Identified,
+    Motion,
+    Shaker,
+    Trim,
+    added_mass,
+    collect,
+    excitation,
+    find_delay,
+    identify,
+)
 from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.bridge.simulated_links import VirtualLink
 from maglev_mj.bridge.twin import Twin as BridgeTwin

@@ -106,7 +106,7 @@ def test_where_nobody_listens_there_is_silence_and_a_server_come_later_is_heard(
             link.send(b"anyone?")
             assert link.receive(0.02) is None
             assert time.monotonic() - before >= 0.02  # or who tries again would spin
-        link.send(b"the refusal of this one is still to come")
+        link.send(b"the command_fault of this one is still to come")
         with closing(UdpServer(HOME, port)) as late:
             link.send(b"there you are")
             heard = late.receive(PATIENCE)

@@ -20,7 +20,7 @@ import pytest
 from maglev_mj import AXES, Controller, ExactPlant, MuJoCoPlant, Timing, drive
 from maglev_mj.bridge import RemotePlant, Twin, TwinParameters, open_link
 from maglev_mj.bridge.safety import Limits
-from maglev_mj.bridge.server import TwinServer
+from maglev_mj.bridge.twin import TwinServer
 from maglev_mj.cli import main
 from maglev_mj.laws import AxisLaw, Bias, gain
 from maglev_mj.net.udp import UdpServer

@@ -1,4 +1,4 @@
-"""Lateness is shown as it is, and what was asked of the system is given back."""
+"""LatencyHistogram is shown as it is, and what was asked of the system is given back."""
 
 import ctypes
 import gc
@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from maglev_mj.bridge.realtime import Lateness, RealtimeError, realtime
+from maglev_mj.bridge.realtime import LatencyHistogram, RealtimeError, realtime
 from maglev_mj.errors import MaglevError, ParameterError
 
 SCHEDULED = hasattr(os, "sched_getscheduler")
@@ -120,33 +120,33 @@ def test_arguments_that_cannot_be_are_refused() -> None:
 
 
 def test_lateness_keeps_the_last_and_the_worst_of_all() -> None:
-    lateness = Lateness(100)
-    lateness.add(7_000_000)
+    latency = LatencyHistogram(100)
+    latency.add(7_000_000)
     for late in range(1000, 1000 * 251, 1000):
-        lateness.add(late)
+        latency.add(late)
     kept = np.arange(151, 251) * 1e-6
-    assert lateness.count == 251 and lateness.worst == 7_000_000
-    assert lateness.p50 == pytest.approx(np.percentile(kept, 50.0))
-    assert lateness.p99 == pytest.approx(np.percentile(kept, 99.0))
-    assert lateness.max == pytest.approx(7e-3)
-    assert lateness.histogram().startswith("lateness of the last 100 of 251: p50 201 µs, p99 249 µs, max 7 ms\n")
+    assert latency.count == 251 and latency.worst == 7_000_000
+    assert latency.p50 == pytest.approx(np.percentile(kept, 50.0))
+    assert latency.p99 == pytest.approx(np.percentile(kept, 99.0))
+    assert latency.max == pytest.approx(7e-3)
+    assert latency.histogram().startswith("latency of the last 100 of 251: p50 201 µs, p99 249 µs, max 7 ms\n")
 
 
 def test_no_lateness_is_no_number() -> None:
-    lateness = Lateness(3)
-    assert math.isnan(lateness.p50) and math.isnan(lateness.p99) and math.isnan(lateness.max)
-    assert lateness.histogram() == "lateness: none yet"
+    latency = LatencyHistogram(3)
+    assert math.isnan(latency.p50) and math.isnan(latency.p99) and math.isnan(latency.max)
+    assert latency.histogram() == "latency: none yet"
     with pytest.raises(ParameterError, match="size"):
-        Lateness(0)
+        LatencyHistogram(0)
 
 
 def test_the_histogram_as_it_is_seen() -> None:
-    lateness = Lateness()
+    latency = LatencyHistogram()
     for late, count in ((30_000, 800), (70_000, 400), (150_000, 1), (999, 3), (3_000_000, 2)):
         for _ in range(count):
-            lateness.add(late)
-    assert lateness.histogram().splitlines() == [
-        "lateness of 1206: p50 30 µs, p99 70 µs, max 3 ms",
+            latency.add(late)
+    assert latency.histogram().splitlines() == [
+        "latency of 1206: p50 30 µs, p99 70 µs, max 3 ms",
         "   below 1 µs       ▏                                                    3",
         "   1 µs to 2 µs                                                          0",
         "   2 µs to 5 µs                                                          0",
@@ -163,7 +163,7 @@ def test_the_histogram_as_it_is_seen() -> None:
 
 
 def test_the_histogram_fits_a_terminal_and_counts_everything() -> None:
-    lateness = Lateness(5000)
+    latency = LatencyHistogram(5000)
     for late in [
         -5,
         0,
@@ -172,8 +172,8 @@ def test_the_histogram_fits_a_terminal_and_counts_everything() -> None:
         10**10,
         *(int(10 ** random.Random(seed).uniform(2.0, 10.0)) for seed in range(4000)),
     ]:
-        lateness.add(late)
-    lines = lateness.histogram().splitlines()
+        latency.add(late)
+    lines = latency.histogram().splitlines()
     assert max(map(len, lines)) <= 80
-    assert sum(int(line.split()[-1]) for line in lines[1:]) == lateness.count
+    assert sum(int(line.split()[-1]) for line in lines[1:]) == latency.count
     assert "below 1 µs" in lines[1] and "above 5 s" in lines[-1]

@@ -11,7 +11,7 @@ import pytest
 
 from maglev_mj.errors import DivergenceError, ParameterError
 from maglev_mj.frames import AXES, Command, Component, Sample
-from maglev_mj.hand import GuidedHand, Hand, HandForce, Path
+from maglev_mj.hand import GuidedHand, Hand, HandForce, Trajectory
 from maglev_mj.laws import Bias, Hold, Law
 from maglev_mj.parameters import param
 from maglev_mj.plants import ExactPlant, MuJoCoPlant, Timing
@@ -134,7 +134,7 @@ class Held(Fall):
     figures: ClassVar[Any] = ("final_position",)
 
     def scripted_hand(self, phase: float = 0.0) -> GuidedHand:
-        return GuidedHand(hand=Hand(mass=0.5, damping=20.0, stiffness=500.0), path=Path([0.0], [[0.0] * 6]))
+        return GuidedHand(hand=Hand(mass=0.5, damping=20.0, stiffness=500.0), path=Trajectory([0.0], [[0.0] * 6]))
 
 
 def test_the_impedance_of_a_scripted_hand_is_on_the_flotor() -> None:

@@ -9,8 +9,7 @@ import pytest
 
 from maglev_mj import Command, ExactPlant, MuJoCoPlant, Timing
 from maglev_mj.bridge.calibration import Calibration
-from maglev_mj.bridge.gate import Gate
-from maglev_mj.bridge.safety import Limits, Warmth
+from maglev_mj.bridge.safety import Limits, OutputLimiter, ThermalModel
 from maglev_mj.timeline import Timeline, recorded_switches, split_delay
 
 T = 0.005
@@ -159,13 +158,13 @@ def test_recorded_commands_switch_as_live_ones_do(delay: float) -> None:
 def test_the_gate_counts_the_heat_of_a_pulse_to_its_end() -> None:
     """A pulse of one and a half periods whose second half falls on a sample that nobody answered."""
     calibration, limits = Calibration.nominal(), Limits()
-    gate, known = Gate(calibration.coils, limits, None, T), Warmth(limits)
+    gate, known = OutputLimiter(calibration.coils, limits, None, T), ThermalModel(limits)
     held, pulsed = [1.0] * 6, [8.0] * 6
     gate.passed(held, pulsed, 1.5 * T)
     gate.stay(3, held)
     known.add(((T, pulsed), (0.5 * T, pulsed), (0.5 * T, held), (2.0 * T, held)))
-    assert gate.warmth.shares == pytest.approx(known.shares, rel=1e-12)
+    assert gate.thermal.rises == pytest.approx(known.rises, rel=1e-12)
     gate.passed(held, pulsed, 1.5 * T)
     gate.stay(1, [0.0] * 6)  # switched off: that ends it
     known.add(((T, pulsed), (T, [0.0] * 6)))
-    assert gate.warmth.shares == pytest.approx(known.shares, rel=1e-12)
+    assert gate.thermal.rises == pytest.approx(known.rises, rel=1e-12)

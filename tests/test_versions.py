@@ -13,7 +13,7 @@ import pytest
 
 from maglev_mj import versions as module
 from maglev_mj.bridge.fault import BlackBox
-from maglev_mj.bridge.states import Fault
+from maglev_mj.bridge.wire import Fault
 from maglev_mj.cli import main
 from maglev_mj.recording import Recording
 from maglev_mj.replay import write_run

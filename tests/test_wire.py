@@ -18,7 +18,6 @@ from typing import Any
 import pytest
 
 from maglev_mj.bridge.firmware import Firmware, Profile, Reading
-from maglev_mj.bridge.states import Fault, HelloStatus, Operation, Result, State
 from maglev_mj.bridge.wire import (
     MAGIC,
     VERSION,
@@ -26,9 +25,14 @@ from maglev_mj.bridge.wire import (
     Command,
     Control,
     ControlAck,
+    Fault,
     Frame,
     Hello,
     HelloAck,
+    HelloStatus,
+    Operation,
+    Result,
+    State,
     StateReport,
     newer,
 )

@@ -8,16 +8,19 @@ from contextlib import suppress
 
 from maglev_mj.bridge.fault import HandshakeError
 from maglev_mj.bridge.safety import Limits
-from maglev_mj.bridge.states import HelloStatus, Operation
 from maglev_mj.bridge.wire import (
     VERSION,
     Codec,
     Command,
     Control,
     ControlAck,
+    Estop,
+    EstopAck,
     Frame,
     Hello,
     HelloAck,
+    HelloStatus,
+    Operation,
     StateReport,
     newer,
 )
@@ -28,6 +31,9 @@ __all__ = ["Connection"]
 
 _AGAIN = 0.02
 """A request is repeated after so long without an answer [s]."""
+
+_ESTOP_AGAIN = 0.005
+"""An emergency stop is asked for again after so long without an answer [s]."""
 
 _TAKEOVER = 1_000_000_000
 """A device gives up a host that says nothing for so long [ns], unless it flies."""
@@ -78,6 +84,9 @@ class Connection:
             spot=one.spot_limit,
             spot_speed=one.spot_speed,
             watchdog=one.watchdog * 1e-9,
+            enable=one.enable * 1e-9,
+            hover=one.hover_limit,
+            frozen=one.frozen,
         )
 
     def command(self, command: Command) -> None:
@@ -115,8 +124,7 @@ class Connection:
         link = self._link
         end = link.now() + int(self._patience * 1e9)
         while link.now() < end:
-            self._sequence = (self._sequence + 1) & 0xFFFFFFFF
-            link.send(self.codec.encode(self._session, self._sequence, link.now(), body))
+            link.send(self.codec.encode(self._session, 0, link.now(), body))
             again = link.now() + int(_AGAIN * 1e9)
             while (left := again - link.now()) > 0:
                 data = link.receive(left * 1e-9)
@@ -131,6 +139,19 @@ class Connection:
                 if isinstance(frame.body, StateReport) and self._is_newer(frame):
                     self._overtaken += self._waiting is not None
                     self._waiting = frame  # a sample that came meanwhile is read later
+        return None
+
+    def estop(self) -> EstopAck | None:
+        """Ask for an emergency stop until the device answers; None if it does not."""
+        link, body = self._link, Estop(int.from_bytes(os.urandom(8), "little"))
+        end = link.now() + int(self._patience * 1e9)
+        while link.now() < end:
+            link.send(self.codec.encode(0, 0, link.now(), body))
+            again = link.now() + int(_ESTOP_AGAIN * 1e9)
+            while (left := again - link.now()) > 0 and (data := link.receive(left * 1e-9)) is not None:
+                frame = self.codec.decode(data)
+                if frame is not None and isinstance(frame.body, EstopAck) and frame.body.request == body.request:
+                    return frame.body
         return None
 
     def close(self) -> None:
@@ -164,7 +185,7 @@ class Connection:
         raise HandshakeError(f"no device answered within {self._patience:g} s{reason}")
 
     def _welcome(self, data: bytes, nonce: int, calibration: bytes) -> HelloAck | None:
-        """Return the answer to a HELLO, if data is that, and keep the session; complain where it is a refusal."""
+        """Return the answer to a HELLO, if data is that, and keep the session; complain where it is a command_fault."""
         self.codec.version_met = None
         frame = self.codec.decode(data)
         version = self.codec.version_met

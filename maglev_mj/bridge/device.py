@@ -10,7 +10,7 @@ from typing import Any, NoReturn, Self
 from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.connection import Connection
 from maglev_mj.bridge.fault import BlackBox, DeviceFault
-from maglev_mj.bridge.states import Fault, Operation, State, fault_names
+from maglev_mj.bridge.wire import Fault, Operation, State, fault_names
 from maglev_mj.errors import PlantError
 from maglev_mj.frames import ZERO
 from maglev_mj.net.udp import Link, LinkError
@@ -116,7 +116,9 @@ class RemoteDevice:
 
     def estop(self) -> None:
         """Switch the currents off in whatever state, and latch that it was asked for; the next sample is a fault."""
-        self._ask(Operation.ESTOP)
+        self._check_open()
+        if self._line.estop() is None:
+            raise PlantError(f"the device did not answer an emergency stop within {self._patience:g} s: cut its power")
         self.state, self.faults = State.FAULT, self.faults | Fault.ESTOP
 
     def reset(self) -> None:

@@ -12,7 +12,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from maglev_mj.bridge.states import Fault, fault_names
+from maglev_mj.bridge.wire import Fault, fault_names
 from maglev_mj.errors import PlantError
 from maglev_mj.frames import AXES
 from maglev_mj.versions import versions

@@ -7,9 +7,26 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
 
-from maglev_mj.bridge.safety import WARM, CoilGuard, DiodeGuard, Limits, Warmth, refusal
-from maglev_mj.bridge.states import Fault, Flag, HelloStatus, Operation, Result, State
-from maglev_mj.bridge.wire import VERSION, Codec, Command, Control, ControlAck, Hello, HelloAck, StateReport, newer
+from maglev_mj.bridge.safety import OFF, WARNING_RISE, CoilGuard, Limits, SpotGuard, ThermalModel, command_fault
+from maglev_mj.bridge.wire import (
+    VERSION,
+    Codec,
+    Command,
+    Control,
+    ControlAck,
+    Estop,
+    EstopAck,
+    Fault,
+    Flag,
+    Hello,
+    HelloAck,
+    HelloStatus,
+    Operation,
+    Result,
+    State,
+    StateReport,
+    newer,
+)
 from maglev_mj.frames import ZERO
 from maglev_mj.parameters import flag
 
@@ -29,6 +46,9 @@ class Amplifiers(Protocol):
 
     def cut(self) -> None:
         """Switch all currents off at once, and forget what was still to come."""
+
+    def toggle(self, now: int) -> None:
+        """Change the level of the amplifiers' enable line."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,6 +84,8 @@ class Reading(NamedTuple):
         measured: Currents [A], six.
         commanded: What the amplifiers were told [A], six.
         segments: Currents since the sample before: how long [s], and six [A].
+        conversions: Counter of the sensor interface.
+        enabled: Whether the amplifier board sees its enable line live.
     """
 
     spots: Sequence[float]
@@ -71,6 +93,8 @@ class Reading(NamedTuple):
     measured: Sequence[float]
     commanded: Sequence[float]
     segments: Iterable[tuple[float, Sequence[float]]] = ()
+    conversions: int = 0
+    enabled: bool = True
 
 
 class Firmware:
@@ -101,9 +125,12 @@ class Firmware:
         self._acknowledgement: ControlAck | None = None
         self._hover: Sequence[float] = ZERO
         self._commanded_at, self._answers, self._holding, self._sampled = 0, _NEVER, False, 0
-        self._coils, self._diodes = CoilGuard(), DiodeGuard(profile.limits, profile.period * 1e-9)
-        self._warmth = Warmth(profile.limits)
+        self._coils, self._spots = CoilGuard(), SpotGuard(profile.limits, profile.period * 1e-9)
+        self._thermal = ThermalModel(profile.limits)
         self._watchdog = round(profile.limits.watchdog * 1e9)
+        self._first, self._fault_time, self._disabled = Fault(0), 0, 0
+        self._sampled_at = 0
+        self._measured: Sequence[float] = ZERO
         # how many samples an answer may be behind
         self._stale = 0 if profile.lockstep else self._watchdog // profile.period
 
@@ -119,18 +146,22 @@ class Firmware:
         body = frame.body
         if isinstance(body, Hello):
             return self._hello(body, now, peer)
+        if isinstance(body, Estop):
+            self.trip(Fault.ESTOP, now)
+            answer = EstopAck(body.request, self.state, self.faults, self._sampled_at, tuple(self._measured))
+            return codec.encode(0, 0, now, answer)
         if not isinstance(body, (Command, Control)):
             self.counts["direction"] += 1
             return None
         if self.session == 0 or frame.session != self.session or peer != self.peer:
             self.counts["session"] += 1
             return None
+        if isinstance(body, Control):
+            return self._control(body, now)
         if not newer(frame.sequence, self._sequence):
             self.counts["old"] += 1
             return None
         self._sequence, self._heard = frame.sequence, now
-        if isinstance(body, Control):
-            return self._control(body, now)
         self._obey(body, now)
         return None
 
@@ -140,41 +171,52 @@ class Firmware:
         None where there is no session. Outside the active state what the sensors say is no fault: a device that nobody
         flies may be opened and turned over.
         """
-        self._sampled = tick & 0xFFFFFFFF
-        warmest = self._warmth.add(reading.segments)
-        if self.state == State.ACTIVE:
-            diodes = self._diodes.check(reading.spots, reading.valid)
-            coils, waited = self._coils.check(reading.commanded, reading.measured), self._waited(now)
-            if diodes or coils or waited:
-                self.trip(diodes | coils | waited)
+        steps, self._sampled = (tick - self._sampled) & 0xFFFFFFFF, tick & 0xFFFFFFFF
+        self._sampled_at, self._measured = now, reading.measured
+        warmest = self._thermal.add(reading.segments)
+        active = self.state == State.ACTIVE
+        faults = self._coils.check(reading.commanded if active else ZERO, reading.measured)
+        if faults and not active:
+            faults = Fault.COIL_NOT_OFF
+        if active:
+            self._amplifiers.toggle(now)
+            faults |= self._spots.check(reading.spots, reading.valid, reading.conversions, steps) | self._waited(now)
+            self._disabled = 0 if reading.enabled else self._disabled + 1
+            if self._disabled > 1:
+                faults |= Fault.WATCHDOG
         if warmest >= 1.0:
-            self.trip(Fault.COIL_OVERTEMP)
+            faults |= Fault.COIL_OVERTEMP
+        if faults:
+            self.trip(faults, now)
         if self.session == 0:
             return None
         age = min(max(now - self._commanded_at, 0) // 1000, _NEVER - 1) if self._answers != _NEVER else _NEVER
         report = StateReport(
             tuple(reading.spots),
             tuple(reading.measured),
-            tuple(self._warmth.shares),
+            tuple(self._thermal.rises),
             self.state,
             reading.valid,
-            Flag.HOLDING if self._holding else 0,
+            Flag.HOLDING * self._holding | Flag.ENABLED * reading.enabled,
             self.faults,
             self._answers,
             age,
+            reading.conversions & 0xFFFFFFFF,
         )
         return self._codec.encode(self.session, tick, now, report)
 
-    def trip(self, faults: Fault) -> None:
-        """Cut the currents and latch faults."""
+    def trip(self, faults: Fault, now: int) -> None:
+        """Cut the currents and latch faults at an instant [ns]."""
         self._amplifiers.cut()
+        if not self.faults:
+            self._first, self._fault_time = faults, now
         self._holding = False
         self.state, self.faults = State.FAULT, self.faults | faults
 
-    def lose_host(self) -> None:
-        """Latch the watchdog's fault if the device is active, and end the session: nobody is there."""
+    def lose_host(self, now: int) -> None:
+        """Latch the watchdog's fault if the device is active, and end the session."""
         if self.state == State.ACTIVE:
-            self.trip(Fault.WATCHDOG)
+            self.trip(Fault.WATCHDOG, now)
         self.session, self.peer = 0, None
 
     def _waited(self, now: int) -> Fault:
@@ -214,8 +256,14 @@ class Firmware:
             profile.period,
             profile.delay,
             self._watchdog,
+            round(limits.enable * 1e9),
+            self._fault_time,
+            self.faults,
+            self._first,
+            limits.frozen,
             limits.current,
             limits.continuous_current,
+            limits.hover,
             limits.thermal_time,
             limits.spot,
             limits.spot_speed,
@@ -231,8 +279,8 @@ class Firmware:
         if self.state != State.ACTIVE:
             self.counts["inactive"] += 1
             return
-        if wrong := refusal(self.profile.limits, command.held, command.pulsed, command.width):
-            self.trip(wrong)
+        if wrong := command_fault(self.profile.limits, command.held, command.pulsed, command.width):
+            self.trip(wrong, now)
             return
         self._commanded_at, self._answers, self._holding = now, command.answers, False
         self._amplifiers.drive(now, command.held, command.pulsed if command.width else None, command.width)
@@ -243,6 +291,7 @@ class Firmware:
             if last is not None and not newer(control.request, last.request):
                 self.counts["old"] += 1
                 return None
+            self._heard = now
             done = self._do(control, now)
             last = ControlAck(control.request, control.operation, 0 if done else Result.REFUSED, 0, 0)
             self._acknowledgement = last
@@ -255,10 +304,8 @@ class Firmware:
     def _do(self, control: Control, now: int) -> bool:
         """Do what a host asks for; return whether it was done."""
         operation = control.operation
-        if operation == Operation.ESTOP:
-            self.trip(Fault.ESTOP)
-        elif operation == Operation.TRIP:
-            self.trip(Fault(control.faults & sum(Fault)) or Fault.HOST)
+        if operation == Operation.TRIP:
+            self.trip(Fault(control.faults & sum(Fault)) or Fault.HOST, now)
         elif operation == Operation.RESET:
             return self._reset()
         elif operation == Operation.ARM:
@@ -272,15 +319,18 @@ class Firmware:
         return True
 
     def _arm(self, hover: Sequence[float], now: int) -> bool:
-        if self.state != State.INACTIVE or refusal(self.profile.limits, hover, hover, 0.0):
+        if self.state != State.INACTIVE or not all(abs(one) <= self.profile.limits.hover for one in hover):
             return False
         self._hover, self._commanded_at, self._answers, self._holding = hover, now, _NEVER, False
-        self._coils, self._diodes = CoilGuard(), DiodeGuard(self.profile.limits, self.profile.period * 1e-9)
+        self._coils, self._spots = CoilGuard(), SpotGuard(self.profile.limits, self.profile.period * 1e-9)
+        self._disabled = 0
         self.state = State.ACTIVE
+        self._amplifiers.toggle(now)
         return True
 
     def _reset(self) -> bool:
-        if self.state == State.ACTIVE or max(self._warmth.shares) >= WARM:
+        off = all(abs(one) <= OFF for one in self._measured)
+        if self.state == State.ACTIVE or max(self._thermal.rises) >= WARNING_RISE or not off:
             return False
-        self.state, self.faults = State.INACTIVE, Fault(0)
+        self.state, self.faults, self._first, self._fault_time = State.INACTIVE, Fault(0), Fault(0), 0
         return True

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from maglev_mj.bridge.realtime import Lateness
+from maglev_mj.bridge.realtime import LatencyHistogram
 from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.controller import Controller
 from maglev_mj.errors import MaglevError, ParameterError
@@ -31,7 +31,7 @@ from maglev_mj.session import (
     settings_of,
 )
 
-__all__ = ["Flight", "Flown"]
+__all__ = ["Flight", "FlightReport"]
 
 _USUAL = 100
 """Answers whose median is the usual delay: one early or late answer makes no loop stable or unstable."""
@@ -39,7 +39,7 @@ _USUAL = 100
 _NOTE = "the hand, the rate and the delay are the device's"
 
 
-class Flown(NamedTuple):
+class FlightReport(NamedTuple):
     """What a flight came to.
 
     Attributes:
@@ -54,7 +54,7 @@ class Flown(NamedTuple):
     lost: int
     skipped: int
     wall_time: float
-    answer: Lateness
+    answer: LatencyHistogram
 
 
 class Flight:
@@ -90,13 +90,13 @@ class Flight:
         self._motion, self._note = SampledMotion(scene.axis_index), _NOTE
         self._stopped = threading.Event()
         self._wanted: Scene | None = None
-        self._answer = Lateness()
+        self._answer = LatencyHistogram()
         self._force: Sequence[float] = WEIGHT
         self._delays: deque[float] = deque(maxlen=_USUAL)
         self._warn, self._checked = warn, 0.0
         self.read_at = 0
 
-    def run(self, duration: float | None = None) -> Flown:
+    def run(self, duration: float | None = None) -> FlightReport:
         """Take off, render the scene until `stop` or for so long [s] of the device's time, and land.
 
         Raises:
@@ -109,7 +109,7 @@ class Flight:
                 self._file.event("fault", str(error))
             raise
 
-    def _run(self, duration: float | None) -> Flown:
+    def _run(self, duration: float | None) -> FlightReport:
         start, plant = time.monotonic(), self._plant
         plant.takeoff()
         first = plant.samples.tick
@@ -119,7 +119,7 @@ class Flight:
         ticks = plant.samples.tick - first
         plant.land()
         samples = plant.samples
-        return Flown(ticks, samples.lost, samples.skipped, time.monotonic() - start, self._answer)
+        return FlightReport(ticks, samples.lost, samples.skipped, time.monotonic() - start, self._answer)
 
     def stop(self) -> None:
         """Let `run` land; from any thread."""

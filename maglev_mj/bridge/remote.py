@@ -8,23 +8,78 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NoReturn
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.device import RemoteDevice
-from maglev_mj.bridge.gate import Gate
-from maglev_mj.bridge.lifecycle import Leader
-from maglev_mj.bridge.safety import WARM, Envelope, FlotorGuard
-from maglev_mj.bridge.states import Fault, State
+from maglev_mj.bridge.safety import WARNING_RISE, Envelope, FlotorGuard, OutputLimiter
 from maglev_mj.bridge.wire import Command as CommandFrame
-from maglev_mj.bridge.wire import Frame, StateReport
+from maglev_mj.bridge.wire import Fault, Frame, State, StateReport
+from maglev_mj.controller import Controller
 from maglev_mj.errors import PlantError, SensingError
 from maglev_mj.frames import ZERO, Command, Sample
+from maglev_mj.hand import Trajectory
+from maglev_mj.laws import Bias, Hold
 from maglev_mj.loop import ControlLoop
 from maglev_mj.net.udp import Link, LinkError
+from maglev_mj.parameters import number
 from maglev_mj.sensing.solver import PoseTracker
 
-__all__ = ["RemotePlant"]
+__all__ = ["Leader", "RemotePlant"]
+
+_ASIDE, _ASKEW = 0.002, math.radians(3.0)
+
+
+class Leader:
+    """A controller that leads the flotor along a minimum-jerk path by a soft spring and damper, and carries its weight.
+
+    Args:
+        calibration: What is known of the device.
+        start: Where the path begins [m, rad], six components.
+        end: Where it ends.
+        duration: How long it takes [s].
+        period: Sample period [s].
+        delay: From a sample to its command taking effect [s], however it comes about.
+        astray: Called with the pose where the flotor does not follow.
+
+    Attributes:
+        period: Sample period [s].
+
+    Raises:
+        ParameterError: If the duration is not above 0.
+    """
+
+    def __init__(
+        self,
+        calibration: Calibration,
+        start: Sequence[float],
+        end: Sequence[float],
+        *,
+        duration: float,
+        period: float,
+        delay: float,
+        astray: Callable[[Sequence[float]], object],
+    ) -> None:
+        self.period = period
+        self._path = Trajectory([0.0, number("duration", duration, above=0.0)], [list(start), list(end)])
+        self._astray = astray
+        inertia = np.concatenate([[calibration.mass] * 3, calibration.inertia])
+        weight = np.concatenate([-calibration.mass * calibration.gravity, np.zeros(3)])
+        hold = Hold.critically_damped(inertia=inertia, period=period, delay=delay)
+        self._controller = Controller([Bias(weight), hold], period=period)
+        self._first: int | None = None
+
+    def step(self, sample: Sample) -> Command:
+        """Answer one sample."""
+        if self._first is None:
+            self._first = sample.tick
+        goal = self._path.at((sample.tick - self._first) * self.period)
+        off = [found - wanted for found, wanted in zip(sample.position, goal)]
+        if math.hypot(*off[:3]) > _ASIDE or math.hypot(*off[3:]) > _ASKEW:
+            self._astray(sample.position)
+        return self._controller.step(Sample(sample.tick, sample.time, off))
+
 
 _UNKNOWN = (math.nan,) * 6
 
@@ -33,8 +88,8 @@ class RemotePlant(RemoteDevice):
     """A device at the other end of a wire. The controller cannot tell it from `MuJoCoPlant`.
 
     The device is the clock: `read` waits for its next sample. A sample that was lost leaves a gap in the tick numbers.
-    Six currents leave through one gate: finite, wrench limit, current limit, warmth. Whatever goes wrong ends in zero
-    currents, a fault that is latched until `reset`, and a file with the last cycles.
+    Six currents leave through one output limiter: finite, wrench limit, current limit, temperatures. What goes wrong
+    ends in zero currents, a fault that is latched until `reset`, and a file with the last cycles.
 
     Args:
         link: The wire; see `open_link`. It is closed with the plant.
@@ -85,8 +140,8 @@ class RemotePlant(RemoteDevice):
         welcome = self._line.welcome
         self.period, self.delay = welcome.period / 1e9, welcome.delay / 1e9
         self.lockstep, self.limits = bool(welcome.lockstep), self._line.limits
-        self._gate = Gate(self.calibration.coils, self.limits, wrench_limit, self.period)
-        self._felt: Sequence[float] = ZERO  # what the device says of its coils' warmth
+        self._output = OutputLimiter(self.calibration.coils, self.limits, wrench_limit, self.period)
+        self._felt: Sequence[float] = ZERO  # what the device says of its coils' temperatures
         self._warned = False
         self.last_delay = math.nan
         self.rest: Sequence[float] = ZERO
@@ -119,8 +174,8 @@ class RemotePlant(RemoteDevice):
                 self._fail(Fault.CLOCK, out_of_step)
             if wrong:
                 self._fail(wrong, f"the flotor is at {_shown(position)}")
-            if max(report.warmth) >= WARM or max(self._gate.warmth.shares) >= WARM:
-                self._watch_warmth()
+            if max(report.temperatures) >= WARNING_RISE or max(self._output.thermal.rises) >= WARNING_RISE:
+                self._watch_temperatures()
         tick = self.samples.tick
         return Sample(tick, tick * self.period, position)
 
@@ -135,19 +190,19 @@ class RemotePlant(RemoteDevice):
         if self.samples.tick < 0:
             raise PlantError("write() needs a sample: call read() first")
         try:
-            command, held, pulsed, width = self._gate.currents(command, self._known)
+            command, held, pulsed, width = self._output.currents(command, self._known)
         except (PlantError, TypeError) as error:
             self._fail(Fault.INVALID_COMMAND, str(error))
         self._send(held, pulsed, width)
         self._owed = False
-        self._gate.passed(held, pulsed, width)
+        self._output.passed(held, pulsed, width)
         self._box.keep((*self._row, self._seen, held, held if pulsed is None else pulsed, width))
         return command
 
     @property
-    def warmth(self) -> list[float]:
+    def temperatures(self) -> list[float]:
         """Of the six coils, the higher of what the device says and what was sent: 1 where they trip."""
-        return [max(one, other) for one, other in zip(self._felt, self._gate.warmth.shares)]
+        return [max(one, other) for one, other in zip(self._felt, self._output.thermal.rises)]
 
     def takeoff(self, duration: float = 0.6) -> None:
         """Arm, and lead the flotor from where it lies to the centre; keep hands off it.
@@ -201,8 +256,8 @@ class RemotePlant(RemoteDevice):
         samples = self.samples
         out_of_step = samples.count(frame.sequence, frame.time, self._line.skipped)
         if (unanswered := samples.elapsed - answered) > 0:  # what nobody wrote for: the coils cool, or go on
-            self._gate.stay(unanswered, self.last_currents if self.state == State.ACTIVE else ZERO)
-        self._felt = report.warmth
+            self._output.stay(unanswered, self.last_currents if self.state == State.ACTIVE else ZERO)
+        self._felt = report.temperatures
         in_force = samples.elapsed == 1 and report.answered == self._sequence
         self.last_delay = self.period - report.age * 1e-6 + self.delay if in_force else math.nan
         self._sequence = frame.sequence
@@ -234,10 +289,10 @@ class RemotePlant(RemoteDevice):
                 self._fail(Fault.HOST, str(error))
             raise
 
-    def _watch_warmth(self) -> None:
-        warmest = max(warmth := self.warmth)
+    def _watch_temperatures(self) -> None:
+        warmest = max(temperatures := self.temperatures)
         if warmest >= 1.0:
-            self._fail(Fault.COIL_OVERTEMP, f"coil {warmth.index(warmest)} bears no more")
+            self._fail(Fault.COIL_OVERTEMP, f"coil {temperatures.index(warmest)} bears no more")
         if not self._warned:
             self._warned = True
             warnings.warn(f"a coil is at {warmest:.0%} of what it bears", stacklevel=3)

@@ -13,9 +13,8 @@ import numpy as np
 from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.realtime import realtime, stopping
 from maglev_mj.bridge.safety import Limits
-from maglev_mj.bridge.server import TwinServer
-from maglev_mj.bridge.states import fault_names
-from maglev_mj.bridge.twin import MISFORTUNES, Misfortune, Twin, TwinParameters
+from maglev_mj.bridge.twin import INJECTED_FAULTS, InjectedFault, Twin, TwinParameters, TwinServer
+from maglev_mj.bridge.wire import fault_names
 from maglev_mj.cli.options import add_bridge, chosen_key, count, number_option
 from maglev_mj.errors import ParameterError
 from maglev_mj.net.udp import Server, UdpServer, check_host, parse_url
@@ -51,7 +50,7 @@ def add_command(commands: Any) -> None:
         )
     twin.add_argument("--seed", type=count, default=0, metavar="N", help="of the noise (default 0)")
     twin.add_argument("--lockstep", action="store_true", help="wait for each answer instead of keeping real time")
-    faults = "; ".join(f"{name}:K, {text}" for name, (text, _) in MISFORTUNES.items())
+    faults = "; ".join(f"{name}:K, {text}" for name, (text, _) in INJECTED_FAULTS.items())
     twin.add_argument(
         "--fault", action="append", default=[], metavar="NAME:K@SECONDS", help=f"what goes wrong, and when: {faults}"
     )
@@ -78,7 +77,7 @@ def _twin(options: argparse.Namespace) -> int:
         noise=options.noise,
         seed=options.seed,
         limits=Limits(watchdog=options.watchdog),
-        misfortunes=[Misfortune.parse(text) for text in options.fault],
+        faults=[InjectedFault.parse(text) for text in options.fault],
     )
     viewer = None
     if options.view:

@@ -1,6 +1,6 @@
 """The hand that holds the flotor: its impedance, the forces that it exerts, and what was published of both."""
 
-from maglev_mj.hand.forces import GuidedHand, HandForce, Path, RecordedHand, SpringHand
+from maglev_mj.hand.forces import GuidedHand, HandForce, RecordedHand, SpringHand, Trajectory
 from maglev_mj.hand.impedance import HANDS, Hand, exponential, hand_called, motion, transition
 
 __all__ = [
@@ -8,9 +8,9 @@ __all__ = [
     "GuidedHand",
     "Hand",
     "HandForce",
-    "Path",
     "RecordedHand",
     "SpringHand",
+    "Trajectory",
     "exponential",
     "hand_called",
     "motion",

@@ -20,7 +20,7 @@ from maglev_mj.frames import AXES, Array, Component, quaternion, rotation_vector
 from maglev_mj.hand.impedance import Hand
 from maglev_mj.parameters import number, numbers
 
-__all__ = ["GuidedHand", "HandForce", "Path", "RecordedHand", "SpringHand"]
+__all__ = ["GuidedHand", "HandForce", "RecordedHand", "SpringHand", "Trajectory"]
 
 State: TypeAlias = Callable[[], tuple[Array, Array]]
 """Returns the true pose and twist of the flotor now, (..., 6) each."""
@@ -42,7 +42,7 @@ class HandForce(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Path:
+class Trajectory:
     """Poses at given times, and a minimum-jerk movement from each to the next.
 
     Args:
@@ -101,7 +101,7 @@ class GuidedHand:
     """
 
     hand: Hand
-    path: Path
+    path: Trajectory
     _pulls: tuple[tuple[int, float], ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -145,7 +145,7 @@ class SpringHand:
     turning_damping: float = 0.02
     force_limit: float = 20.0
     torque_limit: float = 0.4
-    target: Sequence[float] | Path | None = None
+    target: Sequence[float] | Trajectory | None = None
 
     def __post_init__(self) -> None:
         for name in ("stiffness", "damping", "turning_stiffness", "turning_damping", "force_limit", "torque_limit"):
@@ -156,7 +156,7 @@ class SpringHand:
         target = self.target
         if target is None:
             return _NOTHING
-        if isinstance(target, Path):
+        if isinstance(target, Trajectory):
             target = target.at(float(time))
         pose, twist = (part.tolist() for part in state())
         force = [

@@ -4,7 +4,7 @@ import math
 from typing import ClassVar
 
 from maglev_mj.frames import AXES
-from maglev_mj.hand import Path
+from maglev_mj.hand import Trajectory
 from maglev_mj.laws import Law
 from maglev_mj.scenes.interactive import InteractiveScene
 from maglev_mj.scenes.parts import contacts, spring, weight
@@ -23,7 +23,7 @@ class Box(InteractiveScene):
     says: ClassVar = "a box of walls on all six axes"
     model: ClassVar = "scenes/box"
     shown_axis: ClassVar = "x"
-    script: ClassVar = Path(
+    script: ClassVar = Trajectory(
         [0.2, 0.5, 0.9, 1.4, 1.9, 2.4, 3.0],
         [
             [x * 1e-3, y * 1e-3, z * 1e-3, 0.0, turn, 0.0]

@@ -5,7 +5,7 @@ from typing import ClassVar
 import numpy as np
 
 from maglev_mj.frames import AXES
-from maglev_mj.hand import Path
+from maglev_mj.hand import Trajectory
 from maglev_mj.laws import Law
 from maglev_mj.scenes.interactive import InteractiveScene
 from maglev_mj.scenes.parts import contacts, spring, weight
@@ -21,7 +21,7 @@ class Corner(InteractiveScene):
     says: ClassVar = "drawn into a corner of two walls, and a stop for a rotation"
     model: ClassVar = "scenes/corner"
     pose: ClassVar = (0.003, 0.0, 0.003, 0.0, 0.04, 0.0)
-    script: ClassVar = Path(
+    script: ClassVar = Trajectory(
         [0.8, 1.2, 1.6, 2.4, 3.0],
         [
             [x * 1e-3, 0.0, z * 1e-3, 0.0, turn, 0.0]

@@ -7,7 +7,7 @@ from typing import Any, ClassVar, TypeAlias
 
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, ZERO
-from maglev_mj.hand import Path, SpringHand
+from maglev_mj.hand import SpringHand, Trajectory
 from maglev_mj.laws import Law
 from maglev_mj.parameters import Turn, number, param
 from maglev_mj.scenes import parts
@@ -54,12 +54,12 @@ class InteractiveScene(Scene):
     Class attributes:
         says: What it is, in a few words.
         pose: Pose at the start [m, rad].
-        script: Path of the scripted hand; None for none.
+        script: Trajectory of the scripted hand; None for none.
     """
 
     says: ClassVar[str] = ""
     pose: ClassVar[Sequence[float]] = ZERO
-    script: ClassVar[Path | None] = None
+    script: ClassVar[Trajectory | None] = None
 
     wall: bool = param("walls", default=True, live=True)
     pulse: bool = param("braking pulses of the walls", default=True, live=True)

@@ -4,7 +4,7 @@ import math
 from typing import ClassVar
 
 from maglev_mj.frames import AXES
-from maglev_mj.hand import Path
+from maglev_mj.hand import Trajectory
 from maglev_mj.laws import Law
 from maglev_mj.scenes.interactive import InteractiveScene
 from maglev_mj.scenes.parts import contacts, spring, weight
@@ -24,7 +24,7 @@ class Joystick(InteractiveScene):
     says: ClassVar = "soft centring on six axes in a box of walls; friction on a key"
     model: ClassVar = "scenes/joystick"
     shown_axis: ClassVar = "x"
-    script: ClassVar = Path(
+    script: ClassVar = Trajectory(
         [0.3, 0.8, 1.0, 1.6, 2.1, 2.6, 3.2, 3.8, 4.2],
         [
             [x * 1e-3, y * 1e-3, z * 1e-3, tilt, nod, spin]

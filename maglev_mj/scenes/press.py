@@ -9,7 +9,7 @@ import numpy as np
 
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Component
-from maglev_mj.hand import GuidedHand, Hand, Path, hand_called, motion
+from maglev_mj.hand import GuidedHand, Hand, Trajectory, hand_called, motion
 from maglev_mj.laws import Law
 from maglev_mj.parameters import number, param
 from maglev_mj.plants import Timing
@@ -144,14 +144,14 @@ class Press(WallScene):
         begin = (1.0 - phase) * self.period
         return [begin + (_WAIT + place) * self.interval for place in range(self.hits + 1)]
 
-    def path(self, phase: float) -> Path:
+    def path(self, phase: float) -> Trajectory:
         """Return where the arm's spring pulls to."""
         up, down = ([0.0, 0.0, z, 0.0, 0.0, 0.0] for z in (self.height, self.resting_point))
         times, poses, way = [(1.0 - phase) * self.period], [up], _WAY * self.interval
         for start in self.strokes(phase):
             times += [start, start + way, start + 2.0 * way]
             poses += [up, down, up]
-        return Path(times[:-1], poses[:-1])
+        return Trajectory(times[:-1], poses[:-1])
 
     def series(self, result: Result, time: Array) -> dict[str, Array]:
         """Return height [m], force of the actuators [N], and the point that the hand pulls to [m]."""

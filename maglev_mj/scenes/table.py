@@ -3,7 +3,7 @@
 from typing import ClassVar
 
 from maglev_mj.frames import AXES
-from maglev_mj.hand import Path
+from maglev_mj.hand import Trajectory
 from maglev_mj.laws import Law
 from maglev_mj.parameters import param
 from maglev_mj.scenes.bench import hold
@@ -19,7 +19,7 @@ class Table(InteractiveScene):
     says: ClassVar = "a block with dry friction on a table (figures 8 and 9)"
     model: ClassVar = "scenes/table"
     shown_axis: ClassVar = "x"
-    script: ClassVar = Path(
+    script: ClassVar = Trajectory(
         [0.2, 1.2, 1.5, 2.5, 2.8, 4.0],
         [[x * 1e-3, y * 1e-3, 0.0, 0.0, 0.0, 0.0] for x, y in ((0, 0), (13, 4), (13, 4), (-8, -13), (-8, -13), (0, 0))],
     )

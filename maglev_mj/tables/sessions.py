@@ -4,28 +4,27 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from maglev_mj.bridge.states import fault_names
+from maglev_mj.bridge.wire import fault_names
 from maglev_mj.recording import Verdict
 
 if TYPE_CHECKING:
-    from maglev_mj.bridge.flight import Flown
-    from maglev_mj.bridge.server import Served
-    from maglev_mj.bridge.twin import Twin
+    from maglev_mj.bridge.flight import FlightReport
+    from maglev_mj.bridge.twin import ServerReport, Twin
     from maglev_mj.viewer.window import ShowReport
 
 __all__ = ["flown_table", "served_table", "show_table", "verdict_table"]
 
 
-def served_table(served: Served, twin: Twin) -> str:
+def served_table(served: ServerReport, twin: Twin) -> str:
     """Return what a twin came to."""
     firmware = twin.firmware
     rate = served.ticks / max(served.wall_time, 1e-9)
     lines = [
         f"  {served.wall_time:.1f} s, {served.ticks} samples, {rate:.0f} a second, {served.missed} periods stalled"
     ]
-    if served.lateness.count:
-        lateness = served.lateness
-        lines.append(f"  late by {lateness.p50 * 1e6:.0f} µs in the median, {lateness.p99 * 1e3:.2f} ms at 99 %")
+    if served.latency.count:
+        latency = served.latency
+        lines.append(f"  late by {latency.p50 * 1e6:.0f} µs in the median, {latency.p99 * 1e3:.2f} ms at 99 %")
     ignored = firmware.counts + twin.codec.dropped
     if ignored:
         lines.append(
@@ -35,7 +34,7 @@ def served_table(served: Served, twin: Twin) -> str:
     return "\n".join(lines)
 
 
-def flown_table(flown: Flown) -> str:
+def flown_table(flown: FlightReport) -> str:
     """Return what a flight came to."""
     lines = [f"  {flown.wall_time:.1f} s, {flown.ticks} samples, {flown.lost} lost, {flown.skipped} skipped"]
     if flown.answer.count:

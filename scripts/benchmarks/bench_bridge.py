@@ -22,16 +22,13 @@ from typing import Any
 import numpy as np
 
 from maglev_mj import Controller, Hold, Sample
-from maglev_mj.bridge import server
 from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.flight import Flight
-from maglev_mj.bridge.gate import Gate
-from maglev_mj.bridge.realtime import Lateness, realtime, stopping
+from maglev_mj.bridge.realtime import LatencyHistogram, realtime, stopping
 from maglev_mj.bridge.remote import RemotePlant
-from maglev_mj.bridge.safety import Envelope, Limits
-from maglev_mj.bridge.server import TwinServer
+from maglev_mj.bridge.safety import Envelope, Limits, OutputLimiter
 from maglev_mj.bridge.simulated_links import VirtualLink
-from maglev_mj.bridge.twin import Twin, TwinParameters
+from maglev_mj.bridge.twin import ServerReport, Twin, TwinParameters, TwinServer
 from maglev_mj.bridge.wire import Codec, Command, StateReport
 from maglev_mj.laws import Bias
 from maglev_mj.loop import drive
@@ -185,7 +182,7 @@ def parts(cycles: int) -> dict[str, Callable[[], object]]:
     poses = [PoseTracker(known.beams)(report.spots) for report in reports]
     samples = [Sample(tick, tick * controller.period, pose) for tick, pose in enumerate(poses)]
     commands = [controller.step(sample) for sample in samples]
-    gate = Gate(known.coils, COOL, None, controller.period)
+    gate = OutputLimiter(known.coils, COOL, None, controller.period)
     sent = [gate.currents(command, pose)[1:] for command, pose in zip(commands, poses)]
 
     def laws() -> None:
@@ -226,7 +223,7 @@ class Answered(Twin):
 
     def __init__(self, parameters: TwinParameters) -> None:
         super().__init__(parameters)
-        self.late = Lateness()
+        self.late = LatencyHistogram()
 
     def receive(self, data: bytes, now: int, peer: Any) -> bytes | None:
         """Take a frame."""
@@ -247,7 +244,7 @@ def serve(pipe: Connection, parameters: dict[str, Any], spin: float, cpu: int | 
             pipe.send((server.run(), twin.late))
 
 
-class Served:
+class TwinProcess:
     """A twin in a process of its own; its port, and what it came to once it is told to end."""
 
     def __init__(self, parameters: dict[str, Any], spin: float = 0.0, cpu: int | None = None, on_time: bool = False):
@@ -257,10 +254,10 @@ class Served:
         self._process.start()
         self.port: int = self._pipe.recv()
 
-    def end(self) -> tuple[server.Served, Lateness]:
+    def end(self) -> tuple[ServerReport, LatencyHistogram]:
         """Let it end."""
         self._process.terminate()
-        result: tuple[server.Served, Lateness] = self._pipe.recv()
+        result: tuple[ServerReport, LatencyHistogram] = self._pipe.recv()
         return result
 
     def close(self) -> None:
@@ -279,7 +276,7 @@ def lockstep(blocks: int) -> None:
     for scene, (controller, pose) in SCENES.items():
         for way, (ours, theirs, spin) in ways.items():
             parameters = {"lockstep": True, "pose": pose, "limits": COOL}
-            with closing(Served(parameters, spin, theirs)) as twin, pinned(ours):
+            with closing(TwinProcess(parameters, spin, theirs)) as twin, pinned(ours):
                 link = (Polled if spin else UdpLink)(HOME, twin.port)
                 with RemotePlant(link, patience=10.0) as plant, no_garbage():
                     plant.arm()
@@ -291,7 +288,7 @@ def lockstep(blocks: int) -> None:
 def in_real_time(seconds: float) -> None:
     """Print how long after a sample's instant the answer to it is at the device."""
     for rate in RATES:
-        with closing(Served({"period": 1.0 / rate}, on_time=True)) as twin:
+        with closing(TwinProcess({"period": 1.0 / rate}, on_time=True)) as twin:
             link, scene = UdpLink(HOME, twin.port), Joystick()
             with RemotePlant(link) as plant, realtime("ignore") as refused:
                 flight = Flight(plant, scene.replace(period=plant.period, delay=plant.delay))

@@ -24,8 +24,7 @@ from typing import Any, TypeAlias
 from maglev_mj.bridge import firmware as firmware_module
 from maglev_mj.bridge import wire as wire_module
 from maglev_mj.bridge.firmware import Firmware, Profile, Reading
-from maglev_mj.bridge.states import Operation, State
-from maglev_mj.bridge.wire import Codec, Command, Control, ControlAck, Hello, HelloAck, StateReport
+from maglev_mj.bridge.wire import Codec, Command, Control, ControlAck, Hello, HelloAck, Operation, State, StateReport
 
 Frames: TypeAlias = list[bytes]
 

@@ -12,7 +12,7 @@ import numpy as np
 from maglev_mj import Timing
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
-from maglev_mj.hand import Hand, Path
+from maglev_mj.hand import Hand, Trajectory
 from maglev_mj.parameters import number
 from maglev_mj.spec import Spec
 from teleoperation_coupling import Coupling
@@ -102,7 +102,7 @@ class Task:
         """Middle of the block's top, from where the pin's tip starts [m, the slave's], (3,)."""
         return np.array(_BLOCK[self.mode])
 
-    def path(self, coupling: Coupling) -> tuple[Path, float]:
+    def path(self, coupling: Coupling) -> tuple[Trajectory, float]:
         """Return where the hand's arm is drawn to, and when it is done with pushing [s]."""
         _, _, arm, _, grip = (float(value) for value in self.hand.values)
         reach = 1e3 * self.press * (1.0 / arm + (1.0 / grip if grip else 0.0))
@@ -115,7 +115,7 @@ class Task:
         return _drawn(self, reach + 1e3 * self.press / coupling.stiffness)
 
 
-def _drawn(task: Task, reach: float) -> tuple[Path, float]:
+def _drawn(task: Task, reach: float) -> tuple[Trajectory, float]:
     """Return the way to the block in position mode: aside, down at a speed that is greatest on contact, and press.
 
     Args:
@@ -131,7 +131,7 @@ def _drawn(task: Task, reach: float) -> tuple[Path, float]:
     return _path(points), down + 0.4
 
 
-def _steered(task: Task, reach: float) -> tuple[Path, float]:
+def _steered(task: Task, reach: float) -> tuple[Trajectory, float]:
     """Return the way to the block in rate mode: push aside, let go, push down onto the block, press, let go.
 
     Args:
@@ -148,7 +148,7 @@ def _steered(task: Task, reach: float) -> tuple[Path, float]:
     return _path(points), 4.8
 
 
-def _path(points: Sequence[_Point]) -> Path:
+def _path(points: Sequence[_Point]) -> Trajectory:
     """Return a path from times [s] and places [mm]."""
     table = np.array(points)
-    return Path(table[:, 0], np.pad(table[:, 1:] * 1e-3, ((0, 0), (0, 3))))
+    return Trajectory(table[:, 0], np.pad(table[:, 1:] * 1e-3, ((0, 0), (0, 3))))
