@@ -18,15 +18,19 @@ from maglev_mj.controller import Controller
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.loop import Answers, ControlLoop, Record
+from maglev_mj.parameters import number
 from maglev_mj.recording import Mechanics, RecordingError, RecordingFile, RunMetadata
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.parts import WEIGHT
 from maglev_mj.session import (
     DEVICES_OWN,
+    STEP_FORCE,
     Publisher,
     Publishers,
     SampledMotion,
     Snapshot,
+    Wish,
+    check_step,
     device_controller,
     settings_of,
 )
@@ -66,6 +70,7 @@ class Flight:
         file: What every sample is recorded to; left open.
         publishers: Windows on it and ways to other programs; left open.
         warn: Called, once, with why the flight is not recorded any more.
+        step_force: Largest step of force that new settings may make [N]; see `check_step`.
 
     Attributes:
         read_at: When the last sample was there [ns].
@@ -82,6 +87,7 @@ class Flight:
         file: RecordingFile | None = None,
         publishers: Sequence[Publisher] = (),
         warn: Callable[[str], object] | None = None,
+        step_force: float = STEP_FORCE,
     ) -> None:
         if scene.period != plant.period:
             raise ParameterError(f"period must be the device's {plant.period:g} s, not {scene.period:g}")
@@ -89,7 +95,11 @@ class Flight:
         self._publishers, self._since = Publishers(publishers), 0
         self._motion, self._note = SampledMotion(scene.axis_index), _NOTE
         self._stopped = threading.Event()
-        self._wanted: Scene | None = None
+        self._wanted: tuple[Wish, Controller] | None = None
+        self._begun: Wish | None = Wish(scene)
+        self._controller = device_controller(scene)
+        self._step_force = number("step_force", step_force, above=0.0)
+        self._inertia = [*[plant.calibration.mass] * 3, *plant.calibration.inertia]
         self._answer = LatencyHistogram()
         self._force: Sequence[float] = WEIGHT
         self._delays: deque[float] = deque(maxlen=_USUAL)
@@ -128,9 +138,9 @@ class Flight:
     def _stretch(self, last: int | None) -> None:
         """Fly with unchanged parameters."""
         if self._wanted is not None:
-            self._scene, self._wanted = self._wanted, None
-        self._since = self._plant.samples.tick
-        controller = device_controller(self._scene)
+            (self._begun, self._controller), self._wanted = self._wanted, None
+            self._scene = self._begun.scene
+        controller = self._controller
         record: Record | None = None
         if self._file is not None:
             scene = self._scene
@@ -153,10 +163,14 @@ class Flight:
                 self._check(self._file, self._warn)
             if not self._publishers:
                 return
+            if self._begun is not None:
+                self._since = sample.tick
+                self._begun.answer(sample.tick)
+                self._begun = None
             plant, force, pose = self._plant, np.array(applied.force) - carried, np.array(sample.position)
             self._motion.add(plant.samples.tick * plant.period, pose, force, plant.hand_wrench)
             self._publishers.show(lambda: self._snapshot(pose, force, faces, controller.stick_positions))
-            self._listen()
+            self._listen(sample)
 
         return observe
 
@@ -172,13 +186,21 @@ class Flight:
             self._warn, self._note = None, str(error)
             warn(self._note)
 
-    def _listen(self) -> None:
+    def _listen(self, sample: Sample) -> None:
         """Note how late answers are, and what another program asks for; rate and delay are the device's."""
         if not math.isnan(self._plant.last_delay):
             self._delays.append(self._plant.last_delay)
-        wanted = self._publishers.wanted() if self._wanted is None else None
-        if wanted is not None:
-            self._wanted = wanted.replace(**{name: getattr(self._scene, name) for name in DEVICES_OWN})
+        if self._wanted is not None or (wish := self._publishers.wanted()) is None:
+            return
+        try:
+            scene = wish.scene.replace(**{name: getattr(self._scene, name) for name in DEVICES_OWN})
+            controller = device_controller(scene)
+            check_step(self._controller, controller, sample.position, self._step_force)
+        except MaglevError as error:
+            self._note = str(error)
+            wish.answer(self._note)
+        else:
+            self._wanted, self._note = (Wish(scene, wish.answer), controller), _NOTE
 
     def _snapshot(
         self, pose: Array, force: Array, faces: Sequence[tuple[int, float, float]], anchors: Array | None
@@ -189,6 +211,7 @@ class Flight:
             scene=self._scene,
             since=self._since,
             delay=median(self._delays or [plant.delay]),
+            inertia=self._inertia,
             tick=samples.tick,
             time=float(samples.tick * plant.period),
             pose=pose,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from maglev_mj.controller import Controller
@@ -22,8 +23,8 @@ STEP_FORCE = 2.0
 Pushed by so much through all of its 9 mm, a flotor that nobody holds gets 0.23 m/s: below what a device's host allows.
 """
 
-_ARM = 0.05
-"""A torque is felt at the handle, about so far from the centre [m]."""
+_ARMS = np.array([1.0] * 3 + [0.05] * 3)
+"""A torque is felt at the rim of the flotor, about 50 mm from the axis."""
 
 _ACTING = {"contact": "walls", "stuck": "friction"}
 
@@ -104,9 +105,7 @@ def refusal(scene: Scene, *, inertia: ArrayLike | None = None) -> Refusal | None
     )
 
 
-def check_step(
-    present: Controller, wanted: Controller, pose: Sequence[float], step_force: float = STEP_FORCE
-) -> None:
+def check_step(present: Controller, wanted: Controller, pose: Sequence[float], step_force: float = STEP_FORCE) -> None:
     """Refuse settings that would push the flotor where it is.
 
     Both controllers are asked for their force at rest; that of the wanted one counts with its pulse and without.
@@ -120,17 +119,16 @@ def check_step(
     Raises:
         ParameterError: If the step is larger, or a law fails there.
     """
-    place = [float(part) for part in pose]
-    now, (force, pulse, _) = present.at_rest(place).force, wanted.at_rest(place)
-    pulsed = force if pulse is None else [one + more for one, more in zip(force, pulse)]
-    for held in (force, pulsed):
-        for index, axis in enumerate(AXES):
-            most, unit = (step_force, "N") if index < 3 else (step_force * _ARM, "N m")
-            if not abs(step := held[index] - now[index]) <= most:
-                raise ParameterError(
-                    f"settings must change the force on {axis}, where the flotor is, by at most {most:g} {unit}, "
-                    f"not {step:+.3g} {unit}"
-                )
+    now, then = present.at_rest(pose), wanted.at_rest(pose)
+    step = then.wrench - now.wrench
+    for change in (step, step + then.pulse):
+        index = int(np.argmax(np.abs(change) / (most := step_force * _ARMS)))
+        if not abs(change[index]) <= most[index]:
+            unit = "N" if index < 3 else "N m"
+            raise ParameterError(
+                f"settings must change the force on {AXES[index]}, where the flotor is, by at most {most[index]:g} "
+                f"{unit}, not {change[index]:+.3g} {unit}"
+            )
 
 
 def stability_warning(scene: Scene, *, inertia: ArrayLike | None = None) -> str | None:
