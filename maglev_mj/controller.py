@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from copy import copy, deepcopy
+from copy import copy
 from functools import partial
 from typing import Any
 
@@ -131,7 +131,7 @@ class Controller:
             ParameterError: As for `step` at the first sample.
         """
         rest = copy(self)
-        rest._states, rest._tick = deepcopy(self._states), None
+        rest._states, rest._tick = list(self._states), None if self._tick is None else -1
         rest._estimate = lambda position, state, period: (ZERO, state)
         return rest.step(Sample(0, 0.0, position))
 

@@ -53,7 +53,7 @@ class SideProcess:
     def received(self) -> Iterator[Any]:
         """Yield the messages that have arrived."""
         try:
-            while not self.ended and self.line.poll():
+            while not self.ended and select((self.line,), (), (), 0.0)[0]:  # poll() takes four times as long
                 yield self.line.recv()
         except (EOFError, OSError):
             self.ended = True

@@ -95,6 +95,7 @@ class Flight:
         self._publishers, self._since = Publishers(publishers), 0
         self._motion, self._note = SampledMotion(scene.axis_index), _NOTE
         self._stopped = threading.Event()
+        self._staged: tuple[Wish, Controller] | None = None
         self._wanted: tuple[Wish, Controller] | None = None
         self._begun: Wish | None = Wish(scene)
         self._controller = device_controller(scene)
@@ -190,17 +191,21 @@ class Flight:
         """Note how late answers are, and what another program asks for; rate and delay are the device's."""
         if not math.isnan(self._plant.last_delay):
             self._delays.append(self._plant.last_delay)
-        if self._wanted is not None or (wish := self._publishers.wanted()) is None:
+        wish, controller = self._staged or (self._publishers.wanted(), None)
+        if wish is None:
             return
+        self._staged = None
         try:
-            scene = wish.scene.replace(**{name: getattr(self._scene, name) for name in DEVICES_OWN})
-            controller = device_controller(scene)
+            if controller is None:  # making one takes half of a period at 1 kHz: it is looked at a sample later
+                scene = wish.scene.replace(**{name: getattr(self._scene, name) for name in DEVICES_OWN})
+                self._staged = Wish(scene, wish.answer), device_controller(scene)
+                return
             check_step(self._controller, controller, sample.position, self._step_force)
         except MaglevError as error:
             self._note = str(error)
             wish.answer(self._note)
         else:
-            self._wanted, self._note = (Wish(scene, wish.answer), controller), _NOTE
+            self._wanted, self._note = (wish, controller), _NOTE
 
     def _snapshot(
         self, pose: Array, force: Array, faces: Sequence[tuple[int, float, float]], anchors: Array | None

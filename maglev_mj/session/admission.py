@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from maglev_mj.controller import Controller
 from maglev_mj.errors import MaglevError, ParameterError
-from maglev_mj.frames import AXES, Sample, components
+from maglev_mj.frames import AXES, ZERO, Sample, components
 from maglev_mj.parameters import numbers
 from maglev_mj.scenes import Scene
 from maglev_mj.theory import inertia_of, largest_stable_stiffness, stability
@@ -23,8 +22,8 @@ STEP_FORCE = 2.0
 Pushed by so much through all of its 9 mm, a flotor that nobody holds gets 0.23 m/s: below what a device's host allows.
 """
 
-_ARMS = np.array([1.0] * 3 + [0.05] * 3)
-"""A torque is felt at the rim of the flotor, about 50 mm from the axis."""
+_ARM = 0.05
+"""A torque is felt at the rim of the flotor, about so far from the axis [m]."""
 
 _ACTING = {"contact": "walls", "stuck": "friction"}
 
@@ -119,16 +118,15 @@ def check_step(present: Controller, wanted: Controller, pose: Sequence[float], s
     Raises:
         ParameterError: If the step is larger, or a law fails there.
     """
-    now, then = present.at_rest(pose), wanted.at_rest(pose)
-    step = then.wrench - now.wrench
-    for change in (step, step + then.pulse):
-        index = int(np.argmax(np.abs(change) / (most := step_force * _ARMS)))
-        if not abs(change[index]) <= most[index]:
-            unit = "N" if index < 3 else "N m"
-            raise ParameterError(
-                f"settings must change the force on {AXES[index]}, where the flotor is, by at most {most[index]:g} "
-                f"{unit}, not {change[index]:+.3g} {unit}"
-            )
+    now, then = present.at_rest(pose).force, wanted.at_rest(pose)
+    for more in (ZERO, ZERO if then.extra is None else then.extra):
+        for axis, one, other, pulse in zip(AXES, now, then.force, more):
+            most, unit = (step_force, "N") if axis in AXES[:3] else (step_force * _ARM, "N m")
+            if not abs(step := other + pulse - one) <= most:
+                raise ParameterError(
+                    f"settings must change the force on {axis}, where the flotor is, by at most {most:g} {unit}, "
+                    f"not {step:+.3g} {unit}"
+                )
 
 
 def stability_warning(scene: Scene, *, inertia: ArrayLike | None = None) -> str | None:
