@@ -53,25 +53,23 @@ STEP = 0.0005
 
 
 class Noted:
-    """Notes when each sample was answered: a `Publisher` that publishes nothing.
+    """Notes when each sample is answered.
 
     Args:
-        tick: Returns the number of the sample that is being answered.
+        owner: What answers: a plant, or a session's stretch, whose method is wrapped.
+        method: Name of that method.
+        tick: Returns the number of the sample that is answered.
     """
 
-    def __init__(self, tick: Callable[[], int]) -> None:
+    def __init__(self, owner: Any, method: str, tick: Callable[[], int]) -> None:
         self.rows: list[tuple[int, float]] = []
-        self._tick = tick
+        answer = getattr(owner, method)
 
-    def take(self) -> None:
-        """Note number and time."""
-        self.rows.append((self._tick(), time.monotonic()))
+        def noted(*arguments: Any) -> Any:
+            self.rows.append((tick(), time.monotonic()))
+            return answer(*arguments)
 
-    def show(self, snapshot: object) -> None:
-        """Do nothing."""
-
-    def close(self) -> None:
-        """Do nothing."""
+        setattr(owner, method, noted)
 
 
 def flooding(line: Connection, port: int, wishes: Sequence[Any]) -> None:
@@ -123,10 +121,10 @@ def device(rate: int) -> Iterator[RemotePlant]:
 
 
 def flown(rate: int, wishes: Any, seconds: float) -> tuple[list[float], str]:
-    """Fly once; return SHARES of the time of an answer [µs], the longest interval [ms], samples missed, and the fault."""
+    """Fly once; return SHARES of an answer's time [µs], the longest interval [ms], samples missed, and the fault."""
     with device(rate) as plant, closing(PoseStream(ANY)) as stream, ExitStack() as stack:
-        noted, fault = Noted(lambda: plant.samples.tick), ""
-        flight = Flight(plant, Joystick(period=plant.period, delay=plant.delay), publishers=[noted, stream])
+        noted, fault = Noted(plant, "write", lambda: plant.samples.tick), ""
+        flight = Flight(plant, Joystick(period=plant.period, delay=plant.delay), publishers=[stream])
         if wishes is not None:
             stack.enter_context(closing(SideProcess(flooding, stream.address[1], wishes)))
         with realtime("ignore"):
@@ -134,9 +132,10 @@ def flown(rate: int, wishes: Any, seconds: float) -> tuple[list[float], str]:
                 flight.run(seconds)
             except MaglevError as error:
                 fault = str(error).split(":")[0]
+        missed = float(plant.samples.lost + plant.samples.skipped)
         answers = [flight._answer.percentile(share) * 1e6 for share in SHARES.values()]
-    tick, instant = np.array(noted.rows).T
-    return [*answers, float(np.diff(instant).max()) * 1e3, float((np.diff(tick) - 1.0).sum())], fault
+    longest = max(after - before for (_, before), (_, after) in itertools.pairwise(noted.rows))
+    return [*answers, longest * 1e3, missed], fault
 
 
 def flood(seconds: float, flights: int) -> None:
@@ -200,16 +199,16 @@ def ticks() -> None:
     print("from a host's sending of a set to the first sample answered under it")
     for rate in RATES:
         with device(rate) as plant, closing(PoseStream(ANY)) as stream:
-            scene, noted = Joystick(period=plant.period, delay=plant.delay), Noted(lambda: plant.samples.tick)
-            flight = Flight(plant, scene, publishers=[noted, stream])
+            scene = Joystick(period=plant.period, delay=plant.delay)
+            noted = Noted(plant, "write", lambda: plant.samples.tick)
+            flight = Flight(plant, scene, publishers=[stream])
             with realtime("ignore"), asked(stream) as came:
                 came.append(flight.stop)
                 flight.run()
             counted(f"device at {rate} Hz", noted, came[1:])
         stream = PoseStream(ANY)
-        noted = Noted(lambda: session.snapshot().tick)
-        with closing(Session(scene, publishers=[noted, stream])) as session, asked(stream) as came:
-            running = [True]
+        with closing(Session(scene, publishers=[stream])) as session, asked(stream) as came:
+            noted, running = Noted(session, "_one", lambda: session.snapshot().tick), [True]
             came.append(running.clear)
             for elapsed, _ in real_time(None, STEP):
                 session.tick(elapsed)
