@@ -32,7 +32,7 @@ _LOOK = 0.1
 _AT_ONCE = 64
 """Datagrams taken in one turn, so that poses go out under a flood of them."""
 _PATIENCE = 60.0
-_NICE = 10
+_NICE = 5
 _NO_ROWS = np.empty((0, 5))
 
 
@@ -92,18 +92,24 @@ class PoseStream:
 
 def serve(line: Connection, server: UdpServer, key: bytes | None) -> None:
     """Answer hosts until the line ends; in a process of its own."""
-    with suppress(AttributeError, OSError):
-        os.nice(_NICE)  # what has deadlines goes first
     service = _Service(line, server, key)
+    _give_way()
     line.send(True)
     service.run()
 
 
 def check_requests(line: Connection) -> None:
     """Check settings until the line ends; in a process of its own."""
+    _give_way()
     with suppress(EOFError, OSError):
         while True:
             line.send(checked(*line.recv()))
+
+
+def _give_way() -> None:
+    """Let what has deadlines go first."""
+    with suppress(AttributeError, OSError):
+        os.nice(_NICE)
 
 
 class _Service:
