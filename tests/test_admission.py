@@ -118,7 +118,7 @@ def test_a_step_is_that_of_what_acts_now() -> None:
     assert stuck.at_rest(inside).force[0] == pytest.approx(-6000.0 * 0.35e-3)
     with pytest.raises(ParameterError, match=r"on x, where the flotor is, by at most 2 N, not \+2\.1 N"):
         check_step(stuck, table.controller(), inside)
-    one, other = (Joystick(walls=[["x", -1, edge]]).controller() for edge in (0.001, 0.0012))
+    one, other = (Joystick(walls=[("x", -1, edge)]).controller() for edge in (0.001, 0.0012))
     check_step(one, other, [0.004, 0.0, 0.0, 0.0, 0.0, 0.0])
     with pytest.raises(ParameterError, match="on x, where the flotor is"):
         check_step(Joystick().controller(), other, [0.003, 0.0, 0.0, 0.0, 0.0, 0.0])

@@ -195,8 +195,8 @@ def test_outlets_are_told_sixty_times_a_second_and_asked_every_tick() -> None:
         publishers.show(snapshot)
         now += 1e-4
     assert made <= 63
-    told[1].waiting = scene
-    assert publishers.wanted() is scene and publishers.wanted() is None
+    told[1].waiting = Wish(scene)
+    assert publishers.wanted() == Wish(scene) and publishers.wanted() is None
     publishers.close()
     assert told[0].closed and told[1].closed
 
@@ -248,10 +248,10 @@ def test_a_flight_is_recorded_through_changes_as_one_run(tmp_path: Path, monkeyp
     assert (np.diff(ticks) >= 1).all() and ticks[0] > 100  # it counts from takeoff on
     for before, after in zip(asks.snapshots, asks.snapshots[1:], strict=False):
         assert after.tick - before.tick <= 3
-    firsts = [int(stretch.tick[0]) for stretch in recording.stretches]
-    assert asks.answers == firsts[1:]
+    begun = [int(stretch.tick[0]) for stretch in recording.stretches]
+    assert asks.answers == begun[1:]
     since = [next(one.since for one in asks.snapshots if one.scene == stretch) for stretch in (Joystick(), *wishes)]
-    assert since == firsts and 1 <= since[1] - asks.snapshots[2].tick <= 3
+    assert since == begun and 1 <= since[1] - asks.snapshots[2].tick <= 3
     with (tmp_path / "run.mcap").open("rb") as opened:
         read = [
             (message.log_time, json.loads(message.data))
@@ -268,7 +268,7 @@ def test_a_flight_is_recorded_through_changes_as_one_run(tmp_path: Path, monkeyp
 def test_settings_that_would_push_the_flotor_are_refused_in_a_flight(monkeypatch: pytest.MonkeyPatch) -> None:
     """A wall 2 mm deep, the flotor's weight, a law that fails: each is refused with why, and the flight goes on."""
     monkeypatch.setattr(Publishers.__init__, "__defaults__", ((), slow()))
-    around, good = [["z", -1, -0.002]], Joystick(stiffness=3000.0)
+    around, good = [("z", -1, -0.002)], Joystick(stiffness=3000.0)
     asks = Asks(Joystick(walls=around), good, Failing(period=0.005, delay=0.0015))
     flown, plant = flight(publishers=[asks])
     with plant:

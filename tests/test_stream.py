@@ -592,7 +592,7 @@ class Odd(Scene):
             file.write(f"{os.getpid()}\\n")
         if self.ends:
             os._exit(3)
-        return [Hold.critically_damped(stiffness=self.stiffness)]
+        return [Hold(stiffness=self.stiffness, damping=20.0)]
 """
 
 

@@ -94,7 +94,7 @@ def serve(line: Connection, server: UdpServer, key: bytes | None) -> None:
     """Answer hosts until the line ends; in a process of its own."""
     service = _Service(line, server, key)
     _give_way()
-    line.send(True)
+    line.send(service.is_warm())
     service.run()
 
 
@@ -102,6 +102,7 @@ def check_requests(line: Connection) -> None:
     """Check settings until the line ends; in a process of its own."""
     _give_way()
     with suppress(EOFError, OSError):
+        line.send(None)  # it has loaded what it needs
         while True:
             line.send(checked(*line.recv()))
 
@@ -118,6 +119,10 @@ class _Service:
     def __init__(self, line: Connection, server: UdpServer, key: bytes | None) -> None:
         self._line, self._server, self._hosts = line, server, Hosts(key)
         self._checker, self._until = SideProcess(check_requests), math.inf
+
+    def is_warm(self) -> bool:
+        """Wait until the process that checks can; return whether it can."""
+        return self._checker.line.poll(_PATIENCE)
 
     def run(self) -> None:
         """Answer until the control loop's end of the line is closed."""
@@ -157,7 +162,8 @@ class _Service:
     def _check(self) -> None:
         """Take what has been checked, and let the next be checked."""
         for verdict in self._checker.received():
-            self._settle(verdict)
+            if verdict is not None:
+                self._settle(verdict)
         if self._checker.ended or time.monotonic() > self._until:
             ended = self._checker.ended
             self._checker.close(0.0)
