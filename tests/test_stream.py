@@ -43,6 +43,7 @@ from maglev_mj.stream import PoseStream, StreamClient, StreamError
 from maglev_mj.stream.datagrams import MOST_ANSWERED, MOST_ASKED, Datagrams, Guard
 from maglev_mj.stream.hosts import MOST_SUBSCRIBERS, SUBSCRIBED, Hosts, checked
 from maglev_mj.stream.messages import description, pose_message
+from maglev_mj.stream.stream import LONGEST_CHECK
 from maglev_mj.theory import is_stable, largest_modulus, largest_stable_stiffness
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -606,7 +607,8 @@ def odd_scene(tmp_path: Path) -> Scene:
 @pytest.mark.usefixtures("processes")
 def test_sets_are_checked_in_another_process_and_refused_where_that_dies(odd_scene: Scene, tmp_path: Path) -> None:
     noted = tmp_path / "processes"
-    with closing(PoseStream(ANY)) as stream, StreamClient(url(stream), patience=30.0) as client:
+    patience = 0.9 * LONGEST_CHECK  # it is said before the check's time is over
+    with closing(PoseStream(ANY)) as stream, StreamClient(url(stream), patience=patience) as client:
         stream.show(snapshot(odd_scene))
         noted.unlink()
         for wish, said in (
@@ -636,6 +638,18 @@ def test_a_scene_goes_on_where_the_process_of_its_stream_dies() -> None:
             time.sleep(0.01)
         assert one.session.snapshot().state == "running"
     assert stream.take() is None
+
+
+@pytest.mark.parametrize("calls", [("send",), ("received", "send")])
+def test_what_is_sent_to_a_process_that_has_ended_is_lost(calls: Sequence[str]) -> None:
+    process = SideProcess(repr)
+    process._process.join()
+    for call in calls:
+        assert call != "received" or list(process.received()) == []
+        process.send(1)
+        assert process.ended and not process.ready and list(process.received()) == []
+    process.close()
+    process.close()
 
 
 @pytest.mark.usefixtures("processes")
@@ -686,6 +700,17 @@ def test_a_check_that_does_not_end_is_given_up(monkeypatch: pytest.MonkeyPatch) 
         said = client.set(stiffness=4000.0).reason
         assert said == "it is not known whether the settings would be stable: their check takes over 0.3 s"
         assert client.set(stiffness=3000.0).reason == ""
+
+
+def test_a_set_that_cannot_be_checked_is_refused() -> None:
+    class Odd(Joystick):
+        """Its laws fail under some settings."""
+
+        def own_laws(self) -> Any:
+            return {False: super().own_laws()}[self.friction]
+
+    said = answer(Here(snapshot(Odd())), type="set", settings={"friction": True})
+    assert said["reason"] == "the settings cannot be checked: KeyError: True"
 
 
 def test_a_scene_that_the_stream_does_not_find_is_said() -> None:
