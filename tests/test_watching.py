@@ -62,7 +62,7 @@ def test_a_window_is_told_of_the_device_and_says_what_the_mouse_and_keys_do() ->
 class OpenedHere:
     """A stand-in for a process, whose end of the line stays here."""
 
-    def __init__(self, target: Any, args: Any, daemon: bool) -> None:
+    def __init__(self, target: Any, args: Any) -> None:
         self.line, self.blank, _ = args
 
     def start(self) -> None: ...
@@ -104,12 +104,14 @@ def test_both_ends_of_a_window_agree(monkeypatch: pytest.MonkeyPatch) -> None:
     session.tick(0.0)
     for action in ("stiffness up", "pause", "stiffness up", "wall"):
         session.act(action)
-    wanted = viewer.take()
-    assert wanted == Joystick(stiffness=9380.0, wall=False) and viewer.take() is None
+    wish = viewer.take()
+    assert wish is not None and wish.scene == Joystick(stiffness=9380.0, wall=False) and viewer.take() is None
+    wish.answer("not heard")
     assert viewer.hand.target == [1e-3] * 6
     viewer.show(replace(blank, scene=Joystick(stiffness=3000.0)))  # the person is not the only one who changes it
     session.act("wall")
-    assert viewer.take() == Joystick(stiffness=3000.0, wall=False)
+    wish = viewer.take()
+    assert wish is not None and wish.scene == Joystick(stiffness=3000.0, wall=False)
     far.close()
     for _ in range(3):
         viewer.take()

@@ -19,15 +19,19 @@ from maglev_mj.controller import Controller
 from maglev_mj.errors import MaglevError, ParameterError, PlantError
 from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.loop import ControlLoop, Record
+from maglev_mj.parameters import number
 from maglev_mj.recording import Mechanics, RecordingError, RecordingFile, RunMetadata
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.parts import WEIGHT
 from maglev_mj.session import (
     DEVICES_OWN,
+    STEP_FORCE,
     Publisher,
     Publishers,
     SampledMotion,
     Snapshot,
+    Wish,
+    check_step,
     device_controller,
     settings_of,
 )
@@ -183,6 +187,7 @@ class Flight:
         file: What every sample is recorded to; left open.
         publishers: Windows on it and ways to other programs; left open.
         warn: Called, once, with why the flight is not recorded any more.
+        step_force: Largest step of force that new settings may make [N]; see `check_step`.
 
     Attributes:
         switch: Lands or cuts it.
@@ -202,6 +207,7 @@ class Flight:
         file: RecordingFile | None = None,
         publishers: Sequence[Publisher] = (),
         warn: Callable[[str], object] | None = None,
+        step_force: float = STEP_FORCE,
     ) -> None:
         if scene.period != plant.period:
             raise ParameterError(f"period must be the device's {plant.period:g} s, not {scene.period:g}")
@@ -209,8 +215,13 @@ class Flight:
         self._publishers, self._since = Publishers(publishers), 0
         self._motion, self._note = SampledMotion(scene.axis_index), _NOTE
         self.switch, self.timing, self.warning = switch or StopSwitch(), LoopTiming(), ""
-        self._wanted: Scene | None = None
         self._lost = self._skipped = 0
+        self._staged: tuple[Wish, Controller] | None = None
+        self._wanted: tuple[Wish, Controller] | None = None
+        self._begun: Wish | None = Wish(scene)
+        self._controller = device_controller(scene)
+        self._step_force = number("step_force", step_force, above=0.0)
+        self._inertia = [*[plant.calibration.mass] * 3, *plant.calibration.inertia]
         self._force: Sequence[float] = WEIGHT
         self._delays: deque[float] = deque(maxlen=_USUAL)
         self._warn, self._checked = warn, 0.0
@@ -253,13 +264,14 @@ class Flight:
 
     def _watch(self) -> bool:
         """Look at the keys of windows while the scene is not rendered; return whether to land."""
-        self._publishers.wanted()
+        if (wish := self._publishers.wanted()) is not None:
+            wish.answer("settings are taken in flight, not while it takes off or lands")
         return self.switch.landing
 
     def _compare(self) -> None:
         """Compare the delay with the one assumed, and record both."""
-        known, (lost, skipped) = self._plant.calibration, self._missing()
-        self.warning = delay_check(self.timing, self._scene, [*[known.mass] * 3, *known.inertia])
+        lost, skipped = self._missing()
+        self.warning = delay_check(self.timing, self._scene, self._inertia)
         if self._file is None:
             return
         for name, one in self.timing.kinds.items():
@@ -272,9 +284,9 @@ class Flight:
     def _stretch(self, last: int | None) -> None:
         """Fly with unchanged parameters."""
         if self._wanted is not None:
-            self._scene, self._wanted = self._wanted, None
-        self._since = self._plant.samples.tick
-        controller = device_controller(self._scene)
+            (self._begun, self._controller), self._wanted = self._wanted, None
+            self._scene = self._begun.scene
+        controller = self._controller
         record: Record | None = None
         if self._file is not None:
             scene = self._scene
@@ -297,10 +309,14 @@ class Flight:
                 self._check(self._file, self._warn)
             if not self._publishers:
                 return
+            if self._begun is not None:
+                self._since = sample.tick
+                self._begun.answer(sample.tick)
+                self._begun = None
             plant, force, pose = self._plant, np.array(applied.force) - carried, np.array(sample.position)
             self._motion.add(plant.samples.tick * plant.period, pose, force, plant.hand_wrench)
             self._publishers.show(lambda: self._snapshot(pose, force, faces, controller.stick_positions))
-            self._listen()
+            self._listen(sample)
 
         return observe
 
@@ -316,13 +332,25 @@ class Flight:
             self._warn, self._note = None, str(error)
             warn(self._note)
 
-    def _listen(self) -> None:
+    def _listen(self, sample: Sample) -> None:
         """Note how late answers are, and what another program asks for; rate and delay are the device's."""
         if not math.isnan(self._plant.last_delay):
             self._delays.append(self._plant.last_delay)
-        wanted = self._publishers.wanted() if self._wanted is None else None
-        if wanted is not None:
-            self._wanted = wanted.replace(**{name: getattr(self._scene, name) for name in DEVICES_OWN})
+        wish, controller = self._staged or (self._publishers.wanted(), None)
+        if wish is None:
+            return
+        self._staged = None
+        try:
+            if controller is None:  # making one takes half of a period at 1 kHz: it is looked at a sample later
+                scene = wish.scene.replace(**{name: getattr(self._scene, name) for name in DEVICES_OWN})
+                self._staged = Wish(scene, wish.answer), device_controller(scene)
+                return
+            check_step(self._controller, controller, sample.position, self._step_force)
+        except MaglevError as error:
+            self._note = str(error)
+            wish.answer(self._note)
+        else:
+            self._wanted, self._note = (wish, controller), _NOTE
 
     def _snapshot(
         self, pose: Array, force: Array, faces: Sequence[tuple[int, float, float]], anchors: Array | None
@@ -333,6 +361,7 @@ class Flight:
             scene=self._scene,
             since=self._since,
             delay=median(self._delays or [plant.delay]),
+            inertia=self._inertia,
             tick=samples.tick,
             time=float(samples.tick * plant.period),
             pose=pose,

@@ -148,7 +148,15 @@ def _fly(plant: RemotePlant, scene: Scene, options: argparse.Namespace, publishe
         file = None if options.record is None else open_recording(options.record)
         if file is not None:
             last.push(partial(_keep, file))
-        flight = Flight(plant, scene, switch=switch, file=file, publishers=publishers, warn=_warn)
+        flight = Flight(
+            plant,
+            scene,
+            switch=switch,
+            file=file,
+            publishers=publishers,
+            warn=_warn,
+            step_force=options.step_force,
+        )
         if viewer is not None:
             viewer.on_close, viewer.on_emergency = switch.land, switch.cut
         last.push(plant)  # first of all the device is let go
