@@ -43,6 +43,7 @@ FLOORS = {
     "plots": 9,
     "replay": 9,
     "tables": 9,
+    "conformance": 9,
     "cli": 10,
 }
 ALLOWED = {

@@ -16,7 +16,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from maglev_mj.bridge.wire import Fault, Frame, StateReport, fault_names
-from maglev_mj.errors import MaglevError, PlantError
+from maglev_mj.errors import ParameterError, PlantError
 from maglev_mj.frames import AXES, Array
 from maglev_mj.versions import versions
 
@@ -47,7 +47,7 @@ class HandshakeError(PlantError):
     """No device answered, or the one that did will not have this host."""
 
 
-class BlackBoxError(MaglevError):
+class BlackBoxError(ParameterError):
     """A file is no black box."""
 
 

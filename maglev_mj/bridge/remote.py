@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 import math
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import NoReturn, Self
@@ -20,6 +20,7 @@ from maglev_mj.bridge.safety import (
     Limits,
     OutputLimiter,
     SpotGuard,
+    command_fault,
     reading_fault,
     weight_fault,
 )
@@ -35,7 +36,7 @@ from maglev_mj.sensing.solver import PoseTracker
 __all__ = ["RemotePlant"]
 
 _INACTIVE, _ACTIVE, _FAULT = State  # an enumeration's members are slow to look up
-_NAN = math.nan
+_NAN, _NONE = math.nan, 0xFFFFFFFF
 _UNKNOWN = (_NAN,) * 6
 _MOST = Limits(current=100.0, continuous_current=100.0, hover=100.0)
 _SETTLING, _WATCHING = 0.3, 0.2
@@ -71,6 +72,8 @@ class RemotePlant:
         last_currents: What was sent last [A], six.
         last_delay: From the sample before the last to its answer's taking effect, by the device's clock [s]; NaN where
             the command in force at the last sample answers another.
+        newest_delay: Likewise of the newest answer that has arrived, whichever sample it answers; NaN where that is the
+            one before.
         rest: Where the flotor lay before it took off [m, rad]; where it is landed.
         samples: Their count, and what is missing of them.
         hand_wrench: Zero: nobody measures what the hand does.
@@ -123,7 +126,8 @@ class RemotePlant:
             self._line.close()
             raise
         self.last_currents: Sequence[float] = ZERO
-        self.last_delay = _NAN
+        self.last_delay = self.newest_delay = _NAN
+        self._answered: int | None = None  # the sample that the newest answer was for
         self.rest: Sequence[float] = ZERO
         self._armed = False  # by this host, and nothing has ended it that was reported
         self._warned = False
@@ -196,12 +200,34 @@ class RemotePlant:
             PlantError: If no sample was read.
         """
         self._check_open()
-        if (frame := self._frame) is None:
+        if self._frame is None:
             raise PlantError("write() needs a sample: call read() first")
         try:
             command, held, pulsed, width = self._output.currents(command, self._known)
         except (PlantError, TypeError) as error:
             self._fail(Fault.INVALID_COMMAND, str(error))
+        self._answer(self._frame, held, pulsed, width)
+        return command
+
+    def drive(self, currents: Sequence[float]) -> None:
+        """Send six currents in place of a wrench: one coil at a time.
+
+        Args:
+            currents: Of the coils [A], six.
+
+        Raises:
+            ParameterError: If one is not finite or above the limit.
+            PlantError: If no sample was read.
+        """
+        self._check_open()
+        if self._frame is None:
+            raise PlantError("drive() needs a sample: call read() first")
+        if command_fault(self.limits, currents, currents, 0.0):
+            raise ParameterError(f"currents must be within {self.limits.current:g} A, not {list(currents)}")
+        self._answer(self._frame, currents, None, 0.0)
+
+    def _answer(self, frame: Frame, held: Sequence[float], pulsed: Sequence[float] | None, width: float) -> None:
+        """Send the answer to the last sample, and count what it heats."""
         self._send(held, pulsed, width)
         self._owed = False
         if self.state is _ACTIVE:
@@ -209,7 +235,17 @@ class RemotePlant:
         else:
             self._output.stay(1, ZERO)
         self._box.keep((frame, self._seen, held, pulsed, width, self.last_delay, self._line.latency))
-        return command
+
+    @property
+    def report(self) -> StateReport:
+        """What the device said at the last sample.
+
+        Raises:
+            PlantError: If no sample was read.
+        """
+        if self._frame is None:
+            raise PlantError("there is no sample: call read() first")
+        return self._frame.body  # type: ignore[return-value]
 
     @property
     def temperatures(self) -> list[float]:
@@ -222,13 +258,22 @@ class RemotePlant:
         """From the last sample's arrival to its answer's leaving [s]."""
         return self._line.latency * 1e-9
 
-    def arm(self) -> None:
-        """Let the currents flow. Where commands are missing, the device holds the flotor by those that carry it.
+    @property
+    def transport(self) -> int:
+        """From the last sample to its arrival [ns], by two clocks without a common zero: only changes of it count."""
+        return self._line.heard - self.samples.time
+
+    def arm(self, hover: Sequence[float] | None = None) -> None:
+        """Let the currents flow.
+
+        Args:
+            hover: Currents that the device holds where commands are missing [A], six; those that carry the flotor by
+                default.
 
         Raises:
             PlantError: If the device refuses, as in the fault state.
         """
-        self._ask(Operation.ARM, hover=self._hover)
+        self._ask(Operation.ARM, hover=self._hover if hover is None else hover)
         self.state, self._armed = _ACTIVE, True
 
     def disarm(self) -> None:
@@ -262,7 +307,7 @@ class RemotePlant:
         with suppress(LinkError):  # the watchdog does it where there is no line
             self._line.control(Operation.TRIP, faults=faults)
 
-    def takeoff(self, duration: float = 0.6) -> None:
+    def takeoff(self, duration: float = 0.6, *, watch: Callable[[], object] | None = None) -> None:
         """Check that the flotor rests, arm, and lead it from where it lies to the centre; keep hands off it.
 
         It is watched for 0.1 s; it rests up to 2 mm/s and 0.05 rad/s. All that is slow is done before the currents
@@ -270,6 +315,7 @@ class RemotePlant:
 
         Args:
             duration: How long [s].
+            watch: Called after each sample that was led; leading ends early where it returns True.
 
         Raises:
             DeviceFault: If it does not follow, or anything else goes wrong.
@@ -293,13 +339,14 @@ class RemotePlant:
         leader.aim(rest, ZERO, duration, self._astray)
         self.arm()
         self.rest = rest
-        self._lead(loop, duration)
+        self._lead(loop, duration, watch)
 
-    def land(self, duration: float = 0.6) -> LandingReport:
+    def land(self, duration: float = 0.6, *, watch: Callable[[], object] | None = None) -> LandingReport:
         """Lead the flotor back to where it lay, and disarm; a hand that holds it then has it.
 
         Args:
             duration: How long [s]; up to 0.3 s more until it rests.
+            watch: As for `takeoff`.
 
         Returns:
             How it lies 0.2 s after.
@@ -310,7 +357,7 @@ class RemotePlant:
         leader = self._leader
         leader.aim(self.read().position, self.rest, duration)
         loop = ControlLoop(self, leader)
-        self._lead(loop, duration)
+        self._lead(loop, duration, watch)
         end = self.samples.tick + round(_SETTLING / self.period)
         while self.samples.tick < end and not leader.motion.at_rest:
             loop.cycle()
@@ -319,10 +366,12 @@ class RemotePlant:
         error = math.dist(motion.pose[:3], self.rest[:3])
         return LandingReport(error, *motion.speeds, motion.at_rest and not self._doubt)
 
-    def _lead(self, loop: ControlLoop, duration: float) -> None:
+    def _lead(self, loop: ControlLoop, duration: float, watch: Callable[[], object] | None) -> None:
         end = self.samples.tick + max(round(duration / self.period), 1)
         while self.samples.tick < end:
             loop.cycle()
+            if watch is not None and watch():
+                return
 
     def _watch(self, duration: float) -> Motion:
         """Look at the flotor until so long [s] is over and the last 0.1 s are known, or in doubt."""
@@ -374,8 +423,11 @@ class RemotePlant:
         elapsed = self.samples.elapsed
         if (unanswered := elapsed - answered) > 0:  # what nobody wrote for: the coils cool, or go on
             self._output.stay(unanswered, self.last_currents if self.state is _ACTIVE else ZERO)
-        in_force = elapsed == 1 and report.answered == self._sequence
-        self.last_delay = self.period - report.age * 1e-6 + self.delay if in_force else _NAN
+        behind = (frame.sequence - report.answered) & _NONE
+        known = report.age != _NONE and report.answered != self._answered
+        self._answered = report.answered
+        self.newest_delay = behind * self.period - report.age * 1e-6 + self.delay if known else _NAN
+        self.last_delay = self.newest_delay if elapsed == behind == 1 else _NAN
         self._sequence, self._frame, self._seen = frame.sequence, frame, _UNKNOWN
 
     def _adopt(self, state: int, faults: int) -> None:

@@ -19,7 +19,7 @@ from maglev_mj.bridge.fault_injection import INJECTED_FAULTS, Effect, InjectedFa
 from maglev_mj.bridge.firmware import Firmware, Profile, Reading
 from maglev_mj.bridge.realtime import LatencyHistogram
 from maglev_mj.bridge.safety import Limits
-from maglev_mj.bridge.wire import Codec, StateReport
+from maglev_mj.bridge.wire import Codec, Fault, StateReport
 from maglev_mj.frames import ZERO, Array
 from maglev_mj.hand import HandForce
 from maglev_mj.net.udp import Address, Server
@@ -154,9 +154,7 @@ class AmplifierBoard:
         """Take note of the instant of a sample [ns]."""
         self._sampled_at = self.now = now
 
-    def _switch(
-        self, held: Sequence[float], pulsed: Sequence[float] | None, width: float, after: float | None
-    ) -> None:
+    def _switch(self, held: Sequence[float], pulsed: Sequence[float] | None, width: float, after: float | None) -> None:
         self._told = held
         if self._sampled_at >= 0:  # before that nothing flows
             pulsed = None if pulsed is None else self._flowing(pulsed)
@@ -253,6 +251,10 @@ class Twin:
     @property
     def _silent(self) -> bool:
         return max(self.tick, 0) * self._period < self.silent_until
+
+    def estop(self) -> None:
+        """Stop as an emergency stop's frame does."""
+        self.firmware.trip(Fault.ESTOP, self.board.now + self.ahead)
 
     def _begin(self, reading: Reading) -> None:
         """Begin with the faults whose time has come."""
@@ -450,5 +452,5 @@ class TwinServer:
             self._server.send(answer, sender)
 
     def _say(self, frame: bytes | None) -> None:
-        if frame is not None:
+        if frame is not None and self.twin.firmware.session:  # it may have ended since
             self._server.send(frame, self.twin.firmware.peer)

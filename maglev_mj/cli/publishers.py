@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-from maglev_mj.cli.options import chosen_key
+from maglev_mj.cli.options import Container, chosen_key
 from maglev_mj.errors import ParameterError
 from maglev_mj.parameters import flag
 from maglev_mj.session import Publisher
@@ -23,7 +23,7 @@ _AXES_TOLD: dict[str, Callable[[], Axes]] = {"pose": PoseAxes, "rate": RateAxes}
 """What may be told, by name."""
 
 
-def add_spacenav(parser: argparse.ArgumentParser, *, always: bool = False) -> None:
+def add_spacenav(parser: Container, *, always: bool = False) -> None:
     """Add --spacenav, --socket and --axes.
 
     Args:
@@ -70,7 +70,7 @@ def chosen_spacenav(options: argparse.Namespace, say: Callable[[str], object] = 
     return [server]
 
 
-def add_publishers(parser: argparse.ArgumentParser) -> None:
+def add_publishers(parser: Container) -> None:
     """Add --stream, --stream-key, --spacenav, --socket and --axes."""
     parser.add_argument(
         "--stream",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -16,22 +17,22 @@ from maglev_mj.bridge.fault_injection import INJECTED_FAULTS, InjectedFault
 from maglev_mj.bridge.realtime import realtime, stopping
 from maglev_mj.bridge.safety import Limits
 from maglev_mj.bridge.twin import Twin, TwinParameters, TwinServer
-from maglev_mj.bridge.wire import fault_names
+from maglev_mj.bridge.wire import State, fault_names
 from maglev_mj.cli.options import add_bridge, chosen_key, count, number_option
 from maglev_mj.errors import ParameterError
-from maglev_mj.frames import AXES
-from maglev_mj.hand import HandForce
+from maglev_mj.frames import AXES, ZERO
+from maglev_mj.hand import HandForce, SpringHand
 from maglev_mj.net.udp import Server, UdpServer, check_host, parse_url
 from maglev_mj.parameters import number
 from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.scenes import find_scene
 from maglev_mj.scenes.parts import WEIGHT
 from maglev_mj.session import Publishers, SampledMotion, Snapshot
-from maglev_mj.spec import Spec
+from maglev_mj.spec import INERTIA, Spec
 from maglev_mj.tables import served_table
 from maglev_mj.viewer.process import RemoteViewer
 
-__all__ = ["add_command"]
+__all__ = ["add_command", "foam"]
 
 _LISTEN = "udp://127.0.0.1:5678"
 
@@ -65,6 +66,9 @@ def add_command(commands: Any) -> None:
         metavar="AXIS:NEWTONS@START-END",
         help="a hand that pushes along x, y, z (N) or about rx, ry, rz (N m) from START to END [s], such as z:-5@2-3",
     )
+    twin.add_argument(
+        "--block", type=number_option, metavar="X", help="foam around the centre, so stiff [N/m], as for `commission`"
+    )
     twin.add_argument("--truth", metavar="FILE", type=Path, help="what the device is, where a host knows it wrongly")
     add_bridge(twin)
     twin.add_argument("--view", action="store_true", help="a window, with the mouse as the hand")
@@ -90,6 +94,7 @@ def _twin(options: argparse.Namespace) -> int:
         limits=Limits(watchdog=options.watchdog),
         faults=[InjectedFault.parse(text) for text in options.fault],
     )
+    block = None if options.block is None else foam(number("block", options.block, above=0.0, at_most=20_000.0))
     _hand(options.push, None)  # a push that is none is said before a window opens
     viewer = None
     if options.view:
@@ -100,7 +105,7 @@ def _twin(options: argparse.Namespace) -> int:
         off = {one.name: False for one in look.parameters() if one.kind is bool and one.live}
         blank = Snapshot(scene=look(**off, period=parameters.period, delay=parameters.delay))
         viewer = RemoteViewer(blank)
-    twin = Twin(parameters, key=key, hand_force=_hand(options.push, None if viewer is None else viewer.hand))
+    twin = Twin(parameters, key=key, hand_force=_hand(options.push, block if viewer is None else viewer.hand))
     server = TwinServer(twin, _server(options.listen, key))
     print(_greeting(options, server), flush=True)
     try:
@@ -115,6 +120,21 @@ def _twin(options: argparse.Namespace) -> int:
             viewer.close()
     print(served_table(served, twin))
     return 0
+
+
+def foam(stiffness: float) -> SpringHand:
+    """Return what holds the flotor at the centre, elastically, with critical damping of its translations."""
+    mass, lever = INERTIA[0], 0.02  # [m]
+    damping = 2.0 * math.sqrt(stiffness * mass)
+    return SpringHand(
+        stiffness=stiffness,
+        damping=0.5 * damping,
+        turning_stiffness=stiffness * lever**2,
+        turning_damping=0.5 * damping * lever**2,
+        force_limit=100.0,
+        torque_limit=2.0,
+        target=ZERO,
+    )
 
 
 def _hand(pushes: Sequence[str], mouse: HandForce | None) -> HandForce | None:
@@ -162,7 +182,7 @@ def _shown(viewer: RemoteViewer, blank: Snapshot, server: TwinServer) -> Callabl
     coils, carried = plant.device.coils, np.array(WEIGHT)
     assert coils is not None  # it is driven through them
     motion, publishers = SampledMotion(blank.scene.axis_index), Publishers([viewer])
-    viewer.on_close = server.stop
+    viewer.on_close, viewer.on_emergency = server.stop, twin.estop
 
     def each() -> None:
         currents, pose, time = plant.currents, twin.pose, twin.tick * blank.scene.period
@@ -179,6 +199,8 @@ def _shown(viewer: RemoteViewer, blank: Snapshot, server: TwinServer) -> Callabl
                 currents=currents,
                 history=motion.history.rows,
                 work=motion.work,
+                state="stopped" if twin.firmware.state == State.FAULT else "running",
+                remedy="bridge ADDRESS --reset",
                 notes=[f"a device, {twin.firmware.state.name.lower()}{_faults(twin)}"],
             )
         )

@@ -1,6 +1,6 @@
 """A scene in real time, without a window: pacing, what keys change, recording, and the picture of now."""
 
-from maglev_mj.session.actions import DEVICES_OWN, actions, settable
+from maglev_mj.session.actions import DEVICES_OWN, EMERGENCY_STOP, actions, settable
 from maglev_mj.session.admission import Refusal, refusal, stability_warning
 from maglev_mj.session.live import device_controller, live_plant
 from maglev_mj.session.pacing import Due, Pacer, real_time
@@ -10,6 +10,7 @@ from maglev_mj.session.stretch import settings_of
 
 __all__ = [
     "DEVICES_OWN",
+    "EMERGENCY_STOP",
     "Due",
     "History",
     "Pacer",

@@ -10,7 +10,7 @@ import numpy as np
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.hand import HandForce, SpringHand
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene
-from maglev_mj.session.actions import DEVICES_OWN, actions
+from maglev_mj.session.actions import DEVICES_OWN, EMERGENCY_STOP, actions
 from maglev_mj.session.live import centred, lifted
 from maglev_mj.session.pacing import Pacer
 from maglev_mj.session.snapshot import History, Publisher, Publishers, Snapshot
@@ -19,7 +19,7 @@ from maglev_mj.session.tape import Tape
 
 __all__ = ["Session"]
 
-_OWN = "next scene", "drop", "centre", "pause", "record"
+_OWN = "next scene", "drop", "centre", "pause", "record", EMERGENCY_STOP
 
 _MADE = -0.1
 
@@ -92,8 +92,7 @@ class Session:
             try:
                 self._pacer.advance(elapsed, self._scene.period, self._one)
             except MaglevError as error:
-                self._stopped = str(error)
-                self._tape.failed(self._stopped)
+                self._stop(str(error))
             made = self._ticks - before
         self._tape.missed(self._pacer.missed)
         self._publishers.show(self.snapshot)
@@ -114,6 +113,8 @@ class Session:
         if action in changes:
             self._scene = changes[action](self._scene)
             self._go_on()
+        elif action == EMERGENCY_STOP:
+            self._stop(EMERGENCY_STOP)
         elif action == "pause":
             self._paused = not self._paused
         elif action == "record":
@@ -163,6 +164,12 @@ class Session:
             self._tape.stop()
         finally:
             self._stretch.plant.close()
+
+    def _stop(self, reason: str) -> None:
+        """Stop until something is changed or centred."""
+        if not self._stopped:
+            self._stopped = reason
+            self._tape.failed(reason)
 
     def _one(self) -> None:
         """Make one tick; stop a world that makes energy."""

@@ -53,6 +53,7 @@ class Snapshot:
         missed: Ticks given up, or samples that did not arrive.
         state: "running", "paused", "stopped" or "flying".
         reason: Why it has stopped; empty otherwise.
+        remedy: How to go on once it has.
         notes: Messages for the person at the window.
     """
 
@@ -74,6 +75,7 @@ class Snapshot:
     missed: int = 0
     state: str = "running"
     reason: str = ""
+    remedy: str = "/ starts again"
     notes: Sequence[str] = ()
 
 

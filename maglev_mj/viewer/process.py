@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+from collections.abc import Callable
 from dataclasses import replace
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -15,7 +16,7 @@ import numpy as np
 from maglev_mj.errors import MaglevError
 from maglev_mj.hand import SpringHand
 from maglev_mj.scenes import Scene
-from maglev_mj.session import History, Snapshot, actions
+from maglev_mj.session import EMERGENCY_STOP, History, Snapshot, actions
 from maglev_mj.workers import interrupts_held
 
 __all__ = ["RemoteViewer"]
@@ -34,10 +35,12 @@ class RemoteViewer:
     Attributes:
         hand: The mouse's.
         on_close: Called once when the person has closed the window; may be replaced.
+        on_emergency: Called by `take` when the emergency stop's key was pressed; may be replaced, and may raise.
     """
 
     def __init__(self, snapshot: Snapshot, folder: Path = Path()) -> None:
         self.hand, self.on_close = SpringHand(), _nothing
+        self.on_emergency: Callable[[], object] = _nothing
         self._scene, self._sent, self._closed = snapshot.scene, -np.inf, False
         context = multiprocessing.get_context("spawn")
         self._line, far = context.Pipe()
@@ -67,6 +70,8 @@ class RemoteViewer:
                 kind, value = self._line.recv()
                 if kind == "hand":
                     self.hand.target = value
+                elif value == EMERGENCY_STOP:
+                    self.on_emergency()
                 elif (change := actions(type(self._scene)).get(value)) is not None:
                     self._scene = wanted = change(self._scene)
         except (EOFError, OSError):

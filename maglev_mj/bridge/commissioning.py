@@ -1,0 +1,168 @@
+"""Steps ahead of a device's first hover: one coil at a time, its current loop, and the diodes' offsets."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from maglev_mj.bridge.calibration import Calibration
+from maglev_mj.bridge.remote import RemotePlant
+from maglev_mj.frames import ZERO, Array
+from maglev_mj.parameters import number
+
+__all__ = ["CoilCheck", "check_coil", "mean_pose", "record_step", "with_offsets"]
+
+_PAUSE = 0.25
+"""A current is on for so long before its displacement is measured, and then for as long again [s]."""
+
+_SEEN = 5.0
+"""A displacement counts from so many standard errors on."""
+
+_CLOSE = 0.5
+"""Cosine between the displacement's force direction and the calibration's from which both agree."""
+
+
+class CoilCheck(NamedTuple):
+    """Answer of one coil to a current, with the flotor blocked elastically.
+
+    Attributes:
+        coil: Its index, 0 to 5.
+        current: Commanded [A].
+        measured: Mean of its measured current [A].
+        others: Largest mean of any other coil's measured current [A].
+        displacement: Of the pose from the current to its opposite, halved [m, rad], (6,).
+        error: Standard error of that [m, rad], (6,).
+        expected: Wrench of the coil by the calibration [N, N m], (6,).
+        verdict: "as calibrated", "reversed", "elsewhere" or "not seen".
+    """
+
+    coil: int
+    current: float
+    measured: float
+    others: float
+    displacement: Array
+    error: Array
+    expected: Array
+    verdict: str
+
+
+def check_coil(plant: RemotePlant, coil: int, current: float = 0.2) -> CoilCheck:
+    """Send a current and its opposite through one coil.
+
+    The flotor must be blocked by something soft, such as foam, that lets it give by some micrometers. The device is
+    armed without hover currents and disarmed at the end.
+
+    Args:
+        plant: The device, not armed.
+        coil: Index, 0 to 5.
+        current: Above 0, at most the smaller of the host's and the device's limit [A].
+
+    Raises:
+        ParameterError: If an argument is outside its bounds.
+        DeviceFault: If the device raises a fault.
+    """
+    number("coil", coil, at_least=0, at_most=5)
+    number("current", current, above=0.0, at_most=plant.limits.current)
+    one = [current if index == coil else 0.0 for index in range(6)]
+    plant.arm(hover=ZERO)
+    means, errors, flowed = [], [], []
+    for sign in (1.0, -1.0):
+        poses, currents = _hold(plant, [sign * part for part in one])
+        means.append(poses.mean(axis=0))
+        errors.append(poses.var(axis=0) / len(poses))
+        flowed.append(sign * currents.mean(axis=0))
+    plant.disarm()
+    displacement, error = 0.5 * (means[0] - means[1]), 0.5 * np.sqrt(errors[0] + errors[1])
+    measured = np.mean(flowed, axis=0)
+    expected = plant.calibration.coils.wrench(np.array(one))
+    return CoilCheck(
+        coil,
+        current,
+        float(measured[coil]),
+        float(np.abs(np.delete(measured, coil)).max()),
+        displacement,
+        error,
+        expected,
+        _verdict(displacement[:3], error[:3], expected[:3]),
+    )
+
+
+def record_step(plant: RemotePlant, coil: int, current: float = 0.2, samples: int = 20) -> Array:
+    """Return a coil's measured currents before and after a step from zero.
+
+    Args:
+        plant: The device, not armed, its flotor blocked.
+        coil: Index, 0 to 5.
+        current: Of the step [A].
+        samples: Samples recorded after it.
+
+    Returns:
+        (samples, 2): time since the command left [s], measured current [A].
+
+    Raises:
+        ParameterError: If an argument is outside its bounds.
+        DeviceFault: If the device raises a fault.
+    """
+    number("coil", coil, at_least=0, at_most=5)
+    number("current", current, above=0.0, at_most=plant.limits.current)
+    plant.arm(hover=ZERO)
+    plant.read()
+    first = plant.samples.tick
+    rows = []
+    for _ in range(int(number("samples", samples, at_least=1))):
+        plant.drive([current if index == coil else 0.0 for index in range(6)])
+        plant.read()
+        rows.append(((plant.samples.tick - first) * plant.period, plant.report.currents[coil]))
+    plant.disarm()
+    return np.array(rows)
+
+
+def mean_pose(plant: RemotePlant, duration: float = 1.0) -> tuple[Array, Array]:
+    """Return mean and standard error of the spots [m], (6,) each, of a device at rest.
+
+    Args:
+        plant: The device, not armed.
+        duration: How long to measure [s].
+    """
+    spots = []
+    for _ in range(max(round(number("duration", duration, above=0.0) / plant.period), 2)):
+        plant.read()
+        spots.append(plant.report.spots)
+    rows = np.array(spots)
+    return rows.mean(axis=0), rows.std(axis=0) / np.sqrt(len(rows))
+
+
+def with_offsets(calibration: Calibration, spots: ArrayLike) -> Calibration:
+    """Return a calibration whose offsets make these spots those of the centre.
+
+    Args:
+        calibration: All else.
+        spots: Mean spots of a flotor clamped at the centre, upright [m], (6,).
+    """
+    centre = calibration.beams.spots(np.zeros(6))
+    return replace(calibration, spot_offsets=np.asarray(spots) - centre)
+
+
+def _hold(plant: RemotePlant, currents: Sequence[float]) -> tuple[Array, Array]:
+    """Return poses and measured currents under constant currents, (N, 6) each, once the flotor has come to rest."""
+    rows: list[tuple[Sequence[float], Sequence[float]]] = []
+    settle = max(round(_PAUSE / plant.period), 2)
+    for tick in range(2 * settle):
+        position = plant.read().position
+        plant.drive(currents)
+        if tick >= settle:
+            rows.append((tuple(position), plant.report.currents))
+    return np.array([one for one, _ in rows]), np.array([other for _, other in rows])
+
+
+def _verdict(displacement: Array, error: Array, expected: Array) -> str:
+    if np.linalg.norm(displacement) < _SEEN * np.linalg.norm(error):
+        return "not seen"
+    cosine = displacement @ expected / (np.linalg.norm(displacement) * np.linalg.norm(expected))
+    if abs(cosine) < _CLOSE:
+        return "elsewhere"
+    return "as calibrated" if cosine > 0.0 else "reversed"

@@ -1,0 +1,62 @@
+"""Conformance of a device: the rules of docs/protocol.md that its wire shows, first without flying, then flying.
+
+Without flying, no check sends more than half the currents that carry the flotor.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+
+from maglev_mj.bridge.calibration import Calibration
+from maglev_mj.bridge.wire import Operation, State, fault_names
+from maglev_mj.conformance import answers, commands  # noqa: F401, they fill CHECKS in this order
+from maglev_mj.conformance.check import CHECKS, CheckResult
+from maglev_mj.conformance.tester import Tester
+from maglev_mj.errors import PlantError
+from maglev_mj.net.udp import Link
+
+__all__ = ["CheckResult", "checks", "conform"]
+
+
+def checks() -> dict[str, str]:
+    """Return the behaviour that each check expects, by name."""
+    return {name: one.expected for name, one in CHECKS.items()}
+
+
+def conform(
+    links: Sequence[Link],
+    calibration: Calibration | None = None,
+    key: bytes | None = None,
+    *,
+    flight: bool = True,
+    only: Iterable[str] | None = None,
+    tell: Callable[[CheckResult], object] = lambda result: None,
+) -> list[CheckResult]:
+    """Test a device, and leave it INACTIVE without a session.
+
+    Args:
+        links: To the device, from one or two addresses; left open.
+        calibration: Of the device; nominal by default.
+        key: With which frames are sealed.
+        flight: Whether to fly it as well; the flotor is then dropped onto its stops several times.
+        only: Names of checks to run; all by default.
+        tell: Called with each result.
+
+    Raises:
+        HandshakeError: If no device answers, or it will not have this host.
+        PlantError: If it has a fault latched.
+        LinkError: If a line is gone.
+    """
+    tester = Tester(links, calibration or Calibration.nominal(), key)
+    tester.join()
+    if tester.welcome.state == State.FAULT:
+        tester.ask(Operation.BYE)
+        raise PlantError(f"the device has latched {fault_names(tester.welcome.faults)}: see to it, then reset")
+    results: list[CheckResult] = []
+    try:
+        for name in CHECKS if only is None else only:
+            results.append(CHECKS[name].result(name, tester, flight))
+            tell(results[-1])
+    finally:
+        tester.release()
+    return results

@@ -1,0 +1,93 @@
+"""A new device's coils and diodes, checked one by one on a flotor that sits in foam."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from maglev_mj.bridge import Calibration, RemotePlant, State
+from maglev_mj.bridge.commissioning import check_coil, mean_pose, record_step, with_offsets
+from maglev_mj.bridge.simulated_links import VirtualLink
+from maglev_mj.bridge.twin import Twin, TwinParameters
+from maglev_mj.cli.twin import foam
+from maglev_mj.coils import CoilMap
+from maglev_mj.errors import ParameterError
+
+KNOWN = Calibration.nominal()
+COILS = range(6)
+
+
+def device(
+    truth: Calibration | None = None, *, stiffness: float = 10_000.0, period: float = 0.005
+) -> tuple[Twin, RemotePlant]:
+    """Return a twin whose flotor sits in foam, and its host."""
+    twin = Twin(TwinParameters(truth=truth, pose=[0.0] * 6, period=period), hand_force=foam(stiffness))
+    plant = RemotePlant(VirtualLink(twin))
+    for _ in range(round(0.5 / period)):
+        plant.read()
+    return twin, plant
+
+
+def rewired(order: Sequence[int], signs: Sequence[float]) -> Calibration:
+    """Return a device whose coil k is what the calibration takes for coil order[k], with a sign."""
+    coils = KNOWN.coils
+    return replace(
+        KNOWN,
+        coils=CoilMap(
+            points=coils.points[list(order)],
+            directions=coils.directions[list(order)],
+            force_constants=coils.force_constants[list(order)] * np.array(signs),
+        ),
+    )
+
+
+@pytest.mark.parametrize("period", [0.005, 0.001])
+@pytest.mark.parametrize("coil", COILS)
+def test_a_coil_as_calibrated_is_told_from_a_reversed_one(coil: int, period: float) -> None:
+    signs = [-1.0 if other == coil else 1.0 for other in COILS]
+    for truth, verdict in ((None, "as calibrated"), (rewired(COILS, signs), "reversed")):
+        twin, plant = device(truth, period=period)
+        check = check_coil(plant, coil)
+        assert check.verdict == verdict and check.measured == pytest.approx(0.2) and check.others == 0.0
+        force = check.displacement[:3] * 10_000.0  # by the foam
+        assert np.abs(force) == pytest.approx(np.abs(check.expected[:3]), abs=0.01)
+        assert plant.state == twin.firmware.state == State.INACTIVE
+        plant.read()
+        assert not twin.plant.currents.any()
+
+
+def test_exchanged_coils_and_a_clamped_flotor_are_named() -> None:
+    _, plant = device(rewired([3, 1, 2, 0, 4, 5], [1.0] * 6))
+    assert [check_coil(plant, coil).verdict for coil in (0, 1, 3)] == ["elsewhere", "as calibrated", "elsewhere"]
+    _, plant = device(stiffness=1e4)
+    assert check_coil(plant, 2, current=1e-5).verdict == "not seen"
+
+
+@pytest.mark.parametrize("coil", COILS)
+def test_a_step_is_followed_after_the_delay(coil: int) -> None:
+    twin, plant = device(period=0.001)
+    rows = record_step(plant, coil, 0.2, samples=12)
+    assert rows[:, 0] == pytest.approx(0.001 * np.arange(1, 13))
+    assert rows[:, 1] == pytest.approx([0.0] + [0.2] * 11)  # 1.5 ms after the first sample
+    assert twin.firmware.state == State.INACTIVE
+
+
+def test_measured_offsets_make_the_clamped_pose_the_centre() -> None:
+    offsets = np.array([1e-4, -2e-4, 3e-4, 0.0, 5e-5, -5e-5])
+    truth = replace(KNOWN, spot_offsets=offsets, gravity=np.zeros(3))
+    _, plant = device(truth)
+    spots, errors = mean_pose(plant, 2.0)
+    found = with_offsets(KNOWN, spots)
+    assert found.spot_offsets == pytest.approx(offsets, abs=1e-7) and errors.max() < 1e-7
+
+
+@pytest.mark.parametrize(("coil", "current"), [(6, 0.2), (-1, 0.2), (0, 0.0), (0, -0.2), (0, 11.0), (0, np.nan)])
+def test_a_coil_or_current_that_is_none_is_refused_unarmed(coil: int, current: float) -> None:
+    twin, plant = device()
+    for test in (check_coil, record_step):
+        with pytest.raises(ParameterError, match=r"must be"):
+            test(plant, coil, current)
+    assert twin.firmware.state == State.INACTIVE

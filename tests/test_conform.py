@@ -1,0 +1,418 @@
+"""A device that keeps the protocol passes every check; one that lacks a guard fails the check of that guard."""
+
+from __future__ import annotations
+import __future__ as future
+
+import inspect
+import json
+import sys
+import textwrap
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from maglev_mj.bridge import firmware, twin
+from maglev_mj.bridge.calibration import Calibration
+from maglev_mj.bridge.fault import HandshakeError
+from maglev_mj.bridge.firmware import Firmware
+from maglev_mj.bridge.safety import ThermalModel, command_fault
+from maglev_mj.bridge.simulated_links import VirtualLink
+from maglev_mj.bridge.twin import Twin, TwinParameters, TwinServer
+from maglev_mj.bridge.wire import Codec, Fault, State
+from maglev_mj.cli import main
+from maglev_mj.conformance import CheckResult, checks, conform
+from maglev_mj.errors import PlantError
+from maglev_mj.net.udp import UdpLink, UdpServer
+from tests.firmware_core import FIRMWARE
+
+KEY = bytes(range(32))
+TAGS = {"no-tag", "tag"}
+
+
+class Mortal(Twin):
+    """A twin that is silent for ever after an error of its program."""
+
+    alive = True
+
+    def receive(self, data: bytes, now: int, peer: Any) -> bytes | None:
+        return self._lived(lambda: super(Mortal, self).receive(data, now, peer))
+
+    def sample(self) -> bytes | None:
+        tick = self.tick
+        frame = self._lived(super().sample)
+        self.tick = tick + 1
+        return frame
+
+    def _lived(self, step: Callable[[], bytes | None]) -> bytes | None:
+        try:
+            return step() if self.alive else None
+        except Exception:
+            self.alive = False
+            return None
+
+
+class Elsewhere:
+    """Another address of the host; in virtual time its answers are there at once."""
+
+    def __init__(self, device: Twin, link: VirtualLink) -> None:
+        self._device, self._link = device, link
+        self._arrived: list[bytes] = []
+
+    def send(self, data: bytes) -> None:
+        answer = self._device.receive(data, self._link.now(), "elsewhere")
+        self._arrived += [answer] if answer is not None else []
+
+    def receive(self, timeout: float) -> bytes | None:
+        return self._arrived.pop(0) if self._arrived else None
+
+    def now(self) -> int:
+        return self._link.now()
+
+    def close(self) -> None:
+        pass
+
+
+def results_of(
+    *, key: bytes | None = None, only: Sequence[str] | None = None, kind: type[Mortal] = Mortal, **parameters: Any
+) -> dict[str, CheckResult]:
+    """Test a twin in virtual time; return the results by name."""
+    device = kind(TwinParameters(**parameters), key=key)
+    link = VirtualLink(device)
+    results = conform([link, Elsewhere(device, link)], key=key, only=only)
+    if all(one.passed is not False for one in results):
+        assert (device.firmware.state, device.firmware.session) == (State.INACTIVE, 0)
+    return {one.name: one for one in results}
+
+
+def names(results: dict[str, CheckResult], passed: bool | None) -> set[str]:
+    return {name for name, one in results.items() if one.passed is passed}
+
+
+@pytest.mark.parametrize("key", [None, KEY], ids=["keyless", "keyed"])
+@pytest.mark.parametrize("language", FIRMWARE)
+def test_devices_pass(language: str, key: bytes | None, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(twin, "Firmware", FIRMWARE[language])
+    results = results_of(key=key)
+    assert not [one for one in results.values() if one.passed is False]
+    assert names(results, None) == {"lockstep"} | (set() if key else TAGS)
+    assert list(results) == list(checks())
+
+
+@pytest.mark.parametrize("rate", [100, 1000])
+def test_it_passes_at_other_rates(rate: int) -> None:
+    results = results_of(period=1.0 / rate, delay=0.0003)
+    assert not [one for one in results.values() if one.passed is False]
+
+
+@contextmanager
+def served(**parameters: Any) -> Iterator[TwinServer]:
+    """Serve a twin over UDP in a thread."""
+    server = TwinServer(Twin(TwinParameters(**parameters)), UdpServer("127.0.0.1", 0))
+    thread = threading.Thread(target=server.run)
+    thread.start()
+    yield server
+    server.stop()
+    thread.join()
+    server.close()
+
+
+def test_lockstep_leaves_out_what_needs_real_time() -> None:
+    with served(lockstep=True) as server:
+        links = [UdpLink(*server.address) for _ in range(2)]
+        results = {one.name: one for one in conform(links)}
+        for link in links:
+            link.close()
+    assert not [one for one in results.values() if one.passed is False]
+    skipped = [one for one in results.values() if one.passed is None and one.name not in TAGS]
+    assert {one.seen for one in skipped} == {"needs real time, and this device is in lockstep"} and len(skipped) == 8
+    assert results["lockstep"].passed
+
+
+def test_the_command_over_udp_in_real_time(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "report.json"
+    with served() as server:
+        address = f"udp://127.0.0.1:{server.address[1]}"
+        assert main(["conform", address, "--no-flight", "--json", str(path)]) == 0
+    report, lines = json.loads(path.read_text()), capsys.readouterr().out.splitlines()
+    assert report["format"] == "maglev_mj conformance 1" and report["address"] == address
+    assert [one["name"] for one in report["checks"]] == list(checks())
+    flights = sum(text.startswith("in flight") for text in checks().values())
+    assert report["counts"] == {"pass": len(checks()) - flights - 3, "FAIL": 0, "skip": flights + 3}
+    assert len(lines) == len(checks()) + 1 and lines[-1].split() == (
+        f"{report['counts']['pass']} pass, 0 FAIL, {flights + 3} skip".split()
+    )
+    words = {True: "pass", None: "skip"}
+    for one, line in zip(report["checks"], lines):
+        assert line == f"  {words[one['passed']]}  {one['name']}: {one['expected']}; {one['seen']}"
+
+
+def test_the_command_fails_where_a_check_does(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    without(monkeypatch, F, "_reset", ("self.state == State.ACTIVE or ", ""))
+    with served(lockstep=True) as server:
+        assert main(["conform", f"udp://127.0.0.1:{server.address[1]}", "--no-flight"]) == 1
+    failed = [line.split()[1] for line in capsys.readouterr().out.splitlines() if line.startswith("  FAIL")]
+    assert failed == ["operations:"]
+
+
+def test_a_line_with_one_peer_skips_what_needs_two() -> None:
+    device = Twin(TwinParameters())
+    results = conform([VirtualLink(device)], only=["busy", "address", "estop-elsewhere"], flight=False)
+    assert [one.passed for one in results] == [True, None, None]
+    assert results[1].seen == "needs a second address; a serial line has one peer"
+
+
+def test_what_is_latched_is_not_tested_away() -> None:
+    device = Twin(TwinParameters())
+    device.firmware.trip(Fault.COIL_OVERTEMP, 0)
+    with pytest.raises(PlantError, match="has latched COIL_OVERTEMP: see to it, then reset"):
+        conform([VirtualLink(device)])
+    assert device.firmware.faults == Fault.COIL_OVERTEMP and device.firmware.session == 0
+
+
+def test_no_device_or_a_busy_one_is_said() -> None:
+    with pytest.raises(HandshakeError, match="CALIBRATION"):
+        conform([VirtualLink(Twin(TwinParameters()))], replace(Calibration.nominal(), mass=0.9))
+    with pytest.raises(HandshakeError, match="no device answered"):
+        conform([VirtualLink(Twin(TwinParameters(), key=KEY))])
+
+
+@pytest.mark.parametrize("check", ["hover", "bad-line", "estop", "not-finite", "far-ahead"])
+@pytest.mark.parametrize("ticks", [5, 60, 150, 260])
+def test_ctrl_c_leaves_the_device_without_currents(check: str, ticks: int) -> None:
+    class Interrupted(VirtualLink):
+        left = ticks
+
+        def receive(self, timeout: float) -> bytes | None:
+            self.left -= device.firmware.state == State.ACTIVE
+            if self.left == 0:
+                self.left = -1
+                raise KeyboardInterrupt
+            return super().receive(timeout)
+
+    device = Twin(TwinParameters())
+    try:
+        conform([Interrupted(device)], only=[check])
+    except KeyboardInterrupt:
+        pass
+    assert device.firmware.state == State.INACTIVE and device.firmware.session == 0
+    assert device.plant.read() and not device.plant.currents.any()
+
+
+def test_ctrl_c_in_flight_lands() -> None:
+    speeds: list[float] = []
+
+    class Watched(Twin):
+        def sample(self) -> bytes | None:
+            frame = super().sample()
+            speeds.append(abs(self.plant.state()[1][2]))
+            return frame
+
+    class Interrupted(VirtualLink):
+        def receive(self, timeout: float) -> bytes | None:
+            if device.tick == 400:
+                device.tick_seen = device.firmware.state  # type: ignore[attr-defined]
+                raise KeyboardInterrupt
+            return super().receive(timeout)
+
+    device = Watched(TwinParameters())
+    link = Interrupted(device)
+    with pytest.raises(KeyboardInterrupt):
+        conform([link], only=["bad-line"])
+    assert max(speeds[30:]) < 0.05  # a flotor that is let go hits its stop at 0.4 m/s
+
+
+# a twin without a guard
+
+F, C = Firmware, Codec
+GUARDS: list[tuple[str, Any, str, str, str]] = [
+    # sessions
+    ("session", F, "receive", "frame.session != self.session", "False"),
+    ("address", F, "receive", " or peer != self.peer", ""),
+    ("sequence", F, "receive", "not newer(frame.sequence, self._sequence)", "False"),
+    ("sequence-numbers", F, "receive", "newer(frame.sequence, self._sequence)", "frame.sequence > self._sequence"),
+    ("direction", F, "receive", "not isinstance(body, (Command, Control))", "False"),
+    ("hello-again", F, "_hello", "hello.nonce == self._nonce and peer == self.peer", "False"),
+    ("hello-again", F, "_hello", "self._heard = now\n", "self._heard, self._sequence = now, 0\n"),
+    ("busy", F, "_hello", "and peer == self.peer", ""),
+    ("busy", F, "_hello", "self.state == State.ACTIVE or now - self._heard < _SILENCE", "False"),
+    ("takeover", F, "_hello", "now - self._heard < _SILENCE", "False"),
+    ("takeover", F, "_hello", "now - self._heard < _SILENCE", "True"),
+    ("calibration", F, "_hello", "hello.calibration != self.profile.calibration", "False"),
+    ("request-numbers", F, "_hello", "self._sequence, self._acknowledgement = 0, None", "self._sequence = 0"),
+    ("drawn", F, "_hello", "self._draw()", "self.session + 1 or 1"),
+    ("version", F, "receive", "codec.version_met is not None", "False"),
+    ("version", F, "_greet", "nonce, status,", "nonce or 1, status,"),
+    ("welcome", F, "_greet", "limits.continuous_current, limits.hover", "limits.continuous_current, limits.current"),
+    ("welcome", F, "_greet", "self._watchdog,", "self.profile.period,"),
+    ("frames", F, "_greet", "codec.encode(session, 0,", "codec.encode(self.session, 0,"),
+    ("bye", F, "_control", "last.operation == Operation.BYE", "False"),
+    ("bye", F, "_do", "if self.state == State.ACTIVE:", "if True:"),
+    # frames
+    ("magic", C, "_reason", "data[0] != MAGIC & 0xFF or data[1] != MAGIC >> 8", "False"),
+    ("crc", C, "_reason", "zlib.crc32(data) != _SEALED", "False"),
+    ("frame-version", C, "_reason", "data[2] != VERSION", "False"),
+    ("frame-version", F, "receive", " and data[3] == _HELLO", ""),
+    ("type", C, "_reason", "shape is None", "False"),
+    ("too-short", C, "_reason", "len(data) != shape.size + self._overhead", "len(data) > shape.size + self._overhead"),
+    ("too-long", C, "_reason", "len(data) != shape.size + self._overhead", "len(data) < shape.size + self._overhead"),
+    # requests
+    ("requests", F, "_control", "not newer(control.request, last.request)", "False"),
+    ("requests", F, "_control", "control.request != last.request", "True"),
+    ("request-numbers", F, "receive", "isinstance(body, Control)", "isinstance(body, Control) and frame.sequence"),
+    ("far-ahead", F, "receive", "isinstance(body, Control)", "isinstance(body, Control) and self._sequence < 1 << 31"),
+    ("operations", F, "_do", "return False", "return True"),
+    ("operations", F, "_arm", "self.state != State.INACTIVE or ", ""),
+    ("operations", F, "_reset", "self.state == State.ACTIVE or ", ""),
+    ("reset-flowing", F, "_reset", " or not off", ""),
+    ("arm", F, "_arm", "not all(abs(one) <= self.profile.limits.hover", "any(abs(one) > self.profile.limits.hover"),
+    ("arm", F, "_arm", "abs(one) <= self.profile.limits.hover", "one <= self.profile.limits.hover"),
+    ("trip", F, "_do", "control.faults & sum(Fault)", "control.faults"),
+    ("trip", F, "_do", " or Fault.HOST", ""),
+    ("trip", F, "trip", "self.faults | faults", "faults"),
+    ("first-fault", F, "trip", "if not self.faults:", "if True:"),
+    ("first-fault", F, "_reset", ", Fault(0), 0\n", ", self._first, self._fault_time\n"),
+    # commands
+    ("not-active", F, "_obey", "self.state != State.ACTIVE", "False"),
+    ("future", F, "_obey", "& 0xFFFFFFFF > self._stale", "& 0xFFFFFFFF in range(self._stale + 1, 1 << 31)"),
+    ("stale", F, "_obey", "& 0xFFFFFFFF > self._stale", "& 0xFFFFFFFF >= 1 << 31"),
+    ("late-command", F, "_obey", "> self._stale", "> 2"),
+    ("not-finite", firmware, "command_fault", "not math.isfinite(sum(held) + sum(pulsed) + width)", "False"),
+    ("not-finite", firmware, "command_fault", "sum(held) + ", ""),
+    ("not-finite", firmware, "command_fault", "sum(pulsed) + ", ""),
+    ("width", firmware, "command_fault", "not 0.0 <= width <= 1.0", "width < 0.0"),
+    ("width", firmware, "command_fault", "not 0.0 <= width <= 1.0", "width > 1.0"),
+    *(
+        ("over-current", firmware, "command_fault", one, "False")
+        for one in ("max(held) > most", "min(held) < -most", "max(pulsed) > most", "min(pulsed) < -most")
+    ),
+    ("pulse", F, "_obey", "command.pulsed if command.width else None", "None"),
+    ("answered", F, "_obey", "now, command.answers, False", "now, command.answers - 1, False"),
+    ("answered", F, "_arm", "hover, now, _NEVER, False", "hover, now, 0, False"),
+    # currents
+    ("currents", F, "_do", "self._amplifiers.cut()", "pass"),
+    ("currents", F, "trip", "self._amplifiers.cut()", "pass"),
+    ("over-current", F, "trip", "self._amplifiers.cut()", "pass"),
+    ("temperatures", ThermalModel, "add", "self.rises = ", "self.rises = self.rises; "),
+    ("enabled", F, "sample", "self._amplifiers.toggle(now)", "pass"),
+    (
+        "enabled",
+        F,
+        "sample",
+        "if self.state == State.ACTIVE:\n        self._amplifiers",
+        "if True:\n        self._amplifiers",
+    ),
+    ("enabled", Twin, "sample", "self._now - self._toggled <= self._enable", "True"),
+    ("period", Twin, "sample", "self._toggled >= 0 and self._now - self._toggled <= self._enable", "True"),
+    # emergency stop
+    ("estop", F, "receive", "self.trip(Fault.ESTOP, now)", "pass"),
+    ("estop", F, "receive", "self.trip(Fault.ESTOP, now)", "self.trip(Fault.ESTOP, now) if not self.faults else None"),
+    ("estop", F, "receive", "self._sampled_at, tuple", "0, tuple"),
+    ("estop-without-session", F, "receive", "isinstance(body, Estop)", "isinstance(body, Estop) and self.session"),
+    ("estop-elsewhere", F, "receive", "isinstance(body, Estop)", "isinstance(body, Estop) and peer == self.peer"),
+    ("far-ahead", F, "receive", "isinstance(body, Estop)", "isinstance(body, Estop) and self._sequence < 1 << 30"),
+    # silence
+    ("silence-after-arm", F, "_waited", "gap > self._watchdog", "False"),
+    ("silence-after-arm", F, "_waited", "gap > _GAP * self.profile.period", "False"),
+    ("silence-after-arm", F, "_waited", "gap > _GAP * self.profile.period", "gap > 4 * self.profile.period"),
+    ("silence-after-arm", F, "_waited", "self._amplifiers.drive(now, self._hover, None, 0.0)", "pass"),
+    ("silence-after-arm", F, "_arm", "self._hover, self._commanded_at", "_, self._commanded_at"),
+    ("silence-after-commands", F, "_waited", "gap > self._watchdog", "gap > 2 * self._watchdog"),
+    ("silence-after-commands", F, "_obey", "self._commanded_at, self._answers", "_, self._answers"),
+    # all frames
+    ("samples", F, "trip", "self.state, self.faults = State.FAULT, self.faults | faults", "self.faults |= faults"),
+    ("cut", F, "trip", "self._amplifiers.cut()", "pass"),
+    ("samples", F, "sample", "reading.conversions &", "7 &"),
+    ("frames", F, "sample", "self._codec.encode(self.session, tick", "self._codec.encode(self.session + 1, tick"),
+    # in flight
+    ("bad-line", C, "_reason", "zlib.crc32(data) != _SEALED", "False"),
+    ("flight-silence", F, "_waited", "gap > self._watchdog", "False"),
+    ("flight-over-current", firmware, "command_fault", "Fault.COIL_OVERCURRENT", "_NO_FAULT"),
+    ("flight-estop", F, "receive", "self.trip(Fault.ESTOP, now)", "pass"),
+    ("flight-disarm", F, "_do", "(Operation.DISARM, Operation.BYE)", "(Operation.BYE,)"),
+    ("flight-bye", F, "_do", "(Operation.DISARM, Operation.BYE)", "(Operation.DISARM,)"),
+]
+
+
+def without(monkeypatch: pytest.MonkeyPatch, owner: Any, name: str, *changes: tuple[str, str]) -> None:
+    """Put texts into a function of the twin in place of others that it has exactly once."""
+    if owner is Codec:  # the host keeps its own
+        owner = type("DeviceCodec", (Codec,), {"__module__": Codec.__module__})
+        monkeypatch.setattr(twin, "Codec", owner)
+    source = textwrap.dedent(inspect.getsource(getattr(owner, name)))
+    for old, new in changes:
+        assert source.count(old) == 1, f"{old!r} is {source.count(old)} times in {name}"
+        source = source.replace(old, new)
+    module = sys.modules[getattr(owner, "__module__", command_fault.__module__)]
+    found: dict[str, Any] = {}
+    code = compile(source, "<mutant>", "exec", flags=future.annotations.compiler_flag)
+    # zero-argument super() is in none of them
+    exec(code, vars(module), found)
+    monkeypatch.setattr(owner, name, found[name])
+
+
+@pytest.mark.parametrize(("check", "owner", "name", "old", "new"), GUARDS, ids=[f"{g[0]}: {g[3][:40]}" for g in GUARDS])
+def test_a_twin_without_a_guard_fails(
+    check: str, owner: Any, name: str, old: str, new: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    without(monkeypatch, owner, name, (old, new))
+    # rules of all frames are looked at after others
+    before = ["currents", "silence-after-arm", "busy"] if check in ("frames", "samples", "cut") else []
+    results = results_of(only=[*before, check])
+    assert results[check].passed is False, results[check].seen
+
+
+@pytest.mark.parametrize("check", sorted(TAGS))
+def test_a_keyed_twin_that_looks_at_no_tag_fails(check: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    changes = [("not hmac.compare_digest(data[end : end + TAG], self._seal.tag(data[:end]))", "False")]
+    if check == "no-tag":
+        either = "len(data) not in (shape.size + 4, shape.size + self._overhead)"
+        changes = [
+            ("len(data) != shape.size + self._overhead", either),
+            ("self._seal is not None", "self._seal is not None and len(data) != shape.size + 4"),
+        ]
+    without(monkeypatch, Codec, "_reason", *changes)
+    assert results_of(key=KEY, only=[check])[check].passed is False
+
+
+def test_a_command_that_survives_the_cut_is_seen() -> None:
+    class Remembering(Mortal):
+        last: tuple[Any, ...] = ()
+
+        def drive(self, *last: Any) -> None:
+            self.last = last
+            super().drive(*last)
+
+        def cut(self) -> None:
+            super().cut()
+            if self.last and self.firmware.state == State.ACTIVE:
+                super().drive(*self.last)
+
+    assert results_of(only=["forgotten"], kind=Remembering)["forgotten"].passed is False
+
+
+def test_a_device_with_its_coils_reversed_is_let_go() -> None:
+    known = Calibration.nominal()
+    coils = replace(known.coils, force_constants=-known.coils.force_constants)
+    result = results_of(only=["hover"], truth=replace(known, coils=coils))["hover"]
+    assert result.passed is False and "does not follow" in result.seen
+
+
+def test_a_device_that_does_not_wait_in_lockstep_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(TwinServer, "_await_answer", lambda self, frame: self._hear(0.01))
+    with served(lockstep=True) as server:
+        link = UdpLink(*server.address)
+        (result,) = conform([link], only=["lockstep"])
+        link.close()
+    assert result.passed is False
+
+
+def test_every_check_fails_for_some_device() -> None:
+    covered = {guard[0] for guard in GUARDS} | TAGS | {"forgotten", "hover", "lockstep"}
+    assert set(checks()) == covered
