@@ -203,6 +203,8 @@ def _record(told: Any) -> FaultRecord:
         }
     except (TypeError, ValueError, OverflowError, KeyError) as error:
         raise BlackBoxError(f"a value is missing or no number: {error}") from None
+    if not values["period_ns"] > 0.0:
+        raise BlackBoxError(f"period_ns must be above 0, not {told['period_ns']!r:.60}")
     columns = {name: np.full(len(cycles), np.nan) for name in _COLUMNS}
     columns |= {name: table[:, place] for place, name in enumerate(names)}
     columns["time"] = columns.pop("time_ns") * 1e-9

@@ -56,7 +56,9 @@ def device() -> None:
 
 def flood(address: str, data: bytes) -> None:
     """Send a frame again and again."""
-    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))  # not what its parent has
+    # neither its parent's priority nor its processor
+    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    os.sched_setaffinity(0, range(os.cpu_count() or 1))
     url = parse_url(address)
     to, link = (url.place, url.number), socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     end = time.monotonic() + 3.0

@@ -139,7 +139,8 @@ def device(options: Sequence[str]) -> None:
                 nanoseconds += duration * 1e9
                 if any(one for coil, one in enumerate(currents) if coil not in twin.board.stuck):
                     record["flowing"] = round((twin.tick - 1) * period + nanoseconds)
-            record["faults"], record["zero"] = int(twin.firmware.faults), server._zero
+                    record["zero"] = server._zero
+            record["faults"] = int(twin.firmware.faults)
 
         return run(server, 60.0, each)
 
