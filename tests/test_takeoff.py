@@ -32,7 +32,7 @@ def still(rig: Rig) -> Motion:
 @pytest.mark.parametrize("period", RATES)
 def test_a_flotor_at_rest_is_seen_to_rest_whatever_the_noise(period: float) -> None:
     worst = [0.0, 0.0]
-    for seed in range(20 if period > 0.001 else 5):
+    for seed in range(20 if period > 0.001 else 3):
         motion = still(Rig(period=period, seed=seed, quantum=8e-7, noise=4e-7))
         worst = [max(one, other) for one, other in zip(worst, motion.speeds)]
         assert motion.at_rest and motion.full
@@ -56,7 +56,7 @@ def test_motion_along_every_axis_and_to_and_fro_is_no_rest(axis: int, period: fl
     least, amplitude = (2e-3, 1.1e-4) if axis < 3 else (0.05, 2.6e-3)
     along = [float(place == axis) for place in range(6)]
     for share in (0.95, 1.05):
-        steady = watched(period, lambda at: [part * share * least * at for part in along])
+        steady = watched(period, lambda at, speed=share * least: [part * speed * at for part in along])
         assert steady.at_rest is (share < 1.0)
         assert max(steady.speeds) == pytest.approx(share * least)
     swinging = watched(period, lambda at: [part * amplitude * math.sin(2.0 * math.pi * 15.0 * at) for part in along])
@@ -83,11 +83,6 @@ def test_a_flotor_that_moves_is_not_taken_off(hand: Any, says: str) -> None:
     print(caught.value)
     assert not isinstance(caught.value, DeviceFault)
     assert rig.plant.state == rig.twin.firmware.state == State.INACTIVE and rig.currents() == [0.0] * 6
-
-
-def held_at(pose: Sequence[float]) -> Any:
-    """Return a hand that carries the flotor's weight."""
-    return lambda tick, at, state: WEIGHT
 
 
 @pytest.mark.parametrize("depth", [0.0, -0.0026])
@@ -219,7 +214,7 @@ def test_nothing_slow_is_made_between_arming_and_the_first_command(monkeypatch: 
             (remote, "ControlLoop"),
         ):
             monkeypatch.setattr(module, name, forbidden)
-        monkeypatch.setattr(remote.gc, "collect", forbidden)
+        monkeypatch.setattr("gc.collect", forbidden)
         return answer
 
     line.control = asked  # type: ignore[method-assign]
@@ -227,9 +222,7 @@ def test_nothing_slow_is_made_between_arming_and_the_first_command(monkeypatch: 
     rig.plant.takeoff()
     after = [one for one in sent if one[1] > armed[0][1]]
     took = [(one[1] - other[1]) * 1e3 for one, other in zip(after, [armed[0], *after])]
-    print(
-        f"ARM to first CMD {after[0][0] - armed[0][0]} sample, {took[0]:.2f} ms of work; next {took[1]:.2f}, {took[2]:.2f}"
-    )
+    print(f"ARM to first CMD {after[0][0] - armed[0][0]} sample, {took[0]:.2f} ms of work; next {took[1]:.2f} ms")
     assert after[0][0] - armed[0][0] <= 1
     assert rig.twin.firmware.counts["inactive"] >= 2  # dry cycles went before
 

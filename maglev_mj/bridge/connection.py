@@ -31,7 +31,7 @@ from maglev_mj.bridge.wire import (
 )
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import ZERO
-from maglev_mj.net.udp import Link, LinkError
+from maglev_mj.net.udp import Link
 from maglev_mj.parameters import number
 
 __all__ = ["Connection", "EstopReport", "SampleCounter", "estop"]
@@ -288,11 +288,11 @@ class Connection:
         """End the session, if the device still listens, and close the link; a second time does nothing."""
         if self.open:
             try:
-                with suppress(LinkError):  # there is nothing to be said to a line that is gone
+                with suppress(Exception):  # there is nothing to be said to a line that is gone
                     self.control(Operation.BYE)
             finally:
                 self.open = False
-                with suppress(LinkError):
+                with suppress(Exception):
                     self._link.close()
 
     def _abandon(self) -> None:

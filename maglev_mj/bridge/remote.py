@@ -146,7 +146,7 @@ class RemotePlant:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
         try:
             if self._armed and isinstance(error, Exception) and self.state is _ACTIVE:
-                with suppress(DeviceFault):
+                with suppress(Exception):
                     self._fail(Fault.HOST, f"{type(error).__name__}: {error}")
         finally:
             self.close()
@@ -374,7 +374,9 @@ class RemotePlant:
             if (frame := self._line.state(self._patience)) is not None:
                 return frame
             missing = f"no sample from the device within {self._patience:g} s"
-        except LinkError as error:
+        except Exception as error:
+            if self.state is not _ACTIVE:
+                raise
             missing = str(error)
         if self.state is _ACTIVE:
             self._fail(Fault.HOST, missing)
@@ -440,7 +442,7 @@ class RemotePlant:
         one = tuple(held)
         try:
             self._line.command(CommandFrame(self._sequence, 0, one, one if pulsed is None else tuple(pulsed), width))
-        except LinkError as error:
+        except Exception as error:
             if self.state is _ACTIVE:
                 self._fail(Fault.HOST, str(error))
             raise

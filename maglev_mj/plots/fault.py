@@ -10,6 +10,7 @@ import numpy as np
 from maglev_mj.bridge.fault import FaultRecord
 from maglev_mj.frames import AXES, Array
 from maglev_mj.plots.drawing import IDEAL, MANY, new_figure, save
+from maglev_mj.terminal import printable
 
 __all__ = ["last_cycles"]
 
@@ -54,4 +55,5 @@ def _curves(axis: Any, time: Array, values: Array, names: Any, label: str) -> No
 
 
 def _shortened(text: str) -> str:
+    text = printable(text)
     return text if len(text) <= 70 else text[:69] + "…"
