@@ -256,4 +256,4 @@ def test_a_profile_that_is_none_is_one_line(text: str | bytes | None, says: str,
 def test_the_hosts_limits_are_above_zero(one: Any) -> None:
     for value in (0.0, -1.0, NAN, INF, "1", True):
         with pytest.raises(ParameterError, match=f"{one.name} must be a finite number above 0, not"):
-            HostLimits(**{one.name: value})
+            HostLimits.from_json({one.name: value})

@@ -215,7 +215,7 @@ def test_nothing_slow_is_made_between_arming_and_the_first_command(monkeypatch: 
             (remote, "ControlLoop"),
         ):
             monkeypatch.setattr(module, name, forbidden)
-        monkeypatch.setattr(remote.gc, "collect", forbidden)
+        monkeypatch.setattr("gc.collect", forbidden)
         return answer
 
     line.control = asked  # type: ignore[method-assign]

@@ -138,7 +138,6 @@ class FaultRecord:
         lost: Samples that did not arrive.
         skipped: Samples left unanswered for a newer one.
         period: Sample period [s].
-        versions: Of the program that wrote it, by name.
         columns: Values by name, (N,) each, NaN where there is none: sample, time [s], state, faults, spot0 to spot5
             [m], x, y, z [m], rx, ry, rz [rad], held0.. and pulsed0.. [A], width [s], measured0.. [A], temperature0..
             as a share of what a coil bears, delay (at the device) and latency (of the answer) [s].
@@ -152,7 +151,6 @@ class FaultRecord:
     lost: int
     skipped: int
     period: float
-    versions: Mapping[str, Any]
     columns: Mapping[str, Array]
 
     @property
@@ -217,6 +215,5 @@ def _record(told: Any) -> FaultRecord:
         lost=int(values["lost"]),
         skipped=int(values["skipped"]),
         period=float(values["period_ns"]),
-        versions=told.get("versions") if isinstance(told.get("versions"), dict) else {},
         columns=columns,
     )

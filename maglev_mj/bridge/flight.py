@@ -57,7 +57,8 @@ class StopSwitch:
     """
 
     def __init__(self) -> None:
-        self.landing = self._flying = False
+        self.landing = False
+        self._plant: RemotePlant | None = None  # that flies
 
     def land(self) -> None:
         """Let the flight land; from any thread."""
@@ -66,8 +67,8 @@ class StopSwitch:
     def cut(self) -> None:
         """Interrupt a flight, once, which cuts its currents; in the thread that flies."""
         self.landing = True
-        if self._flying:
-            self._flying = False
+        plant, self._plant = self._plant, None
+        if plant is not None and not plant.disarmed:
             interrupt()
 
     @contextmanager
@@ -75,25 +76,25 @@ class StopSwitch:
         """Take off, fly and land; an interrupt is an emergency stop of the plant.
 
         Raises:
-            KeyboardInterrupt: If the flight is to land before it has begun.
+            KeyboardInterrupt: If the flight is to land before it has begun, or was cut before it took off.
             DeviceFault: If it was cut.
             PlantError: If the device does not confirm that it was cut.
         """
         if self.landing:
             interrupt()
-        self._flying = True
+        self._plant, plant.disarmed = plant, False
         try:
             yield
         except KeyboardInterrupt:
-            self._flying = False
+            self._plant = None
             try:
                 plant.estop()
             except MaglevError as error:
                 raise PlantError(f"the flight was to be cut, {error}") from None
             plant.read()  # raises the fault, with the last cycles on disk
-            raise
+            raise KeyboardInterrupt("stopped before takeoff; ESTOP is latched in the device") from None
         finally:
-            self._flying = False
+            self._plant = None
 
 
 class LoopTiming:

@@ -65,6 +65,7 @@ class RemotePlant:
         lockstep: Whether the device's time waits for each answer.
         limits: The smaller of the device's and the host's.
         latched: One line about faults that were latched in the device when it answered; empty without.
+        disarmed: True once this host has switched the currents off after it had armed.
         state: Of the device, at the last sample.
         faults: Likewise.
         first: Those of them that came first.
@@ -129,6 +130,7 @@ class RemotePlant:
         self.last_delay = self.newest_delay = _NAN
         self._answered: int | None = None  # the sample that the newest answer was for
         self.rest: Sequence[float] = ZERO
+        self.disarmed = False
         self._armed = False  # by this host, and nothing has ended it that was reported
         self._warned = False
         self._sequence, self._located = 0, 0  # of the last sample, and tick of the last whose pose is known
@@ -279,7 +281,7 @@ class RemotePlant:
     def disarm(self) -> None:
         """Switch the currents off."""
         self._ask(Operation.DISARM)
-        self._armed = False
+        self._armed, self.disarmed = False, True
         if self.state is _ACTIVE:
             self.state = _INACTIVE
 
