@@ -24,7 +24,7 @@ QUIET = 0.06
 
 HALF, NEVER = 0x7FFFFFFF, 0xFFFFFFFF
 NAN = (math.nan,) * 6
-_TRIES = 5  # of a check in which this host was late
+_TRIES = 10  # of a check in which this host was late
 
 
 class CheckResult(NamedTuple):
@@ -81,7 +81,7 @@ class Check(NamedTuple):
                 tester.bring(State.INACTIVE)
                 return CheckResult(name, self.expected, self.run(tester), True)
             except (Unexpected, PlantError) as error:
-                late = "; this host was late" if tester.late else ""
+                late = "; STATEs were read late" if tester.late else ""
                 result = CheckResult(name, self.expected, f"{error}{late}", False)
             tester.leave()
             if not tester.late:

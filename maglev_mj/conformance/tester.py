@@ -24,7 +24,7 @@ from maglev_mj.sensing.solver import PoseTracker
 __all__ = ["WRAP", "Tester", "Unexpected", "draw", "fail", "is_off", "same", "shown"]
 
 WRAP = 0xFFFFFFFF
-_AGAIN, _PATIENCE, _TAKEOVER = 0.02, 0.5, 1.0  # [s]
+_AGAIN, _PATIENCE, _TAKEOVER = 0.02, 2.0, 1.0  # [s]
 _ANSWERS: dict[type, type] = {wire.Hello: wire.HelloAck, wire.Control: wire.ControlAck, wire.Estop: wire.EstopAck}
 _LED = 0.6  # [s] of takeoff and landing
 _ASIDE, _ASKEW = 0.001, 0.03  # from the centre [m], [rad]
@@ -50,7 +50,7 @@ class Tester:
         once: Arguments of `command` for the next answer, instead of what the law says.
         answering: Whether STATEs are answered.
         loss: Share of the answers that is lost; as many are damaged first, and as many doubled.
-        late: Whether STATEs were read late, which is no fault of the device.
+        late: Whether a STATE was read late by half a period, which need be no fault of the device.
         wrong: First violation of each rule that every frame must keep.
         others: Frames that came, but for STATEs.
     """
@@ -65,6 +65,7 @@ class Tester:
         self.answering, self.late, self.loss = True, False, 0.0
         self.wrong: dict[str, str] = {}
         self.once: list[Sequence[Any]] = []
+        self._answer: Sequence[Any] = []
         self.others: list[Any] = []
         self._sessions: set[int] = set()
         self._random, self._raw, self._idle = random.Random(1), b"", 0
@@ -170,11 +171,13 @@ class Tester:
             self.last, self._raw = frame, data
             if before is not None:
                 usual = ((frame.sequence - before.sequence) & WRAP) * self.welcome.period
-                self.late |= self.arrived - arrived > usual + self.welcome.watchdog // 3
+                self.late |= self.arrived - arrived > usual + self.welcome.period // 2
         elif frame.sequence == before.sequence and data != self._raw:
             self.wrong.setdefault("samples", f"number {frame.sequence} twice, with different bytes")
         if self.answering and frame.sequence == self.last.sequence:
-            self.command(frame.sequence, *(self.once.pop() if self.once else [self.law(frame)]))
+            if is_newer or not self._answer:
+                self._answer = self.once.pop() if self.once else [self.law(frame)]
+            self.command(frame.sequence, *self._answer)
         return frame if is_newer else None
 
     def _judge(self, frame: Any, before: Any) -> None:
