@@ -77,7 +77,7 @@ class HostLimits(Parameters):
 
     max_current: float | None = param("largest current in any coil", "A", default=None, optional=True, above=0.0)
     continuous_current: float | None = param("largest continuous current", "A", default=None, optional=True, above=0.0)
-    force_limit: float | None = param("force along an axis, with the weight", "N", default=None, optional=True, above=0.0)
+    force_limit: float | None = param("force along an axis, weight too", "N", default=None, optional=True, above=0.0)
     torque_limit: float | None = param("torque about an axis", "N m", default=None, optional=True, above=0.0)
     envelope: float = param("largest coordinate; a little beyond the stops", "m", default=0.0055, above=0.0)
     envelope_angle: float = param("largest angle", "rad", default=math.radians(7.5), above=0.0)
