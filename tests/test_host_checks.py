@@ -42,7 +42,7 @@ def put(name: str, place: int, value: float) -> Callable[[StateReport], StateRep
     def change(report: StateReport) -> StateReport:
         values = list(getattr(report, name))
         values[place] = value
-        return report._replace(**{name: tuple(values)})
+        return report._replace(**{name: tuple(values)})  # type: ignore[arg-type]
 
     return change
 

@@ -25,7 +25,6 @@ from maglev_mj.bridge.simulated_links import VirtualLink
 from maglev_mj.bridge.twin import TwinServer
 from maglev_mj.errors import PlantError
 from maglev_mj.net.udp import UdpServer
-from maglev_mj.scenes import Scene
 from maglev_mj.scenes.joystick import Joystick
 from maglev_mj.session import Snapshot
 from tests.test_bridge_processes import said_by
@@ -258,10 +257,9 @@ class Keys:
     def __init__(self, switch: StopSwitch, plant: RemotePlant, at: int) -> None:
         self._switch, self._plant, self._at = switch, plant, at
 
-    def take(self) -> Scene | None:
+    def take(self) -> None:
         if self._plant.samples.tick >= self._at:
             self._switch.cut()
-        return None
 
     def show(self, snapshot: Snapshot) -> None: ...
 

@@ -133,7 +133,7 @@ def flown(rate: int, wishes: Any, seconds: float) -> tuple[list[float], str]:
             except MaglevError as error:
                 fault = str(error).split(":")[0]
         missed = float(plant.samples.lost + plant.samples.skipped)
-        answers = [flight._answer.percentile(share) * 1e6 for share in SHARES.values()]
+        answers = [flight.timing.answer.percentile(share) * 1e6 for share in SHARES.values()]
     longest = max(after - before for (_, before), (_, after) in itertools.pairwise(noted.rows))
     return [*answers, longest * 1e3, missed], fault
 
@@ -203,7 +203,7 @@ def ticks() -> None:
             noted = Noted(plant, "write", lambda: plant.samples.tick)
             flight = Flight(plant, scene, publishers=[stream])
             with realtime("ignore"), asked(stream) as came:
-                came.append(flight.stop)
+                came.append(flight.switch.land)
                 flight.run()
             counted(f"device at {rate} Hz", noted, came[1:])
         stream = PoseStream(ANY)
