@@ -93,7 +93,7 @@ def test_the_former_format_is_read_too(tmp_path: Path) -> None:
     for name, values in new.columns.items():
         fresh = name.startswith(("measured", "temperature", "delay", "latency"))
         np.testing.assert_array_equal(old.columns[name], np.full(200, np.nan) if fresh else values)
-    assert fault_table(old).count("\n") == fault_table(new).count("\n") == 204
+    assert fault_table(old, whole=True).count("\n") == fault_table(new, whole=True).count("\n") == 204
     last_cycles(old, tmp_path / "old.png")
 
 
@@ -146,7 +146,7 @@ def test_the_table_says_what_when_and_the_last_cycles(tmp_path: Path) -> None:
     rig, error = flown(tmp_path)
     assert error.path is not None
     record = load_black_box(error.path)
-    lines = fault_table(record).splitlines()
+    lines = fault_table(record, whole=True).splitlines()
     assert (
         lines[1]
         == f"  faults COIL_NOT_FOLLOWING; first COIL_NOT_FOLLOWING at {record.fault_time:.4f} s of the device's clock"
