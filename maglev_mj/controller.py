@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from copy import copy
 from functools import partial
 from typing import Any
 
 import numpy as np
 
 from maglev_mj.errors import ParameterError
-from maglev_mj.frames import AXES, Array, Command, Component, Sample
+from maglev_mj.frames import AXES, ZERO, Array, Command, Component, Sample
 from maglev_mj.laws import FiniteDifference, Law, VelocityEstimator
 from maglev_mj.laws.base import Face, answer, as_law
 from maglev_mj.parameters import number
@@ -122,6 +123,17 @@ class Controller:
             if extra is not None:
                 pulse = extra if pulse is None else [one + other for one, other in zip(pulse, extra)]
         return Command(wrench) if pulse is None else Command(wrench, pulse, self._pulse_width)
+
+    def at_rest(self, position: Sequence[Component]) -> Command:
+        """Return the answer to a flotor at rest at a position; it is not kept.
+
+        Raises:
+            ParameterError: As for `step` at the first sample.
+        """
+        rest = copy(self)
+        rest._states, rest._tick = list(self._states), None if self._tick is None else -1
+        rest._estimate = lambda position, state, period: (ZERO, state)
+        return rest.step(Sample(0, 0.0, position))
 
     def _check(self, position: Sequence[Component]) -> None:
         if len(position) != len(AXES):

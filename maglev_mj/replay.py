@@ -38,7 +38,7 @@ from maglev_mj.scenes.find import reference_of, source_of
 from maglev_mj.scenes.legacy import recorded_scene
 from maglev_mj.scenes.run import checked_phase, checked_plant, parameters_json
 from maglev_mj.scenes.scene import PLANTS
-from maglev_mj.session import SampledMotion, Snapshot, device_controller, live_plant
+from maglev_mj.session import EMERGENCY_STOP, SampledMotion, Snapshot, device_controller, live_plant
 
 __all__ = ["Replay", "expected", "rebuild", "rebuild_for", "record_run", "stick_positions_of", "write_run"]
 
@@ -233,8 +233,8 @@ class Replay:
 
     def act(self, action: str) -> None:
         """Pause, or start over for "centre" and "drop"; nothing else can be changed in a recording."""
-        if action == "pause":
-            self._paused = not self._paused
+        if action in ("pause", EMERGENCY_STOP):
+            self._paused = action == EMERGENCY_STOP or not self._paused
         elif action in ("centre", "drop"):
             self._show(0, 0)
 

@@ -108,6 +108,9 @@ class CoreFirmware:
 
     What it tells the amplifiers reaches them when the call into C returns, so that what they raise is seen.
 
+    Attributes:
+        heats: Whether the pieces of current between samples are told, as by a board that pulses.
+
     Raises:
         ValueError: If the profile is not one of a device.
     """
@@ -124,9 +127,10 @@ class CoreFirmware:
         known.calibration[:] = profile.calibration
         if codec._seal is not None:
             key = codec._seal._key
-            known.key_length, known.key[: len(key)] = len(key), key
+            known.key_length, known.key[:] = len(key), key[:32].ljust(32, b"\0")
         self._now, self._reading = 0, _Reading()
         self._told: list[Callable[[], None]] = []
+        self.heats = True
         self._peers: list[Any] = [None]
         hardware = _Hardware(
             None,
@@ -142,6 +146,7 @@ class CoreFirmware:
         self._device = _Device.from_buffer(self._memory)
         if not self._core.maglev_start(self._memory, ctypes.byref(known), ctypes.byref(hardware)):
             raise ValueError(f"no device is like this: {profile}")
+        assert len(self._told) == 1  # a board begins with its currents cut
         self._told.clear()
 
     @property
@@ -192,7 +197,7 @@ class CoreFirmware:
         six = (_Six(*values) for values in (reading.spots, reading.measured, reading.commanded))
         number, conversions = tick & 0xFFFFFFFF, reading.conversions & 0xFFFFFFFF
         self._reading = _Reading(now, *six, number, conversions, reading.valid, reading.enabled)
-        for seconds, currents in reading.segments or ((0.0, reading.measured),):
+        for seconds, currents in (reading.segments or ((0.0, reading.measured),)) if self.heats else ():
             self._core.maglev_heat(self._memory, seconds, _Six(*currents))
         frame = ctypes.create_string_buffer(_LARGEST)
         length = self._core.maglev_sample(self._memory, frame)

@@ -9,6 +9,7 @@ import pytest
 
 from maglev_mj import AXES
 from maglev_mj.errors import ParameterError
+from maglev_mj.frames import Sample
 from maglev_mj.laws import AxisLaw, Hold, Law, StickSlip, gain
 from maglev_mj.model import model_path
 from maglev_mj.parameters import param
@@ -18,9 +19,11 @@ from maglev_mj.scenes.interactive import InteractiveScene
 from maglev_mj.scenes.joystick import Joystick
 from maglev_mj.scenes.parts import INERTIA, MASS
 from maglev_mj.scenes.table import Table
-from maglev_mj.session import Pacer, Session, Snapshot, refusal, stability_warning
+from maglev_mj.session import STEP_FORCE, Pacer, Session, Snapshot, check_step, refusal, stability_warning
 from maglev_mj.theory import inertia_of, largest_stable_stiffness, stability
 from maglev_mj.viewer.plots import Plots
+
+ANGLES = dict.fromkeys(("rx", "ry", "rz"), float(np.radians(6.0)))
 
 
 @pytest.mark.parametrize(
@@ -31,14 +34,94 @@ from maglev_mj.viewer.plots import Plots
         (["z"], "a wall must be an axis, a normal and an edge, not 'z'"),
         ([["q", 1, 0.0]], "a wall's axis must be one of x, y, z, rx, ry, rz, not 'q'"),
         ([["z", 2, 0.0]], "a wall's normal must be 1 or -1, not 2"),
-        ([["z", 1, "low"]], "a wall's edge must be a finite number"),
-        ([["z", 1, 0.0], ["z", 1, 0.1]], "not two of normal 1 on z"),
+        ([["z", 1, "low"]], "a wall's edge on z must be a finite number"),
+        ([["z", 1, 0.0], ["z", 1, 0.001]], "not two of normal 1 on z"),
         ([["z", 1, 0.002], ["z", -1, 0.001]], "walls must leave room between them, not 0.002 to 0.001 on z"),
     ],
 )
 def test_walls_that_are_none_are_refused(walls: Any, says: str) -> None:
     with pytest.raises(ParameterError, match=says):
         Joystick.from_json({"walls": walls})
+
+
+@pytest.mark.parametrize("name", ["joystick", "table", "box", "corner"])
+@pytest.mark.parametrize(("axis", "reach"), [*dict.fromkeys("xyz", 0.0045).items(), *ANGLES.items()])
+def test_an_edge_is_within_the_workspace(name: str, axis: str, reach: float) -> None:
+    cls = find_scene(name)
+    for normal in (1, -1):
+        for edge in (-reach, reach):
+            assert cls.from_json({"walls": [[axis, normal, edge]]}).as_json()["walls"] == ((axis, normal, edge),)
+        for edge in (-np.nextafter(reach, 1.0), np.nextafter(reach, 1.0), 1.0, -1.0):
+            with pytest.raises(ParameterError) as error:
+                cls().replace(walls=[[axis, normal, float(edge)]])
+            allowed = f"at least -{reach:g} and at most {reach:g}"
+            assert str(error.value) == f"a wall's edge on {axis} must be a finite number {allowed}, not {float(edge)!r}"
+
+
+class Pushing(Scene):
+    """A constant push, held or in pulses."""
+
+    axis_pushed: str = param("where", default="x", live=True)
+    held: float = param("held force", "N", default=0.0, live=True)
+    pulsed: float = param("force of a pulse", "N", default=0.0, live=True)
+
+    def laws(self) -> list[Law]:
+        return [Push(AXES.index(self.axis_pushed), self.held, self.pulsed)]
+
+
+class Push(Law):
+    """Pushes on one axis; with a velocity it would push by a thousand times as much."""
+
+    pulse_width = 0.001
+
+    def __init__(self, axis: int, held: float, pulsed: float) -> None:
+        self._axis, self._held, self._pulsed = axis, held, pulsed
+
+    def __call__(self, position: Any, velocity: Any, state: Any, wrench: list[Any]) -> Any:
+        wrench[self._axis] += self._held + 1000.0 * velocity[self._axis] + position[self._axis]
+        pulse = [0.0] * 6
+        pulse[self._axis] = self._pulsed
+        return state, pulse if self._pulsed else None
+
+
+@pytest.mark.parametrize("axis", AXES)
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("limit", [STEP_FORCE, 0.5])
+def test_a_step_of_force_is_at_most_the_limit(axis: str, sign: float, limit: float) -> None:
+    """On every axis, held or in a pulse, from whatever acts now; the pose counts, the speed does not."""
+    most, unit = (limit, "N") if axis in "xyz" else (0.05 * limit, "N m")
+    scene = Pushing(axis_pushed=axis, held=sign * 3.0)
+    present, place = scene.controller(), [1e-3] * 6
+    for tick in range(3):  # it moves
+        present.step(Sample(tick, tick * 0.005, [1e-3 * tick] * 6))
+    for part in ("held", "pulsed"):
+        before = scene.as_json()[part]
+        for step in (sign, -sign):
+            check_step(present, scene.replace(**{part: before + 0.99 * step * most}).controller(), place, limit)
+            far = scene.replace(**{part: before + 1.01 * step * most}).controller()
+            with pytest.raises(ParameterError) as error:
+                check_step(present, far, place, limit)
+            assert str(error.value) == (
+                f"settings must change the force on {axis}, where the flotor is, by at most {most:g} {unit}, "
+                f"not {1.01 * step * most:+.3g} {unit}"
+            )
+    assert present.step(Sample(3, 0.015, [3e-3] * 6)).force[AXES.index(axis)] != 0.0  # it goes on as it was
+
+
+def test_a_step_is_that_of_what_acts_now() -> None:
+    """Friction that holds 1.9 N would let go; a wall takes the place of one that pushes as much."""
+    table = Table(breakaway=3.0)
+    stuck = table.controller()
+    for tick, x in enumerate((0.0, 0.0, 0.0, 0.35e-3, 0.35e-3)):
+        stuck.step(Sample(tick, 0.005 * tick, [x, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    inside = [0.35e-3, 0.0, 0.0, 0.0, 0.0, 0.0]
+    assert stuck.at_rest(inside).force[0] == pytest.approx(-6000.0 * 0.35e-3)
+    with pytest.raises(ParameterError, match=r"on x, where the flotor is, by at most 2 N, not \+2\.1 N"):
+        check_step(stuck, table.controller(), inside)
+    one, other = (Joystick(walls=[("x", -1, edge)]).controller() for edge in (0.001, 0.0012))
+    check_step(one, other, [0.004, 0.0, 0.0, 0.0, 0.0, 0.0])
+    with pytest.raises(ParameterError, match="on x, where the flotor is"):
+        check_step(Joystick().controller(), other, [0.003, 0.0, 0.0, 0.0, 0.0, 0.0])
 
 
 @pytest.mark.parametrize("name", ["joystick", "table", "box", "corner"])

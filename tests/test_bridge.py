@@ -72,6 +72,7 @@ class Rig:
         hand: On the flotor.
         kind: Of the host's end.
         host: Keywords of the host's end.
+        key: Of both ends.
         parameters: Those of the twin.
     """
 
@@ -82,12 +83,13 @@ class Rig:
         hand: HandForce | None = None,
         kind: type[RemotePlant] = RemotePlant,
         host: dict[str, Any] | None = None,
+        key: bytes | None = None,
         **parameters: Any,
     ) -> None:
         self.witness = Witness(hand)
-        self.twin = Twin(TwinParameters(**parameters), hand_force=self.witness, draw=lambda: 7)
+        self.twin = Twin(TwinParameters(**parameters), key=key, hand_force=self.witness, draw=lambda: 7)
         self.link = VirtualLink(self.twin, impairment)
-        self.plant = kind(self.link, **(host or {}))
+        self.plant = kind(self.link, key=key, **(host or {}))
         self.rows: list[list[float]] = []
 
     @property

@@ -90,7 +90,7 @@ def flown(address: str, folder: Path, *options: str) -> Iterator[subprocess.Pope
     try:
         assert child.stdout is not None
         assert "takes off" in child.stdout.readline(), child.communicate(timeout=20)
-        time.sleep(1.4)  # twice as long as that
+        time.sleep(1.6)  # twice as long as that
         yield child
     finally:
         child.kill()
@@ -293,11 +293,46 @@ def test_real_time_is_enforced_where_the_system_permits_it(monkeypatch: pytest.M
     assert said_by(*arguments[:-1], "ignore")[0] == 0
 
 
+def test_the_hosts_limits_hold_in_flight_and_options_go_before_the_profile(tmp_path: Path) -> None:
+    profile = tmp_path / "careful.json"
+    profile.write_text(json.dumps({"max_current": 4.0, "speed_limit": 0.001}))
+    with twin("--watchdog", "1") as (device, address):
+        arguments = ("bridge", address, "--seconds", "0.3", "--out", str(tmp_path), "--profile", str(profile))
+        status, said = said_by(*arguments)
+        assert status == 1 and "FLOTOR_OVERSPEED" in said
+        assert said_by("bridge", address, "--reset")[0] == 0
+        status, said = said_by(*arguments, "--speed-limit", "0.6")
+        assert status == 0 and "at rest" in said, said
+        assert "inactive, faults: none" in ended(device)[1]
+
+
+def test_help_says_what_ends_a_flight() -> None:
+    status, said = said_by("bridge", "--help")
+    assert status == 0
+    for words in ("Ctrl-C twice", "SIGTERM, SIGHUP", "2 s later", "Esc in the window", "maglev-mj estop ADDRESS"):
+        assert words in said
+    for option in ("max-current", "force-limit", "torque-limit", "envelope", "speed-limit", "profile", "reset"):
+        assert f"--{option}" in said
+
+
 BAD: list[tuple[list[str], int, str]] = [
     (["bridge", "127.0.0.1:5678"], 2, "address must be udp://HOST:PORT"),
     (["bridge", "udp://192.0.2.1:5678"], 2, "loopback"),
     (["bridge", "udp://127.0.0.1:5678", "--scene", "pub"], 2, "scene must be one of"),
     (["bridge", "udp://127.0.0.1:5678", "--mass", "1"], 2, "mass is for --identify"),
+    (["bridge", "udp://127.0.0.1:5678", "--reset", "--seconds", "1"], 2, "seconds is for scenes, not for --reset"),
+    (["bridge", "udp://127.0.0.1:5678", "--reset", "--identify", "a"], 2, "identify flies, and --reset does not"),
+    (["bridge", "udp://127.0.0.1:5678", "--max-current", "0"], 2, "max_current must be"),
+    (["bridge", "udp://127.0.0.1:5678", "--max-current", "much"], 2, "--max-current: must be a number, not 'much'"),
+    (["bridge", "udp://127.0.0.1:5678", "--force-limit", "7"], 2, "force_limit must be above"),
+    (["bridge", "udp://127.0.0.1:5678", "--envelope", "nan"], 2, "envelope must be"),
+    (["bridge", "udp://127.0.0.1:5678", "--speed-limit", "-1"], 2, "speed_limit must be"),
+    (["bridge", "udp://127.0.0.1:5678", "--profile", "nowhere"], 2, "profile 'nowhere' cannot be read"),
+    (["estop", "127.0.0.1:5678"], 2, "address must be udp://HOST:PORT"),
+    (["estop", "udp://127.0.0.1:9"], 1, "not confirmed: cut the power (no answer within 1 s)"),
+    (["estop", "udp://127.0.0.1:9", "--key", "nowhere"], 2, "key must be a file of 32 to 64 hexadecimal digits"),
+    (["fault", "nowhere"], 2, "black box 'nowhere' cannot be read"),
+    (["fault", __file__], 2, "is not JSON"),
     (["bridge", "udp://127.0.0.1:9"], 1, "udp://127.0.0.1:9: no device answered within 1 s"),
     (["twin", "--listen", "udp://0.0.0.0:0"], 2, "loopback"),
     (["twin", "--listen", "pub"], 2, "listen must be"),

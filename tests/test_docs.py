@@ -139,8 +139,8 @@ def test_the_python_of_a_page_runs(page: str, tmp_path: Path, monkeypatch: pytes
             assert one.split(" ", 1)[1] == other.split(" ", 1)[1]
     elif page == "docs/stream.md":
         assert len(blocks(page, "python")[0][1].strip().splitlines()) <= 11  # ten lines, and an empty one
-        assert "'subscribed'" in "".join(lines[:5]) and "'in force'" in "".join(lines[:100])
-        assert len(lines) >= ENOUGH and lines[100].startswith("Answer(reason='', figures=None, accepted=")
+        assert "'subscribed'" in "".join(lines[:5]) and "'accepted'" in "".join(lines[:100])
+        assert len(lines) >= ENOUGH and lines[100].startswith("Answer(reason='', figures=None, since=")
         assert all(abs(float(line)) < 1e-3 for line in lines[101:])
 
 

@@ -715,11 +715,12 @@ def test_an_invalid_diode_is_found_at_once(diode: int) -> None:
 
 
 @pytest.mark.parametrize("spot", [0.0121, -0.0121, NAN, INF, -INF])
-def test_a_spot_off_its_diode_is_found_at_once(spot: float) -> None:
+@pytest.mark.parametrize("place", range(6))
+def test_a_spot_off_its_diode_is_found_at_once(spot: float, place: int) -> None:
     bench = Bench().brought_to(State.ACTIVE)
     bench.command()
     spots = moving(0)
-    spots[4] = spot
+    spots[place] = spot
     bench.sample(spots=spots)
     bench.refuses(Fault.SENSOR_OUT_OF_RANGE)
 
@@ -762,11 +763,12 @@ def test_a_diode_of_which_one_coordinate_moves_is_not_stuck(spot: int) -> None:
     assert bench.device.state == State.ACTIVE
 
 
-def test_a_diode_that_moves_now_and_then_is_not_stuck() -> None:
+@pytest.mark.parametrize("coordinates", [range(6), range(0, 6, 2), range(1, 6, 2)])
+def test_a_diode_that_moves_now_and_then_is_not_stuck(coordinates: Sequence[int]) -> None:
     bench = Bench().brought_to(State.ACTIVE)
     for tick in range(200):
         bench.command()
-        bench.sample(spots=(0.001 + 1e-6 * (tick // 20 % 2),) * 6)
+        bench.sample(spots=[0.001 + 1e-6 * (tick // 20 % 2) * (place in coordinates) for place in range(6)])
     assert bench.device.state == State.ACTIVE
 
 
@@ -821,6 +823,17 @@ def test_a_spot_that_jumps(step: float, fault: Fault | None, steps: int) -> None
         bench.refuses(fault)
 
 
+@pytest.mark.parametrize("place", range(6))
+def test_each_spot_may_jump(place: int) -> None:
+    bench = Bench().brought_to(State.ACTIVE)
+    for spot in (-0.003, 0.003):
+        bench.command()
+        spots = moving(bench.tick)
+        spots[place] = spot
+        bench.sample(spots=spots)
+    bench.refuses(Fault.FLOTOR_OVERSPEED)
+
+
 @pytest.mark.parametrize("state", [State.INACTIVE, State.FAULT])
 def test_a_device_that_nobody_flies_may_be_opened(state: State) -> None:
     bench = Bench().brought_to(state)
@@ -872,8 +885,11 @@ def test_reset_is_refused_while_a_current_flows() -> None:
     assert bench.device.state == State.INACTIVE
 
 
-def test_currents_of_a_flight_are_not_counted_after_it() -> None:
-    bench = Bench().brought_to(State.ACTIVE)
+def test_currents_of_a_flight_are_not_counted_after_it_nor_those_before() -> None:
+    bench = Bench().brought_to(State.INACTIVE)
+    for _ in range(2):
+        bench.sample(measured=[*ZERO[:5], 2.0])
+    bench.ask(Operation.ARM)
     for _ in range(2):
         bench.command()
         bench.sample(measured=[*ONES[:5], 2.0])

@@ -17,6 +17,7 @@ FLOORS = {
     "parameters": 1,
     "workers": 1,
     "timeline": 1.5,
+    "process": 1.5,
     "laws": 2,
     "net": 2,
     "coils": 2,

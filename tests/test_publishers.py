@@ -19,11 +19,12 @@ from maglev_mj.bridge import RemotePlant, Twin, TwinParameters
 from maglev_mj.bridge.flight import Flight
 from maglev_mj.bridge.simulated_links import Impairment, VirtualLink
 from maglev_mj.cli import main
+from maglev_mj.laws.base import as_law
 from maglev_mj.recording import Recording, RecordingError, open_recording
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.box import Box
 from maglev_mj.scenes.joystick import Joystick
-from maglev_mj.session import Publishers, Snapshot
+from maglev_mj.session import Publishers, Snapshot, Wish
 from maglev_mj.stream import StreamClient
 from tests.test_bridge_processes import COMMAND, ended, said_by, twin
 
@@ -97,7 +98,7 @@ def test_a_3d_mouse_follows_a_stream(keyed: bool, tmp_path: Path) -> None:
     secret.write_text(KEY)
     shown = ["--stream-key", str(secret)] if keyed else []
     followed = ["--key", str(secret)] if keyed else []
-    with twin("--watchdog", "2", "--noise", "0.00005") as (_, address):  # so that it trembles
+    with twin("--watchdog", "2", "--noise", "0.000002") as (_, address):  # so that it trembles
         with program("bridge", address, "--stream", "udp://127.0.0.1:0", "--out", str(tmp_path), *shown) as (_, said):
             url = found(said, r"(udp://\S+)$")
             with StreamClient(url, key=bytes.fromhex(KEY) if keyed else None, patience=30.0) as client:
@@ -194,8 +195,8 @@ def test_outlets_are_told_sixty_times_a_second_and_asked_every_tick() -> None:
         publishers.show(snapshot)
         now += 1e-4
     assert made <= 63
-    told[1].waiting = scene
-    assert publishers.wanted() is scene and publishers.wanted() is None
+    told[1].waiting = Wish(scene)
+    assert publishers.wanted() == Wish(scene) and publishers.wanted() is None
     publishers.close()
     assert told[0].closed and told[1].closed
 
@@ -205,11 +206,12 @@ class Asks:
 
     def __init__(self, *wanted: Scene) -> None:
         self._waiting, self._asked = list(wanted), False
+        self.answers: list[int | str] = []
         self.snapshots: list[Snapshot] = []
 
-    def take(self) -> Scene | None:
+    def take(self) -> Wish | None:
         asked, self._asked = self._asked, False
-        return self._waiting.pop(0) if asked else None
+        return Wish(self._waiting.pop(0), self.answers.append) if asked else None
 
     def show(self, snapshot: Snapshot) -> None:
         self.snapshots.append(snapshot)
@@ -246,8 +248,10 @@ def test_a_flight_is_recorded_through_changes_as_one_run(tmp_path: Path, monkeyp
     assert (np.diff(ticks) >= 1).all() and ticks[0] > 100  # it counts from takeoff on
     for before, after in zip(asks.snapshots, asks.snapshots[1:], strict=False):
         assert after.tick - before.tick <= 3
-    since = [next(one.since for one in asks.snapshots if one.scene.as_json()["friction"] == on) for on in (False, True)]
-    assert since[1] - asks.snapshots[2].tick <= 2
+    begun = [int(stretch.tick[0]) for stretch in recording.stretches]
+    assert asks.answers == begun[1:]
+    since = [next(one.since for one in asks.snapshots if one.scene == stretch) for stretch in (Joystick(), *wishes)]
+    assert since == begun and 1 <= since[1] - asks.snapshots[2].tick <= 3
     with (tmp_path / "run.mcap").open("rb") as opened:
         read = [
             (message.log_time, json.loads(message.data))
@@ -261,23 +265,66 @@ def test_a_flight_is_recorded_through_changes_as_one_run(tmp_path: Path, monkeyp
             assert (when - logged[0][0]) * 1e-9 == pytest.approx((tick - logged[0][1]) * plant.period, abs=1e-6)
 
 
+def test_settings_that_would_push_the_flotor_are_refused_in_a_flight(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A wall 2 mm deep, the flotor's weight, a law that fails: each is refused with why, and the flight goes on."""
+    monkeypatch.setattr(Publishers.__init__, "__defaults__", ((), slow()))
+    around, good = [("z", -1, -0.002)], Joystick(stiffness=3000.0)
+    asks = Asks(Joystick(walls=around), good, Failing(period=0.005, delay=0.0015))
+    flown, plant = flight(publishers=[asks])
+    with plant:
+        assert flown.run(0.6).ticks == 120
+    wall, tick, failing = asks.answers
+    pushed = re.fullmatch(
+        r"settings must change the force on z, where the flotor is, by at most 2 N, not -(.*) N", str(wall)
+    )
+    assert pushed and float(pushed[1]) == pytest.approx(12.0, abs=0.5)
+    assert "law broken fails: ValueError: no" in str(failing)
+    assert asks.snapshots[-1].scene == good and asks.snapshots[-1].since == tick
+    assert any(wall in one.notes for one in asks.snapshots) and failing in asks.snapshots[-1].notes
+    asks = Asks(Joystick(walls=around, stiffness=1000.0))
+    flown, plant = flight(publishers=[asks], step_force=2.5)
+    with plant:
+        flown.run(0.3)
+    assert asks.answers == [asks.snapshots[-1].since]
+
+
+def broken(position: Any, velocity: Any) -> Any:
+    raise ValueError("no")
+
+
+class Failing(Joystick):
+    """Its law fails."""
+
+    def own_laws(self) -> Any:
+        return [*super().own_laws(), as_law(broken)]
+
+
+def test_a_set_is_told_the_mass_of_the_device(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Publishers.__init__, "__defaults__", ((), slow()))
+    asks = Asks()
+    flown, plant = flight(publishers=[asks])
+    with plant:
+        flown.run(0.2)
+    known = plant.calibration
+    assert asks.snapshots[-1].inertia == [*[known.mass] * 3, *known.inertia]
+
+
 def test_the_delay_that_is_told_is_the_usual_one(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Publishers.__init__, "__defaults__", ((), slow()))
     asks = Asks()
     flown, plant = flight(publishers=[asks])
-    measured: list[float] = []
+    measured: list[tuple[int, float]] = []
     with plant:
         read = plant.read
 
         def noted() -> Any:
             sample = read()
-            measured.append(plant.last_delay)
+            measured.append((sample.tick, plant.last_delay))
             return sample
 
         monkeypatch.setattr(plant, "read", noted)
         flown.run(1.5)
-    landing = round(0.6 / plant.period)
-    last = [delay for delay in measured[: -landing - 1] if delay == delay][-100:]
+    last = [delay for tick, delay in measured if tick < asks.snapshots[-1].tick and delay == delay][-100:]
     assert asks.snapshots[-1].delay == pytest.approx(np.median(last), abs=2e-5)
     assert plant.delay + 1e-4 < np.median(last) < max(last) - 1e-4
 

@@ -6,12 +6,23 @@ import math
 import os
 import random
 from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from maglev_mj.bridge import RemotePlant, Twin, TwinParameters
+from maglev_mj.bridge.flight import Flight, LoopTiming, delay_check
 from maglev_mj.bridge.realtime import LatencyHistogram, RealtimeError, realtime
+from maglev_mj.bridge.safety import Limits
+from maglev_mj.bridge.simulated_links import Impairment, VirtualLink
 from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.recording import Recording, open_recording
+from maglev_mj.scenes.joystick import Joystick
+from maglev_mj.scenes.table import Table
+from maglev_mj.tables import flown_table, timing_table
+from maglev_mj.theory import stability
 
 SCHEDULED = hasattr(os, "sched_getscheduler")
 
@@ -177,3 +188,96 @@ def test_the_histogram_fits_a_terminal_and_counts_everything() -> None:
     assert max(map(len, lines)) <= 80
     assert sum(int(line.split()[-1]) for line in lines[1:]) == latency.count
     assert "below 1 µs" in lines[1] and "above 5 s" in lines[-1]
+
+
+class Sampled:
+    """A plant at a sample: when it was taken by the device's clock, when it came and how late its answer was [ns]."""
+
+    def __init__(self, taken: int, came: int, answer: int, delay: float = math.nan, lockstep: bool = False) -> None:
+        self.samples, self.transport = SimpleNamespace(time=taken), came - taken
+        self.answer_latency, self.newest_delay, self.lockstep = answer * 1e-9, delay, lockstep
+
+
+def test_the_age_of_a_sample_counts_transport_queueing_and_the_answer() -> None:
+    timing = LoopTiming()
+    zero = 5_000_000_000  # between the clocks
+    for tick, late in enumerate((0, 0, 300_000, 0, 2_000_000)):
+        taken = tick * 5_000_000
+        timing.add(Sampled(taken, zero + taken + 40_000 + late, 100_000, 0.0015 + late * 1e-9))  # type: ignore[arg-type]
+    assert timing.age.worst == 2_100_000 and timing.answer.worst == 100_000
+    assert timing.age.p50 == pytest.approx(1e-4)
+    assert timing.delay.count == 5 and timing.delay.max == pytest.approx(3.5e-3)
+    assert list(timing.kinds) == [
+        "answer, from the sample's arrival",
+        "age of the sample when that left",
+        "delay at the device",
+    ]
+
+
+@pytest.mark.parametrize("drift", [-1e-4, 1e-4])
+def test_clocks_that_drift_apart_make_no_age(drift: float) -> None:
+    timing = LoopTiming()
+    for tick in range(20_000):  # 100 s: 10 ms apart at the end
+        taken = tick * 5_000_000
+        timing.add(Sampled(taken, round(taken * (1.0 + drift)), 100_000))  # type: ignore[arg-type]
+    assert 1e-4 <= timing.age.max < 6e-4
+    assert not timing.delay.count and "delay at the device" not in timing.kinds
+
+
+def test_a_device_in_lockstep_has_no_age_of_samples() -> None:
+    timing = LoopTiming()
+    timing.add(Sampled(0, 7, 100_000, lockstep=True))  # type: ignore[arg-type]
+    assert list(timing.kinds) == ["answer, from the sample's arrival"]
+
+
+def test_a_delay_longer_than_the_one_checked_is_judged_anew() -> None:
+    scene, timing = Joystick(), LoopTiming()
+    inertia = [0.7, 0.7, 0.7, 9.3e-4, 9.3e-4, 8.2e-4]
+    assert delay_check(timing, scene, inertia) == ""
+    timing.delay.add(1_400_000)
+    assert delay_check(timing, scene, inertia) == ""
+    for delay, word in ((2_000_000, "stable"), (5_000_000, "UNSTABLE")):
+        timing.delay = LatencyHistogram()
+        timing.delay.add(delay)
+        said = delay_check(timing, scene, inertia)
+        assert f"below {delay * 1e-6:.2f} ms, and 1.50 ms was checked; held at" in said
+        assert f"joystick is {word} (largest root" in said
+        assert (stability(scene.replace(delay=delay * 1e-9)).stable is True) == (word == "stable")
+    timing.delay.add(10**10)
+    timing.delay.add(10**10)
+    assert "is not known" in delay_check(timing, scene, inertia)
+
+
+def test_the_delay_of_late_answers_is_measured_too(tmp_path: Path) -> None:
+    """On a line of 4 ms each way at 200 Hz no answer is there before the next sample."""
+    twin = Twin(TwinParameters(), draw=lambda: 7)
+    file = open_recording(tmp_path / "run.npz")
+    with RemotePlant(VirtualLink(twin, Impairment(delay=0.004, jitter=0.0005))) as plant:
+        scene = Table(period=plant.period, delay=plant.delay, friction=False)
+        flown = Flight(plant, scene, file=file)
+        report = flown.run(0.5)
+        assert math.isnan(plant.last_delay)
+    file.close()
+    timing = flown.timing
+    assert report.landing.at_rest and "at rest" in flown_table(report)
+    assert timing.delay.count > 90 and timing.delay.p50 == pytest.approx(0.008 + plant.delay, abs=3e-4)
+    assert timing.age.max < 1.1e-3 < timing.delay.p50
+    assert "9" in flown.warning and "was checked" in flown.warning
+    told = [event for event in Recording.load(tmp_path / "run.npz").events if event.startswith("timing: ")]
+    assert any("delay at the device: 9." in event for event in told) and any("samples lost" in event for event in told)
+    table = timing_table(timing, flown.warning)
+    assert all(name in table for name in timing.kinds) and "warning: " in table
+    assert max(map(len, table.splitlines())) <= 100
+
+
+def test_each_answer_is_measured_once_and_samples_are_missed_from_takeoff_on() -> None:
+    twin = Twin(TwinParameters(limits=Limits(watchdog=1.0)), draw=lambda: 7)
+    with RemotePlant(VirtualLink(twin, Impairment(loss=0.15, seed=3))) as plant:
+        for _ in range(40):
+            plant.read()
+        before = plant.samples.lost
+        flown = Flight(plant, Table(period=plant.period, delay=plant.delay, friction=False))
+        report = flown.run(1.0)
+        assert 0 < before < plant.samples.lost and 0 < report.lost <= plant.samples.lost - before
+        # an answer that is lost leaves the one before in force, which has been measured
+        assert 0.6 < flown.timing.delay.count / flown.timing.answer.count < 0.95

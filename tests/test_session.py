@@ -24,9 +24,19 @@ from maglev_mj.scenes.joystick import Joystick
 from maglev_mj.scenes.legacy import recorded_scene
 from maglev_mj.scenes.parts import INERTIA, WEIGHT, wall
 from maglev_mj.scenes.press import Press
-from maglev_mj.session import Pacer, Session, Snapshot, actions, device_controller, live_plant, real_time, settable
+from maglev_mj.session import (
+    EMERGENCY_STOP,
+    Pacer,
+    Session,
+    Snapshot,
+    Wish,
+    actions,
+    device_controller,
+    live_plant,
+    real_time,
+    settable,
+)
 from maglev_mj.spec import Spec
-from maglev_mj.stream.messages import same_rules
 from maglev_mj.theory import largest_stable_stiffness
 from maglev_mj.viewer.overlay import help_text, keys_of, status_text
 
@@ -204,7 +214,7 @@ def test_every_action_is_known_and_no_other() -> None:
     for action in session.actions:
         if action != "record":
             session.act(action)
-    with pytest.raises(ParameterError, match=r"action must be one of rate up, .* stiffness up, .* record, not 'jump'"):
+    with pytest.raises(ParameterError, match=r"one of rate up, .* stiffness up, .* record, emergency stop, not 'jump'"):
         session.act("jump")
 
 
@@ -472,9 +482,12 @@ def test_what_a_program_asks_of_the_scene_before_is_not_done() -> None:
 
         wanted: Scene | None = None
 
-        def take(self) -> Scene | None:
+        def __init__(self) -> None:
+            self.answers: list[int | str] = []
+
+        def take(self) -> Wish | None:
             taken, self.wanted = self.wanted, None
-            return taken
+            return None if taken is None else Wish(taken, self.answers.append)
 
         def show(self, snapshot: Snapshot) -> None: ...
 
@@ -488,6 +501,20 @@ def test_what_a_program_asks_of_the_scene_before_is_not_done() -> None:
     late.wanted = find_scene("box")().replace(stiffness=3000.0, period=0.001)
     after(session, 0.1)
     assert session.snapshot().scene == find_scene("box")().replace(stiffness=3000.0)
-    assert same_rules(Joystick(period=0.001), Joystick())
-    assert not same_rules(Joystick(), Drop(period=2e-6))  # which no joystick may have
-    assert not same_rules(Joystick(), find_scene("box")()) and not same_rules(Joystick(wall=False), Joystick())
+    assert late.answers == ["settings must be those of box, not of joystick", session.snapshot().since]
+
+
+def test_the_emergency_stop_stops_the_scene_until_it_is_started_again() -> None:
+    for way_on in ("centre", "drop", "stiffness up", "next scene"):
+        session = Session(Joystick())
+        session.tick(0.05)
+        session.act(EMERGENCY_STOP)
+        view, before = session.snapshot(), session.simulated
+        assert (view.state, view.reason) == ("stopped", EMERGENCY_STOP) and "STOPPED: emergency stop" in view.notes
+        assert session.tick(0.05) == 0 and session.simulated == before
+        session.act("pause")
+        session.act("pause")
+        assert session.snapshot().state == "stopped"  # what pauses does not start it again
+        session.act(way_on)
+        assert session.snapshot().state == "running" and session.tick(0.05) > 0
+        session.close()

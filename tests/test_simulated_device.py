@@ -298,10 +298,11 @@ def test_a_session_in_lockstep(start: Starter) -> None:
     host = device.host()
     welcome = host.hello()
     limits = PROFILE.limits
+    assert welcome.hover_limit == pytest.approx(limits.hover, rel=1e-15)
     assert welcome == HelloAck(
         *(1, 0, 1, 2, State.INACTIVE, 1, NOMINAL.digest, PROFILE.period, PROFILE.delay),
         *(round(limits.watchdog * 1e9), round(limits.enable * 1e9), 0, 0, 0, 0),
-        *(limits.current, limits.continuous_current, pytest.approx(limits.hover, rel=1e-15)),
+        *(limits.current, limits.continuous_current, welcome.hover_limit),
         *(limits.thermal_time, limits.spot, limits.spot_speed),
     )
     report = host.sampled()

@@ -12,6 +12,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import glfw
 import numpy as np
 import pytest
 
@@ -19,6 +20,9 @@ from maglev_mj.errors import MaglevError
 from maglev_mj.recording import Recording
 from maglev_mj.scenes.joystick import Joystick
 from maglev_mj.session import SampledMotion, Snapshot
+from maglev_mj.viewer.offscreen import arranged, label_place
+from maglev_mj.viewer.overlay import keys_of
+from maglev_mj.viewer.plots import StopLabel
 from maglev_mj.viewer.process import RemoteSession, RemoteViewer
 from tests.virtual_screen import MISSING, VirtualScreen
 
@@ -58,7 +62,7 @@ def test_a_window_is_told_of_the_device_and_says_what_the_mouse_and_keys_do() ->
 class OpenedHere:
     """A stand-in for a process, whose end of the line stays here."""
 
-    def __init__(self, target: Any, args: Any, daemon: bool) -> None:
+    def __init__(self, target: Any, args: Any) -> None:
         self.line, self.blank, _ = args
 
     def start(self) -> None: ...
@@ -100,12 +104,14 @@ def test_both_ends_of_a_window_agree(monkeypatch: pytest.MonkeyPatch) -> None:
     session.tick(0.0)
     for action in ("stiffness up", "pause", "stiffness up", "wall"):
         session.act(action)
-    wanted = viewer.take()
-    assert wanted == Joystick(stiffness=9380.0, wall=False) and viewer.take() is None
+    wish = viewer.take()
+    assert wish is not None and wish.scene == Joystick(stiffness=9380.0, wall=False) and viewer.take() is None
+    wish.answer("not heard")
     assert viewer.hand.target == [1e-3] * 6
     viewer.show(replace(blank, scene=Joystick(stiffness=3000.0)))  # the person is not the only one who changes it
     session.act("wall")
-    assert viewer.take() == Joystick(stiffness=3000.0, wall=False)
+    wish = viewer.take()
+    assert wish is not None and wish.scene == Joystick(stiffness=3000.0, wall=False)
     far.close()
     for _ in range(3):
         viewer.take()
@@ -159,6 +165,64 @@ def test_the_wall_that_a_host_renders_is_felt_through_the_mouse_of_the_twin(tmp_
     # into the wall at 3.5 mm, which pushes back with 6000 N/m; the spring to the centre alone gives about 1 N
     assert 3.6e-3 < abs(place) < 5e-3
     assert pushed * place < 0.0 and abs(pushed) > 1.2
+
+
+@pytest.mark.skipif(bool(MISSING), reason=f"{' and '.join(MISSING)} not there")
+@pytest.mark.parametrize("seen", ["twin", "bridge"])
+def test_escape_in_a_window_cuts_the_currents(seen: str, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "maglev_mj.cli"]
+    look = {"twin": ["--view"], "bridge": []}
+    with VirtualScreen(900, 700) as screen:
+        options: dict[str, Any] = {"env": screen.environment, "stdout": subprocess.PIPE, "text": True}
+        address = ["--listen", "udp://127.0.0.1:0", "--watchdog", "2", *look[seen]]
+        twin = subprocess.Popen([*command, "twin", *address], **options)
+        host = None
+        try:
+            assert twin.stdout is not None
+            found = re.search(r"udp://\S+:\d+", twin.stdout.readline())
+            assert found
+            view = [] if seen == "twin" else ["--view"]
+            host = subprocess.Popen(
+                [*command, "bridge", found[0], "--out", str(tmp_path), *view], stderr=subprocess.STDOUT, **options
+            )
+            window = screen.window("MuJoCo")
+            time.sleep(3)
+            screen.xdotool("windowfocus", window)
+            screen.xdotool("mousemove", 200, 200)
+            time.sleep(0.5)
+            screen.xdotool("key", "Escape")
+            said, _ = host.communicate(timeout=30)
+            assert host.returncode == 1 and "ESTOP: " in said
+            twin.send_signal(signal.SIGINT)
+            summary, _ = twin.communicate(timeout=30)
+            assert "fault, faults: ESTOP" in summary
+        finally:
+            for child in (twin, host):
+                if child is not None:
+                    child.kill()
+                    child.wait()
+
+
+def test_the_emergency_stops_key_reaches_who_runs_the_device() -> None:
+    line, far = Pipe()
+    viewer: Any = RemoteViewer.__new__(RemoteViewer)
+    viewer.__dict__ |= {"_line": line, "_closed": False, "_scene": Joystick(), "hand": SimpleNamespace(target=None)}
+    pressed: list[int] = []
+    viewer.on_emergency = lambda: pressed.append(1)
+    watched = RemoteSession(far, Snapshot(scene=Joystick()))
+    watched.act(keys_of(Joystick)[glfw.KEY_ESCAPE])
+    assert viewer.take() is None and pressed == [1]
+
+
+def test_the_label_says_the_key_and_then_the_way_on() -> None:
+    label, blank = StopLabel(), Snapshot(scene=Joystick())
+    assert label.update(blank).title == "ESC: EMERGENCY STOP"
+    assert label.update(replace(blank, state="flying")).title == "ESC: EMERGENCY STOP"
+    assert label.update(replace(blank, state="stopped")).title == "STOPPED: / starts again"
+    assert max(label.update(blank).figurergba[:3]) == label.update(blank).figurergba[0] > 0.7  # red
+    for width, height in ((1120, 700), (640, 480), (200, 150)):
+        place = label_place(width, height)
+        assert place.left >= 0 and place.left + place.width <= arranged(width, height)[0].left
 
 
 def _pull(screen: VirtualScreen, window: int) -> None:

@@ -31,7 +31,7 @@ from maglev_mj.bridge.wire import (
 )
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import ZERO
-from maglev_mj.net.udp import Link, LinkError
+from maglev_mj.net.udp import Link
 from maglev_mj.parameters import number
 
 __all__ = ["Connection", "EstopReport", "SampleCounter", "estop"]
@@ -138,6 +138,7 @@ class SampleCounter:
     Attributes:
         period: Sample period [ns].
         tick: Of the last sample, from 0 at the first that came.
+        time: Of the device's clock at the last sample [ns].
         elapsed: Samples from the one before to the last.
         out_of_step: What is wrong with the device's clock; empty while it keeps step.
         lost: Samples that did not arrive.
@@ -146,7 +147,7 @@ class SampleCounter:
 
     def __init__(self, period: int) -> None:
         self.tick, self.elapsed, self.lost, self.skipped = -1, 0, 0, 0
-        self.period, self._sequence, self._time = period, 0, 0
+        self.period, self._sequence, self.time = period, 0, 0
         self.out_of_step = ""
 
     def count(self, sequence: int, time: int, skipped: int) -> None:
@@ -162,7 +163,7 @@ class SampleCounter:
             self.tick = 0
         else:
             self.elapsed = (sequence - self._sequence) & _WRAP
-            passed = time - self._time
+            passed = time - self.time
             if abs(passed - self.elapsed * self.period) > self.period // 2:
                 said = f"{passed * 1e-6:.3f} ms went by in {self.elapsed} samples of {self.period * 1e-6:.3f} ms"
                 self.out_of_step = said
@@ -171,7 +172,7 @@ class SampleCounter:
             if missing:
                 self.skipped += min(skipped, missing)
                 self.lost += missing - min(skipped, missing)
-        self._sequence, self._time = sequence, time
+        self._sequence, self.time = sequence, time
 
 
 class Connection:
@@ -241,7 +242,8 @@ class Connection:
         frame, self._waiting = self._waiting, None
         skipped, self._overtaken = self._overtaken, 0
         link, left = self._link, timeout
-        end = link.now() + int(timeout * 1e9)
+        self.heard = link.now()
+        end = self.heard + int(timeout * 1e9)
         while frame is None:
             if (data := link.receive(left)) is None:
                 return None
@@ -286,11 +288,11 @@ class Connection:
         """End the session, if the device still listens, and close the link; a second time does nothing."""
         if self.open:
             try:
-                with suppress(LinkError):  # there is nothing to be said to a line that is gone
+                with suppress(Exception):  # there is nothing to be said to a line that is gone
                     self.control(Operation.BYE)
             finally:
                 self.open = False
-                with suppress(LinkError):
+                with suppress(Exception):
                     self._link.close()
 
     def _abandon(self) -> None:

@@ -16,7 +16,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from maglev_mj.bridge.wire import Fault, Frame, StateReport, fault_names
-from maglev_mj.errors import MaglevError, PlantError
+from maglev_mj.errors import ParameterError, PlantError
 from maglev_mj.frames import AXES, Array
 from maglev_mj.versions import versions
 
@@ -47,7 +47,7 @@ class HandshakeError(PlantError):
     """No device answered, or the one that did will not have this host."""
 
 
-class BlackBoxError(MaglevError):
+class BlackBoxError(ParameterError):
     """A file is no black box."""
 
 
@@ -138,7 +138,6 @@ class FaultRecord:
         lost: Samples that did not arrive.
         skipped: Samples left unanswered for a newer one.
         period: Sample period [s].
-        versions: Of the program that wrote it, by name.
         columns: Values by name, (N,) each, NaN where there is none: sample, time [s], state, faults, spot0 to spot5
             [m], x, y, z [m], rx, ry, rz [rad], held0.. and pulsed0.. [A], width [s], measured0.. [A], temperature0..
             as a share of what a coil bears, delay (at the device) and latency (of the answer) [s].
@@ -152,7 +151,6 @@ class FaultRecord:
     lost: int
     skipped: int
     period: float
-    versions: Mapping[str, Any]
     columns: Mapping[str, Array]
 
     @property
@@ -203,6 +201,8 @@ def _record(told: Any) -> FaultRecord:
         }
     except (TypeError, ValueError, OverflowError, KeyError) as error:
         raise BlackBoxError(f"a value is missing or no number: {error}") from None
+    if not values["period_ns"] > 0.0:
+        raise BlackBoxError(f"period_ns must be above 0, not {told['period_ns']!r:.60}")
     columns = {name: np.full(len(cycles), np.nan) for name in _COLUMNS}
     columns |= {name: table[:, place] for place, name in enumerate(names)}
     columns["time"] = columns.pop("time_ns") * 1e-9
@@ -215,6 +215,5 @@ def _record(told: Any) -> FaultRecord:
         lost=int(values["lost"]),
         skipped=int(values["skipped"]),
         period=float(values["period_ns"]),
-        versions=told.get("versions") if isinstance(told.get("versions"), dict) else {},
         columns=columns,
     )

@@ -3,35 +3,41 @@
 from __future__ import annotations
 
 import math
-import threading
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from statistics import median
 from typing import NamedTuple
 
 import numpy as np
 
-from maglev_mj.bridge.realtime import LatencyHistogram
+from maglev_mj.bridge.realtime import LatencyHistogram, interrupt
 from maglev_mj.bridge.remote import RemotePlant
+from maglev_mj.bridge.takeoff import LandingReport
 from maglev_mj.controller import Controller
-from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.errors import MaglevError, ParameterError, PlantError
 from maglev_mj.frames import Array, Command, Sample
-from maglev_mj.loop import Answers, ControlLoop, Record
+from maglev_mj.loop import ControlLoop, Record
+from maglev_mj.parameters import number
 from maglev_mj.recording import Mechanics, RecordingError, RecordingFile, RunMetadata
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.parts import WEIGHT
 from maglev_mj.session import (
     DEVICES_OWN,
+    STEP_FORCE,
     Publisher,
     Publishers,
     SampledMotion,
     Snapshot,
+    Wish,
+    check_step,
     device_controller,
     settings_of,
 )
+from maglev_mj.theory import stability
 
-__all__ = ["Flight", "FlightReport"]
+__all__ = ["LANDING_TIME", "Flight", "FlightReport", "LoopTiming", "StopSwitch", "delay_check"]
 
 _USUAL = 100
 """Answers whose median is the usual delay: one early or late answer makes no loop stable or unstable."""
@@ -39,22 +45,137 @@ _USUAL = 100
 _NOTE = "the hand, the rate and the delay are the device's"
 
 
+LANDING_TIME = 2.0
+"""A flight that is to land has so long before it is cut [s]."""
+
+
+class StopSwitch:
+    """Ends a flight: lands it, or cuts the currents.
+
+    Attributes:
+        landing: True if the flight is to land.
+    """
+
+    def __init__(self) -> None:
+        self.landing = False
+        self._plant: RemotePlant | None = None  # that flies
+
+    def land(self) -> None:
+        """Let the flight land; from any thread."""
+        self.landing = True
+
+    def cut(self) -> None:
+        """Interrupt a flight, once, which cuts its currents; in the thread that flies."""
+        self.landing = True
+        plant, self._plant = self._plant, None
+        if plant is not None and not plant.disarmed:
+            interrupt()
+
+    @contextmanager
+    def flying(self, plant: RemotePlant) -> Iterator[None]:
+        """Take off, fly and land; an interrupt is an emergency stop of the plant.
+
+        Raises:
+            KeyboardInterrupt: If the flight is to land before it has begun, or was cut before it took off.
+            DeviceFault: If it was cut.
+            PlantError: If the device does not confirm that it was cut.
+        """
+        if self.landing:
+            interrupt()
+        self._plant, plant.disarmed = plant, False
+        try:
+            yield
+        except KeyboardInterrupt:
+            self._plant = None
+            try:
+                plant.estop()
+            except MaglevError as error:
+                raise PlantError(f"the flight was to be cut, {error}") from None
+            plant.read()  # raises the fault, with the last cycles on disk
+            raise KeyboardInterrupt("stopped before takeoff; ESTOP is latched in the device") from None
+        finally:
+            self._plant = None
+
+
+class LoopTiming:
+    """How late a loop over a device's samples is.
+
+    Attributes:
+        answer: From a sample's arrival to sending its answer.
+        age: From a sample to sending its answer, beyond the quickest transport of the last seconds: the clocks of
+            device and host have no common zero.
+        delay: From a sample to its answer's taking effect, by the device's clock.
+    """
+
+    def __init__(self) -> None:
+        self.answer, self.age, self.delay = LatencyHistogram(), LatencyHistogram(), LatencyHistogram()
+        self._least = self._before = float(math.inf)
+        self._renewed = 0
+
+    def add(self, plant: RemotePlant) -> None:
+        """Add the last sample, once it is answered."""
+        answer, way = round(plant.answer_latency * 1e9), plant.transport
+        self.answer.add(answer)
+        if not math.isnan(plant.newest_delay):
+            self.delay.add(round(plant.newest_delay * 1e9))
+        if plant.lockstep:
+            return  # the device's time stands still meanwhile
+        if plant.samples.time > self._renewed:
+            self._least, self._before, self._renewed = way, self._least, plant.samples.time + _RENEWED
+        self._least = min(self._least, way)
+        self.age.add(answer + way - int(min(self._least, self._before)))
+
+    @property
+    def kinds(self) -> Mapping[str, LatencyHistogram]:
+        """Those that were measured, by name."""
+        kinds = {
+            "answer, from the sample's arrival": self.answer,
+            "age of the sample when that left": self.age,
+            "delay at the device": self.delay,
+        }
+        return {name: one for name, one in kinds.items() if one.count}
+
+
+_RENEWED = 2_000_000_000
+"""The quickest way is that of the last so many nanoseconds: clocks drift apart by up to 100 µs a second."""
+
+
+def delay_check(timing: LoopTiming, scene: Scene, inertia: Sequence[float]) -> str:
+    """Return how the measured delay compares with the one whose stability was checked; empty where it is no longer.
+
+    Args:
+        timing: Of the flight.
+        scene: The scene, with the delay that was assumed.
+        inertia: Mass and moments of inertia [kg, kg m²], six.
+    """
+    if not timing.delay.p99 > scene.delay:  # which NaN is not
+        return ""
+    late = timing.delay.p99
+    said = f"99 % of delays are below {late * 1e3:.2f} ms, and {scene.delay * 1e3:.2f} ms was checked"
+    try:
+        verdict = stability(scene.replace(delay=late), inertia=inertia)
+    except MaglevError as error:
+        return f"{said}; stability at {late * 1e3:.2f} ms is not known: {error}"
+    word = {True: "stable", False: "UNSTABLE", None: "perhaps unstable"}[verdict.stable]
+    return f"{said}; held at {late * 1e3:.2f} ms, {scene.name} is {word} (largest root {verdict.modulus:.4f})"
+
+
 class FlightReport(NamedTuple):
     """What a flight came to.
 
     Attributes:
         ticks: Samples answered.
-        lost: Samples that did not arrive.
-        skipped: Samples that were too old when they were read.
+        lost: Samples that did not arrive, from takeoff on.
+        skipped: Likewise those that were too old when they were read.
         wall_time: How long it took [s].
-        answer: Time from reading a sample to having sent its answer [s].
+        landing: How the flotor lies.
     """
 
     ticks: int
     lost: int
     skipped: int
     wall_time: float
-    answer: LatencyHistogram
+    landing: LandingReport
 
 
 class Flight:
@@ -63,12 +184,16 @@ class Flight:
     Args:
         plant: The device; closed by the caller.
         scene: The scene; its period is the device's.
+        switch: Lands or cuts it; its own by default.
         file: What every sample is recorded to; left open.
         publishers: Windows on it and ways to other programs; left open.
         warn: Called, once, with why the flight is not recorded any more.
+        step_force: Largest step of force that new settings may make [N]; see `check_step`.
 
     Attributes:
-        read_at: When the last sample was there [ns].
+        switch: Lands or cuts it.
+        timing: How late its loop is.
+        warning: What is wrong with its delay, once it is over; empty for nothing.
 
     Raises:
         ParameterError: If the scene's period is not the device's.
@@ -79,58 +204,90 @@ class Flight:
         plant: RemotePlant,
         scene: Scene,
         *,
+        switch: StopSwitch | None = None,
         file: RecordingFile | None = None,
         publishers: Sequence[Publisher] = (),
         warn: Callable[[str], object] | None = None,
+        step_force: float = STEP_FORCE,
     ) -> None:
         if scene.period != plant.period:
             raise ParameterError(f"period must be the device's {plant.period:g} s, not {scene.period:g}")
         self._plant, self._scene, self._file = plant, scene, file
         self._publishers, self._since = Publishers(publishers), 0
         self._motion, self._note = SampledMotion(scene.axis_index), _NOTE
-        self._stopped = threading.Event()
-        self._wanted: Scene | None = None
-        self._answer = LatencyHistogram()
+        self.switch, self.timing, self.warning = switch or StopSwitch(), LoopTiming(), ""
+        self._lost = self._skipped = 0
+        self._staged: tuple[Wish, Controller] | None = None
+        self._wanted: tuple[Wish, Controller] | None = None
+        self._begun: Wish | None = Wish(scene)
+        self._controller = device_controller(scene)
+        self._step_force = number("step_force", step_force, above=0.0)
+        self._inertia = [*[plant.calibration.mass] * 3, *plant.calibration.inertia]
         self._force: Sequence[float] = WEIGHT
         self._delays: deque[float] = deque(maxlen=_USUAL)
         self._warn, self._checked = warn, 0.0
-        self.read_at = 0
 
     def run(self, duration: float | None = None) -> FlightReport:
-        """Take off, render the scene until `stop` or for so long [s] of the device's time, and land.
+        """Take off, render the scene until told to land or for so long [s] of the device's time, and land.
 
         Raises:
-            DeviceFault: If something is wrong with the device, or with how it is flown.
+            KeyboardInterrupt: If it is told to land before it has begun.
+            DeviceFault: If something is wrong with the device, or with how it is flown, or it was cut.
+            PlantError: If the device does not confirm that it was cut.
         """
+        start, plant = time.monotonic(), self._plant
         try:
-            return self._run(duration)
+            with self.switch.flying(plant):
+                ticks, landing = self._fly(duration)
         except MaglevError as error:
             if self._file is not None:
                 self._file.event("fault", str(error))
             raise
+        finally:
+            if self.timing.answer.count:
+                self._compare()
+        return FlightReport(ticks, *self._missing(), time.monotonic() - start, landing)
 
-    def _run(self, duration: float | None) -> FlightReport:
-        start, plant = time.monotonic(), self._plant
-        plant.takeoff()
-        first = plant.samples.tick
+    def _fly(self, duration: float | None) -> tuple[int, LandingReport]:
+        plant, switch = self._plant, self.switch
+        plant.takeoff(watch=self._watch)
+        first, (self._lost, self._skipped) = plant.samples.tick, self._missing()
         last = None if duration is None else first + round(duration / plant.period)
-        while not self._stopped.is_set() and (last is None or plant.samples.tick < last):
+        while not switch.landing and (last is None or plant.samples.tick < last):
             self._stretch(last)
         ticks = plant.samples.tick - first
-        plant.land()
-        samples = plant.samples
-        return FlightReport(ticks, samples.lost, samples.skipped, time.monotonic() - start, self._answer)
+        return ticks, plant.land(watch=lambda: self._watch() and False)
 
-    def stop(self) -> None:
-        """Let `run` land; from any thread."""
-        self._stopped.set()
+    def _missing(self) -> tuple[int, int]:
+        """Return how many samples were lost and skipped since takeoff."""
+        samples = self._plant.samples
+        return samples.lost - self._lost, samples.skipped - self._skipped
+
+    def _watch(self) -> bool:
+        """Look at the keys of windows while the scene is not rendered; return whether to land."""
+        if (wish := self._publishers.wanted()) is not None:
+            wish.answer("settings are taken in flight, not while it takes off or lands")
+        return self.switch.landing
+
+    def _compare(self) -> None:
+        """Compare the delay with the one assumed, and record both."""
+        lost, skipped = self._missing()
+        self.warning = delay_check(self.timing, self._scene, self._inertia)
+        if self._file is None:
+            return
+        for name, one in self.timing.kinds.items():
+            parts = f"{one.p50 * 1e3:.3f} ms in the median, {one.p99 * 1e3:.3f} at 99 %, {one.max * 1e3:.3f} at most"
+            self._file.event("timing", f"{name}: {parts}")
+        self._file.event("timing", f"{lost} samples lost, {skipped} skipped")
+        for line in filter(None, self.warning.split("; ")):
+            self._file.event("timing", line)
 
     def _stretch(self, last: int | None) -> None:
         """Fly with unchanged parameters."""
         if self._wanted is not None:
-            self._scene, self._wanted = self._wanted, None
-        self._since = self._plant.samples.tick
-        controller = device_controller(self._scene)
+            (self._begun, self._controller), self._wanted = self._wanted, None
+            self._scene = self._begun.scene
+        controller = self._controller
         record: Record | None = None
         if self._file is not None:
             scene = self._scene
@@ -138,25 +295,29 @@ class Flight:
             name, mechanics = f"{scene.name} on a device", Mechanics(before=self._force)
             run = RunMetadata.of(self._plant, controller, name=name, axis=scene.axis, mechanics=mechanics)
             record = self._file.begin(self._plant, controller, {**setup, "run": run.as_json()})
-        loop = ControlLoop(self._plant, _Timed(controller, self), observe=self._observe(controller), record=record)
+        loop = ControlLoop(self._plant, controller, observe=self._observe(controller), record=record)
         samples = self._plant.samples
-        while not self._stopped.is_set() and self._wanted is None and (last is None or samples.tick < last):
+        while not self.switch.landing and self._wanted is None and (last is None or samples.tick < last):
             loop.cycle()
 
     def _observe(self, controller: Controller) -> Callable[[Sample, Command], object]:
         carried, faces = controller.carried, controller.faces
 
         def observe(sample: Sample, applied: Command) -> None:
-            self._answer.add(time.perf_counter_ns() - self.read_at)
+            self.timing.add(self._plant)
             self._force = applied.force
             if self._warn is not None and self._file is not None:
                 self._check(self._file, self._warn)
             if not self._publishers:
                 return
+            if self._begun is not None:
+                self._since = sample.tick
+                self._begun.answer(sample.tick)
+                self._begun = None
             plant, force, pose = self._plant, np.array(applied.force) - carried, np.array(sample.position)
             self._motion.add(plant.samples.tick * plant.period, pose, force, plant.hand_wrench)
             self._publishers.show(lambda: self._snapshot(pose, force, faces, controller.stick_positions))
-            self._listen()
+            self._listen(sample)
 
         return observe
 
@@ -172,13 +333,25 @@ class Flight:
             self._warn, self._note = None, str(error)
             warn(self._note)
 
-    def _listen(self) -> None:
+    def _listen(self, sample: Sample) -> None:
         """Note how late answers are, and what another program asks for; rate and delay are the device's."""
         if not math.isnan(self._plant.last_delay):
             self._delays.append(self._plant.last_delay)
-        wanted = self._publishers.wanted() if self._wanted is None else None
-        if wanted is not None:
-            self._wanted = wanted.replace(**{name: getattr(self._scene, name) for name in DEVICES_OWN})
+        wish, controller = self._staged or (self._publishers.wanted(), None)
+        if wish is None:
+            return
+        self._staged = None
+        try:
+            if controller is None:  # making one takes half of a period at 1 kHz: it is looked at a sample later
+                scene = wish.scene.replace(**{name: getattr(self._scene, name) for name in DEVICES_OWN})
+                self._staged = Wish(scene, wish.answer), device_controller(scene)
+                return
+            check_step(self._controller, controller, sample.position, self._step_force)
+        except MaglevError as error:
+            self._note = str(error)
+            wish.answer(self._note)
+        else:
+            self._wanted, self._note = (wish, controller), _NOTE
 
     def _snapshot(
         self, pose: Array, force: Array, faces: Sequence[tuple[int, float, float]], anchors: Array | None
@@ -189,6 +362,7 @@ class Flight:
             scene=self._scene,
             since=self._since,
             delay=median(self._delays or [plant.delay]),
+            inertia=self._inertia,
             tick=samples.tick,
             time=float(samples.tick * plant.period),
             pose=pose,
@@ -203,14 +377,3 @@ class Flight:
             state="flying",
             notes=[self._note],
         )
-
-
-class _Timed:
-    """Stands in front of a controller and notes when a sample was there."""
-
-    def __init__(self, answers: Answers, flight: Flight) -> None:
-        self.period, self._step, self._flight = answers.period, answers.step, flight
-
-    def step(self, sample: Sample) -> Command:
-        self._flight.read_at = time.perf_counter_ns()
-        return self._step(sample)

@@ -37,7 +37,7 @@ from maglev_mj.controller import Controller
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import AXES, Array, Command, Component, Sample
 from maglev_mj.laws import AxisLaw, Bias, Hold, Law, gain
-from maglev_mj.loop import Answers, drive
+from maglev_mj.loop import Answers, ControlLoop
 from maglev_mj.parameters import number, numbers
 from maglev_mj.plants import Plant
 from maglev_mj.timeline import split_delay
@@ -197,6 +197,7 @@ def collect(
     *,
     settle: float = _SETTLED,
     then: Callable[[], object] | None = None,
+    watch: Callable[[], object] | None = None,
 ) -> Motion:
     """Let a controller drive a plant, and return the poses and the currents.
 
@@ -206,8 +207,10 @@ def collect(
         duration: How long to look [s].
         settle: How long to drive it ahead of that [s]: until trimmed.
         then: Called as soon as the motion is over, such as to land: a device does not wait for what is reckoned next.
+        watch: Called before each sample; the motion is over where it returns True.
 
     Raises:
+        IdentificationError: If the motion was over before its time.
         ParameterError: If the periods differ, or a duration is shorter than a sample.
         MaglevError: As `run`.
     """
@@ -221,9 +224,15 @@ def collect(
         delays[sample.tick - 1] = plant.last_delay
         seen.append((sample.tick, tuple(sample.position), tuple(plant.last_currents)))
 
-    drive(plant, controller, ticks, observe=observe)
+    loop = ControlLoop(plant, controller, observe=observe)
+    while len(seen) < ticks and not (watch is not None and watch()):
+        loop.cycle()
+    if len(seen) == ticks:
+        loop.finish()
     if then is not None:
         then()
+    if len(seen) < ticks:
+        raise IdentificationError(f"stopped after {len(seen)} of {ticks} samples: nothing is written")
     kept = seen[ahead:]
     first = kept[0][0]
     known = [delays.get(tick, math.nan) for tick, _, _ in kept]

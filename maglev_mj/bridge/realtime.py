@@ -12,14 +12,14 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from functools import partial
-from typing import Any, Literal, TypeAlias, get_args
+from typing import Any, Literal, NoReturn, TypeAlias, get_args
 
 import numpy as np
 
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.parameters import number
 
-__all__ = ["LatencyHistogram", "Realtime", "RealtimeError", "realtime", "stopping"]
+__all__ = ["LatencyHistogram", "Realtime", "RealtimeError", "interrupt", "realtime", "stopping"]
 
 _BAR = 44  # characters
 _EIGHTHS = " ▏▎▍▌▋▊▉"
@@ -231,25 +231,51 @@ def _no_garbage() -> Callable[[], object]:
     return back
 
 
+_HANGUP, _ALARM = getattr(signal, "SIGHUP", None), getattr(signal, "SIGALRM", None)  # not on every system
+
+
+def interrupt() -> NoReturn:
+    """Raise KeyboardInterrupt."""
+    raise KeyboardInterrupt
+
+
 @contextmanager
-def stopping(stop: Callable[[], object]) -> Iterator[None]:
-    """Call `stop` at the first SIGINT or SIGTERM, and raise KeyboardInterrupt at the second."""
+def stopping(
+    stop: Callable[[], object], cut: Callable[[], object] = interrupt, *, within: float | None = None
+) -> Iterator[None]:
+    """Call `stop` at the first SIGINT, SIGTERM or SIGHUP, and `cut` at each SIGINT after it.
+
+    Only Ctrl-C cuts: who ends a process by SIGTERM may send it twice, and a terminal that goes adds a SIGHUP.
+
+    Args:
+        stop: Called in the main thread, between any two steps of it; it may raise.
+        cut: Likewise.
+        within: Call `cut` so long after `stop` too [s]; None for never.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield  # signals are the main thread's
         return
     asked = False
 
-    def ask(*_: Any) -> None:
+    def ask(kind: int, _frame: Any) -> None:
         nonlocal asked
         if asked:
-            raise KeyboardInterrupt
+            if kind in (signal.SIGINT, _ALARM):
+                cut()
+            return
         asked = True
+        if within is not None and _ALARM is not None:
+            signal.setitimer(signal.ITIMER_REAL, within)
         stop()
 
-    kinds = (signal.SIGINT, signal.SIGTERM)
-    before = [signal.signal(kind, ask) for kind in kinds]
+    kinds = [signal.SIGINT, signal.SIGTERM, *([] if _ALARM is None else [_ALARM])]
+    if _HANGUP is not None and signal.getsignal(_HANGUP) != signal.SIG_IGN:  # nohup's stays ignored
+        kinds.append(_HANGUP)
+    before = [(kind, signal.signal(kind, ask)) for kind in kinds]
     try:
         yield
     finally:
-        for kind, handler in zip(kinds, before, strict=True):
+        if within is not None and _ALARM is not None:
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+        for kind, handler in before:
             signal.signal(kind, handler)

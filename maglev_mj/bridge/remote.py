@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 import math
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import NoReturn, Self
@@ -36,7 +36,7 @@ from maglev_mj.sensing.solver import PoseTracker
 __all__ = ["RemotePlant"]
 
 _INACTIVE, _ACTIVE, _FAULT = State  # an enumeration's members are slow to look up
-_NAN = math.nan
+_NAN, _NONE = math.nan, 0xFFFFFFFF
 _UNKNOWN = (_NAN,) * 6
 _MOST = Limits(current=100.0, continuous_current=100.0, hover=100.0)
 _SETTLING, _WATCHING = 0.3, 0.2
@@ -65,6 +65,7 @@ class RemotePlant:
         lockstep: Whether the device's time waits for each answer.
         limits: The smaller of the device's and the host's.
         latched: One line about faults that were latched in the device when it answered; empty without.
+        disarmed: True once this host has switched the currents off after it had armed.
         state: Of the device, at the last sample.
         faults: Likewise.
         first: Those of them that came first.
@@ -72,6 +73,8 @@ class RemotePlant:
         last_currents: What was sent last [A], six.
         last_delay: From the sample before the last to its answer's taking effect, by the device's clock [s]; NaN where
             the command in force at the last sample answers another.
+        newest_delay: Likewise of the newest answer that has arrived, whichever sample it answers; NaN where that is the
+            one before.
         rest: Where the flotor lay before it took off [m, rad]; where it is landed.
         samples: Their count, and what is missing of them.
         hand_wrench: Zero: nobody measures what the hand does.
@@ -124,8 +127,10 @@ class RemotePlant:
             self._line.close()
             raise
         self.last_currents: Sequence[float] = ZERO
-        self.last_delay = _NAN
+        self.last_delay = self.newest_delay = _NAN
+        self._answered: int | None = None  # the sample that the newest answer was for
         self.rest: Sequence[float] = ZERO
+        self.disarmed = False
         self._armed = False  # by this host, and nothing has ended it that was reported
         self._warned = False
         self._sequence, self._located = 0, 0  # of the last sample, and tick of the last whose pose is known
@@ -142,7 +147,7 @@ class RemotePlant:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
         try:
             if self._armed and isinstance(error, Exception) and self.state is _ACTIVE:
-                with suppress(DeviceFault):
+                with suppress(Exception):
                     self._fail(Fault.HOST, f"{type(error).__name__}: {error}")
         finally:
             self.close()
@@ -255,6 +260,11 @@ class RemotePlant:
         """From the last sample's arrival to its answer's leaving [s]."""
         return self._line.latency * 1e-9
 
+    @property
+    def transport(self) -> int:
+        """From the last sample to its arrival [ns], by two clocks without a common zero: only changes of it count."""
+        return self._line.heard - self.samples.time
+
     def arm(self, hover: Sequence[float] | None = None) -> None:
         """Let the currents flow.
 
@@ -271,7 +281,7 @@ class RemotePlant:
     def disarm(self) -> None:
         """Switch the currents off."""
         self._ask(Operation.DISARM)
-        self._armed = False
+        self._armed, self.disarmed = False, True
         if self.state is _ACTIVE:
             self.state = _INACTIVE
 
@@ -299,7 +309,7 @@ class RemotePlant:
         with suppress(LinkError):  # the watchdog does it where there is no line
             self._line.control(Operation.TRIP, faults=faults)
 
-    def takeoff(self, duration: float = 0.6) -> None:
+    def takeoff(self, duration: float = 0.6, *, watch: Callable[[], object] | None = None) -> None:
         """Check that the flotor rests, arm, and lead it from where it lies to the centre; keep hands off it.
 
         It is watched for 0.1 s; it rests up to 2 mm/s and 0.05 rad/s. All that is slow is done before the currents
@@ -307,6 +317,7 @@ class RemotePlant:
 
         Args:
             duration: How long [s].
+            watch: Called after each sample that was led; leading ends early where it returns True.
 
         Raises:
             DeviceFault: If it does not follow, or anything else goes wrong.
@@ -330,13 +341,14 @@ class RemotePlant:
         leader.aim(rest, ZERO, duration, self._astray)
         self.arm()
         self.rest = rest
-        self._lead(loop, duration)
+        self._lead(loop, duration, watch)
 
-    def land(self, duration: float = 0.6) -> LandingReport:
+    def land(self, duration: float = 0.6, *, watch: Callable[[], object] | None = None) -> LandingReport:
         """Lead the flotor back to where it lay, and disarm; a hand that holds it then has it.
 
         Args:
             duration: How long [s]; up to 0.3 s more until it rests.
+            watch: As for `takeoff`.
 
         Returns:
             How it lies 0.2 s after.
@@ -347,7 +359,7 @@ class RemotePlant:
         leader = self._leader
         leader.aim(self.read().position, self.rest, duration)
         loop = ControlLoop(self, leader)
-        self._lead(loop, duration)
+        self._lead(loop, duration, watch)
         end = self.samples.tick + round(_SETTLING / self.period)
         while self.samples.tick < end and not leader.motion.at_rest:
             loop.cycle()
@@ -356,10 +368,12 @@ class RemotePlant:
         error = math.dist(motion.pose[:3], self.rest[:3])
         return LandingReport(error, *motion.speeds, motion.at_rest and not self._doubt)
 
-    def _lead(self, loop: ControlLoop, duration: float) -> None:
+    def _lead(self, loop: ControlLoop, duration: float, watch: Callable[[], object] | None) -> None:
         end = self.samples.tick + max(round(duration / self.period), 1)
         while self.samples.tick < end:
             loop.cycle()
+            if watch is not None and watch():
+                return
 
     def _watch(self, duration: float) -> Motion:
         """Look at the flotor until so long [s] is over and the last 0.1 s are known, or in doubt."""
@@ -397,7 +411,9 @@ class RemotePlant:
             if (frame := self._line.state(self._patience)) is not None:
                 return frame
             missing = f"no sample from the device within {self._patience:g} s"
-        except LinkError as error:
+        except Exception as error:
+            if self.state is not _ACTIVE:
+                raise
             missing = str(error)
         if self.state is _ACTIVE:
             self._fail(Fault.HOST, missing)
@@ -409,8 +425,11 @@ class RemotePlant:
         elapsed = self.samples.elapsed
         if (unanswered := elapsed - answered) > 0:  # what nobody wrote for: the coils cool, or go on
             self._output.stay(unanswered, self.last_currents if self.state is _ACTIVE else ZERO)
-        in_force = elapsed == 1 and report.answered == self._sequence
-        self.last_delay = self.period - report.age * 1e-6 + self.delay if in_force else _NAN
+        behind = (frame.sequence - report.answered) & _NONE
+        known = report.age != _NONE and report.answered != self._answered
+        self._answered = report.answered
+        self.newest_delay = behind * self.period - report.age * 1e-6 + self.delay if known else _NAN
+        self.last_delay = self.newest_delay if elapsed == behind == 1 else _NAN
         self._sequence, self._frame, self._seen = frame.sequence, frame, _UNKNOWN
 
     def _adopt(self, state: int, faults: int) -> None:
@@ -460,7 +479,7 @@ class RemotePlant:
         one = tuple(held)
         try:
             self._line.command(CommandFrame(self._sequence, 0, one, one if pulsed is None else tuple(pulsed), width))
-        except LinkError as error:
+        except Exception as error:
             if self.state is _ACTIVE:
                 self._fail(Fault.HOST, str(error))
             raise

@@ -57,32 +57,15 @@ class Limits(Parameters):
         ParameterError: If a value is outside its bounds.
     """
 
-    current: float = param(
-        "largest current in any coil", "A", default=Spec.peak_current.value, above=0.0, at_most=100.0
-    )
-    continuous_current: float = param(
-        "current that a coil bears continuously", "A", default=Spec.continuous_current.value, above=0.0, at_most=100.0
-    )
-    thermal_time: float = param(
-        "time constant of a coil's warming; assumed, the paper has none", "s", default=10.0, at_least=0.01, at_most=1e7
-    )
-    spot: float = param("largest coordinate of a spot; assumed", "m", default=0.012, at_least=1e-4, at_most=0.1)
-    spot_speed: float = param("largest speed of a spot; assumed", "m/s", default=1.0, at_least=1e-3, at_most=100.0)
+    current: float = param("largest in a coil", "A", default=Spec.peak_current.value, above=0.0, at_most=100.0)
+    continuous_current: float = param("borne", "A", default=Spec.continuous_current.value, above=0.0, at_most=100.0)
+    thermal_time: float = param("of a coil's warming; assumed", "s", default=10.0, at_least=0.01, at_most=1e7)
+    spot: float = param("largest coordinate; assumed", "m", default=0.012, at_least=1e-4, at_most=0.1)
+    spot_speed: float = param("largest; assumed", "m/s", default=1.0, at_least=1e-3, at_most=100.0)
     watchdog: float = param("longest wait for a command", "s", default=0.05, at_least=1e-3, at_most=10.0)
     enable: float = param("longest pause of the enable line", "s", default=0.01, at_least=1e-5, at_most=10.0)
-    hover: float = param(
-        "largest current in a coil of ARM's hover",
-        "A",
-        default=Spec.continuous_current.value,
-        at_least=0.0,
-        at_most=100.0,
-    )
-    frozen: int = param(
-        "equal readings in a row that the sensor's noise rules out; 0 without noise",
-        default=20,
-        at_least=0,
-        at_most=1_000_000,
-    )
+    hover: float = param("in ARM", "A", default=Spec.continuous_current.value, at_least=0.0, at_most=100.0)
+    frozen: int = param("equal readings that noise rules out; 0: no noise", default=20, at_least=0, at_most=1_000_000)
 
 
 class HostLimits(Parameters):
@@ -92,24 +75,12 @@ class HostLimits(Parameters):
         ParameterError: If a value is not above 0.
     """
 
-    max_current: float | None = param(
-        "largest current in any coil; the device's alone for none", "A", default=None, optional=True, above=0.0
-    )
-    continuous_current: float | None = param(
-        "current that a coil bears continuously; the device's alone for none",
-        "A",
-        default=None,
-        optional=True,
-        above=0.0,
-    )
-    force_limit: float | None = param(
-        "largest force along each axis, weight included", "N", default=None, optional=True, above=0.0
-    )
-    torque_limit: float | None = param("largest torque about each axis", "N m", default=None, optional=True, above=0.0)
-    envelope: float = param(
-        "largest coordinate of the flotor; a little beyond the metal stops", "m", default=0.0055, above=0.0
-    )
-    envelope_angle: float = param("largest angle of the flotor", "rad", default=math.radians(7.5), above=0.0)
+    max_current: float | None = param("largest current in any coil", "A", default=None, optional=True, above=0.0)
+    continuous_current: float | None = param("largest continuous current", "A", default=None, optional=True, above=0.0)
+    force_limit: float | None = param("force along an axis, weight too", "N", default=None, optional=True, above=0.0)
+    torque_limit: float | None = param("torque about an axis", "N m", default=None, optional=True, above=0.0)
+    envelope: float = param("largest coordinate; a little beyond the stops", "m", default=0.0055, above=0.0)
+    envelope_angle: float = param("largest angle", "rad", default=math.radians(7.5), above=0.0)
     speed_limit: float = param("largest speed of the flotor", "m/s", default=0.6, above=0.0)
     spin_limit: float = param("largest angular speed of the flotor", "rad/s", default=15.0, above=0.0)
 

@@ -19,7 +19,7 @@ from maglev_mj.bridge.fault_injection import INJECTED_FAULTS, Effect, InjectedFa
 from maglev_mj.bridge.firmware import Firmware, Profile, Reading
 from maglev_mj.bridge.realtime import LatencyHistogram
 from maglev_mj.bridge.safety import Limits
-from maglev_mj.bridge.wire import Codec, StateReport
+from maglev_mj.bridge.wire import Codec, Fault, StateReport
 from maglev_mj.frames import ZERO, Array
 from maglev_mj.hand import HandForce
 from maglev_mj.net.udp import Address, Server
@@ -251,6 +251,10 @@ class Twin:
     @property
     def _silent(self) -> bool:
         return max(self.tick, 0) * self._period < self.silent_until
+
+    def estop(self) -> None:
+        """Stop as an emergency stop's frame does."""
+        self.firmware.trip(Fault.ESTOP, self.board.now + self.ahead)
 
     def _begin(self, reading: Reading) -> None:
         """Begin with the faults whose time has come."""

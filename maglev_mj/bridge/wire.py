@@ -376,7 +376,7 @@ class Codec:
         elif number == _CONTROL:
             body = Control(values[6], values[7], values[8], values[9:])
         elif number == _ESTOP_ACK:
-            body = EstopAck(*values[6:10], values[10:])
+            body = EstopAck(values[6], values[7], values[8], values[9], values[10:])
         else:
             body = _TYPES[number][0](*values[6:])
         return Frame(values[3], values[4], values[5], body)

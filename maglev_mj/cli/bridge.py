@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -14,11 +14,12 @@ import numpy as np
 
 from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.fault import HandshakeError
-from maglev_mj.bridge.flight import Flight
+from maglev_mj.bridge.flight import LANDING_TIME, Flight, StopSwitch
 from maglev_mj.bridge.identification import collect, excitation, identify
-from maglev_mj.bridge.realtime import realtime, stopping
+from maglev_mj.bridge.realtime import interrupt, realtime, stopping
 from maglev_mj.bridge.remote import RemotePlant
-from maglev_mj.cli.options import add_bridge, add_recording, chosen_key, number_option
+from maglev_mj.bridge.safety import HostLimits
+from maglev_mj.cli.options import add_bridge, add_parameters, add_recording, chosen, chosen_key, number_option
 from maglev_mj.cli.output import check_file, check_outputs, check_recording
 from maglev_mj.cli.publishers import add_publishers, chosen_publishers
 from maglev_mj.cli.scenes import add_scene, chosen_scene, warn_of_instability
@@ -28,60 +29,86 @@ from maglev_mj.parameters import number
 from maglev_mj.recording import RecordingFile, open_recording
 from maglev_mj.scenes import Scene
 from maglev_mj.session import DEVICES_OWN, Publisher, Snapshot
-from maglev_mj.tables import flown_table
+from maglev_mj.tables import flown_table, latched_table, timing_table
 from maglev_mj.terminal import say
 from maglev_mj.viewer.process import RemoteViewer
 
 __all__ = ["add_command"]
 
 _IDENTIFYING = 10.0
+_FLYING = "record", "view", "seconds", "spacenav", "stream"
+
+_ENDS = f"""\
+how a flight ends, in takeoff, flight and landing alike:
+  Ctrl-C               lands; {LANDING_TIME:g} s later the currents are cut unless they are off by then
+  Ctrl-C twice         cuts the currents now: an emergency stop
+  SIGTERM, SIGHUP      land as the first Ctrl-C, however often they come
+  Esc in the window    cuts the currents now; closing the window lands
+  maglev-mj estop ADDRESS [--key FILE]
+                       cuts them from any terminal, whatever this program does
+  this program dies    the device's watchdog cuts them
+A cut latches a fault: --reset shows and clears it. None of this replaces a switch
+that cuts the amplifiers. Exit status: 0 landed, 1 cut or failed, 2 bad input,
+130 stopped before takeoff.
+"""
 
 
 def add_command(commands: Any) -> None:
     """Add the command to the parser's."""
-    bridge = commands.add_parser("bridge", help="a scene on a device at the other end of a wire")
-    bridge.add_argument("address", metavar="ADDRESS", help="udp://HOST:PORT, or serial:///PATH?baud=RATE")
-    add_scene(bridge, option="--scene", default="joystick", without=DEVICES_OWN)
-    add_recording(bridge)
-    add_bridge(bridge)
-    add_publishers(bridge)
-    bridge.add_argument("--reset", action="store_true", help="leave the fault state first")
-    bridge.add_argument("--view", action="store_true", help="a window on the device; its hand is at the device")
-    bridge.add_argument(
-        "--identify",
-        metavar="FILE",
-        type=Path,
-        help=f"shake the flotor gently for {_IDENTIFYING:g} s and write its calibration, instead of a scene",
+    bridge = commands.add_parser(
+        "bridge",
+        help="a scene on a device at the other end of a wire",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog=_ENDS,
     )
-    bridge.add_argument("--mass", type=number_option, metavar="X", help="moving mass, for --identify [kg]")
+    bridge.add_argument("address", metavar="ADDRESS", help="udp://HOST:PORT, or serial:///PATH?baud=RATE")
+    bridge.add_argument("--reset", action="store_true", help="show what is latched in the device, clear it, and end")
+    bridge.add_argument("--view", action="store_true", help="a window on the device; its hand is at the device")
     bridge.add_argument(
         "--out", metavar="DIR", type=Path, default=Path(), help="folder for the last cycles before a fault (default .)"
     )
+    add_bridge(bridge)
+    limits = bridge.add_argument_group("limits of the host; the smaller of these and the device's counts")
+    add_parameters(limits, HostLimits)
+    limits.add_argument(
+        "--profile", metavar="FILE", type=Path, help="these limits by name, as JSON; options go before it"
+    )
+    others = bridge.add_argument_group("recording and other programs")
+    add_recording(others)
+    add_publishers(others)
+    identification = bridge.add_argument_group("identification, instead of a scene")
+    identification.add_argument(
+        "--identify",
+        metavar="FILE",
+        type=Path,
+        help=f"shake the flotor gently for {_IDENTIFYING:g} s and write its calibration",
+    )
+    identification.add_argument("--mass", type=number_option, metavar="X", help="moving mass [kg]")
+    add_scene(bridge, option="--scene", default="joystick", without=DEVICES_OWN)
     bridge.set_defaults(run=_bridge)
 
 
 def _bridge(options: argparse.Namespace) -> int:
     scene, key = chosen_scene(options), chosen_key(options.key)  # before the device: what is wrong is said at once
-    if options.seconds is not None:
-        number("seconds", options.seconds, above=0.0)
-    check_recording(options.record)
-    if options.identify is not None:
-        check_file("identify", options.identify)
-    if options.mass is not None and options.identify is None:
-        raise ParameterError("mass is for --identify")
-    for name in ("record", "view", "seconds", "spacenav", "stream"):
-        if options.identify is not None and getattr(options, name):
-            raise ParameterError(f"{name} is for scenes, not for --identify")
-    check_outputs(out=options.out)
+    limits = chosen(options, HostLimits() if options.profile is None else HostLimits.load(options.profile))
+    _check(options)
     calibration = Calibration.nominal() if options.calibration is None else Calibration.load(options.calibration)
     if options.view:
         from maglev_mj.viewer.window import require_display
 
         require_display()
     # publishers first: what is wrong with them is said before the device moves
-    with chosen_publishers(options) as publishers, _opened(options, calibration, key) as plant:
+    with (
+        stopping(interrupt, lambda: None),  # what closes is not stopped by a second Ctrl-C
+        chosen_publishers(options) as publishers,
+        _opened(options, calibration, key, limits) as plant,
+    ):
         if options.reset:
-            plant.reset()
+            print(latched_table(plant), flush=True)
+            if plant.faults:
+                plant.reset()
+                print("  reset; the next flight is a command of its own")
+            return 0
         if options.identify is not None:
             return _identify(plant, options)
         scene = scene.replace(period=plant.period, delay=plant.delay)
@@ -90,9 +117,29 @@ def _bridge(options: argparse.Namespace) -> int:
     return 0
 
 
+def _check(options: argparse.Namespace) -> None:
+    """Check what can be checked without the device."""
+    if options.seconds is not None:
+        number("seconds", options.seconds, above=0.0)
+    check_recording(options.record)
+    if options.identify is not None:
+        check_file("identify", options.identify)
+    if options.mass is not None and options.identify is None:
+        raise ParameterError("mass is for --identify")
+    for mode in ("identify", "reset"):
+        for name in _FLYING:
+            if getattr(options, mode) and getattr(options, name):
+                raise ParameterError(f"{name} is for scenes, not for --{mode}")
+    if options.reset and options.identify is not None:
+        raise ParameterError("identify flies, and --reset does not: two commands")
+    check_outputs(out=options.out)
+
+
 def _fly(plant: RemotePlant, scene: Scene, options: argparse.Namespace, publishers: Sequence[Publisher]) -> None:
     """Fly a scene; whatever ends it, first the device is let go, then what was recorded is kept."""
+    switch = StopSwitch()
     with ExitStack() as last:
+        last.enter_context(stopping(switch.land, switch.cut, within=LANDING_TIME))
         viewer = None
         if options.view:
             viewer = RemoteViewer(Snapshot(scene=scene), options.out)
@@ -101,17 +148,29 @@ def _fly(plant: RemotePlant, scene: Scene, options: argparse.Namespace, publishe
         file = None if options.record is None else open_recording(options.record)
         if file is not None:
             last.push(partial(_keep, file))
-        flight = Flight(plant, scene, file=file, publishers=publishers, warn=_warn)
+        flight = Flight(
+            plant,
+            scene,
+            switch=switch,
+            file=file,
+            publishers=publishers,
+            warn=_warn,
+            step_force=options.step_force,
+        )
         if viewer is not None:
-            viewer.on_close = flight.stop
+            viewer.on_close, viewer.on_emergency = switch.land, switch.cut
         last.push(plant)  # first of all the device is let go
-        with stopping(flight.stop), _punctual(options):
+        with _punctual(options):
             print(f"  {scene.name} at {1.0 / plant.period:g} Hz; keep hands off while it takes off", flush=True)
-            print(flown_table(flight.run(options.seconds)), flush=True)
+            try:
+                print(flown_table(flight.run(options.seconds)), flush=True)
+            finally:
+                print(timing_table(flight.timing, flight.warning), end="", flush=True)
 
 
 def _warn(text: str) -> None:
-    say(f"  {text}", sys.stderr)
+    with suppress(OSError):  # a terminal that is gone is no reason to let go
+        say(f"  {text}", sys.stderr)
 
 
 def _keep(file: RecordingFile, _kind: object, error: BaseException | None, _trace: object) -> None:
@@ -126,10 +185,12 @@ def _keep(file: RecordingFile, _kind: object, error: BaseException | None, _trac
     print(f"  wrote {path}" if path is not None else "  nothing was recorded: it did not come to fly")
 
 
-def _opened(options: argparse.Namespace, calibration: Calibration, key: bytes | None) -> RemotePlant:
+def _opened(
+    options: argparse.Namespace, calibration: Calibration, key: bytes | None, limits: HostLimits
+) -> RemotePlant:
     try:
         link = open_link(options.address, key)
-        return RemotePlant(link, calibration=calibration, key=key, folder=options.out)
+        return RemotePlant(link, calibration=calibration, key=key, limits=limits, folder=options.out)
     except HandshakeError as error:
         raise HandshakeError(f"{options.address}: {error}") from None
 
@@ -147,9 +208,10 @@ def _identify(plant: RemotePlant, options: argparse.Namespace) -> int:
     mass = plant.calibration.mass if options.mass is None else number("mass", options.mass, above=0.0)
     # before takeoff: the device would take the time that this needs for a host that is gone
     shaker = excitation(plant.calibration, period=plant.period, delay=plant.delay)
-    with _punctual(options):
-        plant.takeoff()
-        motion = collect(plant, shaker, _IDENTIFYING, then=plant.land)
+    switch = StopSwitch()
+    with stopping(switch.land, switch.cut, within=LANDING_TIME), _punctual(options), switch.flying(plant):
+        plant.takeoff(watch=lambda: switch.landing)
+        motion = collect(plant, shaker, _IDENTIFYING, then=plant.land, watch=lambda: switch.landing)
     # the wire and this program take their time too, which the map would have to pay for
     found = identify(motion.poses, motion.currents, period=plant.period, delay=motion.delay)
     found.calibration(plant.calibration, mass).save(options.identify)

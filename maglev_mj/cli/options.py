@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 from maglev_mj.errors import ParameterError
 from maglev_mj.net.authentication import LEAST_KEY, MOST_KEY
@@ -15,6 +15,7 @@ from maglev_mj.parameters import Parameter, Parameters
 from maglev_mj.workers import Workers, dask_workers, local_workers
 
 __all__ = [
+    "Container",
     "Parser",
     "add_bridge",
     "add_outputs",
@@ -32,6 +33,9 @@ __all__ = [
 ]
 
 P = TypeVar("P", bound=Parameters)
+
+Container: TypeAlias = argparse._ActionsContainer
+"""A parser, or a group of its options."""
 
 _APART = "parameter "
 
@@ -73,7 +77,7 @@ def joined(arguments: Sequence[str]) -> list[str]:
 
 
 def add_parameters(
-    parser: argparse.ArgumentParser, parameters: Parameters | type[Parameters], *, without: Sequence[str] = ()
+    parser: Container, parameters: Parameters | type[Parameters], *, without: Sequence[str] = ()
 ) -> None:
     """Add an option for each declared parameter, with unit and default in its help.
 
@@ -92,7 +96,7 @@ def add_parameters(
             _add_parameter(parser, option, one, getattr(made, one.name))
 
 
-def _add_parameter(parser: argparse.ArgumentParser, option: str, one: Parameter, default: Any) -> None:
+def _add_parameter(parser: Container, option: str, one: Parameter, default: Any) -> None:
     said = described(one, default).replace("%", "%%")
     kept: dict[str, Any] = {"dest": _APART + one.name, "default": argparse.SUPPRESS, "help": said}
     if one.kind is bool:
@@ -141,7 +145,7 @@ def chosen(options: argparse.Namespace, parameters: P | type[P], **further: Any)
     return made.replace(**found, **further)
 
 
-def add_outputs(parser: argparse.ArgumentParser) -> None:
+def add_outputs(parser: Container) -> None:
     """Add --json and --out."""
     parser.add_argument(
         "--json", metavar="FILE", help="write parameters, motion and figures as JSON; - for standard output"
@@ -149,7 +153,7 @@ def add_outputs(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", metavar="DIR", type=Path, help="write pictures to this folder")
 
 
-def add_recording(parser: argparse.ArgumentParser) -> None:
+def add_recording(parser: Container) -> None:
     """Add --record, for a recording that `replay` shows and checks."""
     parser.add_argument(
         "--record", metavar="FILE", type=Path, help="write a recording, .mcap or .npz, for `maglev-mj replay`"
@@ -211,7 +215,7 @@ def range_of(name: str, words: Sequence[str] | None) -> tuple[float, float] | No
     return values[0], values[-1]
 
 
-def add_bridge(parser: argparse.ArgumentParser) -> None:
+def add_bridge(parser: Container) -> None:
     """Add what both ends of a wire are told."""
     parser.add_argument(
         "--calibration", metavar="FILE", type=Path, help="what is known of the device (default: the model)"

@@ -21,8 +21,8 @@ __all__ = ["main", "parser"]
 COMMANDS = {
     **dict.fromkeys(("run", "drop", "press", "stick-slip"), "run"),
     **{name: name.replace("-", "_") for name in ("view", "render", "serve-spacenav", "replay", "analyse", "export")},
-    **{name: name for name in ("stability", "design", "sweep", "fidelity", "twin", "bridge")},
-    **{name: name for name in ("commission", "conform", "info")},
+    **{name: name for name in ("stability", "design", "sweep", "fidelity", "info")},
+    **{name: name for name in ("twin", "bridge", "estop", "fault", "commission", "conform")},
 }
 """Commands in the order in which the help lists them, and the module of each."""
 

@@ -7,10 +7,10 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-from maglev_mj.cli.options import chosen_key
+from maglev_mj.cli.options import Container, chosen_key, number_option
 from maglev_mj.errors import ParameterError
-from maglev_mj.parameters import flag
-from maglev_mj.session import Publisher
+from maglev_mj.parameters import flag, number
+from maglev_mj.session import STEP_FORCE, Publisher
 from maglev_mj.spacenav import PoseAxes, RateAxes, SpacenavServer
 from maglev_mj.spacenav.axes import Axes
 from maglev_mj.stream import URL, PoseStream
@@ -23,7 +23,7 @@ _AXES_TOLD: dict[str, Callable[[], Axes]] = {"pose": PoseAxes, "rate": RateAxes}
 """What may be told, by name."""
 
 
-def add_spacenav(parser: argparse.ArgumentParser, *, always: bool = False) -> None:
+def add_spacenav(parser: Container, *, always: bool = False) -> None:
     """Add --spacenav, --socket and --axes.
 
     Args:
@@ -70,8 +70,8 @@ def chosen_spacenav(options: argparse.Namespace, say: Callable[[str], object] = 
     return [server]
 
 
-def add_publishers(parser: argparse.ArgumentParser) -> None:
-    """Add --stream, --stream-key, --spacenav, --socket and --axes."""
+def add_publishers(parser: Container) -> None:
+    """Add --stream, --stream-key, --step-force, --spacenav, --socket and --axes."""
     parser.add_argument(
         "--stream",
         nargs="?",
@@ -84,6 +84,13 @@ def add_publishers(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         type=Path,
         help="secret of 16 to 32 bytes as hexadecimal digits, for hosts on other machines",
+    )
+    parser.add_argument(
+        "--step-force",
+        type=number_option,
+        default=STEP_FORCE,
+        metavar="X",
+        help=f"largest step of force where the flotor is that new settings may make [N] (default {STEP_FORCE:g})",
     )
     add_spacenav(parser)
 
@@ -100,6 +107,7 @@ def chosen_publishers(options: argparse.Namespace) -> Iterator[list[Publisher]]:
         raise ParameterError("stream-key is for --stream")
     if options.stream is not None and not options.stream.startswith("udp://"):
         raise ParameterError(f"stream must be udp://HOST:PORT, not {options.stream!r}")
+    number("step-force", options.step_force, above=0.0)
     key = chosen_key(options.stream_key, "stream-key")
     with ExitStack() as open_ones:
         publishers: list[Publisher] = []

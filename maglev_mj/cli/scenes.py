@@ -17,7 +17,7 @@ from maglev_mj.terminal import say
 
 __all__ = ["add_scene", "chosen_scene", "warn_of_instability"]
 
-_MORE = "SCENE is a name, FILE.py or FILE.py:CLASS, and has options of its own: SCENE --help lists them."
+_MORE = "SCENE is a name, FILE.py or FILE.py:CLASS; SCENE --help lists its own options."
 
 More = Callable[[Parser, type[Scene]], object]
 Find = Callable[[str], "Scene | type[Scene] | None"]
@@ -58,7 +58,7 @@ def add_scene(
         parser.add_argument(
             "scene", nargs="?" if default or instead else None, default=default, metavar="SCENE", help=told
         )
-    parser.epilog = f"{parser.epilog} {_MORE}" if parser.epilog else _MORE
+    parser.epilog = f"{parser.epilog}\n{_MORE}" if parser.epilog else _MORE
     parser.set_defaults(scene_class=None)
     flag("options", options)
 

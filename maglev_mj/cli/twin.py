@@ -17,7 +17,7 @@ from maglev_mj.bridge.fault_injection import INJECTED_FAULTS, InjectedFault
 from maglev_mj.bridge.realtime import realtime, stopping
 from maglev_mj.bridge.safety import Limits
 from maglev_mj.bridge.twin import Twin, TwinParameters, TwinServer
-from maglev_mj.bridge.wire import fault_names
+from maglev_mj.bridge.wire import State, fault_names
 from maglev_mj.cli.options import add_bridge, chosen_key, count, number_option
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, ZERO
@@ -182,7 +182,7 @@ def _shown(viewer: RemoteViewer, blank: Snapshot, server: TwinServer) -> Callabl
     coils, carried = plant.device.coils, np.array(WEIGHT)
     assert coils is not None  # it is driven through them
     motion, publishers = SampledMotion(blank.scene.axis_index), Publishers([viewer])
-    viewer.on_close = server.stop
+    viewer.on_close, viewer.on_emergency = server.stop, twin.estop
 
     def each() -> None:
         currents, pose, time = plant.currents, twin.pose, twin.tick * blank.scene.period
@@ -199,6 +199,8 @@ def _shown(viewer: RemoteViewer, blank: Snapshot, server: TwinServer) -> Callabl
                 currents=currents,
                 history=motion.history.rows,
                 work=motion.work,
+                state="stopped" if twin.firmware.state == State.FAULT else "running",
+                remedy="bridge ADDRESS --reset",
                 notes=[f"a device, {twin.firmware.state.name.lower()}{_faults(twin)}"],
             )
         )

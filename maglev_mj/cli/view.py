@@ -51,7 +51,14 @@ def _view(options: argparse.Namespace) -> int:
     warn_of_instability(scene)
     options.out.mkdir(parents=True, exist_ok=True)
     with chosen_publishers(options) as publishers:
-        session = Session(scene, hand=hand, folder=options.out, record=options.record, publishers=publishers)
+        session = Session(
+            scene,
+            hand=hand,
+            folder=options.out,
+            record=options.record,
+            publishers=publishers,
+            step_force=options.step_force,
+        )
         try:
             print(show_table(show(session, folder=options.out, duration=seconds)))
         finally:

@@ -10,6 +10,7 @@ import numpy as np
 from maglev_mj.bridge.fault import FaultRecord
 from maglev_mj.frames import AXES, Array
 from maglev_mj.plots.drawing import IDEAL, MANY, new_figure, save
+from maglev_mj.terminal import printable
 
 __all__ = ["last_cycles"]
 
@@ -30,13 +31,8 @@ def last_cycles(record: FaultRecord, path: Path) -> Path:
     time, pose, columns = record.time * 1e3, record.six("pose") * 1e3, record.columns
     _curves(axes[0], time, pose[:, :3], AXES[:3], "position (mm)")
     _curves(axes[1], time, pose[:, 3:], AXES[3:], "angle (mrad)")
-    _curves(
-        axes[2],
-        time,
-        record.six("measured"),
-        [f"coil {place}" for place in range(6)],
-        "current (A)\n—— measured   · · commanded",
-    )
+    coils, label = [f"coil {place}" for place in range(6)], "current (A)\n—— measured   · · commanded"
+    _curves(axes[2], time, record.six("measured"), coils, label)
     for place, held in enumerate(record.six("held").T):
         axes[2].plot(time, held, ".", color=MANY[place], markersize=2.5)
     spans = np.stack([columns["delay"], columns["latency"]], axis=-1) * 1e3
@@ -59,4 +55,5 @@ def _curves(axis: Any, time: Array, values: Array, names: Any, label: str) -> No
 
 
 def _shortened(text: str) -> str:
+    text = printable(text)
     return text if len(text) <= 70 else text[:69] + "…"

@@ -85,7 +85,7 @@ _STRETCH_FIELDS = {
 _EVENT_FIELDS = {
     "stretch": _NUMBER,
     "tick": _SAMPLE_FIELDS["tick"],
-    "kind": {"type": "string", "description": "fault, missed or lost"},
+    "kind": {"type": "string", "description": "fault, missed, lost or timing"},
     "text": {"type": "string", "description": "what happened"},
     "missed": schema(Field("missed", "", "samples that were missed with it, besides gaps in the ticks")),
 }

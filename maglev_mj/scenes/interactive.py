@@ -12,7 +12,7 @@ from maglev_mj.laws import Law
 from maglev_mj.parameters import Turn, number, param
 from maglev_mj.scenes import parts
 from maglev_mj.scenes.scene import DELAY, RATE, Scene, Start
-from maglev_mj.spec import Spec
+from maglev_mj.spec import RANGE, Spec
 
 __all__ = ["Face", "InteractiveScene"]
 
@@ -38,7 +38,9 @@ def _faces(walls: Any) -> tuple[Face, ...]:
             raise ParameterError(f"a wall's normal must be 1 or -1, not {normal!r}")
         if (axis, normal) in faces:
             raise ParameterError(f"walls must be one from each side of an axis, not two of normal {normal} on {axis}")
-        faces[axis, int(normal)] = axis, int(normal), number("a wall's edge", edge, at_least=-1.0, at_most=1.0)
+        reach = RANGE[AXES.index(axis)]
+        edge = number(f"a wall's edge on {axis}", edge, at_least=-reach, at_most=reach)
+        faces[axis, int(normal)] = axis, int(normal), edge
     for axis in AXES:
         lower, upper = faces.get((axis, 1)), faces.get((axis, -1))
         if lower is not None and upper is not None and not lower[2] < upper[2]:

@@ -1,15 +1,17 @@
 """A scene in real time, without a window: pacing, what keys change, recording, and the picture of now."""
 
-from maglev_mj.session.actions import DEVICES_OWN, actions, settable
-from maglev_mj.session.admission import Refusal, refusal, stability_warning
+from maglev_mj.session.actions import DEVICES_OWN, EMERGENCY_STOP, actions, settable
+from maglev_mj.session.admission import STEP_FORCE, Refusal, check_step, refusal, stability_warning
 from maglev_mj.session.live import device_controller, live_plant
 from maglev_mj.session.pacing import Due, Pacer, real_time
 from maglev_mj.session.session import Session
-from maglev_mj.session.snapshot import History, Publisher, Publishers, SampledMotion, Snapshot, SnapshotSource
+from maglev_mj.session.snapshot import History, Publisher, Publishers, SampledMotion, Snapshot, SnapshotSource, Wish
 from maglev_mj.session.stretch import settings_of
 
 __all__ = [
     "DEVICES_OWN",
+    "EMERGENCY_STOP",
+    "STEP_FORCE",
     "Due",
     "History",
     "Pacer",
@@ -20,7 +22,9 @@ __all__ = [
     "Session",
     "Snapshot",
     "SnapshotSource",
+    "Wish",
     "actions",
+    "check_step",
     "device_controller",
     "live_plant",
     "real_time",

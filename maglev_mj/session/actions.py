@@ -8,10 +8,13 @@ from collections.abc import Callable, Mapping
 from maglev_mj.parameters import Parameter
 from maglev_mj.scenes import Scene
 
-__all__ = ["DEVICES_OWN", "actions", "settable"]
+__all__ = ["DEVICES_OWN", "EMERGENCY_STOP", "actions", "settable"]
 
 DEVICES_OWN = "period", "delay"
 """Parameters of the device, or of the person at the machine: no other program changes them."""
+
+EMERGENCY_STOP = "emergency stop"
+"""Action of the key that every window has."""
 
 Action = Callable[[Scene], Scene]
 

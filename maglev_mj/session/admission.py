@@ -1,18 +1,29 @@
-"""Whether a scene may be had: the closed loop of every axis, in and out of contact, at the present rate and delay."""
+"""Checks of a scene: the closed loop of every axis, and the step of force where the flotor is."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from numpy.typing import ArrayLike
 
+from maglev_mj.controller import Controller
 from maglev_mj.errors import MaglevError, ParameterError
-from maglev_mj.frames import AXES, Sample, components
+from maglev_mj.frames import AXES, ZERO, Sample, components
 from maglev_mj.parameters import numbers
 from maglev_mj.scenes import Scene
 from maglev_mj.theory import inertia_of, largest_stable_stiffness, stability
 
-__all__ = ["Refusal", "refusal", "stability_warning"]
+__all__ = ["STEP_FORCE", "Refusal", "check_step", "refusal", "stability_warning"]
+
+STEP_FORCE = 2.0
+"""Largest step of force that settings of other programs may make by default [N].
+
+Pushed by so much through all of its 9 mm, a flotor that nobody holds gets 0.23 m/s: below what a device's host allows.
+"""
+
+_ARM = 0.05
+"""A torque is felt at the rim of the flotor, about so far from the axis [m]."""
 
 _ACTING = {"contact": "walls", "stuck": "friction"}
 
@@ -91,6 +102,31 @@ def refusal(scene: Scene, *, inertia: ArrayLike | None = None) -> Refusal | None
         period=period,
         delay=delay,
     )
+
+
+def check_step(present: Controller, wanted: Controller, pose: Sequence[float], step_force: float = STEP_FORCE) -> None:
+    """Refuse settings that would push the flotor where it is.
+
+    Both controllers are asked for their force at rest; that of the wanted one counts with its pulse and without.
+
+    Args:
+        present: The controller in force.
+        wanted: A new one in its place.
+        pose: Pose of the flotor [m, rad], six.
+        step_force: Largest step of force [N]; of torque, at 50 mm [N m].
+
+    Raises:
+        ParameterError: If the step is larger, or a law fails there.
+    """
+    now, then = present.at_rest(pose).force, wanted.at_rest(pose)
+    for more in (ZERO, ZERO if then.extra is None else then.extra):
+        for axis, one, other, pulse in zip(AXES, now, then.force, more):
+            most, unit = (step_force, "N") if axis in AXES[:3] else (step_force * _ARM, "N m")
+            if not abs(step := other + pulse - one) <= most:
+                raise ParameterError(
+                    f"settings must change the force on {axis}, where the flotor is, by at most {most:g} {unit}, "
+                    f"not {step:+.3g} {unit}"
+                )
 
 
 def stability_warning(scene: Scene, *, inertia: ArrayLike | None = None) -> str | None:

@@ -9,8 +9,10 @@ import numpy as np
 
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.hand import HandForce, SpringHand
+from maglev_mj.parameters import number
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene
-from maglev_mj.session.actions import DEVICES_OWN, actions
+from maglev_mj.session.actions import DEVICES_OWN, EMERGENCY_STOP, actions
+from maglev_mj.session.admission import STEP_FORCE, check_step
 from maglev_mj.session.live import centred, lifted
 from maglev_mj.session.pacing import Pacer
 from maglev_mj.session.snapshot import History, Publisher, Publishers, Snapshot
@@ -19,7 +21,7 @@ from maglev_mj.session.tape import Tape
 
 __all__ = ["Session"]
 
-_OWN = "next scene", "drop", "centre", "pause", "record"
+_OWN = "next scene", "drop", "centre", "pause", "record", EMERGENCY_STOP
 
 _MADE = -0.1
 
@@ -37,6 +39,7 @@ class Session:
         record: File to record to from the start; None for nothing until a key says so.
         pacer: Keeps up with real time.
         publishers: Ways to other programs; closed with the session.
+        step_force: Largest step of force that settings of other programs may make [N]; see `check_step`.
 
     Attributes:
         simulated: Time simulated so far [s].
@@ -51,6 +54,7 @@ class Session:
         record: Path | None = None,
         pacer: Pacer | None = None,
         publishers: Sequence[Publisher] = (),
+        step_force: float = STEP_FORCE,
     ) -> None:
         self._hand = hand or SpringHand()
         # the mouse moves no other
@@ -68,6 +72,7 @@ class Session:
             self._tape.start(record)
         self._paused, self._stopped = False, ""
         self._publishers, self._ticks, self._since = Publishers(publishers), 0, 0
+        self._step_force = number("step_force", step_force, above=0.0)
         self._stretch = self._begin(self._scene.start().pose)
 
     @property
@@ -92,8 +97,7 @@ class Session:
             try:
                 self._pacer.advance(elapsed, self._scene.period, self._one)
             except MaglevError as error:
-                self._stopped = str(error)
-                self._tape.failed(self._stopped)
+                self._stop(str(error))
             made = self._ticks - before
         self._tape.missed(self._pacer.missed)
         self._publishers.show(self.snapshot)
@@ -114,6 +118,8 @@ class Session:
         if action in changes:
             self._scene = changes[action](self._scene)
             self._go_on()
+        elif action == EMERGENCY_STOP:
+            self._stop(EMERGENCY_STOP)
         elif action == "pause":
             self._paused = not self._paused
         elif action == "record":
@@ -164,6 +170,12 @@ class Session:
         finally:
             self._stretch.plant.close()
 
+    def _stop(self, reason: str) -> None:
+        """Stop until something is changed or centred."""
+        if not self._stopped:
+            self._stopped = reason
+            self._tape.failed(reason)
+
     def _one(self) -> None:
         """Make one tick; stop a world that makes energy."""
         self._take_wanted()
@@ -176,10 +188,22 @@ class Session:
 
     def _take_wanted(self) -> None:
         """Go on with the parameters that another program asks for; rate and delay are the person's here."""
-        wanted, scene = self._publishers.wanted(), self._scene
-        if wanted is not None and type(wanted) is type(scene):
-            self._scene = wanted.replace(**{name: getattr(scene, name) for name in DEVICES_OWN})
-            self._go_on()
+        if (wish := self._publishers.wanted()) is None:
+            return
+        try:
+            scene = self._scene
+            if type(wish.scene) is not type(scene):
+                raise ParameterError(f"settings must be those of {scene.name}, not of {wish.scene.name}")
+            wanted = wish.scene.replace(**{name: getattr(scene, name) for name in DEVICES_OWN})
+            if not self._stopped:  # otherwise it starts anew
+                stretch = self._stretch
+                check_step(stretch.controller, wanted.controller(), stretch.pose.tolist(), self._step_force)
+        except MaglevError as error:
+            wish.answer(str(error))
+            return
+        self._scene = wanted
+        self._go_on()
+        wish.answer(self._since)
 
     def _begin(self, pose: Sequence[float], *, going_on: bool = False) -> LiveStretch:
         """Return a new stretch, at rest or as the last one left it."""

@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from maglev_mj.hand import SpringHand
 from maglev_mj.scenes import Scene
 from maglev_mj.session.pacing import Due
 
-__all__ = ["History", "Publisher", "Publishers", "SampledMotion", "Snapshot", "SnapshotSource"]
+__all__ = ["History", "Publisher", "Publishers", "SampledMotion", "Snapshot", "SnapshotSource", "Wish"]
 
 SHOWN = 2.0
 """Time that a history covers [s]."""
@@ -37,6 +37,7 @@ class Snapshot:
         scene: The scene with its present parameters.
         since: First sample answered with them.
         delay: From a sample to its command taking effect [s]; the median of the last 100 where it is measured.
+        inertia: Mass and moments of inertia of the flotor [kg, kg m²], (6,); None for the scene's own.
         tick: Samples answered so far.
         time: Time of the session [s].
         pose: Pose of the flotor [m, rad], (6,).
@@ -53,12 +54,14 @@ class Snapshot:
         missed: Ticks given up, or samples that did not arrive.
         state: "running", "paused", "stopped" or "flying".
         reason: Why it has stopped; empty otherwise.
+        remedy: How to go on once it has.
         notes: Messages for the person at the window.
     """
 
     scene: Scene
     since: int = 0
     delay: float = _NAN
+    inertia: Sequence[float] | None = None
     tick: int = 0
     time: float = 0.0
     pose: Array = field(default_factory=_zeros)
@@ -74,6 +77,7 @@ class Snapshot:
     missed: int = 0
     state: str = "running"
     reason: str = ""
+    remedy: str = "/ starts again"
     notes: Sequence[str] = ()
 
 
@@ -159,11 +163,26 @@ class SampledMotion:
         self._last = time, position
 
 
+def _unheard(_: int | str) -> None: ...
+
+
+class Wish(NamedTuple):
+    """Scene that a program asks for.
+
+    Attributes:
+        scene: The scene.
+        answer: Called once by the loop: with the first sample answered under it, or with why it is refused.
+    """
+
+    scene: Scene
+    answer: Callable[[int | str], object] = _unheard
+
+
 class Publisher(Protocol):
     """A way to other programs. It never waits, for it is called where the samples are answered."""
 
-    def take(self) -> Scene | None:
-        """Return the scene that a program asks for and may have, once."""
+    def take(self) -> Wish | None:
+        """Return what a program asks for, once."""
 
     def show(self, snapshot: Snapshot) -> None:
         """Publish a snapshot."""
@@ -194,11 +213,11 @@ class Publishers:
         for publisher in self._publishers:
             publisher.show(made)
 
-    def wanted(self) -> Scene | None:
-        """Return the scene that a program asks for, once."""
+    def wanted(self) -> Wish | None:
+        """Return what a program asks for, once."""
         for publisher in self._publishers:
-            if (scene := publisher.take()) is not None:
-                return scene
+            if (wish := publisher.take()) is not None:
+                return wish
         return None
 
     def close(self) -> None:

@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from maglev_mj.scenes import Scene
 from maglev_mj.session import Snapshot
 from maglev_mj.spacenav.axes import REST, Axes, PoseAxes
 from maglev_mj.spacenav.place import Place
@@ -121,7 +120,7 @@ class SpacenavServer:
         """How many programs listen."""
         return len(self._clients)
 
-    def take(self) -> Scene | None:
+    def take(self) -> None:
         """Return None: programs ask for nothing here."""
         return None
 

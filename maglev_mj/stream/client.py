@@ -31,7 +31,6 @@ _NEEDED: Mapping[str, Mapping[str, Any]] = {
     "description": {"session": int, "scene": str, "settings": dict},
     "refused": {"reason": str, "figures": (dict, NoneType)},
     "accepted": {"tick": int},
-    "in force": {"tick": int},
 }
 """What is in messages that are taken apart here."""
 
@@ -52,13 +51,11 @@ class Answer(NamedTuple):
     Attributes:
         reason: Why it was refused; empty where it is in force.
         figures: Of the loop that would be unstable, see `Refusal`; None where that is not the reason.
-        accepted: The newest sample told of when it was accepted; None where it was not.
         since: The first sample answered under it; None where it is not in force.
     """
 
     reason: str = ""
     figures: Mapping[str, Any] | None = None
-    accepted: int | None = None
     since: int | None = None
 
 
@@ -89,7 +86,6 @@ class StreamClient:
         self._host, self._sequence, self._session = secrets.randbelow(MOST_INTEGER), 0, 0
         self._poses: deque[Message] = deque(maxlen=_KEPT)
         self._newest, self._ended = -1, False
-        self._accepted: int | None = None
 
     def __enter__(self) -> Self:
         return self
@@ -121,11 +117,10 @@ class StreamClient:
             StreamError: If nobody answers.
         """
         self._know_session()
-        self._accepted = None
-        said = self._ask("set", ("in force", "refused"), settings=settings)
+        said = self._ask("set", ("accepted", "refused"), settings=settings)
         if said["type"] == "refused":
-            return Answer(said["reason"], said["figures"], self._accepted)
-        return Answer(accepted=self._accepted, since=said["tick"])
+            return Answer(said["reason"], said["figures"])
+        return Answer(since=said["tick"])
 
     def poses(self) -> Iterator[Message]:
         """Subscribe, and yield each pose as it comes, for as long as there are any; older ones are left out.
@@ -192,12 +187,8 @@ class StreamClient:
                 self._send({"type": kind, "id": asked, **fields})
                 again = now + _AGAIN
             said = self._hear(min(again, end) - now)
-            if said is None or said.get("id") != asked:
-                continue
-            if said["type"] in answers:
+            if said is not None and said.get("id") == asked and said["type"] in answers:
                 return said
-            if said["type"] == "accepted":
-                self._accepted = said["tick"]
         raise StreamError(f"nobody answers at {self._url}; is a scene running there, with the same key?")
 
     def _hear(self, timeout: float) -> Message | None:

@@ -17,6 +17,7 @@ from maglev_mj.session import DEVICES_OWN, Refusal, Snapshot, settable
 from maglev_mj.stream.datagrams import MOST_INTEGER, Message, is_integer
 
 __all__ = [
+    "accepted",
     "asked_scene",
     "description",
     "identifier",
@@ -24,7 +25,6 @@ __all__ = [
     "pose_message",
     "posed_snapshot",
     "refused",
-    "same_rules",
 ]
 
 _UNITS = {"length": "m", "angle": "rad", "force": "N", "torque": "N m", "time": "s"}
@@ -68,7 +68,9 @@ def posed_snapshot(pose: Message, blank: Snapshot) -> Snapshot:
     )
 
 
-def description(snapshot: Snapshot, session: int, asked: int | None) -> Message:
+def description(
+    snapshot: Snapshot, session: int, asked: int | None, dropped: Mapping[str, int] | None = None
+) -> Message:
     """Return all that a host needs to draw a scene and to set it."""
     scene = snapshot.scene
     return {
@@ -87,6 +89,7 @@ def description(snapshot: Snapshot, session: int, asked: int | None) -> Message:
         "faces": [(AXES[index], int(normal), edge) for index, normal, edge in snapshot.faces],
         "axes": AXES,
         "units": _UNITS,
+        "dropped": dict(dropped or {}),
     }
 
 
@@ -99,6 +102,11 @@ def refused(asked: int | None, reason: str, session: int, figures: Refusal | Non
         "reason": _short(reason),
         "figures": None if figures is None else figures._asdict(),
     }
+
+
+def accepted(asked: int | None, tick: int, session: int) -> Message:
+    """Return what a host is told whose settings are in force from a sample on."""
+    return {"type": "accepted", "id": asked, "session": session, "tick": tick}
 
 
 def mistaken(asked: int | None, reason: str, session: int) -> Message:
@@ -131,11 +139,6 @@ def asked_scene(present: Scene, given: object) -> Scene:
     if unknown := sorted(set(given) - set(known := settable(present))):
         raise ParameterError(f"settings must be of {', '.join(known)}, not {', '.join(unknown)}")
     return present.replace(**given)
-
-
-def same_rules(one: Scene, other: Scene) -> bool:
-    """Return whether scenes differ in period and delay at most."""
-    return type(one) is type(other) and one.replace(**{name: getattr(other, name) for name in DEVICES_OWN}) == other
 
 
 def _by_axis(values: Iterable[Any]) -> dict[str, float | None]:

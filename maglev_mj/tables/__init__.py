@@ -1,10 +1,10 @@
 """Results as text for a terminal, one module a subject."""
 
 from maglev_mj.tables.analysis import analysis_table
-from maglev_mj.tables.fault import fault_table
+from maglev_mj.tables.fault import fault_table, latched_table
 from maglev_mj.tables.fidelity import fidelity_table, levels_table
 from maglev_mj.tables.run import run_table, sweep_table
-from maglev_mj.tables.sessions import flown_table, served_table, show_table, verdict_table
+from maglev_mj.tables.sessions import flown_table, served_table, show_table, timing_table, verdict_table
 from maglev_mj.tables.stability import design_table, loop_table, stability_table
 
 __all__ = [
@@ -13,6 +13,7 @@ __all__ = [
     "fault_table",
     "fidelity_table",
     "flown_table",
+    "latched_table",
     "levels_table",
     "loop_table",
     "run_table",
@@ -20,5 +21,6 @@ __all__ = [
     "show_table",
     "stability_table",
     "sweep_table",
+    "timing_table",
     "verdict_table",
 ]

@@ -1,32 +1,62 @@
-"""A black box as text."""
+"""Faults as text: what is latched in a device, and what a black box holds."""
 
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from maglev_mj.bridge.fault import FaultRecord
-from maglev_mj.bridge.wire import State
+from maglev_mj.bridge.wire import Fault, State, fault_names
 from maglev_mj.frames import AXES
 from maglev_mj.terminal import printable
 
-__all__ = ["fault_table"]
+if TYPE_CHECKING:
+    from maglev_mj.bridge.remote import RemotePlant
+
+__all__ = ["fault_table", "latched_table"]
+
+_SHOWN = 20
 
 _HEADING = ("sample", "ms", "state", *AXES, "A cmd", "A meas", "warm %", "delay", "answer")
 _WIDTHS = (7, 8, 9, *[7] * 6, 6, 7, 7, 6, 7)
 
 
-def fault_table(record: FaultRecord) -> str:
+_REASONS = {
+    Fault.SENSOR_OUT_OF_RANGE: "a diode's reading is invalid, off the diode, or jumped; or no pose has these readings",
+    Fault.COIL_OVERCURRENT: "a current above the limit was commanded, or measured",
+    Fault.COIL_OVERTEMP: "a coil is as warm as it may be",
+    Fault.FLOTOR_OVERSPEED: "the flotor was too fast",
+    Fault.BOUNDARY: "the flotor left its envelope",
+    Fault.WATCHDOG: "no command in time, or the amplifiers' enable line stood still",
+    Fault.INVALID_COMMAND: "a command that is not finite",
+    Fault.ESTOP: "an emergency stop was asked for",
+    Fault.COIL_NOT_FOLLOWING: "a measured current was not the commanded one",
+    Fault.SENSOR_FROZEN: "a diode repeated its reading more often than its noise allows",
+    Fault.CLOCK: "the device's timestamps did not go as its samples do",
+    Fault.NOT_FOLLOWING: "the flotor did not go where it was led: signs, diodes exchanged, or a hand in the way",
+    Fault.HOST: "the host's program failed, or lost the device's samples",
+    Fault.SENSOR_STOPPED: "the sensor's conversion counter stood still",
+    Fault.COIL_NOT_OFF: "a current flowed after it was cut: cut the power",
+}
+
+
+def fault_table(record: FaultRecord, *, whole: bool = False) -> str:
     """Return a fault and its last cycles as text: 99 columns, a dash where a value is unknown.
 
     Time is before the last cycle [ms], the pose [mm, mrad], currents the largest of the six [A], commanded and
     measured, the temperature the highest, the delay at the device and the latency of the answer [ms].
+
+    Args:
+        record: The black box.
+        whole: True for every cycle, else the last 20.
     """
     when = "" if math.isnan(record.fault_time) else f" at {record.fault_time:.4f} s of the device's clock"
     lines = [
         f"  {printable(record.message)}",
         f"  faults {printable(record.faults)}; first {printable(record.first)}{when}",
+        *_reasons(record.faults),
         f"  sample {record.tick} at {1.0 / record.period:g} Hz; {record.lost} lost, {record.skipped} skipped",
         _line(_HEADING),
     ]
@@ -35,7 +65,11 @@ def fault_table(record: FaultRecord) -> str:
     pulsed = np.abs(record.six("pulsed")).max(axis=-1, initial=0.0)
     commanded = np.where(column["width"] > 0.0, np.maximum(held, pulsed), held)
     warm = record.six("temperature").max(axis=-1, initial=0.0) * 100.0
-    for place, state in enumerate(column["state"]):
+    first = 0 if whole else max(len(time) - _SHOWN, 0)
+    if first:
+        lines.insert(-1, f"  the last {_SHOWN} of {len(time)} cycles; --all shows all")
+    for place in range(first, len(time)):
+        state = column["state"][place]
         lines.append(
             _line(
                 (
@@ -57,3 +91,16 @@ def _cell(value: float, places: int) -> str:
 
 def _line(cells: tuple[str, ...]) -> str:
     return "".join(f"{cell:>{width}}" for cell, width in zip(cells, _WIDTHS, strict=True))
+
+
+def _reasons(names: str) -> list[str]:
+    """Return what each fault of some names means, a line each."""
+    known = [fault for fault in _REASONS if (fault.name or "") in names.split()]
+    return [f"    {fault.name}: {_REASONS[fault]}" for fault in known]
+
+
+def latched_table(plant: RemotePlant) -> str:
+    """Return what was latched in a device at the handshake, since when and why."""
+    if not plant.faults:
+        return f"  no fault is latched; the device is {plant.state.name.lower()}"
+    return "\n".join([f"  {plant.latched}", *_reasons(fault_names(plant.faults))])

@@ -8,11 +8,11 @@ from maglev_mj.bridge.wire import fault_names
 from maglev_mj.recording import Verdict
 
 if TYPE_CHECKING:
-    from maglev_mj.bridge.flight import FlightReport
+    from maglev_mj.bridge.flight import FlightReport, LoopTiming
     from maglev_mj.bridge.twin import ServerReport, Twin
     from maglev_mj.viewer.window import ShowReport
 
-__all__ = ["flown_table", "served_table", "show_table", "verdict_table"]
+__all__ = ["flown_table", "served_table", "show_table", "timing_table", "verdict_table"]
 
 
 def served_table(served: ServerReport, twin: Twin) -> str:
@@ -36,11 +36,26 @@ def served_table(served: ServerReport, twin: Twin) -> str:
 
 def flown_table(flown: FlightReport) -> str:
     """Return what a flight came to."""
-    lines = [f"  {flown.wall_time:.1f} s, {flown.ticks} samples, {flown.lost} lost, {flown.skipped} skipped"]
-    if flown.answer.count:
-        answer = flown.answer
-        lines.append(f"  answered within {answer.p50 * 1e6:.0f} µs in the median, {answer.p99 * 1e6:.0f} µs at 99 %")
-    return "\n".join(lines)
+    return (
+        f"  {flown.wall_time:.1f} s, {flown.ticks} samples, {flown.lost} lost, {flown.skipped} skipped\n"
+        f"  {flown.landing}"
+    )
+
+
+def timing_table(timing: LoopTiming, warning: str = "") -> str:
+    """Return how late a loop was, whole lines; nothing for one that did not run.
+
+    Args:
+        timing: Of the loop.
+        warning: What is wrong with it.
+    """
+    known = [
+        f"  {name:<34}" + "".join(f"{part * 1e3:10.3f}" for part in (one.p50, one.p99, one.max))
+        for name, one in timing.kinds.items()
+    ]
+    head = [f"  {'milliseconds':<34}{'median':>10}{'99 %':>10}{'most':>10}"] if known else []
+    said = [f"  warning: {warning}".replace("; ", "\n    ")] if warning else []
+    return "".join(f"{line}\n" for line in [*head, *known, *said])
 
 
 def show_table(report: ShowReport) -> str:

@@ -18,11 +18,12 @@ from maglev_mj.viewer.overlay import help_text, status_text
 from maglev_mj.viewer.plots import Plots
 from maglev_mj.viewer.scenery import Scenery
 
-__all__ = ["DisplayError", "OffscreenPainter", "arranged"]
+__all__ = ["DisplayError", "OffscreenPainter", "arranged", "label_place"]
 
 _SHADOWS, _SAMPLES = 2048, 4
 _NEEDS = {"osmesa": "on Debian libosmesa6", "egl": "on Debian libegl1 and libgl1", "glfw": "and a display"}
 _SMALL, _HELPED = 600, 500
+_LABEL, _MARGIN = (280, 34), 6
 
 
 class DisplayError(MaglevError):
@@ -38,6 +39,12 @@ def arranged(width: int, height: int) -> list[Any]:
     """Return where the four plots go in a picture: a column at its right."""
     wide, high = column(width), height // 4
     return [mujoco.MjrRect(width - wide, height - (place + 1) * high, wide, high) for place in range(4)]
+
+
+def label_place(width: int, height: int) -> Any:
+    """Return where the emergency stop's label goes: at the bottom, left of the plots."""
+    free = width - column(width)
+    return mujoco.MjrRect(max(free - _LABEL[0] - _MARGIN, 0), _MARGIN, min(_LABEL[0], free), _LABEL[1])
 
 
 class OffscreenPainter:

@@ -9,7 +9,7 @@ import glfw
 
 from maglev_mj.parameters import Parameter
 from maglev_mj.scenes import Scene
-from maglev_mj.session import DEVICES_OWN, Snapshot, actions
+from maglev_mj.session import DEVICES_OWN, EMERGENCY_STOP, Snapshot, actions
 from maglev_mj.viewer.scenery import ARROW
 
 __all__ = ["SCREENSHOT", "help_text", "keys_of", "status_text"]
@@ -19,6 +19,7 @@ SCREENSHOT = "screenshot"
 _NOTHING = 5e-5
 
 _OWN: Mapping[int, str] = {
+    glfw.KEY_ESCAPE: EMERGENCY_STOP,
     glfw.KEY_ENTER: "next scene",
     glfw.KEY_9: "drop",
     glfw.KEY_SLASH: "centre",
@@ -26,7 +27,10 @@ _OWN: Mapping[int, str] = {
     glfw.KEY_F10: "record",
     glfw.KEY_F12: SCREENSHOT,
 }
-"""Keys that every scene has; the engine's viewer has letters, 0 to 5, F1 to F7, Tab, [ ], - =, Page Up, left, right."""
+"""Keys that every scene has; the engine's viewer has letters, 0 to 5, F1 to F7, Tab, [ ], - =, Page Up, left, right.
+
+Its Escape only frees a camera, which is free here.
+"""
 
 _SWITCHES: Mapping[str, tuple[int, str]] = {
     "6": (glfw.KEY_6, "wall"),
@@ -90,6 +94,7 @@ def help_text(cls: type[Scene]) -> tuple[str, str]:
         ("9   /", "drop, centre"),
         ("Space", "pause"),
         ("F10  F12", "record, screenshot"),
+        ("ESC", EMERGENCY_STOP),
     ]
     keys, does = zip(*[row for row in rows if row[0]], strict=True)
     return "\n".join(keys), "\n".join(does)

@@ -16,7 +16,7 @@ from maglev_mj.scenes import Scene
 from maglev_mj.session import Snapshot
 from maglev_mj.theory import inertia_of, largest_stable_stiffness, stability, stated_gains
 
-__all__ = ["Plots"]
+__all__ = ["Plots", "StopLabel"]
 
 _SECONDS = 2.0
 _POINTS = 500
@@ -79,6 +79,22 @@ class Plots:
         if damping or stiffness:
             lines.append((_RED, [x - dx, x + dx, x, x, x], [y, y, y, y - dy, y + dy]))
         _draw(figure, "stable below: kN/m over N s/m", lines, (0.0, width), (0.0, height))
+
+
+class StopLabel:
+    """Red label of the emergency stop's key; once stopped, of the way on."""
+
+    def __init__(self) -> None:
+        figure = self._figure = mujoco.MjvFigure()
+        _prepare(figure)
+        figure.figurergba[:], figure.panergba[:], figure.textrgb[:] = (0.8, 0.05, 0.05, 1.0), 0.0, 1.0
+        figure.gridsize[:], figure.gridrgb[:], figure.flg_ticklabel[:] = 0, figure.figurergba[:3], 0
+        figure.minwidth = ""
+
+    def update(self, snapshot: Snapshot) -> Any:
+        """Return the label as a figure of the engine's own kind."""
+        self._figure.title = f"STOPPED: {snapshot.remedy}" if snapshot.state == "stopped" else "ESC: EMERGENCY STOP"
+        return self._figure
 
 
 class _Stability:

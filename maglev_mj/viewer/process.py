@@ -2,26 +2,23 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
+from collections.abc import Callable
 from dataclasses import replace
 from multiprocessing.connection import Connection
 from pathlib import Path
-from select import select
 from typing import Any
 
 import numpy as np
 
 from maglev_mj.errors import MaglevError
 from maglev_mj.hand import SpringHand
-from maglev_mj.scenes import Scene
-from maglev_mj.session import History, Snapshot, actions
-from maglev_mj.workers import interrupts_held
+from maglev_mj.process import SideProcess
+from maglev_mj.session import EMERGENCY_STOP, History, Snapshot, Wish, actions
 
 __all__ = ["RemoteViewer"]
 
 _MOST_ROWS = 400
-_PATIENCE = 10.0
 
 
 class RemoteViewer:
@@ -34,57 +31,44 @@ class RemoteViewer:
     Attributes:
         hand: The mouse's.
         on_close: Called once when the person has closed the window; may be replaced.
+        on_emergency: Called by `take` when the emergency stop's key was pressed; may be replaced, and may raise.
     """
 
     def __init__(self, snapshot: Snapshot, folder: Path = Path()) -> None:
         self.hand, self.on_close = SpringHand(), _nothing
-        self._scene, self._sent, self._closed = snapshot.scene, -np.inf, False
-        context = multiprocessing.get_context("spawn")
-        self._line, far = context.Pipe()
-        self._process = context.Process(target=_open, args=(far, snapshot, folder), daemon=True)
-        with interrupts_held():  # it is closed by who opened it
-            self._process.start()
-        far.close()
+        self.on_emergency: Callable[[], object] = _nothing
+        self._scene, self._sent, self._open = snapshot.scene, -np.inf, True
+        self._window = SideProcess(_open, snapshot, folder)
 
     def show(self, snapshot: Snapshot) -> None:
         """Show a snapshot; where the window does not keep up, it is left out."""
         self._scene = snapshot.scene
-        if self._closed or not select((), (self._line,), (), 0.0)[1]:
+        if not self._window.ready:
             return
         # only the rows that are new, and so many that writing them cannot wait
         rows = snapshot.history[np.searchsorted(snapshot.history[:, 0], self._sent, side="right") :]
         self._sent = snapshot.time
-        try:
-            self._line.send(replace(snapshot, history=rows[-_MOST_ROWS:]))
-        except OSError:
-            self._end()
+        self._window.send(replace(snapshot, history=rows[-_MOST_ROWS:]))
 
-    def take(self) -> Scene | None:
+    def take(self) -> Wish | None:
         """Move the hand as the mouse does; return the scene that keys ask for."""
         wanted = None
-        try:
-            while not self._closed and self._line.poll():
-                kind, value = self._line.recv()
-                if kind == "hand":
-                    self.hand.target = value
-                elif (change := actions(type(self._scene)).get(value)) is not None:
-                    self._scene = wanted = change(self._scene)
-        except (EOFError, OSError):
-            self._end()
-        return wanted
+        for kind, value in self._window.received():
+            if kind == "hand":
+                self.hand.target = value
+            elif value == EMERGENCY_STOP:
+                self.on_emergency()
+            elif (change := actions(type(self._scene)).get(value)) is not None:
+                self._scene = wanted = change(self._scene)
+        if self._window.ended and self._open:
+            self._open, self.hand.target = False, None
+            self.on_close()
+        return None if wanted is None else Wish(wanted)
 
     def close(self) -> None:
         """Close the window; a second time does nothing."""
-        self._closed = True
-        self._line.close()
-        self._process.join(_PATIENCE)
-        if self._process.is_alive():
-            self._process.terminate()
-            self._process.join(_PATIENCE)
-
-    def _end(self) -> None:
-        self._closed, self.hand.target = True, None
-        self.on_close()
+        self._open = False
+        self._window.close()
 
 
 class RemoteSession:

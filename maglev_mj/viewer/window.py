@@ -22,9 +22,9 @@ from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.scenes import Scene
 from maglev_mj.session import Due, Snapshot, SnapshotSource, real_time
 from maglev_mj.viewer.clip import write_picture
-from maglev_mj.viewer.offscreen import DisplayError, OffscreenPainter, arranged
+from maglev_mj.viewer.offscreen import DisplayError, OffscreenPainter, arranged, label_place
 from maglev_mj.viewer.overlay import SCREENSHOT, help_text, keys_of, status_text
-from maglev_mj.viewer.plots import Plots
+from maglev_mj.viewer.plots import Plots, StopLabel
 from maglev_mj.viewer.scenery import GRIP, Scenery
 
 __all__ = ["ShowReport", "require_display", "show"]
@@ -116,7 +116,7 @@ class _Window:
 
     def __init__(self, session: SnapshotSource, folder: Path) -> None:
         self._session, self._folder = session, folder
-        self._plots = Plots()
+        self._plots, self._label = Plots(), StopLabel()
         self._pressed: queue.SimpleQueue[int] = queue.SimpleQueue()
         self._snapshots: queue.Queue[Snapshot | None] = queue.Queue(maxsize=1)
         self._mouse: _Mouse | None = None
@@ -235,8 +235,9 @@ class _Window:
             handle.perturb.localpos[:] = GRIP
         rectangle = handle.viewport
         if rectangle is not None and rectangle.width > 0:
-            places = arranged(rectangle.width, rectangle.height)
-            handle.set_figures(list(zip(places, self._plots.update(snapshot), strict=True)))
+            size = rectangle.width, rectangle.height
+            figures = list(zip(arranged(*size), self._plots.update(snapshot), strict=True))
+            handle.set_figures([*figures, (label_place(*size), self._label.update(snapshot))])
         font, grid = mujoco.mjtFont.mjFONT_NORMAL, mujoco.mjtGridPos
         notes = (self._note,) if self._note else ()
         status = (font, grid.mjGRID_TOPLEFT, *status_text(snapshot, notes))

@@ -4,7 +4,7 @@
     python scripts/examples/stream_host.py [udp://HOST:PORT] [--key FILE]
 
 It asks for a wall as stiff as --stiffness says. Where that is refused, the figures of the refusal say how stiff one may
-be, and it asks for half of that.
+be, and it asks for half of that. Where the flotor is behind its edge, it asks again when the flotor has come out.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ def say(wish: dict[str, Any], answer: Answer) -> None:
     """Print what was asked for, and what came of it."""
     print("\nset " + json.dumps(wish))
     if not answer.reason:
-        print(f"  in force from tick {answer.since} on; accepted at tick {answer.accepted}")
+        print(f"  in force from tick {answer.since} on")
         return
     print(textwrap.fill(f"refused: {answer.reason}", WIDTH, initial_indent="  ", subsequent_indent="    "))
     for name, value in (answer.figures or {}).items():
@@ -104,6 +104,10 @@ def converse(client: StreamClient, options: argparse.Namespace) -> None:
     if answer.figures is not None and answer.figures["largest_stable"]:
         share = 0.5 * answer.figures["largest_stable"] / answer.figures["stiffness"]
         wish["stiffness"] = float(f"{share * options.stiffness:.3g}")
+        answer = client.set(**wish)
+        say(wish, answer)
+    if answer.reason and answer.figures is None:  # it would push the flotor, which is behind its edge
+        next(pose for pose in client.poses() if pose["pose"]["x"] < options.edge)
         say(wish, client.set(**wish))
     print()
     watch(client, 0.5 * options.seconds)

@@ -398,7 +398,6 @@ static bool arm(struct maglev_device *d, const double *hover, uint64_t now) {
     copy_six(d->hover, hover);
     d->commanded_at = now, d->answers = MAGLEV_NONE, d->holding = d->has_spots = d->has_conversions = false;
     d->not_following = d->not_off = d->not_enabled = 0;
-    d->same[0] = d->same[1] = d->same[2] = 0;
     d->state = MAGLEV_ACTIVE;
     d->hardware->toggle(d->hardware->context, now);
     return true;

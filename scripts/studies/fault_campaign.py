@@ -1,0 +1,217 @@
+"""Make every fault of a device and its host happen in flight, and time the cut at the device.
+
+    python scripts/studies/fault_campaign.py [udp | serial] [NAME ...]
+
+Each case flies a twin in a process of its own, in real time, over UDP or a serial line. `ms` is for how long currents
+flow at the device after the fault began, in simulated time; a machine that stalls adds to what the host does.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import signal
+import statistics
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from itertools import product
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from maglev_mj.bridge.connection import estop
+from maglev_mj.bridge.realtime import realtime
+from maglev_mj.bridge.remote import RemotePlant
+from maglev_mj.bridge.safety import HostLimits
+from maglev_mj.bridge.twin import TwinServer
+from maglev_mj.bridge.wire import Command as Currents
+from maglev_mj.bridge.wire import Fault, fault_names
+from maglev_mj.cli import main
+from maglev_mj.controller import Controller
+from maglev_mj.errors import MaglevError
+from maglev_mj.frames import Command, Sample
+from maglev_mj.laws import Bias, Hold
+from maglev_mj.loop import drive
+from maglev_mj.net.udp import open_link
+from maglev_mj.scenes.parts import INERTIA, WEIGHT
+
+AT, TIMES = 2.0, 5
+"""When a fault begins, on the twin's clock [s], and how often each is tried."""
+
+Act = Callable[[RemotePlant, str], float | None]
+
+
+class Case(NamedTuple):
+    """A fault: what it may be called, options of the twin, largest K, what the host does and its limits, time to cut.
+
+    What the host does may return the force to which it then pushes along z within a second [N].
+    """
+
+    names: Fault
+    options: str = ""
+    largest: int = 0
+    act: Act | None = None
+    limits: HostLimits | None = None
+    seconds: float = 1.5
+
+
+def commanding(ahead: int = 0, **changes: Any) -> Act:
+    """Return an act that sends a command that no host may send."""
+
+    def act(plant: RemotePlant, _: str) -> None:
+        line, hover = plant._line, tuple(plant.calibration.hover.tolist())
+        line._sequence += ahead
+        line.command(Currents(line._newest or 0, 0, hover, hover, 0.0)._replace(**changes))
+        line._sequence -= ahead
+
+    return act
+
+
+def stop(plant: RemotePlant, address: str) -> None:
+    """Stop by another host; a serial line has no other."""
+    if address.startswith("serial"):
+        plant.estop()
+    else:
+        threading.Thread(target=lambda: estop(open_link(address))).start()
+
+
+def injected(names: Fault, largest: int, what: str, push: str = "", seconds: float = 1.5) -> Case:
+    """Return a fault of the device, with a hand that pushes."""
+    options = f"--fault {what}@{{at}}" if "@" not in what else f"--fault {what}"
+    return Case(names, f"{options} --push {push}" if push else options, largest, seconds=seconds)
+
+
+BAD, ALL = Fault.COIL_NOT_FOLLOWING | Fault.COIL_NOT_OFF, "x:4@{at}-9 --push y:4@{at}-9"
+AWAY = Fault.FLOTOR_OVERSPEED | Fault.BOUNDARY | Fault.SENSOR_OUT_OF_RANGE
+FROZEN, HOT, LEFT, DOWN = Fault.SENSOR_FROZEN, Fault.COIL_OVERTEMP, "x:4@{at}-9", "z:-8@1.5-{at}"
+CASES: dict[str, Case] = {
+    "dead-coil": injected(BAD, 5, "dead-coil:{k}", ALL),
+    "stuck-amplifier": injected(BAD, 5, "stuck-amplifier:{k}", ALL),
+    "stuck-diode": injected(FROZEN, 2, "stuck-diode:{k}"),
+    "stuck-diode under a hand": injected(FROZEN, 2, "stuck-diode:{k}", DOWN),
+    "stuck-diodes": injected(FROZEN, 0, "stuck-diodes:0"),
+    "stuck-diodes under a hand": injected(FROZEN, 0, "stuck-diodes:0", DOWN),
+    "stuck-counter": injected(Fault.SENSOR_STOPPED, 0, "stuck-counter:0"),
+    "invalid-diode": injected(Fault.SENSOR_OUT_OF_RANGE, 2, "invalid-diode:{k}"),
+    "swapped-diodes in flight": injected(AWAY, 2, "swapped-diodes:{k}", ALL),
+    "swapped-diodes at takeoff": injected(Fault.NOT_FOLLOWING, 2, "swapped-diodes:{k}@0"),
+    "nan-spot": injected(Fault.SENSOR_OUT_OF_RANGE, 5, "nan-spot:{k}"),
+    "nan-current": injected(Fault.COIL_OVERCURRENT, 5, "nan-current:{k}"),
+    "nan-temperature": injected(HOT, 5, "nan-temperature:{k}"),
+    "hot-report": injected(HOT, 5, "hot-report:{k}"),
+    "clock-jump of 3 ms": injected(Fault.CLOCK, 0, "clock-jump:3"),
+    "clock-jump of 100 ms": injected(Fault.WATCHDOG, 0, "clock-jump:100"),
+    "silence of 200 ms": injected(Fault.WATCHDOG, 0, "silence:200"),
+    "silence without end": injected(Fault.HOST, 0, "silence:9000", seconds=3.0),
+    "hung-firmware": injected(Fault.HOST, 0, "hung-firmware:0", seconds=3.0),
+    "flotor held at takeoff": Case(Fault.NOT_FOLLOWING, "--push z:-20@0-9"),
+    "beyond the envelope": Case(Fault.BOUNDARY, "--push rz:0.4@{at}-9", limits=HostLimits(envelope_angle=0.03)),
+    "above the host's speed": Case(Fault.FLOTOR_OVERSPEED, "--push x:20@{at}-9", limits=HostLimits(speed_limit=0.05)),
+    "6 A in three coils": Case(HOT, act=lambda *_: -43.0, seconds=9.0),
+    "host silent for 300 ms": Case(Fault.WATCHDOG, act=lambda *_: time.sleep(0.3)),
+    "CMD of 11 A": Case(Fault.COIL_OVERCURRENT, act=commanding(held=(11.0,) * 6)),
+    "CMD of NaN": Case(Fault.INVALID_COMMAND, act=commanding(held=(math.nan,) * 6)),
+    "CMD with a width of 2 s": Case(Fault.INVALID_COMMAND, act=commanding(width=2.0)),
+    "CMD far ahead": Case(Fault.WATCHDOG, act=commanding(ahead=2**30)),
+    "law that is not a number": Case(Fault.INVALID_COMMAND, act=lambda *_: math.nan),
+    "TRIP": Case(Fault.HOST, act=lambda plant, _: plant.trip(Fault.HOST)),
+    "host's program fails": Case(Fault.HOST, act=lambda *_: 1 / 0),
+    "ESTOP": Case(Fault.ESTOP, act=stop),
+}
+
+
+def device(options: Sequence[str]) -> None:
+    """Be the twin's process: what the command does, and a record of how long currents flow."""
+    run, record = TwinServer.run, {"flowing": 0, "faults": 0, "zero": 0}
+
+    def recorded(server: TwinServer, *_: Any) -> Any:
+        twin, period = server.twin, server.twin.firmware.profile.period
+
+        def each() -> None:
+            nanoseconds = 0.0
+            for duration, currents in twin.plant.segments:
+                nanoseconds += duration * 1e9
+                if any(one for coil, one in enumerate(currents) if coil not in twin.board.stuck):
+                    record["flowing"] = round((twin.tick - 1) * period + nanoseconds)
+                    record["zero"] = server._zero
+            record["faults"] = int(twin.firmware.faults)
+
+        return run(server, 60.0, each)
+
+    TwinServer.run = recorded  # type: ignore[assignment, method-assign]
+    main(["twin", *options])
+    print(json.dumps(record), flush=True)
+
+
+def flown(case: Case, k: int, line: str) -> tuple[Fault, float]:
+    """Fly once; return what was latched at either end, and for how long currents flowed after it began [ms]."""
+    listen = "pty" if line == "serial" else "udp://127.0.0.1:0"
+    options = case.options.format(k=k % (case.largest + 1), at=AT).split()
+    command = [sys.executable, __file__, "--device", "--listen", listen, "--seed", str(k), *options]
+    child = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    assert child.stdout is not None
+    address = re.findall(r"(?:udp|serial)://[^\s,]+", child.stdout.readline())[0]
+    began, extra, named = 0, 0.0, Fault(0)
+    hold = Hold.critically_damped(inertia=INERTIA, period=0.005, delay=0.003)
+
+    class Hovering(Controller):
+        def step(self, sample: Sample) -> Command:
+            nonlocal began, extra
+            if case.act is not None and sample.tick >= start + 60 and not began:
+                began = time.monotonic_ns()
+                extra = case.act(plant, address) or 0.0
+            pushed = extra * min(1.0, (time.monotonic_ns() - began) * 1e-9) if extra else 0.0
+            force = super().step(sample).force
+            return Command([*force[:2], force[2] + pushed, *force[3:]])
+
+    with tempfile.TemporaryDirectory() as folder:
+        plant = RemotePlant(open_link(address), limits=case.limits, folder=Path(folder))
+        with suppress(MaglevError, ZeroDivisionError), plant:
+            began = time.monotonic_ns() if "@0" in case.options else 0
+            plant.takeoff()
+            start = plant.samples.tick
+            drive(plant, Hovering([Bias(WEIGHT), hold], period=0.005), round((case.seconds + AT) / 0.005))
+        named = plant.faults
+    time.sleep(0.1)
+    child.send_signal(signal.SIGINT)
+    record = json.loads(child.communicate(timeout=30)[0].splitlines()[-1])
+    named |= Fault(record["faults"])
+    first = began - record["zero"] if began else AT * 1e9
+    return named, (record["flowing"] - first) * 1e-6
+
+
+def campaign() -> None:
+    """Fly each case so many times over each line; print a table."""
+    lines = [line for line in ("udp", "serial") if line in sys.argv[1:]] or ["udp", "serial"]
+    names = [name for name in CASES if name in sys.argv[1:]] or list(CASES)
+    print("| fault | line | tried | cut | named | called | ms, median and largest | flown again |")
+    print("|---|---|---|---|---|---|---|---|", flush=True)
+    for name, line in product(names, lines):
+        case, again = CASES[name], 0
+        tries: list[tuple[Fault, float]] = []
+        while len(tries) < TIMES and again < 20:
+            faults, lasted = flown(case, len(tries), line)
+            # a machine that stalls for as long as the watchdog waits ends a flight before its fault
+            early = lasted < 0.0 or (faults == Fault.WATCHDOG and not faults & case.names)
+            again += early
+            tries += [] if early else [(faults, lasted)]
+        cut = sum(bool(faults) and lasted < 1e3 * case.seconds for faults, lasted in tries)
+        named = sum(bool(faults & case.names) for faults, _ in tries)
+        called = ", ".join(f"{words} {count}" for words, count in Counter(fault_names(one) for one, _ in tries).items())
+        times = [lasted for _, lasted in tries] or [math.nan]
+        figures = f"{statistics.median(times):.1f}, {max(times):.1f}"
+        print(f"| {name} | {line} | {len(tries)} | {cut} | {named} | {called} | {figures} | {again} |", flush=True)
+
+
+if __name__ == "__main__":
+    if sys.argv[1:2] == ["--device"]:
+        device(sys.argv[2:])
+    else:
+        with realtime("ignore"):
+            campaign()

@@ -1,0 +1,245 @@
+"""What a host takes from a device that answers, and what it refuses; the line is closed whatever goes wrong."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from maglev_mj.bridge import connection
+from maglev_mj.bridge.connection import Connection
+from maglev_mj.bridge.fault import HandshakeError
+from maglev_mj.bridge.remote import RemotePlant
+from maglev_mj.bridge.safety import HostLimits, Limits
+from maglev_mj.bridge.simulated_links import VirtualLink
+from maglev_mj.bridge.twin import Twin, TwinParameters
+from maglev_mj.bridge.wire import Codec, Fault, HelloAck, State, StateReport
+from maglev_mj.errors import ParameterError, PlantError
+from maglev_mj.net.udp import LinkError
+
+NAN, INF = math.nan, math.inf
+KEY = b"0123456789abcdef"
+
+
+class Doctored(VirtualLink):
+    """A wire that changes what the device says.
+
+    Args:
+        twin: The device.
+        change: From a body to another, to bytes in place of its frame, or to None for no frame.
+        key: Of the device.
+    """
+
+    def __init__(self, twin: Twin, change: Callable[[Any], Any] = lambda body: body, key: bytes | None = None) -> None:
+        super().__init__(twin)
+        self.change, self.codec, self.closed = change, Codec(key), 0
+
+    def receive(self, timeout: float) -> bytes | None:
+        end = self.time + round(timeout * 1e9)
+        while (data := super().receive((end - self.time) * 1e-9)) is not None:
+            frame = self.codec.decode(data)
+            assert frame is not None
+            body = self.change(frame.body)
+            if isinstance(body, bytes):
+                return body
+            if body is not None:
+                return self.codec.encode(frame.session, frame.sequence, frame.time, body)
+        return None
+
+    def close(self) -> None:
+        self.closed += 1
+
+
+def with_(**values: Any) -> Callable[[Any], Any]:
+    """Return what changes fields of the answer to a HELLO."""
+    return lambda body: body._replace(**values) if isinstance(body, HelloAck) else body
+
+
+ABSURD: list[tuple[str, Any, str]] = [
+    *(
+        ("period", value, "period must be .* at least 1e-05 and at most 0.1")
+        for value in (0, 9_999, 100_000_001, 2**64 - 1)
+    ),
+    *(("delay", value, "delay must be .* at most 0.1") for value in (100_000_001, 2**64 - 1)),
+    *(("watchdog", value, "watchdog must be") for value in (0, 999_999, 10_000_000_001, 2**64 - 1)),
+    *(("enable", value, "enable must be") for value in (0, 9_999, 10_000_000_001)),
+    *(
+        (field, value, f"{name} must be a finite number")
+        for field, name, least, most in (
+            ("current_limit", "current", 0.0, 100.1),
+            ("continuous_current", "continuous_current", 0.0, 100.1),
+            ("hover_limit", "hover", -0.1, 100.1),
+            ("thermal_time", "thermal_time", 0.009, 1.1e7),
+            ("spot_limit", "spot", 0.9e-4, 0.11),
+            ("spot_speed", "spot_speed", 0.9e-3, 101.0),
+        )
+        for value in (NAN, INF, -INF, -1.0, 1e9, least, most)
+    ),
+    ("frozen", 1_000_001, "frozen must be"),
+    ("lockstep", 2, "lockstep must be"),
+    ("state", 3, "state must be"),
+]
+
+
+@pytest.mark.parametrize(("field", "value", "says"), ABSURD)
+def test_numbers_that_no_device_has_are_refused_by_name(field: str, value: Any, says: str) -> None:
+    twin = Twin(TwinParameters())
+    link = Doctored(twin, with_(**{field: value}))
+    with pytest.raises(HandshakeError, match=says) as caught:
+        RemotePlant(link)
+    assert link.closed == 1 and "\n" not in str(caught.value)
+    assert twin.firmware.session == 0  # and the device is free for another
+
+
+def test_the_smaller_of_both_ends_limits_counts() -> None:
+    changed = with_(current_limit=4.0, hover_limit=2.0, continuous_current=2.5)
+    plant = RemotePlant(Doctored(Twin(TwinParameters()), changed), limits=HostLimits(max_current=6.0))
+    assert (plant.limits.current, plant.limits.hover, plant.limits.continuous_current) == (4.0, 2.0, 2.5)
+    plant = RemotePlant(Doctored(Twin(TwinParameters()), changed), limits=HostLimits(max_current=1.9))
+    assert (plant.limits.current, plant.limits.hover, plant.limits.continuous_current) == (1.9, 1.9, 2.5)
+
+
+def test_a_device_that_cannot_carry_the_flotor_is_refused_at_once_and_so_are_own_limits_that_cannot() -> None:
+    twin = Twin(TwinParameters())
+    for field, says in (("current_limit", "1.43 A, not 1: hovering needs 1.14 A"), ("hover_limit", "1.14 A, .* not 1")):
+        link = Doctored(twin, with_(**{field: 1.0}))
+        with pytest.raises(HandshakeError, match=says):
+            RemotePlant(link)
+        assert link.closed == 1 and twin.firmware.session == 0
+    link = Doctored(twin)
+    with pytest.raises(ParameterError, match=r"max_current must be at least 1.43 A, not 1: hovering needs 1.14 A"):
+        RemotePlant(link, limits=HostLimits(max_current=1.0))
+    assert link.closed == 1 and link.time == 0  # before a word was said
+
+
+@pytest.mark.parametrize(
+    ("kind", "becomes"),
+    [
+        (KeyboardInterrupt, KeyboardInterrupt),
+        (ValueError, HandshakeError),
+        (OverflowError, HandshakeError),
+        (ZeroDivisionError, HandshakeError),
+        (LinkError, LinkError),
+        (MemoryError, MemoryError),
+    ],
+)
+@pytest.mark.parametrize("place", ["in the handshake", "after it"])
+def test_whatever_goes_wrong_in_the_handshake_closes_the_line(
+    kind: type[BaseException], becomes: type[BaseException], place: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(body: Any) -> Any:
+        raise kind("oh")
+
+    link = Doctored(Twin(TwinParameters()), fail if place == "in the handshake" else lambda body: body)
+    if place == "after it":
+        monkeypatch.setattr(connection, "_limits", fail)
+    with pytest.raises(becomes, match="oh"):
+        RemotePlant(link)
+    assert link.closed == 1
+
+
+@pytest.mark.parametrize("wrong", [{"patience": 0.0}, {"patience": NAN}, {"key": b"short"}])
+def test_wrong_arguments_close_the_line_too(wrong: dict[str, Any]) -> None:
+    link = Doctored(Twin(TwinParameters()))
+    with pytest.raises(ParameterError):
+        RemotePlant(link, **wrong)
+    assert link.closed == 1
+
+
+def foreign() -> bytes:
+    """Return a frame of another version that nobody has tagged."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("maglev_mj.bridge.wire.VERSION", 7)
+        return Codec().encode(0, 0, 0, HelloAck(0, 1, 0, 7, 0, 0, bytes(16), *[0] * 8, *[0.0] * 6))
+
+
+class Disturbed(Doctored):
+    """A wire on which somebody puts a frame of another version before each of the device's."""
+
+    def __init__(self, twin: Twin, key: bytes | None, mute: bool = False) -> None:
+        super().__init__(twin, key=key)
+        self._due, self._mute = True, mute
+
+    def receive(self, timeout: float) -> bytes | None:
+        self._due = not self._due
+        if not self._due:
+            return foreign()
+        if self._mute:
+            self.change = lambda body: None
+        return super().receive(timeout)
+
+
+def test_an_untagged_frame_of_another_version_does_not_end_a_keyed_handshake() -> None:
+    plant = RemotePlant(Disturbed(Twin(TwinParameters(), key=KEY), KEY), key=KEY)
+    plant.read()
+    assert plant.state == State.INACTIVE
+    with pytest.raises(HandshakeError, match=r"no device answered within 1 s; frames dropped: \d+ for version \(7\)$"):
+        RemotePlant(Disturbed(Twin(TwinParameters(), key=KEY), KEY, mute=True), key=KEY)
+    with pytest.raises(HandshakeError, match="the device speaks version 7 of the protocol, this host version 2"):
+        RemotePlant(Disturbed(Twin(TwinParameters()), None))
+
+
+def test_what_is_latched_is_said_in_one_line() -> None:
+    twin = Twin(TwinParameters())
+    link = VirtualLink(twin)
+    assert RemotePlant(link).latched == ""
+    twin.firmware.trip(Fault.CLOCK, link.time)
+    twin.firmware.trip(Fault.ESTOP | Fault.COIL_OVERTEMP, link.time)
+    while link.time < 12_300_000_000:
+        link.receive(1.0)
+    plant = RemotePlant(link)
+    assert plant.latched == "latched: COIL_OVERTEMP ESTOP CLOCK, 12.3 s ago, first CLOCK"
+    assert (plant.first, plant.state) == (Fault.CLOCK, State.FAULT)
+    plant.reset()
+    assert (plant.first, plant.fault_time, plant.faults) == (Fault(0), 0, Fault(0))
+
+
+def test_frames_of_another_session_are_dropped_and_counted() -> None:
+    twin = Twin(TwinParameters())
+    line = Connection(link := Doctored(twin), twin.parameters.calibration.digest, None, 1.0)
+    assert line.state(1.0) is not None
+    own, theirs = twin.firmware.session, twin.firmware.session ^ 1
+    spoken = link.codec.encode
+
+    def of_another(session: int, sequence: int, time: int, body: Any) -> bytes:
+        return spoken(theirs if isinstance(body, StateReport) else session, sequence, time, body)
+
+    link.codec.encode = of_another  # type: ignore[method-assign]
+    assert line.state(0.1) is None and line.codec.dropped["session"] >= 20
+    link.codec.encode = spoken  # type: ignore[method-assign]
+    assert line.state(0.1) is not None and twin.firmware.session == own
+
+
+def test_samples_left_out_during_a_request_count_as_skipped() -> None:
+    twin = Twin(TwinParameters())
+    plant = RemotePlant(link := Doctored(twin))
+    plant.read()
+    answers: list[Any] = []
+
+    def late(body: Any) -> Any:
+        """Let the device's answer wait for five samples."""
+        if isinstance(body, StateReport):
+            answers.append(None)
+            return body
+        return body if len(answers) > 5 else None
+
+    link.change = late
+    plant.arm()
+    plant.read()
+    assert plant.samples.skipped >= 4 and plant.samples.lost == 0
+    assert plant.samples.tick == twin.tick
+
+
+def test_limits_have_the_bounds_that_the_handshake_asks_for() -> None:
+    fields = {one.name for one in Limits.parameters()}
+    named = {says.split(" ")[0] for _, _, says in ABSURD}
+    assert fields <= named and named - fields == {"period", "delay", "lockstep", "state"}
+
+
+def test_a_closed_plant_says_so() -> None:
+    plant = RemotePlant(Doctored(Twin(TwinParameters())))
+    plant.close()
+    with pytest.raises(PlantError, match="the plant is closed"):
+        plant.takeoff()

@@ -1,0 +1,163 @@
+"""What the host does not believe, though the device says nothing of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from maglev_mj.bridge.fault import DeviceFault
+from maglev_mj.bridge.safety import HostLimits
+from maglev_mj.bridge.simulated_links import Impairment
+from maglev_mj.bridge.wire import Fault, State, StateReport
+from maglev_mj.controller import Controller
+from maglev_mj.frames import Command
+from maglev_mj.laws import Bias
+from maglev_mj.scenes.parts import WEIGHT
+from tests.test_bridge import CENTRE, Rig
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the files with the last cycles go to a folder of their own."""
+    monkeypatch.chdir(tmp_path)
+
+
+def doctored(rig: Rig, change: Callable[[StateReport], StateReport]) -> None:
+    """Change what the device says at each sample from now on; the device itself believes it sound."""
+    encode = rig.twin.firmware._codec.encode
+
+    def changed(session: int, sequence: int, time: int, body: Any) -> bytes:
+        return encode(session, sequence, time, change(body) if isinstance(body, StateReport) else body)
+
+    rig.twin.firmware._codec.encode = changed  # type: ignore[method-assign]
+
+
+def put(name: str, place: int, value: float) -> Callable[[StateReport], StateReport]:
+    """Return what puts a value in place of one of six."""
+
+    def change(report: StateReport) -> StateReport:
+        values = list(getattr(report, name))
+        values[place] = value
+        return report._replace(**{name: tuple(values)})  # type: ignore[arg-type]
+
+    return change
+
+
+def repeated(*names: str) -> Callable[[StateReport], StateReport]:
+    """Return what says some values of the first report again and again."""
+    first: list[StateReport] = []
+
+    def change(report: StateReport) -> StateReport:
+        first.append(report)
+        return report._replace(**{name: getattr(first[0], name) for name in names})
+
+    return change
+
+
+def one_diode(report: StateReport, first: list[StateReport] = []) -> StateReport:  # noqa: B006 - the first one, kept
+    """Repeat what the second diode read first."""
+    first.append(report)
+    return report._replace(spots=(*report.spots[:2], *first[0].spots[2:4], *report.spots[4:]))
+
+
+NAN, INF = math.nan, math.inf
+DISBELIEVED: list[tuple[str, Callable[[StateReport], StateReport], Fault, int]] = [
+    *(
+        (f"valid {valid:03b}", lambda report, valid=valid: report._replace(valid=valid), Fault.SENSOR_OUT_OF_RANGE, 1)
+        for valid in (6, 5, 3, 0)
+    ),
+    *((f"spot {value}", put("spots", 3, value), Fault.SENSOR_OUT_OF_RANGE, 1) for value in (NAN, INF, -0.0121, 1e300)),
+    *((f"current {value}", put("currents", 4, value), Fault.COIL_OVERCURRENT, 1) for value in (NAN, -INF, 15.1, -15.1)),
+    *(
+        (f"temperature {value}", put("temperatures", 1, value), Fault.COIL_OVERTEMP, 1)
+        for value in (NAN, INF, 2.1, -0.02)
+    ),
+    ("all diodes frozen", repeated("spots"), Fault.SENSOR_FROZEN, 21),
+    ("one diode frozen", one_diode, Fault.SENSOR_FROZEN, 21),
+    ("counter stuck", repeated("conversions"), Fault.SENSOR_STOPPED, 2),
+]
+
+
+@pytest.mark.parametrize(
+    ("change", "fault", "within"), [case[1:] for case in DISBELIEVED], ids=[case[0] for case in DISBELIEVED]
+)
+def test_what_cannot_be_is_a_fault_by_name(
+    change: Callable[[StateReport], StateReport], fault: Fault, within: int
+) -> None:
+    rig = Rig(pose=CENTRE)
+    rig.plant.arm()
+    rig.fly(0.2)
+    tick = rig.twin.tick
+    doctored(rig, change)
+    with pytest.raises(DeviceFault) as caught:
+        rig.fly(1.0)
+    assert caught.value.faults == fault and "\n" not in str(caught.value)
+    assert rig.plant.samples.tick - tick <= within
+    assert rig.twin.firmware.faults == fault and rig.twin.firmware.state == State.FAULT
+    rig.currents()
+    assert rig.currents() == [0.0] * 6
+
+
+def test_a_device_of_smaller_current_is_held_to_the_hosts() -> None:
+    rig = Rig(pose=CENTRE, host={"limits": HostLimits(max_current=2.0)})
+    rig.plant.arm()
+    rig.fly(0.1)
+    doctored(rig, put("currents", 0, 3.1))
+    with pytest.raises(DeviceFault, match=r"COIL_OVERCURRENT: measured currents 3\.1, "):
+        rig.fly(0.1)
+
+
+@pytest.mark.parametrize("change", [case[1] for case in DISBELIEVED if "spot" not in case[0]])
+def test_a_device_that_is_not_flown_may_say_what_it_likes(change: Callable[[StateReport], StateReport]) -> None:
+    rig = Rig()
+    doctored(rig, change)
+    for _ in range(40):
+        rig.plant.read()
+    assert rig.plant.state == State.INACTIVE and not rig.plant.faults
+
+
+@pytest.mark.parametrize("missed", [1, 3])
+def test_lost_samples_are_no_speed(missed: int) -> None:
+    """Pushed to more than half of what trips; a gap makes the step look larger, not the speed."""
+    start = 0.25
+    hand = lambda tick, at, state: [8.0 * (start < at < start + 0.033), *[0.0] * 5]  # noqa: E731
+    gap = Impairment(blackouts=((start + 0.0315, start + 0.0315 + 0.005 * missed),))
+    rig = Rig(gap, pose=(-0.004, 0.0, 0.0, 0.0, 0.0, 0.0), hand=hand)
+    rig.plant.arm()
+    controller = Controller([Bias(WEIGHT)], period=0.005)
+    rig.fly(start + 0.031 + 0.005 * missed + 0.007, controller)
+    speeds = [math.hypot(*twist[:3]) for twist in rig.witness.twists]
+    assert rig.plant.samples.lost == missed and max(speeds) > 0.33
+    assert not rig.plant.faults and rig.plant._guard is not None
+
+
+def test_answers_that_no_coil_gets_warm_none() -> None:
+    rig = Rig()
+    for _ in range(100):
+        rig.plant.read()
+        rig.plant.write(Command(WEIGHT))
+    assert max(rig.plant.temperatures) == 0.0
+
+
+def test_samples_that_come_during_a_stop_are_read_after_it() -> None:
+    rig = Rig()
+    rig.plant.read()
+    rig.plant.estop()
+    for _ in range(3):
+        rig.plant.read()
+    assert rig.plant.samples.lost == 0 and rig.plant.samples.tick == rig.twin.tick
+
+
+def test_a_sample_from_before_a_stop_does_not_undo_it() -> None:
+    rig = Rig(Impairment(delay=0.012), pose=CENTRE)
+    rig.plant.arm()
+    rig.plant.read()
+    rig.plant._armed = False  # nobody flies: no fault is due
+    rig.plant.estop()
+    for _ in range(6):
+        rig.plant.read()
+        assert (rig.plant.state, rig.plant.faults) == (State.FAULT, Fault.ESTOP)

@@ -1,0 +1,259 @@
+"""Each guard and each limit by itself: what it finds, and what it lets pass."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from maglev_mj.bridge.calibration import Calibration
+from maglev_mj.bridge.safety import (
+    FlotorGuard,
+    HostLimits,
+    Limits,
+    OutputLimiter,
+    SpotGuard,
+    ThermalModel,
+    reading_fault,
+    weight_fault,
+)
+from maglev_mj.bridge.wire import Fault
+from maglev_mj.errors import ParameterError
+from maglev_mj.frames import Command
+from maglev_mj.scenes.parts import WEIGHT
+
+NONE = Fault(0)
+PERIOD = 0.005
+NAN, INF = math.nan, math.inf
+
+
+def moved(axis: int, amount: float, base: tuple[float, ...] = (0.0,) * 6) -> tuple[float, ...]:
+    """Return six numbers of which one is another."""
+    return tuple(amount if place == axis else value for place, value in enumerate(base))
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("axis", range(6))
+def test_a_flotor_beyond_its_envelope_is_found_on_every_axis(axis: int, sign: float) -> None:
+    limits = HostLimits()
+    most = sign * (limits.envelope if axis < 3 else limits.envelope_angle)
+    assert FlotorGuard(limits).check(moved(axis, 1.001 * most), PERIOD) == Fault.BOUNDARY
+    assert FlotorGuard(limits).check(moved(axis, 0.999 * most), PERIOD) == NONE
+
+
+def test_an_angle_about_several_axes_counts_as_one() -> None:
+    part = 0.6 * HostLimits().envelope_angle
+    assert FlotorGuard(HostLimits()).check((0.0, 0.0, 0.0, part, part, part), PERIOD) == Fault.BOUNDARY
+    assert FlotorGuard(HostLimits()).check((0.0, 0.0, 0.0, part, part, 0.0), PERIOD) == NONE
+
+
+@pytest.mark.parametrize("missed", [0, 1, 9])
+@pytest.mark.parametrize("axis", range(6))
+def test_speed_is_over_the_time_that_passed(axis: int, missed: int) -> None:
+    limits, elapsed = HostLimits(envelope=1.0, envelope_angle=3.0), PERIOD * (1 + missed)
+    most = elapsed * (limits.speed_limit if axis < 3 else limits.spin_limit)
+    for share, fault in ((0.99, NONE), (1.01, Fault.FLOTOR_OVERSPEED)):
+        guard = FlotorGuard(limits)
+        assert guard.check((0.0,) * 6, PERIOD) == NONE
+        assert guard.check(moved(axis, share * most), elapsed) == fault
+
+
+SPOTS = (1e-3, -2e-3, 3e-3, -4e-3, 5e-3, -6e-3)
+
+
+def watched(limits: Limits | None = None) -> SpotGuard:
+    """Return a guard that has seen one good sample."""
+    guard = SpotGuard(limits or Limits(), PERIOD)
+    assert guard.check(SPOTS, 7, 0, 1) == NONE
+    return guard
+
+
+@pytest.mark.parametrize("valid", range(7))
+def test_a_diode_that_is_not_valid_is_found(valid: int) -> None:
+    assert watched().check(SPOTS, valid, 1, 1) == Fault.SENSOR_OUT_OF_RANGE
+
+
+@pytest.mark.parametrize("value", [NAN, INF, -INF, 0.0121, -0.0121])
+@pytest.mark.parametrize("place", range(6))
+def test_a_spot_that_cannot_be_is_found(place: int, value: float) -> None:
+    guard = watched(Limits(spot_speed=100.0))
+    assert guard.check(moved(place, value, SPOTS), 7, 1, 1) == Fault.SENSOR_OUT_OF_RANGE
+    assert watched(Limits(spot_speed=100.0)).check(moved(place, math.copysign(0.0119, value), SPOTS), 7, 1, 1) == NONE
+
+
+@pytest.mark.parametrize("steps", [1, 2, 10])
+@pytest.mark.parametrize("place", range(6))
+def test_a_spots_speed_is_over_the_samples_that_passed(place: int, steps: int) -> None:
+    step = 0.4 * PERIOD * steps
+    shares = ((0.99, NONE), (-0.99, NONE), (1.01, Fault.FLOTOR_OVERSPEED), (-1.01, Fault.FLOTOR_OVERSPEED))
+    for share, fault in (*shares, (4.5, Fault.SENSOR_OUT_OF_RANGE)):
+        guard = watched(Limits(spot_speed=0.4, spot=0.1))
+        assert guard.check(moved(place, SPOTS[place] + share * step, SPOTS), 7, 1, steps) == fault
+
+
+@pytest.mark.parametrize("diodes", [(0,), (1,), (2,), (0, 1), (0, 2), (1, 2), (0, 1, 2)])
+def test_a_frozen_diode_is_found_whatever_the_others_do(diodes: tuple[int, ...]) -> None:
+    guard = watched(Limits(frozen=5))
+    found = []
+    for tick in range(1, 9):
+        spots = tuple(one if place // 2 in diodes else one + 1e-6 * tick for place, one in enumerate(SPOTS))
+        found.append(guard.check(spots, 7, tick, 1))
+    assert found == [NONE] * 4 + [Fault.SENSOR_FROZEN] * 4
+    guard = watched(Limits(frozen=5))
+    for tick in range(1, 30):  # one coordinate of each that lives is enough, and one reading that differs in four
+        spots = tuple(one + 1e-6 * (tick % 5 == 0) * (place % 2) for place, one in enumerate(SPOTS))
+        assert guard.check(spots, 7, tick, 1) == NONE
+    guard = watched(Limits(frozen=0))
+    assert {guard.check(SPOTS, 7, tick, 1) for tick in range(1, 100)} == {NONE}  # a sensor without noise
+
+
+def test_a_conversion_counter_that_stands_still_is_found_and_one_that_wraps_is_none() -> None:
+    guard = watched()
+    assert guard.check(SPOTS, 7, 0, 1) == Fault.SENSOR_STOPPED
+    assert guard.check(SPOTS, 7, 0xFFFFFFFF, 1) == NONE
+    assert guard.check(SPOTS, 7, 0, 1) == NONE
+    assert guard.check(SPOTS, 3, 0, 1) == Fault.SENSOR_STOPPED | Fault.SENSOR_OUT_OF_RANGE
+
+
+@pytest.mark.parametrize("place", range(6))
+def test_currents_and_temperatures_that_cannot_be_are_found(place: int) -> None:
+    limits, ones, cool = Limits(current=2.0), (1.0,) * 6, (0.1,) * 6
+    assert reading_fault(limits, ones, cool) == NONE
+    assert reading_fault(limits, (2.9,) * 6, (1.9,) * 6) == NONE  # however large together
+    for wrong in (NAN, INF, -INF, 3.01, -3.01):
+        assert reading_fault(limits, moved(place, wrong, ones), cool) == Fault.COIL_OVERCURRENT
+    for right in (2.99, -2.99):
+        assert reading_fault(limits, moved(place, right, ones), cool) == NONE
+    for wrong in (NAN, INF, -INF, 2.01, -0.011):
+        assert reading_fault(limits, ones, moved(place, wrong, cool)) == Fault.COIL_OVERTEMP
+    for right in (1.99, -0.009):
+        assert reading_fault(limits, ones, moved(place, right, cool)) == NONE
+    both = reading_fault(limits, moved(place, NAN, ones), moved(5 - place, 5.0, cool))
+    assert both == Fault.COIL_OVERCURRENT | Fault.COIL_OVERTEMP
+
+
+def heated(*segments: tuple[float, float]) -> float:
+    """Return how warm a cold coil gets by currents [A] for so long [s] each, by the default limits."""
+    warm = 0.0
+    for duration, current in segments:
+        goal = (current / 3.0) ** 2
+        warm = goal + (warm - goal) * math.exp(-duration / 10.0)
+    return warm
+
+
+def test_coils_warm_as_the_equation_says() -> None:
+    model = ThermalModel(Limits())
+    assert model.add([(0.5, [6.0] * 6), (0.25, [1.0] * 6)]) == pytest.approx(heated((0.5, 6.0), (0.25, 1.0)))
+
+
+@pytest.mark.parametrize("value", [NAN, INF, 1e200])
+def test_a_temperature_that_is_not_finite_is_not_cool(value: float) -> None:
+    model = ThermalModel(Limits())
+    assert model.add([(0.005, moved(3, value))]) == model.warmest == 1.0
+
+
+def limiter(**own: float) -> OutputLimiter:
+    """Return an output limiter of the nominal device."""
+    limits = HostLimits(**own)
+    return OutputLimiter(Calibration.nominal().coils, limits.narrowed(Limits()), limits.wrench, PERIOD)
+
+
+@pytest.mark.parametrize("width", [0.001, 0.005, 0.0123])
+def test_pulses_warm_the_coils_however_long_they_are(width: float) -> None:
+    output, held, pulsed = limiter(), [1.0] * 6, [8.0] * 6
+    output.passed(held, pulsed, width)
+    for _ in range(3):
+        output.stay(1, held)
+    rest = 4 * PERIOD - width
+    assert output.thermal.warmest == pytest.approx(heated((width, 8.0), (rest, 1.0)), rel=1e-9)
+
+
+def test_periods_without_an_answer_warm_the_coils_too() -> None:
+    output = limiter()
+    output.passed([5.0] * 6, None, 0.0)
+    output.stay(7, [5.0] * 6)
+    assert output.thermal.warmest == pytest.approx(heated((8 * PERIOD, 5.0)), rel=1e-9)
+
+
+@pytest.mark.parametrize("axis", range(6))
+def test_the_hosts_own_limits_hold_for_force_torque_and_pulse(axis: int) -> None:
+    output = limiter(force_limit=9.0, torque_limit=0.02)
+    most = 9.0 if axis < 3 else 0.02
+    for sign in (1.0, -1.0):
+        asked = moved(axis, sign * 1000.0)
+        applied, _, _, _ = output.currents(Command(asked), (0.0,) * 6)
+        assert applied.force == pytest.approx(moved(axis, sign * most), abs=1e-9)
+        applied, _, pulsed, _ = output.currents(Command((0.0,) * 6, asked, 0.001), (0.0,) * 6)
+        assert applied.extra == pytest.approx(moved(axis, sign * most), abs=1e-9) and pulsed is not None
+
+
+@pytest.mark.parametrize("turn", [(0.0, 0.0, 0.0), (0.1, -0.05, 0.08)])
+def test_the_smaller_current_counts(turn: tuple[float, ...]) -> None:
+    for own, device, most in ((2.0, 10.0, 2.0), (20.0, 10.0, 10.0)):
+        limits = HostLimits(max_current=own).narrowed(Limits(current=device, hover=3.0))
+        assert (limits.current, limits.hover) == (most, min(most, 3.0))
+        output = OutputLimiter(Calibration.nominal().coils, limits, None, PERIOD)
+        pose = (0.0, 0.0, 0.0, *turn)
+        _, held, pulsed, _ = output.currents(Command((50.0, -30.0, 500.0, 0.5, 1.0, -1.0), (100.0,) * 6, 0.002), pose)
+        assert pulsed is not None and np.abs([held, pulsed]).max() == pytest.approx(most)
+    assert HostLimits(continuous_current=1.5).narrowed(Limits()).continuous_current == 1.5
+    assert HostLimits(continuous_current=9.0).narrowed(Limits()).continuous_current == Limits().continuous_current
+    assert HostLimits().narrowed(Limits()) == Limits()
+
+
+def test_what_does_not_carry_the_weight_is_said_with_the_numbers() -> None:
+    hover, weight = Calibration.nominal().hover.tolist(), WEIGHT[2]
+
+    def said(limits: Limits | None = None, **own: float) -> str:
+        made = HostLimits(**own)
+        return weight_fault(weight, hover, made, made.narrowed(limits or Limits()))
+
+    assert said() == said(max_current=1.45, force_limit=8.7) == ""
+    assert "max_current must be at least 1.43 A, not 1.3: hovering needs 1.14 A" in said(max_current=1.3)
+    assert "max_current must be at least 1.43 A, not 1: " in said(Limits(current=1.0))
+    assert "force_limit must be above 8.58 N, not 8: the weight is 6.87 N" in said(force_limit=8.0)
+    assert "hover limit must be at least 1.14 A, which carries the weight, not 1.1" in said(Limits(hover=1.1))
+    assert "hover limit must be at least 1.14 A" in said(continuous_current=1.0)
+
+
+def test_a_profile_is_read_from_a_file(tmp_path: Path) -> None:
+    path = tmp_path / "profile.json"
+    limits = HostLimits(max_current=3.0, force_limit=12.0, envelope=0.003, speed_limit=0.2)
+    path.write_text(json.dumps(limits.as_json()))
+    assert HostLimits.load(path) == limits
+    path.write_text('{"max_current": 2}')
+    assert HostLimits.load(path) == HostLimits(max_current=2.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ('{"max_current": -1}', "max_current must be a finite number above 0, not -1"),
+        ('{"max_current": "3"}', "max_current must be a finite number above 0, not '3'"),
+        ('{"envelope": NaN}', "envelope must be a finite number above 0, not nan"),
+        ('{"speed": 1}', "parameter must be one of max_current, .*, not 'speed'"),
+        ("[1, 2]", r"must be a JSON object of limits by name, not \[1, 2\]"),
+        ("{", "is not JSON"),
+        ("[" * 100_000, "is not JSON"),
+        (b"\xff", "is not JSON"),
+        (None, "cannot be read: No such file"),
+    ],
+)
+def test_a_profile_that_is_none_is_one_line(text: str | bytes | None, says: str, tmp_path: Path) -> None:
+    path = tmp_path / "profile.json"
+    if text is not None:
+        path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    with pytest.raises(ParameterError, match=says) as caught:
+        HostLimits.load(path)
+    assert "profile.json" in str(caught.value) and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("one", HostLimits.parameters(), ids=lambda one: one.name)
+def test_the_hosts_limits_are_above_zero(one: Any) -> None:
+    for value in (0.0, -1.0, NAN, INF, "1", True):
+        with pytest.raises(ParameterError, match=f"{one.name} must be a finite number above 0, not"):
+            HostLimits.from_json({one.name: value})

@@ -1,0 +1,383 @@
+"""What ends a flight: Ctrl-C once and twice, SIGTERM, SIGHUP, a window's key; and how soon the currents are zero."""
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+from unittest.mock import Mock
+
+import numpy as np
+import pytest
+
+from maglev_mj.bridge import DeviceFault, Fault, RemotePlant, State, Twin, TwinParameters
+from maglev_mj.bridge.flight import Flight, StopSwitch
+from maglev_mj.bridge.realtime import stopping
+from maglev_mj.bridge.safety import Limits
+from maglev_mj.bridge.simulated_links import VirtualLink
+from maglev_mj.bridge.twin import TwinServer
+from maglev_mj.errors import PlantError
+from maglev_mj.net.udp import UdpServer
+from maglev_mj.scenes.joystick import Joystick
+from maglev_mj.session import Snapshot
+from tests.test_bridge_processes import said_by
+
+COMMAND = [sys.executable, "-m", "maglev_mj.cli"]
+ZERO_CURRENT = 1e-9
+
+pytestmark = pytest.mark.xdist_group("realtime")
+
+
+class Moment(NamedTuple):
+    """A sample of the twin: when, its state, faults, largest current [A], and height [m]."""
+
+    time: float
+    state: State
+    faults: Fault
+    current: float
+    height: float
+
+
+class Watched:
+    """A twin in this process, and every sample of it."""
+
+    def __init__(self, **options: Any) -> None:
+        self.twin = Twin(TwinParameters(limits=Limits(watchdog=1.0), **options))
+        self.server = TwinServer(self.twin, UdpServer("127.0.0.1", 0))
+        self.moments: list[Moment] = []
+        self._thread = threading.Thread(target=self.server.run, kwargs={"each": self._look})
+
+    def _look(self) -> None:
+        firmware = self.twin.firmware
+        current = float(np.abs(self.twin.plant.currents).max())
+        self.moments.append(Moment(time.monotonic(), firmware.state, firmware.faults, current, self.twin.pose[2]))
+
+    def __enter__(self) -> "Watched":
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.server.stop()
+        self._thread.join()
+        self.server.close()
+
+    @property
+    def address(self) -> str:
+        return "udp://{}:{}".format(*self.server.address)
+
+    @property
+    def last(self) -> Moment:
+        return self.moments[-1]
+
+    def until(self, so: Callable[[], bool], patience: float = 30.0) -> float:
+        """Wait until something is so; return when it was seen."""
+        end = time.monotonic() + patience
+        while not so():
+            assert time.monotonic() < end, "waited in vain"
+            time.sleep(0.001)
+        return time.monotonic()
+
+    def flown(self, seconds: float) -> None:
+        """Wait until the device has been active for so long, by its own time."""
+        ticks = round(seconds / self.twin.parameters.period)
+        self.until(lambda: sum(one.state == State.ACTIVE for one in list(self.moments)) >= ticks)
+
+    def cut_after(self, when: float) -> float:
+        """Return how long after an instant the currents were zero for good [s]."""
+        flowing = [one.time for one in self.moments if one.time > when and one.current > ZERO_CURRENT]
+        after = flowing[-1] if flowing else when
+        return next(one.time for one in self.moments if one.time > after) - when
+
+
+@contextmanager
+def flight(twin: Watched, folder: Path, *options: str) -> Iterator[subprocess.Popen[str]]:
+    with program([*within(60.0), "bridge", twin.address, "--out", str(folder), *options]) as child:
+        yield child
+
+
+def within(seconds: float) -> list[str]:
+    """Return the command line with another time to land: a busy machine takes its own."""
+    text = f"import sys; from maglev_mj.cli import bridge, main; bridge.LANDING_TIME = {seconds}; sys.exit(main())"
+    return [sys.executable, "-c", text]
+
+
+@contextmanager
+def program(command: Sequence[str]) -> Iterator[subprocess.Popen[str]]:
+    child = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    try:
+        yield child
+    finally:
+        child.kill()
+        child.communicate()
+
+
+LANDING = [(signal.SIGINT, at) for at in (0.02, 0.3, 0.58, 1.0)]
+LANDING += [(kind, at) for kind in (signal.SIGTERM, signal.SIGHUP) for at in (0.3, 1.0)]
+
+
+@pytest.mark.parametrize(("kind", "at"), LANDING, ids=[f"{kind.name}-{at}" for kind, at in LANDING])
+def test_the_first_signal_lands_at_any_time_of_takeoff_and_flight(
+    kind: signal.Signals, at: float, tmp_path: Path
+) -> None:
+    record = tmp_path / "run.npz"
+    with Watched() as twin, flight(twin, tmp_path, "--record", str(record)) as host:
+        twin.flown(at)
+        sent = time.monotonic()
+        host.send_signal(kind)
+        said, _ = host.communicate(timeout=30)
+        after = twin.cut_after(sent)
+        print(f"{kind.name} at {at} s: {after * 1e3:.0f} ms to zero current")
+    assert host.returncode == 0, said
+    assert (twin.last.state, twin.last.faults) == (State.INACTIVE, Fault(0))
+    assert after > 0.5
+    # from where it is, not from the centre
+    assert max(one.height for one in twin.moments) < (-0.002 if at < 0.1 else 1e-4)
+    assert abs(twin.twin.pose[2] + 0.0045) < 1e-4  # it lies where it lay
+    assert record.exists() == (at > 0.6), said
+
+
+TWICE = [(at, gap) for at in (0.02, 0.3, 1.0) for gap in (0.05, 0.4)]
+
+
+@pytest.mark.parametrize(("at", "gap"), TWICE)
+def test_a_second_ctrl_c_cuts_now(at: float, gap: float, tmp_path: Path) -> None:
+    record = tmp_path / "run.npz"
+    with Watched() as twin, flight(twin, tmp_path, "--record", str(record)) as host:
+        twin.flown(at)
+        host.send_signal(signal.SIGINT)
+        time.sleep(gap)
+        sent = time.monotonic()
+        host.send_signal(signal.SIGINT)
+        said, _ = host.communicate(timeout=30)
+        after = twin.cut_after(sent)
+        print(f"twice, at {at} s and {gap} s later: {after * 1e3:.1f} ms to zero current")
+    assert host.returncode == 1 and "ESTOP" in said, said
+    assert (twin.last.state, twin.last.faults) == (State.FAULT, Fault.ESTOP)
+    assert after < 0.5  # where nothing else runs 2 to 13 ms
+    assert record.exists() == (at > 0.6), said
+    (box,) = tmp_path.glob("maglev-fault-*.json")
+    assert json.loads(box.read_text())["faults"] == "ESTOP"
+
+
+def test_landing_is_asked_for_and_cut_like_the_rest(tmp_path: Path) -> None:
+    """In a landing that has begun by itself, the first Ctrl-C changes nothing, and the second cuts."""
+    for times, faults in ((1, Fault(0)), (2, Fault.ESTOP)):
+        with Watched() as twin, flight(twin, tmp_path, "--seconds", "0.2") as host:
+            twin.flown(1.0)
+            for _ in range(times):
+                host.send_signal(signal.SIGINT)
+                time.sleep(0.05)
+            said, _ = host.communicate(timeout=30)
+        assert (host.returncode, twin.last.faults) == (1 if faults else 0, faults), said
+
+
+def test_a_landing_that_takes_too_long_is_cut_at_the_stated_time(tmp_path: Path) -> None:
+    with Watched() as twin:
+        with program([*within(0.25), "bridge", twin.address, "--out", str(tmp_path)]) as host:
+            twin.flown(1.0)
+            sent = time.monotonic()
+            host.send_signal(signal.SIGTERM)
+            said, _ = host.communicate(timeout=30)
+        after = twin.cut_after(sent)
+    assert host.returncode == 1 and twin.last.faults == Fault.ESTOP, said
+    assert after > 0.24
+
+
+def test_identification_lands_when_asked_to_and_writes_nothing(tmp_path: Path) -> None:
+    for kind, at in ((signal.SIGINT, 0.3), (signal.SIGHUP, 1.2)):
+        with Watched() as twin, flight(twin, tmp_path, "--identify", str(tmp_path / "found.json")) as host:
+            twin.flown(at)
+            host.send_signal(kind)
+            said, _ = host.communicate(timeout=30)
+        assert host.returncode == 1 and "samples: nothing is written" in said, said
+        assert (twin.last.state, twin.last.faults) == (State.INACTIVE, Fault(0))
+        assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP], ids=lambda kind: kind.name)
+def test_a_handshake_is_given_up_at_once(kind: signal.Signals, tmp_path: Path) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as deaf:
+        deaf.bind(("127.0.0.1", 0))
+        deaf.settimeout(30.0)
+        address = f"udp://127.0.0.1:{deaf.getsockname()[1]}"
+        with program([*COMMAND, "bridge", address, "--record", str(tmp_path / "run.npz")]) as host:
+            deaf.recv(4096)  # a hello
+            host.send_signal(kind)
+            said, _ = host.communicate(timeout=30)
+            assert host.returncode == 130 and said == "maglev-mj bridge: stopped\n"
+
+
+def test_hangups_that_nohup_ignores_stay_ignored(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[int] = []
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with stopping(lambda: asked.append(1)):
+            os.kill(os.getpid(), signal.SIGHUP)
+            time.sleep(0.05)
+    finally:
+        signal.signal(signal.SIGHUP, before)
+    assert not asked
+
+
+@pytest.mark.parametrize("first", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP], ids=lambda kind: kind.name)
+@pytest.mark.parametrize("then", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP], ids=lambda kind: kind.name)
+def test_only_ctrl_c_cuts(first: signal.Signals, then: signal.Signals) -> None:
+    told: list[str] = []
+    handlers = [signal.getsignal(kind) for kind in (first, then)]
+    with stopping(lambda: told.append("land"), lambda: told.append("cut")):
+        for kind in (first, then, then):
+            os.kill(os.getpid(), kind)
+            time.sleep(0.01)
+    assert told == ["land", *["cut"] * (2 * (then == signal.SIGINT))]
+    assert [signal.getsignal(kind) for kind in (first, then)] == handlers
+
+
+def test_time_cuts_once_and_is_over_with_the_flight() -> None:
+    told: list[str] = []
+    with stopping(lambda: told.append("land"), lambda: told.append("cut"), within=0.05):
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(0.2)
+    assert told == ["land", "cut"]
+    with stopping(lambda: told.append("land"), lambda: told.append("cut"), within=0.05):
+        os.kill(os.getpid(), signal.SIGTERM)
+    time.sleep(0.1)
+    assert told == ["land", "cut", "land"]
+
+
+class Keys:
+    """A window whose key is pressed at a sample of the flight's."""
+
+    def __init__(self, switch: StopSwitch, plant: RemotePlant, at: int) -> None:
+        self._switch, self._plant, self._at = switch, plant, at
+
+    def take(self) -> None:
+        if self._plant.samples.tick >= self._at:
+            self._switch.cut()
+
+    def show(self, snapshot: Snapshot) -> None: ...
+
+    def close(self) -> None: ...
+
+
+AT = {"takeoff": 80, "flight": 200, "landing": 480}
+
+
+@pytest.mark.parametrize("phase", AT)
+def test_a_windows_key_cuts_in_every_phase(phase: str, tmp_path: Path) -> None:
+    twin = Twin(TwinParameters(), draw=lambda: 7)
+    with RemotePlant(VirtualLink(twin), folder=tmp_path) as plant:
+        switch, before = StopSwitch(), plant.read().tick
+        scene = Joystick(period=plant.period, delay=plant.delay)
+        keys = Keys(switch, plant, before + AT[phase])
+        flown = Flight(plant, scene, switch=switch, publishers=[keys])
+        with pytest.raises(DeviceFault, match="ESTOP: asked for; the last cycles are in"):
+            flown.run(1.5)
+        assert (twin.firmware.state, twin.firmware.faults) == (State.FAULT, Fault.ESTOP)
+        assert plant.samples.tick - before - AT[phase] <= 3
+        assert not twin.plant.currents.any()
+
+
+def test_a_cut_is_one_interrupt_and_none_where_nobody_flies() -> None:
+    switch, cut = StopSwitch(), Mock(disarmed=False)
+    switch.cut()
+    assert switch.landing and not cut.mock_calls
+    switch = StopSwitch()
+    with pytest.raises(DeviceFault), switch.flying(cut):
+        cut.read.side_effect = DeviceFault(Fault.ESTOP, "asked for", None)
+        with pytest.raises(KeyboardInterrupt):
+            switch.cut()
+        switch.cut()  # the second of two that come together
+        raise KeyboardInterrupt
+    switch.cut()
+    assert [call[0] for call in cut.mock_calls] == ["estop", "read"]
+
+
+def test_a_flight_whose_currents_are_off_is_not_cut_any_more() -> None:
+    twin = Twin(TwinParameters(), draw=lambda: 7)
+    with RemotePlant(VirtualLink(twin)) as plant:
+        switch, disarm = StopSwitch(), plant.disarm
+
+        def disarmed() -> None:
+            disarm()
+            switch.cut()  # while it looks at how the flotor lies
+
+        plant.disarm = disarmed  # type: ignore[method-assign]
+        flown = Flight(plant, Joystick(period=plant.period, delay=plant.delay), switch=switch)
+        assert flown.run(0.2).landing.at_rest
+    assert not twin.firmware.faults
+
+
+def test_a_cut_before_takeoff_says_what_is_latched() -> None:
+    twin = Twin(TwinParameters(), draw=lambda: 7)
+    with RemotePlant(VirtualLink(twin)) as plant:
+        switch = StopSwitch()
+        with pytest.raises(KeyboardInterrupt, match="stopped before takeoff; ESTOP is latched"), switch.flying(plant):
+            switch.cut()
+    assert twin.firmware.faults == Fault.ESTOP
+
+
+def test_a_flight_that_is_to_land_before_it_begins_never_arms() -> None:
+    twin = Twin(TwinParameters(), draw=lambda: 7)
+    with RemotePlant(VirtualLink(twin)) as plant:
+        flown = Flight(plant, Joystick(period=plant.period, delay=plant.delay))
+        flown.switch.land()
+        with pytest.raises(KeyboardInterrupt):
+            flown.run(1.0)
+    assert twin.firmware.answered is None
+
+
+def test_a_stop_that_is_not_confirmed_says_to_cut_the_power(monkeypatch: pytest.MonkeyPatch) -> None:
+    twin = Twin(TwinParameters(), draw=lambda: 7)
+    with RemotePlant(VirtualLink(twin)) as plant:
+        flown = Flight(plant, Joystick(period=plant.period, delay=plant.delay))
+        monkeypatch.setattr(twin, "receive", lambda *_: None)  # deaf from now on
+        with pytest.raises(PlantError, match="cut the power"), flown.switch.flying(plant):
+            flown.switch.cut()
+
+
+@pytest.mark.parametrize("at", [0.2, 1.0])
+def test_estop_stops_whoever_flies_and_the_way_on_is_reset(at: float, tmp_path: Path) -> None:
+    with Watched() as twin, flight(twin, tmp_path) as host:
+        twin.flown(at)
+        status, said = said_by("estop", twin.address)
+        assert status == 0 and "stopped: ESTOP, no current" in said
+        told, _ = host.communicate(timeout=30)
+        assert host.returncode == 1 and "ESTOP: said by the device" in told
+        status, said = said_by("bridge", twin.address, "--seconds", "0.2", "--out", str(tmp_path))
+        assert status == 1 and "no takeoff: the device is FAULT, faults ESTOP" in said
+        status, said = said_by("bridge", twin.address, "--reset")
+        assert status == 0 and "ESTOP: an emergency stop was asked for" in said and " s ago" in said
+        twin.until(lambda: twin.last.state == State.INACTIVE)
+        time.sleep(1.0)
+        assert twin.last.state == State.INACTIVE and not twin.last.current
+        status, said = said_by("bridge", twin.address, "--reset")
+        assert status == 0 and "no fault is latched; the device is inactive" in said
+    (box,) = tmp_path.glob("maglev-fault-*.json")
+    status, said = said_by("fault", str(box), "--out", str(tmp_path / "pictures"))
+    assert status == 0 and "faults ESTOP" in said and "the last 20 of " in said
+    assert max(map(len, said.splitlines()[:-1])) <= 100
+    assert len(said.splitlines()) < 30 < len(said_by("fault", str(box), "--all")[1].splitlines())
+    assert list((tmp_path / "pictures").glob("*.png"))
+
+
+def test_estop_that_is_not_confirmed_is_a_failure(tmp_path: Path) -> None:
+    key = tmp_path / "key"
+    key.write_text("a7" * 16)
+    status, said = said_by("estop", "udp://127.0.0.1:9")
+    assert status == 1 and "not confirmed: cut the power (no answer within 1" in said
+    with Watched() as twin:  # it has no key, so it knows no tag
+        status, said = said_by("estop", twin.address, "--key", str(key))
+        assert status == 1 and "not confirmed: cut the power" in said
+        assert twin.last.state == State.INACTIVE
+    for wrong in ("127.0.0.1:5678", "udp://192.0.2.1:5678"):
+        status, said = said_by("estop", wrong)
+        assert status == 2 and said.count("\n") == 1
+    status, said = said_by("estop", "serial:///nowhere?baud=115200")
+    assert status == 1 and "not confirmed: cut the power" in said and said.count("\n") == 1
