@@ -108,6 +108,13 @@ def test_a_sensor_in_doubt_is_not_taken_off_with(kind: str, says: str) -> None:
     assert "\n" not in str(caught.value) and rig.twin.firmware.state == State.INACTIVE
 
 
+def test_a_sensor_in_doubt_at_the_last_sample_counts() -> None:
+    rig = Rig(faults=[InjectedFault(kind="invalid-diode", which=1, at=0.1)])
+    with pytest.raises(PlantError, match="no takeoff: SENSOR_OUT_OF_RANGE"):
+        rig.plant.takeoff()
+    assert rig.twin.tick == 20
+
+
 def test_where_no_pose_is_found_there_is_no_takeoff() -> None:
     rig = Rig()
     rig.plant.read()
