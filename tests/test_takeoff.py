@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -20,6 +21,12 @@ from maglev_mj.errors import PlantError
 from maglev_mj.frames import Sample
 from maglev_mj.scenes.parts import WEIGHT
 from tests.test_bridge import BAD, BAD_REACH, CENTRE, Rig, hover
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the files with the last cycles go to a folder of their own."""
+    monkeypatch.chdir(tmp_path)
+
 
 RATES = [0.005, 0.001, 0.00025]
 
