@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -21,6 +22,12 @@ from maglev_mj.errors import PlantError
 from maglev_mj.frames import Sample
 from maglev_mj.scenes.parts import WEIGHT
 from tests.test_bridge import BAD, BAD_REACH, CENTRE, Rig, hover
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the files with the last cycles go to a folder of their own."""
+    monkeypatch.chdir(tmp_path)
+
 
 RATES = [0.005, 0.001, 0.00025]
 
@@ -107,6 +114,13 @@ def test_a_sensor_in_doubt_is_not_taken_off_with(kind: str, says: str) -> None:
     with pytest.raises(PlantError, match=f"no takeoff: {says}") as caught:
         rig.plant.takeoff()
     assert "\n" not in str(caught.value) and rig.twin.firmware.state == State.INACTIVE
+
+
+def test_a_sensor_in_doubt_at_the_last_sample_counts() -> None:
+    rig = Rig(faults=[InjectedFault(kind="invalid-diode", which=1, at=0.1)])
+    with pytest.raises(PlantError, match="no takeoff: SENSOR_OUT_OF_RANGE"):
+        rig.plant.takeoff()
+    assert rig.twin.tick == 20
 
 
 def test_where_no_pose_is_found_there_is_no_takeoff() -> None:
