@@ -65,7 +65,7 @@ class Limits(Parameters):
     watchdog: float = param("longest wait for a command", "s", default=0.05, at_least=1e-3, at_most=10.0)
     enable: float = param("longest pause of the enable line", "s", default=0.01, at_least=1e-5, at_most=10.0)
     hover: float = param("in ARM", "A", default=Spec.continuous_current.value, at_least=0.0, at_most=100.0)
-    frozen: int = param("equal readings that noise rules out; 0: no noise", default=20, at_least=0, at_most=1_000_000)
+    frozen: int = param("equal readings that noise rules out; 0: no noise", default=30, at_least=0, at_most=1_000_000)
 
 
 class HostLimits(Parameters):
