@@ -258,7 +258,7 @@ GUARDS: list[tuple[str, Any, str, str, str]] = [
     ("bye", F, "_control", "last.operation == Operation.BYE", "False"),
     ("bye", F, "_do", "if self.state == State.ACTIVE:", "if True:"),
     # frames
-    ("magic", C, "_reason", "data[0] != MAGIC & 0xFF or data[1] != MAGIC >> 8", "False"),
+    ("magic", C, "_reason", "data[:2] != _MAGIC", "False"),
     ("crc", C, "_reason", "zlib.crc32(data) != _SEALED", "False"),
     ("frame-version", C, "_reason", "data[2] != VERSION", "False"),
     ("frame-version", F, "receive", " and data[3] == _HELLO", ""),
