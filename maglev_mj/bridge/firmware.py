@@ -7,20 +7,9 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
 
-from maglev_mj.bridge.safety import OFF, WARNING_RISE, CoilGuard, Limits, SpotGuard, ThermalModel, command_fault
 from maglev_mj.bridge import wire
-from maglev_mj.bridge.wire import (
-    Codec,
-    Command,
-    Control,
-    ControlAck,
-    Estop,
-    Fault,
-    HelloStatus,
-    Operation,
-    State,
-    newer,
-)
+from maglev_mj.bridge.safety import OFF, WARNING_RISE, CoilGuard, Limits, SpotGuard, ThermalModel, command_fault
+from maglev_mj.bridge.wire import Codec, Command, Control, Estop, Fault, HelloStatus, Operation, State, newer
 from maglev_mj.frames import ZERO
 from maglev_mj.parameters import flag
 
@@ -95,7 +84,7 @@ class Firmware:
         self.peer: Any = None
         self.session = 0
         self._nonce, self._heard, self._sequence = 0, 0, 0
-        self._acknowledgement: ControlAck | None = None
+        self._acknowledgement: wire.ControlAck | None = None
         self._hover: Sequence[float] = ZERO
         self._commanded_at, self._answers, self._holding, self._sampled = 0, _NEVER, False, 0
         self._thermal = ThermalModel(profile.limits)
@@ -253,7 +242,7 @@ class Firmware:
                 return None
             self._heard = now
             result = 0 if self._do(control, now) else wire.Result.REFUSED
-            last = self._acknowledgement = ControlAck(control.request, control.operation, result, 0, 0)
+            last = self._acknowledgement = wire.ControlAck(control.request, control.operation, result, 0, 0)
         answer = self._codec.encode(self.session, 0, now, last._replace(state=self.state, faults=self.faults))
         if last.operation == Operation.BYE:
             self.session, self.peer = 0, None
