@@ -330,7 +330,7 @@ GUARDS: list[tuple[str, Any, str, str, str]] = [
     # all frames
     ("samples", F, "trip", "self.state, self.faults = State.FAULT, self.faults | faults", "self.faults |= faults"),
     ("cut", F, "trip", "self._amplifiers.cut()", "pass"),
-    ("samples", F, "sample", "reading.conversions &", "7 &"),
+    ("samples", F, "sample", "conversions &", "7 &"),
     ("frames", F, "sample", "self._codec.encode(self.session, tick", "self._codec.encode(self.session + 1, tick"),
     # in flight
     ("bad-line", C, "_reason", "zlib.crc32(data) != _SEALED", "False"),

@@ -136,18 +136,18 @@ class Firmware:
 
         Sensors raise no fault outside the active state: an idle device may be opened and turned over.
         """
+        spots, valid, measured, commanded, segments, conversions, enabled = reading
         steps, self._sampled = (tick - self._sampled) & 0xFFFFFFFF, tick & 0xFFFFFFFF
-        self._sampled_at, self._measured = now, reading.measured
-        warmest = self._thermal.add(reading.segments)
-        faults = Fault.COIL_OVERTEMP if warmest >= 1.0 else Fault(0)
+        self._sampled_at, self._measured = now, measured
+        faults = Fault.COIL_OVERTEMP if self._thermal.add(segments) >= 1.0 else Fault(0)
         if self.state == State.ACTIVE:
-            faults |= self._coils.check(reading.commanded, reading.measured)
-            faults |= self._spots.check(reading.spots, reading.valid, reading.conversions, steps)
-            self._disabled = 0 if reading.enabled else self._disabled + 1
+            faults |= self._coils.check(commanded, measured)
+            faults |= self._spots.check(spots, valid, conversions, steps)
+            self._disabled = 0 if enabled else self._disabled + 1
             if self._disabled > 1:
                 faults |= Fault.WATCHDOG
             faults |= self._waited(now, faults)
-        elif self._off.check(ZERO, reading.measured):
+        elif self._off.check(ZERO, measured):
             faults |= Fault.COIL_NOT_OFF
         if faults:
             self.trip(faults, now)
@@ -156,19 +156,10 @@ class Firmware:
         if self.session == 0:
             return None
         age = min(max(now - self._commanded_at, 0) // 1000, _NEVER - 1) if self._answers != _NEVER else _NEVER
-        report = wire.StateReport(
-            tuple(reading.spots),
-            tuple(reading.measured),
-            tuple(self._thermal.rises),
-            self.state,
-            reading.valid,
-            wire.Flag.HOLDING * self._holding | wire.Flag.ENABLED * reading.enabled,
-            self.faults,
-            self._answers,
-            age,
-            reading.conversions & 0xFFFFFFFF,
-        )
-        return self._codec.encode(self.session, tick, now, report)
+        flags = wire.Flag.HOLDING * self._holding | wire.Flag.ENABLED * enabled
+        sixes, count = (tuple(spots), tuple(measured), tuple(self._thermal.rises)), conversions & 0xFFFFFFFF
+        body = wire.StateReport(*sixes, self.state, valid, flags, self.faults, self._answers, age, count)
+        return self._codec.encode(self.session, tick, now, body)
 
     def trip(self, faults: Fault, now: int) -> None:
         """Cut the currents and latch faults at an instant [ns]."""

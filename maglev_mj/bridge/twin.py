@@ -163,7 +163,7 @@ class Twin:
         *,
         key: bytes | None = None,
         hand_force: HandForce | None = None,
-        draw: Callable[[], int] | None = None,
+        draw: Callable[[], int] = lambda: secrets.randbelow(2**32 - 1) + 1,
     ) -> None:
         self.parameters = parameters
         truth = parameters.truth or parameters.calibration
@@ -172,9 +172,7 @@ class Twin:
         self._offsets: list[float] | None = truth.spot_offsets.tolist() if truth.spot_offsets.any() else None
         self.codec = Codec(key)
         self.board = AmplifierBoard(self.plant, parameters)
-        self.firmware = Firmware(
-            parameters.profile, self.board, self.codec, draw or (lambda: secrets.randbelow(2**32 - 1) + 1)
-        )
+        self.firmware = Firmware(parameters.profile, self.board, self.codec, draw)
         self.tick = -1
         self._period = parameters.profile.period
         self._waiting = sorted(parameters.faults, key=lambda one: one.at)
@@ -212,9 +210,9 @@ class Twin:
         spots: Sequence[float] = self._read(position)
         if self._offsets is not None:
             spots = [spot + offset for spot, offset in zip(spots, self._offsets)]
-        currents = self.plant.currents.tolist()
-        told = self.board.commanded(currents) if self.board.stuck else currents
-        reading = Reading(spots, _ALL, currents, told, self.plant.segments, self.tick + 1, self.board.enabled)
+        currents, board = self.plant.currents.tolist(), self.board
+        told = board.commanded(currents) if board.stuck else currents
+        reading = Reading(spots, _ALL, currents, told, self.plant.segments, self.tick + 1, board.enabled)
         if self._waiting:
             self._begin(reading)
         for effect, which, first in self._live:
@@ -295,19 +293,17 @@ class TwinServer:
     Args:
         twin: The device.
         server: Where hosts reach it; closed with the server.
-        spin: How long to poll rather than sleep in lockstep [s]: quick where a processor is free for it.
 
     Attributes:
         address: Where hosts reach it.
         missed: See `ServerReport`.
     """
 
-    def __init__(self, twin: Twin, server: Server, *, spin: float = 0.0) -> None:
-        self.twin, self._server, self._spin = twin, server, spin
+    def __init__(self, twin: Twin, server: Server) -> None:
+        self.twin, self._server = twin, server
         self._lockstep, self._period = twin.parameters.lockstep, twin.firmware.profile.period
         self.address: Address = server.address
-        self.missed = 0
-        self.latency = LatencyHistogram()
+        self.missed, self.latency = 0, LatencyHistogram()
         self._waiting: deque[tuple[bytes, Address]] = deque()
         self._zero = self._deadline = 0
         self._stopped = threading.Event()
@@ -367,9 +363,8 @@ class TwinServer:
         twin, clock = self.twin, time.monotonic_ns
         asked = clock()
         patience, again = asked + round(_LET_GO * 1e9), asked + round(_AGAIN * 1e9)
-        spun = asked + round(self._spin * 1e9)
         while not twin.answered and twin.firmware.session and not self._stopped.is_set():
-            self._hear(0.0 if clock() < spun else _AGAIN)
+            self._hear(_AGAIN)
             if twin.answered:
                 return
             now = clock()
