@@ -12,6 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from bench_bridge import histogram
 from maglev_mj import cli
 from maglev_mj.bridge import RemotePlant, Twin, TwinParameters
 from maglev_mj.bridge.flight import LINE_TIME, Flight, LoopTiming, delay_check, expected_delay
@@ -142,13 +143,13 @@ def test_lateness_keeps_the_last_and_the_worst_of_all() -> None:
     assert latency.p50 == pytest.approx(np.percentile(kept, 50.0))
     assert latency.p99 == pytest.approx(np.percentile(kept, 99.0))
     assert latency.max == pytest.approx(7e-3)
-    assert latency.histogram().startswith("latency of the last 100 of 251: p50 201 µs, p99 249 µs, max 7 ms\n")
+    assert histogram(latency).startswith("latency of the last 100 of 251: p50 201 µs, p99 249 µs, max 7 ms\n")
 
 
 def test_no_lateness_is_no_number() -> None:
     latency = LatencyHistogram(3)
     assert math.isnan(latency.p50) and math.isnan(latency.p99) and math.isnan(latency.max)
-    assert latency.histogram() == "latency: none yet"
+    assert histogram(latency) == "latency: none yet"
     with pytest.raises(ParameterError, match="size"):
         LatencyHistogram(0)
 
@@ -158,7 +159,7 @@ def test_the_histogram_as_it_is_seen() -> None:
     for late, count in ((30_000, 800), (70_000, 400), (150_000, 1), (999, 3), (3_000_000, 2)):
         for _ in range(count):
             latency.add(late)
-    assert latency.histogram().splitlines() == [
+    assert histogram(latency).splitlines() == [
         "latency of 1206: p50 30 µs, p99 70 µs, max 3 ms",
         "   below 1 µs       ▏                                                    3",
         "   1 µs to 2 µs                                                          0",
@@ -186,7 +187,7 @@ def test_the_histogram_fits_a_terminal_and_counts_everything() -> None:
         *(int(10 ** random.Random(seed).uniform(2.0, 10.0)) for seed in range(4000)),
     ]:
         latency.add(late)
-    lines = latency.histogram().splitlines()
+    lines = histogram(latency).splitlines()
     assert max(map(len, lines)) <= 80
     assert sum(int(line.split()[-1]) for line in lines[1:]) == latency.count
     assert "below 1 µs" in lines[1] and "above 5 s" in lines[-1]
