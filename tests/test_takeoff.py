@@ -23,6 +23,7 @@ from maglev_mj.frames import Sample
 from maglev_mj.scenes.parts import WEIGHT
 from tests.test_bridge import BAD, BAD_REACH, CENTRE, Rig, hover
 
+
 @pytest.fixture(autouse=True)
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Let the files with the last cycles go to a folder of their own."""
