@@ -273,7 +273,7 @@ def test_a_device_that_weighs_more_is_found_out_one_sample_ahead() -> None:
 def test_samples_that_a_device_lost_are_counted_and_bridged() -> None:
     whole, lossy = (analysed(flown(hand=True, loss=loss, quantum=0.0, noise=0.0)) for loss in (0.0, 0.05))
     figures = lossy.recorded.figures
-    assert figures.missed == 400 - figures.samples > 5
+    assert 5 < figures.missed <= 400 - figures.samples <= figures.missed + 1  # the first in flight may be lost too
     assert whole.recorded.figures.missed == 0
     for one in (whole, lossy):
         # what nobody recorded is the hand, which did what the walls took

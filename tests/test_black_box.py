@@ -13,7 +13,7 @@ import pytest
 
 from maglev_mj.bridge import fault as fault_module
 from maglev_mj.bridge.fault import BlackBox, BlackBoxError, DeviceFault, FaultRecord, load_black_box
-from maglev_mj.bridge.fault_injection import InjectedFault
+from maglev_mj.bridge.twin import InjectedFault
 from maglev_mj.bridge.wire import Fault, Operation, State
 from maglev_mj.errors import PlantError
 from maglev_mj.frames import Command
@@ -93,7 +93,7 @@ def test_the_former_format_is_read_too(tmp_path: Path) -> None:
     for name, values in new.columns.items():
         fresh = name.startswith(("measured", "temperature", "delay", "latency"))
         np.testing.assert_array_equal(old.columns[name], np.full(200, np.nan) if fresh else values)
-    assert fault_table(old).count("\n") == fault_table(new).count("\n") == 203
+    assert fault_table(old, whole=True).count("\n") == fault_table(new, whole=True).count("\n") == 204
     last_cycles(old, tmp_path / "old.png")
 
 
@@ -138,7 +138,7 @@ def test_a_box_without_a_cycle_is_read_and_drawn(tmp_path: Path) -> None:
     assert path is not None
     record = load_black_box(path)
     assert record.time.shape == (0,) and record.six("pose").shape == (0, 6)
-    assert "\x1b" not in fault_table(record) and fault_table(record).count("\n") == 3
+    assert "\x1b" not in fault_table(record) and fault_table(record).count("\n") == 4
     last_cycles(record, tmp_path / "empty.png")
 
 
@@ -146,13 +146,13 @@ def test_the_table_says_what_when_and_the_last_cycles(tmp_path: Path) -> None:
     rig, error = flown(tmp_path)
     assert error.path is not None
     record = load_black_box(error.path)
-    lines = fault_table(record).splitlines()
+    lines = fault_table(record, whole=True).splitlines()
     assert (
         lines[1]
         == f"  faults COIL_NOT_FOLLOWING; first COIL_NOT_FOLLOWING at {record.fault_time:.4f} s of the device's clock"
     )
-    assert len(lines) == 204 and max(map(len, lines[3:])) <= 100
-    last = dict(zip(lines[3].split()[:3], lines[-2].split()))
+    assert len(lines) == 205 and max(map(len, lines[4:])) <= 100
+    last = dict(zip(lines[4].split()[:3], lines[-2].split()))
     assert (last["sample"], last["ms"], last["state"]) == (str(rig.plant.samples.tick - 1), "-5.0", "active")
     picture = last_cycles(record, tmp_path / "fault.png")
     assert picture.stat().st_size > 20_000

@@ -180,6 +180,14 @@ def test_a_current_that_does_not_fall_is_not_confirmed() -> None:
     assert "not confirmed: cut the power (faults" in str(report) and "-1.50 A in coil 4" in str(report)
 
 
+def test_a_device_that_answers_and_flies_on_has_not_stopped() -> None:
+    rig = Rig(pose=CENTRE)
+    rig.twin.firmware.trip = lambda faults, now: None  # type: ignore[method-assign]
+    rig.plant.read()
+    report = estop(Beside(rig), patience=0.1)
+    assert not report.confirmed and report.currents == (0.0,) * 6 and rig.twin.firmware.state == State.INACTIVE
+
+
 def test_what_was_measured_before_the_stop_confirms_nothing() -> None:
     """The sample at the stop says no current, the next one does not."""
     rig = Rig(pose=CENTRE)

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from maglev_mj.bridge.fault import DeviceFault
-from maglev_mj.bridge.safety import HostLimits
+from maglev_mj.bridge.safety import HostLimits, Limits
 from maglev_mj.bridge.simulated_links import Impairment
 from maglev_mj.bridge.wire import Fault, State, StateReport
 from maglev_mj.controller import Controller
@@ -126,7 +126,7 @@ def test_lost_samples_are_no_speed(missed: int) -> None:
     start = 0.25
     hand = lambda tick, at, state: [8.0 * (start < at < start + 0.033), *[0.0] * 5]  # noqa: E731
     gap = Impairment(blackouts=((start + 0.0315, start + 0.0315 + 0.005 * missed),))
-    rig = Rig(gap, pose=(-0.004, 0.0, 0.0, 0.0, 0.0, 0.0), hand=hand)
+    rig = Rig(gap, pose=(-0.004, 0.0, 0.0, 0.0, 0.0, 0.0), hand=hand, limits=Limits(spot_speed=0.4))
     rig.plant.arm()
     controller = Controller([Bias(WEIGHT)], period=0.005)
     rig.fly(start + 0.031 + 0.005 * missed + 0.007, controller)
@@ -152,12 +152,25 @@ def test_samples_that_come_during_a_stop_are_read_after_it() -> None:
     assert rig.plant.samples.lost == 0 and rig.plant.samples.tick == rig.twin.tick
 
 
-def test_a_sample_from_before_a_stop_does_not_undo_it() -> None:
-    rig = Rig(Impairment(delay=0.012), pose=CENTRE)
+def test_a_sample_from_before_a_stop_does_not_undo_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = Rig(pose=CENTRE)
     rig.plant.arm()
     rig.plant.read()
-    rig.plant._armed = False  # nobody flies: no fault is due
+    receive = rig.link.receive
+    stale = receive(1.0)
+    assert stale is not None and stale[3] == 5
+
+    def no_samples(timeout: float) -> bytes | None:
+        end = rig.link.time + round(timeout * 1e9)
+        while (data := receive((end - rig.link.time) * 1e-9)) is not None and data[3] == 5:
+            pass
+        return data
+
+    monkeypatch.setattr(rig.link, "receive", no_samples)
     rig.plant.estop()
-    for _ in range(6):
+    monkeypatch.undo()
+    rig.plant._armed = False  # nobody flies: no fault is due
+    rig.link._arrived[:] = [stale]
+    for _ in range(3):
         rig.plant.read()
         assert (rig.plant.state, rig.plant.faults) == (State.FAULT, Fault.ESTOP)

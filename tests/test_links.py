@@ -1,5 +1,6 @@
 """What travels arrives whole: links over UDP and serial lines, lines bad on purpose, and who may be spoken to."""
 
+import errno
 import math
 import os
 import random
@@ -7,6 +8,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
+from typing import Any
 
 import pytest
 
@@ -111,6 +113,61 @@ def test_where_nobody_listens_there_is_silence_and_a_server_come_later_is_heard(
             link.send(b"there you are")
             heard = late.receive(PATIENCE)
             assert heard is not None and heard[0] == b"there you are"
+
+
+class Down:
+    """A socket of a host that is down."""
+
+    def __init__(self, real: Any) -> None:
+        self.fileno, self.close = real.fileno, real.close
+
+    def send(self, *_: Any) -> Any:
+        """Fail."""
+        raise OSError(errno.EHOSTDOWN, "Host is down")
+
+    sendto = recv = recvfrom = send
+
+
+def test_every_error_of_a_socket_is_a_link_error() -> None:
+    with closing(UdpServer(HOME, 0)) as server, closing(UdpLink(*server.address)) as link:
+        link._socket = down = Down(link._socket)  # type: ignore[assignment]
+        link._send, link._receive = down.send, down.recv
+        server._socket = Down(server._socket)  # type: ignore[assignment]
+        ways: list[Callable[[], object]] = [
+            lambda: link.send(b"x"),
+            lambda: link.receive(0.0),
+            lambda: server.send(b"x", (HOME, 1)),
+            lambda: server.receive(0.0),
+        ]
+        for way in ways:
+            with pytest.raises(LinkError, match="Host is down") as caught:
+                way()
+            assert "\n" not in str(caught.value)
+
+
+def test_a_closed_end_is_a_link_error_and_closes_again(pair: Pair) -> None:
+    link, server = pair
+    for end in (link, server):
+        end.close()
+        for timeout in (0.0, 0.01):
+            with pytest.raises(LinkError):
+                end.receive(timeout)
+        end.close()
+    with pytest.raises(LinkError):
+        link.send(b"x")
+
+
+def test_an_adapter_that_was_pulled_out_is_closed_without_a_word() -> None:
+    with closing(PtyServer()) as server:
+        link = SerialLink(server.path, 921600)
+        close = link._port.close
+
+        def pulled() -> None:
+            raise OSError(errno.EIO, "Input/output error")
+
+        link._port.close = pulled
+        link.close()
+        close()
 
 
 def test_a_forged_sender_does_not_stop_a_server() -> None:

@@ -106,7 +106,7 @@ def test_a_3d_mouse_follows_a_stream(keyed: bool, tmp_path: Path) -> None:
             socket = tmp_path / "s"
             with program("serve-spacenav", "--from", url, "--socket", str(socket), *followed) as (server, told):
                 found(told, r"(SPNAV_SOCKET)")
-                heard = events(socket, 20)
+                heard = events(socket, 100)
                 server.send_signal(signal.SIGINT)
                 assert server.wait(30) == 0
     assert all(event[0] == 0 for event in heard)
