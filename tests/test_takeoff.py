@@ -26,6 +26,7 @@ from maglev_mj.scenes import find_scene
 from maglev_mj.scenes.parts import WEIGHT
 from tests.test_bridge import BAD, BAD_REACH, CENTRE, Rig, hover
 
+
 @pytest.fixture(autouse=True)
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Let the files with the last cycles go to a folder of their own."""
