@@ -13,7 +13,7 @@ import pytest
 
 from maglev_mj.bridge import fault as fault_module
 from maglev_mj.bridge.fault import BlackBox, BlackBoxError, DeviceFault, FaultRecord, load_black_box
-from maglev_mj.bridge.twin import InjectedFault
+from maglev_mj.bridge.fault_injection import InjectedFault
 from maglev_mj.bridge.wire import Fault, Operation, State
 from maglev_mj.errors import PlantError
 from maglev_mj.frames import Command

@@ -14,6 +14,7 @@ import pytest
 
 from maglev_mj.bridge.simulated_links import Impairer, Impairment, UdpProxy
 from maglev_mj.errors import ParameterError
+from maglev_mj.net.addresses import is_loopback
 from maglev_mj.net.serial import (
     LONGEST,
     Deframer,
@@ -30,7 +31,6 @@ from maglev_mj.net.udp import (
     UdpLink,
     UdpServer,
     check_host,
-    is_loopback,
     open_link,
     parse_url,
 )

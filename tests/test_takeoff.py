@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import time
 from collections.abc import Sequence
 from dataclasses import replace
@@ -13,6 +14,7 @@ import pytest
 
 from maglev_mj.bridge.fault import DeviceFault
 from maglev_mj.bridge.fault_injection import InjectedFault
+from maglev_mj.bridge.flight import Flight
 from maglev_mj.bridge.safety import HostLimits
 from maglev_mj.bridge.simulated_links import Impairment
 from maglev_mj.bridge.takeoff import Motion
@@ -20,6 +22,7 @@ from maglev_mj.bridge.twin import REST
 from maglev_mj.bridge.wire import Fault, Operation, State
 from maglev_mj.errors import PlantError
 from maglev_mj.frames import Sample
+from maglev_mj.scenes import find_scene
 from maglev_mj.scenes.parts import WEIGHT
 from tests.test_bridge import BAD, BAD_REACH, CENTRE, Rig, hover
 
@@ -207,6 +210,70 @@ def test_at_reduced_power_it_takes_off_and_lands(current: float) -> None:
     most = max(abs(one) for row in rig.rows for one in row[6:9])
     assert rig.plant.land().at_rest and most < 50.0
     assert max(abs(current) for _, one in rig.twin.plant.segments for current in one) <= 1.45 + 1e-9
+
+
+FIRST_HOVER = HostLimits(max_current=2.0, envelope=0.003, speed_limit=0.1, force_limit=9.0)
+
+
+def test_the_first_hovers_limits_are_those_of_the_guide() -> None:
+    guide = (Path(__file__).parents[1] / "docs" / "commissioning.md").read_text(encoding="utf-8")
+    (command,) = re.findall(r"^ +maglev-mj bridge .* --envelope .*$", guide, re.MULTILINE)
+    told = {name.replace("-", "_"): float(value) for name, value in re.findall(r"--([a-z-]+) ([\d.]+)", command)}
+    assert told.pop("seconds") == 5.0 and HostLimits(**told) == FIRST_HOVER and "--scene box" in command
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(("period", "seconds"), [(0.005, 5.0), (0.001, 1.5)], ids=["200 Hz", "1 kHz"])
+def test_within_the_first_hovers_limits_it_takes_off_from_a_stop_beyond_them_and_lands(
+    period: float, seconds: float, seed: int
+) -> None:
+    rig = Rig(period=period, seed=seed, quantum=8e-7, noise=4e-7, host={"limits": FIRST_HOVER})
+    assert rig.twin.pose[2] < -FIRST_HOVER.envelope
+    scene = find_scene("box")().replace(period=period, delay=rig.plant.delay)
+    report = Flight(rig.plant, scene).run(seconds)
+    assert report.landing.at_rest and report.ticks == round(seconds / period) and not rig.plant.faults
+    speeds = [math.hypot(*twist[:3]) for twist in rig.witness.twists]
+    assert 0.014 < max(speeds) < 0.02  # of takeoff and landing
+
+
+def test_beyond_its_own_envelope_in_flight_it_is_a_fault() -> None:
+    hand = lambda tick, at, state: [8.0 * max(at - 1.0, 0.0), *[0.0] * 5]  # noqa: E731
+    rig = Rig(hand=hand, host={"limits": FIRST_HOVER})
+    rig.plant.takeoff()
+    with pytest.raises(DeviceFault) as caught:
+        rig.fly(2.0)
+    assert caught.value.faults == rig.twin.firmware.faults == Fault.BOUNDARY
+    assert 0.003 <= rig.poses[-1, 0] < 0.0035
+    rig = Rig(pose=(0.0, 0.0, -0.0035, 0.0, 0.0, 0.0), host={"limits": FIRST_HOVER})
+    rig.plant.read()
+    rig.plant.arm()  # that is flight too
+    with pytest.raises(DeviceFault, match="BOUNDARY"):
+        rig.plant.read()
+
+
+@pytest.mark.parametrize("until", [0.0, 0.1, 0.3])
+def test_a_takeoff_that_ends_early_may_land_but_not_fly_on(until: float) -> None:
+    rig = Rig(host={"limits": FIRST_HOVER})
+    for flies in (False, True):
+        armed: list[int] = []
+        rig.plant.takeoff(watch=lambda armed=armed: armed.append(1) or len(armed) * 0.005 > until)  # type: ignore[misc]
+        if flies and until < 0.3:
+            with pytest.raises(DeviceFault, match="BOUNDARY"):
+                rig.fly(0.1)
+        else:
+            assert rig.plant.land().at_rest
+
+
+def test_takeoff_and_landing_have_the_default_envelope_and_the_own_speed() -> None:
+    rig = Rig(hand=late_hand([0.0, 0.0, 12.0, 0.0, 0.0, 0.0], 0.8), host={"limits": HostLimits(envelope=0.003)})
+    rig.plant.takeoff()
+    rig.plant.land()  # against the upper stop
+    assert rig.poses[-1, 2] > 0.0044 and not rig.plant.faults
+    with pytest.raises(DeviceFault, match="FLOTOR_OVERSPEED"):
+        Rig(host={"limits": HostLimits(speed_limit=0.01)}).plant.takeoff()
+    wide = Rig(host={"limits": HostLimits(envelope=0.02)})
+    wide.plant.takeoff()
+    assert wide.plant.land().at_rest
 
 
 def test_nothing_slow_is_made_between_arming_and_the_first_command(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
+from itertools import chain, count
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -23,21 +24,14 @@ from maglev_mj.versions import versions
 __all__ = ["BlackBox", "BlackBoxError", "DeviceFault", "FaultRecord", "HandshakeError", "load_black_box"]
 
 _KEPT = 200
-_FORMAT, _FORMAT_1 = "maglev_mj fault 2", "maglev_mj fault 1"
 _SIX = range(6)
-_COLUMNS_1 = (
-    *("sample", "time_ns", "state", "faults"),
-    *(f"spot{place}" for place in _SIX),
-    *AXES,
-    *(f"{kind}{place}" for kind in ("held", "pulsed") for place in _SIX),
-    "width",
+_SPOTS, _HELD, _PULSED, _MEASURED, _WARM = (
+    [f"{kind}{place}" for place in _SIX] for kind in ("spot", "held", "pulsed", "measured", "temperature")
 )
-_COLUMNS = (
-    *_COLUMNS_1,
-    *(f"{kind}{place}" for kind in ("measured", "temperature") for place in _SIX),
-    *("delay", "latency"),
-)
-
+_COLUMNS_1 = ["sample", "time_ns", "state", "faults", *_SPOTS, *AXES, *_HELD, *_PULSED, "width"]
+_COLUMNS = [*_COLUMNS_1, *_MEASURED, *_WARM, "delay", "latency"]
+_COLUMNS_BY_FORMAT = {"maglev_mj fault 2": _COLUMNS, "maglev_mj fault 1": _COLUMNS_1}
+_FORMAT, _FORMAT_1 = _COLUMNS_BY_FORMAT
 
 Cycle: TypeAlias = tuple[Frame, Sequence[float], Sequence[float], Sequence[float] | None, float, float, int]
 """STATE frame, pose, held and pulsed currents [A], width [s], delay at the device [s], latency of the answer [ns]."""
@@ -78,15 +72,15 @@ class BlackBox:
         self.keep = self._rows.append
 
     def write(self, faults: Fault, message: str, about: Mapping[str, Any]) -> Path | None:
-        """Write what is kept; to the temporary folder where the own one does not take it.
+        """Write the cycles kept; to the temporary folder if the own one does not take them.
 
         Args:
-            faults: What went wrong.
+            faults: The faults.
             message: The same for a person.
             about: Further values, ready for JSON.
 
         Returns:
-            The file; None if there is no place for it at all. Nothing is raised: the fault itself is what to report.
+            The file; None if there is no place for it at all. Nothing is raised: the fault itself is to be reported.
         """
         with suppress(Exception):
             told = {"format": _FORMAT, "faults": fault_names(faults), "message": message, "versions": self._versions}
@@ -100,18 +94,18 @@ class BlackBox:
 
 def _write(folder: Path, text: str, now: Callable[[], float] = time.time) -> Path:
     stem = datetime.fromtimestamp(now()).strftime("maglev-fault-%Y%m%d-%H%M%S")
-    count = 0
-    while True:
-        path = folder / (f"{stem}-{count}.json" if count else f"{stem}.json")
+    for name in chain([stem], (f"{stem}-{number}" for number in count(1))):
+        path = folder / f"{name}.json"
         try:
             with path.open("x", encoding="utf-8") as file:
                 file.write(text + "\n")
-            return path
+            break
         except FileExistsError:
-            count += 1
+            continue
         except OSError:
             path.unlink(missing_ok=True)  # cut short, as on a full disk
             raise
+    return path
 
 
 def _flat(cycle: Cycle) -> list[float | None]:
@@ -172,8 +166,7 @@ def load_black_box(path: str | Path) -> FaultRecord:
         BlackBoxError: If it cannot be read or is none; one line with the file and what is wrong.
     """
     try:
-        told = json.loads(Path(path).read_text(encoding="utf-8"))
-        return _record(told)
+        return _record(json.loads(Path(path).read_text(encoding="utf-8")))
     except OSError as error:
         raise BlackBoxError(f"black box {str(path)!r} cannot be read: {error.strerror}") from None
     except BlackBoxError as error:
@@ -186,34 +179,23 @@ def _record(told: Any) -> FaultRecord:
     kind = told.get("format") if isinstance(told, dict) else type(told).__name__
     if kind not in (_FORMAT, _FORMAT_1):
         raise BlackBoxError(f"format must be {_FORMAT!r} or {_FORMAT_1!r}, not {kind!r:.60}")
-    names = _COLUMNS if kind == _FORMAT else _COLUMNS_1
-    if told.get("columns") != list(names):
+    names = _COLUMNS_BY_FORMAT[kind]
+    if told.get("columns") != names:
         raise BlackBoxError(f"columns must be those of {kind!r}")
     cycles = told.get("cycles")
     if not isinstance(cycles, list) or any(not isinstance(row, list) or len(row) != len(names) for row in cycles):
         raise BlackBoxError(f"cycles must be rows of {len(names)} values")
     try:
         table = np.array(cycles, dtype=np.float64).reshape(len(cycles), len(names))
-        values = {
-            name: int(told[name]) * scale
-            for name, scale in (("tick", 1), ("lost", 1), ("skipped", 1), ("period_ns", 1e-9), ("fault_time_ns", 1e-9))
-            if name in told or name != "fault_time_ns"
-        }
+        counts: dict[str, Any] = {name: int(told[name]) for name in ("tick", "lost", "skipped")}
+        period = int(told["period_ns"]) * 1e-9
+        fault_time = int(told["fault_time_ns"]) * 1e-9 if "fault_time_ns" in told else np.nan
     except (TypeError, ValueError, OverflowError, KeyError) as error:
         raise BlackBoxError(f"a value is missing or no number: {error}") from None
-    if not values["period_ns"] > 0.0:
+    if not period > 0.0:
         raise BlackBoxError(f"period_ns must be above 0, not {told['period_ns']!r:.60}")
-    columns = {name: np.full(len(cycles), np.nan) for name in _COLUMNS}
-    columns |= {name: table[:, place] for place, name in enumerate(names)}
+    columns = dict.fromkeys(_COLUMNS, np.full(len(cycles), np.nan)) | dict(zip(names, table.T))
     columns["time"] = columns.pop("time_ns") * 1e-9
-    return FaultRecord(
-        faults=str(told.get("faults")),
-        first=str(told.get("first", told.get("faults"))),
-        message=str(told.get("message")),
-        fault_time=float(values.get("fault_time_ns", np.nan)),
-        tick=int(values["tick"]),
-        lost=int(values["lost"]),
-        skipped=int(values["skipped"]),
-        period=float(values["period_ns"]),
-        columns=columns,
-    )
+    texts: dict[str, Any] = {name: str(told.get(name)) for name in ("faults", "message")}
+    first = str(told.get("first", texts["faults"]))
+    return FaultRecord(**counts, **texts, first=first, period=period, fault_time=fault_time, columns=columns)

@@ -132,7 +132,7 @@ class RemotePlant:
         self.rest: Sequence[float] = ZERO
         self.disarmed = False
         self._armed = False  # by this host, and nothing has ended it that was reported
-        self._warned = False
+        self._warned = self._led = False  # led: from or to where it rests, beyond the own envelope perhaps
         self._sequence, self._located = 0, 0  # of the last sample, and tick of the last whose pose is known
         self._owed = False  # an answer, to the last sample
         self._doubt = ""  # what is wrong with the last sample
@@ -182,7 +182,7 @@ class RemotePlant:
             self._mistrust(fault | wrong, report)
         position = self._locate(report.spots)
         tick, active = samples.tick, self.state is _ACTIVE
-        if wrong := self._guard.check(position, (tick - self._located) * self.period):
+        if wrong := self._guard.check(position, (tick - self._located) * self.period, self._led or not active):
             self._doubt = f"{fault_names(wrong)}: the flotor is at {shown(position)}"
             if active:
                 self._fail(wrong, f"the flotor is at {shown(position)}")
@@ -276,7 +276,7 @@ class RemotePlant:
             PlantError: If the device refuses, as in the fault state.
         """
         self._ask(Operation.ARM, hover=self._hover if hover is None else hover)
-        self.state, self._armed = _ACTIVE, True
+        self.state, self._armed, self._led = _ACTIVE, True, False
 
     def disarm(self) -> None:
         """Switch the currents off."""
@@ -340,8 +340,11 @@ class RemotePlant:
         loop.cycle(2)  # the device does not look at these answers; what is slow at first has been once
         leader.aim(rest, ZERO, duration, self._astray)
         self.arm()
-        self.rest = rest
-        self._lead(loop, duration, watch)
+        self.rest, self._led = rest, True
+        try:
+            self._lead(loop, duration, watch)
+        finally:
+            self._led = False
 
     def land(self, duration: float = 0.6, *, watch: Callable[[], object] | None = None) -> LandingReport:
         """Lead the flotor back to where it lay, and disarm; a hand that holds it then has it.
@@ -356,7 +359,7 @@ class RemotePlant:
         Raises:
             DeviceFault: As for `takeoff`.
         """
-        leader = self._leader
+        leader, self._led = self._leader, True
         leader.aim(self.read().position, self.rest, duration)
         loop = ControlLoop(self, leader)
         self._lead(loop, duration, watch)

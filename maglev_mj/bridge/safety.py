@@ -71,8 +71,8 @@ class HostLimits(Parameters):
     continuous_current: float | None = param("largest continuous current", "A", default=None, optional=True, above=0.0)
     force_limit: float | None = param("force along an axis, weight too", "N", default=None, optional=True, above=0.0)
     torque_limit: float | None = param("torque about an axis", "N m", default=None, optional=True, above=0.0)
-    envelope: float = param("largest coordinate; a little beyond the stops", "m", default=0.0055, above=0.0)
-    envelope_angle: float = param("largest angle", "rad", default=math.radians(7.5), above=0.0)
+    envelope: float = param("largest coordinate in flight; a little beyond the stops", "m", default=0.0055, above=0.0)
+    envelope_angle: float = param("largest angle in flight", "rad", default=math.radians(7.5), above=0.0)
     speed_limit: float = param("largest speed of the flotor", "m/s", default=0.6, above=0.0)
     spin_limit: float = param("largest angular speed of the flotor", "rad/s", default=15.0, above=0.0)
 
@@ -239,17 +239,25 @@ class FlotorGuard:
     """Finds a flotor that is beyond its envelope, or too fast."""
 
     def __init__(self, limits: HostLimits) -> None:
-        self._far, self._turned = limits.envelope, limits.envelope_angle**2
+        most = HostLimits()
+        self._own = limits.envelope, limits.envelope_angle**2
+        self._led = max(limits.envelope, most.envelope), max(limits.envelope_angle, most.envelope_angle) ** 2
         self._fast, self._turning = limits.speed_limit**2, limits.spin_limit**2
         self._last: Sequence[float] | None = None
 
-    def check(self, position: Sequence[float], elapsed: float) -> Fault:
-        """Look at a pose [m, rad], six components, so long after the one before [s]."""
+    def check(self, position: Sequence[float], elapsed: float, led: bool = False) -> Fault:
+        """Check a pose.
+
+        Args:
+            position: The pose [m, rad], six components.
+            elapsed: Time since the pose before [s].
+            led: True from or to its stop, where the default envelope counts if it is the larger.
+        """
         x, y, z, rx, ry, rz = position
         last, self._last = self._last, position
-        fault, far = _NO_FAULT, self._far
+        fault, (far, turned) = _NO_FAULT, self._led if led else self._own
         inside = -far <= x <= far and -far <= y <= far and -far <= z <= far
-        if not inside or rx * rx + ry * ry + rz * rz > self._turned:
+        if not inside or rx * rx + ry * ry + rz * rz > turned:
             fault = Fault.BOUNDARY
         if last is None or elapsed <= 0.0:
             return fault

@@ -20,13 +20,7 @@ _SERIAL = re.compile(r"serial://(/[^?#]+)(?:\?baud=(\d{1,8}))?", re.ASCII)
 
 
 class Url(NamedTuple):
-    """The address of a link.
-
-    Attributes:
-        scheme: "udp" or "serial".
-        place: Host, or path of the serial line.
-        number: Port, or baud rate [1/s].
-    """
+    """Address of a link: scheme "udp", host and port; or "serial", path of the line and baud rate [1/s]."""
 
     scheme: str
     place: str
@@ -34,11 +28,7 @@ class Url(NamedTuple):
 
 
 def parse_url(text: str, *, server: bool = False) -> Url:
-    """Return what udp://HOST:PORT or serial:///PATH?baud=RATE says.
-
-    Args:
-        text: The address.
-        server: Whether port 0, any that is free, is allowed.
+    """Parse udp://HOST:PORT or serial:///PATH?baud=RATE; a server may have port 0, any that is free.
 
     Raises:
         ParameterError: If it is neither.

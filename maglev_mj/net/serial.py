@@ -29,16 +29,12 @@ class SerialMissingError(MaglevError):
 def cobs_encode(data: bytes) -> bytes:
     """Return data without a zero byte in it, longer by 1 and by at most another of every 254."""
     pieces: list[bytes] = []
-    *blocks, tail = data.split(b"\0")
-    for block in blocks:
-        while len(block) > 253:
+    blocks = data.split(b"\0")
+    for left, block in enumerate(blocks, 1 - len(blocks)):
+        while len(block) > 253 + (left == 0):  # the last has no zero after it
             pieces += (b"\xff", block[:254])
             block = block[254:]
         pieces += (_CODES[len(block)], block)
-    while len(tail) > 254:
-        pieces += (b"\xff", tail[:254])
-        tail = tail[254:]
-    pieces += (_CODES[len(tail)], tail)
     return b"".join(pieces)
 
 
@@ -102,6 +98,11 @@ class _Line:
         return self._deframer.dropped
 
     def _write(self, data: bytes) -> None:
+        """Send one frame; one for which there is no room is lost.
+
+        Raises:
+            LinkError: If the line is gone.
+        """
         try:
             # the zero before it keeps noise, or a frame cut short for lack of room, from spoiling this one
             os.write(self._descriptor, b"\0" + cobs_encode(data) + b"\0")
@@ -111,9 +112,8 @@ class _Line:
             raise LinkError(f"{self._name} is gone: {error.strerror}") from None
 
     def _next(self, timeout: float) -> bytes | None:
+        """See `Link.receive`."""
         frames = self._deframer.frames
-        if frames:
-            return frames.popleft()
         end = time.monotonic() + timeout
         while not frames:
             left = end - time.monotonic()
@@ -163,21 +163,7 @@ class SerialLink(_Line):
             self._port.set_low_latency_mode(True)
         super().__init__(self._port.fileno(), path)
 
-    def send(self, data: bytes) -> None:
-        """Send one frame; one for which there is no room is lost.
-
-        Raises:
-            LinkError: If the line is gone.
-        """
-        self._write(data)
-
-    def receive(self, timeout: float) -> bytes | None:
-        """Return the oldest frame that has come, or None if none comes within `timeout` [s]; 0 only looks.
-
-        Raises:
-            LinkError: If the line is gone.
-        """
-        return self._next(timeout)
+    send, receive = _Line._write, _Line._next
 
     def now(self) -> int:
         """Return the instant [ns] of this machine's monotonic clock."""

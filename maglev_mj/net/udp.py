@@ -13,41 +13,19 @@ from select import select
 from typing import Protocol, TypeAlias
 
 from maglev_mj.errors import MaglevError, ParameterError
-from maglev_mj.net.addresses import check_host, is_loopback, parse_url, resolve
+from maglev_mj.net.addresses import check_host, parse_url, resolve
 
-__all__ = [
-    "Address",
-    "Link",
-    "LinkError",
-    "Server",
-    "UdpLink",
-    "UdpServer",
-    "check_host",
-    "is_loopback",
-    "open_link",
-    "parse_url",
-    "readable",
-]
+__all__ = ["Address", "Link", "LinkError", "Server", "UdpLink", "UdpServer", "check_host", "open_link", "parse_url"]
 
 Address: TypeAlias = tuple[str, int]
 """Where a peer of a server is: host and port, or path and 0 of a serial line."""
 
 _LARGEST = 2048  # of a datagram: a frame has at most 300 bytes
 _BACKLOG = 4096 * 1280  # frames in the receive buffer, and what Linux counts for one
-_SILENCE = {
-    # nobody listens there, nobody is there, no room: what a cable out of its socket looks like;
-    # and an answer to a forged sender, port 0 or everyone, is not let out
-    errno.ECONNREFUSED,
-    errno.ECONNRESET,
-    errno.EHOSTUNREACH,
-    errno.ENETUNREACH,
-    errno.ENETDOWN,
-    errno.ENOBUFS,
-    errno.EAGAIN,
-    errno.EINVAL,
-    errno.EACCES,
-    errno.EPERM,
-}
+# nobody listens there, nobody is there, no room: what a cable out of its socket looks like;
+# and an answer to a forged sender, port 0 or everyone, is not let out
+_SILENCE = {errno.ECONNREFUSED, errno.ECONNRESET, errno.EHOSTUNREACH, errno.ENETUNREACH, errno.ENETDOWN}
+_SILENCE |= {errno.ENOBUFS, errno.EAGAIN, errno.EINVAL, errno.EACCES, errno.EPERM}
 
 
 class LinkError(MaglevError):
@@ -95,7 +73,42 @@ class Server(Protocol):
         """Close it; a second time does nothing."""
 
 
-class UdpLink:
+class _Udp:
+    """A socket, IPv4, that does not block.
+
+    Args:
+        host: Name or address.
+        port: From `least` on.
+        backlog: Bytes of frames that may wait; None for the system's default.
+        way: How to reach that address: "connect" or "bind".
+        failing: The complaint if there is none.
+    """
+
+    def __init__(self, host: str, port: int, least: int, backlog: int | None, way: str, failing: str) -> None:
+        if not least <= port <= 65535:
+            raise ParameterError(f"port must be {least} to 65535, not {port!r}")
+        address = (resolve(host), port)
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setblocking(False)
+        if backlog is not None:
+            with suppress(OSError):  # a system may grant less (net.core.rmem_max)
+                self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, backlog)
+        try:
+            getattr(self._socket, way)(address)
+        except OSError as error:
+            self._socket.close()
+            raise LinkError(f"{failing} udp://{host}:{port}: {error.strerror}") from None
+
+    def fileno(self) -> int:
+        """Return the descriptor for `select`."""
+        return self._socket.fileno()
+
+    def close(self) -> None:
+        """Close the socket; a second time does nothing."""
+        self._socket.close()
+
+
+class UdpLink(_Udp):
     """A link over UDP, IPv4; where nobody listens there is silence, not an error.
 
     Args:
@@ -108,21 +121,11 @@ class UdpLink:
     """
 
     def __init__(self, host: str, port: int) -> None:
-        address = (resolve(host), _port(port, 1))
-        self._socket = _new_socket()
-        try:
-            self._socket.connect(address)
-        except OSError as error:
-            self._socket.close()
-            raise LinkError(f"no way to udp://{host}:{port}: {error.strerror}") from None
+        super().__init__(host, port, 1, _BACKLOG, "connect", "no way to")
         self._send, self._receive = self._socket.send, self._socket.recv
 
     def send(self, data: bytes) -> None:
-        """Send one frame; one that cannot leave now is lost.
-
-        Raises:
-            LinkError: If the line is gone.
-        """
+        """See `Link.send`."""
         try:
             self._send(data)
         except ConnectionRefusedError:  # of an earlier frame: this one has not been sent yet
@@ -134,11 +137,7 @@ class UdpLink:
             _complain("send", error)
 
     def receive(self, timeout: float) -> bytes | None:
-        """Return the oldest frame that has come, or None if none comes within `timeout` [s]; 0 only looks.
-
-        Raises:
-            LinkError: If the line is gone.
-        """
+        """See `Link.receive`."""
         if timeout > 0.0 and not readable(self._socket, timeout):
             return None
         try:
@@ -151,20 +150,12 @@ class UdpLink:
         # that was word of a frame sent earlier; a caller that got None at once, and asked again, would spin
         return self.receive(timeout)
 
-    def fileno(self) -> int:
-        """Return what `select` waits for."""
-        return self._socket.fileno()
-
     def now(self) -> int:
         """Return the instant [ns] of this machine's monotonic clock."""
         return time.monotonic_ns()
 
-    def close(self) -> None:
-        """Close the socket; a second time does nothing."""
-        self._socket.close()
 
-
-class UdpServer:
+class UdpServer(_Udp):
     """A socket that anyone may write to, IPv4; `check_host` says whether it may be opened there.
 
     Args:
@@ -181,13 +172,7 @@ class UdpServer:
     """
 
     def __init__(self, host: str, port: int, *, backlog: int | None = _BACKLOG) -> None:
-        wanted = (resolve(host), _port(port, 0))
-        self._socket = _new_socket(backlog)
-        try:
-            self._socket.bind(wanted)
-        except OSError as error:
-            self._socket.close()
-            raise LinkError(f"cannot listen at udp://{host}:{port}: {error.strerror}") from None
+        super().__init__(host, port, 0, backlog, "bind", "cannot listen at")
         self.address: Address = self._socket.getsockname()
 
     def receive(self, timeout: float) -> tuple[bytes, Address] | None:
@@ -208,14 +193,6 @@ class UdpServer:
             _complain("send", error)
             return False
         return True
-
-    def fileno(self) -> int:
-        """Return what `select` waits for."""
-        return self._socket.fileno()
-
-    def close(self) -> None:
-        """Close the socket; a second time does nothing."""
-        self._socket.close()
 
 
 def open_link(url: str, key: bytes | None = None) -> Link:
@@ -256,18 +233,3 @@ def _complain(what: str, error: OSError) -> None:
     """Raise for what is not mere silence."""
     if error.errno not in _SILENCE:
         raise LinkError(f"cannot {what}: {error.strerror or error}") from None
-
-
-def _port(port: int, least: int) -> int:
-    if not least <= port <= 65535:
-        raise ParameterError(f"port must be {least} to 65535, not {port!r}")
-    return port
-
-
-def _new_socket(backlog: int | None = _BACKLOG) -> socket.socket:
-    new = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    new.setblocking(False)
-    if backlog is not None:
-        with suppress(OSError):  # a system may grant less (net.core.rmem_max)
-            new.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, backlog)
-    return new
