@@ -48,6 +48,9 @@ BLOCK = 500
 WIDE = HostLimits(envelope=1.0, envelope_angle=1.0, speed_limit=10.0, spin_limit=100.0)
 COOL = Limits(thermal_time=1e6, spot=0.1, spot_speed=100.0)
 RATES = 200, 1000, 2000, 4000
+BAR = 44  # characters
+EIGHTHS = " ▏▎▍▌▋▊▉"
+EDGES = [step * 10**power for power in range(3, 10) for step in (1, 2, 5)]  # [ns], 1 µs to 5 s
 clock = time.perf_counter_ns
 
 
@@ -313,7 +316,48 @@ def in_real_time(seconds: float) -> None:
         print(f"real time at {rate} Hz, {'; '.join(refused) or 'nothing refused'}")
         print(f"  {ticks} samples, {missed} periods stalled, {flown.lost} lost, {flown.skipped} skipped by the host")
         print(f"  sampled late by {sampling.p50 * 1e6:.0f} µs in the median, {sampling.p99 * 1e6:.0f} µs at 99 %")
-        print("  answer at the device after its sample's instant:", answered.histogram(), sep="\n")
+        print("  answer at the device after its sample's instant:", histogram(answered), sep="\n")
+
+
+# latencies as bars
+
+
+def histogram(latency: LatencyHistogram) -> str:
+    """Return those kept as bars, a line for each bin, within 80 columns."""
+    if not latency.count:
+        return "latency: none yet"
+    kept = latency.kept
+    bins = np.bincount(np.searchsorted(EDGES, kept, side="right"), minlength=len(EDGES) + 1)
+    used = np.flatnonzero(bins)
+    which = latency.count if latency.count == len(kept) else f"the last {len(kept)} of {latency.count}"
+    lines = [f"latency of {which}: p50 {span(latency.p50)}, p99 {span(latency.p99)}, max {span(latency.max)}"]
+    for index in range(used[0], used[-1] + 1):
+        lines.append(f"{label(index)}  {bar(bins[index] / bins.max()):<{BAR}} {bins[index]:>9}")
+    return "\n".join(line.rstrip() for line in lines)
+
+
+def span(duration: float) -> str:
+    """Return a duration [s] for a person."""
+    for unit, size in (("s", 1.0), ("ms", 1e-3)):
+        if duration >= 0.9995 * size:  # which is written as 1
+            return f"{duration / size:.3g} {unit}"
+    return f"{duration * 1e6:.3g} µs"
+
+
+def label(index: int) -> str:
+    """Return the bounds of a bin, 18 characters."""
+    if index == 0:
+        return f"{'below':>8} {span(EDGES[0] * 1e-9):<9}"
+    low = span(EDGES[index - 1] * 1e-9)
+    if index == len(EDGES):
+        return f"{'above':>8} {low:<9}"
+    return f"{low:>7} to {span(EDGES[index] * 1e-9):<7}"
+
+
+def bar(share: float) -> str:
+    """Return a bar; nothing is none, and little is still seen."""
+    eighths = max(round(share * BAR * 8), 1) if share > 0.0 else 0
+    return "█" * (eighths // 8) + EIGHTHS[eighths % 8].strip()
 
 
 # what all of them need
