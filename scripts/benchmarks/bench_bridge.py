@@ -32,7 +32,7 @@ from maglev_mj.bridge.twin import ServerReport, Twin, TwinParameters, TwinServer
 from maglev_mj.bridge.wire import Codec, Command, StateReport
 from maglev_mj.laws import Bias
 from maglev_mj.loop import drive
-from maglev_mj.net.udp import Address, Link, UdpLink, UdpServer
+from maglev_mj.net.udp import Link, UdpLink, UdpServer
 from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.joystick import Joystick
@@ -221,17 +221,6 @@ class Polled(UdpLink):
         return super().receive(timeout) if data is None and timeout > 0.0 else data
 
 
-class PolledServer(UdpServer):
-    """A server that does so, too."""
-
-    def receive(self, timeout: float) -> tuple[bytes, Address] | None:
-        """Return the oldest frame and its sender."""
-        end = time.monotonic_ns() + (1_000_000 if timeout > 0.0 else 0)
-        while (arrived := super().receive(0.0)) is None and time.monotonic_ns() < end:
-            pass
-        return super().receive(timeout) if arrived is None and timeout > 0.0 else arrived
-
-
 class Answered(Twin):
     """A twin that notes how long after each sample's instant the answer to it is there."""
 
@@ -248,12 +237,11 @@ class Answered(Twin):
         return answer
 
 
-def serve(pipe: Connection, parameters: dict[str, Any], polled: bool, cpu: int | None, on_time: bool) -> None:
+def serve(pipe: Connection, parameters: dict[str, Any], spin: float, cpu: int | None, on_time: bool) -> None:
     """Serve a twin until SIGTERM; say its port first, and what it came to last."""
     pin(cpu)
     twin = Answered(TwinParameters(**parameters))
-    reached = (PolledServer if polled else UdpServer)(HOME, 0)
-    with closing(TwinServer(twin, reached)) as server, engine_warnings_silenced():
+    with closing(TwinServer(twin, UdpServer(HOME, 0), spin=spin)) as server, engine_warnings_silenced():
         with stopping(server.stop), realtime("ignore") if on_time else no_garbage():
             pipe.send(server.address[1])
             pipe.send((server.run(), twin.late))
@@ -262,10 +250,10 @@ def serve(pipe: Connection, parameters: dict[str, Any], polled: bool, cpu: int |
 class TwinProcess:
     """A twin in a process of its own; its port, and what it came to once it is told to end."""
 
-    def __init__(self, parameters: dict[str, Any], polled: bool = False, cpu: int | None = None, on_time: bool = False):
+    def __init__(self, parameters: dict[str, Any], spin: float = 0.0, cpu: int | None = None, on_time: bool = False):
         spawn = multiprocessing.get_context("spawn")
         self._pipe, other = spawn.Pipe()
-        self._process = spawn.Process(target=serve, args=(other, parameters, polled, cpu, on_time), daemon=True)
+        self._process = spawn.Process(target=serve, args=(other, parameters, spin, cpu, on_time), daemon=True)
         self._process.start()
         self.port: int = self._pipe.recv()
 
@@ -285,18 +273,14 @@ class TwinProcess:
 def lockstep(blocks: int) -> None:
     """Print how many cycles a second two processes make."""
     print(f"two processes in lockstep over UDP, cycles a second: median and best of {blocks} blocks of {BLOCK}")
-    ways = {
-        "on one processor": (0, 0, False),
-        "wherever they like": (None, None, False),
-        "polling, one each": (0, 1, True),
-    }
+    ways = {"on one processor": (0, 0, 0.0), "wherever they like": (None, None, 0.0), "polling, one each": (0, 1, 1e-3)}
     if (os.cpu_count() or 1) < 2:
         del ways["polling, one each"]
     for scene, (controller, pose) in SCENES.items():
-        for way, (ours, theirs, polled) in ways.items():
+        for way, (ours, theirs, spin) in ways.items():
             parameters = {"lockstep": True, "pose": pose, "limits": COOL}
-            with closing(TwinProcess(parameters, polled, theirs)) as twin, pinned(ours):
-                link = (Polled if polled else UdpLink)(HOME, twin.port)
+            with closing(TwinProcess(parameters, spin, theirs)) as twin, pinned(ours):
+                link = (Polled if spin else UdpLink)(HOME, twin.port)
                 with RemotePlant(link, patience=10.0) as plant, no_garbage():
                     plant.arm()
                     laws = controller()
