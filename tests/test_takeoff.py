@@ -42,14 +42,17 @@ def still(rig: Rig) -> Motion:
 
 
 @pytest.mark.parametrize("period", RATES)
-def test_a_flotor_at_rest_is_seen_to_rest_whatever_the_noise(period: float) -> None:
+@pytest.mark.parametrize(("noise", "margin"), [(4e-7, 100.0), (5e-6, 20.0), (5e-5, 2.0)])
+def test_a_flotor_at_rest_is_seen_to_rest_whatever_the_noise(noise: float, margin: float, period: float) -> None:
+    if noise > 1e-5 and period < 0.001:
+        return  # so much noise so fast is overspeed to the guards: no device flies with it
     worst = [0.0, 0.0]
     for seed in range(20 if period > 0.001 else 3):
-        motion = still(Rig(period=period, seed=seed, quantum=8e-7, noise=4e-7))
+        motion = still(Rig(period=period, seed=seed, quantum=8e-7, noise=noise))
         worst = [max(one, other) for one, other in zip(worst, motion.speeds)]
         assert motion.at_rest and motion.full
     print(f"{1 / period:g} Hz: at rest up to {worst[0] * 1e3:.3f} mm/s and {worst[1]:.4f} rad/s seen")
-    assert worst[0] < 2e-3 / 10 and worst[1] < 0.05 / 10
+    assert worst[0] < 5e-3 / margin and worst[1] < 0.1 / margin
 
 
 def watched(period: float, pose: Any) -> Motion:
@@ -65,7 +68,7 @@ def watched(period: float, pose: Any) -> Motion:
 @pytest.mark.parametrize("period", RATES)
 @pytest.mark.parametrize("axis", range(6))
 def test_motion_along_every_axis_and_to_and_fro_is_no_rest(axis: int, period: float) -> None:
-    least, amplitude = (2e-3, 1.1e-4) if axis < 3 else (0.05, 2.6e-3)
+    least, amplitude = (5e-3, 3.5e-4) if axis < 3 else (0.1, 7e-3)
     along = [float(place == axis) for place in range(6)]
     for share in (0.95, 1.05):
         steady = watched(period, lambda at, speed=share * least: [part * speed * at for part in along])
@@ -182,7 +185,7 @@ def test_a_landing_into_a_hand_says_so_and_disarms_all_the_same() -> None:
     rig.fly(0.2)
     report = rig.plant.land()
     print(report)
-    assert not report.at_rest and "NOT at rest" in str(report) and report.spin > 0.05
+    assert not report.at_rest and "NOT at rest" in str(report) and report.spin > 0.1
 
 
 def test_a_landing_waits_for_rest_before_it_disarms() -> None:

@@ -312,7 +312,7 @@ class RemotePlant:
     def takeoff(self, duration: float = 0.6, *, watch: Callable[[], object] | None = None) -> None:
         """Check that the flotor rests, arm, and lead it from where it lies to the centre; keep hands off it.
 
-        It is watched for 0.1 s; it rests up to 2 mm/s and 0.05 rad/s. All that is slow is done before the currents
+        It is watched for 0.1 s; it rests up to 5 mm/s and 0.1 rad/s. All that is slow is done before the currents
         flow.
 
         Args:
