@@ -40,7 +40,6 @@ _AGAIN = 0.02
 """A request is repeated after so long without an answer [s]."""
 
 _HELLO_AGAIN, _ESTOP_AGAIN = 0.1, 0.005
-
 _TAKEOVER = 1.0
 """A device gives up a host that says nothing for so long [s], unless it flies."""
 
@@ -80,10 +79,10 @@ class EstopReport(NamedTuple):
 
 
 def estop(link: Link, key: bytes | None = None, patience: float = 1.0) -> EstopReport:
-    """Stop a device, whoever flies it; no session is needed.
+    """Stop a device, whoever flies it; no session is needed, and the link is left open.
 
     Args:
-        link: The wire; left open.
+        link: The wire.
         key: With which frames are sealed.
         patience: How long to try [s], above 0.
 
@@ -181,8 +180,7 @@ class Connection:
         samples: Their count, and what is missing of them.
         heard: When that was there, by the link's clock [ns].
         latency: From there to sending the last command [ns].
-        settled: When the device last did what it was asked for, by its own clock [ns]: what a sample from before that
-            says of its state is old.
+        settled: Time of the device's last answer to a request, by its clock [ns]; its state in older samples is old.
 
     Raises:
         HandshakeError: If no device answers, it refuses this host, or its numbers are outside sane bounds.

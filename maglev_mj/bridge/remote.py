@@ -36,8 +36,7 @@ from maglev_mj.sensing.solver import PoseTracker
 __all__ = ["RemotePlant"]
 
 _INACTIVE, _ACTIVE, _FAULT = State  # an enumeration's members are slow to look up
-_NAN, _NONE = math.nan, 0xFFFFFFFF
-_UNKNOWN = (_NAN,) * 6
+_NAN, _NONE, _UNKNOWN = math.nan, 0xFFFFFFFF, (math.nan,) * 6
 _MOST = Limits(current=100.0, continuous_current=100.0, hover=100.0)
 _SETTLING, _WATCHING = 0.3, 0.2
 """How long a landing waits for the flotor to come to rest before it disarms, and watches it after [s]."""
@@ -66,15 +65,13 @@ class RemotePlant:
         limits: The smaller of the device's and the host's.
         latched: One line about faults that were latched in the device when it answered; empty without.
         disarmed: True once this host has switched the currents off after it had armed.
-        state: Of the device, at the last sample.
-        faults: Likewise.
-        first: Those of them that came first.
-        fault_time: When, by the device's clock [ns]; 0 without.
+        state: Of the device, at the last sample; likewise `faults`.
+        first: The faults that came first, at `fault_time` by the device's clock [ns]; 0 without.
         last_currents: What was sent last [A], six.
         last_delay: From the sample before the last to its answer's effect, by the device's clock [s]; NaN if the
             command in force at the last sample answers another.
         newest_delay: Likewise of the newest answer that has arrived, to any sample; NaN if that is the one before.
-        rest: Where the flotor lay before it took off [m, rad]; where it is landed.
+        rest: Pose before takeoff, and to land at [m, rad].
         samples: Their count, and what is missing of them.
         hand_wrench: Zero: nobody measures what the hand does.
 
@@ -97,8 +94,8 @@ class RemotePlant:
         patience: float = 1.0,
         folder: Path = Path(),
     ) -> None:
-        known = self.calibration = calibration or Calibration.nominal()
-        own = limits or HostLimits()
+        known, own = calibration or Calibration.nominal(), limits or HostLimits()
+        self.calibration = known
         self._hover: list[float] = known.hover.tolist()
         weight = known.mass * math.hypot(*known.gravity)
         if said := weight_fault(weight, self._hover, own, own.narrowed(_MOST)):
@@ -118,19 +115,19 @@ class RemotePlant:
             self._box = BlackBox(folder)
             self._spots, self._guard = SpotGuard(self.limits, self.period), FlotorGuard(own)
             self._track = PoseTracker(known.beams)
-            offsets = known.spot_offsets
-            self._offsets: list[float] | None = offsets.tolist() if offsets.any() else None
+            self._offsets: list[float] | None = known.spot_offsets.tolist() if known.spot_offsets.any() else None
             self._output = OutputLimiter(known.coils, self.limits, own.wrench, self.period)
             self._leader = Leader(known, self.period, self.delay)
         except BaseException:
             self._line.close()
             raise
         self.last_currents: Sequence[float] = ZERO
-        self.last_delay = self.newest_delay = _NAN
-        self._answered: int | None = None  # the sample that the newest answer was for
         self.rest: Sequence[float] = ZERO
-        self.disarmed = False
-        self._armed = self._warned = False  # armed by this host, and nothing has ended it that was reported
+        self.last_delay = self.newest_delay = _NAN
+        self._answered: int | None = None  # by the newest answer
+        self.disarmed = self._armed = self._warned = (
+            False  # armed by this host, and nothing has ended it that was reported
+        )
         self._led = self._owed = False  # led from or to its stop; an answer is owed to the last sample
         self._sequence, self._located = 0, 0  # of the last sample, and tick of the last whose pose is known
         self._doubt = ""  # what is wrong with the last sample
@@ -205,10 +202,7 @@ class RemotePlant:
         return command
 
     def drive(self, currents: Sequence[float]) -> None:
-        """Send six currents in place of a wrench: one coil at a time.
-
-        Args:
-            currents: Of the coils [A], six.
+        """Send six currents [A] in place of a wrench: one coil at a time.
 
         Raises:
             ParameterError: If one is not finite or above the limit.
@@ -234,18 +228,11 @@ class RemotePlant:
             self._output.passed(held, pulsed, width)
         else:
             self._output.stay(1, ZERO)
-        self._keep(frame, held, pulsed, width)
-
-    def _keep(self, frame: Frame, held: Sequence[float], pulsed: Sequence[float] | None, width: float) -> None:
         self._box.keep((frame, self._seen, held, pulsed, width, self.last_delay, self._line.latency))
 
     @property
     def report(self) -> StateReport:
-        """What the device said at the last sample.
-
-        Raises:
-            PlantError: If no sample was read.
-        """
+        """The device's own report at the last sample; a PlantError before the first."""
         if self._frame is None:
             raise PlantError("there is no sample: call read() first")
         return self._frame.body  # type: ignore[return-value]
@@ -267,14 +254,10 @@ class RemotePlant:
         return self._line.heard - self.samples.time
 
     def arm(self, hover: Sequence[float] | None = None) -> None:
-        """Let the currents flow.
+        """Let the currents flow; a PlantError if the device refuses, as in the fault state.
 
         Args:
-            hover: Currents that the device holds where commands are missing [A], six; those that carry the flotor by
-                default.
-
-        Raises:
-            PlantError: If the device refuses, as in the fault state.
+            hover: Held by the device if commands are missing [A], six; by default the currents that carry the flotor.
         """
         self._ask(Operation.ARM, hover=self._hover if hover is None else hover)
         self.state, self._armed, self._led = _ACTIVE, True, False
@@ -287,10 +270,9 @@ class RemotePlant:
             self.state = _INACTIVE
 
     def estop(self) -> EstopReport:
-        """Switch the currents off in whatever state, and latch that it was asked for; the next sample is a fault.
+        """Switch the currents off in any state and latch ESTOP; a PlantError if the device does not confirm it.
 
-        Raises:
-            PlantError: If the device does not confirm it.
+        The next sample is a fault.
         """
         self._check_open()
         report = self._line.estop()
@@ -476,9 +458,8 @@ class RemotePlant:
         except SensingError as error:
             self._fail_if_active(Fault.SENSOR_OUT_OF_RANGE, str(error))
             raise
-        self._known = position
+        self._known, self._owed = position, True
         self._seen = tuple(position)  # whoever gets the list may write in it
-        self._owed = True
         return position
 
     def _send(self, held: Sequence[float], pulsed: Sequence[float] | None, width: float) -> None:
@@ -510,12 +491,8 @@ class RemotePlant:
             with suppress(Exception):  # what went wrong is told, and the last cycles kept, whatever else fails
                 self.trip(faults)
         faults |= self.faults  # such as an e-stop, after which it fell
-        samples = self.samples
-        about = {
-            **{"first": fault_names(self.first), "fault_time_ns": self.fault_time, "tick": samples.tick},
-            **{"lost": samples.lost, "skipped": samples.skipped, "period_ns": samples.period},
-        }
-        if self._frame is not None:
-            self._keep(self._frame, self.last_currents, None, 0.0)
-        path = self._box.write(faults, message, about)
-        raise DeviceFault(faults, message, path)
+        about = {"first": fault_names(self.first), "fault_time_ns": self.fault_time, "period_ns": self.samples.period}
+        about |= {name: getattr(self.samples, name) for name in ("tick", "lost", "skipped")}
+        if (frame := self._frame) is not None:
+            self._box.keep((frame, self._seen, self.last_currents, None, 0.0, self.last_delay, self._line.latency))
+        raise DeviceFault(faults, message, self._box.write(faults, message, about))
