@@ -267,7 +267,7 @@ GUARDS: list[tuple[str, Any, str, str, str]] = [
     ("bye", F, "_control", "last.operation == Operation.BYE", "False"),
     ("bye", F, "_do", "if self.state == State.ACTIVE:", "if True:"),
     # frames
-    ("magic", C, "_reason", "data[0] != MAGIC & 0xFF or data[1] != MAGIC >> 8", "False"),
+    ("magic", C, "_reason", "data[:2] != _MAGIC", "False"),
     ("crc", C, "_reason", "zlib.crc32(data) != _SEALED", "False"),
     ("frame-version", C, "_reason", "data[2] != VERSION", "False"),
     ("frame-version", F, "receive", " and data[3] == _HELLO", ""),
@@ -339,7 +339,7 @@ GUARDS: list[tuple[str, Any, str, str, str]] = [
     # all frames
     ("samples", F, "trip", "self.state, self.faults = State.FAULT, self.faults | faults", "self.faults |= faults"),
     ("cut", F, "trip", "self._amplifiers.cut()", "pass"),
-    ("samples", F, "sample", "reading.conversions &", "7 &"),
+    ("samples", F, "sample", "conversions &", "7 &"),
     ("frames", F, "sample", "self._codec.encode(self.session, tick", "self._codec.encode(self.session + 1, tick"),
     # in flight
     ("bad-line", C, "_reason", "zlib.crc32(data) != _SEALED", "False"),

@@ -12,11 +12,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from bench_bridge import histogram
+from maglev_mj import cli
 from maglev_mj.bridge import RemotePlant, Twin, TwinParameters
-from maglev_mj.bridge.flight import Flight, LoopTiming, delay_check
+from maglev_mj.bridge.flight import LINE_TIME, Flight, LoopTiming, delay_check, expected_delay
 from maglev_mj.bridge.realtime import LatencyHistogram, RealtimeError, realtime
 from maglev_mj.bridge.safety import Limits
 from maglev_mj.bridge.simulated_links import Impairment, VirtualLink
+from maglev_mj.cli import bridge
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.recording import Recording, open_recording
 from maglev_mj.scenes.joystick import Joystick
@@ -140,13 +143,13 @@ def test_lateness_keeps_the_last_and_the_worst_of_all() -> None:
     assert latency.p50 == pytest.approx(np.percentile(kept, 50.0))
     assert latency.p99 == pytest.approx(np.percentile(kept, 99.0))
     assert latency.max == pytest.approx(7e-3)
-    assert latency.histogram().startswith("latency of the last 100 of 251: p50 201 µs, p99 249 µs, max 7 ms\n")
+    assert histogram(latency).startswith("latency of the last 100 of 251: p50 201 µs, p99 249 µs, max 7 ms\n")
 
 
 def test_no_lateness_is_no_number() -> None:
     latency = LatencyHistogram(3)
     assert math.isnan(latency.p50) and math.isnan(latency.p99) and math.isnan(latency.max)
-    assert latency.histogram() == "latency: none yet"
+    assert histogram(latency) == "latency: none yet"
     with pytest.raises(ParameterError, match="size"):
         LatencyHistogram(0)
 
@@ -156,7 +159,7 @@ def test_the_histogram_as_it_is_seen() -> None:
     for late, count in ((30_000, 800), (70_000, 400), (150_000, 1), (999, 3), (3_000_000, 2)):
         for _ in range(count):
             latency.add(late)
-    assert latency.histogram().splitlines() == [
+    assert histogram(latency).splitlines() == [
         "latency of 1206: p50 30 µs, p99 70 µs, max 3 ms",
         "   below 1 µs       ▏                                                    3",
         "   1 µs to 2 µs                                                          0",
@@ -184,7 +187,7 @@ def test_the_histogram_fits_a_terminal_and_counts_everything() -> None:
         *(int(10 ** random.Random(seed).uniform(2.0, 10.0)) for seed in range(4000)),
     ]:
         latency.add(late)
-    lines = latency.histogram().splitlines()
+    lines = histogram(latency).splitlines()
     assert max(map(len, lines)) <= 80
     assert sum(int(line.split()[-1]) for line in lines[1:]) == latency.count
     assert "below 1 µs" in lines[1] and "above 5 s" in lines[-1]
@@ -233,19 +236,59 @@ def test_a_device_in_lockstep_has_no_age_of_samples() -> None:
 def test_a_delay_longer_than_the_one_checked_is_judged_anew() -> None:
     scene, timing = Joystick(), LoopTiming()
     inertia = [0.7, 0.7, 0.7, 9.3e-4, 9.3e-4, 8.2e-4]
-    assert delay_check(timing, scene, inertia) == ""
+    assert delay_check(timing, scene, inertia, scene.delay) == ""
     timing.delay.add(1_400_000)
-    assert delay_check(timing, scene, inertia) == ""
+    assert delay_check(timing, scene, inertia, scene.delay) == ""
     for delay, word in ((2_000_000, "stable"), (5_000_000, "UNSTABLE")):
         timing.delay = LatencyHistogram()
         timing.delay.add(delay)
-        said = delay_check(timing, scene, inertia)
+        said = delay_check(timing, scene, inertia, scene.delay)
         assert f"below {delay * 1e-6:.2f} ms, and 1.50 ms was checked; held at" in said
         assert f"joystick is {word} (largest root" in said
         assert (stability(scene.replace(delay=delay * 1e-9)).stable is True) == (word == "stable")
     timing.delay.add(10**10)
     timing.delay.add(10**10)
-    assert "is not known" in delay_check(timing, scene, inertia)
+    assert "is not known" in delay_check(timing, scene, inertia, scene.delay)
+
+
+@pytest.mark.parametrize("way", [0.0004, 0.0006])
+def test_a_flight_warns_only_of_a_delay_longer_than_the_one_expected(way: float) -> None:
+    """The line and the host's answer are expected to take 1 ms together, beside the device's own delay."""
+    twin = Twin(TwinParameters(), draw=lambda: 7)
+    with RemotePlant(VirtualLink(twin, Impairment(delay=way))) as plant:
+        assert expected_delay(plant) == plant.delay + LINE_TIME == pytest.approx(2.5e-3)
+        flown = Flight(plant, Joystick(period=plant.period, delay=plant.delay))
+        flown.run(0.2)
+    assert flown.timing.delay.p99 == pytest.approx(plant.delay + 2.0 * way, abs=2e-6)
+    if way < 0.0005:
+        assert flown.warning == ""
+    else:
+        said = "99 % of delays are below 2.70 ms, and 2.50 ms was checked; held at 2.70 ms, joystick is stable"
+        assert flown.warning.startswith(said)
+
+
+def test_a_line_takes_no_time_in_lockstep() -> None:
+    with RemotePlant(VirtualLink(Twin(TwinParameters(lockstep=True)))) as plant:
+        assert expected_delay(plant) == plant.delay
+
+
+def test_the_check_before_takeoff_is_at_the_expected_delay(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(bridge, "_opened", lambda *_: RemotePlant(VirtualLink(Twin(TwinParameters()))))
+    monkeypatch.setattr(bridge, "_fly", lambda *_: None)
+    for stiffness, word in ((2000, ""), (9000, "joystick is unstable: walls")):  # at 1.5 ms both are stable
+        assert cli.main(["bridge", "udp://127.0.0.1:1", "--stiffness", str(stiffness)]) == 0
+        said = capsys.readouterr().err
+        assert bool(said) == bool(word) and word in said and ("with 2.5 ms of delay" in said) == bool(word)
+
+
+def test_the_verdict_is_on_the_gains_that_flew() -> None:
+    """A hold that is soft enough for 1 ms of delay is not made softer for the delay that it had."""
+    scene, timing, inertia = Table(delay=0.001, friction=False), LoopTiming(), [0.7, 0.7, 0.7, 9.3e-4, 9.3e-4, 8.2e-4]
+    timing.delay.add(20_000_000)
+    assert "table is UNSTABLE" in delay_check(timing, scene, inertia, scene.delay)
+    assert stability(scene.replace(delay=0.02), inertia=inertia).stable
 
 
 def test_the_delay_of_late_answers_is_measured_too(tmp_path: Path) -> None:

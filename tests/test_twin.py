@@ -82,7 +82,7 @@ def test_a_counter_that_stands_under_a_pushing_hand(push: tuple[int, float], at:
     assert rig.twin.firmware.faults == Fault.SENSOR_STOPPED and samples == 1 and rig.currents() == [0.0] * 6
 
 
-@pytest.mark.parametrize(("noise", "frozen"), [(4e-7, 20), (4e-7 - 1e-12, 0), (0.0, 0), (1e-6, 20)])
+@pytest.mark.parametrize(("noise", "frozen"), [(4e-7, 30), (4e-7 - 1e-12, 0), (0.0, 0), (1e-6, 30)])
 def test_a_twin_says_whether_its_noise_rules_equal_readings_out(noise: float, frozen: int) -> None:
     assert TwinParameters(noise=noise, quantum=8e-7).profile.limits.frozen == frozen
 

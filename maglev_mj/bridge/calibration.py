@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+from collections import Counter
 from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,30 +32,26 @@ _REST = {"spot_offsets": (6,), "mass": (), "inertia": (3,), "gravity": (3,)}
 _UNITS: dict[str, Any] = {
     "coils": {"points": "m", "directions": "1", "force_constants": "N/A"},
     "beams": {"leds": "m", "directions": "1", "diodes": "m", "across": "1"},
-    "spot_offsets": "m",
-    "mass": "kg",
-    "inertia": "kg m^2",
-    "gravity": "m/s^2",
+    **{"spot_offsets": "m", "mass": "kg", "inertia": "kg m^2", "gravity": "m/s^2"},
 }
 
 
 class CalibrationError(MaglevError):
-    """A calibration file cannot be read or written, or says what no device can be."""
+    """A calibration file cannot be read or written, or no device can be as it says."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Calibration:
-    """What a host knows of a device: coils, beams, and the body they carry.
+    """Coils, beams and body of a device, as known to its host.
 
     Args:
         coils: Points, directions and force constants of the coils.
-        beams: Places of the LEDs and the diodes.
-        spot_offsets: What the diodes read where the beams' geometry says zero, (6,) [m]: subtracted from what is
-            measured.
+        beams: LEDs and diodes.
+        spot_offsets: Subtracted from measured spots, (6,) [m].
         mass: Moving mass [kg].
         inertia: Moments of inertia about stator axes through the centre of mass, (3,) [kg m²].
         gravity: Acceleration of free fall in stator axes, (3,) [m/s²].
-        name: What to call it; no part of the digest.
+        name: Its name; no part of the digest.
 
     Raises:
         ParameterError: If a value is not finite or of another shape, a direction is not of unit length, or the mass or
@@ -84,7 +81,7 @@ class Calibration:
 
     @classmethod
     def nominal(cls) -> Self:
-        """Return the calibration of the device as the model and the paper have it, level and without offsets."""
+        """Return the calibration by the model and the paper, level and without offsets."""
         coils = load("drop").coils
         assert coils is not None  # the model is loaded with them
         return cls(
@@ -103,14 +100,13 @@ class Calibration:
 
     @property
     def digest(self) -> bytes:
-        """Sixteen bytes of BLAKE2s over all but the name: the same after `save` and `load`, and for nothing else."""
-        values = self.as_json()
-        del values["name"]
+        """Sixteen bytes of BLAKE2s over all but the name; the same after `save` and `load`."""
+        values = {name: value for name, value in self.as_json().items() if name != "name"}
         text = json.dumps(values, sort_keys=True, separators=(",", ":"), allow_nan=False)
         return hashlib.blake2s(text.encode(), digest_size=16).digest()
 
     def as_json(self) -> dict[str, Any]:
-        """Return everything as lists, numbers and texts; floats come back bit for bit."""
+        """Return everything as lists, numbers and texts; floats keep every bit."""
         return {
             "format": _FORMAT,
             "name": self.name,
@@ -136,19 +132,12 @@ class Calibration:
         if values["units"] != _UNITS:
             raise CalibrationError(f"units must be {json.dumps(_UNITS)}, not {json.dumps(values['units'])}")
         coils, diodes = _arrays("coils", parts, _COILS), _arrays("beams", parts, _BEAMS)
-        rest = {name: _checked(name, parts[name], shape) for name, shape in _REST.items()}
-        return cls(
-            coils=CoilMap(**coils),
-            beams=Beams(**diodes),
-            spot_offsets=rest["spot_offsets"],
-            mass=float(rest["mass"]),
-            inertia=rest["inertia"],
-            gravity=rest["gravity"],
-            name=parts["name"],
-        )
+        rest: dict[str, Any] = {name: _checked(name, parts[name], shape) for name, shape in _REST.items()}
+        rest["mass"] = float(rest["mass"])
+        return cls(coils=CoilMap(**coils), beams=Beams(**diodes), **rest, name=parts["name"])
 
     def save(self, path: str | Path) -> None:
-        """Write a file, whole or not at all: what was there before stays until all is written.
+        """Write a file, whole or not at all: an older one stays until all is written.
 
         Raises:
             CalibrationError: If it cannot be written.
@@ -187,7 +176,7 @@ class Calibration:
 
 
 def _checked(name: str, value: Any, shape: tuple[int, ...]) -> Array:
-    """Return a value as an array of a shape, finite, read-only and the caller's own; directions of unit length."""
+    """Return a finite read-only array of a shape; directions of unit length."""
     array = np.array(numbers(name, value))
     if array.shape != shape:
         raise ParameterError(f"{name} must be {shape}, not {array.shape}")
@@ -201,7 +190,7 @@ def _checked(name: str, value: Any, shape: tuple[int, ...]) -> Array:
 
 
 def _arrays(where: str, values: dict[str, Any], shapes: dict[str, tuple[int, ...]]) -> dict[str, Array]:
-    """Return the arrays of one part of the values, checked."""
+    """Return the checked arrays of one part."""
     given = _entries(f"{where} ", values[where], set(shapes))
     return {name: _checked(f"{where} {name}", given[name], shape) for name, shape in shapes.items()}
 
@@ -217,20 +206,20 @@ def _entries(where: str, values: Any, names: set[str]) -> dict[str, Any]:
 
 
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Return a dictionary of pairs; somebody who edits one of two values of a name would wonder."""
-    names = [name for name, _ in pairs]
-    for name in names:
-        if names.count(name) > 1:
-            raise CalibrationError(f"{name} must be there once, not {names.count(name)} times")
+    """Return a dictionary of pairs, each name once."""
+    for name, times in Counter(name for name, _ in pairs).items():
+        if times > 1:
+            raise CalibrationError(f"{name} must be there once, not {times} times")
     return dict(pairs)
 
 
 def _pretty(value: Any, indent: str = "") -> str:
     """Return JSON with a row of numbers, and not a single number, to the line."""
     deeper = indent + "  "
-    if isinstance(value, dict) and value:
-        lines = [f"{deeper}{json.dumps(name)}: {_pretty(part, deeper)}" for name, part in value.items()]
-        return "{\n" + ",\n".join(lines) + f"\n{indent}}}"
-    if isinstance(value, list) and value and isinstance(value[0], list):
-        return "[\n" + ",\n".join(deeper + _pretty(part, deeper) for part in value) + f"\n{indent}]"
-    return json.dumps(value, allow_nan=False)
+    if isinstance(value, dict):
+        lines, ends = [f"{json.dumps(name)}: {_pretty(part, deeper)}" for name, part in value.items()], "{}"
+    elif isinstance(value, list) and isinstance(value[0], list):
+        lines, ends = [_pretty(part, deeper) for part in value], "[]"
+    else:
+        return json.dumps(value, allow_nan=False)
+    return ends[0] + ",".join(f"\n{deeper}{line}" for line in lines) + f"\n{indent}{ends[1]}"

@@ -16,14 +16,9 @@ from maglev_mj.parameters import number
 
 __all__ = ["CoilCheck", "check_coil", "mean_pose", "record_step", "with_offsets"]
 
-_PAUSE = 0.25
-"""A current is on for so long before its displacement is measured, and then for as long again [s]."""
-
-_SEEN = 5.0
-"""A displacement counts from so many standard errors on."""
-
-_CLOSE = 0.5
-"""Cosine between the displacement's force direction and the calibration's from which both agree."""
+_PAUSE = 0.25  # [s] a current is on before its displacement is measured, and then again
+_SEEN = 5.0  # standard errors from which a displacement counts
+_CLOSE = 0.5  # cosine between the displacement and the calibration's force from which both agree
 
 
 class CoilCheck(NamedTuple):
@@ -65,9 +60,7 @@ def check_coil(plant: RemotePlant, coil: int, current: float = 0.2) -> CoilCheck
         ParameterError: If an argument is outside its bounds.
         DeviceFault: If the device raises a fault.
     """
-    number("coil", coil, at_least=0, at_most=5)
-    number("current", current, above=0.0, at_most=plant.limits.current)
-    one = [current if index == coil else 0.0 for index in range(6)]
+    one = _one_coil(plant, coil, current)
     plant.arm(hover=ZERO)
     means, errors, flowed = [], [], []
     for sign in (1.0, -1.0):
@@ -77,18 +70,10 @@ def check_coil(plant: RemotePlant, coil: int, current: float = 0.2) -> CoilCheck
         flowed.append(sign * currents.mean(axis=0))
     plant.disarm()
     displacement, error = 0.5 * (means[0] - means[1]), 0.5 * np.sqrt(errors[0] + errors[1])
-    measured = np.mean(flowed, axis=0)
-    expected = plant.calibration.coils.wrench(np.array(one))
-    return CoilCheck(
-        coil,
-        current,
-        float(measured[coil]),
-        float(np.abs(np.delete(measured, coil)).max()),
-        displacement,
-        error,
-        expected,
-        _verdict(displacement[:3], error[:3], expected[:3]),
-    )
+    measured, expected = np.mean(flowed, axis=0), plant.calibration.coils.wrench(np.array(one))
+    own, others = float(measured[coil]), float(np.abs(np.delete(measured, coil)).max())
+    verdict = _verdict(displacement[:3], error[:3], expected[:3])
+    return CoilCheck(coil, current, own, others, displacement, error, expected, verdict)
 
 
 def record_step(plant: RemotePlant, coil: int, current: float = 0.2, samples: int = 20) -> Array:
@@ -107,14 +92,13 @@ def record_step(plant: RemotePlant, coil: int, current: float = 0.2, samples: in
         ParameterError: If an argument is outside its bounds.
         DeviceFault: If the device raises a fault.
     """
-    number("coil", coil, at_least=0, at_most=5)
-    number("current", current, above=0.0, at_most=plant.limits.current)
+    one = _one_coil(plant, coil, current)
     plant.arm(hover=ZERO)
     plant.read()
     first = plant.samples.tick
     rows = []
     for _ in range(int(number("samples", samples, at_least=1))):
-        plant.drive([current if index == coil else 0.0 for index in range(6)])
+        plant.drive(one)
         plant.read()
         rows.append(((plant.samples.tick - first) * plant.period, plant.report.currents[coil]))
     plant.disarm()
@@ -147,16 +131,21 @@ def with_offsets(calibration: Calibration, spots: ArrayLike) -> Calibration:
     return replace(calibration, spot_offsets=np.asarray(spots) - centre)
 
 
+def _one_coil(plant: RemotePlant, coil: int, current: float) -> list[float]:
+    number("coil", coil, at_least=0, at_most=5)
+    number("current", current, above=0.0, at_most=plant.limits.current)
+    return [current if index == coil else 0.0 for index in range(6)]
+
+
 def _hold(plant: RemotePlant, currents: Sequence[float]) -> tuple[Array, Array]:
     """Return poses and measured currents under constant currents, (N, 6) each, once the flotor has come to rest."""
-    rows: list[tuple[Sequence[float], Sequence[float]]] = []
+    poses, measured = [], []
     settle = max(round(_PAUSE / plant.period), 2)
-    for tick in range(2 * settle):
-        position = plant.read().position
+    for _ in range(2 * settle):
+        poses.append(tuple(plant.read().position))
         plant.drive(currents)
-        if tick >= settle:
-            rows.append((tuple(position), plant.report.currents))
-    return np.array([one for one, _ in rows]), np.array([other for _, other in rows])
+        measured.append(plant.report.currents)
+    return np.array(poses[settle:]), np.array(measured[settle:])
 
 
 def _verdict(displacement: Array, error: Array, expected: Array) -> str:

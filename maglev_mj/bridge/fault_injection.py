@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -15,24 +16,15 @@ from maglev_mj.parameters import number
 __all__ = ["INJECTED_FAULTS", "Effect", "InjectedFault"]
 
 _MS = 1_000_000
-_NAN = float("nan")
 
 
 class Effect(NamedTuple):
-    """A kind of fault.
-
-    Attributes:
-        words: What goes wrong.
-        largest: K.
-        begin: Done once, to a `Twin`, with K.
-        read: Returns what the device reads instead, from that, the reading at which it began, and K.
-        report: Returns what the device reports instead, from that and K.
-    """
+    """A kind of fault: done to a `Twin` once with K, or a change of its reading or report."""
 
     words: str
-    largest: int
+    largest: int  # K
     begin: Callable[[Any, int], None] | None = None
-    read: Callable[[Reading, Reading, int], Reading] | None = None
+    read: Callable[[Reading, Reading, int], Reading] | None = None  # the reading, that of the beginning, K
     report: Callable[[StateReport, int], StateReport] | None = None
 
 
@@ -41,8 +33,14 @@ def _with(values: Sequence[float], first: int, *others: float) -> tuple[float, .
     return (*values[:first], *others, *values[first + len(others) :])
 
 
-def _dead_coil(twin: Any, coil: int) -> None:
-    twin.plant.open_coil(coil)
+def _put(name: str, value: float) -> Callable[..., Any]:
+    """Return a change that puts a value in place of entry K of a field."""
+    return lambda now, *others: now._replace(**{name: _with(getattr(now, name), others[-1], value)})
+
+
+def _keep(name: str) -> Callable[..., Any]:
+    """Return a change that leaves a field as it was at the beginning."""
+    return lambda now, first, _: now._replace(**{name: getattr(first, name)})
 
 
 def _stuck_diode(now: Reading, first: Reading, diode: int) -> Reading:
@@ -53,6 +51,10 @@ def _swapped_diodes(now: Reading, _: Reading, diode: int) -> Reading:
     one, other = 2 * diode, 2 * ((diode + 1) % 3)
     spots = _with(now.spots, one, *now.spots[other : other + 2])
     return now._replace(spots=_with(spots, other, *now.spots[one : one + 2]))
+
+
+def _invalid_diode(now: Reading, _: Reading, diode: int) -> Reading:
+    return now._replace(valid=now.valid & ~(1 << diode))
 
 
 def _clock_jump(twin: Any, milliseconds: int) -> None:
@@ -71,44 +73,19 @@ def _hung_firmware(twin: Any, _: int) -> None:
     twin.hung = True
 
 
+_NAN, _HOT = _put("temperatures", math.nan), _put("temperatures", 5.0)
 INJECTED_FAULTS = {
-    "dead-coil": Effect(
-        "coil K gives no current", 5, _dead_coil, lambda now, _, k: now._replace(measured=_with(now.measured, k, 0.0))
-    ),
+    "dead-coil": Effect("coil K gives no current", 5, lambda twin, k: twin.plant.open_coil(k), _put("measured", 0.0)),
     "stuck-amplifier": Effect("coil K keeps its current, whatever is asked for", 5, _stuck_amplifier),
     "stuck-diode": Effect("diode K repeats its last spot", 2, read=_stuck_diode),
-    "stuck-diodes": Effect(
-        "all diodes repeat their last spots (K is 0)", 0, read=lambda now, first, _: now._replace(spots=first.spots)
-    ),
-    "stuck-counter": Effect(
-        "the conversion counter stands (K is 0)",
-        0,
-        read=lambda now, first, _: now._replace(conversions=first.conversions),
-    ),
-    "invalid-diode": Effect(
-        "diode K says that its spot cannot be trusted",
-        2,
-        read=lambda now, _, k: now._replace(valid=now.valid & ~(1 << k)),
-    ),
+    "stuck-diodes": Effect("all diodes repeat their last spots (K is 0)", 0, read=_keep("spots")),
+    "stuck-counter": Effect("the conversion counter stands (K is 0)", 0, read=_keep("conversions")),
+    "invalid-diode": Effect("diode K says that its spot cannot be trusted", 2, read=_invalid_diode),
     "swapped-diodes": Effect("the cables of diode K and the next are exchanged", 2, read=_swapped_diodes),
-    "nan-spot": Effect(
-        "coordinate K is not a number", 5, read=lambda now, _, k: now._replace(spots=_with(now.spots, k, _NAN))
-    ),
-    "nan-current": Effect(
-        "the measured current of coil K is not a number",
-        5,
-        read=lambda now, _, k: now._replace(measured=_with(now.measured, k, _NAN)),
-    ),
-    "nan-temperature": Effect(
-        "the temperature of coil K is reported as not a number",
-        5,
-        report=lambda now, k: now._replace(temperatures=_with(now.temperatures, k, _NAN)),
-    ),
-    "hot-report": Effect(
-        "the temperature of coil K is reported as 5",
-        5,
-        report=lambda now, k: now._replace(temperatures=_with(now.temperatures, k, 5.0)),
-    ),
+    "nan-spot": Effect("coordinate K is not a number", 5, read=_put("spots", math.nan)),
+    "nan-current": Effect("the measured current of coil K is not a number", 5, read=_put("measured", math.nan)),
+    "nan-temperature": Effect("the temperature of coil K is reported as not a number", 5, report=_NAN),
+    "hot-report": Effect("the temperature of coil K is reported as 5", 5, report=_HOT),
     "clock-jump": Effect("the device's clock jumps ahead by K milliseconds", 10_000, _clock_jump),
     "silence": Effect("nothing comes or goes for K milliseconds", 60_000, _silence),
     "hung-firmware": Effect("the firmware hangs, the amplifier board does not (K is 0)", 0, _hung_firmware),
@@ -120,18 +97,13 @@ INJECTED_FAULTS = {
 class InjectedFault:
     """A fault of a twin, and when it begins.
 
-    Args:
-        kind: One of INJECTED_FAULTS.
-        which: Its K.
-        at: When, in simulated time [s].
-
     Raises:
         ParameterError: If there is no such fault, or a number is outside its bounds.
     """
 
-    kind: str
-    which: int
-    at: float
+    kind: str  # one of INJECTED_FAULTS
+    which: int  # its K
+    at: float  # in simulated time [s]
 
     def __post_init__(self) -> None:
         if self.kind not in INJECTED_FAULTS:
@@ -150,7 +122,6 @@ class InjectedFault:
         """
         found = re.fullmatch(r"([a-z-]+):(\d+)@(\d+\.?\d*)", text)
         if not found:
-            raise ParameterError(
-                f"fault must be NAME:K@SECONDS with a name of {', '.join(INJECTED_FAULTS)}, not {text!r}"
-            )
+            names = ", ".join(INJECTED_FAULTS)
+            raise ParameterError(f"fault must be NAME:K@SECONDS with a name of {names}, not {text!r}")
         return cls(kind=found[1], which=int(found[2]), at=float(found[3]))

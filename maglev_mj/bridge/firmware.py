@@ -7,26 +7,9 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
 
+from maglev_mj.bridge import wire
 from maglev_mj.bridge.safety import OFF, WARNING_RISE, CoilGuard, Limits, SpotGuard, ThermalModel, command_fault
-from maglev_mj.bridge.wire import (
-    VERSION,
-    Codec,
-    Command,
-    Control,
-    ControlAck,
-    Estop,
-    EstopAck,
-    Fault,
-    Flag,
-    Hello,
-    HelloAck,
-    HelloStatus,
-    Operation,
-    Result,
-    State,
-    StateReport,
-    newer,
-)
+from maglev_mj.bridge.wire import Codec, Command, Control, Estop, Fault, HelloStatus, Operation, State, newer
 from maglev_mj.frames import ZERO
 from maglev_mj.parameters import flag
 
@@ -53,19 +36,10 @@ class Amplifiers(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class Profile:
-    """What a device says of itself in the handshake.
+    """What a device says of itself in the handshake; see HELLO_ACK in docs/protocol.md."""
 
-    Args:
-        period: Sample period [ns].
-        delay: From a command's arrival to its taking effect [ns].
-        calibration: First 16 bytes of its calibration's hash.
-        limits: What it bears.
-        lockstep: Whether simulated time waits for each answer.
-        number: Of the device.
-    """
-
-    period: int
-    delay: int
+    period: int  # [ns]
+    delay: int  # [ns]
     calibration: bytes
     limits: Limits = field(default_factory=Limits)
     lockstep: bool = False
@@ -76,25 +50,15 @@ class Profile:
 
 
 class Reading(NamedTuple):
-    """What a device measures at a sample.
+    """What a device measures at a sample."""
 
-    Attributes:
-        spots: On the diodes [m], six.
-        valid: A bit for each diode whose spot can be trusted.
-        measured: Currents [A], six.
-        commanded: What the amplifiers were told [A], six.
-        segments: Currents since the sample before: how long [s], and six [A].
-        conversions: Counter of the sensor interface.
-        enabled: Whether the amplifier board sees its enable line live.
-    """
-
-    spots: Sequence[float]
-    valid: int
-    measured: Sequence[float]
-    commanded: Sequence[float]
-    segments: Iterable[tuple[float, Sequence[float]]] = ()
-    conversions: int = 0
-    enabled: bool = True
+    spots: Sequence[float]  # on the diodes [m], six
+    valid: int  # bit k: diode k's spot can be trusted
+    measured: Sequence[float]  # currents [A], six
+    commanded: Sequence[float]  # of the amplifiers [A], six
+    segments: Iterable[tuple[float, Sequence[float]]] = ()  # currents since the sample before: how long [s], six [A]
+    conversions: int = 0  # counter of the sensor interface
+    enabled: bool = True  # by the amplifier board
 
 
 class Firmware:
@@ -107,8 +71,6 @@ class Firmware:
         draw: Returns a new session's number, 1 to 2³² - 1; seeded in tests, else unpredictable.
 
     Attributes:
-        state: See `State`.
-        faults: See `Fault`.
         counts: Frames that were ignored, by reason, beside the codec's own.
         answered: Number of the last sample that was answered; None before any.
         peer: Address of the host in session; None for none.
@@ -122,7 +84,7 @@ class Firmware:
         self.peer: Any = None
         self.session = 0
         self._nonce, self._heard, self._sequence = 0, 0, 0
-        self._acknowledgement: ControlAck | None = None
+        self._acknowledgement: wire.ControlAck | None = None
         self._hover: Sequence[float] = ZERO
         self._commanded_at, self._answers, self._holding, self._sampled = 0, _NEVER, False, 0
         self._thermal = ThermalModel(profile.limits)
@@ -148,11 +110,11 @@ class Firmware:
                 return self._greet(now, 0, HelloStatus.VERSION)
             return None
         body = frame.body
-        if isinstance(body, Hello):
+        if isinstance(body, wire.Hello):
             return self._hello(body, now, peer)
         if isinstance(body, Estop):
             self.trip(Fault.ESTOP, now)
-            answer = EstopAck(body.request, self.state, self.faults, self._sampled_at, tuple(self._measured))
+            answer = wire.EstopAck(body.request, self.state, self.faults, self._sampled_at, tuple(self._measured))
             return codec.encode(0, 0, now, answer)
         if not isinstance(body, (Command, Control)):
             self.counts["direction"] += 1
@@ -170,23 +132,22 @@ class Firmware:
         return None
 
     def sample(self, tick: int, now: int, reading: Reading) -> bytes | None:
-        """Look at a sample of number `tick` at an instant [ns], act on what is wrong, and return the STATE frame.
+        """Check sample `tick` at an instant [ns], trip on faults; return the STATE frame, None without a session.
 
-        None where there is no session. Outside the active state what the sensors say is no fault: a device that nobody
-        flies may be opened and turned over.
+        Sensors raise no fault outside the active state: an idle device may be opened and turned over.
         """
+        spots, valid, measured, commanded, segments, conversions, enabled = reading
         steps, self._sampled = (tick - self._sampled) & 0xFFFFFFFF, tick & 0xFFFFFFFF
-        self._sampled_at, self._measured = now, reading.measured
-        warmest = self._thermal.add(reading.segments)
-        faults = Fault.COIL_OVERTEMP if warmest >= 1.0 else Fault(0)
+        self._sampled_at, self._measured = now, measured
+        faults = Fault.COIL_OVERTEMP if self._thermal.add(segments) >= 1.0 else Fault(0)
         if self.state == State.ACTIVE:
-            faults |= self._coils.check(reading.commanded, reading.measured)
-            faults |= self._spots.check(reading.spots, reading.valid, reading.conversions, steps)
-            self._disabled = 0 if reading.enabled else self._disabled + 1
+            faults |= self._coils.check(commanded, measured)
+            faults |= self._spots.check(spots, valid, conversions, steps)
+            self._disabled = 0 if enabled else self._disabled + 1
             if self._disabled > 1:
                 faults |= Fault.WATCHDOG
             faults |= self._waited(now, faults)
-        elif self._off.check(ZERO, reading.measured):
+        elif self._off.check(ZERO, measured):
             faults |= Fault.COIL_NOT_OFF
         if faults:
             self.trip(faults, now)
@@ -195,19 +156,10 @@ class Firmware:
         if self.session == 0:
             return None
         age = min(max(now - self._commanded_at, 0) // 1000, _NEVER - 1) if self._answers != _NEVER else _NEVER
-        report = StateReport(
-            tuple(reading.spots),
-            tuple(reading.measured),
-            tuple(self._thermal.rises),
-            self.state,
-            reading.valid,
-            Flag.HOLDING * self._holding | Flag.ENABLED * reading.enabled,
-            self.faults,
-            self._answers,
-            age,
-            reading.conversions & 0xFFFFFFFF,
-        )
-        return self._codec.encode(self.session, tick, now, report)
+        flags = wire.Flag.HOLDING * self._holding | wire.Flag.ENABLED * enabled
+        sixes, count = (tuple(spots), tuple(measured), tuple(self._thermal.rises)), conversions & 0xFFFFFFFF
+        body = wire.StateReport(*sixes, self.state, valid, flags, self.faults, self._answers, age, count)
+        return self._codec.encode(self.session, tick, now, body)
 
     def trip(self, faults: Fault, now: int) -> None:
         """Cut the currents and latch faults at an instant [ns]."""
@@ -233,7 +185,7 @@ class Firmware:
             self._amplifiers.drive(now, self._hover, None, 0.0)
         return Fault(0)
 
-    def _hello(self, hello: Hello, now: int, peer: Any) -> bytes:
+    def _hello(self, hello: wire.Hello, now: int, peer: Any) -> bytes:
         if self.session and hello.nonce == self._nonce and peer == self.peer:
             self._heard = now
             return self._greet(now, hello.nonce, HelloStatus.WELCOME)  # the answer before was lost
@@ -249,12 +201,12 @@ class Firmware:
 
     def _greet(self, now: int, nonce: int, status: HelloStatus) -> bytes:
         profile, limits = self.profile, self.profile.limits
-        body = HelloAck(
-            *(nonce, status, int(profile.lockstep), VERSION, self.state, profile.number, profile.calibration),
+        body = wire.HelloAck(
+            *(nonce, status, int(profile.lockstep), wire.VERSION, self.state, profile.number, profile.calibration),
             *(profile.period, profile.delay, self._watchdog, round(limits.enable * 1e9)),
             *(self._fault_time, self.faults, self._first, limits.frozen),
-            *(limits.current, limits.continuous_current, limits.hover),
-            *(limits.thermal_time, limits.spot, limits.spot_speed),
+            *(limits.current, limits.continuous_current, limits.hover, limits.thermal_time),
+            *(limits.spot, limits.spot_speed),
         )
         session = self.session if status == HelloStatus.WELCOME else 0
         return self._codec.encode(session, 0, now, body)
@@ -280,11 +232,9 @@ class Firmware:
                 self.counts["old"] += 1
                 return None
             self._heard = now
-            done = self._do(control, now)
-            last = ControlAck(control.request, control.operation, 0 if done else Result.REFUSED, 0, 0)
-            self._acknowledgement = last
-        body = last._replace(state=self.state, faults=self.faults)
-        answer = self._codec.encode(self.session, 0, now, body)
+            result = 0 if self._do(control, now) else wire.Result.REFUSED
+            last = self._acknowledgement = wire.ControlAck(control.request, control.operation, result, 0, 0)
+        answer = self._codec.encode(self.session, 0, now, last._replace(state=self.state, faults=self.faults))
         if last.operation == Operation.BYE:
             self.session, self.peer = 0, None
         return answer

@@ -18,7 +18,7 @@ from maglev_mj.bridge.takeoff import LandingReport
 from maglev_mj.controller import Controller
 from maglev_mj.errors import MaglevError, ParameterError, PlantError
 from maglev_mj.frames import Array, Command, Sample
-from maglev_mj.loop import ControlLoop, Record
+from maglev_mj.loop import ControlLoop
 from maglev_mj.parameters import number
 from maglev_mj.recording import Mechanics, RecordingError, RecordingFile, RunMetadata
 from maglev_mj.scenes import Scene
@@ -37,16 +37,34 @@ from maglev_mj.session import (
 )
 from maglev_mj.theory import stability
 
-__all__ = ["LANDING_TIME", "Flight", "FlightReport", "LoopTiming", "StopSwitch", "delay_check"]
+__all__ = [
+    "LANDING_TIME",
+    "LINE_TIME",
+    "Flight",
+    "FlightReport",
+    "LoopTiming",
+    "StopSwitch",
+    "delay_check",
+    "expected_delay",
+]
 
-_USUAL = 100
-"""Answers whose median is the usual delay: one early or late answer makes no loop stable or unstable."""
-
+_USUAL = 100  # answers whose median is the usual delay: one late answer makes no loop unstable
+_RENEWED = 2_000_000_000  # [ns] the quickest way is looked for in: clocks drift apart by up to 100 µs a second
 _NOTE = "the hand, the rate and the delay are the device's"
-
 
 LANDING_TIME = 2.0
 """A flight that is to land has so long before it is cut [s]."""
+
+LINE_TIME = 1e-3
+"""Assumed for the line both ways and the host's answer [s]: by UDP on one machine 99 % take 0.92 ms."""
+
+
+def expected_delay(plant: RemotePlant) -> float:
+    """Return the delay to check a scene at before takeoff, from a sample to its answer taking effect [s].
+
+    A device measures no answer's age before it obeys one, so the line's part is `LINE_TIME`; none in lockstep.
+    """
+    return plant.delay + (0.0 if plant.lockstep else LINE_TIME)
 
 
 class StopSwitch:
@@ -61,11 +79,11 @@ class StopSwitch:
         self._plant: RemotePlant | None = None  # that flies
 
     def land(self) -> None:
-        """Let the flight land; from any thread."""
+        """Land, from any thread."""
         self.landing = True
 
     def cut(self) -> None:
-        """Interrupt a flight, once, which cuts its currents; in the thread that flies."""
+        """Interrupt the flight, once, which cuts its currents; in the thread that flies."""
         self.landing = True
         plant, self._plant = self._plant, None
         if plant is not None and not plant.disarmed:
@@ -76,9 +94,9 @@ class StopSwitch:
         """Take off, fly and land; an interrupt is an emergency stop of the plant.
 
         Raises:
-            KeyboardInterrupt: If the flight is to land before it has begun, or was cut before it took off.
-            DeviceFault: If it was cut.
-            PlantError: If the device does not confirm that it was cut.
+            KeyboardInterrupt: If told to land before it has begun, or cut before takeoff.
+            DeviceFault: If cut.
+            PlantError: If the device does not confirm the cut.
         """
         if self.landing:
             interrupt()
@@ -98,36 +116,35 @@ class StopSwitch:
 
 
 class LoopTiming:
-    """How late a loop over a device's samples is.
+    """Latencies of a loop over a device's samples.
 
     Attributes:
         answer: From a sample's arrival to sending its answer.
-        age: From a sample to sending its answer, beyond the quickest transport of the last seconds: the clocks of
-            device and host have no common zero.
-        delay: From a sample to its answer's taking effect, by the device's clock.
+        age: From a sample to sending its answer, beyond the quickest transport of the last seconds: the two clocks have
+            no common zero.
+        delay: From a sample to its answer taking effect, by the device's clock.
     """
 
     def __init__(self) -> None:
         self.answer, self.age, self.delay = LatencyHistogram(), LatencyHistogram(), LatencyHistogram()
-        self._least = self._before = float(math.inf)
-        self._renewed = 0
+        self._least, self._before, self._renewed = math.inf, math.inf, 0
 
     def add(self, plant: RemotePlant) -> None:
         """Add the last sample, once it is answered."""
-        answer, way = round(plant.answer_latency * 1e9), plant.transport
+        answer, way, taken = round(plant.answer_latency * 1e9), plant.transport, plant.samples.time
         self.answer.add(answer)
         if not math.isnan(plant.newest_delay):
             self.delay.add(round(plant.newest_delay * 1e9))
         if plant.lockstep:
             return  # the device's time stands still meanwhile
-        if plant.samples.time > self._renewed:
-            self._least, self._before, self._renewed = way, self._least, plant.samples.time + _RENEWED
+        if taken > self._renewed:
+            self._least, self._before, self._renewed = way, self._least, taken + _RENEWED
         self._least = min(self._least, way)
         self.age.add(answer + way - int(min(self._least, self._before)))
 
     @property
     def kinds(self) -> Mapping[str, LatencyHistogram]:
-        """Those that were measured, by name."""
+        """Measured latencies by name."""
         kinds = {
             "answer, from the sample's arrival": self.answer,
             "age of the sample when that left": self.age,
@@ -136,24 +153,20 @@ class LoopTiming:
         return {name: one for name, one in kinds.items() if one.count}
 
 
-_RENEWED = 2_000_000_000
-"""The quickest way is that of the last so many nanoseconds: clocks drift apart by up to 100 µs a second."""
-
-
-def delay_check(timing: LoopTiming, scene: Scene, inertia: Sequence[float]) -> str:
-    """Return how the measured delay compares with the one whose stability was checked; empty where it is no longer.
+def delay_check(timing: LoopTiming, scene: Scene, inertia: Sequence[float], expected: float) -> str:
+    """Return a warning if the measured delay is longer than expected; else an empty text.
 
     Args:
         timing: Of the flight.
-        scene: The scene, with the delay that was assumed.
+        scene: The scene.
         inertia: Mass and moments of inertia [kg, kg m²], six.
+        expected: The delay checked before takeoff [s].
     """
-    if not timing.delay.p99 > scene.delay:  # which NaN is not
+    if not (late := timing.delay.p99) > expected:  # which NaN is not
         return ""
-    late = timing.delay.p99
-    said = f"99 % of delays are below {late * 1e3:.2f} ms, and {scene.delay * 1e3:.2f} ms was checked"
+    said = f"99 % of delays are below {late * 1e3:.2f} ms, and {expected * 1e3:.2f} ms was checked"
     try:
-        verdict = stability(scene.replace(delay=late), inertia=inertia)
+        verdict = stability(scene, inertia=inertia, delay=late)
     except MaglevError as error:
         return f"{said}; stability at {late * 1e3:.2f} ms is not known: {error}"
     word = {True: "stable", False: "UNSTABLE", None: "perhaps unstable"}[verdict.stable]
@@ -161,13 +174,13 @@ def delay_check(timing: LoopTiming, scene: Scene, inertia: Sequence[float]) -> s
 
 
 class FlightReport(NamedTuple):
-    """What a flight came to.
+    """Outcome of a flight.
 
     Attributes:
         ticks: Samples answered.
         lost: Samples that did not arrive, from takeoff on.
-        skipped: Likewise those that were too old when they were read.
-        wall_time: How long it took [s].
+        skipped: Samples too old when read, from takeoff on.
+        wall_time: Duration in real time [s].
         landing: How the flotor lies.
     """
 
@@ -185,15 +198,15 @@ class Flight:
         plant: The device; closed by the caller.
         scene: The scene; its period is the device's.
         switch: Lands or cuts it; its own by default.
-        file: What every sample is recorded to; left open.
-        publishers: Windows on it and ways to other programs; left open.
-        warn: Called, once, with why the flight is not recorded any more.
-        step_force: Largest step of force that new settings may make [N]; see `check_step`.
+        file: Recording of every sample; left open.
+        publishers: Windows and other programs; left open.
+        warn: Called, once, with the reason if the recording ends.
+        step_force: Largest step of force by new settings [N]; see `check_step`.
 
     Attributes:
         switch: Lands or cuts it.
-        timing: How late its loop is.
-        warning: What is wrong with its delay, once it is over; empty for nothing.
+        timing: Latencies of its loop.
+        warning: At its end, that of `delay_check`.
 
     Raises:
         ParameterError: If the scene's period is not the device's.
@@ -228,12 +241,15 @@ class Flight:
         self._warn, self._checked = warn, 0.0
 
     def run(self, duration: float | None = None) -> FlightReport:
-        """Take off, render the scene until told to land or for so long [s] of the device's time, and land.
+        """Take off, render the scene, and land.
+
+        Args:
+            duration: Of rendering, by the device's clock [s]; None until told to land.
 
         Raises:
-            KeyboardInterrupt: If it is told to land before it has begun.
-            DeviceFault: If something is wrong with the device, or with how it is flown, or it was cut.
-            PlantError: If the device does not confirm that it was cut.
+            KeyboardInterrupt: As `StopSwitch.flying`.
+            DeviceFault: If the device or the flight has a fault, or it was cut.
+            PlantError: If the device does not confirm the cut.
         """
         start, plant = time.monotonic(), self._plant
         try:
@@ -264,22 +280,22 @@ class Flight:
         return samples.lost - self._lost, samples.skipped - self._skipped
 
     def _watch(self) -> bool:
-        """Look at the keys of windows while the scene is not rendered; return whether to land."""
+        """Turn down settings while the scene is not rendered; return whether to land."""
         if (wish := self._publishers.wanted()) is not None:
             wish.answer("settings are taken in flight, not while it takes off or lands")
         return self.switch.landing
 
     def _compare(self) -> None:
-        """Compare the delay with the one assumed, and record both."""
-        lost, skipped = self._missing()
-        self.warning = delay_check(self.timing, self._scene, self._inertia)
+        """Check the delay, and record the timing."""
+        self.warning = delay_check(self.timing, self._scene, self._inertia, expected_delay(self._plant))
         if self._file is None:
             return
-        for name, one in self.timing.kinds.items():
-            parts = f"{one.p50 * 1e3:.3f} ms in the median, {one.p99 * 1e3:.3f} at 99 %, {one.max * 1e3:.3f} at most"
-            self._file.event("timing", f"{name}: {parts}")
-        self._file.event("timing", f"{lost} samples lost, {skipped} skipped")
-        for line in filter(None, self.warning.split("; ")):
+        lines = [
+            f"{name}: {one.p50 * 1e3:.3f} ms in the median, {one.p99 * 1e3:.3f} at 99 %, {one.max * 1e3:.3f} at most"
+            for name, one in self.timing.kinds.items()
+        ]
+        lines.append("{} samples lost, {} skipped".format(*self._missing()))
+        for line in [*lines, *filter(None, self.warning.split("; "))]:
             self._file.event("timing", line)
 
     def _stretch(self, last: int | None) -> None:
@@ -287,16 +303,13 @@ class Flight:
         if self._wanted is not None:
             (self._begun, self._controller), self._wanted = self._wanted, None
             self._scene = self._begun.scene
-        controller = self._controller
-        record: Record | None = None
+        plant, controller, scene, record = self._plant, self._controller, self._scene, None
         if self._file is not None:
-            scene = self._scene
-            setup = {**settings_of(scene, "device"), "calibration": self._plant.calibration.digest.hex()}
+            setup = {**settings_of(scene, "device"), "calibration": plant.calibration.digest.hex()}
             name, mechanics = f"{scene.name} on a device", Mechanics(before=self._force)
-            run = RunMetadata.of(self._plant, controller, name=name, axis=scene.axis, mechanics=mechanics)
-            record = self._file.begin(self._plant, controller, {**setup, "run": run.as_json()})
-        loop = ControlLoop(self._plant, controller, observe=self._observe(controller), record=record)
-        samples = self._plant.samples
+            run = RunMetadata.of(plant, controller, name=name, axis=scene.axis, mechanics=mechanics)
+            record = self._file.begin(plant, controller, {**setup, "run": run.as_json()})
+        loop, samples = ControlLoop(plant, controller, observe=self._observe(controller), record=record), plant.samples
         while not self.switch.landing and self._wanted is None and (last is None or samples.tick < last):
             loop.cycle()
 
@@ -323,8 +336,7 @@ class Flight:
 
     def _check(self, file: RecordingFile, warn: Callable[[str], object]) -> None:
         """Once a second, say so if the recording has ended."""
-        now = time.monotonic()
-        if now < self._checked:
+        if (now := time.monotonic()) < self._checked:
             return
         self._checked = now + 1.0
         try:
@@ -334,7 +346,7 @@ class Flight:
             warn(self._note)
 
     def _listen(self, sample: Sample) -> None:
-        """Note how late answers are, and what another program asks for; rate and delay are the device's."""
+        """Note the delay and the settings that another program asks for; rate and delay stay the device's."""
         if not math.isnan(self._plant.last_delay):
             self._delays.append(self._plant.last_delay)
         wish, controller = self._staged or (self._publishers.wanted(), None)

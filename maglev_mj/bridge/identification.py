@@ -1,21 +1,19 @@
 """Gravity, mass and the wrench map of a device, from small motions about the centre.
 
-What can be told apart: currents and motion of a free rigid body give its acceleration per ampere, M⁻¹ W (6, 6), and its
-acceleration of free fall. Forces in newtons need one thing of known mass: the flotor itself, or a weight laid on it.
-Torques need a moment of inertia; a controller that computes with the same one does not depend on its value.
+Currents and motion of a free rigid body give its acceleration per ampere, M⁻¹ W (6, 6), and of free fall. Forces in
+newtons need a known mass: the flotor, or a weight on it. Torques need a moment of inertia, the controller's own.
 
 The relation fitted is exact for a sampled motion, so that no rate is too low for it. Currents are constant from switch
 to switch, and the second difference of three poses is the mean of the acceleration under a triangle two periods wide:
 
     (x[k+1] - 2 x[k] + x[k-1]) / T² = A i[k] + K x[k] + a,
 
-with i[k] and x[k] means under that same triangle. K is the stiffness that the device has by itself: forces stay in
-stator axes and their points turn with the flotor, so that a hovering one stands on its coils like a ball on a ball.
-Without K the torques' rows of A are 1.5 % wrong. What is left out is of the order of an angle times itself.
+with i[k] and x[k] means under that same triangle. K is the device's own stiffness: forces stay in stator axes
+and their points turn with the flotor. Without K the torques' rows of A are 1.5 % wrong. Second orders of angles are
+left out.
 
-Poses are noisy and the controller answers to the noise, which biases least squares. So both sides are first projected
-on what was shaken, sines under a window that is smooth at both ends: instruments, noise has no part in them. Weights
-and standard errors are those of white noise on the poses.
+The controller answers to noise of the poses, which biases least squares. So both sides are projected on the sines that
+were shaken, under a smooth window: instruments without noise. Weights and errors are those of white noise on the poses.
 
 Source: instrumental variables as in Söderström & Stoica 1983; modulating functions as in Shinbrot 1957; from
 recollection.
@@ -58,21 +56,24 @@ __all__ = [
 ]
 
 LINES = np.array([[4.5 + axis, 10.5 + axis] for axis in range(6)])
-"""Two frequencies for each axis [Hz], (6, 2), all odd multiples of 0.5 Hz: what two of them make of a product, such as
-that of an angle and a current, has even ones and passes for nothing else."""
+"""Two frequencies for each axis [Hz], (6, 2), odd multiples of 0.5 Hz: products of two, as of angle and current, are
+even."""
 
-_TRIM = 0.125
-_ON_TIME = 0.1
-_SETTLED = 2.0
+_TRIM, _ON_TIME, _SETTLED = 0.125, 0.1, 2.0
+_SINGULAR, _ROUNDS = 1e-9, 4
+
+
+class IdentificationError(MaglevError):
+    """The motion does not tell what was to be identified."""
 
 
 class Motion(NamedTuple):
-    """What was seen of a device.
+    """Recorded motion of a device.
 
     Attributes:
         poses: Measured at each sample [m, rad], (N, 6); NaN where a sample was lost.
-        currents: The answers to these samples, as applied [A], (N, 6); NaN where a sample was lost, and where an answer
-            took effect later or earlier than they mostly do.
+        currents: Answers to these, as applied [A], (N, 6); NaN for lost samples and for answers later or earlier than
+            most.
         delay: From a sample to its answer's taking effect, in the median [s]; NaN where the plant does not say.
     """
 
@@ -94,9 +95,7 @@ class CurrentPlant(Plant, Protocol):
 
 
 class Shaker:
-    """A controller, and sines on top of its wrench: force += sum of amplitude sin(2 pi frequency t).
-
-    Their time is that of the samples and not the number of answers, so that they stay in step where samples are lost.
+    """A controller, and sines on top of its wrench: force += sum of amplitude sin(2 pi frequency t), t the sample's.
 
     Args:
         controller: Whatever keeps the flotor near the centre; without pulses.
@@ -113,9 +112,7 @@ class Shaker:
         if lines.ndim != 2 or len(lines) != len(AXES) or sizes.shape != lines.shape:
             raise ParameterError(f"frequencies and amplitudes must be (6, L), not {lines.shape} and {sizes.shape}")
         number("the highest frequency", float(lines.max(initial=0.0)), below=0.5 / self.period)
-        self._sines = [
-            (axis, float(lines[axis, one]), float(sizes[axis, one])) for axis, one in np.ndindex(lines.shape)
-        ]
+        self._sines = [(at[0], float(lines[at]), float(sizes[at])) for at in np.ndindex(lines.shape)]
 
     def step(self, sample: Sample) -> Command:
         """Answer one sample."""
@@ -127,7 +124,7 @@ class Shaker:
 
 
 class Trim(AxisLaw):
-    """Integral action: it brings the flotor to the centre, however wrong its weight is known, by f' = -gain x.
+    """Integral action towards the centre, f' = -gain x.
 
     Args:
         gain: Of each axis [N/(m s), N m/(rad s)].
@@ -159,14 +156,14 @@ def excitation(
     rotation: float = 1.5e-3,
     lines: ArrayLike = LINES,
 ) -> Shaker:
-    """Return a controller that hovers softly, trims itself to the centre, and shakes each axis at its own frequencies.
+    """Return a controller that hovers softly at the centre, and shakes each axis at its own frequencies.
 
     Args:
-        known: What is known of the device; may be wrong.
+        known: Calibration; may be wrong.
         period: Sample period [s].
         delay: Transport delay [s].
-        translation: Amplitude of each line on x, y and z, on a device that is as known [m].
-        rotation: The same on rx, ry and rz [rad].
+        translation: Amplitude of each line on x, y and z, if the calibration is right [m].
+        rotation: Likewise on rx, ry and rz [rad].
         lines: Frequencies of each axis [Hz], (6, L).
 
     Raises:
@@ -174,19 +171,16 @@ def excitation(
     """
     body = np.concatenate([np.full(3, known.mass), known.inertia])
     hold = Hold.critically_damped(inertia=body, period=period, delay=delay)
-    rate = np.sqrt(np.asarray(hold.stiffness) / body)
+    stiffness = np.asarray(hold.stiffness)
+    rate = np.sqrt(stiffness / body)
     sizes = np.repeat([number("translation", translation, at_least=0.0), number("rotation", rotation, at_least=0.0)], 3)
     turns = 2.0 * math.pi * numbers("lines", lines)
     if turns.ndim != 2 or len(turns) != len(AXES):
         raise ParameterError(f"lines must be (6, L), not {turns.shape}")
-    # what a critically damped hold leaves of a sine is 1 / (body (rate² + turn²))
+    # a critically damped hold answers a sine by 1 / (body (rate² + turn²))
     forces = (body * sizes)[:, None] * (np.square(rate)[:, None] + np.square(turns))
     weight = np.concatenate([-known.mass * known.gravity, np.zeros(3)])
-    laws: list[Law] = [
-        Bias(weight),
-        hold,
-        Trim(gain=_TRIM * np.asarray(hold.stiffness) * rate, period=period),
-    ]
+    laws: list[Law] = [Bias(weight), hold, Trim(gain=_TRIM * stiffness * rate, period=period)]
     return Shaker(Controller(laws, period=period), frequencies=lines, amplitudes=forces)
 
 
@@ -199,15 +193,15 @@ def collect(
     then: Callable[[], object] | None = None,
     watch: Callable[[], object] | None = None,
 ) -> Motion:
-    """Let a controller drive a plant, and return the poses and the currents.
+    """Let a controller drive a plant, and return poses and currents.
 
     Args:
-        plant: Any plant that says which currents it sent; hovering, or just released. It is left open.
+        plant: A plant that says which currents it sent, hovering or just released; left open.
         controller: As from `excitation`.
-        duration: How long to look [s].
-        settle: How long to drive it ahead of that [s]: until trimmed.
-        then: Called as soon as the motion is over, such as to land: a device does not wait for what is reckoned next.
-        watch: Called before each sample; the motion is over where it returns True.
+        duration: Recorded time [s].
+        settle: Time ahead of that, until trimmed [s].
+        then: Called as soon as the motion is over, such as to land.
+        watch: Called before each sample; True ends the motion.
 
     Raises:
         IdentificationError: If the motion was over before its time.
@@ -233,40 +227,30 @@ def collect(
         then()
     if len(seen) < ticks:
         raise IdentificationError(f"stopped after {len(seen)} of {ticks} samples: nothing is written")
-    kept = seen[ahead:]
-    first = kept[0][0]
-    known = [delays.get(tick, math.nan) for tick, _, _ in kept]
+    rows = [tick - seen[ahead][0] for tick, _, _ in seen[ahead:]]
+    known = np.array([delays.get(tick, math.nan) for tick, _, _ in seen[ahead:]])
     usual = float(np.nanmedian(known)) if np.isfinite(known).any() else math.nan
-    poses, currents = (np.full((kept[-1][0] - first + 1, 6), np.nan) for _ in range(2))
-    for (tick, pose, answer), delay in zip(kept, known, strict=True):
-        poses[tick - first] = pose
-        if math.isnan(usual) or abs(delay - usual) <= _ON_TIME * period:
-            currents[tick - first] = answer
+    poses, currents = np.full((2, rows[-1] + 1, 6), np.nan)
+    poses[rows], currents[rows] = ([one[part] for one in seen[ahead:]] for part in (1, 2))
+    if not math.isnan(usual):
+        currents[np.array(rows)[~(np.abs(known - usual) <= _ON_TIME * period)]] = np.nan
     return Motion(poses, currents, usual)
-
-
-_SINGULAR = 1e-9
-_ROUNDS = 4
-
-
-class IdentificationError(MaglevError):
-    """The motion does not tell what was to be identified."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Identified:
-    """What the motion of a device tells of it, at the centre and upright; six rows are x y z and rx ry rz.
+    """Identified device, at the centre and upright; six rows are x y z and rx ry rz.
 
     Attributes:
         acceleration_per_current: A [m/s² A, rad/s² A], (6, 6).
         stiffness: K, acceleration per displacement, (6, 6) [1/s² within a block].
-        free_acceleration: a, that without currents, (6,) [m/s², rad/s²]. A free body does not begin to turn: the last
-            three are of a cable, or of a pose that is not that of the centre of mass.
+        free_acceleration: a, without currents, (6,) [m/s², rad/s²]; the last three are 0 unless a cable pulls, or the
+            pose is not that of the centre of mass.
         errors: Standard errors of A, (6, 6).
         free_errors: Standard errors of a, (6,).
-        noise: White noise of the poses that would leave what the fit leaves of every sample, (6,) [m, rad].
-        misfit: White noise of the poses that would leave what it leaves of the lines alone, (6,) [m, rad]. Much more
-            than `noise`, and something is not as assumed: the delay is another, or something touches the flotor.
+        noise: White noise of the poses as large as the fit's residual at every sample, (6,) [m, rad].
+        misfit: Likewise as its residual on the lines alone, (6,) [m, rad]. Much above `noise`, the delay is another, or
+            something touches the flotor.
     """
 
     acceleration_per_current: Array
@@ -292,16 +276,15 @@ class Identified:
         return np.concatenate([np.full(3, mass), numbers("inertia", inertia)])[:, None] * self.acceleration_per_current
 
     def calibration(self, nominal: Calibration, mass: float | None = None, *, name: str = "identified") -> Calibration:
-        """Return a calibration with this gravity, and with the coils that accelerate the flotor like this.
+        """Return a calibration with this gravity, and coils that accelerate the flotor like this.
 
-        Directions are kept, and so is each point's place along its coil's force, of which an upright flotor tells
-        nothing: a force constant is the part of a force along its coil, and a point goes the shortest way to where the
-        torque is right.
+        Directions are kept. A force constant is the part of a force along its coil; a point goes the shortest way to
+        where the torque is right.
 
         Args:
-            nominal: All else: directions, inertia, beams and offsets, and points to begin at.
-            mass: Moving mass [kg]; that of the nominal calibration by default.
-            name: What to call it.
+            nominal: All else: directions, inertia, beams, offsets, and points to begin at.
+            mass: Moving mass [kg]; the nominal one by default.
+            name: Its name.
 
         Raises:
             ParameterError: If the mass is not above 0.
@@ -319,14 +302,14 @@ class Identified:
 
 
 def added_mass(without: Identified, carrying: Identified, added: float) -> float:
-    """Return the moving mass of a device [kg] that was identified without and with a weight.
+    """Return the moving mass of a device [kg], identified without and with a weight.
 
-    The map is the same in both runs, A₁ A₂⁻¹ = M₁⁻¹ M₂, and the block of its translations is (1 + added/mass) times the
-    identity, wherever on the flotor the weight lies.
+    The map is the same in both: the translations' block of A₁ A₂⁻¹ = M₁⁻¹ M₂ is (1 + added/mass) times the identity,
+    wherever the weight lies.
 
     Args:
-        without: Identified without the weight.
-        carrying: Identified with it, pose and currents as before.
+        without: Without the weight.
+        carrying: With it.
         added: Mass of the weight [kg].
 
     Raises:
@@ -346,8 +329,7 @@ def identify(
 ) -> Identified:
     """Fit acceleration per current, stiffness and free fall to a motion.
 
-    A delay that is 0.1 ms wrong makes A 0.15 % wrong with the lines by default; so does a driver's lag that is not
-    added to it.
+    A delay wrong by 0.1 ms, or a driver's lag not added to it, makes A 0.15 % wrong with the lines by default.
 
     Args:
         poses: Measured, one a sample and near the centre [m, rad], (N, 6); NaN where a sample was lost.
@@ -360,36 +342,36 @@ def identify(
         ParameterError: If the shapes do not fit, or a number is outside its bounds.
         IdentificationError: If the motion is too short, or does not tell all axes apart.
     """
-    places, given = _with_gaps("poses", poses), _with_gaps("currents", currents)
+    places, given = np.asarray(poses, dtype=np.float64), np.asarray(currents, dtype=np.float64)
+    for name, values in (("poses", places), ("currents", given)):
+        if np.isinf(values).any():
+            raise ParameterError(f"{name} must be finite, or NaN where they are not known, not infinite")
     if places.ndim != 2 or places.shape[1:] != (6,) or given.shape != places.shape:
         raise ParameterError(f"poses and currents must both be (N, 6), not {places.shape} and {given.shape}")
     shaken = numbers("lines", lines, at_least=0.0).ravel()
     number("the highest line", float(shaken.max(initial=0.0)), below=0.5 / number("period", period, above=0.0))
     wholes, rest = split_delay(number("delay", delay, at_least=0.0), period)
-    whole, switched = int(wholes), rest / period
-    ahead = whole + 2
-    count = len(places) - ahead - 1
-    if count < 1:
+    ahead, switched = int(wholes) + 2, rest / period
+    if (count := len(places) - ahead - 1) < 1:
         raise IdentificationError(f"the motion must be longer than {len(places)} samples")
     before, at, after = (places[ahead + step :][:count] for step in (-1, 0, 1))
     bent = (before - 2.0 * at + after) / period**2
     first, last = 0.5 * switched**2, 0.5 * (1.0 - switched) ** 2
-    latest, middle, oldest = (given[ahead - whole - age :][:count] for age in (0, 1, 2))
+    latest, middle, oldest = (given[2 - age :][:count] for age in (0, 1, 2))
     held = last * latest + (1.0 - first - last) * middle + first * oldest
     # the mean of a smooth motion under the triangle, to the fourth order (Numerov)
     place = at + bent * (period**2 / 12.0)
     known = np.concatenate([held, place, np.ones((count, 1))], axis=1)
     there = np.isfinite(known).all(axis=1) & np.isfinite(bent).all(axis=1)
-    known[~there], bent[~there] = 0.0, 0.0
     instruments = _instruments(count, period, shaken)
-    instruments[~there] = 0.0
+    known[~there] = bent[~there] = instruments[~there] = 0.0
     return _fitted(known, bent, instruments, period)
 
 
 def find_delay(
     poses: ArrayLike, currents: ArrayLike, *, period: float, near: float, reach: float = 5e-4, lines: ArrayLike = LINES
 ) -> float:
-    """Return the delay [s] that explains a motion best: where the misfit, a parabola nearby, is least.
+    """Return the delay [s] of least misfit.
 
     Args:
         poses: As for `identify`.
@@ -405,15 +387,10 @@ def find_delay(
     """
     best, step = number("near", near, at_least=0.0), number("reach", reach, above=0.0)
 
-    def fit(delay: float) -> Identified:
-        return identify(poses, currents, period=period, delay=delay, lines=lines)
-
     for _ in range(_ROUNDS):
         best = max(best, step)
-        middle = fit(best)
-        below, here, above = (
-            float(np.square(one.misfit / middle.noise).sum()) for one in (fit(best - step), middle, fit(best + step))
-        )
+        fits = [identify(poses, currents, period=period, delay=best + off, lines=lines) for off in (-step, 0.0, step)]
+        below, here, above = (float(np.square(one.misfit / fits[1].noise).sum()) for one in fits)
         bend = below - 2.0 * here + above
         move = 0.5 * step * (below - above) / bend if bend > 0.0 else math.inf
         if abs(move) > 2.0 * step:
@@ -422,25 +399,17 @@ def find_delay(
     return max(best, 0.0)
 
 
-def _with_gaps(name: str, values: ArrayLike) -> Array:
-    """Return an array whose entries are finite, or NaN."""
-    array = np.asarray(values, dtype=np.float64)
-    if np.isinf(array).any():
-        raise ParameterError(f"{name} must be finite, or NaN where they are not known, not infinite")
-    return array
-
-
 def _instruments(count: int, period: float, lines: Array) -> Array:
     """Return a constant, cosines and sines under a smooth window, (count, 1 + 2 lines)."""
-    phase = 2.0 * np.pi * period * np.arange(count)[:, None] * lines
-    window = np.square(np.sin(np.pi * (np.arange(count) + 1.0) / (count + 1.0)))
-    waves: Array = window[:, None] * np.concatenate([np.ones((count, 1)), np.cos(phase), np.sin(phase)], axis=1)
+    tick = np.arange(count)[:, None]
+    phase, window = 2.0 * np.pi * period * tick * lines, np.square(np.sin(np.pi * (tick + 1.0) / (count + 1.0)))
+    waves: Array = window * np.concatenate([np.ones((count, 1)), np.cos(phase), np.sin(phase)], axis=1)
     return waves
 
 
 def _whitened(values: Array, instruments: Array, period: float) -> Array:
-    """Return the moments of values with the instruments such that white noise of unit size on poses leaves it so."""
-    # what noise of the poses does to the moments: the second difference, taken of the instruments instead
+    """Return moments of values with instruments, in which white noise on the poses stays white and of its size."""
+    # noise of the poses reaches the moments through the instruments' second difference
     noise = np.diff(np.pad(instruments, ((2, 2), (0, 0))), n=2, axis=0) / period**2
     size = np.linalg.norm(noise, axis=0)
     if len(values) < 2 * len(size) or not size.all():
@@ -454,7 +423,7 @@ def _whitened(values: Array, instruments: Array, period: float) -> Array:
 
 
 def _fitted(known: Array, bent: Array, instruments: Array, period: float) -> Identified:
-    """Return the weighted fit of accelerations (N, 6) by what is known (N, 13), through instruments."""
+    """Return the weighted fit of accelerations (N, 6) by known values (N, 13), through instruments."""
     moments = _whitened(np.concatenate([known, bent], axis=1), instruments, period)
     told, seen = moments[:, : known.shape[1]], moments[:, known.shape[1] :]
     scale = np.maximum(np.linalg.norm(told, axis=0), np.finfo(np.float64).tiny)  # amperes, metres and ones

@@ -15,15 +15,12 @@ from functools import partial
 from typing import Any, Literal, NoReturn, TypeAlias, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.parameters import number
 
 __all__ = ["LatencyHistogram", "Realtime", "RealtimeError", "interrupt", "realtime", "stopping"]
-
-_BAR = 44  # characters
-_EIGHTHS = " ▏▎▍▌▋▊▉"
-_EDGES = [step * 10**power for power in range(3, 10) for step in (1, 2, 5)]  # [ns], 1 µs to 5 s
 
 
 class LatencyHistogram:
@@ -43,8 +40,7 @@ class LatencyHistogram:
     def __init__(self, size: int = 1 << 16) -> None:
         self._ring = np.zeros(int(number("size", size, at_least=1)), np.int64)
         self._size = len(self._ring)
-        self.count = 0
-        self.worst = 0
+        self.count = self.worst = 0
 
     def add(self, latency: int) -> None:
         """Take one more in [ns]."""
@@ -53,10 +49,14 @@ class LatencyHistogram:
         if latency > self.worst:
             self.worst = latency
 
+    @property
+    def kept(self) -> NDArray[np.int64]:
+        """The last ones, in no order [ns]."""
+        return self._ring[: self.count]
+
     def percentile(self, share: float) -> float:
-        """Return what `share` percent of those kept are below [s]; NaN for none."""
-        kept = self._ring[: self.count]
-        return float(np.percentile(kept, share)) * 1e-9 if len(kept) else math.nan
+        """Return the value that `share` percent of those kept are below [s]; NaN for none."""
+        return float(np.percentile(self.kept, share)) * 1e-9 if self.count else math.nan
 
     @property
     def p50(self) -> float:
@@ -65,50 +65,13 @@ class LatencyHistogram:
 
     @property
     def p99(self) -> float:
-        """What 99 of 100 of those kept are below [s]."""
+        """99th percentile of those kept [s]."""
         return self.percentile(99.0)
 
     @property
     def max(self) -> float:
-        """Greatest of all [s]."""
+        """Greatest of all [s]; NaN for none."""
         return self.worst * 1e-9 if self.count else math.nan
-
-    def histogram(self) -> str:
-        """Return those kept as bars, a line for each bin, within 80 columns."""
-        if not self.count:
-            return "latency: none yet"
-        kept = self._ring[: self.count]
-        bins = np.bincount(np.searchsorted(_EDGES, kept, side="right"), minlength=len(_EDGES) + 1)
-        used = np.flatnonzero(bins)
-        which = self.count if self.count <= self._size else f"the last {self._size} of {self.count}"
-        lines = [f"latency of {which}: p50 {_span(self.p50)}, p99 {_span(self.p99)}, max {_span(self.max)}"]
-        for index in range(used[0], used[-1] + 1):
-            lines.append(f"{_label(index)}  {_bar(bins[index] / bins.max()):<{_BAR}} {bins[index]:>9}")
-        return "\n".join(line.rstrip() for line in lines)
-
-
-def _span(duration: float) -> str:
-    """Return a duration [s] for a person."""
-    for unit, size in (("s", 1.0), ("ms", 1e-3)):
-        if duration >= 0.9995 * size:  # which is written as 1
-            return f"{duration / size:.3g} {unit}"
-    return f"{duration * 1e6:.3g} µs"
-
-
-def _label(index: int) -> str:
-    """Return the bounds of a bin, 18 characters."""
-    if index == 0:
-        return f"{'below':>8} {_span(_EDGES[0] * 1e-9):<9}"
-    low = _span(_EDGES[index - 1] * 1e-9)
-    if index == len(_EDGES):
-        return f"{'above':>8} {low:<9}"
-    return f"{low:>7} to {_span(_EDGES[index] * 1e-9):<7}"
-
-
-def _bar(share: float) -> str:
-    """Return a bar; nothing is none, and little is still seen."""
-    eighths = max(round(share * _BAR * 8), 1) if share > 0.0 else 0
-    return "█" * (eighths // 8) + _EIGHTHS[eighths % 8].strip()
 
 
 Realtime: TypeAlias = Literal["enforce", "ignore"]
@@ -164,32 +127,22 @@ def realtime(mode: Realtime, priority: int = 80, cpu: int | None = None) -> Iter
         yield complaints
 
 
-def _libc(name: str, *arguments: int) -> int:
-    """Call a function of the C library.
-
-    Raises:
-        OSError: If there is none, or it fails.
-    """
-    try:
-        function: Any = getattr(ctypes.CDLL(None, use_errno=True), name)
-    except (AttributeError, TypeError):
-        raise OSError(errno.ENOSYS, os.strerror(errno.ENOSYS)) from None
-    result = int(function(*map(ctypes.c_ulong, arguments)))
-    if result < 0:
-        raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
-    return result
-
-
-def _system(name: str) -> Any:
-    """Return a function of `os` that not every system has.
-
-    Raises:
-        OSError: If this has it not.
-    """
-    function = getattr(os, name, None)
-    if function is None:
+def _function(owner: object, name: str) -> Any:
+    """Return a function that not every system has; an OSError without it."""
+    if (function := getattr(owner, name, None)) is None:
         raise OSError(errno.ENOSYS, os.strerror(errno.ENOSYS))
     return function
+
+
+def _libc(name: str, *arguments: int) -> int:
+    """Call a function of the C library; an OSError if it fails."""
+    try:
+        library = ctypes.CDLL(None, use_errno=True)
+    except TypeError:
+        library = None
+    if (result := int(_function(library, name)(*map(ctypes.c_ulong, arguments)))) < 0:
+        raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
+    return result
 
 
 def _timer_slack() -> Callable[[], object]:
@@ -199,7 +152,7 @@ def _timer_slack() -> Callable[[], object]:
 
 
 def _scheduler(priority: int) -> Callable[[], object]:
-    change = _system("sched_setscheduler")
+    change = _function(os, "sched_setscheduler")
     policy, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
     change(0, os.SCHED_FIFO, os.sched_param(priority))
     return partial(change, 0, policy, parameters)
@@ -211,7 +164,7 @@ def _memory() -> Callable[[], object]:
 
 
 def _affinity(cpu: int) -> Callable[[], object]:
-    change = _system("sched_setaffinity")
+    change = _function(os, "sched_setaffinity")
     before = os.sched_getaffinity(0)
     change(0, {cpu})
     return partial(change, 0, before)
@@ -245,7 +198,7 @@ def stopping(
 ) -> Iterator[None]:
     """Call `stop` at the first SIGINT, SIGTERM or SIGHUP, and `cut` at each SIGINT after it.
 
-    Only Ctrl-C cuts: who ends a process by SIGTERM may send it twice, and a terminal that goes adds a SIGHUP.
+    Only Ctrl-C cuts: SIGTERM may be sent twice, and a terminal that goes adds a SIGHUP.
 
     Args:
         stop: Called in the main thread, between any two steps of it; it may raise.

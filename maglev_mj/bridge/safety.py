@@ -51,11 +51,7 @@ _COLD, _HOT, _OVER = -0.01, 2.0, 1.5
 
 
 class Limits(Parameters):
-    """Limits of a device; sent to the host in the handshake, which refuses what is outside these bounds.
-
-    Raises:
-        ParameterError: If a value is outside its bounds.
-    """
+    """Limits of a device; sent to the host in the handshake, which refuses what is outside these bounds."""
 
     current: float = param("largest in a coil", "A", default=Spec.peak_current.value, above=0.0, at_most=100.0)
     continuous_current: float = param("borne", "A", default=Spec.continuous_current.value, above=0.0, at_most=100.0)
@@ -65,15 +61,11 @@ class Limits(Parameters):
     watchdog: float = param("longest wait for a command", "s", default=0.05, at_least=1e-3, at_most=10.0)
     enable: float = param("longest pause of the enable line", "s", default=0.01, at_least=1e-5, at_most=10.0)
     hover: float = param("in ARM", "A", default=Spec.continuous_current.value, at_least=0.0, at_most=100.0)
-    frozen: int = param("equal readings that noise rules out; 0: no noise", default=20, at_least=0, at_most=1_000_000)
+    frozen: int = param("equal readings that noise rules out; 0: no noise", default=30, at_least=0, at_most=1_000_000)
 
 
 class HostLimits(Parameters):
-    """Limits of the host's own; the smaller of these and the device's counts.
-
-    Raises:
-        ParameterError: If a value is not above 0.
-    """
+    """Limits of the host's own; the smaller of these and the device's counts."""
 
     max_current: float | None = param("largest current in any coil", "A", default=None, optional=True, above=0.0)
     continuous_current: float | None = param("largest continuous current", "A", default=None, optional=True, above=0.0)
@@ -113,41 +105,26 @@ class HostLimits(Parameters):
     def narrowed(self, limits: Limits) -> Limits:
         """Return a device's limits, each the smaller of the device's and the host's."""
         current = min(limits.current, self.max_current or math.inf)
-        continuous = min(limits.continuous_current, self.continuous_current or math.inf)
-        return limits.replace(
-            current=current, continuous_current=continuous, hover=min(limits.hover, current, continuous)
-        )
+        steady = min(limits.continuous_current, self.continuous_current or math.inf)
+        return limits.replace(current=current, continuous_current=steady, hover=min(limits.hover, current, steady))
 
 
 def weight_fault(weight: float, hover: Sequence[float], own: HostLimits, limits: Limits) -> str:
-    """Return why the flotor's weight cannot be carried, with the numbers; empty if it can.
-
-    Args:
-        weight: Of the flotor [N].
-        hover: Currents that carry it [A], six.
-        own: Limits of the host.
-        limits: Those of the device, narrowed by the host's.
-    """
+    """Return why currents [A], six, cannot carry the weight [N] within both limits; empty if they can."""
     most = max(map(abs, hover))
-    if own.force_limit is not None and own.force_limit <= _MARGIN * weight:
-        return (
-            f"force_limit must be above {_MARGIN * weight:.3g} N, not {own.force_limit:g}: the weight is {weight:.3g} N"
-        )
-    if limits.current < _MARGIN * most:
-        return (
-            f"max_current must be at least {_MARGIN * most:.3g} A, not {limits.current:g}: "
-            f"hovering needs {most:.3g} A, and control a quarter more"
-        )
+    force, least, current = own.force_limit, _MARGIN * most, limits.current
+    if force is not None and force <= _MARGIN * weight:
+        return f"force_limit must be above {_MARGIN * weight:.3g} N, not {force:g}: the weight is {weight:.3g} N"
+    if current < least:
+        needs = f"hovering needs {most:.3g} A, and control a quarter more"
+        return f"max_current must be at least {least:.3g} A, not {current:g}: {needs}"
     if limits.hover < most:
         return f"the hover limit must be at least {most:.3g} A, which carries the weight, not {limits.hover:g}"
     return ""
 
 
 class ThermalModel:
-    """How warm six coils are: 1 where the current that they bear for ever would bring them, and where they trip.
-
-    Args:
-        limits: Their thermal time and continuous current.
+    """Temperature rises of six coils as shares of that of the continuous current; at 1 they trip.
 
     Attributes:
         rises: Of the six coils.
@@ -177,14 +154,7 @@ class ThermalModel:
 
 
 def command_fault(limits: Limits, held: Sequence[float], pulsed: Sequence[float], width: float) -> Fault:
-    """Return what is wrong with a command: nothing is ever clipped silently.
-
-    Args:
-        limits: Of the device.
-        held: Currents [A], six.
-        pulsed: In place of them for `width` [A], six.
-        width: How long [s].
-    """
+    """Return what is wrong with currents [A], six each, and a pulse width [s]: nothing is ever clipped silently."""
     if not math.isfinite(sum(held) + sum(pulsed) + width) or not 0.0 <= width <= 1.0:
         return Fault.INVALID_COMMAND
     # rounding on the host's side is no fault
@@ -228,12 +198,7 @@ class CoilGuard:
 
 
 class SpotGuard:
-    """Finds a sensor that does not live, and spots that cannot be true.
-
-    Args:
-        limits: Of the device.
-        period: Sample period [s].
-    """
+    """Finds a sensor that does not live, and spots that cannot be true; samples come every `period` [s]."""
 
     def __init__(self, limits: Limits, period: float) -> None:
         self._most, self._frozen = limits.spot, limits.frozen
@@ -243,14 +208,7 @@ class SpotGuard:
         self._same: tuple[int, ...] = _CHANGED
 
     def check(self, spots: Sequence[float], valid: int, conversions: int, steps: int) -> Fault:
-        """Check a sample.
-
-        Args:
-            spots: Both coordinates of each of the three spots [m], six.
-            valid: A bit for each diode whose spot can be trusted.
-            conversions: Counter of the sensor interface.
-            steps: Samples since the one checked before, by their numbers.
-        """
+        """Check the fields of a `StateReport`, so many steps of the sample number after the last one checked."""
         fault = Fault.SENSOR_STOPPED if conversions == self._conversions else _NO_FAULT
         self._conversions, most = conversions, self._most
         a, b, c, d, e, f = spots
@@ -278,11 +236,7 @@ class SpotGuard:
 
 
 class FlotorGuard:
-    """Finds a flotor that is beyond its envelope.
-
-    Args:
-        limits: Where it may be, and how fast.
-    """
+    """Finds a flotor that is beyond its envelope, or too fast."""
 
     def __init__(self, limits: HostLimits) -> None:
         most = HostLimits()
@@ -318,8 +272,8 @@ class OutputLimiter:
     """Turns a command into currents, after every limit.
 
     Args:
-        coils: What is known of the coils.
-        limits: What the device bears.
+        coils: The calibrated coils.
+        limits: Of the device.
         wrench_limit: Largest wrench, a number or (6,) [N, N m]; None for what the currents allow.
         period: Sample period [s].
 
@@ -353,11 +307,9 @@ class OutputLimiter:
     def currents(
         self, command: Command, position: Sequence[float]
     ) -> tuple[Command, Sequence[float], Sequence[float] | None, float]:
-        """Return what is left of a command, its currents [A], those of its pulse if it has one, and its width [s].
+        """Return a command within the limits, its currents [A], those of its pulse if it has one, and its width [s].
 
-        Args:
-            command: What the controller answered.
-            position: The pose that was measured: the coils turn with the flotor.
+        The coils turn with the flotor, whose measured pose is `position`.
 
         Raises:
             PlantError: If the command is not six finite numbers.

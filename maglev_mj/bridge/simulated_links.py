@@ -10,10 +10,10 @@ import random
 import threading
 import time
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import count
 from select import select
-from socket import socket, socketpair
 
 from maglev_mj.bridge.twin import Twin
 from maglev_mj.errors import ParameterError
@@ -22,8 +22,7 @@ from maglev_mj.parameters import number
 
 __all__ = ["Impairer", "Impairment", "UdpProxy", "VirtualLink"]
 
-_FOREVER = 60.0  # [s] between looks at a line on which nothing happens
-_TO_HOST, _TO_DEVICE = "to host", "to device"
+_LOOK = 0.05  # [s] between looks at a line on which nothing happens
 _PEER = "host"
 _NEVER = 2**63
 
@@ -64,9 +63,9 @@ class Impairment:
 
 
 class Impairer:
-    """Decides what becomes of each frame one way; it has no clock, and draws as much for each frame.
+    """Decides what becomes of each frame one way, without a clock.
 
-    So the same frame has the same luck whatever came of those before it, and more loss leaves the times as they were.
+    It draws as much for each, so a frame's luck does not depend on those before it, and more loss leaves times alone.
 
     Args:
         impairment: How bad the line is.
@@ -85,22 +84,15 @@ class Impairer:
         self.counts: Counter[str] = Counter()
 
     def fates(self, data: bytes, now: int) -> list[tuple[int, bytes]]:
-        """Return when [ns] the copies of a frame arrive that is sent now [ns], and what arrives.
-
-        Args:
-            data: The frame.
-            now: When it is sent [ns].
-        """
+        """Return instant of arrival [ns] and content of each copy of a frame that is sent now [ns]."""
         draw, line = self._random.random, self._impairment
         lost, doubled = draw() < line.loss, draw() < line.duplicate
         copies = [self._copy(data, now, (draw(), draw(), draw(), draw())) for _ in range(2)]
         self.counts["frames"] += 1
         since = (now - self._start) * 1e-9
-        if any(start <= since < end for start, end in line.blackouts):
-            self.counts["blackout"] += 1
-            return []
-        if lost:
-            self.counts["lost"] += 1
+        dark = any(start <= since < end for start, end in line.blackouts)
+        if dark or lost:
+            self.counts["blackout" if dark else "lost"] += 1
             return []
         self.counts["duplicated"] += doubled
         arriving = copies[: 1 + doubled]
@@ -117,6 +109,27 @@ class Impairer:
             changed[int(luck[2] * len(data))] ^= 1 + int(luck[3] * 255.0)
             data = bytes(changed)
         return now + max(round(late * 1e9), 0), data
+
+
+class _Line:
+    """Frames under way, each way its own luck; of two due at once, the first sent arrives first."""
+
+    def __init__(self, impairment: Impairment, start: int = 0) -> None:
+        self.to_host, self.to_device = Impairer(impairment, 0, start), Impairer(impairment, 1, start)
+        self._order, self._frames = count(), list[tuple[int, int, Impairer, bytes]]()
+
+    def send(self, way: Impairer, data: bytes, now: int) -> None:
+        for due, copy in way.fates(data, now):
+            heapq.heappush(self._frames, (due, next(self._order), way, copy))
+
+    @property
+    def due(self) -> int:
+        """Instant of the next arrival [ns]."""
+        return self._frames[0][0] if self._frames else _NEVER
+
+    def arrived(self, now: int) -> Iterator[tuple[Impairer, bytes]]:
+        while self.due <= now:
+            yield heapq.heappop(self._frames)[2:]
 
 
 class UdpProxy:
@@ -148,12 +161,9 @@ class UdpProxy:
             self._device.close()
             raise
         self.address = self._host.address
-        start = time.monotonic_ns()
-        self.to_device, self.to_host = Impairer(impairment, 0, start), Impairer(impairment, 1, start)
-        self._peer: Address | None = None
-        self._line: list[tuple[int, int, bool, bytes]] = []
-        self._entered = 0
-        self._stop, self._stopped = socketpair()
+        self._line = _Line(impairment, time.monotonic_ns())
+        self.to_device, self.to_host = self._line.to_device, self._line.to_host
+        self._stopped = threading.Event()
         self._thread = threading.Thread(target=self._run, name="bad line", daemon=True)
         self._thread.start()
 
@@ -165,43 +175,29 @@ class UdpProxy:
 
     def close(self) -> None:
         """End it, and lose what is under way; a second time does nothing."""
-        self._stop.close()
+        self._stopped.set()
         self._thread.join()
 
     def _run(self) -> None:
-        ends: tuple[socket | UdpLink | UdpServer, ...] = (self._stopped, self._device, self._host)
+        host, device, line, clock = self._host, self._device, self._line, time.monotonic_ns
+        ends: tuple[UdpServer | UdpLink, ...] = host, device
+        peer: Address | None = None
         try:
-            while True:
-                left = (self._line[0][0] - time.monotonic_ns()) * 1e-9 if self._line else _FOREVER
-                if self._stopped in select(ends, (), (), max(left, 0.0))[0]:
-                    return
-                self._take()
-                self._deliver()
+            while not self._stopped.is_set():
+                select(ends, (), (), min(max((line.due - clock()) * 1e-9, 0.0), _LOOK))
+                while (heard := host.receive(0.0)) is not None:
+                    data, peer = heard
+                    line.send(line.to_device, data, clock())
+                while (answer := device.receive(0.0)) is not None:
+                    line.send(line.to_host, answer, clock())
+                for way, data in line.arrived(clock()):
+                    if way is line.to_device:
+                        device.send(data)
+                    elif peer is not None:
+                        host.send(data, peer)
         finally:
-            for end in ends:
-                end.close()
-
-    def _take(self) -> None:
-        """Decide what becomes of the frames that have come."""
-        while (heard := self._host.receive(0.0)) is not None:
-            data, self._peer = heard
-            self._enter(self.to_device, True, data)
-        while (answer := self._device.receive(0.0)) is not None:
-            self._enter(self.to_host, False, answer)
-
-    def _enter(self, way: Impairer, outward: bool, data: bytes) -> None:
-        for due, copy in way.fates(data, time.monotonic_ns()):
-            self._entered += 1  # of two due at once, the first to come goes first
-            heapq.heappush(self._line, (due, self._entered, outward, copy))
-
-    def _deliver(self) -> None:
-        """Send what is due."""
-        while self._line and self._line[0][0] <= time.monotonic_ns():
-            _, _, outward, data = heapq.heappop(self._line)
-            if outward:
-                self._device.send(data)
-            elif self._peer is not None:
-                self._host.send(data, self._peer)
+            device.close()
+            host.close()
 
 
 class VirtualLink:
@@ -216,27 +212,21 @@ class VirtualLink:
     """
 
     def __init__(self, twin: Twin, impairment: Impairment | None = None) -> None:
-        self._twin = twin
-        self._fates = {
-            way: Impairer(impairment or Impairment(), offset) for offset, way in enumerate((_TO_HOST, _TO_DEVICE))
-        }
-        self._order = count()
-        self._arrivals: list[tuple[int, int, str, bytes]] = []
+        self._twin, self._line = twin, _Line(impairment or Impairment())
         self._arrived: list[bytes] = []
-        self._period = twin.parameters.profile.period
-        self._lockstep = twin.parameters.lockstep
+        self._period, self._lockstep = twin.parameters.profile.period, twin.parameters.lockstep
         self.time = 0
 
     def send(self, data: bytes) -> None:
         """Send one frame; where nothing happens to it, it is there at once."""
-        self._leave(data, _TO_DEVICE)
+        self._line.send(self._line.to_device, data, self.time)
         self._deliver()
 
     def receive(self, timeout: float) -> bytes | None:
         """Return the oldest frame that has come, or None if none comes within `timeout` of simulated time [s]."""
         end = self.time + round(timeout * 1e9)
         while not self._arrived:
-            due = min(self._next_sample(), self._arrivals[0][0] if self._arrivals else _NEVER)
+            due = min(self._next_sample(), self._line.due)
             if due > end or timeout <= 0.0:
                 self.time = max(self.time, end)
                 return None
@@ -253,35 +243,24 @@ class VirtualLink:
     def close(self) -> None:
         """Do nothing: there is nothing open."""
 
-    def _may_sample(self) -> bool:
-        """Return whether a device in lockstep may go on: there is a host, and it has answered."""
-        twin = self._twin
-        return twin.firmware.session != 0 and (twin.tick < 0 or twin.firmware.answered is None or twin.answered)
-
     def _next_sample(self) -> int:
-        """Return when the device samples next [ns]."""
-        if self._lockstep:
-            return self.time if self._may_sample() and not self._arrived else _NEVER
-        return (self._twin.tick + 1) * self._period
+        """Return the next sample's instant [ns]; in lockstep it waits for a host and its answer."""
+        twin = self._twin
+        if not self._lockstep:
+            return (twin.tick + 1) * self._period
+        ready = twin.firmware.session and (twin.tick < 0 or twin.firmware.answered is None or twin.answered)
+        return self.time if ready and not self._arrived else _NEVER
 
     def _sample(self) -> None:
-        frame = self._twin.sample()
-        if frame is not None:
-            self._leave(frame, _TO_HOST)
-
-    def _leave(self, data: bytes, way: str) -> None:
-        for due, copy in self._fates[way].fates(data, self.time):
-            heapq.heappush(self._arrivals, (due, next(self._order), way, copy))
+        if (frame := self._twin.sample()) is not None:
+            self._line.send(self._line.to_host, frame, self.time)
 
     def _deliver(self) -> None:
         """Hand over what has arrived by now."""
-        while self._arrivals and self._arrivals[0][0] <= self.time:
-            _, _, way, data = heapq.heappop(self._arrivals)
-            if way == _TO_HOST:
+        # in lockstep the device's clock stands at its last sample
+        now = max(self._twin.tick, 0) * self._period if self._lockstep else self.time
+        for way, data in self._line.arrived(self.time):
+            if way is self._line.to_host:
                 self._arrived.append(data)
-            elif answer := self._twin.receive(data, self._device_time(), _PEER):
-                self._leave(answer, _TO_HOST)
-
-    def _device_time(self) -> int:
-        """Return what the device's clock says [ns]: in lockstep that of its last sample."""
-        return max(self._twin.tick, 0) * self._period if self._lockstep else self.time
+            elif answer := self._twin.receive(data, now, _PEER):
+                self._line.send(self._line.to_host, answer, self.time)

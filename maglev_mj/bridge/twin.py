@@ -7,7 +7,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -41,32 +41,19 @@ _MARGIN = 1.25
 class TwinParameters:
     """What a twin is.
 
-    Args:
-        period: Sample period [s].
-        delay: From a command's arrival to its taking effect [s]; in lockstep from the sample to that.
-        lockstep: Whether simulated time waits for each answer.
-        calibration: What is known of it, whose hash a host must have.
-        truth: What it is; what is known by default.
-        pose: Where the flotor starts [m, rad], (6,); at rest by default.
-        quantum: Resolution of a spot's place [m].
-        noise: Standard deviation of a spot's noise [m]; assumed, half a step of the sensor by default.
-        seed: Of the noise.
-        limits: What it bears.
-        faults: What goes wrong, and when.
-
     Raises:
         ParameterError: If a value is outside its bounds.
     """
 
-    period: float = 1.0 / Spec.control_rate.value
-    delay: float = Spec.transport_delay.value
-    lockstep: bool = False
-    calibration: Calibration = field(default_factory=Calibration.nominal)
-    truth: Calibration | None = None
-    pose: ArrayLike = REST
-    quantum: float = Spec.spot_resolution.value
-    noise: float = 0.5 * Spec.spot_resolution.value
-    seed: int = 0
+    period: float = 1.0 / Spec.control_rate.value  # of samples [s]
+    delay: float = Spec.transport_delay.value  # command's arrival to its effect, in lockstep from the sample on [s]
+    lockstep: bool = False  # simulated time waits for each answer
+    calibration: Calibration = field(default_factory=Calibration.nominal)  # a host must have its hash
+    truth: Calibration | None = None  # the true one; `calibration` by default
+    pose: ArrayLike = REST  # at the start [m, rad], (6,)
+    quantum: float = Spec.spot_resolution.value  # of a spot's coordinates [m]
+    noise: float = 0.5 * Spec.spot_resolution.value  # standard deviation of a spot's; assumed [m]
+    seed: int = 0  # of the noise
     limits: Limits = field(default_factory=Limits)
     faults: Sequence[InjectedFault] = ()
 
@@ -78,35 +65,24 @@ class TwinParameters:
 
     @cached_property
     def profile(self) -> Profile:
-        """What it says of itself."""
-        return Profile(
-            period=round(self.period * 1e9),
-            delay=round(self.delay * 1e9),
-            calibration=self.calibration.digest,
-            limits=self._limits(),
-            lockstep=self.lockstep,
-        )
-
-    def _limits(self) -> Limits:
-        """Return the limits, as far as calibration, sample period and sensor narrow them."""
-        limits, known = self.limits, self.calibration
-        return replace(
-            limits,
-            enable=min(max(limits.enable, 3.0 * self.period), limits.watchdog),
-            hover=min(limits.hover, limits.continuous_current, _MARGIN * float(np.abs(known.hover).max())),
+        """What it says of itself; its limits as far as calibration, sample period and sensor narrow them."""
+        limits = self.limits.replace(
+            enable=min(max(self.limits.enable, 3.0 * self.period), self.limits.watchdog),
+            hover=min(
+                self.limits.hover, self.limits.continuous_current, _MARGIN * np.abs(self.calibration.hover).max()
+            ),
             # noise of half a step keeps no reading
-            frozen=limits.frozen if self.noise > 0.0 and self.noise >= 0.5 * self.quantum else 0,
+            frozen=self.limits.frozen if self.noise > 0.0 and self.noise >= 0.5 * self.quantum else 0,
         )
+        period, delay = round(self.period * 1e9), round(self.delay * 1e9)
+        digest = self.calibration.digest
+        return Profile(period=period, delay=delay, calibration=digest, limits=limits, lockstep=self.lockstep)
 
 
 class AmplifierBoard:
     """Six amplifiers with an enable line, in simulated hardware: no program stands between line and currents.
 
     They open at the instant at which the line has stood still for too long; see `Amplifiers`.
-
-    Args:
-        plant: The coils.
-        parameters: Of the twin.
 
     Attributes:
         now: The hardware's time [ns].
@@ -174,9 +150,7 @@ class Twin:
         draw: See `Firmware`.
 
     Attributes:
-        plant: The device in the engine; commanded by nobody but the board.
-        board: Its amplifiers.
-        firmware: Its side of the wire.
+        plant: The device in the engine; only `board`, its amplifiers, commands it.
         tick: Number of the last sample; -1 before the first.
         ahead: How far the firmware's clock has jumped [ns].
         hung: Whether the firmware hangs.
@@ -189,7 +163,7 @@ class Twin:
         *,
         key: bytes | None = None,
         hand_force: HandForce | None = None,
-        draw: Callable[[], int] | None = None,
+        draw: Callable[[], int] = lambda: secrets.randbelow(2**32 - 1) + 1,
     ) -> None:
         self.parameters = parameters
         truth = parameters.truth or parameters.calibration
@@ -198,7 +172,7 @@ class Twin:
         self._offsets: list[float] | None = truth.spot_offsets.tolist() if truth.spot_offsets.any() else None
         self.codec = Codec(key)
         self.board = AmplifierBoard(self.plant, parameters)
-        self.firmware = Firmware(parameters.profile, self.board, self.codec, draw or _draw)
+        self.firmware = Firmware(parameters.profile, self.board, self.codec, draw)
         self.tick = -1
         self._period = parameters.profile.period
         self._waiting = sorted(parameters.faults, key=lambda one: one.at)
@@ -236,13 +210,13 @@ class Twin:
         spots: Sequence[float] = self._read(position)
         if self._offsets is not None:
             spots = [spot + offset for spot, offset in zip(spots, self._offsets)]
-        currents = self.plant.currents.tolist()
-        told = self.board.commanded(currents) if self.board.stuck else currents
-        reading = Reading(spots, _ALL, currents, told, self.plant.segments, self.tick + 1, self.board.enabled)
+        currents, board = self.plant.currents.tolist(), self.board
+        told = board.commanded(currents) if board.stuck else currents
+        reading = Reading(spots, _ALL, currents, told, self.plant.segments, self.tick + 1, board.enabled)
         if self._waiting:
             self._begin(reading)
         for effect, which, first in self._live:
-            reading = reading if effect.read is None else effect.read(reading, first, which)
+            reading = effect.read(reading, first, which) if effect.read else reading
         if self.hung:
             return None
         frame = self.firmware.sample(self.tick, now + self.ahead, reading)
@@ -294,10 +268,6 @@ def _plant(parameters: TwinParameters, truth: Calibration, hand_force: HandForce
     )
 
 
-def _draw() -> int:
-    return secrets.randbelow(2**32 - 1) + 1
-
-
 _AGAIN, _LET_GO, _LOOK = 0.02, 2.0, 0.05
 _MOST, _FEW = 4096, 32
 _ESTOP = b"\x07"
@@ -305,19 +275,12 @@ _ESTOP = b"\x07"
 
 
 class ServerReport(NamedTuple):
-    """What a server came to.
+    """What a server came to."""
 
-    Attributes:
-        ticks: Samples taken.
-        missed: Periods for which simulated time stood still because the machine did.
-        wall_time: For how long it ran [s].
-        latency: Of the samples, in real time.
-    """
-
-    ticks: int
-    missed: int
-    wall_time: float
-    latency: LatencyHistogram
+    ticks: int  # samples taken
+    missed: int  # periods for which simulated time stood still because the machine did
+    wall_time: float  # [s]
+    latency: LatencyHistogram  # of the samples, in real time
 
 
 class TwinServer:
@@ -330,29 +293,23 @@ class TwinServer:
     Args:
         twin: The device.
         server: Where hosts reach it; closed with the server.
-        spin: How long to poll rather than sleep in lockstep [s]: quick where a processor is free for it.
 
     Attributes:
         address: Where hosts reach it.
         missed: See `ServerReport`.
     """
 
-    def __init__(self, twin: Twin, server: Server, *, spin: float = 0.0) -> None:
-        self.twin, self._server, self._spin = twin, server, spin
+    def __init__(self, twin: Twin, server: Server) -> None:
+        self.twin, self._server = twin, server
         self._lockstep, self._period = twin.parameters.lockstep, twin.firmware.profile.period
         self.address: Address = server.address
-        self.missed = 0
-        self.latency = LatencyHistogram()
+        self.missed, self.latency = 0, LatencyHistogram()
         self._waiting: deque[tuple[bytes, Address]] = deque()
         self._zero = self._deadline = 0
         self._stopped = threading.Event()
 
     def run(self, duration: float | None = None, each: Callable[[], object] | None = None) -> ServerReport:
-        """Serve until `stop`, or for so long [s].
-
-        Args:
-            duration: How long [s]; None until stopped.
-            each: Called after each sample.
+        """Serve for `duration` [s] or until `stop`; call `each` after each sample.
 
         Raises:
             MaglevError: If the simulated device cannot go on, or the line is gone.
@@ -406,9 +363,8 @@ class TwinServer:
         twin, clock = self.twin, time.monotonic_ns
         asked = clock()
         patience, again = asked + round(_LET_GO * 1e9), asked + round(_AGAIN * 1e9)
-        spun = asked + round(self._spin * 1e9)
         while not twin.answered and twin.firmware.session and not self._stopped.is_set():
-            self._hear(0.0 if clock() < spun else _AGAIN)
+            self._hear(_AGAIN)
             if twin.answered:
                 return
             now = clock()
@@ -444,11 +400,9 @@ class TwinServer:
         return not self._lockstep and time.monotonic_ns() > self._deadline + self._period
 
     def _take(self, data: bytes, sender: Address) -> None:
-        now = max(self.twin.tick, 0) * self._period
-        if not self._lockstep:
-            now = min(time.monotonic_ns(), self._deadline) - self._zero
-        answer = self.twin.receive(data, now, sender)
-        if answer is not None:
+        tick, soonest = max(self.twin.tick, 0), min(time.monotonic_ns(), self._deadline)
+        now = tick * self._period if self._lockstep else soonest - self._zero
+        if (answer := self.twin.receive(data, now, sender)) is not None:
             self._server.send(answer, sender)
 
     def _say(self, frame: bytes | None) -> None:

@@ -9,9 +9,9 @@ import hmac
 import struct
 import zlib
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from enum import IntEnum, IntFlag
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 from maglev_mj.net.authentication import TAG, Authenticator
 
@@ -54,36 +54,24 @@ class Fault(IntFlag):
     COIL_OVERTEMP = 2
     COIL_OVERCURRENT = 4
     FLOTOR_OVERSPEED = 8
-    BOUNDARY = 16
-    """The flotor is beyond the envelope that the host allows."""
-    WATCHDOG = 32
-    """No command for longer than the device waits."""
-    INVALID_COMMAND = 64
-    """A command that is not finite."""
+    BOUNDARY = 16  # the flotor is beyond the envelope that the host allows
+    WATCHDOG = 32  # no command for longer than the device waits
+    INVALID_COMMAND = 64  # a command that is not finite
     ESTOP = 128
-    COIL_NOT_FOLLOWING = 256
-    """A coil's measured current is not the one commanded."""
-    SENSOR_FROZEN = 512
-    """A diode repeats its reading more often than its noise allows."""
-    CLOCK = 1024
-    """The device's timestamps jumped."""
-    NOT_FOLLOWING = 2048
-    """The flotor does not go where it is led: wrong signs, diodes exchanged, or something holds it."""
-    HOST = 4096
-    """The host's program failed, or lost the device's samples."""
-    SENSOR_STOPPED = 8192
-    """The sensor's conversion counter stands still."""
-    COIL_NOT_OFF = 16384
-    """A current flows although the currents are cut."""
+    COIL_NOT_FOLLOWING = 256  # a coil's measured current is not the one commanded
+    SENSOR_FROZEN = 512  # a diode repeats its reading more often than its noise allows
+    CLOCK = 1024  # the device's timestamps jumped
+    NOT_FOLLOWING = 2048  # the flotor does not go where it is led: wrong signs, diodes exchanged, or something holds it
+    HOST = 4096  # the host's program failed, or lost the device's samples
+    SENSOR_STOPPED = 8192  # the sensor's conversion counter stands still
+    COIL_NOT_OFF = 16384  # a current flows although the currents are cut
 
 
 class Flag(IntFlag):
     """In a STATE frame."""
 
-    HOLDING = 1
-    """Commands are missing: the currents agreed at arming are on."""
-    ENABLED = 2
-    """The amplifier board sees its enable line live."""
+    HOLDING = 1  # commands are missing: the currents agreed at arming are on
+    ENABLED = 2  # the amplifier board sees its enable line live
 
 
 class Operation(IntEnum):
@@ -92,8 +80,7 @@ class Operation(IntEnum):
     ARM = 1
     DISARM = 2
     RESET = 4
-    TRIP = 5
-    """Go to the fault state for the faults that the host has seen."""
+    TRIP = 5  # go to the fault state for the faults that the host has seen
     BYE = 6
 
 
@@ -122,6 +109,7 @@ def fault_names(faults: int) -> str:
 
 MAGIC = 0x4A4D
 """The bytes "MJ"."""
+_MAGIC = MAGIC.to_bytes(2, "little")
 
 VERSION = 2
 
@@ -139,31 +127,7 @@ class Hello(NamedTuple):
 
 
 class HelloAck(NamedTuple):
-    """The device answers, and says what it is.
-
-    Attributes:
-        nonce: Of the HELLO answered.
-        status: See `HelloStatus`.
-        lockstep: Whether simulated time waits for each answer.
-        version: Of the protocol that the device speaks.
-        state: See `State`.
-        device: Its number.
-        calibration: First 16 bytes of its calibration's hash.
-        period: Sample period [ns].
-        delay: From a command's arrival to its taking effect [ns].
-        watchdog: How long it waits for a command [ns].
-        enable: How long the amplifiers' enable line may stand still [ns].
-        fault_time: Of the device's clock when the first latched fault was raised [ns]; 0 for none.
-        faults: Latched, see `Fault`.
-        first: Those of them that were raised first.
-        frozen: Equal readings in a row that the sensor's noise rules out; 0 where it has none.
-        current_limit: Largest current in any coil [A].
-        continuous_current: Current that a coil bears continuously [A].
-        hover_limit: Largest current of a coil in ARM's hover [A].
-        thermal_time: Time constant of a coil's warming [s].
-        spot_limit: Largest coordinate of a spot on its diode [m].
-        spot_speed: Largest speed of a spot [m/s].
-    """
+    """The device answers, and says what it is: times [ns], currents [A], `spot_limit` [m], `spot_speed` [m/s]."""
 
     nonce: int
     status: int
@@ -183,20 +147,13 @@ class HelloAck(NamedTuple):
     current_limit: float
     continuous_current: float
     hover_limit: float
-    thermal_time: float
+    thermal_time: float  # [s]
     spot_limit: float
     spot_speed: float
 
 
 class Control(NamedTuple):
-    """A host asks for a change of state; the same request number is done once.
-
-    Attributes:
-        request: Its number, counted up by the host.
-        operation: See `Operation`.
-        faults: For TRIP: what the host has seen.
-        hover: For ARM: currents that hold the flotor where commands are missing [A], six.
-    """
+    """A host asks for an `Operation`; `faults` are TRIP's, `hover` [A], six, is ARM's."""
 
     request: int
     operation: int
@@ -215,46 +172,25 @@ class ControlAck(NamedTuple):
 
 
 class StateReport(NamedTuple):
-    """What a device measured at a sample; its number is the frame's sequence number.
+    """A device's measurements at a sample; the frame's sequence number is the sample's number."""
 
-    Attributes:
-        spots: Both coordinates of each of the three spots [m], six.
-        currents: Measured in the coils [A], six.
-        temperatures: Each coil's share of what it bears, 1 where it trips, six.
-        state: See `State`.
-        valid: Bit k is set where diode k's spot can be trusted.
-        flags: See `Flag`.
-        faults: See `Fault`.
-        answered: Number of the sample that the command in force answers.
-        age: Of the command in force [us], 0xFFFFFFFF for none.
-        conversions: Counter of the sensor interface, up with every conversion of all diodes.
-    """
-
-    spots: tuple[float, ...]
-    currents: tuple[float, ...]
-    temperatures: tuple[float, ...]
+    spots: tuple[float, ...]  # x and y of each of the three [m]
+    currents: tuple[float, ...]  # measured, six [A]
+    temperatures: tuple[float, ...]  # share of what each coil bears, six; 1 where it trips
     state: int
-    valid: int
+    valid: int  # bit k: diode k's spot can be trusted
     flags: int
     faults: int
-    answered: int
-    age: int
-    conversions: int
+    answered: int  # number of the sample that the command in force answers
+    age: int  # of that command [us]; 0xFFFFFFFF for none
+    conversions: int  # counter of the sensor interface
 
 
 class Command(NamedTuple):
-    """Currents from now on.
+    """Currents from now on: `pulsed` for the first `width` seconds, then `held` [A], six each."""
 
-    Attributes:
-        answers: Number of the sample answered.
-        flags: None are defined; 0.
-        held: Currents [A], six.
-        pulsed: Currents in place of those for the first `width` seconds [A], six.
-        width: How long [s]; 0 for no pulse.
-    """
-
-    answers: int
-    flags: int
+    answers: int  # number of the sample answered
+    flags: int  # 0
     held: tuple[float, ...]
     pulsed: tuple[float, ...]
     width: float
@@ -267,15 +203,7 @@ class Estop(NamedTuple):
 
 
 class EstopAck(NamedTuple):
-    """The device answers an emergency stop.
-
-    Attributes:
-        request: Of the ESTOP answered.
-        state: See `State`.
-        faults: See `Fault`.
-        sampled: Instant of the last sample [ns].
-        currents: Measured in the coils then [A], six.
-    """
+    """The device answers an emergency stop, with the instant [ns] and the currents [A], six, of its last sample."""
 
     request: int
     state: int
@@ -298,22 +226,27 @@ _TYPES: dict[int, tuple[type[Body], str]] = {
 }
 _NUMBERS = {body: number for number, (body, _) in _TYPES.items()}
 _STRUCTS = {number: struct.Struct(_HEADER + fields) for number, (_, fields) in _TYPES.items()}
-_CONTROL, _STATE, _COMMAND, _ESTOP_ACK = 3, 5, 6, 8
+# bodies with six numbers in a field: as numbers, and from a frame's
+_FLAT: dict[int, Callable[[Any], Sequence[Any]]] = {
+    3: lambda body: (*body[:3], *body[3]),
+    5: lambda body: (*body[0], *body[1], *body[2], *body[3:]),
+    6: lambda body: (body[0], body[1], *body[2], *body[3], body[4]),
+    8: lambda body: (*body[:4], *body[4]),
+}
+_NESTED: dict[int, Callable[[tuple[Any, ...]], Body]] = {
+    3: lambda values: Control(values[6], values[7], values[8], values[9:]),
+    5: lambda values: StateReport(values[6:12], values[12:18], values[18:24], *values[24:]),
+    6: lambda values: Command(values[6], values[7], values[8:14], values[14:20], values[20]),
+    8: lambda values: EstopAck(values[6], values[7], values[8], values[9], values[10:]),
+}
 
 
 class Frame(NamedTuple):
-    """A frame that was read.
+    """A frame that was read."""
 
-    Attributes:
-        session: Number of the session, 0 in a HELLO and an ESTOP.
-        sequence: In a CMD counted up by the host, in a STATE the number of the sample; else 0.
-        time: Of the sender's clock [ns].
-        body: What it says.
-    """
-
-    session: int
-    sequence: int
-    time: int
+    session: int  # 0 in a HELLO and an ESTOP
+    sequence: int  # in a CMD counted up by the host, in a STATE the number of the sample; else 0
+    time: int  # of the sender's clock [ns]
     body: Body
 
 
@@ -338,54 +271,29 @@ class Codec:
         self.version_met: int | None = None
 
     def encode(self, session: int, sequence: int, time: int, body: Body) -> bytes:
-        """Return a frame.
-
-        Args:
-            session: Number of the session.
-            sequence: Of the frame, or of the sample; taken modulo 2³².
-            time: Of the sender's clock [ns].
-            body: What it says.
-        """
+        """Return a frame; its sequence number is taken modulo 2³², `time` is the sender's clock [ns]."""
         number = _NUMBERS[body.__class__]
-        values: Sequence[object] = body
-        if isinstance(body, Command):
-            values = (body.answers, body.flags, *body.held, *body.pulsed, body.width)
-        elif isinstance(body, StateReport):
-            values = (*body.spots, *body.currents, *body.temperatures, *body[3:])
-        elif isinstance(body, Control):
-            values = (*body[:3], *body.hover)
-        elif isinstance(body, EstopAck):
-            values = (*body[:4], *body.currents)
+        values = _FLAT[number](body) if number in _FLAT else body
         data = _STRUCTS[number].pack(MAGIC, VERSION, number, session, sequence & 0xFFFFFFFF, time, *values)
         if self._seal is not None:
             data += self._seal.tag(data)
         return data + _CRC.pack(zlib.crc32(data))
 
     def decode(self, data: bytes) -> Frame | None:
-        """Return the frame, or None where there is none that can be trusted; the reason is counted in `dropped`."""
-        reason = self._reason(data)
-        if reason:
+        """Return the frame; None, and a reason counted in `dropped`, if there is none that can be trusted."""
+        if reason := self._reason(data):
             self.dropped[reason] += 1
             return None
         number = data[3]
         values = _STRUCTS[number].unpack_from(data)
-        if number == _STATE:
-            body: Body = StateReport(values[6:12], values[12:18], values[18:24], *values[24:])
-        elif number == _COMMAND:
-            body = Command(values[6], values[7], values[8:14], values[14:20], values[20])
-        elif number == _CONTROL:
-            body = Control(values[6], values[7], values[8], values[9:])
-        elif number == _ESTOP_ACK:
-            body = EstopAck(values[6], values[7], values[8], values[9], values[10:])
-        else:
-            body = _TYPES[number][0](*values[6:])
+        body = _NESTED[number](values) if number in _NESTED else _TYPES[number][0](*values[6:])
         return Frame(values[3], values[4], values[5], body)
 
     def _reason(self, data: bytes) -> str:
         """Return why data is no frame that can be trusted; nothing where it is one."""
         if len(data) < 4:
             return "short"
-        if data[0] != MAGIC & 0xFF or data[1] != MAGIC >> 8:
+        if data[:2] != _MAGIC:
             return "magic"
         # the seal first: what it does not vouch for is not looked at
         if len(data) < self._overhead + 4 or zlib.crc32(data) != _SEALED:

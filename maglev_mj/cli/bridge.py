@@ -14,7 +14,7 @@ import numpy as np
 
 from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.fault import HandshakeError
-from maglev_mj.bridge.flight import LANDING_TIME, Flight, StopSwitch
+from maglev_mj.bridge.flight import LANDING_TIME, Flight, StopSwitch, expected_delay
 from maglev_mj.bridge.identification import collect, excitation, identify
 from maglev_mj.bridge.realtime import interrupt, realtime, stopping
 from maglev_mj.bridge.remote import RemotePlant
@@ -112,7 +112,7 @@ def _bridge(options: argparse.Namespace) -> int:
         if options.identify is not None:
             return _identify(plant, options)
         scene = scene.replace(period=plant.period, delay=plant.delay)
-        warn_of_instability(scene, [*[calibration.mass] * 3, *calibration.inertia])
+        warn_of_instability(scene, [*[calibration.mass] * 3, *calibration.inertia], expected_delay(plant))
         _fly(plant, scene, options, publishers)
     return 0
 

@@ -104,14 +104,15 @@ def chosen_scene(options: argparse.Namespace, **defaults: Any) -> Scene:
     return chosen(options, made.replace(**{name: value for name, value in defaults.items() if name in names}))
 
 
-def warn_of_instability(scene: Scene, inertia: Sequence[float] | None = None) -> None:
+def warn_of_instability(scene: Scene, inertia: Sequence[float] | None = None, delay: float | None = None) -> None:
     """Print on standard error that a scene may be unstable; nothing for a stable one.
 
     Args:
         scene: See `stability_warning`.
         inertia: See `stability_warning`.
+        delay: See `stability_warning`.
     """
-    if (warning := stability_warning(scene, inertia=inertia)) is not None:
+    if (warning := stability_warning(scene, inertia=inertia, delay=delay)) is not None:
         say(f"  warning: {warning}", sys.stderr)
 
 

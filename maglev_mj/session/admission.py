@@ -68,7 +68,7 @@ class Refusal(NamedTuple):
         )
 
 
-def refusal(scene: Scene, *, inertia: ArrayLike | None = None) -> Refusal | None:
+def refusal(scene: Scene, *, inertia: ArrayLike | None = None, delay: float | None = None) -> Refusal | None:
     """Return why a scene would be unstable; None where it would not.
 
     The loop is that of a flotor that nobody holds; see `judge`. A hand mostly damps.
@@ -76,13 +76,14 @@ def refusal(scene: Scene, *, inertia: ArrayLike | None = None) -> Refusal | None
     Args:
         scene: The scene, with the present period and delay.
         inertia: Mass and moments of inertia in place of the scene's own [kg, kg m²], (6,).
+        delay: See `stability`.
 
     Raises:
         ParameterError: If it is not known whether it would be.
     """
-    period, delay = scene.period, scene.delay
+    period, delay = scene.period, scene.delay if delay is None else delay
     body = inertia_of(scene) if inertia is None else numbers("inertia", inertia)
-    verdict = stability(scene, inertia=body)
+    verdict = stability(scene, inertia=body, delay=delay)
     if verdict.stable:
         return None
     if verdict.stable is None:
@@ -129,12 +130,13 @@ def check_step(present: Controller, wanted: Controller, pose: Sequence[float], s
                 )
 
 
-def stability_warning(scene: Scene, *, inertia: ArrayLike | None = None) -> str | None:
+def stability_warning(scene: Scene, *, inertia: ArrayLike | None = None, delay: float | None = None) -> str | None:
     """Return one line on a scene that may be unstable; None for a stable one.
 
     Args:
         scene: See `refusal`.
         inertia: See `refusal`.
+        delay: See `stability`.
 
     Raises:
         ParameterError: If the timing or a law's answer to the first sample is wrong, as a run would say too.
@@ -145,7 +147,7 @@ def stability_warning(scene: Scene, *, inertia: ArrayLike | None = None) -> str 
     if not hasattr(controller.velocity, "linear"):  # no loop is its: seconds to find out for a start that goes on
         return None
     try:
-        wrong = refusal(scene, inertia=inertia)
+        wrong = refusal(scene, inertia=inertia, delay=delay)
     except MaglevError as error:
         return f"{scene.name} may be unstable: {error}"
     return None if wrong is None else f"{scene.name} is unstable: {wrong}"

@@ -122,15 +122,16 @@ def inertia_of(scene: Judged) -> Array:
     return body
 
 
-def stability(scene: Judged, *, inertia: ArrayLike | None = None) -> Verdict:
+def stability(scene: Judged, *, inertia: ArrayLike | None = None, delay: float | None = None) -> Verdict:
     """Return the verdict on a scene: see `judge`.
 
     Args:
         scene: The scene.
         inertia: Mass and moments of inertia in place of the scene's own [kg, kg m²], (6,).
+        delay: Transport delay in place of the scene's own [s]; the gains stay as the scene has them.
     """
-    body = inertia_of(scene) if inertia is None else inertia
-    return judge(scene.controller(), delay=scene.delay, pose=scene.start().pose, inertia=body)
+    body, late = inertia_of(scene) if inertia is None else inertia, scene.delay if delay is None else delay
+    return judge(scene.controller(), delay=late, pose=scene.start().pose, inertia=body)
 
 
 def judge(controller: Controller, *, delay: float, pose: ArrayLike = ZERO, inertia: ArrayLike = INERTIA) -> Verdict:

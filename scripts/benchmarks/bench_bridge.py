@@ -32,7 +32,7 @@ from maglev_mj.bridge.twin import ServerReport, Twin, TwinParameters, TwinServer
 from maglev_mj.bridge.wire import Codec, Command, StateReport
 from maglev_mj.laws import Bias
 from maglev_mj.loop import drive
-from maglev_mj.net.udp import Link, UdpLink, UdpServer
+from maglev_mj.net.udp import Address, Link, UdpLink, UdpServer
 from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.joystick import Joystick
@@ -48,6 +48,9 @@ BLOCK = 500
 WIDE = HostLimits(envelope=1.0, envelope_angle=1.0, speed_limit=10.0, spin_limit=100.0)
 COOL = Limits(thermal_time=1e6, spot=0.1, spot_speed=100.0)
 RATES = 200, 1000, 2000, 4000
+BAR = 44  # characters
+EIGHTHS = " ▏▎▍▌▋▊▉"
+EDGES = [step * 10**power for power in range(3, 10) for step in (1, 2, 5)]  # [ns], 1 µs to 5 s
 clock = time.perf_counter_ns
 
 
@@ -218,6 +221,17 @@ class Polled(UdpLink):
         return super().receive(timeout) if data is None and timeout > 0.0 else data
 
 
+class PolledServer(UdpServer):
+    """A server that does so, too."""
+
+    def receive(self, timeout: float) -> tuple[bytes, Address] | None:
+        """Return the oldest frame and its sender."""
+        end = time.monotonic_ns() + (1_000_000 if timeout > 0.0 else 0)
+        while (arrived := super().receive(0.0)) is None and time.monotonic_ns() < end:
+            pass
+        return super().receive(timeout) if arrived is None and timeout > 0.0 else arrived
+
+
 class Answered(Twin):
     """A twin that notes how long after each sample's instant the answer to it is there."""
 
@@ -234,11 +248,12 @@ class Answered(Twin):
         return answer
 
 
-def serve(pipe: Connection, parameters: dict[str, Any], spin: float, cpu: int | None, on_time: bool) -> None:
+def serve(pipe: Connection, parameters: dict[str, Any], polled: bool, cpu: int | None, on_time: bool) -> None:
     """Serve a twin until SIGTERM; say its port first, and what it came to last."""
     pin(cpu)
     twin = Answered(TwinParameters(**parameters))
-    with closing(TwinServer(twin, UdpServer(HOME, 0), spin=spin)) as server, engine_warnings_silenced():
+    reached = (PolledServer if polled else UdpServer)(HOME, 0)
+    with closing(TwinServer(twin, reached)) as server, engine_warnings_silenced():
         with stopping(server.stop), realtime("ignore") if on_time else no_garbage():
             pipe.send(server.address[1])
             pipe.send((server.run(), twin.late))
@@ -247,10 +262,10 @@ def serve(pipe: Connection, parameters: dict[str, Any], spin: float, cpu: int | 
 class TwinProcess:
     """A twin in a process of its own; its port, and what it came to once it is told to end."""
 
-    def __init__(self, parameters: dict[str, Any], spin: float = 0.0, cpu: int | None = None, on_time: bool = False):
+    def __init__(self, parameters: dict[str, Any], polled: bool = False, cpu: int | None = None, on_time: bool = False):
         spawn = multiprocessing.get_context("spawn")
         self._pipe, other = spawn.Pipe()
-        self._process = spawn.Process(target=serve, args=(other, parameters, spin, cpu, on_time), daemon=True)
+        self._process = spawn.Process(target=serve, args=(other, parameters, polled, cpu, on_time), daemon=True)
         self._process.start()
         self.port: int = self._pipe.recv()
 
@@ -270,14 +285,18 @@ class TwinProcess:
 def lockstep(blocks: int) -> None:
     """Print how many cycles a second two processes make."""
     print(f"two processes in lockstep over UDP, cycles a second: median and best of {blocks} blocks of {BLOCK}")
-    ways = {"on one processor": (0, 0, 0.0), "wherever they like": (None, None, 0.0), "polling, one each": (0, 1, 1e-3)}
+    ways = {
+        "on one processor": (0, 0, False),
+        "wherever they like": (None, None, False),
+        "polling, one each": (0, 1, True),
+    }
     if (os.cpu_count() or 1) < 2:
         del ways["polling, one each"]
     for scene, (controller, pose) in SCENES.items():
-        for way, (ours, theirs, spin) in ways.items():
+        for way, (ours, theirs, polled) in ways.items():
             parameters = {"lockstep": True, "pose": pose, "limits": COOL}
-            with closing(TwinProcess(parameters, spin, theirs)) as twin, pinned(ours):
-                link = (Polled if spin else UdpLink)(HOME, twin.port)
+            with closing(TwinProcess(parameters, polled, theirs)) as twin, pinned(ours):
+                link = (Polled if polled else UdpLink)(HOME, twin.port)
                 with RemotePlant(link, patience=10.0) as plant, no_garbage():
                     plant.arm()
                     laws = controller()
@@ -297,7 +316,48 @@ def in_real_time(seconds: float) -> None:
         print(f"real time at {rate} Hz, {'; '.join(refused) or 'nothing refused'}")
         print(f"  {ticks} samples, {missed} periods stalled, {flown.lost} lost, {flown.skipped} skipped by the host")
         print(f"  sampled late by {sampling.p50 * 1e6:.0f} µs in the median, {sampling.p99 * 1e6:.0f} µs at 99 %")
-        print("  answer at the device after its sample's instant:", answered.histogram(), sep="\n")
+        print("  answer at the device after its sample's instant:", histogram(answered), sep="\n")
+
+
+# latencies as bars
+
+
+def histogram(latency: LatencyHistogram) -> str:
+    """Return those kept as bars, a line for each bin, within 80 columns."""
+    if not latency.count:
+        return "latency: none yet"
+    kept = latency.kept
+    bins = np.bincount(np.searchsorted(EDGES, kept, side="right"), minlength=len(EDGES) + 1)
+    used = np.flatnonzero(bins)
+    which = latency.count if latency.count == len(kept) else f"the last {len(kept)} of {latency.count}"
+    lines = [f"latency of {which}: p50 {span(latency.p50)}, p99 {span(latency.p99)}, max {span(latency.max)}"]
+    for index in range(used[0], used[-1] + 1):
+        lines.append(f"{label(index)}  {bar(bins[index] / bins.max()):<{BAR}} {bins[index]:>9}")
+    return "\n".join(line.rstrip() for line in lines)
+
+
+def span(duration: float) -> str:
+    """Return a duration [s] for a person."""
+    for unit, size in (("s", 1.0), ("ms", 1e-3)):
+        if duration >= 0.9995 * size:  # which is written as 1
+            return f"{duration / size:.3g} {unit}"
+    return f"{duration * 1e6:.3g} µs"
+
+
+def label(index: int) -> str:
+    """Return the bounds of a bin, 18 characters."""
+    if index == 0:
+        return f"{'below':>8} {span(EDGES[0] * 1e-9):<9}"
+    low = span(EDGES[index - 1] * 1e-9)
+    if index == len(EDGES):
+        return f"{'above':>8} {low:<9}"
+    return f"{low:>7} to {span(EDGES[index] * 1e-9):<7}"
+
+
+def bar(share: float) -> str:
+    """Return a bar; nothing is none, and little is still seen."""
+    eighths = max(round(share * BAR * 8), 1) if share > 0.0 else 0
+    return "█" * (eighths // 8) + EIGHTHS[eighths % 8].strip()
 
 
 # what all of them need

@@ -375,7 +375,7 @@ int main(int count, char **arguments) {
         if (profile.enable > profile.watchdog) profile.enable = profile.watchdog;
     }
     profile.hover_limit = numbers[HOVER].value, profile.device = (uint32_t)numbers[DEVICE].value;
-    profile.frozen = plant.noise > 0.0 ? 20 : 0;
+    profile.frozen = plant.noise > 0.0 ? 30 : 0;
     if (!maglev_start(&device, &profile, &hardware)) fail("no device is like this", "profile");
 
     struct sigaction action = {.sa_handler = end};
