@@ -76,8 +76,8 @@ DISBELIEVED: list[tuple[str, Callable[[StateReport], StateReport], Fault, int]] 
         (f"temperature {value}", put("temperatures", 1, value), Fault.COIL_OVERTEMP, 1)
         for value in (NAN, INF, 2.1, -0.02)
     ),
-    ("all diodes frozen", repeated("spots"), Fault.SENSOR_FROZEN, 21),
-    ("one diode frozen", one_diode, Fault.SENSOR_FROZEN, 21),
+    ("all diodes frozen", repeated("spots"), Fault.SENSOR_FROZEN, Limits().frozen + 1),
+    ("one diode frozen", one_diode, Fault.SENSOR_FROZEN, Limits().frozen + 1),
     ("counter stuck", repeated("conversions"), Fault.SENSOR_STOPPED, 2),
 ]
 

@@ -40,7 +40,6 @@ _AGAIN = 0.02
 """A request is repeated after so long without an answer [s]."""
 
 _HELLO_AGAIN, _ESTOP_AGAIN = 0.1, 0.005
-
 _TAKEOVER = 1.0
 """A device gives up a host that says nothing for so long [s], unless it flies."""
 
@@ -80,10 +79,10 @@ class EstopReport(NamedTuple):
 
 
 def estop(link: Link, key: bytes | None = None, patience: float = 1.0) -> EstopReport:
-    """Stop a device, whoever flies it; no session is needed.
+    """Stop a device, whoever flies it; no session is needed, and the link is left open.
 
     Args:
-        link: The wire; left open.
+        link: The wire.
         key: With which frames are sealed.
         patience: How long to try [s], above 0.
 
@@ -101,10 +100,9 @@ def _stop(link: Link, codec: Codec, patience: float, aside: Callable[[Frame], ob
     confirmed, first = False, 0
     for data in _exchange(link, codec, 0, body, _ESTOP_AGAIN, patience):
         frame = codec.decode(data)
-        if frame is None:
-            continue
-        if not isinstance(frame.body, EstopAck) or frame.body.request != body.request:
-            aside(frame)
+        if frame is None or not isinstance(frame.body, EstopAck) or frame.body.request != body.request:
+            if frame is not None:
+                aside(frame)
             continue
         answer, first = frame.body, first if times else frame.time
         times[frame.time] += 1
@@ -114,9 +112,8 @@ def _stop(link: Link, codec: Codec, patience: float, aside: Callable[[Frame], ob
         confirmed = answer.state == State.FAULT and (off or still)
         if confirmed:
             break
-    duration = (link.now() - start) * 1e-9
     faults, currents = (answer.faults, answer.currents) if answer is not None else (0, ())
-    return EstopReport(confirmed, duration, faults, currents, first)
+    return EstopReport(confirmed, (link.now() - start) * 1e-9, faults, currents, first)
 
 
 def _exchange(link: Link, codec: Codec, session: int, body: Body, every: float, patience: float) -> Iterator[bytes]:
@@ -146,30 +143,21 @@ class SampleCounter:
     """
 
     def __init__(self, period: int) -> None:
-        self.tick, self.elapsed, self.lost, self.skipped = -1, 0, 0, 0
-        self.period, self._sequence, self.time = period, 0, 0
-        self.out_of_step = ""
+        self.period, self.out_of_step, self.tick = period, "", -1
+        self.elapsed = self.lost = self.skipped = self.time = self._sequence = 0
 
     def count(self, sequence: int, time: int, skipped: int) -> None:
-        """Count a sample.
-
-        Args:
-            sequence: Its number.
-            time: Of the device's clock [ns].
-            skipped: Older samples that came with it.
-        """
+        """Count a sample by its number and time [ns], and the older samples that came with it."""
         self.out_of_step = ""
         if self.tick < 0:
             self.tick = 0
         else:
-            self.elapsed = (sequence - self._sequence) & _WRAP
-            passed = time - self.time
+            self.elapsed, passed = (sequence - self._sequence) & _WRAP, time - self.time
             if abs(passed - self.elapsed * self.period) > self.period // 2:
-                said = f"{passed * 1e-6:.3f} ms went by in {self.elapsed} samples of {self.period * 1e-6:.3f} ms"
-                self.out_of_step = said
+                span = f"{self.elapsed} samples of {self.period * 1e-6:.3f} ms"
+                self.out_of_step = f"{passed * 1e-6:.3f} ms went by in {span}"
             self.tick += self.elapsed
-            missing = self.elapsed - 1
-            if missing:
+            if missing := self.elapsed - 1:
                 self.skipped += min(skipped, missing)
                 self.lost += missing - min(skipped, missing)
         self._sequence, self.time = sequence, time
@@ -192,8 +180,7 @@ class Connection:
         samples: Their count, and what is missing of them.
         heard: When that was there, by the link's clock [ns].
         latency: From there to sending the last command [ns].
-        settled: When the device last did what it was asked for, by its own clock [ns]: what a sample from before that
-            says of its state is old.
+        settled: Time of the device's last answer to a request, by its clock [ns]; its state in older samples is old.
 
     Raises:
         HandshakeError: If no device answers, it refuses this host, or its numbers are outside sane bounds.
@@ -203,11 +190,11 @@ class Connection:
 
     def __init__(self, link: Link, calibration: bytes, key: bytes | None, patience: float) -> None:
         self._link, self._keyed, self.open = link, key is not None, True
-        self._session, self._sequence, self._request = 0, 0, 0
+        self._session = self._sequence = self._request = self._overtaken = self._greeted = 0
+        self.settled = self.heard = self.latency = 0
         self._newest: int | None = None
         self._waiting: Frame | None = None
         self._last: Command | None = None
-        self._overtaken, self.settled, self.heard, self.latency, self._greeted = 0, 0, 0, 0, 0
         try:
             self._patience = number("patience", patience, above=0.0)
             self.codec = Codec(key)
@@ -224,10 +211,9 @@ class Connection:
     def latched(self) -> str:
         """One line about faults latched at the handshake; empty if there were none."""
         one = self.welcome
-        if not one.faults:
-            return ""
         ago = max(self._greeted - one.fault_time, 0) * 1e-9
-        return f"latched: {fault_names(one.faults)}, {ago:.1f} s ago, first {fault_names(one.first)}"
+        names, first = fault_names(one.faults), fault_names(one.first)
+        return f"latched: {names}, {ago:.1f} s ago, first {first}" if one.faults else ""
 
     def command(self, command: Command) -> None:
         """Send currents."""
@@ -275,12 +261,7 @@ class Connection:
 
     def estop(self) -> EstopReport:
         """Send ESTOP until the device confirms it; samples that come meanwhile are read later."""
-
-        def aside(frame: Frame) -> None:
-            if frame.session == self._session:
-                self._keep(frame)
-
-        report = _stop(self._link, self.codec, self._patience, aside)
+        report = _stop(self._link, self.codec, self._patience, self._keep)
         self.settled = max(self.settled, report.at)
         return report
 
@@ -296,7 +277,7 @@ class Connection:
                     self._link.close()
 
     def _abandon(self) -> None:
-        """Let go of a device with which there is no session to be."""
+        """Close the link after a handshake that failed."""
         self.open = False
         with suppress(Exception):
             if self._session:
@@ -307,16 +288,14 @@ class Connection:
 
     def _greet(self, calibration: bytes) -> HelloAck:
         """Say hello until the device answers."""
-        nonce = int.from_bytes(os.urandom(8), "little")
-        hello = Hello(nonce, calibration)
-        versions = set[int]()
+        hello, versions = Hello(int.from_bytes(os.urandom(8), "little"), calibration), set[int]()
         for patience in (self._patience, _TAKEOVER):
             busy = False
             for data in _exchange(self._link, self.codec, 0, hello, _HELLO_AGAIN, patience):
-                answer = self._welcome(data, nonce, calibration, versions)
-                if answer is not None and answer.status == HelloStatus.WELCOME:
-                    return answer
-                busy |= answer is not None
+                if (answer := self._welcome(data, hello, versions)) is not None:
+                    if answer.status == HelloStatus.WELCOME:
+                        return answer
+                    busy = True
             if not busy:
                 break
         if busy:
@@ -328,8 +307,8 @@ class Connection:
         reason = f"; frames dropped: {dropped}" if dropped else ""
         raise HandshakeError(f"no device answered within {self._patience:g} s{reason}")
 
-    def _welcome(self, data: bytes, nonce: int, calibration: bytes, versions: set[int]) -> HelloAck | None:
-        """Return the answer to a HELLO, if data is that, and keep the session; complain where it is a refusal."""
+    def _welcome(self, data: bytes, hello: Hello, versions: set[int]) -> HelloAck | None:
+        """Return the answer to a HELLO, if data is that, and keep the session; raise for a refusal."""
         self.codec.version_met = None
         frame = self.codec.decode(data)
         version = self.codec.version_met
@@ -341,16 +320,14 @@ class Connection:
             answer = frame.body
             if answer.status == HelloStatus.VERSION:
                 version = answer.version
-            elif answer.nonce != nonce:
+            elif answer.nonce != hello.nonce:
                 return None
             elif answer.status == HelloStatus.CALIBRATION:
-                raise HandshakeError(
-                    f"the device's calibration is {answer.calibration.hex()}, this host's {calibration.hex()}"
-                )
-            elif answer.status == HelloStatus.WELCOME:
-                self._session, self._greeted = frame.session, frame.time
-                return answer
-            elif answer.status == HelloStatus.BUSY:
+                theirs, ours = answer.calibration.hex(), hello.calibration.hex()
+                raise HandshakeError(f"the device's calibration is {theirs}, this host's {ours}")
+            elif answer.status in (HelloStatus.WELCOME, HelloStatus.BUSY):
+                if answer.status == HelloStatus.WELCOME:
+                    self._session, self._greeted = frame.session, frame.time
                 return answer
         if version is not None:
             raise HandshakeError(f"the device speaks version {version} of the protocol, this host version {VERSION}")
@@ -366,37 +343,29 @@ class Connection:
 
     def _is_newer(self, frame: Frame) -> bool:
         newest = self._newest
-        if newest is not None and frame.sequence == (newest + 1) & _WRAP:  # as nearly all are
-            self._newest = frame.sequence
-            return True
-        if newest == frame.sequence and self.welcome.lockstep and self._last is not None:
-            self.command(self._last)  # the device waits, so the answer was lost
-        if newest is not None and not newer(frame.sequence, newest):
-            self.codec.dropped["old"] += 1
-            return False
+        if newest is not None and frame.sequence != (newest + 1) & _WRAP:  # which few are
+            if newest == frame.sequence and self.welcome.lockstep and self._last is not None:
+                self.command(self._last)  # the device waits, so the answer was lost
+            if not newer(frame.sequence, newest):
+                self.codec.dropped["old"] += 1
+                return False
         self._newest = frame.sequence
         return True
 
     def _keep(self, frame: Frame) -> None:
-        """Keep a sample that came during a request, for the next `state`."""
-        if isinstance(frame.body, StateReport) and self._is_newer(frame):
+        """Keep a sample of this session that came during a request, for the next `state`."""
+        if frame.session == self._session and isinstance(frame.body, StateReport) and self._is_newer(frame):
             self._overtaken += self._waiting is not None
             self._waiting = frame
 
     def _sample_in(self, data: bytes) -> Frame | None:
         """Return the sample in a frame, if it is newer than the last."""
         frame = self._trusted(data)
-        if frame is None or not isinstance(frame.body, StateReport) or not self._is_newer(frame):
-            return None
-        return frame
+        return frame if frame is not None and isinstance(frame.body, StateReport) and self._is_newer(frame) else None
 
 
 def _limits(welcome: HelloAck) -> Limits:
-    """Return a device's limits.
-
-    Raises:
-        HandshakeError: If one of its numbers is outside sane bounds.
-    """
+    """Return a device's limits; raise if one of its numbers is outside sane bounds."""
     try:
         number("period", welcome.period * 1e-9, at_least=1e-5, at_most=0.1)
         number("delay", welcome.delay * 1e-9, at_least=0.0, at_most=0.1)

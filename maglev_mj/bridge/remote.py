@@ -36,8 +36,7 @@ from maglev_mj.sensing.solver import PoseTracker
 __all__ = ["RemotePlant"]
 
 _INACTIVE, _ACTIVE, _FAULT = State  # an enumeration's members are slow to look up
-_NAN, _NONE = math.nan, 0xFFFFFFFF
-_UNKNOWN = (_NAN,) * 6
+_NAN, _NONE, _UNKNOWN = math.nan, 0xFFFFFFFF, (math.nan,) * 6
 _MOST = Limits(current=100.0, continuous_current=100.0, hover=100.0)
 _SETTLING, _WATCHING = 0.3, 0.2
 """How long a landing waits for the flotor to come to rest before it disarms, and watches it after [s]."""
@@ -66,22 +65,19 @@ class RemotePlant:
         limits: The smaller of the device's and the host's.
         latched: One line about faults that were latched in the device when it answered; empty without.
         disarmed: True once this host has switched the currents off after it had armed.
-        state: Of the device, at the last sample.
-        faults: Likewise.
-        first: Those of them that came first.
-        fault_time: When, by the device's clock [ns]; 0 without.
+        state: Of the device, at the last sample; likewise `faults`.
+        first: The faults that came first, at `fault_time` by the device's clock [ns]; 0 without.
         last_currents: What was sent last [A], six.
-        last_delay: From the sample before the last to its answer's taking effect, by the device's clock [s]; NaN where
-            the command in force at the last sample answers another.
-        newest_delay: Likewise of the newest answer that has arrived, whichever sample it answers; NaN where that is the
-            one before.
-        rest: Where the flotor lay before it took off [m, rad]; where it is landed.
+        last_delay: From the sample before the last to its answer's effect, by the device's clock [s]; NaN if the
+            command in force at the last sample answers another.
+        newest_delay: Likewise of the newest answer that has arrived, to any sample; NaN if that is the one before.
+        rest: Pose before takeoff, and to land at [m, rad].
         samples: Their count, and what is missing of them.
         hand_wrench: Zero: nobody measures what the hand does.
 
     Raises:
-        HandshakeError: If no device answers, or it will not have this host: another is flying it, its protocol is of
-            another version, or its calibration is another; or if its numbers are not sane or do not carry the weight.
+        HandshakeError: If no device answers, another host flies it, its version or calibration is another, or its
+            numbers are not sane or do not carry the weight.
         LinkError: If the line is gone.
         ParameterError: If a value is outside its bounds, or the host's own limits do not carry the weight.
     """
@@ -98,8 +94,8 @@ class RemotePlant:
         patience: float = 1.0,
         folder: Path = Path(),
     ) -> None:
-        known = self.calibration = calibration or Calibration.nominal()
-        own = limits or HostLimits()
+        known, own = calibration or Calibration.nominal(), limits or HostLimits()
+        self.calibration = known
         self._hover: list[float] = known.hover.tolist()
         weight = known.mass * math.hypot(*known.gravity)
         if said := weight_fault(weight, self._hover, own, own.narrowed(_MOST)):
@@ -119,26 +115,24 @@ class RemotePlant:
             self._box = BlackBox(folder)
             self._spots, self._guard = SpotGuard(self.limits, self.period), FlotorGuard(own)
             self._track = PoseTracker(known.beams)
-            offsets = known.spot_offsets
-            self._offsets: list[float] | None = offsets.tolist() if offsets.any() else None
+            self._offsets: list[float] | None = known.spot_offsets.tolist() if known.spot_offsets.any() else None
             self._output = OutputLimiter(known.coils, self.limits, own.wrench, self.period)
             self._leader = Leader(known, self.period, self.delay)
         except BaseException:
             self._line.close()
             raise
         self.last_currents: Sequence[float] = ZERO
-        self.last_delay = self.newest_delay = _NAN
-        self._answered: int | None = None  # the sample that the newest answer was for
         self.rest: Sequence[float] = ZERO
-        self.disarmed = False
-        self._armed = False  # by this host, and nothing has ended it that was reported
-        self._warned = self._led = False  # led: from or to where it rests, beyond the own envelope perhaps
+        self.last_delay = self.newest_delay = _NAN
+        self._answered: int | None = None  # by the newest answer
+        self.disarmed = self._armed = self._warned = (
+            False  # armed by this host, and nothing has ended it that was reported
+        )
+        self._led = self._owed = False  # led from or to its stop; an answer is owed to the last sample
         self._sequence, self._located = 0, 0  # of the last sample, and tick of the last whose pose is known
-        self._owed = False  # an answer, to the last sample
         self._doubt = ""  # what is wrong with the last sample
-        # the last sample, and its pose, which may not be known
-        self._frame: Frame | None = None
-        self._seen: Sequence[float] = _UNKNOWN
+        self._frame: Frame | None = None  # the last sample
+        self._seen: Sequence[float] = _UNKNOWN  # its pose
         self._known: Sequence[float] = ZERO
 
     def __enter__(self) -> Self:
@@ -183,9 +177,7 @@ class RemotePlant:
         position = self._locate(report.spots)
         tick, active = samples.tick, self.state is _ACTIVE
         if wrong := self._guard.check(position, (tick - self._located) * self.period, self._led or not active):
-            self._doubt = f"{fault_names(wrong)}: the flotor is at {shown(position)}"
-            if active:
-                self._fail(wrong, f"the flotor is at {shown(position)}")
+            self._suspect(wrong, f"the flotor is at {shown(position)}")
         self._located = tick
         if active:
             if samples.out_of_step:
@@ -201,32 +193,32 @@ class RemotePlant:
             DeviceFault: If the command is not finite.
             PlantError: If no sample was read.
         """
-        self._check_open()
-        if self._frame is None:
-            raise PlantError("write() needs a sample: call read() first")
+        frame = self._answered_frame("write")
         try:
             command, held, pulsed, width = self._output.currents(command, self._known)
         except (PlantError, TypeError) as error:
             self._fail(Fault.INVALID_COMMAND, str(error))
-        self._answer(self._frame, held, pulsed, width)
+        self._answer(frame, held, pulsed, width)
         return command
 
     def drive(self, currents: Sequence[float]) -> None:
-        """Send six currents in place of a wrench: one coil at a time.
-
-        Args:
-            currents: Of the coils [A], six.
+        """Send six currents [A] in place of a wrench: one coil at a time.
 
         Raises:
             ParameterError: If one is not finite or above the limit.
             PlantError: If no sample was read.
         """
-        self._check_open()
-        if self._frame is None:
-            raise PlantError("drive() needs a sample: call read() first")
+        frame = self._answered_frame("drive")
         if command_fault(self.limits, currents, currents, 0.0):
             raise ParameterError(f"currents must be within {self.limits.current:g} A, not {list(currents)}")
-        self._answer(self._frame, currents, None, 0.0)
+        self._answer(frame, currents, None, 0.0)
+
+    def _answered_frame(self, call: str) -> Frame:
+        """Return the last sample, for a call that answers it."""
+        self._check_open()
+        if self._frame is None:
+            raise PlantError(f"{call}() needs a sample: call read() first")
+        return self._frame
 
     def _answer(self, frame: Frame, held: Sequence[float], pulsed: Sequence[float] | None, width: float) -> None:
         """Send the answer to the last sample, and count what it heats."""
@@ -240,11 +232,7 @@ class RemotePlant:
 
     @property
     def report(self) -> StateReport:
-        """What the device said at the last sample.
-
-        Raises:
-            PlantError: If no sample was read.
-        """
+        """The device's own report at the last sample; a PlantError before the first."""
         if self._frame is None:
             raise PlantError("there is no sample: call read() first")
         return self._frame.body  # type: ignore[return-value]
@@ -266,14 +254,10 @@ class RemotePlant:
         return self._line.heard - self.samples.time
 
     def arm(self, hover: Sequence[float] | None = None) -> None:
-        """Let the currents flow.
+        """Let the currents flow; a PlantError if the device refuses, as in the fault state.
 
         Args:
-            hover: Currents that the device holds where commands are missing [A], six; those that carry the flotor by
-                default.
-
-        Raises:
-            PlantError: If the device refuses, as in the fault state.
+            hover: Held by the device if commands are missing [A], six; by default the currents that carry the flotor.
         """
         self._ask(Operation.ARM, hover=self._hover if hover is None else hover)
         self.state, self._armed, self._led = _ACTIVE, True, False
@@ -286,10 +270,9 @@ class RemotePlant:
             self.state = _INACTIVE
 
     def estop(self) -> EstopReport:
-        """Switch the currents off in whatever state, and latch that it was asked for; the next sample is a fault.
+        """Switch the currents off in any state and latch ESTOP; a PlantError if the device does not confirm it.
 
-        Raises:
-            PlantError: If the device does not confirm it.
+        The next sample is a fault.
         """
         self._check_open()
         report = self._line.estop()
@@ -305,7 +288,7 @@ class RemotePlant:
 
     def trip(self, faults: Fault) -> None:
         """Put the device into the fault state, whether or not the line is good enough for an answer."""
-        self._latch(faults, self._frame.time if self._frame is not None else 0)
+        self._latch(faults, self.samples.time)
         with suppress(LinkError):  # the watchdog does it where there is no line
             self._line.control(Operation.TRIP, faults=faults)
 
@@ -354,22 +337,23 @@ class RemotePlant:
             watch: As for `takeoff`.
 
         Returns:
-            How it lies 0.2 s after.
+            Pose and motion 0.2 s after.
 
         Raises:
             DeviceFault: As for `takeoff`.
         """
         leader, self._led = self._leader, True
-        leader.aim(self.read().position, self.rest, duration)
         loop = ControlLoop(self, leader)
+        leader.aim(self.read().position, self.rest, duration)
         self._lead(loop, duration, watch)
         end = self.samples.tick + round(_SETTLING / self.period)
         while self.samples.tick < end and not leader.motion.at_rest:
             loop.cycle()
         self.disarm()
         motion = self._watch(_WATCHING)
-        error = math.dist(motion.pose[:3], self.rest[:3])
-        return LandingReport(error, *motion.speeds, motion.at_rest and not self._doubt)
+        return LandingReport(
+            math.dist(motion.pose[:3], self.rest[:3]), *motion.speeds, motion.at_rest and not self._doubt
+        )
 
     def _lead(self, loop: ControlLoop, duration: float, watch: Callable[[], object] | None) -> None:
         end = self.samples.tick + max(round(duration / self.period), 1)
@@ -379,7 +363,7 @@ class RemotePlant:
                 return
 
     def _watch(self, duration: float) -> Motion:
-        """Look at the flotor until so long [s] is over and the last 0.1 s are known, or in doubt."""
+        """Watch the flotor for so long [s], and until the last 0.1 s are known or in doubt."""
         motion, self._doubt = Motion(self.period), ""
         end = self.samples.tick + round(duration / self.period)
         while self.samples.tick < end or not (motion.full or self._doubt):
@@ -400,9 +384,8 @@ class RemotePlant:
         if answer.result:
             hint = "; see to it, then reset" if answer.state == _FAULT else ""
             state = State(answer.state).name if answer.state in tuple(State) else f"in state {answer.state}"
-            raise PlantError(
-                f"the device refused {operation.name}: it is {state}, faults {fault_names(answer.faults)}{hint}"
-            )
+            names = fault_names(answer.faults)
+            raise PlantError(f"the device refused {operation.name}: it is {state}, faults {names}{hint}")
 
     def _check_open(self) -> None:
         if not self._line.open:
@@ -413,13 +396,11 @@ class RemotePlant:
         try:
             if (frame := self._line.state(self._patience)) is not None:
                 return frame
-            missing = f"no sample from the device within {self._patience:g} s"
         except Exception as error:
-            if self.state is not _ACTIVE:
-                raise
-            missing = str(error)
-        if self.state is _ACTIVE:
-            self._fail(Fault.HOST, missing)
+            self._fail_if_active(Fault.HOST, str(error))
+            raise
+        missing = f"no sample from the device within {self._patience:g} s"
+        self._fail_if_active(Fault.HOST, missing)
         raise PlantError(missing)
 
     def _account(self, frame: Frame, report: StateReport) -> None:
@@ -441,7 +422,7 @@ class RemotePlant:
             self._fail(Fault.HOST, f"the device says that it is in state {state}, which is none")
         before = self.state
         if state == _FAULT:
-            self._latch(Fault(faults), self._frame.time if self._frame is not None else 0)
+            self._latch(Fault(faults), self.samples.time)
         self.state, self.faults = State(state), Fault(faults)
         if self.state is _FAULT is not before:
             self._fail(self.faults, "said by the device")
@@ -449,7 +430,7 @@ class RemotePlant:
             self._fail(Fault.HOST, "the device switched its currents off without being asked to")
 
     def _mistrust(self, fault: Fault, report: StateReport) -> None:
-        """Note what is wrong with a sample's numbers; a fault if the device is active."""
+        """Note a fault in a sample's numbers, or that there is none any more."""
         self._doubt = ""
         if not fault:
             return
@@ -458,7 +439,13 @@ class RemotePlant:
         said = f"spots {spots} mm, valid {report.valid:03b}, conversion {report.conversions}"
         if fault & (Fault.COIL_OVERCURRENT | Fault.COIL_OVERTEMP):
             said = f"measured currents {', '.join(rest[:6])} A, temperatures {', '.join(rest[6:])}"
+        self._suspect(fault, said)
+
+    def _suspect(self, fault: Fault, said: str) -> None:
         self._doubt = f"{fault_names(fault)}: {said}"
+        self._fail_if_active(fault, said)
+
+    def _fail_if_active(self, fault: Fault, said: str) -> None:
         if self.state is _ACTIVE:
             self._fail(fault, said)
 
@@ -469,12 +456,10 @@ class RemotePlant:
         try:
             position = self._track(spots)
         except SensingError as error:
-            if self.state is _ACTIVE:
-                self._fail(Fault.SENSOR_OUT_OF_RANGE, str(error))
+            self._fail_if_active(Fault.SENSOR_OUT_OF_RANGE, str(error))
             raise
-        self._known = position
+        self._known, self._owed = position, True
         self._seen = tuple(position)  # whoever gets the list may write in it
-        self._owed = True
         return position
 
     def _send(self, held: Sequence[float], pulsed: Sequence[float] | None, width: float) -> None:
@@ -483,8 +468,7 @@ class RemotePlant:
         try:
             self._line.command(CommandFrame(self._sequence, 0, one, one if pulsed is None else tuple(pulsed), width))
         except Exception as error:
-            if self.state is _ACTIVE:
-                self._fail(Fault.HOST, str(error))
+            self._fail_if_active(Fault.HOST, str(error))
             raise
 
     def _watch_temperatures(self) -> None:
@@ -507,14 +491,8 @@ class RemotePlant:
             with suppress(Exception):  # what went wrong is told, and the last cycles kept, whatever else fails
                 self.trip(faults)
         faults |= self.faults  # such as an e-stop, after which it fell
-        samples = self.samples
-        about = {
-            **{"first": fault_names(self.first), "fault_time_ns": self.fault_time, "tick": samples.tick},
-            **{"lost": samples.lost, "skipped": samples.skipped, "period_ns": samples.period},
-        }
-        if self._frame is not None:
-            self._box.keep(
-                (self._frame, self._seen, self.last_currents, None, 0.0, self.last_delay, self._line.latency)
-            )
-        path = self._box.write(faults, message, about)
-        raise DeviceFault(faults, message, path)
+        about = {"first": fault_names(self.first), "fault_time_ns": self.fault_time, "period_ns": self.samples.period}
+        about |= {name: getattr(self.samples, name) for name in ("tick", "lost", "skipped")}
+        if (frame := self._frame) is not None:
+            self._box.keep((frame, self._seen, self.last_currents, None, 0.0, self.last_delay, self._line.latency))
+        raise DeviceFault(faults, message, self._box.write(faults, message, about))

@@ -71,18 +71,17 @@ class Motion:
         return speed <= _SLOW and spin <= _SLOW_SPIN
 
     def __str__(self) -> str:
-        speed, spin = self.speeds
-        return f"{speed * 1e3:.2g} mm/s and {spin:.2g} rad/s"
+        return _speeds_shown(*self.speeds)
 
 
 class LandingReport(NamedTuple):
-    """Where and how a flotor lies after landing.
+    """Pose and motion of a flotor after landing.
 
     Attributes:
-        error: Distance from where it lay before takeoff [m]; NaN where its pose is not known.
+        error: Distance from its place before takeoff [m]; NaN if its pose is not known.
         speed: Over the last 0.1 s [m/s].
         spin: Likewise [rad/s].
-        at_rest: Whether it rests.
+        at_rest: True if it rests.
     """
 
     error: float
@@ -91,9 +90,8 @@ class LandingReport(NamedTuple):
     at_rest: bool
 
     def __str__(self) -> str:
-        moves = f"{self.speed * 1e3:.2g} mm/s and {self.spin:.2g} rad/s"
-        where = f"landed {self.error * 1e3:.2f} mm from where it lay"
-        return f"{where}, at rest" if self.at_rest else f"{where}, NOT at rest: {moves}"
+        how = "at rest" if self.at_rest else f"NOT at rest: {_speeds_shown(self.speed, self.spin)}"
+        return f"landed {self.error * 1e3:.2f} mm from where it lay, {how}"
 
 
 class Leader:
@@ -123,13 +121,13 @@ class Leader:
         duration: float,
         astray: Callable[[Sequence[float]], object] | None = None,
     ) -> None:
-        """Begin a path at the next sample.
+        """Begin a path at the next sample, from start to end [m, rad], six each.
 
         Args:
-            start: Where it begins [m, rad], six components.
-            end: Where it ends.
-            duration: How long it takes [s].
-            astray: Called with the pose where the flotor does not follow.
+            start: First pose.
+            end: Last pose.
+            duration: Time between them [s].
+            astray: Called with the pose if the flotor does not follow.
 
         Raises:
             ParameterError: If the duration is not above 0.
@@ -151,10 +149,13 @@ class Leader:
         return self._controller.step(Sample(sample.tick, sample.time, off))
 
 
+def _speeds_shown(speed: float, spin: float) -> str:
+    return f"{speed * 1e3:.2g} mm/s and {spin:.2g} rad/s"
+
+
 def off_stop(pose: Sequence[float], gravity: Sequence[float]) -> bool:
     """Return whether a pose [m, rad] is not on the lower stop, as gravity [m/s²] has it; without gravity all are."""
-    pull = math.hypot(*gravity)
-    return sum(one * other for one, other in zip(pose, gravity)) < _ON_STOP * pull
+    return sum(one * other for one, other in zip(pose, gravity)) < _ON_STOP * math.hypot(*gravity)
 
 
 def shown(position: Sequence[float]) -> str:
