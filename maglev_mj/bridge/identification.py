@@ -91,7 +91,7 @@ class CurrentPlant(Plant, Protocol):
 
     @property
     def last_delay(self) -> float:
-        """From the sample before the last to its answer's taking effect [s]; NaN where that is not known."""
+        """Delay of the answer to the sample before the last [s]; NaN where not known."""
 
 
 class Shaker:
@@ -291,13 +291,12 @@ class Identified:
             ModelError: If such coils cannot give every wrench.
         """
         mass = nominal.mass if mass is None else number("mass", mass, above=0.0)
-        wrenches = self.wrench_per_current(mass, nominal.inertia).T
-        directions, points = nominal.coils.directions, nominal.coils.points
-        constants = np.einsum("ja,ja->j", wrenches[:, :3], directions)
-        forces = constants[:, None] * directions
-        lacking = wrenches[:, 3:] - np.cross(points, forces)
-        moved = points + np.cross(forces, lacking) / np.square(constants)[:, None]
-        coils = CoilMap(points=moved, directions=directions, force_constants=constants)
+        wrenches, given = self.wrench_per_current(mass, nominal.inertia).T, nominal.coils
+        constants = np.einsum("ja,ja->j", wrenches[:, :3], given.directions)
+        forces = constants[:, None] * given.directions
+        lacking = wrenches[:, 3:] - np.cross(given.points, forces)
+        moved = given.points + np.cross(forces, lacking) / np.square(constants)[:, None]
+        coils = CoilMap(points=moved, directions=given.directions, force_constants=constants)
         return replace(nominal, coils=coils, mass=mass, gravity=self.gravity, name=name)
 
 
@@ -374,12 +373,12 @@ def find_delay(
     """Return the delay [s] of least misfit.
 
     Args:
-        poses: As for `identify`.
-        currents: As for `identify`.
-        period: Sample period [s].
-        near: Where to look [s].
-        reach: How far to either side, at first [s].
-        lines: As for `identify`.
+        poses: This, `currents`, `period` and `lines` as for `identify`.
+        currents: See `poses`.
+        period: See `poses`.
+        near: First guess [s].
+        reach: To either side, at first [s].
+        lines: See `poses`.
 
     Raises:
         ParameterError: As `identify`.

@@ -24,17 +24,14 @@ __all__ = ["LatencyHistogram", "Realtime", "RealtimeError", "interrupt", "realti
 
 
 class LatencyHistogram:
-    """How late a loop was: the last ones, and the worst of all.
+    """Latencies of a loop: the last ones, and the worst of all.
 
     Args:
-        size: How many to keep, at least 1.
+        size: Number to keep; a ParameterError if below 1.
 
     Attributes:
-        count: How many there were.
+        count: Number added.
         worst: Greatest of all [ns].
-
-    Raises:
-        ParameterError: If the size is less.
     """
 
     def __init__(self, size: int = 1 << 16) -> None:
@@ -89,16 +86,16 @@ class RealtimeError(MaglevError):
 def realtime(mode: Realtime, priority: int = 80, cpu: int | None = None) -> Iterator[list[str]]:
     """Make this thread as punctual as the system permits, and give everything back at the end.
 
-    It sleeps to the nanosecond, goes before what has no deadline (SCHED_FIFO), keeps its memory, stays on one
-    processor, and collects no garbage. Threads and processes started meanwhile inherit some of that: start those first.
+    Timer slack 1 ns, SCHED_FIFO, locked memory, one processor, no garbage collection. Threads and processes inherit
+    some of that: start those first.
 
     Args:
-        mode: "enforce" or "ignore": what to do where something is refused.
+        mode: "enforce" raises if something is refused, "ignore" goes on.
         priority: Of SCHED_FIFO, 1 to 99.
         cpu: Number of the processor to stay on; None for any.
 
     Yields:
-        What was refused, a line each.
+        Refusals, a line each.
 
     Raises:
         ParameterError: If an argument is outside its bounds.

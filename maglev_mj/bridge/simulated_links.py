@@ -29,7 +29,7 @@ _NEVER = 2**63
 
 @dataclass(frozen=True)
 class Impairment:
-    """How bad a line is, each way.
+    """Impairment of a line, each way.
 
     Attributes:
         loss: Probability that a frame never arrives.
@@ -135,18 +135,18 @@ class _Line:
 class UdpProxy:
     """A bad line between hosts and a device, in a thread of this process: give hosts its address for the device's.
 
-    What the device sends goes to the host that was heard last.
+    The device's frames go to the host heard last.
 
     Args:
-        upstream: Where the device listens.
-        impairment: How bad the line is, each way.
+        upstream: Address of the device.
+        impairment: Of the line, each way.
         host: Address of this machine to listen at.
-        port: To listen at; 0 for any that is free.
+        port: Port to listen at; 0 for any free one.
 
     Attributes:
-        address: Where it listens.
-        to_device: What became of the frames that way; `counts` has the figures.
-        to_host: And that way.
+        address: Its own.
+        to_device: Impairer of that way; `counts` has the figures.
+        to_host: Likewise.
 
     Raises:
         ParameterError: If a host or port is none.
