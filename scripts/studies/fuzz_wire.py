@@ -406,7 +406,9 @@ def main() -> int:
     for key in (None, KEY):
         damage = Damage(options.seed, key)
         if options.runs is not None:
-            good &= fuzz_device(damage, lambda executions, damaged: damaged >= options.device)
+            good &= fuzz_device(damage, lambda executions, damaged: executions >= options.runs)
+            continue
+        good &= fuzz_device(damage, lambda executions, damaged: damaged >= options.device)
         good &= fuzz_host(Damage(options.seed, key), options.host)
     return 0 if good else 1
 
