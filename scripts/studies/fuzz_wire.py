@@ -127,7 +127,6 @@ class Damage:
     def __init__(self, seed: int, key: bytes | None) -> None:
         self.draw, self.key = random.Random(seed), key
         self.codec = Codec(key)
-        self.count = 0
 
     def sealed(self, data: bytearray) -> bytes:
         """Return data with a CRC that is right, and with a key a tag that is right, or is not."""
@@ -138,7 +137,6 @@ class Damage:
 
     def frame(self, data: bytes, other: bytes, again: float = 0.8) -> bytes:
         """Return a frame with some damage, or with a piece of another; sealed again with a probability."""
-        self.count += 1
         draw, new = self.draw, bytearray(data)
         kind, place = draw.randrange(6), draw.randrange(len(data) + 1)
         if kind == 0 and new:
@@ -161,7 +159,6 @@ class Damage:
 
     def repeated(self, data: bytes) -> bytes:
         """Return a frame as it is sent again: with a newer number; and perhaps not quite the same."""
-        self.count += 1
         draw, new = self.draw, bytearray(data)
         if len(new) >= 32:
             new[8:12] = struct.pack("<I", draw.randrange(1, 100))
@@ -264,13 +261,14 @@ def sane(device: Firmware, amplifiers: Amplifiers) -> None:
     assert device.state == State.ACTIVE or not amplifiers.on, "a current outside ACTIVE"
 
 
-def fuzz_device(damage: Damage, enough: Callable[[int], bool]) -> bool:
+def fuzz_device(damage: Damage, enough: Callable[[int, int], bool]) -> bool:
     """Fuzz a device, print what came of it, and return whether nothing raised."""
     coverage, seen, begun = Coverage(), Counter[str](), time.monotonic()
     first = seeds(damage.codec)
     corpus = list(first)
-    executions = accepted = raised = given = 0
-    while not enough(executions):
+    genuine = {data for frames in first for data in frames}
+    executions = accepted = raised = given = damaged = 0
+    while not enough(executions, damaged):
         frames = first[executions] if executions < len(first) else damage.input(corpus)
         traced = executions < TRACED or executions % 20 == 0
         try:
@@ -280,9 +278,10 @@ def fuzz_device(damage: Damage, enough: Callable[[int], bool]) -> bool:
             raised += 1
             complain(frames)
         executions, given = executions + 1, given + len(frames)
+        damaged += sum(data not in genuine for data in frames)
         if traced and coverage.new and executions > len(first):
             corpus.append(frames)
-    print(f"device, {named(damage.key)}: frames {given}  damaged {damage.count}  executions {executions}  ", end="")
+    print(f"device, {named(damage.key)}: frames {given}  damaged {damaged}  executions {executions}  ", end="")
     print(f"edges {len(coverage.edges)}  corpus {len(corpus)}  accepted {accepted}  raised {raised}  ", end="")
     print(f"seconds {time.monotonic() - begun:.0f}")
     for state in State:
@@ -292,10 +291,15 @@ def fuzz_device(damage: Damage, enough: Callable[[int], bool]) -> bool:
 
 
 class DamagedLine:
-    """A line to a twin whose frames to the host are damaged copies, three in four; what the host sends is looked at."""
+    """A line to a twin whose frames to the host are damaged copies, three in four; what the host sends is looked at.
+
+    Attributes:
+        damaged: How many frames reached the host that are none of the last twenty of the twin.
+    """
 
     def __init__(self, twin: Twin, damage: Damage) -> None:
         self._link, self._damage, self._codec = VirtualLink(twin), damage, Codec(damage.key)
+        self.damaged = 0
         self._recent: list[bytes] = [damage.codec.encode(SESSION, 0, 0, EstopAck(77, 2, 128, 0, SIX))]
 
     def send(self, data: bytes) -> None:
@@ -310,7 +314,9 @@ class DamagedLine:
         """Return a frame."""
         draw = self._damage.draw
         if draw.random() < DAMAGED:
-            return self._damage.frame(draw.choice(self._recent), draw.choice(self._recent), again=0.3)
+            new = self._damage.frame(draw.choice(self._recent), draw.choice(self._recent), again=0.3)
+            self.damaged += new not in self._recent
+            return new
         data = self._link.receive(timeout)
         if data is not None:
             self._recent = [*self._recent[-20:], data]
@@ -355,7 +361,7 @@ def fuzz_host(damage: Damage, count: int) -> bool:
     with tempfile.TemporaryDirectory() as folder:
         twin = Twin(TwinParameters(seed=1), key=damage.key)
         line = DamagedLine(twin, damage)
-        while damage.count < count:
+        while line.damaged < count:
             try:
                 fly(twin, line, damage, Path(folder))
                 ends["landed"] += 1
@@ -370,7 +376,7 @@ def fuzz_host(damage: Damage, count: int) -> bool:
             if twin.firmware.state == State.ACTIVE or twin.plant.currents.any():
                 raised += 1
                 print("  currents go on without a host", file=sys.stderr)
-    print(f"host, {named(damage.key)}: damaged {damage.count}  ends {dict(ends)}  raised {raised}  ", end="")
+    print(f"host, {named(damage.key)}: damaged {line.damaged}  ends {dict(ends)}  raised {raised}  ", end="")
     print(f"seconds {time.monotonic() - begun:.0f}")
     return not raised
 
@@ -400,9 +406,9 @@ def main() -> int:
     for key in (None, KEY):
         damage = Damage(options.seed, key)
         if options.runs is not None:
-            good &= fuzz_device(damage, lambda executions: executions >= options.runs)
+            good &= fuzz_device(damage, lambda executions, damaged: executions >= options.runs)
             continue
-        good &= fuzz_device(damage, lambda executions, damage=damage: damage.count >= options.device)  # type: ignore[misc]
+        good &= fuzz_device(damage, lambda executions, damaged: damaged >= options.device)
         good &= fuzz_host(Damage(options.seed, key), options.host)
     return 0 if good else 1
 
