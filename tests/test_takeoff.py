@@ -222,7 +222,7 @@ def test_the_first_hovers_limits_are_those_of_the_guide() -> None:
     guide = (Path(__file__).parents[1] / "docs" / "commissioning.md").read_text(encoding="utf-8")
     (command,) = re.findall(r"^ +maglev-mj bridge .* --envelope .*$", guide, re.MULTILINE)
     told = {name.replace("-", "_"): float(value) for name, value in re.findall(r"--([a-z-]+) ([\d.]+)", command)}
-    assert told.pop("seconds") == 5.0 and HostLimits(**told) == FIRST_HOVER and "--scene box" in command
+    assert told.pop("seconds") == 5.0 and HostLimits(**told) == FIRST_HOVER and "--scene joystick" in command
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -232,7 +232,7 @@ def test_within_the_first_hovers_limits_it_takes_off_from_a_stop_beyond_them_and
 ) -> None:
     rig = Rig(period=period, seed=seed, quantum=8e-7, noise=4e-7, host={"limits": FIRST_HOVER})
     assert rig.twin.pose[2] < -FIRST_HOVER.envelope
-    scene = find_scene("box")().replace(period=period, delay=rig.plant.delay)
+    scene = find_scene("joystick")().replace(period=period, delay=rig.plant.delay)
     report = Flight(rig.plant, scene).run(seconds)
     assert report.landing.at_rest and report.ticks == round(seconds / period) and not rig.plant.faults
     speeds = [math.hypot(*twist[:3]) for twist in rig.witness.twists]
