@@ -738,7 +738,7 @@ def test_a_stuck_diode_is_found(diode: int) -> None:
         bench.sample(spots=spots)
         count += 1
         assert count < 60
-    assert count == 21  # the first, and twenty like it
+    assert count == 31  # the first, and thirty like it
     bench.refuses(Fault.SENSOR_FROZEN)
 
 

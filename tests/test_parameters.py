@@ -18,8 +18,8 @@ from maglev_mj.parameters import flag, number, numbers, parsed_number
 from maglev_mj.plants import ExactPlant
 from maglev_mj.plants.base import PlantKeywords
 
-RESULTS = {"Comparison", "Stick", "Verdict"}
-"""What the package itself makes and hands out."""
+RESULTS = {"Check", "Comparison", "FlotorGuard", "Stick", "Verdict"}
+"""What the package itself makes, hands out and calls."""
 
 NEEDED: dict[str, Any] = {
     "axes": "z",

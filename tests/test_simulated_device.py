@@ -471,15 +471,15 @@ def test_warmth_trips_as_the_page_says(start: Starter, current: float, seconds: 
     ("fault", "named", "samples"),
     [
         ("dead-coil:1", Fault.COIL_NOT_FOLLOWING, 4),  # the sample that measures it, and two more
-        ("stuck-diode:2", Fault.SENSOR_FROZEN, 22),
-        ("stuck-diodes:0", Fault.SENSOR_FROZEN, 22),
+        ("stuck-diode:2", Fault.SENSOR_FROZEN, 32),
+        ("stuck-diodes:0", Fault.SENSOR_FROZEN, 32),
         ("invalid-diode:0", Fault.SENSOR_OUT_OF_RANGE, 2),
         ("stuck-counter:0", Fault.SENSOR_STOPPED, 2),
     ],
 )
 def test_a_fault_of_the_hardware_is_named_and_cut(start: Starter, fault: str, named: Fault, samples: int) -> None:
     host = start("--lockstep", "--noise", "5e-7", "--fault", f"{fault}@0.5").host()
-    assert host.hello().frozen == 20
+    assert host.hello().frozen == 30
     host.sampled()
     assert host.ask(Operation.ARM).state == State.ACTIVE
     for _ in range(200):

@@ -86,8 +86,8 @@ def pushed(axis: int, amount: float) -> Any:
 @pytest.mark.parametrize(
     ("hand", "says"),
     [
-        (pushed(0, 0.2), r"no takeoff: the flotor moves at .* mm/s and .* rad/s, and must rest"),
-        (pushed(5, 0.004), r"no takeoff: the flotor moves at .* mm/s and .* rad/s, and must rest"),
+        (pushed(0, 0.5), r"no takeoff: the flotor moves at .* mm/s and .* rad/s, and must rest"),
+        (pushed(5, 0.012), r"no takeoff: the flotor moves at .* mm/s and .* rad/s, and must rest"),
     ],
     ids=["slides", "spins"],
 )
@@ -180,7 +180,7 @@ def test_a_landing_into_a_hand_says_so_and_disarms_all_the_same() -> None:
     print(report)
     assert report.error > 5e-3 and "landed 9.0" in str(report)  # against the upper stop
     assert rig.twin.firmware.state == State.INACTIVE and rig.currents() == [0.0] * 6
-    rig = Rig(hand=late_hand([0.0, 0.0, 0.0, 0.0, 0.0, 0.004], 1.4))
+    rig = Rig(hand=late_hand([0.0, 0.0, 0.0, 0.0, 0.0, 0.012], 1.4))
     rig.plant.takeoff()
     rig.fly(0.2)
     report = rig.plant.land()

@@ -206,7 +206,9 @@ def test_escape_in_a_window_cuts_the_currents(seen: str, tmp_path: Path) -> None
 def test_the_emergency_stops_key_reaches_who_runs_the_device() -> None:
     line, far = Pipe()
     viewer: Any = RemoteViewer.__new__(RemoteViewer)
-    viewer.__dict__ |= {"_line": line, "_closed": False, "_scene": Joystick(), "hand": SimpleNamespace(target=None)}
+    received = lambda: [line.recv() for _ in iter(line.poll, False)]  # noqa: E731
+    window = SimpleNamespace(received=received, ended=False)
+    viewer.__dict__ |= {"_window": window, "_open": True, "_scene": Joystick(), "hand": SimpleNamespace(target=None)}
     pressed: list[int] = []
     viewer.on_emergency = lambda: pressed.append(1)
     watched = RemoteSession(far, Snapshot(scene=Joystick()))

@@ -14,6 +14,7 @@ from maglev_mj.conformance.check import CHECKS, CheckResult
 from maglev_mj.conformance.tester import Tester
 from maglev_mj.errors import PlantError
 from maglev_mj.net.udp import Link
+from maglev_mj.parameters import flag
 
 __all__ = ["CheckResult", "checks", "conform"]
 
@@ -47,6 +48,7 @@ def conform(
         PlantError: If it has a fault latched.
         LinkError: If a line is gone.
     """
+    flag("flight", flight)
     tester = Tester(links, calibration or Calibration.nominal(), key)
     tester.join()
     if tester.welcome.state == State.FAULT:

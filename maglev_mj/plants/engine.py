@@ -209,9 +209,9 @@ class Steps:
     """
 
     def __init__(self, device: Device, data: mujoco.MjData, falloff: float = 0.0, stop_damping: bool = False) -> None:
-        model = device.model
+        damped, model = flag("stop_damping", stop_damping), device.model
         self._options = model.opt
-        step = _DampedStops(device, data) if stop_damping else partial(mujoco.mj_step, model, data)
+        step = _DampedStops(device, data) if damped else partial(mujoco.mj_step, model, data)
         self.falloff = _Falloff(device, data, falloff, step) if falloff else None
         self._step: Callable[..., object] = self.falloff or step
         self._position = data.qpos[device.position_address :][:7]

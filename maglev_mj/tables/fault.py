@@ -10,6 +10,7 @@ import numpy as np
 from maglev_mj.bridge.fault import FaultRecord
 from maglev_mj.bridge.wire import Fault, State, fault_names
 from maglev_mj.frames import AXES
+from maglev_mj.parameters import flag
 from maglev_mj.terminal import printable
 
 if TYPE_CHECKING:
@@ -52,6 +53,7 @@ def fault_table(record: FaultRecord, *, whole: bool = False) -> str:
         record: The black box.
         whole: True for every cycle, else the last 20.
     """
+    flag("whole", whole)
     when = "" if math.isnan(record.fault_time) else f" at {record.fault_time:.4f} s of the device's clock"
     lines = [
         f"  {printable(record.message)}",
