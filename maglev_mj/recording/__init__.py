@@ -12,6 +12,7 @@ from maglev_mj.recording.files import (
     open_recording,
 )
 from maglev_mj.recording.legacy import metadata_of
+from maglev_mj.recording.load import PandasMissingError, Samples, load
 from maglev_mj.recording.metadata import Mechanics, RunMetadata, Setup, setup_of
 from maglev_mj.recording.recording import InvalidRecordingError, Recording, RecordingError, Stretch
 from maglev_mj.recording.verify import Expected, Rebuild, Verdict, verify
@@ -22,6 +23,7 @@ __all__ = [
     "Expected",
     "InvalidRecordingError",
     "Mechanics",
+    "PandasMissingError",
     "ParquetMissingError",
     "Rebuild",
     "Recorder",
@@ -29,12 +31,14 @@ __all__ = [
     "RecordingError",
     "RecordingFile",
     "RunMetadata",
+    "Samples",
     "Setup",
     "Stretch",
     "Verdict",
     "best_suffix",
     "check_name",
     "export",
+    "load",
     "metadata_of",
     "open_recording",
     "setup_of",
