@@ -20,7 +20,7 @@ from maglev_mj.errors import MaglevError, ParameterError, PlantError
 from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.loop import ControlLoop
 from maglev_mj.parameters import number
-from maglev_mj.recording import Mechanics, RecordingError, RecordingFile, RunMetadata
+from maglev_mj.recording import Mechanics, RecordingError, RecordingFile
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.parts import WEIGHT
 from maglev_mj.session import (
@@ -31,9 +31,9 @@ from maglev_mj.session import (
     SampledMotion,
     Snapshot,
     Wish,
+    begin_scene,
     check_step,
     device_controller,
-    settings_of,
 )
 from maglev_mj.theory import stability
 
@@ -305,10 +305,8 @@ class Flight:
             self._scene = self._begun.scene
         plant, controller, scene, record = self._plant, self._controller, self._scene, None
         if self._file is not None:
-            setup = {**settings_of(scene, "device"), "calibration": plant.calibration.digest.hex()}
-            name, mechanics = f"{scene.name} on a device", Mechanics(before=self._force)
-            run = RunMetadata.of(plant, controller, name=name, axis=scene.axis, mechanics=mechanics)
-            record = self._file.begin(plant, controller, {**setup, "run": run.as_json()})
+            known = {"name": f"{scene.name} on a device", "mechanics": Mechanics(before=self._force)}
+            record = begin_scene(self._file, scene, plant, controller, kind="device", **known)
         loop, samples = ControlLoop(plant, controller, observe=self._observe(controller), record=record), plant.samples
         while not self.switch.landing and self._wanted is None and (last is None or samples.tick < last):
             loop.cycle()

@@ -9,13 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from maglev_mj.recording import InvalidRecordingError, Recording, verify
-from maglev_mj.replay import Replay, expected, rebuild
-from maglev_mj.scenes.find import find_scene, source_of
-from maglev_mj.scenes.scene import Scene
+from maglev_mj.replay import OwnCode, Replay, expected, rebuild
 from maglev_mj.tables import verdict_table
 from maglev_mj.terminal import say
 
-__all__ = ["add_command", "add_own_scene", "own_scene"]
+__all__ = ["add_command", "add_own_scene", "own_code"]
 
 
 def add_command(commands: Any) -> None:
@@ -33,24 +31,26 @@ def add_command(commands: Any) -> None:
 
 
 def add_own_scene(parser: argparse.ArgumentParser) -> None:
-    """Add the option for the scene of a recording."""
-    said = "scene of a recording of one's own, NAME, FILE.py or FILE.py:CLASS, which is executed, to run it again"
+    """Add the option for code of a user's own in a recording."""
+    said = (
+        "scene or laws of one's own, which are executed: NAME, FILE.py, FILE.py:CLASS, or attached for what the "
+        "recording holds"
+    )
     parser.add_argument("--scene", metavar="SCENE", help=said)
 
 
-def own_scene(text: str | None, recording: Recording) -> type[Scene] | None:
-    """Return the scene that was given for a recording; None for none. Say so if its file has changed since.
+def own_code(text: str | None, recording: Recording) -> OwnCode | None:
+    """Return the code that was given for a recording; None for none. Say so if it is not what was recorded.
 
     Raises:
-        ParameterError: If there is no such scene.
+        ParameterError: If there is none.
     """
     if text is None:
         return None
-    scene = find_scene(text)
-    sources = {stretch.setup["source"] for stretch in recording.stretches if "source" in stretch.setup}
-    if sources - {source_of(scene)}:
+    own = OwnCode(text, recording)
+    if own.changed:
         say(f"  {text} is not the file that was recorded: it has changed since, or is another", sys.stderr)
-    return scene
+    return own
 
 
 def _replay(options: argparse.Namespace) -> int:
@@ -61,12 +61,12 @@ def _replay(options: argparse.Namespace) -> int:
         say(f"  {options.file}: {recording.damage}; {recording.ticks} samples are there")
     for event in recording.events:
         say(f"  {event}")
-    scene = own_scene(options.scene, recording)
+    own = own_code(options.scene, recording)
     if options.check:
-        verdict = verify(recording, partial(rebuild, scene=scene), expect=expected)
+        verdict = verify(recording, partial(rebuild, own=own), expect=expected)
         print(verdict_table(verdict))
         return 0 if verdict.same else 1
-    session = Replay(recording, scene)
+    session = Replay(recording, own)
     # imported here: it loads the library that opens windows
     from maglev_mj.viewer.window import show
 

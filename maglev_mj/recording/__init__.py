@@ -12,8 +12,17 @@ from maglev_mj.recording.files import (
     open_recording,
 )
 from maglev_mj.recording.legacy import metadata_of
-from maglev_mj.recording.metadata import Mechanics, RunMetadata, Setup, setup_of
+from maglev_mj.recording.metadata import Mechanics, RunMetadata, Setup
 from maglev_mj.recording.recording import InvalidRecordingError, Recording, RecordingError, Stretch
+from maglev_mj.recording.setup import (
+    Own,
+    OwnCodeError,
+    controller_again,
+    plant_again,
+    scripted,
+    setup_of,
+    source_files,
+)
 from maglev_mj.recording.verify import Expected, Rebuild, Verdict, verify
 
 __all__ = [
@@ -22,6 +31,8 @@ __all__ = [
     "Expected",
     "InvalidRecordingError",
     "Mechanics",
+    "Own",
+    "OwnCodeError",
     "ParquetMissingError",
     "Rebuild",
     "Recorder",
@@ -34,9 +45,13 @@ __all__ = [
     "Verdict",
     "best_suffix",
     "check_name",
+    "controller_again",
     "export",
     "metadata_of",
     "open_recording",
+    "plant_again",
+    "scripted",
     "setup_of",
+    "source_files",
     "verify",
 ]

@@ -19,9 +19,10 @@ from maglev_mj.loop import Record
 from maglev_mj.parameters import flag
 from maglev_mj.recording.live import LiveFile
 from maglev_mj.recording.mcap import require_mcap
-from maglev_mj.recording.metadata import Setup, whole_setup
+from maglev_mj.recording.metadata import Setup
 from maglev_mj.recording.recording import Recording, Stretch, aside, split_setup
 from maglev_mj.recording.row import RecordedPlant, Row, as_rows, as_table, columns, compiled
+from maglev_mj.recording.setup import whole_setup
 from maglev_mj.versions import versions
 
 __all__ = [

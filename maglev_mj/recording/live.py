@@ -24,9 +24,10 @@ from maglev_mj.frames import Command, Sample
 from maglev_mj.loop import Record
 from maglev_mj.parameters import flag
 from maglev_mj.recording.mcap import require_mcap
-from maglev_mj.recording.metadata import Setup, whole_setup
+from maglev_mj.recording.metadata import Setup
 from maglev_mj.recording.recording import RecordingError
 from maglev_mj.recording.row import ROW, RecordedPlant, Row, compiled
+from maglev_mj.recording.setup import whole_setup
 from maglev_mj.versions import versions
 from maglev_mj.workers import interrupts_held
 
