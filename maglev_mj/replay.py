@@ -39,6 +39,7 @@ from maglev_mj.recording import (
     scripted,
 )
 from maglev_mj.recording.checks import start_in, whole
+from maglev_mj.recording.setup import ALLOW
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene, scene_names
 from maglev_mj.scenes.find import object_of_text, text_of
 from maglev_mj.scenes.legacy import parameters_in, recorded_scene
@@ -63,6 +64,7 @@ __all__ = [
     "rebuild_for",
     "record_run",
     "stick_positions_of",
+    "unmade_plant",
     "write_run",
 ]
 
@@ -101,7 +103,7 @@ class OwnCode:
     """
 
     def __init__(self, text: str, recording: Recording) -> None:
-        self._attached = getattr(recording, "attachments", {}) if text == ATTACHED else None
+        self._attached = recording.attachments if text == ATTACHED else None
         setups = [stretch.setup for stretch in recording.stretches]
         named = {(setup["scene"], setup["source"]) for setup in setups if setup.get("source") and setup.get("scene")}
         hashes, self._text, self._file = {source for _, source in named}, "", text
@@ -218,7 +220,8 @@ def _scene(setup: Setup, own: OwnCode | None) -> Scene:
     if own is not None and own.scene is not None:
         return own.scene.from_json(values)
     if kind in _KINDS:
-        raise OwnCodeError(f"a recording of one's own needs its scene, {name!r}, to be run again")
+        file = Path(str(name).rpartition(":")[0]).name or "NAME"
+        raise OwnCodeError(f"scene {name!r} must be executed to run it again: {ALLOW.format(file)}")
     known = ", ".join((*_KINDS, *BUILT_IN))
     raise OwnCodeError(f"a recording of kind {kind!r} cannot be made here, which knows {known}")
 
@@ -257,6 +260,25 @@ def expected(setup: Setup) -> Expected:
             scene, known = _scene(setup, None), True
             samples = scene.ticks(scene.timing(checked_phase(setup["parameters"].get("phase", 0.0))))
     return Expected(scripted=known, samples=samples, metadata=metadata)
+
+
+def unmade_plant(setup: Setup, own: OwnCode | None = None) -> str:
+    """Return the class of a plant that cannot be simulated here; empty for one that can.
+
+    Args:
+        setup: The setup.
+        own: Code of a user's own that may be executed.
+    """
+    plant = setup.get("plant")
+    if not isinstance(plant, str):
+        return ""
+    if setup["kind"] != "device":
+        return plant
+    try:
+        _scene(setup, own)  # whose simulated device takes the place of the real one
+    except ParameterError:
+        return plant
+    return ""
 
 
 def record_run(scene: Scene, *, plant: str | None = None, phase: float = 0.0) -> Recording:

@@ -363,7 +363,7 @@ def test_a_session_is_recorded_from_its_start_on(name: str, tmp_path: Path) -> N
     session.close()
     assert session.recordings == [tmp_path / name]
     recording = Recording.load(tmp_path / name)
-    assert [stretch.setup["settings"]["friction"] for stretch in recording.stretches] == [False, True]
+    assert [stretch.setup["parameters"]["friction"] for stretch in recording.stretches] == [False, True]
     assert recording.ticks == 100
     assert verify(recording, rebuild).same
 
@@ -405,7 +405,7 @@ def test_a_scene_of_ones_own_runs_and_is_recorded(shaft: type[Scene], tmp_path: 
     assert place == pytest.approx((200.0 * 0.006 + 4000.0 * 0.002) / 4200.0, abs=1e-5)
     session.close()
     (stretch,) = Recording.load(tmp_path / "run.npz").stretches
-    assert stretch.setup["settings"] == shaft().as_json()
+    assert stretch.setup["parameters"] == shaft().as_json()
     with pytest.raises(RecordingError, match=r"one's own needs its scene, .*shaft.py:Shaft', to be run"):
         rebuild(stretch.setup, None)  # no recording makes a program run a file
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import time
 from collections import deque
@@ -239,6 +240,8 @@ class Flight:
         self._force: Sequence[float] = WEIGHT
         self._delays: deque[float] = deque(maxlen=_USUAL)
         self._warn, self._checked = warn, 0.0
+        if file is not None:
+            file.attach("calibration.json", "application/json", json.dumps(plant.calibration.as_json()).encode())
 
     def run(self, duration: float | None = None) -> FlightReport:
         """Take off, render the scene, and land.

@@ -16,7 +16,7 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES
 from maglev_mj.parameters import axis_indices, number
 from maglev_mj.recording import InvalidRecordingError, Recording, Stretch
-from maglev_mj.replay import OwnCode, rebuild_for, stick_positions_of
+from maglev_mj.replay import OwnCode, rebuild_for, stick_positions_of, unmade_plant
 from maglev_mj.tables import analysis_table
 from maglev_mj.terminal import say
 from maglev_mj.versions import versions_read
@@ -102,7 +102,11 @@ def _chosen(stretches: Sequence[Stretch], options: argparse.Namespace) -> list[t
 def _found(stretch: Stretch, options: argparse.Namespace, own: OwnCode | None) -> Analysed:
     again = rebuild_for(stretch, own)
     anchors = stick_positions_of(stretch, again)
-    part = {"begin": options.begin, "end": options.end, "simulated": options.compare}
+    part = {
+        "begin": options.begin,
+        "end": options.end,
+        "simulated": options.compare and not unmade_plant(stretch.setup, own),
+    }
     return analyse(stretch, again, anchors=anchors, scene=own.scene if own else None, **part)
 
 

@@ -17,13 +17,14 @@ from maglev_mj.recording.recording import InvalidRecordingError, Recording, Reco
 from maglev_mj.recording.setup import (
     Own,
     OwnCodeError,
+    attach_model,
+    attach_source,
     controller_again,
     plant_again,
     scripted,
     setup_of,
-    source_files,
 )
-from maglev_mj.recording.verify import Expected, Rebuild, Verdict, verify
+from maglev_mj.recording.verify import Expected, Rebuild, Verdict, first_other_answer, verify
 
 __all__ = [
     "EXPORTS",
@@ -43,15 +44,17 @@ __all__ = [
     "Setup",
     "Stretch",
     "Verdict",
+    "attach_model",
+    "attach_source",
     "best_suffix",
     "check_name",
     "controller_again",
     "export",
+    "first_other_answer",
     "metadata_of",
     "open_recording",
     "plant_again",
     "scripted",
     "setup_of",
-    "source_files",
     "verify",
 ]

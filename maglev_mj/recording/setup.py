@@ -6,7 +6,8 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
-from typing import Any, TypeAlias
+from pathlib import Path
+from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 
@@ -24,23 +25,21 @@ from maglev_mj.recording.recording import InvalidRecordingError
 from maglev_mj.versions import file_of, hash_of
 
 __all__ = [
-    "Attachment",
+    "ALLOW",
     "Own",
     "OwnCodeError",
-    "attachments",
+    "attach_model",
+    "attach_parts",
+    "attach_source",
     "controller_again",
     "plant_again",
     "scripted",
     "setup_of",
-    "source_files",
     "whole_setup",
 ]
 
 Own: TypeAlias = Callable[[str], Any]
 """Returns a user's own class or function by its reference, FILE:NAME@HASH, having executed what it needs."""
-
-Attachment: TypeAlias = tuple[str, str, str]
-"""Name, media type and text of a file in a recording."""
 
 _SLOTS: Mapping[str, tuple[type, ...]] = {
     "controller": (Controller,),
@@ -59,6 +58,9 @@ _SLOTS: Mapping[str, tuple[type, ...]] = {
     "target": (Trajectory,),
 }
 """What an object may be, by the name of the argument that takes it: nothing else is ever made."""
+
+ALLOW = "allow it by --scene {}, or by --scene attached for the source in the recording"
+"""What a person does about an `OwnCodeError`."""
 
 _OWN_SLOTS = ("laws", "velocity")
 _INFINITE = {"inf": math.inf, "-inf": -math.inf}
@@ -121,22 +123,34 @@ def whole_setup(plant: Any, controller: Controller, setup: Setup | None) -> Setu
     return setup if "run" in setup else {**setup, "run": RunMetadata.of(plant, controller).as_json()}
 
 
-def attachments(plant: Any, controller: Controller) -> Iterator[Attachment]:
-    """Yield the files that plant and controller depend on: MJCF, and sources that are not this package's."""
+class Attaching(Protocol):
+    """What files are attached to: see `RecordingFile`."""
+
+    def attach(self, name: str, media_type: str, data: bytes) -> None:
+        """Keep a file; do nothing where one of that name is there."""
+
+
+def attach_parts(file: Attaching, plant: Any, controller: Controller) -> None:
+    """Attach what plant and controller depend on: MJCF, and sources that are not this package's."""
     model = getattr(plant, "given", {}).get("model", "drop" if isinstance(plant, MuJoCoPlant) else None)
-    if isinstance(model, str):
-        for name, text in model_files(model):
-            yield f"model/{name}", "application/xml", text
+    if isinstance(model, str | Path):
+        attach_model(file, model)
     for part in (*controller.laws, controller.velocity):
-        yield from source_files(part.function if isinstance(part, FunctionLaw) else type(part))
+        attach_source(file, part.function if isinstance(part, FunctionLaw) else type(part))
 
 
-def source_files(thing: Any) -> Iterator[Attachment]:
-    """Yield the file of a class or function that is not this package's."""
-    found = None if thing.__module__.partition(".")[0] == "maglev_mj" else file_of(thing)
-    if found is not None:
+def attach_model(file: Attaching, model: str | Path) -> None:
+    """Attach the MJCF of a model, with what it includes."""
+    for name, text in model_files(model):
+        file.attach(f"model/{name}", "application/xml", text.encode())
+
+
+def attach_source(file: Attaching, thing: Any) -> None:
+    """Attach the file of a class or function that is not this package's."""
+    own = getattr(thing, "__module__", "maglev_mj").partition(".")[0] != "maglev_mj"
+    if own and (found := file_of(thing)) is not None:
         path, text = found
-        yield f"source/{hash_of(text)}/{path.name}", "text/x-python", text
+        file.attach(f"source/{hash_of(text)}/{path.name}", "text/x-python", text.encode())
 
 
 def scripted(setup: Setup) -> bool:
@@ -297,5 +311,6 @@ def _own(slot: str, name: str, own: Own | None) -> Any:
         allowed = ", ".join(one.__name__ for one in _SLOTS.get(slot, ()))
         raise ParameterError(f"{slot} must be of class {allowed or 'none'}, not {name[:60]!r}")
     if own is None:
-        raise OwnCodeError(f"a recording's own {slot}, {name[:80]!r}, must be executed")
+        file = name.partition(":")[0][:60]
+        raise OwnCodeError(f"{name[:80]!r} must be executed to run it again: {ALLOW.format(file)}")
     return own(name)
