@@ -32,14 +32,11 @@ from maglev_mj.recording import (
     RunMetadata,
     Setup,
     Stretch,
-    controller_again,
     metadata_of,
     open_recording,
-    plant_again,
-    scripted,
 )
 from maglev_mj.recording.checks import start_in, whole
-from maglev_mj.recording.setup import ALLOW
+from maglev_mj.recording.setup import ALLOW, controller_again, plant_again, scripted
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene, scene_names
 from maglev_mj.scenes.find import object_of_text, text_of
 from maglev_mj.scenes.legacy import parameters_in, recorded_scene

@@ -8,7 +8,7 @@ import glfw
 import numpy as np
 import pytest
 
-from maglev_mj import AXES, Controller
+from maglev_mj import AXES, Controller, replay
 from maglev_mj.energy import EnergyAccount
 from maglev_mj.errors import ParameterError
 from maglev_mj.hand import SpringHand
@@ -16,8 +16,8 @@ from maglev_mj.laws import Hold, Law, StickSlip, Wall
 from maglev_mj.loop import ControlLoop
 from maglev_mj.parameters import param
 from maglev_mj.plants import MuJoCoPlant, Timing
-from maglev_mj.recording import Recording, RecordingError, verify
-from maglev_mj.replay import expected, rebuild
+from maglev_mj.recording import Recording, verify
+from maglev_mj.replay import rebuild
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.joystick import Joystick
@@ -406,7 +406,7 @@ def test_a_scene_of_ones_own_runs_and_is_recorded(shaft: type[Scene], tmp_path: 
     session.close()
     recording = Recording.load(tmp_path / "run.npz")
     assert recording.stretches[0].setup["parameters"] == shaft().as_json()
-    assert verify(recording, rebuild, expect=expected).same  # its laws are this package's: no file is run
+    assert verify(recording, rebuild, expect=replay.expected).same  # its laws are this package's: no file is run
 
 
 def test_a_number_is_taken_off_and_put_back_by_one_key() -> None:

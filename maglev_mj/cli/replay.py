@@ -13,9 +13,9 @@ from maglev_mj.recording import (
     OwnCodeError,
     Recording,
     RecordingError,
-    first_other_answer,
     verify,
 )
+from maglev_mj.recording.verify import first_other_answer
 from maglev_mj.replay import OwnCode, Replay, expected, rebuild, unmade_plant
 from maglev_mj.tables import verdict_table
 from maglev_mj.terminal import say

@@ -12,19 +12,11 @@ from maglev_mj.recording.files import (
     open_recording,
 )
 from maglev_mj.recording.legacy import metadata_of
+from maglev_mj.recording.load import PandasMissingError, Samples, load
 from maglev_mj.recording.metadata import Mechanics, RunMetadata, Setup
 from maglev_mj.recording.recording import InvalidRecordingError, Recording, RecordingError, Stretch
-from maglev_mj.recording.setup import (
-    Own,
-    OwnCodeError,
-    attach_model,
-    attach_source,
-    controller_again,
-    plant_again,
-    scripted,
-    setup_of,
-)
-from maglev_mj.recording.verify import Expected, Rebuild, Verdict, first_other_answer, verify
+from maglev_mj.recording.setup import OwnCodeError, setup_of
+from maglev_mj.recording.verify import Expected, Rebuild, Verdict, verify
 
 __all__ = [
     "EXPORTS",
@@ -32,8 +24,8 @@ __all__ = [
     "Expected",
     "InvalidRecordingError",
     "Mechanics",
-    "Own",
     "OwnCodeError",
+    "PandasMissingError",
     "ParquetMissingError",
     "Rebuild",
     "Recorder",
@@ -41,20 +33,16 @@ __all__ = [
     "RecordingError",
     "RecordingFile",
     "RunMetadata",
+    "Samples",
     "Setup",
     "Stretch",
     "Verdict",
-    "attach_model",
-    "attach_source",
     "best_suffix",
     "check_name",
-    "controller_again",
     "export",
-    "first_other_answer",
+    "load",
     "metadata_of",
     "open_recording",
-    "plant_again",
-    "scripted",
     "setup_of",
     "verify",
 ]

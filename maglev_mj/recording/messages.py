@@ -189,9 +189,8 @@ class Messages:
         )
         self._frames.log(FrameTransforms(transforms=[flotor, hand]), log_time=self._now)
         knob = np.array(place) + rotation_matrix(np.array(turn)) @ GRIP
-        forces = {"force of the hand": (values["hand"], _HAND), "force of the device": (values["applied"], _DEVICE)}
-        arrows = {name: _arrow(knob, np.array(force[:3]), colour) for name, (force, colour) in forces.items()}
-        self._draw([("stator", name, {"arrows": found}) for name, found in arrows.items()])
+        forces = ("force of the hand", values["hand"], _HAND), ("force of the device", values["applied"], _DEVICE)
+        self._draw([("stator", name, {"arrows": _arrow(knob, force[:3], colour)}) for name, force, colour in forces])
 
     def _draw(self, entities: Sequence[tuple[str, str, Mapping[str, Any]]]) -> None:
         """Log what there is to draw: frame, name and shapes of each entity, which take the place of its last."""
@@ -247,23 +246,22 @@ def _primitives(found: Sequence[Shape]) -> dict[str, Any]:
     return made
 
 
-def _arrow(knob: Array, force: Array, colour: Sequence[float]) -> list[ArrowPrimitive]:
+def _arrow(knob: Array, force: Sequence[float], colour: Sequence[float]) -> list[ArrowPrimitive]:
     """Return the arrow of a force; none for one too small to see, or that is no number."""
-    size = float(np.linalg.norm(force))
+    size = math.hypot(*force)
     if not LEAST_FORCE <= size < math.inf:
         return []
-    along = force / size
     # an arrow points along x: half a turn about the middle of x and the force brings it there
-    middle = along + np.eye(3)[0]
-    length = float(np.linalg.norm(middle))
-    x, y, z = (middle / length).tolist() if length > 1e-9 else (0.0, 0.0, 1.0)
-    whole = ARROW * size
+    x, y, z = force[0] / size + 1.0, force[1] / size, force[2] / size
+    length = math.hypot(x, y, z)
+    x, y, z = (x / length, y / length, z / length) if length > 1e-9 else (0.0, 0.0, 1.0)
+    place = arrow_start(knob, np.array(force))
     return [
         ArrowPrimitive(
-            pose=Pose(position=_vector(arrow_start(knob, force)), orientation=Quaternion(w=0.0, x=x, y=y, z=z)),
-            shaft_length=whole * (1.0 - _HEAD_LENGTH),
+            pose=Pose(position=_vector(place), orientation=Quaternion(w=0.0, x=x, y=y, z=z)),
+            shaft_length=ARROW * size * (1.0 - _HEAD_LENGTH),
             shaft_diameter=_SHAFT,
-            head_length=whole * _HEAD_LENGTH,
+            head_length=ARROW * size * _HEAD_LENGTH,
             head_diameter=_HEAD,
             color=_color(colour),
         )

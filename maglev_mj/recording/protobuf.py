@@ -166,8 +166,14 @@ class Layout:
         if at is None:
             return np.full((count, 6) if field.six else count, np.nan)
         kind = np.dtype("<f8" if field.unit else "<u8")
-        shape, steps = ((count, 6), (self.size, _SIX_SIZE // 6)) if field.six else ((count,), (self.size,))
-        return np.ndarray(shape, kind, np.ascontiguousarray(messages), at, steps).astype(np.float64)
+        place = messages[:, at : at + _NUMBER_SIZE]
+        if not field.six:
+            return np.ascontiguousarray(place).view(kind)[:, 0].astype(np.float64)
+        found = np.empty((count, 6))
+        for axis in range(6):
+            start = at + axis * (_SIX_SIZE // 6)
+            found[:, axis] = np.ascontiguousarray(messages[:, start : start + _NUMBER_SIZE]).view(kind)[:, 0]
+        return found
 
 
 def layout_of(message: bytes) -> Layout:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
@@ -174,14 +174,19 @@ def as_table(rows: Rows) -> Array:
     return np.ascontiguousarray(rows).view(np.float64).reshape(len(rows), rows.dtype.itemsize // 8)
 
 
-def named(row: Row) -> dict[str, Any]:
-    """Return the values of a sample by name; six components as a sequence."""
-    found: dict[str, Any] = {}
+def _places() -> Iterator[tuple[str, int | slice]]:
     start = 0
     for field in FIELDS:
-        found[field.name] = row[start : start + 6] if field.six else row[start]
-        start += 6 if field.six else 1
-    return found
+        yield field.name, slice(start, start + 6) if field.six else start
+        start += len(field.units)
+
+
+_PLACES = dict(_places())
+
+
+def named(row: Row) -> dict[str, Any]:
+    """Return the values of a sample by name; six components as a sequence."""
+    return {name: row[place] for name, place in _PLACES.items()}
 
 
 def schema(field: Field) -> dict[str, Any]:

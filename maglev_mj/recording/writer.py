@@ -29,7 +29,7 @@ __all__ = ["McapWriter", "main"]
 
 _NAP = 0.02
 _LOST = 0.25  # s that a SIGKILL to this process may cost
-_CHUNK = 1 << 20
+_CHUNK = 1 << 15  # before it is packed: some 70 samples, all that damage to one of its bytes costs
 
 
 class _File:
@@ -80,7 +80,7 @@ class McapWriter:
 
     def __init__(self, file: IO[bytes]) -> None:
         self._file, self._context = _File(file), Context()  # without which its channels close
-        options = MCAPWriteOptions(profile="", chunk_size=_CHUNK, compression_threads=0)
+        options = MCAPWriteOptions(profile="", chunk_size=_CHUNK, compression_threads=0, disable_seeking=True)
         self._writer = open_mcap(self._file, context=self._context, writer_options=options)
         units = {name: unit for field in (*FIELDS, *TOTALS) for name, unit in field.units}
         about = {"format": FORMAT, "units": units, **versions()}
