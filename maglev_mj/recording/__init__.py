@@ -13,8 +13,9 @@ from maglev_mj.recording.files import (
 )
 from maglev_mj.recording.legacy import metadata_of
 from maglev_mj.recording.load import PandasMissingError, Samples, load
-from maglev_mj.recording.metadata import Mechanics, RunMetadata, Setup, setup_of
+from maglev_mj.recording.metadata import Mechanics, RunMetadata, Setup
 from maglev_mj.recording.recording import InvalidRecordingError, Recording, RecordingError, Stretch
+from maglev_mj.recording.setup import OwnCodeError, setup_of
 from maglev_mj.recording.verify import Expected, Rebuild, Verdict, verify
 
 __all__ = [
@@ -23,6 +24,7 @@ __all__ = [
     "Expected",
     "InvalidRecordingError",
     "Mechanics",
+    "OwnCodeError",
     "PandasMissingError",
     "ParquetMissingError",
     "Rebuild",

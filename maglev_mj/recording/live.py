@@ -25,9 +25,10 @@ from maglev_mj.frames import Command, Sample
 from maglev_mj.loop import Record
 from maglev_mj.parameters import flag
 from maglev_mj.recording.mcap import require_mcap
-from maglev_mj.recording.metadata import Setup, whole_setup
+from maglev_mj.recording.metadata import Setup
 from maglev_mj.recording.recording import RecordingError
 from maglev_mj.recording.row import ROW, RecordedPlant, Row, compiled
+from maglev_mj.recording.setup import attach_parts, whole_setup
 from maglev_mj.versions import versions
 from maglev_mj.workers import interrupts_held
 
@@ -168,7 +169,7 @@ class LiveFile:
         require_mcap()
         if not hasattr(os, "fork"):
             raise RecordingError("recordings as MCAP need a POSIX system; .npz needs none")
-        self._path, self._closed = path, False
+        self._path, self._closed, self._attached = path, False, set[str]()
         self._versions = versions()  # here, for a stretch may begin in real time
         self._aside = path.with_name(f"{path.name}.{os.getpid()}.partial")
         self._aside.open("wb").close()
@@ -183,6 +184,7 @@ class LiveFile:
     def begin(self, plant: RecordedPlant, controller: Controller, setup: Setup | None = None) -> Record:
         """Begin a stretch; return what the loop records it to."""
         whole = {**whole_setup(plant, controller, setup), "versions": self._versions}
+        attach_parts(self, plant, controller)
         self._say(begin=[whole, time.time_ns()])
         return self._ring.record(plant)
 
@@ -192,6 +194,9 @@ class LiveFile:
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
         """Keep a file with it; see `RecordingFile.attach`."""
+        if name in self._attached:
+            return
+        self._attached.add(name)
         self._say(attach=[name, media_type, base64.b64encode(data).decode()])
 
     def check(self) -> None:
