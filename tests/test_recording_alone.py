@@ -1,0 +1,233 @@
+"""Recordings that stand alone: of a script of one's own, with each plant, law and velocity estimate."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Mapping
+from copy import deepcopy
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from maglev_mj import laws
+from maglev_mj.cli import main
+from maglev_mj.controller import Controller
+from maglev_mj.frames import AXES
+from maglev_mj.hand import GuidedHand, Hand, SpringHand, Trajectory
+from maglev_mj.laws import (
+    AdaptiveWindow,
+    AxisLaw,
+    Bias,
+    Dahl,
+    ElastoPlastic,
+    FiniteDifference,
+    Friction,
+    HaywardArmstrong,
+    Hold,
+    ImplicitCoulomb,
+    Law,
+    LowPass,
+    LuGre,
+    ObserverWall,
+    PassivityController,
+    PredictiveWall,
+    SpringReset,
+    StickSlip,
+    VelocityEstimator,
+    Wall,
+    Window,
+)
+from maglev_mj.loop import drive
+from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant, Sensor, SpotSensor, Timing
+from maglev_mj.recording import ArrayFile, InvalidRecordingError, Recording, open_recording, verify
+from maglev_mj.replay import Replay, expected, rebuild
+from maglev_mj.scenes.parts import WEIGHT
+from tests.recorded import numbers_in
+
+TICKS, PERIOD, DELAY = 80, 0.002, 0.003
+ALL: dict[str, Any] = {"stiffness": 300.0, "damping": 5.0, "axes": ("x", "y", "z")}
+FRICTION = {**ALL, "breakaway": 0.05}
+LAWS: Mapping[str, list[Law]] = {
+    "Wall": [
+        Wall(
+            axes=("y", "z"),
+            lower=[-np.inf, 1e-4],
+            upper=[2e-4, np.inf],
+            stiffness=[800.0, 2000.0],
+            damping=20.0,
+            pulse=40.0,
+            pulse_width=1e-3,
+            pulse_gate=1e-4,
+            force_limit=[np.inf, 50.0],
+        )
+    ],
+    "Hold": [Hold(**ALL, target=[1e-3, 0.0, -1e-3])],
+    "PredictiveWall": [PredictiveWall(axes="z", stiffness=1500.0, damping=10.0, period=PERIOD, delay=DELAY)],
+    "ObserverWall": [
+        ObserverWall(
+            axes="z", stiffness=500.0, damping=20.0, inertia=0.7, period=PERIOD, delay=DELAY, pole=0.4, disturbance=True
+        )
+    ],
+    "PassivityController": [
+        Wall(axes="z", lower=1e-4, stiffness=4000.0, damping=0.0),
+        PassivityController(axes="z", period=PERIOD, delay=DELAY, most=30.0, slow=1e-5),
+    ],
+    "StickSlip": [StickSlip(**FRICTION, v_min=1e-3, coupled=False)],
+    "SpringReset": [SpringReset(**FRICTION)],
+    "ImplicitCoulomb": [ImplicitCoulomb(**FRICTION, period=PERIOD, element_damping=3.0)],
+    "Dahl": [Dahl(**FRICTION)],
+    "LuGre": [LuGre(**FRICTION, period=PERIOD, coulomb=0.7, stribeck=0.02, bristle_damping=0.5)],
+    "ElastoPlastic": [ElastoPlastic(**FRICTION, elastic=0.6)],
+    "HaywardArmstrong": [HaywardArmstrong(**FRICTION, stick=0.6)],
+    "Bias": [],
+}
+VELOCITIES: list[VelocityEstimator] = [FiniteDifference(), LowPass(cutoff=80.0), Window(samples=4), AdaptiveWindow()]
+ARM = Hand(mass=0.3, damping=5.0, stiffness=100.0)
+PATH = Trajectory([0.01, 0.05, 0.12], [[0.0] * 6, [1e-3, -1e-3, 2e-3, 0.0, 0.0, 0.0], [0.0] * 6])
+START: dict[str, Any] = {"pose": [8e-4, -6e-4, 9e-4, 0.0, 0.0, 0.0], "twist": [0.02, 0.01, -0.05, 0.0, 0.0, 0.0]}
+TIMING: dict[str, Any] = {"period": PERIOD, "delay": DELAY}
+PLANTS: Mapping[str, Callable[[], SampledPlant]] = {
+    "exact": lambda: ExactPlant(Timing(**TIMING), **START, wrench=WEIGHT),
+    "exact, with options": lambda: ExactPlant(
+        Timing(**TIMING, phase=0.3, jitter=2e-4, seed=4),
+        **START,
+        mass=0.9,
+        inertia=[1e-3, 2e-3, 3e-3],
+        gravity=1.5,
+        wrench=[0.0, 0.0, 1.3, 0.0, 0.0, 0.0],
+        wrench_limit=np.array([8.0, np.inf, 9.0, np.inf, np.inf, np.inf]),
+        sensor=Sensor(quantum=5e-6, noise=2e-5, seed=3),
+        driver_lag=True,
+        hand=ARM,
+        hand_force=GuidedHand(hand=ARM, path=PATH),
+        record=True,
+    ),
+    "mujoco": lambda: MuJoCoPlant(Timing(**TIMING), **START, wrench=WEIGHT),
+    "mujoco, with options": lambda: MuJoCoPlant(
+        Timing(**TIMING, phase=0.6),
+        **START,
+        model="scenes/table",
+        mass=0.8,
+        gravity=2.0,
+        current_limit=0.5,
+        driver_lag=True,
+        stops=True,
+        force_falloff=0.1,
+        sensor=SpotSensor(quantum=5e-6, noise=2e-6, seed=5),
+        hand_force=SpringHand(target=PATH, stiffness=150.0),
+        escape=(0.02, 1.0),
+        longest_step=5e-5,
+        metered=True,
+    ),
+}
+
+
+def controller_of(name: str) -> Controller:
+    """Return a controller of a law, each with another estimate of velocity, that holds what the law leaves alone."""
+    estimate = VELOCITIES[list(LAWS).index(name) % len(VELOCITIES)]
+    rest = Hold(axes=AXES[3:], stiffness=0.3, damping=0.02)
+    return Controller([*LAWS[name], rest, Bias(WEIGHT)], period=PERIOD, velocity=estimate)
+
+
+def record(path: Path, plants: list[str], names: list[str] | None = None) -> None:
+    """Record as a script of a user's own does, each law in a stretch of its own."""
+    file = open_recording(path, wait=True)
+    for name in plants:
+        for law in names or LAWS:
+            plant, controller = PLANTS[name](), controller_of(law)
+            drive(plant, controller, ticks=TICKS, record=file.begin(plant, controller))
+    file.close()
+
+
+@pytest.fixture
+def say(capsys: Any) -> Callable[..., tuple[int, str, str]]:
+    """Return what types a command: its status, and what it says."""
+
+    def typed(*words: str) -> tuple[int, str, str]:
+        status = main(list(words))
+        said = capsys.readouterr()
+        return status, said.out, said.err
+
+    return typed
+
+
+def test_every_law_and_estimate_of_the_package_is_in_the_product() -> None:
+    used: set[type] = {type(law) for parts in LAWS.values() for law in parts} | {type(one) for one in VELOCITIES}
+    there = {cls for cls in vars(laws).values() if isinstance(cls, type) and "__call__" in dir(cls)}
+    assert there - {Law, AxisLaw, Friction, VelocityEstimator} == used | {Bias}
+
+
+@pytest.mark.parametrize("suffix", [".mcap", ".npz"])
+@pytest.mark.parametrize("plant", PLANTS)
+def test_a_script_s_recording_is_checked_analysed_and_shown(plant: str, suffix: str, tmp_path: Path, say: Any) -> None:
+    path = tmp_path / f"run{suffix}"
+    record(path, [plant])
+    status, said, wrong = say("replay", str(path), "--check")
+    assert (status, wrong) == (0, ""), said
+    count = TICKS * len(LAWS)
+    assert f"{count} of {count} the same: tick, time, position, command, pulse," in said
+    assert "not run again" not in said and "hand" in said
+    assert say("analyse", str(path), "--json", str(tmp_path / "found.json"))[0] == 0
+    found = json.loads((tmp_path / "found.json").read_text())["stretches"]
+    assert [one["comparison"]["same"] for one in found] == [True] * len(LAWS)
+    recording = Recording.load(path)
+    replay, shown = Replay(recording), list[int]()
+    for place, (law, stretch) in enumerate(zip(LAWS, recording.stretches, strict=True)):
+        shown += [replay.tick(PERIOD) for _ in range(TICKS - (not place))]
+        view = replay.snapshot()
+        assert (view.pose == stretch.position[-1]).all() and view.delay == DELAY
+        assert (view.anchors is not None) == ("breakaway" in stretch.setup["controller"]["laws"][0]), law
+        assert len(view.faces) == len(controller_of(law).faces)
+    assert set(shown) == {1}
+    if "mujoco" in plant:
+        assert b"<mujoco" in recording.attachments["model/maglev.xml"]
+
+
+def at(value: Any, place: tuple[Any, ...]) -> Any:
+    """Return what is at a place."""
+    for key in place:
+        value = value[key]
+    return value
+
+
+def unseen(plant: str, names: list[str], part: str) -> tuple[list[str], int]:
+    """Return numbers and switches that tell of a controller or plant whose change is not found, and of how many."""
+    file, missed, tried = ArrayFile(), [], 0
+    for law in names:
+        made, controller = PLANTS[plant](), controller_of(law)
+        drive(made, controller, ticks=TICKS, record=file.begin(made, controller))
+    for law, stretch in zip(names, file.recording.stretches, strict=True):
+        for place in numbers_in(stretch.setup[part]):
+            old = at(stretch.setup[part], place)
+            new = not old if isinstance(old, bool) else old + 1 if place[-1] in COUNTS else old * 1.07
+            if old is None or new == old:
+                continue
+            setup = deepcopy(dict(stretch.setup))
+            at(setup[part], place[:-1])[place[-1]] = new
+            tried += 1
+            try:
+                same = verify(Recording([replace(stretch, setup=setup)]), rebuild, expect=expected).same
+            except InvalidRecordingError:
+                continue
+            missed += [f"{law} {' '.join(map(str, place))}"] * same
+    return missed, tried
+
+
+COUNTS = ("samples", "longest", "seed")
+WITHOUT_EFFECT = re.compile("(escape \\d|record|metered|longest_step|longest|wrench_limit \\d|hand_force hand (mass|damping))$")
+"""What no run of these depends on."""
+
+
+def test_a_changed_gain_is_found() -> None:
+    missed, tried = unseen("exact", list(LAWS), "controller")
+    assert tried > 100 and [name for name in missed if not WITHOUT_EFFECT.search(name)] == []
+
+
+@pytest.mark.parametrize("plant", PLANTS)
+def test_a_changed_option_of_a_plant_is_found(plant: str) -> None:
+    missed, tried = unseen(plant, ["Hold"], "plant")
+    assert tried > 5 and [name for name in missed if not WITHOUT_EFFECT.search(name)] == []
