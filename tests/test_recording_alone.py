@@ -62,7 +62,7 @@ LAWS: Mapping[str, list[Law]] = {
             pulse=40.0,
             pulse_width=1e-3,
             pulse_gate=1e-4,
-            force_limit=[np.inf, 50.0],
+            force_limit=[np.inf, 0.2],
         )
     ],
     "Hold": [Hold(**ALL, target=[1e-3, 0.0, -1e-3])],
@@ -88,7 +88,7 @@ LAWS: Mapping[str, list[Law]] = {
 VELOCITIES: list[VelocityEstimator] = [FiniteDifference(), LowPass(cutoff=80.0), Window(samples=4), AdaptiveWindow()]
 ARM = Hand(mass=0.3, damping=5.0, stiffness=100.0)
 PATH = Trajectory([0.01, 0.05, 0.12], [[0.0] * 6, [1e-3, -1e-3, 2e-3, 0.0, 0.0, 0.0], [0.0] * 6])
-START: dict[str, Any] = {"pose": [8e-4, -6e-4, 9e-4, 0.0, 0.0, 0.0], "twist": [0.02, 0.01, -0.05, 0.0, 0.0, 0.0]}
+START: dict[str, Any] = {"pose": [8e-4, -6e-4, 9e-4, 4e-3, 0.0, 0.0], "twist": [0.02, 0.01, -0.05, 0.0, 0.0, 0.0]}
 TIMING: dict[str, Any] = {"period": PERIOD, "delay": DELAY}
 PLANTS: Mapping[str, Callable[[], SampledPlant]] = {
     "exact": lambda: ExactPlant(Timing(**TIMING), **START, wrench=WEIGHT),
@@ -99,7 +99,7 @@ PLANTS: Mapping[str, Callable[[], SampledPlant]] = {
         inertia=[1e-3, 2e-3, 3e-3],
         gravity=1.5,
         wrench=[0.0, 0.0, 1.3, 0.0, 0.0, 0.0],
-        wrench_limit=np.array([8.0, np.inf, 9.0, np.inf, np.inf, np.inf]),
+        wrench_limit=np.array([0.05, np.inf, 1.0, np.inf, np.inf, np.inf]),
         sensor=Sensor(quantum=5e-6, noise=2e-5, seed=3),
         driver_lag=True,
         hand=ARM,
@@ -203,7 +203,13 @@ def unseen(plant: str, names: list[str], part: str) -> tuple[list[str], int]:
     for law, stretch in zip(names, file.recording.stretches, strict=True):
         for place in numbers_in(stretch.setup[part]):
             old = at(stretch.setup[part], place)
-            new = not old if isinstance(old, bool) else old + 1 if place[-1] in COUNTS else old * 1.07
+            new = (
+                not old
+                if isinstance(old, bool)
+                else old + 1
+                if place[-1] in COUNTS
+                else old * (1e5 if place[-1] in THRESHOLDS else 1.07)
+            )
             if old is None or new == old:
                 continue
             setup = deepcopy(dict(stretch.setup))
@@ -217,9 +223,11 @@ def unseen(plant: str, names: list[str], part: str) -> tuple[list[str], int]:
     return missed, tried
 
 
-COUNTS = ("samples", "longest", "seed")
-WITHOUT_EFFECT = re.compile("(escape \\d|record|metered|longest_step|longest|wrench_limit \\d|hand_force hand (mass|damping))$")
-"""What no run of these depends on."""
+COUNTS, THRESHOLDS = ("samples", "longest", "seed"), ("pulse_gate", "v_min", "slow")
+WITHOUT_EFFECT = re.compile(r"(escape \d|record|metered|hand_force hand (mass|damping))$")
+    "(escape \\d|record|metered|longest_step|longest|wrench_limit \\d|hand_force hand (mass|damping))$"
+)
+"""What no run of these depends on: a guided hand has mass and damping by the plant's `hand`."""
 
 
 def test_a_changed_gain_is_found() -> None:
@@ -231,3 +239,139 @@ def test_a_changed_gain_is_found() -> None:
 def test_a_changed_option_of_a_plant_is_found(plant: str) -> None:
     missed, tried = unseen(plant, ["Hold"], "plant")
     assert tried > 5 and [name for name in missed if not WITHOUT_EFFECT.search(name)] == []
+
+
+# laws of a user's own
+
+SCRIPT = """
+import math
+import sys
+from pathlib import Path
+
+from maglev_mj import AxisLaw, Controller, MuJoCoPlant, Timing, Wall, drive, gain
+from maglev_mj.recording import open_recording
+
+Path("executed").write_text(__name__)
+ratio = math.sqrt(SQUARE)
+
+
+class Magnet(AxisLaw):
+    stiffness: float = gain("stiffness", "N/m")
+    Path("law executed").write_text(__name__)
+
+    def force(self, x, v, gains, state):
+        return -ratio * gains.stiffness * x - 6.0 * v
+
+
+def lift(position, velocity):
+    return [0.0, 0.0, 6.8, 0.0, 0.0, 0.0]
+
+
+plant = MuJoCoPlant(Timing(period=0.001, delay=0.0015), pose=[0.001, 0.0, 0.001, 0.0, 0.0, 0.0])
+controller = Controller([Magnet(axes=("x", "z"), stiffness=300.0), lift], period=0.001)
+file = open_recording(Path(sys.argv[1]), wait=True)
+drive(plant, controller, ticks=60, record=file.begin(plant, controller))
+file.close()
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return an empty folder that commands are typed in."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def run_script(folder: Path, name: str) -> None:
+    """Record by a script with a law of its own, which leaves a mark where it is executed."""
+    (folder / "script.py").write_text(SCRIPT.replace("SQUARE", "4.0"))
+    subprocess.run([sys.executable, "script.py", name], cwd=folder, check=True)
+    for mark in ("executed", "law executed"):
+        (folder / mark).unlink()
+
+
+@pytest.mark.parametrize("suffix", [".mcap", ".npz"])
+def test_a_law_of_one_s_own_is_executed_only_by_leave(suffix: str, folder: Path, say: Any) -> None:
+    name = f"run{suffix}"
+    run_script(folder, name)
+    script = folder / "script.py"
+    text = script.read_text()
+    status, _, wrong = say("replay", name, "--check")
+    assert (status, wrong.count("\n")) == (2, 1) and f"'script.py:Magnet@{hash_of(text)}' must be executed" in wrong
+    assert "--scene script.py, or by --scene attached" in wrong
+    assert say("analyse", name)[0] == 0
+    assert Replay(Recording.load(Path(name))).snapshot().anchors is None
+    assert not list(folder.glob("*executed"))
+    for given in ("script.py", "attached"):
+        status, said, wrong = say("replay", name, "--check", "--scene", given)
+        assert (status, wrong) == (0, "") and "60 of 60 the same: tick, time, position, command" in said
+        status, said, wrong = say("analyse", name, "--scene", given)
+        assert (status, wrong) == (0, "") and "the same to the last bit" in said
+        assert [mark.name for mark in folder.glob("*executed")] == ["law executed"]  # not the rest of the script
+        (folder / "law executed").unlink()
+        script.unlink(missing_ok=given == "attached")
+    script.write_text(text.replace("4.0", "5.0"))
+    status, said, wrong = say("replay", name, "--check", "--scene", "script.py")
+    assert status == 1 and "has changed since, or is another" in wrong and "the same: command, which first" in said
+
+
+def test_an_attached_source_that_is_not_that_of_its_hash_is_not_executed(folder: Path, say: Any) -> None:
+    run_script(folder, "run.npz")
+    header, arrays = arrays_in((folder / "run.npz").read_bytes())
+    place = next(place for place, name in enumerate(header["attachments"]) if name.startswith("source/"))
+    name = f"attachment/{place}"
+    arrays[name] = np.append(arrays[name], np.frombuffer(b"# more\n", dtype=arrays[name].dtype))
+    (folder / "run.npz").write_bytes(npz_of(header, arrays))
+    status, _, wrong = say("replay", "run.npz", "--check", "--scene", "attached")
+    assert (status, wrong.count("\n")) == (2, 1) and "does not hold 'script.py' as it was" in wrong
+    assert not list(folder.glob("*executed"))
+
+
+class Mine(ExactPlant):
+    """A plant of a user's own."""
+
+
+class Odd(Law):
+    """A law that remembers what nothing tells."""
+
+    def __init__(self, force: float) -> None:
+        self.hidden = force
+
+    def __call__(self, position: Any, velocity: Any, state: Any, wrench: list[Any]) -> Any:
+        wrench[0] = wrench[0] + self.hidden
+        return None, None
+
+
+def test_a_plant_of_one_s_own_is_left_out_in_one_line(folder: Path, say: Any) -> None:
+    file, plant, controller = open_recording(Path("run.npz")), Mine(Timing(**TIMING), **START), controller_of("Hold")
+    drive(plant, controller, ticks=TICKS, record=file.begin(plant, controller))
+    file.close()
+    status, said, wrong = say("replay", "run.npz", "--check")
+    assert (status, wrong) == (0, "") and "80 of 80 the same: command, pulse, pulse_width" in said
+    assert "not run again, for only the recording knows them: tick, time, position, applied," in said
+    (line,) = (line for line in said.splitlines() if "Mine" in line)
+    assert line.endswith("test_recording_alone.Mine, cannot be made here: the controller's answers alone are compared")
+    assert say("analyse", "run.npz")[0] == 0
+
+
+def started(plant: SampledPlant, controller: Controller) -> None:
+    drive(plant, controller, ticks=3)
+
+
+@pytest.mark.parametrize(
+    ("controller", "before", "words"),
+    [
+        (lambda: Controller([Odd(0.1)], period=PERIOD), None, "test_recording_alone.Odd is none of this package's"),
+        (lambda: controller_of("Hold"), started, "it had run before the recording began"),
+    ],
+)
+def test_what_nothing_tells_is_one_line(controller: Any, before: Any, words: str, folder: Path, say: Any) -> None:
+    file, plant, answers = open_recording(Path("run.npz")), PLANTS["exact"](), controller()
+    if before is not None:
+        before(plant, answers)
+    drive(plant, answers, ticks=5, record=file.begin(plant, answers))
+    file.close()
+    for given in ([], ["--scene", "attached"]):
+        status, _, wrong = say("replay", "run.npz", "--check", *given)
+        assert (status, wrong.count("\n")) == (2, 1) and words in wrong
+    assert say("analyse", "run.npz")[0] == 0
