@@ -45,28 +45,27 @@ class Columns:
         """Take some samples as arrays of all fields, (N,) or (N, 6)."""
         self._waiting.append(values)
         self._count += len(values["tick"])
-        self._sort(_BLOCK)
+        self.sort(_BLOCK)
 
     def add_row(self, row: Sequence[float]) -> None:
         """Take one sample as the values of its fields."""
         self._rows.append(row)
         self._count += 1
-        self._sort(_BLOCK)
+        self.sort(_BLOCK)
 
     def array(self, name: str) -> Array:
-        """Return a field of all samples, (N,) or (N, 6); it is not to be changed.
-
-        Raises:
-            ParameterError: If a sample is not one that a recording has.
-        """
-        self._sort()
+        """Return a field of all samples, (N,) or (N, 6); it is not to be changed."""
         found = self._arrays.get(name)
         if found is None:
             found = self._arrays[name] = self._whole(name)
         return found
 
-    def _sort(self, least: int = 1) -> None:
-        """Check what waits, and keep it by columns, if it is at least so many samples."""
+    def sort(self, least: int = 1) -> None:
+        """Check what waits, and keep it by columns, if it is at least so many samples.
+
+        Raises:
+            ParameterError: If a sample is not one that a recording has.
+        """
         waiting = self._count - self._sorted
         if waiting < least:
             return

@@ -65,6 +65,7 @@ _FRONT, _SAME = _RECORD.size + _MESSAGE.size, _RECORD.size + 2  # bytes before a
 _HEADER, _FOOTER, _SCHEMA, _CHANNEL, _SAID, _CHUNK = 1, 2, 3, 4, 5, 6
 _ATTACHED, _STATISTICS, _ABOUT, _DATA_END = 9, 11, 12, 15
 _LOOK = 32
+_ENOUGH = 1 << 10
 
 
 class McapMissingError(MaglevError):
@@ -101,8 +102,11 @@ def read_mcap(file: IO[bytes], size: int, names: frozenset[str] | None = None) -
     require_mcap()
     found = Found(Allowance(size), names)
     try:
-        for kind, data in _records(file):
-            found.take(kind, data)
+        try:
+            for kind, data in _records(file):
+                found.take(kind, data)
+        finally:
+            found.join()
         if not found.counted:
             found.damage = "its count of messages is missing"
         elif file.read(1):
@@ -115,6 +119,8 @@ def read_mcap(file: IO[bytes], size: int, names: frozenset[str] | None = None) -
         found.damage = f"it is damaged: {error or type(error).__name__}"
     if not found.parts:
         raise ParameterError(found.damage or "nothing of a recording is in it")
+    for part in found.parts:
+        part.columns.sort()
     return found
 
 
@@ -253,7 +259,8 @@ class Found:
                     f"a chunk must hold schemas, channels and messages alone, not records of kind {kind}"
                 )
             at = after
-        self._join()
+        if sum(map(len, self._runs)) > _ENOUGH:
+            self.join()
 
     def _topic(self, channel: int) -> str:
         if channel not in self._topics:
@@ -302,18 +309,23 @@ class Found:
         self._runs.append(rows[:found])
         return at + found * size
 
-    def _join(self) -> None:
-        """Add the samples that were taken to their stretch."""
+    def join(self) -> None:
+        """Add the samples that were taken to their stretch.
+
+        Raises:
+            ParameterError: If they are not those of a recording.
+            ValueError: If some are missing; those before are added.
+        """
         if not self._runs:
             return
         assert self._layout is not None
         if not self.parts:
             raise ParameterError("a sample must be in a stretch")
-        whole_rows = np.concatenate(self._runs)
+        records = np.concatenate(self._runs)
         self._runs = []
-        numbers, rows = np.ascontiguousarray(whole_rows[:, _SAME : _SAME + 4]).view("<u4"), whole_rows[:, _FRONT:]
-        if (np.diff(numbers[:, 0]) != 1).any():
-            raise ValueError("messages are missing")
+        numbers = np.ascontiguousarray(records[:, _SAME : _SAME + 4]).view("<u4")[:, 0]
+        good = 1 + int(np.argmin(np.append(np.diff(numbers) == 1, False)))
+        rows = records[:good, _FRONT:]
         self._layout.check(rows)
         stretch = self._layout.values(rows, NUMBER)
         if (stretch != len(self.parts) - 1).any():
@@ -322,11 +334,13 @@ class Found:
         values = {field.name: self._layout.values(rows, field) for field in (*FIELDS, *TOTALS)}
         self.parts[-1].columns.add(values)
         self._tick = int(values["tick"][-1])
+        if good < len(records):
+            raise ValueError("messages are missing")
 
     def _message(self, topic: str, data: bytes) -> None:
         if topic not in (STRETCH, SAMPLE, EVENT):
             return
-        self._join()
+        self.join()
         if topic != SAMPLE:
             self._allowance.text(len(data))
         message, last = parsed(data), len(self.parts) - 1

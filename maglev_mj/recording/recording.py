@@ -171,7 +171,7 @@ def read_file(path: Path, names: frozenset[str] | None = None) -> Recording | Fo
     from maglev_mj.recording.mcap import MAGIC, read_mcap  # which needs what is defined here
 
     try:
-        with path.open("rb") as file:
+        with path.open("rb", buffering=1 << 20) as file:
             size, first = os.fstat(file.fileno()).st_size, file.read(len(MAGIC))
             file.seek(0)
             return read_mcap(file, size, names) if first == MAGIC else _read_arrays(file, size)
