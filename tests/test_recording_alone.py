@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import json
 import re
+import subprocess
+import sys
 from collections.abc import Callable, Mapping
 from copy import deepcopy
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -45,8 +48,10 @@ from maglev_mj.loop import drive
 from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant, Sensor, SpotSensor, Timing
 from maglev_mj.recording import ArrayFile, InvalidRecordingError, Recording, open_recording, verify
 from maglev_mj.replay import Replay, expected, rebuild
+from maglev_mj.scenes.find import object_of_text
 from maglev_mj.scenes.parts import WEIGHT
-from tests.recorded import numbers_in
+from maglev_mj.versions import hash_of
+from tests.recorded import arrays_in, npz_of, numbers_in
 
 TICKS, PERIOD, DELAY = 80, 0.002, 0.003
 ALL: dict[str, Any] = {"stiffness": 300.0, "damping": 5.0, "axes": ("x", "y", "z")}
@@ -225,8 +230,6 @@ def unseen(plant: str, names: list[str], part: str) -> tuple[list[str], int]:
 
 COUNTS, THRESHOLDS = ("samples", "longest", "seed"), ("pulse_gate", "v_min", "slow")
 WITHOUT_EFFECT = re.compile(r"(escape \d|record|metered|hand_force hand (mass|damping))$")
-    "(escape \\d|record|metered|longest_step|longest|wrench_limit \\d|hand_force hand (mass|damping))$"
-)
 """What no run of these depends on: a guided hand has mass and damping by the plant's `hand`."""
 
 
@@ -303,13 +306,15 @@ def test_a_law_of_one_s_own_is_executed_only_by_leave(suffix: str, folder: Path,
     assert Replay(Recording.load(Path(name))).snapshot().anchors is None
     assert not list(folder.glob("*executed"))
     for given in ("script.py", "attached"):
+        object_of_text.cache_clear()
+        if given == "attached":
+            script.unlink()
         status, said, wrong = say("replay", name, "--check", "--scene", given)
         assert (status, wrong) == (0, "") and "60 of 60 the same: tick, time, position, command" in said
         status, said, wrong = say("analyse", name, "--scene", given)
         assert (status, wrong) == (0, "") and "the same to the last bit" in said
         assert [mark.name for mark in folder.glob("*executed")] == ["law executed"]  # not the rest of the script
         (folder / "law executed").unlink()
-        script.unlink(missing_ok=given == "attached")
     script.write_text(text.replace("4.0", "5.0"))
     status, said, wrong = say("replay", name, "--check", "--scene", "script.py")
     assert status == 1 and "has changed since, or is another" in wrong and "the same: command, which first" in said
@@ -375,3 +380,116 @@ def test_what_nothing_tells_is_one_line(controller: Any, before: Any, words: str
         status, _, wrong = say("replay", "run.npz", "--check", *given)
         assert (status, wrong.count("\n")) == (2, 1) and words in wrong
     assert say("analyse", "run.npz")[0] == 0
+
+
+# files made to do harm
+
+Change = Callable[[dict[str, Any]], Any]
+
+
+def law(**values: Any) -> Change:
+    """Return what puts something else in place of a setup's first law."""
+    return lambda setup: setup["controller"]["laws"].__setitem__(0, values)
+
+
+def told(*place: Any, value: Any) -> Change:
+    """Return what puts a value somewhere in a setup."""
+    return lambda setup: at(setup, place[:-1]).__setitem__(place[-1], value)
+
+
+def nested(depth: int) -> Any:
+    """Return a list in a list and so on."""
+    value: Any = []
+    for _ in range(depth):
+        value = [value]
+    return value
+
+
+DIGEST = "0" * 16
+HOSTILE: Mapping[str, Change] = {
+    "a module's function": law(**{"class": "os:system@" + DIGEST, "command": "touch executed"}),
+    "a dotted name": law(**{"class": "subprocess.Popen", "args": ["touch", "executed"]}),
+    "a builtin": law(**{"class": "eval", "source": "1/0"}),
+    "a file elsewhere": law(**{"class": f"../../../tmp/evil.py:Evil@{DIGEST}"}),
+    "a class of the package that is no law": law(**{"class": "ArrayFile", "path": "executed"}),
+    "a plant as law": law(**{"class": "ExactPlant"}),
+    "a law as plant": told("plant", "class", value="Wall"),
+    "own code as plant": told("plant", "class", value=f"script.py:Magnet@{DIGEST}"),
+    "a class that is a number": law(**{"class": 3}),
+    "a class that is a list": law(**{"class": ["Wall"]}),
+    "no class": law(axes="z"),
+    "a private argument": law(**{"class": "Hold", "stiffness": 1.0, "damping": 1.0, "_each": []}),
+    "a private method": told("plant", "__class__", value="Wall"),
+    "a timing that is text": told("plant", "timing", value="Timing"),
+    "a timing that is a number": told("plant", "timing", value=3.0),
+    "a timing that is a law": told("plant", "timing", value={"class": "Bias", "wrench": [0.0] * 6}),
+    "a model that is a file": told("plant", "model", value="/etc/passwd"),
+    "a model elsewhere": told("plant", "model", value="../../tmp/evil"),
+    "a model as list": told("plant", "model", value=["drop"]),
+    "steps without end": told("plant", "longest_step", value=1e-300),
+    "a period without end": told("plant", "timing", "period", value=1e-300),
+    "a window without end": told("controller", "velocity", value={"class": "Window", "samples": 10**9}),
+    "an own estimate": told("controller", "velocity", value={"class": f"a.py:B@{DIGEST}"}),
+    "a thousand laws": told("controller", "laws", value=[{"class": "Bias", "wrench": [0.0] * 6}] * 1000),
+    "a long list": told("plant", "pose", value=[0.0] * 200_000),
+    "lists without end": told("plant", "pose", value=nested(500)),
+    "laws without end": told("controller", "laws", value=nested(500)),
+    "laws that are numbers": told("controller", "laws", value=[1.0, 2.0]),
+    "laws that are one": told("controller", "laws", value={"class": "Bias", "wrench": [0.0] * 6}),
+    "a controller as text": told("controller", value="os.system"),
+    "a controller as list": told("controller", value=[]),
+    "a controller as number": told("controller", value=1.0),
+    "no plant": told("plant", value=None),
+    "a plant as list": told("plant", value=[]),
+    "a hand that is a law": told("plant", "hand", value={"class": "Hold", "stiffness": 1.0, "damping": 1.0}),
+    "a hand as number": told("plant", "hand", value=1.0),
+    "a force of no hand": told("plant", "hand_force", value=1.0),
+    "a limit as object": told("plant", "wrench_limit", value={"class": "Timing"}),
+    "a sensor as number": told("plant", "sensor", value=1.0),
+    "samples that are none": told("samples", value=-1),
+}
+
+
+@pytest.mark.parametrize("what", HOSTILE)
+@pytest.mark.parametrize("given", [(), ("--scene", "attached")], ids=["", "attached"])
+def test_a_hostile_file_executes_nothing_and_is_one_line(
+    what: str, given: Any, folder: Path, say: Any, capsys: Any
+) -> None:
+    """Whatever it names, and even where a person lets the program execute what it holds."""
+    header, arrays = arrays_in(kept())
+    capsys.readouterr()
+    HOSTILE[what](header["setups"][0])
+    (folder / "run.npz").write_bytes(npz_of(header, arrays))
+    heard.clear()
+    status, said, wrong = say("replay", "run.npz", "--check", *given)
+    assert (status, said) == (2, "") and wrong.count("\n") == 1 and len(wrong) < 400, wrong
+    assert say("analyse", "run.npz")[0] in (0, 2)
+    assert [event for event in heard if event[0] != "open" or "run.npz" not in str(event[1])] == []
+    assert [path.name for path in folder.iterdir()] == ["run.npz"]
+
+
+heard: list[tuple[str, Any]] = []
+"""What was executed, imported or opened."""
+
+
+def hear(event: str, arguments: tuple[Any, ...]) -> None:
+    if event in ("exec", "import", "open", "os.system", "subprocess.Popen"):
+        heard.append((event, arguments[0]))
+
+
+sys.addaudithook(hear)
+
+
+@cache
+def kept() -> bytes:
+    """Return a recording of a script, whose commands have been typed once."""
+    import tempfile
+
+    with tempfile.TemporaryDirectory() as place:
+        path = Path(place) / "run.npz"
+        file, plant, controller = open_recording(path), PLANTS["mujoco"](), controller_of("Hold")
+        drive(plant, controller, ticks=20, record=file.begin(plant, controller))
+        file.close()
+        for command in (["replay", "--check"], ["analyse"]):
+            assert main([*command, str(path)]) == 0
+        return path.read_bytes()
