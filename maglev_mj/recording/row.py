@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple, Protocol, TypeAlias
 
@@ -112,6 +113,13 @@ FIELDS: Sequence[Field] = (
         "applied",
         at_least=0.0,
     ),
+    Field(
+        "arrival",
+        "s",
+        "when it arrived, by the clock of the host: only changes count; not known of a simulated plant",
+        'getattr(plant, "arrival", NAN)',
+        optional=True,
+    ),
 )
 """What is recorded of each sample, in the order of every file. One more value is one more line."""
 
@@ -159,7 +167,9 @@ def compiled(arguments: str, template: str, fields: Sequence[Field] = FIELDS, **
         names: What the expression refers to besides its arguments.
     """
     values = ", ".join(f"*({field.value})" if field.six else f"({field.value})" for field in fields)
-    made: Callable[..., Any] = eval(f"lambda {arguments}: {template.format(values=values)}", {"ZERO": ZERO, **names})
+    made: Callable[..., Any] = eval(
+        f"lambda {arguments}: {template.format(values=values)}", {"NAN": math.nan, "ZERO": ZERO, **names}
+    )
     return made
 
 

@@ -94,7 +94,8 @@ class McapWriter:
             self._writer = open_mcap(self._file, context=self._context, writer_options=options)
             self._writer.write_metadata(METADATA, texts)
         self._messages, self._flushed = Messages(self._context), time.monotonic()
-        self.begin, self.row, self.event = self._messages.begin, self._messages.row, self._messages.event
+        self.begin, self.row = self._messages.begin, self._messages.row
+        self.event, self.stick = self._messages.event, self._messages.stick
 
     def attach(self, name: str, media_type: str, data: str) -> None:
         """Write a file into the file, in base64."""
@@ -141,7 +142,7 @@ def _write(ring: RowReader, orders: _Orders, mcap: McapWriter, first: Callable[[
     def obey(place: int) -> None:
         while orders.waiting and orders.waiting[0]["at"] <= place:
             order = orders.waiting.popleft()
-            for name in ("begin", "event", "attach"):
+            for name in ("begin", "event", "stick", "attach"):
                 if name in order:
                     getattr(mcap, name)(*order[name])
 
