@@ -6,6 +6,7 @@ import json
 import re
 import subprocess
 import sys
+import types
 from collections.abc import Callable, Mapping
 from copy import deepcopy
 from dataclasses import replace
@@ -18,6 +19,7 @@ import pytest
 
 from maglev_mj import laws
 from maglev_mj.cli import main
+from maglev_mj.cli import replay as command
 from maglev_mj.controller import Controller
 from maglev_mj.frames import AXES
 from maglev_mj.hand import GuidedHand, Hand, SpringHand, Trajectory
@@ -47,10 +49,13 @@ from maglev_mj.laws import (
 from maglev_mj.loop import drive
 from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant, Sensor, SpotSensor, Timing
 from maglev_mj.recording import ArrayFile, InvalidRecordingError, Recording, open_recording, verify
-from maglev_mj.replay import Replay, expected, rebuild
-from maglev_mj.scenes.find import object_of_text
+from maglev_mj.replay import Replay, expected, rebuild, write_run
+from maglev_mj.scenes.drop import Drop
+from maglev_mj.scenes.find import find_scene, object_of_text
 from maglev_mj.scenes.parts import WEIGHT
-from maglev_mj.versions import hash_of
+from maglev_mj.session import Pacer, Session
+from maglev_mj.versions import differences, hash_of, versions
+from tests.golden.outputs import HERE
 from tests.recorded import arrays_in, npz_of, numbers_in
 
 TICKS, PERIOD, DELAY = 80, 0.002, 0.003
@@ -493,3 +498,125 @@ def kept() -> bytes:
         for command in (["replay", "--check"], ["analyse"]):
             assert main([*command, str(path)]) == 0
         return path.read_bytes()
+
+
+# a recording of other code
+
+
+@pytest.fixture
+def shown(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """Return what is shown in place of a window."""
+    seen: list[Any] = []
+    window = types.ModuleType("window")
+    window.show = seen.append  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "maglev_mj.viewer.window", window)
+    return seen
+
+
+TOLD = {"device": "no versions"}
+"""Of files of before, which do not tell them."""
+
+OTHER = {"revision": "b" * 40, "sources": "c" * 16}
+
+
+def of_other_code(monkeypatch: pytest.MonkeyPatch) -> str:
+    """Let this program be other code; return how it differs from what it was."""
+    before, now = versions(), {**versions(), **OTHER}
+    monkeypatch.setattr(command, "versions", lambda: now)
+    return differences(before, now)
+
+
+def test_a_recording_of_this_code_is_shown_without_a_word(folder: Path, say: Any, shown: list[Any]) -> None:
+    write_run(Path("run.npz"), Drop(), plant="exact")
+    assert say("replay", "run.npz") == (0, "", "") and len(shown) == 1
+
+
+@pytest.mark.parametrize("kind", ["script", "scene", "session", "device"])
+def test_other_code_with_the_same_answers_is_shown_with_a_note(
+    kind: str, folder: Path, say: Any, shown: list[Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = RECORDED[kind](folder)
+    difference = of_other_code(monkeypatch)
+    status, said, wrong = say("replay", str(path))
+    most = 10_000 // len(Recording.load(path).stretches)
+    assert (status, wrong, len(shown)) == (0, "", 1)
+    assert (
+        f"{path}: recorded by other code ({difference}); the first {most} answers of each stretch are the same here"
+        in said
+    )
+
+
+@pytest.mark.parametrize("kind", ["script", "scene", "session", "device"])
+def test_other_code_with_other_answers_is_refused_in_one_line(
+    kind: str, folder: Path, say: Any, shown: list[Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = RECORDED[kind](folder)
+    difference, before = of_other_code(monkeypatch), Bias.__call__
+
+    def heavier(self: Any, position: Any, velocity: Any, state: Any, wrench: Any) -> Any:
+        answer = before(self, position, velocity, state, wrench)
+        wrench[2] = float(np.nextafter(wrench[2], np.inf))
+        return answer
+
+    monkeypatch.setattr(Bias, "__call__", heavier)
+    status, _, wrong = say("replay", str(path))
+    assert (status, shown, wrong.count("\n")) == (1, [], 1)
+    first, told = int(Recording.load(path).stretches[0].tick[0]), TOLD.get(kind, difference)
+    assert f"recorded by other code ({told}), whose command is another from tick {first} of stretch 1 on" in wrong
+    assert kind in TOLD or ("b" * 40 in wrong and str(versions()["sources"]) in wrong)
+
+
+def test_the_first_tick_and_field_that_differ_are_told(
+    folder: Path, say: Any, shown: list[Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_run(Path("run.npz"), Drop(), plant="exact")
+    of_other_code(monkeypatch)
+    stretch = Recording.load(Path("run.npz")).stretches[0]
+    pulsed = int(stretch.tick[np.flatnonzero(stretch.pulse_width)[0]])
+    original = Controller.__init__
+
+    def narrower(self: Any, *given: Any, **more: Any) -> None:
+        original(self, *given, **more)
+        self._pulse_width *= 0.5
+
+    monkeypatch.setattr(Controller, "__init__", narrower)
+    status, _, wrong = say("replay", "run.npz")
+    assert status == 1 and f"whose pulse_width is another from tick {pulsed} of stretch 1 on" in wrong
+
+
+def test_laws_of_one_s_own_of_other_code_are_shown_and_said_to_be(
+    folder: Path, say: Any, shown: list[Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run_script(folder, "run.npz")
+    of_other_code(monkeypatch)
+    status, said, wrong = say("replay", "run.npz")
+    assert (status, wrong, len(shown)) == (0, "", 1) and "its laws were not run again" in said
+    assert "answers of each stretch are the same here" in say("replay", "run.npz", "--scene", "attached")[1]
+    assert not (folder / "executed").exists()
+
+
+def of_script(folder: Path) -> Path:
+    file, plant, controller = open_recording(Path("run.npz")), PLANTS["exact"](), controller_of("Hold")
+    drive(plant, controller, ticks=20, record=file.begin(plant, controller))
+    return Path(str(file.close()))
+
+
+def of_scene(folder: Path) -> Path:
+    (path,) = write_run(Path("run.npz"), find_scene("joystick")(period=0.001), plant="mujoco")
+    return path
+
+
+def of_session(folder: Path) -> Path:
+    session = Session(record=Path("run.npz"), pacer=Pacer(budget=60.0, patience=3600.0))
+    for _ in range(2):
+        session.tick(0.05)
+        session.act("friction")
+    session.close()
+    return Path("run.npz")
+
+
+def of_device(folder: Path) -> Path:
+    return HERE / "recordings" / "f7cb6d2" / "flight.npz"
+
+
+RECORDED = {"script": of_script, "scene": of_scene, "session": of_session, "device": of_device}
