@@ -12,8 +12,8 @@ from typing import Any
 
 from maglev_mj.bridge.realtime import stopping
 from maglev_mj.cli.options import chosen_key, number_option
-from maglev_mj.cli.publishers import add_spacenav, chosen_spacenav
 from maglev_mj.cli.scenes import add_scene, chosen_scene
+from maglev_mj.cli.spacenav import add_spacenav, chosen_spacenav
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import Component
 from maglev_mj.hand import HandForce, SpringHand
