@@ -27,6 +27,7 @@ FLOORS = {
     "controller": 3,
     "model": 3,
     "plants": 4,
+    "shapes": 4,
     "loop": 5,
     "theory": 5,
     "energy": 5,
@@ -48,13 +49,14 @@ FLOORS = {
     "cli": 10,
 }
 ALLOWED = {
-    "mujoco": {"model", "plants", "versions", "viewer"},
+    "mujoco": {"model", "plants", "shapes", "versions", "viewer"},
     "glfw": {"viewer"},
     "matplotlib": {"plots"},
     "imageio": {"viewer"},
     "distributed": {"workers"},
     "serial": {"net"},
     "mcap": {"recording"},
+    "foxglove": {"recording", "stream"},
     "pyarrow": {"recording"},
     "control": {"theory"},
 }

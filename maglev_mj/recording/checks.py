@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import zlib
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
@@ -13,7 +12,7 @@ import numpy as np
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Array
 from maglev_mj.parameters import number
-from maglev_mj.recording.row import FIELDS, TOTALS, Field, Rows, as_row
+from maglev_mj.recording.row import FIELDS, TOTALS, Field
 
 if TYPE_CHECKING:
     from mcap.records import Chunk
@@ -28,7 +27,7 @@ __all__ = [
     "list_in",
     "object_in",
     "parsed",
-    "sample_row",
+    "shown",
     "six",
     "start_in",
     "text_in",
@@ -107,7 +106,7 @@ def whole(holder: Any, name: str, *, at_least: int = 0, at_most: int = _WHOLE) -
     value = _value(holder, name)
     if value.__class__ is not int or not at_least <= value <= at_most:
         bounds = f"{at_least}" if at_least == at_most else f"a whole number from {at_least} to {at_most}"
-        raise ParameterError(f"{name} must be {bounds}, not {_shown(value)}")
+        raise ParameterError(f"{name} must be {bounds}, not {shown(value)}")
     return int(value)
 
 
@@ -131,7 +130,7 @@ def start_in(setup: Mapping[str, Any]) -> dict[str, list[float]]:
     for name, most in (("pose", _POSE), ("twist", _POSE), ("wrench", _FORCE)):
         values = _value(setup, name, of="a setup")
         if not isinstance(values, list) or len(values) != len(AXES):
-            raise ParameterError(f"{name} must be a list of {len(AXES)} numbers, not {_shown(values)}")
+            raise ParameterError(f"{name} must be a list of {len(AXES)} numbers, not {shown(values)}")
         found[name] = [number(name, value, at_least=-most, at_most=most) for value in values]
     return found
 
@@ -156,44 +155,12 @@ def check_setup(value: Any) -> Mapping[str, Any]:
     return setup
 
 
-def sample_row(sample: Any) -> list[float]:
-    """Return the values of a sample, and the totals up to it; a command that was not finite is NaN.
-
-    Raises:
-        ParameterError: If one is missing, or no number.
-    """
-    try:
-        row = as_row(sample)
-    except (KeyError, TypeError):
-        names = ", ".join(field.name for field in (*FIELDS, *TOTALS) if not field.optional)
-        raise ParameterError(f"a sample must have {names}") from None
-    for name in _WHOLE_FIELDS:
-        whole(sample, name)
-    if not set(map(type, row)) <= _NUMBERS:
-        for index, value in enumerate(row):
-            if value is None and index in _COMMANDED:
-                row[index] = math.nan
-            elif type(value) not in _NUMBERS:
-                raise ParameterError(f"a sample must be of numbers, not {_shown(value)}")
-    try:
-        return [float(value) for value in row]
-    except OverflowError:
-        raise ParameterError("a sample must be of numbers that a float can hold") from None
-
-
-_WHOLE_FIELDS = [field.name for field in (*FIELDS, *TOTALS) if not field.unit]
-_NUMBERS = {float, int}
-_COLUMNS = [field for field in FIELDS for _ in field.units]
-_COMMANDED = {index for index, field in enumerate(_COLUMNS) if field.array == "command"}
-"""Columns that may be no number, where the plant refused the command."""
-
-
-def check_rows(rows: Rows, totals: Rows | None = None) -> None:
-    """Check the samples of a file.
+def check_rows(rows: Mapping[str, Array], first: int = 0) -> None:
+    """Check the samples of a file, and their totals.
 
     Args:
-        rows: The samples, (N,).
-        totals: Their totals, (N,).
+        rows: Fields by name, (N,) or (N, 6) each.
+        first: Number of the first row, for the message.
 
     Raises:
         ParameterError: If a number is not finite or out of range, or ticks or times do not go up. The last command
@@ -208,35 +175,30 @@ def check_rows(rows: Rows, totals: Rows | None = None) -> None:
     missing = int(steps.sum()) - len(steps)
     if missing > _MISSING:
         raise ParameterError(f"at most {_MISSING} samples may be missing, not {missing}")
-    last = rows[-1:]
-    refused = not all(np.isfinite(last[field.name]).all() for field in FIELDS if field.array == "command")
-    if refused and any(last[field.name].any() for field in FIELDS if field.array == "applied"):
+    commanded = [field.name for field in FIELDS if field.array == "command"]
+    refused = not all(np.isfinite(rows[name][-1:]).all() for name in commanded)
+    if refused and any(rows[field.name][-1:].any() for field in FIELDS if field.array == "applied"):
         raise ParameterError("a command that is not finite must be applied as zero")
-    for field in FIELDS:
-        _check_field(field, rows[:-1] if refused and field.array == "command" else rows)
+    for field in (*FIELDS, *TOTALS):
+        if field.name in rows:
+            values = rows[field.name]
+            _check_field(field, values[:-1] if refused and field.name in commanded else values, first)
     if not (np.diff(rows["time"]) > 0.0).all():
         raise ParameterError("time must go up from sample to sample")
-    if totals is not None:
-        for field in TOTALS:
-            _check_field(field, totals)
 
 
-def _check_field(field: Field, rows: Rows) -> None:
-    values = rows[field.name]
+def _check_field(field: Field, values: Array, first: int) -> None:
     if field.optional and np.isnan(values).all():
         return
     if not field.unit:
         return _check_count(values, field.name)
-    _check_size(field.name, values, field.at_most)
+    good = np.abs(values) <= field.at_most  # NaN is not
+    if not good.all():
+        row = first + int(np.argmin(good.reshape(len(good), -1).all(axis=1)))
+        allowed = f"finite and at most {field.at_most:g}"
+        raise ParameterError(f"{field.name} must be {allowed}, not {values[~good].flat[0]:g} in row {row}")
     if not (values >= field.at_least).all():
         raise ParameterError(f"{field.name} must be at least {field.at_least:g} everywhere, not {values.min():g}")
-
-
-def _check_size(name: str, values: Array, most: float) -> None:
-    good = np.abs(values) <= most  # NaN is not
-    if not good.all():
-        row = int(np.argmin(good.reshape(len(good), -1).all(axis=1)))
-        raise ParameterError(f"{name} must be finite and at most {most:g}, not {values[~good].flat[0]:g} in row {row}")
 
 
 def _check_count(values: Array, name: str) -> None:
@@ -254,11 +216,11 @@ def _value(holder: Any, name: str, of: str = "a message") -> Any:
 def _of_kind(kind: type, what: str, holder: Any, name: str) -> Any:
     value = _value(holder, name)
     if not isinstance(value, kind):
-        raise ParameterError(f"{name} must be {what}, not {_shown(value)}")
+        raise ParameterError(f"{name} must be {what}, not {shown(value)}")
     return value
 
 
-def _shown(value: Any) -> str:
+def shown(value: Any) -> str:
     """Return a value of any size as a few letters."""
     if isinstance(value, dict | list):
         return "an object" if isinstance(value, dict) else "a list"

@@ -59,6 +59,15 @@ class RecordingFile(Protocol):
     def event(self, kind: str, text: str, missed: int = 0) -> None:
         """Keep what a person should know of, and how many samples were missed with it."""
 
+    def attach(self, name: str, media_type: str, data: bytes) -> None:
+        """Keep a file with it, before the first sample.
+
+        Args:
+            name: Unlike those of the others.
+            media_type: Such as "text/xml".
+            data: What is in it.
+        """
+
     def check(self) -> None:
         """Check that it is being written.
 
@@ -112,12 +121,14 @@ class ArrayFile:
         self._versions = versions()  # here, for a stretch may begin in real time
         self._recorders: list[Recorder] = []
         self._events: list[str] = []
+        self._attachments: dict[str, bytes] = {}
 
     @property
     def recording(self) -> Recording:
         """What is kept so far."""
         stretches = [recorder.stretch() for recorder in self._recorders]
-        return Recording([stretch for stretch in stretches if len(stretch)], events=tuple(self._events))
+        kept = [stretch for stretch in stretches if len(stretch)]
+        return Recording(kept, events=tuple(self._events), attachments=self._attachments)
 
     def begin(self, plant: RecordedPlant, controller: Controller, setup: Setup | None = None) -> Recorder:
         """Begin a stretch; return what the loop records it to."""
@@ -128,6 +139,10 @@ class ArrayFile:
     def event(self, kind: str, text: str, missed: int = 0) -> None:
         """See `RecordingFile`."""
         self._events.append(f"{kind}: {text}")
+
+    def attach(self, name: str, media_type: str, data: bytes) -> None:
+        """See `RecordingFile`; the media type is not kept."""
+        self._attachments[name] = data
 
     def check(self) -> None:
         """Do nothing: it is written when it is closed."""

@@ -6,6 +6,7 @@ number stands at both ends, for the first is written first and the second last.
 
 from __future__ import annotations
 
+import base64
 import json
 import mmap
 import os
@@ -188,6 +189,10 @@ class LiveFile:
     def event(self, kind: str, text: str, missed: int = 0) -> None:
         """Keep what a person should know of, and how many samples were missed with it."""
         self._say(event=[kind, text, missed])
+
+    def attach(self, name: str, media_type: str, data: bytes) -> None:
+        """Keep a file with it; see `RecordingFile.attach`."""
+        self._say(attach=[name, media_type, base64.b64encode(data).decode()])
 
     def check(self) -> None:
         """Check that it is being written.

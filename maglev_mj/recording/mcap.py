@@ -1,389 +1,339 @@
-"""Recordings as MCAP, which other programs open, written as they happen and read as far as they go.
+"""Recordings as MCAP read as far as they go; the format is at https://mcap.dev.
 
-The format is at https://mcap.dev, the package is the extra `record`. Messages are JSON with a schema. Python writes a
-float in as many digits as give the same float when it is read, so nothing is lost.
+Samples are messages of protobuf, all of one length, read thousands at once; in files of before they are JSON.
 """
 
 from __future__ import annotations
 
 import json
-import math
 import re
 import struct
-from array import array
-from collections.abc import Iterator, Mapping, Sequence
-from importlib.metadata import version
+import zlib
+from collections.abc import Callable, Iterator, Mapping
 from importlib.util import find_spec
 from io import BytesIO
-from typing import IO, TYPE_CHECKING, Any
+from typing import IO, Any
 
 import numpy as np
 
-import maglev_mj
 from maglev_mj.errors import MaglevError, ParameterError
-from maglev_mj.frames import AXES
+from maglev_mj.recording.before import sample_row
 from maglev_mj.recording.checks import (
     LARGEST_PART,
     Allowance,
     UnpackingError,
-    check_rows,
     check_setup,
     object_in,
     parsed,
-    sample_row,
     text_in,
     unpacked,
     whole,
 )
-from maglev_mj.recording.metadata import RunMetadata, Setup, Totals
-from maglev_mj.recording.recording import Recording, Stretch
-from maglev_mj.recording.row import FIELDS, TOTALS, Field, Row, as_rows, named, schema
+from maglev_mj.recording.columns import Columns
+from maglev_mj.recording.metadata import RunMetadata, Setup
+from maglev_mj.recording.protobuf import STRETCH as NUMBER
+from maglev_mj.recording.protobuf import Layout, Messages, layout_of
+from maglev_mj.recording.row import FIELDS, TOTALS
 
-if TYPE_CHECKING:
-    from mcap.records import Chunk, McapRecord
-
-__all__ = ["CHANNELS", "MAGIC", "McapMissingError", "McapWriter", "read_mcap", "require_mcap"]
+__all__ = [
+    "EVENT",
+    "FORMAT",
+    "MAGIC",
+    "METADATA",
+    "SAMPLE",
+    "STRETCH",
+    "Found",
+    "McapMissingError",
+    "Part",
+    "read_mcap",
+    "require_mcap",
+]
 
 MAGIC = b"\x89MCAP0\r\n"
-"""The first bytes of a file."""
+"""The first bytes of a file, and its last."""
 
-_CHUNK = 8 * 1024  # about a dozen samples: at 50 Hz a quarter of a second
+METADATA, FORMAT = "maglev_mj", "2"
+"""Name of the record of metadata that a recording begins with, and the format that it names."""
+
+STRETCH, SAMPLE, EVENT = "/maglev/stretch", "/maglev/sample", "/maglev/event"
+
 _MOST_MESSAGE = 1 << 20
 _MOST_RECORD = LARGEST_PART + (1 << 20)
-_WRENCH = "N", "N m"
-
-_NUMBER = schema(Field("stretch", "", "number of the stretch, from 0"))
-_SAMPLE_FIELDS = {"stretch": _NUMBER, **{field.name: schema(field) for field in (*FIELDS, *TOTALS)}}
-
-_STRETCH_FIELDS = {
-    "stretch": _NUMBER,
-    "setup": {
-        "type": "object",
-        "description": "what plant and controller are made from: kind, parameters, calibration, versions",
-    },
-    "period": schema(Field("period", "s", "sample period")),
-    "delay": schema(Field("delay", "s", "from a sample to its command taking effect")),
-    "carried": schema(Field("carried", _WRENCH, "what carries the flotor")),
-    "inertia": schema(Field("inertia", ("kg", "kg m²"), "what the actuators push at, for `taken`")),
-    "load": schema(Field("load", _WRENCH, "what acts besides, its weight, for `taken`")),
-    "before": schema(Field("before", _WRENCH, "what the actuators give until the first command takes effect")),
-    "faces": {
-        "type": "array",
-        "description": "planes of walls: axis, normal (1 where the axis is free above), edge [m, rad]",
-        "items": {"type": "object"},
-    },
-    "name": {"type": "string", "description": "what to call the run"},
-    "axis": {"type": "string", "description": "the axis that matters most"},
-    "hand_recorded": {"type": "boolean", "description": "whether `hand` is what the hand exerts"},
-    "hand_acts_on_flotor": {"type": "boolean", "description": "whether it acts there, not on a hand in a soft grip"},
-    "versions": {
-        "type": "object",
-        "description": "of maglev_mj, python, mujoco, numpy, mcap; git revision, if changed, and digest of the sources",
-    },
-}
-
-_EVENT_FIELDS = {
-    "stretch": _NUMBER,
-    "tick": _SAMPLE_FIELDS["tick"],
-    "kind": {"type": "string", "description": "fault, missed, lost or timing"},
-    "text": {"type": "string", "description": "what happened"},
-    "missed": schema(Field("missed", "", "samples that were missed with it, besides gaps in the ticks")),
-}
-
-
-def _schema(name: str, fields: Mapping[str, Any], says: str) -> dict[str, Any]:
-    return {
-        "$schema": "https://json-schema.org/draft/2020-12/schema",
-        "title": f"maglev_mj.{name}",
-        "description": says,
-        "type": "object",
-        "properties": dict(fields),
-        "required": list(fields),
-    }
-
-
-CHANNELS: Mapping[str, Mapping[str, Any]] = {
-    "/maglev/stretch": _schema(
-        "Stretch", _STRETCH_FIELDS, "a controller and a plant begin; axes are those of the stator"
-    ),
-    "/maglev/sample": _schema("Sample", _SAMPLE_FIELDS, "one sample and its answer"),
-    "/maglev/event": _schema("Event", _EVENT_FIELDS, "something that a person should know of"),
-}
-"""JSON schema of the messages of each topic."""
-
-_STRETCH, _SAMPLE, _EVENT = CHANNELS
-
-
-_TOTALS = tuple(field.name for field in TOTALS)
+_RECORD, _MESSAGE = struct.Struct("<BQ"), struct.Struct("<HIQQ")
+_FRONT, _SAME = _RECORD.size + _MESSAGE.size, _RECORD.size + 2  # bytes before a message; those alike in each of a topic
+_HEADER, _FOOTER, _SCHEMA, _CHANNEL, _SAID, _CHUNK = 1, 2, 3, 4, 5, 6
+_ATTACHED, _STATISTICS, _ABOUT, _DATA_END = 9, 11, 12, 15
+_LOOK = 64
 
 
 class McapMissingError(MaglevError):
-    """The package that writes and reads MCAP is not installed."""
+    """The packages that write and read MCAP are not installed."""
 
 
 def require_mcap() -> None:
     """Check that MCAP can be written and read.
 
     Raises:
-        McapMissingError: If the package is not installed.
+        McapMissingError: If a package is not installed.
     """
-    if find_spec("mcap") is None:
-        raise McapMissingError("recordings as MCAP need mcap: pip install 'maglev-mj[record]'")
+    if find_spec("mcap") is None or find_spec("foxglove") is None:
+        missing = "mcap and foxglove-sdk"
+        raise McapMissingError(f"recordings as MCAP need {missing}: pip install 'maglev-mj[record]'")
 
 
-class McapWriter:
-    """Writes a recording as it happens.
-
-    Args:
-        file: A file to write to; it is left open.
-    """
-
-    def __init__(self, file: IO[bytes]) -> None:
-        from mcap.writer import Writer
-
-        self._file, self._writer = file, Writer(file, chunk_size=_CHUNK)
-        self._writer.start(profile="", library=f"maglev_mj {maglev_mj.__version__}")
-        self._channels = {topic: self._channel(topic, schema) for topic, schema in CHANNELS.items()}
-        self._stretch, self._tick = -1, 0
-        self._began = self._now = 0
-        self._first: float | None = None
-        self._totals: Totals | None = None
-        self._said = 0  # messages, so that a reader knows whether some are missing
-
-    def begin(self, setup: Setup, began: int) -> None:
-        """Begin a stretch.
-
-        Args:
-            setup: What plant and controller are made from, with the `versions` of the code and the metadata as `run`.
-            began: When, since 1970 [ns].
-        """
-        self._stretch += 1
-        self._first = None
-        # a run that is faster than real time must not lie over the next
-        self._began = self._now = max(began, self._now + 1)
-        run = setup["run"]
-        self._totals = Totals(RunMetadata.from_json(run))
-        told = {
-            "stretch": self._stretch,
-            "setup": {name: part for name, part in setup.items() if name != "run"},
-            **run,
-            "versions": {**setup["versions"], "mcap": version("mcap")},
-        }
-        self._say(_STRETCH, told)
-
-    def row(self, row: Row) -> None:
-        """Write a sample of the stretch that was begun."""
-        assert self._totals is not None
-        values = named(row)
-        if self._first is None:
-            self._first = values["time"]
-        self._tick = int(values["tick"])
-        self._now = max(self._now, self._began + round((values["time"] - self._first) * 1e9))
-        values |= zip(_TOTALS, self._totals.add(values), strict=True)
-        sample = {field.name: _as_json(field, values[field.name]) for field in (*FIELDS, *TOTALS)}
-        self._say(_SAMPLE, {"stretch": self._stretch, **sample})
-
-    def event(self, kind: str, text: str, missed: int = 0) -> None:
-        """Write what happened.
-
-        Args:
-            kind: What sort of thing.
-            text: For a person.
-            missed: Samples that were missed with it.
-        """
-        if self._totals is not None:
-            self._totals.miss(missed)
-        told = {"kind": kind, "text": text, "missed": missed}
-        self._say(_EVENT, {"stretch": self._stretch, "tick": self._tick, **told})
-
-    def flush(self) -> None:
-        """Hand what is written over to the system, but for the last samples that make no whole chunk yet."""
-        self._file.flush()
-
-    def close(self) -> None:
-        """Write the rest, and the index."""
-        self._writer.finish()
-        self._file.flush()
-
-    def _channel(self, topic: str, schema: Mapping[str, Any]) -> int:
-        text = json.dumps(schema, ensure_ascii=False).encode()
-        number = self._writer.register_schema(name=schema["title"], encoding="jsonschema", data=text)
-        return self._writer.register_channel(topic=topic, message_encoding="json", schema_id=number)
-
-    def _say(self, topic: str, message: Mapping[str, Any]) -> None:
-        try:
-            text = json.dumps(message, allow_nan=False, separators=(",", ":"))
-        except ValueError:  # a command that is not finite, which the plant refused: JSON has no word for it
-            text = json.dumps(_finite(message), allow_nan=False, separators=(",", ":"))
-        data = text.encode()
-        now, place = self._now, self._said
-        self._writer.add_message(self._channels[topic], log_time=now, publish_time=now, data=data, sequence=place)
-        self._said = (place + 1) & 0xFFFFFFFF
+class _Ended(Exception):
+    """A file is over before its end."""
 
 
-def _as_json(field: Field, value: Any) -> Any:
-    if field.six:
-        return dict(zip(AXES, value, strict=True))
-    return value if field.unit else int(value)
-
-
-def _finite(value: Any) -> Any:
-    """Return what is to be said with None for what is no finite number."""
-    if isinstance(value, Mapping):
-        return {name: _finite(part) for name, part in value.items()}
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def read_mcap(file: IO[bytes], size: int) -> Recording:
+def read_mcap(file: IO[bytes], size: int, names: frozenset[str] | None = None) -> Found:
     """Read a recording as far as it goes: one whose writer was killed, up to its last whole chunk.
 
     Args:
         file: What to read.
         size: Of the file [bytes].
+        names: Fields to keep; None for all.
 
     Raises:
-        McapMissingError: If the package is not installed.
+        McapMissingError: If a package is not installed.
         ParameterError: If there is no recording in it, or it holds what none can.
     """
     require_mcap()
-    from mcap.exceptions import EndOfFile
-    from mcap.records import Channel, Message, Statistics
-
-    topics: dict[int, str] = {}
-    allowance = Allowance(size)
-    found, counted, damage = _Found(allowance), False, ""
+    found = Found(Allowance(size), names)
     try:
-        for record in _records(file, allowance):
-            if isinstance(record, Channel):
-                topics[record.id] = record.topic
-            elif isinstance(record, Message) and _topic(topics, record.channel_id) in CHANNELS:
-                if record.sequence != found.count & 0xFFFFFFFF:
-                    raise ValueError("messages are missing")
-                found.take(topics[record.channel_id], record.data)
-            elif isinstance(record, Statistics):
-                counts = record.channel_message_counts.items()
-                said = sum(count for channel, count in counts if _topic(topics, channel) in CHANNELS)
-                if said != found.count:
-                    raise ValueError(f"{said - found.count} messages are missing")
-                counted = True
-        if not counted:
-            damage = "its count of messages is missing"
+        for kind, data in _records(file):
+            found.take(kind, data)
+        if not found.counted:
+            found.damage = "its count of messages is missing"
         elif file.read(1):
-            damage = "there is more behind its end"
+            found.damage = "there is more behind its end"
     except ParameterError:
         raise
-    except (EndOfFile, struct.error):
-        damage = "its end is missing"
-    except Exception as error:  # of the reader, of what unpacks: what came before it is good
-        damage = f"it is damaged: {error or type(error).__name__}"
+    except _Ended:
+        found.damage = "its end is missing"
+    except Exception as error:  # of what unpacks and what is unpacked: what came before it is good
+        found.damage = f"it is damaged: {error or type(error).__name__}"
     if not found.parts:
-        raise ParameterError(damage or "nothing of a recording is in it")
-    return found.recording(damage)
+        raise ParameterError(found.damage or "nothing of a recording is in it")
+    return found
 
 
-def _topic(topics: Mapping[int, str], channel: int) -> str:
-    if channel not in topics:
-        raise ValueError("a message is on no channel")
-    return topics[channel]
-
-
-def _records(file: IO[bytes], allowance: Allowance) -> Iterator[McapRecord]:
-    """Yield what is in a file, chunks unpacked."""
-    from mcap.records import Chunk
-    from mcap.stream_reader import StreamReader
-
-    reader = StreamReader(file, emit_chunks=True, validate_crcs=True, record_size_limit=_MOST_RECORD)
-    for record in reader.records:
-        if isinstance(record, Chunk):
-            allowance.part(record.uncompressed_size)
-            yield from _inside(record)
+def _records(file: IO[bytes]) -> Iterator[tuple[int, bytes]]:
+    """Yield kind and content of each record, those in chunks apart; the checksums are checked on the way."""
+    if file.read(len(MAGIC)) != MAGIC:
+        raise ParameterError("it is no MCAP file")
+    checksum = zlib.crc32(MAGIC)
+    while True:
+        head = file.read(_RECORD.size)
+        if len(head) < _RECORD.size:
+            raise _Ended
+        kind, length = _RECORD.unpack(head)
+        if length > _MOST_RECORD:
+            raise UnpackingError(f"a record must have at most {_MOST_RECORD} bytes, not {length}")
+        data = file.read(length)
+        if len(data) < length:
+            raise _Ended
+        if kind in (_DATA_END, _FOOTER):
+            (said,) = struct.unpack("<I", data[-4:])
+            checksum = zlib.crc32(head + data[:-4], checksum) if kind == _FOOTER else checksum
+            if said not in (0, checksum):
+                raise ValueError("its checksum must be the one that it says")
+            checksum = 0
         else:
-            yield record
+            checksum = zlib.crc32(data, zlib.crc32(head, checksum))
+        yield kind, data
+        if kind == _FOOTER:
+            if (end := file.read(len(MAGIC))) != MAGIC:
+                raise _Ended if MAGIC.startswith(end) else ValueError("its last bytes must be those of MCAP")
+            return
 
 
-def _inside(chunk: Chunk) -> Iterator[McapRecord]:
-    """Yield what is in a chunk, one by one: as objects, all of it would take many times its size."""
-    from mcap.data_stream import ReadDataStream
-    from mcap.opcode import Opcode
-    from mcap.records import Channel, Message, Schema
+class Part:
+    """A stretch as far as it is read.
 
-    data = unpacked(chunk)
-    stream = ReadDataStream(BytesIO(data))
-    while stream.count < len(data):
-        kind, length = stream.read1(), stream.read8()
-        if length > _MOST_MESSAGE:
-            raise UnpackingError(f"a message must have at most {_MOST_MESSAGE} bytes, not {length}")
-        if kind == Opcode.MESSAGE:
-            yield Message.read(stream, length)
-        elif kind in (Opcode.CHANNEL, Opcode.SCHEMA):
-            yield Channel.read(stream) if kind == Opcode.CHANNEL else Schema.read(stream)
-        else:
-            raise UnpackingError(f"a chunk must hold schemas, channels and messages alone, not records of kind {kind}")
+    Args:
+        message: What was said where it began.
+        names: Fields to keep; None for all.
+    """
 
-
-class _Part:
-    """A stretch as far as it is read; a sample is a row of numbers, for there may be many."""
-
-    def __init__(self, message: Any) -> None:
-        self.setup = check_setup(object_in(message, "setup"))
+    def __init__(self, message: Any, names: frozenset[str] | None) -> None:
+        self.setup: Setup = check_setup(object_in(message, "setup"))
         self.metadata = RunMetadata.from_json(message)
-        self.numbers = array("d")
-        self.count = 0
+        self.columns = Columns((*FIELDS, *TOTALS), names)
         self.gaps: list[tuple[int, int]] = []
 
-    def add(self, row: Sequence[float]) -> None:
-        """Take one sample."""
-        self.numbers.extend(row)
-        self.count += 1
 
-    def stretch(self) -> Stretch:
-        """Return it."""
-        table = np.array(self.numbers).reshape(self.count, -1)
-        rows, totals = as_rows(table[:, : -len(TOTALS)]), as_rows(table[:, -len(TOTALS) :], TOTALS)
-        check_rows(rows, totals)
-        return Stretch(setup=self.setup, rows=rows, totals=totals, metadata=self.metadata, gaps=self.gaps)
-
-
-class _Found:
+class Found:
     """What has been read so far.
 
     Args:
-        allowance: How much text may be kept.
+        allowance: How much may be unpacked and kept.
+        names: Fields to keep; None for all.
+
+    Attributes:
+        parts: Stretches, in their order.
+        events: What happened, as texts.
+        attachments: Files in the file.
+        about: The record of metadata that a recording begins with; empty in files of before.
+        damage: What is wrong with the file; empty for nothing.
+        counted: Whether the file has told how many messages there are, and it was true.
     """
 
-    def __init__(self, allowance: Allowance) -> None:
-        self.parts: list[_Part] = []
-        self.count = 0
-        self._allowance, self._tick = allowance, 0
-        self._events: list[str] = []
+    def __init__(self, allowance: Allowance, names: frozenset[str] | None) -> None:
+        self.parts: list[Part] = []
+        self.events: list[str] = []
+        self.attachments: dict[str, bytes] = {}
+        self.about: Mapping[str, str] = {}
+        self.damage, self.counted = "", False
+        self._allowance, self._names = allowance, names
+        self._topics: dict[int, str] = {}
+        self._counts: dict[int, int] = {}
+        self._layout: Layout | None = None
+        self._runs: list[Messages] = []
+        self._tick = 0
+        self._takers: Mapping[int, Callable[[bytes], None]] = {
+            _CHUNK: self._chunk,
+            _CHANNEL: self._channel,
+            _SAID: lambda data: self._walk(_RECORD.pack(_SAID, len(data)) + data),
+            _ATTACHED: self._attachment,
+            _ABOUT: self._metadata,
+            _STATISTICS: self._statistics,
+        }
 
-    def take(self, topic: str, data: bytes) -> None:
-        """Take one message.
+    def take(self, kind: int, data: bytes) -> None:
+        """Take one record.
 
         Raises:
             ParameterError: If it is not one that a recording has.
+            Exception: Of any kind, if it is damaged.
         """
-        if len(data) > _MOST_MESSAGE:
-            raise UnpackingError(f"a message must have at most {_MOST_MESSAGE} bytes, not {len(data)}")
-        if topic != _SAMPLE:
+        taker = self._takers.get(kind)
+        if taker is not None:
+            taker(data)
+
+    def _chunk(self, data: bytes) -> None:
+        from mcap.data_stream import ReadDataStream
+        from mcap.records import Chunk
+
+        chunk = Chunk.read(ReadDataStream(BytesIO(data)))
+        self._allowance.part(chunk.uncompressed_size)
+        self._walk(unpacked(chunk))
+
+    def _walk(self, data: bytes) -> None:
+        """Take the records in a chunk."""
+        at, end = 0, len(data)
+        while at < end:
+            if end - at < _RECORD.size:
+                raise UnpackingError("a record must end where its chunk does")
+            kind, length = _RECORD.unpack_from(data, at)
+            after = at + _RECORD.size + length
+            if after > end:
+                raise UnpackingError("a record must end where its chunk does")
+            if kind == _SAID:
+                if not _MESSAGE.size <= length <= _MOST_MESSAGE:
+                    raise UnpackingError(f"a message must have at most {_MOST_MESSAGE} bytes, not {length}")
+                channel, number, _, _ = _MESSAGE.unpack_from(data, at + _RECORD.size)
+                topic = self._topic(channel)
+                if topic == SAMPLE and self.about:
+                    after = self._run(data, at, after, channel)
+                else:
+                    self._count(channel, topic, number)
+                    self._message(topic, data[at + _FRONT : after])
+            elif kind == _CHANNEL:
+                self._channel(data[at + _RECORD.size : after])
+            elif kind != _SCHEMA:
+                raise UnpackingError(
+                    f"a chunk must hold schemas, channels and messages alone, not records of kind {kind}"
+                )
+            at = after
+        self._join()
+
+    def _topic(self, channel: int) -> str:
+        if channel not in self._topics:
+            raise ValueError("a message is on no channel")
+        return self._topics[channel]
+
+    def _channel(self, data: bytes) -> None:
+        from mcap.data_stream import ReadDataStream
+        from mcap.records import Channel
+
+        channel = Channel.read(ReadDataStream(BytesIO(data)))
+        if self._topics.setdefault(channel.id, channel.topic) != channel.topic:
+            raise ParameterError(f"channel {channel.id} must be of one topic")
+
+    def _count(self, channel: int, topic: str, number: int, count: int = 1) -> None:
+        """Count messages on a channel; in files of before all but the strangers' are numbered together, from 0."""
+        if not self.about:
+            if topic not in (STRETCH, SAMPLE, EVENT):
+                return
+            channel, number = -1, number + 1
+        before = self._counts.get(channel, 0)
+        if number != (before + 1) & 0xFFFFFFFF:
+            raise ValueError("messages are missing")
+        self._counts[channel] = before + count
+
+    def _run(self, data: bytes, at: int, after: int, channel: int) -> int:
+        """Take the samples that follow one another from a place on; return where they end."""
+        size = after - at
+        if self._layout is None:
+            self._layout = layout_of(data[at + _FRONT : after])
+        if size != _FRONT + self._layout.size:
+            raise ParameterError("the samples of a file must all have the same fields")
+        look, found = _LOOK, 0
+        while True:
+            most = min(look, (len(data) - at) // size)
+            rows = np.frombuffer(data, np.uint8, most * size, at).reshape(most, size)
+            alike = (rows[:, :_SAME] == rows[0, :_SAME]).all(axis=1)
+            found = most if alike.all() else int(np.argmin(alike))
+            if found < look:
+                break
+            look *= 8
+        (first,) = struct.unpack_from("<I", data, at + _SAME)
+        numbers = np.ascontiguousarray(rows[:found, _SAME : _SAME + 4]).view("<u4")[:, 0]
+        if (np.diff(numbers) != 1).any():
+            raise ValueError("messages are missing")
+        self._count(channel, SAMPLE, first, found)
+        self._runs.append(rows[:found, _FRONT:])
+        return at + found * size
+
+    def _join(self) -> None:
+        """Add the samples that were taken to their stretch."""
+        if not self._runs:
+            return
+        assert self._layout is not None
+        if not self.parts:
+            raise ParameterError("a sample must be in a stretch")
+        rows = np.concatenate(self._runs)
+        self._runs = []
+        self._layout.check(rows)
+        stretch = self._layout.values(rows, NUMBER)
+        if (stretch != len(self.parts) - 1).any():
+            wrong = stretch[stretch != len(self.parts) - 1][0]
+            raise ParameterError(f"stretch must be {len(self.parts) - 1}, not {wrong:g}")
+        self.parts[-1].columns.add(self._layout, rows)
+        self._tick = int(self._layout.values(rows[-1:], FIELDS[0])[0])
+
+    def _message(self, topic: str, data: bytes) -> None:
+        if topic not in (STRETCH, SAMPLE, EVENT):
+            return
+        self._join()
+        if topic != SAMPLE:
             self._allowance.text(len(data))
         message, last = parsed(data), len(self.parts) - 1
-        self.count += 1
-        if topic == _STRETCH:
+        if topic == STRETCH:
             whole(message, "stretch", at_least=last + 1, at_most=last + 1)
-            self.parts.append(_Part(message))
-        elif topic == _SAMPLE:
-            whole(message, "stretch", at_least=max(last, 0), at_most=last)
-            self.parts[last].add(sample_row(message))
-            self._tick = message["tick"]
-        else:
+            self.parts.append(Part(message, self._names))
+        elif topic == EVENT:
             self._event(message, last)
+        else:
+            whole(message, "stretch", at_least=max(last, 0), at_most=last)
+            self.parts[last].columns.add_row(sample_row(message))
+            self._tick = message["tick"]
 
     def _event(self, message: Any, last: int) -> None:
         whole(message, "stretch", at_least=last, at_most=last)
         whole(message, "tick", at_least=self._tick, at_most=self._tick)
         kind, text = text_in(message, "kind"), text_in(message, "text")
-        self._events.append(f"{kind}: {text}")
+        self.events.append(f"{kind}: {text}")
         if "missed" in message:
             missed = whole(message, "missed")
         else:  # of version 0.1.0: how many is in the text alone
@@ -391,9 +341,37 @@ class _Found:
             missed = int(said[1]) if said else 0
         if missed and last >= 0:
             part = self.parts[last]
-            part.gaps.append((part.count, missed))
+            part.gaps.append((len(part.columns), missed))
 
-    def recording(self, damage: str) -> Recording:
-        """Return it."""
-        stretches = [part.stretch() for part in self.parts if part.count]
-        return Recording(stretches, events=self._events, damage=damage)
+    def _attachment(self, data: bytes) -> None:
+        from mcap.data_stream import ReadDataStream
+        from mcap.records import Attachment
+
+        (said,) = struct.unpack("<I", data[-4:])
+        if said not in (0, zlib.crc32(data[:-4])):
+            raise ValueError("an attachment must have the checksum that it says")
+        attached = Attachment.read(ReadDataStream(BytesIO(data)))
+        self.attachments[attached.name] = attached.data
+
+    def _metadata(self, data: bytes) -> None:
+        from mcap.data_stream import ReadDataStream
+        from mcap.records import Metadata
+
+        record = Metadata.read(ReadDataStream(BytesIO(data)))
+        if record.name == METADATA and not self.parts:
+            self.about = record.metadata
+            if text_in(self.about, "format") != FORMAT:
+                raise ParameterError(f"format must be {FORMAT}, not {json.dumps(self.about['format'])[:40]}")
+
+    def _statistics(self, data: bytes) -> None:
+        from mcap.data_stream import ReadDataStream
+        from mcap.records import Statistics
+
+        said: Mapping[int, int] = Statistics.read(ReadDataStream(BytesIO(data))).channel_message_counts
+        if not self.about:
+            ours = (STRETCH, SAMPLE, EVENT)
+            said = {-1: sum(count for channel, count in said.items() if self._topic(channel) in ours)}
+        missing = sum(said.values()) - sum(self._counts.values())
+        if missing or any(self._counts.get(channel, 0) != count for channel, count in said.items()):
+            raise ValueError(f"{missing} messages are missing")
+        self.counted = True

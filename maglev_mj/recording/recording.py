@@ -6,10 +6,10 @@ import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from dataclasses import replace as replaced
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, TYPE_CHECKING, Any
 from zipfile import ZIP_STORED, ZipFile
 
 import numpy as np
@@ -18,7 +18,10 @@ from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import AXES, Array
 from maglev_mj.recording.checks import Allowance, UnpackingError, check_rows, check_setup, object_in, parsed, text_in
 from maglev_mj.recording.metadata import RunMetadata, Setup
-from maglev_mj.recording.row import ARRAYS, ROW, Rows
+from maglev_mj.recording.row import ARRAYS, FIELDS, ROW, TOTALS, Rows, as_rows
+
+if TYPE_CHECKING:
+    from maglev_mj.recording.mcap import Found
 
 __all__ = ["InvalidRecordingError", "Recording", "RecordingError", "Stretch", "aside", "split_setup"]
 
@@ -89,11 +92,13 @@ class Recording:
         stretches: In the order in which they happened.
         events: What a person should know of, such as faults.
         damage: What is wrong with the file that it was read from, such as a missing end; empty for nothing.
+        attachments: Files that are kept with it, by name.
     """
 
     stretches: Sequence[Stretch]
     events: Sequence[str] = ()
     damage: str = ""
+    attachments: Mapping[str, bytes] = field(default_factory=dict)
 
     def save(self, path: Path | str) -> None:
         """Write to a file, whole or not at all.
@@ -128,7 +133,7 @@ class Recording:
             with path.open("rb") as file:
                 size, first = os.fstat(file.fileno()).st_size, file.read(len(MAGIC))
                 file.seek(0)
-                return (read_mcap if first == MAGIC else _read_arrays)(file, size)
+                return _recording(read_mcap(file, size)) if first == MAGIC else _read_arrays(file, size)
         except OSError as error:
             raise InvalidRecordingError(f"recording {str(path)!r} cannot be read: {error.strerror or error}") from None
         except ParameterError as error:
@@ -138,6 +143,23 @@ class Recording:
     def ticks(self) -> int:
         """Samples in all."""
         return sum(len(stretch) for stretch in self.stretches)
+
+
+def _recording(found: Found) -> Recording:
+    """Return what was found in an MCAP file."""
+    stretches = []
+    for part in found.parts:
+        if not len(part.columns):
+            continue
+        tables = []
+        for fields in (FIELDS, TOTALS):
+            rows = as_rows(np.empty((len(part.columns), sum(len(one.units) for one in fields))), fields)
+            for one in fields:
+                rows[one.name] = part.columns.array(one.name)
+            tables.append(rows)
+        rows, totals = tables
+        stretches.append(Stretch(setup=part.setup, rows=rows, totals=totals, metadata=part.metadata, gaps=part.gaps))
+    return Recording(stretches, events=found.events, damage=found.damage, attachments=found.attachments)
 
 
 @contextmanager
@@ -217,11 +239,11 @@ def _stretch(archive: ZipFile, allowance: Allowance, index: int, setup: Any) -> 
     rows = np.full(lengths.pop(), np.nan, dtype=ROW)
     for name, values in found.items():
         start, columns = 0, values.reshape(len(values), -1)
-        for field in ARRAYS[name]:
-            part = columns[:, start : start + len(field.units)]
-            rows[field.name] = part if field.six else part[:, 0]
-            start += len(field.units)
-    check_rows(rows)
+        for one in ARRAYS[name]:
+            part = columns[:, start : start + len(one.units)]
+            rows[one.name] = part if one.six else part[:, 0]
+            start += len(one.units)
+    check_rows({name: rows[name] for name in rows.dtype.names or ()})
     made_from, metadata = split_setup(setup)
     return Stretch(setup=made_from, rows=rows, metadata=metadata)
 

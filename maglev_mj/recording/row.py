@@ -19,7 +19,6 @@ __all__ = [
     "RecordedPlant",
     "Row",
     "Rows",
-    "as_row",
     "as_rows",
     "as_table",
     "columns",
@@ -183,24 +182,6 @@ def named(row: Row) -> dict[str, Any]:
         found[field.name] = row[start : start + 6] if field.six else row[start]
         start += 6 if field.six else 1
     return found
-
-
-def as_row(sample: Mapping[str, Any]) -> list[Any]:
-    """Return the values of a sample out of JSON, and its totals behind them; what is optional and missing as NaN.
-
-    Raises:
-        KeyError, TypeError: If a value is missing.
-    """
-    row: list[Any] = []
-    for field in (*FIELDS, *TOTALS):
-        if field.optional and field.name not in sample:
-            row += [np.nan] * len(field.units)
-        elif field.six:
-            parts = sample[field.name]
-            row += [parts[axis] for axis in AXES]
-        else:
-            row.append(sample[field.name])
-    return row
 
 
 def schema(field: Field) -> dict[str, Any]:

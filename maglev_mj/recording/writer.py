@@ -5,6 +5,7 @@ It ends when the pipe does: because the recording is closed, or because whoever 
 
 from __future__ import annotations
 
+import base64
 import json
 import os
 import sys
@@ -13,14 +14,99 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
+
+from foxglove import Context, open_mcap
+from foxglove.mcap import MCAPWriteOptions
 
 from maglev_mj.recording.live import RowReader
-from maglev_mj.recording.mcap import McapWriter
+from maglev_mj.recording.mcap import FORMAT, METADATA
+from maglev_mj.recording.messages import Messages
+from maglev_mj.recording.row import FIELDS, TOTALS
+from maglev_mj.versions import versions
 
-__all__ = ["main"]
+__all__ = ["McapWriter", "main"]
 
 _NAP = 0.02
+_LOST = 0.25  # s that a SIGKILL to this process may cost
+_CHUNK = 1 << 20
+
+
+class _File:
+    """A file whose first error is kept: foxglove-sdk tells of none while it logs.
+
+    Args:
+        file: Where to.
+    """
+
+    def __init__(self, file: IO[bytes]) -> None:
+        self._file = file
+        self.error: OSError | None = None
+
+    def write(self, data: bytes | bytearray) -> int:
+        """Write all of it."""
+        return int(self._kept(self._file.write, data))
+
+    def seek(self, offset: int, whence: int = 0) -> int:
+        """Go elsewhere."""
+        return int(self._kept(self._file.seek, offset, whence))
+
+    def flush(self) -> None:
+        """Hand over to the system."""
+        self._kept(self._file.flush)
+
+    def _kept(self, do: Callable[..., Any], *arguments: Any) -> Any:
+        try:
+            return do(*arguments)
+        except OSError as error:
+            self.error = self.error or error
+            raise
+
+    def check(self) -> None:
+        """Raise the first error there was."""
+        if self.error is not None:
+            raise self.error
+
+
+class McapWriter:
+    """Writes a recording as it happens.
+
+    Args:
+        file: A file to write to; it is left open.
+
+    Raises:
+        OSError: If it cannot be written; as everything here does.
+    """
+
+    def __init__(self, file: IO[bytes]) -> None:
+        self._file, self._context = _File(file), Context()  # without which its channels close
+        options = MCAPWriteOptions(profile="", chunk_size=_CHUNK, compression_threads=0)
+        self._writer = open_mcap(self._file, context=self._context, writer_options=options)
+        units = {name: unit for field in (*FIELDS, *TOTALS) for name, unit in field.units}
+        about = {"format": FORMAT, "units": units, **versions()}
+        texts = {name: one if isinstance(one, str) else json.dumps(one) for name, one in about.items()}
+        self._writer.write_metadata(METADATA, texts)
+        self._messages, self._flushed = Messages(self._context), time.monotonic()
+        self.begin, self.row, self.event = self._messages.begin, self._messages.row, self._messages.event
+
+    def attach(self, name: str, media_type: str, data: str) -> None:
+        """Write a file into the file, in base64."""
+        now, whole = time.time_ns(), base64.b64decode(data)
+        self._writer.attach(log_time=now, create_time=now, name=name, media_type=media_type, data=whole)
+        self._file.check()
+
+    def flush(self) -> None:
+        """Hand what is written over to the system, from time to time."""
+        self._file.check()
+        if time.monotonic() - self._flushed > _LOST:
+            self._writer.flush()
+            self._flushed = time.monotonic()
+            self._file.check()
+
+    def close(self) -> None:
+        """Write the rest, and the index."""
+        self._writer.close()
+        self._file.check()
 
 
 class _Orders:
@@ -49,10 +135,9 @@ def _write(ring: RowReader, orders: _Orders, mcap: McapWriter, first: Callable[[
     def obey(place: int) -> None:
         while orders.waiting and orders.waiting[0]["at"] <= place:
             order = orders.waiting.popleft()
-            if "begin" in order:
-                mcap.begin(*order["begin"])
-            else:
-                mcap.event(*order["event"])
+            for name in ("begin", "event", "attach"):
+                if name in order:
+                    getattr(mcap, name)(*order[name])
 
     place = 0
     while True:

@@ -1,0 +1,270 @@
+"""A run as messages that other programs know: samples by name, frames, what there is to draw, what happened.
+
+They are logged to a context of foxglove-sdk, and go to whatever is attached to it: a file, or a server.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from foxglove import Channel, Context, Schema
+from foxglove.channels import FrameTransformsChannel, LogChannel, SceneUpdateChannel
+from foxglove.messages import (
+    ArrowPrimitive,
+    Color,
+    CubePrimitive,
+    CylinderPrimitive,
+    Duration,
+    FrameTransform,
+    FrameTransforms,
+    Log,
+    LogLevel,
+    Pose,
+    Quaternion,
+    SceneEntity,
+    SceneUpdate,
+    SpherePrimitive,
+    Timestamp,
+    Vector3,
+)
+
+from maglev_mj.frames import Array, quaternion, rotation_matrix
+from maglev_mj.recording import protobuf
+from maglev_mj.recording.mcap import EVENT, SAMPLE, STRETCH
+from maglev_mj.recording.metadata import RunMetadata, Setup, Totals
+from maglev_mj.recording.row import FIELDS, Field, Row, named, schema
+from maglev_mj.shapes import ARROW, GRIP, LEAST_FORCE, Shape, arrow_start, shapes, wall_plate
+
+__all__ = ["EVENT", "FRAMES", "LOG", "SAMPLE", "SCENE", "STRETCH", "Messages"]
+
+
+FRAMES, SCENE, LOG = "/tf", "/maglev/scene", "/log"
+
+_SHOWN = 1.0 / 60.0  # s between two poses to look at
+_WALL, _HAND, _DEVICE = (0.25, 0.47, 0.85, 0.16), (0.13, 0.62, 0.30, 1.0), (0.80, 0.16, 0.14, 1.0)
+_SHAFT, _HEAD, _HEAD_LENGTH = 0.0032, 0.0064, 0.25
+_LEVELS = {"fault": LogLevel.Error, "missed": LogLevel.Warning, "lost": LogLevel.Error}
+_WRENCH = "N", "N m"
+_NUMBER = schema(Field("stretch", "", "number of the stretch, from 0"))
+_STRETCH_FIELDS = {
+    "stretch": _NUMBER,
+    "setup": {
+        "type": "object",
+        "description": "what plant and controller are made from: kind, parameters, calibration, versions",
+    },
+    "period": schema(Field("period", "s", "sample period")),
+    "delay": schema(Field("delay", "s", "from a sample to its command taking effect")),
+    "carried": schema(Field("carried", _WRENCH, "what carries the flotor")),
+    "inertia": schema(Field("inertia", ("kg", "kg m²"), "what the actuators push at, for `taken`")),
+    "load": schema(Field("load", _WRENCH, "what acts besides, its weight, for `taken`")),
+    "before": schema(Field("before", _WRENCH, "what the actuators give until the first command takes effect")),
+    "faces": {
+        "type": "array",
+        "description": "planes of walls: axis, normal (1 where the axis is free above), edge [m, rad]",
+        "items": {"type": "object"},
+    },
+    "name": {"type": "string", "description": "what to call the run"},
+    "axis": {"type": "string", "description": "the axis that matters most"},
+    "hand_recorded": {"type": "boolean", "description": "whether `hand` is what the hand exerts"},
+    "hand_acts_on_flotor": {"type": "boolean", "description": "whether it acts there, not on a hand in a soft grip"},
+}
+_EVENT_FIELDS = {
+    "stretch": _NUMBER,
+    "tick": schema(FIELDS[0]),
+    "kind": {"type": "string", "description": "fault, missed, lost or timing"},
+    "text": {"type": "string", "description": "what happened"},
+    "missed": schema(Field("missed", "", "samples that were missed with it, besides gaps in the ticks")),
+}
+
+
+def _schema(name: str, fields: Mapping[str, Any], says: str) -> dict[str, Any]:
+    about = {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": f"maglev_mj.{name}"}
+    return {**about, "description": says, "type": "object", "properties": dict(fields), "required": list(fields)}
+
+
+class Messages:
+    """Logs a run.
+
+    Args:
+        context: Where to; files and servers that are attached to it get every message.
+        model: The device to draw, as of `maglev_mj.model.load`.
+
+    Raises:
+        ModelError: If the model cannot be used.
+    """
+
+    def __init__(self, context: Context, *, model: str = "maglev") -> None:
+        begins = "a controller and a plant begin; axes are those of the stator"
+        happens = "something that a person should know of"
+        self._stretch_channel = Channel(STRETCH, schema=_schema("Stretch", _STRETCH_FIELDS, begins), context=context)
+        self._event_channel = Channel(EVENT, schema=_schema("Event", _EVENT_FIELDS, happens), context=context)
+        sample = Schema(name=protobuf.NAME, encoding="protobuf", data=protobuf.descriptor())
+        self._sample = Channel(SAMPLE, message_encoding="protobuf", schema=sample, context=context).base
+        self._frames = FrameTransformsChannel(FRAMES, context=context)
+        self._scene = SceneUpdateChannel(SCENE, context=context)
+        self._log = LogChannel(LOG, context=context)
+        self._device = _device(shapes(model))
+        self._stretch, self._tick = -1, 0
+        self._began = self._now = 0
+        self._first: float | None = None
+        self._shown = -math.inf
+        self._totals: Totals | None = None
+
+    def begin(self, setup: Setup, began_ns: int) -> None:
+        """Begin a stretch.
+
+        Args:
+            setup: What plant and controller are made from, with the metadata as `run`.
+            began_ns: When, since 1970 [ns].
+        """
+        self._stretch += 1
+        self._first, self._shown = None, -math.inf
+        # a run that is faster than real time must not lie over the next
+        self._began = self._now = max(began_ns, self._now + 1)
+        run = setup["run"]
+        metadata = RunMetadata.from_json(run)
+        self._totals = Totals(metadata)
+        whole = {name: part for name, part in setup.items() if name != "run"}
+        self._say(self._stretch_channel, {"stretch": self._stretch, "setup": whole, **run})
+        self._tell(LogLevel.Info, f"stretch {self._stretch + 1}: {metadata.name or setup.get('kind', '')}")
+        plates = [plate for plate in map(wall_plate, metadata.faces or ()) if plate]
+        walls = [Shape(False, "box", half, place, (1.0, 0.0, 0.0, 0.0), _WALL) for place, half in plates]
+        self._draw([*self._device, ("stator", "walls", _primitives(walls))])
+
+    def row(self, row: Row) -> None:
+        """Log a sample of the stretch that was begun, its values in the order of FIELDS."""
+        assert self._totals is not None
+        values = named(row)
+        time = values["time"]
+        if self._first is None:
+            self._first = time
+        self._tick = int(values["tick"])
+        self._now = max(self._now, self._began + round((time - self._first) * 1e9))
+        self._sample.log(protobuf.packed(self._stretch, row, self._totals.add(values)), self._now)
+        if not time < self._shown + _SHOWN:
+            self._shown = time
+            self._show(values)
+
+    def event(self, kind: str, text: str, missed: int = 0) -> None:
+        """Log what happened.
+
+        Args:
+            kind: What sort of thing.
+            text: For a person.
+            missed: Samples that were missed with it.
+        """
+        if self._totals is not None:
+            self._totals.miss(missed)
+        told = {"stretch": self._stretch, "tick": self._tick, "kind": kind, "text": text, "missed": missed}
+        self._say(self._event_channel, told)
+        self._tell(_LEVELS.get(kind, LogLevel.Info), f"{kind}: {text}")
+
+    def _say(self, channel: Channel, message: Mapping[str, Any]) -> None:
+        channel.log(json.dumps(message, allow_nan=False, separators=(",", ":")).encode(), log_time=self._now)
+
+    def _tell(self, level: LogLevel, text: str) -> None:
+        log = Log(timestamp=_stamp(self._now), level=level, message=text, name="maglev_mj")
+        self._log.log(log, log_time=self._now)
+
+    def _show(self, values: Mapping[str, Any]) -> None:
+        """Log the frames, and the forces as arrows."""
+        place, turn, stamp = values["position"][:3], values["position"][3:], _stamp(self._now)
+        flotor = FrameTransform(
+            timestamp=stamp,
+            parent_frame_id="stator",
+            child_frame_id="flotor",
+            translation=Vector3(x=place[0], y=place[1], z=place[2]),
+            rotation=_quaternion(quaternion(turn)),
+        )
+        hand = FrameTransform(
+            timestamp=stamp,
+            parent_frame_id="flotor",
+            child_frame_id="hand",
+            translation=_vector(GRIP),
+            rotation=_quaternion((1.0, 0.0, 0.0, 0.0)),
+        )
+        self._frames.log(FrameTransforms(transforms=[flotor, hand]), log_time=self._now)
+        knob = np.array(place) + rotation_matrix(np.array(turn)) @ GRIP
+        forces = {"force of the hand": (values["hand"], _HAND), "force of the device": (values["applied"], _DEVICE)}
+        arrows = {name: _arrow(knob, np.array(force[:3]), colour) for name, (force, colour) in forces.items()}
+        self._draw([("stator", name, {"arrows": found}) for name, found in arrows.items()])
+
+    def _draw(self, entities: Sequence[tuple[str, str, Mapping[str, Any]]]) -> None:
+        """Log what there is to draw: frame, name and shapes of each entity, which take the place of its last."""
+        stamp = _stamp(self._now)
+        made = [
+            SceneEntity(
+                timestamp=stamp, frame_id=frame, id=name, lifetime=Duration(sec=0), frame_locked=True, **primitives
+            )
+            for frame, name, primitives in entities
+        ]
+        self._scene.log(SceneUpdate(entities=made), log_time=self._now)
+
+
+def _stamp(now: int) -> Timestamp:
+    return Timestamp(sec=now // 10**9, nsec=now % 10**9)
+
+
+def _vector(values: Array) -> Vector3:
+    x, y, z = values.tolist()
+    return Vector3(x=x, y=y, z=z)
+
+
+def _quaternion(values: Sequence[float]) -> Quaternion:
+    w, x, y, z = values
+    return Quaternion(w=w, x=x, y=y, z=z)
+
+
+def _color(colour: Sequence[float]) -> Color:
+    red, green, blue, opacity = colour
+    return Color(r=red, g=green, b=blue, a=opacity)
+
+
+def _device(found: Sequence[Shape]) -> list[tuple[str, str, Mapping[str, Any]]]:
+    """Return the entities of the device: stator and flotor."""
+    return [
+        (frame, frame, _primitives([shape for shape in found if shape.moves == moves]))
+        for frame, moves in (("stator", False), ("flotor", True))
+    ]
+
+
+def _primitives(found: Sequence[Shape]) -> dict[str, Any]:
+    """Return shapes as the primitives of an entity."""
+    made: dict[str, Any] = {"cubes": [], "cylinders": [], "spheres": []}
+    for shape in found:
+        pose = Pose(position=_vector(shape.position), orientation=_quaternion(shape.turn))
+        about: dict[str, Any] = {"pose": pose, "size": _vector(2.0 * shape.half), "color": _color(shape.colour)}
+        if shape.kind == "box":
+            made["cubes"].append(CubePrimitive(**about))
+        elif shape.kind == "cylinder":
+            made["cylinders"].append(CylinderPrimitive(bottom_scale=1.0, top_scale=1.0, **about))
+        else:
+            made["spheres"].append(SpherePrimitive(**about))
+    return made
+
+
+def _arrow(knob: Array, force: Array, colour: Sequence[float]) -> list[ArrowPrimitive]:
+    """Return the arrow of a force; none for one too small to see, or that is no number."""
+    size = float(np.linalg.norm(force))
+    if not LEAST_FORCE <= size < math.inf:
+        return []
+    along = force / size
+    # an arrow points along x: half a turn about the middle of x and the force brings it there
+    middle = along + np.eye(3)[0]
+    length = float(np.linalg.norm(middle))
+    x, y, z = (middle / length).tolist() if length > 1e-9 else (0.0, 0.0, 1.0)
+    whole = ARROW * size
+    return [
+        ArrowPrimitive(
+            pose=Pose(position=_vector(arrow_start(knob, force)), orientation=Quaternion(w=0.0, x=x, y=y, z=z)),
+            shaft_length=whole * (1.0 - _HEAD_LENGTH),
+            shaft_diameter=_SHAFT,
+            head_length=whole * _HEAD_LENGTH,
+            head_diameter=_HEAD,
+            color=_color(colour),
+        )
+    ]

@@ -1,0 +1,195 @@
+"""Samples as messages of protobuf: one layout of bytes, from the table of the recorded sample.
+
+Every value is written, at its full width, so that all messages of a file have their bytes in the same places: a writer
+packs them at once, and a reader takes thousands of them as one array. Any decoder of protobuf reads them by name.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+
+from maglev_mj.errors import ParameterError
+from maglev_mj.frames import AXES, Array
+from maglev_mj.recording.row import FIELDS, TOTALS, Field, Row
+
+__all__ = ["NAME", "STRETCH", "Layout", "Messages", "descriptor", "layout_of", "packed"]
+
+NAME = "maglev_mj.Sample"
+"""Full name of the message."""
+
+STRETCH = Field("stretch", "", "number of the stretch, from 0")
+"""The number in front of the fields of a sample."""
+
+_NUMBERED: Sequence[Field] = (
+    STRETCH,
+    *(field for field in FIELDS if not field.optional),
+    *TOTALS,
+    *(field for field in FIELDS if field.optional),
+)
+"""Fields in the order of their numbers in a message, from 1: what is added is optional, and comes last."""
+
+_SIX = "SixAxes"
+_VARINT, _FIXED64, _BYTES = 0, 1, 2
+_DOUBLE_TYPE, _MESSAGE_TYPE, _FIXED64_TYPE, _OPTIONAL = 1, 11, 6, 1
+_NUMBER_SIZE, _SIX_SIZE = 8, 6 * 9
+
+
+def _varint(value: int) -> bytes:
+    found = b""
+    while value > 0x7F:
+        found, value = found + bytes([value & 0x7F | 0x80]), value >> 7
+    return found + bytes([value])
+
+
+def _part(number: int, value: int | str | bytes) -> bytes:
+    """Return one field of a descriptor."""
+    if isinstance(value, int):
+        return _varint(number << 3 | _VARINT) + _varint(value)
+    data = value.encode() if isinstance(value, str) else value
+    return _varint(number << 3 | _BYTES) + _varint(len(data)) + data
+
+
+def _message(name: str, fields: Sequence[tuple[str, int, str]]) -> bytes:
+    """Return the descriptor of a message: name, type and name of the type of each field."""
+    parts = [_part(1, name)]
+    for number, (field, kind, of) in enumerate(fields, 1):
+        about = _part(1, field) + _part(3, number) + _part(4, _OPTIONAL) + _part(5, kind)
+        parts.append(_part(2, about + (_part(6, of) if of else b"")))
+    return b"".join(parts)
+
+
+def descriptor() -> bytes:
+    """Return the schema of a sample, a FileDescriptorSet."""
+    package, name = NAME.split(".")
+    fields = [
+        (field.name, _MESSAGE_TYPE, f".{package}.{_SIX}")
+        if field.six
+        else (field.name, _DOUBLE_TYPE if field.unit else _FIXED64_TYPE, "")
+        for field in _NUMBERED
+    ]
+    six = _message(_SIX, [(axis, _DOUBLE_TYPE, "") for axis in AXES])
+    messages = _part(4, six) + _part(4, _message(name, fields))
+    return _part(1, _part(1, f"{package}.proto") + _part(2, package) + messages + _part(12, "proto3"))
+
+
+def _head(field: Field) -> bytes:
+    """Return what stands in front of the value of a field."""
+    number = _NUMBERED.index(field) + 1
+    if field.six:
+        return _varint(number << 3 | _BYTES) + bytes([_SIX_SIZE])
+    return _varint(number << 3 | _FIXED64)
+
+
+class _Value(NamedTuple):
+    """A number in a message: what stands in front of it, the column of a table, and its type."""
+
+    head: bytes
+    column: str
+    code: str
+
+
+def _values(fields: Sequence[Field]) -> list[_Value]:
+    found = []
+    for field in fields:
+        head, code = _head(field), "d" if field.unit else "Q"
+        for place, (column, _) in enumerate(field.units):
+            inner = bytes([place + 1 << 3 | _FIXED64]) if field.six else b""
+            found.append(_Value(head + inner if not place else inner, column, code))
+    return found
+
+
+_WRITTEN = _values((STRETCH, *FIELDS, *TOTALS))
+_STRUCT = struct.Struct("<" + "".join(f"{len(value.head)}s{value.code}" for value in _WRITTEN))
+_PARTS = [part for value in _WRITTEN for part in (value.head, None)]
+_WHOLE = [place for place, value in enumerate(_WRITTEN) if value.code == "Q"]
+
+
+def packed(stretch: int, row: Row, totals: Row) -> bytes:
+    """Return a sample as a message.
+
+    Args:
+        stretch: Number of its stretch.
+        row: Its values in the order of FIELDS.
+        totals: Its running totals in the order of TOTALS.
+    """
+    values: list[float] = [stretch, *row, *totals]
+    for place in _WHOLE:
+        values[place] = int(values[place])
+    parts = _PARTS.copy()
+    parts[1::2] = values  # type: ignore[assignment]
+    return _STRUCT.pack(*parts)
+
+
+Messages: TypeAlias = "np.ndarray[tuple[int, int], np.dtype[np.uint8]]"
+"""Messages of one layout, (N, size) bytes."""
+
+
+class Layout:
+    """Where the numbers of a sample stand in its message.
+
+    Args:
+        fields: What is in it, in its order.
+
+    Attributes:
+        size: Of a message [bytes].
+    """
+
+    def __init__(self, fields: Sequence[Field]) -> None:
+        values, at = _values(fields), 0
+        heads: list[int] = []
+        self._places: dict[str, int] = {}
+        for value in values:
+            heads += range(at, at + len(value.head))
+            at += len(value.head)
+            self._places[value.column] = at
+            at += _NUMBER_SIZE
+        self.size = at
+        self._heads, self._expected = np.array(heads), np.frombuffer(b"".join(value.head for value in values), np.uint8)
+
+    def check(self, messages: Messages) -> None:
+        """Check that messages are laid out like this.
+
+        Raises:
+            ParameterError: If one is not.
+        """
+        if not (messages[:, self._heads] == self._expected).all():
+            raise ParameterError("the samples of a file must all have the same fields")
+
+    def values(self, messages: Messages, field: Field) -> Array:
+        """Return a field of messages, (N,) or (N, 6); NaN where they do not have it."""
+        at = self._places.get(field.units[0][0])
+        count = len(messages)
+        if at is None:
+            return np.full((count, 6) if field.six else count, np.nan)
+        kind = np.dtype("<f8" if field.unit else "<u8")
+        shape, steps = ((count, 6), (self.size, _SIX_SIZE // 6)) if field.six else ((count,), (self.size,))
+        return np.ndarray(shape, kind, np.ascontiguousarray(messages), at, steps).astype(np.float64)
+
+
+def layout_of(message: bytes) -> Layout:
+    """Return the layout of a message.
+
+    Raises:
+        ParameterError: If it is not one of a sample, or has a field that is not known.
+    """
+    heads = {_head(field): field for field in _NUMBERED}
+    fields, at = [], 0
+    while at < len(message):
+        for size in (1, 2, 3):
+            field = heads.pop(message[at : at + size], None)
+            if field is not None:
+                fields.append(field)
+                at += size + (_SIX_SIZE if field.six else _NUMBER_SIZE)
+                break
+        else:
+            raise ParameterError("a sample must have the fields that are known here, each once")
+    missing = [field.name for field in _NUMBERED if field not in fields and not field.optional]
+    if missing or at != len(message):
+        raise ParameterError(f"a sample must have {', '.join(missing) or 'all its bytes'}")
+    layout = Layout(fields)
+    layout.check(np.frombuffer(message, np.uint8)[None])
+    return layout

@@ -1,0 +1,115 @@
+"""What there is to draw of a device, for whatever draws it: the model's geoms, the knob, plates for walls."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+
+from maglev_mj.frames import Array
+from maglev_mj.model import Model, load
+
+__all__ = ["ARROW", "GRIP", "KNOB", "LEAST_FORCE", "UNDER_KNOB", "Shape", "arrow_start", "shapes", "wall_plate"]
+
+ARROW = 0.003
+"""Length of an arrow for each newton [m]."""
+
+LEAST_FORCE = 0.05
+"""Below this there is no arrow [N]."""
+
+GRIP = np.array([0.0, 0.0, 0.079])
+"""Middle of the handle's knob in the flotor [m]."""
+
+KNOB = 0.0165, 0.0125
+"""Radius and half height of the knob [m]."""
+
+UNDER_KNOB = 0.0676
+"""Height of its lower side in the flotor [m]."""
+
+_PLATE, _THIN = 0.024, 0.0002
+_KINDS = {
+    int(mujoco.mjtGeom.mjGEOM_BOX): "box",
+    int(mujoco.mjtGeom.mjGEOM_CYLINDER): "cylinder",
+    int(mujoco.mjtGeom.mjGEOM_CAPSULE): "capsule",
+    int(mujoco.mjtGeom.mjGEOM_SPHERE): "ellipsoid",
+    int(mujoco.mjtGeom.mjGEOM_ELLIPSOID): "ellipsoid",
+}
+_HIDDEN = 3  # the first group of geoms that is not drawn
+
+
+class Shape(NamedTuple):
+    """One geom of a device with its flotor at the centre.
+
+    Attributes:
+        moves: Whether it is the flotor's.
+        kind: box, cylinder or ellipsoid.
+        half: Half lengths along its own axes; a cylinder is along its z [m], (3,).
+        position: Of its centre, from the flotor's [m], (3,).
+        turn: Unit quaternion (w, x, y, z).
+        colour: Red, green, blue, opacity, each from 0 to 1.
+    """
+
+    moves: bool
+    kind: str
+    half: Array
+    position: Array
+    turn: Sequence[float]
+    colour: Sequence[float]
+
+
+def shapes(model: Model) -> list[Shape]:
+    """Return the visible geoms of a model, planes and meshes apart; a capsule is three.
+
+    Raises:
+        ModelError: If the file is missing or cannot be used.
+    """
+    device = load(model, lean=False)
+    compiled, data = device.model, mujoco.MjData(device.model)
+    mujoco.mj_kinematics(compiled, data)
+    origin, turn, found = data.xpos[device.flotor], np.zeros(4), []
+    for geom in range(compiled.ngeom):
+        kind, material = _KINDS.get(int(compiled.geom_type[geom])), compiled.geom_matid[geom]
+        colour = compiled.geom_rgba[geom] if material < 0 else compiled.mat_rgba[material]
+        if kind is None or compiled.geom_group[geom] >= _HIDDEN or not colour[3]:
+            continue
+        moves = bool(compiled.body_rootid[compiled.geom_bodyid[geom]] == compiled.body_rootid[device.flotor])
+        mujoco.mju_mat2Quat(turn, data.geom_xmat[geom])
+        place, (radius, half, third) = data.geom_xpos[geom] - origin, compiled.geom_size[geom]
+        about = turn.tolist(), colour.tolist()
+        if kind in ("cylinder", "capsule"):
+            found.append(Shape(moves, "cylinder", np.array([radius, radius, half]), place, *about))
+            along = half * data.geom_xmat[geom][2::3]
+            ends = (place - along, place + along) if kind == "capsule" else ()
+            found += [Shape(moves, "ellipsoid", np.full(3, radius), end, *about) for end in ends]
+        else:
+            found.append(Shape(moves, kind, np.array([radius, half or radius, third or radius]), place, *about))
+    return found
+
+
+def wall_plate(face: tuple[int, float, float]) -> tuple[Array, Array] | None:
+    """Return centre and half lengths of the plate that the knob meets [m], (3,) each; None for a rotation.
+
+    Args:
+        face: Index into AXES, normal (1 or -1), edge [m, rad].
+    """
+    axis, normal, edge = face
+    if axis > 2:
+        return None
+    radius, half_height = KNOB
+    centre, size = GRIP.copy(), np.array([_PLATE, _PLATE, half_height + 0.004])
+    size[axis] = _THIN
+    if axis < 2:
+        centre[axis] = edge - normal * (radius + _THIN)
+    else:
+        size[:2] = _PLATE
+        centre[2] = edge + (UNDER_KNOB - _THIN if normal > 0.0 else GRIP[2] + half_height + _THIN)
+    return centre, size
+
+
+def arrow_start(knob: Array, force: Array) -> Array:
+    """Return where the arrow of a force begins, on the surface of a knob at some place [m], (3,)."""
+    radius, half_height = KNOB
+    start: Array = knob + force / np.linalg.norm(force / [radius, radius, half_height])
+    return start
