@@ -14,6 +14,7 @@ from maglev_mj.recording.files import (
 from maglev_mj.recording.legacy import metadata_of
 from maglev_mj.recording.metadata import Mechanics, RunMetadata, Setup, setup_of
 from maglev_mj.recording.recording import InvalidRecordingError, Recording, RecordingError, Stretch
+from maglev_mj.recording.tee import tee
 from maglev_mj.recording.verify import Expected, Rebuild, Verdict, verify
 
 __all__ = [
@@ -38,5 +39,6 @@ __all__ = [
     "metadata_of",
     "open_recording",
     "setup_of",
+    "tee",
     "verify",
 ]
