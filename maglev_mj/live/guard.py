@@ -67,9 +67,8 @@ async def _accept(reader: asyncio.StreamReader, writer: asyncio.StreamWriter, se
     async with asyncio.timeout(PATIENCE):
         request = await reader.readuntil(b"\r\n\r\n")
         if why := objection(request[:-4].decode("latin-1")):
-            said = why.encode("ascii", "replace") + b"\n"
-            head = b"HTTP/1.1 403 Forbidden\r\nContent-Type: text/plain\r\nContent-Length: %d\r\nConnection: close\r\n\r\n"
-            writer.write(head % len(said) + said)
+            said = f"HTTP/1.1 403 Forbidden\r\nConnection: close\r\nContent-Length: {len(why) + 1}\r\n\r\n{why}\n"
+            writer.write(said.encode("latin-1"))
             await writer.drain()
             return
         back, forth = await asyncio.open_connection(*server, limit=_LONGEST)

@@ -7,7 +7,6 @@ import time
 from collections import deque
 from importlib.util import find_spec
 from multiprocessing.reduction import DupFd
-from pathlib import Path
 from typing import Any
 
 from maglev_mj.controller import Controller
@@ -64,8 +63,8 @@ class LiveServer:
             self.port: int = listener.getsockname()[1]
             self._ring, self._versions = Ring(), versions()
             self._process = SideProcess(_serve, _Descriptor(self._ring.descriptor), listener)
-        self._told, self._answer = State(), None
-        self._answer: int | str | None
+        self._told = State()
+        self._answer: int | str | None = None
         self._unsent: deque[tuple[Any, ...]] = deque(maxlen=_UNSENT)
         try:
             said = next(self._process.received(), "") if self._process.line.poll(_PATIENCE) else ""
@@ -110,11 +109,10 @@ class LiveServer:
         else:
             self._send()
 
-    def close(self) -> Path | None:
+    def close(self) -> None:
         """Let everybody go; a second time does nothing."""
         self._process.close()
         self._ring.close()
-        return None
 
     def _note(self, answer: int | str) -> None:
         self._answer = answer  # one scene at a time is handed over: none is written over

@@ -10,14 +10,13 @@ import socket
 import threading
 import time
 from collections import deque
-from collections.abc import Mapping
 from contextlib import suppress
 from multiprocessing.connection import Connection, wait
 from typing import Any
 
 import foxglove
-from foxglove import MessageSchema, Parameter, Schema, Service, ServiceSchema, StatusLevel
-from foxglove.websocket import Capability
+from foxglove import MessageSchema, Parameter, Schema, Service, ServiceRequest, ServiceSchema, StatusLevel
+from foxglove.websocket import Capability, ChannelView, Client, ServerListener
 
 from maglev_mj.live.guard import forward
 from maglev_mj.live.settings import Answer, Requests, State, Verdict, check_requests, give_way, values_of
@@ -34,8 +33,10 @@ LONGEST_CHECK = 10.0
 
 _LOOK = 1.0 / 120.0
 _PATIENCE = 60.0
+_MOST_REASON = 300
 _SET = "/maglev/set"
 _JSON = MessageSchema(encoding="json", schema=Schema(name=_SET, encoding="jsonschema", data=b'{"type": "object"}'))
+_SCHEMA = ServiceSchema(name=_SET, request=_JSON, response=_JSON)
 
 
 def serve(line: Connection, rows: RowReader, listener: socket.socket) -> None:
@@ -49,14 +50,14 @@ def serve(line: Connection, rows: RowReader, listener: socket.socket) -> None:
     service.run()
 
 
-class _Service:
+class _Service(ServerListener):
     """Logs rows and events to the clients, and has their requests checked."""
 
     def __init__(self, line: Connection, rows: RowReader, listener: socket.socket) -> None:
         foxglove.set_log_level(logging.CRITICAL)  # what clients do wrong is not for the person at the terminal
         self._line, self._rows = line, rows
         self._orders: deque[tuple[Any, ...]] = deque()
-        self._state, self._requests = State(), Requests()
+        self._state, self._requests, self._greet = State(), Requests(), False
         self._checker, self._until = SideProcess(check_requests), math.inf
         self._context = context = foxglove.Context()  # the server does not keep it
         self._messages = Messages(context)
@@ -68,7 +69,7 @@ class _Service:
             port=0,
             capabilities=[Capability.Parameters, Capability.Services],
             server_listener=self,
-            services=[Service(name=_SET, schema=ServiceSchema(name=_SET, request=_JSON, response=_JSON), handler=self._call)],
+            services=[Service(name=_SET, schema=_SCHEMA, handler=self._call)],
             context=context,
             message_backlog_size=ROWS,
         )
@@ -95,6 +96,9 @@ class _Service:
                 self._hear()
         except (EOFError, OSError):
             return False
+        if self._greet:
+            self._greet = False
+            getattr(self._messages, "greet", lambda: None)()  # TODO
         place = -1
         for place, row in rows:
             self._obey(place)
@@ -129,7 +133,7 @@ class _Service:
             self._settle(Answer(reason=answer))
         elif answer is not None:
             self._settle(Answer(since=answer))
-        self._server.publish_parameter_values(self.on_get_parameters(None, []))
+        self._server.publish_parameter_values(self._parameters())
 
     def _check(self) -> None:
         """Take what has been checked, and let the next be checked."""
@@ -154,7 +158,7 @@ class _Service:
                 self._line.send(verdict)
         else:
             figures = verdict._asdict() if isinstance(verdict, Refusal) else None
-            self._settle(Answer(reason=str(verdict), figures=figures))
+            self._settle(Answer(reason=_short(str(verdict)), figures=figures))
 
     def _settle(self, answer: Answer) -> None:
         """Answer a request; tell everybody why one is refused."""
@@ -167,17 +171,25 @@ class _Service:
 
     # --- called by the package, in threads of its own --------------------------------------------
 
-    def on_get_parameters(self, client: object, names: list[str], request: str | None = None) -> Any:
-        """Return the parameters in force."""
-        values = values_of(self._state)
-        return [Parameter(name, value=values[name]) for name in names or values if name in values]
+    def on_subscribe(self, client: Client, channel: ChannelView) -> None:
+        """Note that somebody needs to know what there is to draw."""
+        self._greet = True
 
-    def on_set_parameters(self, client: object, parameters: Any, request: str | None = None) -> Any:
+    def on_get_parameters(self, client: Client, names: list[str], request: str | None = None) -> list[Parameter]:
+        """Return the parameters in force."""
+        return [one for one in self._parameters() if one.name in names or not names]
+
+    def on_set_parameters(
+        self, client: Client, parameters: list[Parameter], request: str | None = None
+    ) -> list[Parameter]:
         """Let a request wait; return the parameters in force, for whoever waits here keeps others waiting."""
         self._requests.put({one.name: one.get_value() for one in parameters})
-        return self.on_get_parameters(client, [])
+        return self._parameters()
 
-    def _call(self, call: Any) -> bytes:
+    def _parameters(self) -> list[Parameter]:
+        return [Parameter(name, value=value) for name, value in values_of(self._state).items()]
+
+    def _call(self, call: ServiceRequest) -> bytes:
         """Answer a call of the service, when the request is in force or refused."""
         try:
             given = json.loads(bytes(call.payload))
@@ -186,3 +198,8 @@ class _Service:
         if not isinstance(given, dict):
             raise ValueError("a request must be a JSON object of names and values")
         return json.dumps(self._requests.put(given).result()._asdict()).encode()
+
+
+def _short(reason: str) -> str:
+    # it may repeat what a program sent
+    return reason if len(reason) <= _MOST_REASON else f"{reason[: _MOST_REASON - 3]}..."
