@@ -57,7 +57,8 @@ class _Service(ServerListener):
         foxglove.set_log_level(logging.CRITICAL)  # what clients do wrong is not for the person at the terminal
         self._line, self._rows = line, rows
         self._orders: deque[tuple[Any, ...]] = deque()
-        self._state, self._requests, self._greet = State(), Requests(), False
+        self._requests, self._greet = Requests(), False
+        self._know(State())
         self._checker, self._until = SideProcess(check_requests), math.inf
         self._context = context = foxglove.Context()  # the server does not keep it
         self._messages = Messages(context)
@@ -113,7 +114,7 @@ class _Service(ServerListener):
         except (EOFError, OSError):
             raise
         except Exception as error:  # a class of the user's own that this process does not find
-            self._state = State(state=f"the scene is not known here: {type(error).__name__}: {error}")
+            self._know(State(state=f"the scene is not known here: {type(error).__name__}: {error}"))
             return
         if what == "show":
             self._show(*arguments)
@@ -128,12 +129,16 @@ class _Service(ServerListener):
 
     def _show(self, state: State, answer: int | str | None) -> None:
         """Publish another scene in force, and what the control loop answered to the one that it was handed."""
-        self._state = state
+        self._know(state)
         if isinstance(answer, str):
             self._settle(Answer(reason=answer))
         elif answer is not None:
             self._settle(Answer(since=answer))
-        self._server.publish_parameter_values(self._parameters())
+        self._server.publish_parameter_values(self._parameters)
+
+    def _know(self, state: State) -> None:
+        self._state = state
+        self._parameters = [Parameter(name, value=value) for name, value in values_of(state).items()]
 
     def _check(self) -> None:
         """Take what has been checked, and let the next be checked."""
@@ -177,17 +182,14 @@ class _Service(ServerListener):
 
     def on_get_parameters(self, client: Client, names: list[str], request: str | None = None) -> list[Parameter]:
         """Return the parameters in force."""
-        return [one for one in self._parameters() if one.name in names or not names]
+        return [one for one in self._parameters if one.name in names or not names]
 
     def on_set_parameters(
         self, client: Client, parameters: list[Parameter], request: str | None = None
     ) -> list[Parameter]:
         """Let a request wait; return the parameters in force, for whoever waits here keeps others waiting."""
         self._requests.put({one.name: one.get_value() for one in parameters})
-        return self._parameters()
-
-    def _parameters(self) -> list[Parameter]:
-        return [Parameter(name, value=value) for name, value in values_of(self._state).items()]
+        return self._parameters
 
     def _call(self, call: ServiceRequest) -> bytes:
         """Answer a call of the service, when the request is in force or refused."""
