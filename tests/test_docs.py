@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from maglev_mj.stream import PoseStream
 
 from maglev_mj.bridge import State, Twin, TwinParameters
 from maglev_mj.bridge.twin import TwinServer
@@ -21,7 +22,6 @@ from maglev_mj.cli import parser
 from maglev_mj.cli.options import joined
 from maglev_mj.net.udp import UdpServer
 from maglev_mj.session import Session
-from maglev_mj.stream import PoseStream
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = [

@@ -118,21 +118,23 @@ class LiveClient:
 
     def _subscribe(self, channels: list[dict[str, Any]]) -> None:
         wanted = [one for one in channels if self._topics is None or one["topic"] in self._topics]
-        self._readers |= {one["id"]: (one["topic"], _reader(one)) for one in wanted}
+        for one in wanted:
+            schema = base64.b64decode(one["schema"]) if one["encoding"] == "protobuf" else b""
+            self._readers[one["id"]] = one["topic"], reader(one["encoding"], one["schemaName"], schema)
         self._send({"op": "subscribe", "subscriptions": [{"id": one["id"], "channelId": one["id"]} for one in wanted]})
 
     def _send(self, message: dict[str, Any]) -> None:
         self._line.send(json.dumps(message))
 
 
-def _reader(channel: dict[str, Any]) -> Callable[[bytes], Any]:
-    """Return what reads the messages of a channel; the channel says how."""
-    if channel["encoding"] == "json":
+def reader(encoding: str, name: str, schema: bytes) -> Callable[[bytes], Any]:
+    """Return what reads the messages of a channel, which says how."""
+    if encoding == "json":
         return json.loads
     pool = DescriptorPool()
-    for file in FileDescriptorSet.FromString(base64.b64decode(channel["schema"])).file:
+    for file in FileDescriptorSet.FromString(schema).file:
         pool.Add(file)
-    return GetMessageClass(pool.FindMessageTypeByName(channel["schemaName"])).FromString  # type: ignore[no-any-return]
+    return GetMessageClass(pool.FindMessageTypeByName(name)).FromString  # type: ignore[no-any-return]
 
 
 def main() -> int:
