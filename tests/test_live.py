@@ -425,14 +425,14 @@ def test_what_is_refused_changes_nothing_and_is_said_to_all(live: LiveServer) ->
         for wish, pattern in wishes:
             said = client.set(**wish)
             assert said["since"] is None and re.fullmatch(pattern, said["reason"]) and len(said["reason"]) <= 300
-            status = other._hear_until(lambda said: said["op"] == "status")
+            status = other.heard(lambda said: said["op"] == "status")
             assert status["message"] == said["reason"]
             logged = [message.fields.message for message in client.messages(0.3)]
             assert logged[-1] == f"refused: {said['reason']}"
         assert client.set(stiffness=60000.0)["figures"]["modulus"] == pytest.approx(1.6403, abs=1e-4)
         for data in (b"[1]", b"{", b"NaN", b"[" * 10**5):
             other._line.send(struct.pack("<BIII", 2, other._services["/maglev/set"], 0, 4) + b"json" + data)
-            failed = other._hear_until(lambda said: said["op"] == "serviceCallFailure")
+            failed = other.heard(lambda said: said["op"] == "serviceCallFailure")
             assert failed["message"] == "ValueError: a request must be a JSON object of names and values"
         assert client.parameters() == before and one.session.snapshot().scene == one.scenes[0]
 
@@ -441,24 +441,24 @@ def test_what_is_refused_changes_nothing_and_is_said_to_all(live: LiveServer) ->
 def test_parameters_are_set_as_the_app_does(live: LiveServer) -> None:
     """The answer, at once, has the values in force; subscribers hear of others when they are in force."""
     with running(live), LiveClient(url(live), set()) as client, LiveClient(url(live), set()) as other:
-        other._send({"op": "subscribeParameterUpdates", "parameterNames": ["stiffness", "state"]})
+        other.send({"op": "subscribeParameterUpdates", "parameterNames": ["stiffness", "state"]})
 
         def heard(**wanted: Any) -> bool:
             def so(said: dict[str, Any]) -> bool:
                 values = {one["name"]: one["value"] for one in said.get("parameters", ())}
                 return said["op"] == "parameterValues" and values | wanted == values
 
-            return bool(other._hear_until(so))
+            return bool(other.heard(so))
 
         for value, then in ((3000.0, 3000.0), (60000.0, 3000.0), (4000, 4000.0)):
             before = client.parameters()["stiffness"]
-            client._send({"op": "setParameters", "parameters": [{"name": "stiffness", "value": value}], "id": "set"})
-            said = client._hear_until(lambda said: said["op"] == "parameterValues" and said["id"] == "set")
+            client.send({"op": "setParameters", "parameters": [{"name": "stiffness", "value": value}], "id": "set"})
+            said = client.heard(lambda said: said["op"] == "parameterValues" and said["id"] == "set")
             assert before in [one["value"] for one in said["parameters"]]
             if value == then:
                 assert heard(stiffness=then)
             else:
-                assert "must be below 1" in client._hear_until(lambda said: said["op"] == "status")["message"]
+                assert "must be below 1" in client.heard(lambda said: said["op"] == "status")["message"]
             assert client.parameters()["stiffness"] == then
 
 
@@ -490,9 +490,9 @@ def test_one_that_floods_takes_nothing_from_others(live: LiveServer) -> None:
         with LiveClient(url(live), set()) as client:
             for number in iter(lambda: 0 if over.is_set() else random.randrange(1, 6000), 0):
                 for value in (number, 60000 + number, "x" * number):
-                    client._send({"op": "setParameters", "parameters": [{"name": "stiffness", "value": value}]})
-                client._send({"op": "getParameters", "parameterNames": [], "id": "flood"})
-            client._line.close_socket()  # without waiting for what is left to be taken
+                    client.send({"op": "setParameters", "parameters": [{"name": "stiffness", "value": value}]})
+                client.send({"op": "getParameters", "parameterNames": [], "id": "flood"})
+            client.drop()  # without waiting for what is left to be taken
 
     with running(live, period=0.002) as one, LiveClient(url(live), {"/maglev/sample"}) as client:
         flooding = threading.Thread(target=flood)

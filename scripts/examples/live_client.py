@@ -50,14 +50,14 @@ class LiveClient:
     def __init__(self, url: str = URL, topics: set[str] | None = None) -> None:
         self._url, self._topics, self._stack = url, topics, ExitStack()
         self._readers: dict[int, tuple[str, Callable[[bytes], Any]]] = {}
-        self._heard: deque[Message] = deque()
+        self._messages: deque[Message] = deque()
         self._services: dict[str, int] = {}
 
     def __enter__(self) -> Self:
         self._line = self._stack.enter_context(
             connect(self._url, subprotocols=[Subprotocol("foxglove.sdk.v1")], compression=None, max_size=None)
         )
-        self._hear_until(lambda said: said["op"] == "advertise")
+        self.heard(lambda said: said["op"] == "advertise")
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -67,26 +67,34 @@ class LiveClient:
         """Yield messages as they come, for so long [s]."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
-            while self._heard:
-                yield self._heard.popleft()
+            while self._messages:
+                yield self._messages.popleft()
             self._hear(end - time.monotonic())
 
     def parameters(self) -> dict[str, Any]:
         """Return the parameters in force by name."""
-        self._send({"op": "getParameters", "parameterNames": [], "id": "get"})
-        said = self._hear_until(lambda said: said["op"] == "parameterValues" and said.get("id") == "get")
+        self.send({"op": "getParameters", "parameterNames": [], "id": "get"})
+        said = self.heard(lambda said: said["op"] == "parameterValues" and said.get("id") == "get")
         return {one["name"]: one["value"] for one in said["parameters"]}
 
     def set(self, **values: Any) -> dict[str, Any]:
         """Ask for parameters, wait until they are in force or refused, and return which; see docs/live.md."""
         if "/maglev/set" not in self._services:
-            self._hear_until(lambda said: said["op"] == "advertiseServices")
+            self.heard(lambda said: said["op"] == "advertiseServices")
         head = struct.pack("<BIII", CALL, self._services["/maglev/set"], 0, 4)
         self._line.send(head + b"json" + json.dumps(values).encode())
-        return self._hear_until(lambda said: said["op"] in ("result", "serviceCallFailure"))
+        return self.heard(lambda said: said["op"] in ("result", "serviceCallFailure"))
 
-    def _hear_until(self, so: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
-        """Wait for something that is no message; keep those."""
+    def send(self, message: dict[str, Any]) -> None:
+        """Say something of the protocol's."""
+        self._line.send(json.dumps(message))
+
+    def drop(self) -> None:
+        """Let go of the line without a word."""
+        self._line.close_socket()
+
+    def heard(self, so: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
+        """Wait for something that is no message, and return it; messages are kept."""
         end = time.monotonic() + PATIENCE
         while time.monotonic() < end:
             said = self._hear(end - time.monotonic())
@@ -113,7 +121,7 @@ class LiveClient:
         if data[0] == MESSAGE:
             _, subscription, when = struct.unpack_from("<BIQ", data)
             topic, read = self._readers[subscription]
-            self._heard.append(Message(topic, when, read(data[13:])))
+            self._messages.append(Message(topic, when, read(data[13:])))
         return None
 
     def _subscribe(self, channels: list[dict[str, Any]]) -> None:
@@ -121,10 +129,7 @@ class LiveClient:
         for one in wanted:
             schema = base64.b64decode(one["schema"]) if one["encoding"] == "protobuf" else b""
             self._readers[one["id"]] = one["topic"], reader(one["encoding"], one["schemaName"], schema)
-        self._send({"op": "subscribe", "subscriptions": [{"id": one["id"], "channelId": one["id"]} for one in wanted]})
-
-    def _send(self, message: dict[str, Any]) -> None:
-        self._line.send(json.dumps(message))
+        self.send({"op": "subscribe", "subscriptions": [{"id": one["id"], "channelId": one["id"]} for one in wanted]})
 
 
 def reader(encoding: str, name: str, schema: bytes) -> Callable[[bytes], Any]:
