@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import math
 import os
 import random
 import re
@@ -645,6 +646,18 @@ class Nowhere:
         return _fails, ()
 
 
+def complains(line: Any, *_: object) -> None:
+    line.send("OSError: no such address")
+
+
+def test_why_the_process_does_not_start_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("maglev_mj.live.server._serve", complains)
+    with pytest.raises(
+        LiveServerError, match="of the live server does not start: OSError: no such address"
+    ):
+        LiveServer(0)
+
+
 @realtime
 def test_a_server_in_a_script_without_a_guard_is_one_line(tmp_path: Path) -> None:
     script = tmp_path / "script.py"
@@ -715,3 +728,30 @@ def test_the_example_watches_and_sets(live: LiveServer) -> None:
     assert len(poses) >= 3 and all(re.fullmatch(r"tick \d+: x \S+ y \S+ z \S+ mm", line) for line in poses)
     done = subprocess.run([*command, "ws://127.0.0.1:9"], capture_output=True, text=True, check=False, timeout=60)
     assert done.returncode == 1 and len(done.stderr.splitlines()) == 1
+
+
+# the page
+
+
+def rows(heading: str) -> list[list[str]]:
+    """Return the first table after a heading, without its head."""
+    page = (Path(__file__).parent.parent / "docs" / "live.md").read_text(encoding="utf-8")
+    lines = itertools.dropwhile(lambda line: not line.startswith("|"), page[page.index(heading) :].splitlines())
+    table = itertools.takewhile(lambda line: line.startswith("|"), lines)
+    return [[cell.strip(" `") for cell in line.strip("|").split("|")] for line in table][2:]
+
+
+def test_the_tables_of_the_page_are_what_is_said() -> None:
+    assert [row[0] for row in rows("| field |")] == list(Answer._fields)
+    assert [row[0] for row in rows("| figure |")] == list(Refusal._fields)
+    parameters = {name: bounds for name, _, bounds, _ in rows("## Parameters")}
+    assert sorted(parameters) == sorted(SETTABLE)
+    found = {name: re.fullmatch(r"([\d.]+) to ([\d.]+)", bounds) for name, bounds in parameters.items()}
+    numbers = {name: (float(match[1]), float(match[2])) for name, match in found.items() if match}
+    assert set(numbers) == {"breakaway", "stiffness", "damping"}
+    for name, (least, most) in numbers.items():
+        for value in (least, most):
+            assert getattr(Joystick.from_json({name: value}), name) == value
+        for value in (math.nextafter(least, -1.0), math.nextafter(most, 1e9)):
+            with pytest.raises(ParameterError):
+                Joystick.from_json({name: value})
