@@ -63,6 +63,11 @@ class Controller:
         self._tick: int | None = None
 
     @property
+    def begun(self) -> bool:
+        """True once a sample was answered."""
+        return self._tick is not None
+
+    @property
     def states(self) -> tuple[Any, ...]:
         """The state of each law after the last sample, in the order in which they were given."""
         return tuple(self._states)

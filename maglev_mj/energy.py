@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.frames import Array, Command, Sample
+from maglev_mj.frames import Array, Command, Component, Sample
 from maglev_mj.parameters import numbers
 from maglev_mj.timeline import Timeline, Timing
 from maglev_mj.trace import Trace
@@ -156,14 +156,17 @@ class PassivityObserver:
 
     def _work(self, moved: Array) -> Array:
         """Return the work of the forces over the period behind the last sample kept."""
-        segments = self._timeline.period(self._count)
+        segments = [
+            (duration, force, duration * ((force + self._load) / self._inertia))
+            for duration, force in self._timeline.period(self._count)
+        ]
         # speed at the start, such that the segments add up to the way between the samples
-        place, speed = np.zeros_like(moved), np.zeros_like(moved)
-        for duration, force in segments:
-            pull = (force + self._load) / self._inertia
-            place, speed = place + duration * (speed + 0.5 * duration * pull), speed + duration * pull
-        speed, work = (moved - place) / self._timeline.timing.period, np.zeros_like(moved)
-        for duration, force in segments:
-            pull = (force + self._load) / self._inertia
-            work, speed = work + force * duration * (speed + 0.5 * duration * pull), speed + duration * pull
-        return work
+        place: Component = 0.0
+        speed: Component = 0.0
+        for duration, _, gained in segments:
+            place, speed = place + duration * (speed + 0.5 * gained), speed + gained
+        work: Component = 0.0
+        speed = (moved - place) / self._timeline.timing.period
+        for duration, force, gained in segments:
+            work, speed = work + force * duration * (speed + 0.5 * gained), speed + gained
+        return np.asarray(work)

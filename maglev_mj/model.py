@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import itertools
 import math
+import re
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import NamedTuple, TypeAlias
 
@@ -23,7 +24,18 @@ from maglev_mj.parameters import flag, number, numbers
 from maglev_mj.sensing.geometry import Beams
 from maglev_mj.versions import MODELS
 
-__all__ = ["COILS", "Device", "Model", "beams", "envelope", "load", "model_path", "scenes"]
+__all__ = [
+    "COILS",
+    "Device",
+    "Model",
+    "beams",
+    "envelope",
+    "load",
+    "model_files",
+    "model_names",
+    "model_path",
+    "scenes",
+]
 
 COILS = tuple(f"{kind}{arm}" for kind in ("vertical", "horizontal") for arm in range(3))
 """Actuator names, in the order of the six currents."""
@@ -39,6 +51,33 @@ Model: TypeAlias = str | Path | mujoco.MjSpec
 def scenes() -> list[str]:
     """Return the names of the models at hand."""
     return sorted(path.stem for path in MODELS.glob("*.xml"))
+
+
+@cache
+def model_names() -> tuple[str, ...]:
+    """Return the names of all models of the package, those of its scenes too."""
+    return tuple(sorted(path.relative_to(MODELS).with_suffix("").as_posix() for path in MODELS.rglob("*.xml")))
+
+
+def model_files(model: str | Path) -> tuple[tuple[str, str], ...]:
+    """Return name and text of a model's MJCF file, and of those that it includes.
+
+    Raises:
+        ModelError: If there is none.
+    """
+    path = model_path(model).resolve()
+    return _read(path, path.stat().st_mtime_ns)
+
+
+@lru_cache(maxsize=64)
+def _read(path: Path, written: int) -> tuple[tuple[str, str], ...]:
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, ValueError) as error:
+        raise _unusable(path.name, error) from None
+    own = path.relative_to(MODELS.resolve()).as_posix() if path.is_relative_to(MODELS.resolve()) else path.name
+    parts = [path.parent / name for name in re.findall(r'<include\s+file="([^"]+)"', text)]
+    return ((own, text), *(file for part in parts for file in model_files(part)))
 
 
 def model_path(model: str | Path) -> Path:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -21,6 +24,7 @@ from maglev_mj.recording import (
     ArrayFile,
     Expected,
     InvalidRecordingError,
+    OwnCodeError,
     Rebuild,
     Recording,
     RecordingError,
@@ -30,19 +34,43 @@ from maglev_mj.recording import (
     Stretch,
     metadata_of,
     open_recording,
-    setup_of,
 )
-from maglev_mj.recording.checks import start_in
-from maglev_mj.scenes import Scene, find_scene, scene_names
-from maglev_mj.scenes.find import reference_of, source_of
-from maglev_mj.scenes.legacy import recorded_scene
-from maglev_mj.scenes.run import checked_phase, checked_plant, parameters_json
+from maglev_mj.recording.checks import start_in, whole
+from maglev_mj.recording.setup import ALLOW, controller_again, plant_again, scripted
+from maglev_mj.scenes import BUILT_IN, Scene, find_scene, scene_names
+from maglev_mj.scenes.find import object_of_text, text_of
+from maglev_mj.scenes.legacy import parameters_in, recorded_scene
+from maglev_mj.scenes.run import checked_phase, checked_plant
 from maglev_mj.scenes.scene import PLANTS
-from maglev_mj.session import EMERGENCY_STOP, SampledMotion, Snapshot, device_controller, live_plant
+from maglev_mj.session import (
+    EMERGENCY_STOP,
+    SampledMotion,
+    Snapshot,
+    begin_scene,
+    device_controller,
+    live_plant,
+)
+from maglev_mj.versions import hash_of
 
-__all__ = ["Replay", "expected", "rebuild", "rebuild_for", "record_run", "stick_positions_of", "write_run"]
+__all__ = [
+    "ATTACHED",
+    "OwnCode",
+    "Replay",
+    "expected",
+    "rebuild",
+    "rebuild_for",
+    "record_run",
+    "stick_positions_of",
+    "unmade_plant",
+    "write_run",
+]
 
-_SCENES, _OWN = ("scene", "device"), "own"
+ATTACHED = "attached"
+"""In place of a scene's name: the sources that are in the recording."""
+
+_KINDS = ("run", "device", "scene", "own")
+"""Kinds of setups besides the names of scenes; all but the first two are of before."""
+
 _PLANTS = {f"{make.__module__}.{make.__qualname__}": name for name, make in PLANTS.items() if isinstance(make, type)}
 
 
@@ -55,66 +83,161 @@ class _Unknown(Scene):
         return []
 
 
+class OwnCode:
+    """Code of a user's own that a person lets this program execute for a recording.
+
+    Args:
+        text: NAME of a scene, FILE.py or FILE.py:CLASS, or `ATTACHED` for what is in the recording. Of a file without
+            a scene, or of the recording, no more is executed than the names that are needed.
+        recording: The recording.
+
+    Attributes:
+        scene: The scene of the recording; None for one without.
+        changed: Whether it is not the code that was recorded.
+
+    Raises:
+        ParameterError: If there is no such scene or file, or the recording does not hold it.
+    """
+
+    def __init__(self, text: str, recording: Recording) -> None:
+        self._attached = recording.attachments if text == ATTACHED else None
+        setups = [stretch.setup for stretch in recording.stretches]
+        named = {(setup["scene"], setup["source"]) for setup in setups if setup.get("source") and setup.get("scene")}
+        hashes, self._text, self._file = {source for _, source in named}, "", text
+        for setup in setups:
+            hashes |= {name.rpartition("@")[2] for name in _own_names(setup)}
+        self.scene: type[Scene] | None = None
+        if self._attached is not None:
+            self.changed = False
+            for reference, source in named:
+                path, _, name = str(reference).rpartition(":")
+                self.scene = self(f"{Path(path).name}:{name}@{source}")
+            return
+        if named or text in scene_names() or ".py:" in text:
+            self.scene = find_scene(text)
+            self._file, self._text = self.scene.__module__, text_of(self.scene)
+        else:
+            try:
+                self._text = Path(text).read_text(encoding="utf-8")
+            except (OSError, ValueError) as error:
+                raise ParameterError(f"scene must be a file that can be read, not {text!r}: {error}") from None
+        self.changed = bool(hashes - {hash_of(self._text)})
+
+    def __call__(self, reference: str) -> Any:
+        """Return a class or function by its reference, FILE:NAME@HASH."""
+        file, _, rest = reference.partition(":")
+        name, _, digest = rest.rpartition("@")
+        if self._attached is None:
+            if self.scene is None:
+                return object_of_text(self._text, name, self._file)
+            return getattr(sys.modules[self.scene.__module__], name)
+        data = self._attached.get(f"source/{digest}/{file}", b"")
+        text = data.decode("utf-8", "replace")
+        if hash_of(text) != digest:
+            raise InvalidRecordingError(f"the recording does not hold {file!r} as it was")
+        return object_of_text(text, name, file)
+
+
+def _own_names(setup: Setup) -> Iterator[str]:
+    """Yield the references of what is a user's own in a controller."""
+    told = setup.get("controller")
+    parts = [*told.get("laws", []), told.get("velocity")] if isinstance(told, dict) else []
+    yield from (one["class"] for one in parts if isinstance(one, dict) and "@" in str(one.get("class")))
+
+
 def rebuild(
-    setup: Setup, hand: HandForce | None, *, scene: type[Scene] | None = None
+    setup: Setup, hand: HandForce | None, *, own: OwnCode | None = None
 ) -> tuple[SampledPlant | None, Controller]:
     """Make plant and controller from a recording's setup.
 
     Args:
         setup: The setup.
         hand: The hand on the flotor; None for the run's own, if it has one.
-        scene: Scene of a recording of one's own.
+        own: Code of a user's own; its scene, where it has one, tells the laws in place of the setup.
 
     Returns:
-        Both; None for the plant of a flight on a device.
+        Both; None for the plant of a flight on a device, and for one that is not this package's.
 
     Raises:
+        OwnCodeError: If it takes code that nobody let this program execute.
         InvalidRecordingError: If it is no setup that is known here.
     """
-    try:
-        kind = setup["kind"]
-        if kind in _SCENES:
-            live = recorded_scene(setup["scene"], setup["settings"], scene)
-            if kind == "device":
-                return None, device_controller(live)
-            return live_plant(live, hand, **start_in(setup)), live.controller()
-        run, plant, phase = _run(setup, scene)
+    return _plant(setup, hand, own), _controller(setup, own)
+
+
+def _controller(setup: Setup, own: OwnCode | None) -> Controller:
+    if "controller" in setup and not (own is not None and own.scene and setup.get("scene")):
+        return controller_again(setup, own)
+    with _one_line():
+        scene = _scene(setup, own)
+        return device_controller(scene) if setup["kind"] == "device" else scene.controller()
+
+
+def _plant(setup: Setup, hand: HandForce | None, own: OwnCode | None) -> SampledPlant | None:
+    if setup["kind"] == "device":
+        return None
+    if "controller" in setup:
+        return plant_again(setup, hand)
+    with _one_line():  # as they were made before setups told of them
+        scene = _scene(setup, own)
+        if setup["kind"] == "scene":
+            return live_plant(scene, hand, **start_in(setup))
+        values = setup if setup["kind"] == "own" else {"phase": 0.0, **setup["parameters"]}
+        plant = _PLANTS.get(values["plant"], values["plant"])
         started: dict[str, Any] = start_in(setup["start"]) if setup.get("start") else {}
         # in pieces as it was recorded: the exact plant rounds otherwise in one
-        return run.plant(plant, phase=phase, hand=hand, record=True, **started), run.controller()
+        options: dict[str, Any] = {"phase": checked_phase(values["phase"]), "hand": hand, "record": True}
+        return scene.plant(checked_plant(scene, plant), **options, **started)
+
+
+@contextmanager
+def _one_line() -> Iterator[None]:
+    """Refuse a setup in which something is missing or out of range."""
+    try:
+        yield
+    except InvalidRecordingError:
+        raise
     except (KeyError, TypeError, ParameterError) as error:
         raise InvalidRecordingError(f"a recording's setup cannot be made here: {error}") from None
 
 
-def _run(setup: Setup, scene: type[Scene] | None) -> tuple[Scene, str, float]:
-    """Return scene, plant and phase of a run."""
-    kind = setup["kind"]
-    if kind not in (_OWN, *scene_names()):
-        known = ", ".join((*_SCENES, _OWN, *scene_names()))
-        raise InvalidRecordingError(f"a recording of kind {kind!r} cannot be made here, which knows {known}")
-    values = dict(setup["parameters"])
-    if kind == _OWN:
-        if scene is None:
-            named = setup["scene"]
-            raise InvalidRecordingError(f"a recording of one's own needs its scene, {named!r}, to be run again")
-        return scene.from_json(values), _PLANTS[setup["plant"]], checked_phase(setup["phase"])
-    plant, phase = values.pop("plant", None), values.pop("phase", 0.0)
-    run = find_scene(kind).from_json(values)
-    return run, checked_plant(run, setup["parameters"]["plant"] if plant is None else plant), checked_phase(phase)
+def _scene(setup: Setup, own: OwnCode | None) -> Scene:
+    """Return the scene of a setup.
+
+    Raises:
+        OwnCodeError: If it is none of this package's, and nobody let it be executed.
+        ParameterError: If its parameters are outside their bounds.
+    """
+    kind, values = setup["kind"], parameters_in(setup)
+    name = setup["scene"] if kind in _KINDS else kind
+    if kind not in _KINDS:
+        values = {key: value for key, value in values.items() if key not in ("plant", "phase")}
+    if name in BUILT_IN:
+        return recorded_scene(name, values)
+    if own is not None and own.scene is not None:
+        return own.scene.from_json(values)
+    if kind in _KINDS:
+        file = Path(str(name).rpartition(":")[0]).name or "NAME"
+        raise OwnCodeError(f"scene {name!r} must be executed to run it again: {ALLOW.format(file)}")
+    known = ", ".join((*_KINDS, *BUILT_IN))
+    raise OwnCodeError(f"a recording of kind {kind!r} cannot be made here, which knows {known}")
 
 
-def rebuild_for(stretch: Stretch, scene: type[Scene] | None = None) -> Rebuild | None:
-    """Return what makes plant and controller of a stretch again; None where only its scene could.
+def rebuild_for(stretch: Stretch, own: OwnCode | None = None) -> Rebuild | None:
+    """Return what makes plant and controller of a stretch again; None where that takes code of a user's own.
 
-    A recording never makes this program execute a file that it names: who has the scene gives it.
+    A recording never makes this program execute code that it names or holds: a person says so.
 
     Args:
         stretch: The stretch.
-        scene: Scene of a recording of one's own.
+        own: Code of a user's own that may be executed.
     """
-    kind, names = stretch.setup["kind"], scene_names()
-    known = stretch.setup["scene"] in names if kind in _SCENES else kind in names
-    return partial(rebuild, scene=scene) if known or scene is not None or stretch.metadata is None else None
+    try:
+        _controller(stretch.setup, own)
+    except OwnCodeError:
+        if stretch.metadata is not None:
+            return None
+    return partial(rebuild, own=own)
 
 
 def expected(setup: Setup) -> Expected:
@@ -123,17 +246,36 @@ def expected(setup: Setup) -> Expected:
     Raises:
         InvalidRecordingError: If it is no setup that is known here.
     """
-    kind = setup["kind"]
-    if kind == _OWN:
-        return Expected()
-    if kind not in _SCENES:
-        rebuild(setup, None)  # complains of what is not known here
-        run, _, phase = _run(setup, None)
-        return Expected(scripted=True, samples=run.ticks(run.timing(phase)))
-    metadata: dict[str, Any] = {"hand_recorded": kind == "scene"}
-    if kind == "device":  # what it weighs and what acted before a stretch is in the flight, not in the setup
-        metadata |= {"delay": setup["settings"]["delay"], "hand_acts_on_flotor": True}
-    return Expected(metadata=metadata)
+    kind, metadata, known = setup["kind"], dict[str, Any](), scripted(setup)
+    with _one_line():
+        samples = None if setup.get("samples") is None else whole(setup, "samples")
+        if kind == "device":  # what it weighs and what acted before a stretch is in the flight, not in the setup
+            metadata = {"delay": parameters_in(setup)["delay"], "hand_recorded": False, "hand_acts_on_flotor": True}
+        elif kind == "scene" or (isinstance(setup.get("plant"), dict) and not known):
+            metadata = {"hand_recorded": True}
+        elif kind not in _KINDS:
+            scene, known = _scene(setup, None), True
+            samples = scene.ticks(scene.timing(checked_phase(setup["parameters"].get("phase", 0.0))))
+    return Expected(scripted=known, samples=samples, metadata=metadata)
+
+
+def unmade_plant(setup: Setup, own: OwnCode | None = None) -> str:
+    """Return the class of a plant that cannot be simulated here; empty for one that can.
+
+    Args:
+        setup: The setup.
+        own: Code of a user's own that may be executed.
+    """
+    plant = setup.get("plant")
+    if not isinstance(plant, str):
+        return ""
+    if setup["kind"] != "device":
+        return plant
+    try:
+        _scene(setup, own)  # whose simulated device takes the place of the real one
+    except ParameterError:
+        return plant
+    return ""
 
 
 def record_run(scene: Scene, *, plant: str | None = None, phase: float = 0.0) -> Recording:
@@ -175,19 +317,13 @@ def write_run(path: Path, scene: Scene, *, plant: str | None = None, phase: floa
 
 
 def _run_into(file: RecordingFile, scene: Scene, plant: str | None, phase: float) -> None:
-    name, phase, cls = checked_plant(scene, plant), checked_phase(phase), type(scene)
+    name, phase = checked_plant(scene, plant), checked_phase(phase)
     device, controller = scene.plant(name, phase=phase, record=True), scene.controller()
-    setup: Setup
-    if scene.name in scene_names() and find_scene(scene.name) is cls:
-        run = RunMetadata.of(device, controller, name=scene.name, axis=scene.axis)
-        setup = {"kind": scene.name, "parameters": parameters_json(scene, name, phase), "run": run.as_json()}
-    else:
-        own: dict[str, Any] = {"scene": reference_of(cls), "source": source_of(cls), "parameters": scene.as_json()}
-        setup = setup_of(device, controller, **own, name=scene.name, axis=scene.axis)
-    record = file.begin(device, controller, setup)
+    ticks = scene.ticks(scene.timing(phase))
+    record = begin_scene(file, scene, device, controller, samples=ticks, name=scene.name)
     with device, engine_warnings_silenced():
         try:
-            ControlLoop(device, controller, record=record).cycle(scene.ticks(scene.timing(phase)))
+            ControlLoop(device, controller, record=record).cycle(ticks)
         except RecordingError:
             raise
         except MaglevError as error:  # the run itself says what happened
@@ -199,7 +335,7 @@ class Replay:
 
     Args:
         recording: The recording, of at least one sample.
-        scene: Scene of a recording of one's own, which finds where the flotor sticks; it is shown without too.
+        own: Code of a user's own that may be executed, which finds where the flotor sticks; it is shown without too.
 
     Attributes:
         hand: There is none to be moved; the recorded one acts.
@@ -209,10 +345,10 @@ class Replay:
         RecordingError: If there is nothing in it, or its setup is not known here.
     """
 
-    def __init__(self, recording: Recording, scene: type[Scene] | None = None) -> None:
+    def __init__(self, recording: Recording, own: OwnCode | None = None) -> None:
         self.hand = SpringHand()
         self.simulated = 0.0
-        self._stretches = [_Shown(stretch, scene) for stretch in recording.stretches if len(stretch)]
+        self._stretches = [_Shown(stretch, own) for stretch in recording.stretches if len(stretch)]
         if not self._stretches:
             raise InvalidRecordingError("there is nothing in the recording")
         self._owed, self._paused = 0.0, False
@@ -282,10 +418,10 @@ class Replay:
 class _Shown:
     """A stretch of a recording with what its setup tells of it."""
 
-    def __init__(self, stretch: Stretch, scene: type[Scene] | None) -> None:
-        again = rebuild_for(stretch, scene)
+    def __init__(self, stretch: Stretch, own: OwnCode | None) -> None:
+        again = rebuild_for(stretch, own)
         metadata = metadata_of(stretch, None if again is None else again(stretch.setup, None)[1])
-        self.scene = scene_of(stretch.setup, metadata, scene)
+        self.scene = shown_scene(stretch.setup, metadata, own)
         self.time, self.pose, self.hand = stretch.time, stretch.position, stretch.hand
         self.force = stretch.applied - metadata.carried
         coils = load("drop").coils
@@ -295,19 +431,18 @@ class _Shown:
         self.anchors = stick_positions_of(stretch, again)
 
 
-def scene_of(setup: Setup, metadata: RunMetadata, scene: type[Scene] | None = None) -> Scene:
+def shown_scene(setup: Setup, metadata: RunMetadata, own: OwnCode | None = None) -> Scene:
     """Return the scene that shows a stretch: its own where that is known here.
 
     Args:
         setup: The setup.
         metadata: What is known of the run in any case.
-        scene: Scene of a recording of one's own.
+        own: Code of a user's own that may be executed.
     """
     try:
-        if setup["kind"] in _SCENES:
-            return recorded_scene(setup["scene"], setup["settings"], scene)
-        return _run(setup, scene)[0]
-    except (InvalidRecordingError, ParameterError):
+        with _one_line():
+            return _scene(setup, own)
+    except InvalidRecordingError:
         return _Unknown(period=metadata.period, delay=metadata.delay, axis=metadata.axis)
 
 

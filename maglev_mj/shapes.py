@@ -69,12 +69,15 @@ def shapes(model: Model) -> list[Shape]:
     compiled, data = device.model, mujoco.MjData(device.model)
     mujoco.mj_kinematics(compiled, data)
     origin, turn, found = data.xpos[device.flotor], np.zeros(4), []
+    moving = {device.flotor}
+    for body in range(compiled.nbody):  # parents come first
+        moving |= {body} if int(compiled.body_parentid[body]) in moving else set()
     for geom in range(compiled.ngeom):
         kind, material = _KINDS.get(int(compiled.geom_type[geom])), compiled.geom_matid[geom]
         colour = compiled.geom_rgba[geom] if material < 0 else compiled.mat_rgba[material]
         if kind is None or compiled.geom_group[geom] >= _HIDDEN or not colour[3]:
             continue
-        moves = bool(compiled.body_rootid[compiled.geom_bodyid[geom]] == compiled.body_rootid[device.flotor])
+        moves = int(compiled.geom_bodyid[geom]) in moving
         mujoco.mju_mat2Quat(turn, data.geom_xmat[geom])
         place, (radius, half, third) = data.geom_xpos[geom] - origin, compiled.geom_size[geom]
         about = turn.tolist(), colour.tolist()

@@ -6,17 +6,18 @@ import hashlib
 import os
 import platform
 import subprocess
+import sys
 from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import mujoco
 import numpy as np
 
 import maglev_mj
 
-__all__ = ["MODELS", "Versions", "differences", "versions", "versions_read"]
+__all__ = ["MODELS", "TEXT", "Versions", "differences", "file_of", "hash_of", "versions", "versions_read"]
 
 Versions: TypeAlias = Mapping[str, str | bool | None]
 """See `versions`."""
@@ -25,6 +26,9 @@ _PACKAGE = Path(__file__).resolve().parent
 _ROOT = _PACKAGE.parent
 MODELS = _PACKAGE / "model" if (_PACKAGE / "model").is_dir() else _ROOT / "model"
 """Folder of the MJCF files: inside the installed package, or at the top of the repository."""
+
+TEXT = "__text__"
+"""Name in a module of a user's own of the text that was executed."""
 
 _CODE = ("maglev_mj", "model", "scripts")
 _PATIENCE = 5.0
@@ -67,6 +71,33 @@ def differences(theirs: Versions, ours: Versions) -> str:
     if None not in revisions and revisions[0] != revisions[1]:
         names.insert(0, "revision")
     return ", ".join(f"{name} {theirs.get(name) or 'unknown'} (here {ours.get(name) or 'unknown'})" for name in names)
+
+
+def hash_of(text: str) -> str:
+    """Return the first 16 digits of a text's SHA-256."""
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def file_of(thing: Any) -> tuple[Path, str] | None:
+    """Return path and text of the file that has a class or function at its top; None for none.
+
+    The text is the one that was executed, as far as that is known.
+    """
+    module, name = sys.modules.get(thing.__module__), thing.__qualname__
+    path = getattr(module, "__file__", None)
+    if path is None or not name.isidentifier():
+        return None
+    text: str | None = getattr(module, TEXT, None)
+    try:
+        return Path(path), _read(path) if text is None else text
+    except (OSError, ValueError):
+        return None
+
+
+@lru_cache(maxsize=64)
+def _read(path: str) -> str:
+    """Return the text of a file as it was when it was first asked for, which is nearest to when it was executed."""
+    return Path(path).read_text(encoding="utf-8")
 
 
 @lru_cache(maxsize=1)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping
+import struct
+from collections.abc import Callable, Collection, Iterator, Mapping
 from copy import deepcopy
 from functools import cache
 from io import BytesIO
@@ -15,6 +16,9 @@ import numpy as np
 from maglev_mj.frames import ZERO, Command
 from maglev_mj.hand import SpringHand
 from maglev_mj.recording import Recording
+from maglev_mj.recording.protobuf import STRETCH as NUMBER
+from maglev_mj.recording.protobuf import layout_of
+from maglev_mj.recording.row import FIELDS, TOTALS
 from maglev_mj.replay import write_run
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.press import Press
@@ -69,16 +73,106 @@ def made(kind: str, suffix: str) -> bytes:
         return path.read_bytes()
 
 
-def messages_in(data: bytes) -> list[tuple[str, Message]]:
-    """Return topic and content of each message of a file."""
+FIELD = {field.name: field for field in (NUMBER, *FIELDS, *TOTALS)}
+OURS = ("/maglev/stretch", "/maglev/sample", "/maglev/event")
+
+
+def decoder(schema: Any) -> Callable[[bytes], Message]:
+    """Return what decodes messages by a schema in a file, as any program does, with the package of protobuf."""
+    from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+
+    if schema.encoding == "jsonschema":
+        return json.loads
+    pool = descriptor_pool.DescriptorPool()
+    for file in descriptor_pb2.FileDescriptorSet.FromString(schema.data).file:
+        pool.Add(file)
+    kind = message_factory.GetMessageClass(pool.FindMessageTypeByName(schema.name))
+    return lambda data: plain(kind.FromString(data))
+
+
+def plain(message: Any) -> Message:
+    """Return a message of protobuf as names and values; what is no number is None, as JSON has it."""
+    found: Message = {}
+    for field in message.DESCRIPTOR.fields:
+        value = getattr(message, field.name)
+        if field.is_repeated:
+            found[field.name] = [plain(part) if field.message_type else part for part in value]
+        elif field.message_type:
+            found[field.name] = plain(value)
+        else:
+            found[field.name] = None if isinstance(value, float) and not np.isfinite(value) else value
+    return found
+
+
+def messages_in(data: bytes, topics: Collection[str] = OURS) -> list[tuple[str, Message]]:
+    """Return topic and content of each message of a file that is about the run."""
     from mcap.reader import make_reader
 
-    found = make_reader(BytesIO(data)).iter_messages(log_time_order=False)
-    return [(channel.topic, json.loads(message.data)) for _, channel, message in found]
+    reader, decoders = make_reader(BytesIO(data)), {}
+    for schema in reader.get_summary().schemas.values():  # type: ignore[union-attr]
+        decoders[schema.id] = decoder(schema)
+    found = reader.iter_messages(topics=list(topics), log_time_order=False)
+    return [(channel.topic, decoders[channel.schema_id](message.data)) for _, channel, message in found]
+
+
+def with_messages(data: bytes, change: Callable[[str, int, bytes], bytes | None]) -> bytes:
+    """Return a file with other messages, numbered and packed anew.
+
+    Args:
+        data: A file.
+        change: Returns the bytes of a message of some topic, and of which in that; None to leave it out.
+    """
+    from mcap.reader import make_reader
+    from mcap.writer import Writer
+
+    file, reader = BytesIO(), make_reader(BytesIO(data))
+    writer = Writer(file)
+    writer.start()
+    for about in reader.iter_metadata():
+        writer.add_metadata(about.name, about.metadata)
+    for attached in reader.iter_attachments():
+        writer.add_attachment(
+            attached.create_time, attached.log_time, attached.name, attached.media_type, attached.data
+        )
+    ids: dict[str, int] = {}
+    counts: dict[str, int] = {}
+    places: dict[str, int] = {}
+    for schema, channel, message in reader.iter_messages(log_time_order=False):
+        topic = channel.topic
+        if topic not in ids:
+            made_from = writer.register_schema(schema.name, schema.encoding, schema.data)  # type: ignore[union-attr]
+            ids[topic] = writer.register_channel(topic, channel.message_encoding, made_from)
+        places[topic] = places.get(topic, -1) + 1
+        new = change(topic, places[topic], message.data)
+        if new is not None:
+            counts[topic] = counts.get(topic, 0) + 1
+            writer.add_message(ids[topic], message.log_time, new, message.publish_time, counts[topic])
+    writer.finish()
+    return file.getvalue()
+
+
+def with_rows(data: bytes, change: Callable[[int, str], float | None]) -> bytes:
+    """Return a file with other numbers in its samples: of a sample and a column, or None to leave it as it is."""
+    layout = None
+
+    def new(topic: str, place: int, message: bytes) -> bytes:
+        nonlocal layout
+        if topic != "/maglev/sample":
+            return message
+        layout = layout or layout_of(message)
+        found = bytearray(message)
+        for name, first in layout._places.items():
+            for axis in range(6 if FIELD[name].six else 1):
+                value = change(place, FIELD[name].units[axis][0])
+                if value is not None:
+                    struct.pack_into("<d" if FIELD[name].unit else "<Q", found, first + 9 * axis, value)
+        return bytes(found)
+
+    return with_messages(data, new)
 
 
 def mcap_of(messages: list[tuple[str, Message]], *, compressed: bool = True) -> bytes:
-    """Return a whole file of messages, in which numbers that JSON does not know are written as Python does."""
+    """Return a whole file of before, all in JSON, in which numbers that JSON does not know are as Python has them."""
     from mcap.writer import CompressionType, Writer
 
     file = BytesIO()

@@ -15,6 +15,7 @@ from typing import Any
 
 import pytest
 
+from live_client import LiveClient
 from maglev_mj.bridge import State, Twin, TwinParameters
 from maglev_mj.bridge.twin import TwinServer
 from maglev_mj.cli import parser
@@ -83,6 +84,9 @@ def scene(_: list[str]) -> Iterator[dict[str, str]]:
     with closing(LiveServer(0)) as live:
         session = Session(publishers=[live], file=live)
         session.tick(0.0)  # tells of the start
+        with LiveClient(f"ws://127.0.0.1:{live.port}", set()) as client:
+            while not client.parameters():
+                pass
         yield {"8765": str(live.port)}
 
 

@@ -170,14 +170,14 @@ def test_keys_change_its_parameters_in_a_window(folder: Path, say: Say) -> None:
             program.kill()
             program.communicate()
     assert program.returncode == 0 and wrong.count("\n") == 1 and "detents is unstable: the laws on x" in wrong
-    settings = [stretch.setup["settings"] for stretch in Recording.load(folder / "seen.npz").stretches]
+    settings = [stretch.setup["parameters"] for stretch in Recording.load(folder / "seen.npz").stretches]
     assert settings[0]["stiffness"] == 9870.0 and settings[-1]["damping"] == 62.5
     assert_checked_with_the_scene_alone(say, "seen.npz")
 
 
 def assert_checked_with_the_scene_alone(say: Say, name: str) -> None:
     status, said, wrong = say("replay", name, "--check")
-    assert (status, wrong.count("\n")) == (2, 1) and "needs its scene" in wrong
+    assert (status, wrong.count("\n")) == (2, 1) and "must be executed" in wrong and "--scene detents.py" in wrong
     assert say("analyse", name)[0] == 0
     status, said, wrong = say("replay", name, "--check", "--scene", "detents.py")
     assert (status, wrong) == (0, "") and "the same: " in said
@@ -185,6 +185,10 @@ def assert_checked_with_the_scene_alone(say: Say, name: str) -> None:
     assert (status, wrong) == (0, "") and "simulation" in said
     file = Path("detents.py")
     text = file.read_text()
+    file.unlink()
+    for command in (["replay", name, "--check"], ["analyse", name]):
+        status, said, wrong = say(*command, "--scene", "attached")
+        assert (status, wrong) == (0, "") and ("the same: " in said or "simulation" in said)
     file.write_text(text + "# later\n")
     os.utime(file, ns=(1, 1))
     assert "has changed since, or is another" in say("replay", name, "--check", "--scene", "detents.py")[2]
@@ -219,7 +223,7 @@ def test_it_is_flown_on_a_twin_recorded_checked_and_analysed(folder: Path, say: 
         assert (status, wrong) == (0, ""), wrong
         assert "detents at 200 Hz" in said
     (stretch,) = Recording.load(folder / "fly.npz").stretches
-    assert stretch.setup["kind"] == "device" and stretch.setup["settings"]["stiffness"] == 3000.0
+    assert stretch.setup["kind"] == "device" and stretch.setup["parameters"]["stiffness"] == 3000.0
     assert_checked_with_the_scene_alone(say, "fly.npz")
     with served() as address:
         status, _, wrong = say("bridge", address, *flight[2:4], "--seconds", "0.05", "--stiffness", "9870")

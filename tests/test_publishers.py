@@ -81,7 +81,7 @@ def test_a_device_is_seen_set_and_recorded_by_other_programs(tmp_path: Path) -> 
         assert not (tmp_path / "s").exists()
         assert "inactive, faults: none" in ended(device)[1]
     recording = Recording.load(record)
-    before, after = (stretch.setup["settings"] for stretch in recording.stretches)
+    before, after = (stretch.setup["parameters"] for stretch in recording.stretches)
     assert (before["stiffness"], before["walls"]) == (6000.0, None)
     assert (after["stiffness"], after["walls"]) == (2000.0, [["z", 1, -0.001]])
     assert recording.stretches[1].tick[0] == accepted["since"]
@@ -213,7 +213,7 @@ def test_a_flight_is_recorded_through_changes_as_one_run(tmp_path: Path, monkeyp
         flown.run(0.5)
     file.close()
     recording = Recording.load(tmp_path / "run.mcap")
-    assert [stretch.setup["settings"]["friction"] for stretch in recording.stretches] == [False, True, False]
+    assert [stretch.setup["parameters"]["friction"] for stretch in recording.stretches] == [False, True, False]
     ticks = np.concatenate([stretch.tick for stretch in recording.stretches])
     assert (np.diff(ticks) >= 1).all() and ticks[0] > 100  # it counts from takeoff on
     for before, after in zip(asks.snapshots, asks.snapshots[1:], strict=False):

@@ -24,6 +24,7 @@ from maglev_mj.recording import InvalidRecordingError, Recording, RecordingError
 from maglev_mj.replay import expected, rebuild
 from maglev_mj.terminal import printable
 from tests.recorded import (
+    FIELD,
     KINDS,
     Message,
     Place,
@@ -35,6 +36,8 @@ from tests.recorded import (
     messages_in,
     npz_of,
     numbers_in,
+    with_messages,
+    with_rows,
 )
 
 BAD: tuple[Any, ...] = (math.nan, math.inf, -math.inf, 1e308, -1e308, None, True, "1", [], {}, -1, 1.5, 10**400)
@@ -50,8 +53,9 @@ def check(data: bytes, folder: Path, suffix: str) -> Verdict:
 
 
 def with_number(kind: str, suffix: str) -> Iterator[Case]:
-    """Yield files in which one number of a setup, a sample or an event is something else."""
+    """Yield files in which one number of a setup, a sample or an event is something else; those of before too."""
     if suffix == ".mcap":
+        yield from with_number_in_a_row(kind)
         messages = messages_in(made(kind, suffix))
         rows = [0, len(messages) // 2, len(messages) - 1]
         rows += [row for row, (topic, _) in enumerate(messages) if topic == "/maglev/event"]
@@ -74,6 +78,21 @@ def with_number(kind: str, suffix: str) -> Iterator[Case]:
                     other = values.copy()
                     other[(row, *column)] = bad
                     yield f"{name} {row} {column} {bad}", suffix, npz_of(header, {**arrays, name: other})
+
+
+def with_number_in_a_row(kind: str) -> Iterator[Case]:
+    """Yield files in which one number of a sample of protobuf is something else."""
+    data = made(kind, ".mcap")
+    last = sum(topic == SAMPLE for topic, _ in messages_in(data)) - 1
+    for name, field in FIELD.items():
+        bad: tuple[Any, ...] = (
+            (math.nan, math.inf, -math.inf, 1e308, -1e308, -1.0) if field.unit else (2**53, 2**64 - 1)
+        )
+        for column, _ in field.units:
+            for row in (0, last // 2, last):
+                for value in bad:
+                    new = with_rows(data, lambda place, one: value if (place, one) == (row, column) else None)  # noqa: B023
+                    yield f"{name} {row} {value}", ".mcap", new
 
 
 def answers(path: Path, capsys: Any) -> list[int]:
@@ -187,6 +206,110 @@ def field(place: Place) -> str:
 
 UNKNOWN = {"device": (), "scene": ("hand",)}
 """What only a recording knows."""
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_bit_that_differs_in_any_number_of_a_sample_is_found_and_named(kind: str, tmp_path: Path) -> None:
+    """In a sample of protobuf, in each of its columns."""
+    data, random = made(kind, ".mcap"), np.random.default_rng(2)
+    whole, messages = check(data, tmp_path, ".mcap"), messages_in(data)
+    samples = [message for topic, message in messages if topic == SAMPLE]
+    for name, field in FIELD.items():
+        for place, (column, _) in enumerate(field.units):
+            row = int(random.integers(1, len(samples)))
+            value = samples[row][name]
+            new = bits([*value.values()][place] if field.six else value)
+            other = with_rows(data, lambda at, one: new if (at, one) == (row, column) else None)  # noqa: B023
+            try:
+                verdict = check(other, tmp_path, ".mcap")
+            except InvalidRecordingError:
+                assert name in ("stretch", "tick")
+                continue
+            if whole.fields[name].compared:
+                assert verdict.fields[name].first is not None and not verdict.same, (row, column)
+
+
+@pytest.mark.parametrize(
+    ("column", "bad", "words"),
+    [
+        ("tick", 2**60, "tick must be whole numbers of at least 0, not 1.15292e+18"),
+        ("tick", 0, "tick must go up, not from 5 to 0"),
+        ("stretch", 3, "stretch must be 0, not 3"),
+        ("time", math.nan, "time must be finite and at most 1e+09, not nan in row 6"),
+        ("position.z", 1e4, "position must be finite and at most 1000, not 10000 in row 6"),
+        ("command.z", math.inf, "command must be finite and at most 1e+12, not inf in row 6"),
+        ("pulse_width", -0.003, "pulse_width must be at least 0 everywhere, not -0.003"),
+        ("taken", math.nan, "taken must be finite and at most 1e+15, not nan in row 6"),
+        ("missed", 2**53, "missed must be whole numbers of at least 0, not 9.0072e+15"),
+    ],
+)
+def test_a_refusal_names_the_number_of_a_sample(
+    column: str, bad: float, words: str, tmp_path: Path, capsys: Any
+) -> None:
+    path = tmp_path / "run.mcap"
+    path.write_bytes(with_rows(made("drop", ".mcap"), lambda place, one: bad if (place, one) == (6, column) else None))
+    assert main(["replay", str(path), "--check"]) == 2
+    said = capsys.readouterr().err
+    assert len(said.splitlines()) == 1 and f"{str(path)!r} is not a whole recording: {words}" in said
+
+
+def cut_short(topic: str, place: int, message: bytes) -> bytes | None:
+    return message[:-9] if topic == SAMPLE and place == 5 else message
+
+
+def longer(topic: str, place: int, message: bytes) -> bytes | None:
+    return message + b"\x79" + bytes(8) if topic == SAMPLE and place == 5 else message
+
+
+def other_fields(topic: str, place: int, message: bytes) -> bytes | None:
+    return message[9:18] + message[:9] + message[18:] if topic == SAMPLE and place == 5 else message
+
+
+def no_fields(topic: str, place: int, message: bytes) -> bytes | None:
+    return b"" if topic == SAMPLE else message
+
+
+def no_stretch(topic: str, place: int, message: bytes) -> bytes | None:
+    return None if topic == "/maglev/stretch" else message
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (cut_short, "the samples of a file must all have the same fields"),
+        (longer, "the samples of a file must all have the same fields"),
+        (other_fields, "the samples of a file must all have the same fields"),
+        (no_fields, "a sample must have stretch, tick, time, position"),
+        (no_stretch, "a sample must be in a stretch"),
+    ],
+)
+def test_samples_that_are_laid_out_otherwise_are_refused(change: Any, words: str, tmp_path: Path) -> None:
+    with pytest.raises(InvalidRecordingError, match=words):
+        load(with_messages(made("drop", ".mcap"), change), tmp_path, ".mcap")
+
+
+@pytest.mark.parametrize(("topic", "place"), [(SAMPLE, 10), ("/tf", 3), ("/maglev/scene", 3), (SAMPLE, 16)])
+def test_a_message_that_is_missing_is_noticed_on_any_topic(topic: str, place: int, tmp_path: Path) -> None:
+    """By its number, or at the end by their count."""
+    from mcap.writer import Writer
+
+    add, skipped = Writer.add_message, []
+
+    def adding(self: Any, channel_id: int, log_time: int, data: bytes, publish_time: int, sequence: int = 0) -> None:
+        if self._Writer__channels[channel_id].topic == topic and sequence == place + 1:
+            skipped.append(sequence)
+            self._Writer__statistics.message_count += 1
+            counts = self._Writer__statistics.channel_message_counts
+            counts[channel_id] = counts.get(channel_id, 0) + 1
+        else:
+            add(self, channel_id, log_time, data, publish_time, sequence)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Writer, "add_message", adding)
+        data = with_messages(made("drop", ".mcap"), lambda topic, place, message: message)
+    recording = load(data, tmp_path, ".mcap")
+    assert skipped and "messages are missing" in recording.damage
+    assert recording.ticks == (place if topic == SAMPLE else recording.ticks)
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -16,7 +16,7 @@ from maglev_mj.loop import ControlLoop
 from maglev_mj.plants import SampledPlant, engine_warnings_silenced
 from maglev_mj.recording import Rebuild, Recorder, RunMetadata, Stretch
 from maglev_mj.scenes import Scene
-from maglev_mj.scenes.legacy import recorded_scene
+from maglev_mj.scenes.legacy import parameters_in, recorded_scene
 from maglev_mj.session import live_plant
 
 __all__ = ["Comparison", "compare", "simulate"]
@@ -118,7 +118,7 @@ def simulate(
 
 def _twin(stretch: Stretch, motion: Motion, metadata: RunMetadata, scene: type[Scene] | None) -> SampledPlant:
     """Return the simulated device in place of a real one."""
-    flown, first = recorded_scene(stretch.setup["scene"], stretch.setup["settings"], scene), motion.starts[0]
+    flown, first = recorded_scene(stretch.setup["scene"], parameters_in(stretch.setup), scene), motion.starts[0]
     return live_plant(flown, pose=motion.trace.pose[first], twist=motion.trace.twist[first], wrench=metadata.before)
 
 

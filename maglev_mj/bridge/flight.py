@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import time
 from collections import deque
@@ -20,7 +21,7 @@ from maglev_mj.errors import MaglevError, ParameterError, PlantError
 from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.loop import ControlLoop
 from maglev_mj.parameters import number
-from maglev_mj.recording import Mechanics, RecordingError, RecordingFile, RunMetadata
+from maglev_mj.recording import Mechanics, RecordingError, RecordingFile
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.parts import WEIGHT
 from maglev_mj.session import (
@@ -31,9 +32,9 @@ from maglev_mj.session import (
     SampledMotion,
     Snapshot,
     Wish,
+    begin_scene,
     check_step,
     device_controller,
-    settings_of,
 )
 from maglev_mj.theory import stability
 
@@ -239,6 +240,8 @@ class Flight:
         self._force: Sequence[float] = WEIGHT
         self._delays: deque[float] = deque(maxlen=_USUAL)
         self._warn, self._checked = warn, 0.0
+        if file is not None:
+            file.attach("calibration.json", "application/json", json.dumps(plant.calibration.as_json()).encode())
 
     def run(self, duration: float | None = None) -> FlightReport:
         """Take off, render the scene, and land.
@@ -305,10 +308,8 @@ class Flight:
             self._scene = self._begun.scene
         plant, controller, scene, record = self._plant, self._controller, self._scene, None
         if self._file is not None:
-            setup = {**settings_of(scene, "device"), "calibration": plant.calibration.digest.hex()}
-            name, mechanics = f"{scene.name} on a device", Mechanics(before=self._force)
-            run = RunMetadata.of(plant, controller, name=name, axis=scene.axis, mechanics=mechanics)
-            record = self._file.begin(plant, controller, {**setup, "run": run.as_json()})
+            known = {"name": f"{scene.name} on a device", "mechanics": Mechanics(before=self._force)}
+            record = begin_scene(self._file, scene, plant, controller, kind="device", **known)
         loop, samples = ControlLoop(plant, controller, observe=self._observe(controller), record=record), plant.samples
         while not self.switch.landing and self._wanted is None and (last is None or samples.tick < last):
             loop.cycle()

@@ -74,6 +74,7 @@ class RemotePlant:
         rest: Pose before takeoff, and to land at [m, rad].
         samples: Their count, and what is missing of them.
         hand_wrench: Zero: nobody measures what the hand does.
+        arrival: When the last sample arrived, by the link's clock [s].
 
     Raises:
         HandshakeError: If no device answers, another host flies it, its version or calibration is another, or its
@@ -83,6 +84,7 @@ class RemotePlant:
     """
 
     hand_wrench = ZERO
+    arrival = property(lambda self: self._line.heard * 1e-9)
 
     def __init__(
         self,

@@ -11,13 +11,12 @@ from maglev_mj import plots
 from maglev_mj.analysis import Analysed, analyse
 from maglev_mj.cli.options import count, number_option
 from maglev_mj.cli.output import check_outputs, write_json
-from maglev_mj.cli.replay import add_own_scene, own_scene
+from maglev_mj.cli.replay import add_own_scene, own_code
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES
 from maglev_mj.parameters import axis_indices, number
 from maglev_mj.recording import InvalidRecordingError, Recording, Stretch
-from maglev_mj.replay import rebuild_for, stick_positions_of
-from maglev_mj.scenes.scene import Scene
+from maglev_mj.replay import OwnCode, rebuild_for, stick_positions_of, unmade_plant
 from maglev_mj.tables import analysis_table
 from maglev_mj.terminal import say
 from maglev_mj.versions import versions_read
@@ -61,8 +60,8 @@ def _analyse(options: argparse.Namespace) -> int:
     recording = Recording.load(options.file)
     stretches = recording.stretches
     several = len(stretches) > 1
-    scene = own_scene(options.scene, recording)
-    found = [(place, _found(stretch, options, scene)) for place, stretch in _chosen(stretches, options)]
+    own = own_code(options.scene, recording)
+    found = [(place, _found(stretch, options, own)) for place, stretch in _chosen(stretches, options)]
     axes = [one.axis(options.axis) for _, one in found]  # before anything is written
     if options.json is not None:
         recorded_by = {place: versions_read(stretches[place - 1].setup.get("versions")) for place, _ in found}
@@ -100,11 +99,15 @@ def _chosen(stretches: Sequence[Stretch], options: argparse.Namespace) -> list[t
     return usable
 
 
-def _found(stretch: Stretch, options: argparse.Namespace, scene: type[Scene] | None) -> Analysed:
-    again = rebuild_for(stretch, scene)
+def _found(stretch: Stretch, options: argparse.Namespace, own: OwnCode | None) -> Analysed:
+    again = rebuild_for(stretch, own)
     anchors = stick_positions_of(stretch, again)
-    part = {"begin": options.begin, "end": options.end, "simulated": options.compare}
-    return analyse(stretch, again, anchors=anchors, scene=scene, **part)
+    part = {
+        "begin": options.begin,
+        "end": options.end,
+        "simulated": options.compare and not unmade_plant(stretch.setup, own),
+    }
+    return analyse(stretch, again, anchors=anchors, scene=own.scene if own else None, **part)
 
 
 def _draw(analysed: Analysed, axis: int, folder: Path, stem: str) -> list[str]:

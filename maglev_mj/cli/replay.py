@@ -8,14 +8,24 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from maglev_mj.recording import InvalidRecordingError, Recording, verify
-from maglev_mj.replay import Replay, expected, rebuild
-from maglev_mj.scenes.find import find_scene, source_of
-from maglev_mj.scenes.scene import Scene
+from maglev_mj.recording import (
+    InvalidRecordingError,
+    OwnCodeError,
+    Recording,
+    RecordingError,
+    verify,
+)
+from maglev_mj.recording.verify import first_other_answer
+from maglev_mj.replay import OwnCode, Replay, expected, rebuild, unmade_plant
 from maglev_mj.tables import verdict_table
 from maglev_mj.terminal import say
+from maglev_mj.versions import differences, versions, versions_read
 
-__all__ = ["add_command", "add_own_scene", "own_scene"]
+__all__ = ["add_command", "add_own_scene", "own_code"]
+
+
+_COMPARED, _LEAST_COMPARED = 10_000, 10
+"""Answers of a recording of other code that are compared before it is shown, and of each stretch at least."""
 
 
 def add_command(commands: Any) -> None:
@@ -33,24 +43,26 @@ def add_command(commands: Any) -> None:
 
 
 def add_own_scene(parser: argparse.ArgumentParser) -> None:
-    """Add the option for the scene of a recording."""
-    said = "scene of a recording of one's own, NAME, FILE.py or FILE.py:CLASS, which is executed, to run it again"
+    """Add the option for code of a user's own in a recording."""
+    said = (
+        "scene or laws of one's own, which are executed: NAME, FILE.py, FILE.py:CLASS, or attached for what the "
+        "recording holds"
+    )
     parser.add_argument("--scene", metavar="SCENE", help=said)
 
 
-def own_scene(text: str | None, recording: Recording) -> type[Scene] | None:
-    """Return the scene that was given for a recording; None for none. Say so if its file has changed since.
+def own_code(text: str | None, recording: Recording) -> OwnCode | None:
+    """Return the code that was given for a recording; None for none. Say so if it is not what was recorded.
 
     Raises:
-        ParameterError: If there is no such scene.
+        ParameterError: If there is none.
     """
     if text is None:
         return None
-    scene = find_scene(text)
-    sources = {stretch.setup["source"] for stretch in recording.stretches if "source" in stretch.setup}
-    if sources - {source_of(scene)}:
+    own = OwnCode(text, recording)
+    if own.changed:
         say(f"  {text} is not the file that was recorded: it has changed since, or is another", sys.stderr)
-    return scene
+    return own
 
 
 def _replay(options: argparse.Namespace) -> int:
@@ -61,14 +73,41 @@ def _replay(options: argparse.Namespace) -> int:
         say(f"  {options.file}: {recording.damage}; {recording.ticks} samples are there")
     for event in recording.events:
         say(f"  {event}")
-    scene = own_scene(options.scene, recording)
+    own = own_code(options.scene, recording)
     if options.check:
-        verdict = verify(recording, partial(rebuild, scene=scene), expect=expected)
+        verdict = verify(recording, partial(rebuild, own=own), expect=expected)
         print(verdict_table(verdict))
+        simulated = (stretch.setup for stretch in recording.stretches if stretch.setup["kind"] != "device")
+        for plant in sorted({unmade_plant(setup) for setup in simulated} - {""}):
+            say(f"  the plant, {plant}, cannot be made here: the controller's answers alone are compared")
         return 0 if verdict.same else 1
-    session = Replay(recording, scene)
+    if note := _other_code(recording, own):
+        say(f"  {options.file}: {note}")
+    session = Replay(recording, own)
     # imported here: it loads the library that opens windows
     from maglev_mj.viewer.window import show
 
     show(session)
     return 0
+
+
+def _other_code(recording: Recording, own: OwnCode | None) -> str:
+    """Return a note if other code made a recording, and gave the same answers; empty for this code.
+
+    Raises:
+        RecordingError: If it gave others.
+    """
+    here, stretches = versions(), recording.stretches
+    theirs = (differences(versions_read(stretch.setup.get("versions")) or {}, here) for stretch in stretches)
+    difference = next(filter(None, theirs), "")
+    if not difference:
+        return ""
+    said, most = f"recorded by other code ({difference})", max(_COMPARED // len(stretches), _LEAST_COMPARED)
+    try:
+        other = first_other_answer(recording, partial(rebuild, own=own), most)
+    except OwnCodeError:
+        return f"{said}; its laws were not run again, for they are none of this package's"
+    if other is not None:
+        stretch, tick, field = other
+        raise RecordingError(f"{said}, whose {field} is another from tick {tick} of stretch {stretch + 1} on")
+    return f"{said}; the first {most} answers of each stretch are the same here"

@@ -240,14 +240,14 @@ class FunctionLaw(Law):
     """A law without memory: a function of six positions and six velocities that returns six wrench components."""
 
     def __init__(self, function: Callable[[Sequence[Component], Sequence[Component]], Sequence[Component]]) -> None:
-        self._function = function
+        self.function = function
         self.name = getattr(function, "__name__", type(function).__name__)
 
     def __call__(
         self, position: Sequence[Component], velocity: Sequence[Component], state: Any, wrench: list[Component]
     ) -> tuple[Any, Sequence[Component] | None]:
         """Answer one sample; see `Law`."""
-        parts: Any = self._function(position, velocity)
+        parts: Any = self.function(position, velocity)
         if isinstance(parts, np.ndarray) and parts.ndim == 1:
             parts = parts.tolist()
         try:

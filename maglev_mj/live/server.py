@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import socket
 import time
 from collections import deque
@@ -16,8 +17,8 @@ from maglev_mj.loop import Record
 from maglev_mj.process import SideProcess
 from maglev_mj.recording import Setup
 from maglev_mj.recording.live import Ring, RowReader
-from maglev_mj.recording.metadata import whole_setup
 from maglev_mj.recording.row import RecordedPlant
+from maglev_mj.recording.setup import whole_setup
 from maglev_mj.session import Snapshot, Wish
 from maglev_mj.versions import versions
 
@@ -63,7 +64,7 @@ class LiveServer:
             self.port: int = listener.getsockname()[1]
             self._ring, self._versions = Ring(), versions()
             self._process = SideProcess(_serve, _Descriptor(self._ring.descriptor), listener)
-        self._told = State()
+        self._told, self._stuck = State(), repr(None)
         self._answer: int | str | None = None
         self._unsent: deque[tuple[Any, ...]] = deque(maxlen=_UNSENT)
         try:
@@ -80,6 +81,7 @@ class LiveServer:
         """Begin a stretch; return what the loop records it to."""
         whole = {**whole_setup(plant, controller, setup), "versions": self._versions}
         self._say("begin", whole, time.time_ns())
+        self._stuck = repr(None)
         return self._ring.record(plant)
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
@@ -99,7 +101,11 @@ class LiveServer:
         return None
 
     def show(self, snapshot: Snapshot) -> None:
-        """Tell the process of another scene or state in force; samples reach it by themselves."""
+        """Tell the process of another scene, state or stick position; samples reach it by themselves."""
+        stuck = None if snapshot.anchors is None else snapshot.anchors.tolist()
+        if repr(stuck) != self._stuck:  # NaN does not differ from itself in it
+            self._stuck = repr(stuck)
+            self._say("stick", stuck)
         state = f"{snapshot.state}: {snapshot.reason}" if snapshot.reason else snapshot.state
         now, told = State(snapshot.scene, snapshot.delay, snapshot.inertia, state), self._told
         same = now.scene is told.scene and now.state == told.state and abs(now.delay - told.delay) < _SAME
@@ -132,6 +138,7 @@ def _serve(*arguments: Any) -> None:
     from maglev_mj.live.service import serve
 
     serve(*arguments)
+    os._exit(0)  # whoever closes it waits, and the interpreter takes its time to end
 
 
 class _Descriptor:

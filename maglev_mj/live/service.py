@@ -99,7 +99,7 @@ class _Service(ServerListener):
             return False
         if self._greet:
             self._greet = False
-            getattr(self._messages, "greet", lambda: None)()  # TODO
+            self._messages.greet()
         place = -1
         for place, row in rows:
             self._obey(place)
@@ -125,7 +125,7 @@ class _Service(ServerListener):
         """Log what is said before a row."""
         while self._orders and self._orders[0][0] <= place:
             _, what, *arguments = self._orders.popleft()
-            (self._messages.begin if what == "begin" else self._messages.event)(*arguments)
+            getattr(self._messages, what)(*arguments)
 
     def _show(self, state: State, answer: int | str | None) -> None:
         """Publish another scene in force, and what the control loop answered to the one that it was handed."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from math import isfinite
 from typing import Any, Protocol, Self, TypedDict
 
@@ -75,13 +75,21 @@ class SampledPlant(ABC):
 
     Attributes:
         before: Wrench of the actuators until the first command takes effect [N, N m], (..., 6).
+        given: The arguments that it was made from, by name.
         hand: Impedance of the hand on the flotor; None for none.
     """
 
     # apart from what is used on every tick: an object of more than 30 attributes is looked up in more slowly
-    __slots__ = ("__dict__", "__weakref__", "_longest_step", "batch", "before", "inertia", "load", "start")
+    __slots__ = ("__dict__", "__weakref__", "_longest_step", "batch", "before", "given", "inertia", "load", "start")
 
     hand: Hand | None = None
+    given: Mapping[str, Any]
+
+    def __new__(cls, *timing: Any, **options: Any) -> Self:
+        """Return a plant that knows what it was made from."""
+        made = super().__new__(cls)
+        made.given = {**dict(zip(("timing",), timing)), **options}
+        return made
 
     def __init__(
         self,
@@ -229,6 +237,11 @@ class SampledPlant(ABC):
     def state(self) -> tuple[Array, Array]:
         """Return the true pose and twist at the last sample, whatever the sensor made of them, (..., 6) each."""
         return self._state(self._timeline.acting)[:2]
+
+    @property
+    def begun(self) -> bool:
+        """True once a sample was read."""
+        return self._tick >= 0
 
     @property
     def held(self) -> bool:

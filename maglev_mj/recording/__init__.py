@@ -12,8 +12,10 @@ from maglev_mj.recording.files import (
     open_recording,
 )
 from maglev_mj.recording.legacy import metadata_of
-from maglev_mj.recording.metadata import Mechanics, RunMetadata, Setup, setup_of
+from maglev_mj.recording.load import PandasMissingError, Samples, load
+from maglev_mj.recording.metadata import Mechanics, RunMetadata, Setup
 from maglev_mj.recording.recording import InvalidRecordingError, Recording, RecordingError, Stretch
+from maglev_mj.recording.setup import OwnCodeError, setup_of
 from maglev_mj.recording.tee import tee
 from maglev_mj.recording.verify import Expected, Rebuild, Verdict, verify
 
@@ -23,6 +25,8 @@ __all__ = [
     "Expected",
     "InvalidRecordingError",
     "Mechanics",
+    "OwnCodeError",
+    "PandasMissingError",
     "ParquetMissingError",
     "Rebuild",
     "Recorder",
@@ -30,12 +34,14 @@ __all__ = [
     "RecordingError",
     "RecordingFile",
     "RunMetadata",
+    "Samples",
     "Setup",
     "Stretch",
     "Verdict",
     "best_suffix",
     "check_name",
     "export",
+    "load",
     "metadata_of",
     "open_recording",
     "setup_of",

@@ -8,12 +8,11 @@ import numpy as np
 
 from maglev_mj.frames import Array
 from maglev_mj.recording.checks import check_rows
-from maglev_mj.recording.protobuf import Layout, Messages
 from maglev_mj.recording.row import Field, as_rows
 
 __all__ = ["Columns"]
 
-_BLOCK = 1 << 14
+_BLOCK = 1 << 13
 _TWINS = {"applied": "command", "applied_pulse": "pulse", "applied_pulse_width": "pulse_width"}
 """Fields that are another to the last bit until the plant meets a limit."""
 
@@ -34,62 +33,56 @@ class Columns:
         self._blocks: dict[str, list[Array | None]] = {name: [] for name in kept}
         self._sizes: list[int] = []
         self._arrays: dict[str, Array] = {}
-        self._waiting: list[Messages] = []
+        self._waiting: list[Mapping[str, Array]] = []
         self._rows: list[Sequence[float]] = []
-        self._layout: Layout | None = None
+        self._sorted = 0
         self._last: dict[str, Array] = {}
 
     def __len__(self) -> int:
         return self._count
 
-    def add(self, layout: Layout, messages: Messages) -> None:
-        """Take samples as messages, (N, size)."""
-        self._layout = layout
-        self._waiting.append(messages)
-        self._taken(len(messages), sum(map(len, self._waiting)))
+    def add(self, values: Mapping[str, Array]) -> None:
+        """Take some samples as arrays of all fields, (N,) or (N, 6)."""
+        self._waiting.append(values)
+        self._count += len(values["tick"])
+        self.sort(_BLOCK)
 
     def add_row(self, row: Sequence[float]) -> None:
         """Take one sample as the values of its fields."""
         self._rows.append(row)
-        self._taken(1, len(self._rows))
+        self._count += 1
+        self.sort(_BLOCK)
 
     def array(self, name: str) -> Array:
-        """Return a field of all samples, (N,) or (N, 6); it is not to be changed.
-
-        Raises:
-            ParameterError: If a sample is not one that a recording has.
-        """
-        self._sort()
+        """Return a field of all samples, (N,) or (N, 6); it is not to be changed."""
         found = self._arrays.get(name)
         if found is None:
             found = self._arrays[name] = self._whole(name)
         return found
 
-    def _taken(self, count: int, waiting: int) -> None:
-        self._count += count
-        if waiting >= _BLOCK:
-            self._sort()
+    def sort(self, least: int = 1) -> None:
+        """Check what waits, and keep it by columns, if it is at least so many samples.
 
-    def _sort(self) -> None:
-        """Sort what is waiting into columns, and check it."""
-        if self._waiting:
-            assert self._layout is not None
-            messages = np.concatenate(self._waiting)
-            values = {field.name: self._layout.values(messages, field) for field in self._fields}
-        elif self._rows:
-            rows = as_rows(self._rows, self._fields)
-            values = {field.name: np.ascontiguousarray(rows[field.name]) for field in self._fields}
-        else:
+        Raises:
+            ParameterError: If a sample is not one that a recording has.
+        """
+        waiting = self._count - self._sorted
+        if waiting < least:
             return
-        self._waiting, self._rows = [], []
-        first = self._count - len(values["tick"])
+        if self._rows:
+            rows = as_rows(self._rows, self._fields)
+            self._waiting, self._rows = [{field.name: rows[field.name] for field in self._fields}], []
+        names = [field.name for field in self._fields]
+        values = {name: np.concatenate([part[name] for part in self._waiting]) for name in names}
+        self._waiting, self._sorted = [], self._count
+        first = self._count - waiting
         if self._last:  # with the row before, for what goes from row to row
             check = {name: np.concatenate([self._last[name], part]) for name, part in values.items()}
             check_rows(check, first - 1)
         else:
             check_rows(values, first)
         self._last = {name: part[-1:].copy() for name, part in values.items()}
-        self._sizes.append(len(values["tick"]))
+        self._sizes.append(waiting)
         for name, blocks in self._blocks.items():
             blocks.append(_smallest(values, name, _TWINS.get(name) if _TWINS.get(name) in self._blocks else None))
 

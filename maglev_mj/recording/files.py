@@ -19,9 +19,10 @@ from maglev_mj.loop import Record
 from maglev_mj.parameters import flag
 from maglev_mj.recording.live import LiveFile
 from maglev_mj.recording.mcap import require_mcap
-from maglev_mj.recording.metadata import Setup, whole_setup
+from maglev_mj.recording.metadata import Setup
 from maglev_mj.recording.recording import Recording, Stretch, aside, split_setup
 from maglev_mj.recording.row import RecordedPlant, Row, as_rows, as_table, columns, compiled
+from maglev_mj.recording.setup import attach_parts, whole_setup
 from maglev_mj.versions import versions
 
 __all__ = [
@@ -133,6 +134,7 @@ class ArrayFile:
     def begin(self, plant: RecordedPlant, controller: Controller, setup: Setup | None = None) -> Recorder:
         """Begin a stretch; return what the loop records it to."""
         whole = {**whole_setup(plant, controller, setup), "versions": self._versions}
+        attach_parts(self, plant, controller)
         self._recorders.append(Recorder(plant, whole))
         return self._recorders[-1]
 
@@ -142,7 +144,7 @@ class ArrayFile:
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
         """See `RecordingFile`; the media type is not kept."""
-        self._attachments[name] = data
+        self._attachments.setdefault(name, data)
 
     def check(self) -> None:
         """Do nothing: it is written when it is closed."""

@@ -25,9 +25,10 @@ from maglev_mj.frames import Command, Sample
 from maglev_mj.loop import Record
 from maglev_mj.parameters import flag
 from maglev_mj.recording.mcap import require_mcap
-from maglev_mj.recording.metadata import Setup, whole_setup
+from maglev_mj.recording.metadata import Setup
 from maglev_mj.recording.recording import RecordingError
 from maglev_mj.recording.row import ROW, RecordedPlant, Row, compiled
+from maglev_mj.recording.setup import attach_parts, whole_setup
 from maglev_mj.versions import versions
 from maglev_mj.workers import interrupts_held
 
@@ -168,7 +169,9 @@ class LiveFile:
         require_mcap()
         if not hasattr(os, "fork"):
             raise RecordingError("recordings as MCAP need a POSIX system; .npz needs none")
-        self._path, self._closed = path, False
+        self._path, self._closed, self._waits, self._attached = path, False, wait, set[str]()
+        self._controller: Controller | None = None
+        self._stuck = repr(None)
         self._versions = versions()  # here, for a stretch may begin in real time
         self._aside = path.with_name(f"{path.name}.{os.getpid()}.partial")
         self._aside.open("wb").close()
@@ -183,8 +186,18 @@ class LiveFile:
     def begin(self, plant: RecordedPlant, controller: Controller, setup: Setup | None = None) -> Record:
         """Begin a stretch; return what the loop records it to."""
         whole = {**whole_setup(plant, controller, setup), "versions": self._versions}
+        attach_parts(self, plant, controller)
         self._say(begin=[whole, time.time_ns()])
-        return self._ring.record(plant)
+        self._controller, self._stuck = controller, repr(None)
+        put = self._ring.record(plant)
+        if not self._waits:
+            return put
+
+        def put_and_tell(sample: Sample, command: Command, applied: Command) -> None:
+            self._tell_stick_position()
+            put(sample, command, applied)
+
+        return put_and_tell
 
     def event(self, kind: str, text: str, missed: int = 0) -> None:
         """Keep what a person should know of, and how many samples were missed with it."""
@@ -192,6 +205,9 @@ class LiveFile:
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
         """Keep a file with it; see `RecordingFile.attach`."""
+        if name in self._attached:
+            return
+        self._attached.add(name)
         self._say(attach=[name, media_type, base64.b64encode(data).decode()])
 
     def check(self) -> None:
@@ -200,8 +216,19 @@ class LiveFile:
         Raises:
             RecordingError: If the process that writes is gone.
         """
-        if not self._closed and self._process.poll() is not None:
+        if self._closed:
+            return
+        if self._process.poll() is not None:
             raise RecordingError(f"{self._path} is not written any more: its writer ended")
+        self._tell_stick_position()
+
+    def _tell_stick_position(self) -> None:
+        """Tell where the flotor sticks, if that has changed; not in a tick in real time, for it takes its time."""
+        stuck = None if self._controller is None else self._controller.stick_positions
+        told = None if stuck is None else stuck.tolist()
+        if repr(told) != self._stuck:  # which NaN does not differ from itself in
+            self._stuck = repr(told)
+            self._say(stick=[told])
 
     def close(self) -> Path | None:
         """Write what is left; return the file, or None where nothing was recorded. A second time does nothing.

@@ -17,6 +17,7 @@ from typing import IO, Any
 import numpy as np
 
 from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.frames import Array
 from maglev_mj.recording.before import sample_row
 from maglev_mj.recording.checks import (
     LARGEST_PART,
@@ -63,7 +64,8 @@ _RECORD, _MESSAGE = struct.Struct("<BQ"), struct.Struct("<HIQQ")
 _FRONT, _SAME = _RECORD.size + _MESSAGE.size, _RECORD.size + 2  # bytes before a message; those alike in each of a topic
 _HEADER, _FOOTER, _SCHEMA, _CHANNEL, _SAID, _CHUNK = 1, 2, 3, 4, 5, 6
 _ATTACHED, _STATISTICS, _ABOUT, _DATA_END = 9, 11, 12, 15
-_LOOK = 64
+_LOOK = 32
+_ENOUGH = 1 << 10
 
 
 class McapMissingError(MaglevError):
@@ -100,8 +102,11 @@ def read_mcap(file: IO[bytes], size: int, names: frozenset[str] | None = None) -
     require_mcap()
     found = Found(Allowance(size), names)
     try:
-        for kind, data in _records(file):
-            found.take(kind, data)
+        try:
+            for kind, data in _records(file):
+                found.take(kind, data)
+        finally:
+            found.join()
         if not found.counted:
             found.damage = "its count of messages is missing"
         elif file.read(1):
@@ -114,6 +119,8 @@ def read_mcap(file: IO[bytes], size: int, names: frozenset[str] | None = None) -
         found.damage = f"it is damaged: {error or type(error).__name__}"
     if not found.parts:
         raise ParameterError(found.damage or "nothing of a recording is in it")
+    for part in found.parts:
+        part.columns.sort()
     return found
 
 
@@ -160,6 +167,13 @@ class Part:
         self.metadata = RunMetadata.from_json(message)
         self.columns = Columns((*FIELDS, *TOTALS), names)
         self.gaps: list[tuple[int, int]] = []
+
+    def __len__(self) -> int:
+        return len(self.columns)
+
+    def array(self, name: str) -> Array:
+        """Return a field of its samples, (N,) or (N, 6)."""
+        return self.columns.array(name)
 
 
 class Found:
@@ -245,7 +259,8 @@ class Found:
                     f"a chunk must hold schemas, channels and messages alone, not records of kind {kind}"
                 )
             at = after
-        self._join()
+        if sum(map(len, self._runs)) > _ENOUGH:
+            self.join()
 
     def _topic(self, channel: int) -> str:
         if channel not in self._topics:
@@ -278,44 +293,54 @@ class Found:
             self._layout = layout_of(data[at + _FRONT : after])
         if size != _FRONT + self._layout.size:
             raise ParameterError("the samples of a file must all have the same fields")
-        look, found = _LOOK, 0
+        head, look = data[at : at + _SAME], _LOOK
         while True:
             most = min(look, (len(data) - at) // size)
-            rows = np.frombuffer(data, np.uint8, most * size, at).reshape(most, size)
-            alike = (rows[:, :_SAME] == rows[0, :_SAME]).all(axis=1)
-            found = most if alike.all() else int(np.argmin(alike))
+            alike = np.ndarray((most,), "<u8", data, at + 1, (size,)) == size - _RECORD.size
+            found = most if alike.all() else int(alike.argmin())
             if found < look:
                 break
             look *= 8
+        rows = np.ndarray((found, size), np.uint8, data, at)
+        if rows[:, :_SAME].tobytes() != head * found:  # what follows has the length of a sample, and is none
+            found = int((rows[:, :_SAME] == rows[0, :_SAME]).all(axis=1).argmin())
         (first,) = struct.unpack_from("<I", data, at + _SAME)
-        numbers = np.ascontiguousarray(rows[:found, _SAME : _SAME + 4]).view("<u4")[:, 0]
-        if (np.diff(numbers) != 1).any():
-            raise ValueError("messages are missing")
         self._count(channel, SAMPLE, first, found)
-        self._runs.append(rows[:found, _FRONT:])
+        self._runs.append(rows[:found])
         return at + found * size
 
-    def _join(self) -> None:
-        """Add the samples that were taken to their stretch."""
+    def join(self) -> None:
+        """Add the samples that were taken to their stretch.
+
+        Raises:
+            ParameterError: If they are not those of a recording.
+            ValueError: If some are missing; those before are added.
+        """
         if not self._runs:
             return
         assert self._layout is not None
         if not self.parts:
             raise ParameterError("a sample must be in a stretch")
-        rows = np.concatenate(self._runs)
+        records = np.concatenate(self._runs)
         self._runs = []
+        numbers = np.ascontiguousarray(records[:, _SAME : _SAME + 4]).view("<u4")[:, 0]
+        good = 1 + int(np.argmin(np.append(np.diff(numbers) == 1, False)))
+        rows = records[:good, _FRONT:]
         self._layout.check(rows)
         stretch = self._layout.values(rows, NUMBER)
         if (stretch != len(self.parts) - 1).any():
             wrong = stretch[stretch != len(self.parts) - 1][0]
             raise ParameterError(f"stretch must be {len(self.parts) - 1}, not {wrong:g}")
-        self.parts[-1].columns.add(self._layout, rows)
-        self._tick = int(self._layout.values(rows[-1:], FIELDS[0])[0])
+        values = {field.name: self._layout.values(rows, field) for field in (*FIELDS, *TOTALS)}
+        self.parts[-1].columns.add(values)
+        self._tick = int(values["tick"][-1])
+        if good < len(records):
+            raise ValueError("messages are missing")
 
     def _message(self, topic: str, data: bytes) -> None:
         if topic not in (STRETCH, SAMPLE, EVENT):
             return
-        self._join()
+        self.join()
         if topic != SAMPLE:
             self._allowance.text(len(data))
         message, last = parsed(data), len(self.parts) - 1
@@ -341,7 +366,7 @@ class Found:
             missed = int(said[1]) if said else 0
         if missed and last >= 0:
             part = self.parts[last]
-            part.gaps.append((len(part.columns), missed))
+            part.gaps.append((len(part), missed))
 
     def _attachment(self, data: bytes) -> None:
         from mcap.data_stream import ReadDataStream

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -46,8 +46,14 @@ FRAMES, SCENE, LOG = "/tf", "/maglev/scene", "/log"
 
 _SHOWN = 1.0 / 60.0  # s between two poses to look at
 _WALL, _HAND, _DEVICE = (0.25, 0.47, 0.85, 0.16), (0.13, 0.62, 0.30, 1.0), (0.80, 0.16, 0.14, 1.0)
+_UPRIGHT = 1.0, 0.0, 0.0, 0.0
 _SHAFT, _HEAD, _HEAD_LENGTH = 0.0032, 0.0064, 0.25
-_LEVELS = {"fault": LogLevel.Error, "missed": LogLevel.Warning, "lost": LogLevel.Error}
+_LEVELS = {
+    "fault": LogLevel.Error,
+    "lost": LogLevel.Error,
+    "missed": LogLevel.Warning,
+    "refused": LogLevel.Warning,
+}
 _WRENCH = "N", "N m"
 _NUMBER = schema(Field("stretch", "", "number of the stretch, from 0"))
 _STRETCH_FIELDS = {
@@ -112,6 +118,9 @@ class Messages:
         self._began = self._now = 0
         self._first: float | None = None
         self._shown = -math.inf
+        self._begun: Mapping[str, Any] = {}
+        self._drawn = self._device
+        self._stick: Sequence[float] | None = None
         self._totals: Totals | None = None
 
     def begin(self, setup: Setup, began_ns: int) -> None:
@@ -128,12 +137,23 @@ class Messages:
         run = setup["run"]
         metadata = RunMetadata.from_json(run)
         self._totals = Totals(metadata)
-        whole = {name: part for name, part in setup.items() if name != "run"}
-        self._say(self._stretch_channel, {"stretch": self._stretch, "setup": whole, **run})
-        self._tell(LogLevel.Info, f"stretch {self._stretch + 1}: {metadata.name or setup.get('kind', '')}")
         plates = [plate for plate in map(wall_plate, metadata.faces or ()) if plate]
-        walls = [Shape(False, "box", half, place, (1.0, 0.0, 0.0, 0.0), _WALL) for place, half in plates]
-        self._draw([*self._device, ("stator", "walls", _primitives(walls))])
+        walls = [Shape(False, "box", half, place, _UPRIGHT, _WALL) for place, half in plates]
+        self._drawn, self._stick = [*self._device, ("stator", "walls", _primitives(walls))], None
+        whole = {name: part for name, part in setup.items() if name != "run"}
+        self._begun = {"stretch": self._stretch, "setup": whole, **run}
+        self.greet()
+        self._tell(LogLevel.Info, f"stretch {self._stretch + 1}: {metadata.name or setup.get('kind', '')}")
+
+    def greet(self) -> None:
+        """Log again what began the stretch, and what there is to draw, for who came later; nothing before the first."""
+        if self._begun:
+            self._say(self._stretch_channel, self._begun)
+            self._draw(self._drawn)
+
+    def stick(self, position: Sequence[float] | None) -> None:
+        """Take where the flotor sticks [m, rad], six, NaN where it does not; None without friction."""
+        self._stick = position
 
     def row(self, row: Row) -> None:
         """Log a sample of the stretch that was begun, its values in the order of FIELDS."""
@@ -145,8 +165,8 @@ class Messages:
         self._tick = int(values["tick"])
         self._now = max(self._now, self._began + round((time - self._first) * 1e9))
         self._sample.log(protobuf.packed(self._stretch, row, self._totals.add(values)), self._now)
-        if not time < self._shown + _SHOWN:
-            self._shown = time
+        if not time < self._shown + _SHOWN:  # on a grid, from which a sample that is late does not lead away
+            self._shown = self._shown + _SHOWN if time < self._shown + 2.0 * _SHOWN else time
             self._show(values)
 
     def event(self, kind: str, text: str, missed: int = 0) -> None:
@@ -172,26 +192,25 @@ class Messages:
 
     def _show(self, values: Mapping[str, Any]) -> None:
         """Log the frames, and the forces as arrows."""
-        place, turn, stamp = values["position"][:3], values["position"][3:], _stamp(self._now)
-        flotor = FrameTransform(
-            timestamp=stamp,
-            parent_frame_id="stator",
-            child_frame_id="flotor",
-            translation=Vector3(x=place[0], y=place[1], z=place[2]),
-            rotation=_quaternion(quaternion(turn)),
-        )
-        hand = FrameTransform(
-            timestamp=stamp,
-            parent_frame_id="flotor",
-            child_frame_id="hand",
-            translation=_vector(GRIP),
-            rotation=_quaternion((1.0, 0.0, 0.0, 0.0)),
-        )
-        self._frames.log(FrameTransforms(transforms=[flotor, hand]), log_time=self._now)
-        knob = np.array(place) + rotation_matrix(np.array(turn)) @ GRIP
-        forces = {"force of the hand": (values["hand"], _HAND), "force of the device": (values["applied"], _DEVICE)}
-        arrows = {name: _arrow(knob, np.array(force[:3]), colour) for name, (force, colour) in forces.items()}
-        self._draw([("stator", name, {"arrows": found}) for name, found in arrows.items()])
+        position, stamp = values["position"], _stamp(self._now)
+        frames = [("stator", "flotor", position[:3], quaternion(position[3:])), ("flotor", "hand", GRIP, _UPRIGHT)]
+        if self._stick is not None:
+            stuck = [seen if math.isnan(held) else held for held, seen in zip(self._stick, position)]
+            frames.append(("stator", "stick position", stuck[:3], quaternion(stuck[3:])))
+        made = [
+            FrameTransform(
+                timestamp=stamp,
+                parent_frame_id=parent,
+                child_frame_id=child,
+                translation=_vector(place),
+                rotation=_quaternion(turn),
+            )
+            for parent, child, place, turn in frames
+        ]
+        self._frames.log(FrameTransforms(transforms=made), log_time=self._now)
+        knob = np.array(position[:3]) + rotation_matrix(np.array(position[3:])) @ GRIP
+        forces = ("force of the hand", values["hand"], _HAND), ("force of the device", values["applied"], _DEVICE)
+        self._draw([("stator", name, {"arrows": _arrow(knob, force[:3], colour)}) for name, force, colour in forces])
 
     def _draw(self, entities: Sequence[tuple[str, str, Mapping[str, Any]]]) -> None:
         """Log what there is to draw: frame, name and shapes of each entity, which take the place of its last."""
@@ -209,9 +228,9 @@ def _stamp(now: int) -> Timestamp:
     return Timestamp(sec=now // 10**9, nsec=now % 10**9)
 
 
-def _vector(values: Array) -> Vector3:
-    x, y, z = values.tolist()
-    return Vector3(x=x, y=y, z=z)
+def _vector(values: Iterable[float]) -> Vector3:
+    x, y, z = values
+    return Vector3(x=float(x), y=float(y), z=float(z))
 
 
 def _quaternion(values: Sequence[float]) -> Quaternion:
@@ -247,23 +266,22 @@ def _primitives(found: Sequence[Shape]) -> dict[str, Any]:
     return made
 
 
-def _arrow(knob: Array, force: Array, colour: Sequence[float]) -> list[ArrowPrimitive]:
+def _arrow(knob: Array, force: Sequence[float], colour: Sequence[float]) -> list[ArrowPrimitive]:
     """Return the arrow of a force; none for one too small to see, or that is no number."""
-    size = float(np.linalg.norm(force))
+    size = math.hypot(*force)
     if not LEAST_FORCE <= size < math.inf:
         return []
-    along = force / size
     # an arrow points along x: half a turn about the middle of x and the force brings it there
-    middle = along + np.eye(3)[0]
-    length = float(np.linalg.norm(middle))
-    x, y, z = (middle / length).tolist() if length > 1e-9 else (0.0, 0.0, 1.0)
-    whole = ARROW * size
+    x, y, z = force[0] / size + 1.0, force[1] / size, force[2] / size
+    length = math.hypot(x, y, z)
+    x, y, z = (x / length, y / length, z / length) if length > 1e-9 else (0.0, 0.0, 1.0)
+    place = arrow_start(knob, np.array(force))
     return [
         ArrowPrimitive(
-            pose=Pose(position=_vector(arrow_start(knob, force)), orientation=Quaternion(w=0.0, x=x, y=y, z=z)),
-            shaft_length=whole * (1.0 - _HEAD_LENGTH),
+            pose=Pose(position=_vector(place), orientation=Quaternion(w=0.0, x=x, y=y, z=z)),
+            shaft_length=ARROW * size * (1.0 - _HEAD_LENGTH),
             shaft_diameter=_SHAFT,
-            head_length=whole * _HEAD_LENGTH,
+            head_length=ARROW * size * _HEAD_LENGTH,
             head_diameter=_HEAD,
             color=_color(colour),
         )

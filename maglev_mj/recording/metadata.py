@@ -1,10 +1,10 @@
-"""Metadata of a run, written from plant and controller and read back, and its running totals."""
+"""Metadata of a run, told by plant and controller and read back, and its running totals."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Self, TypeAlias, TypedDict
+from typing import Any, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,12 +14,12 @@ from maglev_mj.energy import HandWork, PassivityObserver
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, ZERO, Array, Command, Sample
 from maglev_mj.parameters import axis_indices, flag, number, numbers
-from maglev_mj.recording.checks import check_setup, flag_in, list_in, object_in, six, text_in
+from maglev_mj.recording.checks import flag_in, list_in, object_in, six, text_in
 from maglev_mj.spec import GRAVITY, INERTIA
 from maglev_mj.terminal import printable
 from maglev_mj.timeline import Timing
 
-__all__ = ["Mechanics", "OwnSetup", "RunMetadata", "Setup", "Totals", "setup_of", "whole_setup"]
+__all__ = ["Mechanics", "RunMetadata", "Setup", "Totals"]
 
 Face: TypeAlias = tuple[int, float, float]
 """A plane of a wall: index into AXES, normal (1 or -1), edge [m, rad]."""
@@ -176,88 +176,6 @@ class RunMetadata:
             known["faces"] = [dict(zip(("axis", "normal", "edge"), (AXES[face[0]], *face[1:]))) for face in self.faces]
             known |= {name: getattr(self, name) for name in ("name", "axis", "hand_recorded", "hand_acts_on_flotor")}
         return known
-
-
-class OwnSetup(TypedDict):
-    """What a run was made from, where no scene of this package says it.
-
-    Attributes:
-        kind: "own".
-        scene: Reference of the scene, such as "my_scene.py:Detent"; None for none. It is never executed by itself.
-        source: Hash of the scene's file; None for none.
-        plant: Class of the plant.
-        laws: Classes of the laws.
-        phase: Of the samples, in [0, 1).
-        parameters: Whatever the run depends on, by name.
-        start: Pose, twist and wrench at release, six each [m, rad; m/s, rad/s; N, N m]; None where it is not known.
-        run: See `RunMetadata.as_json`.
-    """
-
-    kind: str
-    scene: str | None
-    source: str | None
-    plant: str
-    laws: list[str]
-    phase: float
-    parameters: dict[str, Any]
-    start: dict[str, list[float]] | None
-    run: dict[str, Any]
-
-
-def setup_of(
-    plant: Any,
-    controller: Controller,
-    *,
-    scene: str | None = None,
-    source: str | None = None,
-    parameters: Mapping[str, Any] | None = None,
-    start: Mapping[str, ArrayLike] | None = None,
-    **metadata: Any,
-) -> OwnSetup:
-    """Return the setup of a run of one's own, before its first sample.
-
-    Args:
-        plant: The plant.
-        controller: The controller.
-        scene: Reference of the scene; None for none.
-        source: Hash of the scene's file; None for none.
-        parameters: Whatever the run depends on, by name, ready for JSON.
-        start: Pose, twist and wrench at release; the plant's by default, if it tells.
-        metadata: In place of what plant and controller tell: see `RunMetadata.of`.
-
-    Raises:
-        ParameterError: If a value is not finite, or the plant does not tell its delay and none is given.
-    """
-    if start is None and hasattr(plant, "start"):
-        pose, twist = plant.start
-        start = {"pose": pose, "twist": twist, "wrench": np.broadcast_to(getattr(plant, "before", ZERO), 6)}
-    known = None if start is None else {name: numbers(name, value).tolist() for name, value in start.items()}
-    if scene is not None:
-        metadata.setdefault("name", scene)
-    setup: OwnSetup = {
-        "kind": "own",
-        "scene": scene,
-        "source": source,
-        "plant": _class(plant),
-        "laws": [_class(law) for law in controller.laws],
-        "phase": float(getattr(getattr(plant, "timing", None), "phase", 0.0)),
-        "parameters": dict(parameters or {}),
-        "start": known,
-        "run": RunMetadata.of(plant, controller, **metadata).as_json(),
-    }
-    check_setup(setup)
-    return setup
-
-
-def whole_setup(plant: Any, controller: Controller, setup: Setup | None) -> Setup:
-    """Return a setup with its metadata in it: that of a run of one's own where none is given."""
-    if setup is None:
-        return setup_of(plant, controller)
-    return setup if "run" in setup else {**setup, "run": RunMetadata.of(plant, controller).as_json()}
-
-
-def _class(value: object) -> str:
-    return f"{type(value).__module__}.{type(value).__qualname__}"
 
 
 def _face(values: Any) -> Face:

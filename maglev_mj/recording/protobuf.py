@@ -85,10 +85,9 @@ def _head(field: Field) -> bytes:
 
 
 class _Value(NamedTuple):
-    """A number in a message: what stands in front of it, the column of a table, and its type."""
+    """A number in a message: what stands in front of it, and its type."""
 
     head: bytes
-    column: str
     code: str
 
 
@@ -96,9 +95,9 @@ def _values(fields: Sequence[Field]) -> list[_Value]:
     found = []
     for field in fields:
         head, code = _head(field), "d" if field.unit else "Q"
-        for place, (column, _) in enumerate(field.units):
+        for place in range(len(field.units)):
             inner = bytes([place + 1 << 3 | _FIXED64]) if field.six else b""
-            found.append(_Value(head + inner if not place else inner, column, code))
+            found.append(_Value(head + inner if not place else inner, code))
     return found
 
 
@@ -132,23 +131,27 @@ class Layout:
     """Where the numbers of a sample stand in its message.
 
     Args:
-        fields: What is in it, in its order.
+        fields: What is in it, in its order; a number for so many bytes of something that is not known.
 
     Attributes:
         size: Of a message [bytes].
     """
 
-    def __init__(self, fields: Sequence[Field]) -> None:
-        values, at = _values(fields), 0
+    def __init__(self, fields: Sequence[Field | int]) -> None:
         heads: list[int] = []
+        expected, at = b"", 0
         self._places: dict[str, int] = {}
-        for value in values:
-            heads += range(at, at + len(value.head))
-            at += len(value.head)
-            self._places[value.column] = at
-            at += _NUMBER_SIZE
+        for field in fields:
+            if isinstance(field, int):
+                at += field
+                continue
+            for value in _values([field]):
+                heads += range(at, at + len(value.head))
+                at, expected = at + len(value.head), expected + value.head
+                self._places.setdefault(field.name, at)
+                at += _NUMBER_SIZE
         self.size = at
-        self._heads, self._expected = np.array(heads), np.frombuffer(b"".join(value.head for value in values), np.uint8)
+        self._heads, self._expected = np.array(heads), np.frombuffer(expected, np.uint8)
 
     def check(self, messages: Messages) -> None:
         """Check that messages are laid out like this.
@@ -161,35 +164,51 @@ class Layout:
 
     def values(self, messages: Messages, field: Field) -> Array:
         """Return a field of messages, (N,) or (N, 6); NaN where they do not have it."""
-        at = self._places.get(field.units[0][0])
+        at = self._places.get(field.name)
         count = len(messages)
         if at is None:
             return np.full((count, 6) if field.six else count, np.nan)
         kind = np.dtype("<f8" if field.unit else "<u8")
-        shape, steps = ((count, 6), (self.size, _SIX_SIZE // 6)) if field.six else ((count,), (self.size,))
-        return np.ndarray(shape, kind, np.ascontiguousarray(messages), at, steps).astype(np.float64)
+        place = messages[:, at : at + _NUMBER_SIZE]
+        if not field.six:
+            return np.ascontiguousarray(place).view(kind)[:, 0].astype(np.float64)
+        found = np.empty((count, 6))
+        for axis in range(6):
+            start = at + axis * (_SIX_SIZE // 6)
+            found[:, axis] = np.ascontiguousarray(messages[:, start : start + _NUMBER_SIZE]).view(kind)[:, 0]
+        return found
 
 
 def layout_of(message: bytes) -> Layout:
-    """Return the layout of a message.
+    """Return the layout of a message; fields of later versions are passed over.
 
     Raises:
-        ParameterError: If it is not one of a sample, or has a field that is not known.
+        ParameterError: If it is not one of a sample.
     """
     heads = {_head(field): field for field in _NUMBERED}
-    fields, at = [], 0
-    while at < len(message):
-        for size in (1, 2, 3):
-            field = heads.pop(message[at : at + size], None)
-            if field is not None:
-                fields.append(field)
-                at += size + (_SIX_SIZE if field.six else _NUMBER_SIZE)
-                break
-        else:
-            raise ParameterError("a sample must have the fields that are known here, each once")
+    fields: list[Field | int] = []
+    at, stop = 0, len(message)
+    while at < stop:
+        start, (tag, at) = at, _number_at(message, at)
+        size, after = _number_at(message, at) if tag & 7 == _BYTES else (_NUMBER_SIZE, at)
+        field, at = heads.pop(message[start:after], None), after + size
+        if tag & 7 not in (_BYTES, _FIXED64) or (field is None and tag >> 3 <= len(_NUMBERED)):
+            raise ParameterError("a sample must have the fields that its schema says, each once")
+        fields.append(at - start if field is None else field)
     missing = [field.name for field in _NUMBERED if field not in fields and not field.optional]
-    if missing or at != len(message):
+    if missing or at != stop:
         raise ParameterError(f"a sample must have {', '.join(missing) or 'all its bytes'}")
     layout = Layout(fields)
     layout.check(np.frombuffer(message, np.uint8)[None])
     return layout
+
+
+def _number_at(message: bytes, at: int) -> tuple[int, int]:
+    """Return a number of variable length, and where it ends."""
+    found = shift = 0
+    while at < len(message) and shift < 63:
+        found |= (message[at] & 0x7F) << shift
+        at, shift = at + 1, shift + 7
+        if message[at - 1] < 0x80:
+            return found, at
+    raise ParameterError("a sample must have all its bytes")

@@ -13,17 +13,27 @@ from typing import IO, TYPE_CHECKING, Any
 from zipfile import ZIP_STORED, ZipFile
 
 import numpy as np
+from numpy.typing import NDArray
 
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import AXES, Array
-from maglev_mj.recording.checks import Allowance, UnpackingError, check_rows, check_setup, object_in, parsed, text_in
+from maglev_mj.recording.checks import (
+    Allowance,
+    UnpackingError,
+    check_rows,
+    check_setup,
+    list_in,
+    object_in,
+    parsed,
+    text_in,
+)
 from maglev_mj.recording.metadata import RunMetadata, Setup
-from maglev_mj.recording.row import ARRAYS, FIELDS, ROW, TOTALS, Rows, as_rows
+from maglev_mj.recording.row import ARRAYS, FIELDS, ROW, TOTALS, Rows, as_rows, columns
 
 if TYPE_CHECKING:
     from maglev_mj.recording.mcap import Found
 
-__all__ = ["InvalidRecordingError", "Recording", "RecordingError", "Stretch", "aside", "split_setup"]
+__all__ = ["InvalidRecordingError", "Recording", "RecordingError", "Stretch", "aside", "read_file", "split_setup"]
 
 _FORMAT = "maglev_mj recording 1"
 
@@ -93,12 +103,14 @@ class Recording:
         events: What a person should know of, such as faults.
         damage: What is wrong with the file that it was read from, such as a missing end; empty for nothing.
         attachments: Files that are kept with it, by name.
+        about: Format of the file and versions of the code that made it; empty in files of before.
     """
 
     stretches: Sequence[Stretch]
     events: Sequence[str] = ()
     damage: str = ""
     attachments: Mapping[str, bytes] = field(default_factory=dict)
+    about: Mapping[str, str] = field(default_factory=dict)
 
     def save(self, path: Path | str) -> None:
         """Write to a file, whole or not at all.
@@ -112,7 +124,16 @@ class Recording:
             for name in ARRAYS
         }
         setups = [stretch.whole_setup for stretch in self.stretches]
-        header = {"format": _FORMAT, "axes": AXES, "setups": setups, "events": list(self.events)}
+        arrays |= {f"attachment/{place}": _bytes(data) for place, data in enumerate(self.attachments.values())}
+        header = {
+            "format": _FORMAT,
+            "axes": AXES,
+            "units": dict(columns()),
+            "setups": setups,
+            "events": list(self.events),
+            "attachments": list(self.attachments),
+            "about": dict(self.about),
+        }
         with aside(Path(path)) as partial, partial.open("wb") as file:
             np.savez(file, header=np.array(json.dumps(header)), **arrays)
 
@@ -127,17 +148,8 @@ class Recording:
             InvalidRecordingError: If it is not there, no recording, or holds what none can, such as a number that is
                 not finite, of another type or out of range.
         """
-        from maglev_mj.recording.mcap import MAGIC, read_mcap  # which needs what is defined here
-
-        try:
-            with path.open("rb") as file:
-                size, first = os.fstat(file.fileno()).st_size, file.read(len(MAGIC))
-                file.seek(0)
-                return _recording(read_mcap(file, size)) if first == MAGIC else _read_arrays(file, size)
-        except OSError as error:
-            raise InvalidRecordingError(f"recording {str(path)!r} cannot be read: {error.strerror or error}") from None
-        except ParameterError as error:
-            raise InvalidRecordingError(f"{str(path)!r} is not a whole recording: {error}") from None
+        found = read_file(path)
+        return found if isinstance(found, Recording) else _recording(found)
 
     @property
     def ticks(self) -> int:
@@ -145,21 +157,47 @@ class Recording:
         return sum(len(stretch) for stretch in self.stretches)
 
 
+def read_file(path: Path, names: frozenset[str] | None = None) -> Recording | Found:
+    """Read a file of either kind.
+
+    Args:
+        path: The file.
+        names: Fields of an MCAP file to keep; None for all.
+
+    Raises:
+        McapMissingError: If it is of MCAP, and a package for it is not installed.
+        InvalidRecordingError: See `Recording.load`.
+    """
+    from maglev_mj.recording.mcap import MAGIC, read_mcap  # which needs what is defined here
+
+    try:
+        with path.open("rb", buffering=1 << 20) as file:
+            size, first = os.fstat(file.fileno()).st_size, file.read(len(MAGIC))
+            file.seek(0)
+            return read_mcap(file, size, names) if first == MAGIC else _read_arrays(file, size)
+    except OSError as error:
+        raise InvalidRecordingError(f"recording {str(path)!r} cannot be read: {error.strerror or error}") from None
+    except ParameterError as error:
+        raise InvalidRecordingError(f"{str(path)!r} is not a whole recording: {error}") from None
+
+
 def _recording(found: Found) -> Recording:
     """Return what was found in an MCAP file."""
     stretches = []
     for part in found.parts:
-        if not len(part.columns):
+        if not len(part):
             continue
         tables = []
         for fields in (FIELDS, TOTALS):
-            rows = as_rows(np.empty((len(part.columns), sum(len(one.units) for one in fields))), fields)
+            rows = as_rows(np.empty((len(part), sum(len(one.units) for one in fields))), fields)
             for one in fields:
-                rows[one.name] = part.columns.array(one.name)
+                rows[one.name] = part.array(one.name)
             tables.append(rows)
         rows, totals = tables
         stretches.append(Stretch(setup=part.setup, rows=rows, totals=totals, metadata=part.metadata, gaps=part.gaps))
-    return Recording(stretches, events=found.events, damage=found.damage, attachments=found.attachments)
+    return Recording(
+        stretches, events=found.events, damage=found.damage, attachments=found.attachments, about=found.about
+    )
 
 
 @contextmanager
@@ -184,6 +222,10 @@ def split_setup(value: Any) -> tuple[Setup, RunMetadata | None]:
     return setup, None if run is None else RunMetadata.from_json(object_in({"run": run}, "run"))
 
 
+def _bytes(data: bytes) -> NDArray[np.uint8]:
+    return np.frombuffer(data, np.uint8)
+
+
 def _array_of(rows: Rows, name: str) -> Array:
     """Return one array of a file: a field, or several side by side."""
     values: list[Array] = [rows[field.name] for field in ARRAYS[name]]
@@ -205,6 +247,11 @@ def _read_arrays(file: IO[bytes], size: int) -> Recording:
             if not isinstance(setups, list):
                 raise ParameterError("setups must be a list")
             stretches = [_stretch(archive, allowance, index, setup) for index, setup in enumerate(setups)]
+            names = list_in(header, "attachments") if "attachments" in header else []
+            attachments = {
+                str(name): np.asarray(_array(archive, allowance, f"attachment/{place}"), np.uint8).tobytes()
+                for place, name in enumerate(names)
+            }
     except (OSError, ParameterError):
         raise
     except UnpackingError as error:
@@ -214,7 +261,9 @@ def _read_arrays(file: IO[bytes], size: int) -> Recording:
     events = header.get("events", [])
     if not isinstance(events, list):
         raise ParameterError("events must be a list")
-    return Recording(stretches, events=tuple(text_in({"event": event}, "event") for event in events))
+    texts = tuple(text_in({"event": event}, "event") for event in events)
+    about = {name: text_in(header["about"], name) for name in header.get("about", ())}
+    return Recording(stretches, events=texts, attachments=attachments, about=about)
 
 
 def _header(archive: ZipFile, allowance: Allowance) -> Mapping[str, Any]:

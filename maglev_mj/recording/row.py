@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
@@ -112,6 +113,13 @@ FIELDS: Sequence[Field] = (
         "applied",
         at_least=0.0,
     ),
+    Field(
+        "arrival",
+        "s",
+        "when it arrived, by the clock of the host: only changes count; not known of a simulated plant",
+        'getattr(plant, "arrival", NAN)',
+        optional=True,
+    ),
 )
 """What is recorded of each sample, in the order of every file. One more value is one more line."""
 
@@ -159,7 +167,9 @@ def compiled(arguments: str, template: str, fields: Sequence[Field] = FIELDS, **
         names: What the expression refers to besides its arguments.
     """
     values = ", ".join(f"*({field.value})" if field.six else f"({field.value})" for field in fields)
-    made: Callable[..., Any] = eval(f"lambda {arguments}: {template.format(values=values)}", {"ZERO": ZERO, **names})
+    made: Callable[..., Any] = eval(
+        f"lambda {arguments}: {template.format(values=values)}", {"NAN": math.nan, "ZERO": ZERO, **names}
+    )
     return made
 
 
@@ -174,14 +184,19 @@ def as_table(rows: Rows) -> Array:
     return np.ascontiguousarray(rows).view(np.float64).reshape(len(rows), rows.dtype.itemsize // 8)
 
 
-def named(row: Row) -> dict[str, Any]:
-    """Return the values of a sample by name; six components as a sequence."""
-    found: dict[str, Any] = {}
+def _places() -> Iterator[tuple[str, int | slice]]:
     start = 0
     for field in FIELDS:
-        found[field.name] = row[start : start + 6] if field.six else row[start]
-        start += 6 if field.six else 1
-    return found
+        yield field.name, slice(start, start + 6) if field.six else start
+        start += len(field.units)
+
+
+_PLACES = dict(_places())
+
+
+def named(row: Row) -> dict[str, Any]:
+    """Return the values of a sample by name; six components as a sequence."""
+    return {name: row[place] for name, place in _PLACES.items()}
 
 
 def schema(field: Field) -> dict[str, Any]:

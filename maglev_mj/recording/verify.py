@@ -19,7 +19,7 @@ from maglev_mj.recording.metadata import RunMetadata, Setup, Totals
 from maglev_mj.recording.recording import Recording, Stretch
 from maglev_mj.recording.row import ARRAYS, FIELDS, ROW, TOTALS, Rows, as_rows, as_table, compiled, named
 
-__all__ = ["Expected", "FieldVerdict", "Rebuild", "Verdict", "verify"]
+__all__ = ["Expected", "FieldVerdict", "Rebuild", "Verdict", "first_other_answer", "verify"]
 
 Rebuild: TypeAlias = Callable[[Setup, HandForce | None], tuple[SampledPlant | None, Controller]]
 """Makes plant and controller; None for a plant that cannot be made, such as a device."""
@@ -98,6 +98,28 @@ def verify(recording: Recording, rebuild: Rebuild, *, expect: Callable[[Setup], 
             same = None if again is None else _same(values, again)
             found[name] = _added(found.get(name), same, place, stretch.tick)
     return Verdict(recording.ticks, found, recording.damage)
+
+
+def first_other_answer(recording: Recording, rebuild: Rebuild, most: int) -> tuple[int, int, str] | None:
+    """Return stretch, tick and field of the first answer that a new controller does not give; None where it gives all.
+
+    Args:
+        recording: The recording.
+        rebuild: Makes plant and controller from a setup and a hand.
+        most: How many samples of each stretch to look at, from its first.
+
+    Raises:
+        ParameterError: If a setup is not one that can be made.
+    """
+    for place, stretch in enumerate(recording.stretches):
+        part = stretch.part(0, most - 1)
+        answers = _answers(part, rebuild(part.setup, None)[1])
+        same = {field.name: _same(part.rows[field.name], answers[field.name]) for field in _COMMANDED}
+        first = {name: int(np.argmin(one)) for name, one in same.items() if not one.all()}
+        if first:
+            name = min(first, key=lambda name: first[name])
+            return place, int(part.tick[first[name]]), name
+    return None
 
 
 def _added(before: FieldVerdict | None, same: Mask | None, place: int, ticks: Array) -> FieldVerdict:

@@ -11,12 +11,12 @@ import os
 import sys
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any
 
-from foxglove import Context, open_mcap
+from foxglove import Context, open_mcap, set_log_level
 from foxglove.mcap import MCAPWriteOptions
 
 from maglev_mj.recording.live import RowReader
@@ -29,7 +29,7 @@ __all__ = ["McapWriter", "main"]
 
 _NAP = 0.02
 _LOST = 0.25  # s that a SIGKILL to this process may cost
-_CHUNK = 1 << 20
+_CHUNK = 1 << 16  # before it is packed: some 150 samples, which is what damage to one of its bytes costs
 
 
 class _File:
@@ -62,10 +62,16 @@ class _File:
             self.error = self.error or error
             raise
 
-    def check(self) -> None:
-        """Raise the first error there was."""
+    @contextmanager
+    def checked(self) -> Iterator[None]:
+        """Raise its first error in place of foxglove-sdk's, and where that has none."""
+        try:
+            yield
+        except RuntimeError:
+            if self.error is None:
+                raise
         if self.error is not None:
-            raise self.error
+            raise self.error from None
 
 
 class McapWriter:
@@ -80,33 +86,34 @@ class McapWriter:
 
     def __init__(self, file: IO[bytes]) -> None:
         self._file, self._context = _File(file), Context()  # without which its channels close
-        options = MCAPWriteOptions(profile="", chunk_size=_CHUNK, compression_threads=0)
-        self._writer = open_mcap(self._file, context=self._context, writer_options=options)
+        options = MCAPWriteOptions(profile="", chunk_size=_CHUNK, compression_threads=0, disable_seeking=True)
         units = {name: unit for field in (*FIELDS, *TOTALS) for name, unit in field.units}
         about = {"format": FORMAT, "units": units, **versions()}
         texts = {name: one if isinstance(one, str) else json.dumps(one) for name, one in about.items()}
-        self._writer.write_metadata(METADATA, texts)
+        with self._file.checked():
+            self._writer = open_mcap(self._file, context=self._context, writer_options=options)
+            self._writer.write_metadata(METADATA, texts)
         self._messages, self._flushed = Messages(self._context), time.monotonic()
-        self.begin, self.row, self.event = self._messages.begin, self._messages.row, self._messages.event
+        self.begin, self.row = self._messages.begin, self._messages.row
+        self.event, self.stick = self._messages.event, self._messages.stick
 
     def attach(self, name: str, media_type: str, data: str) -> None:
         """Write a file into the file, in base64."""
         now, whole = time.time_ns(), base64.b64decode(data)
-        self._writer.attach(log_time=now, create_time=now, name=name, media_type=media_type, data=whole)
-        self._file.check()
+        with self._file.checked():
+            self._writer.attach(log_time=now, create_time=now, name=name, media_type=media_type, data=whole)
 
     def flush(self) -> None:
         """Hand what is written over to the system, from time to time."""
-        self._file.check()
-        if time.monotonic() - self._flushed > _LOST:
-            self._writer.flush()
-            self._flushed = time.monotonic()
-            self._file.check()
+        with self._file.checked():
+            if time.monotonic() - self._flushed > _LOST:
+                self._writer.flush()
+                self._flushed = time.monotonic()
 
     def close(self) -> None:
         """Write the rest, and the index."""
-        self._writer.close()
-        self._file.check()
+        with self._file.checked():
+            self._writer.close()
 
 
 class _Orders:
@@ -135,7 +142,7 @@ def _write(ring: RowReader, orders: _Orders, mcap: McapWriter, first: Callable[[
     def obey(place: int) -> None:
         while orders.waiting and orders.waiting[0]["at"] <= place:
             order = orders.waiting.popleft()
-            for name in ("begin", "event", "attach"):
+            for name in ("begin", "event", "stick", "attach"):
                 if name in order:
                     getattr(mcap, name)(*order[name])
 
@@ -160,6 +167,7 @@ def _write(ring: RowReader, orders: _Orders, mcap: McapWriter, first: Callable[[
 
 def main() -> None:
     """Write a recording; the command line names the ring, a file to begin with, and the name that it gets then."""
+    set_log_level("CRITICAL")  # what goes wrong is said once, where the recording is closed
     ring, aside, path = RowReader(int(sys.argv[1])), Path(sys.argv[2]), Path(sys.argv[3])
     error = ""
     try:
@@ -169,9 +177,9 @@ def main() -> None:
             if ring.lost:
                 mcap.event("lost", f"{ring.lost} samples came too fast to be written")
             mcap.close()
-        aside.unlink(missing_ok=True)  # there was no row
     except OSError as problem:
         error = problem.strerror or str(problem)
+    aside.unlink(missing_ok=True)  # where there was no row
     with suppress(BrokenPipeError):  # nobody is there any more, and the file is whole
         os.write(sys.stdout.fileno(), json.dumps({"error": error, "lost": ring.lost}).encode())
 

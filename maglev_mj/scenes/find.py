@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import importlib
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from functools import lru_cache
 from importlib.metadata import entry_points
 from importlib.util import decode_source
@@ -16,6 +17,7 @@ from typing import Any
 
 from maglev_mj.errors import ParameterError
 from maglev_mj.scenes.scene import Scene
+from maglev_mj.versions import TEXT, file_of, hash_of
 
 __all__ = [
     "BUILT_IN",
@@ -24,6 +26,7 @@ __all__ = [
     "hash_of",
     "line_of",
     "made_again",
+    "object_of_text",
     "reference_of",
     "scene_names",
     "scene_of_text",
@@ -49,7 +52,7 @@ BUILT_IN: Mapping[str, str] = {
 }
 """The scenes of this package: name -> module and class, in the order in which a key goes through them."""
 
-_OWN, _TEXT = "maglev_mj_scene_", "__text__"
+_OWN = "maglev_mj_scene_"
 
 
 def scene_names() -> list[str]:
@@ -102,12 +105,10 @@ def text_of(cls: type[Scene]) -> str:
     Raises:
         ParameterError: If it is at the top of no file, as one that was typed in.
     """
-    module = sys.modules[cls.__module__]
-    file = getattr(module, "__file__", None)
-    if file is None or cls.__qualname__ != cls.__name__:
+    found = file_of(cls)
+    if found is None:
         raise ParameterError(f"scene must be at the top of a file, so that others can run it, not {cls.__qualname__}")
-    text: str | None = getattr(module, _TEXT, None)
-    return Path(file).read_text(encoding="utf-8") if text is None else text
+    return found[1]
 
 
 def line_of(error: BaseException) -> str | None:
@@ -119,11 +120,6 @@ def line_of(error: BaseException) -> str | None:
     return found
 
 
-def hash_of(text: str) -> str:
-    """Return the first 16 digits of a text's SHA-256."""
-    return hashlib.sha256(text.encode()).hexdigest()[:16]
-
-
 @lru_cache(maxsize=16)
 def scene_of_text(text: str, name: str) -> type[Scene]:
     """Return a class of the text of a file that need not be on this machine; it is run once a process.
@@ -133,6 +129,24 @@ def scene_of_text(text: str, name: str) -> type[Scene]:
     """
     found: type[Scene] = getattr(_made(_OWN + hash_of(text), text, f"{name}.py"), name)
     return found
+
+
+@lru_cache(maxsize=64)
+def object_of_text(text: str, name: str, file: str) -> Any:
+    """Return a class or function of the text of a file, of which no more is executed than that needs.
+
+    Args:
+        text: The text, such as that of a script whose other lines drive a device.
+        name: Name at the top of it.
+        file: What to call the file in messages.
+
+    Raises:
+        ParameterError: If there is none of that name, or the text fails.
+    """
+    module = _made(f"{_OWN}{hash_of(text)}_{name}", text, file, name)
+    if not hasattr(module, name):
+        raise ParameterError(f"{file} has no {name}")
+    return getattr(module, name)
 
 
 def made_again(reference: str, values: Mapping[str, Any]) -> Scene:
@@ -188,19 +202,45 @@ def _run(path: Path, written: int) -> ModuleType:
         sys.path.remove(str(path.parent))
 
 
-def _made(name: str, text: str | bytes, file: str) -> ModuleType:
-    """Run the text of a file as a module of some name."""
+def _made(name: str, text: str | bytes, file: str, only: str = "") -> ModuleType:
+    """Run the text of a file as a module of some name; only what one of its names needs, where that is told."""
     module = ModuleType(name)
     module.__file__ = file
     sys.modules[name] = module
     try:
         text = text if isinstance(text, str) else decode_source(text)
-        setattr(module, _TEXT, text)
-        exec(compile(text, file, "exec"), module.__dict__)
+        setattr(module, TEXT, text)
+        tree = ast.parse(text, file)
+        tree.body = list(_needed(tree, only)) if only else tree.body
+        exec(compile(tree, file, "exec"), module.__dict__)
     except Exception as error:
         del sys.modules[name]
         raise ParameterError(f"scene {Path(file).name} cannot be read: {_said(error)}") from error
     return module
+
+
+def _needed(tree: ast.Module, name: str) -> Iterator[ast.stmt]:
+    """Yield the statements that a name at the top needs, and those that say how to read the others."""
+    binds = [_bound(statement) for statement in tree.body]
+    wanted, kept = {"*", name}, set[int]()
+    while more := {place for place, names in enumerate(binds) if names & wanted} - kept:
+        kept |= more
+        used = [node for place in more for node in ast.walk(tree.body[place])]
+        wanted |= {node.id for node in used if isinstance(node, ast.Name)}
+    yield from (tree.body[place] for place in sorted(kept))
+
+
+def _bound(statement: ast.stmt) -> set[str]:
+    """Return the names that a statement gives a value; * for one that may give any."""
+    if isinstance(statement, ast.FunctionDef | ast.ClassDef):
+        return {statement.name}
+    if isinstance(statement, ast.ImportFrom) and statement.module == "__future__":
+        return {"*"}
+    nodes = list(ast.walk(statement))
+    stored = {node.id for node in nodes if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)}
+    named = {node.name for node in nodes if isinstance(node, ast.FunctionDef | ast.ClassDef)}
+    aliases = [alias for node in nodes if isinstance(node, ast.Import | ast.ImportFrom) for alias in node.names]
+    return stored | named | {alias.asname or alias.name.partition(".")[0] for alias in aliases}
 
 
 def _said(error: Exception) -> str:

@@ -16,7 +16,7 @@ from maglev_mj.scenes.parts import wall, weight
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.spec import Spec
 
-__all__ = ["recorded_scene"]
+__all__ = ["parameters_in", "recorded_scene"]
 
 _OTHERS = tuple(axis for axis in AXES if axis != "z")
 
@@ -47,6 +47,18 @@ class OldDrop(OldPress):
 
 
 _OLD: Mapping[str, type[Scene]] = {"drop": OldDrop, "press": OldPress}
+
+
+def parameters_in(setup: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the parameters of the scene of a recording's setup.
+
+    Raises:
+        ParameterError: If there are none.
+    """
+    found = setup.get("settings", setup.get("parameters"))
+    if not isinstance(found, dict):
+        raise ParameterError("a setup must have parameters")
+    return found
 
 
 def recorded_scene(name: str, values: Mapping[str, Any], scene: type[Scene] | None = None) -> Scene:

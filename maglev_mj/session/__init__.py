@@ -6,7 +6,7 @@ from maglev_mj.session.live import device_controller, live_plant
 from maglev_mj.session.pacing import Due, Pacer, real_time
 from maglev_mj.session.session import Session
 from maglev_mj.session.snapshot import History, Publisher, Publishers, SampledMotion, Snapshot, SnapshotSource, Wish
-from maglev_mj.session.stretch import settings_of
+from maglev_mj.session.stretch import begin_scene
 
 __all__ = [
     "DEVICES_OWN",
@@ -24,12 +24,12 @@ __all__ = [
     "SnapshotSource",
     "Wish",
     "actions",
+    "begin_scene",
     "check_step",
     "device_controller",
     "live_plant",
     "real_time",
     "refusal",
     "settable",
-    "settings_of",
     "stability_warning",
 ]

@@ -7,33 +7,37 @@ from typing import Any
 
 import numpy as np
 
+from maglev_mj.controller import Controller
 from maglev_mj.energy import EnergyAccount
 from maglev_mj.frames import ZERO, Array, Command, Sample
 from maglev_mj.hand import HandForce
-from maglev_mj.loop import ControlLoop
-from maglev_mj.recording import RecordingFile, RunMetadata
+from maglev_mj.loop import ControlLoop, Record
+from maglev_mj.recording import RecordingFile, setup_of
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.find import reference_of, source_of
 from maglev_mj.session.live import live_plant
 
-__all__ = ["LiveStretch", "settings_of"]
+__all__ = ["LiveStretch", "begin_scene"]
 
 
-def settings_of(scene: Scene, kind: str) -> dict[str, Any]:
-    """Return what a setup of some kind says of its scene, ready for JSON; a file's hash too where it is in one."""
-    cls, source = type(scene), source_of(type(scene))
-    said = {"kind": kind, "scene": reference_of(cls), "settings": scene.as_json()}
-    return said if source is None else {**said, "source": source}
+def begin_scene(file: RecordingFile, scene: Scene, plant: Any, controller: Controller, **known: Any) -> Record:
+    """Begin a stretch of a recording with all that a scene tells.
 
-
-def scene_setup(scene: Scene, pose: Sequence[float], twist: Sequence[float], wrench: Sequence[float]) -> dict[str, Any]:
-    """Return what a stretch is made from, ready for JSON."""
-    return {
-        **settings_of(scene, "scene"),
-        "pose": [float(part) for part in pose],
-        "twist": [float(part) for part in twist],
-        "wrench": [float(part) for part in wrench],
+    Args:
+        file: The file.
+        scene: The scene.
+        plant: The plant that is driven.
+        controller: The controller that drives it.
+        known: What else `setup_of` takes.
+    """
+    cls = type(scene)
+    told: dict[str, Any] = {
+        "scene": reference_of(cls),
+        "source": source_of(cls),
+        "parameters": scene.as_json(),
+        "axis": scene.axis,
     }
+    return file.begin(plant, controller, setup_of(plant, controller, **told, **known))
 
 
 class LiveStretch:
@@ -70,9 +74,7 @@ class LiveStretch:
         self.controller = scene.controller()
         record = None
         if file is not None:
-            run = RunMetadata.of(self.plant, self.controller, name=f"scene {scene.name}", axis=scene.axis)
-            setup = {**scene_setup(scene, pose, twist, wrench), "run": run.as_json()}
-            record = file.begin(self.plant, self.controller, setup)
+            record = begin_scene(file, scene, self.plant, self.controller, name=f"scene {scene.name}")
         self._carried = self.controller.carried
         self.energy = EnergyAccount(np.array(pose), self._carried)
         self.faces = self.controller.faces

@@ -1,0 +1,146 @@
+"""A recording as arrays, however long it is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.frames import Array
+from maglev_mj.recording.mcap import Part
+from maglev_mj.recording.metadata import RunMetadata, Setup
+from maglev_mj.recording.recording import Recording, Stretch, read_file
+from maglev_mj.recording.row import FIELDS, TOTALS, Field
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+__all__ = ["PandasMissingError", "Samples", "load"]
+
+_FIELDS: Mapping[str, Field] = {field.name: field for field in (*FIELDS, *TOTALS)}
+
+
+class PandasMissingError(MaglevError):
+    """The package of data frames is not installed."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Samples:
+    """All N samples of a recording; each field is an attribute too, such as `samples.position`.
+
+    Attributes:
+        arrays: Fields by name, (N,) or (N, 6), not to be changed; NaN where the file does not tell.
+        units: Unit of each column, such as `position.z`; empty for a whole number.
+        stretch: Number of the stretch of each sample, from 0, (N,).
+        setups: What plant and controller of each stretch were made from.
+        metadata: Of each stretch; None in files of before, which do not tell.
+        events: What a person should know of, such as faults.
+        about: Format of the file and versions of the code that made it; empty in files of before.
+        attachments: Files that are kept with it, by name.
+        damage: What is wrong with the file; empty for nothing.
+    """
+
+    arrays: Mapping[str, Array]
+    stretch: NDArray[np.int64]
+    setups: Sequence[Setup]
+    metadata: Sequence[RunMetadata | None]
+    events: Sequence[str]
+    about: Mapping[str, str]
+    attachments: Mapping[str, bytes]
+    damage: str
+
+    def __getattr__(self, name: str) -> Array:
+        arrays = self.__dict__.get("arrays", {})
+        if name not in arrays:
+            raise AttributeError(f"the samples have no {name!r}: it was not loaded, or is no field")
+        return np.asarray(arrays[name])
+
+    def __len__(self) -> int:
+        return len(self.stretch)
+
+    @property
+    def units(self) -> Mapping[str, str]:
+        """Unit of each column."""
+        return dict(unit for name in self.arrays for unit in _FIELDS[name].units)
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Return the columns by name, `stretch` and then those of `units`, (N,) each; without unit whole numbers."""
+        found: dict[str, NDArray[Any]] = {"stretch": self.stretch}
+        for name, values in self.arrays.items():
+            field = _FIELDS[name]
+            for place, (column, unit) in enumerate(field.units):
+                part = values[:, place] if field.six else values
+                found[column] = part if unit or np.isnan(part).any() else part.astype(np.int64)
+        return found
+
+    def to_pandas(self) -> DataFrame:
+        """Return a data frame, a row for each sample; `attrs` has units and events.
+
+        Raises:
+            PandasMissingError: If pandas is not installed.
+        """
+        if find_spec("pandas") is None:
+            raise PandasMissingError("data frames need pandas: pip install 'maglev-mj[pandas]'")
+        from pandas import DataFrame
+
+        frame = DataFrame(self.columns())
+        frame.attrs |= {"units": dict(self.units), "events": list(self.events)}
+        return frame
+
+
+def load(path: Path | str, fields: Sequence[str] | None = None) -> Samples:
+    """Read a recording as arrays.
+
+    An hour at 1 kHz takes some seconds and below 1 GB: what is constant, or equal to another field, is there once.
+
+    Args:
+        path: A file of either kind; one of MCAP that was not closed is read as far as it goes.
+        fields: Names of the fields to keep, such as "time" and "position"; None for all.
+
+    Raises:
+        McapMissingError: If it is of MCAP, and a package for it is not installed.
+        InvalidRecordingError: If it is not there, no recording, or holds what none can.
+        ParameterError: If a field is not known.
+    """
+    names = list(_FIELDS) if fields is None else list(fields)
+    unknown = [name for name in names if name not in _FIELDS]
+    if unknown:
+        raise ParameterError(f"fields must be of {', '.join(_FIELDS)}, not {unknown[0]!r}")
+    found = read_file(Path(path), frozenset(names))
+    parts: Sequence[Stretch | Part]
+    if isinstance(found, Recording):
+        parts = found.stretches
+    else:
+        parts = [part for part in found.parts if len(part)]
+    arrays = {name: _joined([_array(part, name) for part in parts], name) for name in names}
+    sizes = [len(part) for part in parts]
+    return Samples(
+        arrays=arrays,
+        stretch=np.repeat(np.arange(len(sizes)), sizes),
+        setups=[part.setup for part in parts],
+        metadata=[part.metadata for part in parts],
+        events=found.events,
+        about=found.about,
+        attachments=found.attachments,
+        damage=found.damage,
+    )
+
+
+def _array(part: Stretch | Part, name: str) -> Array:
+    """Return a field of a stretch; NaN for totals that it does not have."""
+    if isinstance(part, Part):
+        return part.array(name)
+    rows = part.totals if any(name == field.name for field in TOTALS) else part.rows
+    return np.full(len(part), np.nan) if rows is None else np.ascontiguousarray(rows[name])
+
+
+def _joined(parts: Sequence[Array], name: str) -> Array:
+    if len(parts) == 1:
+        return parts[0]
+    return np.concatenate(parts) if parts else np.empty((0, 6) if _FIELDS[name].six else 0)

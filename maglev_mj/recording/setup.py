@@ -1,0 +1,316 @@
+"""What plant and controller were made from: written as JSON, and made again from it without a name being imported."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import Any, Protocol, TypeAlias
+
+import numpy as np
+
+from maglev_mj import laws as _laws
+from maglev_mj.controller import Controller
+from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.hand import GuidedHand, Hand, HandForce, SpringHand, Trajectory
+from maglev_mj.laws.base import FunctionLaw
+from maglev_mj.model import model_files, model_names
+from maglev_mj.parameters import number
+from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant, Sensor, SpotSensor, Timing, engine_warnings_silenced
+from maglev_mj.recording.checks import check_setup, text_in
+from maglev_mj.recording.metadata import RunMetadata, Setup
+from maglev_mj.recording.recording import InvalidRecordingError
+from maglev_mj.versions import file_of, hash_of
+
+__all__ = [
+    "ALLOW",
+    "Own",
+    "OwnCodeError",
+    "attach_model",
+    "attach_parts",
+    "attach_source",
+    "controller_again",
+    "plant_again",
+    "scripted",
+    "setup_of",
+    "whole_setup",
+]
+
+Own: TypeAlias = Callable[[str], Any]
+"""Returns a user's own class or function by its reference, FILE:NAME@HASH, having executed what it needs."""
+
+_SLOTS: Mapping[str, tuple[type, ...]] = {
+    "controller": (Controller,),
+    "laws": (
+        *(_laws.Bias, _laws.Hold, _laws.Wall, _laws.PredictiveWall, _laws.ObserverWall, _laws.PassivityController),
+        *(_laws.StickSlip, _laws.SpringReset, _laws.ImplicitCoulomb),
+        *(_laws.Dahl, _laws.LuGre, _laws.ElastoPlastic, _laws.HaywardArmstrong),
+    ),
+    "velocity": (_laws.FiniteDifference, _laws.LowPass, _laws.Window, _laws.AdaptiveWindow),
+    "plant": (ExactPlant, MuJoCoPlant),
+    "timing": (Timing,),
+    "sensor": (Sensor, SpotSensor),
+    "hand": (Hand,),
+    "hand_force": (GuidedHand, SpringHand),
+    "path": (Trajectory,),
+    "target": (Trajectory,),
+}
+"""What an object may be, by the name of the argument that takes it: nothing else is ever made."""
+
+ALLOW = "allow it by --scene {}, or by --scene attached for the source in the recording"
+"""What a person does about an `OwnCodeError`."""
+
+_OWN_SLOTS = ("laws", "velocity")
+_INFINITE = {"inf": math.inf, "-inf": -math.inf}
+_MOST, _LONGEST_LIST, _MOST_LAWS, _LEAST_STEP = 1e12, 100_000, 100, 1e-5
+
+
+class OwnCodeError(InvalidRecordingError):
+    """A recording needs code that is not this package's, and that nobody let this program execute."""
+
+
+class _UntoldError(Exception):
+    """A value cannot be told in JSON."""
+
+
+def setup_of(
+    plant: Any,
+    controller: Controller,
+    *,
+    kind: str = "run",
+    scene: str | None = None,
+    source: str | None = None,
+    parameters: Mapping[str, Any] | None = None,
+    samples: int | None = None,
+    **metadata: Any,
+) -> dict[str, Any]:
+    """Return what a run is made from, before its first sample, ready for JSON.
+
+    Args:
+        plant: The plant.
+        controller: The controller.
+        kind: "run", or "device" for a flight.
+        scene: Reference of the scene; None for none.
+        source: Hash of the scene's file; None for none.
+        parameters: Whatever the run depends on, by name, ready for JSON.
+        samples: How many the run takes unless it fails before; None where nobody knows.
+        metadata: In place of what plant and controller tell: see `RunMetadata.of`.
+
+    Raises:
+        ParameterError: If a value is not finite, or the plant does not tell its delay and none is given.
+    """
+    if scene is not None:
+        metadata.setdefault("name", scene)
+    told: dict[str, Any] = {
+        "kind": kind,
+        "scene": scene,
+        "source": source,
+        "parameters": dict(parameters or {}),
+        "samples": samples,
+        "controller": _told("controller", controller),
+        "plant": _told("plant", plant),
+        "run": RunMetadata.of(plant, controller, **metadata).as_json(),
+    }
+    return dict(check_setup(told))
+
+
+def whole_setup(plant: Any, controller: Controller, setup: Setup | None) -> Setup:
+    """Return a setup with its metadata in it: that of plant and controller where none is given."""
+    if setup is None:
+        return setup_of(plant, controller)
+    return setup if "run" in setup else {**setup, "run": RunMetadata.of(plant, controller).as_json()}
+
+
+class Attaching(Protocol):
+    """What files are attached to: see `RecordingFile`."""
+
+    def attach(self, name: str, media_type: str, data: bytes) -> None:
+        """Keep a file; do nothing where one of that name is there."""
+
+
+def attach_parts(file: Attaching, plant: Any, controller: Controller) -> None:
+    """Attach what plant and controller depend on: MJCF, and sources that are not this package's."""
+    model = getattr(plant, "given", {}).get("model", "drop" if isinstance(plant, MuJoCoPlant) else None)
+    if isinstance(model, str | Path):
+        attach_model(file, model)
+    for part in (*controller.laws, controller.velocity):
+        attach_source(file, part.function if isinstance(part, FunctionLaw) else type(part))
+
+
+def attach_model(file: Attaching, model: str | Path) -> None:
+    """Attach the MJCF of a model, with what it includes."""
+    for name, text in model_files(model):
+        file.attach(f"model/{name}", "application/xml", text.encode())
+
+
+def attach_source(file: Attaching, thing: Any) -> None:
+    """Attach the file of a class or function that is not this package's."""
+    own = getattr(thing, "__module__", "maglev_mj").partition(".")[0] != "maglev_mj"
+    if own and (found := file_of(thing)) is not None:
+        path, text = found
+        file.attach(f"source/{hash_of(text)}/{path.name}", "text/x-python", text.encode())
+
+
+def scripted(setup: Setup) -> bool:
+    """Return whether the hand is the run's own: told in its setup, or none at all."""
+    plant = setup.get("plant")
+    return isinstance(plant, dict) and not isinstance(plant.get("hand_force"), str)
+
+
+def controller_again(setup: Setup, own: Own | None = None) -> Controller:
+    """Make the controller of a setup of `setup_of` anew.
+
+    Args:
+        setup: The setup.
+        own: Finds classes and functions that are not this package's; None where nobody let them be executed.
+
+    Raises:
+        OwnCodeError: If it takes code that nobody let this program execute, or that nothing tells of.
+        InvalidRecordingError: If something in it is missing, of another kind, or out of range.
+    """
+    with _refused():
+        controller = _made("controller", setup["controller"], own)
+        if not isinstance(controller, Controller):
+            raise OwnCodeError(f"nothing tells how {controller} was made, or it had run before the recording began")
+        return controller
+
+
+def plant_again(setup: Setup, hand: HandForce | None = None) -> SampledPlant | None:
+    """Make the plant of a setup of `setup_of` anew; None for one that is not this package's.
+
+    Args:
+        setup: The setup.
+        hand: The hand on the flotor; None for the run's own, if it has one.
+
+    Raises:
+        InvalidRecordingError: If something in it is missing, of another kind, or out of range.
+    """
+    told = setup.get("plant")
+    if isinstance(told, str):
+        return None
+    with _refused(), engine_warnings_silenced():
+        if isinstance(told, dict) and (hand is not None or not scripted(setup)):
+            told = {name: value for name, value in told.items() if name != "hand_force"}
+        plant = _made("plant", told, None, {} if hand is None else {"hand_force": hand})
+        if not isinstance(plant, SampledPlant):
+            raise ParameterError(f"plant must be an object, not {plant!r}")
+        return plant
+
+
+@contextmanager
+def _refused() -> Iterator[None]:
+    """Turn whatever a made-up setup leads to into one line."""
+    try:
+        yield
+    except InvalidRecordingError:
+        raise
+    except (MaglevError, KeyError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError) as error:
+        raise InvalidRecordingError(f"a recording's setup cannot be made here: {error}") from None
+
+
+def _told(slot: str, value: Any) -> Any:
+    """Return an object as JSON; its class alone where not all of it can be told."""
+    try:
+        known = _reference(slot, value)
+        return {"class": known, **{name: _value(name, part) for name, part in _given(slot, value).items()}}
+    except _UntoldError:
+        return f"{type(value).__module__}.{type(value).__qualname__}"
+
+
+def _reference(slot: str, value: Any) -> str:
+    """Return the name of an object's class: one of `_SLOTS`, or FILE:NAME@HASH of a user's own."""
+    if type(value) in _SLOTS[slot]:
+        return type(value).__name__
+    thing = value.function if isinstance(value, FunctionLaw) else type(value)
+    if slot in _OWN_SLOTS and (found := file_of(thing) if hasattr(thing, "__qualname__") else None):
+        return f"{found[0].name}:{thing.__qualname__}@{hash_of(found[1])}"
+    raise _UntoldError
+
+
+def _given(slot: str, value: Any) -> Mapping[str, Any]:
+    """Return the arguments from which an object is made, those that are not the default."""
+    if isinstance(value, Controller | SampledPlant) and value.begun:
+        raise _UntoldError  # what it remembers is not in its arguments
+    if isinstance(value, Controller):
+        return {"laws": value.laws, "period": value.period, "velocity": value.velocity}
+    if isinstance(value, SampledPlant):
+        return value.given
+    if slot == "hand_force" and isinstance(value, SpringHand) and not isinstance(value.target, Trajectory):
+        raise _UntoldError  # somebody moves it
+    if is_dataclass(value):
+        return {
+            one.name: part
+            for one in fields(value)
+            if one.init and (part := getattr(value, one.name)) is not one.default
+        }
+    if isinstance(value, FunctionLaw) or not vars(value):
+        return {}
+    raise _UntoldError
+
+
+def _value(slot: str, value: Any) -> Any:
+    """Return an argument as JSON."""
+    if slot == "model" and value not in (None, *model_names()):
+        raise _UntoldError
+    if value is None or isinstance(value, bool | str):
+        return value
+    if isinstance(value, np.generic | np.ndarray):
+        value = value.tolist()
+    if isinstance(value, int | float):
+        return value if math.isfinite(value) else str(float(value))
+    if isinstance(value, list | tuple):
+        return [_told(slot, one) if slot == "laws" else _value(slot, one) for one in value]
+    if slot not in _SLOTS:
+        raise _UntoldError
+    told = _told(slot, value)
+    if isinstance(told, str) and slot not in ("hand_force", *_OWN_SLOTS):
+        raise _UntoldError
+    return told
+
+
+def _made(slot: str, told: Any, own: Own | None, more: Mapping[str, Any] | None = None) -> Any:
+    """Return the object or number that JSON tells of.
+
+    Args:
+        slot: Name of the argument that takes it.
+        told: The JSON.
+        own: See `controller_again`.
+        more: Further arguments of it.
+    """
+    if isinstance(told, list):
+        most = _MOST_LAWS if slot == "laws" else _LONGEST_LIST
+        if len(told) > most:
+            raise ParameterError(f"{slot} must be at most {most}, not {len(told)}")
+        return [_made(slot, one, own) for one in told]
+    if isinstance(told, dict):
+        name = text_in(told, "class")
+        cls = {one.__name__: one for one in _SLOTS.get(slot, ())}.get(name)
+        if cls is None:
+            cls = _own(slot, name, own)
+        given = {key: _made(key, part, own) for key, part in told.items() if key != "class"}
+        return cls(**given, **(more or {})) if isinstance(cls, type) else cls
+    if slot in _OWN_SLOTS and isinstance(told, str):
+        raise OwnCodeError(f"{told} is none of this package's, and nothing tells how it was made")
+    if slot == "model" and told not in (None, *model_names()):
+        raise ParameterError(f"model must be one of {', '.join(model_names())}, not {told!r}")
+    if isinstance(told, int | float) and not isinstance(told, bool):
+        number(slot, told, at_least=_LEAST_STEP if slot == "longest_step" else -_MOST, at_most=_MOST)
+    return _INFINITE.get(told, told) if isinstance(told, str) else told
+
+
+def _own(slot: str, name: str, own: Own | None) -> Any:
+    """Return a user's own class or function.
+
+    Raises:
+        ParameterError: If there is none of that name for this argument.
+        OwnCodeError: If nobody let it be executed.
+    """
+    if slot not in _OWN_SLOTS or "@" not in name:
+        allowed = ", ".join(one.__name__ for one in _SLOTS.get(slot, ()))
+        raise ParameterError(f"{slot} must be of class {allowed or 'none'}, not {name[:60]!r}")
+    if own is None:
+        file = name.partition(":")[0][:60]
+        raise OwnCodeError(f"{name[:80]!r} must be executed to run it again: {ALLOW.format(file)}")
+    return own(name)

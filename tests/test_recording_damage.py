@@ -1,0 +1,181 @@
+"""What damage does to a recording: each row of the table in docs/recording.md."""
+
+import io
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from maglev_mj.controller import Controller
+from maglev_mj.laws import Wall
+from maglev_mj.loop import drive
+from maglev_mj.plants import ExactPlant, Timing
+from maglev_mj.recording import Recording, RecordingError, load, open_recording, setup_of
+from maglev_mj.recording.files import row_of
+from maglev_mj.recording.writer import McapWriter
+
+PERIOD = 0.001
+TICKS = 1500
+
+
+def parts() -> tuple[ExactPlant, Controller]:
+    plant = ExactPlant(Timing(period=PERIOD, delay=0.0015), pose=[0.0, 0.0, 0.0045, 0.01, 0.0, 0.0])
+    return plant, Controller([Wall(axes="z", lower=0.0, stiffness=6000.0, damping=80.0)], period=PERIOD)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """Return a recording of two stretches, with an event and an attachment."""
+    path = tmp_path_factory.mktemp("whole") / "run.mcap"
+    file = open_recording(path, wait=True)
+    file.attach("device.xml", "text/xml", b"<mujoco/>" * 50)
+    for _ in range(2):
+        plant, controller = parts()
+        drive(plant, controller, TICKS // 2, record=file.begin(plant, controller))
+        file.event("fault", "for a test")
+    file.close()
+    return path.read_bytes()
+
+
+def read(data: bytes, folder: Path) -> Recording | None:
+    """Return what is in a file, None where it is refused in one line."""
+    path = folder / "run.mcap"
+    path.write_bytes(data)
+    try:
+        return Recording.load(path)
+    except RecordingError as error:
+        assert "\n" not in str(error)
+        return None
+
+
+def same_so_far(part: Recording, full: Recording) -> None:
+    """Check that what is there is as it was, to the last bit, and that what is not there is told of."""
+    for one, other in zip(part.stretches, full.stretches, strict=False):
+        assert one.rows.tobytes() == other.rows[: len(one)].tobytes()
+        assert one.totals is not None and other.totals is not None
+        assert one.totals.tobytes() == other.totals[: len(one)].tobytes()
+        assert one.whole_setup == other.whole_setup
+    assert list(part.events) == list(full.events)[: len(part.events)]
+    assert set(part.attachments.items()) <= set(full.attachments.items())
+    if not part.damage:
+        assert part.ticks == full.ticks and len(part.events) == len(full.events)
+        assert part.attachments == full.attachments and part.about == full.about
+
+
+def boundaries(data: bytes) -> list[int]:
+    """Return where the chunks of a file begin and end."""
+    from mcap.reader import make_reader
+
+    summary = make_reader(io.BytesIO(data)).get_summary()
+    assert summary is not None
+    return sorted(
+        edge
+        for chunk in summary.chunk_indexes
+        for edge in (chunk.chunk_start_offset, chunk.chunk_start_offset + chunk.chunk_length)
+    )
+
+
+def test_cut_off_anywhere_it_is_read_up_to_its_last_whole_chunk(whole: bytes, tmp_path: Path) -> None:
+    """At every end of a chunk and some bytes around, and all over."""
+    full, edges = read(whole, tmp_path), boundaries(whole)
+    assert full is not None and not full.damage and full.ticks == 2 * (TICKS // 2) and len(edges) > 8
+    near = {edge + step for edge in edges for step in (-9, -1, 0, 1, 9)}
+    ends, ticks = {*near, *range(0, len(whole), 997), *range(len(whole) - 40, len(whole))}, {}
+    for end in sorted(ends):
+        part = read(whole[:end], tmp_path)
+        if part is not None:
+            assert part.damage in ("its end is missing", "its count of messages is missing")
+            same_so_far(part, full)
+            ticks[end] = part.ticks
+    assert len(set(ticks.values())) > 5
+    for first, last in zip(edges[2::2], edges[3::2], strict=True):  # a chunk that is whole counts
+        assert ticks[last] > ticks[first] or last == edges[-1]
+
+
+def flips(whole: bytes, folder: Path, count: int) -> tuple[int, int, int]:
+    """Return how many files of one bit changed are refused, told to be damaged, and the same all the same."""
+    full = read(whole, folder)
+    assert full is not None
+    random, found = np.random.default_rng(1), [0, 0, 0]
+    for place in np.linspace(8, len(whole) - 1, count).astype(int).tolist():
+        data = bytearray(whole)
+        data[place] ^= 1 << int(random.integers(8))
+        part = read(bytes(data), folder)
+        if part is not None:
+            same_so_far(part, full)
+        found[0 if part is None else 1 if part.damage else 2] += 1
+    return found[0], found[1], found[2]
+
+
+def test_no_number_of_a_file_with_one_bit_changed_is_taken_for_true(whole: bytes, tmp_path: Path) -> None:
+    refused, damaged, same = flips(whole, tmp_path, 120)
+    assert damaged > refused > 0 and same < 6
+
+
+@pytest.mark.study
+def test_no_number_of_a_file_with_one_bit_changed_is_taken_for_true_anywhere(whole: bytes, tmp_path: Path) -> None:
+    found = flips(whole, tmp_path, 2000)
+    print("refused, damaged, the same:", found)
+    assert found[1] > found[0] > 0 and found[2] < 60
+
+
+class FullDisk(io.BytesIO):
+    """A file on a disk with room for so many bytes."""
+
+    def __init__(self, room: int) -> None:
+        super().__init__()
+        self._room = room
+
+    def write(self, data: Any) -> int:
+        if self.tell() + len(data) > self._room:
+            raise OSError(28, "No space left on device")
+        return super().write(data)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.001, 0.2, 0.5, 0.9, 0.95, 0.999])
+def test_a_disk_that_is_full_is_told_of_and_what_was_written_is_read(
+    share: float, whole: bytes, tmp_path: Path
+) -> None:
+    """Wherever it is: in the header, in samples, in the index at the end."""
+
+    def write(file: Any) -> None:
+        writer = McapWriter(file)
+        plant, controller = parts()
+        writer.begin(setup_of(plant, controller), 1)
+        drive(plant, controller, 600, record=lambda *cycle: writer.row(row_of(*cycle, plant)))  # type: ignore[call-arg]
+        writer.flush()
+        writer.close()
+
+    room = io.BytesIO()
+    write(room)
+    disk = FullDisk(int(share * len(room.getvalue())))
+    with pytest.raises(OSError, match="No space left on device"):
+        write(disk)
+    part, full = read(disk.getvalue(), tmp_path), read(room.getvalue(), tmp_path)
+    assert full is not None and (part is not None or share < 0.5)
+    if part is not None:
+        assert part.damage and (part.ticks > 200 or share < 0.5)
+        same_so_far(part, full)
+
+
+@pytest.mark.skipif(not hasattr(__import__("resource"), "prlimit"), reason="limits of another process: Linux")
+def test_a_file_that_can_grow_no_more_is_one_line_at_the_end(tmp_path: Path, capfd: Any) -> None:
+    import resource
+
+    path = tmp_path / "run.mcap"
+    file: Any = open_recording(path, wait=True)
+    resource.prlimit(file._process.pid, resource.RLIMIT_FSIZE, (100_000, 100_000))
+    plant, controller = parts()
+    with pytest.raises(RecordingError, match=r"is not written any more|is not whole"):
+        drive(plant, controller, 20_000, record=file.begin(plant, controller))
+        file.close()
+    with pytest.raises(RecordingError, match=r"run\.mcap is not whole: File too large$"):
+        file._closed = False
+        file.close()
+    said = capfd.readouterr()
+    assert not said.out and not said.err
+    part = Recording.load(path)
+    assert part.damage and 500 < part.ticks < 20_000 and os.path.getsize(path) <= 100_000
+    assert len(load(path)) == part.ticks

@@ -1,0 +1,217 @@
+"""What other programs find in a recording: every topic by the schema in the file, frames, a scene, a log."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from maglev_mj.frames import ZERO, quaternion
+from maglev_mj.recording import Recording, open_recording, protobuf
+from maglev_mj.recording.row import FIELDS, TOTALS
+from maglev_mj.replay import write_run
+from maglev_mj.scenes.drop import Drop
+from maglev_mj.scenes.press import Press
+from maglev_mj.scenes.stick_slip import StickSlip
+from maglev_mj.shapes import ARROW, GRIP, shapes
+from tests.recorded import decoder, messages_in
+
+TOPICS = ("/maglev/stretch", "/maglev/sample", "/maglev/event", "/tf", "/maglev/scene", "/log")
+
+
+def found_in(path: Path) -> dict[str, list[dict[str, Any]]]:
+    """Return all messages of a file by topic, decoded by the schemas in it."""
+    found: dict[str, list[dict[str, Any]]] = {topic: [] for topic in TOPICS}
+    for topic, message in messages_in(path.read_bytes(), TOPICS):
+        found[topic].append(message)
+    return found
+
+
+def numbers(message: dict[str, float]) -> list[float]:
+    return list(message.values())
+
+
+def test_the_schema_is_that_of_the_package_of_protobuf() -> None:
+    """Built once more by its own means, and compared as a whole."""
+    from google.protobuf import descriptor_pb2
+
+    found = descriptor_pb2.FileDescriptorSet.FromString(protobuf.descriptor())
+    (file,) = found.file
+    assert (file.package, file.syntax) == ("maglev_mj", "proto3")
+    six, sample = file.message_type
+    built = descriptor_pb2.DescriptorProto(name="SixAxes")
+    for number, axis in enumerate(("x", "y", "z", "rx", "ry", "rz"), 1):
+        built.field.add(name=axis, number=number, type="TYPE_DOUBLE", label="LABEL_OPTIONAL")
+    assert six == built
+    named = {field.name: field for field in sample.field}
+    assert list(named)[:4] == ["stretch", "tick", "time", "position"]
+    assert set(named) == {"stretch", *(field.name for field in (*FIELDS, *TOTALS))}
+    assert [field.number for field in sample.field] == list(range(1, len(named) + 1))
+    for field in (*FIELDS, *TOTALS):
+        kind = ("TYPE_MESSAGE" if field.six else "TYPE_DOUBLE") if field.unit else "TYPE_FIXED64"
+        assert named[field.name].type == descriptor_pb2.FieldDescriptorProto.Type.Value(kind)
+    assert found.SerializeToString(deterministic=True) == protobuf.descriptor()
+
+
+def test_a_sample_is_packed_as_the_package_of_protobuf_packs_it() -> None:
+    """To the byte, where no value is zero: that package leaves zeros out."""
+    from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+
+    random, pool = np.random.default_rng(3), descriptor_pool.DescriptorPool()
+    pool.Add(descriptor_pb2.FileDescriptorSet.FromString(protobuf.descriptor()).file[0])
+    kind = message_factory.GetMessageClass(pool.FindMessageTypeByName(protobuf.NAME))
+    for _ in range(20):
+        row: list[float] = []
+        for field in (*FIELDS, *TOTALS):
+            row += (
+                random.integers(1, 2**50, 1).tolist()
+                if not field.unit
+                else random.normal(size=len(field.units)).tolist()
+            )
+        count = sum(len(field.units) for field in FIELDS)
+        data = protobuf.packed(7, row[:count], row[count:])
+        message = kind.FromString(data)
+        assert message.stretch == 7
+        again = kind.FromString(message.SerializeToString(deterministic=True))
+        assert again == message and sorted(message.SerializeToString(deterministic=True)) == sorted(data)
+        layout, place = protobuf.layout_of(data), 0
+        for field in (*FIELDS, *TOTALS):
+            values = layout.values(np.frombuffer(data, np.uint8)[None], field)
+            assert values.ravel().tolist() == row[place : place + len(field.units)]
+            place += len(field.units)
+
+
+def test_a_layout_is_read_from_its_first_message_or_refused() -> None:
+    data = protobuf.packed(0, [0.0] * sum(len(field.units) for field in FIELDS), [0.0] * len(TOTALS))
+    later = data + bytes([0xF9, 0x01]) + bytes(8) + bytes([0x82, 0x02, 3]) + b"abc"  # fields 31 and 32
+    assert protobuf.layout_of(later).size == len(later)
+    arrival = data[: -len(TOTALS) * 9 - 9] + data[-len(TOTALS) * 9 :]  # of a version without it
+    values = protobuf.layout_of(arrival).values(np.frombuffer(arrival, np.uint8)[None], FIELDS[-1])
+    assert FIELDS[-1].optional and np.isnan(values).all()
+    for wrong in (data[:-1], data[9:], data + data[:9], b"", b"\x08\x01", b"\xff" * 20, data + b"\x0d" + bytes(4)):
+        with pytest.raises(ValueError, match="a sample must have"):
+            protobuf.layout_of(wrong)
+
+
+@pytest.mark.parametrize("scene", [Drop(), Press(hits=1), StickSlip(), StickSlip(axis="ry")])
+def test_frames_are_where_the_flotor_is_and_the_stick_position_where_it_sticks(scene: Any, tmp_path: Path) -> None:
+    from maglev_mj.replay import rebuild, stick_positions_of
+
+    path = tmp_path / "run.mcap"
+    write_run(path, scene, plant="exact")
+    (stretch,) = Recording.load(path).stretches
+    sticks, found = stick_positions_of(stretch, rebuild), found_in(path)
+    shown, last = [], -1.0
+    for row, time in enumerate(stretch.time):
+        if time >= last + 1.0 / 60.0:
+            shown.append(row)
+            last = time
+    assert len(found["/tf"]) == len(shown) > 10
+    for message, row in zip(found["/tf"], shown, strict=True):
+        frames = {frame["child_frame_id"]: frame for frame in message["transforms"]}
+        wanted = {"flotor": stretch.position[row]}
+        if sticks is not None:
+            wanted["stick position"] = np.where(np.isnan(sticks[row]), stretch.position[row], sticks[row])
+        assert set(frames) == {*wanted, "hand"}
+        for name, pose in wanted.items():
+            assert frames[name]["parent_frame_id"] == "stator"
+            assert numbers(frames[name]["translation"]) == pose[:3].tolist()
+            assert [frames[name]["rotation"][part] for part in "wxyz"] == list(quaternion(pose[3:]))
+        assert frames["hand"]["parent_frame_id"] == "flotor"
+        assert numbers(frames["hand"]["translation"]) == GRIP.tolist()
+
+
+def test_the_scene_has_the_device_its_walls_and_forces_from_the_knob_on(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    write_run(path, Press(hits=1), plant="exact")
+    (stretch,) = Recording.load(path).stretches
+    first, *updates = found_in(path)["/maglev/scene"]
+    entities = {entity["id"]: entity for entity in first["entities"]}
+    drawn, counts = shapes("maglev"), {"box": "cubes", "cylinder": "cylinders", "ellipsoid": "spheres"}
+    for frame, moves in (("stator", False), ("flotor", True)):
+        assert entities[frame]["frame_id"] == frame
+        for kind, name in counts.items():
+            of_it = [shape for shape in drawn if (shape.moves, shape.kind) == (moves, kind)]
+            assert len(entities[frame][name]) == len(of_it)
+            for shape, made in zip(of_it, entities[frame][name], strict=True):
+                assert numbers(made["size"]) == (2.0 * shape.half).tolist()
+                assert numbers(made["pose"]["position"]) == shape.position.tolist()
+    assert len(entities["flotor"]["cubes"]) > 20 and len(entities["stator"]["cubes"]) > 50
+    (wall,) = entities["walls"]["cubes"]
+    assert wall["size"]["z"] < 1e-3 < wall["size"]["x"] and 0.0 < wall["color"]["a"] < 0.5
+    most = 0
+    for update in updates:
+        for entity in update["entities"]:
+            assert entity["frame_id"] == "stator" and entity["id"] in ("force of the hand", "force of the device")
+            for arrow in entity["arrows"]:
+                turn = arrow["pose"]["orientation"]
+                x, y, z, w = (turn[name] for name in "xyzw")
+                along = [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)]
+                force = np.array(along) * (arrow["shaft_length"] + arrow["head_length"]) / ARROW
+                name = "hand" if "hand" in entity["id"] else "applied"
+                near = np.abs(getattr(stretch, name)[:, :3] - force).max(axis=1).min()
+                assert near < 1e-9
+                most += 1
+    assert most > 20
+
+
+def test_events_are_in_the_log_each_with_its_level(tmp_path: Path) -> None:
+    from maglev_mj.controller import Controller
+    from maglev_mj.loop import drive
+    from maglev_mj.plants import ExactPlant, Timing
+
+    path, kinds = tmp_path / "run.mcap", {"fault": 4, "lost": 4, "missed": 3, "refused": 3, "timing": 2}
+    file, plant = open_recording(path, wait=True), ExactPlant(Timing())
+    controller = Controller([], period=plant.timing.period)
+    drive(plant, controller, 3, record=file.begin(plant, controller))
+    for kind in kinds:
+        file.event(kind, "for a test")
+    file.close()
+    begun, *told = found_in(path)["/log"]
+    assert begun["level"] == 2 and begun["message"] == "stretch 1: own run"
+    assert [(one["level"], one["message"]) for one in told] == [
+        (level, f"{kind}: for a test") for kind, level in kinds.items()
+    ]
+    assert [event["kind"] for event in found_in(path)["/maglev/event"]] == list(kinds)
+
+
+def test_who_comes_later_is_told_what_began_and_what_there_is_to_draw(tmp_path: Path) -> None:
+    from foxglove import Context, open_mcap
+
+    from maglev_mj.recording import setup_of
+    from maglev_mj.recording.messages import Messages
+
+    plant, controller, context = Drop().plant("exact"), Drop().controller(), Context()
+    messages, path = Messages(context), tmp_path / "run.mcap"
+    writer = open_mcap(path, context=context)
+    messages.greet()  # nothing has begun
+    messages.begin(setup_of(plant, controller), 5)
+    messages.greet()
+    writer.close()
+    found = found_in(path)
+    assert len(found["/maglev/stretch"]) == 2 and found["/maglev/stretch"][0] == found["/maglev/stretch"][1]
+    one, other = ([entity["id"] for entity in update["entities"]] for update in found["/maglev/scene"])
+    assert one == other == ["stator", "flotor", "walls"]
+
+
+FORCES = [(0.0, 0.0, 1.0), (-2.0, 0.0, 0.0), (3.0, 0.0, 0.0), (-1.0, 1e-12, 0.0), (1.0, -2.0, 3.0)]
+
+
+@pytest.mark.parametrize("force", FORCES)
+def test_an_arrow_points_along_its_force_whatever_that_is(force: tuple[float, float, float]) -> None:
+    from foxglove.messages import SceneEntity
+
+    from maglev_mj.recording.messages import _arrow
+
+    entity = SceneEntity(arrows=_arrow(GRIP, force, (1.0, 1.0, 1.0, 1.0)))
+    (arrow,) = decoder(entity.get_schema())(entity.encode())["arrows"]
+    x, y, z, w = (arrow["pose"]["orientation"][name] for name in "xyzw")
+    along = np.array([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)])
+    assert np.abs(along - np.array(force) / np.linalg.norm(force)).max() < 1e-9
+
+
+@pytest.mark.parametrize("force", [ZERO[:3], (0.01, 0.0, 0.0), (np.nan, 0.0, 0.0), (np.inf, 0.0, 0.0)])
+def test_a_force_too_small_to_see_or_that_is_no_number_has_no_arrow(force: tuple[float, float, float]) -> None:
+    from maglev_mj.recording.messages import _arrow
+
+    assert _arrow(GRIP, force, (1.0, 1.0, 1.0, 1.0)) == []
