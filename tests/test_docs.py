@@ -15,13 +15,14 @@ from typing import Any
 
 import pytest
 
+from live_client import LiveClient
 from maglev_mj.bridge import State, Twin, TwinParameters
 from maglev_mj.bridge.twin import TwinServer
 from maglev_mj.cli import parser
 from maglev_mj.cli.options import joined
+from maglev_mj.live import LiveServer
 from maglev_mj.net.udp import UdpServer
 from maglev_mj.session import Session
-from maglev_mj.stream import PoseStream
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = [
@@ -77,34 +78,21 @@ def device(_: list[str]) -> Iterator[dict[str, str]]:
         server.close()
 
 
-ENOUGH = 120
-"""Lines that a host of the stream prints before its scene ends."""
-
-
 @contextmanager
-def scene(lines: list[str]) -> Iterator[dict[str, str]]:
-    """Run the scene that hosts of the stream watch, until they have printed enough."""
-    stream, over = PoseStream("udp://127.0.0.1:0"), threading.Event()
-    session = Session(publishers=[stream])
-    session.tick(0.0)  # tells of the start
-
-    def go_on() -> None:
-        with closing(session):
-            while len(lines) < ENOUGH and not over.wait(0.005):
-                session.tick(0.005)
-
-    thread = threading.Thread(target=go_on)
-    thread.start()
-    try:
-        yield {"5680": str(stream.address[1])}
-    finally:
-        over.set()
-        thread.join()
+def scene(_: list[str]) -> Iterator[dict[str, str]]:
+    """Serve a scene that is there to be watched."""
+    with closing(LiveServer(0)) as live:
+        session = Session(publishers=[live], file=live)
+        session.tick(0.0)  # tells of the start
+        with LiveClient(f"ws://127.0.0.1:{live.port}", set()) as client:
+            while not client.parameters():
+                pass
+        yield {"8765": str(live.port)}
 
 
 BESIDE: dict[str, Callable[[list[str]], AbstractContextManager[dict[str, str]]]] = {
     "README.md": device,
-    "docs/stream.md": scene,
+    "docs/live.md": scene,
 }
 
 
@@ -137,11 +125,8 @@ def test_the_python_of_a_page_runs(page: str, tmp_path: Path, monkeypatch: pytes
         assert lines[0] == "1.0 kg"
         for one, other in (lines[1:3], lines[3:5]):  # both plants
             assert one.split(" ", 1)[1] == other.split(" ", 1)[1]
-    elif page == "docs/stream.md":
-        assert len(blocks(page, "python")[0][1].strip().splitlines()) <= 11  # ten lines, and an empty one
-        assert "'subscribed'" in "".join(lines[:5]) and "'accepted'" in "".join(lines[:100])
-        assert len(lines) >= ENOUGH and lines[100].startswith("Answer(reason='', figures=None, since=")
-        assert all(abs(float(line)) < 1e-3 for line in lines[101:])
+    elif page == "docs/live.md":
+        assert "'scene': 'joystick', 'state': 'running'" in lines[-1]
 
 
 @pytest.mark.skipif(find_library("OSMesa") is None, reason="drawing off screen needs OSMesa (Debian: libosmesa6)")

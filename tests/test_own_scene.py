@@ -17,18 +17,19 @@ from typing import Any
 import numpy as np
 import pytest
 
+from live_client import LiveClient
 from maglev_mj import AXES, Controller, ExactPlant, MuJoCoPlant, Timing, drive
 from maglev_mj.bridge import RemotePlant, Twin, TwinParameters, open_link
 from maglev_mj.bridge.safety import Limits
 from maglev_mj.bridge.twin import TwinServer
 from maglev_mj.cli import main
 from maglev_mj.laws import AxisLaw, Bias, gain
+from maglev_mj.live import LiveServer
 from maglev_mj.net.udp import UdpServer
 from maglev_mj.recording import Recording
 from maglev_mj.scenes import Scene, Start, find_scene
 from maglev_mj.scenes.parts import WEIGHT
 from maglev_mj.session import Pacer, Session
-from maglev_mj.stream import PoseStream, StreamClient
 from maglev_mj.theory import stability
 from maglev_mj.viewer.plots import Plots
 from tests.test_dask_workers import Cluster, cluster
@@ -146,19 +147,19 @@ def test_it_is_rendered(folder: Path, say: Say) -> None:
 @pytest.mark.skipif(bool(MISSING), reason=f"a window needs {', '.join(MISSING)}")
 def test_keys_change_its_parameters_in_a_window(folder: Path, say: Say) -> None:
     command = [sys.executable, "-m", "maglev_mj.cli", "view", "detents.py", "--stiffness", "9870"]
-    command += ["--stream", "udp://127.0.0.1:0", "--record", "seen.npz"]
+    command += ["--foxglove", "0", "--record", "seen.npz"]
     with VirtualScreen(600, 400) as screen:
         program = subprocess.Popen(
             command, env=screen.environment, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
         )
         try:
             assert program.stdout is not None
-            found = re.search(r"udp://\S+:\d+", program.stdout.readline())
+            found = re.search(r"ws://\S+:\d+", program.stdout.readline())
             assert found
             window = screen.window("joystick")
             screen.xdotool("mousemove", 200, 130)  # keys go to the window under the mouse
             scene = Watched(found[0])
-            scene.until(lambda pose: True, 30)
+            scene.until(lambda _: True, 30)
             for key, name, value in (("Down", "stiffness", 7900.0), ("period", "damping", 62.5)):
                 time.sleep(1.0)
                 screen.xdotool("key", key)
@@ -231,8 +232,10 @@ def test_it_is_flown_on_a_twin_recorded_checked_and_analysed(folder: Path, say: 
 
 @pytest.mark.xdist_group("realtime")
 def test_other_programs_set_its_parameters_and_one_that_is_unstable_is_refused(folder: Path) -> None:
-    stream = PoseStream("udp://127.0.0.1:0")
-    session = Session(find_scene("detents.py")(), pacer=Pacer(budget=60.0, patience=3600.0), publishers=[stream])
+    live = LiveServer(0)
+    session = Session(
+        find_scene("detents.py")(), pacer=Pacer(budget=60.0, patience=3600.0), publishers=[live], file=live
+    )
     stopped = threading.Event()
 
     def go_on() -> None:
@@ -243,14 +246,14 @@ def test_other_programs_set_its_parameters_and_one_that_is_unstable_is_refused(f
     thread = threading.Thread(target=go_on)
     thread.start()
     try:
-        with StreamClient(f"udp://127.0.0.1:{stream.address[1]}", patience=PATIENCE) as client:
+        with LiveClient(f"ws://127.0.0.1:{live.port}", set()) as client:
             accepted, unstable, fixed = (
                 client.set(**asked) for asked in ({"stiffness": 3000.0}, {"stiffness": 9870.0}, {"pitch": 0.001})
             )
-            assert not accepted.reason and accepted.since is not None
-            assert re.search(r"^the laws on x: 9870 N/m and 50 N s/m .* root modulus 1\.0308", unstable.reason)
-            assert "pitch" in fixed.reason and fixed.since is unstable.since is None
-            assert client.describe()["settings"]["stiffness"] == 3000.0
+            assert not accepted["reason"] and accepted["since"] is not None
+            assert re.search(r"^the laws on x: 9870 N/m and 50 N s/m .* root modulus 1\.0308", unstable["reason"])
+            assert "pitch" in fixed["reason"] and fixed["since"] is unstable["since"] is None
+            assert client.parameters()["stiffness"] == 3000.0
     finally:
         stopped.set()
         thread.join()

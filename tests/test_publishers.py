@@ -1,6 +1,5 @@
-"""Programs that a command lets in: a pose stream and a 3D mouse on a device, one from the other, and their options."""
+"""Programs that a command lets in: a live server and a 3D mouse on a device, and their options."""
 
-import json
 import re
 import signal
 import subprocess
@@ -15,22 +14,19 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
+from live_client import LiveClient, reader
 from maglev_mj.bridge import RemotePlant, Twin, TwinParameters
 from maglev_mj.bridge.flight import Flight
 from maglev_mj.bridge.simulated_links import Impairment, VirtualLink
-from maglev_mj.cli import main
 from maglev_mj.laws.base import as_law
 from maglev_mj.recording import Recording, RecordingError, open_recording
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.box import Box
 from maglev_mj.scenes.joystick import Joystick
 from maglev_mj.session import Publishers, Snapshot, Wish
-from maglev_mj.stream import StreamClient
 from tests.test_bridge_processes import COMMAND, ended, said_by, twin
 
 pytestmark = pytest.mark.xdist_group("realtime")
-
-KEY = "00112233445566778899aabbccddeeff"
 
 
 @contextmanager
@@ -66,18 +62,20 @@ def found(said: list[str], pattern: str) -> str:
 def test_a_device_is_seen_set_and_recorded_by_other_programs(tmp_path: Path) -> None:
     """A wall on the wire is refused or taken; what was flown is in the file with both settings."""
     record = tmp_path / "run.mcap"
-    publishers = ("--stream", "udp://127.0.0.1:0", "--spacenav", "--socket", str(tmp_path / "s"))
+    publishers = ("--foxglove", "0", "--spacenav", "--socket", str(tmp_path / "s"))
     with twin("--watchdog", "2") as (device, address):
         options = ("--scene", "table", "--record", str(record), "--out", str(tmp_path), *publishers)
         with program("bridge", address, *options) as (host, said):
-            with StreamClient(found(said, r"(udp://\S+)$"), patience=30.0) as client:
-                assert client.describe()["state"] == "flying"
-                refused = client.set(wall=True, walls=[["z", 1, -0.001]], stiffness=40000.0)
-                assert refused.figures is not None and refused.figures["modulus"] > 1.0
-                answer = client.set(wall=True, walls=[["z", 1, -0.001]], stiffness=2000.0)
-                assert answer.since is not None and not answer.reason
-                pose = next(client.poses())
-                assert abs(pose["pose"]["z"]) < 1e-3 and pose["tick"] >= answer.since
+            with LiveClient(found(said, r"(ws://[\d.:]+)"), {"/maglev/sample"}) as client:
+                while client.parameters().get("state") != "flying":
+                    time.sleep(0.1)
+                wall = {"wall": True, "walls": [["z", 1, -0.001]]}
+                refused = client.set(**wall, stiffness=40000.0)
+                assert refused["figures"]["modulus"] > 1.0 and refused["figures"]["delay"] > 1e-3
+                accepted = client.set(**wall, stiffness=2000.0)
+                assert accepted["since"] is not None and not accepted["reason"]
+                ticks = [message.fields.tick for message in client.messages(0.5)]
+                assert abs(next(client.messages(5.0)).fields.position.z) < 1e-3
             host.send_signal(signal.SIGINT)
             assert host.wait(30) == 0
         assert not (tmp_path / "s").exists()
@@ -86,60 +84,39 @@ def test_a_device_is_seen_set_and_recorded_by_other_programs(tmp_path: Path) -> 
     before, after = (stretch.setup["parameters"] for stretch in recording.stretches)
     assert (before["stiffness"], before["walls"]) == (6000.0, None)
     assert (after["stiffness"], after["walls"]) == (2000.0, [["z", 1, -0.001]])
+    assert recording.stretches[1].tick[0] == accepted["since"]
+    kept = np.concatenate([stretch.tick for stretch in recording.stretches])
+    assert len(ticks) > 100 and set(ticks) <= set(kept.astype(int))
     status, said_again = said_by("replay", str(record), "--check")
     assert status == 0 and f"{recording.ticks} of {recording.ticks} the same: command," in said_again
     assert said_by("analyse", str(record))[0] == 0
 
 
-@pytest.mark.parametrize("keyed", [False, True])
-def test_a_3d_mouse_follows_a_stream(keyed: bool, tmp_path: Path) -> None:
-    """One process renders, another serves the socket: what it tells is what the first shows."""
-    secret = tmp_path / "key"
-    secret.write_text(KEY)
-    shown = ["--stream-key", str(secret)] if keyed else []
-    followed = ["--key", str(secret)] if keyed else []
-    with twin("--watchdog", "2", "--noise", "0.000002") as (_, address):  # so that it trembles
-        with program("bridge", address, "--stream", "udp://127.0.0.1:0", "--out", str(tmp_path), *shown) as (_, said):
-            url = found(said, r"(udp://\S+)$")
-            with StreamClient(url, key=bytes.fromhex(KEY) if keyed else None, patience=30.0) as client:
-                client.describe()
-            socket = tmp_path / "s"
-            with program("serve-spacenav", "--from", url, "--socket", str(socket), *followed) as (server, told):
-                found(told, r"(SPNAV_SOCKET)")
-                heard = events(socket, 100)
-                server.send_signal(signal.SIGINT)
-                assert server.wait(30) == 0
-    assert all(event[0] == 0 for event in heard)
-    assert len({event[1:7] for event in heard}) > 5
-
-
-def events(path: Path, count: int) -> list[tuple[int, ...]]:
-    """Return some events as a program without libspnav reads them."""
-    import socket
-    import struct
-
-    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as line:
-        line.settimeout(30.0)
-        line.connect(str(path))
-        data = b""
-        while len(data) < 32 * count:
-            data += line.recv(4096)
-    return [struct.unpack_from("=8i", data, 32 * place) for place in range(count)]
+def test_a_twin_shows_its_true_pose_and_its_faults() -> None:
+    """It lies on its stop, nothing can be set there, and an emergency stop is logged."""
+    with program("twin", "--foxglove", "0", "--listen", "udp://127.0.0.1:0") as (device, said):
+        with LiveClient(found(said, r"(ws://[\d.:]+)")) as client:
+            sample = next(one.fields for one in client.messages(10.0) if one.topic == "/maglev/sample")
+            assert sample.position.z == pytest.approx(-0.0045, abs=1e-5) and not sample.applied.z
+            assert client.parameters() == {} and client.set(wall=True)["reason"] == "no scene runs here"
+            said_by("estop", found(said, r"(udp://[\d.:]+)"))
+            logged = (one.fields.message for one in client.messages(10.0) if one.topic == "/log")
+            assert next(line for line in logged if "fault" in line) == "fault: ESTOP"
+        device.send_signal(signal.SIGINT)
+        assert device.wait(30) == 0
 
 
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
         (
-            ("bridge", "udp://127.0.0.1:5678", "--stream", "tcp://x:1"),
-            "stream must be udp://HOST:PORT, not 'tcp://x:1'",
+            ("bridge", "udp://127.0.0.1:9", "--foxglove", "65536"),
+            "port must be a whole number of 0 to 65535, not 65536",
         ),
-        (("bridge", "udp://127.0.0.1:5678", "--stream-key", "k"), "stream-key is for --stream"),
-        (("bridge", "udp://127.0.0.1:5678", "--stream", "--stream-key", "no"), "stream-key must be a file"),
-        (("bridge", "udp://127.0.0.1:5678", "--identify", "f.json", "--stream"), "stream is for scenes"),
-        (("serve-spacenav", "--key", __file__), "key must be a file of 32 to 64"),
+        (("twin", "--foxglove", "-1"), "port must be a whole number of 0 to 65535, not -1"),
+        (("twin", "--foxglove", "x"), "must be a whole number, not 'x'"),
+        (("bridge", "udp://127.0.0.1:5678", "--identify", "f.json", "--foxglove"), "foxglove is for scenes"),
         (("serve-spacenav", "--seconds", "0"), "seconds must be"),
-        (("serve-spacenav", "box", "--from", "udp://127.0.0.1:9"), "scene must be that of the stream"),
     ],
 )
 def test_options_that_do_not_fit_are_one_line(
@@ -148,13 +125,6 @@ def test_options_that_do_not_fit_are_one_line(
     monkeypatch.chdir(tmp_path)
     status, said = said_by(*arguments)
     assert status == 2 and len(said.splitlines()) == 1 and complaint in said, said
-
-
-def test_a_stream_that_is_not_there_is_one_line(tmp_path: Path, capsys: Any) -> None:
-    assert main(["serve-spacenav", "--from", "udp://127.0.0.1:9", "--socket", str(tmp_path / "s")]) == 1
-    said = capsys.readouterr().err
-    assert len(said.splitlines()) == 1 and "udp://127.0.0.1:9" in said
-    assert not (tmp_path / "s").exists()
 
 
 def test_outlets_are_told_sixty_times_a_second_and_asked_every_tick() -> None:
@@ -254,13 +224,14 @@ def test_a_flight_is_recorded_through_changes_as_one_run(tmp_path: Path, monkeyp
     assert since == begun and 1 <= since[1] - asks.snapshots[2].tick <= 3
     with (tmp_path / "run.mcap").open("rb") as opened:
         read = [
-            (message.log_time, json.loads(message.data))
-            for _, _, message in make_reader(opened).iter_messages(topics=["/maglev/sample"])
+            (message.log_time, reader(channel.message_encoding, schema.name, schema.data)(message.data))
+            for schema, channel, message in make_reader(opened).iter_messages(topics=["/maglev/sample"])
+            if schema is not None
         ]
-    firsts = [next(said for _, said in read if said["stretch"] == place) for place in range(3)]
-    assert [said["missed"] for said in firsts] == [0, 0, 0]
+    firsts = [next(said for _, said in read if said.stretch == place) for place in range(3)]
+    assert [said.missed for said in firsts] == [0, 0, 0]
     for place in range(3):
-        logged = [(when, said["tick"]) for when, said in read if said["stretch"] == place]
+        logged = [(when, said.tick) for when, said in read if said.stretch == place]
         for when, tick in logged:
             assert (when - logged[0][0]) * 1e-9 == pytest.approx((tick - logged[0][1]) * plant.period, abs=1e-6)
 

@@ -23,7 +23,7 @@ import pytest
 
 from maglev_mj.cli import serve_spacenav
 from maglev_mj.cli.options import Parser
-from maglev_mj.cli.publishers import add_spacenav, chosen_spacenav
+from maglev_mj.cli.spacenav import add_spacenav, chosen_spacenav
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.scenes import find_scene

@@ -11,19 +11,19 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
 
-from maglev_mj.frames import Array
+from live_client import LiveClient
+from maglev_mj.frames import AXES, Array
 from maglev_mj.hand import SpringHand
 from maglev_mj.model import model_path
 from maglev_mj.recording import Recording, RecordingError, verify
 from maglev_mj.replay import rebuild
 from maglev_mj.scenes.joystick import CENTRING, Joystick
-from maglev_mj.stream import StreamClient
-from maglev_mj.stream.datagrams import Message
 from maglev_mj.viewer.overlay import help_text, keys_of
 from maglev_mj.viewer.scenery import GRIP
 from tests.virtual_screen import MISSING, VirtualScreen, waited
@@ -33,6 +33,7 @@ pytestmark = pytest.mark.xdist_group("realtime")
 needs_screen = pytest.mark.skipif(bool(MISSING), reason=f"a window needs {', '.join(MISSING)} (Debian: xvfb, xdotool)")
 
 SCREEN = 900, 600
+SAMPLE, RATE = "/maglev/sample", 200
 DRAG = 30
 """Pixels."""
 
@@ -62,8 +63,8 @@ class Session:
     status: int
     said: str
     folder: Path
-    paused: list[float]
-    """Time in the scene at the beginning and at the end of its pause [s]."""
+    paused: int
+    """Samples in its pause."""
 
     @property
     def recordings(self) -> list[Recording]:
@@ -81,36 +82,38 @@ def whole(folder: Path) -> list[Path]:
 
 
 class Watched:
-    """The scene behind a window by its pose stream, so that a slow machine is waited for and not guessed."""
+    """The scene behind a window by its live server, so that a slow machine is waited for and not guessed."""
 
-    def __init__(self, address: str) -> None:
-        self._address = address
+    def __init__(self, url: str) -> None:
+        self._url = url
 
-    def until(self, so: Callable[[Message], bool], poses: int = 1) -> Message:
-        """Wait until so many poses in a row are as asked; return the last of them."""
-        row, end = 0, time.monotonic() + PATIENCE
-        with StreamClient(self._address, patience=PATIENCE) as client:
-            for pose in client.poses():
-                row = row + 1 if so(pose) else 0
-                if row == poses:
-                    return pose
-                assert time.monotonic() < end, f"waited in vain: {pose}"
-        raise AssertionError("the scene has ended")
+    def until(self, so: Callable[[Any], bool], samples: int = 1) -> None:
+        """Wait until so many samples in a row are as asked."""
+        row = 0
+        with LiveClient(self._url, {SAMPLE}) as client:
+            for message in client.messages(PATIENCE):
+                row = row + 1 if so(message.fields) else 0
+                if row == samples:
+                    return
+        raise AssertionError("waited in vain")
 
     def set_to(self, name: str, value: object) -> None:
-        """Wait until a setting, or the scene, is what it is to be."""
+        """Wait until a parameter is what it is to be."""
 
         def so() -> bool:
-            with StreamClient(self._address, patience=PATIENCE) as client:
-                told = client.describe()
-            return bool((told["settings"] | {"scene": told["scene"]})[name] == pytest.approx(value))
+            with LiveClient(self._url, set()) as client:
+                return bool(client.parameters()[name] == pytest.approx(value))
 
         waited(so, PATIENCE)
 
     def later(self, seconds: float) -> None:
         """Wait until so much time has gone by in the scene."""
-        start = self.until(lambda _: True)["time"]
-        self.until(lambda pose: bool(pose["time"] >= start + seconds))
+        self.until(lambda _: True, round(seconds * RATE))
+
+    def samples(self, seconds: float) -> int:
+        """Return how many samples come."""
+        with LiveClient(self._url, {SAMPLE}) as client:
+            return len(list(client.messages(seconds)))
 
 
 @pytest.fixture(scope="module")
@@ -118,14 +121,14 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Session]:
     """Drag the handle and let go, press every key, and close the window."""
     folder = tmp_path_factory.mktemp("session")
     command = [sys.executable, "-m", "maglev_mj.cli", "view", "joystick", "--no-wall", "--out", str(folder)]
-    command += ["--stream", "udp://127.0.0.1:0"]
+    command += ["--foxglove", "0"]
     with VirtualScreen(*SCREEN) as screen:
         program = subprocess.Popen(
             command, env=screen.environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
         )
         try:
             assert program.stdout is not None
-            found = re.search(r"udp://\S+:\d+", program.stdout.readline())
+            found = re.search(r"ws://\S+:\d+", program.stdout.readline())
             assert found
             scene, window = Watched(found[0]), screen.window("joystick")
             scene.later(1.0)
@@ -141,13 +144,16 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Session]:
                 time.sleep(0.2)
             places: deque[Array] = deque(maxlen=2)
 
-            def at_rest(pose: Message) -> bool:
-                places.append(np.array(list(pose["pose"].values())))
+            def at_rest(sample: Any) -> bool:
+                places.append(np.array([getattr(sample.position, axis) for axis in AXES]))
                 return bool(np.ptp(places, axis=0).max() < 1e-7)
 
-            scene.until(lambda pose: at_rest(pose) and any(pose["hand"].values()), 90)
+            def held(sample: Any) -> bool:
+                return any(getattr(sample.hand, axis) for axis in AXES)
+
+            scene.until(lambda sample: at_rest(sample) and held(sample), round(1.5 * RATE))
             screen.xdotool("mouseup", 3, "keyup", "ctrl")
-            scene.until(lambda pose: at_rest(pose) and not any(pose["hand"].values()), 60)
+            scene.until(lambda sample: at_rest(sample) and not held(sample), round(1.0 * RATE))
             screen.xdotool("key", "F10")
             waited(lambda: whole(folder), PATIENCE)
             time.sleep(1.1)  # names go by the second
@@ -163,9 +169,9 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Session]:
                 scene.set_to("weightless", weightless)
             scene.later(0.3)
             screen.xdotool("key", "space")
-            paused = [scene.until(lambda pose: bool(pose["state"] == "paused"), 30)["time"]]
-            time.sleep(0.5)
-            paused += [scene.until(lambda pose: bool(pose["state"] == "paused"))["time"]]
+            scene.set_to("state", "paused")
+            time.sleep(0.2)
+            paused = scene.samples(0.5)
             screen.xdotool("key", "space")
             scene.later(0.3)
             screen.xdotool("key", "Return")
@@ -234,7 +240,7 @@ def test_keys_do_what_the_overlay_says(session: Session) -> None:
     assert centred.setup["settings"]["weightless"]
     # time passes before and after a pause, and not in it
     assert len(centred.tick) * centred.setup["settings"]["period"] > 0.6
-    assert session.paused[0] == session.paused[1]
+    assert session.paused == 0
     assert following.setup["scene"] == "drop"
 
 

@@ -26,7 +26,7 @@ from maglev_mj.cli.scenes import add_scene, chosen_scene, warn_of_instability
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.net.udp import open_link
 from maglev_mj.parameters import number
-from maglev_mj.recording import RecordingFile, open_recording
+from maglev_mj.recording import RecordingFile, open_recording, tee
 from maglev_mj.scenes import Scene
 from maglev_mj.session import DEVICES_OWN, Publisher, Snapshot
 from maglev_mj.tables import flown_table, latched_table, timing_table
@@ -36,7 +36,7 @@ from maglev_mj.viewer.process import RemoteViewer
 __all__ = ["add_command"]
 
 _IDENTIFYING = 10.0
-_FLYING = "record", "view", "seconds", "spacenav", "stream"
+_FLYING = "record", "view", "seconds", "spacenav", "foxglove"
 
 _ENDS = f"""\
 how a flight ends, in takeoff, flight and landing alike:
@@ -100,7 +100,7 @@ def _bridge(options: argparse.Namespace) -> int:
     # publishers first: what is wrong with them is said before the device moves
     with (
         stopping(interrupt, lambda: None),  # what closes is not stopped by a second Ctrl-C
-        chosen_publishers(options) as publishers,
+        chosen_publishers(options) as (publishers, live),
         _opened(options, calibration, key, limits) as plant,
     ):
         if options.reset:
@@ -113,7 +113,7 @@ def _bridge(options: argparse.Namespace) -> int:
             return _identify(plant, options)
         scene = scene.replace(period=plant.period, delay=plant.delay)
         warn_of_instability(scene, [*[calibration.mass] * 3, *calibration.inertia], expected_delay(plant))
-        _fly(plant, scene, options, publishers)
+        _fly(plant, scene, options, publishers, live)
     return 0
 
 
@@ -128,14 +128,20 @@ def _check(options: argparse.Namespace) -> None:
         raise ParameterError("mass is for --identify")
     for mode in ("identify", "reset"):
         for name in _FLYING:
-            if getattr(options, mode) and getattr(options, name):
+            if getattr(options, mode) and getattr(options, name) not in (None, False):
                 raise ParameterError(f"{name} is for scenes, not for --{mode}")
     if options.reset and options.identify is not None:
         raise ParameterError("identify flies, and --reset does not: two commands")
     check_outputs(out=options.out)
 
 
-def _fly(plant: RemotePlant, scene: Scene, options: argparse.Namespace, publishers: Sequence[Publisher]) -> None:
+def _fly(
+    plant: RemotePlant,
+    scene: Scene,
+    options: argparse.Namespace,
+    publishers: Sequence[Publisher],
+    live: RecordingFile | None,
+) -> None:
     """Fly a scene; whatever ends it, first the device is let go, then what was recorded is kept."""
     switch = StopSwitch()
     with ExitStack() as last:
@@ -152,7 +158,7 @@ def _fly(plant: RemotePlant, scene: Scene, options: argparse.Namespace, publishe
             plant,
             scene,
             switch=switch,
-            file=file,
+            file=tee(file, live),
             publishers=publishers,
             warn=_warn,
             step_force=options.step_force,

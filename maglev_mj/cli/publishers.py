@@ -1,90 +1,63 @@
-"""The options by which a command lets other programs in: a pose stream, a 3D mouse."""
+"""The options by which a command lets other programs in: a live server, a 3D mouse."""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from pathlib import Path
+from typing import NamedTuple
 
-from maglev_mj.cli.options import Container, chosen_key, number_option
-from maglev_mj.errors import ParameterError
-from maglev_mj.parameters import flag, number
+from maglev_mj.cli.options import Container, count, number_option
+from maglev_mj.cli.spacenav import add_spacenav, chosen_spacenav
+from maglev_mj.live import PORT, LiveServer
+from maglev_mj.parameters import number
 from maglev_mj.session import STEP_FORCE, Publisher
-from maglev_mj.spacenav import PoseAxes, RateAxes, SpacenavServer
-from maglev_mj.spacenav.axes import Axes
-from maglev_mj.stream import URL, PoseStream
 from maglev_mj.terminal import say
 
-__all__ = ["add_publishers", "add_spacenav", "chosen_publishers", "chosen_spacenav"]
+__all__ = ["OpenPublishers", "add_foxglove", "add_publishers", "chosen_foxglove", "chosen_publishers"]
 
 
-_AXES_TOLD: dict[str, Callable[[], Axes]] = {"pose": PoseAxes, "rate": RateAxes}
-"""What may be told, by name."""
+class OpenPublishers(NamedTuple):
+    """What was asked for.
 
-
-def add_spacenav(parser: Container, *, always: bool = False) -> None:
-    """Add --spacenav, --socket and --axes.
-
-    Args:
-        parser: Of the command.
-        always: Whether the command is one without asking, so that it needs no --spacenav.
+    Attributes:
+        publishers: All of it.
+        live: The live server; None for none.
     """
-    if flag("always", always):
-        parser.set_defaults(spacenav=True)
-    else:
-        parser.add_argument("--spacenav", action="store_true", help="be a 3D mouse to other programs")
+
+    publishers: list[Publisher]
+    live: LiveServer | None
+
+
+def add_foxglove(parser: Container) -> None:
+    """Add --foxglove."""
     parser.add_argument(
-        "--socket",
-        metavar="PATH",
-        type=Path,
-        help="where those find it (default: $SPNAV_SOCKET, or one in $XDG_RUNTIME_DIR)",
-    )
-    parser.add_argument(
-        "--axes",
-        metavar="WHAT",
-        help="what those are told: pose, the deflection; or rate, the motion of a slave (default pose)",
+        "--foxglove",
+        nargs="?",
+        type=count,
+        const=PORT,
+        metavar="PORT",
+        help=f"serve every sample to programs on this machine that read the Foxglove protocol (default {PORT})",
     )
 
 
-def chosen_spacenav(options: argparse.Namespace, say: Callable[[str], object] = print) -> list[SpacenavServer]:
-    """Return the server asked for, which listens already; none if none is.
-
-    Args:
-        options: Of the command line.
-        say: Tells the person where it is.
+def chosen_foxglove(options: argparse.Namespace) -> LiveServer | None:
+    """Return the live server asked for, which listens already; None if none is.
 
     Raises:
-        ParameterError: If an option is wrong, or is given without --spacenav.
+        ParameterError: If the port is none.
+        LiveServerError: See `LiveServer`.
     """
-    if not options.spacenav:
-        for name in ("socket", "axes"):
-            if getattr(options, name) is not None:
-                raise ParameterError(f"{name} is for --spacenav")
-        return []
-    axes = "pose" if options.axes is None else options.axes
-    if axes not in _AXES_TOLD:
-        raise ParameterError(f"axes must be one of {', '.join(_AXES_TOLD)}, not {axes!r}")
-    server = SpacenavServer(options.socket, axes=_AXES_TOLD[axes]())
-    say(f"  a 3D mouse; for the programs that are to have it: export SPNAV_SOCKET={server.path.resolve()}")
-    return [server]
+    if options.foxglove is None:
+        return None
+    live = LiveServer(options.foxglove)
+    say(f"  live at ws://127.0.0.1:{live.port}, as Foxglove opens it")
+    return live
 
 
 def add_publishers(parser: Container) -> None:
-    """Add --stream, --stream-key, --step-force, --spacenav, --socket and --axes."""
-    parser.add_argument(
-        "--stream",
-        nargs="?",
-        const=URL,
-        metavar="ADDRESS",
-        help=f"tell graphical hosts of every frame, and take settings from them (default {URL})",
-    )
-    parser.add_argument(
-        "--stream-key",
-        metavar="FILE",
-        type=Path,
-        help="secret of 16 to 32 bytes as hexadecimal digits, for hosts on other machines",
-    )
+    """Add --foxglove, --step-force, and the options of a 3D mouse."""
+    add_foxglove(parser)
     parser.add_argument(
         "--step-force",
         type=number_option,
@@ -96,31 +69,20 @@ def add_publishers(parser: Container) -> None:
 
 
 @contextmanager
-def chosen_publishers(options: argparse.Namespace) -> Iterator[list[Publisher]]:
+def chosen_publishers(options: argparse.Namespace) -> Iterator[OpenPublishers]:
     """Open what was asked for, and close it at the end.
 
     Raises:
         ParameterError: If an option is wrong.
-        MaglevError: If an address or a socket is not to be had.
+        MaglevError: If a port or a socket is not to be had.
     """
-    if options.stream is None and options.stream_key is not None:
-        raise ParameterError("stream-key is for --stream")
-    if options.stream is not None and not options.stream.startswith("udp://"):
-        raise ParameterError(f"stream must be udp://HOST:PORT, not {options.stream!r}")
     number("step-force", options.step_force, above=0.0)
-    key = chosen_key(options.stream_key, "stream-key")
     with ExitStack() as open_ones:
         publishers: list[Publisher] = []
-
-        def add(publisher: Publisher) -> None:
-            open_ones.callback(publisher.close)
-            publishers.append(publisher)
-
         for server in chosen_spacenav(options, say):
-            add(server)
-        if options.stream is not None:
-            stream = PoseStream(options.stream, key=key)
-            add(stream)
-            host, port = stream.address
-            say(f"  a pose stream at udp://{host}:{port}")
-        yield publishers
+            open_ones.callback(server.close)
+            publishers.append(server)
+        if (live := chosen_foxglove(options)) is not None:
+            open_ones.callback(live.close)
+            publishers.append(live)
+        yield OpenPublishers(publishers, live)

@@ -6,6 +6,7 @@ import argparse
 import math
 import re
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,14 +18,18 @@ from maglev_mj.bridge.fault_injection import INJECTED_FAULTS, InjectedFault
 from maglev_mj.bridge.realtime import realtime, stopping
 from maglev_mj.bridge.safety import Limits
 from maglev_mj.bridge.twin import Twin, TwinParameters, TwinServer
-from maglev_mj.bridge.wire import State, fault_names
+from maglev_mj.bridge.wire import Fault, State, fault_names
 from maglev_mj.cli.options import add_bridge, chosen_key, count, number_option
+from maglev_mj.cli.publishers import add_foxglove, chosen_foxglove
+from maglev_mj.controller import Controller
 from maglev_mj.errors import ParameterError
-from maglev_mj.frames import AXES, ZERO
+from maglev_mj.frames import AXES, ZERO, Command, Sample
 from maglev_mj.hand import HandForce, SpringHand
+from maglev_mj.live import LiveServer
 from maglev_mj.net.udp import Server, UdpServer, check_host, parse_url
 from maglev_mj.parameters import number
 from maglev_mj.plants import engine_warnings_silenced
+from maglev_mj.recording import setup_of
 from maglev_mj.scenes import find_scene
 from maglev_mj.scenes.parts import WEIGHT
 from maglev_mj.session import Publishers, SampledMotion, Snapshot
@@ -71,6 +76,7 @@ def add_command(commands: Any) -> None:
     )
     twin.add_argument("--truth", metavar="FILE", type=Path, help="what the device is, where a host knows it wrongly")
     add_bridge(twin)
+    add_foxglove(twin)
     twin.add_argument("--view", action="store_true", help="a window, with the mouse as the hand")
     twin.add_argument(
         "--scene", default="joystick", metavar="SCENE", help="what the window looks like (default joystick)"
@@ -96,28 +102,30 @@ def _twin(options: argparse.Namespace) -> int:
     )
     block = None if options.block is None else foam(number("block", options.block, above=0.0, at_most=20_000.0))
     _hand(options.push, None)  # a push that is none is said before a window opens
-    viewer = None
-    if options.view:
-        from maglev_mj.viewer.window import require_display
+    with ExitStack() as last:
+        viewer = None
+        if options.view:
+            from maglev_mj.viewer.window import require_display
 
-        require_display()
-        # what it renders is for whoever flies it to say
-        off = {one.name: False for one in look.parameters() if one.kind is bool and one.live}
-        blank = Snapshot(scene=look(**off, period=parameters.period, delay=parameters.delay))
-        viewer = RemoteViewer(blank)
-    twin = Twin(parameters, key=key, hand_force=_hand(options.push, block if viewer is None else viewer.hand))
-    server = TwinServer(twin, _server(options.listen, key))
-    print(_greeting(options, server), flush=True)
-    try:
-        with engine_warnings_silenced(), realtime(options.realtime) as refused:
-            for complaint in refused:
-                print(f"  not in real time: {complaint}", flush=True)
-            with stopping(server.stop):
-                served = server.run(seconds, None if viewer is None else _shown(viewer, blank, server))
-    finally:
-        server.close()
-        if viewer is not None:
-            viewer.close()
+            require_display()
+            # what it renders is for whoever flies it to say
+            off = {one.name: False for one in look.parameters() if one.kind is bool and one.live}
+            blank = Snapshot(scene=look(**off, period=parameters.period, delay=parameters.delay))
+            viewer = RemoteViewer(blank)
+            last.callback(viewer.close)
+        if (live := chosen_foxglove(options)) is not None:
+            last.callback(live.close)
+        twin = Twin(parameters, key=key, hand_force=_hand(options.push, block if viewer is None else viewer.hand))
+        server = TwinServer(twin, _server(options.listen, key))
+        last.callback(server.close)
+        print(_greeting(options, server), flush=True)
+        shown = [] if viewer is None else [_shown(viewer, blank, server)]
+        shown += [] if live is None else [_logged(live, twin)]
+        last.enter_context(engine_warnings_silenced())
+        for complaint in last.enter_context(realtime(options.realtime)):
+            print(f"  not in real time: {complaint}", flush=True)
+        with stopping(server.stop):
+            served = server.run(seconds, (lambda: [show() for show in shown]) if shown else None)
     print(served_table(served, twin))
     return 0
 
@@ -205,6 +213,25 @@ def _shown(viewer: RemoteViewer, blank: Snapshot, server: TwinServer) -> Callabl
             )
         )
         publishers.wanted()  # the mouse; the settings are the host's
+
+    return each
+
+
+def _logged(live: LiveServer, twin: Twin) -> Callable[[], None]:
+    """Return a function that logs a sample of the twin: its true pose, the wrench of its currents, its faults."""
+    plant, period, coils = twin.plant, twin.parameters.period, twin.plant.device.coils
+    assert coils is not None  # it is driven through them
+    controller, told = Controller([], period=period), Fault(0)
+    record = live.begin(plant, controller, setup_of(plant, controller, name="twin"))
+
+    def each() -> None:
+        nonlocal told
+        sample = Sample(twin.tick, twin.tick * period, twin.pose.tolist())
+        wrench = Command(coils.wrench(plant.currents).tolist())
+        record(sample, wrench, wrench)
+        if (faults := twin.firmware.faults) != told:
+            live.event("fault", fault_names(faults))
+            told = faults
 
     return each
 

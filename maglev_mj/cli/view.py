@@ -50,12 +50,13 @@ def _view(options: argparse.Namespace) -> int:
     require_display()
     warn_of_instability(scene)
     options.out.mkdir(parents=True, exist_ok=True)
-    with chosen_publishers(options) as publishers:
+    with chosen_publishers(options) as (publishers, live):
         session = Session(
             scene,
             hand=hand,
             folder=options.out,
             record=options.record,
+            file=live,
             publishers=publishers,
             step_force=options.step_force,
         )

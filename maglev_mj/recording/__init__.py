@@ -7,6 +7,7 @@ from maglev_mj.recording.metadata import Mechanics, RunMetadata, Setup
 from maglev_mj.recording.recording import InvalidRecordingError, Recording, RecordingError, Stretch
 from maglev_mj.recording.samples import PandasMissingError, Samples, load
 from maglev_mj.recording.setup import OwnCodeError, setup_of
+from maglev_mj.recording.tee import tee
 from maglev_mj.recording.verify import Expected, Rebuild, Verdict, verify
 
 __all__ = [
@@ -35,5 +36,6 @@ __all__ = [
     "metadata_of",
     "open_recording",
     "setup_of",
+    "tee",
     "verify",
 ]

@@ -10,6 +10,7 @@ import numpy as np
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.hand import HandForce, SpringHand
 from maglev_mj.parameters import number
+from maglev_mj.recording import RecordingFile
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene
 from maglev_mj.session.actions import DEVICES_OWN, EMERGENCY_STOP, actions
 from maglev_mj.session.admission import STEP_FORCE, check_step
@@ -37,6 +38,7 @@ class Session:
         hand: The hand on it; the mouse's by default.
         folder: Where recordings go that a key begins.
         record: File to record to from the start; None for nothing until a key says so.
+        file: File that every sample goes to besides, such as a live server; left open.
         pacer: Keeps up with real time.
         publishers: Ways to other programs; closed with the session.
         step_force: Largest step of force that settings of other programs may make [N]; see `check_step`.
@@ -52,6 +54,7 @@ class Session:
         hand: HandForce | None = None,
         folder: Path = Path(),
         record: Path | None = None,
+        file: RecordingFile | None = None,
         pacer: Pacer | None = None,
         publishers: Sequence[Publisher] = (),
         step_force: float = STEP_FORCE,
@@ -67,7 +70,7 @@ class Session:
         if own not in self._scenes:
             self._scenes.insert(0, own)
         self._history = History()
-        self._tape = Tape(folder)
+        self._tape = Tape(folder, file)
         if record is not None:
             self._tape.start(record)
         self._paused, self._stopped = False, ""
@@ -217,7 +220,7 @@ class Session:
             pose=pose,
             twist=twist,
             wrench=wrench,
-            file=self._tape.file,
+            file=self._tape.whole,
             began=began,
             keep=self._history.add,
         )

@@ -6,7 +6,7 @@ import tempfile
 from datetime import datetime
 from pathlib import Path
 
-from maglev_mj.recording import RecordingError, RecordingFile, best_suffix, open_recording
+from maglev_mj.recording import RecordingError, RecordingFile, best_suffix, open_recording, tee
 
 __all__ = ["Tape"]
 
@@ -16,16 +16,22 @@ class Tape:
 
     Args:
         folder: Where they go.
+        beside: File that everything goes to as well, left open; None for none.
 
     Attributes:
         written: Those that are closed.
         file: The one that is open; None while nothing is recorded.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, beside: RecordingFile | None = None) -> None:
         self.written: list[Path] = []
         self.file: RecordingFile | None = None
-        self._folder, self._said, self._missed = folder, "", 0
+        self._folder, self._beside, self._said, self._missed = folder, beside, "", 0
+
+    @property
+    def whole(self) -> RecordingFile | None:
+        """What a stretch is to be recorded to; None for nothing."""
+        return tee(self.file, self._beside)
 
     def start(self, path: Path | None = None) -> None:
         """Begin a recording.
@@ -64,14 +70,14 @@ class Tape:
 
     def failed(self, why: str) -> None:
         """Keep why the scene stopped."""
-        if self.file is not None:
-            self.file.event("fault", why)
+        if (file := self.whole) is not None:
+            file.event("fault", why)
 
     def missed(self, count: int) -> None:
         """Keep how many ticks have been given up so far."""
         more, self._missed = count - self._missed, count
-        if more and self.file is not None:
-            self.file.event("missed", f"{more} ticks were given up: too slow", more)
+        if more and (file := self.whole) is not None:
+            file.event("missed", f"{more} ticks were given up: too slow", more)
 
     @property
     def note(self) -> str:

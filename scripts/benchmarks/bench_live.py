@@ -1,49 +1,56 @@
-"""What the pose stream costs a flight, and how soon settings are in force.
+"""What a live server costs a flight, and how soon parameters are in force.
 
-    python scripts/benchmarks/bench_stream.py [--seconds X] [--flights N] [--busy] [--only flood|ticks]
+    python scripts/benchmarks/bench_live.py [--seconds X] [--flights N] [--rate HZ ...] [--busy] [--only cost|ticks]
 
-flood: flights of a real-time twin, in turn without requests and under a flood of sets that are refused, of sets that
-are accepted, and of sets that are none: the time from reading a sample to having sent its answer, over that without
-requests, the longest time between two answers, the samples missed, and the flights that a fault has ended. ticks:
-samples and time from a host's sending of a set to its being in force, on a device and in a session. --busy keeps every
-processor busy with something else besides.
+cost: flights of a real-time twin, in turn without a server, with one that nobody watches, with a client that hears
+every message, and under a flood of sets that are refused, of sets that are accepted, and of sets that are none: the
+time from reading a sample to having sent its answer, over that without a server, the longest time between two answers,
+the samples missed, messages that the client heard, and the flights that a fault has ended. ticks: samples and time from
+a client's call to its being in force, on a device and in a session. --busy keeps every processor busy with something
+else besides.
 """
 
 from __future__ import annotations
 
 import argparse
 import itertools
-import json
 import os
 import re
-import socket
 import subprocess
 import sys
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from multiprocessing.connection import Connection
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+# the client is an example
+sys.path.insert(0, str(Path(__file__).parent.parent / "examples"))
+from live_client import LiveClient
 from maglev_mj.bridge.flight import Flight
 from maglev_mj.bridge.realtime import realtime
 from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.errors import MaglevError
+from maglev_mj.live import LiveServer
 from maglev_mj.net.udp import open_link
 from maglev_mj.process import SideProcess
 from maglev_mj.scenes.joystick import Joystick
 from maglev_mj.session import Session, real_time
-from maglev_mj.stream import PoseStream
 
 RATES = 200, 1000
+ALONE, IDLE, HEARS = "no server", "nobody watches", "a client hears"
 FLOODS: dict[str, Any] = {
-    "no requests": None,
+    ALONE: None,
+    IDLE: None,
+    HEARS: None,
     "refused": [{"stiffness": 60000.0 + step} for step in range(2)],
     "accepted": [{"stiffness": 3000.0 + 500.0 * step} for step in range(2)],
-    "nonsense": [{"pitch": 1.0}, 5],
+    "nonsense": [{"pitch": 1.0}, {"stiffness": "x" * 1000}],
 }
 SHARES = {"p50": 50.0, "p99": 99.0, "p99.9": 99.9, "max": 100.0}
 ANY = "udp://127.0.0.1:0"
@@ -73,34 +80,37 @@ class Noted:
 
 
 def flooding(line: Connection, port: int, wishes: Sequence[Any]) -> None:
-    """Ask for settings in turn, without waiting for answers, until the line ends."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as host:
-        host.setblocking(False)
+    """Ask for parameters in turn, without waiting for answers, until the line ends."""
+    with LiveClient(f"ws://127.0.0.1:{port}", set()) as client:
         for number in itertools.count():
-            try:
-                wish = {"type": "set", "id": number, "settings": wishes[number % len(wishes)]}
-                host.sendto(json.dumps(wish).encode(), ("127.0.0.1", port))
-                while True:
-                    host.recv(2048)
-            except OSError:
-                if line.poll(PAUSE):
-                    return
+            told = [{"name": name, "value": value} for name, value in wishes[number % len(wishes)].items()]
+            client.send({"op": "setParameters", "parameters": told})
+            if line.poll(PAUSE):
+                break
+        client.drop()
+
+
+def hearing(line: Connection, port: int) -> None:
+    """Hear of every topic until the line ends; send how many poses of /tf and samples came, first."""
+    with LiveClient(f"ws://127.0.0.1:{port}") as client:
+        line.send(None)
+        counts: Counter[str] = Counter()
+        while not line.poll(0.0):
+            counts.update(message.topic for message in client.messages(0.2))
+        line.send((counts["/maglev/sample"], counts["/tf"]))
 
 
 def asking(line: Connection, port: int) -> None:
-    """Ask for settings at any time; send when that was, and from which sample on they are in force."""
+    """Ask for parameters at any time; send when that was, and from which sample on they are in force."""
     draw, came = np.random.default_rng(1), []
     time.sleep(SETTLED)
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as host:
-        host.settimeout(10.0)
+    with LiveClient(f"ws://127.0.0.1:{port}", set()) as client:
         for number in range(SETS):
             time.sleep(draw.uniform(0.0, 0.03))
-            wish = {"type": "set", "id": number, "settings": {"stiffness": 3000.0 + number}}
             sent = time.monotonic()
-            host.sendto(json.dumps(wish).encode(), ("127.0.0.1", port))
-            said = json.loads(host.recv(2048))
-            if said["type"] == "accepted":
-                came.append((sent, said["tick"]))
+            said = client.set(stiffness=3000.0 + number)
+            if not said["reason"]:
+                came.append((sent, said["since"]))
     line.send(came)
 
 
@@ -120,51 +130,65 @@ def device(rate: int) -> Iterator[RemotePlant]:
         twin.wait()
 
 
-def flown(rate: int, wishes: Any, seconds: float) -> tuple[list[float], str]:
-    """Fly once; return SHARES of an answer's time [µs], the longest interval [ms], samples missed, and the fault."""
-    with device(rate) as plant, closing(PoseStream(ANY)) as stream, ExitStack() as stack:
-        noted, fault = Noted(plant, "write", lambda: plant.samples.tick), ""
-        flight = Flight(plant, Joystick(period=plant.period, delay=plant.delay), publishers=[stream])
-        if wishes is not None:
-            stack.enter_context(closing(SideProcess(flooding, stream.address[1], wishes)))
+def flown(rate: int, name: str, seconds: float) -> tuple[list[float], str, tuple[int, int]]:
+    """Fly once.
+
+    Returns:
+        SHARES of an answer's time [µs], the longest interval [ms], samples missed; the fault; samples and frames heard.
+    """
+    with device(rate) as plant, ExitStack() as stack:
+        live = None if name == ALONE else stack.enter_context(closing(LiveServer(0)))
+        noted, fault, heard = Noted(plant, "write", lambda: plant.samples.tick), "", (0, 0)
+        scene = Joystick(period=plant.period, delay=plant.delay)
+        flight = Flight(plant, scene, publishers=[live] if live else [], file=live)
+        client = None
+        if live is not None and FLOODS[name] is not None:
+            stack.enter_context(closing(SideProcess(flooding, live.port, FLOODS[name])))
+        if live is not None and name == HEARS:
+            client = stack.enter_context(closing(SideProcess(hearing, live.port)))
+            client.line.recv()
         with realtime("ignore"):
             try:
                 flight.run(seconds)
             except MaglevError as error:
                 fault = str(error).split(":")[0]
+        if client is not None:
+            client.send(None)
+            heard = client.line.recv()
         missed = float(plant.samples.lost + plant.samples.skipped)
         answers = [flight.timing.answer.percentile(share) * 1e6 for share in SHARES.values()]
     longest = max(after - before for (_, before), (_, after) in itertools.pairwise(noted.rows))
-    return [*answers, longest * 1e3, missed], fault
+    return [*answers, longest * 1e3, missed], fault, heard
 
 
-def flood(seconds: float, flights: int) -> None:
-    """Print how late a flight's answers are under each flood."""
-    print("from reading a sample to having sent its answer [µs]: medians of the flights (over that without requests)")
-    for rate in RATES:
-        runs: dict[str, list[tuple[list[float], str]]] = {name: [] for name in FLOODS}
+def cost(rates: Sequence[int], seconds: float, flights: int) -> None:
+    """Print how late a flight's answers are in each case."""
+    print("from reading a sample to having sent its answer [µs]: medians of the flights (over that without a server)")
+    for rate in rates:
+        runs: dict[str, list[tuple[list[float], str, tuple[int, int]]]] = {name: [] for name in FLOODS}
         for _ in range(flights):
-            for name, wishes in FLOODS.items():
-                runs[name].append(flown(rate, wishes, seconds))
-        usual = np.median([row for row, _ in runs["no requests"]], axis=0)
+            for name in FLOODS:
+                runs[name].append(flown(rate, name, seconds))
+        usual = np.median([row for row, *_ in runs[ALONE]], axis=0)
         for name, found in runs.items():
-            rows, faults = np.array([row for row, _ in found]), [fault for _, fault in found if fault]
-            here = np.median(rows, axis=0)
+            rows, faults = np.array([row for row, *_ in found]), [fault for _, fault, _ in found if fault]
+            here, heard = np.median(rows, axis=0), np.median([one for *_, one in found], axis=0) / seconds
             cells = "".join(f"{what} {us:4.0f} ({us / one:4.2f})  " for what, us, one in zip(SHARES, here, usual))
-            longest, missed = rows[:, -2].max(), rows[:, -1].sum() / flights
+            longest, missed = rows[:, -2].max(), ", ".join(f"{one:g}" for one in rows[:, -1])
+            listened = f", heard {heard[0]:.0f} samples and {heard[1]:.0f} frames a second" if name == HEARS else ""
             print(
-                f"  {rate:4} Hz  {name:<12}{cells}longest interval {longest:4.1f} ms, {missed:4.1f} missed a flight, "
-                f"{len(faults)} of {flights} ended by a fault",
+                f"  {rate:4} Hz  {name:<15}{cells}longest interval {longest:4.1f} ms, missed {missed}, "
+                f"{len(faults)} of {flights} ended by a fault{listened}",
                 *faults,
                 flush=True,
             )
 
 
 @contextmanager
-def asked(stream: PoseStream) -> Iterator[list[Any]]:
-    """Let a host ask; yield a list whose first, put there, is called when it has, and which has then what came."""
+def asked(live: LiveServer) -> Iterator[list[Any]]:
+    """Let a client ask; yield a list whose first, put there, is called when it has, and which has then what came."""
     came: list[Any] = []
-    host = SideProcess(asking, stream.address[1])
+    host = SideProcess(asking, live.port)
 
     def wait() -> None:
         host.line.poll(None)
@@ -194,20 +218,20 @@ def counted(what: str, noted: Noted, came: Sequence[tuple[float, int]]) -> None:
     print(f"  {what:<20}{len(came)} of {SETS} accepted  {cells}", flush=True)
 
 
-def ticks() -> None:
+def ticks(rates: Sequence[int]) -> None:
     """Print how soon settings are in force."""
-    print("from a host's sending of a set to the first sample answered under it")
-    for rate in RATES:
-        with device(rate) as plant, closing(PoseStream(ANY)) as stream:
+    print("from a client's call to the first sample answered under it")
+    for rate in rates:
+        with device(rate) as plant, closing(LiveServer(0)) as live:
             scene = Joystick(period=plant.period, delay=plant.delay)
             noted = Noted(plant, "write", lambda: plant.samples.tick)
-            flight = Flight(plant, scene, publishers=[stream])
-            with realtime("ignore"), asked(stream) as came:
+            flight = Flight(plant, scene, publishers=[live], file=live)
+            with realtime("ignore"), asked(live) as came:
                 came.append(flight.switch.land)
                 flight.run()
             counted(f"device at {rate} Hz", noted, came[1:])
-        stream = PoseStream(ANY)
-        with closing(Session(scene, publishers=[stream])) as session, asked(stream) as came:
+        live = LiveServer(0)
+        with closing(Session(scene, publishers=[live], file=live)) as session, asked(live) as came:
             noted, running = Noted(session, "_one", lambda: session.snapshot().tick), [True]
             came.append(running.clear)
             for elapsed, _ in real_time(None, STEP):
@@ -222,8 +246,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--seconds", type=float, default=6.0, metavar="X", help="of a flight (default 6)")
     parser.add_argument("--flights", type=int, default=9, metavar="N", help="of each kind (default 9)")
+    parser.add_argument(
+        "--rate", type=int, nargs="+", default=RATES, metavar="HZ", help="of samples (default 200 1000)"
+    )
     parser.add_argument("--busy", action="store_true", help="keep every processor busy besides")
-    parser.add_argument("--only", choices=("flood", "ticks"))
+    parser.add_argument("--only", choices=("cost", "ticks"))
     options = parser.parse_args()
     with ExitStack() as stack:
         for _ in range((os.cpu_count() or 1) * options.busy):
@@ -231,9 +258,9 @@ def main() -> None:
             stack.callback(spin.wait)
             stack.callback(spin.kill)
         if options.only != "ticks":
-            flood(options.seconds, options.flights)
-        if options.only != "flood":
-            ticks()
+            cost(options.rate, options.seconds, options.flights)
+        if options.only != "cost":
+            ticks(options.rate)
 
 
 if __name__ == "__main__":

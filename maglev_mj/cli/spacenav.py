@@ -1,0 +1,65 @@
+"""The options by which a command is a 3D mouse to other programs."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+
+from maglev_mj.cli.options import Container
+from maglev_mj.errors import ParameterError
+from maglev_mj.parameters import flag
+from maglev_mj.spacenav import PoseAxes, RateAxes, SpacenavServer
+from maglev_mj.spacenav.axes import Axes
+
+__all__ = ["add_spacenav", "chosen_spacenav"]
+
+_AXES_TOLD: dict[str, Callable[[], Axes]] = {"pose": PoseAxes, "rate": RateAxes}
+"""What may be told, by name."""
+
+
+def add_spacenav(parser: Container, *, always: bool = False) -> None:
+    """Add --spacenav, --socket and --axes.
+
+    Args:
+        parser: Of the command.
+        always: Whether the command is one without asking, so that it needs no --spacenav.
+    """
+    if flag("always", always):
+        parser.set_defaults(spacenav=True)
+    else:
+        parser.add_argument("--spacenav", action="store_true", help="be a 3D mouse to other programs")
+    parser.add_argument(
+        "--socket",
+        metavar="PATH",
+        type=Path,
+        help="where those find it (default: $SPNAV_SOCKET, or one in $XDG_RUNTIME_DIR)",
+    )
+    parser.add_argument(
+        "--axes",
+        metavar="WHAT",
+        help="what those are told: pose, the deflection; or rate, the motion of a slave (default pose)",
+    )
+
+
+def chosen_spacenav(options: argparse.Namespace, say: Callable[[str], object] = print) -> list[SpacenavServer]:
+    """Return the server asked for, which listens already; none if none is.
+
+    Args:
+        options: Of the command line.
+        say: Tells the person where it is.
+
+    Raises:
+        ParameterError: If an option is wrong, or is given without --spacenav.
+    """
+    if not options.spacenav:
+        for name in ("socket", "axes"):
+            if getattr(options, name) is not None:
+                raise ParameterError(f"{name} is for --spacenav")
+        return []
+    axes = "pose" if options.axes is None else options.axes
+    if axes not in _AXES_TOLD:
+        raise ParameterError(f"axes must be one of {', '.join(_AXES_TOLD)}, not {axes!r}")
+    server = SpacenavServer(options.socket, axes=_AXES_TOLD[axes]())
+    say(f"  a 3D mouse; for the programs that are to have it: export SPNAV_SOCKET={server.path.resolve()}")
+    return [server]

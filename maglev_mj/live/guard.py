@@ -1,0 +1,88 @@
+"""The public port of a live server: it keeps pages of other sites away from the server behind it.
+
+A browser lets any page open a WebSocket to this machine, and says in Origin whose page it is. A name of the attacker's
+own may lead to this machine, too, which Host tells. The server behind checks neither.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import re
+import socket
+from contextlib import suppress
+
+__all__ = ["PATIENCE", "forward", "objection"]
+
+PATIENCE = 5.0
+"""How long a request may take to come [s]."""
+
+_LONGEST, _CHUNK = 8192, 1 << 16
+_LOOPBACK = r"(?:127\.0\.0\.1|localhost|\[::1\])(?::\d{1,5})?"
+_HOST = re.compile(_LOOPBACK, re.IGNORECASE)
+_ORIGIN = re.compile(rf"https?://{_LOOPBACK}|https://app\.foxglove\.dev", re.IGNORECASE)
+_FIELD = re.compile(r"([\w-]+):[ \t]*([^\r\n]*?)[ \t]*", re.ASCII)
+
+
+def objection(request: str) -> str:
+    """Return why a request is refused; empty if it is not.
+
+    Args:
+        request: Its first line and its header, without the empty line at the end.
+    """
+    first, *lines = request.split("\r\n")
+    fields: dict[str, list[str]] = {"host": [], "origin": [], "upgrade": []}
+    for line in lines:
+        if (found := _FIELD.fullmatch(line)) is None:
+            return f"no header field: {line!r}"
+        fields.setdefault(found[1].lower(), []).append(found[2])
+    if not first.startswith("GET ") or [one.lower() for one in fields["upgrade"]] != ["websocket"]:
+        return "only WebSockets are served here"
+    if len(fields["host"]) != 1 or not _HOST.fullmatch(fields["host"][0]):
+        return f"Host must be localhost or 127.0.0.1, not {', '.join(fields['host'])!r}"
+    if wrong := [origin for origin in fields["origin"] if not _ORIGIN.fullmatch(origin)]:
+        return f"Origin must be this machine or https://app.foxglove.dev, not {wrong[0]!r}"
+    return ""
+
+
+def forward(listener: socket.socket, server: tuple[str, int]) -> None:
+    """Pass connections on to a server that `objection` lets through; in a thread of its own, without end.
+
+    Args:
+        listener: The public port.
+        server: Host and port of the server.
+    """
+
+    async def run() -> None:
+        async def accept(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+            with suppress(OSError, asyncio.IncompleteReadError, asyncio.LimitOverrunError, TimeoutError):
+                await _accept(reader, writer, server)
+            writer.close()
+
+        await (await asyncio.start_server(accept, sock=listener, limit=_LONGEST)).serve_forever()
+
+    asyncio.run(run())
+
+
+async def _accept(reader: asyncio.StreamReader, writer: asyncio.StreamWriter, server: tuple[str, int]) -> None:
+    async with asyncio.timeout(PATIENCE):
+        request = await reader.readuntil(b"\r\n\r\n")
+        if why := objection(request[:-4].decode("latin-1")):
+            said = f"HTTP/1.1 403 Forbidden\r\nConnection: close\r\nContent-Length: {len(why) + 1}\r\n\r\n{why}\n"
+            writer.write(said.encode("latin-1"))
+            await writer.drain()
+            return
+        back, forth = await asyncio.open_connection(*server, limit=_LONGEST)
+    forth.write(request)
+    ways = [asyncio.create_task(_pass(reader, forth)), asyncio.create_task(_pass(back, writer))]
+    await asyncio.wait(ways, return_when=asyncio.FIRST_COMPLETED)
+    for way in ways:
+        way.cancel()
+    forth.close()
+
+
+async def _pass(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    """Pass bytes on until either end is closed; wait for the one that takes them."""
+    with suppress(OSError):
+        while data := await reader.read(_CHUNK):
+            writer.write(data)
+            await writer.drain()

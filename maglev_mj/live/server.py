@@ -1,0 +1,167 @@
+"""The live server: programs that read the Foxglove protocol see every sample, and set the parameters of the scene."""
+
+from __future__ import annotations
+
+import os
+import socket
+import time
+from collections import deque
+from importlib.util import find_spec
+from multiprocessing.reduction import DupFd
+from typing import Any
+
+from maglev_mj.controller import Controller
+from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.live.settings import State
+from maglev_mj.loop import Record
+from maglev_mj.process import SideProcess
+from maglev_mj.recording import Setup
+from maglev_mj.recording.live import Ring, RowReader
+from maglev_mj.recording.row import RecordedPlant
+from maglev_mj.recording.setup import whole_setup
+from maglev_mj.session import Snapshot, Wish
+from maglev_mj.versions import versions
+
+__all__ = ["PORT", "LiveServer", "LiveServerError"]
+
+PORT = 8765
+"""Where programs look by default."""
+
+_PATIENCE = 60.0
+_SAME = 1e-5
+"""Delays that differ by less are the same [s]."""
+_UNSENT = 256
+
+
+class LiveServerError(MaglevError):
+    """The live server cannot start: its package is not installed, or its port is taken."""
+
+
+class LiveServer:
+    """Serves a running scene to other programs: a `RecordingFile` and a `Publisher`.
+
+    It logs, checks and answers in processes of its own. For the control loop a sample is a row put into memory that is
+    shared, and a look for a scene that it may go on with; it waits for neither.
+
+    Args:
+        port: Of 127.0.0.1; 0 for any that is free.
+
+    Attributes:
+        port: Where it listens.
+
+    Raises:
+        ParameterError: If the port is none.
+        LiveServerError: If it is taken, the package is not installed, or the process does not start, as from a script
+            without `if __name__ == "__main__":`.
+    """
+
+    def __init__(self, port: int = PORT) -> None:
+        if isinstance(port, bool) or not isinstance(port, int) or not 0 <= port <= 65535:
+            raise ParameterError(f"port must be a whole number of 0 to 65535, not {port!r}")
+        if find_spec("foxglove") is None:
+            raise LiveServerError("a live server needs foxglove-sdk: pip install 'maglev-mj[record]'")
+        with _listening(port) as listener:
+            self.port: int = listener.getsockname()[1]
+            self._ring, self._versions = Ring(), versions()
+            self._process = SideProcess(_serve, _Descriptor(self._ring.descriptor), listener)
+        self._told, self._stuck = State(), repr(None)
+        self._answer: int | str | None = None
+        self._unsent: deque[tuple[Any, ...]] = deque(maxlen=_UNSENT)
+        try:
+            said = next(self._process.received(), "") if self._process.line.poll(_PATIENCE) else ""
+        except BaseException:
+            self.close()
+            raise
+        if said != "ready":
+            self.close()
+            needs = 'a script that opens one needs `if __name__ == "__main__":`'
+            raise LiveServerError(f"the process of the live server does not start: {said or needs}")
+
+    def begin(self, plant: RecordedPlant, controller: Controller, setup: Setup | None = None) -> Record:
+        """Begin a stretch; return what the loop records it to."""
+        whole = {**whole_setup(plant, controller, setup), "versions": self._versions}
+        self._say("begin", whole, time.time_ns())
+        self._stuck = repr(None)
+        return self._ring.record(plant)
+
+    def attach(self, name: str, media_type: str, data: bytes) -> None:
+        """Do nothing: a recording has what can be attached."""
+
+    def event(self, kind: str, text: str, missed: int = 0) -> None:
+        """Tell everybody what a person should know of."""
+        self._say("event", kind, text, missed)
+
+    def check(self) -> None:
+        """Do nothing: where its process ends, the scene goes on."""
+
+    def take(self) -> Wish | None:
+        """Return the scene that a program asks for and may have, once."""
+        for scene in self._process.received():
+            return Wish(scene, self._note)
+        return None
+
+    def show(self, snapshot: Snapshot) -> None:
+        """Tell the process of another scene, state or stick position; samples reach it by themselves."""
+        stuck = None if snapshot.anchors is None else snapshot.anchors.tolist()
+        if repr(stuck) != self._stuck:  # NaN does not differ from itself in it
+            self._stuck = repr(stuck)
+            self._say("stick", stuck)
+        state = f"{snapshot.state}: {snapshot.reason}" if snapshot.reason else snapshot.state
+        now, told = State(snapshot.scene, snapshot.delay, snapshot.inertia, state), self._told
+        same = now.scene is told.scene and now.state == told.state and abs(now.delay - told.delay) < _SAME
+        if self._answer is not None or not same:
+            self._say("show", now, self._answer)
+            self._told, self._answer = now, None
+        else:
+            self._send()
+
+    def close(self) -> None:
+        """Let everybody go; a second time does nothing."""
+        self._process.close()
+        self._ring.close()
+
+    def _note(self, answer: int | str) -> None:
+        self._answer = answer  # one scene at a time is handed over: none is written over
+
+    def _say(self, *order: Any) -> None:
+        """Tell the process, before the next row is there."""
+        self._unsent.append((self._ring.count, *order))
+        self._send()
+
+    def _send(self) -> None:
+        while self._unsent and self._process.ready:  # the loop does not wait for a process that hangs
+            self._process.send(self._unsent.popleft())
+
+
+def _serve(*arguments: Any) -> None:
+    """See `serve`, which loads what only its process needs."""
+    from maglev_mj.live.service import serve
+
+    serve(*arguments)
+    os._exit(0)  # whoever closes it waits, and the interpreter takes its time to end
+
+
+class _Descriptor:
+    """A descriptor for a process that is being started, where it becomes the reader of a ring."""
+
+    def __init__(self, descriptor: int) -> None:
+        self._descriptor = descriptor
+
+    def __reduce__(self) -> Any:
+        return _reader, (DupFd(self._descriptor),)
+
+
+def _reader(shared: Any) -> RowReader:
+    return RowReader(shared.detach())
+
+
+def _listening(port: int) -> socket.socket:
+    listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    try:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # that of a server that has just ended is free
+        listener.bind(("127.0.0.1", port))
+        listener.listen()
+    except OSError as error:
+        listener.close()
+        raise LiveServerError(f"cannot listen at port {port} of 127.0.0.1: {error.strerror}") from None
+    return listener

@@ -1,0 +1,207 @@
+"""The live server in its own process, between the control loop, other programs, and the process that checks."""
+
+from __future__ import annotations
+
+import json
+import logging
+import math
+import secrets
+import socket
+import threading
+import time
+from collections import deque
+from contextlib import suppress
+from multiprocessing.connection import Connection, wait
+from typing import Any
+
+import foxglove
+from foxglove import MessageSchema, Parameter, Schema, Service, ServiceRequest, ServiceSchema, StatusLevel
+from foxglove.websocket import Capability, ChannelView, Client, ServerListener
+
+from maglev_mj.live.guard import forward
+from maglev_mj.live.settings import Answer, Requests, State, Verdict, check_requests, give_way, values_of
+from maglev_mj.process import SideProcess
+from maglev_mj.recording.live import ROWS, RowReader
+from maglev_mj.recording.messages import Messages
+from maglev_mj.scenes import Scene
+from maglev_mj.session import Refusal
+
+__all__ = ["LONGEST_CHECK", "serve"]
+
+LONGEST_CHECK = 10.0
+"""How long a check may take [s]."""
+
+_LOOK = 1.0 / 120.0
+_PATIENCE = 60.0
+_MOST_REASON = 300
+_SET = "/maglev/set"
+_JSON = MessageSchema(encoding="json", schema=Schema(name=_SET, encoding="jsonschema", data=b'{"type": "object"}'))
+_SCHEMA = ServiceSchema(name=_SET, request=_JSON, response=_JSON)
+
+
+def serve(line: Connection, rows: RowReader, listener: socket.socket) -> None:
+    """Serve until the line ends; in a process of its own."""
+    give_way()
+    try:
+        service = _Service(line, rows, listener)
+    except Exception as error:  # whatever keeps the package from starting
+        line.send(f"{type(error).__name__}: {error}")
+        return
+    service.run()
+
+
+class _Service(ServerListener):
+    """Logs rows and events to the clients, and has their requests checked."""
+
+    def __init__(self, line: Connection, rows: RowReader, listener: socket.socket) -> None:
+        foxglove.set_log_level(logging.CRITICAL)  # what clients do wrong is not for the person at the terminal
+        self._line, self._rows = line, rows
+        self._orders: deque[tuple[Any, ...]] = deque()
+        self._requests, self._greet = Requests(), False
+        self._know(State())
+        self._checker, self._until = SideProcess(check_requests), math.inf
+        self._context = context = foxglove.Context()  # the server does not keep it
+        self._messages = Messages(context)
+        # browsers cannot find the server behind the guard: there are 2^24 such addresses, with as many ports each
+        host = f"127.{1 + secrets.randbelow(254)}.{secrets.randbelow(256)}.{1 + secrets.randbelow(254)}"
+        self._server = foxglove.start_server(
+            name="maglev-mj",
+            host=host,
+            port=0,
+            capabilities=[Capability.Parameters, Capability.Services],
+            server_listener=self,
+            services=[Service(name=_SET, schema=_SCHEMA, handler=self._call)],
+            context=context,
+            message_backlog_size=ROWS,
+        )
+        self._checker.line.poll(_PATIENCE)
+        threading.Thread(target=forward, args=(listener, (host, self._server.port)), daemon=True).start()
+        line.send("ready")
+
+    def run(self) -> None:
+        """Serve until the control loop's end of the line is closed."""
+        try:
+            while self._turn():
+                pass
+        finally:
+            self._requests.end()
+            self._checker.close(0.0)
+            self._server.stop()
+
+    def _turn(self) -> bool:
+        """Wait for whatever comes next, and pass it on; return False at the end."""
+        wait([self._line, self._checker.line], _LOOK)
+        rows = list(self._rows.rows())  # before what is said, for what is said of a row comes before it
+        try:
+            while self._line.poll():
+                self._hear()
+        except (EOFError, OSError):
+            return False
+        if self._greet:
+            self._greet = False
+            self._messages.greet()
+        place = -1
+        for place, row in rows:
+            self._obey(place)
+            self._messages.row(row)
+        self._obey(place + 1)
+        self._check()
+        return True
+
+    def _hear(self) -> None:
+        try:
+            place, what, *arguments = self._line.recv()
+        except (EOFError, OSError):
+            raise
+        except Exception as error:  # a class of the user's own that this process does not find
+            self._know(State(state=f"the scene is not known here: {type(error).__name__}: {error}"))
+            return
+        if what == "show":
+            self._show(*arguments)
+        else:
+            self._orders.append((place, what, *arguments))
+
+    def _obey(self, place: int) -> None:
+        """Log what is said before a row."""
+        while self._orders and self._orders[0][0] <= place:
+            _, what, *arguments = self._orders.popleft()
+            getattr(self._messages, what)(*arguments)
+
+    def _show(self, state: State, answer: int | str | None) -> None:
+        """Publish another scene in force, and what the control loop answered to the one that it was handed."""
+        self._know(state)
+        if isinstance(answer, str):
+            self._settle(Answer(reason=answer))
+        elif answer is not None:
+            self._settle(Answer(since=answer))
+        self._server.publish_parameter_values(self._parameters)
+
+    def _know(self, state: State) -> None:
+        self._state = state
+        self._parameters = [Parameter(name, value=value) for name, value in values_of(state).items()]
+
+    def _check(self) -> None:
+        """Take what has been checked, and let the next be checked."""
+        for verdict in self._checker.received():
+            if verdict is not None:
+                self._judge(verdict)
+        if self._checker.ended or time.monotonic() > self._until:
+            why = "the process that checks them ended" if self._checker.ended else f"it takes over {LONGEST_CHECK:g} s"
+            self._checker.close(0.0)
+            self._checker = SideProcess(check_requests)
+            if math.isfinite(self._until):  # otherwise nothing was being checked
+                self._judge(f"it is not known whether the parameters would be stable: {why}")
+        if (given := self._requests.next()) is not None:
+            self._checker.send((self._state, given))
+            self._until = time.monotonic() + LONGEST_CHECK
+
+    def _judge(self, verdict: Verdict) -> None:
+        """Hand a scene over to the control loop, or say why not."""
+        self._until = math.inf
+        if isinstance(verdict, Scene):
+            with suppress(OSError):  # it has ended, which the next turn notices
+                self._line.send(verdict)
+        else:
+            figures = verdict._asdict() if isinstance(verdict, Refusal) else None
+            self._settle(Answer(reason=_short(str(verdict)), figures=figures))
+
+    def _settle(self, answer: Answer) -> None:
+        """Answer a request; tell everybody why one is refused."""
+        self._requests.settle(answer)
+        if answer.reason:
+            self._server.publish_status(answer.reason, StatusLevel.Warning, "set")
+            self._messages.event("refused", answer.reason)
+        else:
+            self._server.remove_status(["set"])
+
+    # --- called by the package, in threads of its own --------------------------------------------
+
+    def on_subscribe(self, client: Client, channel: ChannelView) -> None:
+        """Note that somebody needs to know what there is to draw."""
+        self._greet = True
+
+    def on_get_parameters(self, client: Client, names: list[str], request: str | None = None) -> list[Parameter]:
+        """Return the parameters in force."""
+        return [one for one in self._parameters if one.name in names or not names]
+
+    def on_set_parameters(
+        self, client: Client, parameters: list[Parameter], request: str | None = None
+    ) -> list[Parameter]:
+        """Let a request wait; return the parameters in force, for whoever waits here keeps others waiting."""
+        self._requests.put({one.name: one.get_value() for one in parameters})
+        return self._parameters
+
+    def _call(self, call: ServiceRequest) -> bytes:
+        """Answer a call of the service, when the request is in force or refused."""
+        try:
+            given = json.loads(bytes(call.payload))
+        except (ValueError, RecursionError):
+            given = None
+        if not isinstance(given, dict):
+            raise ValueError("a request must be a JSON object of names and values")
+        return json.dumps(self._requests.put(given).result()._asdict()).encode()
+
+
+def _short(reason: str) -> str:
+    # it may repeat what a program sent
+    return reason if len(reason) <= _MOST_REASON else f"{reason[: _MOST_REASON - 3]}..."

@@ -1,0 +1,57 @@
+"""A run recorded to several files at once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from maglev_mj.controller import Controller
+from maglev_mj.frames import Command, Sample
+from maglev_mj.loop import Record
+from maglev_mj.recording.files import RecordingFile
+from maglev_mj.recording.metadata import Setup
+from maglev_mj.recording.row import RecordedPlant
+
+__all__ = ["tee"]
+
+
+def tee(*files: RecordingFile | None) -> RecordingFile | None:
+    """Return one file that writes to all that are given; None for none."""
+    given = [file for file in files if file is not None]
+    return _Tee(given) if len(given) > 1 else given[0] if given else None
+
+
+class _Tee:
+    """Writes to several files: see `RecordingFile`."""
+
+    def __init__(self, files: Sequence[RecordingFile]) -> None:
+        self._files = files
+
+    def begin(self, plant: RecordedPlant, controller: Controller, setup: Setup | None = None) -> Record:
+        """Begin a stretch in each; return what the loop records it to."""
+        records = [file.begin(plant, controller, setup) for file in self._files]
+
+        def record(sample: Sample, command: Command, applied: Command) -> None:
+            for one in records:
+                one(sample, command, applied)
+
+        return record
+
+    def attach(self, name: str, media_type: str, data: bytes) -> None:
+        """See `RecordingFile`."""
+        for file in self._files:
+            file.attach(name, media_type, data)
+
+    def event(self, kind: str, text: str, missed: int = 0) -> None:
+        """See `RecordingFile`."""
+        for file in self._files:
+            file.event(kind, text, missed)
+
+    def check(self) -> None:
+        """See `RecordingFile`."""
+        for file in self._files:
+            file.check()
+
+    def close(self) -> Path | None:
+        """Close each; return the first that was written."""
+        return next((path for path in [file.close() for file in self._files] if path is not None), None)
