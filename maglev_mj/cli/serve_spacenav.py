@@ -29,7 +29,7 @@ _SCENE = "joystick"
 _STEP = 1.0 / 240.0
 _STANDSTILL = 1.0
 _OUT, _TURNED = 0.003, math.radians(3.5)
-_QUARTER = 0.4
+_QUARTER = 0.5
 
 
 def add_command(commands: Any) -> None:
@@ -91,7 +91,9 @@ def _serve(options: argparse.Namespace) -> int:
     with closing(server), closing(Session(scene, hand=_hand(scene), publishers=[server])) as session:
         with engine_warnings_silenced(), stopping(ended.set):
             _run(session, ended, seconds)
-    print(f"  {server.sent} events, {server.dropped} programs dropped, {server.refused} refused")
+    print(
+        f"  {server.sent} events, {server.missed} missed, {server.dropped} programs dropped, {server.refused} refused"
+    )
     return 0
 
 

@@ -7,7 +7,6 @@ protocol 1 in four bytes; from the answer on it sends requests of 32 bytes, each
 
 from __future__ import annotations
 
-import math
 import struct
 from collections.abc import Sequence
 
@@ -26,6 +25,7 @@ _WORDS, _WORD, _FLOAT = struct.Struct("=8i"), struct.Struct("=I"), struct.Struct
 _MOTION, _PRESS, _RELEASE = 0, 1, 2
 _WANTS_MOTION, _WANTS_BUTTONS = 1, 2
 _MOST = 32767
+_LEAST_SENSITIVITY, _MOST_SENSITIVITY = 1e-3, 1e3
 _TAG, _NUMBER, _VERSION = 0x7FAA0000, 0xFFFF, 0xFF
 _CHANGE, _NEWEST = 0x5500, 1
 _SET_NAME, _SET_SENSITIVITY, _GET_SENSITIVITY, _SET_MASK, _GET_MASK = 0x1000, 0x1001, 0x1002, 0x1003, 0x1004
@@ -124,8 +124,10 @@ class Conversation:
         return _WORDS.pack(kind, known.get(number, 0), 0, 0, 0, 0, 0, 0 if number in known else -1)
 
     def _set_sensitivity(self, data: bytes) -> bool:
-        """Take a sensitivity; return whether it is a finite number."""
+        """Take a sensitivity; return whether it is a sensible one."""
         (asked,) = _FLOAT.unpack(data)
-        if finite := math.isfinite(asked):
+        # libspnav 1.0 and 1.1 send the lower half of a double instead: 0 for round numbers, 4e-8 for 0.3
+        sensible: bool = _LEAST_SENSITIVITY <= abs(asked) <= _MOST_SENSITIVITY
+        if sensible:
             self.sensitivity = asked
-        return finite
+        return sensible

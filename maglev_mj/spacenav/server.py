@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import socket
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from maglev_mj.session import Snapshot
@@ -30,7 +30,7 @@ class _Client:
         self.line, self.talk, self.gone = line, Conversation(), False
         self._since = self._last = now
         self._asks = self._moves = False
-        self._down = NO_BUTTONS
+        self._down = list(NO_BUTTONS)
         line.setblocking(False)
         line.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _ROOM)
 
@@ -43,18 +43,22 @@ class _Client:
         begun = self.talk.begun or now - self._since > _PATIENCE
         return begun and not self._asks
 
-    def news(self, axes: tuple[int, ...], down: tuple[bool, ...], now: float) -> list[bytes]:
-        """Return the events for it: what moves, once that nothing does, and buttons that change."""
-        events, axes = [], self.talk.scaled(axes)
+    def tell(self, axes: tuple[int, ...], down: tuple[bool, ...], now: float) -> Iterator[bool]:
+        """Send what is new: motion, once that nothing moves, and buttons that change; yield whether there was room.
+
+        What there was no room for is said again if it is still so, above all that nothing moves any more.
+        """
+        axes = self.talk.scaled(axes)
         if self.talk.wants_motion and (self._moves or axes != REST):
             period = min(round((now - self._last) * 1e3), _LONGEST_PERIOD)
-            self._moves, self._last = axes != REST, now
-            events.append(motion_event(axes, period))
-        if self.talk.wants_buttons:
-            changed = [number for number, is_down in enumerate(down) if is_down != self._down[number]]
-            events += [button_event(number, down[number]) for number in changed]
-            self._down = down
-        return events
+            yield (told := self.send(motion_event(axes, period)))
+            if told:
+                self._moves, self._last = axes != REST, now
+        for number, is_down in enumerate(down if self.talk.wants_buttons else ()):
+            if is_down != self._down[number]:
+                yield (told := self.send(button_event(number, is_down)))
+                if told:
+                    self._down[number] = is_down
 
     def send(self, data: bytes) -> bool:
         """Send some bytes; return whether there was room for them."""
@@ -89,9 +93,9 @@ class _Client:
 class SpacenavServer:
     """Tells six axes to any program that speaks spacenav's protocol, at each snapshot that it is shown.
 
-    Nothing waits: a program for which there is no room in its socket, about 4 s of motion, is let go, and so is one
-    that sends what is no request. At rest there is one event of zeros and then none, as real devices do it; so it is
-    where the scene is paused or has stopped.
+    Nothing waits: a program misses the events for which its socket has no room, after about 4 s of motion unread. One
+    that sends what is no request is let go. At rest there is one event of zeros and then none, as real devices do it;
+    so it is where the scene is paused or has stopped.
 
     Args:
         path: Where the socket is; `default_path` by default.
@@ -102,7 +106,8 @@ class SpacenavServer:
     Attributes:
         path: Where the socket is.
         sent: Events, to all programs together.
-        dropped: Programs let go because they were slow or sent rubbish.
+        missed: Events for which programs had no room.
+        dropped: Programs let go because they sent rubbish.
         refused: Programs too many.
 
     Raises:
@@ -120,7 +125,7 @@ class SpacenavServer:
         buttons: Buttons | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self.sent = self.dropped = self.refused = 0
+        self.sent = self.missed = self.dropped = self.refused = 0
         self._axes, self._buttons, self._clock = axes or PoseAxes(), buttons or (lambda _: NO_BUTTONS), clock
         self._clients: list[_Client] = []
         self._place = Place(path)
@@ -172,11 +177,10 @@ class SpacenavServer:
 
     def _tell(self, axes: tuple[int, ...], down: tuple[bool, ...], now: float) -> None:
         def tell(client: _Client) -> bool:
-            for event in client.news(axes, down, now) if client.listens(now) else ():
-                if not client.send(event):
-                    return False
-                self.sent += 1
-            return True
+            for had_room in client.tell(axes, down, now) if client.listens(now) else ():
+                self.sent += had_room
+                self.missed += not (had_room or client.gone)
+            return not client.gone
 
         self._each(tell)
 
