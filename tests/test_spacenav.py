@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import math
 import os
 import queue
@@ -14,7 +15,7 @@ import subprocess
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -22,23 +23,19 @@ import numpy as np
 import pytest
 
 from maglev_mj.cli import serve_spacenav
-from maglev_mj.cli.options import Parser
+from maglev_mj.cli.options import Parser, add_parameters, chosen
 from maglev_mj.cli.spacenav import add_spacenav, chosen_spacenav
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
+from maglev_mj.hand import SpringHand, Trajectory
+from maglev_mj.parameters import param
 from maglev_mj.scenes import find_scene
 from maglev_mj.scenes.joystick import Joystick
-from maglev_mj.session import Snapshot
-from maglev_mj.spacenav import (
-    FULL,
-    PoseAxes,
-    RateAxes,
-    SpacenavServer,
-    default_path,
-)
+from maglev_mj.session import Session, Snapshot
+from maglev_mj.spacenav import FULL, AxisMapping, PoseAxes, RateAxes, SpacenavServer, Taps, default_path
 from maglev_mj.spacenav.axes import FULL_POSE, FULL_RATE, REST
 from maglev_mj.spacenav.navigation import Navigation
-from maglev_mj.spacenav.protocol import DEVICE, EVENT, Conversation, GarbageError, motion_event
+from maglev_mj.spacenav.protocol import DEVICE, EVENT, Conversation, GarbageError, button_event, motion_event
 
 SOURCE = Path(__file__).parents[1] / "scripts" / "examples" / "spacenav_client.c"
 COMPILER = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
@@ -46,6 +43,7 @@ FRAME = 1.0 / 60.0
 PATIENCE = 60.0
 CHANGE, TAG = 0x7FAA5500, 0x7FAA0000
 AWAY = (0.001, 0.0, 0.0, 0.0, 0.0, 0.0)
+ORDER = [0, 2, 1, 3, 5, 4]
 
 
 def snapshot(
@@ -149,14 +147,14 @@ def test_a_program_that_adds_up_rates_goes_the_way_of_the_slave(seed: int, frict
     """At every moment within half a unit of it, however irregular the moments are."""
     random = np.random.default_rng(seed)
     told, time, went, pose = RateAxes(Navigation(scale=2.0)), 0.0, np.zeros(6), np.zeros(6)
-    order, unit = [0, 2, 1, 3, 5, 4], FULL_RATE / FULL
+    unit = FULL_RATE / FULL
     told(snapshot(pose, time))
     for _ in range(3000):
         elapsed = float(random.choice([0.005, 0.015, 0.02, 0.035]))
         time += elapsed
         pose = np.clip(pose + random.normal(0.0, 0.03, 6) * FULL_POSE, -FULL_POSE, FULL_POSE)
         anchors = np.where(random.random(6) < 0.5, pose, np.nan) if friction else None
-        went += np.array(told(snapshot(pose, time, anchors=anchors)))[order] * unit * elapsed
+        went += np.array(told(snapshot(pose, time, anchors=anchors)))[ORDER] * unit * elapsed
         assert (np.abs(went - told.navigator.slave) <= 0.5000001 * unit * elapsed).all()
     assert (np.abs(told.navigator.slave) > 100.0 * unit * 0.035).any()
 
@@ -166,6 +164,200 @@ def test_a_full_rate_is_500_at_the_stops() -> None:
     pose = [0.0045, 0.0, 0.0, 0.0, 0.0, -math.radians(6.0)]
     told(snapshot(pose, 0.0))
     assert told(snapshot(pose, 0.02)) == (500, 0, 0, 0, -500, 0)
+
+
+# -- the mapping -----------------------------------------------------------------------------------------
+
+
+def test_the_defaults_change_no_number() -> None:
+    random = np.random.default_rng(2)
+    for shares in random.normal(0.0, 0.5, (500, 6)):
+        assert AxisMapping()(shares).tolist() == shares[ORDER].tolist()
+        assert AxisMapping().outside(shares, FULL_POSE).tolist() == shares.tolist()
+
+
+MAPPED: list[tuple[dict[str, Any], Callable[[list[int]], list[int]]]] = [
+    ({"gain": 2.0}, lambda row: [2 * number for number in row[:3]] + row[3:]),
+    ({"turning_gain": 0.5}, lambda row: row[:3] + [number // 2 for number in row[3:]]),
+    ({"dead_zone": 0.2}, lambda row: [250 * (number // 300) for number in row]),
+    ({"dead_zone": 0.6}, lambda row: [0] * 6),
+    ({"order": "z,0,x,rz,rx,y"}, lambda row: [row[2], 0, row[0], row[5], row[3], row[1]]),
+    ({"invert": "y,rx"}, lambda row: [row[0], -row[1], row[2], -row[3], *row[4:]]),
+    ({"order": "z,y,x,rx,ry,rz", "invert": "x"}, lambda row: [-row[2], row[1], row[0], *row[3:]]),
+    ({"dominant": True}, lambda row: [300 * (number // 300) for number in row]),
+    ({"dominant": True, "gain": 0.0}, lambda row: [0, 0, 0, *dominant(row[3:])]),
+]
+"""Settings, and what they make of rows in which one number is 300, the next 100, and the others 0."""
+
+
+def dominant(row: list[int]) -> list[int]:
+    return [number if number == max(row) else 0 for number in row]
+
+
+def deflected(axis: int) -> list[int]:
+    """Return six numbers, 300 on one axis and 100 on the next."""
+    return [[300, 100, 0, 0, 0, 0][(index - axis) % 6] for index in range(6)]
+
+
+@pytest.mark.parametrize(("settings", "expected"), MAPPED)
+@pytest.mark.parametrize("axis", range(6))
+def test_each_setting_does_what_it_says_on_each_axis(
+    settings: dict[str, Any], expected: Callable[[list[int]], list[int]], axis: int
+) -> None:
+    row = deflected(axis)
+    assert list(PoseAxes(AxisMapping(**settings))(snapshot(posed(row)))) == expected(row)
+    mirrored = PoseAxes(AxisMapping(**settings))(snapshot(-posed(row)))
+    assert list(mirrored) == [-number for number in expected(row)]
+
+
+@pytest.mark.parametrize(
+    ("settings", "expected"), [(given, expected) for given, expected in MAPPED if "dead_zone" not in given]
+)
+@pytest.mark.parametrize("axis", range(6))
+def test_each_setting_does_the_same_to_rates(
+    settings: dict[str, Any], expected: Callable[[list[int]], list[int]], axis: int
+) -> None:
+    row, told = deflected(axis), RateAxes(mapping=AxisMapping(**settings))
+    told(snapshot([0.0] * 6, 0.0))
+    way = np.array(row)[ORDER] / FULL * FULL_RATE * FRAME  # within the edge, where a slave goes as far as the flotor
+    assert list(told(snapshot(way, FRAME))) == expected(row)
+
+
+@pytest.mark.parametrize("axis", range(6))
+def test_the_dead_zone_of_rates_is_one_of_the_deflection(axis: int) -> None:
+    told, full = RateAxes(mapping=AxisMapping(dead_zone=0.2)), np.eye(6)[axis] * FULL_POSE
+    for number in range(20):
+        assert told(snapshot(0.0099 * number * full, number * FRAME)) == REST
+    assert told(snapshot(0.21 * full, FRAME * 20)) != REST
+
+
+def test_a_full_deflection_stays_full_beside_a_dead_zone_and_nothing_jumps() -> None:
+    mapping, step = AxisMapping(dead_zone=0.3), np.linspace(-1.2, 1.2, 2401)
+    outside = np.array([mapping.outside(share * FULL_POSE, FULL_POSE) / FULL_POSE for share in step])
+    assert np.abs(np.diff(outside, axis=0)).max() < 0.0015
+    assert outside[200] == pytest.approx(-1.0) and outside[2200] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_dominant_axis_is_the_only_one_in_every_event(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    told, pose, time, seen = RateAxes(mapping=AxisMapping(dominant=True)), np.zeros(6), 0.0, set()
+    for _ in range(1000):
+        time += float(random.choice([0.005, 0.015, 0.035]))
+        pose = pose + random.normal(0.0, 0.02, 6) * FULL_POSE
+        numbers = told(snapshot(pose, time))
+        assert sum(number != 0 for number in numbers) <= 1
+        seen |= {index for index, number in enumerate(numbers) if number}
+    assert seen == set(range(6))
+
+
+@pytest.mark.parametrize(
+    ("settings", "complaint"),
+    [
+        ({"gain": -1.0}, "gain must be "),
+        ({"turning_gain": math.nan}, "turning_gain must be "),
+        ({"dead_zone": 0.95}, "dead_zone must be "),
+        ({"order": "x,y,z"}, "order must be six of "),
+        ({"order": "x,y,z,rx,ry,w"}, "order must be six of "),
+        ({"invert": "up"}, "invert must be none, or some of "),
+        ({"invert": "x,x"}, "invert must be none, or some of "),
+        ({"invert": ""}, "invert must be none, or some of "),
+        ({"dominant": 1}, "dominant must be True or False"),
+        ({"press": 0.0}, "press must be "),
+    ],
+)
+def test_a_setting_that_cannot_be_is_refused_in_one_line(settings: dict[str, Any], complaint: str) -> None:
+    with pytest.raises(ParameterError, match=f"^{complaint}[^\n]*, not [^\n]*$"):
+        AxisMapping(**settings)
+
+
+# -- the buttons -----------------------------------------------------------------------------------------
+
+WALLS = ((2, 1.0, -0.0035), (2, -1.0, 0.0035))
+
+
+def pressed(force: float, time: float, *, z: float | None = None, state: str = "running", button: int = 0) -> Snapshot:
+    """Return a snapshot of a handle that presses on the lower wall, or on the upper one."""
+    sign = -1.0 if button else 1.0
+    depth = 0.0036 if z is None else z
+    return dataclasses.replace(
+        snapshot([0.0, 0.0, -sign * depth, 0.0, 0.0, 0.0], time, state=state),
+        force=np.array([0.0, 0.0, sign * force, 0.0, 0.0, 0.0]),
+        faces=WALLS,
+    )
+
+
+def taps(forces: Iterable[float], button: int = 0, **keywords: Any) -> list[tuple[bool, ...]]:
+    """Return what 4 N of taps make of forces, one in each frame, with the handle let go after them."""
+    buttons = Taps(4.0)
+    frames = [*forces, 0.0, 0.0]
+    return [buttons(pressed(force, number * FRAME, button=button, **keywords)) for number, force in enumerate(frames)]
+
+
+@pytest.mark.parametrize("button", [0, 1])
+@pytest.mark.parametrize(
+    ("forces", "clicks"),
+    [
+        ([3.0, 5.0, 5.0, 3.0], [4]),  # 67 ms
+        ([5.0] * 9, [9]),  # 150 ms
+        ([5.0] * 3, []),  # 50 ms: a bounce
+        ([5.0] * 10, []),  # 167 ms: it leans there
+        ([3.9] * 6, []),  # too soft
+        ([2.1, 4.0, 2.1, 4.0, 2.1], [5]),  # one tap, however often it passes the threshold
+        ([1.9, 4.0, 4.0, 4.0, 4.0, 1.9, 1.9], [5]),
+        ([5.0] * 5 + [0.0] * 3 + [5.0] * 5, [5, 13]),
+    ],
+)
+def test_a_tap_is_a_short_press_and_a_click_of_one_frame(forces: list[float], clicks: list[int], button: int) -> None:
+    down = taps(forces, button)
+    assert [number for number, both in enumerate(down) if both[button]] == clicks
+    assert not any(both[1 - button] for both in down)
+
+
+def test_a_press_outside_the_walls_or_of_a_scene_that_stands_still_is_no_tap() -> None:
+    assert not any(map(any, taps([5.0] * 5, z=0.0034)))
+    assert not any(map(any, taps([5.0] * 5, state="paused")))
+    assert not any(map(any, taps([-5.0] * 5)))
+
+
+def moves(scene: Joystick, hand: SpringHand, seconds: float) -> tuple[list[int], float]:
+    """Return how often each button goes down in a run, and the largest force along z."""
+    session, buttons, counts, most = Session(scene, hand=hand), Taps(4.0), [0, 0], 0.0
+    for _ in range(round(seconds / FRAME)):
+        session.tick(FRAME)
+        shown = session.snapshot()
+        counts = [count + down for count, down in zip(counts, buttons(shown))]
+        most = max(most, abs(float(shown.force[2])))
+    session.close()
+    return counts, most
+
+
+@pytest.mark.parametrize("stiffness", [200.0, 700.0, 3000.0])
+@pytest.mark.parametrize("reach", [0.005, 0.008, 0.02])
+@pytest.mark.parametrize("friction", [False, True])
+def test_a_hand_that_moves_up_and_down_taps_nothing(stiffness: float, reach: float, friction: bool) -> None:
+    random = np.random.default_rng(int(stiffness + 1e4 * reach) + friction)
+    phase, times = random.uniform(0.0, 2.0 * math.pi), np.arange(0.01, 2.2, 0.01)
+    height = reach * np.sin(2.0 * math.pi * random.uniform(0.4, 1.0) * times + phase)
+    path = Trajectory(times, [[0.0, 0.0, z, 0.0, 0.0, 0.0] for z in height])
+    hand = SpringHand(stiffness=stiffness, damping=max(10.0, 0.01 * stiffness), target=path)
+    counts, most = moves(Joystick(friction=friction), hand, 2.0)
+    assert counts == [0, 0]
+    assert reach < 0.02 or most > 1.0  # and it does reach the walls
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+@pytest.mark.parametrize("start", [0.300, 0.3037, 0.3081, 0.3129])
+@pytest.mark.parametrize("stiffness", [1000.0, 2000.0])
+def test_a_hand_that_taps_a_wall_clicks_once_for_each_tap(stiffness: float, start: float, sign: float) -> None:
+    """From rest beside the wall, there and back within 0.18 s, at any phase of samples and frames."""
+    times, heights = [0.0], [0.003]
+    for begin in (start, start + 0.5):
+        times += [begin, begin + 0.09, begin + 0.18]
+        heights += [0.003, 0.014, 0.003]
+    path = Trajectory(times, [[0.0, 0.0, sign * z, 0.0, 0.0, 0.0] for z in heights])
+    counts, _ = moves(Joystick(), SpringHand(stiffness=stiffness, damping=20.0, target=path), 1.3)
+    assert counts == ([2, 0] if sign < 0.0 else [0, 2])
 
 
 # -- the protocol ----------------------------------------------------------------------------------------
@@ -199,7 +391,34 @@ def test_what_comes_in_pieces_is_answered_when_it_is_whole() -> None:
 
 def test_sensitivities_of_protocol_0_are_taken_without_a_word() -> None:
     talk = Conversation()
-    assert talk.hear(struct.pack("=3f", 1.0, 0.5, -2.0)) == b"" and talk.version == 0
+    assert talk.hear(struct.pack("=5f", 1.0, 0.5, -2.0, math.nan, math.inf)) == b"" and talk.version == 0
+    assert talk.sensitivity == -2.0
+
+
+def test_a_sensitivity_is_answered_as_it_was_set() -> None:
+    talk = in_protocol_1()
+    bits = struct.unpack("=i", struct.pack("=f", 0.3))[0]
+    talk.hear(request(0x1001, bits))
+    assert talk.hear(request(0x1002)) == struct.pack("=8i", TAG | 0x1002, bits, *[0] * 6)
+    talk.hear(request(0x1001, 0x7F800000))  # refused: the last one stays
+    assert talk.hear(request(0x1002)) == struct.pack("=8i", TAG | 0x1002, bits, *[0] * 6)
+
+
+@pytest.mark.parametrize(
+    ("sensitivity", "expected"),
+    [
+        (1.0, (1, -2, 3, -4, 500, -32767)),
+        (0.5, (0, -1, 2, -2, 250, -16384)),
+        (-2.0, (-2, 4, -6, 8, -1000, 32767)),
+        (1e3, (1000, -2000, 3000, -4000, 32767, -32767)),
+        (3e38, (1, -2, 3, -4, 500, -32767)),  # no sensible one
+        (0.0, (1, -2, 3, -4, 500, -32767)),
+    ],
+)
+def test_a_sensitivity_multiplies_every_axis(sensitivity: float, expected: tuple[int, ...]) -> None:
+    talk = Conversation()
+    talk.hear(struct.pack("=f", sensitivity))
+    assert talk.scaled((1, -2, 3, -4, 500, -32767)) == expected
 
 
 def test_a_program_that_has_not_waited_for_the_answer_is_not_given_one() -> None:
@@ -211,13 +430,17 @@ def test_a_program_that_has_not_waited_for_the_answer_is_not_given_one() -> None
 @pytest.mark.parametrize(
     ("number", "data", "answer"),
     [
-        (0x1001, (0,), (0, 0, 0, 0, 0, 0, -1)),  # sensitivity: not ours to set
+        (0x1001, (0x3F000000,), (0, 0, 0, 0, 0, 0, 0)),
+        (0x1001, (0x7F800000,), (0, 0, 0, 0, 0, 0, -1)),  # an infinite sensitivity
+        (0x1001, (0x7FC00000,), (0, 0, 0, 0, 0, 0, -1)),  # one that is no number
+        (0x1001, (0,), (0, 0, 0, 0, 0, 0, -1)),  # what libspnav 1.0 sends for 0.5
+        (0x1001, (0x33333333,), (0, 0, 0, 0, 0, 0, -1)),  # and for 0.3
         (0x1002, (), (0x3F800000, 0, 0, 0, 0, 0, 0)),
         (0x1003, (2,), (0, 0, 0, 0, 0, 0, 0)),
         (0x1004, (), (0xFFFF, 0, 0, 0, 0, 0, 0)),
         (0x2001, (), (0, 0, 0, 0, 0, 0, -1)),  # no device file
         (0x2002, (), (6, 0, 0, 0, 0, 0, 0)),
-        (0x2003, (), (0, 0, 0, 0, 0, 0, 0)),
+        (0x2003, (), (2, 0, 0, 0, 0, 0, 0)),
         (0x2004, (), (0, 0, 0, 0, 0, 0, -1)),  # no USB device
         (0x2005, (), (0, 0, 0, 0, 0, 0, 0)),
         (0x3000, (7,), (0, 0, 0, 0, 0, 0, -1)),
@@ -480,7 +703,8 @@ def test_a_program_that_wants_no_motion_is_told_none(server: SpacenavServer) -> 
         assert [event[0] for event in program.events()] == [TAG | 0x1003]
 
 
-def test_a_program_that_does_not_read_is_let_go_and_the_others_miss_nothing(server: SpacenavServer) -> None:
+def test_a_program_that_does_not_read_misses_events_and_the_others_none(server: SpacenavServer) -> None:
+    """One that takes long to start, as Blender does, has its 3D mouse once it reads."""
     with Program(server.path) as good, Program(server.path) as stalled:
         good.open(server)
         stalled.open(server)
@@ -488,8 +712,104 @@ def test_a_program_that_does_not_read_is_let_go_and_the_others_miss_nothing(serv
         for number in range(1, 1001):
             server.show(snapshot(posed([number, 0, 0, 0, 0, 0])))
             got += good.events()
+        server.show(snapshot())  # a rest for which there is no room either
         assert [event[1] for event in got] == list(range(1, 1001))
-        assert (server.dropped, server.clients) == (1, 1)
+        read = [event[1] for event in stalled.events()]
+        assert 200 < len(read) < 400 and read == list(range(1, len(read) + 1))
+        assert (server.missed, server.dropped, server.clients) == (1001 - len(read), 0, 2)
+        server.show(snapshot())
+        assert [event[1:7] for event in stalled.events()] == [REST]
+        assert [event[1:7] for event in good.events()] == [REST]
+
+
+@pytest.fixture
+def clicking(path: Path) -> Iterator[SpacenavServer]:
+    """Return a server whose buttons are down where x and y of the pose are away from the centre."""
+    server = SpacenavServer(
+        path, clock=Clock(), buttons=lambda shown: (bool(shown.pose[0] > 0.0), bool(shown.pose[1] > 0.0))
+    )
+    yield server
+    server.close()
+
+
+def clicks(program: Program) -> list[tuple[int, ...]]:
+    """Return what a program hears of buttons: press or release, and which."""
+    return [event[:2] for event in program.events() if event[0]]
+
+
+PRESS, RELEASE = 1, 2
+
+
+def test_a_button_is_pressed_and_released_once(clicking: SpacenavServer) -> None:
+    with Program(clicking.path) as program:
+        program.open(clicking)
+        for pose in (AWAY, AWAY, REST, (0.0, 0.001, 0.0, 0.0, 0.0, 0.0), (0.001, 0.001, 0.0, 0.0, 0.0, 0.0), REST):
+            clicking.show(snapshot(pose))
+        heard = [(PRESS, 0), (RELEASE, 0), (PRESS, 1), (PRESS, 0), (RELEASE, 0), (RELEASE, 1)]
+        assert clicks(program) == heard
+    assert button_event(1, True) == struct.pack("=8i", 1, 1, 1, 0, 0, 0, 0, 0)
+    assert button_event(1, False) == struct.pack("=8i", 2, 1, 0, 0, 0, 0, 0, 0)
+
+
+def test_a_button_that_is_down_as_a_server_closes_or_a_program_asks_is_released_all_the_same(path: Path) -> None:
+    server = SpacenavServer(path, buttons=lambda shown: (bool(shown.pose[0] > 0.0), False))
+    with Program(path) as program:
+        program.open(server)
+        server.show(snapshot(AWAY))
+        program.line.send(request(0x2002))
+        server.show(snapshot())  # the answer, and nothing else
+        server.show(snapshot())
+        server.show(snapshot(AWAY))
+        server.close()
+        assert [event[:2] for event in program.events() if event[0] in (PRESS, RELEASE)] == [(1, 0), (2, 0)] * 2
+
+
+@pytest.mark.parametrize("mask", [0, 1, 2, 3])
+def test_a_program_hears_of_buttons_and_of_motion_as_it_wants(clicking: SpacenavServer, mask: int) -> None:
+    with Program(clicking.path) as program:
+        program.open(clicking)
+        program.line.send(request(0x1003, mask))
+        clicking.show(snapshot())
+        program.events()
+        clicking.show(snapshot(AWAY))
+        clicking.show(snapshot())
+        kinds = [event[0] for event in program.events()]
+        assert (0 in kinds, PRESS in kinds, RELEASE in kinds) == (bool(mask & 1), bool(mask & 2), bool(mask & 2))
+
+
+def test_a_program_that_never_asks_is_told_of_buttons_too(clicking: SpacenavServer) -> None:
+    with Program(clicking.path) as program:
+        for number in range(120):
+            clicking.show(snapshot(AWAY if number % 2 else REST))
+        heard = clicks(program)
+        assert heard == [(PRESS, 0), (RELEASE, 0)] * (len(heard) // 2) + [(PRESS, 0)] * (len(heard) % 2)
+        assert 55 < len(heard) < 65
+
+
+def test_each_program_has_its_own_sensitivity_in_either_protocol(server: SpacenavServer) -> None:
+    with Program(server.path) as old, Program(server.path) as half, Program(server.path) as plain:
+        old.line.send(struct.pack("=f", -3.0))
+        half.open(server)
+        plain.open(server)
+        half.line.send(request(0x1001, 0x3F000000))
+        server.show(snapshot())
+        assert [event[7] for event in half.events()] == [0]
+        server.show(snapshot(posed([100, -200, 0, 0, 0, 10])))
+        server.show(snapshot(posed([0, 0, 0, 0, 0, 0])))
+        rows = [[event[1:7] for event in program.events()] for program in (old, half, plain)]
+        assert rows == [
+            [(-300, 600, 0, 0, 0, -30), REST],
+            [(50, -100, 0, 0, 0, 5), REST],
+            [(100, -200, 0, 0, 0, 10), REST],
+        ]
+
+
+def test_a_motion_that_a_sensitivity_rounds_away_is_rest(server: SpacenavServer) -> None:
+    with Program(server.path) as program:
+        program.line.send(struct.pack("=f", 0.1))
+        for numbers in ([0, 0, 0, 0, 0, 0], [40, 0, 0, 0, 0, 0], [4, 0, 0, 0, 0, 0], [3, 0, 0, 0, 0, 0]):
+            server.show(snapshot(posed(numbers)))
+        assert [event[1:7] for event in program.events()] == [(4, 0, 0, 0, 0, 0), REST]
 
 
 @pytest.mark.parametrize("reset", [False, True])
@@ -597,7 +917,7 @@ class Running:
         return status
 
 
-SAID = "protocol 1, device 'maglev_mj' (9), 6 axes, 0 buttons, type 0"
+SAID = "protocol 1, device 'maglev_mj' (9), 6 axes, 2 buttons, type 0"
 
 
 def rows(count: int) -> list[tuple[int, ...]]:
@@ -621,7 +941,8 @@ def test_libspnav_reads_500_of_500_events_with_the_right_values(
     assert program.line().startswith("moved ")
     assert program.line() == "500 of 500 events as expected"
     assert program.end() == 0
-    assert (server.dropped, server.clients) == (int(stalled), 1)  # its end has not been looked at yet
+    assert (server.dropped, server.clients) == (0, 1 + stalled)  # their end has not been looked at yet
+    assert (server.missed > 0) == stalled
     assert [one.end() for one in others] == [0] * stalled
 
 
@@ -635,6 +956,48 @@ def test_the_client_in_c_notices_a_wrong_value(client: Path, server: SpacenavSer
     assert program.line().startswith("moved ")
     assert program.line() == "1 of 2 events as expected"
     assert program.end() == 1
+
+
+@pytest.mark.parametrize(("settings", "expected"), MAPPED)
+def test_libspnav_hears_what_each_setting_makes_of_each_axis(
+    client: Path, path: Path, tmp_path: Path, settings: dict[str, Any], expected: Callable[[list[int]], list[int]]
+) -> None:
+    given = [[sign * number for number in deflected(axis)] for axis in range(6) for sign in (1, -1)]
+    heard = [[sign * number for number in expected(deflected(axis))] for axis in range(6) for sign in (1, -1)]
+    told = [(pose, row) for pose, row in zip(given, heard) if any(row)]
+    file = tmp_path / "rows"
+    file.write_text("\n".join(" ".join(map(str, row)) for _, row in told), encoding="ascii")
+    server = SpacenavServer(path, axes=PoseAxes(AxisMapping(**settings)), clock=Clock())
+    program = Running(client, server, str(len(told)), str(file))
+    for pose, row in told:
+        server.show(snapshot(posed(pose)))
+        assert [int(part) for part in program.line().split()[:6]] == row
+    assert program.line().startswith("moved ")
+    assert program.line() == f"{len(told)} of {len(told)} events as expected" and program.end() == 0
+    server.close()
+
+
+def test_libspnav_hears_its_own_sensitivity(client: Path, server: SpacenavServer, tmp_path: Path) -> None:
+    file = tmp_path / "rows"
+    file.write_text("25 -50 75 -100 125 -150", encoding="ascii")
+    program, plain = Running(client, server, "1", str(file), "0.25"), Running(client, server, "1")
+    server.show(snapshot(posed([100, -200, 300, -400, 500, -600])))
+    assert program.line().startswith("25 -50 75 -100 125 -150 ")
+    assert plain.line().startswith("100 -200 300 -400 500 -600 ")
+    assert [program.end(), plain.end()] == [0, 0]
+
+
+def test_libspnav_hears_each_press_and_its_release(client: Path, clicking: SpacenavServer) -> None:
+    program = Running(client, clicking, "8")
+    for number in range(6):
+        clicking.show(snapshot(np.eye(6)[number % 2] * 0.001))
+    clicking.show(snapshot())
+    clicking.show(snapshot(AWAY))  # a motion more, at which it ends
+    lines = [program.line() for _ in range(8 + 12)]
+    for button in "01":
+        said = [line.split()[2] for line in lines if line.startswith(f"button {button}")]
+        assert said == ["pressed", "released"] * 3
+    assert program.end() == 0
 
 
 @pytest.mark.parametrize("sign", [1, -1])
@@ -692,11 +1055,39 @@ def test_the_option_opens_a_server_and_says_how_programs_find_it(path: Path) -> 
         (["--socket", "x"], "socket is for --spacenav"),
         (["--axes", "rate"], "axes is for --spacenav"),
         (["--spacenav", "--axes", "speed"], "axes must be one of pose, rate, not 'speed'"),
+        (["--spacenav-gain", "2"], "spacenav-gain and the like are for --spacenav"),
+        (["--spacenav", "--spacenav-gain", "-1"], "gain must be a finite number at least 0 and at most 100, not -1.0"),
     ],
 )
 def test_options_that_do_not_fit_are_refused(arguments: list[str], complaint: str, path: Path) -> None:
     with pytest.raises(ParameterError, match=f"^{complaint}$"):
         chosen_spacenav(parsed(*arguments), pytest.fail)
+
+
+def test_each_setting_is_an_option(path: Path) -> None:
+    words = "--spacenav-gain 2 --spacenav-turning-gain 0.5 --spacenav-dead-zone 0.1 --spacenav-order x,y,z,0,0,0"
+    more = "--spacenav-invert x,z --spacenav-dominant --spacenav-press 4"
+    options = parsed("--spacenav", "--socket", str(path), *words.split(), *more.split())
+    (server,) = chosen_spacenav(options, len)
+    with Program(server.path) as program:
+        program.open(server)
+        server.show(snapshot(posed([300, 100, -400, 0, 0, 500])))
+        for _ in range(6):
+            server.show(dataclasses.replace(pressed(5.0, time=1.0), pose=np.array([0.0, 0.0, -0.0036, 0.0, 0.0, 0.0])))
+        assert program.events()[0][1:7] == (0, 0, 778, 0, 0, 0)
+    server.close()
+
+
+def test_an_option_of_a_scene_may_have_the_name_of_a_setting(tmp_path: Path) -> None:
+    class Gained(Joystick):
+        gain: float = param("its own", default=3.0)
+
+    parser = Parser(prog="test")
+    add_spacenav(parser)
+    add_parameters(parser, Gained)
+    options = parser.parse_args(["--spacenav", "--gain", "5", "--spacenav-gain", "7"])
+    assert chosen(options, Gained).gain == 5.0
+    assert chosen(options, AxisMapping, "spacenav-").gain == 7.0
 
 
 def served(*arguments: str) -> int:
@@ -714,7 +1105,7 @@ def test_the_command_moves_a_scene_for_programs_and_says_what_it_came_to(
     assert served("table", "--socket", str(path), "--axes", "rate", "--seconds", "0.3") == 0
     said = capsys.readouterr().out.splitlines()
     assert said[0].endswith(f"SPNAV_SOCKET={path}")
-    assert said[1] == "  0 events, 0 programs dropped, 0 refused"
+    assert said[1] == "  0 events, 0 missed, 0 programs dropped, 0 refused"
     assert not path.exists()
 
 
@@ -734,7 +1125,7 @@ def test_a_program_hears_of_the_scripted_hand(path: Path, capsys: pytest.Capture
     listener.start()
     assert served("--socket", str(path), "--seconds", "2") == 0
     listener.join(PATIENCE)
-    assert f"  {len(heard)} events, 0 programs dropped" in capsys.readouterr().out
+    assert f"  {len(heard)} events, 0 missed, 0 programs dropped" in capsys.readouterr().out
     assert max(event[1] for event in heard) > 100  # the hand goes to the right first
     assert heard[-1][1:7] == REST
 
@@ -751,6 +1142,28 @@ def test_the_scripted_hand_does_it_again() -> None:
     for instant in np.linspace(0.0, scene.end - 0.01, 50):
         assert again(0, instant, state) == hand(0, instant, state)
         assert again(0, instant + 3 * scene.end, state) == pytest.approx(hand(0, instant, state), abs=1e-9)
+
+
+@pytest.mark.parametrize(("axes", "drift"), [("pose", 0.5), ("rate", 10.0)])
+@pytest.mark.parametrize("late", [0.0, 0.004])
+def test_the_scripted_hand_of_the_joystick_comes_back_on_every_axis(axes: str, drift: float, late: float) -> None:
+    """Numbers taken for speeds add up to next to nothing over a cycle, and never to much."""
+    scene, told = Joystick(friction=axes == "rate"), {"pose": PoseAxes, "rate": RateAxes}[axes]()
+    session, end = Session(scene, hand=serve_spacenav._hand(scene)), serve_spacenav.tour().end
+    sums, most = np.zeros(6), np.zeros(6)
+    cycles: list[Array] = []
+    session.tick(late)
+    while len(cycles) < 3:
+        session.tick(FRAME)
+        shown = session.snapshot()
+        numbers = np.array(told(shown))
+        sums, most = sums + numbers * FRAME, np.maximum(most, np.abs(numbers))
+        assert (np.abs(sums) < 200.0).all()
+        if shown.time >= (len(cycles) + 1) * end:
+            cycles.append(sums.copy())
+    session.close()
+    assert (most > 200.0).all()
+    assert np.abs(np.diff(cycles, axis=0)).max() < drift
 
 
 @pytest.mark.parametrize("seconds", ["0", "-1", "nan"])

@@ -77,7 +77,7 @@ def joined(arguments: Sequence[str]) -> list[str]:
 
 
 def add_parameters(
-    parser: Container, parameters: Parameters | type[Parameters], *, without: Sequence[str] = ()
+    parser: Container, parameters: Parameters | type[Parameters], prefix: str = "", /, *, without: Sequence[str] = ()
 ) -> None:
     """Add an option for each declared parameter, with unit and default in its help.
 
@@ -87,18 +87,19 @@ def add_parameters(
     Args:
         parser: Of the command.
         parameters: Class, or parameters whose values are the defaults.
+        prefix: In front of each option's name, where a command has options of several classes.
         without: Names of parameters that get no option.
     """
     made = parameters() if isinstance(parameters, type) else parameters
     for one in made.parameters():
-        option = f"--{one.name.replace('_', '-')}"
+        option = f"--{prefix}{one.name.replace('_', '-')}"
         if one.kind is not object and one.name not in without and option not in parser._option_string_actions:
-            _add_parameter(parser, option, one, getattr(made, one.name))
+            _add_parameter(parser, option, one, getattr(made, one.name), prefix)
 
 
-def _add_parameter(parser: Container, option: str, one: Parameter, default: Any) -> None:
+def _add_parameter(parser: Container, option: str, one: Parameter, default: Any, prefix: str) -> None:
     said = described(one, default).replace("%", "%%")
-    kept: dict[str, Any] = {"dest": _APART + one.name, "default": argparse.SUPPRESS, "help": said}
+    kept: dict[str, Any] = {"dest": _APART + prefix + one.name, "default": argparse.SUPPRESS, "help": said}
     if one.kind is bool:
         parser.add_argument(option, action=argparse.BooleanOptionalAction, **kept)
         return
@@ -128,19 +129,20 @@ def _or_none(read: Callable[[str], Any], text: str) -> Any:
     return None if text.lower() == "none" else read(text)
 
 
-def chosen(options: argparse.Namespace, parameters: P | type[P], **further: Any) -> P:
+def chosen(options: argparse.Namespace, parameters: P | type[P], prefix: str = "", /, **further: Any) -> P:
     """Return parameters with what was chosen by the options of `add_parameters`.
 
     Args:
         options: As parsed.
         parameters: Class, or parameters whose values stand where nothing was chosen.
+        prefix: As given to `add_parameters`.
         further: Values that have options of their own.
 
     Raises:
         ParameterError: If a value is outside its bounds.
     """
     made = parameters() if isinstance(parameters, type) else parameters
-    given = {one.name: f"{_APART}{one.name}" for one in made.parameters()}
+    given = {one.name: f"{_APART}{prefix}{one.name}" for one in made.parameters()}
     found = {name: getattr(options, place) for name, place in given.items() if hasattr(options, place)}
     return made.replace(**found, **further)
 

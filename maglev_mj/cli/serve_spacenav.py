@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import math
 import threading
 from collections.abc import Sequence
-from contextlib import ExitStack
+from contextlib import closing
 from typing import Any
 
 from maglev_mj.bridge.realtime import stopping
@@ -13,17 +14,22 @@ from maglev_mj.cli.options import number_option
 from maglev_mj.cli.scenes import add_scene, chosen_scene
 from maglev_mj.cli.spacenav import add_spacenav, chosen_spacenav
 from maglev_mj.errors import MaglevError
-from maglev_mj.frames import Component
-from maglev_mj.hand import HandForce, SpringHand
+from maglev_mj.frames import AXES, Component
+from maglev_mj.hand import HandForce, SpringHand, Trajectory
 from maglev_mj.parameters import number
 from maglev_mj.plants import engine_warnings_silenced
+from maglev_mj.scenes import Scene
 from maglev_mj.session import Session, real_time
 from maglev_mj.terminal import say
 
-__all__ = ["add_command"]
+__all__ = ["add_command", "tour"]
+
+_SCENE = "joystick"
 
 _STEP = 1.0 / 240.0
 _STANDSTILL = 1.0
+_OUT, _TURNED = 0.003, math.radians(3.5)
+_QUARTER = 0.5
 
 
 def add_command(commands: Any) -> None:
@@ -31,8 +37,24 @@ def add_command(commands: Any) -> None:
     serve = commands.add_parser("serve-spacenav", help="a scene in a scripted hand as the 3D mouse of other programs")
     add_spacenav(serve, always=True)
     serve.add_argument("--seconds", type=number_option, metavar="X", help="end after so long [s]")
-    add_scene(serve, default="joystick")
+    add_scene(serve, default=_SCENE)
     serve.set_defaults(run=_serve)
+
+
+def tour() -> Trajectory:
+    """Return a path along one axis after the other, out to both sides alike.
+
+    The deflections add up to zero on every axis, so a program that takes them for speeds ends where it began.
+    """
+    turns = [(axis, sign) for axis in range(len(AXES)) for sign in (1.0, -1.0, 0.0)]
+    gaps = {1.0: _QUARTER, -1.0: 2.0 * _QUARTER, 0.0: _QUARTER}
+    times, poses = [0.0], [[0.0] * len(AXES)]
+    for axis, sign in turns:
+        pose = [0.0] * len(AXES)
+        pose[axis] = sign * (_OUT if axis < 3 else _TURNED)
+        times.append(times[-1] + gaps[sign])
+        poses.append(pose)
+    return Trajectory(times, poses)
 
 
 class _Again:
@@ -51,19 +73,27 @@ class _Again:
         return self._hand(tick, time % self._end, state)
 
 
-def _serve(options: argparse.Namespace) -> int:
-    scene = chosen_scene(options, friction=True)
-    seconds = None if options.seconds is None else number("seconds", options.seconds, above=0.0)
+def _hand(scene: Scene) -> HandForce:
+    """Return the hand: the scene's own over and over, for the joystick one that keeps a view where it is."""
+    if scene.name == _SCENE:
+        path = tour()
+        return _Again(SpringHand(stiffness=1000.0, turning_stiffness=3.0, target=path), path.end)
     script = scene.scripted_hand()
-    servers = chosen_spacenav(options, say)
+    return SpringHand() if script is None else _Again(script, scene.end)
+
+
+def _serve(options: argparse.Namespace) -> int:
+    # what comes back to the centre by itself is a 3D mouse; a slave is moved without that
+    scene = chosen_scene(options, friction=options.axes == "rate")
+    seconds = None if options.seconds is None else number("seconds", options.seconds, above=0.0)
+    (server,) = chosen_spacenav(options, say)
     ended = threading.Event()
-    with ExitStack() as stack:
-        stack.callback(servers[0].close)
-        session = Session(scene, hand=SpringHand() if script is None else _Again(script, scene.end), publishers=servers)
-        stack.callback(session.close)
+    with closing(server), closing(Session(scene, hand=_hand(scene), publishers=[server])) as session:
         with engine_warnings_silenced(), stopping(ended.set):
             _run(session, ended, seconds)
-    print(f"  {servers[0].sent} events, {servers[0].dropped} programs dropped, {servers[0].refused} refused")
+    print(
+        f"  {server.sent} events, {server.missed} missed, {server.dropped} programs dropped, {server.refused} refused"
+    )
     return 0
 
 

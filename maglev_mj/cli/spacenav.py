@@ -5,21 +5,24 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
-from maglev_mj.cli.options import Container
+from maglev_mj.cli.options import Container, add_parameters, chosen
 from maglev_mj.errors import ParameterError
 from maglev_mj.parameters import flag
-from maglev_mj.spacenav import PoseAxes, RateAxes, SpacenavServer
-from maglev_mj.spacenav.axes import Axes
+from maglev_mj.spacenav import AxisMapping, PoseAxes, RateAxes, SpacenavServer, Taps
 
 __all__ = ["add_spacenav", "chosen_spacenav"]
 
-_AXES_TOLD: dict[str, Callable[[], Axes]] = {"pose": PoseAxes, "rate": RateAxes}
+
+_AXES_TOLD: dict[str, Callable[..., Any]] = {"pose": PoseAxes, "rate": RateAxes}
 """What may be told, by name."""
+
+_PREFIX = "spacenav-"
 
 
 def add_spacenav(parser: Container, *, always: bool = False) -> None:
-    """Add --spacenav, --socket and --axes.
+    """Add --spacenav, --socket, --axes, and an option for each parameter of `AxisMapping`.
 
     Args:
         parser: Of the command.
@@ -40,6 +43,7 @@ def add_spacenav(parser: Container, *, always: bool = False) -> None:
         metavar="WHAT",
         help="what those are told: pose, the deflection; or rate, the motion of a slave (default pose)",
     )
+    add_parameters(parser, AxisMapping, _PREFIX)
 
 
 def chosen_spacenav(options: argparse.Namespace, say: Callable[[str], object] = print) -> list[SpacenavServer]:
@@ -52,14 +56,18 @@ def chosen_spacenav(options: argparse.Namespace, say: Callable[[str], object] = 
     Raises:
         ParameterError: If an option is wrong, or is given without --spacenav.
     """
+    mapping = chosen(options, AxisMapping, _PREFIX)
     if not options.spacenav:
         for name in ("socket", "axes"):
             if getattr(options, name) is not None:
                 raise ParameterError(f"{name} is for --spacenav")
+        if mapping != AxisMapping():
+            raise ParameterError(f"{_PREFIX}gain and the like are for --spacenav")
         return []
     axes = "pose" if options.axes is None else options.axes
     if axes not in _AXES_TOLD:
         raise ParameterError(f"axes must be one of {', '.join(_AXES_TOLD)}, not {axes!r}")
-    server = SpacenavServer(options.socket, axes=_AXES_TOLD[axes]())
+    buttons = None if mapping.press is None else Taps(mapping.press)
+    server = SpacenavServer(options.socket, axes=_AXES_TOLD[axes](mapping=mapping), buttons=buttons)
     say(f"  a 3D mouse; for the programs that are to have it: export SPNAV_SOCKET={server.path.resolve()}")
     return [server]

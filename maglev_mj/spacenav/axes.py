@@ -1,7 +1,7 @@
 """The six numbers that programs are told: deflections, or the rates of a slave.
 
 spacenav has y up and z away from the person, the device z up and y away: the two are exchanged, of translations and
-rotations alike, and no sign changes. Turns are right-handed about those directions in both.
+rotations alike, and no sign changes. Turns are right-handed about those directions in both. `AxisMapping` does it.
 """
 
 from __future__ import annotations
@@ -14,10 +14,11 @@ import numpy as np
 
 from maglev_mj.frames import AXES, Array
 from maglev_mj.session import Snapshot
+from maglev_mj.spacenav.mapping import AxisMapping
 from maglev_mj.spacenav.navigation import Navigation, Navigator
 from maglev_mj.spec import RANGE
 
-__all__ = ["FULL", "FULL_POSE", "FULL_RATE", "REST", "Axes", "PoseAxes", "RateAxes"]
+__all__ = ["FULL", "FULL_POSE", "FULL_RATE", "REST", "RUNS", "Axes", "PoseAxes", "RateAxes"]
 
 FULL = 500
 """What is said of a full deflection or rate; what programs divide by."""
@@ -34,25 +35,34 @@ REST = (0,) * len(AXES)
 Axes: TypeAlias = Callable[[Snapshot], tuple[int, ...]]
 """Returns the six numbers for a snapshot, in spacenav's order."""
 
-_ORDER = [0, 2, 1, 3, 5, 4]
+RUNS = ("running", "flying")
+"""States of a scene that moves."""
+
 _MOST = 32767.0
-_RUNS = ("running", "flying")
 
 
 def told(shares: Array) -> Array:
-    """Return shares of full deflection as whole numbers, (6,), in the device's order; what is no number as 0."""
-    counts: Array = np.rint(np.clip(np.nan_to_num(FULL * shares), -_MOST, _MOST))
+    """Return shares of the full deflection or rate as whole numbers, (6,)."""
+    counts: Array = np.rint(np.clip(FULL * shares, -_MOST, _MOST))
     return counts
 
 
 class PoseAxes:
-    """Deflections from the centre, as a 3D mouse has them."""
+    """Deflections from the centre, as a 3D mouse has them.
+
+    Args:
+        mapping: Settings of the axes; the defaults where it is None.
+    """
+
+    def __init__(self, mapping: AxisMapping | None = None) -> None:
+        self._mapping = mapping or AxisMapping()
 
     def __call__(self, snapshot: Snapshot) -> tuple[int, ...]:
         """Return the six numbers for a snapshot; see `Axes`."""
-        if snapshot.state not in _RUNS:
+        if snapshot.state not in RUNS:
             return REST
-        return _exchanged(told(np.asarray(snapshot.pose) / FULL_POSE))
+        deflection = self._mapping.outside(np.asarray(snapshot.pose), FULL_POSE)
+        return _whole(told(self._mapping(deflection / FULL_POSE)))
 
 
 class RateAxes:
@@ -63,32 +73,35 @@ class RateAxes:
 
     Args:
         navigation: What the navigator goes by.
+        mapping: Settings of the axes; the dead zone is one of the flotor's deflection.
 
     Attributes:
         navigator: It.
     """
 
-    def __init__(self, navigation: Navigation | None = None) -> None:
-        self.navigator = Navigator(navigation)
+    def __init__(self, navigation: Navigation | None = None, mapping: AxisMapping | None = None) -> None:
+        self.navigator, self._mapping = Navigator(navigation), mapping or AxisMapping()
         self._time: float | None = None
         self._owed: Array = np.zeros(len(AXES))
 
     def __call__(self, snapshot: Snapshot) -> tuple[int, ...]:
         """Return the six numbers for a snapshot; see `Axes`."""
-        runs = snapshot.state in _RUNS and bool(np.isfinite([*snapshot.pose, *snapshot.force]).all())
+        runs = snapshot.state in RUNS and bool(np.isfinite([*snapshot.pose, *snapshot.force]).all())
         before, self._time = self._time, snapshot.time if runs else None
         if not runs or before is None or snapshot.time < before:
             self.navigator.restart()  # the scene stood still or began anew: that is no motion
         if not runs:
             return REST
         elapsed = 0.0 if before is None else max(snapshot.time - before, 0.0)
-        self._owed += self.navigator.move(snapshot.pose, snapshot.anchors, elapsed, snapshot.force)
+        pose = self._mapping.outside(np.asarray(snapshot.pose), FULL_POSE)
+        moved = self._mapping(self.navigator.move(pose, snapshot.anchors, elapsed, snapshot.force) / FULL_RATE)
+        self._owed = moved + (self._owed * (moved != 0.0) if self._mapping.dominant else self._owed)
         if elapsed == 0.0:
             return REST
-        counts = told(self._owed / (FULL_RATE * elapsed))
-        self._owed -= counts * (FULL_RATE * elapsed / FULL)
-        return _exchanged(counts)
+        counts = told(self._owed / elapsed)
+        self._owed -= counts * (elapsed / FULL)
+        return _whole(counts)
 
 
-def _exchanged(counts: Array) -> tuple[int, ...]:
-    return tuple(int(counts[place]) for place in _ORDER)
+def _whole(counts: Array) -> tuple[int, ...]:
+    return tuple(int(count) for count in counts)

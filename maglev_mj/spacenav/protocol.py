@@ -10,7 +10,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Sequence
 
-__all__ = ["ALL_EVENTS", "DEVICE", "EVENT", "Conversation", "GarbageError", "motion_event"]
+__all__ = ["ALL_EVENTS", "DEVICE", "EVENT", "Conversation", "GarbageError", "button_event", "motion_event"]
 
 EVENT = 32
 """Bytes of an event, a request, or an answer."""
@@ -21,14 +21,15 @@ ALL_EVENTS = 0xFFFF
 DEVICE = b"maglev_mj"
 """What the device calls itself."""
 
-_WORDS, _WORD = struct.Struct("=8i"), struct.Struct("=I")
-_MOTION, _WANTS_MOTION = 0, 1
+_WORDS, _WORD, _FLOAT = struct.Struct("=8i"), struct.Struct("=I"), struct.Struct("=f")
+_MOTION, _PRESS, _RELEASE = 0, 1, 2
+_WANTS_MOTION, _WANTS_BUTTONS = 1, 2
+_MOST = 32767
+_LEAST_SENSITIVITY, _MOST_SENSITIVITY = 1e-3, 1e3
 _TAG, _NUMBER, _VERSION = 0x7FAA0000, 0xFFFF, 0xFF
 _CHANGE, _NEWEST = 0x5500, 1
-_SET_NAME, _GET_SENSITIVITY, _SET_MASK, _GET_MASK = 0x1000, 0x1002, 0x1003, 0x1004
+_SET_NAME, _SET_SENSITIVITY, _GET_SENSITIVITY, _SET_MASK, _GET_MASK = 0x1000, 0x1001, 0x1002, 0x1003, 0x1004
 _NAME, _AXES, _BUTTONS, _KIND = 0x2000, 0x2002, 0x2003, 0x2005
-_ONE = 0x3F800000
-"""1.0 as the bits of a float."""
 
 
 class GarbageError(Exception):
@@ -45,6 +46,11 @@ def motion_event(axes: Sequence[int], period: int) -> bytes:
     return _WORDS.pack(_MOTION, *axes, period)
 
 
+def button_event(number: int, down: bool) -> bytes:
+    """Return the event of a button that is pressed or released."""
+    return _WORDS.pack(_PRESS if down else _RELEASE, number, down, 0, 0, 0, 0, 0)
+
+
 class Conversation:
     """What one client asks, and what it is answered.
 
@@ -52,16 +58,26 @@ class Conversation:
         version: Of the protocol that it speaks.
         begun: Whether it has said anything.
         mask: Which events it wants.
+        sensitivity: Its factor on every axis.
     """
 
     def __init__(self) -> None:
         self.version, self.begun, self.mask = 0, False, ALL_EVENTS
-        self._rest = b""
+        self.sensitivity, self._rest = 1.0, b""
 
     @property
     def wants_motion(self) -> bool:
         """Whether it wants to be told of motions."""
         return bool(self.mask & _WANTS_MOTION)
+
+    @property
+    def wants_buttons(self) -> bool:
+        """Whether it wants to be told of buttons."""
+        return bool(self.mask & _WANTS_BUTTONS)
+
+    def scaled(self, axes: Sequence[int]) -> tuple[int, ...]:
+        """Return the axes by its sensitivity, rounded."""
+        return tuple(round(max(-_MOST, min(_MOST, self.sensitivity * one))) for one in axes)
 
     def hear(self, data: bytes) -> bytes:
         """Return the answers to what has come, whole or in pieces.
@@ -80,7 +96,8 @@ class Conversation:
     def _word(self, packet: bytes) -> bytes:
         (word,) = _WORD.unpack(packet)
         if word & ~_VERSION != _TAG | _CHANGE:
-            return b""  # a sensitivity: what it does with the axes is the program's own affair
+            self._set_sensitivity(packet)
+            return b""
         if self._rest:
             return b""  # it has gone on without waiting for the answer, and would take that for an event
         self.version = min(word & _VERSION, _NEWEST)
@@ -98,6 +115,19 @@ class Conversation:
             self.mask = given[0] & ALL_EVENTS
         if number == _NAME:
             return struct.pack("=i24si", kind, DEVICE, len(DEVICE))
-        known = {_GET_SENSITIVITY: _ONE, _SET_MASK: 0, _GET_MASK: self.mask, _AXES: 6, _BUTTONS: 0, _KIND: 0}
-        # what is not known here is refused: there is no file of settings, no USB device, and no sensitivity to set
+        known = {_SET_MASK: 0, _GET_MASK: self.mask, _AXES: 6, _BUTTONS: 2, _KIND: 0}
+        if number == _GET_SENSITIVITY:
+            known[number] = _WORDS.unpack_from(_FLOAT.pack(self.sensitivity) + bytes(28))[0]
+        if number == _SET_SENSITIVITY and self._set_sensitivity(packet[4:8]):
+            known[number] = 0
+        # what is not known here is refused: there is no file of settings and no USB device
         return _WORDS.pack(kind, known.get(number, 0), 0, 0, 0, 0, 0, 0 if number in known else -1)
+
+    def _set_sensitivity(self, data: bytes) -> bool:
+        """Take a sensitivity; return whether it is a sensible one."""
+        (asked,) = _FLOAT.unpack(data)
+        # libspnav 1.0 and 1.1 send the lower half of a double instead: 0 for round numbers, 4e-8 for 0.3
+        sensible: bool = _LEAST_SENSITIVITY <= abs(asked) <= _MOST_SENSITIVITY
+        if sensible:
+            self.sensitivity = asked
+        return sensible

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import socket
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from maglev_mj.session import Snapshot
 from maglev_mj.spacenav.axes import REST, Axes, PoseAxes
+from maglev_mj.spacenav.buttons import NO_BUTTONS, Buttons
 from maglev_mj.spacenav.place import Place
-from maglev_mj.spacenav.protocol import Conversation, GarbageError, motion_event
+from maglev_mj.spacenav.protocol import Conversation, GarbageError, button_event, motion_event
 
 __all__ = ["SpacenavServer"]
 
@@ -29,6 +30,7 @@ class _Client:
         self.line, self.talk, self.gone = line, Conversation(), False
         self._since = self._last = now
         self._asks = self._moves = False
+        self._down = list(NO_BUTTONS)
         line.setblocking(False)
         line.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _ROOM)
 
@@ -39,17 +41,24 @@ class _Client:
         nothing, unless it is one that never does, and while it asks more it is told the answers alone.
         """
         begun = self.talk.begun or now - self._since > _PATIENCE
-        return begun and not self._asks and self.talk.wants_motion
+        return begun and not self._asks
 
-    def tell(self, axes: tuple[int, ...], now: float) -> bool:
-        """Tell it what moves, and once that nothing does; return whether there was room for it."""
-        period = min(round((now - self._last) * 1e3), _LONGEST_PERIOD)
-        self._moves, self._last = axes != REST, now
-        return self.send(motion_event(axes, period))
+    def tell(self, axes: tuple[int, ...], down: tuple[bool, ...], now: float) -> Iterator[bool]:
+        """Send what is new: motion, once that nothing moves, and buttons that change; yield whether there was room.
 
-    def awaits(self, axes: tuple[int, ...]) -> bool:
-        """Whether it has to be told of these axes."""
-        return self._moves or axes != REST
+        What there was no room for is said again if it is still so, above all that nothing moves any more.
+        """
+        axes = self.talk.scaled(axes)
+        if self.talk.wants_motion and (self._moves or axes != REST):
+            period = min(round((now - self._last) * 1e3), _LONGEST_PERIOD)
+            yield (told := self.send(motion_event(axes, period)))
+            if told:
+                self._moves, self._last = axes != REST, now
+        for number, is_down in enumerate(down if self.talk.wants_buttons else ()):
+            if is_down != self._down[number]:
+                yield (told := self.send(button_event(number, is_down)))
+                if told:
+                    self._down[number] = is_down
 
     def send(self, data: bytes) -> bool:
         """Send some bytes; return whether there was room for them."""
@@ -84,19 +93,21 @@ class _Client:
 class SpacenavServer:
     """Tells six axes to any program that speaks spacenav's protocol, at each snapshot that it is shown.
 
-    Nothing waits: a program for which there is no room in its socket, about 4 s of motion, is let go, and so is one
-    that sends what is no request. At rest there is one event of zeros and then none, as real devices do it; so it is
-    where the scene is paused or has stopped.
+    Nothing waits: a program misses the events for which its socket has no room, after about 4 s of motion unread. One
+    that sends what is no request is let go. At rest there is one event of zeros and then none, as real devices do it;
+    so it is where the scene is paused or has stopped.
 
     Args:
         path: Where the socket is; `default_path` by default.
         axes: What is told; deflections by default.
+        buttons: Which buttons are down; none ever by default.
         clock: Returns real time [s].
 
     Attributes:
         path: Where the socket is.
         sent: Events, to all programs together.
-        dropped: Programs let go because they were slow or sent rubbish.
+        missed: Events for which programs had no room.
+        dropped: Programs let go because they sent rubbish.
         refused: Programs too many.
 
     Raises:
@@ -107,10 +118,15 @@ class SpacenavServer:
     """
 
     def __init__(
-        self, path: Path | None = None, *, axes: Axes | None = None, clock: Callable[[], float] = time.monotonic
+        self,
+        path: Path | None = None,
+        *,
+        axes: Axes | None = None,
+        buttons: Buttons | None = None,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self.sent = self.dropped = self.refused = 0
-        self._axes, self._clock = axes or PoseAxes(), clock
+        self.sent = self.missed = self.dropped = self.refused = 0
+        self._axes, self._buttons, self._clock = axes or PoseAxes(), buttons or (lambda _: NO_BUTTONS), clock
         self._clients: list[_Client] = []
         self._place = Place(path)
         self.path = self._place.path
@@ -129,7 +145,7 @@ class SpacenavServer:
         now = self._clock()
         self._admit(now)
         self._each(_Client.hear)
-        self._tell(self._axes(snapshot), now)
+        self._tell(self._axes(snapshot), self._buttons(snapshot), now)
 
     def close(self) -> None:
         """Say that nothing moves, let everybody go and remove the socket; a second time does nothing.
@@ -137,9 +153,9 @@ class SpacenavServer:
         Who is in motion has 0.2 s to come to rest: libspnav makes of a line that ends while it looks for events an
         endless loop, and of the last motion a lasting one.
         """
-        moves = any(client.awaits(REST) for client in self._clients)
-        self._tell(REST, self._clock())
-        if moves and self._clients:
+        before = self.sent
+        self._tell(REST, NO_BUTTONS, self._clock())
+        if self.sent > before:
             time.sleep(_FAREWELL)
         for client in self._clients:
             client.line.close()
@@ -159,13 +175,12 @@ class SpacenavServer:
                 line.close()
                 self.refused += 1
 
-    def _tell(self, axes: tuple[int, ...], now: float) -> None:
+    def _tell(self, axes: tuple[int, ...], down: tuple[bool, ...], now: float) -> None:
         def tell(client: _Client) -> bool:
-            if not (client.awaits(axes) and client.listens(now)):
-                return True
-            told = client.tell(axes, now)
-            self.sent += told
-            return told
+            for had_room in client.tell(axes, down, now) if client.listens(now) else ():
+                self.sent += had_room
+                self.missed += not (had_room or client.gone)
+            return not client.gone
 
         self._each(tell)
 

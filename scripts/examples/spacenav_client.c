@@ -1,20 +1,31 @@
 /* A client of spacenav in C99, with libspnav: prints the events of a 3D mouse, and compares them with what they should be.
 
        cc -std=c99 -O2 scripts/examples/spacenav_client.c -o spacenav_client -lspnav -lm
-       spacenav_client COUNT [FILE]     ends after so many events; FILE has a line of six numbers for each
-       spacenav_client stall            connects and never reads, until its standard input ends
+       spacenav_client COUNT [FILE [SENSITIVITY]]    ends after so many motions; FILE has a line of six numbers for each
+       spacenav_client stall                         connects and never reads, until its standard input ends
 
    At the end it says where an object would be that libspnav's own spnav_posrot_moveobj has moved, and how turned (x, y,
-   z, w): a thousandth of a unit, or of a radian, for each number of each event.
+   z, w): a thousandth of a unit, or of a radian, for each number of each event. Buttons are printed and not counted.
    Where the server is says SPNAV_SOCKET. Exit status: 0, 1 if an event is not there or not right, 2 for bad input. */
 #include <spnav.h>
+#include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <unistd.h>
 
 static void fail(const char *what, const char *name) {
     fprintf(stderr, "spacenav_client: %s: %s\n", what, name);
     exit(2);
+}
+
+/* What spnav_sensitivity does in libspnav 1.2; that of 1.0 and 1.1 sends no number that it is given. */
+static int set_sensitivity(float value) {
+    int32_t packet[8] = {0x7faa1001};
+    memcpy(packet + 1, &value, sizeof value);
+    if (write(spnav_fd(), packet, sizeof packet) != sizeof packet) return -1;
+    if (read(spnav_fd(), packet, sizeof packet) != sizeof packet) return -1;
+    return packet[7];
 }
 
 static void describe(void) {
@@ -40,11 +51,12 @@ int main(int count, char **arguments) {
     long wanted, got = 0, right = 0;
     char *end = "";
 
-    if (count < 2 || count > 3) fail("usage", "spacenav_client COUNT [FILE] | stall");
+    if (count < 2 || count > 4) fail("usage", "spacenav_client COUNT [FILE [SENSITIVITY]] | stall");
     wanted = strcmp(arguments[1], "stall") ? strtol(arguments[1], &end, 10) : 0;
     if (*end || wanted < 0) fail("COUNT must be a number", arguments[1]);
-    if (count == 3 && !(rows = fopen(arguments[2], "r"))) fail("cannot read", arguments[2]);
+    if (count >= 3 && !(rows = fopen(arguments[2], "r"))) fail("cannot read", arguments[2]);
     if (spnav_open() == -1) fail("nobody answers at SPNAV_SOCKET or /var/run/spnav.sock", "spnav_open");
+    if (count == 4 && set_sensitivity(atof(arguments[3])) == -1) fail("refused", arguments[3]);
     describe();
     spnav_posrot_init(&object);
     if (!strcmp(arguments[1], "stall")) {
@@ -52,6 +64,10 @@ int main(int count, char **arguments) {
         return 0;
     }
     while (got < wanted && spnav_wait_event(&event)) {
+        if (event.type == SPNAV_EVENT_BUTTON) {
+            printf("button %d %s\n", event.button.bnum, event.button.press ? "pressed" : "released");
+            fflush(stdout);
+        }
         if (event.type != SPNAV_EVENT_MOTION) continue;
         got++;
         spnav_posrot_moveobj(&object, &event.motion);

@@ -1,0 +1,92 @@
+"""Settings of a six-axis input device: gains, dead zone, order and signs of the axes, buttons."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+
+from maglev_mj.errors import ParameterError
+from maglev_mj.frames import AXES, Array
+from maglev_mj.parameters import Parameters, param
+
+__all__ = ["AxisMapping"]
+
+_OF = {"x": 0, "y": 2, "z": 1, "rx": 3, "ry": 5, "rz": 4}
+"""Axis of the device behind each of spacenav's: y is up and z away there, the other way round here."""
+
+_NOTHING, _NONE = "0", "none"
+_FINITE = 1e6
+
+
+class AxisMapping(Parameters):
+    """Settings between a deflected handle and the six numbers told of it.
+
+    The dead zone is taken off each deflection first. Then come order and signs, the gains, and the choice of the
+    largest. The defaults change no number.
+
+    Raises:
+        ParameterError: If a value is outside its bounds, or a word is no axis.
+
+    Example:
+        >>> mapping = AxisMapping(order="x,y,z,0,0,0", invert="y", dominant=True)
+        >>> mapping([0.2, 0.1, 0.5, 0.9, 0.0, 0.0]).tolist()
+        [0.0, -0.5, 0.0, 0.0, 0.0, 0.0]
+    """
+
+    gain: float = param("factor on translations", default=1.0, at_least=0.0, at_most=100.0)
+    turning_gain: float = param("factor on rotations", default=1.0, at_least=0.0, at_most=100.0)
+    dead_zone: float = param("share of a full deflection that counts as none", default=0.0, at_least=0.0, at_most=0.9)
+    order: str = param("what each of the six numbers tells, 0 for nothing", default=",".join(AXES))
+    invert: str = param("numbers told with the opposite sign, such as x,rz", default=_NONE)
+    dominant: bool = param("tell the largest of the six numbers alone", default=False)
+    press: float | None = param(
+        "force of a tap on the lower or the upper wall, which is button 0 or 1",
+        "N",
+        default=None,
+        optional=True,
+        at_least=0.5,
+        at_most=50.0,
+    )
+
+    def check(self) -> None:
+        """See `Parameters`."""
+        words, inverted = self.order.split(","), self._inverted()
+        if len(words) != len(AXES) or not set(words) <= {*AXES, _NOTHING}:
+            raise ParameterError(f"order must be six of {', '.join(AXES)} and {_NOTHING}, not {self.order!r}")
+        if not set(inverted) <= set(AXES) or len(set(inverted)) < len(inverted):
+            raise ParameterError(f"invert must be {_NONE}, or some of {', '.join(AXES)}, not {self.invert!r}")
+
+    def outside(self, deflection: Array, full: Array) -> Array:
+        """Return a deflection without its dead zone, (6,); a full one stays full.
+
+        Args:
+            deflection: From the centre [m, rad], (6,).
+            full: The full one [m, rad], (6,).
+        """
+        rest = np.maximum(np.abs(deflection) - self.dead_zone * full, 0.0) / (1.0 - self.dead_zone)
+        beyond: Array = np.copysign(rest, deflection)
+        return beyond
+
+    def __call__(self, shares: Array) -> Array:
+        """Return the shares to tell, (6,), in spacenav's order; NaN counts as 0.
+
+        Args:
+            shares: Of the full deflection or rate, (6,), in the device's order.
+        """
+        told: Array = self._matrix @ np.clip(np.nan_to_num(shares), -_FINITE, _FINITE)
+        if self.dominant:
+            told[np.arange(len(AXES)) != np.argmax(np.abs(told))] = 0.0
+        return told
+
+    def _inverted(self) -> list[str]:
+        return [] if self.invert == _NONE else self.invert.split(",")
+
+    @cached_property
+    def _matrix(self) -> Array:
+        matrix = np.zeros((len(AXES), len(AXES)))
+        for row, (name, source) in enumerate(zip(AXES, self.order.split(","))):
+            if source != _NOTHING:
+                gain = self.gain if row < 3 else self.turning_gain
+                matrix[row, _OF[source]] = -gain if name in self._inverted() else gain
+        return matrix
