@@ -15,6 +15,8 @@ from maglev_mj.frames import AXES, Array, Mask
 
 __all__ = ["Estimate", "Friction", "Identification", "OfAxis", "OfWall", "find_noise", "find_quantum"]
 
+_DITHERED = 1.0 / 12.0 + 0.25
+"""Mean square of a sensor's error, in steps, from which on noise of half a step carries a flotor at rest over them."""
 _NEAR, _DIVISORS, _LEAST_STEPS, _LEAST_MOVING = 1e-4, 20, 4, 20
 _NOTHING, _NORMAL, _ROUNDING = 1e-12, 1.959963984540054, 4.0 * float(np.finfo(np.float64).eps)
 
@@ -216,11 +218,14 @@ def find_noise(fitted: Fit, there: Mask, moving: Mask, step: float) -> Estimate:
         moving: Those between which the flotor moves by more than a step, (M, W).
         step: The steps; 0 for none.
     """
-    left = fitted.left[moving & there if step > 0.0 else there]
+    left = fitted.left[there]
+    if np.square(left).mean() < _DITHERED * step**2:  # at rest within a step it is seen too seldom
+        left = fitted.left[moving & there]
     if len(left) < _LEAST_MOVING:
         return Estimate(why=f"only {len(left)} samples move over the sensor's steps")
     square = np.square(left)
-    mean, spread = float(square.mean()), float(square.std(ddof=1)) / math.sqrt(len(left))
+    mean = float(square.mean())
+    spread = max(float(square.std(ddof=1)), math.sqrt(2.0) * mean) / math.sqrt(len(left))
     variance = mean - step * step / 12.0
     low, high = (math.sqrt(max(variance + sign * _NORMAL * spread, 0.0)) for sign in (-1.0, 1.0))
     if high < _NOTHING:

@@ -25,7 +25,7 @@ from maglev_mj.analysis.estimates import (
     find_quantum,
 )
 from maglev_mj.analysis.motion import reconstruct
-from maglev_mj.analysis.output_error import Fit, Forces, Windows, fit, inverse
+from maglev_mj.analysis.output_error import SLOW, Fit, Forces, Windows, fit, inverse
 from maglev_mj.frames import Array, Mask
 from maglev_mj.recording import RunMetadata, Stretch, metadata_of
 from maglev_mj.theory import largest_stable_stiffness
@@ -41,8 +41,8 @@ _CLEAR = 10.0
 """By how many times its noise a quantity must move the flotor to be told."""
 _MOST_DELAY = 0.1
 """Largest standard error of a delay that is told, in periods."""
-_SLOW, _UNEXPLAINED = 0.4, 3e-3
-"""Whiteness below which residuals are a force's, and their least share of the motion for that to matter."""
+_UNEXPLAINED = 3e-3
+"""Least share of the motion that a force which was not recorded must account for to matter."""
 _NOT_LINEAR, _ROUNDING = 0.02, 64.0 * float(np.finfo(np.float64).eps)
 _STILL = 1e-9
 """Travel of an axis that does not move [m, rad]."""
@@ -250,56 +250,62 @@ class _Axis:
     @cached_property
     def motion(self) -> Fit:
         """The fit of the motion by all recorded forces: their common factor, a constant, and their delay."""
-        parts, rest, delay = np.zeros((len(self.place), 0)), self.stretch.applied[:, self.axis], self.metadata.delay
-        found = self._fit(parts, rest, delay=delay, search=True, coarse=True)
-        if found.moves[0] >= _CLEAR * found.residual and found.values[0] > 0.0:
-            return found
-        return self._fit(parts, rest, delay=delay, search=False, mass=self.inertia)
+        parts, rest = np.zeros((len(self.place), 0)), self.stretch.applied[:, self.axis]
+        return self._fit(parts, rest, delay=self.metadata.delay, search=True, coarse=True)
+
+    @property
+    def pushed(self) -> bool:
+        """True if the recorded forces move it by more than noise."""
+        return bool(self.motion.moves[0] >= _CLEAR * self.motion.residual and self.motion.values[0] > 0.0)
 
     @property
     def disturbed(self) -> bool:
         """True if a force acts that was not recorded."""
-        return self.motion.whiteness < _SLOW and self.motion.share > _UNEXPLAINED
+        return self.motion.whiteness < SLOW and self.motion.share > _UNEXPLAINED
 
     @property
     def _why(self) -> str:
-        """Why the motion tells nothing; empty if it does."""
-        motion = self.motion
-        if motion.degrees < _LEAST_SAMPLES:
+        """Why the motion tells nothing of what the forces do; empty if it does."""
+        if few := self._why_not_even_noise:
+            return few
+        return "" if self.pushed else "the force on it does not change by more than noise"
+
+    @property
+    def _why_not_even_noise(self) -> str:
+        if self.motion.degrees < _LEAST_SAMPLES:
             return "too few samples without a gap"
         if self.disturbed:
             unit = "µm" if self.axis < 3 else "µrad"
-            return f"forces act that were not recorded ({motion.residual * 1e6:.2g} {unit} unexplained)"
-        if motion.errors[0] == 0.0:
-            return "the force on it does not change by more than noise"
+            return f"forces act that were not recorded ({self.motion.residual * 1e6:.2g} {unit} unexplained)"
         return ""
 
     @cached_property
     def told(self) -> OfAxis:
         """What the motion tells whatever is rendered."""
-        motion, why = self.motion, self._why
-        inertia = delay = Estimate(why=why)
-        lift, load = motion.values[1], float(self.metadata.load[self.axis])
-        slope = np.zeros(len(motion.errors))
-        slope[1] = self.inertia
-        mass = self.inertia
-        if not why:
-            mass = 1.0 / motion.values[0]
-            inertia = Estimate.of(mass, mass**2 * motion.errors[0], motion.degrees, motion.residual)
-            delay = self._late(motion)
-            slope[:2] = -lift * mass**2, mass
+        motion = self.motion
         quantum = find_quantum(self.place[self.used])
-        step = quantum.value if quantum.known else 0.0
-        if self.disturbed or motion.degrees < _LEAST_SAMPLES:
+        if why := self._why_not_even_noise:
             return OfAxis(
-                inertia=inertia, delay=delay, force_error=Estimate(why=why), noise=Estimate(why=why), quantum=quantum
+                **dict.fromkeys(("inertia", "delay", "force_error", "noise"), Estimate(why=why)), quantum=quantum
             )
-        error = _error(motion, slope)
-        force = Estimate.of(mass * lift - load, error, motion.degrees, motion.residual)
+        step = quantum.value if quantum.known else 0.0
         rows = self.windows.rows
         moving = np.abs(self.place[np.minimum(rows + 1, len(self.place) - 1)] - self.place[np.maximum(rows - 1, 0)])
         noise = find_noise(motion, self.windows.there, moving > 2.0 * step, step)
-        return OfAxis(inertia=inertia, delay=delay, force_error=force, noise=noise, quantum=quantum)
+        inertia = delay = Estimate(why=self._why)
+        mass = self.inertia
+        if self.pushed:
+            mass = 1.0 / motion.values[0]
+            inertia = Estimate.of(mass, mass**2 * motion.errors[0], motion.degrees, motion.residual)
+            delay = self._late(motion)
+        else:
+            nothing, rest = np.zeros((len(self.place), 0)), self.stretch.applied[:, self.axis]
+            motion = self._fit(nothing, rest, delay=self.metadata.delay, search=False, mass=mass)
+        slope = np.zeros(len(motion.errors))
+        slope[:2] = -motion.values[1] * mass**2 * self.pushed, mass
+        force = mass * motion.values[1] - float(self.metadata.load[self.axis])
+        error = Estimate.of(force, _error(motion, slope), motion.degrees, motion.residual)
+        return OfAxis(inertia=inertia, delay=delay, force_error=error, noise=noise, quantum=quantum)
 
     def _late(self, found: Fit) -> Estimate:
         if found.moves[-1] < _CLEAR * found.residual or found.errors[-1] > _MOST_DELAY * self.metadata.period:
@@ -378,7 +384,7 @@ class _Axis:
     def rendered(self) -> Fit:
         """The fit of the motion by the law's parts, each of a size that is to be found."""
         law, motion = self.law, self.motion
-        mass = 1.0 / motion.values[0]
+        mass = 1.0 / motion.values[0] if self.pushed else self.inertia
         search = self.told.delay.known
         found = self._fit(law.parts, law.rest, delay=motion.delay, search=search)
         if found.moves[len(law.names)] >= _CLEAR * found.residual:
@@ -477,7 +483,7 @@ class _Axis:
         held = float(force[stuck & self.used].max())
         broke = float((stiffness.value * np.abs(anchors[last] - self.place[last + 1])).min())
         middle, width = 0.5 * (held + broke), abs(broke - held)
-        reach = 0.475 * width + stiffness.error / stiffness.value * middle
+        reach = 0.49 * width + stiffness.error / stiffness.value * middle
         error = width / math.sqrt(12.0)
         return Estimate(value=middle, error=error, low=middle - reach, high=middle + reach, residual=law.residual)
 

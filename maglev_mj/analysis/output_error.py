@@ -22,11 +22,13 @@ from numpy.typing import NDArray
 
 from maglev_mj.frames import Array, Mask
 
-__all__ = ["Fit", "Forces", "Windows", "fit", "inverse", "student"]
+__all__ = ["SLOW", "Fit", "Forces", "Windows", "fit", "inverse", "student"]
 
 _SINGULAR, _ROUNDS, _COARSE, _STEPS = 1e-10, 12, 2000, 6
 _LAGS, _LEAST_SAMPLES, _WINDOW_TIME = 10, 40, 0.05
-_MOST_LEVERAGE = 0.9
+_MOST_LEVERAGE, _WORST = 0.9, 2.0
+SLOW = 0.4
+"""Whiteness below which residuals are those of forces."""
 
 Numbers: TypeAlias = NDArray[np.intp]
 
@@ -297,7 +299,13 @@ def _judged(
         middle += cross + cross.T
     white = gram * spread**2
     robust = gram @ middle @ gram
+    inner = windows.there[:, 1:]
+    change = np.square(np.diff(left, axis=1) * inner).sum() / max(int(inner.sum()), 1)
+    square = np.square(left).sum() / count
+    whiteness = float(change / (2.0 * square)) if square > 0.0 else 1.0
     errors = np.sqrt(np.maximum(np.diag(white), np.diag(robust)))
+    if whiteness < SLOW:  # of a force that is slightly other than it is taken for: all at once in the worst way
+        errors = np.maximum(errors, np.abs(columns @ gram).T @ np.abs(left.ravel()) / _WORST)
     covariance, wide, moves = np.zeros((size, size)), np.zeros(size), np.zeros(size)
     covariance[np.ix_(chosen, chosen)] = white
     wide[chosen] = np.where(known, errors, np.inf)
@@ -306,9 +314,6 @@ def _judged(
     alone = np.abs(columns @ (gram / np.where(unit, np.diag(gram), 1.0))).max(axis=0, initial=0.0)
     moves[chosen] = np.where(known & unit, alone, 0.0)
     moves *= np.append(np.abs(values), period)
-    inner = windows.there[:, 1:]
-    change = np.square(np.diff(left, axis=1) * inner).sum() / max(int(inner.sum()), 1)
-    square = np.square(left).sum() / count
     return Fit(
         values=values,
         delay=delay,
@@ -318,6 +323,6 @@ def _judged(
         residual=spread,
         degrees=degrees,
         left=left / np.sqrt(kept.reshape(left.shape)) * windows.there,
-        whiteness=float(change / (2.0 * square)) if square > 0.0 else 1.0,
+        whiteness=whiteness,
         share=float(np.sqrt(square / max(np.square(seen).sum() / count, 1e-300))),
     )
