@@ -229,8 +229,8 @@ def find_noise(fitted: Fit, there: Mask, moving: Mask, step: float) -> Estimate:
     variance = mean - step * step / 12.0
     low, high = (math.sqrt(max(variance + sign * _NORMAL * spread, 0.0)) for sign in (-1.0, 1.0))
     if high < _NOTHING:
-        return Estimate(why="none: the forces explain the positions to rounding")
+        return Estimate(why="the forces explain the positions to rounding")
     if low == 0.0:
-        return Estimate(why=f"none beyond its steps; at most {high * 1e6:.2g} µ")
+        return Estimate(why=f"it hides in the steps: at most {high * 1e6:.2g} µm or µrad")
     value = math.sqrt(variance)
     return Estimate(value=value, error=0.5 * spread / value, low=low, high=high, residual=fitted.residual)

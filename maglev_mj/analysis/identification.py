@@ -53,7 +53,7 @@ _HOLDS = 0.5
 def identify(stretch: Stretch, metadata: RunMetadata | None = None, *, anchors: Array | None = None) -> Identification:
     """Return what a stretch tells of walls, friction, mass, delay and sensor, each with its standard error.
 
-    Each coordinate is taken by itself. A long stretch is told by the 20 000 samples over which the force changes most.
+    Each coordinate is taken by itself. A long stretch is told by 20 000 samples of each, where it moves least straight.
 
     Args:
         stretch: The stretch.
@@ -141,7 +141,7 @@ class _Axis:
 
     @classmethod
     def of(cls, stretch: Stretch, metadata: RunMetadata, axis: int, anchors: Array | None) -> _Axis:
-        """Return the coordinate, of a long stretch the windows in which the force changes most."""
+        """Return the coordinate, of a long stretch the windows in which it moves least straight."""
         period = metadata.period
         # after a gap nobody knows which commands were on their way
         ahead = int(split_delay(metadata.delay, period)[0]) + 2
@@ -149,7 +149,7 @@ class _Axis:
         first = 0 if stretch.time[0] < period else ahead
         runs = [(one, end) for one, end in zip([first, *(at + ahead for at in breaks)], [*breaks, len(stretch)])]
         windows = Windows.cut(stretch.time, [run for run in runs if run[1] > run[0]], period)
-        windows = windows.choose(stretch.applied[:, axis], _MOST_SAMPLES)
+        windows = windows.choose(stretch.position[:, axis], _MOST_SAMPLES)
         needed = np.unique(np.maximum(windows.rows[windows.there][:, None] - np.arange(ahead + 1), 0))
         part = Stretch(setup=stretch.setup, rows=stretch.rows[needed], metadata=metadata)
         windows = windows._replace(rows=np.searchsorted(needed, windows.rows) * windows.there)
@@ -275,8 +275,7 @@ class _Axis:
         if self.motion.degrees < _LEAST_SAMPLES:
             return "too few samples without a gap"
         if self.disturbed:
-            unit = "µm" if self.axis < 3 else "µrad"
-            return f"forces act that were not recorded ({self.motion.residual * 1e6:.2g} {unit} unexplained)"
+            return "forces act that were not recorded"
         return ""
 
     @cached_property
@@ -286,7 +285,10 @@ class _Axis:
         quantum = find_quantum(self.place[self.used])
         if why := self._why_not_even_noise:
             return OfAxis(
-                **dict.fromkeys(("inertia", "delay", "force_error", "noise"), Estimate(why=why)), quantum=quantum
+                **dict.fromkeys(
+                    ("inertia", "delay", "force_error", "noise"), Estimate(why=why, residual=motion.residual)
+                ),
+                quantum=quantum,
             )
         step = quantum.value if quantum.known else 0.0
         rows = self.windows.rows
@@ -394,7 +396,7 @@ class _Axis:
     def _shown(self, name: tuple[str, int]) -> Estimate:
         """Return a gain as the motion shows it, if the flotor weighs what the recording states."""
         if self._why:
-            return Estimate(why=self._why)
+            return Estimate(why=self._why, residual=self.motion.residual)
         index, found = self.law.names.index(name), self.rendered
         if found.moves[index] < _CLEAR * found.residual:
             return Estimate(why="it moves the flotor too little")

@@ -27,6 +27,8 @@ __all__ = ["SLOW", "Fit", "Forces", "Windows", "fit", "inverse", "student"]
 _SINGULAR, _ROUNDS, _COARSE, _STEPS = 1e-10, 12, 2000, 6
 _LAGS, _LEAST_SAMPLES, _WINDOW_TIME = 10, 40, 0.05
 _MOST_LEVERAGE, _WORST = 0.9, 2.0
+_SENSOR = 1e-8
+"""Residual below that of any sensor [m, rad]."""
 SLOW = 0.4
 """Whiteness below which residuals are those of forces."""
 
@@ -94,13 +96,13 @@ class Windows(NamedTuple):
         basis, _ = np.linalg.qr(np.stack([there.astype(np.float64), since], axis=-1)) if rows.size else (since, None)
         return cls(rows, there, basis)
 
-    def choose(self, excitation: Array, most: int) -> Windows:
-        """Return the windows in which something (N,) varies most, of so many samples at most."""
+    def choose(self, place: Array, most: int) -> Windows:
+        """Return the windows in which the motion (N,) is least straight, of so many samples at most."""
         count = max(most // max(self.rows.shape[1], 1), 1)
         if len(self.rows) <= count:
             return self
-        values = np.where(self.there, excitation[self.rows], np.nan)
-        chosen = np.sort(np.argsort(-np.nanvar(values, axis=1), kind="stable")[:count])
+        bent = np.square(self.project(place[self.rows][:, :, None])).sum(axis=(1, 2))
+        chosen = np.sort(np.argsort(-bent, kind="stable")[:count])
         return Windows(self.rows[chosen], self.there[chosen], self.basis[chosen])
 
     def project(self, values: Array) -> Array:
@@ -233,7 +235,7 @@ def fit(
         return values, target - (where[:, :, free] @ found), where, slope
 
     if search and coarse:
-        few = windows.choose(place, _COARSE) if windows.rows.size > _COARSE else windows
+        few = windows.choose(place, _COARSE)
         target = few.project(place[few.rows][:, :, None])[:, :, 0]
         ahead = np.arange(0.0, 3.0, 1.0 / _STEPS) * period
         near = max(delay, 0.0) + np.arange(-2.0, 2.0, 1.0 / _STEPS) * period
@@ -304,7 +306,8 @@ def _judged(
     square = np.square(left).sum() / count
     whiteness = float(change / (2.0 * square)) if square > 0.0 else 1.0
     errors = np.sqrt(np.maximum(np.diag(white), np.diag(robust)))
-    if whiteness < SLOW:  # of a force that is slightly other than it is taken for: all at once in the worst way
+    if whiteness < SLOW or spread < _SENSOR:
+        # not of a sensor but of forces between the samples, or rounding: all at once in the worst way
         errors = np.maximum(errors, np.abs(columns @ gram).T @ np.abs(left.ravel()) / _WORST)
     covariance, wide, moves = np.zeros((size, size)), np.zeros(size), np.zeros(size)
     covariance[np.ix_(chosen, chosen)] = white
