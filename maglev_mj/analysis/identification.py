@@ -36,13 +36,15 @@ __all__ = ["identify"]
 
 Face: TypeAlias = tuple[int, float, float]
 
-_MOST_SAMPLES, _LEAST_SAMPLES, _LEAST_INSIDE = 20_000, 12, 5
+_MOST_SAMPLES, _LEAST_SAMPLES, _LEAST_INSIDE, _LEAST_DEGREES = 20_000, 12, 5, 6
 _CLEAR = 10.0
 """By how many times its noise a quantity must move the flotor to be told."""
 _MOST_DELAY = 0.1
 """Largest standard error of a delay that is told, in periods."""
 _UNEXPLAINED = 3e-3
 """Least share of the motion that a force which was not recorded must account for to matter."""
+_GYRATION = 0.036
+"""Radius of gyration of the flotor [m]."""
 _NOT_LINEAR, _ROUNDING = 0.02, 64.0 * float(np.finfo(np.float64).eps)
 _STILL = 1e-9
 """Travel of an axis that does not move [m, rad]."""
@@ -79,14 +81,18 @@ def identify(stretch: Stretch, metadata: RunMetadata | None = None, *, anchors: 
     for axis in range(6):
         stuck = None if anchors is None or not np.isfinite(anchors[:, axis]).any() else anchors[:, axis]
         faces = [face for face in known.faces or () if face[0] == axis]
-        if len(stretch) < _LEAST_SAMPLES or not np.ptp(stretch.position[:, axis]) > _STILL:
-            few = len(stretch) < _LEAST_SAMPLES
-            why = f"only {len(stretch)} samples" if few else "the axis does not move"
+        one = None
+        if len(stretch) < _LEAST_SAMPLES:
+            why = f"only {len(stretch)} samples"
+        elif not np.ptp(stretch.position[:, axis]) > _STILL:
+            why = "the axis does not move"
+        else:
+            one, why = _Axis.of(stretch, known, axis, stuck), "too few samples without a gap"
+        if one is None:
             walls += [OfWall.untold(face, why) for face in faces]
             if stuck is not None:
                 friction[axis] = Friction.untold(why)
             continue
-        one = _Axis.of(stretch, known, axis, stuck)
         axes[axis] = one.told
         used = max(used, int(one.used.sum()))
         walls += [one.wall(face) for face in faces]
@@ -140,8 +146,8 @@ class _Axis:
     held: bool = False
 
     @classmethod
-    def of(cls, stretch: Stretch, metadata: RunMetadata, axis: int, anchors: Array | None) -> _Axis:
-        """Return the coordinate, of a long stretch the windows in which it moves least straight."""
+    def of(cls, stretch: Stretch, metadata: RunMetadata, axis: int, anchors: Array | None) -> _Axis | None:
+        """Return the coordinate, of a long stretch the windows in which it moves least straight; None without any."""
         period = metadata.period
         # after a gap nobody knows which commands were on their way
         ahead = int(split_delay(metadata.delay, period)[0]) + 2
@@ -150,12 +156,14 @@ class _Axis:
         runs = [(one, end) for one, end in zip([first, *(at + ahead for at in breaks)], [*breaks, len(stretch)])]
         windows = Windows.cut(stretch.time, [run for run in runs if run[1] > run[0]], period)
         windows = windows.choose(stretch.position[:, axis], _MOST_SAMPLES)
+        if windows.there.sum() < _LEAST_SAMPLES:
+            return None
         needed = np.unique(np.maximum(windows.rows[windows.there][:, None] - np.arange(ahead + 1), 0))
         part = Stretch(setup=stretch.setup, rows=stretch.rows[needed], metadata=metadata)
         windows = windows._replace(rows=np.searchsorted(needed, windows.rows) * windows.there)
         stuck = None if anchors is None else anchors[needed]
         free = cls(stretch=part, metadata=metadata, axis=axis, anchors=stuck, windows=windows)
-        if windows.rows.size and free.disturbed:
+        if free.disturbed:
             held = replace(free, held=True)
             return free if held.disturbed else held
         return free
@@ -259,34 +267,34 @@ class _Axis:
         return bool(self.motion.moves[0] >= _CLEAR * self.motion.residual and self.motion.values[0] > 0.0)
 
     @property
-    def disturbed(self) -> bool:
-        """True if a force acts that was not recorded."""
-        return self.motion.whiteness < SLOW and self.motion.share > _UNEXPLAINED
+    def disturbed(self) -> str:
+        """Why its motion is not that of a mass under the recorded forces; empty where it is."""
+        travel = np.ptp(self.stretch.position, axis=0)
+        travel[:3] /= _GYRATION
+        # coordinates act on a rotation by the product of two of them, which is left out
+        if self.axis >= 3 and np.delete(travel, self.axis).max() * travel[3:].max() > self.motion.residual:
+            return "the other coordinates act on it"
+        unknown = self.motion.whiteness < SLOW and self.motion.share > _UNEXPLAINED
+        return "forces act that were not recorded" if unknown else ""
 
     @property
     def _why(self) -> str:
         """Why the motion tells nothing of what the forces do; empty if it does."""
-        if few := self._why_not_even_noise:
-            return few
+        if why := self.disturbed:
+            return why
+        if self.motion.degrees < _LEAST_DEGREES:
+            return "too few samples"
         return "" if self.pushed else "the force on it does not change by more than noise"
-
-    @property
-    def _why_not_even_noise(self) -> str:
-        if self.motion.degrees < _LEAST_SAMPLES:
-            return "too few samples without a gap"
-        if self.disturbed:
-            return "forces act that were not recorded"
-        return ""
 
     @cached_property
     def told(self) -> OfAxis:
         """What the motion tells whatever is rendered."""
         motion = self.motion
         quantum = find_quantum(self.place[self.used])
-        if why := self._why_not_even_noise:
+        if self.disturbed:
             return OfAxis(
                 **dict.fromkeys(
-                    ("inertia", "delay", "force_error", "noise"), Estimate(why=why, residual=motion.residual)
+                    ("inertia", "delay", "force_error", "noise"), Estimate(why=self._why, residual=motion.residual)
                 ),
                 quantum=quantum,
             )
@@ -398,6 +406,8 @@ class _Axis:
         if self._why:
             return Estimate(why=self._why, residual=self.motion.residual)
         index, found = self.law.names.index(name), self.rendered
+        if found.degrees < _LEAST_DEGREES:
+            return Estimate(why="too few samples for all that acts on the axis")
         if found.moves[index] < _CLEAR * found.residual:
             return Estimate(why="it moves the flotor too little")
         return Estimate.of(
@@ -482,6 +492,8 @@ class _Axis:
                 return Estimate(why="it slips only once, and slides as hard")
             error = float(most.std(ddof=1)) / math.sqrt(len(most))
             return Estimate.of(float(most.mean()), error, len(most) - 1, law.residual)
+        if not stiffness.value > 0.0:
+            return Estimate(why="it does not stick")
         held = float(force[stuck & self.used].max())
         broke = float((stiffness.value * np.abs(anchors[last] - self.place[last + 1])).min())
         middle, width = 0.5 * (held + broke), abs(broke - held)

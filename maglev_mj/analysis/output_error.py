@@ -29,7 +29,7 @@ _LAGS, _LEAST_SAMPLES, _WINDOW_TIME = 10, 40, 0.05
 _MOST_LEVERAGE, _WORST = 0.9, 2.0
 _SENSOR = 1e-8
 """Residual below that of any sensor [m, rad]."""
-SLOW = 0.4
+SLOW = 0.6
 """Whiteness below which residuals are those of forces."""
 
 Numbers: TypeAlias = NDArray[np.intp]

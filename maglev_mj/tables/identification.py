@@ -70,14 +70,14 @@ def _rows(found: Identification) -> Iterator[_Row]:
         yield _Row(wall.name, "stiffness", wall.stiffness, 1.0, stiff, moved)
         yield _Row(wall.name, "damping", wall.damping, 1.0, damp, moved)
         yield _Row(wall.name, "of largest stable", wall.share, 1e2, "%", moved)
-        yield _Row(wall.name, "stiffness, commanded", wall.commanded_stiffness, 1.0, stiff, said)
-        yield _Row(wall.name, "damping, commanded", wall.commanded_damping, 1.0, damp, said)
+        yield _Row(wall.name, "commanded stiffness", wall.commanded_stiffness, 1.0, stiff, said)
+        yield _Row(wall.name, "commanded damping", wall.commanded_damping, 1.0, damp, said)
     for axis, rub in found.friction.items():
         turning, name = int(axis >= 3), f"friction on {AXES[axis]}"
         moved, said = position[turning], (1.0, force[turning])
         stiff, damp = (("N/m", "N s/m"), ("N m/rad", "N m s/rad"))[turning]
         yield _Row(name, "stiffness", rub.stiffness, 1.0, stiff, moved)
-        yield _Row(name, "stiffness, commanded", rub.commanded_stiffness, 1.0, stiff, said)
+        yield _Row(name, "commanded stiffness", rub.commanded_stiffness, 1.0, stiff, said)
         yield _Row(name, "breakaway", rub.breakaway, 1.0, said[1], said)
         yield _Row(name, "sliding", rub.sliding, 1.0, said[1], said)
         yield _Row(name, "damping", rub.damping, 1.0, damp, said)
