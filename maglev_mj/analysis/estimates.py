@@ -29,7 +29,7 @@ class Estimate:
         value: Best value; NaN where it cannot be told.
         error: Standard error.
         low: Lower end of the 95 % interval.
-        high: Upper end.
+        high: Upper end; what noise that cannot be told is at most.
         residual: Root mean square of what the fit leaves, in the unit of what was fitted: metres or radians of
             positions, newtons or newton metres of commands.
         why: Why it cannot be told, in a few words; empty where it can.
@@ -231,6 +231,6 @@ def find_noise(fitted: Fit, there: Mask, moving: Mask, step: float) -> Estimate:
     if high < _NOTHING:
         return Estimate(why="the forces explain the positions to rounding")
     if low == 0.0:
-        return Estimate(why=f"it hides in the steps: at most {high * 1e6:.2g} µm or µrad")
+        return Estimate(why="it hides in the sensor's steps", low=0.0, high=high)
     value = math.sqrt(variance)
     return Estimate(value=value, error=0.5 * spread / value, low=low, high=high, residual=fitted.residual)

@@ -304,7 +304,7 @@ class _Axis:
         noise = find_noise(motion, self.windows.there, moving > 2.0 * step, step)
         inertia = delay = Estimate(why=self._why)
         mass = self.inertia
-        if self.pushed:
+        if not self._why:
             mass = 1.0 / motion.values[0]
             inertia = Estimate.of(mass, mass**2 * motion.errors[0], motion.degrees, motion.residual)
             delay = self._late(motion)
@@ -312,7 +312,7 @@ class _Axis:
             nothing, rest = np.zeros((len(self.place), 0)), self.stretch.applied[:, self.axis]
             motion = self._fit(nothing, rest, delay=self.metadata.delay, search=False, mass=mass)
         slope = np.zeros(len(motion.errors))
-        slope[:2] = -motion.values[1] * mass**2 * self.pushed, mass
+        slope[:2] = -motion.values[1] * mass**2 * (not self._why), mass
         force = mass * motion.values[1] - float(self.metadata.load[self.axis])
         error = Estimate.of(force, _error(motion, slope), motion.degrees, motion.residual)
         return OfAxis(inertia=inertia, delay=delay, force_error=error, noise=noise, quantum=quantum)
@@ -405,6 +405,8 @@ class _Axis:
         """Return a gain as the motion shows it, if the flotor weighs what the recording states."""
         if self._why:
             return Estimate(why=self._why, residual=self.motion.residual)
+        if not (commanded := self._commanded(name)).known:
+            return commanded
         index, found = self.law.names.index(name), self.rendered
         if found.degrees < _LEAST_DEGREES:
             return Estimate(why="too few samples for all that acts on the axis")
@@ -487,11 +489,7 @@ class _Axis:
             return Estimate(why="it never slips")
         ends = force[last], force[last + 1]
         if np.median(ends[1]) > _HOLDS * np.median(ends[0]):  # it goes on sliding at what it gives at most
-            most = np.maximum(*ends)
-            if len(most) < 2:
-                return Estimate(why="it slips only once, and slides as hard")
-            error = float(most.std(ddof=1)) / math.sqrt(len(most))
-            return Estimate.of(float(most.mean()), error, len(most) - 1, law.residual)
+            return self._commanded(("sliding", 0))
         if not stiffness.value > 0.0:
             return Estimate(why="it does not stick")
         held = float(force[stuck & self.used].max())

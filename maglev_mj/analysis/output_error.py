@@ -26,7 +26,7 @@ __all__ = ["SLOW", "Fit", "Forces", "Windows", "fit", "inverse", "student"]
 
 _SINGULAR, _ROUNDS, _COARSE, _STEPS = 1e-10, 12, 2000, 6
 _LAGS, _LEAST_SAMPLES, _WINDOW_TIME = 10, 40, 0.05
-_MOST_LEVERAGE, _WORST = 0.9, 2.0
+_MOST_LEVERAGE = 0.9
 _SENSOR = 1e-8
 """Residual below that of any sensor [m, rad]."""
 SLOW = 0.6
@@ -308,7 +308,7 @@ def _judged(
     errors = np.sqrt(np.maximum(np.diag(white), np.diag(robust)))
     if whiteness < SLOW or spread < _SENSOR:
         # not of a sensor but of forces between the samples, or rounding: all at once in the worst way
-        errors = np.maximum(errors, np.abs(columns @ gram).T @ np.abs(left.ravel()) / _WORST)
+        errors = np.maximum(errors, np.abs(columns @ gram).T @ np.abs(left.ravel()))
     covariance, wide, moves = np.zeros((size, size)), np.zeros(size), np.zeros(size)
     covariance[np.ix_(chosen, chosen)] = white
     wide[chosen] = np.where(known, errors, np.inf)

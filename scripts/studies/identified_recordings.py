@@ -151,13 +151,13 @@ def truth(case: Case) -> dict[str, float]:
     """Return what there is to be identified, by the names of `estimates`."""
     moving = case.mass + (ARM[0] if case.arm else 0.0)
     stated = moving + MASS - case.mass
-    loop = {"period": 1.0 / case.rate, "delay": case.delay, "mass": moving}
+    most = float(largest_stable_stiffness(case.damping, period=1.0 / case.rate, delay=case.delay, mass=moving))
     return {
         "wall stiffness, rendered": case.stiffness * stated / moving,
         "wall damping, rendered": case.damping * stated / moving,
         "wall stiffness, commanded": case.stiffness,
         "wall damping, commanded": case.damping,
-        "share of the largest stable stiffness": case.stiffness / float(largest_stable_stiffness(case.damping, **loop)),  # type: ignore[arg-type]
+        "share of the largest stable stiffness": case.stiffness / most,
         "delay, from z": case.delay,
         "delay, from x": case.delay,
         "mass, from z": moving,
@@ -217,9 +217,9 @@ def main() -> None:
     for name in truth(draw(0)):
         kept = rows.get(name, [])
         if kept:
-            off = np.array([one[1] for one in kept])
+            apart = np.array([one[1] for one in kept])
             share = np.mean([one[0] for one in kept])
-            far = (math.nan, math.nan) if np.isnan(off).all() else np.nanquantile(off, [0.5, 0.9])
+            far = (math.nan, math.nan) if np.isnan(apart).all() else np.nanquantile(apart, [0.5, 0.9])
             print(f"{name:<40}{len(kept):>6}{share:>15.1%} {far[0]:>11.2%}{far[1]:>10.2%}")
         for why in sorted(set(untold.get(name, []))):
             print(f"    {untold[name].count(why)} not: {why}")
