@@ -227,7 +227,11 @@ def find_noise(fitted: Fit, there: Mask, moving: Mask, step: float) -> Estimate:
     mean = float(square.mean())
     spread = max(float(square.std(ddof=1)), math.sqrt(2.0) * mean) / math.sqrt(len(left))
     variance = mean - step * step / 12.0
-    low, high = (math.sqrt(max(variance + sign * _NORMAL * spread, 0.0)) for sign in (-1.0, 1.0))
+    # of a variance the logarithm is the more normal
+    ends = (
+        mean * math.exp(sign * _NORMAL * spread / mean) - step * step / 12.0 if mean else 0.0 for sign in (-1.0, 1.0)
+    )
+    low, high = (math.sqrt(max(end, 0.0)) for end in ends)
     if high < _NOTHING:
         return Estimate(why="the forces explain the positions to rounding")
     if low == 0.0:

@@ -495,7 +495,7 @@ class _Axis:
         held = float(force[stuck & self.used].max())
         broke = float((stiffness.value * np.abs(anchors[last] - self.place[last + 1])).min())
         middle, width = 0.5 * (held + broke), abs(broke - held)
-        reach = 0.49 * width + stiffness.error / stiffness.value * middle
+        reach = 0.485 * width + stiffness.error / stiffness.value * middle
         error = width / math.sqrt(12.0)
         return Estimate(value=middle, error=error, low=middle - reach, high=middle + reach, residual=law.residual)
 
