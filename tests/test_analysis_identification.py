@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from identified_recordings import Case, draw, estimates, holds, record, truth
+from maglev_mj import ExactPlant, Timing, Wall
 from maglev_mj.analysis import Estimate, Identification, identification, identify, reconstruct
 from maglev_mj.analysis.estimates import find_quantum
 from maglev_mj.analysis.output_error import inverse, student
@@ -22,7 +23,10 @@ from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.bridge.simulated_links import VirtualLink
 from maglev_mj.bridge.twin import Twin, TwinParameters
 from maglev_mj.cli import main
+from maglev_mj.controller import Controller
 from maglev_mj.frames import Array, Mask
+from maglev_mj.loop import ControlLoop
+from maglev_mj.plants.sensor import Sensor
 from maglev_mj.recording import ArrayFile, Stretch, metadata_of
 from maglev_mj.replay import record_run, stick_positions_of
 from maglev_mj.scenes.drop import Drop
@@ -131,6 +135,22 @@ def test_a_delay_and_a_mass_other_than_stated_are_found() -> None:
         assert holds(found.walls[0].stiffness, 1.2 * 6000.0)
         assert found.walls[0].commanded_stiffness.value == pytest.approx(6000.0)
         assert found.walls[0].share.value == pytest.approx(0.5937, rel=0.01)
+
+
+def test_the_lag_of_drivers_counts_as_delay() -> None:
+    plant = ExactPlant(
+        Timing(phase=0.3),
+        pose=(0.0, 0.0, 0.004, 0.0, 0.0, 0.0),
+        driver_lag=True,
+        driver_time_constant=3e-4,
+        sensor=Sensor(noise=1e-6),
+    )
+    controller = Controller([Wall(axes="z", lower=0.0, stiffness=6000.0, damping=80.0)], period=plant.period)
+    file = ArrayFile()
+    with plant:
+        ControlLoop(plant, controller, record=file.begin(plant, controller)).cycle(80)
+    (stretch,) = file.recording.stretches
+    assert identify(stretch).delay.value == pytest.approx(0.0018, abs=1e-5)
 
 
 def test_a_wall_beyond_the_boundary_is_found_to_be_there() -> None:
@@ -270,7 +290,7 @@ def test_the_table_and_the_json_say_every_estimate(tmp_path: Path, capsys: Any) 
     assert main(["analyse", str(path), "--json", str(tmp_path / "run.json")]) == 0
     said = capsys.readouterr().out
     assert max(map(len, said.splitlines())) <= 110
-    for words in ("z below 0 mm: stiffness", "of largest stable", "all: delay", "z: mass", "it hides in"):
+    for words in ("z below 0 mm: stiffness", "of largest stable", "effective delay", "z: mass", "it hides in"):
         assert words in said
     (stretch,) = json.loads((tmp_path / "run.json").read_text())["stretches"]
     identified: Mapping[str, Any] = stretch["identified"]

@@ -38,10 +38,8 @@ def identified_lines(found: Identification) -> list[str]:
         else:
             lines += map(_line, rows)
     for (names, why), all_of in untold.items():
-        lines += [
-            f"  cannot be told: {names}",
-            *wrap(f"of {', '.join(all_of)}: {why}", 96, initial_indent=_IN, subsequent_indent=_IN),
-        ]
+        whose = f"of {', '.join(all_of)}: " if any(all_of) else ""
+        lines += [f"  cannot be told: {names}", *wrap(whose + why, 96, initial_indent=_IN, subsequent_indent=_IN)]
     if found.samples < found.of:
         lines.append(f"  from {found.samples} of {found.of} samples: docs/analysis.md says which")
     return lines
@@ -51,7 +49,7 @@ def _line(row: _Row) -> str:
     one, (scale, unit) = row.estimate, row.left
     value, error = _rounded(one.value * row.scale, one.error * row.scale)
     left = f"{one.residual * scale:.2g} {unit}"
-    return f"  {f'{row.whose}: {row.name}':<36}{value:>12}{error:>12}  {row.unit:<10}{left:>12}".rstrip()
+    return f"  {': '.join(filter(None, row[:2])):<36}{value:>12}{error:>12}  {row.unit:<10}{left:>12}".rstrip()
 
 
 def _rounded(value: float, error: float) -> tuple[str, str]:
@@ -62,7 +60,7 @@ def _rounded(value: float, error: float) -> tuple[str, str]:
 
 def _rows(found: Identification) -> Iterator[_Row]:
     position, force = [(1e6, "µm"), (1e6, "µrad")], ["N", "N m"]
-    yield _Row("all", "delay", found.delay, 1e3, "ms", (1e6, "µm"))
+    yield _Row("", "effective delay", found.delay, 1e3, "ms", (1e6, "µm"))
     for wall in found.walls:
         turning = int(wall.face[0] >= 3)
         moved, said = position[turning], (1.0, force[turning])
