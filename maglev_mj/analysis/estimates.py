@@ -232,9 +232,9 @@ def find_noise(fitted: Fit, there: Mask, moving: Mask, step: float) -> Estimate:
         mean * math.exp(sign * _NORMAL * spread / mean) - step * step / 12.0 if mean else 0.0 for sign in (-1.0, 1.0)
     )
     low, high = (math.sqrt(max(end, 0.0)) for end in ends)
-    if high < _NOTHING:
+    if math.sqrt(mean) < _NOTHING:
         return Estimate(why="the forces explain the positions to rounding")
     if low == 0.0:
-        return Estimate(why="it hides in the sensor's steps", low=0.0, high=high)
+        return Estimate(why="it hides in the sensor's steps", low=0.0, high=max(high, math.sqrt(spread)))
     value = math.sqrt(variance)
     return Estimate(value=value, error=0.5 * spread / value, low=low, high=high, residual=fitted.residual)
