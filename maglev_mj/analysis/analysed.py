@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 
 from maglev_mj.analysis.comparison import Comparison, compare, simulate
+from maglev_mj.analysis.estimates import Identification
 from maglev_mj.analysis.figures import StretchFigures, stretch_figures
+from maglev_mj.analysis.identification import identify
 from maglev_mj.analysis.motion import Motion, reconstruct
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Array
@@ -46,6 +48,7 @@ class Analysed:
         recorded: What the samples say.
         simulated: What the simulation does; None where none was asked for, or it failed at once.
         comparison: How far they are apart; None where none was asked for.
+        identified: What the samples tell of walls, friction, mass, delay and sensor.
     """
 
     kind: str
@@ -53,6 +56,7 @@ class Analysed:
     recorded: Run
     simulated: Run | None
     comparison: Comparison | None
+    identified: Identification
 
     def axis(self, name: str | None = None) -> int:
         """Return the index of the axis to draw: the one that is named, or the one that tells most.
@@ -84,6 +88,7 @@ class Analysed:
         data["recorded"] = self.recorded.figures.as_json()
         data["simulated"] = None if self.simulated is None else self.simulated.figures.as_json()
         data["comparison"] = None if self.comparison is None else self.comparison.as_json()
+        data["identified"] = self.identified.as_json()
         return data
 
 
@@ -128,7 +133,14 @@ def analyse(
         if until - first >= 1:
             other = _run(twin, reconstruct(twin, metadata), metadata, None, (first, until), rest)
     run = _run(stretch, whole, metadata, anchors, (first, last), rest)
-    return Analysed(kind=stretch.setup["kind"], metadata=metadata, recorded=run, simulated=other, comparison=comparison)
+    return Analysed(
+        kind=stretch.setup["kind"],
+        metadata=metadata,
+        recorded=run,
+        simulated=other,
+        comparison=comparison,
+        identified=identify(stretch.part(first, last), metadata, anchors=run.anchors),
+    )
 
 
 def _rows(motion: Motion, begin: float, end: float | None) -> tuple[int, int]:

@@ -8,6 +8,7 @@ import numpy as np
 
 from maglev_mj.analysis import Analysed, Comparison, FaceFigures, StretchFigures
 from maglev_mj.frames import AXES, Array
+from maglev_mj.tables.identification import identified_lines
 from maglev_mj.terminal import cell
 
 __all__ = ["analysis_table"]
@@ -34,6 +35,7 @@ def analysis_table(analysed: Analysed, number: int, count: int) -> str:
     lines += _friction(figures)
     if comparison is not None:
         lines += ["", *_apart(comparison, figures.samples)]
+    lines += ["", *identified_lines(analysed.identified)]
     return "\n".join(lines)
 
 

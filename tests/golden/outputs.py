@@ -40,8 +40,8 @@ _CHANGING = {"versions", "version", "other_versions", "began", "cost"}
 """Names in JSON whose values depend on revision, date or speed of the machine."""
 
 _CHOSEN_BY_COST = {"cheapest", "furthest", "steps"}
-_ROUNDING_NOISE = {"comparison", "growing", "digest"}
-"""Names in JSON of differences between equal runs, of which walls at the limit grow, and of digests."""
+_ROUNDING_NOISE = {"comparison", "growing", "digest", "identified"}
+"""Names in JSON of differences between equal runs, of which walls at the limit grow, of digests, of errors of fits."""
 
 _PROGRESS = re.compile(r"(\S+ ?\S*: \d+ of \d+.*)?")
 _NUMBER = re.compile(r"-?\d+(\.\d+)?(e[+-]?\d+)?")

@@ -1,0 +1,240 @@
+"""Estimates with their errors, and what positions alone tell of the sensor: its steps and its noise."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import Any, Self
+
+import numpy as np
+
+from maglev_mj.analysis.contacts import plain
+from maglev_mj.analysis.output_error import Fit, student
+from maglev_mj.frames import AXES, Array, Mask
+
+__all__ = ["Estimate", "Friction", "Identification", "OfAxis", "OfWall", "find_noise", "find_quantum"]
+
+_DITHERED = 1.0 / 12.0 + 0.25
+"""Mean square of a sensor's error, in steps, from which on noise of half a step carries a flotor at rest over them."""
+_NEAR, _DIVISORS, _LEAST_STEPS, _LEAST_MOVING = 1e-4, 20, 4, 20
+_NOTHING, _NORMAL, _ROUNDING = 1e-12, 1.959963984540054, 4.0 * float(np.finfo(np.float64).eps)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Estimate:
+    """A quantity identified from a recording.
+
+    Attributes:
+        value: Best value; NaN where it cannot be told.
+        error: Standard error.
+        low: Lower end of the 95 % interval.
+        high: Upper end; what noise that cannot be told is at most.
+        residual: Root mean square of what the fit leaves, in the unit of what was fitted: metres or radians of
+            positions, newtons or newton metres of commands.
+        why: Why it cannot be told, in a few words; empty where it can.
+    """
+
+    value: float = math.nan
+    error: float = math.nan
+    low: float = math.nan
+    high: float = math.nan
+    residual: float = math.nan
+    why: str = ""
+
+    @classmethod
+    def of(cls, value: float, error: float, degrees: float, residual: float) -> Self:
+        """Return an estimate with the interval of Student's t."""
+        reach = student(degrees) * error
+        return cls(value=value, error=error, low=value - reach, high=value + reach, residual=residual)
+
+    @property
+    def known(self) -> bool:
+        """True if it can be told."""
+        return not self.why
+
+    def as_json(self) -> dict[str, Any]:
+        """Return everything, ready for JSON."""
+        names = {"value": "value", "error": "standard_error", "low": "low", "high": "high", "residual": "residual"}
+        return {said: plain(getattr(self, name)) for name, said in names.items()} | {"cannot_be_told": self.why or None}
+
+
+@dataclass(frozen=True, kw_only=True)
+class OfAxis:
+    """What is identified of a coordinate, whatever is rendered on it.
+
+    Attributes:
+        inertia: Moving mass or moment of inertia, if the forces are as commanded [kg, kg m²].
+        delay: From a sample to the switch of the force [s].
+        force_error: Constant force beyond the load and the carrying command that the recording states [N, N m].
+        noise: Standard deviation of the sensor's noise ahead of its steps [m, rad].
+        quantum: Step of the positions [m, rad].
+    """
+
+    inertia: Estimate
+    delay: Estimate
+    force_error: Estimate
+    noise: Estimate
+    quantum: Estimate
+
+
+@dataclass(frozen=True, kw_only=True)
+class OfWall:
+    """What is identified of a wall.
+
+    Attributes:
+        face: Index into AXES, normal, edge.
+        stiffness: By which the motion is pushed back, if the flotor weighs what the recording states [N/m, N m/rad].
+        damping: Likewise [N s/m, N m s/rad].
+        commanded_stiffness: Slope of the commands over the measured position [N/m, N m/rad].
+        commanded_damping: Slope of the commands over its difference quotient [N s/m, N m s/rad].
+        share: Stiffness by the largest that is stable at this damping and delay.
+    """
+
+    face: tuple[int, float, float]
+    stiffness: Estimate
+    damping: Estimate
+    commanded_stiffness: Estimate
+    commanded_damping: Estimate
+    share: Estimate
+
+    @classmethod
+    def untold(cls, face: tuple[int, float, float], why: str) -> Self:
+        """Return a wall of which nothing can be told."""
+        return cls(face=face, **{one.name: Estimate(why=why) for one in fields(cls) if one.name != "face"})
+
+    @property
+    def name(self) -> str:
+        """Such as "z below 0 mm": axis, side and edge."""
+        axis, normal, edge = self.face
+        side = "below" if normal > 0.0 else "above"
+        return f"{AXES[axis]} {side} {edge * 1e3:.4g} {'mm' if axis < 3 else 'mrad'}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Friction:
+    """What is identified of the friction rendered on an axis.
+
+    Attributes:
+        stiffness: While stuck, as the motion shows it [N/m, N m/rad].
+        commanded_stiffness: While stuck, slope of the commands [N/m, N m/rad].
+        breakaway: Largest friction before it slips, as commanded [N, N m].
+        sliding: Friction while sliding that does not depend on the speed, as commanded [N, N m].
+        damping: Viscous part, of all that acts on the axis, as commanded [N s/m, N m s/rad].
+    """
+
+    stiffness: Estimate
+    commanded_stiffness: Estimate
+    breakaway: Estimate
+    sliding: Estimate
+    damping: Estimate
+
+    @classmethod
+    def untold(cls, why: str) -> Self:
+        """Return friction of which nothing can be told."""
+        return cls(**{one.name: Estimate(why=why) for one in fields(cls)})
+
+
+@dataclass(frozen=True, kw_only=True)
+class Identification:
+    """Everything that is identified from a stretch.
+
+    Attributes:
+        axes: By index into AXES, for each that moves.
+        walls: Every plane of a wall.
+        friction: By index into AXES, for each axis with friction.
+        samples: How many were used, on the axis with most.
+        of: How many there are.
+    """
+
+    axes: Mapping[int, OfAxis]
+    walls: Sequence[OfWall]
+    friction: Mapping[int, Friction]
+    samples: int
+    of: int
+
+    @property
+    def delay(self) -> Estimate:
+        """Delay from the axis that tells it best [s]."""
+        found = [one.delay for one in self.axes.values()]
+        known = [one for one in found if one.known]
+        if known:
+            return min(known, key=lambda one: one.error)
+        return found[0] if found else Estimate(why="nothing moves")
+
+    def as_json(self) -> dict[str, Any]:
+        """Return everything, ready for JSON."""
+        return {
+            "samples": self.samples,
+            "of": self.of,
+            "delay": self.delay.as_json(),
+            "axes": {AXES[axis]: _parts(one) for axis, one in self.axes.items()},
+            "walls": [
+                {"axis": AXES[one.face[0]], "normal": one.face[1], "edge": one.face[2], **_parts(one)}
+                for one in self.walls
+            ],
+            "friction": {AXES[axis]: _parts(one) for axis, one in self.friction.items()},
+        }
+
+
+def _parts(one: object) -> dict[str, Any]:
+    return {name: value.as_json() for name, value in vars(one).items() if isinstance(value, Estimate)}
+
+
+def find_quantum(place: Array) -> Estimate:
+    """Return the step of a lattice on which all positions lie [m, rad].
+
+    Args:
+        place: Positions, (N,).
+    """
+    values = np.unique(place)
+    steps = np.diff(values)
+    size = float(np.abs(values).max())
+    steps = steps[steps > 1e3 * _ROUNDING * size]
+    if len(steps) < _LEAST_STEPS:
+        return Estimate(why=f"only {len(steps) + 1} different positions")
+    for part in range(1, _DIVISORS + 1):
+        step = float(steps.min()) / part
+        counts = np.rint(values / step)
+        if np.abs(counts).max() > 0.0 and np.abs(values / step - counts).max() < _NEAR * (1.0 + np.abs(counts).max()):
+            step = float(counts @ values / (counts @ counts))
+            counts = np.rint(values / step)
+            left = values - step * counts
+            if np.abs(left).max() < _NEAR * step:
+                residual = float(np.sqrt(np.square(left).mean()))
+                error = max(residual / math.sqrt(float(counts @ counts)), _ROUNDING * step)
+                return Estimate.of(step, error, len(values) - 1, residual)
+    return Estimate(why="positions lie on no lattice")
+
+
+def find_noise(fitted: Fit, there: Mask, moving: Mask, step: float) -> Estimate:
+    """Return the standard deviation of white noise ahead of a sensor's steps [m, rad].
+
+    The steps' own error, step² / 12, is taken off: it is that of a flotor that moves over them, or of noise that does.
+
+    Args:
+        fitted: Fit of the motion.
+        there: Which samples there are, (M, W).
+        moving: Those between which the flotor moves by more than a step, (M, W).
+        step: The steps; 0 for none.
+    """
+    left = fitted.left[there]
+    if np.square(left).mean() < _DITHERED * step**2:  # at rest within a step it is seen too seldom
+        left = fitted.left[moving & there]
+    if len(left) < _LEAST_MOVING:
+        return Estimate(why=f"only {len(left)} samples move over the sensor's steps")
+    square = np.square(left)
+    mean = float(square.mean())
+    spread = max(float(square.std(ddof=1)), math.sqrt(2.0) * mean) / math.sqrt(len(left))
+    variance = mean - step * step / 12.0
+    # of a variance the logarithm is the more normal
+    ends = (
+        mean * math.exp(sign * _NORMAL * spread / mean) - step * step / 12.0 if mean else 0.0 for sign in (-1.0, 1.0)
+    )
+    low, high = (math.sqrt(max(end, 0.0)) for end in ends)
+    if math.sqrt(mean) < _NOTHING:
+        return Estimate(why="the forces explain the positions to rounding")
+    if low == 0.0:
+        return Estimate(why="it hides in the sensor's steps", low=0.0, high=max(high, math.sqrt(spread)))
+    value = math.sqrt(variance)
+    return Estimate(value=value, error=0.5 * spread / value, low=low, high=high, residual=fitted.residual)

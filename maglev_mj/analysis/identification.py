@@ -1,0 +1,509 @@
+"""Identification of walls, friction, mass, delay and sensor from what a recording holds.
+
+Two relations tell them. Commands over measured positions tell the law, exactly where it is a spring and a damper.
+Positions under recorded forces tell mass, delay and constant forces, and under springs and dampers of unknown size
+how stiff a wall is to the motion; see `output_error`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+
+from maglev_mj.analysis.estimates import (
+    Estimate,
+    Friction,
+    Identification,
+    OfAxis,
+    OfWall,
+    find_noise,
+    find_quantum,
+)
+from maglev_mj.analysis.motion import reconstruct
+from maglev_mj.analysis.output_error import SLOW, Fit, Forces, Windows, fit, inverse
+from maglev_mj.frames import Array, Mask
+from maglev_mj.recording import RunMetadata, Stretch, metadata_of
+from maglev_mj.theory import largest_stable_stiffness
+from maglev_mj.theory.closed_loop import MOST_PERIODS
+from maglev_mj.timeline import recorded_switches, split_delay
+
+__all__ = ["identify"]
+
+Face: TypeAlias = tuple[int, float, float]
+
+_MOST_SAMPLES, _LEAST_SAMPLES, _LEAST_INSIDE, _LEAST_DEGREES = 20_000, 12, 5, 6
+_CLEAR = 10.0
+"""By how many times its noise a quantity must move the flotor to be told."""
+_MOST_DELAY = 0.1
+"""Largest standard error of a delay that is told, in periods."""
+_UNEXPLAINED = 3e-3
+"""Least share of the motion that a force which was not recorded must account for to matter."""
+_GYRATION = 0.036
+"""Radius of gyration of the flotor [m]."""
+_NOT_LINEAR, _ROUNDING = 0.02, 64.0 * float(np.finfo(np.float64).eps)
+_STILL = 1e-9
+"""Travel of an axis that does not move [m, rad]."""
+_HOLDS = 0.5
+"""Share of the force before a slip from which on friction goes on after it."""
+
+
+def identify(stretch: Stretch, metadata: RunMetadata | None = None, *, anchors: Array | None = None) -> Identification:
+    """Return what a stretch tells of walls, friction, mass, delay and sensor, each with its standard error.
+
+    Each coordinate is taken by itself. A long stretch is told by 20 000 samples of each, where it moves least straight.
+
+    Args:
+        stretch: The stretch.
+        metadata: What it is besides its samples; its own by default.
+        anchors: Where the flotor stuck at each sample [m, rad], (N, 6); None without friction.
+
+    Raises:
+        InvalidRecordingError: If it tells no metadata, and none are given.
+
+    Example:
+        >>> from maglev_mj.replay import record_run
+        >>> from maglev_mj.scenes.drop import Drop
+        >>> (stretch,) = record_run(Drop(stiffness=5000.0, quantize=5e-6), plant="exact").stretches
+        >>> (wall,) = identify(stretch).walls
+        >>> bool(wall.stiffness.low < 5000.0 < wall.stiffness.high), f"{wall.share.value:.0%}"
+        (True, '50%')
+    """
+    known = metadata_of(stretch, None) if metadata is None else metadata
+    axes: dict[int, OfAxis] = {}
+    walls: list[OfWall] = []
+    friction: dict[int, Friction] = {}
+    used = 0
+    for axis in range(6):
+        stuck = None if anchors is None or not np.isfinite(anchors[:, axis]).any() else anchors[:, axis]
+        faces = [face for face in known.faces or () if face[0] == axis]
+        one = None
+        if len(stretch) < _LEAST_SAMPLES:
+            why = f"only {len(stretch)} samples"
+        elif not np.ptp(stretch.position[:, axis]) > _STILL:
+            why = "the axis does not move"
+        else:
+            one, why = _Axis.of(stretch, known, axis, stuck), "too few samples without a gap"
+        if one is None:
+            walls += [OfWall.untold(face, why) for face in faces]
+            if stuck is not None:
+                friction[axis] = Friction.untold(why)
+            continue
+        axes[axis] = one.told
+        used = max(used, int(one.used.sum()))
+        walls += [one.wall(face) for face in faces]
+        if stuck is not None:
+            friction[axis] = one.friction()
+    return Identification(axes=axes, walls=walls, friction=friction, samples=used, of=len(stretch))
+
+
+class _Law(NamedTuple):
+    """What the commands are made of: P parts, each a known function of the measured positions.
+
+    Attributes:
+        names: Of each, such as ("stiffness", 0) for the first face.
+        parts: Their values by unit gain, (N, P).
+        gains: The gains, (P,).
+        errors: Their standard errors, (P,); infinite for what cannot be told from the others.
+        residual: Of the commands [N, N m].
+        degrees: Of freedom.
+        scale: Root mean square of all parts [N, N m].
+        rest: Commands as applied without all parts [N, N m], (N,).
+    """
+
+    names: Sequence[tuple[str, int]]
+    parts: Array
+    gains: Array
+    errors: Array
+    residual: float
+    degrees: int
+    scale: float
+    rest: Array
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Axis:
+    """One coordinate of a stretch: the samples used, and what is fitted to them.
+
+    Attributes:
+        stretch: The samples used, and those ahead of them whose commands were on their way.
+        metadata: What it is besides.
+        axis: Index into AXES.
+        anchors: Where it stuck [m, rad], (N,); None without friction.
+        windows: Of the samples used.
+        held: True if a spring and a damper that nobody recorded act on it, such as those of an arm.
+    """
+
+    stretch: Stretch
+    metadata: RunMetadata
+    axis: int
+    anchors: Array | None
+    windows: Windows
+    held: bool = False
+
+    @classmethod
+    def of(cls, stretch: Stretch, metadata: RunMetadata, axis: int, anchors: Array | None) -> _Axis | None:
+        """Return the coordinate, of a long stretch the windows in which it moves least straight; None without any."""
+        period = metadata.period
+        # after a gap nobody knows which commands were on their way
+        ahead = int(split_delay(metadata.delay, period)[0]) + 2
+        breaks = (np.flatnonzero(np.diff(stretch.tick) != 1) + 1).tolist()
+        first = 0 if stretch.time[0] < period else ahead
+        runs = [(one, end) for one, end in zip([first, *(at + ahead for at in breaks)], [*breaks, len(stretch)])]
+        windows = Windows.cut(stretch.time, [run for run in runs if run[1] > run[0]], period)
+        windows = windows.choose(stretch.position[:, axis], _MOST_SAMPLES)
+        if windows.there.sum() < _LEAST_SAMPLES:
+            return None
+        needed = np.unique(np.maximum(windows.rows[windows.there][:, None] - np.arange(ahead + 1), 0))
+        part = Stretch(setup=stretch.setup, rows=stretch.rows[needed], metadata=metadata)
+        windows = windows._replace(rows=np.searchsorted(needed, windows.rows) * windows.there)
+        stuck = None if anchors is None else anchors[needed]
+        free = cls(stretch=part, metadata=metadata, axis=axis, anchors=stuck, windows=windows)
+        if free.disturbed:
+            held = replace(free, held=True)
+            return free if held.disturbed else held
+        return free
+
+    @cached_property
+    def place(self) -> Array:
+        """Positions [m, rad], (N,)."""
+        return np.ascontiguousarray(self.stretch.position[:, self.axis])
+
+    @cached_property
+    def used(self) -> Mask:
+        """Which samples are in a window, (N,)."""
+        found = np.zeros(len(self.place), dtype=np.bool_)
+        found[self.windows.rows[self.windows.there]] = True
+        return found
+
+    @property
+    def inertia(self) -> float:
+        """Mass or moment of inertia that the recording states [kg, kg m²]."""
+        return float(self.metadata.inertia[self.axis])
+
+    def _fit(
+        self, parts: Array, rest: Array, *, delay: float, search: bool, coarse: bool = False, mass: float | None = None
+    ) -> Fit:
+        """Return the fit of the motion by P parts of the command, the rest of what was recorded, and a constant.
+
+        Args:
+            parts: Parts of the command, each to be multiplied by a gain, (N, P).
+            rest: Command without them [N, N m], (N,).
+            delay: First guess at the delay, or the delay [s].
+            search: Whether to find the delay.
+            coarse: Whether to look for it far from the guess too.
+            mass: What the rest moves [kg, kg m²]; None to find it too.
+        """
+        count, gains = parts.shape
+        period, time, axis = self.metadata.period, self.stretch.time, self.axis
+        nothing, none = np.zeros((count, gains)), np.zeros(count)
+        late = np.column_stack([parts, rest, none])
+        extra = np.column_stack([nothing, self.stretch.applied_pulse[:, axis], none])
+        width = self.stretch.applied_pulse_width
+        switch, levels = recorded_switches(time, late, extra, width, period=period, delay=0.0)
+        before = np.append(np.zeros(gains), [self.metadata.before[axis], 0.0])
+        hand = self.stretch.hand[:-1, axis] if self.metadata.hand_acts_on_flotor else none[:-1]
+        span = np.diff(time)[:, None]
+        prompt = np.column_stack([nothing[:-1], hand, none[:-1] + 1.0])
+        speed, way = span * prompt, 0.5 * span**2 * prompt
+        fixed = np.full(gains + 2, np.nan)
+        if mass is not None:
+            fixed[gains] = 1.0 / mass
+        if self.held:
+            speed, way = (np.column_stack(both) for both in zip((speed, way), *self._impedance, strict=True))
+            levels, before, fixed = (
+                np.pad(levels, ((0, 0), (0, 2))),
+                np.pad(before, (0, 2)),
+                np.append(fixed, [np.nan] * 2),
+            )
+        forces = Forces(time=time, switch=switch, late=levels, before=before, speed=speed, way=way)
+        floor = _ROUNDING * float(np.abs(self.place).max())
+        return fit(
+            forces,
+            self.windows,
+            self.place,
+            delay,
+            period=period,
+            search=search,
+            coarse=coarse,
+            floor=floor,
+            fixed=fixed,
+        )
+
+    @cached_property
+    def _impedance(self) -> list[tuple[Array, Array]]:
+        """Integral and double integral over each period of a unit spring's force, then of a unit damper's, (N - 1,)."""
+        motion, axis = reconstruct(self.stretch, self.metadata), self.axis
+        trace, ends = motion.trace.along(axis), motion.starts
+        knots, place, speed = trace.time, trace.pose[:-1, 0], trace.twist[:-1, 0]
+        width = np.diff(knots)
+        bend = trace.pose[1:, 0] - place - speed * width
+        # of the parabola between two knots, and of its product with the time since the first
+        whole = width * (place + 0.5 * width * speed + bend / 3.0)
+        later = width**2 * (place / 2.0 + width * speed / 3.0 + bend / 4.0)
+        period = np.searchsorted(ends, np.arange(len(width)), side="right") - 1
+        inside = period >= 0
+        left = knots[ends[period + 1]] - knots[:-1]
+        count = len(self.place) - 1
+        one, two = np.zeros((2, count))
+        np.add.at(one, period[inside], whole[inside])
+        np.add.at(two, period[inside], (left * whole - later)[inside])
+        start, end = self.place[:-1], self.place[1:]
+        return [(-one, -two), (start - end, np.diff(self.stretch.time) * start - one)]
+
+    @cached_property
+    def motion(self) -> Fit:
+        """The fit of the motion by all recorded forces: their common factor, a constant, and their delay."""
+        parts, rest = np.zeros((len(self.place), 0)), self.stretch.applied[:, self.axis]
+        return self._fit(parts, rest, delay=self.metadata.delay, search=True, coarse=True)
+
+    @property
+    def pushed(self) -> bool:
+        """True if the recorded forces move it by more than noise."""
+        return bool(self.motion.moves[0] >= _CLEAR * self.motion.residual and self.motion.values[0] > 0.0)
+
+    @property
+    def disturbed(self) -> str:
+        """Why its motion is not that of a mass under the recorded forces; empty where it is."""
+        travel = np.ptp(self.stretch.position, axis=0)
+        travel[:3] /= _GYRATION
+        # coordinates act on a rotation by the product of two of them, which is left out
+        if self.axis >= 3 and np.delete(travel, self.axis).max() * travel[3:].max() > self.motion.residual:
+            return "the other coordinates act on it"
+        unknown = self.motion.whiteness < SLOW and self.motion.share > _UNEXPLAINED
+        return "forces act that were not recorded" if unknown else ""
+
+    @property
+    def _why(self) -> str:
+        """Why the motion tells nothing of what the forces do; empty if it does."""
+        if why := self.disturbed:
+            return why
+        if self.motion.degrees < _LEAST_DEGREES:
+            return "too few samples"
+        return "" if self.pushed else "the force on it does not change by more than noise"
+
+    @cached_property
+    def told(self) -> OfAxis:
+        """What the motion tells whatever is rendered."""
+        motion = self.motion
+        quantum = find_quantum(self.place[self.used])
+        if self.disturbed:
+            return OfAxis(
+                **dict.fromkeys(
+                    ("inertia", "delay", "force_error", "noise"), Estimate(why=self._why, residual=motion.residual)
+                ),
+                quantum=quantum,
+            )
+        step = quantum.value if quantum.known else 0.0
+        rows = self.windows.rows
+        moving = np.abs(self.place[np.minimum(rows + 1, len(self.place) - 1)] - self.place[np.maximum(rows - 1, 0)])
+        noise = find_noise(motion, self.windows.there, moving > 2.0 * step, step)
+        inertia = delay = Estimate(why=self._why)
+        mass = self.inertia
+        if not self._why:
+            mass = 1.0 / motion.values[0]
+            inertia = Estimate.of(mass, mass**2 * motion.errors[0], motion.degrees, motion.residual)
+            delay = self._late(motion)
+        else:
+            nothing, rest = np.zeros((len(self.place), 0)), self.stretch.applied[:, self.axis]
+            motion = self._fit(nothing, rest, delay=self.metadata.delay, search=False, mass=mass)
+        slope = np.zeros(len(motion.errors))
+        slope[:2] = -motion.values[1] * mass**2 * (not self._why), mass
+        force = mass * motion.values[1] - float(self.metadata.load[self.axis])
+        error = Estimate.of(force, _error(motion, slope), motion.degrees, motion.residual)
+        return OfAxis(inertia=inertia, delay=delay, force_error=error, noise=noise, quantum=quantum)
+
+    def _late(self, found: Fit) -> Estimate:
+        if found.moves[-1] < _CLEAR * found.residual or found.errors[-1] > _MOST_DELAY * self.metadata.period:
+            return Estimate(why="the force switches too little")
+        return Estimate.of(found.delay, found.errors[-1], found.degrees, found.residual)
+
+    # -- the law --------------------------------------------------------------------------------------------------
+
+    def _inside(self, face: Face) -> Mask:
+        return np.asarray(face[1] * (self.place - face[2]) <= 0.0)
+
+    @cached_property
+    def faces(self) -> list[Face]:
+        """The walls of the axis that were touched."""
+        faces = [face for face in self.metadata.faces or () if face[0] == self.axis]
+        return [face for face in faces if (self._inside(face) & self.used).sum() >= _LEAST_INSIDE]
+
+    @cached_property
+    def law(self) -> _Law:
+        """The law, as a fit of the commands by the measured positions."""
+        tick, place, period = self.stretch.tick, self.place, self.metadata.period
+        speed = np.append(0.0, np.diff(place) / (np.diff(tick) * period))
+        names: list[tuple[str, int]] = []
+        parts: list[Array] = []
+        outside = np.ones(len(place), dtype=np.bool_)
+        for number, face in enumerate(self.faces):
+            inside = self._inside(face)
+            outside &= ~inside
+            names += [("stiffness", number), ("damping", number)]
+            parts += [inside * (face[2] - place), inside * -speed]
+        stated = self.stretch.command[:, self.axis]
+        applied = self.stretch.applied[:, self.axis]
+        command = np.where(np.isfinite(stated), stated, applied) - self.metadata.carried[self.axis]
+        outside &= self.used
+        if self.anchors is not None:
+            stuck = np.isfinite(self.anchors)
+            last = self.anchors[np.maximum.accumulate(np.where(stuck, np.arange(len(stuck)), np.argmax(stuck)))]
+            names += [("stuck", 0), ("sliding", 0)]
+            parts += [np.where(stuck, self.anchors - place, 0.0), ~stuck * np.sign(last - place)]
+        largest = float(np.abs(command).max())
+        if self.anchors is not None or (outside.any() and np.ptp(command[outside]) > 1e-9 * largest):
+            names += [("spring", 0), ("damper", 0)]
+            parts += [-place, -speed]
+        columns = np.column_stack([*parts, np.ones(len(place))][: len(parts) + bool(outside.sum() > 1)])
+        known = self.used & np.append(False, np.diff(tick) > 0)
+        gram, told = inverse(columns[known])
+        gains = gram @ (columns[known].T @ command[known])
+        left = command[known] - columns[known] @ gains
+        degrees = max(int(known.sum()) - columns.shape[1], 1)
+        residual = max(float(np.sqrt(np.square(left).sum() / degrees)), _ROUNDING * largest)
+        errors = np.where(told, residual * np.sqrt(np.maximum(np.diag(gram), 0.0)), np.inf)
+        count = len(parts)
+        made = columns[:, :count] @ gains[:count]
+        return _Law(
+            names=names,
+            parts=columns[:, :count],
+            gains=gains[:count],
+            errors=errors[:count],
+            residual=residual,
+            degrees=degrees,
+            scale=float(np.sqrt(np.square(made[known]).mean())),
+            rest=applied - made,
+        )
+
+    def _commanded(self, name: tuple[str, int]) -> Estimate:
+        """Return a gain of the law."""
+        law = self.law
+        if law.residual > _NOT_LINEAR * law.scale:
+            return Estimate(why=f"commands are not those of a spring and a damper ({law.residual:.2g} apart)")
+        index = law.names.index(name)
+        if not math.isfinite(law.errors[index]):
+            return Estimate(why="nothing tells it from the other laws on the axis")
+        return Estimate.of(law.gains[index], law.errors[index], law.degrees, law.residual)
+
+    @cached_property
+    def rendered(self) -> Fit:
+        """The fit of the motion by the law's parts, each of a size that is to be found."""
+        law, motion = self.law, self.motion
+        mass = 1.0 / motion.values[0] if self.pushed else self.inertia
+        search = self.told.delay.known
+        found = self._fit(law.parts, law.rest, delay=motion.delay, search=search)
+        if found.moves[len(law.names)] >= _CLEAR * found.residual:
+            return found
+        return self._fit(law.parts, law.rest, delay=motion.delay, search=search, mass=mass)
+
+    def _shown(self, name: tuple[str, int]) -> Estimate:
+        """Return a gain as the motion shows it, if the flotor weighs what the recording states."""
+        if self._why:
+            return Estimate(why=self._why, residual=self.motion.residual)
+        if not (commanded := self._commanded(name)).known:
+            return commanded
+        index, found = self.law.names.index(name), self.rendered
+        if found.degrees < _LEAST_DEGREES:
+            return Estimate(why="too few samples for all that acts on the axis")
+        if found.moves[index] < _CLEAR * found.residual:
+            return Estimate(why="it moves the flotor too little")
+        return Estimate.of(
+            self.inertia * found.values[index], self.inertia * found.errors[index], found.degrees, found.residual
+        )
+
+    def wall(self, face: Face) -> OfWall:
+        """Return what is told of a wall."""
+        if face not in self.faces:
+            count = int((self._inside(face) & self.used).sum())
+            return OfWall.untold(face, f"only {count} samples in it" if count else "it was not touched")
+        spring, damper = (("stiffness", self.faces.index(face)), ("damping", self.faces.index(face)))
+        return OfWall(
+            face=face,
+            stiffness=self._shown(spring),
+            damping=self._shown(damper),
+            commanded_stiffness=self._commanded(spring),
+            commanded_damping=self._commanded(damper),
+            share=self._share(spring, damper),
+        )
+
+    def _share(self, *gains: tuple[str, int]) -> Estimate:
+        """Return the stiffness of a wall, with all else on the axis, by the largest that is stable."""
+        for one in gains:
+            if not (shown := self._shown(one)).known:
+                return shown
+        found, names, mass = self.rendered, self.law.names, self.inertia
+        period, last = self.metadata.period, len(found.values)
+        weights = np.zeros((3, last + 1))
+        for row, name, other in zip(weights, gains, (("spring", 0), ("damper", 0))):
+            row[[names.index(one) for one in (name, other) if one in names]] = mass
+        weights[2, last] = 1.0
+        stiffness, damping, delay = weights @ np.append(found.values, found.delay)
+        errors = np.array([_error(found, weight) for weight in weights])
+        # the boundary at the best damping and delay, and a standard error to either side of each
+        aside = np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]]) * errors[1:]
+        dampings, delays = np.maximum(np.array([damping, delay]) + aside, 0.0).T
+        if delays.max() > MOST_PERIODS * period:
+            return Estimate(why=f"the theory goes up to a delay of {MOST_PERIODS} periods")
+        most = np.array(
+            [
+                largest_stable_stiffness(one, delay=late, period=period, mass=mass)
+                for one, late in zip(dampings.tolist(), delays.tolist())
+            ]
+        )
+        if not most.min() > 0.0:
+            return Estimate(why="no wall is stable at this damping and delay")
+        share = stiffness / most[0]
+        reach = np.maximum(2.0 * errors[1:], np.finfo(np.float64).tiny)
+        slopes = np.array([1.0 / most[0], *(-share / most[0] * (most[1::2] - most[2::2]) / reach)])
+        return Estimate.of(float(share), _error(found, slopes @ weights), found.degrees, found.residual)
+
+    # -- friction -------------------------------------------------------------------------------------------------
+
+    def friction(self) -> Friction:
+        """Return what is told of friction."""
+        return Friction(
+            stiffness=self._shown(("stuck", 0)),
+            commanded_stiffness=self._commanded(("stuck", 0)),
+            breakaway=self._breakaway(),
+            sliding=self._commanded(("sliding", 0)),
+            damping=self._commanded(("damper", 0)),
+        )
+
+    def _breakaway(self) -> Estimate:
+        """Return the force between the largest that still held and the least that no longer did."""
+        law, anchors = self.law, self.anchors
+        stiffness = self._commanded(("stuck", 0))
+        if not stiffness.known or anchors is None:
+            return stiffness
+        index = [law.names.index((name, 0)) for name in ("stuck", "sliding")]
+        force = np.abs(law.parts[:, index] @ law.gains[index])
+        stuck = np.isfinite(anchors)
+        next_to = self.used[:-1] & self.used[1:] & (np.diff(self.stretch.tick) == 1)
+        last = np.flatnonzero(stuck[:-1] & ~stuck[1:] & next_to)
+        if not len(last):
+            return Estimate(why="it never slips")
+        ends = force[last], force[last + 1]
+        if np.median(ends[1]) > _HOLDS * np.median(ends[0]):  # it goes on sliding at what it gives at most
+            return self._commanded(("sliding", 0))
+        if not stiffness.value > 0.0:
+            return Estimate(why="it does not stick")
+        held = float(force[stuck & self.used].max())
+        broke = float((stiffness.value * np.abs(anchors[last] - self.place[last + 1])).min())
+        middle, width = 0.5 * (held + broke), abs(broke - held)
+        reach = 0.485 * width + stiffness.error / stiffness.value * middle
+        error = width / math.sqrt(12.0)
+        return Estimate(value=middle, error=error, low=middle - reach, high=middle + reach, residual=law.residual)
+
+
+def _error(found: Fit, weights: Array) -> float:
+    """Return the standard error of a weighted sum of what was found, the delay last."""
+    white = np.sqrt(np.diag(found.covariance))
+    # no less than residuals that are not white make of it
+    ratio = np.where(white > 0.0, found.errors / np.where(white > 0.0, white, 1.0), 1.0)
+    scaled = np.asarray(weights) * ratio
+    return math.sqrt(max(float(scaled @ found.covariance @ scaled), 0.0))

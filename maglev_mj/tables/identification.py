@@ -1,0 +1,89 @@
+"""What was identified from a recording, as text."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from itertools import groupby
+from textwrap import wrap
+from typing import NamedTuple
+
+from maglev_mj.analysis import Estimate, Identification
+from maglev_mj.frames import AXES
+
+__all__ = ["identified_lines"]
+
+_DECIMALS, _IN = 4, "    "
+
+
+class _Row(NamedTuple):
+    """A line of the table: whose it is, name, estimate, scale and unit of it and of its residual."""
+
+    whose: str
+    name: str
+    estimate: Estimate
+    scale: float
+    unit: str
+    left: tuple[float, str]
+
+
+def identified_lines(found: Identification) -> list[str]:
+    """Return a line for each estimate, and one for those that cannot be told for the same reason."""
+    lines = [f"  {'identified':<36}{'value':>12}{'std. error':>12}  {'unit':<10}{'residual':>12}"]
+    untold: dict[tuple[str, str], list[str]] = {}
+    for (whose, why), group in groupby(_rows(found), key=lambda row: (row.whose, row.estimate.why)):
+        rows = list(group)
+        if why:
+            untold.setdefault((", ".join(row.name for row in rows), why), []).append(whose)
+        else:
+            lines += map(_line, rows)
+    for (names, why), all_of in untold.items():
+        whose = f"of {', '.join(all_of)}: " if any(all_of) else ""
+        lines += [f"  cannot be told: {names}", *wrap(whose + why, 96, initial_indent=_IN, subsequent_indent=_IN)]
+    if found.samples < found.of:
+        lines.append(f"  from {found.samples} of {found.of} samples: docs/analysis.md says which")
+    return lines
+
+
+def _line(row: _Row) -> str:
+    one, (scale, unit) = row.estimate, row.left
+    value, error = _rounded(one.value * row.scale, one.error * row.scale)
+    left = f"{one.residual * scale:.2g} {unit}"
+    return f"  {': '.join(filter(None, row[:2])):<36}{value:>12}{error:>12}  {row.unit:<10}{left:>12}".rstrip()
+
+
+def _rounded(value: float, error: float) -> tuple[str, str]:
+    """Return a value to the second digit of its error, but not more than four decimals, and the error."""
+    decimals = min(max(1 - math.floor(math.log10(error)), 0), _DECIMALS) if error > 0.0 else _DECIMALS
+    return f"{round(value, decimals) + 0.0:.{decimals}f}", f"{error:.2g}" if error < 100.0 else f"{error:.0f}"
+
+
+def _rows(found: Identification) -> Iterator[_Row]:
+    position, force = [(1e6, "µm"), (1e6, "µrad")], ["N", "N m"]
+    yield _Row("", "effective delay", found.delay, 1e3, "ms", (1e6, "µm"))
+    for wall in found.walls:
+        turning = int(wall.face[0] >= 3)
+        moved, said = position[turning], (1.0, force[turning])
+        stiff, damp = (("N/m", "N s/m"), ("N m/rad", "N m s/rad"))[turning]
+        yield _Row(wall.name, "stiffness", wall.stiffness, 1.0, stiff, moved)
+        yield _Row(wall.name, "damping", wall.damping, 1.0, damp, moved)
+        yield _Row(wall.name, "of largest stable", wall.share, 1e2, "%", moved)
+        yield _Row(wall.name, "commanded stiffness", wall.commanded_stiffness, 1.0, stiff, said)
+        yield _Row(wall.name, "commanded damping", wall.commanded_damping, 1.0, damp, said)
+    for axis, rub in found.friction.items():
+        turning, name = int(axis >= 3), f"friction on {AXES[axis]}"
+        moved, said = position[turning], (1.0, force[turning])
+        stiff, damp = (("N/m", "N s/m"), ("N m/rad", "N m s/rad"))[turning]
+        yield _Row(name, "stiffness", rub.stiffness, 1.0, stiff, moved)
+        yield _Row(name, "commanded stiffness", rub.commanded_stiffness, 1.0, stiff, said)
+        yield _Row(name, "breakaway", rub.breakaway, 1.0, said[1], said)
+        yield _Row(name, "sliding", rub.sliding, 1.0, said[1], said)
+        yield _Row(name, "damping", rub.damping, 1.0, damp, said)
+    for axis, one in found.axes.items():
+        turning, name = int(axis >= 3), AXES[axis]
+        moved = position[turning]
+        mass = ("mass", 1.0, "kg") if axis < 3 else ("moment of inertia", 1e3, "g m²")
+        yield _Row(name, mass[0], one.inertia, mass[1], mass[2], moved)
+        yield _Row(name, "force not compensated", one.force_error, 1e3, f"m{force[turning]}", moved)
+        yield _Row(name, "noise", one.noise, *moved, moved)
+        yield _Row(name, "steps", one.quantum, *moved, moved)

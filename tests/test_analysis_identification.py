@@ -1,0 +1,323 @@
+"""What is identified from recordings holds the truth in its interval, and what they do not tell is said."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from identified_recordings import Case, draw, estimates, holds, record, truth
+from maglev_mj import ExactPlant, Timing, Wall
+from maglev_mj.analysis import Estimate, Identification, identification, identify, reconstruct
+from maglev_mj.analysis.estimates import find_quantum
+from maglev_mj.analysis.output_error import inverse, student
+from maglev_mj.bridge.calibration import Calibration
+from maglev_mj.bridge.flight import Flight
+from maglev_mj.bridge.remote import RemotePlant
+from maglev_mj.bridge.simulated_links import VirtualLink
+from maglev_mj.bridge.twin import Twin, TwinParameters
+from maglev_mj.cli import main
+from maglev_mj.controller import Controller
+from maglev_mj.frames import Array, Mask
+from maglev_mj.loop import ControlLoop
+from maglev_mj.plants.sensor import Sensor
+from maglev_mj.recording import ArrayFile, Stretch, metadata_of
+from maglev_mj.replay import record_run, stick_positions_of
+from maglev_mj.scenes.drop import Drop
+from maglev_mj.scenes.joystick import Joystick
+from maglev_mj.scenes.press import Press
+from maglev_mj.scenes.scene import Scene
+from maglev_mj.scenes.stick_slip import StickSlip
+from maglev_mj.spec import GRAVITY
+from maglev_mj.tables.identification import identified_lines
+from maglev_mj.theory import largest_stable_stiffness
+
+EXACT = {"wall stiffness, commanded", "wall damping, commanded", "stick stiffness, commanded"} | {
+    *("quantum", "sliding friction", "sliding damping")
+}
+"""Found to rounding."""
+
+
+@cache
+def recorded(scene: Scene, phase: float = 0.0, plant: str = "exact") -> Stretch:
+    (stretch,) = record_run(scene, plant=plant, phase=phase).stretches
+    return stretch
+
+
+def found_in(scene: Scene, phase: float = 0.0, plant: str = "exact") -> Identification:
+    stretch = recorded(scene, phase, plant)
+    return identify(stretch, anchors=stick_positions_of(stretch))
+
+
+def thinned(stretch: Stretch, kept: Mask) -> Stretch:
+    return replace(stretch, rows=stretch.rows[kept], totals=None)
+
+
+def coverage(seeds: range) -> dict[str, list[bool]]:
+    """Return by name whether each interval that was told holds the truth."""
+    kept: dict[str, list[bool]] = {}
+    for seed in seeds:
+        case = draw(seed)
+        stretch, anchors = record(case)
+        true = truth(case)
+        for name, one in estimates(identify(stretch, anchors=anchors)).items():
+            if one.known:
+                kept.setdefault(name, []).append(holds(one, true[name]))
+    return kept
+
+
+def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
+    kept = coverage(range(2_000_000, 2_000_024))
+    assert all(all(kept[name]) for name in EXACT)
+    told = [one for name, ones in kept.items() if name not in EXACT for one in ones]
+    assert len(told) > 240
+    assert 0.90 <= np.mean(told) <= 0.99
+    assert {name for name, ones in kept.items() if len(ones) > 8} == set(truth(draw(0)))
+
+
+@pytest.mark.study
+def test_intervals_of_each_quantity_hold_the_truth_in_90_to_99_percent_of_200_recordings() -> None:
+    kept = coverage(range(3_000_000, 3_000_200))
+    assert all(all(kept[name]) for name in EXACT)
+    assert {
+        name: np.mean(ones) for name, ones in kept.items() if name not in EXACT and not 0.90 <= np.mean(ones) <= 0.99
+    } == {}
+
+
+@pytest.mark.parametrize("stiffness", [1500.0, 6000.0, 9000.0])
+def test_one_press_at_200_hz_over_5_micrometres_tells_stiffness_within_2_percent(stiffness: float) -> None:
+    press = Press(hits=1, quantize=5e-6, stiffness=stiffness)
+    for phase in np.arange(8) / 8 + 0.03:
+        (wall,) = found_in(press, float(phase)).walls
+        assert wall.stiffness.value == pytest.approx(stiffness, rel=0.02)
+        assert wall.stiffness.error < 0.01 * stiffness
+        assert wall.commanded_stiffness.value == pytest.approx(stiffness, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("scene", "near"),
+    [
+        (Drop(), 1e-9),
+        (Drop(delay=0.004, stiffness=3000.0), 1e-9),
+        (Drop(delay=0.007, stiffness=1000.0), 1e-9),
+        (Press(), 1e-4),
+    ],
+    ids=["drop", "0.8 periods late", "1.4 periods late", "arm"],
+)
+@pytest.mark.parametrize("plant", ["exact", "mujoco"])
+def test_an_ideal_sensor_tells_the_truth_to_rounding_or_as_well_as_an_arm_is_known(
+    scene: Drop | Press, near: float, plant: str
+) -> None:
+    found = found_in(scene, 0.3, plant)
+    (wall,), inertia = found.walls, metadata_of(recorded(scene, 0.3, plant), None).inertia[2]
+    share = scene.stiffness / float(largest_stable_stiffness(scene.damping, delay=scene.delay, mass=inertia))
+    told = found.axes[2].inertia, found.delay, wall.stiffness, wall.damping, wall.share
+    for one, true in zip(told, (inertia, scene.delay, scene.stiffness, scene.damping, share), strict=True):
+        assert one.value == pytest.approx(true, rel=near)
+        assert holds(one, true)
+
+
+def test_a_delay_and_a_mass_other_than_stated_are_found() -> None:
+    stretch = recorded(Drop(quantize=5e-6), 0.3)
+    known = metadata_of(stretch, None)
+    for late in (0.0, 0.0005, 0.004, 0.009):
+        stated = replace(known, delay=late, inertia=1.2 * known.inertia)
+        found = identify(stretch, stated)
+        assert holds(found.delay, known.delay)
+        assert holds(found.axes[2].inertia, known.inertia[2])
+        # in the newtons of the mass that is stated
+        assert holds(found.walls[0].stiffness, 1.2 * 6000.0)
+        assert found.walls[0].commanded_stiffness.value == pytest.approx(6000.0)
+        assert found.walls[0].share.value == pytest.approx(0.5937, rel=0.01)
+
+
+def test_the_lag_of_drivers_counts_as_delay() -> None:
+    plant = ExactPlant(
+        Timing(phase=0.3),
+        pose=(0.0, 0.0, 0.004, 0.0, 0.0, 0.0),
+        driver_lag=True,
+        driver_time_constant=3e-4,
+        sensor=Sensor(noise=1e-6),
+    )
+    controller = Controller([Wall(axes="z", lower=0.0, stiffness=6000.0, damping=80.0)], period=plant.period)
+    file = ArrayFile()
+    with plant:
+        ControlLoop(plant, controller, record=file.begin(plant, controller)).cycle(80)
+    (stretch,) = file.recording.stretches
+    assert identify(stretch).delay.value == pytest.approx(0.0018, abs=1e-5)
+
+
+def test_a_wall_beyond_the_boundary_is_found_to_be_there() -> None:
+    found = found_in(Drop(stiffness=11_000.0, quantize=5e-6, duration=0.15))
+    most = float(largest_stable_stiffness(80.0))
+    (wall,) = found.walls
+    assert wall.share.low > 1.0
+    assert holds(wall.share, 11_000.0 / most)
+
+
+@pytest.mark.parametrize("law", ["stick-slip", "spring-reset", "dahl", "kikuuwe"])
+def test_friction_is_found(law: str) -> None:
+    scene = StickSlip(law=law, duration=1.0, target=0.02, spring=200.0, damping=10.0)
+    (one,) = found_in(scene).friction.values()
+    assert holds(one.commanded_stiffness, 6000.0)
+    if law != "spring-reset":
+        assert one.breakaway.value == pytest.approx(2.0, abs=0.7)
+    sliding = 0.0 if law in ("stick-slip", "spring-reset") else 2.0
+    assert one.sliding.value == pytest.approx(sliding, abs=0.05)
+
+
+def flight(mass: float) -> Stretch:
+    """Return two seconds of a hovering joystick that is taken to weigh 0.7 kg."""
+    twin = Twin(TwinParameters(truth=replace(Calibration.nominal(), mass=mass)), draw=lambda: 7)
+    file = ArrayFile()
+    with RemotePlant(VirtualLink(twin)) as plant:
+        Flight(plant, Joystick(period=plant.period, delay=plant.delay), file=file).run(2.0)
+    (stretch,) = file.recording.stretches
+    return stretch
+
+
+def test_a_device_that_weighs_more_shows_mass_and_what_is_not_carried() -> None:
+    found = identify(flight(0.75))
+    assert holds(found.axes[2].inertia, 0.75) and found.axes[2].inertia.error < 0.001
+    assert found.axes[2].force_error.value == pytest.approx(-0.05 * GRAVITY, abs=1e-3)
+    assert found.axes[0].inertia.why == "the force on it does not change by more than noise"
+    assert 0.2e-6 < found.axes[2].noise.value < 0.4e-6
+    assert found.axes[2].quantum.why == "positions lie on no lattice"  # of the spots, not of the pose
+
+
+CASE = replace(draw(3), rate=400.0, arm=False, height=0.004, noise=1e-6, quantum=0.0)
+
+
+@cache
+def sample_case(**changes: Any) -> tuple[Stretch, Array]:
+    return record(replace(CASE, **changes))
+
+
+def test_what_a_recording_does_not_tell_is_said_with_its_reason() -> None:
+    def why(one: Estimate) -> str:
+        assert np.isnan([one.value, one.error]).all()
+        return one.why
+
+    stretch, anchors = sample_case()
+    whole = identify(stretch, anchors=anchors)
+    assert all(one.known for name, one in estimates(whole).items() if name != "quantum")
+
+    fall, _ = sample_case(rate=1000.0)
+    early = fall.part(0, int(np.argmax(fall.position[:, 2] < 2e-4)) - 1)
+    free = identify(early)
+    assert {why(one) for one in vars(free.walls[0]).values() if isinstance(one, Estimate)} == {"it was not touched"}
+    assert not free.friction  # where nobody says where it stuck
+    assert why(free.axes[2].inertia) == "the force on it does not change by more than noise"  # no motion under forces
+    assert holds(free.axes[2].noise, 1e-6)
+
+    still = stretch.position.copy()
+    still[:, 0] = 0.0
+    stuck = identify(stretch.replace(position=still), anchors=anchors)
+    assert 0 not in stuck.axes and why(stuck.friction[0].breakaway) == "the axis does not move"
+    assert why(identify(stretch.part(0, 8)).walls[0].stiffness) == "only 9 samples"
+
+    hand = stretch.hand.copy()
+    hand[:, 0] = 0.0
+    alone = identify(stretch.replace(hand=hand), anchors=anchors)
+    assert why(alone.axes[0].inertia) == why(alone.axes[0].noise) == "forces act that were not recorded"
+    assert why(alone.friction[0].stiffness) == "forces act that were not recorded"
+    assert alone.friction[0].commanded_stiffness.known
+
+    gaps = thinned(stretch, np.arange(len(stretch)) % 3 > 0)
+    assert why(identify(gaps).walls[0].stiffness) == "too few samples without a gap"
+
+    first = int(np.argmax(np.isnan(anchors[:, 0])))
+    held = identify(stretch.part(0, first - 1), anchors=anchors[:first])
+    assert why(held.friction[0].commanded_stiffness) == "nothing tells it from the other laws on the axis"
+    random = np.random.default_rng(1).normal(size=stretch.command.shape)
+    other = identify(stretch.replace(command=stretch.command + random), anchors=anchors).walls[0]
+    assert "commands are not those of a spring and a damper" in why(other.commanded_stiffness)
+    assert why(other.stiffness) == why(other.commanded_stiffness)
+
+
+def test_a_sensor_without_noise_or_without_steps_is_seen_to_be_one() -> None:
+    ideal, steps = (found_in(Drop(quantize=quantum)).axes[2] for quantum in (0.0, 5e-6))
+    assert ideal.noise.why == "the forces explain the positions to rounding"
+    assert ideal.quantum.why == "positions lie on no lattice"
+    assert steps.noise.why.startswith("it hides in") and steps.noise.high < 1.5e-6
+    assert steps.quantum.value == pytest.approx(5e-6, rel=1e-12)
+    assert "only 1 different positions" in find_quantum(np.full(9, 1e-3)).why
+    lattice = 3e-7 * np.array([0.0, 14.0, 35.0, 56.0, 63.0, 105.0, 1_000_005.0])  # no two a step apart
+    assert find_quantum(lattice + 0.0).value == pytest.approx(7 * 3e-7) or find_quantum(lattice).value == pytest.approx(
+        3e-7
+    )
+
+
+def test_samples_behind_a_gap_are_left_out_until_every_command_is_known() -> None:
+    stretch, anchors = sample_case()
+    kept = np.ones(len(stretch), dtype=bool)
+    kept[60:63] = kept[200:201] = False
+    found = identify(thinned(stretch, kept), anchors=anchors[kept])
+    assert found.of == len(stretch) - 4 and found.samples == found.of - 2 * 2
+    for name, one in estimates(found).items():
+        if name != "quantum":
+            assert abs(one.value - truth(CASE)[name]) <= 3.5 * one.error + 1e-9 * abs(one.value)
+
+
+def test_a_long_recording_is_told_by_the_part_that_moves_least_straight(monkeypatch: pytest.MonkeyPatch) -> None:
+    stretch, anchors = sample_case()
+    monkeypatch.setattr(identification, "_MOST_SAMPLES", 160)
+    found = identify(stretch, anchors=anchors)
+    assert found.samples <= 160 < found.of
+    assert holds(found.walls[0].stiffness, truth(CASE)["wall stiffness, rendered"])
+    assert f"from {found.samples} of {found.of} samples" in identified_lines(found)[-1]
+
+
+def test_a_rotation_is_told_where_nothing_else_acts_on_it() -> None:
+    alone = recorded(StickSlip(axis="ry"))
+    found = identify(alone, anchors=stick_positions_of(alone))
+    assert holds(found.axes[4].inertia, metadata_of(alone, None).inertia[4])
+    turned = alone.position.copy()
+    turned[:, 5] = turned[:, 4]
+    assert identify(alone.replace(position=turned)).axes[4].inertia.why == "the other coordinates act on it"
+
+
+def test_the_table_and_the_json_say_every_estimate(tmp_path: Path, capsys: Any) -> None:
+    path = tmp_path / "run.npz"
+    assert main(["drop", "--plant", "exact", "--quantize", "5e-6", "--record", str(path)]) == 0
+    capsys.readouterr()
+    assert main(["analyse", str(path), "--json", str(tmp_path / "run.json")]) == 0
+    said = capsys.readouterr().out
+    assert max(map(len, said.splitlines())) <= 110
+    for words in ("z below 0 mm: stiffness", "of largest stable", "effective delay", "z: mass", "it hides in"):
+        assert words in said
+    (stretch,) = json.loads((tmp_path / "run.json").read_text())["stretches"]
+    identified: Mapping[str, Any] = stretch["identified"]
+    (wall,) = identified["walls"]
+    assert wall["stiffness"]["value"] == pytest.approx(6000.0, rel=0.01)
+    assert set(wall["stiffness"]) == {"value", "standard_error", "low", "high", "residual", "cannot_be_told"}
+    assert identified["axes"]["z"]["noise"]["value"] is None
+    assert identified["axes"]["z"]["noise"]["cannot_be_told"].startswith("it hides")
+
+
+def test_intervals_are_those_of_student_and_singular_columns_are_not_told() -> None:
+    for degrees, point in ((6, 2.447), (10, 2.228), (30, 2.042), (1000, 1.962)):
+        assert student(degrees) == pytest.approx(point, abs=2e-3)
+    columns = np.column_stack([np.arange(5.0), 2.0 * np.arange(5.0), np.ones(5), np.zeros(5)])
+    gram, known = inverse(columns)
+    assert known.tolist() == [False, False, True, False]
+    kept = columns[:, [0, 2]]
+    assert gram[2, 2] == pytest.approx(np.linalg.inv(kept.T @ kept)[1, 1])
+
+
+def test_the_same_recording_without_its_first_samples_says_the_same() -> None:
+    stretch, anchors = sample_case()
+    part = identify(stretch.part(25, len(stretch) - 1), anchors=anchors[25:])
+    assert part.samples == part.of - 2
+    assert holds(part.axes[0].inertia, CASE.mass)
+    assert reconstruct(stretch, metadata_of(stretch, None)).time[-1] > 0.0
+
+
+def test_a_case_of_the_study_is_the_same_for_its_seed() -> None:
+    assert draw(5) == draw(5) != draw(6) and isinstance(draw(5), Case)
