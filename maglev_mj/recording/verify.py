@@ -154,6 +154,8 @@ def _fields(stretch: Stretch, rebuild: Rebuild, expected: Expected) -> Iterator[
         yield "samples", np.array([count]), np.array([count if failed else float(expected.samples)])
     answers = _answers(stretch, controller)
     for field in (field for array in ARRAYS.values() for field in array):
+        if field.optional and np.isnan(stretch.rows[field.name]).all():
+            continue  # nobody recorded it
         again = answers if field in _COMMANDED else seen if field.name != "hand" or expected.scripted else None
         yield field.name, stretch.rows[field.name], None if again is None else again[field.name]
     if stretch.totals is not None and stretch.metadata is not None:
