@@ -274,7 +274,7 @@ def test_a_file_that_ends_anywhere_opens_up_to_its_last_chunk(tmp_path: Path) ->
             continue
         seen.add(part.ticks)
         for stretch in part.stretches:
-            assert (stretch.rows == whole.stretches[0].rows[: part.ticks]).all()
+            assert stretch.rows.tobytes() == whole.stretches[0].rows[: part.ticks].tobytes()
     assert min(seen) == -1 and max(seen) == whole.ticks and len(seen) > 10
 
 
@@ -336,7 +336,7 @@ def test_pulses_and_rows_go_through_the_ring_unchanged() -> None:
         given, lasting = (values[3], 0.002) if count % 3 else (list(ZERO), 0.0)
         assert place == count
         expected = [count, 0.1 * count, *values[4], *values[0], *pulse, *values[2], *given, *values[5], width, lasting]
-        assert row == expected
+        assert row[:-1] == expected and math.isnan(row[-1])
     ring.close()
     reader.close()
 
