@@ -193,9 +193,11 @@ def mcap_of(messages: list[tuple[str, Message]], *, compressed: bool = True) -> 
 
 
 def arrays_in(data: bytes) -> tuple[Message, dict[str, Any]]:
-    """Return header and arrays of a file."""
+    """Return header and arrays of a file, without attachments."""
     with np.load(BytesIO(data)) as file:
-        return json.loads(str(file["header"])), {name: file[name].copy() for name in file.files if name != "header"}
+        header = json.loads(str(file["header"]))
+        names = [name for name in file.files if name != "header" and not name.startswith("attachment/")]
+        return {**header, "attachments": []}, {name: file[name].copy() for name in names}
 
 
 def npz_of(header: Message, arrays: Mapping[str, Any], *, compressed: bool = False) -> bytes:

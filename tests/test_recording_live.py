@@ -101,7 +101,7 @@ def test_any_reader_finds_fields_by_name_with_units_and_what_it_was_made_from(tm
     assert len(samples) == len(stretch) == 81 and stretch.totals is not None
     for (topic, message), row, total in zip(samples, stretch.rows, stretch.totals, strict=True):
         assert topic == "/maglev/sample" and message["stretch"] == 0
-        assert set(message) == {"stretch", *row.dtype.names, *total.dtype.names}
+        assert {"stretch", *row.dtype.names, *total.dtype.names} == {*message, "arrival"}
         for name, value in message.items():
             if name != "stretch":
                 kept = (row if name in row.dtype.names else total)[name]
@@ -401,7 +401,8 @@ def test_a_recording_is_exported_with_every_field_unit_event_and_attachment(
         assert main(["export", str(path), "--to", kind]) == 0
         assert capsys.readouterr().out == f"  wrote {tmp_path / f'run.{kind}'}: 80 samples\n"
     totals = () if suffix == ".npz" else ("taken", "hand_work", "missed")
-    wanted = {name: column for name, column in samples.columns().items() if name in totals or name not in TOTAL_NAMES}
+    left_out = {"arrival", *TOTAL_NAMES} - {*totals}  # which the file does not tell
+    wanted = {name: column for name, column in samples.columns().items() if name not in left_out}
     units = {name: unit for name, unit in samples.units.items() if name in wanted}
     table, frame = parquet.read_table(tmp_path / "run.parquet"), pandas.read_csv(tmp_path / "run.csv")
     titles = ["stretch", *(f"{name} [{unit}]" if unit else name for name, unit in units.items())]
