@@ -541,7 +541,7 @@ def test_other_code_with_the_same_answers_is_shown_with_a_note(
     most = 10_000 // len(Recording.load(path).stretches)
     assert (status, wrong, len(shown)) == (0, "", 1)
     assert (
-        f"{path}: recorded by other code ({difference}); the first {most} answers of each stretch are the same here"
+        f"recorded by other code ({TOLD.get(kind, difference)}); the first {most} answers of each stretch are the same"
         in said
     )
 
