@@ -7,12 +7,11 @@ import socket
 import time
 from collections import deque
 from importlib.util import find_spec
-from multiprocessing.reduction import DupFd
 from typing import Any
 
 from maglev_mj.controller import Controller
 from maglev_mj.errors import MaglevError, ParameterError
-from maglev_mj.live.settings import State
+from maglev_mj.live.settings import NICE, Answer, State
 from maglev_mj.loop import Record
 from maglev_mj.process import SideProcess
 from maglev_mj.recording import Setup
@@ -60,22 +59,23 @@ class LiveServer:
             raise ParameterError(f"port must be a whole number of 0 to 65535, not {port!r}")
         if find_spec("foxglove") is None:
             raise LiveServerError("a live server needs foxglove-sdk: pip install 'maglev-mj[record]'")
-        with _listening(port) as listener:
+        if not hasattr(os, "fork"):
+            raise LiveServerError("a live server needs a POSIX system")
+        try:
+            listener = socket.create_server(("127.0.0.1", port))
+        except OSError as error:
+            raise LiveServerError(f"cannot listen at port {port} of 127.0.0.1: {error.strerror}") from None
+        with listener:  # the other process has it then
             self.port: int = listener.getsockname()[1]
             self._ring, self._versions = Ring(), versions()
-            self._process = SideProcess(_serve, _Descriptor(self._ring.descriptor), listener)
+            self._process = SideProcess(_serve, _Shared(self._ring.descriptor), listener)
         self._told, self._stuck = State(), repr(None)
-        self._answer: int | str | None = None
+        self._answer: Answer | None = None
         self._unsent: deque[tuple[Any, ...]] = deque(maxlen=_UNSENT)
-        try:
-            said = next(self._process.received(), "") if self._process.line.poll(_PATIENCE) else ""
-        except BaseException:
+        self._process.line.poll(_PATIENCE)
+        if why := next(self._process.received(), 'a script that opens one needs `if __name__ == "__main__":`'):
             self.close()
-            raise
-        if said != "ready":
-            self.close()
-            needs = 'a script that opens one needs `if __name__ == "__main__":`'
-            raise LiveServerError(f"the process of the live server does not start: {said or needs}")
+            raise LiveServerError(f"the process of the live server does not start: {why}")
 
     def begin(self, plant: RecordedPlant, controller: Controller, setup: Setup | None = None) -> Record:
         """Begin a stretch; return what the loop records it to."""
@@ -121,7 +121,8 @@ class LiveServer:
         self._ring.close()
 
     def _note(self, answer: int | str) -> None:
-        self._answer = answer  # one scene at a time is handed over: none is written over
+        # one scene at a time is handed over: none is written over
+        self._answer = Answer(reason=answer) if isinstance(answer, str) else Answer(answer)
 
     def _say(self, *order: Any) -> None:
         """Tell the process, before the next row is there."""
@@ -135,33 +136,24 @@ class LiveServer:
 
 def _serve(*arguments: Any) -> None:
     """See `serve`, which loads what only its process needs."""
+    os.nice(NICE)
     from maglev_mj.live.service import serve
 
     serve(*arguments)
     os._exit(0)  # whoever closes it waits, and the interpreter takes its time to end
 
 
-class _Descriptor:
-    """A descriptor for a process that is being started, where it becomes the reader of a ring."""
+class _Shared:
+    """A ring's memory, which the process that is being started gets a reader of."""
 
     def __init__(self, descriptor: int) -> None:
         self._descriptor = descriptor
 
     def __reduce__(self) -> Any:
+        from multiprocessing.reduction import DupFd  # which some systems do not have
+
         return _reader, (DupFd(self._descriptor),)
 
 
 def _reader(shared: Any) -> RowReader:
     return RowReader(shared.detach())
-
-
-def _listening(port: int) -> socket.socket:
-    listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-    try:
-        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # that of a server that has just ended is free
-        listener.bind(("127.0.0.1", port))
-        listener.listen()
-    except OSError as error:
-        listener.close()
-        raise LiveServerError(f"cannot listen at port {port} of 127.0.0.1: {error.strerror}") from None
-    return listener

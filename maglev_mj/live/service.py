@@ -19,7 +19,7 @@ from foxglove import MessageSchema, Parameter, Schema, Service, ServiceRequest, 
 from foxglove.websocket import Capability, ChannelView, Client, ServerListener
 
 from maglev_mj.live.guard import forward
-from maglev_mj.live.settings import Answer, Requests, State, Verdict, check_requests, give_way, values_of
+from maglev_mj.live.settings import Answer, Requests, State, Verdict, check_requests, values_of
 from maglev_mj.process import SideProcess
 from maglev_mj.recording.live import ROWS, RowReader
 from maglev_mj.recording.messages import Messages
@@ -33,20 +33,20 @@ LONGEST_CHECK = 10.0
 
 _LOOK = 1.0 / 120.0
 _PATIENCE = 60.0
-_MOST_REASON = 300
+_MOST_REASON = 300  # it may repeat what a program sent
 _SET = "/maglev/set"
 _JSON = MessageSchema(encoding="json", schema=Schema(name=_SET, encoding="jsonschema", data=b'{"type": "object"}'))
 _SCHEMA = ServiceSchema(name=_SET, request=_JSON, response=_JSON)
 
 
 def serve(line: Connection, rows: RowReader, listener: socket.socket) -> None:
-    """Serve until the line ends; in a process of its own."""
-    give_way()
+    """Serve until the line ends, in a process of its own; say first why it cannot, or nothing."""
     try:
         service = _Service(line, rows, listener)
     except Exception as error:  # whatever keeps the package from starting
         line.send(f"{type(error).__name__}: {error}")
         return
+    line.send("")
     service.run()
 
 
@@ -55,13 +55,12 @@ class _Service(ServerListener):
 
     def __init__(self, line: Connection, rows: RowReader, listener: socket.socket) -> None:
         foxglove.set_log_level(logging.CRITICAL)  # what clients do wrong is not for the person at the terminal
-        self._line, self._rows = line, rows
+        self._line, self._rows, self._requests, self._greet = line, rows, Requests(), False
         self._orders: deque[tuple[Any, ...]] = deque()
-        self._requests, self._greet = Requests(), False
         self._know(State())
         self._checker, self._until = SideProcess(check_requests), math.inf
-        self._context = context = foxglove.Context()  # the server does not keep it
-        self._messages = Messages(context)
+        self._context = foxglove.Context()  # the server does not keep it
+        self._messages = Messages(self._context)
         # browsers cannot find the server behind the guard: there are 2^24 such addresses, with as many ports each
         host = f"127.{1 + secrets.randbelow(254)}.{secrets.randbelow(256)}.{1 + secrets.randbelow(254)}"
         self._server = foxglove.start_server(
@@ -71,32 +70,26 @@ class _Service(ServerListener):
             capabilities=[Capability.Parameters, Capability.Services],
             server_listener=self,
             services=[Service(name=_SET, schema=_SCHEMA, handler=self._call)],
-            context=context,
+            context=self._context,
             message_backlog_size=ROWS,
         )
         self._checker.line.poll(_PATIENCE)
         threading.Thread(target=forward, args=(listener, (host, self._server.port)), daemon=True).start()
-        line.send("ready")
 
     def run(self) -> None:
         """Serve until the control loop's end of the line is closed."""
-        try:
-            while self._turn():
-                pass
-        finally:
-            self._requests.end()
-            self._checker.close(0.0)
-            self._server.stop()
+        with suppress(EOFError, OSError):
+            while True:
+                self._turn()
+        self._checker.close(0.0)
+        self._server.stop()
 
-    def _turn(self) -> bool:
-        """Wait for whatever comes next, and pass it on; return False at the end."""
+    def _turn(self) -> None:
+        """Wait for whatever comes next, and pass it on."""
         wait([self._line, self._checker.line], _LOOK)
         rows = list(self._rows.rows())  # before what is said, for what is said of a row comes before it
-        try:
-            while self._line.poll():
-                self._hear()
-        except (EOFError, OSError):
-            return False
+        while self._line.poll():
+            self._hear()
         if self._greet:
             self._greet = False
             self._messages.greet()
@@ -106,7 +99,6 @@ class _Service(ServerListener):
             self._messages.row(row)
         self._obey(place + 1)
         self._check()
-        return True
 
     def _hear(self) -> None:
         try:
@@ -127,13 +119,11 @@ class _Service(ServerListener):
             _, what, *arguments = self._orders.popleft()
             getattr(self._messages, what)(*arguments)
 
-    def _show(self, state: State, answer: int | str | None) -> None:
+    def _show(self, state: State, answer: Answer | None) -> None:
         """Publish another scene in force, and what the control loop answered to the one that it was handed."""
         self._know(state)
-        if isinstance(answer, str):
-            self._settle(Answer(reason=answer))
-        elif answer is not None:
-            self._settle(Answer(since=answer))
+        if answer is not None:
+            self._settle(answer)
         self._server.publish_parameter_values(self._parameters)
 
     def _know(self, state: State) -> None:
@@ -159,11 +149,10 @@ class _Service(ServerListener):
         """Hand a scene over to the control loop, or say why not."""
         self._until = math.inf
         if isinstance(verdict, Scene):
-            with suppress(OSError):  # it has ended, which the next turn notices
-                self._line.send(verdict)
+            self._line.send(verdict)
         else:
             figures = verdict._asdict() if isinstance(verdict, Refusal) else None
-            self._settle(Answer(reason=_short(str(verdict)), figures=figures))
+            self._settle(Answer(None, str(verdict)[:_MOST_REASON], figures))
 
     def _settle(self, answer: Answer) -> None:
         """Answer a request; tell everybody why one is refused."""
@@ -200,8 +189,3 @@ class _Service(ServerListener):
         if not isinstance(given, dict):
             raise ValueError("a request must be a JSON object of names and values")
         return json.dumps(self._requests.put(given).result()._asdict()).encode()
-
-
-def _short(reason: str) -> str:
-    # it may repeat what a program sent
-    return reason if len(reason) <= _MOST_REASON else f"{reason[: _MOST_REASON - 3]}..."

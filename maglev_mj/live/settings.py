@@ -15,12 +15,12 @@ from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.scenes import Scene
 from maglev_mj.session import DEVICES_OWN, Refusal, refusal, settable
 
-__all__ = ["Answer", "Requests", "State", "Verdict", "check_requests", "checked", "give_way", "values_of"]
+__all__ = ["NICE", "Answer", "Requests", "State", "Verdict", "check_requests", "checked", "values_of"]
 
-_NICE = 5
+NICE = 5
+"""How far these processes give way to what has deadlines."""
 
-_NONE = "none"
-"""The word for a value that is not given, as on the command line; the protocol has no null."""
+_NONE = "none"  # as on the command line: the protocol has no null
 
 
 class State(NamedTuple):
@@ -30,21 +30,21 @@ class State(NamedTuple):
         scene: The scene with its present parameters; None where none runs.
         delay: From a sample to its command taking effect, as measured [s].
         inertia: Mass and moments of inertia of the flotor [kg, kg m²], (6,); None for the scene's own.
-        state: "running", "paused", "stopped: " and why, or "flying".
+        state: "running", "paused", "flying", "stopped: " and why; or why there is no scene.
     """
 
     scene: Scene | None = None
     delay: float = 0.0
     inertia: Sequence[float] | None = None
-    state: str = ""
+    state: str = "no scene runs here"
 
 
 class Answer(NamedTuple):
     """The answer to a request.
 
     Attributes:
-        since: The first sample answered under the new parameters; None where it is refused.
-        reason: Why it is refused; empty where it is not.
+        since: The first sample answered under the new parameters; None where they are refused.
+        reason: Why they are refused; empty where they are not.
         figures: Of the loop that would be unstable, see `Refusal`; None where that is not the reason.
     """
 
@@ -58,12 +58,11 @@ Verdict: TypeAlias = Scene | Refusal | str
 
 
 def values_of(state: State) -> dict[str, Any]:
-    """Return the parameters by name, ready for JSON; those that `checked` refuses to change are first."""
+    """Return the parameters by name, ready for JSON, with those of the device and the names of scene and state."""
     scene = state.scene
     if scene is None:
         return {}
-    names = *DEVICES_OWN, *settable(scene)
-    values = {name: getattr(scene, name) for name in names}
+    values = {name: getattr(scene, name) for name in (*DEVICES_OWN, *settable(scene))}
     told = {name: _NONE if value is None else value for name, value in values.items()}
     found: dict[str, Any] = json.loads(json.dumps({"scene": scene.name, "state": state.state, **told}))
     return found
@@ -71,10 +70,16 @@ def values_of(state: State) -> dict[str, Any]:
 
 def checked(state: State, given: Mapping[str, Any]) -> Verdict:
     """Return the present scene with the parameters asked for, or why they are refused."""
-    if state.scene is None:
-        return state.state or "no scene runs here"
+    scene = state.scene
+    if scene is None:
+        return state.state
     try:
-        wanted = _wanted(state.scene, given)
+        if fixed := [name for name in DEVICES_OWN if name in given]:
+            raise ParameterError(f"{fixed[0]} is the device's, or the person's at the machine; a program cannot set it")
+        if unknown := sorted(set(given) - set(known := settable(scene))):
+            raise ParameterError(f"parameters must be of {', '.join(known)}, not {', '.join(unknown)}")
+        absent = {name: None for name in given if given[name] == _NONE and scene.parameter(name).optional}
+        wanted = scene.replace(**{**given, **absent})
         return refusal(wanted.replace(delay=state.delay), inertia=state.inertia) or wanted
     except MaglevError as error:
         return str(error)
@@ -82,74 +87,42 @@ def checked(state: State, given: Mapping[str, Any]) -> Verdict:
         return f"the parameters cannot be checked: {type(error).__name__}: {error}"
 
 
-def _wanted(present: Scene, given: Mapping[str, Any]) -> Scene:
-    if fixed := [name for name in DEVICES_OWN if name in given]:
-        raise ParameterError(f"{fixed[0]} is the device's, or the person's at the machine; a program cannot set it")
-    if unknown := sorted(set(given) - set(known := settable(present))):
-        raise ParameterError(f"parameters must be of {', '.join(known)}, not {', '.join(unknown)}")
-    optional = {name for name in given if present.parameter(name).optional}
-    return present.replace(
-        **{name: None if value == _NONE and name in optional else value for name, value in given.items()}
-    )
-
-
 def check_requests(line: Connection) -> None:
     """Check parameters until the line ends; in a process of its own."""
-    give_way()
+    os.nice(NICE)
     with suppress(EOFError, OSError):
         line.send(None)  # it has loaded what it needs
         while True:
             line.send(checked(*line.recv()))
 
 
-def give_way() -> None:
-    """Let what has deadlines go first."""
-    with suppress(AttributeError, OSError):
-        os.nice(_NICE)
-
-
-class _Request(NamedTuple):
-    given: Mapping[str, Any]
-    answer: Future[Answer]
-
-
 class Requests:
     """Hold the newest request until the one before it is answered: each is checked with what that one has left."""
 
     def __init__(self) -> None:
-        self._lock, self._ended = threading.Lock(), False
-        self._waiting: _Request | None = None
-        self._current: _Request | None = None
+        self._lock = threading.Lock()
+        self._waiting: tuple[Mapping[str, Any], Future[Answer]] | None = None
+        self._current: Future[Answer] | None = None
 
     def put(self, given: Mapping[str, Any]) -> Future[Answer]:
         """Let a request wait, from any thread, and return what its answer will be; an older one is refused."""
-        request = _Request(given, Future())
+        answer = Future[Answer]()
         with self._lock:
-            older, self._waiting = self._waiting, request
-            ended = self._ended
+            older, self._waiting = self._waiting, (given, answer)
         if older is not None:
-            older.answer.set_result(Answer(reason="replaced by a newer request before it was in force"))
-        if ended:
-            self.end()
-        return request.answer
+            older[1].set_result(Answer(reason="replaced by a newer request before it was in force"))
+        return answer
 
     def next(self) -> Mapping[str, Any] | None:
         """Return the parameters that are to be checked now, once."""
-        if self._current is not None:
-            return None
         with self._lock:
-            self._current, self._waiting = self._waiting, None
-        return None if self._current is None else self._current.given
+            if self._current is not None or self._waiting is None:
+                return None
+            (given, self._current), self._waiting = self._waiting, None
+        return given
 
     def settle(self, answer: Answer) -> None:
         """Answer the request that was checked."""
-        request, self._current = self._current, None
-        if request is not None:
-            request.answer.set_result(answer)
-
-    def end(self) -> None:
-        """Refuse all."""
-        self._ended = True
-        for _ in range(2):
-            self.settle(Answer(reason="the scene has ended"))
-            self.next()
+        current, self._current = self._current, None
+        if current is not None:
+            current.set_result(answer)

@@ -66,7 +66,7 @@ class Server(Protocol):
     def receive(self, timeout: float) -> tuple[bytes, Address] | None:
         """Return the oldest frame and its sender, or None if none comes within `timeout` [s]; 0 only looks."""
 
-    def send(self, data: bytes, address: Address) -> object:
+    def send(self, data: bytes, address: Address) -> None:
         """Send one frame; one that cannot leave now is lost."""
 
     def close(self) -> None:
@@ -79,20 +79,18 @@ class _Udp:
     Args:
         host: Name or address.
         port: From `least` on.
-        backlog: Bytes of frames that may wait; None for the system's default.
         way: How to reach that address: "connect" or "bind".
         failing: The complaint if there is none.
     """
 
-    def __init__(self, host: str, port: int, least: int, backlog: int | None, way: str, failing: str) -> None:
+    def __init__(self, host: str, port: int, least: int, way: str, failing: str) -> None:
         if not least <= port <= 65535:
             raise ParameterError(f"port must be {least} to 65535, not {port!r}")
         address = (resolve(host), port)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
-        if backlog is not None:
-            with suppress(OSError):  # a system may grant less (net.core.rmem_max)
-                self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, backlog)
+        with suppress(OSError):  # a system may grant less (net.core.rmem_max)
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BACKLOG)
         try:
             getattr(self._socket, way)(address)
         except OSError as error:
@@ -121,7 +119,7 @@ class UdpLink(_Udp):
     """
 
     def __init__(self, host: str, port: int) -> None:
-        super().__init__(host, port, 1, _BACKLOG, "connect", "no way to")
+        super().__init__(host, port, 1, "connect", "no way to")
         self._send, self._receive = self._socket.send, self._socket.recv
 
     def send(self, data: bytes) -> None:
@@ -161,7 +159,6 @@ class UdpServer(_Udp):
     Args:
         host: Name or address of this machine; 0.0.0.0 for all it has.
         port: To listen at, 1 to 65535; 0 for any that is free.
-        backlog: Bytes of frames that may wait; None for as many as the system has room for by default.
 
     Attributes:
         address: Where it listens.
@@ -171,8 +168,8 @@ class UdpServer(_Udp):
         LinkError: If it cannot listen there.
     """
 
-    def __init__(self, host: str, port: int, *, backlog: int | None = _BACKLOG) -> None:
-        super().__init__(host, port, 0, backlog, "bind", "cannot listen at")
+    def __init__(self, host: str, port: int) -> None:
+        super().__init__(host, port, 0, "bind", "cannot listen at")
         self.address: Address = self._socket.getsockname()
 
     def receive(self, timeout: float) -> tuple[bytes, Address] | None:
@@ -185,14 +182,12 @@ class UdpServer(_Udp):
             _complain("receive", error)
             return None
 
-    def send(self, data: bytes, address: Address) -> bool:
-        """Send one frame, and return whether it has left; one that cannot leave now is lost."""
+    def send(self, data: bytes, address: Address) -> None:
+        """Send one frame; one that cannot leave now is lost."""
         try:
             self._socket.sendto(data, address)
         except OSError as error:
             _complain("send", error)
-            return False
-        return True
 
 
 def open_link(url: str, key: bytes | None = None) -> Link:
