@@ -79,6 +79,16 @@ def waited(ask: Callable[[], bool]) -> bool:
     return answer
 
 
+def frames(session: Session, seconds: float, late: float = 0.0) -> Iterator[Snapshot]:
+    """Yield a snapshot 60 times a second of a scene's time, tick by tick, so that no busy machine takes a tick away."""
+    period, shown = session.snapshot().scene.period, late
+    for number in range(1, round(seconds / period) + 1):
+        session.tick(period)
+        if number * period >= shown:
+            shown += FRAME
+            yield session.snapshot()
+
+
 class Clock:
     """Real time that goes on by a frame each time that somebody looks."""
 
@@ -306,6 +316,7 @@ def taps(forces: Iterable[float], button: int = 0, **keywords: Any) -> list[tupl
         ([2.1, 4.0, 2.1, 4.0, 2.1], [5]),  # one tap, however often it passes the threshold
         ([1.9, 4.0, 4.0, 4.0, 4.0, 1.9, 1.9], [5]),
         ([5.0] * 5 + [0.0] * 3 + [5.0] * 5, [5, 13]),
+        ([5.0] * 5 + [0.0] * 3 + [3.0] * 5, [5]),  # the second is too soft
     ],
 )
 def test_a_tap_is_a_short_press_and_a_click_of_one_frame(forces: list[float], clicks: list[int], button: int) -> None:
@@ -323,9 +334,7 @@ def test_a_press_outside_the_walls_or_of_a_scene_that_stands_still_is_no_tap() -
 def moves(scene: Joystick, hand: SpringHand, seconds: float) -> tuple[list[int], float]:
     """Return how often each button goes down in a run, and the largest force along z."""
     session, buttons, counts, most = Session(scene, hand=hand), Taps(4.0), [0, 0], 0.0
-    for _ in range(round(seconds / FRAME)):
-        session.tick(FRAME)
-        shown = session.snapshot()
+    for shown in frames(session, seconds):
         counts = [count + down for count, down in zip(counts, buttons(shown))]
         most = max(most, abs(float(shown.force[2])))
     session.close()
@@ -660,6 +669,19 @@ def test_a_server_that_closes_lets_programs_rest_first(path: Path) -> None:
         assert program.line.recv(1) == b""
 
 
+@pytest.mark.parametrize(("pose", "naps"), [(AWAY, [0.2]), (REST, [])])
+def test_a_server_that_closes_waits_for_programs_in_motion_alone(
+    path: Path, pose: tuple[float, ...], naps: list[float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    server, slept = SpacenavServer(path), list[float]()
+    monkeypatch.setattr(time, "sleep", slept.append)
+    with Program(path) as program:
+        program.open(server)
+        server.show(snapshot(pose))
+        server.close()
+    assert slept == naps
+
+
 def test_nothing_is_said_before_the_answer_to_the_first_request(server: SpacenavServer) -> None:
     """The first four bytes that come are what libspnav reads as its answer."""
     with Program(server.path) as program:
@@ -751,6 +773,18 @@ def test_a_button_is_pressed_and_released_once(clicking: SpacenavServer) -> None
     assert button_event(1, False) == struct.pack("=8i", 2, 1, 0, 0, 0, 0, 0, 0)
 
 
+def test_a_press_for_which_there_is_no_room_is_told_when_there_is(clicking: SpacenavServer) -> None:
+    with Program(clicking.path) as program:
+        program.open(clicking)
+        for number in range(1, 500):
+            clicking.show(snapshot(posed([-number, 0, 0, 0, 0, 0])))
+        clicking.show(snapshot(AWAY))
+        assert clicks(program) == []
+        clicking.show(snapshot(AWAY))
+        clicking.show(snapshot())
+        assert clicks(program) == [(PRESS, 0), (RELEASE, 0)]
+
+
 def test_a_button_that_is_down_as_a_server_closes_or_a_program_asks_is_released_all_the_same(path: Path) -> None:
     server = SpacenavServer(path, buttons=lambda shown: (bool(shown.pose[0] > 0.0), False))
     with Program(path) as program:
@@ -822,7 +856,7 @@ def test_a_program_that_goes_away_is_forgotten_and_not_called_slow(server: Space
         gone.line.close()
         for _ in range(3):
             server.show(snapshot(AWAY))
-        assert (server.dropped, server.clients) == (0, 1)
+        assert (server.missed, server.dropped, server.clients) == (0, 0, 1)
         assert len(good.events()) == 3 + reset
 
 
@@ -1130,6 +1164,22 @@ def test_a_program_hears_of_the_scripted_hand(path: Path, capsys: pytest.Capture
     assert heard[-1][1:7] == REST
 
 
+@pytest.mark.parametrize("axes", ["pose", "rate"])
+def test_a_mouse_comes_back_to_its_centre_and_a_stick_of_rates_has_friction(
+    axes: str, path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scenes: list[Any] = []
+
+    def session(scene: Any, **keywords: Any) -> Session:
+        scenes.append(scene)
+        return Session(scene, **keywords)
+
+    monkeypatch.setattr(serve_spacenav, "Session", session)
+    assert served("--socket", str(path), "--axes", axes, "--seconds", "0.01") == 0
+    assert served("--socket", str(path), "--axes", axes, "--seconds", "0.01", "--friction") == 0
+    assert [scene.friction for scene in scenes] == [axes == "rate", True]
+
+
 def test_the_scripted_hand_does_it_again() -> None:
     scene = Joystick()
     hand = scene.scripted_hand()
@@ -1152,17 +1202,14 @@ def test_the_scripted_hand_of_the_joystick_comes_back_on_every_axis(axes: str, d
     session, end = Session(scene, hand=serve_spacenav._hand(scene)), serve_spacenav.tour().end
     sums, most = np.zeros(6), np.zeros(6)
     cycles: list[Array] = []
-    session.tick(late)
-    while len(cycles) < 3:
-        session.tick(FRAME)
-        shown = session.snapshot()
+    for shown in frames(session, 3.01 * end, late):
         numbers = np.array(told(shown))
         sums, most = sums + numbers * FRAME, np.maximum(most, np.abs(numbers))
         assert (np.abs(sums) < 200.0).all()
         if shown.time >= (len(cycles) + 1) * end:
             cycles.append(sums.copy())
     session.close()
-    assert (most > 200.0).all()
+    assert len(cycles) == 3 and (most > 200.0).all()
     assert np.abs(np.diff(cycles, axis=0)).max() < drift
 
 

@@ -64,6 +64,8 @@ class AxisMapping(Parameters):
             deflection: From the centre [m, rad], (6,).
             full: The full one [m, rad], (6,).
         """
+        if self.dead_zone == 0.0:
+            return deflection
         rest = np.maximum(np.abs(deflection) - self.dead_zone * full, 0.0) / (1.0 - self.dead_zone)
         beyond: Array = np.copysign(rest, deflection)
         return beyond
@@ -74,7 +76,7 @@ class AxisMapping(Parameters):
         Args:
             shares: Of the full deflection or rate, (6,), in the device's order.
         """
-        told: Array = self._matrix @ np.clip(np.nan_to_num(shares), -_FINITE, _FINITE)
+        told: Array = self._matrix @ np.nan_to_num(shares, posinf=_FINITE, neginf=-_FINITE)
         if self.dominant:
             told[np.arange(len(AXES)) != np.argmax(np.abs(told))] = 0.0
         return told

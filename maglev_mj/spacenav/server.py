@@ -144,7 +144,7 @@ class SpacenavServer:
         """Publish a snapshot; see `Publisher`."""
         now = self._clock()
         self._admit(now)
-        self._each(_Client.hear)
+        self._hear()
         self._tell(self._axes(snapshot), self._buttons(snapshot), now)
 
     def close(self) -> None:
@@ -176,19 +176,16 @@ class SpacenavServer:
                 self.refused += 1
 
     def _tell(self, axes: tuple[int, ...], down: tuple[bool, ...], now: float) -> None:
-        def tell(client: _Client) -> bool:
+        for client in self._clients:
             for had_room in client.tell(axes, down, now) if client.listens(now) else ():
                 self.sent += had_room
                 self.missed += not (had_room or client.gone)
-            return not client.gone
 
-        self._each(tell)
-
-    def _each(self, keep: Callable[[_Client], bool]) -> None:
-        """Do something with each program, and let go of those with which it fails."""
+    def _hear(self) -> None:
+        """Hear each program, and let go of those that have gone or make no sense."""
         kept = []
         for client in self._clients:
-            if keep(client):
+            if client.hear():
                 kept.append(client)
             else:
                 client.line.close()
