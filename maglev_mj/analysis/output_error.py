@@ -24,7 +24,7 @@ from maglev_mj.frames import Array, Mask
 
 __all__ = ["SLOW", "Fit", "Forces", "Windows", "fit", "inverse", "student"]
 
-_SINGULAR, _ROUNDS, _COARSE, _STEPS = 1e-10, 12, 2000, 6
+_SINGULAR, _ROUNDS = 1e-10, 40
 _LAGS, _LEAST_SAMPLES, _WINDOW_TIME = 10, 40, 0.05
 _MOST_LEVERAGE = 0.9
 _SENSOR = 1e-8
@@ -172,8 +172,9 @@ class Fit:
         values: What multiplies the forces [1/kg], (P,).
         delay: Of the commands [s].
         covariance: Of the values and the delay, as if the residuals were white, (P + 1, P + 1).
-        errors: Standard errors of both, (P + 1,); infinite for what cannot be told from the others.
-        moves: Greatest motion that each value alone accounts for, the delay by one period of it [m], (P + 1,).
+        errors: Standard errors of both, (P + 1,).
+        moves: Greatest motion that each value alone accounts for, the delay by one period of it [m], (P + 1,); 0 for
+            what the others can stand for.
         residual: Root mean square [m].
         degrees: Of freedom.
         left: Residuals, each as large as the error of its sample on average [m], (M, W); 0 where there is none.
@@ -202,7 +203,6 @@ def fit(
     *,
     period: float,
     search: bool,
-    coarse: bool,
     floor: float,
     fixed: Array,
 ) -> Fit:
@@ -215,7 +215,6 @@ def fit(
         delay: First guess at the delay [s], or the delay.
         period: Sample period [s].
         search: Whether to find the delay.
-        coarse: Whether to look for it from 0 to three periods too, and up to two to either side of the guess.
         floor: Least error of a position, such as that of rounding [m].
         fixed: Values that are known, (P,); NaN for those to be found.
     """
@@ -223,10 +222,10 @@ def fit(
     free = np.isnan(fixed)
     given = np.where(free, 0.0, fixed)
 
-    def at(late: float, chosen: Windows, target: Array) -> tuple[Array, Array, Array, Array]:
+    def at(late: float) -> tuple[Array, Array, Array, Array]:
         """Return values, residuals and both kinds of columns at a delay."""
-        where, slope = (chosen.project(part) for part in forces.moved(chosen, late))
-        target = target - where @ given
+        where, slope = (windows.project(part) for part in forces.moved(windows, late))
+        target = seen - where @ given
         columns = where[:, :, free].reshape(-1, int(free.sum()))
         gram, _ = inverse(columns)
         found = gram @ (columns.T @ target.ravel())
@@ -234,14 +233,7 @@ def fit(
         values[free] = found
         return values, target - (where[:, :, free] @ found), where, slope
 
-    if search and coarse:
-        few = windows.choose(place, _COARSE)
-        target = few.project(place[few.rows][:, :, None])[:, :, 0]
-        ahead = np.arange(0.0, 3.0, 1.0 / _STEPS) * period
-        near = max(delay, 0.0) + np.arange(-2.0, 2.0, 1.0 / _STEPS) * period
-        grid = np.unique(np.concatenate([ahead, near[near >= 0.0]]))
-        delay = float(min(grid, key=lambda late: float(np.square(at(late, few, target)[1]).sum())))
-    values, left, where, slope = at(delay, windows, seen)
+    values, left, where, slope = at(delay)
     for _ in range(_ROUNDS if search else 0):
         columns = np.concatenate([where[:, :, free], (slope @ values)[:, :, None]], axis=2)
         columns = columns.reshape(-1, columns.shape[2])
@@ -249,7 +241,7 @@ def fit(
         move = float(np.clip((gram @ (columns.T @ left.ravel()))[-1], -0.25 * period, 0.25 * period))
         best = float(np.square(left).sum())
         while abs(move) > 1e-9 * period:
-            trial = at(delay + move, windows, seen)
+            trial = at(delay + move)
             if float(np.square(trial[1]).sum()) < best:
                 break
             move *= 0.5
@@ -311,7 +303,7 @@ def _judged(
         errors = np.maximum(errors, np.abs(columns @ gram).T @ np.abs(left.ravel()))
     covariance, wide, moves = np.zeros((size, size)), np.zeros(size), np.zeros(size)
     covariance[np.ix_(chosen, chosen)] = white
-    wide[chosen] = np.where(known, errors, np.inf)
+    wide[chosen] = errors
     # what a column does beyond all others
     unit = np.diag(gram) > 0.0
     alone = np.abs(columns @ (gram / np.where(unit, np.diag(gram), 1.0))).max(axis=0, initial=0.0)
