@@ -197,7 +197,7 @@ def find_quantum(place: Array) -> Estimate:
     for part in range(1, _DIVISORS + 1):
         step = float(steps.min()) / part
         counts = np.rint(values / step)
-        if np.abs(counts).max() > 0.0 and np.abs(values / step - counts).max() < _NEAR * (1.0 + np.abs(counts).max()):
+        if np.abs(counts).max() > 0.0 and np.abs(values / step - counts).max() < 1e2 * _NEAR:
             step = float(counts @ values / (counts @ counts))
             counts = np.rint(values / step)
             left = values - step * counts
