@@ -7,8 +7,7 @@ squares on the positions is without the bias that noise has on accelerations.
 
 Samples are cut into windows, each with a position and a speed of its own at its beginning, so that nothing piles up.
 
-Source: output-error method as in Ljung 1999, from recollection; errors as in Newey & West 1987 and MacKinnon & White
-1985 (HC3) where residuals are not white.
+Source: output-error method as in Ljung 1999, from recollection.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ from maglev_mj.frames import Array, Mask
 __all__ = ["SLOW", "Fit", "Forces", "Windows", "fit", "inverse", "student"]
 
 _SINGULAR, _ROUNDS = 1e-10, 40
-_LAGS, _LEAST_SAMPLES, _WINDOW_TIME = 10, 40, 0.05
+_LEAST_SAMPLES, _WINDOW_TIME = 40, 0.05
 _MOST_LEVERAGE = 0.9
 _SENSOR = 1e-8
 """Residual below that of any sensor [m, rad]."""
@@ -284,20 +283,12 @@ def _judged(
     spread = max(float(np.sqrt(np.square(left).sum() / degrees)), floor)
     leverage = np.square(windows.basis).sum(axis=2).ravel() + ((columns @ gram) * columns).sum(axis=1)
     kept = 1.0 - np.minimum(leverage, _MOST_LEVERAGE)
-    # one matrix of errors if residuals are white and alike, another if they are neither
-    score = (columns * (left.ravel() / kept)[:, None]).reshape(*left.shape, len(chosen))
-    lags = min(_LAGS, left.shape[1] // 4)
-    middle = np.einsum("mwi,mwj->ij", score, score)
-    for lag in range(1, lags + 1):
-        cross = np.einsum("mwi,mwj->ij", score[:, lag:], score[:, :-lag]) * (1.0 - lag / (lags + 1.0))
-        middle += cross + cross.T
     white = gram * spread**2
-    robust = gram @ middle @ gram
     inner = windows.there[:, 1:]
     change = np.square(np.diff(left, axis=1) * inner).sum() / max(int(inner.sum()), 1)
     square = np.square(left).sum() / count
     whiteness = float(change / (2.0 * square)) if square > 0.0 else 1.0
-    errors = np.sqrt(np.maximum(np.diag(white), np.diag(robust)))
+    errors = np.sqrt(np.diag(white))
     if whiteness < SLOW or spread < _SENSOR:
         # not of a sensor but of forces between the samples, or rounding: all at once in the worst way
         errors = np.maximum(errors, np.abs(columns @ gram).T @ np.abs(left.ravel()))
