@@ -12,6 +12,7 @@ import numpy as np
 from maglev_mj.analysis.contacts import plain
 from maglev_mj.analysis.output_error import Fit, student
 from maglev_mj.frames import AXES, Array, Mask
+from maglev_mj.recording.metadata import Face
 
 __all__ = ["Estimate", "Friction", "Identification", "OfAxis", "OfWall", "find_noise", "find_quantum"]
 
@@ -91,7 +92,7 @@ class OfWall:
         share: Stiffness by the largest that is stable at this damping and delay.
     """
 
-    face: tuple[int, float, float]
+    face: Face
     stiffness: Estimate
     damping: Estimate
     commanded_stiffness: Estimate
@@ -99,7 +100,7 @@ class OfWall:
     share: Estimate
 
     @classmethod
-    def untold(cls, face: tuple[int, float, float], why: str) -> Self:
+    def untold(cls, face: Face, why: str) -> Self:
         """Return a wall of which nothing can be told."""
         return cls(face=face, **{one.name: Estimate(why=why) for one in fields(cls) if one.name != "face"})
 
@@ -196,7 +197,7 @@ def find_quantum(place: Array) -> Estimate:
     for part in range(1, _DIVISORS + 1):
         step = float(steps.min()) / part
         counts = np.rint(values / step)
-        if np.abs(counts).max() > 0.0 and np.abs(values / step - counts).max() < _NEAR * (1.0 + np.abs(counts).max()):
+        if np.abs(counts).max() > 0.0 and np.abs(values / step - counts).max() < 1e2 * _NEAR:
             step = float(counts @ values / (counts @ counts))
             counts = np.rint(values / step)
             left = values - step * counts

@@ -8,13 +8,12 @@ how stiff a wall is to the motion; see `output_error`.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
+from maglev_mj.analysis.commands import CommandedLaw, fit_law, is_inside
 from maglev_mj.analysis.estimates import (
     Estimate,
     Friction,
@@ -25,16 +24,15 @@ from maglev_mj.analysis.estimates import (
     find_quantum,
 )
 from maglev_mj.analysis.motion import reconstruct
-from maglev_mj.analysis.output_error import SLOW, Fit, Forces, Windows, fit, inverse
+from maglev_mj.analysis.output_error import SLOW, Fit, Forces, Windows, fit
 from maglev_mj.frames import Array, Mask
 from maglev_mj.recording import RunMetadata, Stretch, metadata_of
+from maglev_mj.recording.metadata import Face
 from maglev_mj.theory import largest_stable_stiffness
 from maglev_mj.theory.closed_loop import MOST_PERIODS
 from maglev_mj.timeline import recorded_switches, split_delay
 
 __all__ = ["identify"]
-
-Face: TypeAlias = tuple[int, float, float]
 
 _MOST_SAMPLES, _LEAST_SAMPLES, _LEAST_INSIDE, _LEAST_DEGREES = 20_000, 12, 5, 6
 _CLEAR = 10.0
@@ -70,8 +68,8 @@ def identify(stretch: Stretch, metadata: RunMetadata | None = None, *, anchors: 
         >>> from maglev_mj.scenes.drop import Drop
         >>> (stretch,) = record_run(Drop(stiffness=5000.0, quantize=5e-6), plant="exact").stretches
         >>> (wall,) = identify(stretch).walls
-        >>> bool(wall.stiffness.low < 5000.0 < wall.stiffness.high), f"{wall.share.value:.0%}"
-        (True, '50%')
+        >>> bool(wall.stiffness.low < 5000.0 < wall.stiffness.high), bool(0.49 < wall.share.value < 0.5)
+        (True, True)
     """
     known = metadata_of(stretch, None) if metadata is None else metadata
     axes: dict[int, OfAxis] = {}
@@ -99,30 +97,6 @@ def identify(stretch: Stretch, metadata: RunMetadata | None = None, *, anchors: 
         if stuck is not None:
             friction[axis] = one.friction()
     return Identification(axes=axes, walls=walls, friction=friction, samples=used, of=len(stretch))
-
-
-class _Law(NamedTuple):
-    """What the commands are made of: P parts, each a known function of the measured positions.
-
-    Attributes:
-        names: Of each, such as ("stiffness", 0) for the first face.
-        parts: Their values by unit gain, (N, P).
-        gains: The gains, (P,).
-        errors: Their standard errors, (P,); infinite for what cannot be told from the others.
-        residual: Of the commands [N, N m].
-        degrees: Of freedom.
-        scale: Root mean square of all parts [N, N m].
-        rest: Commands as applied without all parts [N, N m], (N,).
-    """
-
-    names: Sequence[tuple[str, int]]
-    parts: Array
-    gains: Array
-    errors: Array
-    residual: float
-    degrees: int
-    scale: float
-    rest: Array
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -185,9 +159,7 @@ class _Axis:
         """Mass or moment of inertia that the recording states [kg, kg m²]."""
         return float(self.metadata.inertia[self.axis])
 
-    def _fit(
-        self, parts: Array, rest: Array, *, delay: float, search: bool, coarse: bool = False, mass: float | None = None
-    ) -> Fit:
+    def _fit(self, parts: Array, rest: Array, *, delay: float, search: bool, mass: float | None = None) -> Fit:
         """Return the fit of the motion by P parts of the command, the rest of what was recorded, and a constant.
 
         Args:
@@ -195,7 +167,6 @@ class _Axis:
             rest: Command without them [N, N m], (N,).
             delay: First guess at the delay, or the delay [s].
             search: Whether to find the delay.
-            coarse: Whether to look for it far from the guess too.
             mass: What the rest moves [kg, kg m²]; None to find it too.
         """
         count, gains = parts.shape
@@ -229,7 +200,6 @@ class _Axis:
             delay,
             period=period,
             search=search,
-            coarse=coarse,
             floor=floor,
             fixed=fixed,
         )
@@ -259,7 +229,7 @@ class _Axis:
     def motion(self) -> Fit:
         """The fit of the motion by all recorded forces: their common factor, a constant, and their delay."""
         parts, rest = np.zeros((len(self.place), 0)), self.stretch.applied[:, self.axis]
-        return self._fit(parts, rest, delay=self.metadata.delay, search=True, coarse=True)
+        return self._fit(parts, rest, delay=self.metadata.delay, search=True)
 
     @property
     def pushed(self) -> bool:
@@ -315,6 +285,8 @@ class _Axis:
         slope[:2] = -motion.values[1] * mass**2 * (not self._why), mass
         force = mass * motion.values[1] - float(self.metadata.load[self.axis])
         error = Estimate.of(force, _error(motion, slope), motion.degrees, motion.residual)
+        if not motion.moves[1] > 0.0:
+            error = Estimate(why="it cannot be parted from the other forces")
         return OfAxis(inertia=inertia, delay=delay, force_error=error, noise=noise, quantum=quantum)
 
     def _late(self, found: Fit) -> Estimate:
@@ -324,61 +296,16 @@ class _Axis:
 
     # -- the law --------------------------------------------------------------------------------------------------
 
-    def _inside(self, face: Face) -> Mask:
-        return np.asarray(face[1] * (self.place - face[2]) <= 0.0)
-
     @cached_property
     def faces(self) -> list[Face]:
         """The walls of the axis that were touched."""
         faces = [face for face in self.metadata.faces or () if face[0] == self.axis]
-        return [face for face in faces if (self._inside(face) & self.used).sum() >= _LEAST_INSIDE]
+        return [face for face in faces if (is_inside(self.place, face) & self.used).sum() >= _LEAST_INSIDE]
 
     @cached_property
-    def law(self) -> _Law:
+    def law(self) -> CommandedLaw:
         """The law, as a fit of the commands by the measured positions."""
-        tick, place, period = self.stretch.tick, self.place, self.metadata.period
-        speed = np.append(0.0, np.diff(place) / (np.diff(tick) * period))
-        names: list[tuple[str, int]] = []
-        parts: list[Array] = []
-        outside = np.ones(len(place), dtype=np.bool_)
-        for number, face in enumerate(self.faces):
-            inside = self._inside(face)
-            outside &= ~inside
-            names += [("stiffness", number), ("damping", number)]
-            parts += [inside * (face[2] - place), inside * -speed]
-        stated = self.stretch.command[:, self.axis]
-        applied = self.stretch.applied[:, self.axis]
-        command = np.where(np.isfinite(stated), stated, applied) - self.metadata.carried[self.axis]
-        outside &= self.used
-        if self.anchors is not None:
-            stuck = np.isfinite(self.anchors)
-            last = self.anchors[np.maximum.accumulate(np.where(stuck, np.arange(len(stuck)), np.argmax(stuck)))]
-            names += [("stuck", 0), ("sliding", 0)]
-            parts += [np.where(stuck, self.anchors - place, 0.0), ~stuck * np.sign(last - place)]
-        largest = float(np.abs(command).max())
-        if self.anchors is not None or (outside.any() and np.ptp(command[outside]) > 1e-9 * largest):
-            names += [("spring", 0), ("damper", 0)]
-            parts += [-place, -speed]
-        columns = np.column_stack([*parts, np.ones(len(place))][: len(parts) + bool(outside.sum() > 1)])
-        known = self.used & np.append(False, np.diff(tick) > 0)
-        gram, told = inverse(columns[known])
-        gains = gram @ (columns[known].T @ command[known])
-        left = command[known] - columns[known] @ gains
-        degrees = max(int(known.sum()) - columns.shape[1], 1)
-        residual = max(float(np.sqrt(np.square(left).sum() / degrees)), _ROUNDING * largest)
-        errors = np.where(told, residual * np.sqrt(np.maximum(np.diag(gram), 0.0)), np.inf)
-        count = len(parts)
-        made = columns[:, :count] @ gains[:count]
-        return _Law(
-            names=names,
-            parts=columns[:, :count],
-            gains=gains[:count],
-            errors=errors[:count],
-            residual=residual,
-            degrees=degrees,
-            scale=float(np.sqrt(np.square(made[known]).mean())),
-            rest=applied - made,
-        )
+        return fit_law(self.stretch, self.metadata, self.axis, self.faces, self.anchors, self.used)
 
     def _commanded(self, name: tuple[str, int]) -> Estimate:
         """Return a gain of the law."""
@@ -419,7 +346,7 @@ class _Axis:
     def wall(self, face: Face) -> OfWall:
         """Return what is told of a wall."""
         if face not in self.faces:
-            count = int((self._inside(face) & self.used).sum())
+            count = int((is_inside(self.place, face) & self.used).sum())
             return OfWall.untold(face, f"only {count} samples in it" if count else "it was not touched")
         spring, damper = (("stiffness", self.faces.index(face)), ("damping", self.faces.index(face)))
         return OfWall(

@@ -7,8 +7,7 @@ squares on the positions is without the bias that noise has on accelerations.
 
 Samples are cut into windows, each with a position and a speed of its own at its beginning, so that nothing piles up.
 
-Source: output-error method as in Ljung 1999, from recollection; errors as in Newey & West 1987 and MacKinnon & White
-1985 (HC3) where residuals are not white.
+Source: output-error method as in Ljung 1999, from recollection.
 """
 
 from __future__ import annotations
@@ -24,8 +23,8 @@ from maglev_mj.frames import Array, Mask
 
 __all__ = ["SLOW", "Fit", "Forces", "Windows", "fit", "inverse", "student"]
 
-_SINGULAR, _ROUNDS, _COARSE, _STEPS = 1e-10, 12, 2000, 6
-_LAGS, _LEAST_SAMPLES, _WINDOW_TIME = 10, 40, 0.05
+_SINGULAR, _ROUNDS = 1e-10, 40
+_LEAST_SAMPLES, _WINDOW_TIME = 40, 0.05
 _MOST_LEVERAGE = 0.9
 _SENSOR = 1e-8
 """Residual below that of any sensor [m, rad]."""
@@ -172,8 +171,9 @@ class Fit:
         values: What multiplies the forces [1/kg], (P,).
         delay: Of the commands [s].
         covariance: Of the values and the delay, as if the residuals were white, (P + 1, P + 1).
-        errors: Standard errors of both, (P + 1,); infinite for what cannot be told from the others.
-        moves: Greatest motion that each value alone accounts for, the delay by one period of it [m], (P + 1,).
+        errors: Standard errors of both, (P + 1,).
+        moves: Greatest motion that each value alone accounts for, the delay by one period of it [m], (P + 1,); 0 for
+            what the others can stand for.
         residual: Root mean square [m].
         degrees: Of freedom.
         left: Residuals, each as large as the error of its sample on average [m], (M, W); 0 where there is none.
@@ -202,7 +202,6 @@ def fit(
     *,
     period: float,
     search: bool,
-    coarse: bool,
     floor: float,
     fixed: Array,
 ) -> Fit:
@@ -215,7 +214,6 @@ def fit(
         delay: First guess at the delay [s], or the delay.
         period: Sample period [s].
         search: Whether to find the delay.
-        coarse: Whether to look for it from 0 to three periods too, and up to two to either side of the guess.
         floor: Least error of a position, such as that of rounding [m].
         fixed: Values that are known, (P,); NaN for those to be found.
     """
@@ -223,10 +221,10 @@ def fit(
     free = np.isnan(fixed)
     given = np.where(free, 0.0, fixed)
 
-    def at(late: float, chosen: Windows, target: Array) -> tuple[Array, Array, Array, Array]:
+    def at(late: float) -> tuple[Array, Array, Array, Array]:
         """Return values, residuals and both kinds of columns at a delay."""
-        where, slope = (chosen.project(part) for part in forces.moved(chosen, late))
-        target = target - where @ given
+        where, slope = (windows.project(part) for part in forces.moved(windows, late))
+        target = seen - where @ given
         columns = where[:, :, free].reshape(-1, int(free.sum()))
         gram, _ = inverse(columns)
         found = gram @ (columns.T @ target.ravel())
@@ -234,14 +232,7 @@ def fit(
         values[free] = found
         return values, target - (where[:, :, free] @ found), where, slope
 
-    if search and coarse:
-        few = windows.choose(place, _COARSE)
-        target = few.project(place[few.rows][:, :, None])[:, :, 0]
-        ahead = np.arange(0.0, 3.0, 1.0 / _STEPS) * period
-        near = max(delay, 0.0) + np.arange(-2.0, 2.0, 1.0 / _STEPS) * period
-        grid = np.unique(np.concatenate([ahead, near[near >= 0.0]]))
-        delay = float(min(grid, key=lambda late: float(np.square(at(late, few, target)[1]).sum())))
-    values, left, where, slope = at(delay, windows, seen)
+    values, left, where, slope = at(delay)
     for _ in range(_ROUNDS if search else 0):
         columns = np.concatenate([where[:, :, free], (slope @ values)[:, :, None]], axis=2)
         columns = columns.reshape(-1, columns.shape[2])
@@ -249,7 +240,7 @@ def fit(
         move = float(np.clip((gram @ (columns.T @ left.ravel()))[-1], -0.25 * period, 0.25 * period))
         best = float(np.square(left).sum())
         while abs(move) > 1e-9 * period:
-            trial = at(delay + move, windows, seen)
+            trial = at(delay + move)
             if float(np.square(trial[1]).sum()) < best:
                 break
             move *= 0.5
@@ -292,26 +283,18 @@ def _judged(
     spread = max(float(np.sqrt(np.square(left).sum() / degrees)), floor)
     leverage = np.square(windows.basis).sum(axis=2).ravel() + ((columns @ gram) * columns).sum(axis=1)
     kept = 1.0 - np.minimum(leverage, _MOST_LEVERAGE)
-    # one matrix of errors if residuals are white and alike, another if they are neither
-    score = (columns * (left.ravel() / kept)[:, None]).reshape(*left.shape, len(chosen))
-    lags = min(_LAGS, left.shape[1] // 4)
-    middle = np.einsum("mwi,mwj->ij", score, score)
-    for lag in range(1, lags + 1):
-        cross = np.einsum("mwi,mwj->ij", score[:, lag:], score[:, :-lag]) * (1.0 - lag / (lags + 1.0))
-        middle += cross + cross.T
     white = gram * spread**2
-    robust = gram @ middle @ gram
     inner = windows.there[:, 1:]
     change = np.square(np.diff(left, axis=1) * inner).sum() / max(int(inner.sum()), 1)
     square = np.square(left).sum() / count
     whiteness = float(change / (2.0 * square)) if square > 0.0 else 1.0
-    errors = np.sqrt(np.maximum(np.diag(white), np.diag(robust)))
+    errors = np.sqrt(np.diag(white))
     if whiteness < SLOW or spread < _SENSOR:
         # not of a sensor but of forces between the samples, or rounding: all at once in the worst way
         errors = np.maximum(errors, np.abs(columns @ gram).T @ np.abs(left.ravel()))
     covariance, wide, moves = np.zeros((size, size)), np.zeros(size), np.zeros(size)
     covariance[np.ix_(chosen, chosen)] = white
-    wide[chosen] = np.where(known, errors, np.inf)
+    wide[chosen] = errors
     # what a column does beyond all others
     unit = np.diag(gram) > 0.0
     alone = np.abs(columns @ (gram / np.where(unit, np.diag(gram), 1.0))).max(axis=0, initial=0.0)
