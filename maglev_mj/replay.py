@@ -420,7 +420,7 @@ class _Shown:
 
     def __init__(self, stretch: Stretch, own: OwnCode | None) -> None:
         again = rebuild_for(stretch, own)
-        metadata = metadata_of(stretch, None if again is None else again(stretch.setup, None)[1])
+        metadata = metadata_of(stretch, again)
         self.scene = shown_scene(stretch.setup, metadata, own)
         self.time, self.pose, self.hand = stretch.time, stretch.position, stretch.hand
         self.force = stretch.applied - metadata.carried
