@@ -451,8 +451,29 @@ HOSTILE: Mapping[str, Change] = {
     "a force of no hand": told("plant", "hand_force", value=1.0),
     "a limit as object": told("plant", "wrench_limit", value={"class": "Timing"}),
     "a sensor as number": told("plant", "sensor", value=1.0),
+    "laws that are a number": told("controller", "laws", value=1.0),
+    "a law that is a number": told("controller", "laws", 0, value=1.0),
+    "a number without bound": told("plant", "mass", value=1e200),
+    "a delay without end": told("plant", "timing", "delay", value=1e11),
     "samples that are none": told("samples", value=-1),
 }
+
+
+@pytest.mark.parametrize("value", [[], {}, 1.0, "os", "../evil.py:Evil", True, None])
+@pytest.mark.parametrize("name", ["scene", "source"])
+@pytest.mark.parametrize("kind", ["run", "device", "scene", "own"])
+def test_a_scene_that_is_none_is_shown_or_refused(
+    kind: str, name: str, value: Any, folder: Path, say: Any, capsys: Any
+) -> None:
+    header, arrays = arrays_in(kept())
+    capsys.readouterr()
+    header["setups"][0] |= {"kind": kind, "scene": "mine.py:Mine", "source": DIGEST} | {name: value}
+    (folder / "run.npz").write_bytes(npz_of(header, arrays))
+    heard.clear()
+    for typed in (["replay", "--check"], ["analyse"], ["analyse", "--scene", "attached"]):
+        status, _, wrong = say(typed[0], "run.npz", *typed[1:])
+        assert status in (0, 1, 2) and wrong.count("\n") == (status == 2), wrong
+    assert [event for event in heard if event[0] != "open" or "run.npz" not in str(event[1])] == []
 
 
 @pytest.mark.parametrize("what", HOSTILE)

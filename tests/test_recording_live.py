@@ -238,10 +238,23 @@ def writers_to(folder: Path) -> list[int]:
 @pytest.mark.parametrize("writer_too", [False, True])
 def test_a_recording_that_is_killed_opens_and_replays_to_its_last_row(writer_too: bool, tmp_path: Path) -> None:
     """SIGKILL to the program, and to its writer at the same time; what is lost is a fraction of a second."""
+    killed(700, writer_too, tmp_path)
+
+
+@pytest.mark.study
+@pytest.mark.skipif(not Path("/proc/self/cmdline").exists(), reason="processes are found in /proc")
+@pytest.mark.parametrize("writer_too", [False, True])
+@pytest.mark.parametrize("after", range(300, 1300, 100))
+def test_a_recording_that_is_killed_at_any_time_opens(after: int, writer_too: bool, tmp_path: Path) -> None:
+    print("lost:", killed(after, writer_too, tmp_path), "samples")
+
+
+def killed(after: int, writer_too: bool, tmp_path: Path) -> int:
+    """Kill a program that records after so many samples; return how many of them are lost."""
     program = subprocess.Popen([sys.executable, "-c", RUN, str(tmp_path)], stdout=subprocess.PIPE, text=True)
     assert program.stdout is not None
     made = 0
-    while made < 700:
+    while made < after:
         made = int(program.stdout.readline())
     (writer,) = writers_to(tmp_path)
     program.kill()
@@ -258,6 +271,7 @@ def test_a_recording_that_is_killed_opens_and_replays_to_its_last_row(writer_too
     assert made - recording.ticks <= (60 if writer_too else 0)  # 0.3 s at 200 Hz
     assert verify(recording, rebuild).first is None
     assert main(["replay", str(path), "--check"]) == int(writer_too)
+    return made - recording.ticks
 
 
 def test_a_file_that_ends_anywhere_opens_up_to_its_last_chunk(tmp_path: Path) -> None:
