@@ -65,12 +65,13 @@ def model_files(model: str | Path) -> tuple[tuple[str, str], ...]:
     Raises:
         ModelError: If there is none.
     """
-    path = model_path(model).resolve()
-    return _read(path, path.stat().st_mtime_ns)
+    path = model_path(model)
+    return _read(path, 0 if model in model_names() else path.stat().st_mtime_ns)
 
 
 @lru_cache(maxsize=64)
 def _read(path: Path, written: int) -> tuple[tuple[str, str], ...]:
+    path = path.resolve()
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, ValueError) as error:

@@ -32,6 +32,7 @@ __all__ = [
     "param",
     "parsed_number",
     "per_axis",
+    "whole",
 ]
 
 _NO_NUMBERS = bool, np.bool_, str, bytes
@@ -81,6 +82,18 @@ def number(
         allowed = "a finite number" + (" " + " and ".join(words) if words else "")
         raise ParameterError(f"{name} must be {allowed}, not {value!r}")
     return result
+
+
+def whole(name: str, value: object, *, at_least: float = 0.0, at_most: float = 2.0**53) -> int:
+    """Return `value` as an int within the bounds.
+
+    Raises:
+        ParameterError: If it is no whole number, or outside the bounds.
+    """
+    result = number(name, value, at_least=at_least, at_most=at_most)
+    if result != int(result):
+        raise ParameterError(f"{name} must be a whole number, not {value!r}")
+    return int(result)
 
 
 def interval(

@@ -10,15 +10,17 @@ import numpy as np
 
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Component
-from maglev_mj.parameters import flag, number, numbers
+from maglev_mj.parameters import flag, number, numbers, whole
 from maglev_mj.spec import Spec
 
-__all__ = ["Segment", "Timeline", "Timing", "recorded_switches", "split_delay"]
+__all__ = ["MOST_PERIODS", "Segment", "Timeline", "Timing", "recorded_switches", "split_delay"]
 
 Segment: TypeAlias = tuple[Any, Any]
 """Duration [s], and the drive that acts, in the form in which the commands were given."""
 
-_MOST_PERIODS = 10_000
+MOST_PERIODS = 10_000
+"""Longest delay, in sample periods."""
+
 _ROUNDING = 1e-9
 """Share of a period that is rounding, not time."""
 
@@ -74,9 +76,9 @@ class Timing:
         phase = numbers("phase", self.phase, at_least=0.0)
         if not (phase < 1.0).all():
             raise ParameterError(f"phase must be at least 0 and below 1, not {float(phase.max()):g}")
-        if (delay / period > _MOST_PERIODS).any():
+        if (delay / period > MOST_PERIODS).any():
             raise ParameterError(
-                f"delay must be at most {_MOST_PERIODS} periods of {period:g} s, not {float(delay.max()):g} s"
+                f"delay must be at most {MOST_PERIODS} periods of {period:g} s, not {float(delay.max()):g} s"
             )
         wholes, rest = map(np.asarray, split_delay(delay, period))
         if np.ptp(wholes):
@@ -88,7 +90,7 @@ class Timing:
         room = float(np.minimum(rest, period - rest).min())
         if jitter > room:
             raise ParameterError(f"jitter must be at most {room:g} s at this delay and period, not {jitter:g}")
-        number("seed", self.seed, at_least=0)
+        object.__setattr__(self, "seed", whole("seed", self.seed))
         object.__setattr__(self, "jitter", jitter)
         object.__setattr__(self, "period", period)
         object.__setattr__(self, "delay", delay if delay.ndim else float(delay))

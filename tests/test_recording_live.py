@@ -1,5 +1,6 @@
 """Recordings written while they happen: what they hold, that they outlive whoever makes them, that others read them."""
 
+import base64
 import json
 import math
 import os
@@ -24,8 +25,18 @@ from maglev_mj.hand import Hand
 from maglev_mj.laws import Bias, Wall
 from maglev_mj.loop import drive
 from maglev_mj.plants import ExactPlant, Timing
-from maglev_mj.recording import ArrayFile, Recording, RecordingError, open_recording, setup_of, verify
+from maglev_mj.recording import (
+    ArrayFile,
+    PandasMissingError,
+    Recording,
+    RecordingError,
+    load,
+    open_recording,
+    setup_of,
+    verify,
+)
 from maglev_mj.recording.live import ROWS, Ring, RowReader
+from maglev_mj.recording.row import ROW, TOTALS
 from maglev_mj.replay import Replay, rebuild, record_run, write_run
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.run import run as run_scene
@@ -36,6 +47,8 @@ from maglev_mj.spec import INERTIA
 from maglev_mj.versions import versions
 from tests.recorded import messages_in
 
+TOTAL_NAMES = [field.name for field in TOTALS]
+
 
 def messages(path: Path) -> list[tuple[str, dict[str, Any]]]:
     """Return what any reader of MCAP finds about the run."""
@@ -45,7 +58,8 @@ def messages(path: Path) -> list[tuple[str, dict[str, Any]]]:
 def same(one: Recording, other: Recording) -> bool:
     """Whether two recordings hold the same, to the last bit."""
     return len(one.stretches) == len(other.stretches) and all(
-        a.setup == b.setup and (a.rows == b.rows).all() for a, b in zip(one.stretches, other.stretches, strict=True)
+        a.setup == b.setup and a.rows.tobytes() == b.rows.tobytes()
+        for a, b in zip(one.stretches, other.stretches, strict=True)
     )
 
 
@@ -87,7 +101,7 @@ def test_any_reader_finds_fields_by_name_with_units_and_what_it_was_made_from(tm
     assert len(samples) == len(stretch) == 81 and stretch.totals is not None
     for (topic, message), row, total in zip(samples, stretch.rows, stretch.totals, strict=True):
         assert topic == "/maglev/sample" and message["stretch"] == 0
-        assert set(message) == {"stretch", *row.dtype.names, *total.dtype.names}
+        assert {"stretch", *row.dtype.names, *total.dtype.names} == {*message, "arrival"}
         for name, value in message.items():
             if name != "stretch":
                 kept = (row if name in row.dtype.names else total)[name]
@@ -224,10 +238,23 @@ def writers_to(folder: Path) -> list[int]:
 @pytest.mark.parametrize("writer_too", [False, True])
 def test_a_recording_that_is_killed_opens_and_replays_to_its_last_row(writer_too: bool, tmp_path: Path) -> None:
     """SIGKILL to the program, and to its writer at the same time; what is lost is a fraction of a second."""
+    killed(700, writer_too, tmp_path)
+
+
+@pytest.mark.study
+@pytest.mark.skipif(not Path("/proc/self/cmdline").exists(), reason="processes are found in /proc")
+@pytest.mark.parametrize("writer_too", [False, True])
+@pytest.mark.parametrize("after", range(150, 850, 70))
+def test_a_recording_that_is_killed_at_any_time_opens(after: int, writer_too: bool, tmp_path: Path) -> None:
+    print("lost:", killed(after, writer_too, tmp_path), "samples")
+
+
+def killed(after: int, writer_too: bool, tmp_path: Path) -> int:
+    """Kill a program that records after so many samples; return how many of them are lost."""
     program = subprocess.Popen([sys.executable, "-c", RUN, str(tmp_path)], stdout=subprocess.PIPE, text=True)
     assert program.stdout is not None
     made = 0
-    while made < 700:
+    while made < after:
         made = int(program.stdout.readline())
     (writer,) = writers_to(tmp_path)
     program.kill()
@@ -244,6 +271,7 @@ def test_a_recording_that_is_killed_opens_and_replays_to_its_last_row(writer_too
     assert made - recording.ticks <= (60 if writer_too else 0)  # 0.3 s at 200 Hz
     assert verify(recording, rebuild).first is None
     assert main(["replay", str(path), "--check"]) == int(writer_too)
+    return made - recording.ticks
 
 
 def test_a_file_that_ends_anywhere_opens_up_to_its_last_chunk(tmp_path: Path) -> None:
@@ -260,7 +288,7 @@ def test_a_file_that_ends_anywhere_opens_up_to_its_last_chunk(tmp_path: Path) ->
             continue
         seen.add(part.ticks)
         for stretch in part.stretches:
-            assert (stretch.rows == whole.stretches[0].rows[: part.ticks]).all()
+            assert stretch.rows.tobytes() == whole.stretches[0].rows[: part.ticks].tobytes()
     assert min(seen) == -1 and max(seen) == whole.ticks and len(seen) > 10
 
 
@@ -322,7 +350,7 @@ def test_pulses_and_rows_go_through_the_ring_unchanged() -> None:
         given, lasting = (values[3], 0.002) if count % 3 else (list(ZERO), 0.0)
         assert place == count
         expected = [count, 0.1 * count, *values[4], *values[0], *pulse, *values[2], *given, *values[5], width, lasting]
-        assert row == expected
+        assert row[:-1] == expected and math.isnan(row[-1])
     ring.close()
     reader.close()
 
@@ -366,39 +394,100 @@ def test_a_kind_of_file_that_is_not_known_is_refused(name: str, tmp_path: Path, 
 
 
 @pytest.mark.parametrize("suffix", [".mcap", ".npz"])
-def test_a_recording_is_exported_as_a_table_with_units(suffix: str, tmp_path: Path, capsys: Any) -> None:
+def test_a_recording_is_exported_with_every_field_unit_event_and_attachment(
+    suffix: str, tmp_path: Path, capsys: Any
+) -> None:
+    """Of two stretches, as pandas and numpy read it without an option."""
+    import pandas
     from pyarrow import parquet
 
-    path = tmp_path / f"run{suffix}"
-    write_run(path, Drop(), plant="exact")
-    (stretch,) = Recording.load(path).stretches
+    path, other = tmp_path / f"run{suffix}", tmp_path / "other.npz"
+    file = open_recording(path, wait=True)
+    file.attach("own.py", "text/x-python", b"# mine\xff")
+    for scene in (Drop(), StickSlip()):
+        plant, controller = scene.plant("exact"), scene.controller()
+        with plant:
+            drive(plant, controller, 40, record=file.begin(plant, controller, {"kind": "test"}))
+        file.event("missed", "too slow", 5)
+    file.close()
+    recording, samples = Recording.load(path), load(path)
     for kind in ("csv", "parquet"):
         assert main(["export", str(path), "--to", kind]) == 0
-        assert capsys.readouterr().out == f"  wrote {tmp_path / f'run.{kind}'}: 81 samples\n"
-    head, *lines = (tmp_path / "run.csv").read_text().splitlines()
-    names = head.split(",")
-    rows = np.array([[float(value) for value in line.split(",")] for line in lines])
-    assert names[:4] == ["stretch", "tick", "time [s]", "position.x [m]"]
-    table = parquet.read_table(tmp_path / "run.parquet")
-    assert json.loads(table.schema.metadata[b"maglev_mj.setups"])[0] == json.loads(json.dumps(stretch.whole_setup))
-    assert table.schema.field("hand.rz").metadata == {b"unit": b"N m"}
-    wanted = {
-        "time": stretch.time,
-        "position.z": stretch.position[:, 2],
-        "command.z": stretch.command[:, 2],
-        "pulse.z": stretch.pulse[:, 2],
-        "pulse_width": stretch.pulse_width,
-        "applied.x": stretch.applied[:, 0],
-        "applied_pulse.z": stretch.applied_pulse[:, 2],
-        "applied_pulse_width": stretch.applied_pulse_width,
-        "hand.rx": stretch.hand[:, 3],
-    }
-    for name, values in wanted.items():
-        (place,) = (index for index, title in enumerate(names) if title.split(" ")[0] == name)
-        assert (rows[:, place] == values).all() and (table[name].to_numpy() == values).all()
-    other = tmp_path / "other.npz"
+        assert capsys.readouterr().out == f"  wrote {tmp_path / f'run.{kind}'}: 80 samples\n"
+    totals = () if suffix == ".npz" else ("taken", "hand_work", "missed")
+    left_out = {"arrival", *TOTAL_NAMES} - {*totals}  # which the file does not tell
+    wanted = {name: column for name, column in samples.columns().items() if name not in left_out}
+    units = {name: unit for name, unit in samples.units.items() if name in wanted}
+    table, frame = parquet.read_table(tmp_path / "run.parquet"), pandas.read_csv(tmp_path / "run.csv")
+    titles = ["stretch", *(f"{name} [{unit}]" if unit else name for name, unit in units.items())]
+    assert list(frame.columns) == titles and table.column_names == list(wanted)
+    for (name, column), title in zip(wanted.items(), titles, strict=True):
+        np.testing.assert_allclose(frame[title].to_numpy(), column, rtol=1e-15)
+        np.testing.assert_array_equal(table[name].to_numpy(), column)
+        assert (table.schema.field(name).metadata or {}) == ({b"unit": units[name].encode()} if units.get(name) else {})
+    beside = json.loads((tmp_path / "run.csv.json").read_text())
+    inside = {name: json.loads(table.schema.metadata[f"maglev_mj.{name}".encode()]) for name in beside}
+    assert beside == inside and beside["events"] == ["missed: too slow"] * 2
+    assert beside["setups"] == json.loads(json.dumps([stretch.whole_setup for stretch in recording.stretches]))
+    assert base64.b64decode(beside["attachments"]["own.py"]) == b"# mine\xff" and beside["about"] == recording.about
+    assert {name: beside["units"][name] for name in units} == units
     assert main(["export", str(path), "--to", "npz", "--out", str(other)]) == 0
-    assert same(Recording.load(other), Recording.load(path))
+    again = Recording.load(other)
+    assert same(again, recording) and again.events == tuple(recording.events) and again.about == recording.about
+    assert again.attachments == recording.attachments
+    for one, two in zip(again.stretches, recording.stretches, strict=True):
+        assert one.whole_setup == two.whole_setup and list(one.gaps) == list(two.gaps)
+        assert (one.totals is None) == (two.totals is None) == (suffix == ".npz")
+        assert one.totals is None or two.totals is None or one.totals.tobytes() == two.totals.tobytes()
+    assert [len(stretch.gaps) for stretch in recording.stretches] == ([1, 1] if suffix == ".mcap" else [0, 0])
+
+
+def test_a_recording_is_loaded_as_arrays_and_as_a_data_frame(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for suffix in (".mcap", ".npz"):
+        path = tmp_path / f"run{suffix}"
+        write_run(path, Drop(), plant="exact")
+        samples, (stretch,) = load(path), Recording.load(path).stretches
+        assert len(samples) == 81 and samples.position.shape == (81, 6) and not samples.damage
+        for name in ROW.names or ():
+            np.testing.assert_array_equal(samples.arrays[name], stretch.rows[name])
+        for name in TOTAL_NAMES:
+            totals = np.full(81, np.nan) if stretch.totals is None else stretch.totals[name]
+            np.testing.assert_array_equal(samples.arrays[name], totals)
+        assert samples.metadata[0] is not None and samples.metadata[0].faces and samples.setups[0]["kind"]
+        some = load(path, fields=("time", "hand"))
+        assert list(some.arrays) == ["time", "hand"] and (some.time == samples.time).all()
+        with pytest.raises(AttributeError, match="the samples have no 'position'"):
+            _ = some.position
+        frame = samples.to_pandas()
+        assert (frame["position.z"] == stretch.position[:, 2]).all() and frame["tick"].dtype == np.int64
+        assert frame.attrs["units"]["hand.rx"] == "N m"
+        with pytest.raises(ParameterError, match=r"fields must be of tick, time, position, .* not 'positions'"):
+            load(path, fields=["positions"])
+    monkeypatch.setattr("maglev_mj.recording.samples.find_spec", lambda name: None)
+    with pytest.raises(PandasMissingError, match=r"pip install 'maglev-mj\[pandas\]'"):
+        samples.to_pandas()
+    with pytest.raises(RecordingError, match="cannot be read: No such file"):
+        load(tmp_path / "none.mcap")
+
+
+def test_what_is_constant_or_equal_to_another_is_kept_once(tmp_path: Path) -> None:
+    """Over many blocks: until they differ, and with the right bits behind that."""
+    path, count = tmp_path / "run.mcap", 20_000
+    file = open_recording(path, wait=True)
+    record = file.begin(Still(), Controller([], period=0.001), {"kind": "test"})
+    for tick in range(count):
+        force = [float(tick), 0.0, -0.0, 0.0, 0.0, 0.0]
+        applied = force if tick != 15_000 else [1.0, *force[1:]]
+        pulse = [0.0] * 5 + [float(tick > 16_000)]
+        record(Sample(tick, tick * 0.001, list(ZERO)), Command(force, pulse, 0.001), Command(applied, pulse, 0.001))
+    file.close()
+    samples = load(path)
+    assert samples.position.strides[0] == samples.pulse_width.strides[0] == 0
+    assert samples.applied_pulse is samples.pulse and samples.applied_pulse_width.strides[0] == 0
+    assert samples.applied is not samples.command
+    assert samples.command[:, 0].tolist() == list(range(count)) and np.signbit(samples.command[:, 2]).all()
+    assert np.flatnonzero((samples.applied != samples.command).any(axis=1)).tolist() == [15_000]
+    assert samples.applied[15_000, 0] == 1.0 and (samples.pulse[:, 5] == (samples.tick > 16_000)).all()
 
 
 def test_a_recording_is_not_exported_over_itself(tmp_path: Path, capsys: Any) -> None:
@@ -608,20 +697,18 @@ def test_a_recording_of_ones_own_is_shown_and_analysed_without_its_scene_and_che
     assert known is not None and known.faces == [(2, -1.0, 0.001)]
     assert (known.name, known.axis, known.delay, known.hand_recorded) == ("tap", "z", scene.delay, False)
     assert known.inertia.tolist() == list(INERTIA) and known.load.tolist() == [0.0, 0.0, -0.7, 0.0, 0.0, 0.0]
-    assert stretch.setup["kind"] == "own" and stretch.setup["start"]["pose"][3] == 0.01
+    assert stretch.setup["kind"] == "run" and stretch.setup["plant"]["pose"][3] == 0.01
     replay = Replay(Recording([stretch]))
     assert replay.tick(0.05) == 10 and (replay.snapshot().pose == stretch.position[10]).all()
     assert replay.snapshot().faces == ((2, -1.0, 0.001),)
     assert main(["analyse", str(path), "--json", str(tmp_path / "own.json")]) == 0
     (found,) = json.loads((tmp_path / "own.json").read_text())["stretches"]
     (face,) = found["recorded"]["faces"]
-    assert face["edge"] == 0.001 and face["penetration"] > 1e-4 and found["simulated"] is None
+    assert face["edge"] == 0.001 and face["penetration"] > 1e-4 and found["comparison"]["same"]
     assert abs(found["recorded"]["unexplained_force"]["z"]) < 1e-9  # gravity and mass are those of the run
     assert main(["export", str(path), "--to", "csv"]) == 0
     capsys.readouterr()
-    assert main(["replay", str(path), "--check"]) == 2
-    said = capsys.readouterr().err
-    assert len(said.splitlines()) == 1 and "needs its scene" in said and "own.py" in said
+    assert main(["replay", str(path), "--check"]) == 0  # its laws are this package's
     again = ["--scene", str(tmp_path / "elsewhere.py")]
     assert main(["replay", str(path), "--check", *again]) == 0
     assert not capsys.readouterr().err
@@ -646,9 +733,9 @@ def test_ten_lines_of_ones_own_tell_all_that_plant_and_controller_know(suffix: s
     assert known is not None and (known.period, known.delay, known.faces) == (0.001, 0.0025, [])
     assert known.inertia.tolist() == [0.9, 0.9, 0.9 + 0.2, *INERTIA[3:]]
     assert known.load[2] == -1.8 and known.before[2] == known.carried[2] == 1.8
-    assert (setup["kind"], setup["scene"], setup["source"], setup["phase"]) == ("own", None, None, 0.5)
-    assert setup["plant"] == "maglev_mj.plants.exact.ExactPlant" and setup["laws"] == ["maglev_mj.laws.bias.Bias"]
-    assert setup["start"]["wrench"][2] == 1.8 and setup["versions"]
+    assert (setup["kind"], setup["scene"], setup["source"]) == ("run", None, None)
+    assert setup["plant"]["class"] == "ExactPlant" and setup["plant"]["timing"]["phase"] == 0.5
+    assert setup["plant"]["wrench"][2] == 1.8 and setup["versions"]
     assert analyse(stretch).comparison is None
     verdict = verify(
         Recording([stretch]), lambda setup, force: (ExactPlant(timing, mass=0.8, hand_force=force), controller_of())

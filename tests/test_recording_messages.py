@@ -101,11 +101,8 @@ def test_frames_are_where_the_flotor_is_and_the_stick_position_where_it_sticks(s
     write_run(path, scene, plant="exact")
     (stretch,) = Recording.load(path).stretches
     sticks, found = stick_positions_of(stretch, rebuild), found_in(path)
-    shown, last = [], -1.0
-    for row, time in enumerate(stretch.time):
-        if time >= last + 1.0 / 60.0:
-            shown.append(row)
-            last = time
+    turns = np.floor((stretch.time - stretch.time[0]) * 60.0 + 1e-6)
+    shown = [row for row in range(len(stretch)) if row == 0 or turns[row] > turns[row - 1]]
     assert len(found["/tf"]) == len(shown) > 10
     for message, row in zip(found["/tf"], shown, strict=True):
         frames = {frame["child_frame_id"]: frame for frame in message["transforms"]}
@@ -215,3 +212,19 @@ def test_a_force_too_small_to_see_or_that_is_no_number_has_no_arrow(force: tuple
     from maglev_mj.recording.messages import _arrow
 
     assert _arrow(GRIP, force, (1.0, 1.0, 1.0, 1.0)) == []
+
+
+def test_rerun_finds_the_flotors_transform_and_fields_by_name(tmp_path: Path) -> None:
+    """Where its package is installed; it is none that this project needs."""
+    import subprocess
+    import sys
+
+    pytest.importorskip("rerun")
+    path, script = tmp_path / "run.mcap", Path(__file__).parents[1] / "scripts" / "examples" / "rerun_recording.py"
+    write_run(path, Drop(), plant="exact")
+    (stretch,) = Recording.load(path).stretches
+    for field, values in (("position.z", stretch.position[:, 2]), ("applied.z", stretch.applied[:, 2])):
+        done = subprocess.run([sys.executable, str(script), str(path), field], capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        assert "Transform3D of the flotor: 25 rows" in done.stdout
+        assert f"Scalars of {field}: 81 rows, least {float(values.min())!r}" in done.stdout

@@ -13,7 +13,7 @@ from maglev_mj.frames import Component
 from maglev_mj.laws.base import AxisLaw, gain
 from maglev_mj.laws.friction import choose
 from maglev_mj.parameters import number
-from maglev_mj.timeline import split_delay
+from maglev_mj.timeline import MOST_PERIODS, split_delay
 
 __all__ = ["PassivityController"]
 
@@ -52,7 +52,8 @@ class PassivityController(AxisLaw):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        period, delay = number("period", self.period, above=0.0), number("delay", self.delay, at_least=0.0)
+        period = number("period", self.period, above=0.0)
+        delay = number("delay", self.delay, at_least=0.0, at_most=MOST_PERIODS * period)
         whole, rest = split_delay(delay, period)
         object.__setattr__(self, "_whole", int(whole))
         object.__setattr__(self, "_rest", rest)

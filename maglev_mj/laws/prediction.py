@@ -15,7 +15,7 @@ from maglev_mj.frames import Array, Component
 from maglev_mj.laws.base import AxisLaw, Face, LinearController, gain
 from maglev_mj.laws.friction import choose
 from maglev_mj.parameters import flag, number
-from maglev_mj.timeline import split_delay
+from maglev_mj.timeline import MOST_PERIODS, split_delay
 
 __all__ = ["ObserverWall", "PredictiveWall"]
 
@@ -125,7 +125,8 @@ class ObserverWall(AxisLaw):
     _rest: float = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        period, delay = number("period", self.period, above=0.0), number("delay", self.delay, at_least=0.0)
+        period = number("period", self.period, above=0.0)
+        delay = number("delay", self.delay, at_least=0.0, at_most=MOST_PERIODS * period)
         whole, rest = split_delay(delay, period)
         object.__setattr__(self, "_whole", int(whole))
         object.__setattr__(self, "_rest", rest)

@@ -14,10 +14,14 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Component
 from maglev_mj.laws.base import LinearController
 from maglev_mj.laws.friction import choose
-from maglev_mj.parameters import number
+from maglev_mj.parameters import number, whole
 from maglev_mj.spec import RESOLUTION
 
 __all__ = ["AdaptiveWindow", "FiniteDifference", "LowPass", "Window"]
+
+
+_LONGEST = 1000
+"""Longest window [samples]: 1 s at 1 kHz."""
 
 
 @dataclass(frozen=True)
@@ -89,28 +93,27 @@ class Window:
     """Slope of the chord over a fixed number of samples, as if at rest before the first.
 
     Args:
-        samples: Length of the window [samples], at least 1; 1 is the finite difference.
+        samples: Length of the window [samples], 1 to 1000; 1 is the finite difference.
 
     Raises:
-        ParameterError: If it is not a whole number of at least 1.
+        ParameterError: If it is not a whole number from 1 to 1000.
     """
 
     samples: int = 3
 
     def __post_init__(self) -> None:
-        if number("samples", self.samples, at_least=1) != int(self.samples):
-            raise ParameterError(f"samples must be a whole number, not {self.samples!r}")
+        object.__setattr__(self, "samples", whole("samples", self.samples, at_least=1, at_most=_LONGEST))
 
     def __call__(self, position: Sequence[Component], state: Any, period: float) -> tuple[Sequence[Component], Any]:
         """Return (x[k] - x[k-n]) / (n T) for each component, zero at the first sample, and the next state."""
-        past = (position,) * int(self.samples) if state is None else state
+        past = (position,) * self.samples if state is None else state
         time = len(past) * period
         velocity = [(now - before) / time for now, before in zip(position, past[-1])]
         return velocity, (position, *past[:-1])
 
     def linear(self, period: ArrayLike) -> LinearController:
         """Return the estimate of one coordinate as a linear system that remembers the last positions."""
-        time, count = np.asarray(period, dtype=np.float64), int(self.samples)
+        time, count = np.asarray(period, dtype=np.float64), self.samples
         advance, take = np.eye(count, k=-1), np.eye(count)[0]
         oldest = np.eye(count)[-1]
         return LinearController(advance, take, -oldest / (count * time[..., None]), 1.0 / (count * time))
@@ -127,7 +130,7 @@ class AdaptiveWindow:
     Args:
         noise: Half-width of the band around the chord [m, rad]: the sensor's resolution, for each of the six
             components.
-        longest: Longest window [samples], at least 1.
+        longest: Longest window [samples], 1 to 1000.
 
     Raises:
         ParameterError: If a value is outside its bounds.
@@ -139,7 +142,7 @@ class AdaptiveWindow:
     longest: int = 16
 
     def __post_init__(self) -> None:
-        number("longest", self.longest, at_least=1)
+        object.__setattr__(self, "longest", whole("longest", self.longest, at_least=1, at_most=_LONGEST))
         if len(self.noise) != len(AXES):
             raise ParameterError(f"noise must have {len(AXES)} numbers, not {len(self.noise)}")
         for value in self.noise:

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Component, components, join
 from maglev_mj.model import beams
-from maglev_mj.parameters import number, numbers
+from maglev_mj.parameters import number, numbers, whole
 from maglev_mj.sensing.geometry import Beams
 from maglev_mj.sensing.solver import FastBeams, PoseTracker
 
@@ -53,8 +53,7 @@ class Sensor:
             if values.shape not in ((), (6,)):
                 raise ParameterError(f"{name} must be a number or have the shape (6,), not {values.shape}")
             object.__setattr__(self, name, np.broadcast_to(values, (6,)))
-
-        number("seed", self.seed, at_least=0)
+        object.__setattr__(self, "seed", whole("seed", self.seed))
 
     def start(self) -> Measure:
         """Return what turns the components of the true pose into those measured, from the seed on."""
@@ -88,8 +87,7 @@ class SpotReader:
         self._beams = FastBeams(beams)
         self._quantum = number("quantum", quantum, at_least=0.0)
         self._noise = number("noise", noise, at_least=0.0)
-        number("seed", seed, at_least=0)
-        self._draws = _normal_rows(np.random.default_rng(seed))
+        self._draws = _normal_rows(np.random.default_rng(whole("seed", seed)))
 
     def __call__(self, pose: Sequence[float]) -> list[float]:
         """Return the six coordinates of the spots [m] that are measured of the true pose, six floats [m, rad].
@@ -139,8 +137,9 @@ class SpotSensor:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        for name in ("quantum", "noise", "seed"):
+        for name in ("quantum", "noise"):
             number(name, getattr(self, name), at_least=0.0)
+        object.__setattr__(self, "seed", whole("seed", self.seed))
 
     def start(self) -> Measure:
         """Return what turns the components of the true pose into those measured; each search begins at the last.

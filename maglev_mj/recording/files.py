@@ -1,39 +1,32 @@
-"""Files that runs are recorded to, and tables for other programs."""
+"""Files that runs are recorded to."""
 
 from __future__ import annotations
 
-import csv
-import json
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Protocol, TypeAlias
-
-import numpy as np
+from typing import Protocol, TypeAlias
 
 from maglev_mj.controller import Controller
-from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Command, Sample
 from maglev_mj.loop import Record
 from maglev_mj.parameters import flag
 from maglev_mj.recording.live import LiveFile
 from maglev_mj.recording.mcap import require_mcap
 from maglev_mj.recording.metadata import Setup
-from maglev_mj.recording.recording import Recording, Stretch, aside, split_setup
-from maglev_mj.recording.row import RecordedPlant, Row, as_rows, as_table, columns, compiled
+from maglev_mj.recording.recording import Recording, Stretch, split_setup
+from maglev_mj.recording.row import RecordedPlant, Row, as_rows, compiled
 from maglev_mj.recording.setup import attach_parts, whole_setup
 from maglev_mj.versions import versions
 
 __all__ = [
-    "EXPORTS",
     "ArrayFile",
-    "ParquetMissingError",
     "Recorder",
     "RecordingFile",
     "best_suffix",
     "check_name",
-    "export",
     "open_recording",
     "row_of",
 ]
@@ -200,72 +193,3 @@ def open_recording(path: Path, *, wait: bool = False) -> RecordingFile:
     flag("wait", wait)
     check_name(path)
     return LiveFile(path, wait=wait) if path.suffix == ".mcap" else ArrayFile(path)
-
-
-class ParquetMissingError(MaglevError):
-    """The package that writes Parquet is not installed."""
-
-
-def export(recording: Recording, kind: str, path: Path) -> None:
-    """Write a recording as a table, a row for each sample.
-
-    Args:
-        recording: The recording.
-        kind: One of EXPORTS.
-        path: Where to.
-
-    Raises:
-        ParameterError: If the kind is not known.
-        ParquetMissingError: If Parquet is asked for, and the package for it is not installed.
-        OSError: If it cannot be written; then what was there stays.
-    """
-    if kind not in EXPORTS:
-        raise ParameterError(f"to must be one of {', '.join(EXPORTS)}, not {kind!r}")
-    with aside(path) as partial:
-        EXPORTS[kind](recording, partial)
-
-
-def _rows(recording: Recording) -> Iterator[list[float]]:
-    """Yield number of the stretch and values of each sample, in the order of `_COLUMNS`."""
-    for number, stretch in enumerate(recording.stretches):
-        for row in as_table(stretch.rows).tolist():
-            yield [number, *row]
-
-
-_COLUMNS = [("stretch", ""), *columns()]
-
-
-def _as_csv(recording: Recording, path: Path) -> None:
-    with path.open("w", newline="", encoding="utf-8") as file:
-        table = csv.writer(file)
-        table.writerow([f"{name} [{unit}]" if unit else name for name, unit in _COLUMNS])
-        for row in _rows(recording):
-            table.writerow([value if unit else int(value) for value, (_, unit) in zip(row, _COLUMNS)])
-
-
-def _as_parquet(recording: Recording, path: Path) -> None:
-    if find_spec("pyarrow") is None:
-        raise ParquetMissingError("Parquet needs pyarrow: pip install 'maglev-mj[parquet]'")
-    import pyarrow
-    from pyarrow import parquet
-
-    values = np.array(list(_rows(recording)), dtype=np.float64).reshape(-1, len(_COLUMNS))
-    fields, columns = [], []
-    for (name, unit), column in zip(_COLUMNS, values.T, strict=True):
-        kind = pyarrow.float64() if unit else pyarrow.int64()
-        fields.append(pyarrow.field(name, kind, metadata={"unit": unit} if unit else None))
-        columns.append(pyarrow.array(column if unit else column.astype(np.int64), type=kind))
-    about = {"maglev_mj.setups": json.dumps([stretch.whole_setup for stretch in recording.stretches])}
-    parquet.write_table(pyarrow.table(columns, schema=pyarrow.schema(fields, metadata=about)), path)
-
-
-def _as_arrays(recording: Recording, path: Path) -> None:
-    recording.save(path)
-
-
-EXPORTS: Mapping[str, Callable[[Recording, Path], Any]] = {
-    "npz": _as_arrays,
-    "csv": _as_csv,
-    "parquet": _as_parquet,
-}
-"""What a recording is exported to; each function writes a recording to a path."""

@@ -44,7 +44,7 @@ __all__ = ["EVENT", "FRAMES", "LOG", "SAMPLE", "SCENE", "STRETCH", "Messages"]
 
 FRAMES, SCENE, LOG = "/tf", "/maglev/scene", "/log"
 
-_SHOWN = 1.0 / 60.0  # s between two poses to look at
+_SHOWN = 60.0  # poses to look at in a second
 _WALL, _HAND, _DEVICE = (0.25, 0.47, 0.85, 0.16), (0.13, 0.62, 0.30, 1.0), (0.80, 0.16, 0.14, 1.0)
 _UPRIGHT = 1.0, 0.0, 0.0, 0.0
 _SHAFT, _HEAD, _HEAD_LENGTH = 0.0032, 0.0064, 0.25
@@ -117,7 +117,7 @@ class Messages:
         self._stretch, self._tick = -1, 0
         self._began = self._now = 0
         self._first: float | None = None
-        self._shown = -math.inf
+        self._shown = -1
         self._begun: Mapping[str, Any] = {}
         self._drawn = self._device
         self._stick: Sequence[float] | None = None
@@ -131,7 +131,7 @@ class Messages:
             began_ns: When, since 1970 [ns].
         """
         self._stretch += 1
-        self._first, self._shown = None, -math.inf
+        self._first, self._shown = None, -1
         # a run that is faster than real time must not lie over the next
         self._began = self._now = max(began_ns, self._now + 1)
         run = setup["run"]
@@ -165,8 +165,9 @@ class Messages:
         self._tick = int(values["tick"])
         self._now = max(self._now, self._began + round((time - self._first) * 1e9))
         self._sample.log(protobuf.packed(self._stretch, row, self._totals.add(values)), self._now)
-        if not time < self._shown + _SHOWN:  # on a grid, from which a sample that is late does not lead away
-            self._shown = self._shown + _SHOWN if time < self._shown + 2.0 * _SHOWN else time
+        turn = math.floor((time - self._first) * _SHOWN + 1e-6)
+        if turn > self._shown:
+            self._shown = turn
             self._show(values)
 
     def event(self, kind: str, text: str, missed: int = 0) -> None:

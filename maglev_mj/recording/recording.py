@@ -26,9 +26,10 @@ from maglev_mj.recording.checks import (
     object_in,
     parsed,
     text_in,
+    whole,
 )
 from maglev_mj.recording.metadata import RunMetadata, Setup
-from maglev_mj.recording.row import ARRAYS, FIELDS, ROW, TOTALS, Rows, as_rows, columns
+from maglev_mj.recording.row import ARRAYS, FIELDS, ROW, TOTALS, Rows, as_rows, told, units
 
 if TYPE_CHECKING:
     from maglev_mj.recording.mcap import Found
@@ -121,14 +122,19 @@ class Recording:
         arrays: dict[str, Any] = {
             f"{index}/{name}": _array_of(stretch.rows, name)
             for index, stretch in enumerate(self.stretches)
-            for name in ARRAYS
+            for name, fields in ARRAYS.items()
+            if any(told(one, stretch.rows[one.name]) for one in fields)
         }
+        for index, stretch in enumerate(self.stretches):
+            if stretch.totals is not None:
+                arrays |= {f"{index}/{one.name}": stretch.totals[one.name] for one in TOTALS}
         setups = [stretch.whole_setup for stretch in self.stretches]
         arrays |= {f"attachment/{place}": _bytes(data) for place, data in enumerate(self.attachments.values())}
         header = {
             "format": _FORMAT,
             "axes": AXES,
-            "units": dict(columns()),
+            "units": units(),
+            "gaps": [list(stretch.gaps) for stretch in self.stretches],
             "setups": setups,
             "events": list(self.events),
             "attachments": list(self.attachments),
@@ -246,12 +252,15 @@ def _read_arrays(file: IO[bytes], size: int) -> Recording:
             setups = header["setups"]
             if not isinstance(setups, list):
                 raise ParameterError("setups must be a list")
-            stretches = [_stretch(archive, allowance, index, setup) for index, setup in enumerate(setups)]
-            names = list_in(header, "attachments") if "attachments" in header else []
+            gaps = list_in(header, "gaps") if "gaps" in header else [[] for _ in setups]
+            stretches = [
+                _stretch(archive, allowance, *one) for one in zip(range(len(setups)), setups, gaps, strict=True)
+            ]
             attachments = {
-                str(name): np.asarray(_array(archive, allowance, f"attachment/{place}"), np.uint8).tobytes()
-                for place, name in enumerate(names)
+                text_in({"attachment": name}, "attachment"): bytes(_array(archive, allowance, f"attachment/{place}"))
+                for place, name in enumerate(header.get("attachments", ()))
             }
+            about = {name: text_in(header["about"], name) for name in header.get("about", ())}
     except (OSError, ParameterError):
         raise
     except UnpackingError as error:
@@ -262,7 +271,6 @@ def _read_arrays(file: IO[bytes], size: int) -> Recording:
     if not isinstance(events, list):
         raise ParameterError("events must be a list")
     texts = tuple(text_in({"event": event}, "event") for event in events)
-    about = {name: text_in(header["about"], name) for name in header.get("about", ())}
     return Recording(stretches, events=texts, attachments=attachments, about=about)
 
 
@@ -275,26 +283,34 @@ def _header(archive: ZipFile, allowance: Allowance) -> Mapping[str, Any]:
     return dict(header)
 
 
-def _stretch(archive: ZipFile, allowance: Allowance, index: int, setup: Any) -> Stretch:
+def _stretch(archive: ZipFile, allowance: Allowance, index: int, setup: Any, gaps: Any) -> Stretch:
     names = set(archive.namelist())
     found = {
-        name: _column(_array(archive, allowance, f"{index}/{name}"), name)
-        for name, fields in ARRAYS.items()
-        if f"{index}/{name}.npy" in names or not all(field.optional for field in fields)
+        name: _column(_array(archive, allowance, f"{index}/{name}"), sum(len(field.units) for field in fields), name)
+        for name, fields in _STORED.items()
+        if f"{index}/{name}.npy" in names or not all(field.optional or field in TOTALS for field in fields)
     }
     lengths = {len(values) for values in found.values()}
     if len(lengths) > 1:
         raise ParameterError(f"the arrays of stretch {index} must be of one length")
-    rows = np.full(lengths.pop(), np.nan, dtype=ROW)
+    size, whole_totals = lengths.pop(), all(field.name in found for field in TOTALS)
+    rows, totals = np.full(size, np.nan, dtype=ROW), as_rows(np.full((size, len(TOTALS)), np.nan), TOTALS)
     for name, values in found.items():
-        start, columns = 0, values.reshape(len(values), -1)
-        for one in ARRAYS[name]:
+        start, columns = 0, values.reshape(size, -1)
+        for one in _STORED[name]:
             part = columns[:, start : start + len(one.units)]
-            rows[one.name] = part if one.six else part[:, 0]
+            (totals if one in TOTALS else rows)[one.name] = part if one.six else part[:, 0]
             start += len(one.units)
-    check_rows({name: rows[name] for name in rows.dtype.names or ()})
+    tables = (rows, totals) if whole_totals else (rows,)
+    check_rows({name: table[name] for table in tables for name in table.dtype.names or ()})
+    missed = [(whole({"a gap": row}, "a gap", at_most=size), whole({"a gap": count}, "a gap")) for row, count in gaps]
     made_from, metadata = split_setup(setup)
-    return Stretch(setup=made_from, rows=rows, metadata=metadata)
+    known = totals if whole_totals else None
+    return Stretch(setup=made_from, rows=rows, totals=known, metadata=metadata, gaps=missed)
+
+
+_STORED = {**ARRAYS, **{field.name: [field] for field in TOTALS}}
+"""Fields in each array of a stretch."""
 
 
 def _array(archive: ZipFile, allowance: Allowance, name: str) -> Any:
@@ -308,8 +324,7 @@ def _array(archive: ZipFile, allowance: Allowance, name: str) -> Any:
         return np.lib.format.read_array(member, allow_pickle=False)
 
 
-def _column(array: Any, name: str) -> Array:
-    count = sum(len(field.units) for field in ARRAYS[name])
+def _column(array: Any, count: int, name: str) -> Array:
     if array.dtype != np.float64 or array.ndim != (1 if count == 1 else 2) or (count > 1 and array.shape[1] != count):
         shape = "(N,)" if count == 1 else f"(N, {count})"
         raise ParameterError(f"{name} must be numbers {shape}, not {array.dtype} {array.shape}")

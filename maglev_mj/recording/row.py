@@ -22,10 +22,11 @@ __all__ = [
     "Rows",
     "as_rows",
     "as_table",
-    "columns",
     "compiled",
     "named",
     "schema",
+    "told",
+    "units",
 ]
 
 Row: TypeAlias = Sequence[float]
@@ -117,7 +118,7 @@ FIELDS: Sequence[Field] = (
         "arrival",
         "s",
         "when it arrived, by the clock of the host: only changes count; not known of a simulated plant",
-        'getattr(plant, "arrival", NAN)',
+        "plant.arrival",
         optional=True,
     ),
 )
@@ -166,11 +167,22 @@ def compiled(arguments: str, template: str, fields: Sequence[Field] = FIELDS, **
         fields: Whose values.
         names: What the expression refers to besides its arguments.
     """
-    values = ", ".join(f"*({field.value})" if field.six else f"({field.value})" for field in fields)
+    sources = ((field, _source(field, names.get("plant"))) for field in fields)
+    values = ", ".join(f"*({source})" if field.six else f"({source})" for field, source in sources)
     made: Callable[..., Any] = eval(
         f"lambda {arguments}: {template.format(values=values)}", {"NAN": math.nan, "ZERO": ZERO, **names}
     )
     return made
+
+
+def _source(field: Field, plant: RecordedPlant | None) -> str:
+    """Return the expression of a field; of an optional one of a plant, which is known or yet to come, with NaN."""
+    of, _, name = field.value.partition(".")
+    if not field.optional or of != "plant":
+        return field.value
+    if plant is None:
+        return f"getattr(plant, {name!r}, NAN)"
+    return field.value if hasattr(plant, name) else "NAN"
 
 
 def as_rows(values: Any, fields: Sequence[Field] = FIELDS) -> Rows:
@@ -212,6 +224,11 @@ def schema(field: Field) -> dict[str, Any]:
     return {"type": "number", "unit": field.unit, "description": f"{field.description} [{field.unit}]"}
 
 
-def columns() -> list[tuple[str, str]]:
-    """Return name and unit of each column of a table of samples."""
-    return [column for field in FIELDS for column in field.units]
+def told(field: Field, values: Array) -> bool:
+    """Return whether a file tells anything of a field: an optional one may be NaN throughout."""
+    return not (field.optional and bool(np.isnan(values).all()))
+
+
+def units() -> dict[str, str]:
+    """Return the unit of each column of a table of samples, its totals too; empty for a whole number."""
+    return {name: unit for field in (*FIELDS, *TOTALS) for name, unit in field.units}

@@ -62,6 +62,7 @@ _SLOTS: Mapping[str, tuple[type, ...]] = {
 ALLOW = "allow it by --scene {}, or by --scene attached for the source in the recording"
 """What a person does about an `OwnCodeError`."""
 
+_OBJECTS = ("timing", "sensor", "hand", "hand_force", "path")
 _OWN_SLOTS = ("laws", "velocity")
 _INFINITE = {"inf": math.inf, "-inf": -math.inf}
 _MOST, _LONGEST_LIST, _MOST_LAWS, _LEAST_STEP = 1e12, 100_000, 100, 1e-5
@@ -279,6 +280,8 @@ def _made(slot: str, told: Any, own: Own | None, more: Mapping[str, Any] | None 
         own: See `controller_again`.
         more: Further arguments of it.
     """
+    if slot in _OBJECTS and told is not None and not isinstance(told, dict):
+        raise ParameterError(f"{slot} must be an object, not {str(told)[:40]!r}")
     if isinstance(told, list):
         most = _MOST_LAWS if slot == "laws" else _LONGEST_LIST
         if len(told) > most:

@@ -22,7 +22,7 @@ from foxglove.mcap import MCAPWriteOptions
 from maglev_mj.recording.live import RowReader
 from maglev_mj.recording.mcap import FORMAT, METADATA
 from maglev_mj.recording.messages import Messages
-from maglev_mj.recording.row import FIELDS, TOTALS
+from maglev_mj.recording.row import units
 from maglev_mj.versions import versions
 
 __all__ = ["McapWriter", "main"]
@@ -87,8 +87,7 @@ class McapWriter:
     def __init__(self, file: IO[bytes]) -> None:
         self._file, self._context = _File(file), Context()  # without which its channels close
         options = MCAPWriteOptions(profile="", chunk_size=_CHUNK, compression_threads=0, disable_seeking=True)
-        units = {name: unit for field in (*FIELDS, *TOTALS) for name, unit in field.units}
-        about = {"format": FORMAT, "units": units, **versions()}
+        about = {"format": FORMAT, "units": units(), **versions()}
         texts = {name: one if isinstance(one, str) else json.dumps(one) for name, one in about.items()}
         with self._file.checked():
             self._writer = open_mcap(self._file, context=self._context, writer_options=options)

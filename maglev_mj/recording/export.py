@@ -1,0 +1,113 @@
+"""Recordings as tables for other programs: a row for each sample, and all else that is in a recording with it."""
+
+from __future__ import annotations
+
+import base64
+import csv
+import json
+from collections.abc import Callable, Mapping
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.recording.recording import Recording, aside
+from maglev_mj.recording.row import FIELDS, TOTALS, told, units
+
+__all__ = ["EXPORTS", "ParquetMissingError", "export"]
+
+_BLOCK = 1 << 14
+
+
+class ParquetMissingError(MaglevError):
+    """The package that writes Parquet is not installed."""
+
+
+def export(recording: Recording, kind: str, path: Path) -> None:
+    """Write a recording as a table, a row for each sample, and what else is in it.
+
+    Args:
+        recording: The recording.
+        kind: One of EXPORTS; with csv what is no table goes to a file beside it, of the same name and .json.
+        path: Where to.
+
+    Raises:
+        ParameterError: If the kind is not known.
+        ParquetMissingError: If Parquet is asked for, and the package for it is not installed.
+        OSError: If it cannot be written; then what was there stays.
+    """
+    if kind not in EXPORTS:
+        raise ParameterError(f"to must be one of {', '.join(EXPORTS)}, not {kind!r}")
+    with aside(path) as partial:
+        EXPORTS[kind](recording, partial, path)
+
+
+def _columns(recording: Recording) -> dict[str, NDArray[Any]]:
+    """Return each column of all samples, (N,); those without unit as whole numbers, those unknown left out."""
+    stretches = recording.stretches
+    sizes = [len(stretch) for stretch in stretches]
+    found: dict[str, NDArray[Any]] = {"stretch": np.repeat(np.arange(len(sizes)), sizes)}
+    totals = TOTALS if stretches and all(stretch.totals is not None for stretch in stretches) else ()
+    for field in (*FIELDS, *totals):
+        tables = [stretch.rows if field in FIELDS else stretch.totals for stretch in stretches]
+        values = np.concatenate([table[field.name] for table in tables if table is not None] or [np.empty((0, 6))])
+        if not told(field, values):
+            continue
+        for place, (name, unit) in enumerate(field.units):
+            column = values[:, place] if values.ndim > 1 else values
+            found[name] = column if unit else column.astype(np.int64)
+    return found
+
+
+def _about(recording: Recording) -> dict[str, Any]:
+    """Return what is in a recording besides its samples, ready for JSON; attachments in base64."""
+    attached = {name: base64.b64encode(data).decode() for name, data in recording.attachments.items()}
+    return {
+        "units": units(),
+        "setups": [stretch.whole_setup for stretch in recording.stretches],
+        "events": list(recording.events),
+        "about": dict(recording.about),
+        "damage": recording.damage,
+        "attachments": attached,
+    }
+
+
+def _as_csv(recording: Recording, partial: Path, path: Path) -> None:
+    named, known = _columns(recording), units()
+    with aside(path.with_name(f"{path.name}.json")) as beside:
+        beside.write_text(json.dumps(_about(recording), indent=1), encoding="utf-8")
+        with partial.open("w", newline="", encoding="utf-8") as file:
+            table = csv.writer(file)
+            table.writerow([f"{name} [{known[name]}]" if known.get(name) else name for name in named])
+            for first in range(0, recording.ticks, _BLOCK):
+                table.writerows(zip(*(column[first : first + _BLOCK].tolist() for column in named.values())))
+
+
+def _as_parquet(recording: Recording, partial: Path, _path: Path) -> None:
+    if find_spec("pyarrow") is None:
+        raise ParquetMissingError("Parquet needs pyarrow: pip install 'maglev-mj[parquet]'")
+    import pyarrow
+    from pyarrow import parquet
+
+    named, known = {name: pyarrow.array(column) for name, column in _columns(recording).items()}, units()
+    fields = [
+        pyarrow.field(name, column.type, metadata={"unit": known[name]} if known.get(name) else None)
+        for name, column in named.items()
+    ]
+    about = {f"maglev_mj.{name}": json.dumps(part) for name, part in _about(recording).items()}
+    parquet.write_table(pyarrow.table([*named.values()], schema=pyarrow.schema(fields, metadata=about)), partial)
+
+
+def _as_arrays(recording: Recording, partial: Path, _path: Path) -> None:
+    recording.save(partial)
+
+
+EXPORTS: Mapping[str, Callable[[Recording, Path, Path], Any]] = {
+    "npz": _as_arrays,
+    "csv": _as_csv,
+    "parquet": _as_parquet,
+}
+"""What a recording is exported to; each function writes a recording to a path that takes the place of another."""

@@ -1,0 +1,622 @@
+"""Recordings that stand alone: of a script of one's own, with each plant, law and velocity estimate."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+import types
+from collections.abc import Callable, Mapping
+from copy import deepcopy
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from maglev_mj import laws
+from maglev_mj.cli import main
+from maglev_mj.cli import replay as command
+from maglev_mj.controller import Controller
+from maglev_mj.frames import AXES
+from maglev_mj.hand import GuidedHand, Hand, SpringHand, Trajectory
+from maglev_mj.laws import (
+    AdaptiveWindow,
+    AxisLaw,
+    Bias,
+    Dahl,
+    ElastoPlastic,
+    FiniteDifference,
+    Friction,
+    HaywardArmstrong,
+    Hold,
+    ImplicitCoulomb,
+    Law,
+    LowPass,
+    LuGre,
+    ObserverWall,
+    PassivityController,
+    PredictiveWall,
+    SpringReset,
+    StickSlip,
+    VelocityEstimator,
+    Wall,
+    Window,
+)
+from maglev_mj.loop import drive
+from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant, Sensor, SpotSensor, Timing
+from maglev_mj.recording import ArrayFile, InvalidRecordingError, Recording, open_recording, verify
+from maglev_mj.replay import Replay, expected, rebuild, write_run
+from maglev_mj.scenes.drop import Drop
+from maglev_mj.scenes.find import find_scene, object_of_text
+from maglev_mj.scenes.parts import WEIGHT
+from maglev_mj.session import Pacer, Session
+from maglev_mj.versions import differences, hash_of, versions
+from tests.golden.outputs import HERE
+from tests.recorded import arrays_in, npz_of, numbers_in
+
+TICKS, PERIOD, DELAY = 80, 0.002, 0.003
+ALL: dict[str, Any] = {"stiffness": 300.0, "damping": 5.0, "axes": ("x", "y", "z")}
+FRICTION = {**ALL, "breakaway": 0.05}
+LAWS: Mapping[str, list[Law]] = {
+    "Wall": [
+        Wall(
+            axes=("y", "z"),
+            lower=[-np.inf, 1e-4],
+            upper=[2e-4, np.inf],
+            stiffness=[800.0, 2000.0],
+            damping=20.0,
+            pulse=40.0,
+            pulse_width=1e-3,
+            pulse_gate=1e-4,
+            force_limit=[np.inf, 0.2],
+        )
+    ],
+    "Hold": [Hold(**ALL, target=[1e-3, 0.0, -1e-3])],
+    "PredictiveWall": [PredictiveWall(axes="z", stiffness=1500.0, damping=10.0, period=PERIOD, delay=DELAY)],
+    "ObserverWall": [
+        ObserverWall(
+            axes="z", stiffness=500.0, damping=20.0, inertia=0.7, period=PERIOD, delay=DELAY, pole=0.4, disturbance=True
+        )
+    ],
+    "PassivityController": [
+        Wall(axes="z", lower=1e-4, stiffness=4000.0, damping=0.0),
+        PassivityController(axes="z", period=PERIOD, delay=DELAY, most=30.0, slow=1e-5),
+    ],
+    "StickSlip": [StickSlip(**FRICTION, v_min=1e-3, coupled=False)],
+    "SpringReset": [SpringReset(**FRICTION)],
+    "ImplicitCoulomb": [ImplicitCoulomb(**FRICTION, period=PERIOD, element_damping=3.0)],
+    "Dahl": [Dahl(**FRICTION)],
+    "LuGre": [LuGre(**FRICTION, period=PERIOD, coulomb=0.7, stribeck=0.02, bristle_damping=0.5)],
+    "ElastoPlastic": [ElastoPlastic(**FRICTION, elastic=0.6)],
+    "HaywardArmstrong": [HaywardArmstrong(**FRICTION, stick=0.6)],
+    "Bias": [],
+}
+VELOCITIES: list[VelocityEstimator] = [FiniteDifference(), LowPass(cutoff=80.0), Window(samples=4), AdaptiveWindow()]
+ARM = Hand(mass=0.3, damping=5.0, stiffness=100.0)
+PATH = Trajectory([0.01, 0.05, 0.12], [[0.0] * 6, [1e-3, -1e-3, 2e-3, 0.0, 0.0, 0.0], [0.0] * 6])
+START: dict[str, Any] = {"pose": [8e-4, -6e-4, 9e-4, 4e-3, 0.0, 0.0], "twist": [0.02, 0.01, -0.05, 0.0, 0.0, 0.0]}
+TIMING: dict[str, Any] = {"period": PERIOD, "delay": DELAY}
+PLANTS: Mapping[str, Callable[[], SampledPlant]] = {
+    "exact": lambda: ExactPlant(Timing(**TIMING), **START, wrench=WEIGHT),
+    "exact, with options": lambda: ExactPlant(
+        Timing(**TIMING, phase=0.3, jitter=2e-4, seed=4),
+        **START,
+        mass=0.9,
+        inertia=[1e-3, 2e-3, 3e-3],
+        gravity=1.5,
+        wrench=[0.0, 0.0, 1.3, 0.0, 0.0, 0.0],
+        wrench_limit=np.array([0.05, np.inf, 1.0, np.inf, np.inf, np.inf]),
+        sensor=Sensor(quantum=5e-6, noise=2e-5, seed=3),
+        driver_lag=True,
+        hand=ARM,
+        hand_force=GuidedHand(hand=ARM, path=PATH),
+        record=True,
+    ),
+    "mujoco": lambda: MuJoCoPlant(Timing(**TIMING), **START, wrench=WEIGHT),
+    "mujoco, with options": lambda: MuJoCoPlant(
+        Timing(**TIMING, phase=0.6),
+        **START,
+        model="scenes/table",
+        mass=0.8,
+        gravity=2.0,
+        current_limit=0.5,
+        driver_lag=True,
+        stops=True,
+        force_falloff=0.1,
+        sensor=SpotSensor(quantum=5e-6, noise=2e-6, seed=5),
+        hand_force=SpringHand(target=PATH, stiffness=150.0),
+        escape=(0.02, 1.0),
+        longest_step=5e-5,
+        metered=True,
+    ),
+}
+
+
+def controller_of(name: str) -> Controller:
+    """Return a controller of a law, each with another estimate of velocity, that holds what the law leaves alone."""
+    estimate = VELOCITIES[list(LAWS).index(name) % len(VELOCITIES)]
+    rest = Hold(axes=AXES[3:], stiffness=0.3, damping=0.02)
+    return Controller([*LAWS[name], rest, Bias(WEIGHT)], period=PERIOD, velocity=estimate)
+
+
+def record(path: Path, plants: list[str], names: list[str] | None = None) -> None:
+    """Record as a script of a user's own does, each law in a stretch of its own."""
+    file = open_recording(path, wait=True)
+    for name in plants:
+        for law in names or LAWS:
+            plant, controller = PLANTS[name](), controller_of(law)
+            drive(plant, controller, ticks=TICKS, record=file.begin(plant, controller))
+    file.close()
+
+
+@pytest.fixture
+def say(capsys: Any) -> Callable[..., tuple[int, str, str]]:
+    """Return what types a command: its status, and what it says."""
+
+    def typed(*words: str) -> tuple[int, str, str]:
+        status = main(list(words))
+        said = capsys.readouterr()
+        return status, said.out, said.err
+
+    return typed
+
+
+def test_every_law_and_estimate_of_the_package_is_in_the_product() -> None:
+    used: set[type] = {type(law) for parts in LAWS.values() for law in parts} | {type(one) for one in VELOCITIES}
+    there = {cls for cls in vars(laws).values() if isinstance(cls, type) and "__call__" in dir(cls)}
+    assert there - {Law, AxisLaw, Friction, VelocityEstimator} == used | {Bias}
+
+
+@pytest.mark.parametrize("suffix", [".mcap", ".npz"])
+@pytest.mark.parametrize("plant", PLANTS)
+def test_a_script_s_recording_is_checked_analysed_and_shown(plant: str, suffix: str, tmp_path: Path, say: Any) -> None:
+    path = tmp_path / f"run{suffix}"
+    record(path, [plant])
+    status, said, wrong = say("replay", str(path), "--check")
+    assert (status, wrong) == (0, ""), said
+    count = TICKS * len(LAWS)
+    assert f"{count} of {count} the same: tick, time, position, command, pulse," in said
+    assert "not run again" not in said and "hand" in said
+    assert say("analyse", str(path), "--json", str(tmp_path / "found.json"))[0] == 0
+    found = json.loads((tmp_path / "found.json").read_text())["stretches"]
+    assert [one["comparison"]["same"] for one in found] == [True] * len(LAWS)
+    recording = Recording.load(path)
+    replay, shown = Replay(recording), list[int]()
+    for place, (law, stretch) in enumerate(zip(LAWS, recording.stretches, strict=True)):
+        shown += [replay.tick(PERIOD) for _ in range(TICKS - (not place))]
+        view = replay.snapshot()
+        assert (view.pose == stretch.position[-1]).all() and view.delay == DELAY
+        assert (view.anchors is not None) == ("breakaway" in stretch.setup["controller"]["laws"][0]), law
+        assert len(view.faces) == len(controller_of(law).faces)
+    assert set(shown) == {1}
+    if "mujoco" in plant:
+        assert b"<mujoco" in recording.attachments["model/maglev.xml"]
+
+
+def at(value: Any, place: tuple[Any, ...]) -> Any:
+    """Return what is at a place."""
+    for key in place:
+        value = value[key]
+    return value
+
+
+def unseen(plant: str, names: list[str], part: str) -> tuple[list[str], int]:
+    """Return numbers and switches that tell of a controller or plant whose change is not found, and of how many."""
+    file, missed, tried = ArrayFile(), [], 0
+    for law in names:
+        made, controller = PLANTS[plant](), controller_of(law)
+        drive(made, controller, ticks=TICKS, record=file.begin(made, controller))
+    for law, stretch in zip(names, file.recording.stretches, strict=True):
+        for place in numbers_in(stretch.setup[part]):
+            old = at(stretch.setup[part], place)
+            new = (
+                not old
+                if isinstance(old, bool)
+                else old + 1
+                if place[-1] in COUNTS
+                else old * (1e5 if place[-1] in THRESHOLDS else 1.07)
+            )
+            if old is None or new == old:
+                continue
+            setup = deepcopy(dict(stretch.setup))
+            at(setup[part], place[:-1])[place[-1]] = new
+            tried += 1
+            try:
+                same = verify(Recording([replace(stretch, setup=setup)]), rebuild, expect=expected).same
+            except InvalidRecordingError:
+                continue
+            missed += [f"{law} {' '.join(map(str, place))}"] * same
+    return missed, tried
+
+
+COUNTS, THRESHOLDS = ("samples", "longest", "seed"), ("pulse_gate", "v_min", "slow")
+WITHOUT_EFFECT = re.compile(r"(escape \d|record|metered|hand_force hand (mass|damping))$")
+"""What no run of these depends on: a guided hand has mass and damping by the plant's `hand`."""
+
+
+def test_a_changed_gain_is_found() -> None:
+    missed, tried = unseen("exact", list(LAWS), "controller")
+    assert tried > 100 and [name for name in missed if not WITHOUT_EFFECT.search(name)] == []
+
+
+@pytest.mark.parametrize("plant", PLANTS)
+def test_a_changed_option_of_a_plant_is_found(plant: str) -> None:
+    missed, tried = unseen(plant, ["Hold"], "plant")
+    assert tried > 5 and [name for name in missed if not WITHOUT_EFFECT.search(name)] == []
+
+
+# laws of a user's own
+
+SCRIPT = """
+import math
+import sys
+from pathlib import Path
+
+from maglev_mj import AxisLaw, Controller, MuJoCoPlant, Timing, Wall, drive, gain
+from maglev_mj.recording import open_recording
+
+Path("executed").write_text(__name__)
+ratio = math.sqrt(SQUARE)
+
+
+class Magnet(AxisLaw):
+    stiffness: float = gain("stiffness", "N/m")
+    Path("law executed").write_text(__name__)
+
+    def force(self, x, v, gains, state):
+        return -ratio * gains.stiffness * x - 6.0 * v
+
+
+def lift(position, velocity):
+    return [0.0, 0.0, 6.8, 0.0, 0.0, 0.0]
+
+
+plant = MuJoCoPlant(Timing(period=0.001, delay=0.0015), pose=[0.001, 0.0, 0.001, 0.0, 0.0, 0.0])
+controller = Controller([Magnet(axes=("x", "z"), stiffness=300.0), lift], period=0.001)
+file = open_recording(Path(sys.argv[1]), wait=True)
+drive(plant, controller, ticks=60, record=file.begin(plant, controller))
+file.close()
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return an empty folder that commands are typed in."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def run_script(folder: Path, name: str) -> None:
+    """Record by a script with a law of its own, which leaves a mark where it is executed."""
+    (folder / "script.py").write_text(SCRIPT.replace("SQUARE", "4.0"))
+    subprocess.run([sys.executable, "script.py", name], cwd=folder, check=True)
+    for mark in ("executed", "law executed"):
+        (folder / mark).unlink()
+
+
+@pytest.mark.parametrize("suffix", [".mcap", ".npz"])
+def test_a_law_of_one_s_own_is_executed_only_by_leave(suffix: str, folder: Path, say: Any) -> None:
+    name = f"run{suffix}"
+    run_script(folder, name)
+    script = folder / "script.py"
+    text = script.read_text()
+    status, _, wrong = say("replay", name, "--check")
+    assert (status, wrong.count("\n")) == (2, 1) and f"'script.py:Magnet@{hash_of(text)}' must be executed" in wrong
+    assert "--scene script.py, or by --scene attached" in wrong
+    assert say("analyse", name)[0] == 0
+    assert Replay(Recording.load(Path(name))).snapshot().anchors is None
+    assert not list(folder.glob("*executed"))
+    for given in ("script.py", "attached"):
+        object_of_text.cache_clear()
+        if given == "attached":
+            script.unlink()
+        status, said, wrong = say("replay", name, "--check", "--scene", given)
+        assert (status, wrong) == (0, "") and "60 of 60 the same: tick, time, position, command" in said
+        status, said, wrong = say("analyse", name, "--scene", given)
+        assert (status, wrong) == (0, "") and "the same to the last bit" in said
+        assert [mark.name for mark in folder.glob("*executed")] == ["law executed"]  # not the rest of the script
+        (folder / "law executed").unlink()
+    script.write_text(text.replace("4.0", "5.0"))
+    status, said, wrong = say("replay", name, "--check", "--scene", "script.py")
+    assert status == 1 and "has changed since, or is another" in wrong and "the same: command, which first" in said
+
+
+def test_an_attached_source_that_is_not_that_of_its_hash_is_not_executed(folder: Path, say: Any) -> None:
+    run_script(folder, "run.npz")
+    header, arrays = arrays_in((folder / "run.npz").read_bytes())
+    place = next(place for place, name in enumerate(header["attachments"]) if name.startswith("source/"))
+    name = f"attachment/{place}"
+    arrays[name] = np.append(arrays[name], np.frombuffer(b"# more\n", dtype=arrays[name].dtype))
+    (folder / "run.npz").write_bytes(npz_of(header, arrays))
+    status, _, wrong = say("replay", "run.npz", "--check", "--scene", "attached")
+    assert (status, wrong.count("\n")) == (2, 1) and "does not hold 'script.py' as it was" in wrong
+    assert not list(folder.glob("*executed"))
+
+
+class Mine(ExactPlant):
+    """A plant of a user's own."""
+
+
+class Odd(Law):
+    """A law that remembers what nothing tells."""
+
+    def __init__(self, force: float) -> None:
+        self.hidden = force
+
+    def __call__(self, position: Any, velocity: Any, state: Any, wrench: list[Any]) -> Any:
+        wrench[0] = wrench[0] + self.hidden
+        return None, None
+
+
+def test_a_plant_of_one_s_own_is_left_out_in_one_line(folder: Path, say: Any) -> None:
+    file, plant, controller = open_recording(Path("run.npz")), Mine(Timing(**TIMING), **START), controller_of("Hold")
+    drive(plant, controller, ticks=TICKS, record=file.begin(plant, controller))
+    file.close()
+    status, said, wrong = say("replay", "run.npz", "--check")
+    assert (status, wrong) == (0, "") and "80 of 80 the same: command, pulse, pulse_width" in said
+    assert "not run again, for only the recording knows them: tick, time, position, applied," in said
+    (line,) = (line for line in said.splitlines() if "Mine" in line)
+    assert line.endswith("test_recording_alone.Mine, cannot be made here: the controller's answers alone are compared")
+    assert say("analyse", "run.npz")[0] == 0
+
+
+def started(plant: SampledPlant, controller: Controller) -> None:
+    drive(plant, controller, ticks=3)
+
+
+@pytest.mark.parametrize(
+    ("controller", "before", "words"),
+    [
+        (lambda: Controller([Odd(0.1)], period=PERIOD), None, "test_recording_alone.Odd is none of this package's"),
+        (lambda: controller_of("Hold"), started, "it had run before the recording began"),
+    ],
+)
+def test_what_nothing_tells_is_one_line(controller: Any, before: Any, words: str, folder: Path, say: Any) -> None:
+    file, plant, answers = open_recording(Path("run.npz")), PLANTS["exact"](), controller()
+    if before is not None:
+        before(plant, answers)
+    drive(plant, answers, ticks=5, record=file.begin(plant, answers))
+    file.close()
+    for given in ([], ["--scene", "attached"]):
+        status, _, wrong = say("replay", "run.npz", "--check", *given)
+        assert (status, wrong.count("\n")) == (2, 1) and words in wrong
+    assert say("analyse", "run.npz")[0] == 0
+
+
+# files made to do harm
+
+Change = Callable[[dict[str, Any]], Any]
+
+
+def law(**values: Any) -> Change:
+    """Return what puts something else in place of a setup's first law."""
+    return lambda setup: setup["controller"]["laws"].__setitem__(0, values)
+
+
+def told(*place: Any, value: Any) -> Change:
+    """Return what puts a value somewhere in a setup."""
+    return lambda setup: at(setup, place[:-1]).__setitem__(place[-1], value)
+
+
+def nested(depth: int) -> Any:
+    """Return a list in a list and so on."""
+    value: Any = []
+    for _ in range(depth):
+        value = [value]
+    return value
+
+
+DIGEST = "0" * 16
+HOSTILE: Mapping[str, Change] = {
+    "a module's function": law(**{"class": "os:system@" + DIGEST, "command": "touch executed"}),
+    "a dotted name": law(**{"class": "subprocess.Popen", "args": ["touch", "executed"]}),
+    "a builtin": law(**{"class": "eval", "source": "1/0"}),
+    "a file elsewhere": law(**{"class": f"../../../tmp/evil.py:Evil@{DIGEST}"}),
+    "a class of the package that is no law": law(**{"class": "ArrayFile", "path": "executed"}),
+    "a plant as law": law(**{"class": "ExactPlant"}),
+    "a law as plant": told("plant", "class", value="Wall"),
+    "own code as plant": told("plant", "class", value=f"script.py:Magnet@{DIGEST}"),
+    "a class that is a number": law(**{"class": 3}),
+    "a class that is a list": law(**{"class": ["Wall"]}),
+    "no class": law(axes="z"),
+    "a private argument": law(**{"class": "Hold", "stiffness": 1.0, "damping": 1.0, "_each": []}),
+    "a private method": told("plant", "__class__", value="Wall"),
+    "a timing that is text": told("plant", "timing", value="Timing"),
+    "a timing that is a number": told("plant", "timing", value=3.0),
+    "a timing that is a law": told("plant", "timing", value={"class": "Bias", "wrench": [0.0] * 6}),
+    "a model that is a file": told("plant", "model", value="/etc/passwd"),
+    "a model elsewhere": told("plant", "model", value="../../tmp/evil"),
+    "a model as list": told("plant", "model", value=["drop"]),
+    "steps without end": told("plant", "longest_step", value=1e-300),
+    "a period without end": told("plant", "timing", "period", value=1e-300),
+    "a window without end": told("controller", "velocity", value={"class": "Window", "samples": 10**9}),
+    "an own estimate": told("controller", "velocity", value={"class": f"a.py:B@{DIGEST}"}),
+    "a thousand laws": told("controller", "laws", value=[{"class": "Bias", "wrench": [0.0] * 6}] * 1000),
+    "a long list": told("plant", "pose", value=[0.0] * 200_000),
+    "lists without end": told("plant", "pose", value=nested(500)),
+    "laws without end": told("controller", "laws", value=nested(500)),
+    "laws that are numbers": told("controller", "laws", value=[1.0, 2.0]),
+    "laws that are one": told("controller", "laws", value={"class": "Bias", "wrench": [0.0] * 6}),
+    "a controller as text": told("controller", value="os.system"),
+    "a controller as list": told("controller", value=[]),
+    "a controller as number": told("controller", value=1.0),
+    "no plant": told("plant", value=None),
+    "a plant as list": told("plant", value=[]),
+    "a hand that is a law": told("plant", "hand", value={"class": "Hold", "stiffness": 1.0, "damping": 1.0}),
+    "a hand as number": told("plant", "hand", value=1.0),
+    "a force of no hand": told("plant", "hand_force", value=1.0),
+    "a limit as object": told("plant", "wrench_limit", value={"class": "Timing"}),
+    "a sensor as number": told("plant", "sensor", value=1.0),
+    "samples that are none": told("samples", value=-1),
+}
+
+
+@pytest.mark.parametrize("what", HOSTILE)
+@pytest.mark.parametrize("given", [(), ("--scene", "attached")], ids=["", "attached"])
+def test_a_hostile_file_executes_nothing_and_is_one_line(
+    what: str, given: Any, folder: Path, say: Any, capsys: Any
+) -> None:
+    """Whatever it names, and even where a person lets the program execute what it holds."""
+    header, arrays = arrays_in(kept())
+    capsys.readouterr()
+    HOSTILE[what](header["setups"][0])
+    (folder / "run.npz").write_bytes(npz_of(header, arrays))
+    heard.clear()
+    status, said, wrong = say("replay", "run.npz", "--check", *given)
+    assert (status, said) == (2, "") and wrong.count("\n") == 1 and len(wrong) < 400, wrong
+    assert say("analyse", "run.npz")[0] in (0, 2)
+    assert [event for event in heard if event[0] != "open" or "run.npz" not in str(event[1])] == []
+    assert [path.name for path in folder.iterdir()] == ["run.npz"]
+
+
+heard: list[tuple[str, Any]] = []
+"""What was executed, imported or opened."""
+
+
+def hear(event: str, arguments: tuple[Any, ...]) -> None:
+    if event in ("exec", "import", "open", "os.system", "subprocess.Popen"):
+        heard.append((event, arguments[0]))
+
+
+sys.addaudithook(hear)
+
+
+@cache
+def kept() -> bytes:
+    """Return a recording of a script, whose commands have been typed once."""
+    import tempfile
+
+    with tempfile.TemporaryDirectory() as place:
+        path = Path(place) / "run.npz"
+        file, plant, controller = open_recording(path), PLANTS["mujoco"](), controller_of("Hold")
+        drive(plant, controller, ticks=20, record=file.begin(plant, controller))
+        file.close()
+        for command in (["replay", "--check"], ["analyse"]):
+            assert main([*command, str(path)]) == 0
+        return path.read_bytes()
+
+
+# a recording of other code
+
+
+@pytest.fixture
+def shown(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """Return what is shown in place of a window."""
+    seen: list[Any] = []
+    window = types.ModuleType("window")
+    window.show = seen.append  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "maglev_mj.viewer.window", window)
+    return seen
+
+
+TOLD = {"device": "no versions"}
+"""Of files of before, which do not tell them."""
+
+OTHER = {"revision": "b" * 40, "sources": "c" * 16}
+
+
+def of_other_code(monkeypatch: pytest.MonkeyPatch) -> str:
+    """Let this program be other code; return how it differs from what it was."""
+    before, now = versions(), {**versions(), **OTHER}
+    monkeypatch.setattr(command, "versions", lambda: now)
+    return differences(before, now)
+
+
+def test_a_recording_of_this_code_is_shown_without_a_word(folder: Path, say: Any, shown: list[Any]) -> None:
+    write_run(Path("run.npz"), Drop(), plant="exact")
+    assert say("replay", "run.npz") == (0, "", "") and len(shown) == 1
+
+
+@pytest.mark.parametrize("kind", ["script", "scene", "session", "device"])
+def test_other_code_with_the_same_answers_is_shown_with_a_note(
+    kind: str, folder: Path, say: Any, shown: list[Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = RECORDED[kind](folder)
+    difference = of_other_code(monkeypatch)
+    status, said, wrong = say("replay", str(path))
+    most = 10_000 // len(Recording.load(path).stretches)
+    assert (status, wrong, len(shown)) == (0, "", 1)
+    assert (
+        f"recorded by other code ({TOLD.get(kind, difference)}); the first {most} answers of each stretch are the same"
+        in said
+    )
+
+
+@pytest.mark.parametrize("kind", ["script", "scene", "session", "device"])
+def test_other_code_with_other_answers_is_refused_in_one_line(
+    kind: str, folder: Path, say: Any, shown: list[Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = RECORDED[kind](folder)
+    difference, before = of_other_code(monkeypatch), Bias.__call__
+
+    def heavier(self: Any, position: Any, velocity: Any, state: Any, wrench: Any) -> Any:
+        answer = before(self, position, velocity, state, wrench)
+        wrench[2] = float(np.nextafter(wrench[2], np.inf))
+        return answer
+
+    monkeypatch.setattr(Bias, "__call__", heavier)
+    status, _, wrong = say("replay", str(path))
+    assert (status, shown, wrong.count("\n")) == (1, [], 1)
+    first, told = int(Recording.load(path).stretches[0].tick[0]), TOLD.get(kind, difference)
+    assert f"recorded by other code ({told}), whose command is another from tick {first} of stretch 1 on" in wrong
+    assert kind in TOLD or ("b" * 40 in wrong and str(versions()["sources"]) in wrong)
+
+
+def test_the_first_tick_and_field_that_differ_are_told(
+    folder: Path, say: Any, shown: list[Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_run(Path("run.npz"), Drop(), plant="exact")
+    of_other_code(monkeypatch)
+    stretch = Recording.load(Path("run.npz")).stretches[0]
+    pulsed = int(stretch.tick[np.flatnonzero(stretch.pulse_width)[0]])
+    original = Controller.__init__
+
+    def narrower(self: Any, *given: Any, **more: Any) -> None:
+        original(self, *given, **more)
+        self._pulse_width *= 0.5
+
+    monkeypatch.setattr(Controller, "__init__", narrower)
+    status, _, wrong = say("replay", "run.npz")
+    assert status == 1 and f"whose pulse_width is another from tick {pulsed} of stretch 1 on" in wrong
+
+
+def test_laws_of_one_s_own_of_other_code_are_shown_and_said_to_be(
+    folder: Path, say: Any, shown: list[Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run_script(folder, "run.npz")
+    of_other_code(monkeypatch)
+    status, said, wrong = say("replay", "run.npz")
+    assert (status, wrong, len(shown)) == (0, "", 1) and "its laws were not run again" in said
+    assert "answers of each stretch are the same here" in say("replay", "run.npz", "--scene", "attached")[1]
+    assert not (folder / "executed").exists()
+
+
+def of_script(folder: Path) -> Path:
+    file, plant, controller = open_recording(Path("run.npz")), PLANTS["exact"](), controller_of("Hold")
+    drive(plant, controller, ticks=20, record=file.begin(plant, controller))
+    return Path(str(file.close()))
+
+
+def of_scene(folder: Path) -> Path:
+    (path,) = write_run(Path("run.npz"), find_scene("joystick")(period=0.001), plant="mujoco")
+    return path
+
+
+def of_session(folder: Path) -> Path:
+    session = Session(record=Path("run.npz"), pacer=Pacer(budget=60.0, patience=3600.0))
+    for _ in range(2):
+        session.tick(0.05)
+        session.act("friction")
+    session.close()
+    return Path("run.npz")
+
+
+def of_device(folder: Path) -> Path:
+    return HERE / "recordings" / "f7cb6d2" / "flight.npz"
+
+
+RECORDED = {"script": of_script, "scene": of_scene, "session": of_session, "device": of_device}
