@@ -504,7 +504,7 @@ def test_one_that_floods_takes_nothing_from_others(live: LiveServer) -> None:
         waited(lambda: not client.set(damping=70.0)["reason"], 30.0)  # what had come of the flood is newer
         assert one.session.snapshot().state == "running"
     ticks = [(message.fields.stretch, message.fields.tick) for message in heard]
-    assert len(ticks) > 500
+    assert len(ticks) > 100
     for (stretch, tick), after in itertools.pairwise(ticks):
         assert after in ((stretch, tick + 1), (stretch + 1, 0))
 
