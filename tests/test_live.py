@@ -47,7 +47,9 @@ from maglev_mj.scenes.table import Table
 from maglev_mj.session import Pacer, Refusal, Session, Snapshot, refusal
 from maglev_mj.spec import RANGE
 from maglev_mj.theory import largest_modulus, largest_stable_stiffness
+from tests.virtual_screen import waited
 
+MUCH = 1 << 26  # bytes, beyond what sockets keep
 SETTABLE = "wall", "pulse", "friction", "weightless", "stiffness", "damping", "breakaway", "walls"
 APP = "https://app.foxglove.dev"
 
@@ -275,7 +277,7 @@ def test_nothing_reaches_the_server_but_what_is_let_in(monkeypatch: pytest.Monke
         assert line.recv(16) == b""  # either end closes both
 
 
-def test_one_that_stalls_takes_nothing_from_others(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_that_stalls_takes_nothing_from_others() -> None:
     """It does not read: what is for it waits at the server, while another is served."""
     with guarded() as (port, behind), ExitStack() as open_ones:
         good = (request() + "\r\n\r\n").encode()
@@ -287,13 +289,14 @@ def test_one_that_stalls_takes_nothing_from_others(monkeypatch: pytest.MonkeyPat
             open_ones.enter_context(asks(port, good[:20]))
         (_, stalls), (line, served) = ends
         stalls.setblocking(False)
-        sent, end = 0, time.monotonic() + 10.0
-        while time.monotonic() < end:
+        sent, moved = 0, time.monotonic()
+        while sent < MUCH and time.monotonic() < moved + 0.5:
             try:
                 sent += stalls.send(bytes(1 << 16))
+                moved = time.monotonic()
             except BlockingIOError:
-                break
-        assert sent < 100e6  # the guard does not keep it all
+                time.sleep(0.01)
+        assert sent < MUCH  # the guard does not keep it all
         for _ in range(200):
             served.sendall(b"pose")
             assert line.recv(16) == b"pose"
@@ -340,8 +343,7 @@ def running(live: LiveServer, *, period: float = 0.005, **options: Any) -> Itera
     with closing(session), Running(session, period) as one:
         known = values_of(state(scene))
         with LiveClient(url(live), set()) as client:
-            while any(client.parameters()[name] != known[name] for name in SETTABLE):  # of the test before
-                pass
+            waited(lambda: client.parameters() == known, 30.0)  # those of the test before are gone
         yield one
 
 
@@ -476,9 +478,7 @@ def test_a_program_that_comes_late_to_a_pause_sees_the_scene_and_sets_it(live: L
             one.session.act("emergency stop")
             logged = (message.fields.message for message in client.messages(5.0) if message.topic == "/log")
             assert next(line for line in logged if "stop" in line) == "fault: emergency stop"
-            end = time.monotonic() + 5.0
-            while client.parameters()["state"] != "stopped: emergency stop":
-                assert time.monotonic() < end
+            waited(lambda: client.parameters()["state"] == "stopped: emergency stop", 30.0)
 
 
 @realtime
@@ -499,16 +499,14 @@ def test_one_that_floods_takes_nothing_from_others(live: LiveServer) -> None:
         flooding.start()
         try:
             heard = list(client.messages(2.0))
-            end = time.monotonic() + 20.0
         finally:
             over.set()
             flooding.join()
         heard += client.messages(0.5)
-        while client.set(damping=70.0)["reason"]:  # what had come of the flood is newer
-            assert time.monotonic() < end
+        waited(lambda: not client.set(damping=70.0)["reason"], 30.0)  # what had come of the flood is newer
         assert one.session.snapshot().state == "running"
     ticks = [(message.fields.stretch, message.fields.tick) for message in heard]
-    assert len(ticks) > 500
+    assert len(ticks) > 100
     for (stretch, tick), after in itertools.pairwise(ticks):
         assert after in ((stretch, tick + 1), (stretch + 1, 0))
 
@@ -546,8 +544,12 @@ def test_a_port_is_had_once_and_again_at_once() -> None:
             LiveServer(first.port)
         first.show(Snapshot(scene=Joystick(), delay=0.0015))  # of a loop that never answers
         with LiveClient(url(first)) as client, LiveClient(url(first)) as other:
-            waits = threading.Thread(target=lambda: answers.append(other.set(wall=False)))
-            answers: list[dict[str, Any]] = []
+
+            def wait() -> None:
+                with pytest.raises(ConnectionClosed):
+                    other.set(wall=False)
+
+            waits = threading.Thread(target=wait)
             waits.start()
             while first.take() is None:
                 time.sleep(0.01)
@@ -595,7 +597,7 @@ class Odd(Scene):
             os._exit(3)
         if self.sleeps:
             time.sleep(60.0)
-        return [Hold(stiffness=self.stiffness, damping=20.0)]
+        return [Hold(axes=("x", "y", "z"), stiffness=self.stiffness, damping=20.0)]
 """
 
 
@@ -629,6 +631,7 @@ def test_a_check_that_dies_or_does_not_end_is_given_up(
             answers: list[dict[str, Any]] = []
             waits = threading.Thread(target=lambda: answers.append(client.set(stiffness=500.0)))
             waits.start()
+            assert near.poll(30.0)
             wanted = near.recv()  # the loop has it, and what checked it dies: that is no answer
             for process in active_children():
                 if process.pid != live._process._process.pid:
@@ -639,9 +642,7 @@ def test_a_check_that_dies_or_does_not_end_is_given_up(
             waits.join()
             assert answers[0]["since"] == 7
             near.send((0, "show", Nowhere(), None))
-            end = time.monotonic() + 5.0
-            while client.parameters():
-                assert time.monotonic() < end
+            waited(lambda: not client.parameters(), 30.0)
             assert "the scene is not known here: RuntimeError: no" in client.set(wall=True)["reason"]
             near.close()
             serving.join(10.0)

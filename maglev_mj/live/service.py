@@ -57,6 +57,7 @@ class _Service(ServerListener):
         foxglove.set_log_level(logging.CRITICAL)  # what clients do wrong is not for the person at the terminal
         self._line, self._rows, self._requests, self._greet = line, rows, Requests(), False
         self._orders: deque[tuple[Any, ...]] = deque()
+        self._place = 0
         self._know(State())
         self._checker, self._until = SideProcess(check_requests), math.inf
         self._context = foxglove.Context()  # the server does not keep it
@@ -93,11 +94,11 @@ class _Service(ServerListener):
         if self._greet:
             self._greet = False
             self._messages.greet()
-        place = -1
         for place, row in rows:
             self._obey(place)
             self._messages.row(row)
-        self._obey(place + 1)
+            self._place = place + 1
+        self._obey(self._place)
         self._check()
 
     def _hear(self) -> None:
