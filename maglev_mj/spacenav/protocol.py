@@ -10,6 +10,8 @@ from __future__ import annotations
 import struct
 from collections.abc import Sequence
 
+from maglev_mj.parameters import flag
+
 __all__ = ["ALL_EVENTS", "DEVICE", "EVENT", "Conversation", "GarbageError", "button_event", "motion_event"]
 
 EVENT = 32
@@ -48,7 +50,7 @@ def motion_event(axes: Sequence[int], period: int) -> bytes:
 
 def button_event(number: int, down: bool) -> bytes:
     """Return the event of a button that is pressed or released."""
-    return _WORDS.pack(_PRESS if down else _RELEASE, number, down, 0, 0, 0, 0, 0)
+    return _WORDS.pack(_PRESS if flag("down", down) else _RELEASE, number, down, 0, 0, 0, 0, 0)
 
 
 class Conversation:

@@ -179,7 +179,7 @@ class SpacenavServer:
         for client in self._clients:
             for had_room in client.tell(axes, down, now) if client.listens(now) else ():
                 self.sent += had_room
-                self.missed += not (had_room or client.gone)
+                self.missed += not had_room
 
     def _hear(self) -> None:
         """Hear each program, and let go of those that have gone or make no sense."""
