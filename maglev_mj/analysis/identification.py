@@ -320,13 +320,7 @@ class _Axis:
     @cached_property
     def rendered(self) -> Fit:
         """The fit of the motion by the law's parts, each of a size that is to be found."""
-        law, motion = self.law, self.motion
-        mass = 1.0 / motion.values[0] if self.pushed else self.inertia
-        search = self.told.delay.known
-        found = self._fit(law.parts, law.rest, delay=motion.delay, search=search)
-        if found.moves[len(law.names)] >= _CLEAR * found.residual:
-            return found
-        return self._fit(law.parts, law.rest, delay=motion.delay, search=search, mass=mass)
+        return self._fit(self.law.parts, self.law.rest, delay=self.motion.delay, search=True)
 
     def _shown(self, name: tuple[str, int]) -> Estimate:
         """Return a gain as the motion shows it, if the flotor weighs what the recording states."""

@@ -196,7 +196,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", nargs="?", default="figures", type=Path, help="where files go")
     parser.add_argument("--count", type=int, default=200, help="how many recordings")
-    parser.add_argument("--first", type=int, default=4_000_000, help="seed of the first")
+    parser.add_argument("--first", type=int, default=5_000_000, help="seed of the first")
     options = parser.parse_args()
     rows: dict[str, list[tuple[bool, float, float]]] = {}
     untold: dict[str, list[str]] = {}
