@@ -111,8 +111,12 @@ def messages_in(data: bytes, topics: Collection[str] = OURS) -> list[tuple[str, 
     reader, decoders = make_reader(BytesIO(data)), {}
     for schema in reader.get_summary().schemas.values():  # type: ignore[union-attr]
         decoders[schema.id] = decoder(schema)
-    found = reader.iter_messages(topics=list(topics), log_time_order=False)
-    return [(channel.topic, decoders[channel.schema_id](message.data)) for _, channel, message in found]
+    messages = reader.iter_messages(topics=list(topics), log_time_order=False)
+    found = [(channel.topic, decoders[channel.schema_id](message.data)) for _, channel, message in messages]
+    for topic, message in found:
+        if topic == "/maglev/sample" and message.get("arrival", 0.0) is None:
+            del message["arrival"]  # of a simulated plant; JSON has no word for it
+    return found
 
 
 def with_messages(data: bytes, change: Callable[[str, int, bytes], bytes | None]) -> bytes:
@@ -189,9 +193,11 @@ def mcap_of(messages: list[tuple[str, Message]], *, compressed: bool = True) -> 
 
 
 def arrays_in(data: bytes) -> tuple[Message, dict[str, Any]]:
-    """Return header and arrays of a file."""
+    """Return header and arrays of a file, without attachments."""
     with np.load(BytesIO(data)) as file:
-        return json.loads(str(file["header"])), {name: file[name].copy() for name in file.files if name != "header"}
+        header = json.loads(str(file["header"]))
+        names = [name for name in file.files if name != "header" and not name.startswith("attachment/")]
+        return {**header, "attachments": []}, {name: file[name].copy() for name in names}
 
 
 def npz_of(header: Message, arrays: Mapping[str, Any], *, compressed: bool = False) -> bytes:

@@ -212,3 +212,19 @@ def test_a_force_too_small_to_see_or_that_is_no_number_has_no_arrow(force: tuple
     from maglev_mj.recording.messages import _arrow
 
     assert _arrow(GRIP, force, (1.0, 1.0, 1.0, 1.0)) == []
+
+
+def test_rerun_finds_the_flotors_transform_and_fields_by_name(tmp_path: Path) -> None:
+    """Where its package is installed; it is none that this project needs."""
+    import subprocess
+    import sys
+
+    pytest.importorskip("rerun")
+    path, script = tmp_path / "run.mcap", Path(__file__).parents[1] / "scripts" / "examples" / "rerun_recording.py"
+    write_run(path, Drop(), plant="exact")
+    (stretch,) = Recording.load(path).stretches
+    for field, values in (("position.z", stretch.position[:, 2]), ("applied.z", stretch.applied[:, 2])):
+        done = subprocess.run([sys.executable, str(script), str(path), field], capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        assert "Transform3D of the flotor: 25 rows" in done.stdout
+        assert f"Scalars of {field}: 81 rows, least {float(values.min())!r}" in done.stdout

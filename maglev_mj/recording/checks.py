@@ -150,7 +150,7 @@ def check_setup(value: Any) -> Mapping[str, Any]:
             waiting += [(f"{name}.{key}", one) for key, one in part.items()]
         elif isinstance(part, list):
             waiting += [(name, one) for one in part]
-        elif isinstance(part, float):
+        elif isinstance(part, int | float) and not isinstance(part, bool):
             number(f"setup {name}", part)
     return setup
 

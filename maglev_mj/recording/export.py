@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.recording.recording import Recording, aside
-from maglev_mj.recording.row import FIELDS, TOTALS, units
+from maglev_mj.recording.row import FIELDS, TOTALS, told, units
 
 __all__ = ["EXPORTS", "ParquetMissingError", "export"]
 
@@ -46,7 +46,7 @@ def export(recording: Recording, kind: str, path: Path) -> None:
 
 
 def _columns(recording: Recording) -> dict[str, NDArray[Any]]:
-    """Return each column of all samples, (N,); those without unit as whole numbers."""
+    """Return each column of all samples, (N,); those without unit as whole numbers, those unknown left out."""
     stretches = recording.stretches
     sizes = [len(stretch) for stretch in stretches]
     found: dict[str, NDArray[Any]] = {"stretch": np.repeat(np.arange(len(sizes)), sizes)}
@@ -54,6 +54,8 @@ def _columns(recording: Recording) -> dict[str, NDArray[Any]]:
     for field in (*FIELDS, *totals):
         tables = [stretch.rows if field in FIELDS else stretch.totals for stretch in stretches]
         values = np.concatenate([table[field.name] for table in tables if table is not None] or [np.empty((0, 6))])
+        if not told(field, values):
+            continue
         for place, (name, unit) in enumerate(field.units):
             column = values[:, place] if values.ndim > 1 else values
             found[name] = column if unit else column.astype(np.int64)

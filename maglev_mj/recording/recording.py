@@ -29,7 +29,7 @@ from maglev_mj.recording.checks import (
     whole,
 )
 from maglev_mj.recording.metadata import RunMetadata, Setup
-from maglev_mj.recording.row import ARRAYS, FIELDS, ROW, TOTALS, Rows, as_rows, units
+from maglev_mj.recording.row import ARRAYS, FIELDS, ROW, TOTALS, Rows, as_rows, told, units
 
 if TYPE_CHECKING:
     from maglev_mj.recording.mcap import Found
@@ -122,7 +122,8 @@ class Recording:
         arrays: dict[str, Any] = {
             f"{index}/{name}": _array_of(stretch.rows, name)
             for index, stretch in enumerate(self.stretches)
-            for name in ARRAYS
+            for name, fields in ARRAYS.items()
+            if any(told(one, stretch.rows[one.name]) for one in fields)
         }
         for index, stretch in enumerate(self.stretches):
             if stretch.totals is not None:

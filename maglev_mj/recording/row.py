@@ -25,6 +25,7 @@ __all__ = [
     "compiled",
     "named",
     "schema",
+    "told",
     "units",
 ]
 
@@ -221,6 +222,11 @@ def schema(field: Field) -> dict[str, Any]:
     if not field.unit:
         return {"type": "integer", "description": field.description}
     return {"type": "number", "unit": field.unit, "description": f"{field.description} [{field.unit}]"}
+
+
+def told(field: Field, values: Array) -> bool:
+    """Return whether a file tells anything of a field: an optional one may be NaN throughout."""
+    return not (field.optional and bool(np.isnan(values).all()))
 
 
 def units() -> dict[str, str]:

@@ -17,7 +17,7 @@ from maglev_mj.plants import SampledPlant, engine_warnings_silenced
 from maglev_mj.recording.files import row_of
 from maglev_mj.recording.metadata import RunMetadata, Setup, Totals
 from maglev_mj.recording.recording import Recording, Stretch
-from maglev_mj.recording.row import ARRAYS, FIELDS, ROW, TOTALS, Rows, as_rows, as_table, compiled, named
+from maglev_mj.recording.row import ARRAYS, FIELDS, ROW, TOTALS, Rows, as_rows, as_table, compiled, named, told
 
 __all__ = ["Expected", "FieldVerdict", "Rebuild", "Verdict", "first_other_answer", "verify"]
 
@@ -154,6 +154,8 @@ def _fields(stretch: Stretch, rebuild: Rebuild, expected: Expected) -> Iterator[
         yield "samples", np.array([count]), np.array([count if failed else float(expected.samples)])
     answers = _answers(stretch, controller)
     for field in (field for array in ARRAYS.values() for field in array):
+        if not told(field, stretch.rows[field.name]):
+            continue
         if field.optional and np.isnan(stretch.rows[field.name]).all():
             continue  # nobody recorded it
         again = answers if field in _COMMANDED else seen if field.name != "hand" or expected.scripted else None

@@ -100,11 +100,9 @@ def content(path: Path) -> Any:
         with np.load(path) as arrays:
             return {name: _array(arrays[name]) for name in arrays.files}
     assert path.suffix == ".mcap", path
-    from mcap.reader import make_reader
+    from tests.recorded import messages_in
 
-    with path.open("rb") as file:
-        messages = make_reader(file).iter_messages(log_time_order=False)
-        return [[channel.topic, _lasting(json.loads(message.data))] for _, channel, message in messages]
+    return [[topic, _lasting(message)] for topic, message in messages_in(path.read_bytes())]
 
 
 def pressed(count: int = 400, seed: int = 16) -> list[dict[str, Any]]:
