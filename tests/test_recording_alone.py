@@ -327,11 +327,9 @@ def test_a_law_of_one_s_own_is_executed_only_by_leave(suffix: str, folder: Path,
 
 def test_an_attached_source_that_is_not_that_of_its_hash_is_not_executed(folder: Path, say: Any) -> None:
     run_script(folder, "run.npz")
-    header, arrays = arrays_in((folder / "run.npz").read_bytes())
-    place = next(place for place, name in enumerate(header["attachments"]) if name.startswith("source/"))
-    name = f"attachment/{place}"
-    arrays[name] = np.append(arrays[name], np.frombuffer(b"# more\n", dtype=arrays[name].dtype))
-    (folder / "run.npz").write_bytes(npz_of(header, arrays))
+    recording = Recording.load(folder / "run.npz")
+    others = {name: data + b"# more\n" for name, data in recording.attachments.items()}
+    replace(recording, attachments=others).save(folder / "run.npz")
     status, _, wrong = say("replay", "run.npz", "--check", "--scene", "attached")
     assert (status, wrong.count("\n")) == (2, 1) and "does not hold 'script.py' as it was" in wrong
     assert not list(folder.glob("*executed"))
@@ -340,10 +338,10 @@ def test_an_attached_source_that_is_not_that_of_its_hash_is_not_executed(folder:
 def test_own_code_is_no_plant(folder: Path, say: Any) -> None:
     """Even where a person lets it be executed."""
     run_script(folder, "run.npz")
-    header, arrays = arrays_in((folder / "run.npz").read_bytes())
-    setup = header["setups"][0]
+    recording = Recording.load(folder / "run.npz")
+    setup: Any = recording.stretches[0].setup
     setup["plant"]["class"] = setup["controller"]["laws"][0]["class"]
-    (folder / "run.npz").write_bytes(npz_of(header, arrays))
+    recording.save(folder / "run.npz")
     status, _, wrong = say("replay", "run.npz", "--check", "--scene", "attached")
     assert (status, wrong.count("\n")) == (2, 1) and "plant must be of class ExactPlant, MuJoCoPlant, not" in wrong
 
