@@ -102,7 +102,8 @@ class OwnCode:
     def __init__(self, text: str, recording: Recording) -> None:
         self._attached = recording.attachments if text == ATTACHED else None
         setups = [stretch.setup for stretch in recording.stretches]
-        named = {(setup["scene"], setup["source"]) for setup in setups if setup.get("source") and setup.get("scene")}
+        said = [(setup.get("scene"), setup.get("source")) for setup in setups]
+        named = {(scene, source) for scene, source in said if isinstance(scene, str) and isinstance(source, str)}
         hashes, self._text, self._file = {source for _, source in named}, "", text
         for setup in setups:
             hashes |= {name.rpartition("@")[2] for name in _own_names(setup)}
@@ -110,7 +111,7 @@ class OwnCode:
         if self._attached is not None:
             self.changed = False
             for reference, source in named:
-                path, _, name = str(reference).rpartition(":")
+                path, _, name = reference.rpartition(":")
                 self.scene = self(f"{Path(path).name}:{name}@{source}")
             return
         if named or text in scene_names() or ".py:" in text:
@@ -141,7 +142,8 @@ class OwnCode:
 def _own_names(setup: Setup) -> Iterator[str]:
     """Yield the references of what is a user's own in a controller."""
     told = setup.get("controller")
-    parts = [*told.get("laws", []), told.get("velocity")] if isinstance(told, dict) else []
+    told = told if isinstance(told, dict) else {}
+    parts = [*(laws if isinstance(laws := told.get("laws"), list) else []), told.get("velocity")]
     yield from (one["class"] for one in parts if isinstance(one, dict) and "@" in str(one.get("class")))
 
 
@@ -272,8 +274,9 @@ def unmade_plant(setup: Setup, own: OwnCode | None = None) -> str:
     if setup["kind"] != "device":
         return plant
     try:
-        _scene(setup, own)  # whose simulated device takes the place of the real one
-    except ParameterError:
+        with _one_line():
+            _scene(setup, own)  # whose simulated device takes the place of the real one
+    except InvalidRecordingError:
         return plant
     return ""
 
@@ -420,7 +423,7 @@ class _Shown:
 
     def __init__(self, stretch: Stretch, own: OwnCode | None) -> None:
         again = rebuild_for(stretch, own)
-        metadata = metadata_of(stretch, None if again is None else again(stretch.setup, None)[1])
+        metadata = metadata_of(stretch, again)
         self.scene = shown_scene(stretch.setup, metadata, own)
         self.time, self.pose, self.hand = stretch.time, stretch.position, stretch.hand
         self.force = stretch.applied - metadata.carried

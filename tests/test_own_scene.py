@@ -19,7 +19,7 @@ import pytest
 
 from live_client import LiveClient
 from maglev_mj import AXES, Controller, ExactPlant, MuJoCoPlant, Timing, drive
-from maglev_mj.bridge import RemotePlant, Twin, TwinParameters, open_link
+from maglev_mj.bridge import Calibration, RemotePlant, Twin, TwinParameters, open_link
 from maglev_mj.bridge.safety import Limits
 from maglev_mj.bridge.twin import TwinServer
 from maglev_mj.cli import main
@@ -31,6 +31,7 @@ from maglev_mj.scenes import Scene, Start, find_scene
 from maglev_mj.scenes.parts import WEIGHT
 from maglev_mj.session import Pacer, Session
 from maglev_mj.theory import stability
+from maglev_mj.versions import hash_of
 from maglev_mj.viewer.plots import Plots
 from tests.test_dask_workers import Cluster, cluster
 from tests.test_viewer import Watched
@@ -222,7 +223,11 @@ def test_it_is_flown_on_a_twin_recorded_checked_and_analysed(folder: Path, say: 
         status, said, wrong = say(*flight, "--stiffness", "3000")
         assert (status, wrong) == (0, ""), wrong
         assert "detents at 200 Hz" in said
-    (stretch,) = Recording.load(folder / "fly.npz").stretches
+    recording = Recording.load(folder / "fly.npz")
+    (stretch,) = recording.stretches
+    source = f"source/{hash_of((folder / 'detents.py').read_text())}/detents.py"
+    assert {"calibration.json", "model/maglev.xml", source} <= recording.attachments.keys()
+    assert json.loads(recording.attachments["calibration.json"]) == Calibration.nominal().as_json()
     assert stretch.setup["kind"] == "device" and stretch.setup["parameters"]["stiffness"] == 3000.0
     assert_checked_with_the_scene_alone(say, "fly.npz")
     with served() as address:

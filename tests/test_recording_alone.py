@@ -451,8 +451,29 @@ HOSTILE: Mapping[str, Change] = {
     "a force of no hand": told("plant", "hand_force", value=1.0),
     "a limit as object": told("plant", "wrench_limit", value={"class": "Timing"}),
     "a sensor as number": told("plant", "sensor", value=1.0),
+    "laws that are a number": told("controller", "laws", value=1.0),
+    "a law that is a number": told("controller", "laws", 0, value=1.0),
+    "a number without bound": told("plant", "mass", value=1e200),
+    "a delay without end": told("plant", "timing", "delay", value=1e11),
     "samples that are none": told("samples", value=-1),
 }
+
+
+@pytest.mark.parametrize("value", [[], {}, 1.0, "os", "../evil.py:Evil", True, None])
+@pytest.mark.parametrize("name", ["scene", "source"])
+@pytest.mark.parametrize("kind", ["run", "device", "scene", "own"])
+def test_a_scene_that_is_none_is_shown_or_refused(
+    kind: str, name: str, value: Any, folder: Path, say: Any, capsys: Any
+) -> None:
+    header, arrays = arrays_in(kept())
+    capsys.readouterr()
+    header["setups"][0] |= {"kind": kind, "scene": "mine.py:Mine", "source": DIGEST} | {name: value}
+    (folder / "run.npz").write_bytes(npz_of(header, arrays))
+    heard.clear()
+    for typed in (["replay", "--check"], ["analyse"], ["analyse", "--scene", "attached"]):
+        status, _, wrong = say(typed[0], "run.npz", *typed[1:])
+        assert status in (0, 1, 2) and wrong.count("\n") == (status == 2), wrong
+    assert [event for event in heard if event[0] != "open" or "run.npz" not in str(event[1])] == []
 
 
 @pytest.mark.parametrize("what", HOSTILE)
@@ -620,3 +641,98 @@ def of_device(folder: Path) -> Path:
 
 
 RECORDED = {"script": of_script, "scene": of_scene, "session": of_session, "device": of_device}
+
+
+# what is in a file, and files of before
+
+
+def test_the_script_on_the_page_is_checked_analysed_and_shown(folder: Path, say: Any) -> None:
+    page = (Path(__file__).parent.parent / "docs" / "recording.md").read_text()
+    (script,) = (block for block in re.findall(r"```python\n(.*?)```", page, re.DOTALL) if "open_recording" in block)
+    subprocess.run([sys.executable, "-c", script], cwd=folder, check=True, stdout=subprocess.DEVNULL)
+    status, said, wrong = say("replay", "mine.mcap", "--check")
+    assert (status, wrong) == (0, "") and "400 of 400 the same: tick, time, position, command," in said
+    assert "the same to the last bit" in say("analyse", "mine.mcap")[1]
+    replay = Replay(Recording.load(Path("mine.mcap")))
+    assert replay.tick(0.01) == 10 and replay.snapshot().faces == ((2, 1.0, 0.0),)
+
+
+@pytest.mark.parametrize("kind", ["script", "scene", "session"])
+def test_every_file_is_attached_once(kind: str, folder: Path) -> None:
+    """However many stretches there are."""
+    npz = RECORDED[kind](folder)
+    assert main(["export", str(npz), "--to", "npz", "--out", "other.npz"]) == 0
+    recording, again = Recording.load(npz), Recording.load(Path("other.npz"))
+    models = {"scene": "model/scenes/joystick.xml", "session": "model/scenes/joystick.xml"}
+    names = [models[kind], "model/scene.xml", "model/maglev.xml", "model/drop.xml"] if kind in models else []
+    assert sorted(recording.attachments) == sorted(names) and again.attachments == recording.attachments
+    root = Path(__file__).parent.parent
+    assert all(data == (root / name).read_bytes() for name, data in recording.attachments.items())
+
+
+def test_stretches_of_one_file_attach_a_source_once(folder: Path) -> None:
+    from mcap.reader import make_reader
+
+    (folder / "script.py").write_text(
+        SCRIPT.replace("SQUARE", "4.0").replace("file.close()", "again = Controller(controller.laws, period=0.001)\n")
+        + "plant = MuJoCoPlant(Timing(period=0.001, delay=0.0015), pose=[0.001, 0.0, 0.001, 0.0, 0.0, 0.0])\n"
+        + "drive(plant, again, ticks=20, record=file.begin(plant, again))\nfile.close()\n"
+    )
+    subprocess.run([sys.executable, "script.py", "run.mcap"], cwd=folder, check=True)
+    with (folder / "run.mcap").open("rb") as file:
+        found = [(one.name, one.media_type, one.data) for one in make_reader(file).iter_attachments()]
+    text = (folder / "script.py").read_text()
+    assert sorted(name for name, _, _ in found) == sorted(
+        ["model/drop.xml", "model/maglev.xml", f"source/{hash_of(text)}/script.py"]
+    )
+    assert (f"source/{hash_of(text)}/script.py", "text/x-python", text.encode()) in found
+    assert len(Recording.load(folder / "run.mcap").stretches) == 2
+
+
+def test_a_recording_of_one_s_own_of_before_is_checked_with_its_scene(folder: Path, say: Any) -> None:
+    (folder / "mine.py").write_text(OWN)
+    scene = find_scene("mine.py")()
+    write_run(Path("run.npz"), scene, plant="exact", phase=0.25)
+    header, arrays = arrays_in(Path("run.npz").read_bytes())
+    (setup,) = header["setups"]
+    start = {"pose": [1e-3, *[0.0] * 5], "twist": [0.0] * 6, "wrench": [0.0] * 6}
+    old = {
+        "kind": "own",
+        "plant": "maglev_mj.plants.exact.ExactPlant",
+        "laws": ["a.Pull"],
+        "phase": 0.25,
+        "start": start,
+    }
+    kept = {name: setup[name] for name in ("scene", "source", "parameters", "run")}
+    Path("run.npz").write_bytes(npz_of({**header, "setups": [{**old, **kept}]}, arrays))
+    status, _, wrong = say("replay", "run.npz", "--check")
+    assert (status, wrong.count("\n")) == (2, 1) and "must be executed" in wrong
+    assert say("analyse", "run.npz")[0] == 0
+    status, said, wrong = say("replay", "run.npz", "--check", "--scene", "mine.py")
+    assert (status, wrong) == (0, "") and "the same: tick, time, position, command" in said
+
+
+OWN = """
+from maglev_mj.laws import AxisLaw, gain
+from maglev_mj.parameters import param
+from maglev_mj.scenes.scene import Scene, Start
+
+
+class Pull(AxisLaw):
+    stiffness: float = gain("stiffness", "N/m")
+
+    def force(self, x, v, gains, state):
+        return -gains.stiffness * x - 4.0 * v
+
+
+class Mine(Scene):
+    shown_axis = "x"
+    stiffness: float = param("stiffness", "N/m", default=200.0, above=0.0)
+    duration: float = param("time", "s", default=0.1, above=0.0)
+
+    def laws(self):
+        return [Pull(axes="x", stiffness=self.stiffness)]
+
+    def start(self):
+        return Start(pose=(1e-3, 0.0, 0.0, 0.0, 0.0, 0.0), gravity=0.0)
+"""

@@ -557,13 +557,15 @@ def zeros(size: int) -> bytes:
     return packed
 
 
-def chunks(*parts: tuple[bytes, int], packed: str = "zstd") -> bytes:
-    """Return a file of chunks: what is in each, and what it says that this unpacks to."""
+def chunks(*parts: tuple[bytes, int], packed: str = "zstd", about: bool = False) -> bytes:
+    """Return a file of chunks: what is in each, what it says that this unpacks to, and whether it is of today."""
     from mcap.data_stream import RecordBuilder
-    from mcap.records import Chunk, Header
+    from mcap.records import Chunk, Header, Metadata
 
     builder = RecordBuilder()
     Header("", "").write(builder)
+    if about:
+        Metadata({"format": "2"}, "maglev_mj").write(builder)
     for data, size in parts:
         Chunk(packed, data, 0, 0, 0, size).write(builder)
     return b"".join((b"\x89MCAP0\r\n", builder.end()))
@@ -603,6 +605,7 @@ def large_files() -> Mapping[str, tuple[str, bytes]]:
 
     record = struct.pack("<BQHIQQ", 5, 60 * MIB + 22, 1, 0, 0, 0) + bytes(60 * MIB)
     large, part = zeros(LARGE), zeros(64 * MIB)
+    inner = chunks(*[(part, 64 * MIB)] * 4)[8:]
     return {
         "a chunk of a gigabyte": (".mcap", chunks((large, LARGE))),
         "a chunk that says it is small": (".mcap", chunks((large, 1000))),
@@ -610,6 +613,9 @@ def large_files() -> Mapping[str, tuple[str, bytes]]:
         "many large messages": (".mcap", chunks(*[(zstandard.compress(record), len(record))] * 16)),
         "lz4": (".mcap", chunks((compress(bytes(256 * MIB)), 256 * MIB), packed="lz4")),
         "lz4 that says it is small": (".mcap", chunks((compress(bytes(256 * MIB)), 1000), packed="lz4")),
+        "a chunk of today": (".mcap", chunks((large, LARGE), about=True)),
+        "many chunks of today": (".mcap", chunks(*[(part, 64 * MIB)] * 16, about=True)),
+        "chunks in a chunk": (".mcap", chunks((zstandard.compress(inner), len(inner)), about=True)),
         "large setups": (".mcap", setups_file()),
         "a large array": (".npz", array_file(LARGE // 8, compressed=zipfile.ZIP_DEFLATED)),
         "an array that is not there": (".npz", array_file(LARGE, compressed=zipfile.ZIP_STORED)),

@@ -244,7 +244,7 @@ def test_a_recording_that_is_killed_opens_and_replays_to_its_last_row(writer_too
 @pytest.mark.study
 @pytest.mark.skipif(not Path("/proc/self/cmdline").exists(), reason="processes are found in /proc")
 @pytest.mark.parametrize("writer_too", [False, True])
-@pytest.mark.parametrize("after", range(150, 850, 70))
+@pytest.mark.parametrize("after", range(300, 1300, 100))
 def test_a_recording_that_is_killed_at_any_time_opens(after: int, writer_too: bool, tmp_path: Path) -> None:
     print("lost:", killed(after, writer_too, tmp_path), "samples")
 

@@ -117,7 +117,7 @@ def analyse(
     flag("simulated", simulated)
     if len(stretch.tick) < 2:
         raise InvalidRecordingError(f"a stretch must have at least 2 samples to be analysed, not {len(stretch.tick)}")
-    metadata = metadata_of(stretch, None if rebuild is None else rebuild(stretch.setup, None)[1])
+    metadata = metadata_of(stretch, rebuild)
     whole = reconstruct(stretch, metadata)
     first, last = _rows(whole, begin, end)
     comparison = other = None

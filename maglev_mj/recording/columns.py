@@ -13,14 +13,45 @@ from maglev_mj.recording.row import Field, as_rows
 __all__ = ["Columns"]
 
 _BLOCK = 1 << 13
+_STEP = 1 << 18
 _TWINS = {"applied": "command", "applied_pulse": "pulse", "applied_pulse_width": "pulse_width"}
 """Fields that are another to the last bit until the plant meets a limit."""
 
 
-class Columns:
-    """Samples of a stretch, checked block by block.
+class _Column:
+    """A field of the samples so far: one row while it is constant, then an array that grows in place."""
 
-    A block of a field that is constant is kept as one row, and one that is its twin's not at all.
+    def __init__(self) -> None:
+        self._row: Array | None = None
+        self._array: Array | None = None
+        self._count = 0
+
+    def add(self, block: Array) -> None:
+        """Add some more, (N,) or (N, 6)."""
+        if self._row is None:
+            self._row = block[:1].copy()
+        start, stop = self._count, self._count + len(block)
+        if self._array is None and not _same(block, np.broadcast_to(self._row, block.shape)):
+            self._array = np.empty((start, *block.shape[1:]))
+            self._array[:] = self._row
+        if self._array is not None:
+            if stop > len(self._array):  # by the system, which moves pages and copies nothing
+                self._array.resize((stop + _STEP, *block.shape[1:]), refcheck=False)
+            self._array[start:stop] = block
+        self._count = stop
+
+    def whole(self) -> Array:
+        """Return all of it."""
+        if self._array is None:
+            row = np.empty(1) if self._row is None else self._row
+            return np.broadcast_to(row, (self._count, *row.shape[1:]))
+        if len(self._array) > self._count:
+            self._array.resize((self._count, *self._array.shape[1:]), refcheck=False)
+        return self._array
+
+
+class Columns:
+    """Samples of a stretch, checked block by block; what is constant, or its twin's, is kept once.
 
     Args:
         fields: What a sample has.
@@ -28,15 +59,13 @@ class Columns:
     """
 
     def __init__(self, fields: Sequence[Field], names: frozenset[str] | None) -> None:
-        self._fields, self._count = fields, 0
-        kept = [field.name for field in fields if names is None or field.name in names]
-        self._blocks: dict[str, list[Array | None]] = {name: [] for name in kept}
-        self._sizes: list[int] = []
-        self._arrays: dict[str, Array] = {}
+        self._names, self._fields = [field.name for field in fields], fields
+        self._columns = {name: _Column() for name in self._names if names is None or name in names}
+        self._twins = {name: twin for name, twin in _TWINS.items() if {name, twin} <= set(self._columns)}
         self._waiting: list[Mapping[str, Array]] = []
         self._rows: list[Sequence[float]] = []
-        self._sorted = 0
         self._last: dict[str, Array] = {}
+        self._count = self._sorted = 0
 
     def __len__(self) -> int:
         return self._count
@@ -55,10 +84,7 @@ class Columns:
 
     def array(self, name: str) -> Array:
         """Return a field of all samples, (N,) or (N, 6); it is not to be changed."""
-        found = self._arrays.get(name)
-        if found is None:
-            found = self._arrays[name] = self._whole(name)
-        return found
+        return self._columns[self._twins.get(name, name)].whole()
 
     def sort(self, least: int = 1) -> None:
         """Check what waits, and keep it by columns, if it is at least so many samples.
@@ -66,51 +92,28 @@ class Columns:
         Raises:
             ParameterError: If a sample is not one that a recording has.
         """
-        waiting = self._count - self._sorted
-        if waiting < least:
+        start = self._sorted
+        if self._count - start < least:
             return
         if self._rows:
             rows = as_rows(self._rows, self._fields)
-            self._waiting, self._rows = [{field.name: rows[field.name] for field in self._fields}], []
-        names = [field.name for field in self._fields]
-        values = {name: np.concatenate([part[name] for part in self._waiting]) for name in names}
+            self._waiting, self._rows = [{name: rows[name] for name in self._names}], []
+        values = {name: np.concatenate([part[name] for part in self._waiting]) for name in self._names}
         self._waiting, self._sorted = [], self._count
-        first = self._count - waiting
         if self._last:  # with the row before, for what goes from row to row
-            check = {name: np.concatenate([self._last[name], part]) for name, part in values.items()}
-            check_rows(check, first - 1)
+            check_rows({name: np.concatenate([self._last[name], values[name]]) for name in self._names}, start - 1)
         else:
-            check_rows(values, first)
+            check_rows(values, start)
         self._last = {name: part[-1:].copy() for name, part in values.items()}
-        self._sizes.append(waiting)
-        for name, blocks in self._blocks.items():
-            blocks.append(_smallest(values, name, _TWINS.get(name) if _TWINS.get(name) in self._blocks else None))
-
-    def _whole(self, name: str) -> Array:
-        blocks = self._blocks[name]
-        if blocks and all(block is None for block in blocks):
-            return self.array(_TWINS[name])
-        first = blocks[0] if blocks else None
-        if first is not None and all(block is not None and len(block) == 1 and _same(block, first) for block in blocks):
-            return np.broadcast_to(first, (self._count, *first.shape[1:]))
-        (field,) = (field for field in self._fields if field.name == name)
-        found, start = np.empty((self._count, 6) if field.six else self._count), 0
-        for place, size in enumerate(self._sizes):
-            block, blocks[place] = blocks[place], None  # so that not all of it is there twice
-            twin = slice(start, start + size)
-            found[twin] = self.array(_TWINS[name])[twin] if block is None else block
-            start += size
-        return found
+        for name, twin in list(self._twins.items()):
+            if not _same(values[name], values[twin]):
+                self._columns[name].add(self._columns[twin].whole()) if start else None
+                del self._twins[name]
+        for name, column in self._columns.items():
+            if name not in self._twins:
+                column.add(values[name])
 
 
-def _same(one: Array | None, other: Array | None) -> bool:
+def _same(one: Array, other: Array) -> bool:
     """Whether two arrays are the same to the last bit."""
-    return one is not None and other is not None and bool((one.view(np.int64) == other.view(np.int64)).all())
-
-
-def _smallest(values: Mapping[str, Array], name: str, twin: str | None) -> Array | None:
-    """Return a block of a field, one row of it if it is constant, None if it is its twin's."""
-    block = values[name]
-    if twin is not None and _same(block, values[twin]):
-        return None
-    return block[:1].copy() if _same(block, np.broadcast_to(block[:1], block.shape)) else block
+    return bool((one.view(np.int64) == other.view(np.int64)).all())

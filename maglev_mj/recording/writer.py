@@ -28,7 +28,7 @@ from maglev_mj.versions import versions
 __all__ = ["McapWriter", "main"]
 
 _NAP = 0.02
-_LOST = 0.25  # s that a SIGKILL to this process may cost
+_LOST = 0.1  # s that a SIGKILL to this process may cost
 _CHUNK = 1 << 16  # before it is packed: some 150 samples, which is what damage to one of its bytes costs
 
 

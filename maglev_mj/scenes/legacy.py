@@ -10,7 +10,7 @@ from maglev_mj.frames import AXES
 from maglev_mj.laws import Law
 from maglev_mj.parameters import param
 from maglev_mj.scenes.bench import hold
-from maglev_mj.scenes.find import BUILT_IN, find_scene, scene_names
+from maglev_mj.scenes.find import BUILT_IN, find_scene
 from maglev_mj.scenes.interactive import InteractiveScene
 from maglev_mj.scenes.parts import wall, weight
 from maglev_mj.scenes.scene import Scene
@@ -62,22 +62,21 @@ def parameters_in(setup: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def recorded_scene(name: str, values: Mapping[str, Any], scene: type[Scene] | None = None) -> Scene:
-    """Return the scene that a recording or another program names; files are never run.
+    """Return the scene that a recording or another program names; nothing of others is ever run.
 
     Args:
         name: Its name.
         values: Its parameters.
-        scene: Its class where it is neither of this package nor of an installed one.
+        scene: Its class where it is not of this package.
 
     Raises:
         ParameterError: If there is no such scene here, or a value is outside its bounds.
     """
-    if name in _OLD and "wall" in values:
+    known = isinstance(name, str)  # of a file it may be anything
+    if known and name in _OLD and "wall" in values:
         return _OLD[name].from_json(values)
-    if name not in BUILT_IN and name not in scene_names():
-        if scene is not None:
-            return scene.from_json(values)
-        if ":" in name:
-            raise ParameterError(f"a recording of one's own needs its scene, {name!r}, to be run again")
-        raise ParameterError(f"scene must be one of {', '.join(scene_names())}, not {name!r}")
-    return find_scene(name).from_json(values)
+    if known and name in BUILT_IN:
+        return find_scene(name).from_json(values)
+    if scene is None:
+        raise ParameterError(f"scene must be one of {', '.join(BUILT_IN)}, not {name!r}")
+    return scene.from_json(values)

@@ -13,6 +13,7 @@ from maglev_mj.frames import ZERO, Array, Command, Sample
 from maglev_mj.hand import HandForce
 from maglev_mj.loop import ControlLoop, Record
 from maglev_mj.recording import RecordingFile, setup_of
+from maglev_mj.recording.setup import attach_model, attach_source
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.find import reference_of, source_of
 from maglev_mj.session.live import live_plant
@@ -31,13 +32,10 @@ def begin_scene(file: RecordingFile, scene: Scene, plant: Any, controller: Contr
         known: What else `setup_of` takes.
     """
     cls = type(scene)
-    told: dict[str, Any] = {
-        "scene": reference_of(cls),
-        "source": source_of(cls),
-        "parameters": scene.as_json(),
-        "axis": scene.axis,
-    }
-    return file.begin(plant, controller, setup_of(plant, controller, **told, **known))
+    attach_model(file, scene.model)
+    attach_source(file, cls)
+    known |= {"scene": reference_of(cls), "source": source_of(cls), "parameters": scene.as_json(), "axis": scene.axis}
+    return file.begin(plant, controller, setup_of(plant, controller, **known))
 
 
 class LiveStretch:
