@@ -565,7 +565,7 @@ def chunks(*parts: tuple[bytes, int], packed: str = "zstd", about: bool = False)
     builder = RecordBuilder()
     Header("", "").write(builder)
     if about:
-        Metadata({"format": "2"}, "maglev_mj").write(builder)
+        Metadata("maglev_mj", {"format": "2"}).write(builder)
     for data, size in parts:
         Chunk(packed, data, 0, 0, 0, size).write(builder)
     return b"".join((b"\x89MCAP0\r\n", builder.end()))

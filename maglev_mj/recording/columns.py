@@ -13,7 +13,6 @@ from maglev_mj.recording.row import Field, as_rows
 __all__ = ["Columns"]
 
 _BLOCK = 1 << 13
-_STEP = 1 << 18
 _TWINS = {"applied": "command", "applied_pulse": "pulse", "applied_pulse_width": "pulse_width"}
 """Fields that are another to the last bit until the plant meets a limit."""
 
@@ -36,7 +35,7 @@ class _Column:
             self._array[:] = self._row
         if self._array is not None:
             if stop > len(self._array):  # by the system, which moves pages and copies nothing
-                self._array.resize((stop + _STEP, *block.shape[1:]), refcheck=False)
+                self._array.resize((stop + max(stop >> 5, _BLOCK), *block.shape[1:]), refcheck=False)
             self._array[start:stop] = block
         self._count = stop
 

@@ -99,7 +99,7 @@ class Recorder:
         return Stretch(setup=self._setup, rows=as_rows(self._rows), metadata=self._metadata)
 
 
-row_of: _RowOf = compiled("sample, command, applied, plant", "({values},)")
+row_of: _RowOf = compiled("sample, command, applied, plant", "return ({values},)")
 """Return the values of one cycle in the order of FIELDS."""
 
 

@@ -47,6 +47,11 @@ _LOOKED_AFTER = 512
 _MASK = ROWS - 1
 _NAP = 1e-3
 
+_PUT = f"""count = ring.count
+number = count + 1
+pack(memory, {_HEAD} + (count & {_MASK}) * {_SLOT.size}, number, {{values}}, number)
+ring.count = number"""
+
 
 class Ring:
     """The end that puts rows in.
@@ -79,34 +84,32 @@ class Ring:
     def record(self, plant: RecordedPlant) -> Record:
         """Return what puts in a row a cycle.
 
-        A function of this one's variables, not a method: it is in the tick, and that is cheaper.
+        Written out as one function, not a method: it is in the tick, and that is cheaper.
 
         Args:
             plant: Tells what the hand exerts.
         """
-        wait, size = self._wait, _SLOT.size
-        names: dict[str, Any] = {"pack": _SLOT.pack_into, "memory": self._memory, "plant": plant}
-        arguments, written = "place, number, sample, command, applied", "pack(memory, place, number, {values}, number)"
-        write = compiled(arguments, written, **names)
+        names: dict[str, Any] = {"pack": _SLOT.pack_into, "memory": self._memory, "ring": self, "plant": plant}
+        put = compiled("sample, command, applied", _PUT, **names)
+        if self._wait is None:
+            return put
 
-        def put(sample: Sample, command: Command, applied: Command) -> None:
-            count = self.count
-            number = count + 1
-            write(_HEAD + (count & _MASK) * size, number, sample, command, applied)
-            self.count = number
-            if wait is not None and not number % _LOOKED_AFTER:
-                self._let_catch_up(wait)
+        def put_and_wait(sample: Sample, command: Command, applied: Command) -> None:
+            put(sample, command, applied)
+            if not self.count % _LOOKED_AFTER:
+                self._let_catch_up()
 
-        return put
+        return put_and_wait
 
     def close(self) -> None:
         """Let go of the memory; a second time does nothing."""
         self._memory.close()
         self._file.close()
 
-    def _let_catch_up(self, wait: Callable[[], object]) -> None:
+    def _let_catch_up(self) -> None:
+        assert self._wait is not None
         while self.count - _PLACE.unpack_from(self._memory, 0)[0] > ROWS - 2 * _LOOKED_AFTER:
-            wait()
+            self._wait()
             time.sleep(_NAP)
 
 

@@ -163,15 +163,16 @@ def compiled(arguments: str, template: str, fields: Sequence[Field] = FIELDS, **
 
     Args:
         arguments: Names of the function's arguments.
-        template: Expression that it returns, with {values} for all values one after the other.
+        template: What it does, with {values} for all values one after the other.
         fields: Whose values.
-        names: What the expression refers to besides its arguments.
+        names: What that refers to besides its arguments.
     """
     sources = ((field, _source(field, names.get("plant"))) for field in fields)
     values = ", ".join(f"*({source})" if field.six else f"({source})" for field, source in sources)
-    made: Callable[..., Any] = eval(
-        f"lambda {arguments}: {template.format(values=values)}", {"NAN": math.nan, "ZERO": ZERO, **names}
-    )
+    known: dict[str, Any] = {"NAN": math.nan, "ZERO": ZERO, **names}
+    body = template.format(values=values).replace("\n", "\n    ")
+    exec(f"def made({arguments}):\n    {body}", known)
+    made: Callable[..., Any] = known["made"]
     return made
 
 

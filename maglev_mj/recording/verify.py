@@ -203,7 +203,7 @@ def _answers(stretch: Stretch, controller: Controller) -> Rows:
 
 
 _COMMANDED = [field for field in FIELDS if field.array == "command"]
-_values = compiled("command", "({values},)", _COMMANDED)
+_values = compiled("command", "return ({values},)", _COMMANDED)
 
 
 def _seen(plant: SampledPlant, controller: Controller, count: int) -> tuple[Rows, bool]:
