@@ -64,7 +64,8 @@ class LiveServer:
         try:
             listener = socket.create_server(("127.0.0.1", port))
         except OSError as error:
-            raise LiveServerError(f"cannot listen at port {port} of 127.0.0.1: {error.strerror}") from None
+            why = os.strerror(error.errno or 0)
+            raise LiveServerError(f"cannot listen at port {port} of 127.0.0.1: {why}") from None
         with listener:  # the other process has it then
             self.port: int = listener.getsockname()[1]
             self._ring, self._versions = Ring(), versions()
