@@ -243,6 +243,9 @@ def test_what_a_recording_does_not_tell_is_said_with_its_reason() -> None:
     gaps = thinned(stretch, np.arange(len(stretch)) % 3 > 0)
     assert why(identify(gaps).walls[0].stiffness) == "too few samples without a gap"
 
+    short = recorded(Drop(height=2e-4, quantize=5e-6), 0.3).part(0, 11)
+    assert why(identify(short).walls[0].stiffness) == "too few samples for all that acts on the axis"
+
     first = int(np.argmax(np.isnan(anchors[:, 0])))
     held = identify(stretch.part(0, first - 1), anchors=anchors[:first])
     assert why(held.friction[0].commanded_stiffness) == "nothing tells it from the other laws on the axis"
