@@ -28,8 +28,8 @@ from maglev_mj.controller import Controller
 from maglev_mj.frames import Array, Mask
 from maglev_mj.loop import ControlLoop
 from maglev_mj.plants.sensor import Sensor
-from maglev_mj.recording import ArrayFile, Stretch, metadata_of
-from maglev_mj.replay import record_run, stick_positions_of
+from maglev_mj.recording import ArrayFile, Recording, Stretch, metadata_of
+from maglev_mj.replay import rebuild, record_run, stick_positions_of
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.joystick import Joystick
 from maglev_mj.scenes.press import Press
@@ -39,6 +39,7 @@ from maglev_mj.spec import GRAVITY
 from maglev_mj.tables.identification import identified_lines
 from maglev_mj.theory import largest_stable_stiffness
 
+HERE = Path(__file__).parent
 EXACT = {"wall stiffness, commanded", "wall damping, commanded", "stick stiffness, commanded"} | {
     *("quantum", "sliding friction", "sliding damping")
 }
@@ -243,6 +244,9 @@ def test_what_a_recording_does_not_tell_is_said_with_its_reason() -> None:
     gaps = thinned(stretch, np.arange(len(stretch)) % 3 > 0)
     assert why(identify(gaps).walls[0].stiffness) == "too few samples without a gap"
 
+    short = recorded(Drop(height=2e-4, quantize=5e-6), 0.3).part(0, 11)
+    assert why(identify(short).walls[0].stiffness) == "too few samples for all that acts on the axis"
+
     first = int(np.argmax(np.isnan(anchors[:, 0])))
     held = identify(stretch.part(0, first - 1), anchors=anchors[:first])
     assert why(held.friction[0].commanded_stiffness) == "nothing tells it from the other laws on the axis"
@@ -355,3 +359,11 @@ def test_a_force_that_switches_at_a_sample_is_counted_once(delay: float) -> None
     for near in (1e-12, -1e-12):
         for one, other in zip(at[:2], forces.gained(delay + near)[:2], strict=True):
             assert one == pytest.approx(other, abs=1e-11)
+
+
+def test_a_stop_that_nobody_recorded_does_not_pass_for_a_weight() -> None:
+    recording = Recording.load(HERE / "golden/recordings/f7cb6d2/session.mcap")
+    stretch = recording.stretches[6]  # falls on the stop with the currents off, in 16 samples
+    known = metadata_of(stretch, rebuild(stretch.setup, None)[1])
+    one = identify(stretch, known).axes[2].force_error
+    assert not one.known or holds(one, 0.0)

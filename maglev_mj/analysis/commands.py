@@ -92,7 +92,6 @@ def fit_law(
     errors = np.where(told, residual * np.sqrt(np.maximum(np.diag(gram), 0.0)), np.inf)
     count = len(parts)
     made = columns[:, :count] @ gains[:count]
-    rest = applied - made
     return CommandedLaw(
         names=names,
         parts=columns[:, :count],
@@ -101,5 +100,5 @@ def fit_law(
         residual=residual,
         degrees=degrees,
         scale=float(np.sqrt(np.square(made[known]).mean())),
-        rest=np.where(np.abs(rest) > 1e-9 * largest, rest, 0.0),
+        rest=applied - made,
     )

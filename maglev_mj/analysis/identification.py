@@ -252,8 +252,6 @@ class _Axis:
         """Why the motion tells nothing of what the forces do; empty if it does."""
         if why := self.disturbed:
             return why
-        if self.motion.degrees < _LEAST_DEGREES:
-            return "too few samples"
         return "" if self.pushed else "the force on it does not change by more than noise"
 
     @cached_property
@@ -285,8 +283,6 @@ class _Axis:
         slope[:2] = -motion.values[1] * mass**2 * (not self._why), mass
         force = mass * motion.values[1] - float(self.metadata.load[self.axis])
         error = Estimate.of(force, _error(motion, slope), motion.degrees, motion.residual)
-        if not motion.moves[1] > 0.0:
-            error = Estimate(why="it cannot be parted from the other forces")
         return OfAxis(inertia=inertia, delay=delay, force_error=error, noise=noise, quantum=quantum)
 
     def _late(self, found: Fit) -> Estimate:

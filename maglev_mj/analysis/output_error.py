@@ -289,8 +289,8 @@ def _judged(
     square = np.square(left).sum() / count
     whiteness = float(change / (2.0 * square)) if square > 0.0 else 1.0
     errors = np.sqrt(np.diag(white))
-    if whiteness < SLOW or spread < _SENSOR:
-        # not of a sensor but of forces between the samples, or rounding: all at once in the worst way
+    if whiteness < SLOW or spread < _SENSOR or count < _LEAST_SAMPLES:
+        # not of a sensor but of forces, or of rounding, or too few to see that: all at once in the worst way
         errors = np.maximum(errors, np.abs(columns @ gram).T @ np.abs(left.ravel()))
     covariance, wide, moves = np.zeros((size, size)), np.zeros(size), np.zeros(size)
     covariance[np.ix_(chosen, chosen)] = white
