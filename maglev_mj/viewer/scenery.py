@@ -11,20 +11,11 @@ from maglev_mj.frames import Array, quaternion, rotation_matrix
 from maglev_mj.model import COILS, load
 from maglev_mj.scenes import Scene
 from maglev_mj.session import Snapshot
+from maglev_mj.shapes import ARROW, GRIP, LEAST_FORCE, UNDER_KNOB, arrow_start, wall_plate
 from maglev_mj.spec import Spec
 
 __all__ = ["ARROW", "GRIP", "Scenery"]
 
-ARROW = 0.003
-"""Length of an arrow for each newton [m]."""
-
-GRIP = np.array([0.0, 0.0, 0.079])
-"""Middle of the handle's knob in the flotor [m]; its radius and half height are the next two."""
-
-_RADIUS, _HALF_HEIGHT = 0.0165, 0.0125
-_UNDER_KNOB = 0.0676
-_PLATE, _THIN = 0.024, 0.0002
-_LEAST_ARROW = 0.05
 _WALL, _TOUCHED, _GHOST = (0.25, 0.47, 0.85, 0.16), (1.0, 0.55, 0.10, 0.36), (0.10, 0.60, 0.35, 0.35)
 _HAND, _DEVICE = (0.13, 0.62, 0.30, 1.0), (0.80, 0.16, 0.14, 1.0)
 _COLD, _WARM, _LIMIT = np.array([0.84, 0.49, 0.22]), np.array([1.0, 0.90, 0.20]), np.array([1.0, 0.05, 0.05])
@@ -112,19 +103,14 @@ class Scenery:
         axis, normal, edge = face
         touched = normal * (pose[axis] - edge) <= 0.0
         colour = _TOUCHED if touched else _WALL
-        if axis > 2:
+        plate = wall_plate(face)
+        if plate is None:
             if touched:
-                ring = self.data.xpos[self.flotor] + rotation_matrix(pose[3:]) @ [0.0, 0.0, _UNDER_KNOB + 0.0012]
+                ring = self.data.xpos[self.flotor] + rotation_matrix(pose[3:]) @ [0.0, 0.0, UNDER_KNOB + 0.0012]
                 turn = rotation_matrix(pose[3:]).ravel()
                 _add(scene, int(mujoco.mjtGeom.mjGEOM_CYLINDER), [0.0118, 0.0012, 0.0], ring, turn, colour)
             return
-        centre, size = GRIP.copy(), np.array([_PLATE, _PLATE, _HALF_HEIGHT + 0.004])
-        size[axis] = _THIN
-        if axis < 2:
-            centre[axis] = edge - normal * (_RADIUS + _THIN)
-        else:
-            size[:2] = _PLATE
-            centre[2] = edge + (_UNDER_KNOB - _THIN if normal > 0.0 else GRIP[2] + _HALF_HEIGHT + _THIN)
+        centre, size = plate
         _add(scene, int(mujoco.mjtGeom.mjGEOM_BOX), size, centre, _IDENTITY, colour)
 
     def _draw_ghost(self, scene: Any, snapshot: Snapshot) -> None:
@@ -146,12 +132,12 @@ class Scenery:
 def _draw_arrow(scene: Any, knob: Array, force: Array, colour: tuple[float, ...]) -> None:
     """Draw a force to scale, from the surface of the knob on; below 0.05 N there is nothing to see."""
     size = float(np.linalg.norm(force))
-    if size < _LEAST_ARROW:
+    if size < LEAST_FORCE:
         return
     shape = _next(scene)
     if shape is None:
         return
-    start = knob + force / np.linalg.norm(force / [_RADIUS, _RADIUS, _HALF_HEIGHT])
+    start = arrow_start(knob, force)
     # an arrow between two points is drawn from the first on, at half the length between them
     arrow = int(mujoco.mjtGeom.mjGEOM_ARROW)
     mujoco.mjv_connector(shape, arrow, 0.0016, start, start + 2.0 * ARROW * force)
