@@ -364,6 +364,6 @@ def test_a_force_that_switches_at_a_sample_is_counted_once(delay: float) -> None
 def test_a_stop_that_nobody_recorded_does_not_pass_for_a_weight() -> None:
     recording = Recording.load(HERE / "golden/recordings/f7cb6d2/session.mcap")
     stretch = recording.stretches[6]  # falls on the stop with the currents off, in 16 samples
-    known = metadata_of(stretch, rebuild(stretch.setup, None)[1])
+    known = metadata_of(stretch, rebuild)
     one = identify(stretch, known).axes[2].force_error
     assert not one.known or holds(one, 0.0)

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from maglev_mj.frames import Array, Mask
+from maglev_mj.parameters import flag
 
 __all__ = ["SLOW", "Fit", "Forces", "Windows", "fit", "inverse", "student"]
 
@@ -216,7 +217,11 @@ def fit(
         search: Whether to find the delay.
         floor: Least error of a position, such as that of rounding [m].
         fixed: Values that are known, (P,); NaN for those to be found.
+
+    Raises:
+        ParameterError: If the switch is neither True nor False.
     """
+    flag("search", search)
     seen = windows.project(place[windows.rows][:, :, None])[:, :, 0]
     free = np.isnan(fixed)
     given = np.where(free, 0.0, fixed)
