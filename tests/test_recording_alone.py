@@ -54,7 +54,7 @@ from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.find import find_scene, object_of_text
 from maglev_mj.scenes.parts import WEIGHT
 from maglev_mj.session import Pacer, Session
-from maglev_mj.versions import differences, hash_of, versions
+from maglev_mj.versions import MODELS, differences, hash_of, versions
 from tests.golden.outputs import HERE
 from tests.recorded import arrays_in, npz_of, numbers_in
 
@@ -327,14 +327,38 @@ def test_a_law_of_one_s_own_is_executed_only_by_leave(suffix: str, folder: Path,
 
 def test_an_attached_source_that_is_not_that_of_its_hash_is_not_executed(folder: Path, say: Any) -> None:
     run_script(folder, "run.npz")
-    header, arrays = arrays_in((folder / "run.npz").read_bytes())
-    place = next(place for place, name in enumerate(header["attachments"]) if name.startswith("source/"))
-    name = f"attachment/{place}"
-    arrays[name] = np.append(arrays[name], np.frombuffer(b"# more\n", dtype=arrays[name].dtype))
-    (folder / "run.npz").write_bytes(npz_of(header, arrays))
+    recording = Recording.load(folder / "run.npz")
+    others = {name: data + b"# more\n" for name, data in recording.attachments.items()}
+    replace(recording, attachments=others).save(folder / "run.npz")
     status, _, wrong = say("replay", "run.npz", "--check", "--scene", "attached")
     assert (status, wrong.count("\n")) == (2, 1) and "does not hold 'script.py' as it was" in wrong
     assert not list(folder.glob("*executed"))
+
+
+def test_own_code_is_no_plant(folder: Path, say: Any) -> None:
+    """Even where a person lets it be executed."""
+    run_script(folder, "run.npz")
+    recording = Recording.load(folder / "run.npz")
+    setup: Any = recording.stretches[0].setup
+    setup["plant"]["class"] = setup["controller"]["laws"][0]["class"]
+    recording.save(folder / "run.npz")
+    status, _, wrong = say("replay", "run.npz", "--check", "--scene", "attached")
+    assert (status, wrong.count("\n")) == (2, 1) and "plant must be of class ExactPlant, MuJoCoPlant, not" in wrong
+
+
+def test_a_hand_that_somebody_moves_is_taken_from_the_samples(folder: Path, say: Any) -> None:
+    hand = SpringHand(target=[1e-3, 0.0, 0.0, 0.0, 0.0, 0.0])
+
+    def move(sample: Any, command: Any) -> None:
+        hand.target = [1e-3 * np.sin(0.3 * sample.tick), 0.0, 0.0, 0.0, 0.0, 0.0]
+
+    file = open_recording(Path("run.npz"))
+    plant, controller = ExactPlant(Timing(**TIMING), **START, hand_force=hand), controller_of("Hold")
+    drive(plant, controller, ticks=TICKS, record=file.begin(plant, controller), observe=move)
+    file.close()
+    status, said, wrong = say("replay", "run.npz", "--check")
+    assert (status, wrong) == (0, "") and "80 of 80 the same: tick, time, position, command," in said
+    assert "only the recording knows them: hand" in said
 
 
 class Mine(ExactPlant):
@@ -430,6 +454,7 @@ HOSTILE: Mapping[str, Change] = {
     "a timing that is a law": told("plant", "timing", value={"class": "Bias", "wrench": [0.0] * 6}),
     "a model that is a file": told("plant", "model", value="/etc/passwd"),
     "a model elsewhere": told("plant", "model", value="../../tmp/evil"),
+    "a model that is there": told("plant", "model", value=str(MODELS / "drop.xml")),
     "a model as list": told("plant", "model", value=["drop"]),
     "steps without end": told("plant", "longest_step", value=1e-300),
     "a period without end": told("plant", "timing", "period", value=1e-300),
@@ -687,6 +712,18 @@ def test_stretches_of_one_file_attach_a_source_once(folder: Path) -> None:
     )
     assert (f"source/{hash_of(text)}/script.py", "text/x-python", text.encode()) in found
     assert len(Recording.load(folder / "run.mcap").stretches) == 2
+
+
+def test_the_source_of_a_scene_without_a_law_of_its_own_is_attached(folder: Path, say: Any) -> None:
+    text = OWN.replace("Pull(axes", "Hold(damping=4.0, axes").replace(
+        "import AxisLaw, gain", "import AxisLaw, Hold, gain"
+    )
+    (folder / "mine.py").write_text(text)
+    write_run(Path("run.npz"), find_scene("mine.py")(), plant="exact")
+    (folder / "mine.py").unlink()
+    assert f"source/{hash_of(text)}/mine.py" in Recording.load(Path("run.npz")).attachments
+    for given in ([], ["--scene", "attached"]):
+        assert say("replay", "run.npz", "--check", *given)[0] == 0
 
 
 def test_a_recording_of_one_s_own_of_before_is_checked_with_its_scene(folder: Path, say: Any) -> None:

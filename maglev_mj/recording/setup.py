@@ -197,6 +197,8 @@ def plant_again(setup: Setup, hand: HandForce | None = None) -> SampledPlant | N
         plant = _made("plant", told, None, {} if hand is None else {"hand_force": hand})
         if not isinstance(plant, SampledPlant):
             raise ParameterError(f"plant must be an object, not {plant!r}")
+        if plant.batch or np.ndim(plant.timing.delay):
+            raise ParameterError("a plant must be one device")
         return plant
 
 
