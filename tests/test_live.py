@@ -475,6 +475,8 @@ def test_a_program_that_comes_late_to_a_pause_sees_the_scene_and_sets_it(live: L
             assert {"stator", "flotor", "walls"} <= {entity.id for entity in topics["/maglev/scene"].entities}
             assert client.set(walls=[["y", 1, -0.001]])["reason"] == ""
             assert client.parameters()["walls"] == [["y", 1, -0.001]] and client.parameters()["state"] == "paused"
+            one.session.act("friction")  # by a key
+            waited(lambda: client.parameters()["friction"], 30.0)
             one.session.act("emergency stop")
             logged = (message.fields.message for message in client.messages(5.0) if message.topic == "/log")
             assert next(line for line in logged if "stop" in line) == "fault: emergency stop"
