@@ -15,7 +15,8 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from multiprocessing import Pipe, active_children
 from pathlib import Path
@@ -310,6 +311,7 @@ class Running:
 
     def __init__(self, session: Session, period: float) -> None:
         self.session, self.scenes, self._period = session, list[Scene](), period
+        self.asked: deque[Callable[[], object]] = deque()
         self._stopped = threading.Event()
         self._thread = threading.Thread(target=self._go_on)
 
@@ -322,8 +324,13 @@ class Running:
         self._stopped.set()
         self._thread.join()
 
+    def act(self, action: str) -> None:
+        self.asked.append(lambda: self.session.act(action))
+
     def _go_on(self) -> None:
         while not self._stopped.wait(self._period):
+            while self.asked:
+                self.asked.popleft()()
             if self.session.tick(self._period):
                 self.scenes.append(self.session.snapshot().scene)  # that answered this sample
 
@@ -468,14 +475,16 @@ def test_a_program_that_comes_late_to_a_pause_sees_the_scene_and_sets_it(live: L
     with running(live) as one:
         while not one.scenes:
             time.sleep(0.01)
-        one.session.act("pause")
+        one.act("pause")
         with LiveClient(url(live)) as client:
             topics = {message.topic: message.fields for message in client.messages(1.0)}
             assert topics["/maglev/stretch"]["name"] == "scene joystick"
             assert {"stator", "flotor", "walls"} <= {entity.id for entity in topics["/maglev/scene"].entities}
             assert client.set(walls=[["y", 1, -0.001]])["reason"] == ""
             assert client.parameters()["walls"] == [["y", 1, -0.001]] and client.parameters()["state"] == "paused"
-            one.session.act("emergency stop")
+            one.act("friction")  # by a key
+            waited(lambda: client.parameters()["friction"], 30.0)
+            one.act("emergency stop")
             logged = (message.fields.message for message in client.messages(5.0) if message.topic == "/log")
             assert next(line for line in logged if "stop" in line) == "fault: emergency stop"
             waited(lambda: client.parameters()["state"] == "stopped: emergency stop", 30.0)
@@ -575,7 +584,7 @@ def test_a_scene_goes_on_where_the_process_of_its_server_does_not(end: signal.Si
         os.kill(process.pid, end)
         done = len(one.scenes)
         for _ in range(300):
-            one.session._tape.failed("x" * 2000)
+            one.asked.append(lambda: one.session._tape.failed("x" * 2000))
         while len(one.scenes) < done + 50:
             time.sleep(0.01)
         assert one.session.snapshot().state == "running"
