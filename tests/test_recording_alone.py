@@ -143,13 +143,13 @@ def controller_of(name: str) -> Controller:
     return Controller([*LAWS[name], rest, Bias(WEIGHT)], period=PERIOD, velocity=estimate)
 
 
-def record(path: Path, plants: list[str], names: list[str] | None = None) -> None:
+def record(path: Path, plants: list[str], names: list[str] | None = None, ticks: int = TICKS) -> None:
     """Record as a script of a user's own does, each law in a stretch of its own."""
     file = open_recording(path, wait=True)
     for name in plants:
         for law in names or LAWS:
             plant, controller = PLANTS[name](), controller_of(law)
-            drive(plant, controller, ticks=TICKS, record=file.begin(plant, controller))
+            drive(plant, controller, ticks=ticks, record=file.begin(plant, controller))
     file.close()
 
 
@@ -175,10 +175,11 @@ def test_every_law_and_estimate_of_the_package_is_in_the_product() -> None:
 @pytest.mark.parametrize("plant", PLANTS)
 def test_a_script_s_recording_is_checked_analysed_and_shown(plant: str, suffix: str, tmp_path: Path, say: Any) -> None:
     path = tmp_path / f"run{suffix}"
-    record(path, [plant])
+    ticks = 25
+    record(path, [plant], ticks=ticks)
     status, said, wrong = say("replay", str(path), "--check")
     assert (status, wrong) == (0, ""), said
-    count = TICKS * len(LAWS)
+    count = ticks * len(LAWS)
     assert f"{count} of {count} the same: tick, time, position, command, pulse," in said
     assert "not run again" not in said and "hand" in said
     assert say("analyse", str(path), "--json", str(tmp_path / "found.json"))[0] == 0
@@ -187,7 +188,7 @@ def test_a_script_s_recording_is_checked_analysed_and_shown(plant: str, suffix: 
     recording = Recording.load(path)
     replay, shown = Replay(recording), list[int]()
     for place, (law, stretch) in enumerate(zip(LAWS, recording.stretches, strict=True)):
-        shown += [replay.tick(PERIOD) for _ in range(TICKS - (not place))]
+        shown += [replay.tick(PERIOD) for _ in range(ticks - (not place))]
         view = replay.snapshot()
         assert (view.pose == stretch.position[-1]).all() and view.delay == DELAY
         assert (view.anchors is not None) == ("breakaway" in stretch.setup["controller"]["laws"][0]), law
@@ -243,7 +244,10 @@ def test_a_changed_gain_is_found() -> None:
     assert tried > 100 and [name for name in missed if not WITHOUT_EFFECT.search(name)] == []
 
 
-@pytest.mark.parametrize("plant", PLANTS)
+SLOW = pytest.param("exact, with options", marks=pytest.mark.study)
+
+
+@pytest.mark.parametrize("plant", ["exact", SLOW, "mujoco", "mujoco, with options"])
 def test_a_changed_option_of_a_plant_is_found(plant: str) -> None:
     missed, tried = unseen(plant, ["Hold"], "plant")
     assert tried > 5 and [name for name in missed if not WITHOUT_EFFECT.search(name)] == []
@@ -378,7 +382,7 @@ class Odd(Law):
 
 def test_a_plant_of_one_s_own_is_left_out_in_one_line(folder: Path, say: Any) -> None:
     file, plant, controller = open_recording(Path("run.npz")), Mine(Timing(**TIMING), **START), controller_of("Hold")
-    drive(plant, controller, ticks=TICKS, record=file.begin(plant, controller))
+    drive(plant, controller, ticks=ticks, record=file.begin(plant, controller))
     file.close()
     status, said, wrong = say("replay", "run.npz", "--check")
     assert (status, wrong) == (0, "") and "80 of 80 the same: command, pulse, pulse_width" in said

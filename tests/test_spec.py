@@ -59,7 +59,7 @@ def defaults(node: ast.AST) -> Iterator[tuple[str, ast.expr]]:
     if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
         pairs = [(node.target.id, node.value)]
     elif isinstance(node, ast.FunctionDef):
-        arguments, given = node.args.args, node.args.defaults
+        arguments, given = [*node.args.posonlyargs, *node.args.args], node.args.defaults
         pairs = [(one.arg, value) for one, value in zip(arguments[len(arguments) - len(given) :], given, strict=True)]
         pairs += [(one.arg, value) for one, value in zip(node.args.kwonlyargs, node.args.kw_defaults, strict=True)]
     yield from ((name, value) for name, value in pairs if value is not None)

@@ -229,17 +229,17 @@ def test_a_session_by_mouse_runs_again_bit_for_bit(session: Session) -> None:
 @needs_screen
 def test_keys_do_what_the_overlay_says(session: Session) -> None:
     stretches = session.recordings[1].stretches
-    settings = [stretch.setup["settings"] for stretch in stretches]
+    settings = [stretch.setup["parameters"] for stretch in stretches]
     for before, after, (name, value) in zip(settings, settings[1:], PRESSED.values(), strict=False):
         assert after[name] == pytest.approx(value)
         assert {key for key in after if after[key] != before[key]} == {name}
     dropped, centred, following = stretches[len(PRESSED) + 1 : len(PRESSED) + 4]
-    assert dropped.setup["pose"][2] == 0.004
-    assert not dropped.setup["settings"]["weightless"]
-    assert centred.setup["pose"] == [0.0] * 6
-    assert centred.setup["settings"]["weightless"]
+    assert dropped.setup["plant"]["pose"][2] == 0.004
+    assert not dropped.setup["parameters"]["weightless"]
+    assert centred.setup["plant"]["pose"] == [0.0] * 6
+    assert centred.setup["parameters"]["weightless"]
     # time passes before and after a pause, and not in it
-    assert len(centred.tick) * centred.setup["settings"]["period"] > 0.6
+    assert len(centred.tick) * centred.setup["parameters"]["period"] > 0.6
     assert session.paused == 0
     assert following.setup["scene"] == "drop"
 

@@ -26,6 +26,7 @@ from maglev_mj.plants.sensor import Sensor
 from maglev_mj.recording import ArrayFile, Mechanics, Stretch, setup_of
 from maglev_mj.spec import GRAVITY, INERTIA
 from maglev_mj.theory import largest_stable_stiffness, stiffest_wall
+from maglev_mj.versions import versions
 
 MASS = INERTIA[0]
 ARM = (HANDS["arm"][0], HANDS["arm"][1], 400.0)
@@ -224,7 +225,8 @@ def main() -> None:
         for why in sorted(set(untold.get(name, []))):
             print(f"    {untold[name].count(why)} not: {why}")
     options.folder.mkdir(parents=True, exist_ok=True)
-    (options.folder / "identification.json").write_text(json.dumps(data))
+    told = {"versions": versions(), "recordings": data}
+    (options.folder / "identification.json").write_text(json.dumps(told))
 
 
 if __name__ == "__main__":
