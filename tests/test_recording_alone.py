@@ -382,7 +382,7 @@ class Odd(Law):
 
 def test_a_plant_of_one_s_own_is_left_out_in_one_line(folder: Path, say: Any) -> None:
     file, plant, controller = open_recording(Path("run.npz")), Mine(Timing(**TIMING), **START), controller_of("Hold")
-    drive(plant, controller, ticks=ticks, record=file.begin(plant, controller))
+    drive(plant, controller, ticks=TICKS, record=file.begin(plant, controller))
     file.close()
     status, said, wrong = say("replay", "run.npz", "--check")
     assert (status, wrong) == (0, "") and "80 of 80 the same: command, pulse, pulse_width" in said
