@@ -38,7 +38,7 @@ from maglev_mj.recording import (
 from maglev_mj.recording.checks import start_in, whole
 from maglev_mj.recording.setup import ALLOW, controller_again, plant_again, scripted
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene, scene_names
-from maglev_mj.scenes.find import object_of_text, text_of
+from maglev_mj.scenes.find import defined_in, object_of_text, text_of
 from maglev_mj.scenes.legacy import parameters_in, recorded_scene
 from maglev_mj.scenes.run import checked_phase, checked_plant
 from maglev_mj.scenes.scene import PLANTS
@@ -131,7 +131,7 @@ class OwnCode:
         if self._attached is None:
             if self.scene is None:
                 return object_of_text(self._text, name, self._file)
-            return getattr(sys.modules[self.scene.__module__], name)
+            return defined_in(sys.modules[self.scene.__module__], name, file)
         data = self._attached.get(f"source/{digest}/{file}", b"")
         text = data.decode("utf-8", "replace")
         if hash_of(text) != digest:

@@ -777,3 +777,35 @@ class Mine(Scene):
     def start(self):
         return Start(pose=(1e-3, 0.0, 0.0, 0.0, 0.0, 0.0), gravity=0.0)
 """
+
+
+IMPORTS = """
+from pathlib import Path
+from subprocess import Popen
+
+
+class Mark:
+    def __init__(self, args):
+        Path(args[0]).write_text("made")
+
+
+def lift(position, velocity):
+    return [0.0] * 6
+"""
+
+
+@pytest.mark.parametrize("wanted", ["Popen", "Mark"])
+@pytest.mark.parametrize("given", ["script.py", "attached"])
+def test_leave_is_for_the_laws_that_a_file_defines(wanted: str, given: str, folder: Path, say: Any) -> None:
+    """Neither what it imports nor a class that is no law gets the arguments that a recording tells."""
+    run_script(folder, "run.npz")
+    (folder / "script.py").write_text(IMPORTS)
+    recording = Recording.load(folder / "run.npz")
+    setup: Any = recording.stretches[0].setup
+    digest, arguments = hash_of(IMPORTS), ["touch", "made"] if wanted == "Popen" else ["made"]
+    setup["controller"]["laws"] = [{"class": f"script.py:{wanted}@{digest}", "args": arguments}]
+    replace(recording, attachments={f"source/{digest}/script.py": IMPORTS.encode()}).save(folder / "run.npz")
+    status, _, wrong = say("replay", "run.npz", "--check", "--scene", given)
+    assert (status, wrong.count("\n")) == (2, 1), wrong
+    assert ("script.py must define Popen" if wanted == "Popen" else "a class with __call__") in wrong
+    assert not (folder / "made").exists()

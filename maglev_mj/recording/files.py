@@ -89,14 +89,20 @@ class Recorder:
     def __init__(self, plant: RecordedPlant, setup: Setup) -> None:
         self._plant, (self._setup, self._metadata) = plant, split_setup(dict(setup))
         self._rows: list[Row] = []
+        self._gaps: list[tuple[int, int]] = []
 
     def __call__(self, sample: Sample, command: Command, applied: Command) -> None:
         """Keep one cycle."""
         self._rows.append(row_of(sample, command, applied, self._plant))
 
+    def miss(self, count: int) -> None:
+        """Keep how many samples were missed before the next."""
+        self._gaps.append((len(self._rows), count))
+
     def stretch(self) -> Stretch:
         """Return what was kept so far."""
-        return Stretch(setup=self._setup, rows=as_rows(self._rows), metadata=self._metadata)
+        rows = as_rows(self._rows)
+        return Stretch(setup=self._setup, rows=rows, metadata=self._metadata, gaps=tuple(self._gaps))
 
 
 row_of: _RowOf = compiled("sample, command, applied, plant", "return ({values},)")
@@ -134,6 +140,8 @@ class ArrayFile:
     def event(self, kind: str, text: str, missed: int = 0) -> None:
         """See `RecordingFile`."""
         self._events.append(f"{kind}: {text}")
+        if missed and self._recorders:
+            self._recorders[-1].miss(missed)
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
         """See `RecordingFile`; the media type is not kept."""
@@ -162,7 +170,7 @@ class ArrayFile:
 
 def best_suffix() -> str:
     """Return ".mcap" where the package for it is installed, ".npz" where not."""
-    return ".mcap" if find_spec("mcap") is not None else ".npz"
+    return ".mcap" if find_spec("mcap") and find_spec("foxglove") else ".npz"
 
 
 def check_name(path: Path) -> None:

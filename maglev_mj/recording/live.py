@@ -180,7 +180,11 @@ class LiveFile:
         self._aside.open("wb").close()
         try:
             self._ring = _ring(self.check if wait else None)
-            self._process = self._start()
+            try:
+                self._process = self._start()
+            except BaseException:
+                self._ring.close()
+                raise
         except BaseException:
             self._aside.unlink(missing_ok=True)
             raise
@@ -247,6 +251,7 @@ class LiveFile:
             status = json.loads(said)
         except (ValueError, subprocess.TimeoutExpired):
             self._process.kill()
+            self._process.communicate()
             status = {"error": "its writer ended"}
         kept = self._ring.count
         self._ring.close()

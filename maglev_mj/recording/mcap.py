@@ -78,7 +78,11 @@ def require_mcap() -> None:
     Raises:
         McapMissingError: If a package is not installed.
     """
-    if find_spec("mcap") is None or find_spec("foxglove") is None:
+    _require("mcap", "foxglove")
+
+
+def _require(*packages: str) -> None:
+    if not all(map(find_spec, packages)):
         missing = "mcap and foxglove-sdk"
         raise McapMissingError(f"recordings as MCAP need {missing}: pip install 'maglev-mj[record]'")
 
@@ -99,7 +103,7 @@ def read_mcap(file: IO[bytes], size: int, names: frozenset[str] | None = None) -
         McapMissingError: If a package is not installed.
         ParameterError: If there is no recording in it, or it holds what none can.
     """
-    require_mcap()
+    _require("mcap")
     found = Found(Allowance(size), names)
     try:
         try:

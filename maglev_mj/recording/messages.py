@@ -60,7 +60,7 @@ _STRETCH_FIELDS = {
     "stretch": _NUMBER,
     "setup": {
         "type": "object",
-        "description": "what plant and controller are made from: kind, parameters, calibration, versions",
+        "description": "what plant and controller are made from: kind, scene, parameters, controller, plant, versions",
     },
     "period": schema(Field("period", "s", "sample period")),
     "delay": schema(Field("delay", "s", "from a sample to its command taking effect")),

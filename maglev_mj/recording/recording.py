@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 
 __all__ = ["InvalidRecordingError", "Recording", "RecordingError", "Stretch", "aside", "read_file", "split_setup"]
 
+_ZIP = b"PK"
 _FORMAT = "maglev_mj recording 1"
 
 
@@ -137,6 +138,7 @@ class Recording:
             "gaps": [list(stretch.gaps) for stretch in self.stretches],
             "setups": setups,
             "events": list(self.events),
+            "damage": self.damage,
             "attachments": list(self.attachments),
             "about": dict(self.about),
         }
@@ -180,6 +182,8 @@ def read_file(path: Path, names: frozenset[str] | None = None) -> Recording | Fo
         with path.open("rb", buffering=1 << 20) as file:
             size, first = os.fstat(file.fileno()).st_size, file.read(len(MAGIC))
             file.seek(0)
+            if first[:2] not in (MAGIC[:2], _ZIP):
+                raise ParameterError("it is neither MCAP nor .npz")
             return read_mcap(file, size, names) if first == MAGIC else _read_arrays(file, size)
     except OSError as error:
         raise InvalidRecordingError(f"recording {str(path)!r} cannot be read: {error.strerror or error}") from None
@@ -261,6 +265,7 @@ def _read_arrays(file: IO[bytes], size: int) -> Recording:
                 for place, name in enumerate(header.get("attachments", ()))
             }
             about = {name: text_in(header["about"], name) for name in header.get("about", ())}
+            damage = text_in(header, "damage") if "damage" in header else ""
     except (OSError, ParameterError):
         raise
     except UnpackingError as error:
@@ -271,7 +276,7 @@ def _read_arrays(file: IO[bytes], size: int) -> Recording:
     if not isinstance(events, list):
         raise ParameterError("events must be a list")
     texts = tuple(text_in({"event": event}, "event") for event in events)
-    return Recording(stretches, events=texts, attachments=attachments, about=about)
+    return Recording(stretches, events=texts, damage=damage, attachments=attachments, about=about)
 
 
 def _header(archive: ZipFile, allowance: Allowance) -> Mapping[str, Any]:

@@ -318,4 +318,7 @@ def _own(slot: str, name: str, own: Own | None) -> Any:
     if own is None:
         file = name.partition(":")[0][:60]
         raise OwnCodeError(f"{name[:80]!r} must be executed to run it again: {ALLOW.format(file)}")
-    return own(name)
+    found = own(name)
+    if isinstance(found, type) and "__call__" not in dir(found):  # whose arguments would be the recording's
+        raise ParameterError(f"{slot} must be of a class with __call__, not {name[:60]!r}")
+    return found

@@ -22,6 +22,7 @@ from maglev_mj.versions import TEXT, file_of, hash_of
 __all__ = [
     "BUILT_IN",
     "GROUP",
+    "defined_in",
     "find_scene",
     "hash_of",
     "line_of",
@@ -143,10 +144,19 @@ def object_of_text(text: str, name: str, file: str) -> Any:
     Raises:
         ParameterError: If there is none of that name, or the text fails.
     """
-    module = _made(f"{_OWN}{hash_of(text)}_{name}", text, file, name)
-    if not hasattr(module, name):
-        raise ParameterError(f"{file} has no {name}")
-    return getattr(module, name)
+    return defined_in(_made(f"{_OWN}{hash_of(text)}_{name}", text, file, name), name, file)
+
+
+def defined_in(module: ModuleType, name: str, file: str) -> Any:
+    """Return a class or function that a module defines itself, not one that it imports.
+
+    Raises:
+        ParameterError: If there is none of that name.
+    """
+    found = getattr(module, name, None)
+    if getattr(found, "__module__", None) != module.__name__:
+        raise ParameterError(f"{file} must define {name}")
+    return found
 
 
 def made_again(reference: str, values: Mapping[str, Any]) -> Scene:
