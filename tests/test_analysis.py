@@ -424,3 +424,15 @@ def test_a_file_with_nothing_in_it_is_one_line_and_status_2(tmp_path: Path, caps
         said = capsys.readouterr().err
         assert len(said.splitlines()) == 1 and "there is nothing in" in said
     assert main(["analyse", str(tmp_path / "missing.npz")]) == 2
+
+
+def test_a_flight_is_recorded_with_the_mass_of_its_calibration() -> None:
+    weighed = replace(Calibration.nominal(), mass=0.75, inertia=np.array([1e-3, 2e-3, 3e-3]))
+    twin = Twin(TwinParameters(calibration=weighed), draw=lambda: 7)
+    file = ArrayFile()
+    with RemotePlant(VirtualLink(twin), calibration=weighed) as plant:
+        Flight(plant, Joystick(period=plant.period, delay=plant.delay), file=file).run(0.5)
+    metadata = file.recording.stretches[0].metadata
+    assert metadata is not None
+    assert metadata.inertia.tolist() == [0.75, 0.75, 0.75, 1e-3, 2e-3, 3e-3]
+    assert metadata.load[2] == pytest.approx(-0.75 * GRAVITY)

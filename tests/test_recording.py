@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from maglev_mj.cli import main
-from maglev_mj.recording import Recording, RecordingError, Stretch, verify
+from maglev_mj.loop import drive
+from maglev_mj.recording import Recording, RecordingError, Stretch, best_suffix, open_recording, verify
 from maglev_mj.replay import Replay, rebuild, record_run
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.find import find_scene
@@ -188,3 +189,38 @@ def test_bad_input_is_one_line_and_status_2(options: list[str], words: str, caps
     assert status == 2
     assert len(said.splitlines()) == 1
     assert re.search(words, said)
+
+
+def test_what_is_wrong_with_a_file_goes_into_arrays_of_it(tmp_path: Path, capsys: Any) -> None:
+    assert main(["drop", "--plant", "exact", "--record", str(tmp_path / "run.mcap")]) == 0
+    data = (tmp_path / "run.mcap").read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(data[:-30])
+    assert main(["export", str(tmp_path / "cut.mcap"), "--to", "npz"]) == 0
+    assert Recording.load(tmp_path / "cut.npz").damage == "its end is missing"
+    assert main(["replay", str(tmp_path / "cut.npz"), "--check"]) == 1
+    assert "its end is missing" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("suffix", [".mcap", ".npz"])
+def test_missed_samples_are_kept_with_their_place(suffix: str, tmp_path: Path) -> None:
+    file, scene = open_recording(tmp_path / f"run{suffix}", wait=True), Drop()
+    with scene.plant("exact") as plant:
+        controller = scene.controller()
+        drive(plant, controller, 40, record=file.begin(plant, controller))
+        file.event("missed", "too slow", 5)
+    file.close()
+    (stretch,) = Recording.load(tmp_path / f"run{suffix}").stretches
+    assert list(stretch.gaps) == [(40, 5)]
+
+
+def test_what_is_no_recording_is_called_none(tmp_path: Path, capsys: Any) -> None:
+    (tmp_path / "text.mcap").write_text("a text")
+    assert main(["analyse", str(tmp_path / "text.mcap")]) == 2
+    assert capsys.readouterr().err.endswith("is not a whole recording: it is neither MCAP nor .npz\n")
+
+
+def test_a_session_records_to_what_can_be_written(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert best_suffix() == ".mcap"
+    for missing in ("mcap", "foxglove"):
+        monkeypatch.setattr("maglev_mj.recording.files.find_spec", lambda name, missing=missing: name != missing)
+        assert best_suffix() == ".npz"

@@ -439,7 +439,7 @@ def test_a_recording_is_exported_with_every_field_unit_event_and_attachment(
         assert one.whole_setup == two.whole_setup and list(one.gaps) == list(two.gaps)
         assert (one.totals is None) == (two.totals is None) == (suffix == ".npz")
         assert one.totals is None or two.totals is None or one.totals.tobytes() == two.totals.tobytes()
-    assert [len(stretch.gaps) for stretch in recording.stretches] == ([1, 1] if suffix == ".mcap" else [0, 0])
+    assert [len(stretch.gaps) for stretch in recording.stretches] == [1, 1]
 
 
 def test_a_recording_is_loaded_as_arrays_and_as_a_data_frame(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

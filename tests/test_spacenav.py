@@ -1090,7 +1090,10 @@ def test_the_option_opens_a_server_and_says_how_programs_find_it(path: Path) -> 
         (["--axes", "rate"], "axes is for --spacenav"),
         (["--spacenav", "--axes", "speed"], "axes must be one of pose, rate, not 'speed'"),
         (["--spacenav-gain", "2"], "spacenav-gain and the like are for --spacenav"),
-        (["--spacenav", "--spacenav-gain", "-1"], "gain must be a finite number at least 0 and at most 100, not -1.0"),
+        (
+            ["--spacenav", "--spacenav-gain", "-1"],
+            "spacenav-gain must be a finite number at least 0 and at most 100, not -1.0",
+        ),
     ],
 )
 def test_options_that_do_not_fit_are_refused(arguments: list[str], complaint: str, path: Path) -> None:

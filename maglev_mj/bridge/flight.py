@@ -36,6 +36,7 @@ from maglev_mj.session import (
     check_step,
     device_controller,
 )
+from maglev_mj.spec import GRAVITY
 from maglev_mj.theory import stability
 
 __all__ = [
@@ -308,7 +309,9 @@ class Flight:
             self._scene = self._begun.scene
         plant, controller, scene, record = self._plant, self._controller, self._scene, None
         if self._file is not None:
-            known = {"name": f"{scene.name} on a device", "mechanics": Mechanics(before=self._force)}
+            weight = (0.0, 0.0, -self._inertia[2] * GRAVITY, 0.0, 0.0, 0.0)
+            mechanics = Mechanics(inertia=self._inertia, load=weight, before=self._force)
+            known = {"name": f"{scene.name} on a device", "mechanics": mechanics}
             record = begin_scene(self._file, scene, plant, controller, kind="device", **known)
         loop, samples = ControlLoop(plant, controller, observe=self._observe(controller), record=record), plant.samples
         while not self.switch.landing and self._wanted is None and (last is None or samples.tick < last):

@@ -144,7 +144,10 @@ def chosen(options: argparse.Namespace, parameters: P | type[P], prefix: str = "
     made = parameters() if isinstance(parameters, type) else parameters
     given = {one.name: f"{_APART}{prefix}{one.name}" for one in made.parameters()}
     found = {name: getattr(options, place) for name, place in given.items() if hasattr(options, place)}
-    return made.replace(**found, **further)
+    try:
+        return made.replace(**found, **further)
+    except ParameterError as error:
+        raise ParameterError(f"{prefix}{error}") from None
 
 
 def add_outputs(parser: Container) -> None:
