@@ -17,7 +17,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager, suppress
 from multiprocessing import Pipe, active_children
 from pathlib import Path
 from typing import Any
@@ -301,6 +301,148 @@ def test_one_that_stalls_takes_nothing_from_others() -> None:
         for _ in range(200):
             served.sendall(b"pose")
             assert line.recv(16) == b"pose"
+
+
+def test_one_connection_too_many_is_closed_until_another_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(guard, "MOST", 2)
+    good = (request() + "\r\n\r\n").encode()
+    with guarded() as (port, behind), ExitStack() as open_ones:
+        first, _ = (open_ones.enter_context(asks(port, good[:20])) for _ in range(2))
+        with asks(port, b"") as third:
+            assert third.recv(16) == b""
+        first.close()
+        deadline = time.monotonic() + 5.0
+        behind.settimeout(0.1)
+        while time.monotonic() < deadline:  # it takes the guard a while to see that
+            with suppress(OSError):
+                open_ones.enter_context(asks(port, good))
+                open_ones.enter_context(behind.accept()[0])
+                return
+    pytest.fail("nobody is let in again")
+
+
+# its parts, without processes
+
+
+class Unstarted:
+    """In place of a process."""
+
+    made = 0
+
+    def __init__(self, *_: object) -> None:
+        Unstarted.made += 1
+        self.line, self.far = Pipe()
+        self.far.send("")
+        self.ready, self.ended, self.sent = False, False, list[Any]()
+
+    def send(self, message: object) -> None:
+        self.sent.append(message)
+
+    def received(self) -> Iterator[Any]:
+        while not self.ended and self.line.poll():
+            yield self.line.recv()
+
+    def close(self, patience: float = 0.0) -> None:
+        self.ended = True
+        self.line.close()
+
+
+def test_what_rows_and_requests_wait_for_outlasts_a_process_that_hangs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Everything else falls out, the oldest first."""
+    monkeypatch.setattr("maglev_mj.live.server.SideProcess", Unstarted)
+    with closing(LiveServer(0)) as server:
+        scene, process = Drop(), server._process
+        assert isinstance(process, Unstarted)
+        server.event("timing", "before")
+        server.begin(scene.plant("exact"), scene.controller())
+        server._note(7)
+        server.show(Snapshot(scene=scene, delay=0.0015))
+        for number in range(300):
+            server.event("timing", str(number))
+        assert not process.sent
+        process.ready = True
+        server.show(Snapshot(scene=scene, delay=0.0015))
+    (_, begin, *_), (_, show, _, answer), *rest = process.sent
+    assert (begin, show, answer) == ("begin", "show", Answer(7))
+    assert [text for _, _, _, text, _ in rest] == [str(number) for number in range(46, 300)]
+
+
+@contextmanager
+def in_service(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Any, Any]]:
+    """Yield the service of a server, and the control loop's end of its line."""
+    from maglev_mj.live import service
+
+    monkeypatch.setattr(service, "SideProcess", Unstarted)
+    monkeypatch.setattr(service, "forward", lambda *_: None)
+    near, far = Pipe()
+    with near, far, closing(Ring()) as ring, socket.create_server(("127.0.0.1", 0)) as public:
+        one = service._Service(far, RowReader(ring.descriptor), public)
+        yield one, near
+        one._server.stop()
+
+
+def test_a_process_that_cannot_check_is_started_anew_once_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where there is none to be had, the server goes on, and says why it refuses."""
+    with in_service(monkeypatch) as (one, _):
+        made = Unstarted.made
+        for _ in range(20):
+            one._checker.ended = True
+            one._turn()
+        assert Unstarted.made == made + 1
+        answer = one._requests.put({"wall": True})
+        one._turn()
+        one._turn()
+        assert not answer.done()  # it waits for the next
+
+        def fails(*_: object) -> None:
+            raise BlockingIOError(11, "Resource temporarily unavailable")
+
+        monkeypatch.setattr("maglev_mj.live.service.SideProcess", fails)
+        one._next_checker = 0.0
+        one._turn()
+        assert answer.result(0).reason.endswith("does not start: [Errno 11] Resource temporarily unavailable")
+        one._turn()
+        monkeypatch.setattr("maglev_mj.live.service.SideProcess", Unstarted)
+        one._next_checker = 0.0
+        one._requests.put({"wall": False})
+        one._turn()
+        assert [given for _, given in one._checker.sent] == [{"wall": False}]
+
+
+def test_a_server_ends_with_its_line_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not with a scene that it cannot read, whatever that raises; nor where there is nobody to hand a scene to."""
+    with in_service(monkeypatch) as (one, near):
+        near.send((0, "show", Nowhere(FileNotFoundError), None))
+        one._turn()
+        assert not one._over and "FileNotFoundError" in one._state.state
+        near.close()
+        one._judge(Joystick())
+        one.run()
+        assert one._over and one._checker.ended
+
+
+def test_each_file_is_closed_where_another_cannot_be() -> None:
+    class Full(ArrayFile):
+        def close(self) -> Path | None:
+            raise OSError("full")
+
+    class Kept(ArrayFile):
+        closed = False
+
+        def close(self) -> Path | None:
+            self.closed = True
+            return Path("kept")
+
+    kept = Kept()
+    for files in ((Full(), kept), (kept, Full())):
+        kept.closed = False
+        both = tee(*files)
+        assert both is not None
+        with pytest.raises(OSError, match="full"):
+            both.close()
+        assert kept.closed
+    both = tee(ArrayFile(), kept)
+    assert both is not None and both.close() == Path("kept")
 
 
 # the server in its own process
@@ -658,15 +800,18 @@ def test_a_check_that_dies_or_does_not_end_is_given_up(
     assert not serving.is_alive()
 
 
-def _fails() -> None:
-    raise RuntimeError("no")
+def _fails(error: type[Exception]) -> None:
+    raise error("no")
 
 
 class Nowhere:
     """Cannot be made anew in another process."""
 
+    def __init__(self, error: type[Exception] = RuntimeError) -> None:
+        self._error = error
+
     def __reduce__(self) -> Any:
-        return _fails, ()
+        return _fails, (self._error,)
 
 
 def complains(line: Any, *_: object) -> None:

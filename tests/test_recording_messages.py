@@ -156,6 +156,7 @@ def test_events_are_in_the_log_each_with_its_level(tmp_path: Path) -> None:
     from maglev_mj.controller import Controller
     from maglev_mj.loop import drive
     from maglev_mj.plants import ExactPlant, Timing
+    from maglev_mj.recording.messages import _EVENT_FIELDS
 
     path, kinds = tmp_path / "run.mcap", {"fault": 4, "lost": 4, "missed": 3, "refused": 3, "timing": 2}
     file, plant = open_recording(path, wait=True), ExactPlant(Timing())
@@ -170,6 +171,10 @@ def test_events_are_in_the_log_each_with_its_level(tmp_path: Path) -> None:
         (level, f"{kind}: for a test") for kind, level in kinds.items()
     ]
     assert [event["kind"] for event in found_in(path)["/maglev/event"]] == list(kinds)
+    page = (Path(__file__).parent.parent / "docs" / "recording.md").read_text(encoding="utf-8")
+    (row,) = (line for line in page.splitlines() if line.startswith("| `/maglev/event`"))
+    for kind in kinds:
+        assert kind in _EVENT_FIELDS["kind"]["description"] and kind in row
 
 
 def test_who_comes_later_is_told_what_began_and_what_there_is_to_draw(tmp_path: Path) -> None:

@@ -9,7 +9,8 @@ from typing import NamedTuple
 
 from maglev_mj.cli.options import Container, count, number_option
 from maglev_mj.cli.spacenav import add_spacenav, chosen_spacenav
-from maglev_mj.live import PORT, LiveServer
+from maglev_mj.errors import ParameterError
+from maglev_mj.live import PORT, LiveServer, check_port
 from maglev_mj.parameters import number
 from maglev_mj.session import STEP_FORCE, Publisher
 from maglev_mj.terminal import say
@@ -34,18 +35,24 @@ def add_foxglove(parser: Container) -> None:
     parser.add_argument(
         "--foxglove",
         nargs="?",
-        type=count,
+        type=_port,
         const=PORT,
         metavar="PORT",
         help=f"serve every sample to programs on this machine that read the Foxglove protocol (default {PORT})",
     )
 
 
+def _port(text: str) -> int:
+    try:
+        return check_port(count(text))
+    except ParameterError as error:  # before a window is asked for
+        raise argparse.ArgumentTypeError(str(error)) from None
+
+
 def chosen_foxglove(options: argparse.Namespace) -> LiveServer | None:
     """Return the live server asked for, which listens already; None if none is.
 
     Raises:
-        ParameterError: If the port is none.
         LiveServerError: See `LiveServer`.
     """
     if options.foxglove is None:

@@ -229,9 +229,9 @@ def _logged(live: LiveServer, twin: Twin) -> Callable[[], None]:
         sample = Sample(twin.tick, twin.tick * period, twin.pose.tolist())
         wrench = Command(coils.wrench(plant.currents).tolist())
         record(sample, wrench, wrench)
-        if (faults := twin.firmware.faults) != told:
+        if (faults := twin.firmware.faults) and faults != told:
             live.event("fault", fault_names(faults))
-            told = faults
+        told = faults
 
     return each
 

@@ -11,10 +11,13 @@ import re
 import socket
 from contextlib import suppress
 
-__all__ = ["PATIENCE", "forward", "objection"]
+__all__ = ["MOST", "PATIENCE", "forward", "objection"]
 
 PATIENCE = 5.0
 """How long a request may take to come [s]."""
+
+MOST = 64
+"""Connections at a time; each takes three open files, of which a process may have few."""
 
 _LONGEST, _CHUNK = 8192, 1 << 16
 _LOOPBACK = r"(?:127\.0\.0\.1|localhost|\[::1\])(?::\d{1,5})?"
@@ -47,15 +50,21 @@ def objection(request: str) -> str:
 def forward(listener: socket.socket, server: tuple[str, int]) -> None:
     """Pass connections on to a server that `objection` lets through; in a thread of its own, without end.
 
+    One more than MOST is closed at once.
+
     Args:
         listener: The public port.
         server: Host and port of the server.
     """
 
     async def run() -> None:
+        room = asyncio.Semaphore(MOST)
+
         async def accept(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-            with suppress(OSError, asyncio.IncompleteReadError, asyncio.LimitOverrunError, TimeoutError):
-                await _accept(reader, writer, server)
+            if not room.locked():
+                with suppress(OSError, asyncio.IncompleteReadError, asyncio.LimitOverrunError, TimeoutError):
+                    async with room:
+                        await _accept(reader, writer, server)
             writer.close()
 
         await (await asyncio.start_server(accept, sock=listener, limit=_LONGEST)).serve_forever()

@@ -21,7 +21,7 @@ from maglev_mj.recording.setup import whole_setup
 from maglev_mj.session import Snapshot, Wish
 from maglev_mj.versions import versions
 
-__all__ = ["PORT", "LiveServer", "LiveServerError"]
+__all__ = ["PORT", "LiveServer", "LiveServerError", "check_port"]
 
 PORT = 8765
 """Where programs look by default."""
@@ -34,6 +34,17 @@ _UNSENT = 256
 
 class LiveServerError(MaglevError):
     """The live server cannot start: its package is not installed, or its port is taken."""
+
+
+def check_port(port: int) -> int:
+    """Return a port that a live server may listen at.
+
+    Raises:
+        ParameterError: If it is none.
+    """
+    if isinstance(port, bool) or not isinstance(port, int) or not 0 <= port <= 65535:
+        raise ParameterError(f"port must be a whole number of 0 to 65535, not {port!r}")
+    return port
 
 
 class LiveServer:
@@ -55,8 +66,7 @@ class LiveServer:
     """
 
     def __init__(self, port: int = PORT) -> None:
-        if isinstance(port, bool) or not isinstance(port, int) or not 0 <= port <= 65535:
-            raise ParameterError(f"port must be a whole number of 0 to 65535, not {port!r}")
+        check_port(port)
         if find_spec("foxglove") is None:
             raise LiveServerError("a live server needs foxglove-sdk: pip install 'maglev-mj[record]'")
         if not hasattr(os, "fork"):
@@ -72,7 +82,7 @@ class LiveServer:
             self._process = SideProcess(_serve, _Shared(self._ring.descriptor), listener)
         self._told, self._stuck = State(), repr(None)
         self._answer: Answer | None = None
-        self._unsent: deque[tuple[Any, ...]] = deque(maxlen=_UNSENT)
+        self._unsent: deque[tuple[Any, ...]] = deque()
         self._process.line.poll(_PATIENCE)
         if why := next(self._process.received(), 'a script that opens one needs `if __name__ == "__main__":`'):
             self.close()
@@ -128,6 +138,11 @@ class LiveServer:
     def _say(self, *order: Any) -> None:
         """Tell the process, before the next row is there."""
         self._unsent.append((self._ring.count, *order))
+        if len(self._unsent) > _UNSENT:  # all can go but what rows began with, and what a request waits for
+            for place, one in enumerate(self._unsent):
+                if one[1] != "begin" and not isinstance(one[-1], Answer):
+                    del self._unsent[place]
+                    break
         self._send()
 
     def _send(self) -> None:

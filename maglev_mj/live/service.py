@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import math
+import pickle
 import secrets
 import socket
 import threading
@@ -32,6 +33,7 @@ LONGEST_CHECK = 10.0
 """How long a check may take [s]."""
 
 _LOOK = 1.0 / 120.0
+_PAUSE = 1.0  # from one process that checks to the next [s]
 _PATIENCE = 60.0
 _MOST_REASON = 300  # it may repeat what a program sent
 _SET = "/maglev/set"
@@ -59,7 +61,8 @@ class _Service(ServerListener):
         self._orders: deque[tuple[Any, ...]] = deque()
         self._place = 0
         self._know(State())
-        self._checker, self._until = SideProcess(check_requests), math.inf
+        self._checker, self._until, self._next_checker = SideProcess(check_requests), math.inf, 0.0
+        self._over = False
         self._context = foxglove.Context()  # the server does not keep it
         self._messages = Messages(self._context)
         # browsers cannot find the server behind the guard: there are 2^24 such addresses, with as many ports each
@@ -79,17 +82,16 @@ class _Service(ServerListener):
 
     def run(self) -> None:
         """Serve until the control loop's end of the line is closed."""
-        with suppress(EOFError, OSError):
-            while True:
-                self._turn()
+        while not self._over:
+            self._turn()
         self._checker.close(0.0)
         self._server.stop()
 
     def _turn(self) -> None:
         """Wait for whatever comes next, and pass it on."""
-        wait([self._line, self._checker.line], _LOOK)
+        wait([self._line] if self._checker.ended else [self._line, self._checker.line], _LOOK)
         rows = list(self._rows.rows())  # before what is said, for what is said of a row comes before it
-        while self._line.poll():
+        while not self._over and self._line.poll():
             self._hear()
         if self._greet:
             self._greet = False
@@ -103,9 +105,12 @@ class _Service(ServerListener):
 
     def _hear(self) -> None:
         try:
-            place, what, *arguments = self._line.recv()
+            message = self._line.recv_bytes()
         except (EOFError, OSError):
-            raise
+            self._over = True
+            return
+        try:
+            place, what, *arguments = pickle.loads(message)
         except Exception as error:  # a class of the user's own that this process does not find
             self._know(State(state=f"the scene is not known here: {type(error).__name__}: {error}"))
             return
@@ -139,18 +144,33 @@ class _Service(ServerListener):
         if self._checker.ended or time.monotonic() > self._until:
             why = "the process that checks them ended" if self._checker.ended else f"it takes over {LONGEST_CHECK:g} s"
             self._checker.close(0.0)
-            self._checker = SideProcess(check_requests)
             if math.isfinite(self._until):  # otherwise nothing was being checked
-                self._judge(f"it is not known whether the parameters would be stable: {why}")
-        if (given := self._requests.next()) is not None:
+                self._doubt(why)
+            self._replace_checker()
+        if not self._checker.ended and (given := self._requests.next()) is not None:
             self._checker.send((self._state, given))
             self._until = time.monotonic() + LONGEST_CHECK
+
+    def _replace_checker(self) -> None:
+        """Start another process that checks, unless the last start was just now."""
+        if (now := time.monotonic()) < self._next_checker:
+            return
+        self._next_checker = now + _PAUSE
+        try:
+            self._checker = SideProcess(check_requests)
+        except OSError as error:  # too many processes, or open files
+            if self._requests.next() is not None:
+                self._doubt(f"the process that checks them does not start: {error}")
+
+    def _doubt(self, why: str) -> None:
+        self._judge(f"it is not known whether the parameters would be stable: {why}")
 
     def _judge(self, verdict: Verdict) -> None:
         """Hand a scene over to the control loop, or say why not."""
         self._until = math.inf
         if isinstance(verdict, Scene):
-            self._line.send(verdict)
+            with suppress(OSError):  # that it has ended is heard
+                self._line.send(verdict)
         else:
             figures = verdict._asdict() if isinstance(verdict, Refusal) else None
             self._settle(Answer(None, str(verdict)[:_MOST_REASON], figures))

@@ -81,7 +81,7 @@ _STRETCH_FIELDS = {
 _EVENT_FIELDS = {
     "stretch": _NUMBER,
     "tick": schema(FIELDS[0]),
-    "kind": {"type": "string", "description": "fault, missed, lost or timing"},
+    "kind": {"type": "string", "description": "fault, missed, lost, timing, or refused by the live server"},
     "text": {"type": "string", "description": "what happened"},
     "missed": schema(Field("missed", "", "samples that were missed with it, besides gaps in the ticks")),
 }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import ExitStack
 from pathlib import Path
 
 from maglev_mj.controller import Controller
@@ -53,5 +54,13 @@ class _Tee:
             file.check()
 
     def close(self) -> Path | None:
-        """Close each; return the first that was written."""
-        return next((path for path in [file.close() for file in self._files] if path is not None), None)
+        """Close each, whatever another raises; return the first that was written."""
+        paths: list[Path | None] = []
+
+        def close(file: RecordingFile) -> None:
+            paths.append(file.close())
+
+        with ExitStack() as closing:
+            for file in reversed(self._files):
+                closing.callback(close, file)
+        return next((path for path in paths if path is not None), None)
