@@ -153,7 +153,7 @@ class Forces:
         speed, way, by_speed, by_way = self.gained(delay)
         width = np.diff(self.time)[:, None]
         steps = np.minimum(windows.rows[:, :-1], len(width) - 1)
-        on = (windows.there[:, 1:])[:, :, None]
+        on = windows.there[:, 1:, None]
 
         def summed(fast: Array, far: Array) -> Array:
             fast, far = fast[steps] * on, far[steps] * on
@@ -280,7 +280,7 @@ def _judged(
 ) -> Fit:
     """Return the fit with the errors of what it found."""
     size = where.shape[2]
-    chosen = np.append(np.flatnonzero(free), size - 1 if period else [])[:].astype(np.intp)
+    chosen = np.append(np.flatnonzero(free), size - 1 if period else []).astype(np.intp)
     columns = where[:, :, chosen].reshape(-1, len(chosen))
     gram, known = inverse(columns)
     count = int(windows.there.sum())

@@ -33,7 +33,7 @@ from maglev_mj.recording.checks import (
 from maglev_mj.recording.columns import Columns
 from maglev_mj.recording.metadata import RunMetadata, Setup
 from maglev_mj.recording.protobuf import STRETCH as NUMBER
-from maglev_mj.recording.protobuf import Layout, Messages, layout_of
+from maglev_mj.recording.protobuf import Layout, MessageArray, layout_of
 from maglev_mj.recording.row import FIELDS, TOTALS
 
 __all__ = [
@@ -206,7 +206,7 @@ class Found:
         self._topics: dict[int, str] = {}
         self._counts: dict[int, int] = {}
         self._layout: Layout | None = None
-        self._runs: list[Messages] = []
+        self._runs: list[MessageArray] = []
         self._tick = 0
         self._takers: Mapping[int, Callable[[bytes], None]] = {
             _CHUNK: self._chunk,

@@ -39,7 +39,7 @@ from maglev_mj.recording.metadata import RunMetadata, Setup, Totals
 from maglev_mj.recording.row import FIELDS, Field, Row, named, schema
 from maglev_mj.shapes import ARROW, GRIP, LEAST_FORCE, Shape, arrow_start, shapes, wall_plate
 
-__all__ = ["EVENT", "FRAMES", "LOG", "SAMPLE", "SCENE", "STRETCH", "Messages"]
+__all__ = ["FRAMES", "LOG", "SCENE", "Messages"]
 
 
 FRAMES, SCENE, LOG = "/tf", "/maglev/scene", "/log"

@@ -16,7 +16,7 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Array
 from maglev_mj.recording.row import FIELDS, TOTALS, Field, Row
 
-__all__ = ["NAME", "STRETCH", "Layout", "Messages", "descriptor", "layout_of", "packed"]
+__all__ = ["NAME", "STRETCH", "Layout", "MessageArray", "descriptor", "layout_of", "packed"]
 
 NAME = "maglev_mj.Sample"
 """Full name of the message."""
@@ -123,7 +123,7 @@ def packed(stretch: int, row: Row, totals: Row) -> bytes:
     return _STRUCT.pack(*parts)
 
 
-Messages: TypeAlias = "np.ndarray[tuple[int, int], np.dtype[np.uint8]]"
+MessageArray: TypeAlias = "np.ndarray[tuple[int, int], np.dtype[np.uint8]]"
 """Messages of one layout, (N, size) bytes."""
 
 
@@ -153,7 +153,7 @@ class Layout:
         self.size = at
         self._heads, self._expected = np.array(heads), np.frombuffer(expected, np.uint8)
 
-    def check(self, messages: Messages) -> None:
+    def check(self, messages: MessageArray) -> None:
         """Check that messages are laid out like this.
 
         Raises:
@@ -162,7 +162,7 @@ class Layout:
         if not (messages[:, self._heads] == self._expected).all():
             raise ParameterError("the samples of a file must all have the same fields")
 
-    def values(self, messages: Messages, field: Field) -> Array:
+    def values(self, messages: MessageArray, field: Field) -> Array:
         """Return a field of messages, (N,) or (N, 6); NaN where they do not have it."""
         at = self._places.get(field.name)
         count = len(messages)
