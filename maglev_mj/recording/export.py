@@ -6,16 +6,17 @@ import base64
 import csv
 import json
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.recording.recording import Recording, aside
 from maglev_mj.recording.row import FIELDS, TOTALS, told, units
+from maglev_mj.recording.samples import samples_of
 
 __all__ = ["EXPORTS", "ParquetMissingError", "export"]
 
@@ -46,20 +47,12 @@ def export(recording: Recording, kind: str, path: Path) -> None:
 
 
 def _columns(recording: Recording) -> dict[str, NDArray[Any]]:
-    """Return each column of all samples, (N,); those without unit as whole numbers, those unknown left out."""
-    stretches = recording.stretches
-    sizes = [len(stretch) for stretch in stretches]
-    found: dict[str, NDArray[Any]] = {"stretch": np.repeat(np.arange(len(sizes)), sizes)}
-    totals = TOTALS if stretches and all(stretch.totals is not None for stretch in stretches) else ()
-    for field in (*FIELDS, *totals):
-        tables = [stretch.rows if field in FIELDS else stretch.totals for stretch in stretches]
-        values = np.concatenate([table[field.name] for table in tables if table is not None] or [np.empty((0, 6))])
-        if not told(field, values):
-            continue
-        for place, (name, unit) in enumerate(field.units):
-            column = values[:, place] if values.ndim > 1 else values
-            found[name] = column if unit else column.astype(np.int64)
-    return found
+    """Return each column of all samples, (N,); those unknown left out."""
+    partial = any(stretch.totals is None for stretch in recording.stretches)
+    fields = (*FIELDS, *(() if partial or not recording.stretches else TOTALS))
+    samples = samples_of(recording, [field.name for field in fields])
+    known = {field.name: values for field in fields if told(field, values := samples.arrays[field.name])}
+    return replace(samples, arrays=known).columns()
 
 
 def _about(recording: Recording) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import Array
-from maglev_mj.recording.mcap import Part
+from maglev_mj.recording.mcap import Found, Part
 from maglev_mj.recording.metadata import RunMetadata, Setup
 from maglev_mj.recording.recording import Recording, Stretch, read_file
 from maglev_mj.recording.row import FIELDS, TOTALS, Field
@@ -21,7 +21,7 @@ from maglev_mj.recording.row import FIELDS, TOTALS, Field
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-__all__ = ["PandasMissingError", "Samples", "load"]
+__all__ = ["PandasMissingError", "Samples", "load", "samples_of"]
 
 _FIELDS: Mapping[str, Field] = {field.name: field for field in (*FIELDS, *TOTALS)}
 
@@ -112,7 +112,11 @@ def load(path: Path | str, fields: Sequence[str] | None = None) -> Samples:
     unknown = [name for name in names if name not in _FIELDS]
     if unknown:
         raise ParameterError(f"fields must be of {', '.join(_FIELDS)}, not {unknown[0]!r}")
-    found = read_file(Path(path), frozenset(names))
+    return samples_of(read_file(Path(path), frozenset(names)), names)
+
+
+def samples_of(found: Recording | Found, names: Sequence[str]) -> Samples:
+    """Return fields of what was read as arrays."""
     parts: Sequence[Stretch | Part]
     if isinstance(found, Recording):
         parts = found.stretches

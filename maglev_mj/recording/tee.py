@@ -12,6 +12,7 @@ from maglev_mj.loop import Record
 from maglev_mj.recording.files import RecordingFile
 from maglev_mj.recording.metadata import Setup
 from maglev_mj.recording.row import RecordedPlant
+from maglev_mj.recording.setup import whole_setup
 
 __all__ = ["tee"]
 
@@ -30,7 +31,8 @@ class _Tee:
 
     def begin(self, plant: RecordedPlant, controller: Controller, setup: Setup | None = None) -> Record:
         """Begin a stretch in each; return what the loop records it to."""
-        records = [file.begin(plant, controller, setup) for file in self._files]
+        whole = whole_setup(plant, controller, setup)
+        records = [file.begin(plant, controller, whole) for file in self._files]
 
         def record(sample: Sample, command: Command, applied: Command) -> None:
             for one in records:

@@ -16,6 +16,7 @@ from maglev_mj.frames import AXES, Array
 from maglev_mj.session import Snapshot
 from maglev_mj.spacenav.mapping import AxisMapping
 from maglev_mj.spacenav.navigation import Navigation, Navigator
+from maglev_mj.spacenav.protocol import MOST
 from maglev_mj.spec import RANGE
 
 __all__ = ["FULL", "FULL_POSE", "FULL_RATE", "REST", "RUNS", "Axes", "PoseAxes", "RateAxes"]
@@ -38,12 +39,10 @@ Axes: TypeAlias = Callable[[Snapshot], tuple[int, ...]]
 RUNS = ("running", "flying")
 """States of a scene that moves."""
 
-_MOST = 32767.0
-
 
 def told(shares: Array) -> Array:
     """Return shares of the full deflection or rate as whole numbers, (6,)."""
-    counts: Array = np.rint(np.clip(FULL * shares, -_MOST, _MOST))
+    counts: Array = np.rint(np.clip(FULL * shares, -MOST, MOST))
     return counts
 
 

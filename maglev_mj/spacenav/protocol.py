@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 from maglev_mj.parameters import flag
 
-__all__ = ["ALL_EVENTS", "DEVICE", "EVENT", "Conversation", "GarbageError", "button_event", "motion_event"]
+__all__ = ["ALL_EVENTS", "DEVICE", "EVENT", "MOST", "Conversation", "GarbageError", "button_event", "motion_event"]
 
 EVENT = 32
 """Bytes of an event, a request, or an answer."""
@@ -26,7 +26,8 @@ DEVICE = b"maglev_mj"
 _WORDS, _WORD, _FLOAT = struct.Struct("=8i"), struct.Struct("=I"), struct.Struct("=f")
 _MOTION, _PRESS, _RELEASE = 0, 1, 2
 _WANTS_MOTION, _WANTS_BUTTONS = 1, 2
-_MOST = 32767
+MOST = 32767
+"""Largest value of an axis that is told."""
 _LEAST_SENSITIVITY, _MOST_SENSITIVITY = 1e-3, 1e3
 _TAG, _NUMBER, _VERSION = 0x7FAA0000, 0xFFFF, 0xFF
 _CHANGE, _NEWEST = 0x5500, 1
@@ -79,7 +80,7 @@ class Conversation:
 
     def scaled(self, axes: Sequence[int]) -> tuple[int, ...]:
         """Return the axes by its sensitivity, rounded."""
-        return tuple(round(max(-_MOST, min(_MOST, self.sensitivity * one))) for one in axes)
+        return tuple(round(max(-MOST, min(MOST, self.sensitivity * one))) for one in axes)
 
     def hear(self, data: bytes) -> bytes:
         """Return the answers to what has come, whole or in pieces.
