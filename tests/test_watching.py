@@ -99,7 +99,7 @@ def test_both_ends_of_a_window_agree(monkeypatch: pytest.MonkeyPatch) -> None:
     rows = session.snapshot().history
     assert (rows[-399:] == motion.history.rows[-400:-1]).all()  # the last was not shown
     assert len(rows) == pytest.approx(400, abs=2)
-    assert rows[1:, 2] == pytest.approx(1e-6 / 0.005)
+    assert rows[1:, 7] == pytest.approx(1e-6 / 0.005)
     assert session.snapshot().work == pytest.approx(6 * 0.5 * 998e-6)
     session.hand.target = [1e-3] * 6
     session.tick(0.0)
