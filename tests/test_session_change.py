@@ -132,7 +132,8 @@ def test_hand_device_and_stop_balance_at_rest(axis: int, goal: float) -> None:
     """Pressed against a metal stop on any axis, turned besides: what is shown adds up to nothing."""
     target = [0.0, 0.0, 0.0, 0.02, 0.03, 0.01]
     target[axis] = goal
-    session = made(Joystick(wall=False, friction=False), hand=SpringHand(target=target, stiffness=2000.0, turning_stiffness=2.0))
+    hand = SpringHand(target=target, stiffness=2000.0, turning_stiffness=2.0)
+    session = made(Joystick(wall=False, friction=False), hand=hand)
     session.tick(3.0)
     now = session.snapshot()
     pushed = now.hand + now.force + now.stops
