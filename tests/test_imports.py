@@ -44,6 +44,7 @@ FLOORS = {
     "studies": 8,
     "analysis": 8,
     "viewer": 8,
+    "hand_devices": 8.5,
     "plots": 9,
     "replay": 9,
     "tables": 9,
@@ -52,7 +53,7 @@ FLOORS = {
 }
 ALLOWED = {
     "mujoco": {"model", "plants", "shapes", "versions", "viewer"},
-    "glfw": {"viewer"},
+    "glfw": {"hand_devices", "viewer"},
     "matplotlib": {"plots"},
     "imageio": {"viewer"},
     "distributed": {"workers"},

@@ -32,7 +32,16 @@ from maglev_mj.parameters import param
 from maglev_mj.scenes import find_scene
 from maglev_mj.scenes.joystick import Joystick
 from maglev_mj.session import Session, Snapshot
-from maglev_mj.spacenav import FULL, AxisMapping, PoseAxes, RateAxes, SpacenavMapping, SpacenavServer, Taps, default_path
+from maglev_mj.spacenav import (
+    FULL,
+    AxisMapping,
+    PoseAxes,
+    RateAxes,
+    SpacenavMapping,
+    SpacenavServer,
+    Taps,
+    default_path,
+)
 from maglev_mj.spacenav.axes import FULL_POSE, FULL_RATE, REST
 from maglev_mj.spacenav.navigation import Navigation
 from maglev_mj.spacenav.protocol import DEVICE, EVENT, Conversation, GarbageError, button_event, motion_event

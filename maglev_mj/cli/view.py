@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from maglev_mj.cli.hand_device import add_hand_device, chosen_hand_device
 from maglev_mj.cli.options import add_recording, number_option
 from maglev_mj.cli.output import check_outputs, check_recording
 from maglev_mj.cli.publishers import add_publishers, chosen_publishers
@@ -31,6 +32,7 @@ def add_command(commands: Any) -> None:
         metavar="X",
         help=f"of the spring by which the mouse pulls [N/m] (default {SpringHand.stiffness:g})",
     )
+    add_hand_device(view)
     view.add_argument(
         "--out", metavar="DIR", type=Path, default=Path(), help="folder for recordings and screenshots (default .)"
     )
@@ -50,16 +52,19 @@ def _view(options: argparse.Namespace) -> int:
     require_display()
     warn_of_instability(scene)
     options.out.mkdir(parents=True, exist_ok=True)
-    with chosen_publishers(options) as (publishers, live):
+    # the device first: a 3D mouse of our own is none for this hand
+    with chosen_hand_device(options, hand) as devices, chosen_publishers(options) as (publishers, live):
         session = Session(
             scene,
             hand=hand,
             folder=options.out,
             record=options.record,
             file=live,
-            publishers=publishers,
+            publishers=[*publishers, *devices],
             step_force=options.step_force,
         )
+        for device in devices:
+            device.act = session.act
         try:
             print(show_table(show(session, folder=options.out, duration=seconds)))
         finally:

@@ -134,6 +134,7 @@ class SpringHand:
         force_limit: Largest force [N].
         torque_limit: Largest torque [N m].
         target: Where it pulls to [m, rad], (6,), or the path along which that moves; None where it has let go.
+        device_target: Where an input device pulls it meanwhile [m, rad], (6,); None where that has let go too.
 
     Raises:
         ParameterError: If a value is negative.
@@ -146,6 +147,7 @@ class SpringHand:
     force_limit: float = 20.0
     torque_limit: float = 0.4
     target: Sequence[float] | Trajectory | None = None
+    device_target: Sequence[float] | None = None
 
     def __post_init__(self) -> None:
         for name in ("stiffness", "damping", "turning_stiffness", "turning_damping", "force_limit", "torque_limit"):
@@ -153,7 +155,7 @@ class SpringHand:
 
     def __call__(self, tick: int, time: Component, state: State) -> Sequence[Component]:
         """See `HandForce`."""
-        target = self.target
+        target = self.device_target if self.target is None else self.target
         if target is None:
             return _NOTHING
         if isinstance(target, Trajectory):

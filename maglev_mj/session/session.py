@@ -188,7 +188,7 @@ class Session:
 
     def snapshot(self) -> Snapshot:
         """Return the picture of now."""
-        stretch, target = self._stretch, self.hand.target
+        stretch, target = self._stretch, self.hand.goal
         return Snapshot(
             scene=self._scene,
             since=self._since,
@@ -322,4 +322,4 @@ class Session:
             self._go_on()
 
     def _notes(self) -> list[str]:
-        return [self._tape.note] if self._tape.note else []
+        return [*([self._tape.note] if self._tape.note else []), *self._publishers.notes]

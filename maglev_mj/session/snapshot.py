@@ -206,7 +206,10 @@ class Wish(NamedTuple):
 
 
 class Publisher(Protocol):
-    """A way to other programs. It never waits, for it is called where the samples are answered."""
+    """A way to other programs. It never waits, for it is called where the samples are answered.
+
+    If it has a `note`, that is shown to the person.
+    """
 
     def take(self) -> Wish | None:
         """Return what a program asks for, once."""
@@ -239,6 +242,11 @@ class Publishers:
         made = snapshot()
         for publisher in self._publishers:
             publisher.show(made)
+
+    @property
+    def notes(self) -> list[str]:
+        """Messages for the person at the window."""
+        return [note for publisher in self._publishers if (note := getattr(publisher, "note", ""))]
 
     def wanted(self) -> Wish | None:
         """Return what a program asks for, once."""

@@ -1,0 +1,59 @@
+"""The input devices that are there, and the one that is asked for."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.hand_devices.device import InputDevice
+from maglev_mj.hand_devices.gamepad import Gamepad, gamepad_names
+from maglev_mj.hand_devices.mouse import SpacenavMouse
+from maglev_mj.spacenav import searched_paths
+
+__all__ = ["AUTO", "described_devices", "open_device"]
+
+AUTO = "auto"
+"""Name of the first device that is there."""
+
+_MOUSE = "spacenav"
+
+
+def open_device(name: str = AUTO) -> InputDevice:
+    """Open an input device.
+
+    Args:
+        name: "auto", "spacenav" for the 3D mouse, the path of its socket, or part of a gamepad's name.
+
+    Raises:
+        ParameterError: If it is not there.
+    """
+    try:
+        if "/" in name:
+            return SpacenavMouse(Path(name))
+        if name in (AUTO, _MOUSE) and (mouse := _mouse()) is not None:
+            return mouse
+        if name != _MOUSE:
+            return Gamepad("" if name == AUTO else name)
+    except MaglevError:
+        pass
+    there = "; ".join(described_devices()) or "there is none"
+    raise ParameterError(f"hand-device must be one that is there, not {name!r}: {there}") from None
+
+
+def described_devices() -> list[str]:
+    """Return a line about each device that is there, in the order in which "auto" takes them."""
+    mouse = _mouse()
+    found = [] if mouse is None else [mouse.name]
+    if mouse is not None:
+        mouse.close()
+    return found + [f"gamepad {name}" for name in gamepad_names()]
+
+
+def _mouse() -> SpacenavMouse | None:
+    """Return the 3D mouse that answers first."""
+    for path in searched_paths():
+        try:
+            return SpacenavMouse(path)
+        except MaglevError:
+            continue
+    return None
