@@ -30,7 +30,7 @@ def add_command(commands: Any) -> None:
         type=number_option,
         default=SpringHand.stiffness,
         metavar="X",
-        help=f"of the spring by which the mouse pulls [N/m] (default {SpringHand.stiffness:g})",
+        help=f"of the spring by which the hand pulls [N/m] (default {SpringHand.stiffness:g})",
     )
     add_hand_device(view)
     view.add_argument(

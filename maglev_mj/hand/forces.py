@@ -153,9 +153,14 @@ class SpringHand:
         for name in ("stiffness", "damping", "turning_stiffness", "turning_damping", "force_limit", "torque_limit"):
             setattr(self, name, number(f"hand {name}", getattr(self, name), at_least=0.0))
 
+    @property
+    def goal(self) -> Sequence[float] | Trajectory | None:
+        """The target in force; None where everything has let go."""
+        return self.device_target if self.target is None else self.target
+
     def __call__(self, tick: int, time: Component, state: State) -> Sequence[Component]:
         """See `HandForce`."""
-        target = self.device_target if self.target is None else self.target
+        target = self.goal
         if target is None:
             return _NOTHING
         if isinstance(target, Trajectory):

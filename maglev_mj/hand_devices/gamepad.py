@@ -47,7 +47,7 @@ class Gamepad:
         """Return its state; see `InputDevice`."""
         pressed: list[int] = []
         for state in self._process.received():
-            before = self._state[1] if self._state else (True,) * len(BUTTONS)
+            before = self._state[1] if self._state else ()
             down = state[1] if state else ()
             pressed += [number for number, (old, new) in enumerate(zip(before, down)) if new and not old]
             self._state = state
@@ -93,12 +93,13 @@ def watch(line: Connection, wanted: str) -> None:
     # imported here: it loads the library that opens windows
     import glfw
 
-    glfw.ERROR_REPORTING = False
-    pads = _Pads(glfw) if glfw.init() else None
-    sent: Any = pads.names() if pads else []
-    line.send(sent)
+    glfw.ERROR_REPORTING = "ignore"
+    glfw.init()  # where it cannot, as without a display, there are no devices
+    pads = _Pads(glfw)
+    sent: Any = pads.names()
     try:
-        while pads is not None and not line.poll(_PERIOD):  # the end of the program is something to read
+        line.send(sent)
+        while not line.poll(_PERIOD):  # the end of the program is something to read
             glfw.poll_events()
             if (state := pads.state(wanted)) != sent:
                 line.send(state)
