@@ -171,10 +171,11 @@ def test_a_session_reads_the_device_by_itself_and_closes_it() -> None:
 def test_a_device_that_goes_lets_go_and_says_so_until_it_is_back() -> None:
     played = Played()
     gone = played.after(Reading(None), 0.0)
-    assert played.session.hand.device_target is None
-    assert gone.notes == ["stick is gone: its hand has let go"]
-    assert played.after(Reading(one(0)), 0.0).notes == []
-    assert played.session.hand.device_target is not None
+    assert gone.target is None
+    assert gone.notes == ["stick is gone: the hand is released"]
+    back = played.after(Reading(one(0)), 0.0)
+    assert back.notes == []
+    assert back.target == pytest.approx(one(0, 3.0 * RANGE[0]))
 
 
 def test_the_first_buttons_are_actions_and_further_ones_are_none() -> None:

@@ -134,7 +134,7 @@ class SpringHand:
         force_limit: Largest force [N].
         torque_limit: Largest torque [N m].
         target: Where it pulls to [m, rad], (6,), or the path along which that moves; None where it has let go.
-        device_target: Where an input device pulls it meanwhile [m, rad], (6,); None where that has let go too.
+        device_target: Target given by an input device, used while `target` is None [m, rad], (6,); None for none.
 
     Raises:
         ParameterError: If a value is negative.
@@ -155,7 +155,7 @@ class SpringHand:
 
     @property
     def goal(self) -> Sequence[float] | Trajectory | None:
-        """The target in force; None where everything has let go."""
+        """Target in force; None for a hand that is released."""
         return self.device_target if self.target is None else self.target
 
     def __call__(self, tick: int, time: Component, state: State) -> Sequence[Component]:

@@ -38,11 +38,11 @@ class Reading(NamedTuple):
 
 
 GONE = Reading(None)
-"""That of a device that is not there."""
+"""Reading of an absent device."""
 
 
 class InputDevice(Protocol):
-    """A device of six axes. It never waits; one that has gone is read again once it is back."""
+    """A device of six axes, read without waiting; once unplugged, it may come back."""
 
     name: str
 
@@ -50,14 +50,15 @@ class InputDevice(Protocol):
         """Return its state."""
 
     def close(self) -> None:
-        """Let go of it; a second time does nothing."""
+        """Close it; a second time does nothing."""
 
 
 class HandDevice:
-    """An input device that moves the target of a hand: a `Publisher`, which tells nobody anything.
+    """An input device that moves the target of a hand; a `Publisher`.
 
-    A deflection is a pose: the hand holds all six axes there. At rest, within the dead zone on every axis, it lets go,
-    so that the mouse can be used and friction holds the flotor. While the hand has another target, that one counts.
+    A deflection is a pose: the hand holds all six axes there. At rest, within the dead zone on every axis, it is
+    released, so that the mouse can be used and friction holds the flotor. Another target of the hand, such as the
+    mouse's, has priority.
 
     Args:
         device: The device; closed with this.
@@ -65,7 +66,7 @@ class HandDevice:
         mapping: Settings of the axes; `HAND_MAPPING` where it is None.
 
     Attributes:
-        note: Whether the device has gone, for the person at the window.
+        note: Message for the person at the window while the device is gone.
         act: Called with the action of a button that is pressed; may be replaced.
     """
 
@@ -80,14 +81,14 @@ class HandDevice:
     def show(self, snapshot: Snapshot) -> None:
         """Move the hand; see `Publisher`."""
         shares, pressed = self._device.read()
-        self.note = f"{self._device.name} is gone: its hand has let go" if shares is None else ""
+        self.note = f"{self._device.name} is gone: the hand is released" if shares is None else ""
         self._hand.device_target = None if shares is None else self._target(shares)
         for number in pressed:
             if number < len(BUTTONS):
                 self.act(BUTTONS[number])
 
     def close(self) -> None:
-        """Let the hand go, and the device; a second time does nothing."""
+        """Release the hand and close the device; a second time does nothing."""
         self._hand.device_target = None
         self._device.close()
 

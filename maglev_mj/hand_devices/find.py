@@ -1,4 +1,4 @@
-"""The input devices that are there, and the one that is asked for."""
+"""Search for input devices, and the choice of one by name."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def open_device(name: str = AUTO) -> InputDevice:
 
 
 def described_devices() -> list[str]:
-    """Return a line about each device that is there, in the order in which "auto" takes them."""
+    """Return a line about each device, the first choice of "auto" first."""
     mouse = _mouse()
     found = [] if mouse is None else [mouse.name]
     if mouse is not None:
@@ -50,7 +50,7 @@ def described_devices() -> list[str]:
 
 
 def _mouse() -> SpacenavMouse | None:
-    """Return the 3D mouse that answers first."""
+    """Return the first 3D mouse that answers; None without one."""
     for path in searched_paths():
         try:
             return SpacenavMouse(path)

@@ -1,4 +1,4 @@
-"""Gamepads and joysticks by GLFW, read in a process of their own: its functions belong to one thread, and windows."""
+"""Gamepads and joysticks by GLFW, in a process of their own: it may be asked by one thread alone, the window's."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class Gamepad:
         return Reading(self._state[0], pressed)
 
     def close(self) -> None:
-        """Let go of it; a second time does nothing."""
+        """Close it; a second time does nothing."""
         self._process.close()
 
 
@@ -71,7 +71,7 @@ def gamepad_names() -> list[str]:
 
 
 def gamepad_shares(axes: Sequence[float], turn_left: bool, turn_right: bool) -> tuple[float, ...]:
-    """Return the deflections that the sticks of a gamepad stand for, six.
+    """Return the six deflections of a gamepad.
 
     Args:
         axes: Left stick x, y, right stick x, y, left and right trigger; up is negative, a trigger at rest is -1.
@@ -84,7 +84,9 @@ def gamepad_shares(axes: Sequence[float], turn_left: bool, turn_right: bool) -> 
 
 
 def watch(line: Connection, wanted: str) -> None:
-    """Send the names of all devices, then the state of one whenever it changes; in a process of its own.
+    """Send the names of all devices, then each new state of one.
+
+    It runs in a process of its own, until the line ends.
 
     Args:
         line: To the program.
@@ -162,7 +164,7 @@ class _Pads:
 
 
 def _first(process: SideProcess) -> Any:
-    """Wait for a process's next message; return an empty list where it ends without."""
+    """Return the next message of a process; an empty list if it ends first."""
     end = time.monotonic() + _PATIENCE
     while not process.ended and time.monotonic() < end:
         for message in process.received():

@@ -28,7 +28,7 @@ def default_path() -> Path:
 
 
 def searched_paths() -> list[Path]:
-    """Return the paths at which a client looks for a 3D mouse, in this order.
+    """Return the possible sockets of a 3D mouse, first choice first.
 
     Source: libspnav 1.0, `spnav_open`: $SPNAV_SOCKET, the first `socket = PATH` of /etc/spnavrc, /var/run/spnav.sock.
     """

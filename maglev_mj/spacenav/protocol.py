@@ -71,7 +71,7 @@ def button_event(number: int, down: bool) -> bytes:
 
 
 def read_event(event: bytes) -> tuple[tuple[int, ...] | None, int | None]:
-    """Return the six axes of a motion, and the number of a button that is pressed; None for what it does not say.
+    """Return the axes of a motion and the number of a pressed button; None for each that the event is not about.
 
     Args:
         event: The event, 32 bytes.
