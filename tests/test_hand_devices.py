@@ -189,8 +189,12 @@ def test_the_first_buttons_are_actions_and_further_ones_are_none() -> None:
 
 
 @pytest.fixture
-def path() -> Iterator[Path]:
+def path(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """Return the path at which a 3D mouse is looked for, and nowhere else."""
     with tempfile.TemporaryDirectory() as folder:
+        monkeypatch.setattr(place, "_SETTINGS", Path(folder) / "spnavrc")
+        monkeypatch.setattr(place, "_DAEMONS", Path(folder) / "daemon.sock")
+        monkeypatch.setenv("SPNAV_SOCKET", f"{folder}/spnav.sock")
         yield Path(folder) / "spnav.sock"
 
 
@@ -281,16 +285,11 @@ def test_where_nobody_answers_there_is_no_mouse(path: Path) -> None:
         SpacenavMouse(path)
 
 
-def test_a_mouse_is_looked_for_where_libspnav_looks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    settings = tmp_path / "spnavrc"
-    monkeypatch.setattr(place, "_SETTINGS", settings)
-    monkeypatch.delenv("SPNAV_SOCKET", raising=False)
-    last = Path("/var/run/spnav.sock")
-    assert searched_paths() == [last]
-    settings.write_text("# socket = /no\nsensitivity = 2\n  socket =\n socket = /tmp/a b.sock \nsocket = /tmp/later\n")
-    assert searched_paths() == [Path("/tmp/a b.sock"), last]
-    monkeypatch.setenv("SPNAV_SOCKET", "/tmp/mine")
-    assert searched_paths() == [Path("/tmp/mine"), Path("/tmp/a b.sock"), last]
+def test_a_mouse_is_looked_for_where_libspnav_looks(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert searched_paths() == [path, place._DAEMONS]
+    monkeypatch.delenv("SPNAV_SOCKET")
+    place._SETTINGS.write_text("# socket = /no\nled = 1\n  socket =\n socket = /tmp/a b.sock \nsocket = /tmp/late\n")
+    assert searched_paths() == [Path("/tmp/a b.sock"), place._DAEMONS]
 
 
 # -- gamepads --------------------------------------------------------------------------------------------
@@ -344,14 +343,13 @@ class Pads:
 
 
 @pytest.fixture
-def pads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Pads]:
+def pads(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Pads]:
     if LACKS:
         pytest.skip(f"a made-up gamepad needs {', '.join(LACKS)}")
     library, folder = tmp_path / "fake_gamepad.so", tmp_path / "input"
     folder.mkdir()
     source = Path(__file__).with_name("fake_gamepad.c")
     subprocess.run([str(COMPILER), "-shared", "-fPIC", str(source), "-o", str(library), "-ldl"], check=True)
-    monkeypatch.delenv("SPNAV_SOCKET", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     with VirtualScreen(320, 240) as screen:
         monkeypatch.setenv("DISPLAY", screen.display)
@@ -363,6 +361,7 @@ def pads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Pads]:
             os.close(line)
 
 
+@pytest.mark.xdist_group("realtime")
 def test_a_gamepad_is_read_unplugged_and_plugged_in_again(pads: Pads) -> None:
     """GLFW itself, with its own table of gamepads, beside a folder of made-up devices."""
     pads.plug("event1")
@@ -386,6 +385,7 @@ def test_a_gamepad_is_read_unplugged_and_plugged_in_again(pads: Pads) -> None:
     assert pad.read() == Reading(None)
 
 
+@pytest.mark.xdist_group("realtime")
 def test_an_unknown_joystick_has_its_axes_in_order_from_where_they_rest(pads: Pads) -> None:
     pads.plug("event1")
     with closing(open_device("auto")) as stick:
@@ -435,10 +435,7 @@ def shown(monkeypatch: pytest.MonkeyPatch) -> Shown:
     return made
 
 
-def test_view_has_its_hand_from_a_3d_mouse(
-    path: Path, shown: Shown, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("SPNAV_SOCKET", str(path))
+def test_view_has_its_hand_from_a_3d_mouse(path: Path, shown: Shown, capsys: pytest.CaptureFixture[str]) -> None:
     with Daemon(path) as daemon:
         shown.begin = lambda: daemon.accept().send(FULL_X + button_event(1, True))
         assert cli.main(["view", "--hand-device", "auto", "--hand-gain", "2", "--hand-invert", "x"]) == 0
@@ -453,20 +450,15 @@ def test_view_has_its_hand_from_a_3d_mouse(
         ("--hand-device joypad", "hand-device must be one that is there, not 'joypad': there is none"),
         ("--hand-device", "hand-device must be one that is there, not 'auto': there is none"),
         ("--hand-device /no/such.sock", "hand-device must be one that is there, not '/no/such.sock': there is none"),
+        # one of our own is none
         ("--hand-device spacenav --spacenav", "hand-device must be one that is there, not 'spacenav': there is none"),
         ("--hand-gain 2", "hand-gain and the like are for --hand-device"),
         ("--hand-device joypad --hand-gain 101", "hand-gain must be a finite number at least 0 and at most 100"),
     ],
 )
 def test_a_device_that_is_not_there_is_refused_in_one_line(
-    words: str,
-    complaint: str,
-    path: Path,
-    shown: Shown,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+    words: str, complaint: str, path: Path, shown: Shown, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setenv("SPNAV_SOCKET", str(path))  # where --spacenav would put its own: that is no device
     assert cli.main(["view", *words.split()]) == 2
     said = capsys.readouterr().err
     assert complaint in said and said.count("\n") == 1
@@ -474,10 +466,7 @@ def test_a_device_that_is_not_there_is_refused_in_one_line(
 
 
 @pytest.mark.parametrize("there", [False, True])
-def test_list_prints_what_is_there(
-    there: bool, path: Path, shown: Shown, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("SPNAV_SOCKET", str(path))
+def test_list_prints_what_is_there(there: bool, path: Path, shown: Shown, capsys: pytest.CaptureFixture[str]) -> None:
     with Daemon(path) if there else nullcontext(), pytest.raises(SystemExit) as ended:
         cli.main(["view", "--hand-device", "list"])
     assert (ended.value.code, shown.targets) == (0, [])
