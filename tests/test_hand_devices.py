@@ -444,14 +444,17 @@ def test_view_has_its_hand_from_a_3d_mouse(path: Path, shown: Shown, capsys: pyt
     assert f"the hand: 3D mouse at {path}" in capsys.readouterr().out
 
 
+ABSENT = "hand-device must be one of those that `--hand-device list` prints, not "
+
+
 @pytest.mark.parametrize(
     ("words", "complaint"),
     [
-        ("--hand-device joypad", "hand-device must be one that is there, not 'joypad': there is none"),
-        ("--hand-device", "hand-device must be one that is there, not 'auto': there is none"),
-        ("--hand-device /no/such.sock", "hand-device must be one that is there, not '/no/such.sock': there is none"),
+        ("--hand-device joypad", f"{ABSENT}'joypad'"),
+        ("--hand-device", f"{ABSENT}'auto'"),
+        ("--hand-device /no/such.sock", f"{ABSENT}'/no/such.sock'"),
         # one of our own is none
-        ("--hand-device spacenav --spacenav", "hand-device must be one that is there, not 'spacenav': there is none"),
+        ("--hand-device spacenav --spacenav", f"{ABSENT}'spacenav'"),
         ("--hand-gain 2", "hand-gain and the like are for --hand-device"),
         ("--hand-device joypad --hand-gain 101", "hand-gain must be a finite number at least 0 and at most 100"),
     ],

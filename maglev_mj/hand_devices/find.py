@@ -36,8 +36,7 @@ def open_device(name: str = AUTO) -> InputDevice:
             return Gamepad("" if name == AUTO else name)
     except MaglevError:
         pass
-    there = "; ".join(described_devices()) or "there is none"
-    raise ParameterError(f"hand-device must be one that is there, not {name!r}: {there}") from None
+    raise ParameterError(f"hand-device must be one of those that `--hand-device list` prints, not {name!r}") from None
 
 
 def described_devices() -> list[str]:
