@@ -10,7 +10,8 @@ from typing import Any
 from maglev_mj.cli.options import Container, add_parameters, chosen
 from maglev_mj.errors import ParameterError
 from maglev_mj.hand import SpringHand
-from maglev_mj.hand_devices import AUTO, HAND_MAPPING, HandDevice, described_devices, open_device
+from maglev_mj.hand_devices.device import HAND_MAPPING, HandDevice
+from maglev_mj.hand_devices.find import AUTO, described_devices, open_device
 from maglev_mj.terminal import say
 
 __all__ = ["add_hand_device", "chosen_hand_device"]

@@ -3,54 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from maglev_mj.frames import AXES
 from maglev_mj.hand import SpringHand
+from maglev_mj.hand_devices.reading import BUTTONS, InputDevice
 from maglev_mj.session import Snapshot
 from maglev_mj.spacenav import AxisMapping
 from maglev_mj.spec import RANGE
 
-__all__ = ["BUTTONS", "GONE", "HAND_MAPPING", "HandDevice", "InputDevice", "Reading"]
+__all__ = ["HAND_MAPPING", "HandDevice"]
 
 HAND_MAPPING = AxisMapping(gain=3.0, turning_gain=3.0, dead_zone=0.15)
 """Settings by default: a full deflection pulls to three times the range, so that a wall can be pressed."""
 
-BUTTONS = "centre", "pause"
-"""Actions of the first and the second button."""
-
 _FURTHEST = 1.0  # rad: a turn of more than pi would be one the other way round; no hand pulls so hard
 _FULL = np.ones(len(AXES))
-
-
-class Reading(NamedTuple):
-    """State of an input device.
-
-    Attributes:
-        shares: Of the full deflection on each axis, -1 to 1, six; None while the device is gone.
-        pressed: Numbers of the buttons pressed since the last reading.
-    """
-
-    shares: Sequence[float] | None
-    pressed: Sequence[int] = ()
-
-
-GONE = Reading(None)
-"""Reading of an absent device."""
-
-
-class InputDevice(Protocol):
-    """A device of six axes, read without waiting; once unplugged, it may come back."""
-
-    name: str
-
-    def read(self) -> Reading:
-        """Return its state."""
-
-    def close(self) -> None:
-        """Close it; a second time does nothing."""
 
 
 class HandDevice:

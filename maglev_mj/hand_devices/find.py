@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from maglev_mj.errors import MaglevError, ParameterError
-from maglev_mj.hand_devices.device import InputDevice
 from maglev_mj.hand_devices.gamepad import Gamepad, gamepad_names
 from maglev_mj.hand_devices.mouse import SpacenavMouse
+from maglev_mj.hand_devices.reading import InputDevice
 from maglev_mj.spacenav import searched_paths
 
 __all__ = ["AUTO", "described_devices", "open_device"]

@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 
 from maglev_mj.errors import MaglevError
 from maglev_mj.frames import AXES
-from maglev_mj.hand_devices.device import BUTTONS, GONE, Reading
+from maglev_mj.hand_devices.reading import BUTTONS, GONE, Reading
 from maglev_mj.process import SideProcess
 
 __all__ = ["Gamepad", "gamepad_names", "gamepad_shares", "watch"]

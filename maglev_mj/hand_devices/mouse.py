@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from maglev_mj.errors import MaglevError
-from maglev_mj.hand_devices.device import GONE, Reading
+from maglev_mj.hand_devices.reading import GONE, Reading
 from maglev_mj.spacenav.axes import EXCHANGED, FULL, REST
 from maglev_mj.spacenav.protocol import EVENT, GREETING, read_event
 
