@@ -23,7 +23,8 @@ import numpy as np
 import pytest
 
 from maglev_mj.cli import serve_spacenav
-from maglev_mj.cli.options import Parser, add_parameters, chosen
+from maglev_mj.cli.arguments import Parser
+from maglev_mj.cli.options import add_parameters, chosen
 from maglev_mj.cli.spacenav import add_spacenav, chosen_spacenav
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array

@@ -166,7 +166,7 @@ def test_an_interrupt_keeps_what_has_landed(tmp_path: Path) -> None:
 def test_ctrl_c_on_the_command_line_ends_cleanly_and_goes_on(tmp_path: Path, workers: str) -> None:
     """One line on stderr, no traceback from any process, status 130; the rerun computes the rest."""
     record = tmp_path / "cells.jsonl"
-    command = [sys.executable, "-m", "maglev_mj.cli", "sweep", "wall", "--vary", "delay=0:0.005:8"]
+    command = [sys.executable, "-m", "maglev_mj", "sweep", "wall", "--vary", "delay=0:0.005:8"]
     command += ["--set", "plant=exact", "--record", str(record), "--workers", workers]
     process = subprocess.Popen(
         command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=True

@@ -14,21 +14,22 @@ import numpy as np
 from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.commissioning import CoilCheck, check_coil, mean_pose, record_step, with_offsets
 from maglev_mj.bridge.remote import RemotePlant
+from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.options import add_bridge, chosen_key, count, number_option
 from maglev_mj.cli.output import check_file
 from maglev_mj.errors import ParameterError, SensingError
 from maglev_mj.net.udp import open_link
 from maglev_mj.parameters import number
+from maglev_mj.terminal import cell
 
-__all__ = ["add_command"]
+__all__ = ["add_options"]
 
 _SHOWN = 0.25  # [s] between two lines of spots
 _BLOCKED = "  the flotor must be blocked by something soft; nothing is checked for a hand"
 
 
-def add_command(commands: Any) -> None:
-    """Add the command to the parser's."""
-    parser = commands.add_parser("commission", help="a new device's diodes and coils, ahead of its first hover")
+def add_options(parser: Parser) -> None:
+    """Add the options of the command."""
     parser.add_argument("address", metavar="ADDRESS", help="udp://HOST:PORT, or serial:///PATH?baud=RATE")
     parser.add_argument(
         "test",
@@ -37,9 +38,11 @@ def add_command(commands: Any) -> None:
         "coil, flotor blocked; step: a coil's current loop, flotor blocked; offsets: write the diodes' offsets, flotor "
         "clamped upright at the centre, currents off",
     )
-    parser.add_argument("--coil", type=count, metavar="K", help="one coil, 0 to 5 (default: all; for step 0)")
-    parser.add_argument("--current", type=number_option, default=0.2, metavar="X", help="in one coil [A] (default 0.2)")
-    parser.add_argument("--write", type=Path, metavar="FILE", help="calibration file that offsets writes")
+    test = parser.group("test")
+    test.add_argument("--coil", type=count, metavar="K", help="one coil, 0 to 5 (default: all; for step 0)")
+    test.add_argument("--current", type=number_option, default=0.2, metavar="X", help="in one coil [A] (default 0.2)")
+    told = "calibration file that offsets writes"
+    parser.group("output").add_argument("--write", type=Path, metavar="FILE", help=told)
     add_bridge(parser)
     parser.set_defaults(run=_commission)
 
@@ -71,23 +74,23 @@ def _commission(options: argparse.Namespace) -> int:
 def _show_spots(plant: RemotePlant, seconds: float | None) -> None:
     """Print spots and pose, currents off, until Ctrl-C or for so long [s]."""
     end = math.inf if seconds is None else time.monotonic() + seconds
-    print(f"  {'x and y of the spots on diodes 0, 1, 2 [mm]':<52}  {'x y z [mm]':<21}  rx ry rz [°]")
+    print(f"  {'x and y of the spots on diodes 0, 1, 2 [mm]':<43}{'x y z [mm]':>16}{'rx ry rz [°]':>18}")
     every = max(round(_SHOWN / plant.period), 1)
     with suppress(KeyboardInterrupt):
         while time.monotonic() < end:
             try:
                 pose = np.array(plant.read().position)
-                found = " ".join(f"{part:6.3f}" for part in pose[:3] * 1e3)
-                found += "   " + " ".join(f"{part:6.2f}" for part in np.degrees(pose[3:]))
+                found = "".join(f"{part:6.2f}" for part in [*pose[:3] * 1e3, *np.degrees(pose[3:])])
             except SensingError:
-                found = "no pose has these spots"
+                found = " no pose has these spots"
             if plant.samples.tick % every == 0:
-                spots = "  ".join(f"{part * 1e3:7.3f}" for part in plant.report.spots)
-                print(f"  {spots}  {found}", flush=True)
+                spots = "".join(f"{part * 1e3:7.3f}" for part in plant.report.spots)
+                print(f" {spots} {found}", flush=True)
 
 
 def _check_coils(plant: RemotePlant, options: argparse.Namespace) -> int:
-    print("  coil  current  measured  others   moved along x, y, z [µm]     calibration's force     verdict")
+    print("                 currents [A]        moved by [µm]   force calibrated [N]")
+    print("  coil  set   flows others      x      y      z      x      y      z  verdict")
     worst = 0
     for coil in range(6) if options.coil is None else [options.coil]:
         check = check_coil(plant, coil, options.current)
@@ -97,12 +100,12 @@ def _check_coils(plant: RemotePlant, options: argparse.Namespace) -> int:
 
 
 def _coil_row(check: CoilCheck) -> str:
-    moved = " ".join(f"{part:8.2f}" for part in check.displacement[:3] * 1e6)
-    force = " ".join(f"{part:6.2f}" for part in check.expected[:3])
-    return (
-        f"  {check.coil:>4}  {check.current:5.2f} A  {check.measured:6.2f} A  {check.others:5.2f} A  {moved}"
-        f"   {force} N  {check.verdict}"
+    currents = "".join(
+        f"{part:{width}.2f}" for part, width in ((check.current, 6), (check.measured, 7), (check.others, 7))
     )
+    moved = "".join(f"{cell(part, 1e6):>7}" for part in check.displacement[:3])
+    force = "".join(f"{part:7.2f}" for part in check.expected[:3])
+    return f"  {check.coil:>3}{currents}{moved}{force}  {check.verdict}"
 
 
 def _step_table(rows: np.ndarray[Any, Any]) -> str:

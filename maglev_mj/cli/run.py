@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 
 from maglev_mj import plots
-from maglev_mj.cli.options import Parser, add_outputs, add_parameters, add_recording, count, number_option
+from maglev_mj.cli.arguments import Parser, offer
+from maglev_mj.cli.options import add_outputs, add_parameters, add_recording, count, number_option
 from maglev_mj.cli.output import check_outputs, check_recording, keep_partial, write_results
 from maglev_mj.cli.progress import Progress
 from maglev_mj.cli.scenes import add_scene, chosen_scene, warn_of_instability
@@ -20,48 +20,40 @@ from maglev_mj.scenes.run import Phases, Result, run, run_phases
 from maglev_mj.scenes.scene import PLANTS, Scene
 from maglev_mj.tables import run_table
 
-__all__ = ["add_command"]
-
-_BY_NAME = "drop", "press", "stick-slip"
+__all__ = ["add_options"]
 
 
-def add_command(commands: Any) -> None:
-    """Add `run`, and a command for each scene of the paper."""
-    parser = commands.add_parser("run", help="run any scene: one of this package, or a file of your own")
-    add_scene(parser, more=_add_plant)
-    _add_outputs(parser)
-    for name in _BY_NAME:
+def add_options(parser: Parser) -> None:
+    """Add the options of `run`, or of a command that is a scene of the paper."""
+    name = parser.prog.split()[-1]
+    if name == "run":
+        add_scene(parser, more=_add_plant)
+    else:
         cls = find_scene(name)
-        own = commands.add_parser(name, help=str(cls.__doc__).split("\n")[0].rstrip("."))
-        own.epilog = "\n".join(str(cls.__doc__).split("\n")[2:])
-        own.set_defaults(scene_class=cls)
-        add_parameters(own, cls)
-        _add_plant(own, cls)
-        _add_outputs(own)
+        parser.description, _, parser.epilog = str(cls.__doc__).partition("\n\n")
+        parser.set_defaults(scene_class=cls)
+        add_parameters(parser.group("parameters of the scene"), cls)
+        _add_plant(parser, cls)
+    add_outputs(parser)
+    add_recording(parser)
+    parser.set_defaults(run=_run)
 
 
 def _add_plant(parser: Parser, cls: type[Scene]) -> None:
-    plants = cls.plants
-    parser.add_argument("--plant", default=plants[0], metavar="NAME", help=f"{', '.join(plants)} (default {plants[0]})")
+    plants, group = cls.plants, parser.group("run")
+    told = f"{', '.join(plants)} (default {plants[0]})"
+    offer(group.add_argument("--plant", default=plants[0], metavar="NAME", help=told), plants)
     if cls.takes_phase:
-        parser.add_argument(
+        group.add_argument(
             "--phase",
             type=number_option,
             default=0.0,
             metavar="X",
             help="the samples are at (k + phase) period, in [0, 1) (default 0)",
         )
-        parser.add_argument(
-            "--phases", type=count, metavar="N", help="also sweep N phases, evenly spread over a period"
-        )
+        group.add_argument("--phases", type=count, metavar="N", help="also sweep N phases, evenly spread over a period")
     else:
         parser.set_defaults(phase=0.0, phases=None)
-
-
-def _add_outputs(parser: Parser) -> None:
-    add_outputs(parser)
-    add_recording(parser)
-    parser.set_defaults(run=_run)
 
 
 def _run(options: argparse.Namespace) -> int:
