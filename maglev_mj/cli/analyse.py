@@ -11,6 +11,7 @@ from maglev_mj.analysis import Analysed, analyse
 from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.options import add_outputs, count, number_option
 from maglev_mj.cli.output import check_outputs, write_json
+from maglev_mj.cli.progress import Progress
 from maglev_mj.cli.replay import add_own_scene, own_code
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES
@@ -59,11 +60,17 @@ def _analyse(options: argparse.Namespace) -> int:
         axis_indices(options.axis)
     if options.out is not None:
         plots.require()
-    recording = Recording.load(options.file)
-    stretches = recording.stretches
-    several = len(stretches) > 1
-    own = own_code(options.scene, recording)
-    found = [(place, _found(stretch, options, own)) for place, stretch in _chosen(stretches, options)]
+    with Progress("analyse") as progress:
+        recording = Recording.load(options.file)
+        stretches = recording.stretches
+        several = len(stretches) > 1
+        with progress.aside():
+            own = own_code(options.scene, recording)
+        wanted, found = _chosen(stretches, options), []
+        for place, stretch in wanted:
+            found.append((place, _found(stretch, options, own)))
+            if len(wanted) > 1:
+                progress(len(found), len(wanted))
     axes = [one.axis(options.axis) for _, one in found]  # before anything is written
     if options.json is not None:
         recorded_by = {place: versions_read(stretches[place - 1].setup.get("versions")) for place, _ in found}

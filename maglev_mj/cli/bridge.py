@@ -21,6 +21,7 @@ from maglev_mj.bridge.safety import HostLimits
 from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.options import add_bridge, add_parameters, add_recording, chosen, chosen_key, number_option
 from maglev_mj.cli.output import check_file, check_outputs, check_recording
+from maglev_mj.cli.progress import Progress
 from maglev_mj.cli.publishers import add_publishers, chosen_publishers
 from maglev_mj.cli.scenes import add_scene, chosen_scene, warn_of_instability
 from maglev_mj.errors import MaglevError, ParameterError
@@ -214,7 +215,8 @@ def _identify(plant: RemotePlant, options: argparse.Namespace) -> int:
         plant.takeoff(watch=lambda: switch.landing)
         motion = collect(plant, shaker, _IDENTIFYING, then=plant.land, watch=lambda: switch.landing)
     # the wire and this program take their time too, which the map would have to pay for
-    found = identify(motion.poses, motion.currents, period=plant.period, delay=motion.delay)
+    with Progress("identify"):
+        found = identify(motion.poses, motion.currents, period=plant.period, delay=motion.delay)
     found.calibration(plant.calibration, mass).save(options.identify)
     x, y, z = found.gravity
     doubt = found.free_errors[:3].max()

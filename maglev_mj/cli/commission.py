@@ -17,6 +17,7 @@ from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.options import add_bridge, chosen_key, count, number_option
 from maglev_mj.cli.output import check_file
+from maglev_mj.cli.progress import Progress
 from maglev_mj.errors import ParameterError, SensingError
 from maglev_mj.net.udp import open_link
 from maglev_mj.parameters import number
@@ -59,12 +60,15 @@ def _commission(options: argparse.Namespace) -> int:
         if options.test == "spots":
             _show_spots(plant, seconds)
         elif options.test == "offsets":
-            spots, errors = mean_pose(plant, 1.0 if seconds is None else seconds)
+            with Progress("commission"):
+                spots, errors = mean_pose(plant, 1.0 if seconds is None else seconds)
             with_offsets(calibration, spots).save(options.write)
             print(f"  spots within {errors.max() * 1e6:.2f} µm; wrote {options.write}")
         elif options.test == "step":
             print(_BLOCKED)
-            print(_step_table(record_step(plant, options.coil or 0, options.current)))
+            with Progress("commission"):
+                rows = record_step(plant, options.coil or 0, options.current)
+            print(_step_table(rows))
         else:
             print(_BLOCKED)
             return _check_coils(plant, options)
@@ -89,23 +93,25 @@ def _show_spots(plant: RemotePlant, seconds: float | None) -> None:
 
 
 def _check_coils(plant: RemotePlant, options: argparse.Namespace) -> int:
-    print("                 currents [A]        moved by [µm]   force calibrated [N]")
-    print("  coil  set   flows others      x      y      z      x      y      z  verdict")
+    print("      currents [A]         moved by [µm]       calibrated force [N]")
+    print("coil   set  flows others      x     y     z      x      y      z  verdict")
     worst = 0
-    for coil in range(6) if options.coil is None else [options.coil]:
-        check = check_coil(plant, coil, options.current)
-        print(_coil_row(check), flush=True)
-        worst |= check.verdict != "as calibrated"
+    with Progress("commission") as progress:
+        coils = range(6) if options.coil is None else [options.coil]
+        for place, coil in enumerate(coils):
+            check = check_coil(plant, coil, options.current)
+            with progress.aside():
+                print(_coil_row(check), flush=True)
+            progress(place + 1, len(coils))
+            worst |= check.verdict != "as calibrated"
     return worst
 
 
 def _coil_row(check: CoilCheck) -> str:
-    currents = "".join(
-        f"{part:{width}.2f}" for part, width in ((check.current, 6), (check.measured, 7), (check.others, 7))
-    )
-    moved = "".join(f"{cell(part, 1e6):>7}" for part in check.displacement[:3])
-    force = "".join(f"{part:7.2f}" for part in check.expected[:3])
-    return f"  {check.coil:>3}{currents}{moved}{force}  {check.verdict}"
+    currents = " ".join(f"{part:6.2f}" for part in (check.current, check.measured, check.others))
+    moved = " ".join(f"{cell(part, 1e6):>5}" for part in check.displacement[:3])
+    force = " ".join(f"{part:6.2f}" for part in check.expected[:3])
+    return f"  {check.coil} {currents}  {moved} {force}  {check.verdict}"
 
 
 def _step_table(rows: np.ndarray[Any, Any]) -> str:

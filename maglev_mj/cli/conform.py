@@ -14,7 +14,8 @@ from maglev_mj.bridge.realtime import realtime
 from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.options import add_calibration, add_key, chosen_key
 from maglev_mj.cli.output import check_file
-from maglev_mj.conformance import CheckResult, conform
+from maglev_mj.cli.progress import Progress
+from maglev_mj.conformance import CheckResult, checks, conform
 from maglev_mj.net.udp import open_link, parse_url
 from maglev_mj.terminal import say, wrapped
 from maglev_mj.versions import versions
@@ -53,13 +54,25 @@ def _conform(options: argparse.Namespace) -> int:
         links = [last.enter_context(closing(open_link(options.address, key))) for _ in range(peers)]
         for complaint in last.enter_context(realtime("ignore")):
             say(f"  not in real time: {complaint}", sys.stderr)
-        results = conform(links, calibration, key, flight=not options.no_flight, tell=_tell)
+        progress = last.enter_context(Progress("conform"))
+        every, results = len(checks()), list[CheckResult]()
+
+        def tell(result: CheckResult) -> None:
+            results.append(result)
+            with progress.aside():
+                _tell(result)
+            progress(len(results), every)
+
+        conform(links, calibration, key, flight=not options.no_flight, tell=tell)
     counts = {word: sum(one.passed is value for one in results) for value, word in _WORDS.items()}
     say("  " + ", ".join(f"{count} {word}" for word, count in counts.items()))
     if options.json is not None:
+        checked = [one._asdict() for one in results]
         report = {"format": _FORMAT, "address": options.address, "versions": versions()}
-        checks = [one._asdict() for one in results]
-        options.json.write_text(json.dumps({**report, "counts": counts, "checks": checks}, indent=1) + "\n", "utf-8")
+        options.json.write_text(
+            json.dumps({**report, "counts": counts, "checks": checked}, indent=1) + "\n",
+            "utf-8",
+        )
     return 1 if counts["FAIL"] else 0
 
 

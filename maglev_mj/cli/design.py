@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from contextlib import suppress
 
 from maglev_mj import plots
 from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.options import add_outputs, add_parameters, chosen, range_of
 from maglev_mj.cli.output import check_outputs, write_results
+from maglev_mj.cli.progress import Progress
 from maglev_mj.cli.scenes import add_scene
 from maglev_mj.errors import ParameterError
 from maglev_mj.hand import HANDS
@@ -75,14 +77,13 @@ def _design(options: argparse.Namespace) -> int:
     if contact.pulse and options.law != "pd":
         raise ParameterError(f"pulse must be left out for the {options.law}: it gives none")
     check_outputs(json=options.json, out=options.out)
-    wall = design_wall(requirements, options.law, goal=options.goal)
-    reference = None
-    if options.law != "pd":
-        try:
-            reference = design_wall(requirements, goal=options.goal)
-        except ParameterError:
-            reference = None  # no PD wall bears them
-    result = evaluate_wall(wall, contact, reference)
+    with Progress("design"):
+        wall = design_wall(requirements, options.law, goal=options.goal)
+        reference = None
+        if options.law != "pd":
+            with suppress(ParameterError):  # no PD wall bears them
+                reference = design_wall(requirements, goal=options.goal)
+        result = evaluate_wall(wall, contact, reference)
     write_results(
         options,
         result.as_json,

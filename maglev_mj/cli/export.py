@@ -7,6 +7,7 @@ from pathlib import Path
 
 from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.output import check_file
+from maglev_mj.cli.progress import Progress
 from maglev_mj.errors import ParameterError
 from maglev_mj.recording import EXPORTS, Recording, export
 from maglev_mj.terminal import say
@@ -28,9 +29,10 @@ def _export(options: argparse.Namespace) -> int:
     check_file("out", path)
     if path.exists() and path.resolve() == options.file.resolve():
         raise ParameterError(f"out must be another file than the recording, not {str(path)!r}")
-    recording = Recording.load(options.file)
+    with Progress("export"):
+        recording = Recording.load(options.file)
+        export(recording, options.to, path)
     if recording.damage:
         say(f"  {options.file}: {recording.damage}")
-    export(recording, options.to, path)
     print(f"  wrote {path}: {recording.ticks} samples")
     return 0

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from contextlib import closing
 
 from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.options import add_json, chosen, count, number_option
@@ -102,7 +101,7 @@ def _fidelity(options: argparse.Namespace) -> int:
         return _all(options)
     preset = preset_of(options.scene)._replace(scene=chosen(options, options.scene_class))
     over = Range(options.phases, options.around, options.share, options.boundary_tolerance)
-    with closing(Progress("fidelity")) as progress:
+    with Progress("fidelity") as progress:
         result = measure_fidelity(preset, options.tolerance, over, phase=options.phase, progress=progress)
     write_results(options, result.as_json, lambda: fidelity_table(result))
     return 0
@@ -110,7 +109,7 @@ def _fidelity(options: argparse.Namespace) -> int:
 
 def _all(options: argparse.Namespace) -> int:
     found = {}
-    with closing(Progress("fidelity")) as progress:
+    with Progress("fidelity") as progress:
         for place, name in enumerate(COMPARED):
             found[name] = measure_levels(name)
             progress(place + 1, len(COMPARED))

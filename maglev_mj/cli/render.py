@@ -9,6 +9,7 @@ from pathlib import Path
 from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.options import count, number_option
 from maglev_mj.cli.output import check_file
+from maglev_mj.cli.progress import Progress
 from maglev_mj.cli.scenes import add_scene, chosen_scene
 from maglev_mj.errors import ParameterError
 from maglev_mj.parameters import number
@@ -46,15 +47,17 @@ def _render(options: argparse.Namespace) -> int:
     from maglev_mj.viewer.render import render
 
     check_file("out", checked_name(options.out))
-    frames = render(
-        scene,
-        options.out,
-        seconds=options.seconds,
-        width=width,
-        height=height,
-        rate=options.fps,
-        plots=not options.plain,
-    )
+    with Progress(f"render {scene.name}") as progress:
+        frames = render(
+            scene,
+            options.out,
+            seconds=options.seconds,
+            width=width,
+            height=height,
+            rate=options.fps,
+            plots=not options.plain,
+            progress=progress,
+        )
     print(f"wrote {options.out}" + (f", {frames} pictures" if frames > 1 else ""))
     return 0
 

@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 
 from maglev_mj.cli.arguments import Container, Parser
+from maglev_mj.cli.progress import Progress
 from maglev_mj.recording import (
     InvalidRecordingError,
     OwnCodeError,
@@ -66,7 +67,8 @@ def own_code(text: str | None, recording: Recording) -> OwnCode | None:
 
 
 def _replay(options: argparse.Namespace) -> int:
-    recording = Recording.load(options.file)
+    with Progress("replay"):
+        recording = Recording.load(options.file)
     if not recording.ticks:
         raise InvalidRecordingError(f"there is nothing in {str(options.file)!r}")
     if recording.damage:
@@ -75,7 +77,8 @@ def _replay(options: argparse.Namespace) -> int:
         say(f"  {event}")
     own = own_code(options.scene, recording)
     if options.check:
-        verdict = verify(recording, partial(rebuild, own=own), expect=expected)
+        with Progress("replay"):
+            verdict = verify(recording, partial(rebuild, own=own), expect=expected)
         print(verdict_table(verdict))
         simulated = (stretch.setup for stretch in recording.stretches if stretch.setup["kind"] != "device")
         for plant in sorted({unmade_plant(setup) for setup in simulated} - {""}):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping
+from inspect import getdoc
 
 import numpy as np
 
@@ -30,7 +31,7 @@ def add_options(parser: Parser) -> None:
         add_scene(parser, more=_add_plant)
     else:
         cls = find_scene(name)
-        parser.description, _, parser.epilog = str(cls.__doc__).partition("\n\n")
+        parser.description, _, parser.epilog = str(getdoc(cls)).partition("\n\n")
         parser.set_defaults(scene_class=cls)
         add_parameters(parser.group("parameters of the scene"), cls)
         _add_plant(parser, cls)
@@ -65,7 +66,8 @@ def _run(options: argparse.Namespace) -> int:
     warn_of_instability(scene)
     recorded = []
     if options.record is not None:
-        recorded = write_run(options.record, scene, plant=options.plant, phase=options.phase)
+        with Progress("recording"):
+            recorded = write_run(options.record, scene, plant=options.plant, phase=options.phase)
     alone = options.json == "-" and options.out is None
     variants = dict(list(scene.variants().items())[: 1 if alone else None])
     try:
@@ -92,19 +94,17 @@ def _results(
 ) -> tuple[dict[str, Result], dict[str, Phases]]:
     results: dict[str, Result] = {}
     sweeps: dict[str, Phases] = {}
-    progress = Progress(scene.name)
-    try:
-        for label, variant in variants.items():
-            results[label] = run(variant, plant=options.plant, phase=options.phase)
-        if options.phases is not None:
+    with Progress(scene.name) as progress:
+        try:
             for label, variant in variants.items():
-                sweeps[label] = run_phases(variant, options.phases, plant=options.plant, progress=progress)
-    except DivergenceError as error:
-        if results:
-            error.partial = next(iter(results.values()))  # the run itself is worth keeping
-        raise
-    finally:
-        progress.close()
+                results[label] = run(variant, plant=options.plant, phase=options.phase)
+            if options.phases is not None:
+                for label, variant in variants.items():
+                    sweeps[label] = run_phases(variant, options.phases, plant=options.plant, progress=progress)
+        except DivergenceError as error:
+            if results:
+                error.partial = next(iter(results.values()))  # the run itself is worth keeping
+            raise
     return results, sweeps
 
 
@@ -113,6 +113,7 @@ def _gap(result: Result) -> float | None:
     others = [name for name in result.scene.plants if name in PLANTS and name != result.plant]
     if not others:
         return None
-    twin = run(result.scene, plant=others[0], phase=result.phase)
+    with Progress(f"{result.scene.name} on the plant {others[0]}"):
+        twin = run(result.scene, plant=others[0], phase=result.phase)
     time = result.times()
     return float(np.abs(result.motion(time)[0] - twin.motion(time)[0]).max())

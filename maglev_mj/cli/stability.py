@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from contextlib import closing
 from pathlib import Path
 
 from maglev_mj import plots
@@ -72,8 +71,7 @@ def _map(options: argparse.Namespace) -> int:
                 raise ParameterError(f"{name} must be a range for a picture, not {limits[0]:g} alone")
     check_outputs(json=options.json, record=options.record, out=options.out)
     workers = chosen_workers(options, default=0)
-    progress = Progress("stability")
-    with cells_kept(options.record, _FALLBACK), closing(progress):
+    with cells_kept(options.record, _FALLBACK), Progress("stability") as progress:
         result = run_stability(parameters, record=Record(options.record), workers=workers, progress=progress)
     tell_of_others("stability", result.others)
     write_results(

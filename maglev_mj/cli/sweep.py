@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -63,8 +62,7 @@ def _sweep(options: argparse.Namespace) -> int:
     path = options.record or Path(f"{cls.name}-sweep.jsonl")
     check_outputs(json=options.json, record=path)
     workers = chosen_workers(options, default=None)
-    progress = Progress(f"sweep {cls.name}")
-    with cells_kept(path, path), closing(progress):
+    with cells_kept(path, path), Progress(f"sweep {cls.name}") as progress:
         found = sweep(cls, fixed | varied, workers=workers, record=path, progress=progress)
     found = replace(found, varied=varied)  # what is set is no dimension of the grid
     tell_of_others("sweep", found.others)

@@ -21,7 +21,7 @@ __all__ = ["fault_table", "latched_table"]
 _SHOWN = 20
 
 _HEADING = ("ms", *AXES, "A cmd", "A meas", "warm %", "delay", "answer")
-_WIDTHS = (8, *[6] * 3, *[7] * 3, 7, 7, 7, 6, 7)
+_WIDTHS = (7, *[6] * 3, *[7] * 3, 7, 7, 7, 6, 7)
 
 
 _REASONS = {
