@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -377,6 +377,10 @@ class Replay:
         elif action in ("centre", "drop"):
             self._show(0, 0)
 
+    def change(self, parameters: Mapping[str, Any]) -> None:
+        """Refuse: what is recorded stays as it is."""
+        raise ParameterError(f"a recording has no parameters to be changed, such as {next(iter(parameters), '')}")
+
     def snapshot(self) -> Snapshot:
         """Return the picture of now."""
         (_, row), now, motion = self._place, self._now, self._motion
@@ -393,7 +397,9 @@ class Replay:
             anchors=None if now.anchors is None else now.anchors[row],
             history=motion.history.rows,
             work=motion.work,
-            notes=("PAUSED" if self._paused else "REPLAY",),
+            actions=("pause", "centre"),
+            state="paused" if self._paused else "running",
+            notes=("REPLAY",),
         )
 
     def close(self) -> None:
@@ -414,7 +420,7 @@ class Replay:
         """Go to a sample; a stretch begins with a history of its own."""
         self._place, now = (stretch, row), self._stretches[stretch]
         if row == 0:
-            self._motion = SampledMotion(now.scene.axis_index)
+            self._motion = SampledMotion()
         self._motion.add(float(now.time[row]), now.pose[row], now.force[row], now.hand[row])
 
 

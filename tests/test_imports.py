@@ -14,6 +14,7 @@ FLOORS = {
     "spec": 0,
     "versions": 0,
     "terminal": 0,
+    "colours": 0,
     "parameters": 1,
     "workers": 1,
     "timeline": 1.5,
@@ -35,6 +36,7 @@ FLOORS = {
     "recording": 6,
     "scenes": 6,
     "session": 7,
+    "display": 7.5,
     "bridge": 8,
     "live": 8,
     "report": 8,
@@ -42,6 +44,7 @@ FLOORS = {
     "studies": 8,
     "analysis": 8,
     "viewer": 8,
+    "hand_devices": 8.5,
     "plots": 9,
     "replay": 9,
     "tables": 9,
@@ -51,7 +54,7 @@ FLOORS = {
 }
 ALLOWED = {
     "mujoco": {"model", "plants", "shapes", "versions", "viewer"},
-    "glfw": {"viewer"},
+    "glfw": {"hand_devices", "viewer"},
     "matplotlib": {"plots"},
     "imageio": {"viewer"},
     "distributed": {"workers"},

@@ -122,7 +122,7 @@ def test_a_replay_shows_what_was_recorded_in_real_time(kind: str, tmp_path: Path
     view = replay.snapshot()
     assert shown == 25
     assert (view.pose == recording.stretches[0].position[25]).all()
-    assert view.history.shape == (26, 5)
+    assert view.history.shape == (26, 25)
     assert (view.anchors is not None) == (kind == "stick-slip")
     replay.act("pause")
     assert replay.tick(1.0) == 0

@@ -16,6 +16,7 @@ import glfw
 import numpy as np
 import pytest
 
+from maglev_mj.display.remote import RemoteSession, RemoteViewer
 from maglev_mj.errors import MaglevError
 from maglev_mj.recording import Recording
 from maglev_mj.scenes.joystick import Joystick
@@ -23,7 +24,7 @@ from maglev_mj.session import SampledMotion, Snapshot
 from maglev_mj.viewer.offscreen import arranged, label_place
 from maglev_mj.viewer.overlay import keys_of
 from maglev_mj.viewer.plots import StopLabel
-from maglev_mj.viewer.process import RemoteSession, RemoteViewer
+from maglev_mj.viewer.process import window
 from tests.virtual_screen import MISSING, VirtualScreen
 
 pytestmark = pytest.mark.xdist_group("realtime")
@@ -39,14 +40,14 @@ def test_a_window_is_told_of_the_device_and_says_what_the_mouse_and_keys_do() ->
         time=0.015,
         pose=pose,
         faces=faces,
-        history=np.array([(0.005 * tick, 1e-3, 0.0, 0.5, 0.0) for tick in range(3)]),
+        history=np.array([(0.005 * tick, *[1e-3] * 24) for tick in range(3)]),
         notes=["a note"],
     )
     near.send(sent)
     assert watched.tick(0.02) == 3
     view = watched.snapshot()
     assert (view.pose == pose).all() and view.scene == scene and view.notes == ["a note"]
-    assert view.faces == ((0, 1.0, 3e-3),) and view.history.shape == (3, 5) and view.time == pytest.approx(0.015)
+    assert view.faces == ((0, 1.0, 3e-3),) and view.history.shape == (3, 25) and view.time == pytest.approx(0.015)
     watched.hand.target = [1e-3] * 6
     watched.act("wall")
     watched.tick(0.02)
@@ -84,8 +85,8 @@ def test_both_ends_of_a_window_agree(monkeypatch: pytest.MonkeyPatch) -> None:
     line, far = Pipe()
     context = SimpleNamespace(Pipe=lambda: (line, SimpleNamespace(close=lambda: None)), Process=opened)
     monkeypatch.setattr(multiprocessing, "get_context", lambda method: context)
-    motion, blank = SampledMotion(0), Snapshot(scene=Joystick())
-    viewer, closed = RemoteViewer(blank), []
+    motion, blank = SampledMotion(), Snapshot(scene=Joystick())
+    viewer, closed = RemoteViewer(blank, window()), []
     viewer.on_close = lambda: closed.append(1)
     session = RemoteSession(far, ends[0].blank)
     for tick in range(1, 1001):
@@ -98,7 +99,7 @@ def test_both_ends_of_a_window_agree(monkeypatch: pytest.MonkeyPatch) -> None:
     rows = session.snapshot().history
     assert (rows[-399:] == motion.history.rows[-400:-1]).all()  # the last was not shown
     assert len(rows) == pytest.approx(400, abs=2)
-    assert rows[1:, 2] == pytest.approx(1e-6 / 0.005)
+    assert rows[1:, 7] == pytest.approx(1e-6 / 0.005)
     assert session.snapshot().work == pytest.approx(6 * 0.5 * 998e-6)
     session.hand.target = [1e-3] * 6
     session.tick(0.0)
@@ -208,7 +209,7 @@ def test_the_emergency_stops_key_reaches_who_runs_the_device() -> None:
     viewer: Any = RemoteViewer.__new__(RemoteViewer)
     received = lambda: [line.recv() for _ in iter(line.poll, False)]  # noqa: E731
     window = SimpleNamespace(received=received, ended=False)
-    viewer.__dict__ |= {"_window": window, "_open": True, "_scene": Joystick(), "hand": SimpleNamespace(target=None)}
+    viewer.__dict__ |= {"_front": window, "_open": True, "_scene": Joystick(), "hand": SimpleNamespace(target=None)}
     pressed: list[int] = []
     viewer.on_emergency = lambda: pressed.append(1)
     watched = RemoteSession(far, Snapshot(scene=Joystick()))

@@ -229,7 +229,7 @@ class Flight:
             raise ParameterError(f"period must be the device's {plant.period:g} s, not {scene.period:g}")
         self._plant, self._scene, self._file = plant, scene, file
         self._publishers, self._since = Publishers(publishers), 0
-        self._motion, self._note = SampledMotion(scene.axis_index), _NOTE
+        self._motion, self._note = SampledMotion(), _NOTE
         self.switch, self.timing, self.warning = switch or StopSwitch(), LoopTiming(), ""
         self._lost = self._skipped = 0
         self._staged: tuple[Wish, Controller] | None = None

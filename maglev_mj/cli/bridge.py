@@ -24,6 +24,7 @@ from maglev_mj.cli.output import check_file, check_outputs, check_recording
 from maglev_mj.cli.progress import Progress
 from maglev_mj.cli.publishers import add_publishers, chosen_publishers
 from maglev_mj.cli.scenes import add_scene, chosen_scene, warn_of_instability
+from maglev_mj.display.remote import RemoteViewer
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.net.udp import open_link
 from maglev_mj.parameters import number
@@ -32,7 +33,7 @@ from maglev_mj.scenes import Scene
 from maglev_mj.session import DEVICES_OWN, Publisher, Snapshot
 from maglev_mj.tables import flown_table, latched_table, timing_table
 from maglev_mj.terminal import say, wrapped
-from maglev_mj.viewer.process import RemoteViewer
+from maglev_mj.viewer.process import window
 
 __all__ = ["add_options"]
 
@@ -144,7 +145,7 @@ def _fly(
         last.enter_context(stopping(switch.land, switch.cut, within=LANDING_TIME))
         viewer = None
         if options.view:
-            viewer = RemoteViewer(Snapshot(scene=scene), options.out)
+            viewer = RemoteViewer(Snapshot(scene=scene), window(options.out))
             last.callback(viewer.close)
             publishers = [*publishers, viewer]
         file = None if options.record is None else open_recording(options.record)

@@ -11,7 +11,7 @@ from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.options import add_parameters, chosen
 from maglev_mj.errors import ParameterError, not_one_of
 from maglev_mj.parameters import flag
-from maglev_mj.spacenav import AxisMapping, PoseAxes, RateAxes, SpacenavServer, Taps
+from maglev_mj.spacenav import PoseAxes, RateAxes, SpacenavMapping, SpacenavServer, Taps
 
 __all__ = ["add_spacenav", "chosen_spacenav"]
 
@@ -23,7 +23,7 @@ _PREFIX = "spacenav-"
 
 
 def add_spacenav(parser: Parser, *, always: bool = False) -> None:
-    """Add --spacenav, --socket, --axes, and an option for each parameter of `AxisMapping`.
+    """Add --spacenav, --socket, --axes, and an option for each parameter of `SpacenavMapping`.
 
     Args:
         parser: Of the command.
@@ -45,7 +45,7 @@ def add_spacenav(parser: Parser, *, always: bool = False) -> None:
         metavar="WHAT",
         help="what those are told: pose, the deflection; or rate, the motion of a slave (default pose)",
     )
-    add_parameters(group, AxisMapping, _PREFIX)
+    add_parameters(group, SpacenavMapping, _PREFIX)
 
 
 def chosen_spacenav(options: argparse.Namespace, say: Callable[[str], object] = print) -> list[SpacenavServer]:
@@ -58,12 +58,12 @@ def chosen_spacenav(options: argparse.Namespace, say: Callable[[str], object] = 
     Raises:
         ParameterError: If an option is wrong, or is given without --spacenav.
     """
-    mapping = chosen(options, AxisMapping, _PREFIX)
+    mapping = chosen(options, SpacenavMapping, _PREFIX)
     if not options.spacenav:
         for name in ("socket", "axes"):
             if getattr(options, name) is not None:
                 raise ParameterError(f"{name} is for --spacenav")
-        if mapping != AxisMapping():
+        if mapping != SpacenavMapping():
             raise ParameterError(f"{_PREFIX}gain and the like are for --spacenav")
         return []
     axes = "pose" if options.axes is None else options.axes

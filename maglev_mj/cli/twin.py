@@ -23,6 +23,7 @@ from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.options import add_bridge, chosen_key, count, number_option
 from maglev_mj.cli.publishers import add_foxglove, chosen_foxglove
 from maglev_mj.controller import Controller
+from maglev_mj.display.remote import RemoteViewer
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, ZERO, Command, Sample
 from maglev_mj.hand import HandForce, SpringHand
@@ -36,7 +37,7 @@ from maglev_mj.scenes.parts import WEIGHT
 from maglev_mj.session import Publishers, SampledMotion, Snapshot
 from maglev_mj.spec import INERTIA, Spec
 from maglev_mj.tables import served_table
-from maglev_mj.viewer.process import RemoteViewer
+from maglev_mj.viewer.process import window
 
 __all__ = ["add_options", "foam"]
 
@@ -113,7 +114,7 @@ def _twin(options: argparse.Namespace) -> int:
             # what it renders is for whoever flies it to say
             off = {one.name: False for one in look.parameters() if one.kind is bool and one.live}
             blank = Snapshot(scene=look(**off, period=parameters.period, delay=parameters.delay))
-            viewer = RemoteViewer(blank)
+            viewer = RemoteViewer(blank, window())
             last.callback(viewer.close)
         if (live := chosen_foxglove(options)) is not None:
             last.callback(live.close)
@@ -191,7 +192,7 @@ def _shown(viewer: RemoteViewer, blank: Snapshot, server: TwinServer) -> Callabl
     twin, plant = server.twin, server.twin.plant
     coils, carried = plant.device.coils, np.array(WEIGHT)
     assert coils is not None  # it is driven through them
-    motion, publishers = SampledMotion(blank.scene.axis_index), Publishers([viewer])
+    motion, publishers = SampledMotion(), Publishers([viewer])
     viewer.on_close, viewer.on_emergency = server.stop, twin.estop
 
     def each() -> None:

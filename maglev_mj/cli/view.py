@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from maglev_mj.cli.arguments import Parser
+from maglev_mj.cli.hand_device import add_hand_device, chosen_hand_device
 from maglev_mj.cli.options import add_recording, number_option
 from maglev_mj.cli.output import check_outputs, check_recording
 from maglev_mj.cli.publishers import add_publishers, chosen_publishers
@@ -27,9 +28,10 @@ def add_options(parser: Parser) -> None:
         type=number_option,
         default=SpringHand.stiffness,
         metavar="X",
-        help=f"of the spring by which the mouse pulls [N/m] (default {SpringHand.stiffness:g})",
+        help=f"of the spring by which the hand pulls [N/m] (default {SpringHand.stiffness:g})",
     )
     group.add_argument("--seconds", type=number_option, metavar="X", help="close the window after so long [s]")
+    add_hand_device(parser.group("gamepad or 3D mouse as the hand"))
     add_recording(parser)
     output.add_argument(
         "--out", metavar="DIR", type=Path, default=Path(), help="folder for recordings and screenshots (default .)"
@@ -50,16 +52,19 @@ def _view(options: argparse.Namespace) -> int:
     require_display()
     warn_of_instability(scene)
     options.out.mkdir(parents=True, exist_ok=True)
-    with chosen_publishers(options) as (publishers, live):
+    # the device first: a 3D mouse of our own is none for this hand
+    with chosen_hand_device(options, hand) as devices, chosen_publishers(options) as (publishers, live):
         session = Session(
             scene,
             hand=hand,
             folder=options.out,
             record=options.record,
             file=live,
-            publishers=publishers,
+            publishers=[*publishers, *devices],
             step_force=options.step_force,
         )
+        for device in devices:
+            device.act = session.act
         try:
             print(show_table(show(session, folder=options.out, duration=seconds)))
         finally:

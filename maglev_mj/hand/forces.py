@@ -134,6 +134,7 @@ class SpringHand:
         force_limit: Largest force [N].
         torque_limit: Largest torque [N m].
         target: Where it pulls to [m, rad], (6,), or the path along which that moves; None where it has let go.
+        device_target: Target given by an input device, used while `target` is None [m, rad], (6,); None for none.
 
     Raises:
         ParameterError: If a value is negative.
@@ -146,14 +147,20 @@ class SpringHand:
     force_limit: float = 20.0
     torque_limit: float = 0.4
     target: Sequence[float] | Trajectory | None = None
+    device_target: Sequence[float] | None = None
 
     def __post_init__(self) -> None:
         for name in ("stiffness", "damping", "turning_stiffness", "turning_damping", "force_limit", "torque_limit"):
             setattr(self, name, number(f"hand {name}", getattr(self, name), at_least=0.0))
 
+    @property
+    def goal(self) -> Sequence[float] | Trajectory | None:
+        """Target in force; None for a hand that is released."""
+        return self.device_target if self.target is None else self.target
+
     def __call__(self, tick: int, time: Component, state: State) -> Sequence[Component]:
         """See `HandForce`."""
-        target = self.target
+        target = self.goal
         if target is None:
             return _NOTHING
         if isinstance(target, Trajectory):

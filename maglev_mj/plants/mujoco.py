@@ -246,6 +246,14 @@ class MuJoCoPlant(SampledPlant):
         return bool(self._data.maxuse_efc)
 
     @property
+    def stop_wrench(self) -> Array:
+        """Wrench of the metal stops in the engine's last step [N, N m], (6,)."""
+        wrench: Array = self._data.qfrc_constraint[self.device.velocity_address :][:6].copy()
+        if wrench[3:].any():  # the engine turns about the flotor's axes
+            wrench[3:] = self._data.xmat[self.device.flotor].reshape(3, 3) @ wrench[3:]
+        return wrench
+
+    @property
     def currents(self) -> Array:
         """Currents in the six coils at the last sample [A], (6,); those commanded where the drivers lag.
 

@@ -4,14 +4,25 @@ from maglev_mj.session.actions import DEVICES_OWN, EMERGENCY_STOP, actions, sett
 from maglev_mj.session.admission import STEP_FORCE, Refusal, check_step, refusal, stability_warning
 from maglev_mj.session.live import device_controller, live_plant
 from maglev_mj.session.pacing import Due, Pacer, real_time
-from maglev_mj.session.session import Session
-from maglev_mj.session.snapshot import History, Publisher, Publishers, SampledMotion, Snapshot, SnapshotSource, Wish
+from maglev_mj.session.session import TIME_SCALES, Session
+from maglev_mj.session.snapshot import (
+    SHOWN,
+    History,
+    Publisher,
+    Publishers,
+    SampledMotion,
+    Snapshot,
+    SnapshotSource,
+    Wish,
+)
 from maglev_mj.session.stretch import begin_scene
 
 __all__ = [
     "DEVICES_OWN",
     "EMERGENCY_STOP",
+    "SHOWN",
     "STEP_FORCE",
+    "TIME_SCALES",
     "Due",
     "History",
     "Pacer",

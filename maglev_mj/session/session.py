@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from maglev_mj.errors import MaglevError, ParameterError
-from maglev_mj.hand import HandForce, SpringHand
+from maglev_mj.errors import MaglevError, ParameterError, not_one_of
+from maglev_mj.hand import HandForce, SpringHand, Trajectory
 from maglev_mj.parameters import number
 from maglev_mj.recording import RecordingFile
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene
-from maglev_mj.session.actions import DEVICES_OWN, EMERGENCY_STOP, actions
+from maglev_mj.session.actions import DEVICES_OWN, EMERGENCY_STOP, actions, settable
 from maglev_mj.session.admission import STEP_FORCE, check_step
 from maglev_mj.session.live import centred, lifted
 from maglev_mj.session.pacing import Pacer
@@ -20,11 +21,18 @@ from maglev_mj.session.snapshot import History, Publisher, Publishers, Snapshot
 from maglev_mj.session.stretch import LiveStretch
 from maglev_mj.session.tape import Tape
 
-__all__ = ["Session"]
+__all__ = ["TIME_SCALES", "Session"]
 
-_OWN = "next scene", "drop", "centre", "pause", "record", EMERGENCY_STOP
+_OWN = "next scene", "drop", "centre", "pause", "step", "slower", "faster", "record", EMERGENCY_STOP
+_CHOOSES = "scene "
+"""Begins the actions that choose a scene by its name."""
+
+TIME_SCALES = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
+"""Steps of slow motion."""
 
 _MADE = -0.1
+_RENEWED = 0.1
+"""Real time at least from one change of parameters to the next that is in force [s]."""
 
 
 class Session:
@@ -73,7 +81,9 @@ class Session:
         self._tape = Tape(folder, file)
         if record is not None:
             self._tape.start(record)
-        self._paused, self._stopped = False, ""
+        self._paused, self._stopped, self._steps = False, "", 0
+        self._time_scale = 1.0
+        self._changed, self._unchanged = False, _RENEWED
         self._publishers, self._ticks, self._since = Publishers(publishers), 0, 0
         self._step_force = number("step_force", step_force, above=0.0)
         self._stretch = self._begin(self._scene.start().pose)
@@ -92,16 +102,23 @@ class Session:
         Returns:
             How many control ticks were made; none while paused or stopped.
         """
-        made, before = 0, self._ticks
-        if self._paused or self._stopped:
-            self._pacer.forgive()
-            self._take_wanted()
-        else:
-            try:
-                self._pacer.advance(elapsed, self._scene.period, self._one)
-            except MaglevError as error:
-                self._stop(str(error))
-            made = self._ticks - before
+        before = self._ticks
+        self._unchanged += elapsed
+        try:
+            if self._changed and self._unchanged >= _RENEWED:
+                self._unchanged = 0.0
+                self._go_on()
+            if self._paused or self._stopped:
+                self._pacer.forgive()
+                self._take_wanted()
+                while self._steps and not self._stopped:
+                    self._steps -= 1
+                    self._one()
+            else:
+                self._pacer.advance(elapsed * self._time_scale, self._stretch.scene.period, self._one)
+        except MaglevError as error:
+            self._stop(str(error))
+        made, self._steps = self._ticks - before, 0
         self._tape.missed(self._pacer.missed)
         self._publishers.show(self.snapshot)
         return made
@@ -109,7 +126,8 @@ class Session:
     @property
     def actions(self) -> Sequence[str]:
         """Names of what `act` does to the present scene."""
-        return *actions(type(self._scene)), *_OWN
+        names = (f"{_CHOOSES}{cls.name}" for cls in self._scenes)
+        return *actions(type(self._scene)), *_OWN, *names
 
     def act(self, action: str) -> None:
         """Do one of `actions`.
@@ -119,18 +137,22 @@ class Session:
         """
         changes = actions(type(self._scene))
         if action in changes:
-            self._scene = changes[action](self._scene)
-            self._go_on()
+            self._adopt(changes[action](self._scene))
         elif action == EMERGENCY_STOP:
             self._stop(EMERGENCY_STOP)
         elif action == "pause":
             self._paused = not self._paused
+        elif action == "step":
+            self._paused, self._steps = True, self._steps + 1
+        elif action in ("slower", "faster"):
+            place = int(np.searchsorted(TIME_SCALES, self._time_scale)) + (1 if action == "faster" else -1)
+            self._time_scale = TIME_SCALES[min(max(place, 0), len(TIME_SCALES) - 1)]
         elif action == "record":
             self._record()
         elif action == "next scene":
-            place = self._scenes.index(type(self._scene)) + 1
-            self._scene = self._scenes[place % len(self._scenes)]()
-            self._restart(self._scene.start().pose)
+            self._choose((self._scenes.index(type(self._scene)) + 1) % len(self._scenes))
+        elif action in (chosen := [f"{_CHOOSES}{cls.name}" for cls in self._scenes]):
+            self._choose(chosen.index(action))
         elif action == "drop":
             self._scene, pose = lifted(self._scene)
             self._restart(pose)
@@ -138,11 +160,35 @@ class Session:
             self._scene = centred(self._scene)
             self._restart(self._scene.start().pose)
         else:
-            raise ParameterError(f"action must be one of {', '.join(self.actions)}, not {action!r}")
+            raise ParameterError(not_one_of("action", self.actions, action))
+
+    def change(self, parameters: Mapping[str, Any]) -> None:
+        """Change live parameters of the scene, period and delay too, or the session's own.
+
+        They are in force with the next tick; of those that follow within 0.1 s, only the newest are, after that.
+
+        Args:
+            parameters: Values by name; `time_scale` (simulated time for each second of real time, 0.001 to 1) and
+                `hand_stiffness` [N/m] are the session's.
+
+        Raises:
+            ParameterError: If there is no such live parameter, or the scene refuses a value; nothing changes then.
+        """
+        given = dict(parameters)
+        stiffness = number("hand_stiffness", given.pop("hand_stiffness", self.hand.stiffness), at_least=0.0)
+        least, most = TIME_SCALES[0], TIME_SCALES[-1]
+        scale = number("time_scale", given.pop("time_scale", self._time_scale), at_least=least, at_most=most)
+        known = (*DEVICES_OWN, *settable(self._scene))
+        if unknown := sorted(set(given) - set(known)):
+            names = ", ".join((*known, "hand_stiffness", "time_scale"))
+            raise ParameterError(f"parameters must be of {names}, not {', '.join(unknown)}")
+        if given:
+            self._adopt(self._scene.replace(**given))
+        self.hand.stiffness, self._time_scale = stiffness, scale
 
     def snapshot(self) -> Snapshot:
         """Return the picture of now."""
-        stretch = self._stretch
+        stretch, target = self._stretch, self.hand.goal
         return Snapshot(
             scene=self._scene,
             since=self._since,
@@ -152,6 +198,9 @@ class Session:
             pose=stretch.pose,
             force=stretch.rendered,
             hand=np.array(stretch.plant.hand_wrench),
+            stops=stretch.plant.stop_wrench,
+            target=None if isinstance(target, Trajectory) else target,
+            hand_stiffness=self.hand.stiffness,
             currents=stretch.plant.currents,
             faces=stretch.faces,
             anchors=stretch.anchors,
@@ -160,6 +209,9 @@ class Session:
             taken=stretch.energy.taken,
             cost=self._pacer.cost,
             missed=self._pacer.missed,
+            late=self._pacer.late,
+            time_scale=self._time_scale,
+            actions=self.actions,
             state="stopped" if self._stopped else "paused" if self._paused else "running",
             reason=self._stopped,
             notes=self._notes(),
@@ -184,7 +236,7 @@ class Session:
         self._take_wanted()
         self._stretch.tick()
         self._ticks += 1
-        self.simulated += self._scene.period
+        self.simulated += self._stretch.scene.period
         if self._stretch.energy.stored < _MADE:
             made = -self._stretch.energy.stored
             raise MaglevError(f"the rendered world made {made * 1e3:.0f} mJ more than it took: it is unstable")
@@ -197,6 +249,8 @@ class Session:
             scene = self._scene
             if type(wish.scene) is not type(scene):
                 raise ParameterError(f"settings must be those of {scene.name}, not of {wish.scene.name}")
+            if self._changed:  # what the person asks for comes first
+                self._go_on()
             wanted = wish.scene.replace(**{name: getattr(scene, name) for name in DEVICES_OWN})
             if not self._stopped:  # otherwise it starts anew
                 stretch = self._stretch
@@ -210,6 +264,7 @@ class Session:
 
     def _begin(self, pose: Sequence[float], *, going_on: bool = False) -> LiveStretch:
         """Return a new stretch, at rest or as the last one left it."""
+        self._changed = False
         began, self._since, start = 0.0, self._ticks, self._scene.start()
         twist, wrench = start.twist, start.wrench
         if going_on:
@@ -224,6 +279,25 @@ class Session:
             began=began,
             keep=self._history.add,
         )
+
+    def _adopt(self, scene: Scene) -> None:
+        """Go on with other parameters from the next tick on.
+
+        Raises:
+            MaglevError: If its controller or its timing cannot be made.
+        """
+        if self._stopped:
+            self._scene = scene
+            self._go_on()
+        elif scene != self._scene:
+            scene.timing()
+            scene.controller()
+            self._scene, self._changed = scene, True
+
+    def _choose(self, place: int) -> None:
+        """Start another scene."""
+        self._scene = self._scenes[place]()
+        self._restart(self._scene.start().pose)
 
     def _go_on(self) -> None:
         """Make plant and controller anew where the flotor is; one that was stopped starts again."""
@@ -248,13 +322,4 @@ class Session:
             self._go_on()
 
     def _notes(self) -> list[str]:
-        notes = []
-        if self._stopped:
-            notes.append(f"STOPPED: {self._stopped}")
-        elif self._paused:
-            notes.append("PAUSED")
-        if self._pacer.late:
-            notes.append("TOO SLOW: this machine cannot keep up, simulated time slows down")
-        if self._tape.note:
-            notes.append(self._tape.note)
-        return notes
+        return [*([self._tape.note] if self._tape.note else []), *self._publishers.notes]

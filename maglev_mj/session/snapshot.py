@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 
@@ -21,8 +20,10 @@ __all__ = ["History", "Publisher", "Publishers", "SampledMotion", "Snapshot", "S
 SHOWN = 2.0
 """Time that a history covers [s]."""
 
-_COLUMNS, _LEAST_ROWS = 5, 512
+_COLUMNS, _LEAST_ROWS = 25, 512
 _NAN = float("nan")
+
+_Six: TypeAlias = Sequence[float] | Array
 
 
 def _zeros() -> Array:
@@ -44,14 +45,21 @@ class Snapshot:
         force: Wrench that the device holds, after every limit and without pulses, beyond what carries the flotor
             [N, N m], (6,).
         hand: Wrench of the hand [N, N m], (6,); zeros where it is not measured.
+        stops: Wrench of the metal stops [N, N m], (6,); zeros where it is not measured.
+        target: Pose to which the hand's spring pulls [m, rad]; None where it has let go, or pulls along a path.
+        hand_stiffness: Stiffness of that spring [N/m].
         currents: Currents in the coils [A], (6,).
         faces: Every wall: index into AXES, normal, edge.
         anchors: Stick positions [m, rad], (6,), NaN on axes that do not stick; None without friction.
-        history: Latest samples on the shown axis, (N, 5): time, position, velocity, force of device and of hand.
+        history: Latest samples, (N, 25): time, then pose, twist, wrench of the device and of the hand, six each.
         work: Work of the hand [J].
         taken: Energy taken in by the rendered world [J]; NaN where it is not known.
         cost: Real time of a tick [s].
         missed: Ticks given up, or samples that did not arrive.
+        late: Whether ticks are being given up: this machine cannot keep up.
+        time_scale: Simulated time for each second of real time.
+        duration: Length of a recording [s]; None for what runs now.
+        actions: Names that `act` takes.
         state: "running", "paused", "stopped" or "flying".
         reason: Why it has stopped; empty otherwise.
         remedy: How to go on once it has.
@@ -67,6 +75,9 @@ class Snapshot:
     pose: Array = field(default_factory=_zeros)
     force: Array = field(default_factory=_zeros)
     hand: Array = field(default_factory=_zeros)
+    stops: Array = field(default_factory=_zeros)
+    target: Sequence[float] | None = None
+    hand_stiffness: float = SpringHand.stiffness
     currents: Array = field(default_factory=_zeros)
     faces: Sequence[tuple[int, float, float]] = ()
     anchors: Array | None = None
@@ -75,6 +86,10 @@ class Snapshot:
     taken: float = _NAN
     cost: float = 0.0
     missed: int = 0
+    late: bool = False
+    time_scale: float = 1.0
+    duration: float | None = None
+    actions: Sequence[str] = ()
     state: str = "running"
     reason: str = ""
     remedy: str = "/ starts again"
@@ -91,7 +106,14 @@ class SnapshotSource(Protocol):
         """Advance by a stretch of real time [s]; return the number of control ticks made."""
 
     def act(self, action: str) -> None:
-        """Do the action of a key."""
+        """Do one of a snapshot's actions."""
+
+    def change(self, parameters: Mapping[str, Any]) -> None:
+        """Change parameters by name.
+
+        Raises:
+            ParameterError: If there is no such parameter, or a value is refused.
+        """
 
     def snapshot(self) -> Snapshot:
         """Return the picture of now."""
@@ -110,18 +132,29 @@ class History:
         """Forget every sample."""
         self._rows, self._end = np.empty((_LEAST_ROWS, _COLUMNS)), 0
 
-    def add(self, *row: float) -> None:
-        """Add a sample: time, position, velocity, force of the device and of the hand."""
+    def add(self, time: float, pose: _Six, twist: _Six, force: _Six, hand: _Six) -> None:
+        """Add a sample: time, then pose, twist, wrench of the device and of the hand, six each."""
         if self._end == len(self._rows):
-            kept = self.rows
-            self._rows, self._end = np.empty((2 * len(kept) + _LEAST_ROWS, _COLUMNS)), len(kept)
-            self._rows[: self._end] = kept
-        self._rows[self._end] = row
+            self._make_room(1)
+        row = self._rows[self._end]
+        row[0], row[1:7], row[7:13], row[13:19], row[19:] = time, pose, twist, force, hand
         self._end += 1
+
+    def extend(self, rows: Array) -> None:
+        """Add samples as `rows` gives them, (N, 25)."""
+        if self._end + len(rows) > len(self._rows):
+            self._make_room(len(rows))
+        self._rows[self._end : self._end + len(rows)] = rows
+        self._end += len(rows)
+
+    def _make_room(self, count: int) -> None:
+        kept = self.rows
+        self._rows, self._end = np.empty((2 * (len(kept) + count) + _LEAST_ROWS, _COLUMNS)), len(kept)
+        self._rows[: self._end] = kept
 
     @property
     def rows(self) -> Array:
-        """Samples of the last two seconds, (N, 5)."""
+        """Samples of the last two seconds, (N, 25)."""
         rows = self._rows[: self._end]
         return rows[np.searchsorted(rows[:, 0], rows[-1, 0] - SHOWN) :] if len(rows) else rows
 
@@ -129,16 +162,13 @@ class History:
 class SampledMotion:
     """Derive speed and work of the hand from samples alone.
 
-    Args:
-        axis: Index into AXES of the shown axis.
-
     Attributes:
         history: The last two seconds.
     """
 
-    def __init__(self, axis: int) -> None:
-        self.history, self._axis = History(), axis
-        self._hand, self._last = HandWork(), (0.0, float("nan"))
+    def __init__(self) -> None:
+        self.history, self._hand = History(), HandWork()
+        self._last: tuple[float, Array] | None = None
 
     @property
     def work(self) -> float:
@@ -154,13 +184,10 @@ class SampledMotion:
             force: Wrench of the device beyond what carries the flotor [N, N m], (6,).
             hand: Wrench of the hand [N, N m], six.
         """
-        position = float(pose[self._axis])
         self._hand.add(pose, hand)
-        before, last = self._last
-        if math.isnan(last):
-            before, last = time - 1.0, position
-        self.history.add(time, position, (position - last) / (time - before), force[self._axis], hand[self._axis])
-        self._last = time, position
+        before, last = self._last or (time - 1.0, pose)
+        self.history.add(time, pose, (pose - last) / (time - before), force, hand)
+        self._last = time, pose
 
 
 def _unheard(_: int | str) -> None: ...
@@ -179,7 +206,10 @@ class Wish(NamedTuple):
 
 
 class Publisher(Protocol):
-    """A way to other programs. It never waits, for it is called where the samples are answered."""
+    """A way to other programs. It never waits, for it is called where the samples are answered.
+
+    If it has a `note`, that is shown to the person.
+    """
 
     def take(self) -> Wish | None:
         """Return what a program asks for, once."""
@@ -212,6 +242,11 @@ class Publishers:
         made = snapshot()
         for publisher in self._publishers:
             publisher.show(made)
+
+    @property
+    def notes(self) -> list[str]:
+        """Messages for the person at the window."""
+        return [note for publisher in self._publishers if (note := getattr(publisher, "note", ""))]
 
     def wanted(self) -> Wish | None:
         """Return what a program asks for, once."""

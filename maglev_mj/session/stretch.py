@@ -52,6 +52,7 @@ class LiveStretch:
         keep: Called after each tick with a row of history, see `History.add`.
 
     Attributes:
+        scene: The scene.
         energy: Where the energy went.
         faces: Every wall: index into AXES, normal, edge.
     """
@@ -77,7 +78,7 @@ class LiveStretch:
         self.energy = EnergyAccount(np.array(pose), self._carried)
         self.faces = self.controller.faces
         self._loop = ControlLoop(self.plant, self.controller, observe=self._observe, record=record)
-        self._axis, self._keep, self._began = scene.axis_index, keep, began
+        self.scene, self._keep, self._began = scene, keep, began
         self.ticks, self._period = 0, scene.period
         self.pose, self.twist = np.array(pose, dtype=np.float64), np.array(twist, dtype=np.float64)
         self.force: Sequence[float] = wrench
@@ -104,10 +105,9 @@ class LiveStretch:
         return rendered
 
     def _observe(self, sample: Sample, applied: Command) -> None:
-        plant, axis = self.plant, self._axis
+        plant = self.plant
         self.pose, self.twist = plant.state()
         effort = plant.hand_wrench
         self.energy.add(self.pose, effort, plant.work)
         self.force = applied.force
-        force = float(applied.force[axis] - self._carried[axis])
-        self._keep(self.time, self.pose[axis], self.twist[axis], force, effort[axis])
+        self._keep(self.time, self.pose, self.twist, self.rendered, effort)

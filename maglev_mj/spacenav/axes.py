@@ -1,7 +1,7 @@
 """The six numbers that programs are told: deflections, or the rates of a slave.
 
 spacenav has y up and z away from the person, the device z up and y away: the two are exchanged, of translations and
-rotations alike, and no sign changes. Turns are right-handed about those directions in both. `AxisMapping` does it.
+rotations alike, and no sign changes. Turns are right-handed about those directions in both.
 """
 
 from __future__ import annotations
@@ -19,7 +19,10 @@ from maglev_mj.spacenav.navigation import Navigation, Navigator
 from maglev_mj.spacenav.protocol import MOST
 from maglev_mj.spec import RANGE
 
-__all__ = ["FULL", "FULL_POSE", "FULL_RATE", "REST", "RUNS", "Axes", "PoseAxes", "RateAxes"]
+__all__ = ["EXCHANGED", "FULL", "FULL_POSE", "FULL_RATE", "REST", "RUNS", "Axes", "PoseAxes", "RateAxes"]
+
+EXCHANGED = [0, 2, 1, 3, 5, 4]
+"""Index of the device's axis behind each of spacenav's, and of spacenav's behind each of the device's."""
 
 FULL = 500
 """What is said of a full deflection or rate; what programs divide by."""
@@ -61,7 +64,7 @@ class PoseAxes:
         if snapshot.state not in RUNS:
             return REST
         deflection = self._mapping.outside(np.asarray(snapshot.pose), FULL_POSE)
-        return _whole(told(self._mapping(deflection / FULL_POSE)))
+        return _whole(told(self._mapping((deflection / FULL_POSE)[EXCHANGED])))
 
 
 class RateAxes:
@@ -93,7 +96,8 @@ class RateAxes:
             return REST
         elapsed = 0.0 if before is None else max(snapshot.time - before, 0.0)
         pose = self._mapping.outside(np.asarray(snapshot.pose), FULL_POSE)
-        moved = self._mapping(self.navigator.move(pose, snapshot.anchors, elapsed, snapshot.force) / FULL_RATE)
+        way = self.navigator.move(pose, snapshot.anchors, elapsed, snapshot.force) / FULL_RATE
+        moved = self._mapping(way[EXCHANGED])
         self._owed = moved + (self._owed * (moved != 0.0) if self._mapping.dominant else self._owed)
         if elapsed == 0.0:
             return REST

@@ -10,17 +10,14 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Array
 from maglev_mj.parameters import Parameters, param
 
-__all__ = ["AxisMapping"]
-
-_OF = {"x": 0, "y": 2, "z": 1, "rx": 3, "ry": 5, "rz": 4}
-"""Axis of the device behind each of spacenav's: y is up and z away there, the other way round here."""
+__all__ = ["AxisMapping", "SpacenavMapping"]
 
 _NOTHING, _NONE = "0", "none"
 _FINITE = 1e6
 
 
 class AxisMapping(Parameters):
-    """Settings between a deflected handle and the six numbers told of it.
+    """Settings between the deflections of an input device and the six numbers made of them.
 
     The dead zone is taken off each deflection first. Then come order and signs, the gains, and the choice of the
     largest. The defaults change no number.
@@ -31,23 +28,15 @@ class AxisMapping(Parameters):
     Example:
         >>> mapping = AxisMapping(order="x,y,z,0,0,0", invert="y", dominant=True)
         >>> mapping([0.2, 0.1, 0.5, 0.9, 0.0, 0.0]).tolist()
-        [0.0, -0.5, 0.0, 0.0, 0.0, 0.0]
+        [0.0, 0.0, 0.5, 0.0, 0.0, 0.0]
     """
 
     gain: float = param("factor on translations", default=1.0, at_least=0.0, at_most=100.0)
     turning_gain: float = param("factor on rotations", default=1.0, at_least=0.0, at_most=100.0)
     dead_zone: float = param("share of a full deflection that counts as none", default=0.0, at_least=0.0, at_most=0.9)
-    order: str = param("what each of the six numbers tells, 0 for nothing", default=",".join(AXES))
-    invert: str = param("numbers told with the opposite sign, such as x,rz", default=_NONE)
-    dominant: bool = param("tell the largest of the six numbers alone", default=False)
-    press: float | None = param(
-        "force of a tap on the lower or the upper wall, which is button 0 or 1",
-        "N",
-        default=None,
-        optional=True,
-        at_least=0.5,
-        at_most=50.0,
-    )
+    order: str = param("axis behind each of the six numbers, 0 for none", default=",".join(AXES))
+    invert: str = param("numbers with the opposite sign, such as x,rz", default=_NONE)
+    dominant: bool = param("keep the largest of the six numbers alone", default=False)
 
     def check(self) -> None:
         """See `Parameters`."""
@@ -71,10 +60,10 @@ class AxisMapping(Parameters):
         return beyond
 
     def __call__(self, shares: Array) -> Array:
-        """Return the shares to tell, (6,), in spacenav's order; NaN counts as 0.
+        """Return the six numbers, (6,); NaN counts as 0.
 
         Args:
-            shares: Of the full deflection or rate, (6,), in the device's order.
+            shares: Of the full deflection or rate, (6,).
         """
         told: Array = self._matrix @ np.nan_to_num(shares, posinf=_FINITE, neginf=-_FINITE)
         if self.dominant:
@@ -90,5 +79,22 @@ class AxisMapping(Parameters):
         for row, (name, source) in enumerate(zip(AXES, self.order.split(","))):
             if source != _NOTHING:
                 gain = self.gain if row < 3 else self.turning_gain
-                matrix[row, _OF[source]] = -gain if name in self._inverted() else gain
+                matrix[row, AXES.index(source)] = -gain if name in self._inverted() else gain
         return matrix
+
+
+class SpacenavMapping(AxisMapping):
+    """Settings of the joystick as a 3D mouse, its buttons included.
+
+    Raises:
+        ParameterError: See `AxisMapping`.
+    """
+
+    press: float | None = param(
+        "force of a tap on the lower or the upper wall, which is button 0 or 1",
+        "N",
+        default=None,
+        optional=True,
+        at_least=0.5,
+        at_most=50.0,
+    )

@@ -11,10 +11,11 @@ from pathlib import Path
 
 from maglev_mj.errors import MaglevError, ParameterError
 
-__all__ = ["Place", "default_path"]
+__all__ = ["Place", "default_path", "searched_paths"]
 
 _LONGEST = 107  # bytes: what a Unix socket's address has room for
 _WAITING = 16
+_SETTINGS, _DAEMONS = Path("/etc/spnavrc"), Path("/var/run/spnav.sock")
 
 
 def default_path() -> Path:
@@ -24,6 +25,21 @@ def default_path() -> Path:
     if folder := os.environ.get("XDG_RUNTIME_DIR"):
         return Path(folder) / "maglev-spnav.sock"
     return Path(tempfile.gettempdir()) / f"maglev-spnav-{os.getuid()}.sock"
+
+
+def searched_paths() -> list[Path]:
+    """Return the possible sockets of a 3D mouse, first choice first.
+
+    Source: libspnav 1.0, `spnav_open`: $SPNAV_SOCKET, the first `socket = PATH` of /etc/spnavrc, /var/run/spnav.sock.
+    """
+    try:
+        lines = _SETTINGS.read_text(errors="replace").splitlines()
+    except OSError:
+        lines = []
+    split = [line.strip().partition("=") for line in lines]
+    set_there = [path.strip() for word, _, path in split if word.startswith("socket") and path.strip()]
+    named = os.environ.get("SPNAV_SOCKET")
+    return [*map(Path, [named] if named else []), *map(Path, set_there[:1]), _DAEMONS]
 
 
 class Place:

@@ -10,9 +10,21 @@ from __future__ import annotations
 import struct
 from collections.abc import Sequence
 
+from maglev_mj.frames import AXES
 from maglev_mj.parameters import flag
 
-__all__ = ["ALL_EVENTS", "DEVICE", "EVENT", "MOST", "Conversation", "GarbageError", "button_event", "motion_event"]
+__all__ = [
+    "ALL_EVENTS",
+    "DEVICE",
+    "EVENT",
+    "GREETING",
+    "MOST",
+    "Conversation",
+    "GarbageError",
+    "button_event",
+    "motion_event",
+    "read_event",
+]
 
 EVENT = 32
 """Bytes of an event, a request, or an answer."""
@@ -25,6 +37,10 @@ DEVICE = b"maglev_mj"
 
 _WORDS, _WORD, _FLOAT = struct.Struct("=8i"), struct.Struct("=I"), struct.Struct("=f")
 _MOTION, _PRESS, _RELEASE = 0, 1, 2
+
+GREETING = _FLOAT.pack(1.0)
+"""First word of a client that stays in protocol 0: its sensitivity."""
+
 _WANTS_MOTION, _WANTS_BUTTONS = 1, 2
 MOST = 32767
 """Largest value of an axis that is told."""
@@ -52,6 +68,16 @@ def motion_event(axes: Sequence[int], period: int) -> bytes:
 def button_event(number: int, down: bool) -> bytes:
     """Return the event of a button that is pressed or released."""
     return _WORDS.pack(_PRESS if flag("down", down) else _RELEASE, number, down, 0, 0, 0, 0, 0)
+
+
+def read_event(event: bytes) -> tuple[tuple[int, ...] | None, int | None]:
+    """Return the axes of a motion and the number of a pressed button; None for each that the event is not about.
+
+    Args:
+        event: The event, 32 bytes.
+    """
+    kind, *values = _WORDS.unpack(event)
+    return tuple(values[: len(AXES)]) if kind == _MOTION else None, values[0] if kind == _PRESS else None
 
 
 class Conversation:

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import glfw
 
+from maglev_mj.display.banner import banner
 from maglev_mj.parameters import Parameter
 from maglev_mj.scenes import Scene
 from maglev_mj.session import DEVICES_OWN, EMERGENCY_STOP, Snapshot, actions
@@ -115,6 +116,7 @@ def status_text(snapshot: Snapshot, notes: tuple[str, ...] = ()) -> tuple[str, s
     taken = f"world {'MADE' if made else 'took'} {(-snapshot.taken if made else snapshot.taken) * 1e3:.1f} mJ"
     if math.isnan(snapshot.taken):  # a recording does not say
         taken = "world not known"
+    said = banner(snapshot)
     rows = [
         ("scene", f"{scene.name}: {scene.describe()}"),
         ("on", ", ".join(on) or "nothing"),
@@ -123,7 +125,7 @@ def status_text(snapshot: Snapshot, notes: tuple[str, ...] = ()) -> tuple[str, s
         ("tick", f"{snapshot.cost * 1e6:.0f} us, {snapshot.missed} missed, {snapshot.time:.1f} s"),
         ("energy", f"hand gave {snapshot.work * 1e3:.1f} mJ, {taken}"),
         ("arrows", f"green hand, red device, 5 N = {5e3 * ARROW:.0f} mm"),
-        *(("", note) for note in (*snapshot.notes, *notes)),
+        *(("", note) for note in (said.text if said else "", *snapshot.notes, *notes) if note),
     ]
     names, values = zip(*rows, strict=True)
     return "\n".join(names), "\n".join(values)

@@ -1,0 +1,65 @@
+"""Colours by their role, told apart with every common colour vision; after Okabe and Ito's palette."""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+__all__ = [
+    "BAD",
+    "BOUNDARY",
+    "DEVICE",
+    "GOOD",
+    "HAND",
+    "MEASURED",
+    "SERIES",
+    "STOP",
+    "STUCK",
+    "TOUCHED",
+    "WALL",
+    "Colour",
+    "hex_of",
+]
+
+Colour: TypeAlias = tuple[float, float, float]
+"""Red, green and blue, each from 0 to 1."""
+
+_BLUE, _VERMILLION, _GREEN = (0.0, 0.447, 0.698), (0.835, 0.369, 0.0), (0.0, 0.62, 0.451)
+_SKY, _ORANGE, _PURPLE, _INK = (0.337, 0.706, 0.914), (0.902, 0.624, 0.0), (0.8, 0.475, 0.655), (0.12, 0.13, 0.15)
+
+HAND: Colour = _BLUE
+"""Force of the hand."""
+
+DEVICE: Colour = _VERMILLION
+"""Force of the device."""
+
+STOP: Colour = _INK
+"""Metal stops and their force."""
+
+WALL: Colour = _SKY
+"""A wall that is not touched."""
+
+TOUCHED: Colour = _ORANGE
+"""A wall or stop that is touched."""
+
+STUCK: Colour = _PURPLE
+"""Stick position of friction."""
+
+MEASURED: Colour = _SKY
+"""Position, and what else is measured of the flotor."""
+
+GOOD: Colour = _GREEN
+"""Stable, or as wanted."""
+
+BAD: Colour = _VERMILLION
+"""Unstable, stopped, or refused."""
+
+BOUNDARY: Colour = (0.62, 0.66, 0.70)
+"""Edge between stable and unstable, or of a wall in a plot."""
+
+SERIES: tuple[Colour, ...] = (_BLUE, _VERMILLION, _GREEN, _PURPLE, _ORANGE, _SKY, _INK)
+"""Colours of a chart's series, in order."""
+
+
+def hex_of(colour: Colour) -> str:
+    """Return a colour as #rrggbb."""
+    return "#" + "".join(f"{round(255 * part):02x}" for part in colour)

@@ -1,0 +1,167 @@
+"""A window or page in a process of its own: drawing must not hold up what has deadlines."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import replace
+from multiprocessing.connection import Connection
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from maglev_mj.display.banner import Note
+from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.hand import SpringHand
+from maglev_mj.process import SideProcess
+from maglev_mj.session import EMERGENCY_STOP, Due, History, Snapshot, SnapshotSource, Wish, actions, settable
+
+__all__ = ["Front", "RemoteSession", "RemoteViewer"]
+
+_MOST_ROWS = 400
+
+Front: TypeAlias = Callable[[SnapshotSource], object]
+"""Shows a source until the person or the source ends it; of a module, for another process gets it by its name."""
+
+
+class RemoteViewer:
+    """A window or page in a process of its own: a `Publisher`.
+
+    Args:
+        snapshot: What it shows at first.
+        front: Opens it there, such as what `viewer.process.window` returns.
+
+    Attributes:
+        hand: The mouse's.
+        on_close: Called once when the person has closed the window; may be replaced.
+        on_emergency: Called by `take` when the emergency stop's key was pressed; may be replaced, and may raise.
+    """
+
+    def __init__(self, snapshot: Snapshot, front: Front) -> None:
+        self.hand, self.on_close = SpringHand(), _nothing
+        self.on_emergency: Callable[[], object] = _nothing
+        self._scene, self._sent, self._open = snapshot.scene, -np.inf, True
+        self._note, self._due = Note(), Due()
+        self._front = SideProcess(_open, snapshot, front)
+
+    def show(self, snapshot: Snapshot) -> None:
+        """Show a snapshot; where the window does not keep up, it is left out."""
+        self._scene = snapshot.scene
+        if not self._front.ready:
+            return
+        # only the rows that are new, and so many that writing them cannot wait
+        rows = snapshot.history[np.searchsorted(snapshot.history[:, 0], self._sent, side="right") :]
+        self._sent = snapshot.time
+        self._front.send(replace(snapshot, history=rows[-_MOST_ROWS:]))
+
+    def take(self) -> Wish | None:
+        """Move the hand as the mouse does; return the scene that keys ask for."""
+        wanted = None
+        for kind, value in self._front.received():
+            if kind == "hand":
+                self.hand.target = value
+            elif value == EMERGENCY_STOP:
+                self.on_emergency()
+            elif kind == "change":
+                with suppress(ParameterError):  # a device's person sees what is in force
+                    known = settable(self._scene)
+                    given = {name: value[name] for name in value if name in known}
+                    self._scene = wanted = self._scene.replace(**given)
+            elif (change := actions(type(self._scene)).get(value)) is not None:
+                self._scene = wanted = change(self._scene)
+        self._look()
+        return None if wanted is None else Wish(wanted)
+
+    def serve(self, source: SnapshotSource) -> None:
+        """Do to a source what the person asks for, and show it; to be called between its ticks."""
+        for kind, value in self._front.received():
+            try:
+                if kind == "hand":
+                    source.hand.target = value
+                elif kind == "act":
+                    source.act(value)
+                else:
+                    source.change(value)
+            except MaglevError as error:
+                self._note.say(str(error))
+        self._look()
+        if self._front.ready and self._due():
+            snapshot = source.snapshot()
+            self.show(replace(snapshot, notes=[*snapshot.notes, *self._note.lines]))
+
+    def _look(self) -> None:
+        """Let go of the hand once the front is closed."""
+        if self._front.ended and self._open:
+            self._open, self.hand.target = False, None
+            self.on_close()
+
+    def close(self) -> None:
+        """Close the window; a second time does nothing."""
+        self._open = False
+        self._front.close()
+
+
+class RemoteSession:
+    """The session behind a window in a process of its own: a `SnapshotSource`.
+
+    Args:
+        line: To the process that runs the device.
+        snapshot: What is shown until the device has sent something.
+    """
+
+    def __init__(self, line: Connection, snapshot: Snapshot) -> None:
+        self.hand, self.simulated = SpringHand(), 0.0
+        self._line, self._snapshot, self._history = line, snapshot, History()
+        self._over = False
+        self._target: Any = None
+
+    def tick(self, elapsed: float) -> int:
+        """Take the snapshots that the device has sent; return the number of samples since the last."""
+        before = self._snapshot.tick
+        try:
+            while not self._over and self._line.poll():
+                self._snapshot = self._line.recv()
+                self._history.extend(self._snapshot.history)
+            if self._target != self.hand.target:
+                self._target = self.hand.target
+                self._line.send(("hand", self._target))
+        except (EOFError, OSError):
+            self._over = True
+            raise MaglevError("the device's program has ended") from None
+        made = self._snapshot.tick - before
+        self.simulated += made * self._snapshot.scene.period
+        return made
+
+    def act(self, action: str) -> None:
+        """Pass on the action of a key."""
+        if not self._over:
+            self._line.send(("act", action))
+
+    def change(self, parameters: Mapping[str, Any]) -> None:
+        """Pass on parameters."""
+        if not self._over:
+            self._line.send(("change", dict(parameters)))
+
+    def snapshot(self) -> Snapshot:
+        """Return the picture of now."""
+        return replace(self._snapshot, history=self._history.rows)
+
+    def close(self) -> None:
+        """Let the device's program know."""
+        self._line.close()
+
+
+def _nothing() -> None: ...
+
+
+def _open(line: Connection, snapshot: Snapshot, front: Front) -> None:
+    """Open the front; in its own process."""
+    try:
+        front(RemoteSession(line, snapshot))
+    except MaglevError:
+        pass  # the device's program has ended, and says why
+    finally:
+        line.close()
+        # the engine's viewer leaves threads that outlive it by seconds
+        os._exit(0)

@@ -1,0 +1,71 @@
+"""An input device as the hand: its deflections as the pose to which the hand's spring pulls."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from maglev_mj.frames import AXES
+from maglev_mj.hand import SpringHand
+from maglev_mj.hand_devices.reading import BUTTONS, InputDevice
+from maglev_mj.session import Snapshot
+from maglev_mj.spacenav import AxisMapping
+from maglev_mj.spec import RANGE
+
+__all__ = ["HAND_MAPPING", "HandDevice"]
+
+HAND_MAPPING = AxisMapping(gain=3.0, turning_gain=3.0, dead_zone=0.15)
+"""Settings by default: a full deflection pulls to three times the range, so that a wall can be pressed."""
+
+_FURTHEST = 1.0  # rad: a turn of more than pi would be one the other way round; no hand pulls so hard
+_FULL = np.ones(len(AXES))
+
+
+class HandDevice:
+    """An input device that moves the target of a hand; a `Publisher`.
+
+    A deflection is a pose: the hand holds all six axes there. At rest, within the dead zone on every axis, it is
+    released, so that the mouse can be used and friction holds the flotor. Another target of the hand, such as the
+    mouse's, has priority.
+
+    Args:
+        device: The device; closed with this.
+        hand: The hand.
+        mapping: Settings of the axes; `HAND_MAPPING` where it is None.
+
+    Attributes:
+        note: Message for the person at the window while the device is gone.
+        act: Called with the action of a button that is pressed; may be replaced.
+    """
+
+    def __init__(self, device: InputDevice, hand: SpringHand, mapping: AxisMapping | None = None) -> None:
+        self.note, self._device, self._hand, self._mapping = "", device, hand, mapping or HAND_MAPPING
+        self.act: Callable[[str], object] = _nothing
+
+    def take(self) -> None:
+        """Return None: a device asks for no other scene."""
+        return None
+
+    def show(self, snapshot: Snapshot) -> None:
+        """Move the hand; see `Publisher`."""
+        shares, pressed = self._device.read()
+        self.note = f"{self._device.name} is gone: the hand is released" if shares is None else ""
+        self._hand.device_target = None if shares is None else self._target(shares)
+        for number in pressed:
+            if number < len(BUTTONS):
+                self.act(BUTTONS[number])
+
+    def close(self) -> None:
+        """Release the hand and close the device; a second time does nothing."""
+        self._hand.device_target = None
+        self._device.close()
+
+    def _target(self, shares: Sequence[float]) -> list[float] | None:
+        """Return the pose to pull to [m, rad]; None at rest."""
+        outside = self._mapping.outside(np.asarray(shares), _FULL)
+        target = np.clip(self._mapping(outside) * RANGE, -_FURTHEST, _FURTHEST)
+        return target.tolist() if target.any() else None
+
+
+def _nothing(_: str) -> None: ...

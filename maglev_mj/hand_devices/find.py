@@ -1,0 +1,58 @@
+"""Search for input devices, and the choice of one by name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.hand_devices.gamepad import Gamepad, gamepad_names
+from maglev_mj.hand_devices.mouse import SpacenavMouse
+from maglev_mj.hand_devices.reading import InputDevice
+from maglev_mj.spacenav import searched_paths
+
+__all__ = ["AUTO", "described_devices", "open_device"]
+
+AUTO = "auto"
+"""Name of the first device that is there."""
+
+_MOUSE = "spacenav"
+
+
+def open_device(name: str = AUTO) -> InputDevice:
+    """Open an input device.
+
+    Args:
+        name: "auto", "spacenav" for the 3D mouse, the path of its socket, or part of a gamepad's name.
+
+    Raises:
+        ParameterError: If it is not there.
+    """
+    try:
+        if "/" in name:
+            return SpacenavMouse(Path(name))
+        if name in (AUTO, _MOUSE) and (mouse := _mouse()) is not None:
+            return mouse
+        if name != _MOUSE:
+            return Gamepad("" if name == AUTO else name)
+    except MaglevError:
+        pass
+    raise ParameterError(f"hand-device must be one of those that `--hand-device list` prints, not {name!r}") from None
+
+
+def described_devices() -> list[str]:
+    """Return a line about each device, the first choice of "auto" first."""
+    mouse = _mouse()
+    found = [] if mouse is None else [mouse.name]
+    if mouse is not None:
+        mouse.close()
+    return found + [f"gamepad {name}" for name in gamepad_names()]
+
+
+def _mouse() -> SpacenavMouse | None:
+    """Return the first 3D mouse that answers; None without one."""
+    for path in searched_paths():
+        try:
+            return SpacenavMouse(path)
+        except MaglevError:
+            continue
+    return None

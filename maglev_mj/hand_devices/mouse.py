@@ -1,0 +1,98 @@
+"""A 3D mouse by its driver's socket: a client of spacenav's protocol."""
+
+from __future__ import annotations
+
+import os
+import socket
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from maglev_mj.errors import MaglevError
+from maglev_mj.hand_devices.reading import GONE, Reading
+from maglev_mj.spacenav.axes import EXCHANGED, FULL, REST
+from maglev_mj.spacenav.protocol import EVENT, GREETING, read_event
+
+__all__ = ["SpacenavMouse"]
+
+_AT_ONCE = 65_536
+_AGAIN = 1.0
+
+
+class SpacenavMouse:
+    """A 3D mouse behind a spacenav socket, in protocol 0, which every spacenavd speaks.
+
+    Once the other end has gone, it is called again every second.
+
+    Args:
+        path: Of the socket.
+        clock: Returns real time [s].
+
+    Attributes:
+        name: What it is called.
+
+    Raises:
+        MaglevError: If nobody answers there.
+    """
+
+    def __init__(self, path: Path, clock: Callable[[], float] = time.monotonic) -> None:
+        self.name, self._path, self._clock = f"3D mouse at {path}", path, clock
+        self._line: socket.socket | None = None
+        self._call()
+        if self._line is None:
+            raise MaglevError(f"no {self.name}")
+
+    def read(self) -> Reading:
+        """Return its state; see `InputDevice`."""
+        if self._line is None and self._clock() >= self._next:
+            self._call()
+        if self._line is None:
+            return GONE
+        try:
+            data = self._line.recv(_AT_ONCE)
+        except BlockingIOError:
+            return Reading(self._shares)
+        except OSError:
+            data = b""
+        if not data:
+            self.close()
+            return GONE
+        pressed = self._hear(data)
+        return Reading(self._shares, pressed)
+
+    def close(self) -> None:
+        """Hang up; a second time does nothing."""
+        if self._line is not None:
+            self._line.close()
+        self._line, self._next = None, self._clock() + _AGAIN
+
+    def _call(self) -> None:
+        """Connect, if somebody answers."""
+        self._rest, self._shares = b"", _shares(REST)
+        if not hasattr(socket, "AF_UNIX"):
+            return
+        self._line = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        self._line.setblocking(False)
+        try:
+            self._line.connect(os.fspath(self._path))
+            self._line.send(GREETING)
+        except OSError:  # nobody is there, or too many wait
+            self.close()
+
+    def _hear(self, data: bytes) -> list[int]:
+        """Take the last motion of what has come, whole or in pieces; return the buttons pressed."""
+        self._rest += data
+        pressed = []
+        while len(self._rest) >= EVENT:
+            event, self._rest = self._rest[:EVENT], self._rest[EVENT:]
+            axes, button = read_event(event)
+            if axes is not None:
+                self._shares = _shares(axes)
+            if button is not None:
+                pressed.append(button)
+        return pressed
+
+
+def _shares(axes: tuple[int, ...]) -> tuple[float, ...]:
+    """Return shares of the full deflection, in the order of the device."""
+    return tuple(axes[index] / FULL for index in EXCHANGED)

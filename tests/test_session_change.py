@@ -1,0 +1,179 @@
+"""Changes of a running session: parameters, slow motion, single steps, scenes, the hand's spring; and the stops."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from maglev_mj.display.banner import Note, banner
+from maglev_mj.errors import ParameterError
+from maglev_mj.hand import SpringHand
+from maglev_mj.parameters import param
+from maglev_mj.scenes import Scene
+from maglev_mj.scenes.drop import Drop
+from maglev_mj.scenes.joystick import Joystick
+from maglev_mj.session import TIME_SCALES, Pacer, Session
+
+FRAME = 1.0 / 60.0
+
+
+def made(scene: Scene | None = None, **options: Any) -> Session:
+    """Return a session that no slow machine can make late."""
+    return Session(scene, pacer=Pacer(budget=60.0, patience=3600.0), **options)
+
+
+def test_a_change_is_in_force_with_the_next_tick() -> None:
+    session = made(Joystick())
+    session.tick(0.1)
+    session.change({"stiffness": 3000.0, "delay": 0.003})
+    assert session.snapshot().since == 0
+    made_ticks = session.snapshot().tick
+    session.tick(FRAME)
+    now = session.snapshot()
+    assert (now.scene.as_json()["stiffness"], now.scene.delay, now.since) == (3000.0, 0.003, made_ticks)
+
+
+def test_changes_in_quick_succession_act_together() -> None:
+    """A slider that is dragged at 50 Hz makes ten controllers a second, and the last value is in force at the end."""
+    session, begun = made(Joystick()), set()
+    for frame in range(100):
+        session.change({"stiffness": 3000.0 + frame})
+        session.tick(0.02)
+        begun.add(session.snapshot().since)
+    assert len(begun) == pytest.approx(2.0 / 0.1, abs=2)
+    session.tick(0.1)
+    assert session._stretch.scene == session.snapshot().scene == Joystick(stiffness=3099.0)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"stiffnes": 1.0}, "must be of period, delay, .*stiffness.*, not stiffnes"),
+        ({"stiffness": -1.0}, "stiffness must be"),
+        ({"stiffness": "much"}, "stiffness must be"),
+        ({"time_scale": 0.0}, "time_scale must be .* at least 0.001 and at most 1, not 0.0"),
+        ({"hand_stiffness": -1.0, "damping": 20.0}, "hand_stiffness must be"),
+        ({"delay": -1.0, "time_scale": 0.1}, "delay must be"),
+    ],
+)
+def test_a_change_that_is_refused_changes_nothing(given: dict[str, Any], said: str) -> None:
+    session = made(Joystick())
+    with pytest.raises(ParameterError, match=said):
+        session.change(given)
+    session.tick(0.2)
+    now = session.snapshot()
+    assert (now.scene, now.time_scale, now.hand_stiffness, now.since) == (Joystick(), 1.0, 200.0, 0)
+
+
+def test_laws_that_cannot_be_made_are_refused_where_they_are_asked_for() -> None:
+    class Fragile(Scene):
+        """No laws beyond 1."""
+
+        level: float = param("level", default=0.0, live=True)
+
+        def laws(self) -> list[Any]:
+            if self.level > 1.0:
+                raise ParameterError("level must be at most 1")
+            return []
+
+    session = made(Fragile())
+    with pytest.raises(ParameterError, match="level must be at most 1"):
+        session.change({"level": 2.0})
+    assert session.tick(0.1) == 20 and session.snapshot().scene == Fragile()
+
+
+@pytest.mark.parametrize("scale", TIME_SCALES)
+def test_slow_motion_is_simulated_time_over_real_time(scale: float) -> None:
+    session = made(Joystick(period=0.001, delay=0.0005))
+    session.change({"time_scale": scale})
+    for _ in range(60):
+        session.tick(FRAME)
+    assert session.simulated == pytest.approx(scale, abs=0.0011)
+    assert session.snapshot().time_scale == scale
+
+
+def test_slower_and_faster_go_through_every_step_and_stop_at_the_ends() -> None:
+    session, seen = made(), []
+    for action in [*["slower"] * 12, *["faster"] * 12]:
+        session.act(action)
+        seen.append(session.snapshot().time_scale)
+    down = [*TIME_SCALES[-2::-1], *[TIME_SCALES[0]] * 3]
+    assert seen == [*down, *TIME_SCALES[1:], *[1.0] * 3]
+
+
+def test_a_single_step_is_one_tick_and_pauses() -> None:
+    session = made()
+    session.tick(0.1)
+    before = session.snapshot().tick
+    session.act("step")
+    assert session.tick(5.0) == 1 and session.tick(5.0) == 0
+    session.act("step")
+    session.act("step")
+    assert session.tick(0.0) == 2
+    assert (session.snapshot().tick, session.snapshot().state) == (before + 3, "paused")
+
+
+def test_a_scene_is_chosen_by_its_name() -> None:
+    session = made()
+    for name in ("corner", "drop"):
+        session.act(f"scene {name}")
+        assert session.snapshot().scene.name == name
+
+
+def test_the_hand_pulls_as_stiffly_as_it_is_set() -> None:
+    session = made(Joystick(wall=False), hand=SpringHand(target=[1e-3, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    session.change({"hand_stiffness": 500.0})
+    session.tick(0.005)
+    assert session.snapshot().hand[0] == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize(("axis", "goal"), [(0, 9e-3), (1, -9e-3), (2, 9e-3), (3, 0.4), (4, -0.4), (5, 0.4)])
+def test_hand_device_and_stop_balance_at_rest(axis: int, goal: float) -> None:
+    """Pressed against a metal stop on any axis, turned besides: what is shown adds up to nothing."""
+    target = [0.0, 0.0, 0.0, 0.02, 0.03, 0.01]
+    target[axis] = goal
+    hand = SpringHand(target=target, stiffness=2000.0, turning_stiffness=2.0)
+    session = made(Joystick(wall=False, friction=False), hand=hand)
+    session.tick(3.0)
+    now = session.snapshot()
+    pushed = now.hand + now.force + now.stops
+    assert abs(now.stops[axis]) > 0.01
+    assert np.abs(pushed[:3]).max() < 0.02 * max(np.abs(now.hand[:3]).max(), 0.1)
+    assert np.abs(pushed[3:]).max() < 0.02 * max(np.abs(now.hand[3:]).max(), 0.01)
+
+
+def test_stops_do_nothing_away_from_them() -> None:
+    session = made(Joystick(wall=False), hand=SpringHand(target=[9e-3, *[0.0] * 5], stiffness=2000.0))
+    session.tick(2.0)
+    assert session.snapshot().stops[0] < -0.5
+    session.hand.target = None
+    session.act("centre")
+    session.tick(1.0)
+    assert not session.snapshot().stops.any()
+
+
+def test_a_banner_says_what_is_the_matter_and_the_way_on() -> None:
+    session = made(Drop())
+    assert banner(session.snapshot()) is None
+    session.act("pause")
+    assert banner(session.snapshot()) == ("PAUSED", "pause", False)
+    session.act("emergency stop")
+    assert banner(session.snapshot()) == ("STOPPED: emergency stop", "centre", True)
+
+
+def test_a_machine_that_is_too_slow_has_a_banner() -> None:
+    session = Session(pacer=Pacer(budget=1e-9, patience=0.01))
+    session.tick(1.0)
+    said = banner(session.snapshot())
+    assert said is not None and said.text.startswith("TOO SLOW") and said.way_on in session.snapshot().actions
+
+
+def test_a_note_goes_away() -> None:
+    now = [0.0]
+    note = Note(lambda: now[0])
+    assert note.lines == []
+    note.say("wrote a file")
+    now[0] = 5.0
+    assert note.lines == ["wrote a file"]
+    now[0] = 7.0
+    assert note.lines == []
