@@ -50,6 +50,7 @@ FLOORS = {
     "tables": 9,
     "conformance": 9,
     "cli": 10,
+    "__main__": 11,
 }
 ALLOWED = {
     "mujoco": {"model", "plants", "shapes", "versions", "viewer"},
@@ -58,6 +59,7 @@ ALLOWED = {
     "imageio": {"viewer"},
     "distributed": {"workers"},
     "serial": {"net"},
+    "argcomplete": {"cli"},
     "mcap": {"recording"},
     "foxglove": {"live", "recording"},
     "pyarrow": {"recording"},
