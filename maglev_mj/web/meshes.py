@@ -1,0 +1,98 @@
+"""Meshes of a device for a browser: its shapes as triangles, one mesh for each colour."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import trimesh
+from trimesh.visual.material import PBRMaterial
+
+from maglev_mj.frames import Array
+from maglev_mj.shapes import Shape
+
+__all__ = ["glb", "triangles"]
+
+_METALLIC, _ROUGHNESS = 0.15, 0.5
+_COARSE, _FINE = 10, 48
+_SMALL = 0.005
+"""Round shapes of a smaller radius have fewer sides [m]."""
+
+
+def glb(shapes: Sequence[Shape]) -> bytes:
+    """Return shapes as a binary glTF file, a mesh for each colour."""
+    scene = trimesh.Scene()
+    for colour in sorted({tuple(shape.colour) for shape in shapes}):
+        parts = [triangles(shape) for shape in shapes if tuple(shape.colour) == colour]
+        first = np.cumsum([0, *(len(points) for points, _, _ in parts)])
+        material = PBRMaterial(
+            baseColorFactor=list(colour),
+            metallicFactor=_METALLIC,
+            roughnessFactor=_ROUGHNESS,
+            alphaMode="OPAQUE" if colour[3] == 1.0 else "BLEND",
+        )
+        points, normals = (np.concatenate([part[index] for part in parts]) for index in (0, 1))
+        faces = np.concatenate([part[2] + start for part, start in zip(parts, first)])
+        visual = trimesh.visual.TextureVisuals(material=material)
+        mesh = trimesh.Trimesh(points, faces, vertex_normals=normals, visual=visual, process=False)
+        scene.add_geometry(mesh)
+    made: bytes = scene.export(file_type="glb")
+    return made
+
+
+def triangles(shape: Shape) -> tuple[Array, Array, Array]:
+    """Return corners (N, 3) [m], their normals (N, 3), and triangles as indices of corners (M, 3)."""
+    sides = _FINE if max(shape.half[:2]) > _SMALL else _COARSE
+    points, normals, faces = {"box": _box, "cylinder": _cylinder, "ellipsoid": _ellipsoid}[shape.kind](sides)
+    w, x, y, z = shape.turn
+    turn = np.array(
+        [
+            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
+            [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
+            [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
+        ]
+    )
+    across = normals / shape.half
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    return points * shape.half @ turn.T + shape.position, across @ turn.T, faces
+
+
+def _grid(rows: int, columns: int) -> Array:
+    """Return the triangles of a sheet of rows by columns of corners."""
+    corner = np.arange(rows * columns).reshape(rows, columns)
+    a, b, c, d = corner[:-1, :-1], corner[:-1, 1:], corner[1:, :-1], corner[1:, 1:]
+    return np.stack([np.stack([a, b, d], -1), np.stack([a, d, c], -1)]).reshape(-1, 3)
+
+
+def _box(_: int) -> tuple[Array, Array, Array]:
+    points, normals, faces = [], [], []
+    for axis in range(3):
+        for sign in (1.0, -1.0):
+            corners = np.empty((4, 3))
+            corners[:, axis] = sign
+            corners[:, (axis + 1) % 3] = np.array([-1.0, 1.0, -1.0, 1.0]) * sign
+            corners[:, (axis + 2) % 3] = [-1.0, -1.0, 1.0, 1.0]
+            faces.append(_grid(2, 2) + 4 * len(points))
+            points.append(corners)
+            normals.append(np.eye(3)[[axis] * 4] * sign)
+    return np.concatenate(points), np.concatenate(normals), np.concatenate(faces)
+
+
+def _circle(sides: int) -> Array:
+    angles = np.linspace(0.0, 2.0 * np.pi, sides + 1)
+    return np.stack([np.cos(angles), np.sin(angles), np.zeros(sides + 1)], -1)
+
+
+def _cylinder(sides: int) -> tuple[Array, Array, Array]:
+    rim, up, centre = _circle(sides), np.array([0.0, 0.0, 1.0]), np.zeros((sides + 1, 3))
+    sheets = [(rim - up, rim + up, rim), (rim + up, centre + up, centre + up), (centre - up, rim - up, centre - up)]
+    points = np.concatenate([part for low, high, _ in sheets for part in (low, high)])
+    normals = np.concatenate([part for _, _, normal in sheets for part in (normal, normal)])
+    faces = np.concatenate([_grid(2, sides + 1) + 2 * (sides + 1) * index for index in range(len(sheets))])
+    return points, normals, faces
+
+
+def _ellipsoid(sides: int) -> tuple[Array, Array, Array]:
+    heights = np.linspace(-0.5 * np.pi, 0.5 * np.pi, sides // 2 + 1)[:, None, None]
+    points = (np.cos(heights) * _circle(sides) + np.sin(heights) * [0.0, 0.0, 1.0]).reshape(-1, 3)
+    return points, points, _grid(sides // 2 + 1, sides + 1)
