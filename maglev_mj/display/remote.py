@@ -12,14 +12,28 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from maglev_mj.display.banner import Note
+from maglev_mj.display.glide import SILENCE, Glide
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.hand import SpringHand
+from maglev_mj.parameters import flag
+from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.process import SideProcess
-from maglev_mj.session import EMERGENCY_STOP, Due, History, Snapshot, SnapshotSource, Wish, actions, settable
+from maglev_mj.session import (
+    EMERGENCY_STOP,
+    Due,
+    History,
+    Snapshot,
+    SnapshotSource,
+    Wish,
+    actions,
+    real_time,
+    settable,
+)
 
-__all__ = ["Front", "RemoteSession", "RemoteViewer"]
+__all__ = ["Front", "RemoteSession", "RemoteViewer", "show_remotely"]
 
 _MOST_ROWS = 400
+_NAP = 0.001
 
 Front: TypeAlias = Callable[[SnapshotSource], object]
 """Shows a source until the person or the source ends it; of a module, for another process gets it by its name."""
@@ -31,6 +45,7 @@ class RemoteViewer:
     Args:
         snapshot: What it shows at first.
         front: Opens it there, such as what `viewer.process.window` returns.
+        watch: Whether nothing but an emergency stop is taken from it: no hand, no parameter.
 
     Attributes:
         hand: The mouse's.
@@ -38,11 +53,12 @@ class RemoteViewer:
         on_emergency: Called by `take` when the emergency stop's key was pressed; may be replaced, and may raise.
     """
 
-    def __init__(self, snapshot: Snapshot, front: Front) -> None:
+    def __init__(self, snapshot: Snapshot, front: Front, *, watch: bool = False) -> None:
+        self._watch = flag("watch", watch)
         self.hand, self.on_close = SpringHand(), _nothing
         self.on_emergency: Callable[[], object] = _nothing
         self._scene, self._sent, self._open = snapshot.scene, -np.inf, True
-        self._note, self._due = Note(), Due()
+        self._note, self._due, self._glide = Note(), Due(), Glide()
         self._front = SideProcess(_open, snapshot, front)
 
     def show(self, snapshot: Snapshot) -> None:
@@ -50,6 +66,8 @@ class RemoteViewer:
         self._scene = snapshot.scene
         if not self._front.ready:
             return
+        if snapshot.time < self._sent:  # it has started again
+            self._sent = -np.inf
         # only the rows that are new, and so many that writing them cannot wait
         rows = snapshot.history[np.searchsorted(snapshot.history[:, 0], self._sent, side="right") :]
         self._sent = snapshot.time
@@ -59,10 +77,12 @@ class RemoteViewer:
         """Move the hand as the mouse does; return the scene that keys ask for."""
         wanted = None
         for kind, value in self._front.received():
-            if kind == "hand":
-                self.hand.target = value
-            elif value == EMERGENCY_STOP:
+            if value == EMERGENCY_STOP:
                 self.on_emergency()
+            elif self._watch:
+                continue
+            elif kind == "hand":
+                self._glide.aim(value)
             elif kind == "change":
                 with suppress(ParameterError):  # a device's person sees what is in force
                     known = settable(self._scene)
@@ -71,6 +91,7 @@ class RemoteViewer:
             elif (change := actions(type(self._scene)).get(value)) is not None:
                 self._scene = wanted = change(self._scene)
         self._look()
+        self._glide.move(self.hand)
         return None if wanted is None else Wish(wanted)
 
     def serve(self, source: SnapshotSource) -> None:
@@ -78,7 +99,7 @@ class RemoteViewer:
         for kind, value in self._front.received():
             try:
                 if kind == "hand":
-                    source.hand.target = value
+                    self._glide.aim(value)
                 elif kind == "act":
                     source.act(value)
                 else:
@@ -86,6 +107,7 @@ class RemoteViewer:
             except MaglevError as error:
                 self._note.say(str(error))
         self._look()
+        self._glide.move(source.hand)
         if self._front.ready and self._due():
             snapshot = source.snapshot()
             self.show(replace(snapshot, notes=[*snapshot.notes, *self._note.lines]))
@@ -93,13 +115,39 @@ class RemoteViewer:
     def _look(self) -> None:
         """Let go of the hand once the front is closed."""
         if self._front.ended and self._open:
-            self._open, self.hand.target = False, None
+            self._open = False
+            self._glide.aim(None)
             self.on_close()
 
     def close(self) -> None:
         """Close the window; a second time does nothing."""
         self._open = False
         self._front.close()
+
+
+def show_remotely(source: SnapshotSource, front: Front, duration: float | None = None) -> None:
+    """Keep a source in real time, shown by a front in a process of its own, until that is closed; then close it.
+
+    Args:
+        source: What to show.
+        front: Shows it.
+        duration: End after so much real time [s]; None waits for the person.
+    """
+    closed: list[bool] = []
+    viewer = RemoteViewer(source.snapshot(), front)
+    viewer.on_close = lambda: closed.append(True)
+    try:
+        with engine_warnings_silenced():
+            for elapsed, _ in real_time(duration, _NAP):
+                source.tick(elapsed)
+                viewer.serve(source)
+                if closed:
+                    break
+    finally:
+        try:
+            source.close()
+        finally:
+            viewer.close()
 
 
 class RemoteSession:
@@ -115,15 +163,18 @@ class RemoteSession:
         self._line, self._snapshot, self._history = line, snapshot, History()
         self._over = False
         self._target: Any = None
+        self._due = Due(SILENCE / 5.0)
 
     def tick(self, elapsed: float) -> int:
         """Take the snapshots that the device has sent; return the number of samples since the last."""
         before = self._snapshot.tick
         try:
             while not self._over and self._line.poll():
-                self._snapshot = self._line.recv()
+                last, self._snapshot = self._snapshot, self._line.recv()
+                if self._snapshot.time < last.time:  # it has started again
+                    self._history.clear()
                 self._history.extend(self._snapshot.history)
-            if self._target != self.hand.target:
+            if self._target != self.hand.target or (self._target is not None and self._due()):
                 self._target = self.hand.target
                 self._line.send(("hand", self._target))
         except (EOFError, OSError):

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TypeAlias
 
 import numpy as np
 import trimesh
+from numpy.typing import NDArray
 from trimesh.visual.material import PBRMaterial
 
 from maglev_mj.frames import Array
 from maglev_mj.shapes import Shape
 
 __all__ = ["glb", "triangles"]
+
+_Faces: TypeAlias = NDArray[np.int64]
+_Mesh: TypeAlias = tuple[Array, Array, _Faces]
 
 _METALLIC, _ROUGHNESS = 0.15, 0.5
 _COARSE, _FINE = 10, 48
@@ -40,7 +45,7 @@ def glb(shapes: Sequence[Shape]) -> bytes:
     return made
 
 
-def triangles(shape: Shape) -> tuple[Array, Array, Array]:
+def triangles(shape: Shape) -> _Mesh:
     """Return corners (N, 3) [m], their normals (N, 3), and triangles as indices of corners (M, 3)."""
     sides = _FINE if max(shape.half[:2]) > _SMALL else _COARSE
     points, normals, faces = {"box": _box, "cylinder": _cylinder, "ellipsoid": _ellipsoid}[shape.kind](sides)
@@ -57,15 +62,16 @@ def triangles(shape: Shape) -> tuple[Array, Array, Array]:
     return points * shape.half @ turn.T + shape.position, across @ turn.T, faces
 
 
-def _grid(rows: int, columns: int) -> Array:
+def _grid(rows: int, columns: int) -> _Faces:
     """Return the triangles of a sheet of rows by columns of corners."""
-    corner = np.arange(rows * columns).reshape(rows, columns)
+    corner = np.arange(rows * columns, dtype=np.int64).reshape(rows, columns)
     a, b, c, d = corner[:-1, :-1], corner[:-1, 1:], corner[1:, :-1], corner[1:, 1:]
     return np.stack([np.stack([a, b, d], -1), np.stack([a, d, c], -1)]).reshape(-1, 3)
 
 
-def _box(_: int) -> tuple[Array, Array, Array]:
-    points, normals, faces = [], [], []
+def _box(_: int) -> _Mesh:
+    points: list[Array] = []
+    normals, faces = [], []
     for axis in range(3):
         for sign in (1.0, -1.0):
             corners = np.empty((4, 3))
@@ -83,7 +89,7 @@ def _circle(sides: int) -> Array:
     return np.stack([np.cos(angles), np.sin(angles), np.zeros(sides + 1)], -1)
 
 
-def _cylinder(sides: int) -> tuple[Array, Array, Array]:
+def _cylinder(sides: int) -> _Mesh:
     rim, up, centre = _circle(sides), np.array([0.0, 0.0, 1.0]), np.zeros((sides + 1, 3))
     sheets = [(rim - up, rim + up, rim), (rim + up, centre + up, centre + up), (centre - up, rim - up, centre - up)]
     points = np.concatenate([part for low, high, _ in sheets for part in (low, high)])
@@ -92,7 +98,7 @@ def _cylinder(sides: int) -> tuple[Array, Array, Array]:
     return points, normals, faces
 
 
-def _ellipsoid(sides: int) -> tuple[Array, Array, Array]:
+def _ellipsoid(sides: int) -> _Mesh:
     heights = np.linspace(-0.5 * np.pi, 0.5 * np.pi, sides // 2 + 1)[:, None, None]
     points = (np.cos(heights) * _circle(sides) + np.sin(heights) * [0.0, 0.0, 1.0]).reshape(-1, 3)
     return points, points, _grid(sides // 2 + 1, sides + 1)
