@@ -18,10 +18,10 @@ __all__ = ["glb", "triangles"]
 _Faces: TypeAlias = NDArray[np.int64]
 _Mesh: TypeAlias = tuple[Array, Array, _Faces]
 
-_METALLIC, _ROUGHNESS = 0.15, 0.5
-_COARSE, _FINE = 10, 48
-_SMALL = 0.005
-"""Round shapes of a smaller radius have fewer sides [m]."""
+_METALLIC, _ROUGHNESS = 0.1, 0.45
+_GAMMA = 2.2  # glTF's colours are linear
+_FEWEST, _PER_METRE, _MOST = 8, 2000.0, 48
+"""Sides of round shapes: more for larger ones, a multiple of two."""
 
 
 def glb(shapes: Sequence[Shape]) -> bytes:
@@ -31,7 +31,7 @@ def glb(shapes: Sequence[Shape]) -> bytes:
         parts = [triangles(shape) for shape in shapes if tuple(shape.colour) == colour]
         first = np.cumsum([0, *(len(points) for points, _, _ in parts)])
         material = PBRMaterial(
-            baseColorFactor=list(colour),
+            baseColorFactor=[*np.power(colour[:3], _GAMMA), colour[3]],
             metallicFactor=_METALLIC,
             roughnessFactor=_ROUGHNESS,
             alphaMode="OPAQUE" if colour[3] == 1.0 else "BLEND",
@@ -47,7 +47,7 @@ def glb(shapes: Sequence[Shape]) -> bytes:
 
 def triangles(shape: Shape) -> _Mesh:
     """Return corners (N, 3) [m], their normals (N, 3), and triangles as indices of corners (M, 3)."""
-    sides = _FINE if max(shape.half[:2]) > _SMALL else _COARSE
+    sides = min(_FEWEST + 2 * int(_PER_METRE * max(shape.half[:2])), _MOST)
     points, normals, faces = {"box": _box, "cylinder": _cylinder, "ellipsoid": _ellipsoid}[shape.kind](sides)
     w, x, y, z = shape.turn
     turn = np.array(

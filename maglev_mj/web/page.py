@@ -21,7 +21,7 @@ from maglev_mj.web.grab import Grab
 from maglev_mj.web.guard import Door, guarded
 from maglev_mj.web.panel import Panel
 from maglev_mj.web.plots import Plots
-from maglev_mj.web.stage import Stage
+from maglev_mj.web.stage import VIEWS, Stage, look
 
 __all__ = ["Page", "PageServer", "page"]
 
@@ -71,6 +71,7 @@ class Page:
             self._plots = Plots(gui, snapshot.scene)
         panel.dock_left()
         self._frame, self._plot = Due(_FRAME), Due(_PLOT)
+        server.on_client_connect(_greet)
 
     def run(self) -> None:
         """Show the source until it ends."""
@@ -105,6 +106,10 @@ class Page:
             self._panel.show(snapshot)
             if self._plot():
                 self._plots.show(snapshot)
+
+
+async def _greet(client: viser.ClientHandle) -> None:
+    look(client, next(iter(VIEWS)))
 
 
 def page(door: Door, listener: socket.socket, *, drag: bool = True, settings: bool = True) -> Front:

@@ -14,18 +14,24 @@ from maglev_mj.display.banner import Banner, banner
 from maglev_mj.session import DEVICES_OWN, EMERGENCY_STOP, Snapshot, actions
 from maglev_mj.web.controls import Ask, Choice, Control, Slider, control
 from maglev_mj.web.handles import put
-from maglev_mj.web.stage import VIEWS
+from maglev_mj.web.stage import VIEWS, look
 
 __all__ = ["Panel"]
 
-_ROWS = (
-    ("centre", "drop", "record"),
-    ("pause", "step", "slower", "faster"),
-    ("start", "step back", "end", "loop"),
-)
+_ROWS = {
+    "handle": ("centre", "drop", "record"),
+    "time": ("pause", "step", "slower", "faster"),
+    "replay": ("start", "step back", "end", "loop"),
+}
 _SCENE = "scene "
 _USUAL_STIFFNESS, _MOST_STIFFNESS = 200.0, 5000.0  # of the hand [N/m]
 _NOTHING = 5e-5
+_FIXED = '.mantine-Paper-root[style*="position: fixed"]'
+_SHEET = (
+    f"<style>@media(max-width:36em){{{_FIXED}{{width:100%!important;max-height:48%!important}}"
+    f'{_FIXED} div[style*="width: 20em"]{{width:100%!important}}}}</style>'
+)
+"""On a phone the panel is a sheet at the lower edge, which is to be as wide as the screen."""
 _PAUSED: Colour = (0.25, 0.28, 0.33)
 
 
@@ -45,6 +51,7 @@ class Panel:
         self._actions: tuple[str, ...] | None = None
         self._scene: Any = None
         self._banner, self._words = gui.add_html("", order=0.0), gui.add_html("", order=0.1)
+        gui.add_html(_SHEET, order=9.0)
         self._buttons, self._parameters = gui.add_folder(None), gui.add_folder(None)
         self._followed: list[tuple[Control, Callable[[Snapshot], Any]]] = []
         self._time: Slider | None = None
@@ -73,18 +80,18 @@ class Panel:
         """Make a button for each action that has no other control."""
         self._buttons.remove()
         self._buttons, known = self._gui.add_folder(None, order=1.0), snapshot.actions
-        shown = {name for row in _ROWS for name in row} | {EMERGENCY_STOP, "next scene", *actions(type(snapshot.scene))}
+        shown = {name for row in _ROWS.values() for name in row} | {EMERGENCY_STOP, "next scene", *actions(type(snapshot.scene))}
         others = tuple(name for name in known if name not in shown and not name.startswith(_SCENE))
         with self._buttons:
-            for row in (*_ROWS, others):
+            for label, row in (_ROWS | {"more": others}).items():
                 if there := tuple(name for name in row if name in known):
-                    self._add_row(there)
+                    self._add_row(label, there)
             if EMERGENCY_STOP in known:
                 stop = self._gui.add_button(EMERGENCY_STOP, color=tuple(round(255 * part) for part in BAD))
                 stop.on_click(partial(self._act, lambda: EMERGENCY_STOP))
 
-    def _add_row(self, names: tuple[str, ...]) -> None:
-        row = self._gui.add_button_group("", names)
+    def _add_row(self, label: str, names: tuple[str, ...]) -> None:
+        row = self._gui.add_button_group(label, names)
         row.on_click(partial(self._act, lambda: row.value))
 
     async def _act(self, name: Callable[[], str], _: Any) -> None:
@@ -93,11 +100,10 @@ class Panel:
     def _add_views(self) -> None:
         views = self._gui.add_button_group("camera", tuple(VIEWS), order=4.0)
 
-        async def look(event: Any) -> None:
-            with event.client.atomic():
-                event.client.camera.position, event.client.camera.look_at = VIEWS[views.value]
+        async def chosen(event: Any) -> None:
+            look(event.client, views.value)
 
-        views.on_click(look)
+        views.on_click(chosen)
 
     def _make_controls(self, snapshot: Snapshot) -> None:
         """Make the controls of a scene: which one it is, its live parameters, the hand."""
@@ -144,7 +150,7 @@ def _words(snapshot: Snapshot) -> str:
     scene = snapshot.scene
     rows = [
         f"<b>{escape(scene.name)}</b>: {escape(scene.describe())}",
-        ", ".join(f"{name} {1e3 * value:.2f}" for name, value in zip("xyz", snapshot.pose)) + " mm",
+        ", ".join(f"{name} {value:.2f}" for name, value in zip("xyz", 1e3 * snapshot.pose.round(5) + 0.0)) + " mm",
         " ".join(
             f'<span style="color:{hex_of(colour)}">&#9632;</span> {name} {np.linalg.norm(wrench[:3]):.1f} N'
             for name, wrench, colour in (

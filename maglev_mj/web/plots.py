@@ -19,7 +19,7 @@ from maglev_mj.web.svg import Line, Range, chart
 
 __all__ = ["Plots"]
 
-_POINTS = 200
+_POINTS, _MARGIN = 200, 1.1
 _LEAST_DISTANCE, _LEAST_SPEED, _LEAST_FORCE = 1.0, 20.0, 2.0
 
 
@@ -58,8 +58,8 @@ class Plots:
         most = float(np.interp(damping, dampings, stiffnesses, right=0.0))
         good = stiffness <= most
         far = f"{100.0 * stiffness / most:.0f} % of the boundary" if most else "unstable at any stiffness"
-        across = 0.0, round_up(max(float(dampings.max()), 1.1 * damping))
-        up = 0.0, 1e-3 * round_up(max(float(stiffnesses.max()), 1.1 * stiffness))
+        across = 0.0, _MARGIN * max(float(dampings.max()), damping)
+        up = 0.0, 1e-3 * _MARGIN * max(float(stiffnesses.max()), stiffness)
         lines = [Line(BOUNDARY, dampings, 1e-3 * stiffnesses)]
         if damping or stiffness:
             lines.append(Line(GOOD if good else BAD, [damping], [1e-3 * stiffness], dot=True))

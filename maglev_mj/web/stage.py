@@ -14,7 +14,7 @@ from maglev_mj.shapes import ARROW, GRIP, KNOB, LEAST_FORCE, UNDER_KNOB, arrow_s
 from maglev_mj.web.handles import put
 from maglev_mj.web.meshes import glb
 
-__all__ = ["VIEWS", "Stage"]
+__all__ = ["VIEWS", "Stage", "look"]
 
 VIEWS = {
     "home": ((0.17, -0.27, 0.21), (0.0, 0.0, 0.028)),
@@ -25,6 +25,10 @@ VIEWS = {
 }
 """Camera presets: where it is, and what it looks at [m]."""
 
+_PHONE = 576
+"""Width of a screen on which the panel covers the lower half [px]."""
+
+_WIDE = 0.15  # of the device, with some room [m]
 _FIELD = 0.62  # of view [rad]
 _FAINT, _LIT = 0.18, 0.45
 _FLOOR = -0.0552
@@ -33,6 +37,21 @@ _LONGEST = 0.12  # of an arrow [m]
 _SWOLLEN = 1.06
 _RIM = 0.0118, 0.0012
 """Radius and half height of a ring under the knob, lit where a rotation meets its stop [m]."""
+
+
+def look(client: Any, view: str) -> None:
+    """Point a browser's camera; on a phone from farther away, at the middle of the upper half."""
+    camera, (place, target) = client.camera, np.array(VIEWS[view])
+    if camera.image_width <= _PHONE:
+        back = place - target
+        width = 2.0 * np.linalg.norm(back) * np.tan(0.5 * camera.fov) * camera.image_width / camera.image_height
+        back = back * max(_WIDE / width, 1.0)
+        across = np.cross([0.0, 0.0, 1.0], back)
+        up = np.cross(back, across) / np.linalg.norm(across)
+        target = target - 0.5 * np.tan(0.5 * camera.fov) * up
+        place = target + back
+    with client.atomic():
+        camera.position, camera.look_at = place, target
 
 
 class Stage:
@@ -50,7 +69,7 @@ class Stage:
         self._server, scene = server, server.scene
         server.initial_camera.position, server.initial_camera.look_at = VIEWS["home"]
         server.initial_camera.fov, server.initial_camera.near = _FIELD, 0.005
-        scene.configure_environment_map("studio", environment_intensity=0.55)
+        scene.configure_environment_map("studio", environment_intensity=0.35)
         scene.configure_default_lights(cast_shadow=False)
         scene.add_grid(
             "/floor",

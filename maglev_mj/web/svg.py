@@ -13,8 +13,8 @@ from maglev_mj.colours import BOUNDARY, Colour, hex_of
 
 __all__ = ["Line", "Range", "chart", "ticks"]
 
-_WIDTH, _HEIGHT = 320, 150
-_LEFT, _RIGHT, _TOP, _BOTTOM = 38, 8, 22, 18
+_WIDTH, _HEIGHT = 320, 156
+_LEFT, _RIGHT, _TOP, _BOTTOM = 38, 14, 22, 22
 _TICKS = 4
 _GRID, _TEXT = "rgba(128,128,128,.28)", "currentColor"
 
