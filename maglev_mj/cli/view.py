@@ -72,9 +72,10 @@ def _view(options: argparse.Namespace) -> int:
             device.act = session.act
         try:
             if page is None:
-                print(show_table(show(session, folder=options.out, duration=seconds)))
+                report = show(session, folder=options.out, duration=seconds)
             else:
-                show_remotely(session, page, duration=seconds)
+                report = show_remotely(session, page, duration=seconds)
+            print(show_table(report))
         finally:
             for path in session.recordings:  # whatever happened, a person wants to know where they are
                 print(f"  wrote {path}")

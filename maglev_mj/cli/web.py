@@ -9,13 +9,14 @@ import sys
 import threading
 import webbrowser
 from importlib.util import find_spec
+from pathlib import Path
 
 from maglev_mj.cli.options import Container, count
 from maglev_mj.display.remote import Front
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.net.addresses import is_loopback, listen
 
-__all__ = ["PORT", "PageMissingError", "add_web", "chosen_page"]
+__all__ = ["PORT", "PageMissingError", "add_web", "chosen_front", "chosen_page"]
 
 PORT = 8123
 """Where a browser finds the page by default."""
@@ -35,6 +36,30 @@ def add_web(parser: Container) -> None:
     parser.add_argument("--no-open", action="store_true", help="open no browser")
     parser.add_argument("--host", metavar="H", help="address of the page, with --token (default 127.0.0.1)")
     parser.add_argument("--token", metavar="T", help="text that the page's address must have, at least 16 characters")
+
+
+def chosen_front(options: argparse.Namespace, folder: Path = Path(), *, watch: bool = False) -> Front | None:
+    """Return what shows a device that this process does not simulate alone: a window, a page, or None for neither.
+
+    Args:
+        options: As parsed, with --view and --web.
+        folder: Folder for a window's screenshots.
+        watch: Whether a page can only be looked at; its parameters are the host's in any case.
+
+    Raises:
+        DisplayError: If a window cannot be opened.
+        MaglevError: See `chosen_page`.
+    """
+    if options.view and options.web:
+        raise ParameterError("view and web are two ways to show it: give one")
+    if (front := chosen_page(options, drag=not watch, settings=False)) is not None or not options.view:
+        return front
+    # imported here: they load the library that opens windows
+    from maglev_mj.viewer.process import window
+    from maglev_mj.viewer.window import require_display
+
+    require_display()
+    return window(folder)
 
 
 def chosen_page(options: argparse.Namespace, *, drag: bool = True, settings: bool = True) -> Front | None:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from multiprocessing.connection import Connection
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -30,7 +30,7 @@ from maglev_mj.session import (
     settable,
 )
 
-__all__ = ["Front", "RemoteSession", "RemoteViewer", "show_remotely"]
+__all__ = ["Front", "RemoteSession", "RemoteViewer", "ShowReport", "show_remotely"]
 
 _MOST_ROWS = 400
 _NAP = 0.001
@@ -49,13 +49,14 @@ class RemoteViewer:
 
     Attributes:
         hand: The mouse's.
+        frames: Snapshots handed over.
         on_close: Called once when the person has closed the window; may be replaced.
         on_emergency: Called by `take` when the emergency stop's key was pressed; may be replaced, and may raise.
     """
 
     def __init__(self, snapshot: Snapshot, front: Front, *, watch: bool = False) -> None:
         self._watch = flag("watch", watch)
-        self.hand, self.on_close = SpringHand(), _nothing
+        self.hand, self.on_close, self.frames = SpringHand(), _nothing, 0
         self.on_emergency: Callable[[], object] = _nothing
         self._scene, self._sent, self._open = snapshot.scene, -np.inf, True
         self._note, self._due, self._glide = Note(), Due(), Glide()
@@ -72,6 +73,7 @@ class RemoteViewer:
         rows = snapshot.history[np.searchsorted(snapshot.history[:, 0], self._sent, side="right") :]
         self._sent = snapshot.time
         self._front.send(replace(snapshot, history=rows[-_MOST_ROWS:]))
+        self.frames += 1
 
     def take(self) -> Wish | None:
         """Move the hand as the mouse does; return the scene that keys ask for."""
@@ -125,24 +127,46 @@ class RemoteViewer:
         self._front.close()
 
 
-def show_remotely(source: SnapshotSource, front: Front, duration: float | None = None) -> None:
-    """Keep a source in real time, shown by a front in a process of its own, until that is closed; then close it.
+class ShowReport(NamedTuple):
+    """What a session in a window or page came to.
+
+    Attributes:
+        frames: Frames shown, or handed to the page.
+        frame_cost: Median time from a snapshot to its being drawn [s], beside the control ticks; 0 where not known.
+        wall_time: Time that it was open [s].
+        simulated: Time simulated meanwhile [s].
+        ticks: Control ticks made.
+        missed: Ticks given up.
+    """
+
+    frames: int
+    frame_cost: float
+    wall_time: float
+    simulated: float
+    ticks: int
+    missed: int
+
+
+def show_remotely(source: SnapshotSource, front: Front, duration: float | None = None) -> ShowReport:
+    """Keep a source in real time, shown by a front in a process of its own; then close it.
 
     Args:
         source: What to show.
         front: Shows it.
-        duration: End after so much real time [s]; None waits for the person.
+        duration: End after so much real time [s]; None goes on until Ctrl-C.
+
+    Raises:
+        MaglevError: If the front ends before.
     """
-    closed: list[bool] = []
-    viewer = RemoteViewer(source.snapshot(), front)
-    viewer.on_close = lambda: closed.append(True)
+    viewer, ticks, wall_time = RemoteViewer(source.snapshot(), front), 0, 0.0
+    viewer.on_close = _ended
     try:
         with engine_warnings_silenced():
-            for elapsed, _ in real_time(duration, _NAP):
-                source.tick(elapsed)
+            for elapsed, passed in real_time(duration, _NAP):
+                ticks, wall_time = ticks + source.tick(elapsed), passed
                 viewer.serve(source)
-                if closed:
-                    break
+        missed = source.snapshot().missed
+        return ShowReport(viewer.frames, 0.0, wall_time, source.simulated, ticks, missed)
     finally:
         try:
             source.close()
@@ -204,6 +228,10 @@ class RemoteSession:
 
 
 def _nothing() -> None: ...
+
+
+def _ended() -> None:
+    raise MaglevError("the process that shows the scene has ended")
 
 
 def _open(line: Connection, snapshot: Snapshot, front: Front) -> None:

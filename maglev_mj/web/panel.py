@@ -80,7 +80,11 @@ class Panel:
         """Make a button for each action that has no other control."""
         self._buttons.remove()
         self._buttons, known = self._gui.add_folder(None, order=1.0), snapshot.actions
-        shown = {name for row in _ROWS.values() for name in row} | {EMERGENCY_STOP, "next scene", *actions(type(snapshot.scene))}
+        shown = {name for row in _ROWS.values() for name in row} | {
+            EMERGENCY_STOP,
+            "next scene",
+            *actions(type(snapshot.scene)),
+        }
         others = tuple(name for name in known if name not in shown and not name.startswith(_SCENE))
         with self._buttons:
             for label, row in (_ROWS | {"more": others}).items():

@@ -69,7 +69,7 @@ class Stage:
         self._server, scene = server, server.scene
         server.initial_camera.position, server.initial_camera.look_at = VIEWS["home"]
         server.initial_camera.fov, server.initial_camera.near = _FIELD, 0.005
-        scene.configure_environment_map("studio", environment_intensity=0.35)
+        scene.configure_environment_map("studio", environment_intensity=0.3)
         scene.configure_default_lights(cast_shadow=False)
         scene.add_grid(
             "/floor",
@@ -86,14 +86,9 @@ class Stage:
         self.knob = scene.add_icosphere(
             "/flotor/knob", _REACH, _bytes(HAND), subdivisions=2, opacity=0.0, position=grip, **_PLAIN
         )
-        self._ghost = scene.add_cylinder(
-            "/stuck",
-            _SWOLLEN * KNOB[0],
-            2.0 * _SWOLLEN * KNOB[1],
-            _bytes(STUCK),
-            opacity=0.45,
-            visible=False,
-            **_PLAIN,
+        size = _SWOLLEN * KNOB[0], _SWOLLEN * KNOB[0], _SWOLLEN * KNOB[1]
+        self._ghost = scene.add_icosphere(
+            "/stuck", 1.0, _bytes(STUCK), scale=size, opacity=0.45, visible=False, **_PLAIN
         )
         rim = 0.0, 0.0, UNDER_KNOB + _RIM[1]
         self._rim = scene.add_cylinder(
