@@ -21,6 +21,8 @@ SETTLED = 1.0
 """How long a control is left alone after a person's last move [s]: what is in force comes back with a delay."""
 
 _SHARES, _ROOM = 200.0, 2.5
+_INSIDE = 1e-3
+"""Share of the default by which a value stays off a bound that it must not reach."""
 
 
 class Control:
@@ -180,9 +182,9 @@ def control(gui: Any, one: Parameter, scene: Scene, ask: Ask) -> Control | None:
 def _ends(one: Parameter) -> tuple[float, float]:
     """Return the least and the largest value that a person may choose: bounds, or what keys go up to."""
     assert one.live
-    bounds, keys = one.bounds, one.live
-    least = max(bounds.get("at_least", -math.inf), bounds.get("above", -math.inf), keys.least)
-    most = min(bounds.get("at_most", math.inf), bounds.get("below", math.inf), keys.most)
+    bounds, keys, inside = one.bounds, one.live, _INSIDE * abs(one.default or 1.0)
+    least = max(bounds.get("at_least", -math.inf), bounds.get("above", -math.inf) + inside, keys.least)
+    most = min(bounds.get("at_most", math.inf), bounds.get("below", math.inf) - inside, keys.most)
     return least, most
 
 

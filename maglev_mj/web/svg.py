@@ -80,7 +80,7 @@ def chart(title: Sequence[tuple[str, Colour | None]], lines: Sequence[Line], acr
 def ticks(low: float, high: float) -> list[float]:
     """Return round numbers between two ends, some four of them."""
     step = 10.0 ** np.floor(np.log10((high - low) / _TICKS))
-    step *= next(size for size in (1.0, 2.0, 5.0, 10.0) if size * step * (_TICKS + 0.5) >= high - low)
+    step *= next(size for size in (1.0, 2.0, 2.5, 5.0, 10.0) if size * step * (_TICKS + 1) >= high - low)
     return [float(np.round(count * step, 12)) for count in range(int(np.ceil(low / step)), int(high / step) + 1)]
 
 
