@@ -198,7 +198,8 @@ class RemoteSession:
                 if self._snapshot.time < last.time:  # it has started again
                     self._history.clear()
                 self._history.extend(self._snapshot.history)
-            if self._target != self.hand.target or (self._target is not None and self._due()):
+            moved, again = self._target != self.hand.target, self._due()
+            if moved or (again and self._target is not None):
                 self._target = self.hand.target
                 self._line.send(("hand", self._target))
         except (EOFError, OSError):

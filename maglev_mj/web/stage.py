@@ -14,7 +14,7 @@ from maglev_mj.shapes import ARROW, GRIP, KNOB, LEAST_FORCE, UNDER_KNOB, arrow_s
 from maglev_mj.web.handles import put
 from maglev_mj.web.meshes import glb
 
-__all__ = ["VIEWS", "Stage", "look"]
+__all__ = ["FIELD", "VIEWS", "Stage", "look"]
 
 VIEWS = {
     "home": ((0.17, -0.27, 0.21), (0.0, 0.0, 0.028)),
@@ -29,7 +29,8 @@ _PHONE = 576
 """Width of a screen on which the panel covers the lower half [px]."""
 
 _WIDE = 0.15  # of the device, with some room [m]
-_FIELD = 0.62  # of view [rad]
+FIELD = 0.62
+"""Angle of view, up [rad]."""
 _FAINT, _LIT = 0.18, 0.45
 _FLOOR = -0.0552
 _REACH = 0.021  # of the ball by which the knob is taken hold of [m]
@@ -68,7 +69,7 @@ class Stage:
     def __init__(self, server: Any, snapshot: Snapshot) -> None:
         self._server, scene = server, server.scene
         server.initial_camera.position, server.initial_camera.look_at = VIEWS["home"]
-        server.initial_camera.fov, server.initial_camera.near = _FIELD, 0.005
+        server.initial_camera.fov, server.initial_camera.near = FIELD, 0.005
         scene.configure_environment_map("studio", environment_intensity=0.3)
         scene.configure_default_lights(cast_shadow=False)
         scene.add_grid(
