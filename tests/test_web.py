@@ -470,6 +470,9 @@ def test_the_first_browser_has_the_hand_and_one_that_does_not_answer_loses_it() 
         until(page, lambda: source.hand.target is None)
         assert holder in server.get_clients()  # it was not noticed by its connection
         os.kill(children[0].pid, signal.SIGCONT)
+        until(page, lambda: source.hand.target is not None)
+        children[0].kill()
+        until(page, lambda: source.hand.target is None)
 
 
 def until(page: Page, done: Any) -> None:

@@ -49,7 +49,7 @@ def look(client: Any, view: str) -> None:
         back = back * max(_WIDE / width, 1.0)
         across = np.cross([0.0, 0.0, 1.0], back)
         up = np.cross(back, across) / np.linalg.norm(across)
-        target = target - 0.5 * np.tan(0.5 * camera.fov) * up
+        target = target - 0.5 * np.linalg.norm(back) * np.tan(0.5 * camera.fov) * up
         place = target + back
     with client.atomic():
         camera.position, camera.look_at = place, target
