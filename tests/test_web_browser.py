@@ -177,11 +177,12 @@ def test_a_finger_pulls_and_a_tab_closed_in_mid_drag_lets_go(run: Run, browser: 
     assert phone.evaluate("document.documentElement.scrollWidth") <= 390
     touch = phone.context.new_cdp_session(phone)
     heights = itertools.cycle(range(60, 260, 12))  # where the phone's camera draws the knob is for it to say
-    end = time.monotonic() + PATIENCE
+    y, end = 0, time.monotonic() + PATIENCE
     while not run.shown.hand.any():
         assert time.monotonic() < end
         if run.shown.target is None:
-            touch.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
+            if y:
+                touch.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
             y = next(heights)
             touch.send("Input.dispatchTouchEvent", {"type": "touchStart", "touchPoints": [{"x": 195.0, "y": y}]})
         for step in range(1, 5):
