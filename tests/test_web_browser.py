@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from browser import MISSING, chromium, on_screen
 from maglev_mj.display.remote import RemoteViewer
 from maglev_mj.net.addresses import listen
 from maglev_mj.plants import engine_warnings_silenced
@@ -18,7 +19,6 @@ from maglev_mj.recording import Recording, verify
 from maglev_mj.replay import rebuild
 from maglev_mj.session import Session, Snapshot, real_time
 from maglev_mj.shapes import GRIP
-from tests.browser import MISSING, chromium, on_screen
 
 pytestmark = [
     pytest.mark.skipif(bool(MISSING), reason=f"needs {', '.join(MISSING)}"),
