@@ -56,7 +56,9 @@ pytestmark = pytest.mark.xdist_group("realtime")
 def served(host: str = "127.0.0.1", token: str | None = None) -> Iterator[PageServer]:
     """Yield the server of a page."""
     with listen(0, host) as listener:
-        server = PageServer(Door(host, listener.getsockname()[1], token), listener)
+        port = listener.getsockname()[1]
+        server = PageServer(Door(host, port, token), listener)
+        assert server.get_port() == port  # no other is taken
         try:
             yield server
         finally:
@@ -205,7 +207,7 @@ def test_a_port_that_is_taken_and_a_host_that_is_not_here_are_told(capsys: pytes
     ],
 )
 def test_bad_options_are_one_line(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["view", *words]) == 2
+    assert main(["view", "--seconds", "0.1", *words]) == 2
     assert said in capsys.readouterr().err
 
 
