@@ -16,6 +16,7 @@ import glfw
 import numpy as np
 import pytest
 
+from maglev_mj.display.glide import Glide
 from maglev_mj.display.remote import RemoteSession, RemoteViewer
 from maglev_mj.errors import MaglevError
 from maglev_mj.recording import Recording
@@ -210,6 +211,7 @@ def test_the_emergency_stops_key_reaches_who_runs_the_device() -> None:
     received = lambda: [line.recv() for _ in iter(line.poll, False)]  # noqa: E731
     window = SimpleNamespace(received=received, ended=False)
     viewer.__dict__ |= {"_front": window, "_open": True, "_scene": Joystick(), "hand": SimpleNamespace(target=None)}
+    viewer.__dict__ |= {"_watch": False, "_glide": Glide()}
     pressed: list[int] = []
     viewer.on_emergency = lambda: pressed.append(1)
     watched = RemoteSession(far, Snapshot(scene=Joystick()))

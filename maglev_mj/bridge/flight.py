@@ -26,12 +26,14 @@ from maglev_mj.scenes import Scene
 from maglev_mj.scenes.parts import WEIGHT
 from maglev_mj.session import (
     DEVICES_OWN,
+    EMERGENCY_STOP,
     STEP_FORCE,
     Publisher,
     Publishers,
     SampledMotion,
     Snapshot,
     Wish,
+    actions,
     begin_scene,
     check_step,
     device_controller,
@@ -390,6 +392,7 @@ class Flight:
             history=self._motion.history.rows,
             work=self._motion.work,
             missed=samples.lost + samples.skipped,
+            actions=(*actions(type(self._scene)), EMERGENCY_STOP),
             state="flying",
             notes=[self._note],
         )

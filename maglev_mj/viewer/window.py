@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import glfw
 import mujoco
 
+from maglev_mj.display.remote import ShowReport
 from maglev_mj.errors import MaglevError
 from maglev_mj.frames import Array, rotation_matrix, rotation_vector
 from maglev_mj.plants import engine_warnings_silenced
@@ -27,7 +28,7 @@ from maglev_mj.viewer.overlay import SCREENSHOT, help_text, keys_of, status_text
 from maglev_mj.viewer.plots import Plots, StopLabel
 from maglev_mj.viewer.scenery import GRIP, Scenery
 
-__all__ = ["ShowReport", "require_display", "show"]
+__all__ = ["require_display", "show"]
 
 _FRAME = 1.0 / 60.0
 _NAP = 0.001
@@ -35,26 +36,6 @@ _PATIENCE = 10.0
 _SHADOWS, _SAMPLES = 2048, 4
 _PICTURE = 1600, 1000
 _HELPED = 560
-
-
-class ShowReport(NamedTuple):
-    """What a session in a window came to.
-
-    Attributes:
-        frames: Frames shown.
-        frame_cost: Median time from a snapshot to its being drawn [s], beside the control ticks.
-        wall_time: Time that the window was open [s].
-        simulated: Time simulated meanwhile [s].
-        ticks: Control ticks made.
-        missed: Ticks given up.
-    """
-
-    frames: int
-    frame_cost: float
-    wall_time: float
-    simulated: float
-    ticks: int
-    missed: int
 
 
 class _Mouse(NamedTuple):
