@@ -1,0 +1,295 @@
+"""Where words, plots and the handle go in a picture of any size, so that none covers another."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple, TypeAlias
+
+__all__ = ["Area", "Font", "Layout", "Row", "arrange"]
+
+Row: TypeAlias = tuple[str, str]
+"""Name and value, or keys and what they do."""
+
+# widths of the engine's letters from space to ~ at 100 %, in hexadecimal [pixels], and their height
+_WIDTHS = "45698ca4558845468888888888448887caaaba9bb4898cbbabbaabae9a9555885998994984484c899958488a7876868"
+_HEIGHT, _GAP, _EDGE = 18.7, 5, 18
+_HELP = 22, "Toggle Left / Right UI", "Ctrl [Shift] right drag"  # rows, and the longest of each column
+_PLOT_HEIGHT, _PLOT_WIDTH, _COLUMN = 110, 210, 250
+_LARGE = 1700, 950
+_LEAST_FREE, _WORDS = 300, 0.36
+
+
+class Area(NamedTuple):
+    """A rectangle of a picture, from its lower left corner on [pixels]."""
+
+    left: int
+    bottom: int
+    width: int
+    height: int
+
+    @property
+    def right(self) -> int:
+        """First column beyond it."""
+        return self.left + self.width
+
+    @property
+    def top(self) -> int:
+        """First row above it."""
+        return self.bottom + self.height
+
+    @property
+    def centre(self) -> tuple[float, float]:
+        """Its middle."""
+        return self.left + 0.5 * self.width, self.bottom + 0.5 * self.height
+
+    def meets(self, other: Area) -> bool:
+        """Return whether two share a pixel."""
+        across = self.left < other.right and other.left < self.right
+        return across and self.bottom < other.top and other.bottom < self.top
+
+
+class Font(NamedTuple):
+    """The engine's letters.
+
+    Attributes:
+        scale: 100 to 300 [%].
+        large: Whether they are twice as large.
+    """
+
+    scale: int
+    large: bool = False
+
+    @property
+    def size(self) -> float:
+        """How many times as large as at 100 %."""
+        return 0.01 * self.scale * (2.0 if self.large else 1.0)
+
+    @property
+    def row(self) -> int:
+        """Height of a row, with the gap to the next [pixels]."""
+        return math.ceil(_HEIGHT * self.size) + _GAP
+
+    def width(self, text: str) -> int:
+        """Return the width of a text, or a little more [pixels]."""
+        widths = (int(_WIDTHS[ord(letter) - 32], 16) if " " <= letter <= "~" else 8 for letter in text)
+        return math.ceil(self.size * sum(widths))
+
+    def cut(self, text: str, most: int) -> str:
+        """Return a text, shortened to a width."""
+        if self.width(text) <= most:
+            return text
+        while text and self.width(text + "...") > most:
+            text = text[:-1]
+        return text.rstrip() + "..."
+
+    def block(self, rows: Sequence[Row]) -> tuple[int, int]:
+        """Return width and height of two columns [pixels]."""
+        wide = sum(max((self.width(part) for part in column), default=0) for column in zip(*rows, strict=True))
+        return wide + 2 * _EDGE, len(rows) * self.row + 2 * _GAP
+
+
+@dataclass(frozen=True, kw_only=True)
+class Layout:
+    """Where everything goes.
+
+    Attributes:
+        font: Of the words.
+        rows: Those words for which there is room.
+        words: Where they are.
+        above: Whether they are at the top; else at the bottom.
+        plots: Where the first plots go, as many as there is room for.
+        banner: Where a banner goes.
+        label: Where the label of the emergency stop goes; None for nowhere.
+        hint: Where the key of the keys is named; None for nowhere.
+        handle: What is free for the handle.
+        keys: Whether the keys are among the words.
+    """
+
+    font: Font
+    rows: Sequence[Row]
+    words: Area
+    above: bool
+    plots: Sequence[Area]
+    banner: Area
+    label: Area | None
+    hint: Area | None
+    handle: Area
+    keys: bool
+
+
+def arrange(
+    view: Area,
+    scale: int,
+    status: Sequence[Row],
+    keys: Sequence[Row],
+    *,
+    banner: bool = False,
+    label: bool = True,
+    shown: bool | None = None,
+    helped: bool = False,
+    charted: bool = False,
+) -> Layout:
+    """Return where everything goes: words, handle and plots side by side, or one above the other where it is narrow.
+
+    Args:
+        view: The picture, or that part of a window in which the scene is drawn.
+        scale: Of the letters, 100 to 300 [%].
+        status: Words on the scene, the most important first.
+        keys: Words on the keys.
+        banner: Whether there is a banner.
+        label: Whether the emergency stop has a label.
+        shown: Whether the keys are shown; None for where there is room.
+        helped: Whether the engine's viewer shows its own help, which it does at the upper left.
+        charted: Whether it shows its own charts at the right.
+    """
+    asked = _Asked(view, scale, list(status), list(keys), banner, label, shown, helped, charted)
+    large = view.width >= _LARGE[0] * 0.01 * scale and view.height >= _LARGE[1] * 0.01 * scale
+    return (large and asked.columns(Font(scale, large=True))) or asked.columns(Font(scale)) or asked.rows()
+
+
+class _Asked(NamedTuple):
+    """What is to be laid out; see `arrange`."""
+
+    view: Area
+    scale: int
+    status: list[Row]
+    keys: list[Row]
+    banner: bool
+    label: bool
+    shown: bool | None
+    helped: bool
+    charted: bool
+
+    @property
+    def pad(self) -> int:
+        """Distance between things."""
+        return math.ceil(0.06 * self.scale)
+
+    @property
+    def strip(self) -> Area:
+        """Place of a banner, across the top: a large line and, where there is room, a small one."""
+        small, large = Font(self.scale), Font(self.scale, large=True)
+        high = large.row + 2 * self.pad + (small.row if self.view.height >= 15 * small.row else 0)
+        high = min(high, self.view.height // 2)
+        return Area(self.view.left, self.view.top - high, self.view.width, high)
+
+    def columns(self, font: Font) -> Layout | None:
+        """Return words, handle and plots side by side; None where it is too narrow."""
+        view, strip = self.view, self.strip.height
+        top = view.top - (strip if self.banner else 0)
+        most = int(_WORDS * view.width)
+        rows = _cut(font, [*self.status, *([] if self.shown is False else self.keys)], most)
+        if keys := self.shown is not False and bool(self.keys):
+            keys = font.block(rows)[1] <= view.height - strip
+            if not keys and (self.shown or font.large):
+                return None
+        rows, words = self._words(font, rows if keys else _cut(font, self.status, most))
+        column = view.width // 4 if self.charted else max(view.width // 4, self._pixels(_COLUMN))
+        free = view.width - words.width - column
+        if free < max(self._pixels(_LEAST_FREE), int(0.3 * view.width)) or words.height > view.height - strip:
+            return None
+        label, hint, foot = self._feet(words.right, view.right - column, view.bottom, keys)
+        count = 0 if self.charted else max(min(4, (top - view.bottom) // self._pixels(_PLOT_HEIGHT)), 1)
+        high = (top - view.bottom) // max(count, 1)
+        return Layout(
+            font=font,
+            rows=rows,
+            words=words,
+            above=False,
+            plots=[Area(view.right - column, top - (place + 1) * high, column, high) for place in range(count)],
+            banner=self.strip,
+            label=label,
+            hint=hint,
+            handle=Area(words.right, foot, free, view.top - strip - foot),
+            keys=keys and not self.helped,
+        )
+
+    def rows(self) -> Layout:
+        """Return words, handle and plots one above the other; the keys, where they are asked for, beside the handle."""
+        view, font, strip = self.view, Font(self.scale), self.strip
+        if self.helped or self.shown:
+            return self._beside()
+        fits = max(int(0.2 * view.height) // font.row, 1)
+        rows = _cut(font, self.status[:fits], view.width - self.pad)
+        wide, high = font.block(rows)
+        reserved = max(high, strip.height)
+        plots_high = max(self._pixels(100), min(int(0.28 * view.height), self._pixels(190)))
+        if self.charted or view.height - reserved - plots_high - self._label_height < 0.3 * view.height:
+            plots_high = 0
+        count = max(1, min(4, view.width // self._pixels(_PLOT_WIDTH))) if plots_high else 0
+        width = view.width // max(count, 1)
+        right = view.right - (view.width // 4 if self.charted else 0)
+        label, hint, foot = self._feet(view.left, right, view.bottom + plots_high, False)
+        return Layout(
+            font=font,
+            rows=[] if self.banner else rows,
+            words=Area(view.left, view.top - high, min(wide, view.width), high),
+            above=True,
+            plots=[Area(view.left + place * width, view.bottom, width, plots_high) for place in range(count)],
+            banner=strip,
+            label=label,
+            hint=hint,
+            handle=Area(view.left, foot, right - view.left, view.top - reserved - foot),
+            keys=False,
+        )
+
+    def _beside(self) -> Layout:
+        """Return the keys, or the engine's help, at the left, and the handle at their right."""
+        view, font, strip = self.view, Font(self.scale), self.strip
+        fits = max((view.height - (strip.height if self.banner else 0) - 2 * _GAP) // font.row, 1)
+        rows, words = self._words(font, _cut(font, self.keys[:fits], int(0.75 * view.width)))
+        left = min(words.right, view.right - view.width // 5)
+        label, hint, foot = self._feet(left, view.right, view.bottom, True)
+        return Layout(
+            font=font,
+            rows=rows,
+            words=words._replace(width=left - view.left),
+            above=False,
+            plots=[],
+            banner=strip,
+            label=label,
+            hint=hint,
+            handle=Area(left, foot, view.right - left, view.top - strip.height - foot),
+            keys=not self.helped,
+        )
+
+    def _words(self, font: Font, rows: list[Row]) -> tuple[list[Row], Area]:
+        """Return words and where they are at the left; none, and where the engine's help is, where it is shown."""
+        view = self.view
+        if not self.helped:
+            wide, high = font.block(rows)
+            return rows, Area(view.left, view.bottom, wide, high)
+        count, *longest = _HELP
+        plain = Font(self.scale)
+        wide, high = plain.block([(longest[0], longest[1])])[0], min(count * plain.row + 2 * _GAP, view.height)
+        return [], Area(view.left, view.top - high, wide, high)
+
+    def _pixels(self, size: int) -> int:
+        """Return a size at the letters' scale."""
+        return size * self.scale // 100
+
+    @property
+    def _label_height(self) -> int:
+        return Font(self.scale).row + 2 * self.pad if self.label else 0
+
+    def _feet(self, left: int, right: int, bottom: int, keys: bool) -> tuple[Area | None, Area | None, int]:
+        """Return where label and hint go, and what is above them."""
+        if not self.label:
+            return None, None, bottom
+        font, pad, high = Font(self.scale), self.pad, self._label_height - self.pad
+        hinted = 0 if keys or self.helped or not self.keys else font.width("F11: KEYS") + 4 * pad
+        wide = min(font.width("ESC: EMERGENCY STOP") + 4 * pad, right - left - 2 * pad)
+        if wide + hinted + 3 * pad > right - left:
+            hinted = 0
+        start = left + (right - left - wide - hinted) // 2
+        label = Area(start, bottom + pad // 2, wide, high)
+        hint = Area(start + wide + pad, label.bottom, hinted, high) if hinted else None
+        return label, hint, bottom + self._label_height
+
+
+def _cut(font: Font, rows: Sequence[Row], most: int) -> list[Row]:
+    """Return rows no wider than so much."""
+    names = max((font.width(name) for name, _ in rows), default=0)
+    return [(name, font.cut(value, most - names - 2 * _EDGE)) for name, value in rows]

@@ -1,0 +1,129 @@
+"""What is over the scene, in a window and in a picture: words, plots, labels and a banner, each in its place."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple, TypeAlias
+
+import glfw
+import mujoco
+
+from maglev_mj.colours import BAD, STOP, Colour
+from maglev_mj.display.banner import Banner, banner
+from maglev_mj.frames import AXES
+from maglev_mj.scenes import Scene
+from maglev_mj.session import EMERGENCY_STOP, Snapshot
+from maglev_mj.viewer.keys import AXIS, KEYS, help_rows, key_of
+from maglev_mj.viewer.layout import Area, Layout, arrange
+from maglev_mj.viewer.overlay import status_rows
+from maglev_mj.viewer.plots import Label, Plots
+
+__all__ = ["Drawn", "Screen"]
+
+_Text: TypeAlias = tuple[int, int, str, str]
+"""Font, place in the picture, and two columns."""
+
+_HELPS, _CHARTS = (glfw.KEY_F1, glfw.KEY_F2), (glfw.KEY_F3, glfw.KEY_F4)
+_RED: Colour = (0.80, 0.05, 0.05)
+_LOW = 130
+_DARK: Colour = (0.05, 0.06, 0.08)
+_WAYS = {"centre": "to start again", "pause": "to go on", "slower": "for slow motion"}
+
+
+class Drawn(NamedTuple):
+    """What is to be drawn over the scene.
+
+    Attributes:
+        figures: Rectangles and figures, the lowest first.
+        texts: Words over them, as the engine's viewer takes them.
+        layout: Where everything is.
+    """
+
+    figures: list[tuple[Any, Any]]
+    texts: list[_Text]
+    layout: Layout
+
+
+class Screen:
+    """Lays out what is over the scene, and keeps what a person has chosen of it.
+
+    Args:
+        keys: Whether there is anybody to press keys.
+    """
+
+    def __init__(self, *, keys: bool = True) -> None:
+        self._plots, self._with_keys = Plots(), keys
+        self._stop, self._hint, self._back = Label(_RED), Label(_DARK, 0.85), Label(_DARK, 0.80)
+        self._banner = Label(BAD)
+        self._axis: int | None = None
+        self._wanted: bool | None = None
+        self._shown = False
+        self._engine: set[int] = set()
+
+    def wait(self, scene: Scene) -> None:
+        """Wait until all that the plots need of a scene is known."""
+        self._plots.wait(scene)
+
+    def press(self, action: str, scene: Scene) -> None:
+        """Do what a key of the screen itself asks for."""
+        if action == AXIS:
+            self._axis = ((scene.axis_index if self._axis is None else self._axis) + 1) % len(AXES)
+        elif action == KEYS:
+            self._wanted = not self._shown
+
+    def note_engine_key(self, code: int) -> None:
+        """Keep what the engine's viewer shows over the scene; it says so nowhere."""
+        if code in (*_HELPS, *_CHARTS):
+            self._engine ^= {code}
+
+    def draw(self, snapshot: Snapshot, view: Area, scale: int, notes: Sequence[str] = ()) -> Drawn:
+        """Return what is to be drawn.
+
+        Args:
+            snapshot: The picture of now.
+            view: Where the scene is drawn.
+            scale: Of the engine's letters, 100 to 300 [%].
+            notes: Further words for the person.
+        """
+        said = banner(snapshot)
+        # a hand is the mouse's, but in a recording and on a device, which has one of its own
+        mouse = snapshot.duration is None and snapshot.state != "flying"
+        layout = arrange(
+            view,
+            scale,
+            status_rows(snapshot, notes),
+            help_rows(snapshot.actions, hand=mouse) if self._with_keys else [],
+            banner=said is not None,
+            label=self._with_keys and EMERGENCY_STOP in snapshot.actions,
+            shown=self._wanted if self._with_keys else False,
+            helped=bool(self._engine & {*_HELPS}),
+            charted=bool(self._engine & {*_CHARTS}),
+        )
+        self._shown = layout.keys
+        low = bool(layout.plots) and layout.plots[0].height < _LOW * 0.01 * scale
+        figures = list(zip(layout.plots, self._plots.update(snapshot, self._axis, low=low), strict=False))
+        texts: list[_Text] = []
+        if layout.rows:
+            figures.insert(0, (layout.words, self._back.update("")))
+            grid = mujoco.mjtGridPos.mjGRID_TOPLEFT if layout.above else mujoco.mjtGridPos.mjGRID_BOTTOMLEFT
+            fonts = mujoco.mjtFont
+            font = fonts.mjFONT_BIG if layout.font.large else fonts.mjFONT_NORMAL
+            texts.append((int(font), int(grid), *("\n".join(column) for column in zip(*layout.rows, strict=True))))
+        if layout.label is not None:
+            figures.append((layout.label, self._stop.update("ESC: EMERGENCY STOP")))
+        if layout.hint is not None:
+            figures.append((layout.hint, self._hint.update("F11: KEYS")))
+        if said is not None:
+            figures.append((layout.banner, self._banner_figure(said, snapshot)))
+            title, _, _ = said.text.partition(":")
+            way = key_of(said.way_on, snapshot.actions) if said.way_on else ""
+            head = f"{title}: press {way} {_WAYS[said.way_on]}" if way else title
+            texts.append((int(mujoco.mjtFont.mjFONT_BIG), int(mujoco.mjtGridPos.mjGRID_TOP), head, ""))
+        return Drawn([(mujoco.MjrRect(*area), figure) for area, figure in figures], texts, layout)
+
+    def _banner_figure(self, said: Banner, snapshot: Snapshot) -> Any:
+        self._banner.paint(BAD if said.bad else STOP)
+        _, _, why = said.text.partition(":")
+        return self._banner.update("", ". ".join(part for part in (why.strip(), said.remedy) if part))
+
+
