@@ -16,8 +16,8 @@ __all__ = ["Framing"]
 _HIGH, _WIDE = 0.85, 0.95
 """Shares of the height that the file's own camera sees which are to be in view, up and across."""
 
-_NEAR, _INSET = 0.45, 55
-"""How far the axes are from the camera, of the way to what it looks at, and from the corner [pixels]."""
+_NEAR, _INSET, _ROOM = 0.45, 55, 260
+"""How far the axes are from the camera, of the way to what it looks at, and from the corner; and the room they need."""
 
 
 class Framing:
@@ -54,11 +54,13 @@ class Framing:
         camera.lookat[:] -= self._shift(camera, view, free)
         self._last = view, free
 
-    def corner(self, camera: Any, view: Area, free: Area) -> tuple[Array, float]:
-        """Return a place near the camera that is seen at the upper left of what is free, and the height of a pixel there.
+    def corner(self, camera: Any, view: Area, free: Area) -> tuple[Array, float] | None:
+        """Return a place near the camera that is seen at the upper left of what is free; None where there is no room.
 
-        Both in metres; the place is (3,).
+        With it the height of a pixel there. Both are in metres; the place is (3,).
         """
+        if free.width < _ROOM:
+            return None
         across, up = directions(camera)
         pixel = _NEAR * self._pixel(camera, view)
         x, y = free.left + _INSET - view.centre[0], free.top - _INSET - view.centre[1]

@@ -34,13 +34,14 @@ class Key(NamedTuple):
 
 
 _KEYS = (
-    Key(glfw.KEY_ENTER, "Enter", "next scene", "scene"),
+    Key(glfw.KEY_F11, "F11", KEYS, "keys", "show, hide keys"),
+    Key(glfw.KEY_ENTER, "Enter", "next scene", "place"),
     Key(glfw.KEY_9, "9", "drop", "place"),
     Key(glfw.KEY_9, "9", "loop", "place", "play over and over"),
     Key(glfw.KEY_SLASH, "/", "centre", "place"),
-    Key(glfw.KEY_SPACE, "Space", "pause", "pause", "pause, go on"),
-    Key(glfw.KEY_LEFT, "Left", "step back", "step"),
-    Key(glfw.KEY_RIGHT, "Right", "step", "step", "one step"),
+    Key(glfw.KEY_SPACE, "Space", "pause", "pause", "pause"),
+    Key(glfw.KEY_LEFT, "Left", "step back", "pause"),
+    Key(glfw.KEY_RIGHT, "Right", "step", "pause", "one step"),
     Key(glfw.KEY_MINUS, "-", "slower", "speed"),
     Key(glfw.KEY_EQUAL, "=", "faster", "speed"),
     Key(glfw.KEY_HOME, "Home", "start", "ends"),
@@ -49,7 +50,6 @@ _KEYS = (
     Key(glfw.KEY_F12, "F12", SCREENSHOT, "files"),
     Key(glfw.KEY_GRAVE_ACCENT, "Backquote `", AXIS, "view"),
     Key(glfw.KEY_PAGE_DOWN, "Page Down", CAMERA, "view", "camera back"),
-    Key(glfw.KEY_F11, "F11", KEYS, "keys", "show, hide keys"),
     Key(glfw.KEY_ESCAPE, "Esc", EMERGENCY_STOP, "stop"),
 )
 """Keys of what is there by name; of two with one code the first whose action there is counts.

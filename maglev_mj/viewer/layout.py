@@ -180,12 +180,12 @@ class _Asked(NamedTuple):
         view, strip = self.view, self.strip.height
         top = view.top - (strip if self.banner else 0)
         most = int(_WORDS * view.width)
-        rows = _cut(font, [*self.status, *([] if self.shown is False else self.keys)], most)
+        rows = _wrapped(font, [*self.status, *([] if self.shown is False else self.keys)], most)
         if keys := self.shown is not False and bool(self.keys):
             keys = font.block(rows)[1] <= view.height - strip
             if not keys and (self.shown or font.large):
                 return None
-        rows, words = self._words(font, rows if keys else _cut(font, self.status, most))
+        rows, words = self._words(font, rows if keys else _wrapped(font, self.status, most))
         column = view.width // 4 if self.charted else max(view.width // 4, self._pixels(_COLUMN))
         free = view.width - words.width - column
         if free < max(self._pixels(_LEAST_FREE), int(0.3 * view.width)) or words.height > view.height - strip:
@@ -291,5 +291,21 @@ class _Asked(NamedTuple):
 
 def _cut(font: Font, rows: Sequence[Row], most: int) -> list[Row]:
     """Return rows no wider than so much."""
-    names = max((font.width(name) for name, _ in rows), default=0)
-    return [(name, font.cut(value, most - names - 2 * _EDGE)) for name, value in rows]
+    return [(name, font.cut(value, most - _names(font, rows))) for name, value in rows]
+
+
+def _wrapped(font: Font, rows: Sequence[Row], most: int) -> list[Row]:
+    """Return rows no wider than so much, in two where it takes that."""
+    found, room = [], most - _names(font, rows)
+    for name, value in rows:
+        words, first = value.split(" "), ""
+        while words and font.width(f"{first} {words[0]}") <= room:
+            first = f"{first} {words.pop(0)}".strip()
+        found.append((name, first if first or not words else font.cut(words.pop(0), room)))
+        found += [("", font.cut(" ".join(words), room))] if words else []
+    return found
+
+
+def _names(font: Font, rows: Sequence[Row]) -> int:
+    """Return the width of the first column, and of what is around both."""
+    return max((font.width(name) for name, _ in rows), default=0) + 2 * _EDGE

@@ -82,8 +82,8 @@ class OffscreenPainter:
         mujoco.mjv_updateScene(scenery.model, scenery.data, self._option, None, self._camera, everything, scene)
         scenery.decorate(scene, snapshot)
         if over is not None:
-            place, pixel = self._framing.corner(self._camera, view, over.layout.handle)
-            scenery.draw_axes(scene, place, pixel)
+            if (corner := self._framing.corner(self._camera, view, over.layout.handle)) is not None:
+                scenery.draw_axes(scene, *corner)
         mujoco.mjr_render(whole, scene, render)
         if over is not None:
             for rectangle, figure in over.figures:

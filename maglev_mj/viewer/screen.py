@@ -14,7 +14,7 @@ from maglev_mj.frames import AXES
 from maglev_mj.scenes import Scene
 from maglev_mj.session import EMERGENCY_STOP, Snapshot
 from maglev_mj.viewer.keys import AXIS, KEYS, help_rows, key_of
-from maglev_mj.viewer.layout import Area, Layout, arrange
+from maglev_mj.viewer.layout import Area, Font, Layout, arrange
 from maglev_mj.viewer.overlay import status_rows
 from maglev_mj.viewer.plots import Label, Plots
 
@@ -25,6 +25,7 @@ _Text: TypeAlias = tuple[int, int, str, str]
 
 _HELPS, _CHARTS = (glfw.KEY_F1, glfw.KEY_F2), (glfw.KEY_F3, glfw.KEY_F4)
 _RED: Colour = (0.80, 0.05, 0.05)
+_STOPS = "ESC: EMERGENCY STOP", "ESC: STOP", "ESC"
 _LOW = 130
 _DARK: Colour = (0.05, 0.06, 0.08)
 _WAYS = {"centre": "to start again", "pause": "to go on", "slower": "for slow motion"}
@@ -110,7 +111,9 @@ class Screen:
             font = fonts.mjFONT_BIG if layout.font.large else fonts.mjFONT_NORMAL
             texts.append((int(font), int(grid), *("\n".join(column) for column in zip(*layout.rows, strict=True))))
         if layout.label is not None:
-            figures.append((layout.label, self._stop.update("ESC: EMERGENCY STOP")))
+            room = layout.label.width - Font(scale).row
+            text = next((text for text in _STOPS if Font(scale).width(text) <= room), "")
+            figures.append((layout.label, self._stop.update(text)))
         if layout.hint is not None:
             figures.append((layout.hint, self._hint.update("F11: KEYS")))
         if said is not None:

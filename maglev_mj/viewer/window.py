@@ -263,7 +263,8 @@ class _Window:
                     self._camera_back = False
                     framing.reset(handle.cam)
                 framing.follow(handle.cam, view, over.layout.handle)
-                scenery.draw_axes(scene, *framing.corner(handle.cam, view, over.layout.handle))
+                if (corner := framing.corner(handle.cam, view, over.layout.handle)) is not None:
+                    scenery.draw_axes(scene, *corner)
             self._mouse = _mouse(handle.perturb)
             handle.perturb.select = scenery.flotor  # always in reach, without a double click
             handle.perturb.localpos[:] = GRIP
