@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import glfw
 import mujoco
 import numpy as np
 import pytest
@@ -24,7 +25,9 @@ from maglev_mj.model import model_path
 from maglev_mj.recording import Recording, RecordingError, verify
 from maglev_mj.replay import rebuild
 from maglev_mj.scenes.joystick import CENTRING, Joystick
-from maglev_mj.viewer.overlay import help_text, keys_of
+from maglev_mj.session import EMERGENCY_STOP, device_actions
+from maglev_mj.session import Session as LiveSession
+from maglev_mj.viewer.keys import AXIS, CAMERA, KEYS, SCREENSHOT, help_rows, key_of, keys_of
 from maglev_mj.viewer.scenery import GRIP
 from tests.virtual_screen import MISSING, VirtualScreen, waited
 
@@ -265,14 +268,25 @@ def camera_drag(scene: str, pixels: int, height: int) -> Array:
 
 
 def test_every_key_is_in_the_overlay_and_none_is_the_viewers_own() -> None:
-    keys = keys_of(Joystick)
-    assert len(help_text(Joystick)[0].splitlines()) == len(help_text(Joystick)[1].splitlines())
-    words = help_text(Joystick)[1]
-    for action in keys.values():
-        assert action.removesuffix(" up").removesuffix(" down") in words
+    actions = LiveSession(Joystick()).actions
+    keys, rows = keys_of(actions), help_rows(actions)
+    words = " ".join(words for _, words in rows)
+    for code, action in keys.items():
+        assert (action if code == glfw.KEY_ESCAPE else action.removesuffix(" up").removesuffix(" down")) in words
     letters, digits, function = set(range(65, 91)), set(range(48, 54)), set(range(290, 297))
-    others = {258, 259, 262, 263, 266, 45, 61, 91, 93}  # Tab Backspace right left PageUp - = [ ]
+    others = {258, 259, 266, 91, 93}  # Tab Backspace PageUp [ ]; right, left, - and = it passes on
     assert not set(keys) & (letters | digits | function | others)
+
+
+def test_there_are_keys_only_for_what_can_be_done() -> None:
+    """A replay or a device shows only what does something there."""
+    own = {AXIS, CAMERA, KEYS, SCREENSHOT}
+    for actions in (("pause", "step", "step back"), device_actions(Joystick), (EMERGENCY_STOP,), ()):
+        assert {*keys_of(actions).values()} == {*actions, *own} - {"damping"}
+        assert len(help_rows(actions, hand=False)) <= len(keys_of(actions))
+    words = " ".join(words for _, words in help_rows(device_actions(Joystick)))
+    assert "drop" not in words and "rate" not in words and "delay" not in words and "stiffness" in words
+    assert key_of("centre", ("centre",)) == "/" and key_of("centre", ()) == ""
 
 
 def test_without_a_display_one_line_says_what_to_use_instead() -> None:

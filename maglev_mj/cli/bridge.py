@@ -30,7 +30,7 @@ from maglev_mj.net.udp import open_link
 from maglev_mj.parameters import number
 from maglev_mj.recording import RecordingFile, open_recording, tee
 from maglev_mj.scenes import Scene
-from maglev_mj.session import DEVICES_OWN, Publisher, Snapshot
+from maglev_mj.session import DEVICES_OWN, Publisher, Snapshot, device_actions
 from maglev_mj.tables import flown_table, latched_table, timing_table
 from maglev_mj.terminal import say, wrapped
 from maglev_mj.viewer.process import window
@@ -145,7 +145,7 @@ def _fly(
         last.enter_context(stopping(switch.land, switch.cut, within=LANDING_TIME))
         viewer = None
         if options.view:
-            viewer = RemoteViewer(Snapshot(scene=scene), window(options.out))
+            viewer = RemoteViewer(Snapshot(scene=scene, actions=device_actions(type(scene))), window(options.out))
             last.callback(viewer.close)
             publishers = [*publishers, viewer]
         file = None if options.record is None else open_recording(options.record)

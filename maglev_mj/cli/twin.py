@@ -34,7 +34,7 @@ from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.recording import setup_of
 from maglev_mj.scenes import find_scene
 from maglev_mj.scenes.parts import WEIGHT
-from maglev_mj.session import Publishers, SampledMotion, Snapshot
+from maglev_mj.session import EMERGENCY_STOP, Publishers, SampledMotion, Snapshot
 from maglev_mj.spec import INERTIA, Spec
 from maglev_mj.tables import served_table
 from maglev_mj.viewer.process import window
@@ -113,7 +113,9 @@ def _twin(options: argparse.Namespace) -> int:
             require_display()
             # what it renders is for whoever flies it to say
             off = {one.name: False for one in look.parameters() if one.kind is bool and one.live}
-            blank = Snapshot(scene=look(**off, period=parameters.period, delay=parameters.delay))
+            blank = Snapshot(
+                scene=look(**off, period=parameters.period, delay=parameters.delay), actions=(EMERGENCY_STOP,)
+            )
             viewer = RemoteViewer(blank, window())
             last.callback(viewer.close)
         if (live := chosen_foxglove(options)) is not None:
@@ -207,11 +209,13 @@ def _shown(viewer: RemoteViewer, blank: Snapshot, server: TwinServer) -> Callabl
                 pose=pose,
                 force=force,
                 hand=np.array(plant.hand_wrench),
+                stops=plant.stop_wrench,
                 currents=currents,
                 history=motion.history.rows,
                 work=motion.work,
                 state="stopped" if twin.firmware.state == State.FAULT else "running",
-                remedy="bridge ADDRESS --reset",
+                reason=fault_names(twin.firmware.faults) if twin.firmware.faults else "",
+                remedy="maglev-mj bridge ADDRESS --reset goes on",
                 notes=[f"a device, {twin.firmware.state.name.lower()}{_faults(twin)}"],
             )
         )

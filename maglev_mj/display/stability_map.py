@@ -44,7 +44,7 @@ class Margin(NamedTuple):
 def margin(scene: Scene) -> Margin:
     """Return the place of a scene's gains under the stability boundary.
 
-    The loop is that of a flotor that nobody holds; of all axes and combinations of laws the one nearest to its boundary.
+    The loop is that of a flotor that nobody holds: of all axes and combinations of laws the one nearest its boundary.
     """
     try:
         gains = stated_gains(scene.controller())
@@ -58,17 +58,15 @@ def margin(scene: Scene) -> Margin:
 
 def _placed(scene: Scene, verdict: Verdict, gains: list[tuple[Array, Array]]) -> Margin:
     stiffness, damping = (np.array(both) for both in zip(*gains, strict=True))
-    body = inertia_of(scene)
-    loop = {"period": scene.period, "delay": scene.delay}
-    if not stiffness.any():
-        index, share, place = scene.axis_index, 0.0, (0, scene.axis_index)
-        place = int(damping[:, index].argmax()), index
-    else:
-        most = largest_stable_stiffness(damping, mass=body, **loop)
+    body, shares = inertia_of(scene), np.zeros_like(stiffness)
+    if stiffness.any():
+        most = largest_stable_stiffness(damping, period=scene.period, delay=scene.delay, mass=body)
         with np.errstate(divide="ignore", invalid="ignore"):
             shares = np.where(stiffness > 0.0, stiffness / most, 0.0)
         place = divmod(int(shares.argmax()), len(AXES))
-        share, index = float(shares[place]), place[1]
+    else:  # the most damped combination, on the axis that is looked at
+        place = int(damping[:, scene.axis_index].argmax()), scene.axis_index
+    share, index = float(shares[place]), place[1]
     own = float(stiffness[place]), float(damping[place])
     if not verdict.stable:
         index = AXES.index(verdict.axes[0])

@@ -38,7 +38,9 @@ def met_stops(snapshot: Snapshot) -> MetStops:
         force = float(wrench[index])
         if abs(force) >= LEAST_FORCE:
             faces.append((index, float(np.sign(force)), float(pose[index])))
-            words.append(f"{'-' if force > 0.0 else '+'}{AXES[index]} {abs(pose[index]) * 1e3:.1f} mm, {abs(force):.1f} N")
+            words.append(
+                f"{'-' if force > 0.0 else '+'}{AXES[index]} {abs(pose[index]) * 1e3:.1f} mm, {abs(force):.1f} N"
+            )
     torque = float(np.linalg.norm(wrench[3:]))
     turning = torque >= _LEAST_TORQUE
     if turning:

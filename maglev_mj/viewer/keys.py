@@ -49,7 +49,7 @@ _KEYS = (
     Key(glfw.KEY_F10, "F10", "record", "files"),
     Key(glfw.KEY_F12, "F12", SCREENSHOT, "files"),
     Key(glfw.KEY_GRAVE_ACCENT, "Backquote `", AXIS, "view"),
-    Key(glfw.KEY_PAGE_DOWN, "Page Down", CAMERA, "view", "camera back"),
+    Key(glfw.KEY_PAGE_DOWN, "Page Down", CAMERA, "camera", "camera back"),
     Key(glfw.KEY_ESCAPE, "Esc", EMERGENCY_STOP, "stop"),
 )
 """Keys of what is there by name; of two with one code the first whose action there is counts.
@@ -72,7 +72,7 @@ _PAIRS: Mapping[tuple[str, str], tuple[int, int, str]] = {
     ("Up", "Down"): (glfw.KEY_UP, glfw.KEY_DOWN, "stiffness"),
     ("Period .", "Comma ,"): (glfw.KEY_PERIOD, glfw.KEY_COMMA, "damping"),
     ("F9", "F8"): (glfw.KEY_F9, glfw.KEY_F8, "rate"),
-    ("Apostrophe '", "Semicolon ;"): (glfw.KEY_APOSTROPHE, glfw.KEY_SEMICOLON, "delay"),
+    ("Quote '", "Semicolon ;"): (glfw.KEY_APOSTROPHE, glfw.KEY_SEMICOLON, "delay"),
     ("Home", "End"): (glfw.KEY_HOME, glfw.KEY_END, ""),
     ("Insert", "Delete"): (glfw.KEY_INSERT, glfw.KEY_DELETE, ""),
 }

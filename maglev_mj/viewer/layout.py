@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, TypeAlias
 
-__all__ = ["Area", "Font", "Layout", "Row", "arrange"]
+__all__ = ["Area", "Font", "Layout", "Row", "Words", "arrange"]
 
 Row: TypeAlias = tuple[str, str]
 """Name and value, or keys and what they do."""
@@ -18,7 +18,7 @@ _HEIGHT, _GAP, _EDGE = 18.7, 5, 18
 _HELP = 22, "Toggle Left / Right UI", "Ctrl [Shift] right drag"  # rows, and the longest of each column
 _PLOT_HEIGHT, _PLOT_WIDTH, _COLUMN = 110, 210, 250
 _LARGE = 1700, 950
-_LEAST_FREE, _WORDS = 300, 0.36
+_LEAST_FREE, _WORDS = 300, 0.3
 
 
 class Area(NamedTuple):
@@ -74,7 +74,8 @@ class Font(NamedTuple):
     def width(self, text: str) -> int:
         """Return the width of a text, or a little more [pixels]."""
         widths = (int(_WIDTHS[ord(letter) - 32], 16) if " " <= letter <= "~" else 8 for letter in text)
-        return math.ceil(self.size * sum(widths))
+        uneven = 0 if self.size == 1.0 else len(text) // 3 + 1  # some letters grow by more than the others
+        return math.ceil(self.size * sum(widths)) + uneven
 
     def cut(self, text: str, most: int) -> str:
         """Return a text, shortened to a width."""
@@ -90,33 +91,41 @@ class Font(NamedTuple):
         return wide + 2 * _EDGE, len(rows) * self.row + 2 * _GAP
 
 
+class Words(NamedTuple):
+    """A block of words.
+
+    Attributes:
+        rows: Those for which there is room.
+        font: Of the letters.
+        area: Where they are.
+    """
+
+    rows: Sequence[Row]
+    font: Font
+    area: Area
+
+
 @dataclass(frozen=True, kw_only=True)
 class Layout:
     """Where everything goes.
 
     Attributes:
-        font: Of the words.
-        rows: Those words for which there is room.
-        words: Where they are.
-        above: Whether they are at the top; else at the bottom.
+        status: Words on the scene, at the upper left; None for nowhere.
+        keys: Words on the keys, at the lower left, likewise.
         plots: Where the first plots go, as many as there is room for.
         banner: Where a banner goes.
         label: Where the label of the emergency stop goes; None for nowhere.
-        hint: Where the key of the keys is named; None for nowhere.
+        hint: Where the key of the keys is named, likewise.
         handle: What is free for the handle.
-        keys: Whether the keys are among the words.
     """
 
-    font: Font
-    rows: Sequence[Row]
-    words: Area
-    above: bool
+    status: Words | None
+    keys: Words | None
     plots: Sequence[Area]
     banner: Area
     label: Area | None
     hint: Area | None
     handle: Area
-    keys: bool
 
 
 def arrange(
@@ -145,8 +154,9 @@ def arrange(
         charted: Whether it shows its own charts at the right.
     """
     asked = _Asked(view, scale, list(status), list(keys), banner, label, shown, helped, charted)
-    large = view.width >= _LARGE[0] * 0.01 * scale and view.height >= _LARGE[1] * 0.01 * scale
-    return (large and asked.columns(Font(scale, large=True))) or asked.columns(Font(scale)) or asked.rows()
+    plain = Font(scale)
+    large = view.width >= asked.pixels(_LARGE[0]) and view.height >= asked.pixels(_LARGE[1])
+    return (large and asked.columns(plain._replace(large=True))) or asked.columns(plain) or asked.rows()
 
 
 class _Asked(NamedTuple):
@@ -162,123 +172,119 @@ class _Asked(NamedTuple):
     helped: bool
     charted: bool
 
-    @property
-    def pad(self) -> int:
-        """Distance between things."""
-        return math.ceil(0.06 * self.scale)
-
-    @property
-    def strip(self) -> Area:
-        """Place of a banner, across the top: a large line and, where there is room, a small one."""
-        small, large = Font(self.scale), Font(self.scale, large=True)
-        high = large.row + 2 * self.pad + (small.row if self.view.height >= 15 * small.row else 0)
-        high = min(high, self.view.height // 2)
-        return Area(self.view.left, self.view.top - high, self.view.width, high)
-
     def columns(self, font: Font) -> Layout | None:
         """Return words, handle and plots side by side; None where it is too narrow."""
-        view, strip = self.view, self.strip.height
-        top = view.top - (strip if self.banner else 0)
-        most = int(_WORDS * view.width)
-        rows = _wrapped(font, [*self.status, *([] if self.shown is False else self.keys)], most)
-        if keys := self.shown is not False and bool(self.keys):
-            keys = font.block(rows)[1] <= view.height - strip
-            if not keys and (self.shown or font.large):
+        view, strip, plain = self.view, self.strip, Font(self.scale)
+        status = _wrapped(font, self.status, int(_WORDS * view.width))
+        wide, high = font.block(status)
+        key_rows = [] if self.shown is False or self.helped else self.keys
+        keys_wide, keys_high = plain.block(key_rows) if key_rows else (0, 0)
+        if self.helped:
+            status, (wide, high) = [], self.help_size
+        elif high + keys_high > view.height:
+            if self.shown or font.large:
                 return None
-        rows, words = self._words(font, rows if keys else _wrapped(font, self.status, most))
-        column = view.width // 4 if self.charted else max(view.width // 4, self._pixels(_COLUMN))
-        free = view.width - words.width - column
-        if free < max(self._pixels(_LEAST_FREE), int(0.3 * view.width)) or words.height > view.height - strip:
+            key_rows, keys_wide = [], 0
+        left = view.left + max(wide, keys_wide)
+        column = view.width // 4 if self.charted else max(view.width // 4, self.pixels(_COLUMN))
+        right = view.right - column
+        if right - left < max(self.pixels(_LEAST_FREE), int(0.3 * view.width)) or high > view.height:
             return None
-        label, hint, foot = self._feet(words.right, view.right - column, view.bottom, keys)
-        count = 0 if self.charted else max(min(4, (top - view.bottom) // self._pixels(_PLOT_HEIGHT)), 1)
-        high = (top - view.bottom) // max(count, 1)
+        label, hint, foot = self.feet(left, right, view.bottom, bool(key_rows))
+        top = view.top - (strip if self.banner else 0)
+        count = 0 if self.charted else max(min(4, (top - view.bottom) // self.pixels(_PLOT_HEIGHT)), 1)
+        each = (top - view.bottom) // max(count, 1)
         return Layout(
-            font=font,
-            rows=rows,
-            words=words,
-            above=False,
-            plots=[Area(view.right - column, top - (place + 1) * high, column, high) for place in range(count)],
-            banner=self.strip,
+            status=Words(status, font, Area(view.left, view.top - high, wide, high)) if status else None,
+            keys=Words(key_rows, plain, Area(view.left, view.bottom, keys_wide, keys_high)) if key_rows else None,
+            plots=[Area(right, top - (place + 1) * each, column, each) for place in range(count)],
+            banner=Area(left, view.top - strip, view.right - left, strip),
             label=label,
             hint=hint,
-            handle=Area(words.right, foot, free, view.top - strip - foot),
-            keys=keys and not self.helped,
+            handle=Area(left, foot, right - left, view.top - strip - foot),
         )
 
     def rows(self) -> Layout:
         """Return words, handle and plots one above the other; the keys, where they are asked for, beside the handle."""
         view, font, strip = self.view, Font(self.scale), self.strip
         if self.helped or self.shown:
-            return self._beside()
+            return self.beside()
         fits = max(int(0.2 * view.height) // font.row, 1)
         rows = _cut(font, self.status[:fits], view.width - self.pad)
         wide, high = font.block(rows)
-        reserved = max(high, strip.height)
-        plots_high = max(self._pixels(100), min(int(0.28 * view.height), self._pixels(190)))
-        if self.charted or view.height - reserved - plots_high - self._label_height < 0.3 * view.height:
+        plots_high = max(self.pixels(100), min(int(0.28 * view.height), self.pixels(190)))
+        reserved = max(high, strip)
+        if self.charted or view.height - reserved - plots_high - self.foot_height < 0.3 * view.height:
             plots_high = 0
-        count = max(1, min(4, view.width // self._pixels(_PLOT_WIDTH))) if plots_high else 0
+        count = max(1, min(4, view.width // self.pixels(_PLOT_WIDTH))) if plots_high else 0
         width = view.width // max(count, 1)
         right = view.right - (view.width // 4 if self.charted else 0)
-        label, hint, foot = self._feet(view.left, right, view.bottom + plots_high, False)
+        label, hint, foot = self.feet(view.left, right, view.bottom + plots_high, False)
+        area = Area(view.left, view.top - high, min(wide, view.width), high)
         return Layout(
-            font=font,
-            rows=[] if self.banner else rows,
-            words=Area(view.left, view.top - high, min(wide, view.width), high),
-            above=True,
+            status=None if self.banner else Words(rows, font, area),
+            keys=None,
             plots=[Area(view.left + place * width, view.bottom, width, plots_high) for place in range(count)],
-            banner=strip,
+            banner=Area(view.left, view.top - strip, view.width, strip),
             label=label,
             hint=hint,
             handle=Area(view.left, foot, right - view.left, view.top - reserved - foot),
-            keys=False,
         )
 
-    def _beside(self) -> Layout:
+    def beside(self) -> Layout:
         """Return the keys, or the engine's help, at the left, and the handle at their right."""
         view, font, strip = self.view, Font(self.scale), self.strip
-        fits = max((view.height - (strip.height if self.banner else 0) - 2 * _GAP) // font.row, 1)
-        rows, words = self._words(font, _cut(font, self.keys[:fits], int(0.75 * view.width)))
-        left = min(words.right, view.right - view.width // 5)
-        label, hint, foot = self._feet(left, view.right, view.bottom, True)
+        most = view.width - view.width // 5
+        fits = max((view.height - (strip if self.banner else 0) - 2 * _GAP) // font.row, 1)
+        rows = _cut(font, self.keys[:fits], most)
+        wide, high = self.help_size if self.helped else font.block(rows)
+        left = view.left + min(wide, most)
+        label, hint, foot = self.feet(left, view.right, view.bottom, True)
+        keys = Words(rows, font, Area(view.left, view.bottom, left - view.left, high))
         return Layout(
-            font=font,
-            rows=rows,
-            words=words._replace(width=left - view.left),
-            above=False,
+            status=None,
+            keys=None if self.helped else keys,
             plots=[],
-            banner=strip,
+            banner=Area(view.left, view.top - strip, view.width, strip),
             label=label,
             hint=hint,
-            handle=Area(left, foot, view.right - left, view.top - strip.height - foot),
-            keys=not self.helped,
+            handle=Area(left, foot, view.right - left, view.top - strip - foot),
         )
 
-    def _words(self, font: Font, rows: list[Row]) -> tuple[list[Row], Area]:
-        """Return words and where they are at the left; none, and where the engine's help is, where it is shown."""
-        view = self.view
-        if not self.helped:
-            wide, high = font.block(rows)
-            return rows, Area(view.left, view.bottom, wide, high)
-        count, *longest = _HELP
-        plain = Font(self.scale)
-        wide, high = plain.block([(longest[0], longest[1])])[0], min(count * plain.row + 2 * _GAP, view.height)
-        return [], Area(view.left, view.top - high, wide, high)
+    @property
+    def pad(self) -> int:
+        """Distance between things."""
+        return math.ceil(0.06 * self.scale)
 
-    def _pixels(self, size: int) -> int:
+    @property
+    def strip(self) -> int:
+        """Height of a banner: a large line and, where there is room, a small one."""
+        small, large = Font(self.scale), Font(self.scale, large=True)
+        high = large.row + 2 * self.pad + (small.row if self.view.height >= 15 * small.row else 0)
+        return min(high, self.view.height // 2)
+
+    @property
+    def help_size(self) -> tuple[int, int]:
+        """Width and height of the engine's own help."""
+        count, *longest = _HELP
+        font = Font(self.scale)
+        wide, _ = font.block([(longest[0], longest[1])])
+        return wide, min(count * font.row + 2 * _GAP, self.view.height)
+
+    def pixels(self, size: int) -> int:
         """Return a size at the letters' scale."""
         return size * self.scale // 100
 
     @property
-    def _label_height(self) -> int:
+    def foot_height(self) -> int:
+        """Height of the emergency stop's label, and what is around it."""
         return Font(self.scale).row + 2 * self.pad if self.label else 0
 
-    def _feet(self, left: int, right: int, bottom: int, keys: bool) -> tuple[Area | None, Area | None, int]:
-        """Return where label and hint go, and what is above them."""
+    def feet(self, left: int, right: int, bottom: int, keys: bool) -> tuple[Area | None, Area | None, int]:
+        """Return where label and hint go, and the lowest row above them."""
         if not self.label:
             return None, None, bottom
-        font, pad, high = Font(self.scale), self.pad, self._label_height - self.pad
+        font, pad, high = Font(self.scale), self.pad, self.foot_height - self.pad
         hinted = 0 if keys or self.helped or not self.keys else font.width("F11: KEYS") + 4 * pad
         wide = min(font.width("ESC: EMERGENCY STOP") + 4 * pad, right - left - 2 * pad)
         if wide + hinted + 3 * pad > right - left:
@@ -286,7 +292,7 @@ class _Asked(NamedTuple):
         start = left + (right - left - wide - hinted) // 2
         label = Area(start, bottom + pad // 2, wide, high)
         hint = Area(start + wide + pad, label.bottom, hinted, high) if hinted else None
-        return label, hint, bottom + self._label_height
+        return label, hint, bottom + self.foot_height
 
 
 def _cut(font: Font, rows: Sequence[Row], most: int) -> list[Row]:
@@ -299,8 +305,9 @@ def _wrapped(font: Font, rows: Sequence[Row], most: int) -> list[Row]:
     found, room = [], most - _names(font, rows)
     for name, value in rows:
         words, first = value.split(" "), ""
-        while words and font.width(f"{first} {words[0]}") <= room:
-            first = f"{first} {words.pop(0)}".strip()
+        while words and font.width(longer := f"{first} {words[0]}".strip()) <= room:
+            first = longer
+            words.pop(0)
         found.append((name, first if first or not words else font.cut(words.pop(0), room)))
         found += [("", font.cut(" ".join(words), room))] if words else []
     return found

@@ -123,7 +123,8 @@ class Label:
 
     def update(self, text: str, foot: str = "") -> Any:
         """Return it with a line of words at its top, and one at its foot."""
-        self._figure.title, self._figure.xlabel = text, foot
+        _entitle(self._figure, text)
+        self._figure.xlabel = foot
         return self._figure
 
 
@@ -146,8 +147,13 @@ def _prepare(figure: Any) -> None:
     figure.minwidth = "-100"
 
 
+def _entitle(figure: Any, title: str) -> None:
+    # the engine looks one letter beyond the end, where that of a longer title would be
+    figure.title = f"{title}\0"
+
+
 def _draw(figure: Any, title: str, lines: Sequence[_Line], across: _Range, up: _Range) -> None:
-    figure.title = title
+    _entitle(figure, title)
     figure.linepnt[:] = 0
     for index, (colour, x, y) in enumerate(lines):
         x, y = np.asarray(x, dtype=np.float32), np.asarray(y, dtype=np.float32)

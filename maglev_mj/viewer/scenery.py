@@ -106,7 +106,9 @@ class Scenery:
         for name, direction in zip(AXES[:3], np.eye(3), strict=True):
             _connect(scene, place, place + 2.0 * length * direction, 0.05 * length, STOP)
             # an invisible point beyond the tip carries the name
-            if (shape := _add(scene, _SPHERE, np.zeros(3), place + 1.25 * length * direction, _IDENTITY, _UNSEEN)) is not None:
+            if (
+                shape := _add(scene, _SPHERE, np.zeros(3), place + 1.25 * length * direction, _IDENTITY, _UNSEEN)
+            ) is not None:
                 shape.label = name
 
     def _find_windings(self) -> list[tuple[int, int]]:

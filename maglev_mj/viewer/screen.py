@@ -26,7 +26,7 @@ _Text: TypeAlias = tuple[int, int, str, str]
 _HELPS, _CHARTS = (glfw.KEY_F1, glfw.KEY_F2), (glfw.KEY_F3, glfw.KEY_F4)
 _RED: Colour = (0.80, 0.05, 0.05)
 _STOPS = "ESC: EMERGENCY STOP", "ESC: STOP", "ESC"
-_LOW = 130
+_LOW, _ROUND = 130, 12
 _DARK: Colour = (0.05, 0.06, 0.08)
 _WAYS = {"centre": "to start again", "pause": "to go on", "slower": "for slow motion"}
 
@@ -100,16 +100,18 @@ class Screen:
             helped=bool(self._engine & {*_HELPS}),
             charted=bool(self._engine & {*_CHARTS}),
         )
-        self._shown = layout.keys
+        self._shown = layout.keys is not None
         low = bool(layout.plots) and layout.plots[0].height < _LOW * 0.01 * scale
         figures = list(zip(layout.plots, self._plots.update(snapshot, self._axis, low=low), strict=False))
         texts: list[_Text] = []
-        if layout.rows:
-            figures.insert(0, (layout.words, self._back.update("")))
-            grid = mujoco.mjtGridPos.mjGRID_TOPLEFT if layout.above else mujoco.mjtGridPos.mjGRID_BOTTOMLEFT
-            fonts = mujoco.mjtFont
-            font = fonts.mjFONT_BIG if layout.font.large else fonts.mjFONT_NORMAL
-            texts.append((int(font), int(grid), *("\n".join(column) for column in zip(*layout.rows, strict=True))))
+        grids = mujoco.mjtGridPos
+        for words, grid in ((layout.status, grids.mjGRID_TOPLEFT), (layout.keys, grids.mjGRID_BOTTOMLEFT)):
+            if words is not None:
+                figures.append((words.area, self._back.update("")))
+                fonts = mujoco.mjtFont
+                font = fonts.mjFONT_BIG if words.font.large else fonts.mjFONT_NORMAL
+                first, second = ("\n".join(column) for column in zip(*words.rows, strict=True))
+                texts.append((int(font), int(grid), first, second))
         if layout.label is not None:
             room = layout.label.width - Font(scale).row
             text = next((text for text in _STOPS if Font(scale).width(text) <= room), "")
@@ -117,16 +119,20 @@ class Screen:
         if layout.hint is not None:
             figures.append((layout.hint, self._hint.update("F11: KEYS")))
         if said is not None:
-            figures.append((layout.banner, self._banner_figure(said, snapshot)))
-            title, _, _ = said.text.partition(":")
-            way = key_of(said.way_on, snapshot.actions) if said.way_on else ""
-            head = f"{title}: press {way} {_WAYS[said.way_on]}" if way else title
-            texts.append((int(mujoco.mjtFont.mjFONT_BIG), int(mujoco.mjtGridPos.mjGRID_TOP), head, ""))
+            heads, why = _said(said, snapshot)
+            middle, letters, strip = int(view.centre[0]), Font(scale, large=True), layout.banner
+            half = min(middle - strip.left, strip.right - middle) - _ROUND
+            head = next((head for head in heads if letters.width(head) <= 2 * half), "")
+            self._banner.paint(BAD if said.bad else STOP)
+            figures.append((layout.banner, self._banner.update("" if head else heads[0], why)))
+            if head:
+                texts.append((int(mujoco.mjtFont.mjFONT_BIG), int(grids.mjGRID_TOP), head, ""))
         return Drawn([(mujoco.MjrRect(*area), figure) for area, figure in figures], texts, layout)
 
-    def _banner_figure(self, said: Banner, snapshot: Snapshot) -> Any:
-        self._banner.paint(BAD if said.bad else STOP)
-        _, _, why = said.text.partition(":")
-        return self._banner.update("", ". ".join(part for part in (why.strip(), said.remedy) if part))
 
-
+def _said(said: Banner, snapshot: Snapshot) -> tuple[list[str], str]:
+    """Return what a banner says, with the key that goes on, in less and less room; and why."""
+    title, _, why = said.text.partition(": ")
+    way = key_of(said.way_on, snapshot.actions) if said.way_on else ""
+    heads = [f"{title}: press {way} {_WAYS[said.way_on]}", f"{title}: press {way}"] if way else [title]
+    return heads, ". ".join(part for part in (why, said.remedy) if part)

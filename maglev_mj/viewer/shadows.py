@@ -1,4 +1,4 @@
-"""Whether frames are so slow that shadows should go: a processor that draws by itself spends most of its time on them."""
+"""Whether frames are so slow that shadows should go, on which a processor that draws spends most of its time."""
 
 from __future__ import annotations
 
