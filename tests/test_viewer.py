@@ -21,14 +21,17 @@ import pytest
 from live_client import LiveClient
 from maglev_mj.frames import AXES, Array
 from maglev_mj.hand import SpringHand
-from maglev_mj.model import model_path
 from maglev_mj.recording import Recording, RecordingError, verify
 from maglev_mj.replay import rebuild
+from maglev_mj.scenes import Scene
 from maglev_mj.scenes.joystick import CENTRING, Joystick
 from maglev_mj.session import EMERGENCY_STOP, device_actions
 from maglev_mj.session import Session as LiveSession
+from maglev_mj.viewer.framing import Framing
 from maglev_mj.viewer.keys import AXIS, CAMERA, KEYS, SCREENSHOT, help_rows, key_of, keys_of
-from maglev_mj.viewer.scenery import GRIP
+from maglev_mj.viewer.layout import Area
+from maglev_mj.viewer.scenery import GRIP, Scenery
+from maglev_mj.viewer.screen import Screen
 from tests.virtual_screen import MISSING, VirtualScreen, waited
 
 pytestmark = pytest.mark.xdist_group("realtime")
@@ -37,7 +40,7 @@ needs_screen = pytest.mark.skipif(bool(MISSING), reason=f"a window needs {', '.j
 
 SCREEN = 900, 600
 SAMPLE, RATE = "/maglev/sample", 200
-DRAG = 30
+DRAG = 16
 """Pixels."""
 
 PATIENCE = 60.0
@@ -206,7 +209,7 @@ def test_a_drag_moves_the_flotor_as_the_hands_stiffness_says(session: Session) -
     hand = np.concatenate([stretch.hand for stretch in recording.stretches])
     held = np.flatnonzero(np.abs(hand).max(axis=1) > 0.0)
     assert held.size > 100
-    drawn = camera_drag("joystick", DRAG, SCREEN[1] * 2 // 3)
+    drawn = camera_drag(Joystick(), DRAG, Area(0, 0, SCREEN[0] * 2 // 3, SCREEN[1] * 2 // 3))
     stiffness = SpringHand().stiffness
     expected = drawn * stiffness / (stiffness + CENTRING)
     settled = position[held[-20:], :3].mean(axis=0)
@@ -253,18 +256,20 @@ def test_a_screenshot_is_taken(session: Session) -> None:
     assert path.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
 
 
-def camera_drag(scene: str, pixels: int, height: int) -> Array:
-    """Return how far a drag to the right moves the grip [m], (3,), by the camera of a scene's file alone."""
-    model = mujoco.MjModel.from_xml_path(str(model_path(f"scenes/{scene}")))
-    azimuth, elevation = (math.radians(getattr(model.vis.global_, name)) for name in ("azimuth", "elevation"))
+def camera_drag(scene: Scene, pixels: int, view: Area) -> Array:
+    """Return how far a drag to the right moves the grip [m], (3,), by the camera of a window alone."""
+    session, framing, camera = LiveSession(scene), Framing(Scenery(scene).model), mujoco.MjvCamera()
+    framing.reset(camera)
+    framing.follow(camera, view, Screen().draw(session.snapshot(), view, 100).layout.handle)
+    session.close()
+    azimuth, elevation = math.radians(camera.azimuth), math.radians(camera.elevation)
     forward = np.array(
         [math.cos(elevation) * math.cos(azimuth), math.cos(elevation) * math.sin(azimuth), math.sin(elevation)]
     )
-    camera = model.stat.center - 1.5 * model.stat.extent * forward
-    depth = float((GRIP - camera) @ forward)
-    across = 2.0 * depth * math.tan(math.radians(0.5 * model.vis.global_.fovy))  # of the whole picture's height
+    depth = float((GRIP - camera.lookat) @ forward) + camera.distance
+    across = 2.0 * depth * math.tan(math.radians(0.5 * 45.0))  # of the whole picture's height
     right = np.cross(forward, [0.0, 0.0, 1.0])
-    return pixels / height * across * right / np.linalg.norm(right)
+    return pixels / view.height * across * right / np.linalg.norm(right)
 
 
 def test_every_key_is_in_the_overlay_and_none_is_the_viewers_own() -> None:
