@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj.display.banner import Note, banner
+from maglev_mj.display.banner import Banner, Note, banner
 from maglev_mj.errors import ParameterError
 from maglev_mj.hand import SpringHand
 from maglev_mj.parameters import param

@@ -269,7 +269,8 @@ def camera_drag(scene: Scene, pixels: int, view: Area) -> Array:
     depth = float((GRIP - camera.lookat) @ forward) + camera.distance
     across = 2.0 * depth * math.tan(math.radians(0.5 * 45.0))  # of the whole picture's height
     right = np.cross(forward, [0.0, 0.0, 1.0])
-    return pixels / view.height * across * right / np.linalg.norm(right)
+    drawn: Array = pixels / view.height * across * right / np.linalg.norm(right)
+    return drawn
 
 
 def test_every_key_is_in_the_overlay_and_none_is_the_viewers_own() -> None:
