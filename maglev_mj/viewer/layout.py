@@ -18,7 +18,7 @@ _HEIGHT, _GAP, _EDGE = 18.7, 5, 18
 _HELP = 22, "Toggle Left / Right UI", "Ctrl [Shift] right drag"  # rows, and the longest of each column
 _PLOT_HEIGHT, _PLOT_WIDTH, _COLUMN = 110, 210, 250
 _LARGE = 1700, 950
-_LEAST_FREE, _WORDS = 300, 0.3
+_LEAST_FREE, _LEAST_WORDS, _WORDS = 400, 340, 0.3
 
 
 class Area(NamedTuple):
@@ -175,7 +175,7 @@ class _Asked(NamedTuple):
     def columns(self, font: Font) -> Layout | None:
         """Return words, handle and plots side by side; None where it is too narrow."""
         view, strip, plain = self.view, self.strip, Font(self.scale)
-        status = _wrapped(font, self.status, int(_WORDS * view.width))
+        status = _wrapped(font, self.status, max(int(_WORDS * view.width), self.pixels(_LEAST_WORDS)))
         wide, high = font.block(status)
         key_rows = [] if self.shown is False or self.helped else self.keys
         keys_wide, keys_high = plain.block(key_rows) if key_rows else (0, 0)
@@ -188,7 +188,7 @@ class _Asked(NamedTuple):
         left = view.left + max(wide, keys_wide)
         column = view.width // 4 if self.charted else max(view.width // 4, self.pixels(_COLUMN))
         right = view.right - column
-        if right - left < max(self.pixels(_LEAST_FREE), int(0.3 * view.width)) or high > view.height:
+        if right - left < self.pixels(_LEAST_FREE) or high > view.height:
             return None
         label, hint, foot = self.feet(left, right, view.bottom, bool(key_rows))
         top = view.top - (strip if self.banner else 0)
