@@ -4,18 +4,21 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import combinations, product
+from queue import SimpleQueue
 from types import SimpleNamespace
 from typing import Any
 
+import glfw
 import mujoco
 import numpy as np
 import pytest
 
 from maglev_mj.colours import BAD, GOOD, HAND, STOP
-from maglev_mj.display.banner import banner
+from maglev_mj.display.banner import Note, banner
 from maglev_mj.display.curves import SteadyRange, fitted_range
 from maglev_mj.display.stability_map import margin
 from maglev_mj.display.stops import met_stops
+from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene
 from maglev_mj.scenes.drop import Drop
@@ -29,6 +32,7 @@ from maglev_mj.viewer.overlay import status_rows
 from maglev_mj.viewer.scenery import GRIP, Scenery
 from maglev_mj.viewer.screen import Screen
 from maglev_mj.viewer.shadows import SlowFrames
+from maglev_mj.viewer.window import _Window
 
 SIZES = (
     (480, 360),
@@ -296,12 +300,12 @@ def test_the_banner_says_what_is_the_matter_and_the_key_that_goes_on(shot: Snaps
     stopped = replace(shot, state="stopped", reason="emergency stop")
     assert said(stopped) == "STOPPED: press / to start again"
     assert said(replace(shot, state="paused")) == "PAUSED: press Space to go on"
-    assert said(replace(shot, late=True)) == "TOO SLOW: press - for slow motion"
     device = replace(stopped, actions=device_actions(Joystick), remedy="maglev-mj bridge ADDRESS --reset goes on")
     assert said(device) == "STOPPED"  # no key does
     found = banner(device)
     assert found is not None and found.way_on == "" and "--reset" in found.remedy
     assert said(stopped, Area(0, 0, 1040, 700)).startswith("STOPPED: press /")
+    assert said(replace(shot, late=True)) == said(shot) == "TOO SLOW: press - for slow motion"  # it stays for a while
 
 
 def test_keys_and_label_only_where_they_do_something(shot: Snapshot) -> None:
@@ -328,3 +332,28 @@ def test_shadows_go_once_when_a_second_of_frames_was_slow() -> None:
 
     assert told(0.02, 5.0) == 0 and told(0.2, 0.8) == 0 and told(0.02, 0.1) == 0 and told(0.2, 0.8) == 0
     assert told(0.2, 5.0) == 1  # once: who puts them back keeps them
+
+
+def test_what_a_key_may_not_do_is_a_note_and_not_the_end(shot: Snapshot) -> None:
+    def refuse(action: str) -> None:
+        raise ParameterError(f"{action} is not taken here") if action == "rate up" else OSError("no space left")
+
+    window: Any = _Window.__new__(_Window)
+    session = SimpleNamespace(snapshot=lambda: shot, act=refuse)
+    window.__dict__ |= {"_session": session, "_screen": Screen(), "_note": Note(), "_pressed": SimpleQueue()}
+    for code, words in ((glfw.KEY_F9, "rate up is not taken here"), (glfw.KEY_F10, "no space left")):
+        window._pressed.put(code)
+        window._press_keys()
+        assert window._note.lines == [words]
+    window._pressed.put(glfw.KEY_F1)  # the engine's own help is on now
+    window._press_keys()
+    assert window._screen.draw(shot, Area(0, 0, 1280, 800), 100).layout.status is None
+
+
+def test_notes_go_away() -> None:
+    now = [0.0]
+    note = Note(lambda: now[0])
+    note.say("wrote a file")
+    assert note.lines == ["wrote a file"]
+    now[0] = 60.0
+    assert note.lines == []

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple, TypeAlias
 
 import glfw
 import mujoco
 
 from maglev_mj.colours import BAD, STOP, Colour
-from maglev_mj.display.banner import Banner, banner
+from maglev_mj.display.banner import Banner, Note, banner
 from maglev_mj.frames import AXES
 from maglev_mj.scenes import Scene
 from maglev_mj.session import EMERGENCY_STOP, Snapshot
@@ -56,6 +57,7 @@ class Screen:
         self._plots, self._with_keys = Plots(), keys
         self._stop, self._hint, self._back = Label(_RED), Label(_DARK, 0.85), Label(_DARK, 0.80)
         self._banner = Label(BAD)
+        self._late = Note()
         self._axis: int | None = None
         self._wanted: bool | None = None
         self._shown = False
@@ -86,7 +88,9 @@ class Screen:
             scale: Of the engine's letters, 100 to 300 [%].
             notes: Further words for the person.
         """
-        said = banner(snapshot)
+        if snapshot.late:
+            self._late.say("late")
+        said = banner(replace(snapshot, late=bool(self._late.lines)))  # ticks are given up now and then: no flicker
         # a hand is the mouse's, but in a recording and on a device, which has one of its own
         mouse = snapshot.duration is None and snapshot.state != "flying"
         layout = arrange(

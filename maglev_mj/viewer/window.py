@@ -17,7 +17,7 @@ import glfw
 import mujoco
 
 from maglev_mj.display.banner import Note
-from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.errors import MaglevError
 from maglev_mj.frames import Array, rotation_matrix, rotation_vector
 from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.scenes import Scene
@@ -90,13 +90,16 @@ def require_display() -> None:
             raise DisplayError(f"a window cannot be opened on this display: {instead}")
 
 
-def show(session: SnapshotSource, *, folder: Path = Path(), duration: float | None = None) -> ShowReport:
+def show(
+    session: SnapshotSource, *, folder: Path = Path(), duration: float | None = None, shadows: bool | None = None
+) -> ShowReport:
     """Open a window on a session and keep it in real time until the window is closed.
 
     Args:
         session: What to show.
         folder: Where screenshots go.
         duration: Close the window after so much real time [s]; None waits for the person.
+        shadows: Whether there are shadows; None for as long as frames are not slow.
 
     Returns:
         What it came to.
@@ -105,7 +108,7 @@ def show(session: SnapshotSource, *, folder: Path = Path(), duration: float | No
         DisplayError: If a window cannot be opened.
     """
     require_display()
-    window = _Window(session, folder)
+    window = _Window(session, folder, shadows)
     try:
         with engine_warnings_silenced():
             return window.run(duration)
@@ -123,9 +126,9 @@ class _Window:
     viewer draws in its own. Handing over waits for a frame to be drawn, which must not hold up the ticks.
     """
 
-    def __init__(self, session: SnapshotSource, folder: Path) -> None:
+    def __init__(self, session: SnapshotSource, folder: Path, shadows: bool | None) -> None:
         self._session, self._folder = session, folder
-        self._screen, self._slow = Screen(), SlowFrames()
+        self._screen, self._slow = Screen(), SlowFrames() if shadows is None else None
         self._scale = _font_scale()
         self._pressed: queue.SimpleQueue[int] = queue.SimpleQueue()
         self._snapshots: queue.Queue[Snapshot | None] = queue.Queue(maxsize=1)
@@ -147,6 +150,8 @@ class _Window:
             show_left_ui=False,
             show_right_ui=False,
         )
+        if shadows is False:
+            self._drop_shadows()
         self._painter = threading.Thread(target=self._paint, name="painter", daemon=True)
         self._threads = [thread for thread in threading.enumerate() if thread not in before]
         self._painter.start()
@@ -204,7 +209,7 @@ class _Window:
             elif action is not None:
                 try:
                     self._session.act(action)
-                except ParameterError as error:  # such as a rate with which no controller can be made
+                except (MaglevError, OSError) as error:  # such as a rate with which no controller can be made
                     self._note.say(str(error))
 
     def _guide_hand(self) -> None:
@@ -234,10 +239,13 @@ class _Window:
                 return
             cost = time.perf_counter() - begun
             self._costs.append(cost)
-            if self._slow.add(cost):
-                with self._handle.lock():
-                    self._handle.user_scn.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = 0
+            if self._slow is not None and self._slow.add(cost):
+                self._drop_shadows()
                 self._note.say("shadows are off, for frames were slow; S puts them back")
+
+    def _drop_shadows(self) -> None:
+        with self._handle.lock():
+            self._handle.user_scn.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = 0
 
     def _draw(self, snapshot: Snapshot) -> None:
         handle = self._handle
