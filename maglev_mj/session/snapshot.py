@@ -63,7 +63,7 @@ class Snapshot:
         actions: Names that `act` takes.
         state: "running", "paused", "stopped" or "flying".
         reason: Why it has stopped; empty otherwise.
-        remedy: How to go on once it has.
+        remedy: How to go on once it has, where no action does; empty otherwise.
         notes: Messages for the person at the window.
     """
 
@@ -93,7 +93,7 @@ class Snapshot:
     actions: Sequence[str] = ()
     state: str = "running"
     reason: str = ""
-    remedy: str = "/ starts again"
+    remedy: str = ""
     notes: Sequence[str] = ()
 
     def __post_init__(self) -> None:
