@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from maglev_mj.frames import Command, Sample
 
-__all__ = ["DivergenceError", "MaglevError", "ModelError", "ParameterError", "PlantError", "SensingError"]
+__all__ = [
+    "DivergenceError",
+    "MaglevError",
+    "ModelError",
+    "ParameterError",
+    "PlantError",
+    "SensingError",
+    "meant",
+    "not_one_of",
+]
 
 
 class MaglevError(Exception):
@@ -44,3 +55,22 @@ class DivergenceError(PlantError):
     """
 
     partial: Any = None
+
+
+def not_one_of(name: str, allowed: Iterable[str], given: object, also: str = "") -> str:
+    """Return the message for a value that is none of those allowed.
+
+    Args:
+        name: Name of what was given.
+        allowed: Texts that are allowed.
+        given: The value.
+        also: Further values allowed, in words.
+    """
+    known = list(allowed)
+    return f"{name} must be one of {', '.join(known)}{also}, not {given!r}{meant(given, known)}"
+
+
+def meant(given: object, allowed: Iterable[str]) -> str:
+    """Return the end of a message that names the text most like a given one; empty for none."""
+    near = get_close_matches(str(given), allowed, n=1)
+    return f"; did you mean {near[0]}?" if near else ""

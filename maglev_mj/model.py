@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from maglev_mj.coils import CoilMap
-from maglev_mj.errors import ModelError, ParameterError
+from maglev_mj.errors import ModelError, ParameterError, not_one_of
 from maglev_mj.frames import AXES, Array
 from maglev_mj.hand import Hand
 from maglev_mj.parameters import flag, number, numbers
@@ -97,7 +97,7 @@ def model_path(model: str | Path) -> Path:
         return path
     path = MODELS / f"{model}.xml"
     if not path.is_file():
-        raise ModelError(f"model must be one of {', '.join(scenes())}, or an MJCF file, not {model!r}")
+        raise ModelError(not_one_of("model", scenes(), model, ", or an MJCF file"))
     return path
 
 

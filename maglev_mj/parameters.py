@@ -15,7 +15,7 @@ from typing import Any, Literal, Self, Union, dataclass_transform, get_args, get
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.errors import ParameterError
+from maglev_mj.errors import ParameterError, not_one_of
 from maglev_mj.frames import AXES, Array, Component
 
 __all__ = [
@@ -166,7 +166,7 @@ def axis_indices(axes: str | Sequence[str]) -> tuple[int, ...]:
     names = (axes,) if isinstance(axes, str) else tuple(axes)
     for name in names:
         if name not in AXES:
-            raise ParameterError(f"axis must be one of {', '.join(AXES)}, not {name!r}")
+            raise ParameterError(not_one_of("axis", AXES, name))
     if not names or len(set(names)) != len(names):
         raise ParameterError(f"axes must be one or more different names of {', '.join(AXES)}, not {names!r}")
     return tuple(AXES.index(name) for name in names)
@@ -303,8 +303,8 @@ class Parameter:
             return flag(self.name, value)
         if self.kind is str:
             if not isinstance(value, str) or (self.choices and value not in self.choices):
-                allowed = f"one of {', '.join(self.choices)}" if self.choices else "a text"
-                raise ParameterError(f"{self.name} must be {allowed}, not {value!r}")
+                what = not_one_of(self.name, self.choices, value)
+                raise ParameterError(what if self.choices else f"{self.name} must be a text, not {value!r}")
             return value
         result = number(self.name, value, **self.bounds)
         if self.kind is int:
@@ -430,9 +430,7 @@ class Parameters:
         for one in cls.parameters():
             if one.name == name:
                 return one
-        raise ParameterError(
-            f"parameter must be one of {', '.join(one.name for one in cls.parameters())}, not {name!r}"
-        )
+        raise ParameterError(not_one_of("parameter", (one.name for one in cls.parameters()), name))
 
     def replace(self, **changes: Any) -> Self:
         """Return a copy with some values changed; what was derived is derived anew.

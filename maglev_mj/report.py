@@ -16,6 +16,7 @@ from maglev_mj.model import COILS, Device, envelope, load
 from maglev_mj.parameters import axis_indices
 from maglev_mj.plants import MuJoCoPlant, Timing
 from maglev_mj.spec import GRAVITY, Spec
+from maglev_mj.terminal import WIDTH, wrapped
 
 __all__ = ["device_report", "device_table", "position_bandwidth"]
 
@@ -182,11 +183,12 @@ def position_bandwidth(
 
 def device_table(report: DeviceReport) -> str:
     """Return the report as text for a terminal."""
-    lines = ["The UBC maglev joystick: what the paper prints and what the compiled model yields", ""]
+    lines = ["The UBC maglev joystick: what the paper prints, what the compiled model yields", ""]
     lines.append(f"  {'':<32}{'paper':>8}{'model':>9}  unit")
     for row in report.table:
-        remark = f"   {row.remark}" if row.remark else ""
-        lines.append(f"  {row.name:<32}{row.paper:>8}{row.model:>9}  {row.unit:<5}{remark}".rstrip())
+        line = f"  {row.name:<32}{row.paper:>8}{row.model:>9}  {row.unit:<5}".rstrip()
+        beside = f"{line:<58}   {row.remark}".rstrip()
+        lines += [beside] if len(beside) <= WIDTH else [line, f"    {row.remark}"]
     figures = report.figures
     inertia = ", ".join(f"{value * 1e4:.2f}" for value in figures["inertia"])
     lines += [
@@ -194,22 +196,22 @@ def device_table(report: DeviceReport) -> str:
         f"  inertia about x, y, z with handle  {inertia}  1e-4 kg m² (assumed)",
         f"  hover current, each vertical coil  {figures['hover_current']:.2f} A at {figures['moving_mass']:g} kg",
         "",
-        f"  {'largest pure force or torque':<32}" + "".join(f"{axis:>9}" for axis in AXES),
+        f"  {'largest pure wrench':<20}" + "".join(f"{axis:>8}" for axis in AXES),
     ]
     for name, key in (
         (f"at {Spec.continuous_current.value:g} A", "largest_at_continuous_current"),
         (f"at {figures['peak_current']:g} A", "largest_at_peak_current"),
     ):
-        lines.append(f"  {name:<32}" + "".join(f"{value:>9.3g}" for value in figures[key]) + "  N, N m")
-    lines += ["", "  wrench map, N/A and N m/A for one ampere in each coil (coil places are assumed)"]
-    lines.append(f"  {'':<6}" + "".join(f"{coil:>13}" for coil in COILS))
+        lines.append(f"  {name:<20}" + "".join(f"{value:>8.3g}" for value in figures[key]) + "  N, N m")
+    lines += ["", "  wrench of one ampere in each coil [N/A, N m/A]; coil places are assumed"]
+    lines.append(f"  {'':<6}" + "".join(f"{coil:>12}" for coil in COILS))
     for axis, row in zip(AXES, figures["wrench_map"], strict=True):
-        lines.append(f"  {axis:<6}" + "".join(f"{value + 0.0:>13.4f}" for value in np.round(row, 12)))
+        lines.append(f"  {axis:<6}" + "".join(f"{value + 0.0:>12.4f}" for value in np.round(row, 12)))
     lines += [
-        f"  condition number {figures['condition_number']:.2f} with torques over the mean arm of "
-        f"{figures['mean_arm'] * 1e3:.1f} mm, {figures['condition_number_si']:.1f} in SI units",
+        f"  condition number {figures['condition_number']:.2f} (torques over the mean arm, "
+        f"{figures['mean_arm'] * 1e3:.1f} mm), {figures['condition_number_si']:.1f} in SI units",
         "",
         "  where the paper contradicts itself",
     ]
-    lines += [f"  - {text}" for text in report.contradictions]
+    lines += [line for text in report.contradictions for line in wrapped(text, "  - ", "    ")]
     return "\n".join(lines)

@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import math
+import re
+from textwrap import wrap
 from typing import Any, TextIO
 
-__all__ = ["cell", "printable", "say"]
+__all__ = ["WIDTH", "cell", "printable", "say", "wrapped"]
+
+WIDTH = 80
+"""Columns of a table at most."""
 
 
 def printable(text: str) -> str:
@@ -31,3 +36,23 @@ def cell(value: Any, scale: float) -> str:
     if not math.isfinite(number):
         return "-"
     return f"{number:.0f}" if abs(number) >= 100.0 else f"{number:.1f}" if abs(number) >= 10.0 else f"{number:z.2f}"
+
+
+def wrapped(text: str, indent: str = "  ", further: str | None = None) -> list[str]:
+    """Return a text as lines of at most 80 characters, a number and its unit on the same one.
+
+    Args:
+        text: One paragraph.
+        indent: In front of the first line.
+        further: In front of the others; None for the same.
+    """
+    joined = re.sub(r"(?<=\d) (?=[^\W\d])", "\0", text)
+    lines = wrap(
+        joined,
+        WIDTH,
+        initial_indent=indent,
+        subsequent_indent=indent if further is None else further,
+        break_long_words=False,  # a file's name
+        break_on_hyphens=False,
+    )
+    return [line.replace("\0", " ") for line in lines]

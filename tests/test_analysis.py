@@ -362,7 +362,7 @@ def test_a_session_is_analysed_stretch_by_stretch(session: Path, tmp_path: Path,
     arguments = ["analyse", str(session), "--stretch", "2", "--from", "1.0", "--axis", "y", "--no-compare"]
     assert main([*arguments, "--out", str(tmp_path)]) == 0
     said = capsys.readouterr().out
-    assert "stretch 2 of 2, 100 samples" in said and "simulation" not in said
+    assert "stretch 2 of 2\n  100 samples" in said and "simulation" not in said
     assert {path.name for path in tmp_path.glob("*.png")} == {
         f"stretch_2_{name}.png" for name in ("contact", "run", "sticks")
     }

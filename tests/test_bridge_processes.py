@@ -32,7 +32,7 @@ from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.table import Table
 from tests.recorded import command_row
 
-COMMAND = [sys.executable, "-m", "maglev_mj.cli"]
+COMMAND = [sys.executable, "-m", "maglev_mj"]
 NEAR = "udp://127.0.0.1:0"
 
 pytestmark = pytest.mark.xdist_group("realtime")

@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 
 from maglev_mj.cli import info, main
-from maglev_mj.cli.program import COMMANDS
+from maglev_mj.cli.commands import COMMANDS
 from maglev_mj.replay import write_run
 from maglev_mj.scenes.drop import Drop
 
-CLI = [sys.executable, "-m", "maglev_mj.cli"]
+CLI = [sys.executable, "-m", "maglev_mj"]
 
 
 def unread(*command: str, unbuffered: bool = False, both: bool = False, folder: Path | None = None) -> tuple[int, str]:

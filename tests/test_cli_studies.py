@@ -52,7 +52,7 @@ def test_sweep_covers_the_grid(tmp_path: Path, capsys: pytest.CaptureFixture[str
     record = tmp_path / "cells.jsonl"
     arguments = ["sweep", "drop", "--vary", "height=0.001:0.003:3", "--vary", "plant=exact,mujoco", "--set", "pulse=0"]
     assert main([*arguments, "--record", str(record), "--workers", "0", "--json", str(tmp_path / "all.json")]) == 0
-    assert "Sweep of drop over height (3), plant (2): 6 cells, 0 of them already in" in capsys.readouterr().out
+    assert "Sweep of drop over height (3), plant (2): 6 cells\n  0 of them already in" in capsys.readouterr().out
     cells = json.loads((tmp_path / "all.json").read_text())["cells"]
     assert [(cell["cell"]["height"], cell["cell"]["plant"]) for cell in cells] == [
         (height, plant) for height in (0.001, 0.002, 0.003) for plant in ("exact", "mujoco")

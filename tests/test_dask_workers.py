@@ -166,7 +166,7 @@ def test_a_scheduler_that_dies_is_one_line_and_the_record_stays_good(
         "stability": ["stability", "--grid", "40", "--plant", "mujoco"],
     }
     record = tmp_path / {"sweep": "drop-sweep.jsonl", "stability": "stability-cells.jsonl"}[command]
-    arguments = [sys.executable, "-m", "maglev_mj.cli", *studies[command], "--scheduler", cluster.address]
+    arguments = [sys.executable, "-m", "maglev_mj", *studies[command], "--scheduler", cluster.address]
     with cluster.worker():
         process = subprocess.Popen(
             arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path, start_new_session=True

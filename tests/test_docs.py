@@ -19,7 +19,7 @@ from live_client import LiveClient
 from maglev_mj.bridge import State, Twin, TwinParameters
 from maglev_mj.bridge.twin import TwinServer
 from maglev_mj.cli import parser
-from maglev_mj.cli.options import joined
+from maglev_mj.cli.arguments import joined
 from maglev_mj.live import LiveServer
 from maglev_mj.net.udp import UdpServer
 from maglev_mj.session import Session
@@ -132,7 +132,7 @@ def test_the_python_of_a_page_runs(page: str, tmp_path: Path, monkeypatch: pytes
 @pytest.mark.skipif(find_library("OSMesa") is None, reason="drawing off screen needs OSMesa (Debian: libosmesa6)")
 def test_the_scene_of_ones_own_is_made_as_the_page_says(tmp_path: Path) -> None:
     write_files("docs/viewer.md", tmp_path)
-    command = [sys.executable, "-m", "maglev_mj.cli", "render", "shaft.py", "--out", "shaft.png", "--width", "0.003"]
+    command = [sys.executable, "-m", "maglev_mj", "render", "shaft.py", "--out", "shaft.png", "--width", "0.003"]
     command += ["--size", "320x200"]
     done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)
     assert (done.returncode, done.stdout, done.stderr) == (0, "wrote shaft.png\n", "")

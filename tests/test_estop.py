@@ -227,7 +227,7 @@ def test_a_patience_that_is_none_is_refused(patience: float) -> None:
         estop(VirtualLink(Twin(TwinParameters())), patience=patience)
 
 
-COMMAND = [sys.executable, "-m", "maglev_mj.cli"]
+COMMAND = [sys.executable, "-m", "maglev_mj"]
 
 
 def stop_from_here(address: str, pipe: Any) -> None:

@@ -77,12 +77,16 @@ def test_a_scene_is_found_by_the_name_that_it_has(name: str) -> None:
     assert name in scene_names()
 
 
-@pytest.mark.parametrize("text", ["pub", "", "Drop", "maglev_mj.scenes.drop:Drop", "drop.mcap"])
-def test_what_is_no_scene_is_refused_with_those_that_there_are(text: str) -> None:
+@pytest.mark.parametrize(
+    ("text", "meant"),
+    [("pub", ""), ("", ""), ("Drop", "drop"), ("maglev_mj.scenes.drop:Drop", ""), ("joistick", "joystick")],
+)
+def test_what_is_no_scene_is_refused_with_those_that_there_are(text: str, meant: str) -> None:
     with pytest.raises(ParameterError) as refused:
         find_scene(text)
     names = ", ".join(scene_names())
-    assert str(refused.value) == f"scene must be one of {names}, or a file such as my_scene.py, not {text!r}"
+    near = f"; did you mean {meant}?" if meant else ""
+    assert str(refused.value) == f"scene must be one of {names}, or a file such as my_scene.py, not {text!r}{near}"
 
 
 def test_a_scene_is_found_in_a_file(push: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -51,6 +51,7 @@ FLOORS = {
     "tables": 9,
     "conformance": 9,
     "cli": 10,
+    "__main__": 11,
 }
 ALLOWED = {
     "mujoco": {"model", "plants", "shapes", "versions", "viewer"},
@@ -62,6 +63,7 @@ ALLOWED = {
     "imageio": {"viewer"},
     "distributed": {"workers"},
     "serial": {"net"},
+    "argcomplete": {"cli"},
     "mcap": {"recording"},
     "foxglove": {"live", "recording"},
     "pyarrow": {"recording"},

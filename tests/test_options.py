@@ -6,7 +6,8 @@ from typing import Any
 
 import pytest
 
-from maglev_mj.cli.options import Parser, add_parameters, chosen
+from maglev_mj.cli.arguments import Parser
+from maglev_mj.cli.options import add_parameters, chosen
 from maglev_mj.errors import ParameterError
 from maglev_mj.parameters import Parameters, interval, param
 
@@ -69,7 +70,7 @@ def test_the_help_has_unit_and_default() -> None:
         ("--length long", "lever: argument --length: must be a number, not 'long'\n"),
         ("--load much", "lever: argument --load: must be a number, not 'much'\n"),
         ("--count-of 2.5", "lever: argument --count-of: must be a whole number, not '2.5'\n"),
-        ("--len 1", "lever: unrecognized arguments: --len 1\n"),
+        ("--len 1", "lever: unrecognized arguments: --len 1; did you mean --length?\n"),
     ],
 )
 def test_a_bad_word_is_one_line(words: str, complaint: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -137,7 +137,7 @@ def test_its_model_levels_are_compared(folder: Path, say: Say) -> None:
 
 def test_it_is_rendered(folder: Path, say: Say) -> None:
     environment = {**os.environ, "MUJOCO_GL": "osmesa"}
-    command = [sys.executable, "-m", "maglev_mj.cli", "render", "detents.py", "--stiffness", "3000"]
+    command = [sys.executable, "-m", "maglev_mj", "render", "detents.py", "--stiffness", "3000"]
     command += ["--out", "it.png", "--seconds", "0.05", "--size", "160x160"]
     done = subprocess.run(command, env=environment, cwd=folder, capture_output=True, text=True, timeout=PATIENCE)
     assert done.returncode == 0, done.stderr
@@ -147,7 +147,7 @@ def test_it_is_rendered(folder: Path, say: Say) -> None:
 @pytest.mark.xdist_group("realtime")
 @pytest.mark.skipif(bool(MISSING), reason=f"a window needs {', '.join(MISSING)}")
 def test_keys_change_its_parameters_in_a_window(folder: Path, say: Say) -> None:
-    command = [sys.executable, "-m", "maglev_mj.cli", "view", "detents.py", "--stiffness", "9870"]
+    command = [sys.executable, "-m", "maglev_mj", "view", "detents.py", "--stiffness", "9870"]
     command += ["--foxglove", "0", "--record", "seen.npz"]
     with VirtualScreen(600, 400) as screen:
         program = subprocess.Popen(

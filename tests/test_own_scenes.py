@@ -118,7 +118,7 @@ def test_the_command_sweeps_a_file_on_two_processes(file: Path, monkeypatch: Any
     command = ["sweep", "magnet.py", "--vary", "stiffness=500,1000", "--set", "damping=20", "--set", "plant=exact"]
     assert main([*command, "--workers", "2", "--json", "all.json"]) == 0
     assert (
-        "Sweep of magnet over stiffness (2): 2 cells, 0 of them already in magnet-sweep.jsonl"
+        "Sweep of magnet over stiffness (2): 2 cells\n  0 of them already in magnet-sweep.jsonl"
         in capsys.readouterr().out
     )
     data = json.loads((file.parent / "all.json").read_text())

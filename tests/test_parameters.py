@@ -1,6 +1,5 @@
 """Arguments of another type: switches that are neither True nor False, and numbers that are none."""
 
-import argparse
 import importlib
 import inspect
 import pkgutil
@@ -12,6 +11,7 @@ import numpy as np
 import pytest
 
 import maglev_mj
+from maglev_mj.cli.arguments import Parser
 from maglev_mj.errors import ParameterError
 from maglev_mj.model import load
 from maglev_mj.parameters import flag, number, numbers, parsed_number
@@ -32,7 +32,7 @@ NEEDED: dict[str, Any] = {
     "integrator": "rk4",
     "kind": "scene",
     "name": "drop",
-    "parser": argparse.ArgumentParser(),
+    "parser": Parser(),
     "path": Path("run.npz"),
     "period": 0.005,
     "pose": np.zeros((2, 6)),

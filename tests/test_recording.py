@@ -136,7 +136,7 @@ def test_a_scene_is_drawn_without_a_window(ending: str, tmp_path: Path) -> None:
     path = tmp_path / f"scene.{ending}"
     options = ["--seconds", "0.4", "--fps", "10", "--size", "320x200"]
     done = subprocess.run(
-        [sys.executable, "-m", "maglev_mj.cli", "render", "drop", "--out", str(path), *options],
+        [sys.executable, "-m", "maglev_mj", "render", "drop", "--out", str(path), *options],
         capture_output=True,
         text=True,
     )

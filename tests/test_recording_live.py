@@ -552,7 +552,7 @@ def test_no_memory_to_share_is_one_line_before_anything_runs(
 
 def test_the_writer_takes_no_modules_from_the_folder_that_it_is_in(tmp_path: Path) -> None:
     (tmp_path / "calendar.py").write_text("raise RuntimeError('not this one')\n")
-    command = [sys.executable, "-P", "-m", "maglev_mj.cli", "drop", "--plant", "exact", "--record", "run.mcap"]
+    command = [sys.executable, "-P", "-m", "maglev_mj", "drop", "--plant", "exact", "--record", "run.mcap"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=60)
     assert done.returncode == 0 and not done.stderr, done.stderr
     assert Recording.load(tmp_path / "run.mcap").ticks == 81

@@ -143,7 +143,8 @@ def test_an_unknown_name_is_refused_with_those_that_there_are(make: Any) -> None
     with pytest.raises(ParameterError) as refused:
         make({"stiffness": 1.0, "stifness": 2.0})
     said = str(refused.value)
-    assert said.startswith("parameter must be one of period, delay, stiffness, ") and said.endswith(", not 'stifness'")
+    assert said.startswith("parameter must be one of period, delay, stiffness, ")
+    assert said.endswith(", not 'stifness'; did you mean stiffness?")
     assert Drop.parameter("height").unit == "m" and Drop.parameter("stiffness").live
 
 

@@ -23,7 +23,8 @@ import numpy as np
 import pytest
 
 from maglev_mj.cli import serve_spacenav
-from maglev_mj.cli.options import Parser, add_parameters, chosen
+from maglev_mj.cli.arguments import Parser
+from maglev_mj.cli.options import add_parameters, chosen
 from maglev_mj.cli.spacenav import add_spacenav, chosen_spacenav
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
@@ -1088,7 +1089,7 @@ def test_the_option_opens_a_server_and_says_how_programs_find_it(path: Path) -> 
     said: list[str] = []
     (server,) = chosen_spacenav(parsed("--spacenav", "--socket", str(path), "--axes", "rate"), said.append)
     assert server.path == path and path.is_socket()
-    assert said[0].endswith(f"export SPNAV_SOCKET={path}")
+    assert said[1].endswith(f"export SPNAV_SOCKET={path}")
     server.close()
 
 
@@ -1138,9 +1139,9 @@ def test_an_option_of_a_scene_may_have_the_name_of_a_setting(tmp_path: Path) -> 
 
 def served(*arguments: str) -> int:
     """Run the command by itself."""
-    parser = Parser(prog="maglev-mj")
-    serve_spacenav.add_command(parser.add_subparsers())
-    options = parser.parse_args(["serve-spacenav", *arguments])
+    parser = Parser(prog="maglev-mj serve-spacenav")
+    serve_spacenav.add_options(parser)
+    options = parser.parse_args(arguments)
     status: int = options.run(options)
     return status
 
@@ -1150,8 +1151,8 @@ def test_the_command_moves_a_scene_for_programs_and_says_what_it_came_to(
 ) -> None:
     assert served("table", "--socket", str(path), "--axes", "rate", "--seconds", "0.3") == 0
     said = capsys.readouterr().out.splitlines()
-    assert said[0].endswith(f"SPNAV_SOCKET={path}")
-    assert said[1] == "  0 events, 0 missed, 0 programs dropped, 0 refused"
+    assert said[1] == f"    export SPNAV_SOCKET={path}"
+    assert said[2] == "  0 events, 0 missed, 0 programs dropped, 0 refused"
     assert not path.exists()
 
 

@@ -29,7 +29,7 @@ from maglev_mj.scenes.joystick import Joystick
 from maglev_mj.session import Snapshot
 from tests.test_bridge_processes import said_by
 
-COMMAND = [sys.executable, "-m", "maglev_mj.cli"]
+COMMAND = [sys.executable, "-m", "maglev_mj"]
 ZERO_CURRENT = 1e-9
 
 pytestmark = pytest.mark.xdist_group("realtime")

@@ -120,7 +120,7 @@ class Watched:
 def session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Session]:
     """Drag the handle and let go, press every key, and close the window."""
     folder = tmp_path_factory.mktemp("session")
-    command = [sys.executable, "-m", "maglev_mj.cli", "view", "joystick", "--no-wall", "--out", str(folder)]
+    command = [sys.executable, "-m", "maglev_mj", "view", "joystick", "--no-wall", "--out", str(folder)]
     command += ["--foxglove", "0"]
     with VirtualScreen(*SCREEN) as screen:
         program = subprocess.Popen(
@@ -279,7 +279,7 @@ def test_without_a_display_one_line_says_what_to_use_instead() -> None:
     bare = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
     for display in ({}, {"DISPLAY": ":4242"}):
         done = subprocess.run(
-            [sys.executable, "-m", "maglev_mj.cli", "view"], env=bare | display, capture_output=True, text=True
+            [sys.executable, "-m", "maglev_mj", "view"], env=bare | display, capture_output=True, text=True
         )
         assert done.returncode == 1
         assert len(done.stderr.splitlines()) == 1

@@ -124,7 +124,7 @@ def test_both_ends_of_a_window_agree(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.skipif(bool(MISSING), reason=f"{' and '.join(MISSING)} not there")
 def test_the_wall_that_a_host_renders_is_felt_through_the_mouse_of_the_twin(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "maglev_mj.cli"]
+    command = [sys.executable, "-m", "maglev_mj"]
     record = tmp_path / "run.npz"
     with VirtualScreen(900, 700) as screen:
         twin = subprocess.Popen(
@@ -172,7 +172,7 @@ def test_the_wall_that_a_host_renders_is_felt_through_the_mouse_of_the_twin(tmp_
 @pytest.mark.skipif(bool(MISSING), reason=f"{' and '.join(MISSING)} not there")
 @pytest.mark.parametrize("seen", ["twin", "bridge"])
 def test_escape_in_a_window_cuts_the_currents(seen: str, tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "maglev_mj.cli"]
+    command = [sys.executable, "-m", "maglev_mj"]
     look = {"twin": ["--view"], "bridge": []}
     with VirtualScreen(900, 700) as screen:
         options: dict[str, Any] = {"env": screen.environment, "stdout": subprocess.PIPE, "text": True}

@@ -5,12 +5,13 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from maglev_mj import plots
 from maglev_mj.analysis import Analysed, analyse
-from maglev_mj.cli.options import count, number_option
+from maglev_mj.cli.arguments import Parser
+from maglev_mj.cli.options import add_outputs, count, number_option
 from maglev_mj.cli.output import check_outputs, write_json
+from maglev_mj.cli.progress import Progress
 from maglev_mj.cli.replay import add_own_scene, own_code
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES
@@ -21,34 +22,36 @@ from maglev_mj.tables import analysis_table
 from maglev_mj.terminal import say
 from maglev_mj.versions import versions_read
 
-__all__ = ["add_command"]
+__all__ = ["add_options"]
 
 
-def add_command(commands: Any) -> None:
-    """Add the command to the parser's."""
-    command = commands.add_parser(
-        "analyse", help="figures 5, 6 and 9 from a recording, beside its simulation (docs/analysis.md)"
+def add_options(parser: Parser) -> None:
+    """Add the options of the command."""
+    parser.description = (
+        "Figures 5, 6 and 9 of the paper from a recording, beside its simulation: docs/analysis.md says of each what "
+        "it tells."
     )
-    command.add_argument("file", metavar="FILE", type=Path, help="a recording of run, view or bridge")
-    command.add_argument("--json", metavar="FILE", help="write the figures as JSON; - for standard output")
-    command.add_argument("--out", metavar="DIR", type=Path, help="write pictures to this folder")
-    command.add_argument(
+    parser.add_argument("file", metavar="FILE", type=Path, help="a recording of run, view or bridge")
+    part = parser.group("part of the recording")
+    part.add_argument(
         "--stretch", type=count, metavar="N", help="only the N-th stretch, from 1; parameters change between"
     )
     begin, end = "from so long after the beginning of a stretch on [s]", "up to so long after it [s]"
-    command.add_argument("--from", dest="begin", type=number_option, default=0.0, metavar="SECONDS", help=begin)
-    command.add_argument("--to", dest="end", type=number_option, metavar="SECONDS", help=end)
-    command.add_argument(
-        "--axis", metavar="NAME", help="axis to draw (default: the scene's, or one whose wall was touched)"
-    )
-    command.add_argument(
+    part.add_argument("--from", dest="begin", type=number_option, default=0.0, metavar="SECONDS", help=begin)
+    part.add_argument("--to", dest="end", type=number_option, metavar="SECONDS", help=end)
+    compared = parser.group("simulation")
+    compared.add_argument(
         "--compare",
         action=argparse.BooleanOptionalAction,
         default=True,
         help="run the simulation of the same parameters too (the default)",
     )
-    add_own_scene(command)
-    command.set_defaults(run=_analyse)
+    add_own_scene(compared)
+    add_outputs(parser, "the figures")
+    parser.group("output").add_argument(
+        "--axis", metavar="NAME", help="axis to draw (default: the scene's, or one whose wall was touched)"
+    )
+    parser.set_defaults(run=_analyse)
 
 
 def _analyse(options: argparse.Namespace) -> int:
@@ -57,11 +60,17 @@ def _analyse(options: argparse.Namespace) -> int:
         axis_indices(options.axis)
     if options.out is not None:
         plots.require()
-    recording = Recording.load(options.file)
-    stretches = recording.stretches
-    several = len(stretches) > 1
-    own = own_code(options.scene, recording)
-    found = [(place, _found(stretch, options, own)) for place, stretch in _chosen(stretches, options)]
+    with Progress("analyse") as progress:
+        recording = Recording.load(options.file)
+        stretches = recording.stretches
+        several = len(stretches) > 1
+        with progress.aside():
+            own = own_code(options.scene, recording)
+        wanted, found = _chosen(stretches, options), []
+        for place, stretch in wanted:
+            found.append((place, _found(stretch, options, own)))
+            if len(wanted) > 1:
+                progress(len(found), len(wanted))
     axes = [one.axis(options.axis) for _, one in found]  # before anything is written
     if options.json is not None:
         recorded_by = {place: versions_read(stretches[place - 1].setup.get("versions")) for place, _ in found}

@@ -8,7 +8,6 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -19,8 +18,10 @@ from maglev_mj.bridge.identification import collect, excitation, identify
 from maglev_mj.bridge.realtime import interrupt, realtime, stopping
 from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.bridge.safety import HostLimits
+from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.options import add_bridge, add_parameters, add_recording, chosen, chosen_key, number_option
 from maglev_mj.cli.output import check_file, check_outputs, check_recording
+from maglev_mj.cli.progress import Progress
 from maglev_mj.cli.publishers import add_publishers, chosen_publishers
 from maglev_mj.cli.scenes import add_scene, chosen_scene, warn_of_instability
 from maglev_mj.cli.web import add_web, chosen_front
@@ -32,16 +33,16 @@ from maglev_mj.recording import RecordingFile, open_recording, tee
 from maglev_mj.scenes import Scene
 from maglev_mj.session import DEVICES_OWN, Publisher, Snapshot
 from maglev_mj.tables import flown_table, latched_table, timing_table
-from maglev_mj.terminal import say
+from maglev_mj.terminal import say, wrapped
 
-__all__ = ["add_command"]
+__all__ = ["add_options"]
 
 _IDENTIFYING = 10.0
 _FLYING = "record", "view", "web", "seconds", "spacenav", "foxglove"
 
 _ENDS = f"""\
 how a flight ends, in takeoff, flight and landing alike:
-  Ctrl-C               lands; {LANDING_TIME:g} s later the currents are cut unless they are off by then
+  Ctrl-C               lands; currents not off {LANDING_TIME:g} s later are cut
   Ctrl-C twice         cuts the currents now: an emergency stop
   SIGTERM, SIGHUP      land as the first Ctrl-C, however often they come
   Esc in the window    cuts the currents now; closing the window lands
@@ -54,31 +55,27 @@ that cuts the amplifiers. Exit status: 0 landed, 1 cut or failed, 2 bad input,
 """
 
 
-def add_command(commands: Any) -> None:
-    """Add the command to the parser's."""
-    bridge = commands.add_parser(
-        "bridge",
-        help="a scene on a device at the other end of a wire",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        epilog=_ENDS,
-    )
-    bridge.add_argument("address", metavar="ADDRESS", help="udp://HOST:PORT, or serial:///PATH?baud=RATE")
-    bridge.add_argument("--reset", action="store_true", help="show what is latched in the device, clear it, and end")
-    bridge.add_argument("--view", action="store_true", help="a window on the device; its hand is at the device")
-    add_web(bridge)
-    bridge.add_argument(
-        "--out", metavar="DIR", type=Path, default=Path(), help="folder for the last cycles before a fault (default .)"
-    )
-    add_bridge(bridge)
-    limits = bridge.add_argument_group("limits of the host; the smaller of these and the device's counts")
+def add_options(parser: Parser) -> None:
+    """Add the options of the command."""
+    parser.description, parser.epilog = "A scene on a device at the other end of a wire.", _ENDS
+    parser.add_argument("address", metavar="ADDRESS", help="udp://HOST:PORT, or serial:///PATH?baud=RATE")
+    add_scene(parser, option="--scene", default="joystick", without=DEVICES_OWN)
+    run = parser.group("run")
+    run.add_argument("--reset", action="store_true", help="show what is latched in the device, clear it, and end")
+    run.add_argument("--view", action="store_true", help="a window on the device; its hand is at the device")
+    add_web(parser)
+    add_bridge(parser)
+    limits = parser.group("limits of the host; the smaller of these and the device's counts")
     add_parameters(limits, HostLimits)
     limits.add_argument(
         "--profile", metavar="FILE", type=Path, help="these limits by name, as JSON; options go before it"
     )
-    others = bridge.add_argument_group("recording and other programs")
-    add_recording(others)
-    add_publishers(others)
-    identification = bridge.add_argument_group("identification, instead of a scene")
+    add_recording(parser)
+    parser.group("output").add_argument(
+        "--out", metavar="DIR", type=Path, default=Path(), help="folder for the last cycles before a fault (default .)"
+    )
+    add_publishers(parser)
+    identification = parser.group("identification, instead of a scene")
     identification.add_argument(
         "--identify",
         metavar="FILE",
@@ -86,8 +83,7 @@ def add_command(commands: Any) -> None:
         help=f"shake the flotor gently for {_IDENTIFYING:g} s and write its calibration",
     )
     identification.add_argument("--mass", type=number_option, metavar="X", help="moving mass [kg]")
-    add_scene(bridge, option="--scene", default="joystick", without=DEVICES_OWN)
-    bridge.set_defaults(run=_bridge)
+    parser.set_defaults(run=_bridge)
 
 
 def _bridge(options: argparse.Namespace) -> int:
@@ -219,14 +215,16 @@ def _identify(plant: RemotePlant, options: argparse.Namespace) -> int:
         plant.takeoff(watch=lambda: switch.landing)
         motion = collect(plant, shaker, _IDENTIFYING, then=plant.land, watch=lambda: switch.landing)
     # the wire and this program take their time too, which the map would have to pay for
-    found = identify(motion.poses, motion.currents, period=plant.period, delay=motion.delay)
+    with Progress("identify"):
+        found = identify(motion.poses, motion.currents, period=plant.period, delay=motion.delay)
     found.calibration(plant.calibration, mass).save(options.identify)
     x, y, z = found.gravity
     doubt = found.free_errors[:3].max()
     missing = int(np.isnan(motion.currents[:, 0]).sum())
-    print(f"  gravity {x:.4f}, {y:.4f}, {z:.4f} m/s², give or take {doubt:.4f}; mass taken for {mass:g} kg")
-    print(
-        f"  delay {motion.delay * 1e3:.3f} ms; {missing} of {len(motion.poses)} samples lost, or answered late or early"
+    taken = f"gravity {x:.4f}, {y:.4f}, {z:.4f} m/s², give or take {doubt:.4f}; mass taken for {mass:g} kg"
+    late = (
+        f"delay {motion.delay * 1e3:.3f} ms; {missing} of {len(motion.poses)} samples lost, or answered late or early"
     )
+    print("\n".join(wrapped(taken) + wrapped(late)))
     print(f"  wrote {options.identify}")
     return 0

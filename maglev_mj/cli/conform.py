@@ -8,37 +8,36 @@ import signal
 import sys
 from contextlib import ExitStack, closing
 from pathlib import Path
-from typing import Any
 
 from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.realtime import realtime
-from maglev_mj.cli.options import chosen_key
+from maglev_mj.cli.arguments import Parser
+from maglev_mj.cli.options import add_calibration, add_key, chosen_key
 from maglev_mj.cli.output import check_file
-from maglev_mj.conformance import CheckResult, conform
+from maglev_mj.cli.progress import Progress
+from maglev_mj.conformance import CheckResult, checks, conform
 from maglev_mj.net.udp import open_link, parse_url
-from maglev_mj.terminal import say
+from maglev_mj.terminal import say, wrapped
 from maglev_mj.versions import versions
 
-__all__ = ["add_command"]
+__all__ = ["add_options"]
 
 _WORDS = {True: "pass", False: "FAIL", None: "skip"}
 _FORMAT = "maglev_mj conformance 1"
 
 
-def add_command(commands: Any) -> None:
-    """Add the command to the parser's."""
-    parser = commands.add_parser(
-        "conform",
-        help="test a device's side of the protocol",
-        description="Test a device against docs/protocol.md: first with at most half the currents that carry its "
-        "flotor, then in flight, where the flotor is dropped onto its stops. Keep hands off. Ctrl-C lands and cuts. "
-        "Exit status 0 if every check passes, 1 if one fails.",
+def add_options(parser: Parser) -> None:
+    """Add the options of the command."""
+    parser.description = (
+        "Test a device against docs/protocol.md: first with at most half the currents that carry its flotor, then in "
+        "flight, where the flotor is dropped onto its stops. Keep hands off. Ctrl-C lands and cuts. Exit status 0 if "
+        "every check passes, 1 if one fails."
     )
     parser.add_argument("address", metavar="ADDRESS", help="udp://HOST:PORT, or serial:///PATH?baud=RATE")
-    parser.add_argument("--key", metavar="FILE", type=Path, help="secret that the device has as well")
-    parser.add_argument("--calibration", metavar="FILE", type=Path, help="of the device (default: the model)")
-    parser.add_argument("--no-flight", action="store_true", help="leave out the checks that fly")
-    parser.add_argument("--json", metavar="FILE", type=Path, help="write the report here as well")
+    add_calibration(parser)
+    add_key(parser)
+    parser.group("run").add_argument("--no-flight", action="store_true", help="leave out the checks that fly")
+    parser.group("output").add_argument("--json", metavar="FILE", type=Path, help="write the report here as well")
     parser.set_defaults(run=_conform)
 
 
@@ -55,15 +54,28 @@ def _conform(options: argparse.Namespace) -> int:
         links = [last.enter_context(closing(open_link(options.address, key))) for _ in range(peers)]
         for complaint in last.enter_context(realtime("ignore")):
             say(f"  not in real time: {complaint}", sys.stderr)
-        results = conform(links, calibration, key, flight=not options.no_flight, tell=_tell)
+        progress = last.enter_context(Progress("conform"))
+        every, results = len(checks()), list[CheckResult]()
+
+        def tell(result: CheckResult) -> None:
+            results.append(result)
+            with progress.aside():
+                _tell(result)
+            progress(len(results), every)
+
+        conform(links, calibration, key, flight=not options.no_flight, tell=tell)
     counts = {word: sum(one.passed is value for one in results) for value, word in _WORDS.items()}
     say("  " + ", ".join(f"{count} {word}" for word, count in counts.items()))
     if options.json is not None:
+        checked = [one._asdict() for one in results]
         report = {"format": _FORMAT, "address": options.address, "versions": versions()}
-        checks = [one._asdict() for one in results]
-        options.json.write_text(json.dumps({**report, "counts": counts, "checks": checks}, indent=1) + "\n", "utf-8")
+        options.json.write_text(
+            json.dumps({**report, "counts": counts, "checks": checked}, indent=1) + "\n",
+            "utf-8",
+        )
     return 1 if counts["FAIL"] else 0
 
 
 def _tell(result: CheckResult) -> None:
-    say(f"  {_WORDS[result.passed]}  {result.name}: {result.expected}; {result.seen}")
+    for line in wrapped(f"{_WORDS[result.passed]}  {result.name}: {result.expected}; {result.seen}", further=" " * 8):
+        say(line)

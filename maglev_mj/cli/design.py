@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from pathlib import Path
-from typing import Any
+from contextlib import suppress
 
 from maglev_mj import plots
-from maglev_mj.cli.options import add_parameters, chosen, range_of
+from maglev_mj.cli.arguments import Parser
+from maglev_mj.cli.options import add_outputs, add_parameters, chosen, range_of
 from maglev_mj.cli.output import check_outputs, write_results
+from maglev_mj.cli.progress import Progress
 from maglev_mj.cli.scenes import add_scene
 from maglev_mj.errors import ParameterError
 from maglev_mj.hand import HANDS
@@ -18,41 +19,39 @@ from maglev_mj.studies.designed_wall import Contact, evaluate_wall
 from maglev_mj.tables import design_table
 from maglev_mj.theory import GOALS, LAWS, WallRequirements, design_wall
 
-__all__ = ["add_command"]
+__all__ = ["add_options"]
 
 _RANGES = "mass", "delay"
 
 
-def add_command(commands: Any) -> None:
-    """Add the command to the parser's."""
-    parser = commands.add_parser(
-        "design",
-        help="gains of the stiffest wall for uncertain mass, delay and hand; rate, delay and mass may be a scene's",
-        epilog="Example: maglev-mj design --mass 0.56:0.84 --delay 0.0012:0.0018 --hand arm,stylus,fingertip",
+def add_options(parser: Parser) -> None:
+    """Add the options of the command."""
+    parser.description = (
+        "Gains of the stiffest wall for uncertain mass, delay and hand; rate, delay and mass may be a scene's."
     )
+    needed, wall = parser.group("what the wall must bear"), parser.group("the wall")
     for name in _RANGES:
         one = WallRequirements.parameter(name)
         told = f"{one.help} [{one.unit}]: LOW HIGH, LOW:HIGH, or one value (default {one.default[0]:g})"
-        parser.add_argument(f"--{name}", nargs="+", metavar="X", help=told)
-    parser.add_argument(
+        needed.add_argument(f"--{name}", nargs="+", metavar="X", help=told)
+    needed.add_argument(
         "--hand",
         action="append",
         metavar="NAMES",
         help=f"hands that it must bear: {', '.join(HANDS)}, several with commas between them, or one as "
         "MASS,DAMPING,STIFFNESS[,GRIP_DAMPING,GRIP_STIFFNESS]; may be given again (default none)",
     )
-    parser.add_argument("--held", action="store_true", help="never let go: leave out the flotor without a hand")
-    add_parameters(parser, WallRequirements)
-    parser.add_argument("--law", default="pd", choices=LAWS, help="law of the wall (default pd)")
-    parser.add_argument(
+    needed.add_argument("--held", action="store_true", help="never let go: leave out the flotor without a hand")
+    add_parameters(needed, WallRequirements)
+    wall.add_argument("--law", default="pd", choices=LAWS, help="law of the wall (default pd)")
+    wall.add_argument(
         "--goal",
         default="static",
         choices=GOALS,
         help="make the stiffness against a slow push largest, or the least at any frequency (default static)",
     )
-    add_parameters(parser, Contact)
-    parser.add_argument("--json", metavar="FILE", help="write the design as JSON; - for standard output")
-    parser.add_argument("--out", metavar="DIR", type=Path, help="write a picture of the margin to this folder")
+    add_parameters(parser.group("contact that is simulated"), Contact)
+    add_outputs(parser, "the design", "write a picture of the margin to this folder")
     add_scene(parser, options=False, instead=lambda _: None)
     parser.set_defaults(run=_design)
 
@@ -78,14 +77,13 @@ def _design(options: argparse.Namespace) -> int:
     if contact.pulse and options.law != "pd":
         raise ParameterError(f"pulse must be left out for the {options.law}: it gives none")
     check_outputs(json=options.json, out=options.out)
-    wall = design_wall(requirements, options.law, goal=options.goal)
-    reference = None
-    if options.law != "pd":
-        try:
-            reference = design_wall(requirements, goal=options.goal)
-        except ParameterError:
-            reference = None  # no PD wall bears them
-    result = evaluate_wall(wall, contact, reference)
+    with Progress("design"):
+        wall = design_wall(requirements, options.law, goal=options.goal)
+        reference = None
+        if options.law != "pd":
+            with suppress(ParameterError):  # no PD wall bears them
+                reference = design_wall(requirements, goal=options.goal)
+        result = evaluate_wall(wall, contact, reference)
     write_results(
         options,
         result.as_json,

@@ -5,31 +5,30 @@ from __future__ import annotations
 import argparse
 import sys
 from contextlib import closing
-from pathlib import Path
-from typing import Any
 
 from maglev_mj.bridge.connection import estop
-from maglev_mj.cli.options import chosen_key
+from maglev_mj.cli.arguments import Parser
+from maglev_mj.cli.options import add_key, chosen_key
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.net.udp import open_link
 from maglev_mj.terminal import say
 
-__all__ = ["add_command"]
+__all__ = ["add_options"]
 
 
-def add_command(commands: Any) -> None:
-    """Add the command to the parser's."""
-    command = commands.add_parser(
-        "estop",
-        help="stop a device, whoever flies it",
-        description="Cut the currents of a device, whoever flies it and in whatever state it is, and latch the fault "
-        "ESTOP there. `maglev-mj bridge ADDRESS --reset` shows and clears it.",
-        epilog="Exit status: 0 where the device confirms that its currents are zero; otherwise cut the power. A serial "
-        "line has one user: stop that one by its window's Escape or by Ctrl-C twice.",
+def add_options(parser: Parser) -> None:
+    """Add the options of the command."""
+    parser.description = (
+        "Cut the currents of a device, whoever flies it and in whatever state it is, and latch the fault ESTOP there. "
+        "`maglev-mj bridge ADDRESS --reset` shows and clears it."
     )
-    command.add_argument("address", metavar="ADDRESS", help="udp://HOST:PORT, or serial:///PATH?baud=RATE")
-    command.add_argument("--key", metavar="FILE", type=Path, help="the device's key, where it has one")
-    command.set_defaults(run=_estop)
+    parser.epilog = (
+        "Exit status: 0 where the device confirms that its currents are zero; otherwise cut the power. A serial line "
+        "has one user: stop that one by its window's Escape or by Ctrl-C twice."
+    )
+    parser.add_argument("address", metavar="ADDRESS", help="udp://HOST:PORT, or serial:///PATH?baud=RATE")
+    add_key(parser)
+    parser.set_defaults(run=_estop)
 
 
 def _estop(options: argparse.Namespace) -> int:

@@ -4,22 +4,23 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
 
+from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.output import check_file
+from maglev_mj.cli.progress import Progress
 from maglev_mj.errors import ParameterError
 from maglev_mj.recording import EXPORTS, Recording, export
 from maglev_mj.terminal import say
 
-__all__ = ["add_command"]
+__all__ = ["add_options"]
 
 
-def add_command(commands: Any) -> None:
-    """Add the command to the parser's."""
-    parser = commands.add_parser("export", help="a recording as a table for other programs")
+def add_options(parser: Parser) -> None:
+    """Add the options of the command."""
     parser.add_argument("file", metavar="FILE", type=Path, help="a recording, .mcap or .npz")
-    parser.add_argument("--to", required=True, choices=tuple(EXPORTS), help="what kind of table")
-    parser.add_argument("--out", metavar="FILE", type=Path, help="where to (default: beside the recording)")
+    output = parser.group("output")
+    output.add_argument("--to", required=True, choices=tuple(EXPORTS), help="what kind of table")
+    output.add_argument("--out", metavar="FILE", type=Path, help="where to (default: beside the recording)")
     parser.set_defaults(run=_export)
 
 
@@ -28,9 +29,10 @@ def _export(options: argparse.Namespace) -> int:
     check_file("out", path)
     if path.exists() and path.resolve() == options.file.resolve():
         raise ParameterError(f"out must be another file than the recording, not {str(path)!r}")
-    recording = Recording.load(options.file)
+    with Progress("export"):
+        recording = Recording.load(options.file)
+        export(recording, options.to, path)
     if recording.damage:
         say(f"  {options.file}: {recording.damage}")
-    export(recording, options.to, path)
     print(f"  wrote {path}: {recording.ticks} samples")
     return 0

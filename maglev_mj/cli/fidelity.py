@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import argparse
-from contextlib import closing
-from typing import Any
 
-from maglev_mj.cli.options import chosen, count, number_option
+from maglev_mj.cli.arguments import Parser
+from maglev_mj.cli.options import add_json, chosen, count, number_option
 from maglev_mj.cli.output import check_outputs, write_results
 from maglev_mj.cli.progress import Progress
 from maglev_mj.cli.scenes import add_scene
@@ -16,18 +15,19 @@ from maglev_mj.studies.fidelity_cases import COMPARED, preset_of
 from maglev_mj.studies.fidelity_levels import measure_levels
 from maglev_mj.tables import fidelity_table, levels_table
 
-__all__ = ["add_command"]
+__all__ = ["add_options"]
 
+_RANGE = "what the answer is to hold for"
 _BY_LEVEL = ("quantize",)
 """Parameters that are a model level here: the sensor's steps."""
 
 
-def add_command(commands: Any) -> None:
-    """Add the command to the parser's."""
-    text = "what each piece of the device changes in a scene, and the cheapest model that will do"
-    parser = commands.add_parser("fidelity", help=text, description=text)
+def add_options(parser: Parser) -> None:
+    """Add the options of the command."""
+    parser.description = "What each piece of the device changes in a scene, and the cheapest model that will do."
     add_scene(parser, more=_add_range, find=_found, names=("drop-no-pulse", "all"), without=_BY_LEVEL)
-    parser.add_argument("--json", metavar="FILE", help="write the figures as JSON; - for standard output")
+    parser.group(_RANGE)
+    add_json(parser)
     parser.set_defaults(run=_fidelity)
 
 
@@ -36,10 +36,10 @@ def _found(text: str) -> Scene | None:
     return None if text == "all" else preset_of(text).scene
 
 
-def _add_phase(parser: argparse.ArgumentParser, cls: type[Scene]) -> None:
+def _add_phase(parser: Parser, cls: type[Scene]) -> None:
     parser.set_defaults(phase=0.0)
     if cls.takes_phase:
-        parser.add_argument(
+        parser.group(_RANGE).add_argument(
             "--phase",
             type=number_option,
             metavar="X",
@@ -47,22 +47,22 @@ def _add_phase(parser: argparse.ArgumentParser, cls: type[Scene]) -> None:
         )
 
 
-def _add_range(parser: argparse.ArgumentParser, cls: type[Scene]) -> None:
+def _add_range(parser: Parser, cls: type[Scene]) -> None:
     """Add the options of what the answer is to hold for."""
     _add_phase(parser, cls)
-    usual = Range()
+    usual, group = Range(), parser.group(_RANGE)
     parser.epilog = (
         "Figures are the worst over phases, jitter seeds and gains of the whole device, and over 4096 cases more on "
         f"the exact plant. A model keeps a tolerance if {MARGIN:g} times its figure does, in all cases of the former "
         "and a share of the latter: the margin for cases not looked at."
     )
-    parser.add_argument(
+    group.add_argument(
         "--tolerance",
         type=number_option,
         metavar="X",
         help="largest displacement of a coil that does not matter [m] (default: the scene's own)",
     )
-    parser.add_argument(
+    group.add_argument(
         "--boundary-tolerance",
         type=number_option,
         default=usual.boundary,
@@ -70,7 +70,7 @@ def _add_range(parser: argparse.ArgumentParser, cls: type[Scene]) -> None:
         help="largest shift of the stiffest stable wall by the integrator, as a share of it, at this period, delay, "
         f"mass and hand: 0.01 takes an unstable wall for stable up to 1 %% beyond (default {usual.boundary:g})",
     )
-    parser.add_argument(
+    group.add_argument(
         "--phases",
         type=count,
         default=usual.phases,
@@ -78,14 +78,14 @@ def _add_range(parser: argparse.ArgumentParser, cls: type[Scene]) -> None:
         help="phases of the samples, evenly spread over a period, each with a jitter seed of its own "
         f"(default {usual.phases})",
     )
-    parser.add_argument(
+    group.add_argument(
         "--around",
         type=number_option,
         default=usual.around,
         metavar="X",
         help=f"stiffness and damping each also so much smaller and larger, as a share (default {usual.around:g})",
     )
-    parser.add_argument(
+    group.add_argument(
         "--share",
         type=number_option,
         default=usual.share,
@@ -101,7 +101,7 @@ def _fidelity(options: argparse.Namespace) -> int:
         return _all(options)
     preset = preset_of(options.scene)._replace(scene=chosen(options, options.scene_class))
     over = Range(options.phases, options.around, options.share, options.boundary_tolerance)
-    with closing(Progress("fidelity")) as progress:
+    with Progress("fidelity") as progress:
         result = measure_fidelity(preset, options.tolerance, over, phase=options.phase, progress=progress)
     write_results(options, result.as_json, lambda: fidelity_table(result))
     return 0
@@ -109,7 +109,7 @@ def _fidelity(options: argparse.Namespace) -> int:
 
 def _all(options: argparse.Namespace) -> int:
     found = {}
-    with closing(Progress("fidelity")) as progress:
+    with Progress("fidelity") as progress:
         for place, name in enumerate(COMPARED):
             found[name] = measure_levels(name)
             progress(place + 1, len(COMPARED))

@@ -7,7 +7,8 @@ from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from typing import Any
 
-from maglev_mj.cli.options import Container, add_parameters, chosen
+from maglev_mj.cli.arguments import Container
+from maglev_mj.cli.options import add_parameters, chosen
 from maglev_mj.errors import ParameterError
 from maglev_mj.hand import SpringHand
 from maglev_mj.hand_devices.device import HAND_MAPPING, HandDevice

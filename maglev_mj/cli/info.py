@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import argparse
-from typing import Any
 
+from maglev_mj.cli.arguments import Parser
+from maglev_mj.cli.options import add_json
 from maglev_mj.cli.output import write_results
 from maglev_mj.report import device_report, device_table
 
-__all__ = ["add_command"]
+__all__ = ["add_options"]
 
 
-def add_command(commands: Any) -> None:
-    """Add the command to the parser's."""
-    info = commands.add_parser("info", help="Table 1 of the paper beside what the model yields")
-    info.add_argument("--json", metavar="FILE", help="write the figures as JSON; - for standard output")
-    info.set_defaults(run=_info)
+def add_options(parser: Parser) -> None:
+    """Add the options of the command."""
+    add_json(parser)
+    parser.set_defaults(run=_info)
 
 
 def _info(options: argparse.Namespace) -> int:

@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 import argparse
-import re
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeAlias, TypeVar
+from typing import Any, TypeVar
 
+from maglev_mj.cli.arguments import Container, Parser, offer
 from maglev_mj.errors import ParameterError
 from maglev_mj.net.authentication import LEAST_KEY, MOST_KEY
 from maglev_mj.parameters import Parameter, Parameters
 from maglev_mj.workers import Workers, dask_workers, local_workers
 
 __all__ = [
-    "Container",
-    "Parser",
     "add_bridge",
+    "add_calibration",
+    "add_json",
+    "add_key",
     "add_outputs",
     "add_parameters",
     "add_recording",
@@ -27,53 +28,13 @@ __all__ = [
     "chosen_workers",
     "count",
     "described",
-    "joined",
     "number_option",
     "range_of",
 ]
 
 P = TypeVar("P", bound=Parameters)
 
-Container: TypeAlias = argparse._ActionsContainer
-"""A parser, or a group of its options."""
-
 _APART = "parameter "
-
-
-class Parser(argparse.ArgumentParser):
-    """An argument parser whose complaint is one line."""
-
-    def __init__(self, **keywords: Any) -> None:
-        # the options of a scene are its own: a shorter word must not become one that is added later
-        super().__init__(**{"allow_abbrev": False, **keywords})
-
-    before: Callable[[Sequence[str]], None] | None = None
-    """Called with the arguments before they are parsed, for options that depend on another."""
-
-    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """See `argparse.ArgumentParser`."""
-        if self.before is not None:
-            self.before(args or ())
-        return super().parse_known_args(args, namespace)
-
-    def error(self, message: str) -> Any:
-        """Print one line and exit with status 2."""
-        self.exit(2, f"{self.prog}: {message}\n")
-
-
-def joined(arguments: Sequence[str]) -> list[str]:
-    """Join an option and a negative number after it: argparse takes -1e-3, -5:3 and -inf for options of their own.
-
-    What it does know for a number stays as it is, so that an option of several values gets them all.
-    """
-    result: list[str] = []
-    for argument in arguments:
-        odd = re.match(r"-(\.?\d|inf|nan)", argument) and not re.fullmatch(r"-\d+|-\d*\.\d+", argument)
-        if odd and result and result[-1].startswith("--") and "=" not in result[-1]:
-            result[-1] += f"={argument}"
-        else:
-            result.append(argument)
-    return result
 
 
 def add_parameters(
@@ -111,7 +72,7 @@ def _add_parameter(parser: Container, option: str, one: Parameter, default: Any,
     read, metavar = kinds[one.kind]
     if one.optional:
         read = partial(_or_none, read)
-    parser.add_argument(option, type=read, metavar=metavar, **kept)
+    offer(parser.add_argument(option, type=read, metavar=metavar, **kept), one.choices)
 
 
 def described(one: Parameter, default: Any) -> str:
@@ -150,31 +111,46 @@ def chosen(options: argparse.Namespace, parameters: P | type[P], prefix: str = "
         raise ParameterError(f"{prefix}{error}") from None
 
 
-def add_outputs(parser: Container) -> None:
-    """Add --json and --out."""
-    parser.add_argument(
-        "--json", metavar="FILE", help="write parameters, motion and figures as JSON; - for standard output"
-    )
-    parser.add_argument("--out", metavar="DIR", type=Path, help="write pictures to this folder")
+def add_json(parser: Parser, what: str = "the figures") -> None:
+    """Add --json."""
+    told = f"write {what} as JSON; - for standard output"
+    parser.group("output").add_argument("--json", metavar="FILE", help=told)
 
 
-def add_recording(parser: Container) -> None:
+def add_outputs(
+    parser: Parser,
+    json: str = "parameters, motion and figures",
+    out: str = "write pictures to this folder",
+) -> None:
+    """Add --json and --out.
+
+    Args:
+        parser: Of the command.
+        json: What goes into JSON.
+        out: Help of --out.
+    """
+    add_json(parser, json)
+    parser.group("output").add_argument("--out", metavar="DIR", type=Path, help=out)
+
+
+def add_recording(parser: Parser) -> None:
     """Add --record, for a recording that `replay` shows and checks."""
-    parser.add_argument(
+    parser.group("output").add_argument(
         "--record", metavar="FILE", type=Path, help="write a recording, .mcap or .npz, for `maglev-mj replay`"
     )
 
 
-def add_workers(parser: argparse.ArgumentParser, record: str) -> None:
+def add_workers(parser: Parser, record: str) -> None:
     """Add --record, --workers and --scheduler.
 
     Args:
         parser: Of the command.
         record: What the record is for.
     """
-    parser.add_argument("--record", metavar="FILE", type=Path, help=f"{record}; one JSON object a line")
-    parser.add_argument("--workers", type=count, metavar="N", help="processes on this machine; 0 for this one alone")
-    parser.add_argument("--scheduler", metavar="ADDRESS", help="run on the Dask cluster of this scheduler instead")
+    parser.group("output").add_argument("--record", metavar="FILE", type=Path, help=f"{record}; one JSON object a line")
+    group = parser.group("workers")
+    group.add_argument("--workers", type=count, metavar="N", help="processes on this machine; 0 for this one alone")
+    group.add_argument("--scheduler", metavar="ADDRESS", help="run on the Dask cluster of this scheduler instead")
 
 
 def chosen_workers(options: argparse.Namespace, default: int | None) -> Workers:
@@ -220,19 +196,25 @@ def range_of(name: str, words: Sequence[str] | None) -> tuple[float, float] | No
     return values[0], values[-1]
 
 
-def add_bridge(parser: Container) -> None:
+def add_calibration(parser: Parser) -> None:
+    """Add --calibration."""
+    told = "what is known of the device (default: the model)"
+    parser.group("device").add_argument("--calibration", metavar="FILE", type=Path, help=told)
+
+
+def add_key(parser: Parser) -> None:
+    """Add --key."""
+    told = "secret of 16 to 32 bytes as hexadecimal digits, for more than this machine"
+    parser.group("device").add_argument("--key", metavar="FILE", type=Path, help=told)
+
+
+def add_bridge(parser: Parser) -> None:
     """Add what both ends of a wire are told."""
-    parser.add_argument(
-        "--calibration", metavar="FILE", type=Path, help="what is known of the device (default: the model)"
-    )
-    parser.add_argument(
-        "--key",
-        metavar="FILE",
-        type=Path,
-        help="secret of 16 to 32 bytes as hexadecimal digits, for more than this machine",
-    )
-    parser.add_argument("--seconds", type=number_option, metavar="X", help="end after so long [s]")
-    parser.add_argument(
+    add_calibration(parser)
+    add_key(parser)
+    group = parser.group("run")
+    group.add_argument("--seconds", type=number_option, metavar="X", help="end after so long [s]")
+    group.add_argument(
         "--realtime",
         default="ignore",
         choices=("enforce", "ignore"),

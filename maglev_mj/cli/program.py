@@ -6,25 +6,20 @@ import argparse
 import os
 import select
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from functools import partial
 from importlib import import_module
 from typing import TextIO
 
 import maglev_mj
-from maglev_mj.cli.options import Parser, joined
+from maglev_mj.cli.arguments import Parser, joined
+from maglev_mj.cli.commands import GROUPS, Command
+from maglev_mj.cli.completion import complete
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.scenes.find import line_of
 from maglev_mj.terminal import say
 
 __all__ = ["main", "parser"]
-
-COMMANDS = {
-    **dict.fromkeys(("run", "drop", "press", "stick-slip"), "run"),
-    **{name: name.replace("-", "_") for name in ("view", "render", "serve-spacenav", "replay", "analyse", "export")},
-    **{name: name for name in ("stability", "design", "sweep", "fidelity", "info")},
-    **{name: name for name in ("twin", "bridge", "estop", "fault", "commission", "conform")},
-}
-"""Commands in the order in which the help lists them, and the module of each."""
 
 _UNREAD = 141  # as a shell gives for a program that a closed pipe ends
 
@@ -37,8 +32,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     try:
         try:
-            words = joined(sys.argv[1:] if arguments is None else arguments)
-            return _run(parser(words[0] if words else None).parse_args(words))
+            made = parser()
+            complete(made)
+            options = made.parse_args(joined(sys.argv[1:] if arguments is None else arguments))
+            if options.command is None:
+                made.print_help()
+                return 0
+            return _run(options)
         finally:
             if sys.stdout is not None:
                 sys.stdout.flush()  # a failure at the interpreter's end would be a traceback
@@ -93,16 +93,32 @@ def _drop_unwritten() -> None:
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
-def parser(command: str | None = None) -> Parser:
-    """Return the parser of a command; of every command where it is none of them."""
+def parser() -> Parser:
+    """Return the parser of all commands; a command's module is loaded with the first arguments that it gets."""
     made = Parser(prog="maglev-mj", description=maglev_mj.__doc__)
     made.add_argument("--version", action="version", version=f"maglev-mj {maglev_mj.__version__}")
     made.epilog = (
+        "maglev-mj COMMAND --help lists the options of one, with an example.\n\n"
         "Exit status: 0; 1 for a run that failed, 2 for bad input, 130 for Ctrl-C, 141 for an output that nobody reads."
     )
-    commands = made.add_subparsers(dest="command", required=True, metavar="command")
-    # a command loads what it needs, and no other's libraries
-    needed = {command: COMMANDS[command]} if command in COMMANDS else COMMANDS
-    for module in dict.fromkeys(needed.values()):
-        import_module(f"maglev_mj.cli.{module}").add_command(commands)
+    made.set_defaults(command=None)
+    commands = made.add_subparsers(dest="command", metavar="COMMAND", prog="maglev-mj", help=argparse.SUPPRESS)
+    for title, group in GROUPS.items():
+        made.add_argument_group(title, "\n".join(f"  {name:<16}{one.summary}" for name, one in group.items()))
+        for name, one in group.items():
+            own = commands.add_parser(name, example=f"maglev-mj {name} {one.example}")
+            own.before = partial(_add_options, own, one)
+    made.before = partial(_prepare, commands.choices)
     return made
+
+
+def _prepare(commands: Mapping[str, Parser], words: Sequence[str]) -> None:
+    if words and words[0] in commands:
+        commands[words[0]].prepare(words[1:])
+
+
+def _add_options(parser: Parser, command: Command, _: Sequence[str]) -> None:
+    parser.description = f"{command.summary[0].upper()}{command.summary[1:]}."
+    # a command loads what it needs, and no other's libraries
+    module = command.module or parser.prog.split()[-1].replace("-", "_")
+    import_module(f"maglev_mj.cli.{module}").add_options(parser)

@@ -1,58 +1,84 @@
-"""How far a long run is: a bar on a terminal, now and then a line elsewhere, nothing for a short run."""
+"""How far a long run is: a bar on a terminal after two seconds, nothing anywhere else."""
 
 from __future__ import annotations
 
 import sys
+import threading
 import time
-from typing import TextIO
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Self, TextIO
 
 __all__ = ["Progress"]
 
-_WIDTH = 30
+_WIDTH, _SLIDER = 30, 6
+_ERASED = "\r\x1b[K"
 
 
 class Progress:
-    """Call it with what is done and the total; it keeps quiet for the first two seconds.
+    """A context that draws a bar while a run lasts; call it with what is done and the total where these are known.
 
     Args:
         label: What is under way.
         stream: Where to; standard error by default.
         quiet: How long to keep quiet [s].
-        every: Least time between two lines where there is no terminal [s].
+        every: Time between two drawings [s].
     """
 
-    def __init__(self, label: str, stream: TextIO | None = None, *, quiet: float = 2.0, every: float = 10.0) -> None:
+    def __init__(self, label: str, stream: TextIO | None = None, *, quiet: float = 2.0, every: float = 0.2) -> None:
         self._label, self._stream = label, stream or sys.stderr
-        self._start = time.monotonic()
-        self._next = self._start + quiet
-        self._terminal = self._stream.isatty()
-        self._every = 0.1 if self._terminal else every
-        self._first: int | None = None
-        self._last = 0
+        self._quiet, self._every = quiet, every
+        self._began = self._start = time.monotonic()
+        self._first = self._done = self._total = 0
         self._shown = False
+        self._lock, self._over = threading.Lock(), threading.Event()
+        self._thread = threading.Thread(target=self._draw, name="progress", daemon=True)
+
+    def __enter__(self) -> Self:
+        if self._stream.isatty():
+            self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._over.set()
+        if self._thread.ident is not None:
+            self._thread.join()
+        with self.aside():
+            pass
 
     def __call__(self, done: int, total: int) -> None:
-        """Say how far it is, if it is time to."""
-        now = time.monotonic()
-        if self._first is None or done < self._last:  # a second part of the work begins
-            self._start, self._first = now, done
-        self._last = done
-        if now < self._next and not (self._shown and self._terminal and done >= total):
-            return
-        self._next, self._shown = now + self._every, True
-        fresh = done - self._first
-        left = "" if not fresh else f", {(now - self._start) * (total - done) / fresh:.0f} s left"
-        text = f"{self._label}: {done} of {total}{left}"
-        if self._terminal:
-            filled = _WIDTH * done // max(total, 1)
-            self._stream.write(f"\r\x1b[K[{'#' * filled}{'.' * (_WIDTH - filled)}] {text}")
-        else:
-            self._stream.write(text + "\n")
-        self._stream.flush()
+        """Note how far it is; less than before is the beginning of a second part."""
+        with self._lock:
+            if not self._total or done < self._done:
+                self._start, self._first = time.monotonic(), done
+            self._done, self._total = done, total
 
-    def close(self) -> None:
-        """Take the bar away."""
-        if self._shown and self._terminal:
-            self._stream.write("\r\x1b[K")
-            self._stream.flush()
-        self._shown = False
+    @contextmanager
+    def aside(self) -> Iterator[None]:
+        """Take the bar away while something else is printed."""
+        with self._lock:
+            if self._shown:
+                self._stream.write(_ERASED)
+                self._stream.flush()
+                self._shown = False
+            yield
+
+    def _draw(self) -> None:
+        wait = self._quiet
+        while not self._over.wait(wait):
+            wait = self._every
+            with self._lock:
+                self._stream.write(_ERASED + self._bar())
+                self._stream.flush()
+                self._shown = True
+
+    def _bar(self) -> str:
+        now = time.monotonic()
+        if not self._total:
+            place = int((now - self._began) / self._every) % (_WIDTH - _SLIDER + 1)
+            bar = f"{'.' * place}{'#' * _SLIDER}".ljust(_WIDTH, ".")
+            return f"[{bar}] {self._label}: {now - self._began:.0f} s"
+        bar = ("#" * (_WIDTH * self._done // self._total)).ljust(_WIDTH, ".")
+        fresh = self._done - self._first
+        left = f", {(now - self._start) * (self._total - self._done) / fresh:.0f} s left" if fresh else ""
+        return f"[{bar}] {self._label}: {self._done} of {self._total}{left}"

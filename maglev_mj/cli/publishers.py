@@ -7,7 +7,8 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from typing import NamedTuple
 
-from maglev_mj.cli.options import Container, count, number_option
+from maglev_mj.cli.arguments import Parser
+from maglev_mj.cli.options import count, number_option
 from maglev_mj.cli.spacenav import add_spacenav, chosen_spacenav
 from maglev_mj.errors import ParameterError
 from maglev_mj.live import PORT, LiveServer
@@ -31,9 +32,9 @@ class OpenPublishers(NamedTuple):
     live: LiveServer | None
 
 
-def add_foxglove(parser: Container) -> None:
+def add_foxglove(parser: Parser) -> None:
     """Add --foxglove."""
-    parser.add_argument(
+    parser.group("other programs").add_argument(
         "--foxglove",
         nargs="?",
         type=_port,
@@ -63,10 +64,10 @@ def chosen_foxglove(options: argparse.Namespace) -> LiveServer | None:
     return live
 
 
-def add_publishers(parser: Container) -> None:
+def add_publishers(parser: Parser) -> None:
     """Add --foxglove, --step-force, and the options of a 3D mouse."""
     add_foxglove(parser)
-    parser.add_argument(
+    parser.group("other programs").add_argument(
         "--step-force",
         type=number_option,
         default=STEP_FORCE,

@@ -5,34 +5,35 @@ from __future__ import annotations
 import argparse
 import re
 from pathlib import Path
-from typing import Any
 
+from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.options import count, number_option
 from maglev_mj.cli.output import check_file
+from maglev_mj.cli.progress import Progress
 from maglev_mj.cli.scenes import add_scene, chosen_scene
 from maglev_mj.errors import ParameterError
 from maglev_mj.parameters import number
 
-__all__ = ["add_command"]
+__all__ = ["add_options"]
 
 _LEAST, _MOST = 160, 4000
 
 
-def add_command(commands: Any) -> None:
-    """Add the command to the parser's."""
-    render = commands.add_parser("render", help="a picture or a clip of a scene, without a window")
-    render.add_argument("--out", metavar="FILE", type=Path, required=True, help="a .png, .gif or .mp4")
-    render.add_argument(
+def add_options(parser: Parser) -> None:
+    """Add the options of the command."""
+    add_scene(parser, default="joystick")
+    output = parser.group("output")
+    output.add_argument("--out", metavar="FILE", type=Path, required=True, help="a .png, .gif or .mp4")
+    output.add_argument(
         "--seconds",
         type=number_option,
         metavar="X",
         help="length of a clip, or when a picture is taken [s] (default: as long as the scene lasts, or half)",
     )
-    render.add_argument("--size", default="1200x750", metavar="WxH", help="pixels (default 1200x750)")
-    render.add_argument("--fps", type=count, default=20, metavar="N", help="pictures a second (default 20)")
-    render.add_argument("--plain", action="store_true", help="leave plots and words out")
-    add_scene(render, default="joystick")
-    render.set_defaults(run=_render)
+    output.add_argument("--size", default="1200x750", metavar="WxH", help="pixels (default 1200x750)")
+    output.add_argument("--fps", type=count, default=20, metavar="N", help="pictures a second (default 20)")
+    output.add_argument("--plain", action="store_true", help="leave plots and words out")
+    parser.set_defaults(run=_render)
 
 
 def _render(options: argparse.Namespace) -> int:
@@ -46,15 +47,17 @@ def _render(options: argparse.Namespace) -> int:
     from maglev_mj.viewer.render import render
 
     check_file("out", checked_name(options.out))
-    frames = render(
-        scene,
-        options.out,
-        seconds=options.seconds,
-        width=width,
-        height=height,
-        rate=options.fps,
-        plots=not options.plain,
-    )
+    with Progress(f"render {scene.name}") as progress:
+        frames = render(
+            scene,
+            options.out,
+            seconds=options.seconds,
+            width=width,
+            height=height,
+            rate=options.fps,
+            plots=not options.plain,
+            progress=progress,
+        )
     print(f"wrote {options.out}" + (f", {frames} pictures" if frames > 1 else ""))
     return 0
 

@@ -6,8 +6,9 @@ import argparse
 import sys
 from functools import partial
 from pathlib import Path
-from typing import Any
 
+from maglev_mj.cli.arguments import Container, Parser
+from maglev_mj.cli.progress import Progress
 from maglev_mj.recording import (
     InvalidRecordingError,
     OwnCodeError,
@@ -18,31 +19,31 @@ from maglev_mj.recording import (
 from maglev_mj.recording.verify import first_other_answer
 from maglev_mj.replay import OwnCode, Replay, expected, rebuild, unmade_plant
 from maglev_mj.tables import verdict_table
-from maglev_mj.terminal import say
+from maglev_mj.terminal import say, wrapped
 from maglev_mj.versions import differences, versions, versions_read
 
-__all__ = ["add_command", "add_own_scene", "own_code"]
+__all__ = ["add_options", "add_own_scene", "own_code"]
 
 
 _COMPARED, _LEAST_COMPARED = 10_000, 10
 """Answers of a recording of other code that are compared before it is shown, and of each stretch at least."""
 
 
-def add_command(commands: Any) -> None:
-    """Add the command to the parser's."""
-    replay = commands.add_parser("replay", help="show a recording, or check it bit for bit")
-    replay.add_argument("file", metavar="FILE", type=Path, help="a recording of run, view or bridge")
-    replay.add_argument(
+def add_options(parser: Parser) -> None:
+    """Add the options of the command."""
+    parser.add_argument("file", metavar="FILE", type=Path, help="a recording of run, view or bridge")
+    group = parser.group("run")
+    group.add_argument(
         "--check",
         action="store_true",
         help="feed the samples to the controller and the hand to the plant; status 1 if any number differs, or the "
         "file is not whole",
     )
-    add_own_scene(replay)
-    replay.set_defaults(run=_replay)
+    add_own_scene(group)
+    parser.set_defaults(run=_replay)
 
 
-def add_own_scene(parser: argparse.ArgumentParser) -> None:
+def add_own_scene(parser: Container) -> None:
     """Add the option for code of a user's own in a recording."""
     said = (
         "scene or laws of one's own, which are executed: NAME, FILE.py, FILE.py:CLASS, or attached for what the "
@@ -66,7 +67,8 @@ def own_code(text: str | None, recording: Recording) -> OwnCode | None:
 
 
 def _replay(options: argparse.Namespace) -> int:
-    recording = Recording.load(options.file)
+    with Progress("replay"):
+        recording = Recording.load(options.file)
     if not recording.ticks:
         raise InvalidRecordingError(f"there is nothing in {str(options.file)!r}")
     if recording.damage:
@@ -75,14 +77,19 @@ def _replay(options: argparse.Namespace) -> int:
         say(f"  {event}")
     own = own_code(options.scene, recording)
     if options.check:
-        verdict = verify(recording, partial(rebuild, own=own), expect=expected)
+        with Progress("replay"):
+            verdict = verify(recording, partial(rebuild, own=own), expect=expected)
         print(verdict_table(verdict))
         simulated = (stretch.setup for stretch in recording.stretches if stretch.setup["kind"] != "device")
         for plant in sorted({unmade_plant(setup) for setup in simulated} - {""}):
-            say(f"  the plant, {plant}, cannot be made here: the controller's answers alone are compared")
+            for line in wrapped(
+                f"the plant, {plant}, cannot be made here: the controller's answers alone are compared"
+            ):
+                say(line)
         return 0 if verdict.same else 1
     if note := _other_code(recording, own):
-        say(f"  {options.file}: {note}")
+        for line in wrapped(f"{options.file}: {note}", further="    "):
+            say(line)
     session = Replay(recording, own)
     # imported here: it loads the library that opens windows
     from maglev_mj.viewer.window import show

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping
-from typing import Any
+from inspect import getdoc
 
 import numpy as np
 
 from maglev_mj import plots
-from maglev_mj.cli.options import Parser, add_outputs, add_parameters, add_recording, count, number_option
+from maglev_mj.cli.arguments import Parser, offer
+from maglev_mj.cli.options import add_outputs, add_parameters, add_recording, count, number_option
 from maglev_mj.cli.output import check_outputs, check_recording, keep_partial, write_results
 from maglev_mj.cli.progress import Progress
 from maglev_mj.cli.scenes import add_scene, chosen_scene, warn_of_instability
@@ -20,48 +21,40 @@ from maglev_mj.scenes.run import Phases, Result, run, run_phases
 from maglev_mj.scenes.scene import PLANTS, Scene
 from maglev_mj.tables import run_table
 
-__all__ = ["add_command"]
-
-_BY_NAME = "drop", "press", "stick-slip"
+__all__ = ["add_options"]
 
 
-def add_command(commands: Any) -> None:
-    """Add `run`, and a command for each scene of the paper."""
-    parser = commands.add_parser("run", help="run any scene: one of this package, or a file of your own")
-    add_scene(parser, more=_add_plant)
-    _add_outputs(parser)
-    for name in _BY_NAME:
+def add_options(parser: Parser) -> None:
+    """Add the options of `run`, or of a command that is a scene of the paper."""
+    name = parser.prog.split()[-1]
+    if name == "run":
+        add_scene(parser, more=_add_plant)
+    else:
         cls = find_scene(name)
-        own = commands.add_parser(name, help=str(cls.__doc__).split("\n")[0].rstrip("."))
-        own.epilog = "\n".join(str(cls.__doc__).split("\n")[2:])
-        own.set_defaults(scene_class=cls)
-        add_parameters(own, cls)
-        _add_plant(own, cls)
-        _add_outputs(own)
+        parser.description, _, parser.epilog = str(getdoc(cls)).partition("\n\n")
+        parser.set_defaults(scene_class=cls)
+        add_parameters(parser.group("parameters of the scene"), cls)
+        _add_plant(parser, cls)
+    add_outputs(parser)
+    add_recording(parser)
+    parser.set_defaults(run=_run)
 
 
 def _add_plant(parser: Parser, cls: type[Scene]) -> None:
-    plants = cls.plants
-    parser.add_argument("--plant", default=plants[0], metavar="NAME", help=f"{', '.join(plants)} (default {plants[0]})")
+    plants, group = cls.plants, parser.group("run")
+    told = f"{', '.join(plants)} (default {plants[0]})"
+    offer(group.add_argument("--plant", default=plants[0], metavar="NAME", help=told), plants)
     if cls.takes_phase:
-        parser.add_argument(
+        group.add_argument(
             "--phase",
             type=number_option,
             default=0.0,
             metavar="X",
             help="the samples are at (k + phase) period, in [0, 1) (default 0)",
         )
-        parser.add_argument(
-            "--phases", type=count, metavar="N", help="also sweep N phases, evenly spread over a period"
-        )
+        group.add_argument("--phases", type=count, metavar="N", help="also sweep N phases, evenly spread over a period")
     else:
         parser.set_defaults(phase=0.0, phases=None)
-
-
-def _add_outputs(parser: Parser) -> None:
-    add_outputs(parser)
-    add_recording(parser)
-    parser.set_defaults(run=_run)
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -73,7 +66,8 @@ def _run(options: argparse.Namespace) -> int:
     warn_of_instability(scene)
     recorded = []
     if options.record is not None:
-        recorded = write_run(options.record, scene, plant=options.plant, phase=options.phase)
+        with Progress("recording"):
+            recorded = write_run(options.record, scene, plant=options.plant, phase=options.phase)
     alone = options.json == "-" and options.out is None
     variants = dict(list(scene.variants().items())[: 1 if alone else None])
     try:
@@ -100,19 +94,17 @@ def _results(
 ) -> tuple[dict[str, Result], dict[str, Phases]]:
     results: dict[str, Result] = {}
     sweeps: dict[str, Phases] = {}
-    progress = Progress(scene.name)
-    try:
-        for label, variant in variants.items():
-            results[label] = run(variant, plant=options.plant, phase=options.phase)
-        if options.phases is not None:
+    with Progress(scene.name) as progress:
+        try:
             for label, variant in variants.items():
-                sweeps[label] = run_phases(variant, options.phases, plant=options.plant, progress=progress)
-    except DivergenceError as error:
-        if results:
-            error.partial = next(iter(results.values()))  # the run itself is worth keeping
-        raise
-    finally:
-        progress.close()
+                results[label] = run(variant, plant=options.plant, phase=options.phase)
+            if options.phases is not None:
+                for label, variant in variants.items():
+                    sweeps[label] = run_phases(variant, options.phases, plant=options.plant, progress=progress)
+        except DivergenceError as error:
+            if results:
+                error.partial = next(iter(results.values()))  # the run itself is worth keeping
+            raise
     return results, sweeps
 
 
@@ -121,6 +113,7 @@ def _gap(result: Result) -> float | None:
     others = [name for name in result.scene.plants if name in PLANTS and name != result.plant]
     if not others:
         return None
-    twin = run(result.scene, plant=others[0], phase=result.phase)
+    with Progress(f"{result.scene.name} on the plant {others[0]}"):
+        twin = run(result.scene, plant=others[0], phase=result.phase)
     time = result.times()
     return float(np.abs(result.motion(time)[0] - twin.motion(time)[0]).max())

@@ -7,7 +7,8 @@ import sys
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from maglev_mj.cli.options import Parser, add_parameters, chosen
+from maglev_mj.cli.arguments import Parser
+from maglev_mj.cli.options import add_parameters, chosen
 from maglev_mj.errors import ParameterError
 from maglev_mj.parameters import flag
 from maglev_mj.scenes.find import find_scene, scene_names
@@ -52,8 +53,9 @@ def add_scene(
     """
     known = [*scene_names(), *names]
     told = f"{', '.join(known)}, or a file" + (f" (default {default})" if default else "")
+    group = parser.group("scene")
     if option is not None:
-        parser.add_argument(option, dest="scene", default=default, metavar="SCENE", help=told)
+        group.add_argument(option, dest="scene", default=default, metavar="SCENE", help=told)
     else:
         parser.add_argument(
             "scene", nargs="?" if default or instead else None, default=default, metavar="SCENE", help=told
@@ -63,7 +65,6 @@ def add_scene(
     flag("options", options)
 
     def before(arguments: Sequence[str]) -> None:
-        parser.before = None
         text = _given(parser, arguments, option, known) or default
         if text is None:
             if instead is not None:
@@ -78,7 +79,8 @@ def add_scene(
         cls = found if isinstance(found, type) else type(found)
         try:
             if options:
-                add_parameters(parser, found, without=without)
+                add_parameters(group, found, without=without)
+                group.title = f"parameters of {cls.name}"
             if more is not None:
                 more(parser, cls)
         except (argparse.ArgumentError, ParameterError) as error:  # a name that is an option here, or a bad default

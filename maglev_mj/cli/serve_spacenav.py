@@ -10,6 +10,7 @@ from contextlib import closing
 from typing import Any
 
 from maglev_mj.bridge.realtime import stopping
+from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.options import number_option
 from maglev_mj.cli.scenes import add_scene, chosen_scene
 from maglev_mj.cli.spacenav import add_spacenav, chosen_spacenav
@@ -22,7 +23,7 @@ from maglev_mj.scenes import Scene
 from maglev_mj.session import Session, real_time
 from maglev_mj.terminal import say
 
-__all__ = ["add_command", "tour"]
+__all__ = ["add_options", "tour"]
 
 _SCENE = "joystick"
 
@@ -32,13 +33,13 @@ _OUT, _TURNED = 0.003, math.radians(3.5)
 _QUARTER = 0.5
 
 
-def add_command(commands: Any) -> None:
-    """Add the command to the parser's."""
-    serve = commands.add_parser("serve-spacenav", help="a scene in a scripted hand as the 3D mouse of other programs")
-    add_spacenav(serve, always=True)
-    serve.add_argument("--seconds", type=number_option, metavar="X", help="end after so long [s]")
-    add_scene(serve, default=_SCENE)
-    serve.set_defaults(run=_serve)
+def add_options(parser: Parser) -> None:
+    """Add the options of the command."""
+    parser.description = "A scene in a scripted hand as the 3D mouse of other programs, without a window."
+    add_scene(parser, default=_SCENE)
+    add_spacenav(parser, always=True)
+    parser.group("run").add_argument("--seconds", type=number_option, metavar="X", help="end after so long [s]")
+    parser.set_defaults(run=_serve)
 
 
 def tour() -> Trajectory:

@@ -7,8 +7,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from maglev_mj.cli.options import Container, add_parameters, chosen
-from maglev_mj.errors import ParameterError
+from maglev_mj.cli.arguments import Parser
+from maglev_mj.cli.options import add_parameters, chosen
+from maglev_mj.errors import ParameterError, not_one_of
 from maglev_mj.parameters import flag
 from maglev_mj.spacenav import PoseAxes, RateAxes, SpacenavMapping, SpacenavServer, Taps
 
@@ -21,29 +22,30 @@ _AXES_TOLD: dict[str, Callable[..., Any]] = {"pose": PoseAxes, "rate": RateAxes}
 _PREFIX = "spacenav-"
 
 
-def add_spacenav(parser: Container, *, always: bool = False) -> None:
+def add_spacenav(parser: Parser, *, always: bool = False) -> None:
     """Add --spacenav, --socket, --axes, and an option for each parameter of `SpacenavMapping`.
 
     Args:
         parser: Of the command.
         always: Whether the command is one without asking, so that it needs no --spacenav.
     """
+    group = parser.group("3D mouse of other programs")
     if flag("always", always):
         parser.set_defaults(spacenav=True)
     else:
-        parser.add_argument("--spacenav", action="store_true", help="be a 3D mouse to other programs")
-    parser.add_argument(
+        group.add_argument("--spacenav", action="store_true", help="be a 3D mouse to other programs")
+    group.add_argument(
         "--socket",
         metavar="PATH",
         type=Path,
         help="where those find it (default: $SPNAV_SOCKET, or one in $XDG_RUNTIME_DIR)",
     )
-    parser.add_argument(
+    group.add_argument(
         "--axes",
         metavar="WHAT",
         help="what those are told: pose, the deflection; or rate, the motion of a slave (default pose)",
     )
-    add_parameters(parser, SpacenavMapping, _PREFIX)
+    add_parameters(group, SpacenavMapping, _PREFIX)
 
 
 def chosen_spacenav(options: argparse.Namespace, say: Callable[[str], object] = print) -> list[SpacenavServer]:
@@ -66,8 +68,9 @@ def chosen_spacenav(options: argparse.Namespace, say: Callable[[str], object] = 
         return []
     axes = "pose" if options.axes is None else options.axes
     if axes not in _AXES_TOLD:
-        raise ParameterError(f"axes must be one of {', '.join(_AXES_TOLD)}, not {axes!r}")
+        raise ParameterError(not_one_of("axes", _AXES_TOLD, axes))
     buttons = None if mapping.press is None else Taps(mapping.press)
     server = SpacenavServer(options.socket, axes=_AXES_TOLD[axes](mapping=mapping), buttons=buttons)
-    say(f"  a 3D mouse; for the programs that are to have it: export SPNAV_SOCKET={server.path.resolve()}")
+    say("  a 3D mouse; for the programs that are to have it:")
+    say(f"    export SPNAV_SOCKET={server.path.resolve()}")
     return [server]

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import argparse
-from contextlib import closing
 from pathlib import Path
-from typing import Any
 
 from maglev_mj import plots
-from maglev_mj.cli.options import Parser, add_parameters, add_workers, chosen, chosen_workers, range_of
+from maglev_mj.cli.arguments import Parser
+from maglev_mj.cli.options import add_json, add_parameters, add_workers, chosen, chosen_workers, range_of
 from maglev_mj.cli.output import cells_kept, check_outputs, tell_of_others, write_results
 from maglev_mj.cli.progress import Progress
 from maglev_mj.cli.scenes import add_scene
@@ -19,29 +18,31 @@ from maglev_mj.studies.stability_map import StabilityParameters, run_stability
 from maglev_mj.tables import loop_table, stability_table
 from maglev_mj.theory import stability
 
-__all__ = ["add_command"]
+__all__ = ["add_options"]
 
 _RANGES = "damping", "stiffness"
+_WALL = "parameters of a wall"
 _FALLBACK = Path("stability-cells.jsonl")
 
 
-def add_command(commands: Any) -> None:
-    """Add the command to the parser's."""
-    text = "where a wall is stable, by theory and by simulation (figure 2); or whether a scene is"
-    parser = commands.add_parser("stability", help=text, description=text)
-    parser.add_argument("--json", metavar="FILE", help="write the figures as JSON; - for standard output")
-    parser.set_defaults(run=_stability)
+def add_options(parser: Parser) -> None:
+    """Add the options of the command."""
+    parser.description = "Where a wall is stable, by theory and by simulation (figure 2); or whether a scene is."
     add_scene(parser, instead=_add_map)
+    parser.group(_WALL)
+    add_json(parser)
+    parser.set_defaults(run=_stability)
 
 
 def _add_map(parser: Parser) -> None:
     """Add the options of a map of walls."""
+    group = parser.group(_WALL)
     for name in _RANGES:
         one = StabilityParameters.parameter(name)
         told = f"{one.help} [{one.unit}]: LOW HIGH, LOW:HIGH, or one value (default: what shows the stable region)"
-        parser.add_argument(f"--{name}", nargs="+", metavar="X", help=told)
-    add_parameters(parser, StabilityParameters)
-    parser.add_argument("--out", metavar="DIR", type=Path, help="write the picture to this folder")
+        group.add_argument(f"--{name}", nargs="+", metavar="X", help=told)
+    add_parameters(group, StabilityParameters)
+    parser.group("output").add_argument("--out", metavar="DIR", type=Path, help="write the picture to this folder")
     add_workers(parser, "cells done are kept here and not done again")
 
 
@@ -70,8 +71,7 @@ def _map(options: argparse.Namespace) -> int:
                 raise ParameterError(f"{name} must be a range for a picture, not {limits[0]:g} alone")
     check_outputs(json=options.json, record=options.record, out=options.out)
     workers = chosen_workers(options, default=0)
-    progress = Progress("stability")
-    with cells_kept(options.record, _FALLBACK), closing(progress):
+    with cells_kept(options.record, _FALLBACK), Progress("stability") as progress:
         result = run_stability(parameters, record=Record(options.record), workers=workers, progress=progress)
     tell_of_others("stability", result.others)
     write_results(

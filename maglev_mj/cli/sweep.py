@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import argparse
-from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from maglev_mj.cli.options import Parser, add_workers, chosen_workers, described
+from maglev_mj.cli.arguments import Parser
+from maglev_mj.cli.options import add_json, add_workers, chosen_workers, described
 from maglev_mj.cli.output import cells_kept, check_outputs, tell_of_others, write_results
 from maglev_mj.cli.progress import Progress
 from maglev_mj.cli.scenes import add_scene
@@ -19,37 +19,38 @@ from maglev_mj.parameters import parsed_number
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.studies.sweep import MOST_CELLS, sweep, value_of
 from maglev_mj.tables import sweep_table
+from maglev_mj.terminal import wrapped
 
-__all__ = ["add_command"]
+__all__ = ["add_options"]
 
 
-def add_command(commands: Any) -> None:
-    """Add the command to the parser's."""
-    parser = commands.add_parser("sweep", help="any scene over a grid of its parameters, on many workers")
+def add_options(parser: Parser) -> None:
+    """Add the options of the command."""
     add_scene(parser, more=_tell_parameters, options=False)
-    parser.add_argument(
+    grid = parser.group("grid")
+    grid.add_argument(
         "--vary",
         action="append",
         default=[],
         metavar="NAME=VALUES",
         help="its values: LOW:HIGH:COUNT evenly spread, A,B,C, or A;B;C where values have commas; repeat for a grid",
     )
-    parser.add_argument(
+    grid.add_argument(
         "--set", action="append", default=[], metavar="NAME=VALUE", help="a parameter that is not its default"
     )
-    parser.add_argument("--json", metavar="FILE", help="write all cells and figures as JSON; - for standard output")
+    add_json(parser, "all cells and figures")
     add_workers(parser, "results land here as they come, and what is here is not done again (SCENE-sweep.jsonl)")
     parser.set_defaults(run=_sweep)
 
 
 def _tell_parameters(parser: Parser, cls: type[Scene]) -> None:
     """Say in the help which parameters a scene has."""
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    lines = [f"parameters of {cls.name}:", f"  {'plant':<15}{', '.join(cls.plants)} (default {cls.plants[0]})"]
+    told = {"plant": f"{', '.join(cls.plants)} (default {cls.plants[0]})"}
     if cls.takes_phase:
-        lines.append(f"  {'phase':<15}of the samples, in [0, 1) (default 0)")
-    lines += [f"  {one.name:<15}{described(one, getattr(cls(), one.name))}" for one in cls.parameters()]
-    parser.epilog = "\n".join(lines)
+        told["phase"] = "of the samples, in [0, 1) (default 0)"
+    told |= {one.name: described(one, getattr(cls(), one.name)) for one in cls.parameters()}
+    lines = [line for name, text in told.items() for line in wrapped(text, f"  {name:<15}", " " * 17)]
+    parser.epilog = "\n".join([f"parameters of {cls.name}:", *lines])
 
 
 def _sweep(options: argparse.Namespace) -> int:
@@ -61,8 +62,7 @@ def _sweep(options: argparse.Namespace) -> int:
     path = options.record or Path(f"{cls.name}-sweep.jsonl")
     check_outputs(json=options.json, record=path)
     workers = chosen_workers(options, default=None)
-    progress = Progress(f"sweep {cls.name}")
-    with cells_kept(path, path), closing(progress):
+    with cells_kept(path, path), Progress(f"sweep {cls.name}") as progress:
         found = sweep(cls, fixed | varied, workers=workers, record=path, progress=progress)
     found = replace(found, varied=varied)  # what is set is no dimension of the grid
     tell_of_others("sweep", found.others)

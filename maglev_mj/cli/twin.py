@@ -19,6 +19,7 @@ from maglev_mj.bridge.realtime import realtime, stopping
 from maglev_mj.bridge.safety import Limits
 from maglev_mj.bridge.twin import Twin, TwinParameters, TwinServer
 from maglev_mj.bridge.wire import Fault, State, fault_names
+from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.options import add_bridge, chosen_key, count, number_option
 from maglev_mj.cli.publishers import add_foxglove, chosen_foxglove
 from maglev_mj.cli.web import add_web, chosen_front
@@ -38,15 +39,15 @@ from maglev_mj.session import EMERGENCY_STOP, Publishers, SampledMotion, Snapsho
 from maglev_mj.spec import INERTIA, Spec
 from maglev_mj.tables import served_table
 
-__all__ = ["add_command", "foam"]
+__all__ = ["add_options", "foam"]
 
 _LISTEN = "udp://127.0.0.1:5678"
 
 
-def add_command(commands: Any) -> None:
-    """Add the command to the parser's."""
-    twin = commands.add_parser("twin", help="a simulated device behind the real one's wire")
-    twin.add_argument(
+def add_options(parser: Parser) -> None:
+    """Add the options of the command."""
+    device, hand = parser.group("device"), parser.group("faults and hands")
+    device.add_argument(
         "--listen", default=_LISTEN, metavar="ADDRESS", help=f"udp://HOST:PORT, or pty (default {_LISTEN})"
     )
     numbers = {
@@ -56,34 +57,35 @@ def add_command(commands: Any) -> None:
         "noise": ("standard deviation of a spot's noise [m]", TwinParameters.noise),
     }
     for name, (text, default) in numbers.items():
-        twin.add_argument(
+        device.add_argument(
             f"--{name}", type=number_option, default=default, metavar="X", help=f"{text} (default {default:g})"
         )
-    twin.add_argument("--seed", type=count, default=0, metavar="N", help="of the noise (default 0)")
-    twin.add_argument("--lockstep", action="store_true", help="wait for each answer instead of keeping real time")
+    device.add_argument("--seed", type=count, default=0, metavar="N", help="of the noise (default 0)")
+    device.add_argument("--lockstep", action="store_true", help="wait for each answer instead of keeping real time")
     faults = "; ".join(f"{name}:K, {effect.words}" for name, effect in INJECTED_FAULTS.items())
-    twin.add_argument(
+    hand.add_argument(
         "--fault", action="append", default=[], metavar="NAME:K@SECONDS", help=f"what goes wrong, and when: {faults}"
     )
-    twin.add_argument(
+    hand.add_argument(
         "--push",
         action="append",
         default=[],
         metavar="AXIS:NEWTONS@START-END",
         help="a hand that pushes along x, y, z (N) or about rx, ry, rz (N m) from START to END [s], such as z:-5@2-3",
     )
-    twin.add_argument(
+    hand.add_argument(
         "--block", type=number_option, metavar="X", help="foam around the centre, so stiff [N/m], as for `commission`"
     )
-    twin.add_argument("--truth", metavar="FILE", type=Path, help="what the device is, where a host knows it wrongly")
-    add_bridge(twin)
-    add_foxglove(twin)
-    twin.add_argument("--view", action="store_true", help="a window, with the mouse as the hand")
-    add_web(twin)
-    twin.add_argument(
+    device.add_argument("--truth", metavar="FILE", type=Path, help="what the device is, where a host knows it wrongly")
+    add_bridge(parser)
+    window = parser.group("window")
+    window.add_argument("--view", action="store_true", help="a window, with the mouse as the hand")
+    window.add_argument(
         "--scene", default="joystick", metavar="SCENE", help="what the window or page looks like (default joystick)"
     )
-    twin.set_defaults(run=_twin)
+    add_web(parser)
+    add_foxglove(parser)
+    parser.set_defaults(run=_twin)
 
 
 def _twin(options: argparse.Namespace) -> int:

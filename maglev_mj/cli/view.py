@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
 
+from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.hand_device import add_hand_device, chosen_hand_device
 from maglev_mj.cli.options import add_recording, number_option
 from maglev_mj.cli.output import check_outputs, check_recording
@@ -18,29 +18,29 @@ from maglev_mj.parameters import number
 from maglev_mj.session import Session
 from maglev_mj.tables import show_table
 
-__all__ = ["add_command"]
+__all__ = ["add_options"]
 
 
-def add_command(commands: Any) -> None:
-    """Add the command to the parser's."""
-    view = commands.add_parser("view", help="feel a scene: a window, with the mouse as the hand")
-    add_scene(view, default="joystick")
-    add_recording(view)
-    add_publishers(view)
-    add_web(view)
-    view.add_argument(
+def add_options(parser: Parser) -> None:
+    """Add the options of the command."""
+    add_scene(parser, default="joystick")
+    group, output = parser.group("run"), parser.group("output")
+    group.add_argument(
         "--hand-stiffness",
         type=number_option,
         default=SpringHand.stiffness,
         metavar="X",
         help=f"of the spring by which the hand pulls [N/m] (default {SpringHand.stiffness:g})",
     )
-    add_hand_device(view)
-    view.add_argument(
+    group.add_argument("--seconds", type=number_option, metavar="X", help="close the window after so long [s]")
+    add_web(parser)
+    add_hand_device(parser.group("gamepad or 3D mouse as the hand"))
+    add_recording(parser)
+    output.add_argument(
         "--out", metavar="DIR", type=Path, default=Path(), help="folder for recordings and screenshots (default .)"
     )
-    view.add_argument("--seconds", type=number_option, metavar="X", help="close the window after so long [s]")
-    view.set_defaults(run=_view)
+    add_publishers(parser)
+    parser.set_defaults(run=_view)
 
 
 def _view(options: argparse.Namespace) -> int:

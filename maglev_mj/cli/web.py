@@ -11,7 +11,8 @@ import webbrowser
 from importlib.util import find_spec
 from pathlib import Path
 
-from maglev_mj.cli.options import Container, count
+from maglev_mj.cli.arguments import Parser
+from maglev_mj.cli.options import count
 from maglev_mj.display.remote import Front
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.net.addresses import is_loopback, listen
@@ -29,13 +30,14 @@ class PageMissingError(MaglevError):
     """viser is not installed."""
 
 
-def add_web(parser: Container) -> None:
+def add_web(parser: Parser) -> None:
     """Add --web and what goes with it."""
-    parser.add_argument("--web", action="store_true", help="a page for any browser")
-    parser.add_argument("--port", type=count, metavar="N", help=f"port of the page; 0 for any (default {PORT})")
-    parser.add_argument("--no-open", action="store_true", help="open no browser")
-    parser.add_argument("--host", metavar="H", help="address of the page, with --token (default 127.0.0.1)")
-    parser.add_argument("--token", metavar="T", help="text that the page's address must have, at least 16 characters")
+    group = parser.group("page in a browser")
+    group.add_argument("--web", action="store_true", help="a page for any browser")
+    group.add_argument("--port", type=count, metavar="N", help=f"port of the page; 0 for any (default {PORT})")
+    group.add_argument("--no-open", action="store_true", help="open no browser")
+    group.add_argument("--host", metavar="H", help="address of the page, with --token (default 127.0.0.1)")
+    group.add_argument("--token", metavar="T", help="text that the page's address must have, at least 16 characters")
 
 
 def chosen_front(options: argparse.Namespace, folder: Path = Path(), *, watch: bool = False) -> Front | None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.errors import ParameterError
+from maglev_mj.errors import ParameterError, not_one_of
 from maglev_mj.frames import Array, Component
 from maglev_mj.parameters import axis_indices, common_shape, numbers
 
@@ -119,10 +119,8 @@ def hand_called(text: str) -> Hand | None:
         except ValueError:
             values = ()
         if len(values) not in (3, 5):
-            raise ParameterError(
-                f"hand must be one of {', '.join(HANDS)}, or mass,damping,stiffness in SI units, optionally with "
-                f"grip damping and grip stiffness, not {text!r}"
-            )
+            own = ", or mass,damping,stiffness in SI units, optionally with grip damping and grip stiffness"
+            raise ParameterError(not_one_of("hand", HANDS, text, own))
     if not values:
         return None
     mass, damping, stiffness, *grip = values

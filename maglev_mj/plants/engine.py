@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.errors import ModelError, ParameterError
+from maglev_mj.errors import ModelError, ParameterError, not_one_of
 from maglev_mj.frames import AXES, Array, Component, quaternion
 from maglev_mj.hand import Hand
 from maglev_mj.model import COILS, Device, Model, load
@@ -89,7 +89,7 @@ def prepared(
         ModelError: If the model cannot be used, or has no stops where they are needed.
     """
     if integrator not in INTEGRATORS:
-        raise ParameterError(f"integrator must be one of {', '.join(INTEGRATORS)}, not {integrator!r}")
+        raise ParameterError(not_one_of("integrator", INTEGRATORS, integrator))
     made = load(model, **device)
     options = made.model.opt
     options.integrator = INTEGRATORS[integrator]

@@ -13,7 +13,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.errors import MaglevError, ParameterError, not_one_of
 from maglev_mj.recording.recording import Recording, aside
 from maglev_mj.recording.row import FIELDS, TOTALS, told, units
 from maglev_mj.recording.samples import samples_of
@@ -41,7 +41,7 @@ def export(recording: Recording, kind: str, path: Path) -> None:
         OSError: If it cannot be written; then what was there stays.
     """
     if kind not in EXPORTS:
-        raise ParameterError(f"to must be one of {', '.join(EXPORTS)}, not {kind!r}")
+        raise ParameterError(not_one_of("to", EXPORTS, kind))
     with aside(path) as partial:
         EXPORTS[kind](recording, partial, path)
 

@@ -15,7 +15,7 @@ from traceback import walk_tb
 from types import ModuleType
 from typing import Any
 
-from maglev_mj.errors import ParameterError
+from maglev_mj.errors import ParameterError, not_one_of
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.versions import TEXT, file_of, hash_of
 
@@ -78,9 +78,7 @@ def find_scene(text: str) -> type[Scene]:
     for entry in entry_points(group=GROUP):
         if entry.name == text:  # loaded when asked for: a broken package breaks its own scene alone
             return _installed(entry)
-    raise ParameterError(
-        f"scene must be one of {', '.join(scene_names())}, or a file such as my_scene.py, not {text!r}"
-    )
+    raise ParameterError(not_one_of("scene", scene_names(), text, ", or a file such as my_scene.py"))
 
 
 def reference_of(cls: type[Scene]) -> str:
@@ -193,7 +191,7 @@ def _of_file(path: Path, wanted: str) -> type[Scene]:
     }
     if wanted:
         if wanted not in found:
-            raise ParameterError(f"scene of {path.name} must be one of {', '.join(found) or 'none'}, not {wanted!r}")
+            raise ParameterError(not_one_of(f"scene of {path.name}", found or ["none"], wanted))
         return found[wanted]
     if len(found) != 1:
         several = f"has {', '.join(found)}: name one as {path.name}:CLASS" if found else "has no class of Scene"

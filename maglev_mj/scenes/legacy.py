@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
-from maglev_mj.errors import ParameterError
+from maglev_mj.errors import ParameterError, not_one_of
 from maglev_mj.frames import AXES
 from maglev_mj.laws import Law
 from maglev_mj.parameters import param
@@ -78,5 +78,5 @@ def recorded_scene(name: str, values: Mapping[str, Any], scene: type[Scene] | No
     if known and name in BUILT_IN:
         return find_scene(name).from_json(values)
     if scene is None:
-        raise ParameterError(f"scene must be one of {', '.join(BUILT_IN)}, not {name!r}")
+        raise ParameterError(not_one_of("scene", BUILT_IN, name))
     return scene.from_json(values)

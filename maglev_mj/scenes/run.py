@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from maglev_mj.controller import Controller
-from maglev_mj.errors import DivergenceError, ParameterError
+from maglev_mj.errors import DivergenceError, ParameterError, not_one_of
 from maglev_mj.frames import AXES, Array, Command, Component, Sample
 from maglev_mj.loop import drive
 from maglev_mj.parameters import number, numbers
@@ -166,7 +166,7 @@ def run(
     """
     plant = checked_plant(scene, plant)
     if plant not in PLANTS:
-        raise ParameterError(f"plant must be one of {', '.join(PLANTS)} to run {scene.name}, not {plant!r}")
+        raise ParameterError(not_one_of("plant", PLANTS, plant, f" to run {scene.name}"))
     single = np.ndim(phase) == 0
     if not single and plant != "exact":
         raise ParameterError(f"phase must be one number on {plant}, whose runs differ in length: see run_phases")
@@ -231,7 +231,7 @@ def checked_plant(scene: Scene, plant: str | None) -> str:
     """
     chosen = scene.plants[0] if plant is None else plant
     if chosen not in scene.plants:
-        raise ParameterError(f"plant must be one of {', '.join(sorted(scene.plants))}, not {plant!r}")
+        raise ParameterError(not_one_of("plant", sorted(scene.plants), plant))
     return chosen
 
 

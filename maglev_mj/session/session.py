@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.errors import MaglevError, ParameterError, not_one_of
 from maglev_mj.hand import HandForce, SpringHand, Trajectory
 from maglev_mj.parameters import number
 from maglev_mj.recording import RecordingFile
@@ -160,7 +160,7 @@ class Session:
             self._scene = centred(self._scene)
             self._restart(self._scene.start().pose)
         else:
-            raise ParameterError(f"action must be one of {', '.join(self.actions)}, not {action!r}")
+            raise ParameterError(not_one_of("action", self.actions, action))
 
     def change(self, parameters: Mapping[str, Any]) -> None:
         """Change live parameters of the scene, period and delay too, or the session's own.

@@ -12,6 +12,7 @@ import numpy as np
 from maglev_mj.energy import HandWork
 from maglev_mj.frames import Array
 from maglev_mj.hand import SpringHand
+from maglev_mj.parameters import flag
 from maglev_mj.scenes import Scene
 from maglev_mj.session.pacing import Due
 
@@ -94,6 +95,9 @@ class Snapshot:
     reason: str = ""
     remedy: str = "/ starts again"
     notes: Sequence[str] = ()
+
+    def __post_init__(self) -> None:
+        flag("late", self.late)
 
 
 class SnapshotSource(Protocol):

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from maglev_mj.controller import Controller
-from maglev_mj.errors import ParameterError
+from maglev_mj.errors import ParameterError, not_one_of
 from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.hand import Hand
 from maglev_mj.loop import drive
@@ -119,7 +119,7 @@ def level_index(level: str) -> int:
     """
     names = [each.name for each in LEVELS]
     if level not in names:
-        raise ParameterError(f"level must be one of {', '.join(names)}, not {level!r}")
+        raise ParameterError(not_one_of("level", names, level))
     return names.index(level)
 
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 import maglev_mj
-from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.errors import MaglevError, ParameterError, not_one_of
 from maglev_mj.frames import Array
 from maglev_mj.parameters import parsed_number
 from maglev_mj.scenes.find import GROUP, hash_of, made_again, reference_of, scene_of_text, text_of
@@ -199,4 +199,4 @@ def value_of(cls: type[Scene], name: str, text: str) -> Any:
 def _check_name(cls: type[Scene], name: str) -> None:
     names = ["plant", *(["phase"] if cls.takes_phase else []), *(one.name for one in cls.parameters())]
     if name not in names:
-        raise ParameterError(f"parameter of {cls.name} must be one of {', '.join(names)}, not {name!r}")
+        raise ParameterError(not_one_of(f"parameter of {cls.name}", names, name))

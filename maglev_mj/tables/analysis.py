@@ -9,11 +9,13 @@ import numpy as np
 from maglev_mj.analysis import Analysed, Comparison, FaceFigures, StretchFigures
 from maglev_mj.frames import AXES, Array
 from maglev_mj.tables.identification import identified_lines
-from maglev_mj.terminal import cell
+from maglev_mj.terminal import cell, wrapped
 
 __all__ = ["analysis_table"]
 
-_NAME, _CELL = 20, 10
+_NAME, _CELL = 20, 8
+_WALL = 7, 9, 7, 9, 8, 9, 9
+_CONTACT = 10
 _CONTACTS_SHOWN, _STICKS_SHOWN = 8, 8
 _NOTHING = 1e-12
 
@@ -31,7 +33,7 @@ def analysis_table(analysed: Analysed, number: int, count: int) -> str:
     if other is not None and comparison is not None and comparison.same:
         other = None  # a second column would say the same
     beside = None if other is None else other.figures
-    lines = [_head(analysed, number, count), *_faces(figures, beside), "", *_axes(figures, beside)]
+    lines = [*_head(analysed, number, count), *_faces(figures, beside), "", *_axes(figures, beside)]
     lines += _friction(figures)
     if comparison is not None:
         lines += ["", *_apart(comparison, figures.samples)]
@@ -39,13 +41,14 @@ def analysis_table(analysed: Analysed, number: int, count: int) -> str:
     return "\n".join(lines)
 
 
-def _head(analysed: Analysed, number: int, count: int) -> str:
+def _head(analysed: Analysed, number: int, count: int) -> list[str]:
     known, figures = analysed.metadata, analysed.recorded.figures
-    which = f"stretch {number} of {count}, " if count > 1 else ""
-    return (
-        f"Recording of {known.name}: {which}{figures.samples} samples at {1.0 / known.period:g} Hz, "
-        f"{figures.start:.4g} to {figures.end:.4g} s, {figures.missed} missed, delay {known.delay * 1e3:g} ms"
-    )
+    which = f", stretch {number} of {count}" if count > 1 else ""
+    return [
+        *wrapped(f"Recording of {known.name}{which}", ""),
+        f"  {figures.samples} samples at {1.0 / known.period:g} Hz, {figures.start:.4g} to {figures.end:.4g} s, "
+        f"{figures.missed} missed, delay {known.delay * 1e3:g} ms",
+    ]
 
 
 def _faces(figures: StretchFigures, beside: StretchFigures | None) -> list[str]:
@@ -69,15 +72,15 @@ def _walls(
     """Return a row for each wall, and one for its simulation where there is one."""
     small, force, hard = ("mrad", "N m", "N m/rad") if turning else ("mm", "N", "N/mm")
     lines = [
-        _cells("wall", ("depth", "rebound", "peak", "settling", "rate", "extended", "contacts")),
-        _cells("", (small, small, force, "ms, 2 %", hard, hard)),
+        _cells("wall", ("depth", "rebound", "peak", "settling", "rate", "extended", "contacts"), _WALL),
+        _cells("", (small, small, force, "ms, 2 %", hard, hard), _WALL),
     ]
     for face in faces:
-        lines.append(_cells(face.name, _wall(face, turning=turning)))
+        lines.append(_cells(face.name, _wall(face, turning=turning), _WALL))
         if others is not None:
             other = others.get((face.axis, face.normal))
-            untouched = ["0.00", *["-"] * 5, "0"]
-            lines.append(_cells("  simulated", untouched if other is None else _wall(other, turning=turning)))
+            texts = ["0.00", *["-"] * 5, "0"] if other is None else _wall(other, turning=turning)
+            lines.append(_cells("  simulated", texts, _WALL))
     return lines
 
 
@@ -98,14 +101,14 @@ def _contacts(faces: Sequence[FaceFigures], *, turning: bool) -> list[str]:
     """Return a row for each of the first contacts, in the order in which they happened."""
     small, force = ("mrad", "N m") if turning else ("mm", "N")
     lines = [
-        _cells("contact", ("at", "for", "approach", "depth", "peak")),
-        _cells("", ("s", "ms", f"{small}/s", small, force)),
+        _cells("contact", ("at", "for", "approach", "depth", "peak"), _CONTACT),
+        _cells("", ("s", "ms", f"{small}/s", small, force), _CONTACT),
     ]
     found = sorted(((one.start, face.name, one) for face in faces for one in face.contacts), key=lambda row: row[:2])
     for start, name, one in found[:_CONTACTS_SHOWN]:
         figures = (one.duration, one.approach_speed, one.penetration)
         texts = [f"{start:.4f}", *(cell(figure, 1e3) for figure in figures), cell(one.peak_force, 1.0)]
-        lines.append(_cells(name, texts))
+        lines.append(_cells(name, texts, _CONTACT))
     if len(found) > _CONTACTS_SHOWN:
         lines.append(f"  and {len(found) - _CONTACTS_SHOWN} more: see --json")
     return lines
@@ -136,12 +139,13 @@ def _friction(figures: StretchFigures) -> list[str]:
     longest = ["" for _ in AXES]
     for axis in rubbing:
         longest[axis] = cell(max(stick.duration for stick in figures.sticks[axis] or ()), 1e3)
-    lines = ["", _cells("friction", names), _cells("slips", slips), _cells("longest stuck", longest, "ms")]
+    lines = ["", _cells("friction", names), _cells("slips", slips), _cells("longest stuck", longest, unit="ms")]
     for axis in rubbing:
         places = [f"{stick.position * 1e3:.3f}" for stick in figures.sticks[axis] or ()]
         more = f" and {len(places) - _STICKS_SHOWN} more" if len(places) > _STICKS_SHOWN else ""
         unit = "mm" if axis < 3 else "mrad"
-        lines.append(f"  {f'stuck at, {AXES[axis]}':<{_NAME}}  {', '.join(places[:_STICKS_SHOWN])}{more}  {unit}")
+        told = f"{', '.join(places[:_STICKS_SHOWN])}{more} {unit}"
+        lines += wrapped(told, f"  {f'stuck at, {AXES[axis]}':<{_NAME}}  ", " " * (_NAME + 4))
     return lines
 
 
@@ -153,15 +157,15 @@ def _apart(comparison: Comparison, samples: int) -> list[str]:
             _cells("apart", AXES),
             _line("RMS", comparison.rms, 1e6, "µm, µrad"),
             _line("at most", comparison.most, 1e6, "µm, µrad"),
-            _cells("  at", [_when(*one) for one in zip(comparison.most, comparison.when, strict=True)], "s"),
+            _cells("  at", [_when(*one) for one in zip(comparison.most, comparison.when, strict=True)], unit="s"),
         ]
     lines.append(_line("one sample ahead", comparison.one_step, 1e6, "µm, µrad"))
-    lines.append(f"  {comparison.sentence}")
+    lines += wrapped(comparison.sentence)
     if 0 < comparison.compared < samples:
         lines.append(f"  the simulation failed after {comparison.compared} of {samples} samples")
     if comparison.device:
-        lines.append(
-            "  nobody measures a hand on the device, which parts the two; one sample ahead tells how good the model is"
+        lines += wrapped(
+            "nobody measures a hand on the device, which parts the two; one sample ahead tells how good the model is"
         )
     return lines
 
@@ -171,11 +175,12 @@ def _when(most: float, when: float) -> str:
 
 
 def _line(label: str, values: Array, scale: float, unit: str) -> str:
-    return _cells(label, [_small(value, scale) for value in values.tolist()], unit)
+    return _cells(label, [_small(value, scale) for value in values.tolist()], unit=unit)
 
 
-def _cells(label: str, texts: Sequence[str], unit: str = "") -> str:
-    return f"  {label:<{_NAME}}{''.join(f'{text:>{_CELL}}' for text in texts)}  {unit}".rstrip()
+def _cells(label: str, texts: Sequence[str], widths: int | Sequence[int] = _CELL, unit: str = "") -> str:
+    each = [widths] * len(texts) if isinstance(widths, int) else widths
+    return f"  {label:<{_NAME}}{''.join(f'{text:>{width}}' for text, width in zip(texts, each))}  {unit}".rstrip()
 
 
 def _small(value: float, scale: float) -> str:

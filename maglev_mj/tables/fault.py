@@ -11,7 +11,7 @@ from maglev_mj.bridge.fault import FaultRecord
 from maglev_mj.bridge.wire import Fault, State, fault_names
 from maglev_mj.frames import AXES
 from maglev_mj.parameters import flag
-from maglev_mj.terminal import printable
+from maglev_mj.terminal import printable, wrapped
 
 if TYPE_CHECKING:
     from maglev_mj.bridge.remote import RemotePlant
@@ -20,8 +20,8 @@ __all__ = ["fault_table", "latched_table"]
 
 _SHOWN = 20
 
-_HEADING = ("sample", "ms", "state", *AXES, "A cmd", "A meas", "warm %", "delay", "answer")
-_WIDTHS = (7, 8, 9, *[7] * 6, 6, 7, 7, 6, 7)
+_HEADING = ("ms", *AXES, "A cmd", "A meas", "warm %", "delay", "answer")
+_WIDTHS = (7, *[6] * 3, *[7] * 3, 7, 7, 7, 6, 7)
 
 
 _REASONS = {
@@ -44,10 +44,11 @@ _REASONS = {
 
 
 def fault_table(record: FaultRecord, *, whole: bool = False) -> str:
-    """Return a fault and its last cycles as text: 99 columns, a dash where a value is unknown.
+    """Return a fault and its last cycles as text, a dash where a value is unknown.
 
-    Time is before the last cycle [ms], the pose [mm, mrad], currents the largest of the six [A], commanded and
-    measured, the temperature the highest, the delay at the device and the latency of the answer [ms].
+    A line names the state where it changes. Time is before the last cycle [ms], the pose [mm, mrad], currents the
+    largest of the six [A], commanded and measured, the temperature the highest, the delay at the device and the
+    latency of the answer [ms].
 
     Args:
         record: The black box.
@@ -56,8 +57,8 @@ def fault_table(record: FaultRecord, *, whole: bool = False) -> str:
     flag("whole", whole)
     when = "" if math.isnan(record.fault_time) else f" at {record.fault_time:.4f} s of the device's clock"
     lines = [
-        f"  {printable(record.message)}",
-        f"  faults {printable(record.faults)}; first {printable(record.first)}{when}",
+        *wrapped(printable(record.message)),
+        *wrapped(f"faults {printable(record.faults)}; first {printable(record.first)}{when}"),
         *_reasons(record.faults),
         f"  sample {record.tick} at {1.0 / record.period:g} Hz; {record.lost} lost, {record.skipped} skipped",
         _line(_HEADING),
@@ -72,12 +73,13 @@ def fault_table(record: FaultRecord, *, whole: bool = False) -> str:
         lines.insert(-1, f"  the last {_SHOWN} of {len(time)} cycles; --all shows all")
     for place in range(first, len(time)):
         state = column["state"][place]
+        if place == first or state != column["state"][place - 1]:
+            named = State(int(state)).name.lower() if state in tuple(State) else _cell(state, 0)
+            lines.append(f"  {named}, from sample {column['sample'][place]:.0f} on")
         lines.append(
             _line(
                 (
-                    f"{column['sample'][place]:.0f}",
                     f"{time[place]:.1f}",
-                    State(int(state)).name.lower() if state in tuple(State) else _cell(state, 0),
                     *(_cell(value, 2) for value in (*pose[place], commanded[place], measured[place])),
                     _cell(warm[place], 0),
                     *(_cell(column[name][place] * 1e3, 2) for name in ("delay", "latency")),
@@ -98,11 +100,11 @@ def _line(cells: tuple[str, ...]) -> str:
 def _reasons(names: str) -> list[str]:
     """Return what each fault of some names means, a line each."""
     known = [fault for fault in _REASONS if (fault.name or "") in names.split()]
-    return [f"    {fault.name}: {_REASONS[fault]}" for fault in known]
+    return [line for fault in known for line in wrapped(f"{fault.name}: {_REASONS[fault]}", "    ", "      ")]
 
 
 def latched_table(plant: RemotePlant) -> str:
     """Return what was latched in a device at the handshake, since when and why."""
     if not plant.faults:
         return f"  no fault is latched; the device is {plant.state.name.lower()}"
-    return "\n".join([f"  {plant.latched}", *_reasons(fault_names(plant.faults))])
+    return "\n".join([*wrapped(plant.latched), *_reasons(fault_names(plant.faults))])

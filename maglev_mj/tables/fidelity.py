@@ -9,6 +9,7 @@ import numpy as np
 from maglev_mj.studies.fidelity import MARGIN, FidelityResult, StepResult, stepping_name
 from maglev_mj.studies.fidelity_cases import has_gains
 from maglev_mj.studies.fidelity_levels import LevelResult
+from maglev_mj.terminal import cell, wrapped
 
 __all__ = ["fidelity_table", "levels_table"]
 
@@ -20,23 +21,27 @@ def fidelity_table(result: FidelityResult) -> str:
     preset, chosen = result.preset, result.level
     own = f" ({preset.reason})" if result.tolerance == preset.tolerance else ""
     lines = [
-        f"Fidelity of {preset.name}: {preset.scene.describe()}",
-        f"  to be kept: {_micro(result.tolerance)}, as the greatest displacement of a coil{own}",
+        *wrapped(f"Fidelity of {preset.name}: {preset.scene.describe()}", "", "  "),
+        *wrapped(f"to be kept: {_micro(result.tolerance)}, as the greatest displacement of a coil{own}"),
         *_range_lines(result),
-        "  each line adds to those above it; worst: distance from any line below it, over all cases",
+        "  each level adds to those above it; worst: distance from any line below it",
         "",
-        f"    {'level':<10}{'adds':<50}{'changes':>10}{'worst':>10}{'within':>9}{'force':>9}{'cost':>8}",
+        f"    {'level':<10}{'changes':>10}{'worst':>10}{'within':>9}{'force':>10}{'cost':>8}",
     ]
     for row in result.levels:
         mark = ">" if row is chosen else " "
         diverged = f"  diverges in {row.diverged}" if row.diverged else ""
         lines.append(
-            f"  {mark} {row.level:<10}{row.adds:<50}{_micro(row.changes):>10}{_micro(row.worst):>10}"
-            f"{_percent(row.keeps):>9}{_newtons(row.force):>9}{row.cost * 1e3:>8.1f}{diverged}"
+            f"  {mark} {row.level:<10}{_micro(row.changes):>10}{_micro(row.worst):>10}"
+            f"{_percent(row.keeps):>9}{_newtons(row.force):>10}{row.cost * 1e3:>8.1f}{diverged}"
         )
     lines += [
-        "  changes and force: in the scene itself; within: share of the cases that keep the tolerance with the margin",
-        "  cost in µs a simulated ms; a real millisecond is 1000",
+        *wrapped(
+            "changes and force: in the scene itself; worst: over all cases; within: share of the cases that keep the "
+            "tolerance with the margin; cost in µs a simulated ms, of which a real one has 1000"
+        ),
+        "",
+        *_added(result.levels),
     ]
     if chosen is None:
         unstable = (
@@ -44,11 +49,13 @@ def fidelity_table(result: FidelityResult) -> str:
             if result.levels[-1].worst == np.inf
             else ""
         )
-        return "\n".join([*lines, "", f"  no level keeps the tolerance{unstable}"])
+        return "\n".join([*lines, "", *wrapped(f"no level keeps the tolerance{unstable}")])
     lines += [
         "",
-        f"  on the level {chosen.level}, cheapest first: integrator and longest step, error against 20 µs of RK4,",
-        f"  shift of the stability boundary (at most {result.over.boundary:.3g} allowed), worst over all cases, cost",
+        *wrapped(
+            f"on the level {chosen.level}, cheapest first: integrator and longest step, error against 20 µs of RK4, "
+            f"shift of the stability boundary (at most {result.over.boundary:.3g} allowed), worst over all cases, cost"
+        ),
     ]
     for step in result.steps[:_STEPS_SHOWN]:
         mark = ">" if step is result.cheapest else " "
@@ -64,9 +71,11 @@ def fidelity_table(result: FidelityResult) -> str:
     most = MARGIN * (result.cheapest.missing or 0.0)
     lines += [
         "",
-        f"  take {chosen.level} with {_stepping(result.cheapest)}: {result.cheapest.cost * 1e3:.1f} µs a ms",
-        f"  within {_micro(most)} in {result.over.share:.4g} of the cases, the margin of {MARGIN:g} included; "
-        f"none expected beyond {_micro(result.furthest or 0.0)}{_jumps(result)}",
+        *wrapped(f"take {chosen.level} with {_stepping(result.cheapest)}: {result.cheapest.cost * 1e3:.1f} µs a ms"),
+        *wrapped(
+            f"within {_micro(most)} in {result.over.share:.4g} of the cases, the margin of {MARGIN:g} included; "
+            f"none expected beyond {_micro(result.furthest or 0.0)}{_jumps(result)}"
+        ),
     ]
     return "\n".join(lines)
 
@@ -80,39 +89,46 @@ def _range_lines(result: FidelityResult) -> list[str]:
     """Return lines on the cases: which, how many, and whether any meets the stops."""
     over, count = result.over, len(result.cases)
     seeds = "phases with a jitter seed each" if result.preset.scene.takes_phase else "jitter seeds"
-    lines = [f"  {count} cases of the whole device: {over.phases} {seeds}"]
+    lines = [f"{count} cases of the whole device: {over.phases} {seeds}"]
     if has_gains(result.preset.scene) and over.around:
         lines[0] += f", times 5 pairs of gains (given, and {over.around:.3g} of each up and down)"
     if result.screened > 1:
-        lines.append(
-            f"  and {result.screened} on the exact plant in the same range: lag, limit, sensor's steps, jitter"
-        )
+        lines.append(f"and {result.screened} on the exact plant in the same range: lag, limit, sensor's steps, jitter")
     lines.append(
-        f"  kept if {MARGIN:g} times the worst of {over.share:.4g} of these is: the margin for cases not looked at"
+        f"kept if {MARGIN:g} times the worst of {over.share:.4g} of these is: the margin for cases not looked at"
     )
     if result.met_stops:
         lines.append(
-            f"  THE MOTION MEETS THE METAL STOPS of the model in {result.met_stops} of {count} cases: levels without "
+            f"THE MOTION MEETS THE METAL STOPS of the model in {result.met_stops} of {count} cases: levels without "
             "stops are those of another motion"
         )
-    return lines
+    return [line for text in lines for line in wrapped(text)]
 
 
 def levels_table(found: Mapping[str, Sequence[LevelResult]]) -> str:
     """Return what each level changes in each scene, as text."""
     names = list(found)
+    heads = {name: name.split("-", 1) for name in names}  # over two lines
     lines = [
-        "What each level changes in each scene, against the level below: greatest displacement of a coil (µm)",
+        "What each level changes in each scene, against the level below: greatest",
+        "  displacement of a coil [µm]; and the cost of a simulated ms [µs]",
         "",
-        f"  {'level':<10}" + "".join(f"{name:>15}" for name in names) + "   cost (µs a ms)",
+        " " * 11 + "".join(f"{heads[name][0]:>8}" for name in names),
+        f"  {'level':<9}" + "".join(f"{''.join(heads[name][1:]):>8}" for name in names) + f"{'cost':>13}",
     ]
     for place, first in enumerate(found[names[0]]):
         rows = [found[name][place] for name in names]
         costs = [row.cost * 1e3 for row in rows]
-        changes = "".join(f"{_micro(row.changes)[:-3]:>15}" for row in rows)
-        lines.append(f"  {first.level:<10}{changes}   {min(costs):.1f} to {max(costs):.1f}")
-    lines += ["", *(f"  {row.level:<10}{row.adds}" for row in found[names[0]])]
+        changes = "".join(f"{_micro(row.changes)[:-3]:>8}" for row in rows)
+        cost = f"{cell(min(costs), 1.0)} to {cell(max(costs), 1.0)}"
+        lines.append(f"  {first.level:<9}{changes} {cost:>12}")
+    lines += ["", *_added(found[names[0]])]
     return "\n".join(lines)
+
+
+def _added(levels: Sequence[LevelResult]) -> list[str]:
+    """Return a line for each level: what it adds."""
+    return [f"  {row.level:<10}{row.adds}" for row in levels]
 
 
 def _stepping(step: StepResult) -> str:

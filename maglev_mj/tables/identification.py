@@ -5,15 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from itertools import groupby
-from textwrap import wrap
 from typing import NamedTuple
 
 from maglev_mj.analysis import Estimate, Identification
 from maglev_mj.frames import AXES
+from maglev_mj.terminal import wrapped
 
 __all__ = ["identified_lines"]
 
-_DECIMALS, _IN = 4, "    "
+_DECIMALS, _NAME, _IN = 4, 26, "    "
 
 
 class _Row(NamedTuple):
@@ -29,17 +29,21 @@ class _Row(NamedTuple):
 
 def identified_lines(found: Identification) -> list[str]:
     """Return a line for each estimate, and one for those that cannot be told for the same reason."""
-    lines = [f"  {'identified':<36}{'value':>12}{'std. error':>12}  {'unit':<10}{'residual':>12}"]
+    lines = [f"  {'identified':<{_NAME}}{'value':>12}{'std. error':>12}  {'unit':<10}{'residual':>14}"]
     untold: dict[tuple[str, str], list[str]] = {}
+    heading = ""
     for (whose, why), group in groupby(_rows(found), key=lambda row: (row.whose, row.estimate.why)):
         rows = list(group)
         if why:
             untold.setdefault((", ".join(row.name for row in rows), why), []).append(whose)
-        else:
-            lines += map(_line, rows)
+            continue
+        if whose not in ("", heading):
+            lines.append(f"  {whose}")
+        heading = whose
+        lines += map(_line, rows)
     for (names, why), all_of in untold.items():
         whose = f"of {', '.join(all_of)}: " if any(all_of) else ""
-        lines += [f"  cannot be told: {names}", *wrap(whose + why, 96, initial_indent=_IN, subsequent_indent=_IN)]
+        lines += [*wrapped(f"cannot be told: {names}", further=_IN), *wrapped(whose + why, _IN)]
     if found.samples < found.of:
         lines.append(f"  from {found.samples} of {found.of} samples: docs/analysis.md says which")
     return lines
@@ -49,7 +53,8 @@ def _line(row: _Row) -> str:
     one, (scale, unit) = row.estimate, row.left
     value, error = _rounded(one.value * row.scale, one.error * row.scale)
     left = f"{one.residual * scale:.2g} {unit}"
-    return f"  {': '.join(filter(None, row[:2])):<36}{value:>12}{error:>12}  {row.unit:<10}{left:>12}".rstrip()
+    name = f"{_IN if row.whose else '  '}{row.name}"
+    return f"{name:<{_NAME + 2}}{value:>12}{error:>12}  {row.unit:<10}{left:>14}".rstrip()
 
 
 def _rounded(value: float, error: float) -> tuple[str, str]:

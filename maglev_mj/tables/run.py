@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -15,11 +14,11 @@ from maglev_mj.scenes.run import Phases, Result
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.spec import RANGE, Spec
 from maglev_mj.studies.sweep import Sweep
-from maglev_mj.terminal import cell, printable
+from maglev_mj.terminal import WIDTH, cell, printable, wrapped
 
 __all__ = ["run_table", "sweep_table"]
 
-_NAME, _LEAST, _WIDE, _SCREEN = 13, 12, 80, 110
+_NAME, _LEAST = 13, 12
 _MOST_SHOWN = 4
 _SHARES = 50.0, 5.0, 95.0
 _TURNING = {
@@ -64,8 +63,9 @@ def run_table(results: Mapping[str, Result], sweeps: Mapping[str, Phases], gap: 
         list(results), [one.trace.furthest() for one in results.values()], [one.furthest for one in sweeps.values()]
     )
     if gap is not None:
-        remarks.append(f"  MuJoCo and the exact plant differ by at most {gap:.1e} {_unit(scene, 'm')}")
-    return "\n".join([*lines, *(["", *remarks] if remarks else [])])
+        remarks.append(f"MuJoCo and the exact plant differ by at most {gap:.1e} {_unit(scene, 'm')}")
+    told = [line for remark in remarks for line in wrapped(remark, further="    ")]
+    return "\n".join([*lines, *(["", *told] if told else [])])
 
 
 def _head(scene: Scene, plant: str) -> list[str]:
@@ -77,9 +77,9 @@ def _head(scene: Scene, plant: str) -> list[str]:
             continue
         text = f"{value:.6g} {_unit(scene, one.unit)}".rstrip() if one.kind in (int, float) else str(value)
         shown.append(f"{one.name.replace('_', ' ')} {text}")
-    # no line ends between a number and its unit
-    lines = textwrap.wrap(", ".join(text.replace(" ", "\0") for text in shown), _WIDE - 2)
-    return [f"{_sentence(scene)}, plant {plant}", *("  " + line.replace("\0", " ") for line in lines)]
+    # a name, its number and its unit stay on one line
+    lines = wrapped(", ".join(text.replace(" ", "\0") for text in shown))
+    return [*wrapped(f"{_sentence(scene)}, plant {plant}", ""), *lines]
 
 
 def _sentence(scene: Scene) -> str:
@@ -100,30 +100,39 @@ def _rank(first: Result, sweeps: Mapping[str, Phases]) -> str:
 
 
 def _blocks(scene: Scene, blocks: Sequence[tuple[str, Mapping[str, Sequence[str]]]]) -> list[str]:
-    """Return a line for each figure with the cells of every label: blocks side by side where a screen has room."""
+    """Return a line for each figure with the cells of every label; what is too wide goes on below."""
     names = [name.replace("_", " ") for name in scene.figures]
     units = [_unit(scene, figure.unit) for figure in scene.figures.values()]
     left = max([_NAME, *map(len, names)]) + 2
-    parts = [(title, *_columns(columns)) for title, columns in blocks]
-    if (
-        left + sum(len(head) for _, head, _ in parts) + max(map(len, units), default=0) + 2 <= _SCREEN
-        and len(parts) > 1
-    ):
-        titles = "".join(f"{title.split(',')[0]:>{len(head)}}" for title, head, _ in parts)
-        head, rows = "".join(head for _, head, _ in parts), ["".join(row) for row in zip(*(rows for *_, rows in parts))]
-        parts = [(" " * left + titles, head, rows)]
+    room = WIDTH - left - 2 - max(map(len, units), default=0)
+    parts = [(title, _columns(columns)) for title, columns in blocks]
+    if len(parts) > 1 and sum(len(column[0]) for _, columns in parts for column in columns) <= room:
+        titles = "".join(f"{title.split(',')[0]:>{sum(len(one[0]) for one in columns)}}" for title, columns in parts)
+        parts = [(" " * left + titles, [column for _, columns in parts for column in columns])]
     lines: list[str] = []
-    for title, head, rows in parts:
-        lines += [""] * bool(lines) + [title] * bool(title) + [" " * left + head]
-        lines += [f"  {name:<{left - 2}}{row}  {unit}".rstrip() for name, row, unit in zip(names, rows, units)]
+    for title, columns in parts:
+        lines += [""] * bool(lines) + wrapped(title, "") * bool(title.strip())
+        for some in _fitting(columns, room):
+            head, *rows = ("".join(cells) for cells in zip(*some))
+            lines.append(" " * left + head)
+            lines += [f"  {name:<{left - 2}}{row}  {unit}".rstrip() for name, row, unit in zip(names, rows, units)]
     return lines
 
 
-def _columns(columns: Mapping[str, Sequence[str]]) -> tuple[str, list[str]]:
-    """Return the labels as a line, and a line of cells for each figure."""
+def _columns(columns: Mapping[str, Sequence[str]]) -> list[list[str]]:
+    """Return the cells of each label, the label first, all of one width."""
     widths = [max(_LEAST, *(len(text) + 1 for text in (label, *texts))) for label, texts in columns.items()]
-    head = "".join(f"{label:>{width}}" for label, width in zip(columns, widths))
-    return head, ["".join(f"{text:>{width}}" for text, width in zip(row, widths)) for row in zip(*columns.values())]
+    return [[f"{text:>{width}}" for text in (label, *texts)] for width, (label, texts) in zip(widths, columns.items())]
+
+
+def _fitting(columns: Sequence[list[str]], room: int) -> list[list[list[str]]]:
+    """Return columns in groups that are no wider than there is room."""
+    groups: list[list[list[str]]] = []
+    for column in columns:
+        if not groups or sum(len(one[0]) for one in [*groups[-1], column]) > room:
+            groups.append([])
+        groups[-1].append(column)
+    return groups
 
 
 def _spread(figure: Figure, values: Any) -> str:
@@ -153,7 +162,7 @@ def _missing(sweeps: Mapping[str, Phases]) -> list[str]:
         for name, values in sweep.figures.items():
             there = int(np.isfinite(values).reshape(len(values), -1).all(axis=1).sum())
             if there < len(values):
-                lines.append(f"  {label}: {name.replace('_', ' ')} is there at {there} of {len(values)} phases")
+                lines.append(f"{label}: {name.replace('_', ' ')} is there at {there} of {len(values)} phases")
     return lines
 
 
@@ -171,7 +180,7 @@ def _beyond_force(results: Mapping[str, Result]) -> list[str]:
     # the last knot's force has not acted yet
     peaks = {label: float(np.abs(one.trace.wrench[:-1, 2]).max(initial=0.0)) for label, one in results.items()}
     beyond = [f"{label} {peak:.3g}" for label, peak in peaks.items() if peak > device * _ROUNDING]
-    return [f"  Above the device's {device:g} N (z): {', '.join(beyond)}"] if beyond else []
+    return [f"Above the device's {device:g} N (z): {', '.join(beyond)}"] if beyond else []
 
 
 def _beyond_range(labels: Sequence[str], runs: Sequence[ArrayLike], sweeps: Sequence[ArrayLike] = ()) -> list[str]:
@@ -194,7 +203,7 @@ def _beyond_range(labels: Sequence[str], runs: Sequence[ArrayLike], sweeps: Sequ
         texts.append(f"{label} {_distances(np.where(outside, furthest, 0.0))}{count}")
     if not texts:
         return []
-    return [f"  Beyond the range of {_distances(np.where(left, RANGE, 0.0))}: {', '.join(texts)}"]
+    return [f"Beyond the range of {_distances(np.where(left, RANGE, 0.0))}: {', '.join(texts)}"]
 
 
 def _outside(furthest: Array) -> Mask:
@@ -220,7 +229,8 @@ def sweep_table(found: Sweep, path: str) -> str:
     failed = [result["error"] for result in results if "error" in result]
     over = ", ".join(f"{name} ({len(values)})" for name, values in found.varied.items()) or "nothing"
     lines = [
-        f"Sweep of {found.scene.name} over {over}: {len(results)} cells, {found.known} of them already in {path}",
+        *wrapped(f"Sweep of {found.scene.name} over {over}: {len(results)} cells", "", "  "),
+        *wrapped(f"{found.known} of them already in {path}"),
         "",
         f"  {'':<20}{'least':>12}{'median':>12}{'greatest':>12}   cells",
     ]
@@ -231,5 +241,5 @@ def sweep_table(found: Sweep, path: str) -> str:
             spread = "".join(f"{share:>12.4g}" for share in np.percentile(values, [0.0, 50.0, 100.0]))
             lines.append(f"  {printable(name):<20}{spread}   {len(values)}")
     if failed:
-        lines += ["", f"  {len(failed)} cells failed, the first because {printable(str(failed[0]))}"]
+        lines += ["", *wrapped(f"{len(failed)} cells failed, the first because {printable(str(failed[0]))}")]
     return "\n".join(lines)

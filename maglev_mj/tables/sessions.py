@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from maglev_mj.bridge.wire import fault_names
 from maglev_mj.recording import Verdict
+from maglev_mj.terminal import wrapped
 
 if TYPE_CHECKING:
     from maglev_mj.bridge.flight import FlightReport, LoopTiming
@@ -13,6 +14,8 @@ if TYPE_CHECKING:
     from maglev_mj.display.remote import ShowReport
 
 __all__ = ["flown_table", "served_table", "show_table", "timing_table", "verdict_table"]
+
+_IN = "    "
 
 
 def served_table(served: ServerReport, twin: Twin) -> str:
@@ -27,19 +30,16 @@ def served_table(served: ServerReport, twin: Twin) -> str:
         lines.append(f"  late by {latency.p50 * 1e6:.0f} µs in the median, {latency.p99 * 1e3:.2f} ms at 99 %")
     ignored = firmware.counts + twin.codec.dropped
     if ignored:
-        lines.append(
-            "  frames ignored: " + ", ".join(f"{count} for {reason}" for reason, count in sorted(ignored.items()))
-        )
-    lines.append(f"  {firmware.state.name.lower()}, faults: {fault_names(firmware.faults)}")
+        told = ", ".join(f"{count} for {reason}" for reason, count in sorted(ignored.items()))
+        lines += wrapped(f"frames ignored: {told}", further=_IN)
+    lines += wrapped(f"{firmware.state.name.lower()}, faults: {fault_names(firmware.faults)}", further=_IN)
     return "\n".join(lines)
 
 
 def flown_table(flown: FlightReport) -> str:
     """Return what a flight came to."""
-    return (
-        f"  {flown.wall_time:.1f} s, {flown.ticks} samples, {flown.lost} lost, {flown.skipped} skipped\n"
-        f"  {flown.landing}"
-    )
+    first = f"  {flown.wall_time:.1f} s, {flown.ticks} samples, {flown.lost} lost, {flown.skipped} skipped"
+    return "\n".join([first, *wrapped(str(flown.landing), further=_IN)])
 
 
 def timing_table(timing: LoopTiming, warning: str = "") -> str:
@@ -54,7 +54,8 @@ def timing_table(timing: LoopTiming, warning: str = "") -> str:
         for name, one in timing.kinds.items()
     ]
     head = [f"  {'milliseconds':<34}{'median':>10}{'99 %':>10}{'most':>10}"] if known else []
-    said = [f"  warning: {warning}".replace("; ", "\n    ")] if warning else []
+    parts = f"warning: {warning}".split("; ") if warning else []
+    said = [line for place, part in enumerate(parts) for line in wrapped(part, _IN if place else "  ", _IN)]
     return "".join(f"{line}\n" for line in [*head, *known, *said])
 
 
@@ -79,14 +80,13 @@ def verdict_table(verdict: Verdict) -> str:
         if field.first is None:
             same.setdefault(field.compared, []).append(name)
     given = same.pop(0, [])
-    lines += [f"  {count} of {count} the same: {', '.join(names)}" for count, names in same.items()]
+    for count, names in same.items():
+        lines += wrapped(f"{count} of {count} the same: {', '.join(names)}", further=_IN)
     for name, field in verdict.fields.items():
         if field.first is not None:
             stretch, tick = field.first
-            lines.append(
-                f"  {field.same} of {field.compared} the same: {name}, which first differs at tick {tick} of stretch "
-                f"{stretch + 1}"
-            )
+            differs = f"{name}, which first differs at tick {tick} of stretch {stretch + 1}"
+            lines += wrapped(f"{field.same} of {field.compared} the same: {differs}", further=_IN)
     if given:
-        lines.append(f"  not run again, for only the recording knows them: {', '.join(given)}")
+        lines += wrapped(f"not run again, for only the recording knows them: {', '.join(given)}", further=_IN)
     return "\n".join(lines)

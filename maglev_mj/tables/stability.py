@@ -7,6 +7,7 @@ from maglev_mj.scenes.scene import Scene
 from maglev_mj.spec import RANGE
 from maglev_mj.studies.designed_wall import DesignResult
 from maglev_mj.studies.stability_map import StabilityMap
+from maglev_mj.terminal import wrapped
 from maglev_mj.theory import Verdict, bounds, is_stable
 from maglev_mj.theory.design import Case
 
@@ -21,15 +22,17 @@ def stability_table(result: StabilityMap) -> str:
     stiffest, damping = float(best.stiffness), float(best.damping)
     hand = "no hand" if p.hand == "none" else f"hand {p.hand}"
     lines = [
-        f"Stability of a PD wall, {1.0 / p.period:g} Hz, delay {p.delay * 1e3:g} ms, mass {p.mass:g} kg, {hand}",
+        *wrapped(
+            f"Stability of a PD wall, {1.0 / p.period:g} Hz, delay {p.delay * 1e3:g} ms, mass {p.mass:g} kg, {hand}", ""
+        ),
         "",
         f"  stiffest stable wall  {stiffest:>9.0f} N/m at {damping:.1f} N s/m"
         if stiffest > 0.0
         else "  no wall is stable",
-        "  at this damping, without a hand's share, the published bounds are (times the stiffest wall)",
+        "  published bounds at this damping, without a hand; times the stiffest wall",
     ]
     for name, bound, sense in (
-        ("Colgate & Schenkel", bounds.colgate(damping, period=p.period), "passive, no delay: none on a bare flotor"),
+        ("Colgate & Schenkel", bounds.colgate(damping, period=p.period), "passive; none on a bare flotor"),
         ("Gil et al.", bounds.gil(damping, period=p.period, delay=p.delay), "stable, low damping"),
         ("Minsky et al.", bounds.minsky(damping, period=p.period), "stable, no delay, low damping"),
     ):
@@ -40,9 +43,11 @@ def stability_table(result: StabilityMap) -> str:
     if result.simulated is not None and result.misjudged is not None:
         differ = int((is_stable(result.modulus) != result.simulated).sum())
         lines += [
-            f"  simulated ({p.plant}): {int(result.simulated.sum())} stable; {differ} verdicts differ from theory, "
-            f"{int(result.misjudged.sum())} of them",
-            f"  further than 0.5 % of a gain from the boundary ({int(result.near.sum())} cells are nearer)",
+            *wrapped(
+                f"simulated ({p.plant}): {int(result.simulated.sum())} stable; {differ} verdicts differ from theory, "
+                f"{int(result.misjudged.sum())} of them further than 0.5 % of a gain from the boundary "
+                f"({int(result.near.sum())} cells are nearer)"
+            ),
         ]
     return "\n".join(lines)
 
@@ -52,8 +57,10 @@ def loop_table(scene: Scene, verdict: Verdict) -> str:
     place = ", ".join(f"{axis} {value:g}" for axis, value in zip(AXES, verdict.pose, strict=True) if value) or "centre"
     worst = f"states of the laws: {', '.join(verdict.acting) or 'none'}" if verdict.stated else f"at {place} (m, rad)"
     means = "by the laws' own gains" if verdict.stated else "by the answers of the laws to small displacements"
-    lines = [f"{scene.name}: {scene.describe()}", f"  {verdict}; {worst}", f"  found {means}"]
-    return "\n".join([*lines, *(f"  {remark}" for remark in verdict.remarks)])
+    lines = wrapped(f"{scene.name}: {scene.describe()}", "", "  ")
+    for text in (f"{verdict}; {worst}", f"found {means}", *verdict.remarks):
+        lines += wrapped(text)
+    return "\n".join(lines)
 
 
 def design_table(result: DesignResult) -> str:
@@ -62,10 +69,12 @@ def design_table(result: DesignResult) -> str:
     needs = wall.requirements
     law = "PD wall" if wall.pole is None else f"{wall.law} wall, poles at {wall.pole:g},"
     lines = [
-        f"Stiffest {law} at {1.0 / needs.period:g} Hz, every modulus at most {needs.modulus:g}",
-        f"  over the product of mass {_span(needs.mass, 1.0)} kg, delay {_span(needs.delay, 1e3)} ms"
-        + (" and lag of the drivers" if needs.driver_lag else ""),
-        f"  and hands {', '.join(needs.hands)}",
+        *wrapped(f"Stiffest {law} at {1.0 / needs.period:g} Hz, every modulus at most {needs.modulus:g}", "", "  "),
+        *wrapped(
+            f"over the product of mass {_span(needs.mass, 1.0)} kg, delay {_span(needs.delay, 1e3)} ms"
+            + (" and lag of the drivers" if needs.driver_lag else "")
+        ),
+        *wrapped(f"and hands {', '.join(needs.hands)}"),
         "",
         f"  stiffness                {wall.stiffness:>8.0f} N/m"
         + ("" if wall.pole is None else f"    {wall.rendered:.0f} N/m against a slow push"),

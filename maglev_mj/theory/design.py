@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from maglev_mj.errors import ParameterError
+from maglev_mj.errors import ParameterError, not_one_of
 from maglev_mj.frames import Array
 from maglev_mj.hand import hand_called
 from maglev_mj.laws import Law, ObserverWall
@@ -235,9 +235,9 @@ def design_wall(
         ParameterError: If a value is outside its bounds, or no wall bears the requirements.
     """
     if law not in LAWS:
-        raise ParameterError(f"law must be one of {', '.join(LAWS)}, not {law!r}")
+        raise ParameterError(not_one_of("law", LAWS, law))
     if goal not in GOALS:
-        raise ParameterError(f"goal must be one of {', '.join(GOALS)}, not {goal!r}")
+        raise ParameterError(not_one_of("goal", GOALS, goal))
     poles: Sequence[float | None] = (None,) if law == "pd" else _POLES if pole is None else (pole,)
     best: tuple[_Gains, float | None] | None = None
     cases = _first_cases(requirements)

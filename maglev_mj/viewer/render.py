@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,7 @@ def render(
     height: int = 750,
     rate: int = 20,
     plots: bool = True,
+    progress: Callable[[int, int], object] = lambda done, total: None,
 ) -> int:
     """Run a scene in the scripted hand and write a picture or a clip of it.
 
@@ -39,6 +40,7 @@ def render(
         height: Pixels.
         rate: Pictures a second of a clip.
         plots: Whether plots and words are in it.
+        progress: Called with how many pictures are drawn, and with all of them.
 
     Returns:
         How many pictures were drawn.
@@ -62,12 +64,19 @@ def render(
             session.tick(end)
             write_picture(painter.picture(session.snapshot()), path)
         else:
-            write_clip(_pictures(session, painter, drawn, 1.0 / rate), path, rate)
+            write_clip(_pictures(session, painter, drawn, 1.0 / rate, progress), path, rate)
     session.close()
     return drawn
 
 
-def _pictures(session: Session, painter: OffscreenPainter, count: int, step: float) -> Iterator[Any]:
-    for _ in range(count):
+def _pictures(
+    session: Session,
+    painter: OffscreenPainter,
+    count: int,
+    step: float,
+    progress: Callable[[int, int], object],
+) -> Iterator[Any]:
+    for place in range(count):
         yield painter.picture(session.snapshot())
         session.tick(step)
+        progress(place + 1, count)

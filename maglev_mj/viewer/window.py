@@ -56,6 +56,12 @@ def require_display() -> None:
     instead = "use `maglev-mj render SCENE --out FILE.png` for a picture, or `maglev-mj drop --out DIR`"
     if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise DisplayError(f"a window needs a display, and neither DISPLAY nor WAYLAND_DISPLAY is set: {instead}")
+    # mjpython has loaded the engine's viewer, and left itself there
+    if sys.platform == "darwin" and getattr(sys.modules.get("mujoco.viewer"), "_MJPYTHON", None) is None:
+        raise DisplayError(
+            "a window on macOS needs the program mjpython, which comes with mujoco: `mjpython -m maglev_mj view`; or "
+            "without it `maglev-mj view --web`, in a browser"
+        )
     with warnings.catch_warnings():  # it warns of what is raised here
         warnings.simplefilter("ignore")
         if not glfw.init():

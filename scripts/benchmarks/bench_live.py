@@ -117,7 +117,7 @@ def asking(line: Connection, port: int) -> None:
 @contextmanager
 def device(rate: int) -> Iterator[RemotePlant]:
     """Yield a twin that runs in real time."""
-    command = [sys.executable, "-m", "maglev_mj.cli", "twin", "--listen", ANY, "--rate", str(rate)]
+    command = [sys.executable, "-m", "maglev_mj", "twin", "--listen", ANY, "--rate", str(rate)]
     twin = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     try:
         assert twin.stdout is not None

@@ -19,7 +19,8 @@ os.environ.setdefault("MUJOCO_GL", "osmesa")  # before the engine is imported
 import numpy as np
 
 from maglev_mj import plots
-from maglev_mj.cli.options import Parser, number_option
+from maglev_mj.cli.arguments import Parser
+from maglev_mj.cli.options import number_option
 from maglev_mj.cli.output import check_outputs
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import Array

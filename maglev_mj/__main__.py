@@ -1,0 +1,8 @@
+"""`python -m maglev_mj`, where the script is not on the path."""
+
+import sys
+
+from maglev_mj.cli import main
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,8 +1,0 @@
-"""`python -m maglev_mj.cli`, where the script is not on the path."""
-
-import sys
-
-from maglev_mj.cli.program import main
-
-if __name__ == "__main__":
-    sys.exit(main())

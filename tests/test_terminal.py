@@ -1,0 +1,323 @@
+"""What a person meets at a terminal: help, suggestions, completion, tables and bars within 80 columns."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from maglev_mj import cli
+from maglev_mj.bridge.commissioning import CoilCheck
+from maglev_mj.bridge.fault import BlackBox, load_black_box
+from maglev_mj.bridge.wire import Fault
+from maglev_mj.cli.arguments import joined
+from maglev_mj.cli.commands import COMMANDS, GROUPS
+from maglev_mj.cli.commission import _coil_row
+from maglev_mj.cli.progress import Progress
+from maglev_mj.scenes.find import BUILT_IN
+from maglev_mj.studies.fidelity_cases import COMPARED
+from maglev_mj.studies.fidelity_levels import LevelResult
+from maglev_mj.studies.levels import LEVELS
+from maglev_mj.tables import fault_table, levels_table
+from maglev_mj.terminal import wrapped
+from tests.golden.outputs import cases, kept
+
+PROGRAM = [sys.executable, "-m", "maglev_mj"]
+SCENES_OF = ("view", "render", "serve-spacenav", "run", "stability", "design", "sweep", "fidelity")
+
+
+def said(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]:
+    """Run a command; return its status, its output and its complaints."""
+    try:
+        status = cli.main(words)
+    except SystemExit as ended:
+        status = int(ended.code or 0)
+    out, err = capsys.readouterr()
+    return status, out, err
+
+
+def test_every_kept_table_fits_80_columns() -> None:
+    lines = [line for group in {name.split("/")[0] for name in cases()} for one in kept(group).values()
+             for line in one["stdout"]]  # fmt: skip
+    assert len(lines) > 1000
+    assert max(map(len, lines)) <= 80
+
+
+def test_tables_of_devices_and_models_fit_80_columns(tmp_path: Path) -> None:
+    box = BlackBox(tmp_path).write(Fault.SENSOR_OUT_OF_RANGE | Fault.COIL_OVERTEMP, "a text " * 20, BOX)
+    assert box is not None
+    rows = [LevelResult(one.name, one.adds, 12.345e-3, 0.0, 0.0, 1.0, 0, 0.0, 9.87) for one in LEVELS]
+    table = levels_table(dict.fromkeys(COMPARED, rows))
+    coil = CoilCheck(5, -10.0, -10.0, 0.01, np.full(6, -123e-6), np.zeros(6), np.full(6, -20.5), "as calibrated")
+    for text in (fault_table(load_black_box(box)), table, _coil_row(coil)):
+        assert max(map(len, text.splitlines())) <= 80
+    assert len({len(line) for line in table.splitlines() if " to " in line}) == 1  # in columns
+
+
+BOX = {"tick": 1, "lost": 0, "skipped": 0, "period_ns": 5_000_000}
+
+
+def test_a_number_keeps_its_unit_and_a_file_its_name() -> None:
+    text = "a wall of 6000 N/m " * 9 + "in " + "x" * 90
+    lines = wrapped(text, "  ", "    ")
+    assert " ".join(" ".join(lines).split()) == text
+    assert all(len(line) <= 80 for line in lines[:-1]) and lines[-1] == "    " + "x" * 90
+    assert not any(re.search(r"\d$", line) for line in lines)
+
+
+def test_the_command_alone_prints_help_of_all_commands_in_groups(capsys: pytest.CaptureFixture[str]) -> None:
+    status, out, err = said(capsys)
+    assert (status, err) == (0, "") and out == said(capsys, "--help")[1]
+    places = [out.index(f"\n{title}:\n") for title in GROUPS]
+    assert list(GROUPS) == ["feel it", "compute", "device", "recordings"] and places == sorted(places)
+    assert re.findall(r"^  (\w[a-z-]*)  +\S", out, re.MULTILINE) == [*COMMANDS]
+
+
+def test_the_package_runs_as_the_command_does() -> None:
+    done = subprocess.run([*PROGRAM, "--version"], capture_output=True, text=True, check=True)
+    assert re.fullmatch(r"maglev-mj \d+\.\d+\.\d+\n", done.stdout)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_fits_80_columns_and_ends_with_an_example(
+    command: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    for scene in ("", *(BUILT_IN if command in SCENES_OF else ())):
+        status, out, err = said(capsys, command, *scene.split(), "--help")
+        assert (status, err) == (0, "")
+        lines = out.splitlines()
+        assert max(map(len, lines)) <= 80
+        assert lines[-2:] == ["Example:", f"  maglev-mj {command} {COMMANDS[command].example}"]
+    (ungrouped,) = re.findall(r"(?ms)^options:\n(.*?)\n\n", out)
+    assert re.findall(r"^  (-.*?)  ", ungrouped, re.MULTILINE) == ["-h, --help"]
+
+
+def test_examples_are_understood() -> None:
+    for name, one in COMMANDS.items():
+        assert cli.parser().parse_args(joined([name, *shlex.split(one.example)])).command == name
+
+
+@pytest.mark.parametrize("name", ["press", "stick-slip", "run", "stability", "sweep", "info"])
+def test_an_example_runs(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    words = [name, *shlex.split(COMMANDS[name].example.replace("--workers 2", "--workers 0"))]
+    assert cli.main(words) == 0
+    assert capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "ending"),
+    [
+        ("drpo", "not 'drpo'; did you mean drop?"),
+        ("qqq", "not 'qqq'"),
+        ("--verison", "unrecognized arguments: --verison; did you mean --version?"),
+        ("drop --stifness 3", "unrecognized arguments: --stifness 3; did you mean --stiffness?"),
+        ("drop --stifness=3", "unrecognized arguments: --stifness=3; did you mean --stiffness?"),
+        ("run box --frictoin", "unrecognized arguments: --frictoin; did you mean --friction?"),
+        ("drop there", "unrecognized arguments: there"),
+        ("view joistick", "not 'joistick'; did you mean joystick?"),
+        ("stick-slip --law lugrd", "not 'lugrd'; did you mean lugre?"),
+        ("design --law observr", "--law must be one of pd, observer, disturbance-observer, not 'observr'; "
+         "did you mean observer?"),
+        ("sweep drop --vary stifness=1,2", "not 'stifness'; did you mean stiffness?"),
+        ("stability --hand armm", "not 'armm'; did you mean arm?"),
+        ("drop --plant exct", "not 'exct'; did you mean exact?"),
+    ],
+)  # fmt: skip
+def test_a_slip_gets_one_line_that_ends_with_the_nearest_name(
+    words: str, ending: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    status, out, err = said(capsys, *words.split())
+    assert (status, out) == (2, "")
+    assert err.endswith(f"{ending}\n") and err.count("\n") == 1
+
+
+ASK = """
+import os, sys
+from maglev_mj.cli import bridge, design, main, replay, run, view  # once, not in each child
+for place, line in enumerate(sys.stdin.read().splitlines()):
+    if os.fork() == 0:
+        asked = {"COMP_LINE": line, "COMP_POINT": str(len(line)), "_ARGCOMPLETE_STDOUT_FILENAME": f"answer {place}"}
+        os.environ.update(asked, _ARGCOMPLETE="1", _ARGCOMPLETE_IFS=",")
+        main()
+        os._exit(9)
+    assert os.wait()[1] == 0, line
+"""
+
+
+OFFERED = {
+    "maglev-mj ": [*COMMANDS],
+    "maglev-mj st": ["stick-slip", "stability"],
+    "maglev-mj view ": [*BUILT_IN, "mine.py"],
+    "maglev-mj run press --h": ["--help", "--hand", "--hits", "--height"],
+    "maglev-mj stick-slip --law l": ["lugre"],
+    "maglev-mj design --law d": ["disturbance-observer"],
+    "maglev-mj drop --period ": [],
+    "maglev-mj replay ru": ["run.mcap"],
+    "maglev-mj bridge udp://127.0.0.1:1 --scene bo": ["box"],
+    "maglev-mj bridge udp://127.0.0.1:1 --scene none.py --vi": ["--view"],
+}
+
+
+def test_a_shell_is_offered_commands_options_scenes_and_values(tmp_path: Path) -> None:
+    pytest.importorskip("argcomplete")
+    if not hasattr(os, "fork"):
+        pytest.skip("argcomplete ends the process that it answers in: a fork for each line")
+    for name in ("mine.py", "run.mcap"):
+        (tmp_path / name).touch()
+    subprocess.run([sys.executable, "-c", ASK], input="\n".join(OFFERED), text=True, cwd=tmp_path, check=True)
+    for place, (line, offered) in enumerate(OFFERED.items()):
+        found = (tmp_path / f"answer {place}").read_text()
+        assert [word.strip() for word in found.split(",") if word] == offered, line
+
+
+BASH = """
+eval "$(register-python-argcomplete maglev-mj)"
+complete -p maglev-mj >/dev/null || exit 3
+COMP_WORDS=(maglev-mj drop --stif); COMP_CWORD=2; COMP_LINE="maglev-mj drop --stif"; COMP_POINT=${#COMP_LINE}
+COMP_TYPE=9; COMP_WORDBREAKS=$' \\t\\n'
+_python_argcomplete maglev-mj --stif drop
+printf '%s\\n' "${COMPREPLY[@]}"
+"""
+
+
+def test_bash_itself_completes(tmp_path: Path) -> None:
+    pytest.importorskip("argcomplete")
+    program = tmp_path / "maglev-mj"
+    program.write_text(f'#!/bin/sh\nexec {shlex.join(PROGRAM)} "$@"\n')
+    program.chmod(0o755)
+    path = f"{tmp_path}:{Path(sys.executable).parent}:{os.environ['PATH']}"
+    done = subprocess.run(["bash", "-c", BASH], env={**os.environ, "PATH": path}, capture_output=True, text=True)
+    assert (done.stdout.split(), done.returncode) == (["--stiffness"], 0), done.stderr
+
+
+SLOW = """
+import time
+from maglev_mj.scenes.drop import Drop
+
+class Slow(Drop):
+    \"\"\"A drop that takes its time.\"\"\"
+
+    name = "slow"
+
+    def ticks(self, timing):
+        time.sleep(PAUSE)
+        return super().ticks(timing)
+"""
+
+
+class Screen:
+    """A stream that is a terminal or is none."""
+
+    def __init__(self, terminal: bool) -> None:
+        self.text, self.terminal = "", terminal
+
+    def isatty(self) -> bool:
+        return self.terminal
+
+    def write(self, text: str) -> None:
+        self.text += text
+
+    def flush(self) -> None: ...
+
+
+def until(screen: Screen, text: str) -> None:
+    """Wait for a text on a screen."""
+    end = time.monotonic() + 10.0
+    while text not in screen.text:
+        assert time.monotonic() < end, screen.text
+        time.sleep(0.005)
+
+
+def test_a_bar_shows_on_a_terminal_alone_and_goes_away() -> None:
+    for terminal in (True, False):
+        screen: Any = Screen(terminal)
+        with Progress("map", screen, quiet=0.0, every=0.01) as progress:
+            if terminal:
+                until(screen, "] map: 0 s")  # how much there is to do is not known yet
+            progress(1, 4)
+            progress(2, 4)
+            if terminal:
+                until(screen, "[###############...............] map: 2 of 4, 0 s left")
+            with progress.aside():
+                assert not screen.text or screen.text.endswith("\r\x1b[K")
+                before = screen.text
+                time.sleep(0.05)
+                assert screen.text == before  # nobody draws over what is printed
+            if terminal:
+                until(screen, before + "\r\x1b[K[####")
+        assert screen.text.endswith("\r\x1b[K") if terminal else screen.text == ""
+
+
+def test_a_short_run_shows_no_bar() -> None:
+    screen: Any = Screen(True)
+    with Progress("map", screen) as progress:
+        progress(1, 2)
+    assert screen.text == ""
+
+
+pty = pytest.importorskip("pty")
+
+
+def on_a_terminal(arguments: list[str], folder: Path) -> tuple[str, str]:
+    """Run a command whose standard error is a terminal; return what it printed, and what the terminal got."""
+    ours, theirs = pty.openpty()
+    with subprocess.Popen([*PROGRAM, *arguments], stderr=theirs, stdout=subprocess.PIPE, cwd=folder) as process:
+        os.close(theirs)
+        got = b"".join(_pieces(ours))
+        assert process.stdout is not None
+        out = process.stdout.read().decode()
+    os.close(ours)
+    assert process.returncode == 0, got
+    return out, got.decode()
+
+
+def _pieces(terminal: int) -> Iterator[bytes]:
+    while True:
+        try:
+            piece = os.read(terminal, 4096)
+        except OSError:  # the other end is closed
+            return
+        if not piece:
+            return
+        yield piece
+
+
+def test_a_long_run_has_a_bar_on_a_terminal_and_none_in_a_pipe(tmp_path: Path) -> None:
+    (tmp_path / "slow.py").write_text(SLOW.replace("PAUSE", "2.5"))
+    command = ["run", "slow.py", "--plant", "exact", "--json", "-"]
+    out, screen = on_a_terminal(command, tmp_path)
+    assert re.match(r"\r\x1b\[K\[\.*#{6}\.*\] slow: 2 s", screen) and screen.endswith("\r\x1b[K")
+    assert out.startswith('{"parameters"') and "\r" not in out
+    (tmp_path / "slow.py").write_text(SLOW.replace("PAUSE", "0.0"))
+    assert on_a_terminal(command, tmp_path)[1] == ""
+
+
+def test_without_mjpython_one_line_says_so_on_macos(monkeypatch: pytest.MonkeyPatch) -> None:
+    from maglev_mj.viewer import window
+    from maglev_mj.viewer.offscreen import DisplayError
+
+    monkeypatch.setattr(sys, "platform", "darwin")
+    monkeypatch.setattr("glfw.init", lambda: True)
+    monkeypatch.delitem(sys.modules, "mujoco.viewer", raising=False)
+    with pytest.raises(DisplayError, match=r"`mjpython -m maglev_mj view`; .* `maglev-mj view --web`") as refused:
+        window.require_display()
+    assert "\n" not in str(refused.value)
+
+    class Loaded:
+        _MJPYTHON = object()
+
+    monkeypatch.setitem(sys.modules, "mujoco.viewer", Loaded)
+    window.require_display()
