@@ -63,6 +63,7 @@ def add_options(parser: Parser) -> None:
     run = parser.group("run")
     run.add_argument("--reset", action="store_true", help="show what is latched in the device, clear it, and end")
     run.add_argument("--view", action="store_true", help="a window on the device; its hand is at the device")
+    add_web(parser)
     add_bridge(parser)
     add_web(parser)
     limits = parser.group("limits of the host; the smaller of these and the device's counts")

@@ -33,6 +33,7 @@ def add_options(parser: Parser) -> None:
         help=f"of the spring by which the hand pulls [N/m] (default {SpringHand.stiffness:g})",
     )
     group.add_argument("--seconds", type=number_option, metavar="X", help="close the window after so long [s]")
+    add_web(parser)
     add_hand_device(parser.group("gamepad or 3D mouse as the hand"))
     add_web(parser)
     add_recording(parser)

@@ -32,12 +32,12 @@ class PageMissingError(MaglevError):
 
 def add_web(parser: Parser) -> None:
     """Add --web and what goes with it."""
-    page = parser.group("page in a browser")
-    page.add_argument("--web", action="store_true", help="a page for any browser")
-    page.add_argument("--port", type=count, metavar="N", help=f"port of the page; 0 for any (default {PORT})")
-    page.add_argument("--no-open", action="store_true", help="open no browser")
-    page.add_argument("--host", metavar="H", help="address of the page, with --token (default 127.0.0.1)")
-    page.add_argument("--token", metavar="T", help="text that the page's address must have, at least 16 characters")
+    group = parser.group("page in a browser")
+    group.add_argument("--web", action="store_true", help="a page for any browser")
+    group.add_argument("--port", type=count, metavar="N", help=f"port of the page; 0 for any (default {PORT})")
+    group.add_argument("--no-open", action="store_true", help="open no browser")
+    group.add_argument("--host", metavar="H", help="address of the page, with --token (default 127.0.0.1)")
+    group.add_argument("--token", metavar="T", help="text that the page's address must have, at least 16 characters")
 
 
 def chosen_front(options: argparse.Namespace, folder: Path = Path(), *, watch: bool = False) -> Front | None:
