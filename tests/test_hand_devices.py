@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 
 from maglev_mj import cli
+from maglev_mj.display.remote import ShowReport
 from maglev_mj.errors import MaglevError
 from maglev_mj.frames import AXES
 from maglev_mj.hand import SpringHand
@@ -313,9 +314,9 @@ def test_a_mouse_is_looked_for_where_libspnav_looks(path: Path, monkeypatch: pyt
 )
 def test_each_control_of_a_gamepad_moves_its_axis(control: int, axis: str, share: float) -> None:
     controls = [0.0, 0.0, 0.0, 0.0, -1.0, -1.0, 0.0, 0.0]
-    assert gamepad_shares(controls[:6], False, False) == (0.0,) * 6
+    assert gamepad_shares(controls[:6], 0.0) == (0.0,) * 6
     controls[control] = 1.0
-    shares = gamepad_shares(controls[:6], bool(controls[6]), bool(controls[7]))
+    shares = gamepad_shares(controls[:6], float(controls[6]) - float(controls[7]))
     assert shares == pytest.approx(one(AXES.index(axis), share))
 
 
@@ -418,13 +419,13 @@ class Shown:
         self.targets: list[Any] = []
         self.states: list[str] = []
 
-    def show(self, session: Session, **_: Any) -> window.ShowReport:
+    def show(self, session: Session, **_: Any) -> ShowReport:
         self.begin()
         waited(lambda: [session.tick(PERIOD), session.hand.device_target][1])
         self.targets.append(session.hand.device_target)
         self.states.append(session.snapshot().state)
         session.close()
-        return window.ShowReport(0, 0.0, 1.0, 1.0, 200, 0)
+        return ShowReport(0, 0.0, 1.0, 1.0, 200, 0)
 
 
 @pytest.fixture

@@ -44,6 +44,7 @@ FLOORS = {
     "studies": 8,
     "analysis": 8,
     "viewer": 8,
+    "web": 8,
     "hand_devices": 8.5,
     "plots": 9,
     "replay": 9,
@@ -55,6 +56,9 @@ FLOORS = {
 ALLOWED = {
     "mujoco": {"model", "plants", "shapes", "versions", "viewer"},
     "glfw": {"hand_devices", "viewer"},
+    "viser": {"web"},
+    "trimesh": {"web"},
+    "websockets": {"web"},
     "matplotlib": {"plots"},
     "imageio": {"viewer"},
     "distributed": {"workers"},

@@ -24,21 +24,21 @@ from maglev_mj.cli.output import check_file, check_outputs, check_recording
 from maglev_mj.cli.progress import Progress
 from maglev_mj.cli.publishers import add_publishers, chosen_publishers
 from maglev_mj.cli.scenes import add_scene, chosen_scene, warn_of_instability
-from maglev_mj.display.remote import RemoteViewer
+from maglev_mj.cli.web import add_web, chosen_front
+from maglev_mj.display.remote import Front, RemoteViewer
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.net.udp import open_link
 from maglev_mj.parameters import number
 from maglev_mj.recording import RecordingFile, open_recording, tee
 from maglev_mj.scenes import Scene
-from maglev_mj.session import DEVICES_OWN, Publisher, Snapshot
+from maglev_mj.session import DEVICES_OWN, Publisher, Snapshot, device_actions
 from maglev_mj.tables import flown_table, latched_table, timing_table
 from maglev_mj.terminal import say, wrapped
-from maglev_mj.viewer.process import window
 
 __all__ = ["add_options"]
 
 _IDENTIFYING = 10.0
-_FLYING = "record", "view", "seconds", "spacenav", "foxglove"
+_FLYING = "record", "view", "web", "seconds", "spacenav", "foxglove"
 
 _ENDS = f"""\
 how a flight ends, in takeoff, flight and landing alike:
@@ -64,6 +64,7 @@ def add_options(parser: Parser) -> None:
     run.add_argument("--reset", action="store_true", help="show what is latched in the device, clear it, and end")
     run.add_argument("--view", action="store_true", help="a window on the device; its hand is at the device")
     add_bridge(parser)
+    add_web(parser)
     limits = parser.group("limits of the host; the smaller of these and the device's counts")
     add_parameters(limits, HostLimits)
     limits.add_argument(
@@ -90,10 +91,7 @@ def _bridge(options: argparse.Namespace) -> int:
     limits = chosen(options, HostLimits() if options.profile is None else HostLimits.load(options.profile))
     _check(options)
     calibration = Calibration.nominal() if options.calibration is None else Calibration.load(options.calibration)
-    if options.view:
-        from maglev_mj.viewer.window import require_display
-
-        require_display()
+    front = chosen_front(options, options.out, watch=True)
     # publishers first: what is wrong with them is said before the device moves
     with (
         stopping(interrupt, lambda: None),  # what closes is not stopped by a second Ctrl-C
@@ -110,7 +108,7 @@ def _bridge(options: argparse.Namespace) -> int:
             return _identify(plant, options)
         scene = scene.replace(period=plant.period, delay=plant.delay)
         warn_of_instability(scene, [*[calibration.mass] * 3, *calibration.inertia], expected_delay(plant))
-        _fly(plant, scene, options, publishers, live)
+        _fly(plant, scene, options, front, publishers, live)
     return 0
 
 
@@ -136,6 +134,7 @@ def _fly(
     plant: RemotePlant,
     scene: Scene,
     options: argparse.Namespace,
+    front: Front | None,
     publishers: Sequence[Publisher],
     live: RecordingFile | None,
 ) -> None:
@@ -144,8 +143,9 @@ def _fly(
     with ExitStack() as last:
         last.enter_context(stopping(switch.land, switch.cut, within=LANDING_TIME))
         viewer = None
-        if options.view:
-            viewer = RemoteViewer(Snapshot(scene=scene), window(options.out))
+        if front is not None:
+            blank = Snapshot(scene=scene, actions=device_actions(type(scene)))
+            viewer = RemoteViewer(blank, front, watch=options.web)
             last.callback(viewer.close)
             publishers = [*publishers, viewer]
         file = None if options.record is None else open_recording(options.record)

@@ -22,6 +22,7 @@ from maglev_mj.bridge.wire import Fault, State, fault_names
 from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.options import add_bridge, chosen_key, count, number_option
 from maglev_mj.cli.publishers import add_foxglove, chosen_foxglove
+from maglev_mj.cli.web import add_web, chosen_front
 from maglev_mj.controller import Controller
 from maglev_mj.display.remote import RemoteViewer
 from maglev_mj.errors import ParameterError
@@ -34,10 +35,9 @@ from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.recording import setup_of
 from maglev_mj.scenes import find_scene
 from maglev_mj.scenes.parts import WEIGHT
-from maglev_mj.session import Publishers, SampledMotion, Snapshot
+from maglev_mj.session import EMERGENCY_STOP, Publishers, SampledMotion, Snapshot
 from maglev_mj.spec import INERTIA, Spec
 from maglev_mj.tables import served_table
-from maglev_mj.viewer.process import window
 
 __all__ = ["add_options", "foam"]
 
@@ -81,8 +81,9 @@ def add_options(parser: Parser) -> None:
     window = parser.group("window")
     window.add_argument("--view", action="store_true", help="a window, with the mouse as the hand")
     window.add_argument(
-        "--scene", default="joystick", metavar="SCENE", help="what the window looks like (default joystick)"
+        "--scene", default="joystick", metavar="SCENE", help="what the window or page looks like (default joystick)"
     )
+    add_web(parser)
     add_foxglove(parser)
     parser.set_defaults(run=_twin)
 
@@ -106,15 +107,14 @@ def _twin(options: argparse.Namespace) -> int:
     block = None if options.block is None else foam(number("block", options.block, above=0.0, at_most=20_000.0))
     _hand(options.push, None)  # a push that is none is said before a window opens
     with ExitStack() as last:
-        viewer = None
-        if options.view:
-            from maglev_mj.viewer.window import require_display
-
-            require_display()
+        viewer, front = None, chosen_front(options)
+        if front is not None:
             # what it renders is for whoever flies it to say
             off = {one.name: False for one in look.parameters() if one.kind is bool and one.live}
-            blank = Snapshot(scene=look(**off, period=parameters.period, delay=parameters.delay))
-            viewer = RemoteViewer(blank, window())
+            blank = Snapshot(
+                scene=look(**off, period=parameters.period, delay=parameters.delay), actions=(EMERGENCY_STOP,)
+            )
+            viewer = RemoteViewer(blank, front)
             last.callback(viewer.close)
         if (live := chosen_foxglove(options)) is not None:
             last.callback(live.close)
@@ -207,11 +207,13 @@ def _shown(viewer: RemoteViewer, blank: Snapshot, server: TwinServer) -> Callabl
                 pose=pose,
                 force=force,
                 hand=np.array(plant.hand_wrench),
+                stops=plant.stop_wrench,
                 currents=currents,
                 history=motion.history.rows,
                 work=motion.work,
                 state="stopped" if twin.firmware.state == State.FAULT else "running",
-                remedy="bridge ADDRESS --reset",
+                reason=fault_names(twin.firmware.faults) if twin.firmware.faults else "",
+                remedy="maglev-mj bridge ADDRESS --reset goes on",
                 notes=[f"a device, {twin.firmware.state.name.lower()}{_faults(twin)}"],
             )
         )

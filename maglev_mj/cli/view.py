@@ -11,6 +11,8 @@ from maglev_mj.cli.options import add_recording, number_option
 from maglev_mj.cli.output import check_outputs, check_recording
 from maglev_mj.cli.publishers import add_publishers, chosen_publishers
 from maglev_mj.cli.scenes import add_scene, chosen_scene, warn_of_instability
+from maglev_mj.cli.web import add_web, chosen_page
+from maglev_mj.display.remote import show_remotely
 from maglev_mj.hand import SpringHand
 from maglev_mj.parameters import number
 from maglev_mj.session import Session
@@ -32,6 +34,7 @@ def add_options(parser: Parser) -> None:
     )
     group.add_argument("--seconds", type=number_option, metavar="X", help="close the window after so long [s]")
     add_hand_device(parser.group("gamepad or 3D mouse as the hand"))
+    add_web(parser)
     add_recording(parser)
     output.add_argument(
         "--out", metavar="DIR", type=Path, default=Path(), help="folder for recordings and screenshots (default .)"
@@ -46,10 +49,12 @@ def _view(options: argparse.Namespace) -> int:
     seconds = None if options.seconds is None else number("seconds", options.seconds, above=0.0)
     check_outputs(out=options.out)
     check_recording(options.record)
-    # imported here: it loads the library that opens windows
-    from maglev_mj.viewer.window import require_display, show
+    page = chosen_page(options)
+    if page is None:
+        # imported here: it loads the library that opens windows
+        from maglev_mj.viewer.window import require_display, show
 
-    require_display()
+        require_display()
     warn_of_instability(scene)
     options.out.mkdir(parents=True, exist_ok=True)
     # the device first: a 3D mouse of our own is none for this hand
@@ -66,7 +71,11 @@ def _view(options: argparse.Namespace) -> int:
         for device in devices:
             device.act = session.act
         try:
-            print(show_table(show(session, folder=options.out, duration=seconds)))
+            if page is None:
+                report = show(session, folder=options.out, duration=seconds)
+            else:
+                report = show_remotely(session, page, duration=seconds)
+            print(show_table(report))
         finally:
             for path in session.recordings:  # whatever happened, a person wants to know where they are
                 print(f"  wrote {path}")

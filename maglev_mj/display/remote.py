@@ -7,19 +7,33 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from multiprocessing.connection import Connection
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
 from maglev_mj.display.banner import Note
+from maglev_mj.display.glide import SILENCE, Glide
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.hand import SpringHand
+from maglev_mj.parameters import flag
+from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.process import SideProcess
-from maglev_mj.session import EMERGENCY_STOP, Due, History, Snapshot, SnapshotSource, Wish, actions, settable
+from maglev_mj.session import (
+    EMERGENCY_STOP,
+    Due,
+    History,
+    Snapshot,
+    SnapshotSource,
+    Wish,
+    actions,
+    real_time,
+    settable,
+)
 
-__all__ = ["Front", "RemoteSession", "RemoteViewer"]
+__all__ = ["Front", "RemoteSession", "RemoteViewer", "ShowReport", "show_remotely"]
 
 _MOST_ROWS = 400
+_NAP = 0.001
 
 Front: TypeAlias = Callable[[SnapshotSource], object]
 """Shows a source until the person or the source ends it; of a module, for another process gets it by its name."""
@@ -31,18 +45,21 @@ class RemoteViewer:
     Args:
         snapshot: What it shows at first.
         front: Opens it there, such as what `viewer.process.window` returns.
+        watch: Whether nothing but an emergency stop is taken from it: no hand, no parameter.
 
     Attributes:
         hand: The mouse's.
+        frames: Snapshots handed over.
         on_close: Called once when the person has closed the window; may be replaced.
         on_emergency: Called by `take` when the emergency stop's key was pressed; may be replaced, and may raise.
     """
 
-    def __init__(self, snapshot: Snapshot, front: Front) -> None:
-        self.hand, self.on_close = SpringHand(), _nothing
+    def __init__(self, snapshot: Snapshot, front: Front, *, watch: bool = False) -> None:
+        self._watch = flag("watch", watch)
+        self.hand, self.on_close, self.frames = SpringHand(), _nothing, 0
         self.on_emergency: Callable[[], object] = _nothing
         self._scene, self._sent, self._open = snapshot.scene, -np.inf, True
-        self._note, self._due = Note(), Due()
+        self._note, self._due, self._glide = Note(), Due(), Glide()
         self._front = SideProcess(_open, snapshot, front)
 
     def show(self, snapshot: Snapshot) -> None:
@@ -50,19 +67,24 @@ class RemoteViewer:
         self._scene = snapshot.scene
         if not self._front.ready:
             return
+        if snapshot.time < self._sent:  # it has started again
+            self._sent = -np.inf
         # only the rows that are new, and so many that writing them cannot wait
         rows = snapshot.history[np.searchsorted(snapshot.history[:, 0], self._sent, side="right") :]
         self._sent = snapshot.time
         self._front.send(replace(snapshot, history=rows[-_MOST_ROWS:]))
+        self.frames += 1
 
     def take(self) -> Wish | None:
         """Move the hand as the mouse does; return the scene that keys ask for."""
         wanted = None
         for kind, value in self._front.received():
-            if kind == "hand":
-                self.hand.target = value
-            elif value == EMERGENCY_STOP:
+            if value == EMERGENCY_STOP:
                 self.on_emergency()
+            elif self._watch:
+                continue
+            elif kind == "hand":
+                self._glide.aim(value)
             elif kind == "change":
                 with suppress(ParameterError):  # a device's person sees what is in force
                     known = settable(self._scene)
@@ -71,6 +93,7 @@ class RemoteViewer:
             elif (change := actions(type(self._scene)).get(value)) is not None:
                 self._scene = wanted = change(self._scene)
         self._look()
+        self._glide.move(self.hand)
         return None if wanted is None else Wish(wanted)
 
     def serve(self, source: SnapshotSource) -> None:
@@ -78,7 +101,7 @@ class RemoteViewer:
         for kind, value in self._front.received():
             try:
                 if kind == "hand":
-                    source.hand.target = value
+                    self._glide.aim(value)
                 elif kind == "act":
                     source.act(value)
                 else:
@@ -86,6 +109,7 @@ class RemoteViewer:
             except MaglevError as error:
                 self._note.say(str(error))
         self._look()
+        self._glide.move(source.hand)
         if self._front.ready and self._due():
             snapshot = source.snapshot()
             self.show(replace(snapshot, notes=[*snapshot.notes, *self._note.lines]))
@@ -93,13 +117,61 @@ class RemoteViewer:
     def _look(self) -> None:
         """Let go of the hand once the front is closed."""
         if self._front.ended and self._open:
-            self._open, self.hand.target = False, None
+            self._open = False
+            self._glide.aim(None)
             self.on_close()
 
     def close(self) -> None:
         """Close the window; a second time does nothing."""
         self._open = False
         self._front.close()
+
+
+class ShowReport(NamedTuple):
+    """What a session in a window or page came to.
+
+    Attributes:
+        frames: Frames shown, or handed to the page.
+        frame_cost: Median time from a snapshot to its being drawn [s], beside the control ticks; 0 where not known.
+        wall_time: Time that it was open [s].
+        simulated: Time simulated meanwhile [s].
+        ticks: Control ticks made.
+        missed: Ticks given up.
+    """
+
+    frames: int
+    frame_cost: float
+    wall_time: float
+    simulated: float
+    ticks: int
+    missed: int
+
+
+def show_remotely(source: SnapshotSource, front: Front, duration: float | None = None) -> ShowReport:
+    """Keep a source in real time, shown by a front in a process of its own; then close it.
+
+    Args:
+        source: What to show.
+        front: Shows it.
+        duration: End after so much real time [s]; None goes on until Ctrl-C.
+
+    Raises:
+        MaglevError: If the front ends before.
+    """
+    viewer, ticks, wall_time = RemoteViewer(source.snapshot(), front), 0, 0.0
+    viewer.on_close = _ended
+    try:
+        with engine_warnings_silenced():
+            for elapsed, passed in real_time(duration, _NAP):
+                ticks, wall_time = ticks + source.tick(elapsed), passed
+                viewer.serve(source)
+        missed = source.snapshot().missed
+        return ShowReport(viewer.frames, 0.0, wall_time, source.simulated, ticks, missed)
+    finally:
+        try:
+            source.close()
+        finally:
+            viewer.close()
 
 
 class RemoteSession:
@@ -115,15 +187,19 @@ class RemoteSession:
         self._line, self._snapshot, self._history = line, snapshot, History()
         self._over = False
         self._target: Any = None
+        self._due = Due(SILENCE / 5.0)
 
     def tick(self, elapsed: float) -> int:
         """Take the snapshots that the device has sent; return the number of samples since the last."""
         before = self._snapshot.tick
         try:
             while not self._over and self._line.poll():
-                self._snapshot = self._line.recv()
+                last, self._snapshot = self._snapshot, self._line.recv()
+                if self._snapshot.time < last.time:  # it has started again
+                    self._history.clear()
                 self._history.extend(self._snapshot.history)
-            if self._target != self.hand.target:
+            moved, again = self._target != self.hand.target, self._due()
+            if moved or (again and self._target is not None):
                 self._target = self.hand.target
                 self._line.send(("hand", self._target))
         except (EOFError, OSError):
@@ -153,6 +229,10 @@ class RemoteSession:
 
 
 def _nothing() -> None: ...
+
+
+def _ended() -> None:
+    raise MaglevError("the process that shows the scene has ended")
 
 
 def _open(line: Connection, snapshot: Snapshot, front: Front) -> None:

@@ -1,5 +1,5 @@
 """The live server: programs that read the Foxglove protocol watch a scene and set it; see docs/live.md."""
 
-from maglev_mj.live.server import PORT, LiveServer, LiveServerError, check_port
+from maglev_mj.live.server import PORT, LiveServer, LiveServerError
 
-__all__ = ["PORT", "LiveServer", "LiveServerError", "check_port"]
+__all__ = ["PORT", "LiveServer", "LiveServerError"]

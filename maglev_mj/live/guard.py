@@ -11,6 +11,8 @@ import re
 import socket
 from contextlib import suppress
 
+from maglev_mj.net.addresses import LOOPBACK
+
 __all__ = ["MOST", "PATIENCE", "forward", "objection"]
 
 PATIENCE = 5.0
@@ -20,9 +22,8 @@ MOST = 64
 """Connections at a time; each takes three open files, of which a process may have few."""
 
 _LONGEST, _CHUNK = 8192, 1 << 16
-_LOOPBACK = r"(?:127\.0\.0\.1|localhost|\[::1\])(?::\d{1,5})?"
-_HOST = re.compile(_LOOPBACK, re.IGNORECASE)
-_ORIGIN = re.compile(rf"https?://{_LOOPBACK}|https://app\.foxglove\.dev", re.IGNORECASE)
+_HOST = re.compile(LOOPBACK, re.IGNORECASE)
+_ORIGIN = re.compile(rf"https?://{LOOPBACK}|https://app\.foxglove\.dev", re.IGNORECASE)
 _FIELD = re.compile(r"([\w-]+):[ \t]*([^\r\n]*?)[ \t]*", re.ASCII)
 
 

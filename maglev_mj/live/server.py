@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import os
-import socket
 import time
 from collections import deque
 from typing import Any
 
 from maglev_mj.controller import Controller
-from maglev_mj.errors import MaglevError, ParameterError, require
+from maglev_mj.errors import MaglevError, require
 from maglev_mj.live.settings import NICE, Answer, State
 from maglev_mj.loop import Record
+from maglev_mj.net.addresses import ListenError, check_port, listen
 from maglev_mj.process import SideProcess
 from maglev_mj.recording import Setup
 from maglev_mj.recording.live import Ring, RowReader
@@ -20,7 +20,7 @@ from maglev_mj.recording.setup import whole_setup
 from maglev_mj.session import Snapshot, Wish
 from maglev_mj.versions import versions
 
-__all__ = ["PORT", "LiveServer", "LiveServerError", "check_port"]
+__all__ = ["PORT", "LiveServer", "LiveServerError"]
 
 PORT = 8765
 """Where programs look by default."""
@@ -33,17 +33,6 @@ _UNSENT = 256
 
 class LiveServerError(MaglevError):
     """The live server cannot start: its package is not installed, or its port is taken."""
-
-
-def check_port(port: int) -> int:
-    """Return a port that a live server may listen at.
-
-    Raises:
-        ParameterError: If it is none.
-    """
-    if isinstance(port, bool) or not isinstance(port, int) or not 0 <= port <= 65535:
-        raise ParameterError(f"port must be a whole number of 0 to 65535, not {port!r}")
-    return port
 
 
 class LiveServer:
@@ -71,10 +60,9 @@ class LiveServer:
         if not hasattr(os, "fork"):
             raise LiveServerError("a live server needs a POSIX system")
         try:
-            listener = socket.create_server(("127.0.0.1", port))
-        except OSError as error:
-            why = os.strerror(error.errno or 0)
-            raise LiveServerError(f"cannot listen at port {port} of 127.0.0.1: {why}") from None
+            listener = listen(port)
+        except ListenError as error:
+            raise LiveServerError(str(error)) from None
         with listener:  # the other process has it then
             self.port: int = listener.getsockname()[1]
             self._ring, self._versions = Ring(), versions()

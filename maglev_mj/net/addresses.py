@@ -2,21 +2,39 @@
 
 from __future__ import annotations
 
+import os
 import re
 import socket
 from ipaddress import IPv4Address
 from typing import NamedTuple
 
-from maglev_mj.errors import ParameterError
+from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.parameters import flag
 
-__all__ = ["Url", "check_host", "is_loopback", "parse_url", "resolve"]
+__all__ = [
+    "LOOPBACK",
+    "ListenError",
+    "Url",
+    "check_host",
+    "check_port",
+    "is_loopback",
+    "listen",
+    "parse_url",
+    "resolve",
+]
 
 BAUD = 921600
 """Of a serial line whose address names none; 139 bytes a sample and as many an answer need 3/5 of it at 200 Hz."""
 
+LOOPBACK = r"(?:127\.0\.0\.1|localhost|\[::1\])(?::\d{1,5})?"
+"""Pattern of this machine's own names, with a port or without, as browsers say them."""
+
 _UDP = re.compile(r"udp://([\w.-]+):(\d{1,5})", re.ASCII)
 _SERIAL = re.compile(r"serial://(/[^?#]+)(?:\?baud=(\d{1,8}))?", re.ASCII)
+
+
+class ListenError(MaglevError):
+    """A port cannot be listened at: it is taken, or the host is not of this machine."""
 
 
 class Url(NamedTuple):
@@ -75,3 +93,31 @@ def check_host(host: str, key: bytes | None) -> str:
     if key is None and not is_loopback(address):
         raise ParameterError(f"host must be a loopback address, such as 127.0.0.1, or a key be given, not {host!r}")
     return address
+
+
+def check_port(port: int) -> int:
+    """Return a port that a server may listen at.
+
+    Raises:
+        ParameterError: If it is none.
+    """
+    if isinstance(port, bool) or not isinstance(port, int) or not 0 <= port <= 65535:
+        raise ParameterError(f"port must be a whole number of 0 to 65535, not {port!r}")
+    return port
+
+
+def listen(port: int, host: str = "127.0.0.1") -> socket.socket:
+    """Return a socket that listens for TCP connections.
+
+    Args:
+        port: 0 for any that is free.
+        host: Name or IPv4 address of this machine.
+
+    Raises:
+        ParameterError: If the port is none, or the host has no IPv4 address.
+        ListenError: If the port is taken, or the host is not of this machine.
+    """
+    try:
+        return socket.create_server((resolve(host), check_port(port)))
+    except OSError as error:
+        raise ListenError(f"cannot listen at port {port} of {host}: {os.strerror(error.errno or 0)}") from None

@@ -1,6 +1,6 @@
 """A scene in real time, without a window: pacing, what keys change, recording, and the picture of now."""
 
-from maglev_mj.session.actions import DEVICES_OWN, EMERGENCY_STOP, actions, settable
+from maglev_mj.session.actions import DEVICES_OWN, EMERGENCY_STOP, actions, device_actions, settable
 from maglev_mj.session.admission import STEP_FORCE, Refusal, check_step, refusal, stability_warning
 from maglev_mj.session.live import device_controller, live_plant
 from maglev_mj.session.pacing import Due, Pacer, real_time
@@ -37,6 +37,7 @@ __all__ = [
     "actions",
     "begin_scene",
     "check_step",
+    "device_actions",
     "device_controller",
     "live_plant",
     "real_time",

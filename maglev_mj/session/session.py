@@ -221,7 +221,7 @@ class Session:
         """Keep what is recorded, and let go of the plant."""
         self._publishers.close()
         try:
-            self._tape.stop()
+            self._tape.close()
         finally:
             self._stretch.plant.close()
 

@@ -12,6 +12,7 @@ import numpy as np
 from maglev_mj.energy import HandWork
 from maglev_mj.frames import Array
 from maglev_mj.hand import SpringHand
+from maglev_mj.parameters import flag
 from maglev_mj.scenes import Scene
 from maglev_mj.session.pacing import Due
 
@@ -62,7 +63,7 @@ class Snapshot:
         actions: Names that `act` takes.
         state: "running", "paused", "stopped" or "flying".
         reason: Why it has stopped; empty otherwise.
-        remedy: How to go on once it has.
+        remedy: How to go on once it has, where no action does; empty otherwise.
         notes: Messages for the person at the window.
     """
 
@@ -92,8 +93,11 @@ class Snapshot:
     actions: Sequence[str] = ()
     state: str = "running"
     reason: str = ""
-    remedy: str = "/ starts again"
+    remedy: str = ""
     notes: Sequence[str] = ()
+
+    def __post_init__(self) -> None:
+        flag("late", self.late)
 
 
 class SnapshotSource(Protocol):

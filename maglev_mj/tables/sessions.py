@@ -11,7 +11,7 @@ from maglev_mj.terminal import wrapped
 if TYPE_CHECKING:
     from maglev_mj.bridge.flight import FlightReport, LoopTiming
     from maglev_mj.bridge.twin import ServerReport, Twin
-    from maglev_mj.viewer.window import ShowReport
+    from maglev_mj.display.remote import ShowReport
 
 __all__ = ["flown_table", "served_table", "show_table", "timing_table", "verdict_table"]
 
@@ -60,13 +60,14 @@ def timing_table(timing: LoopTiming, warning: str = "") -> str:
 
 
 def show_table(report: ShowReport) -> str:
-    """Return what a session in a window came to."""
+    """Return what a session in a window or page came to."""
     passed, frames = max(report.wall_time, 1e-9), report.frames
     factor = report.simulated / passed
     lines = [
         f"  {report.wall_time:.1f} s, {report.ticks} control ticks, {report.missed} missed",
         f"  real-time factor {factor:.3f}",
-        f"  {frames} frames, {frames / passed:.1f} a second, {report.frame_cost * 1e3:.1f} ms each",
+        f"  {frames} frames, {frames / passed:.1f} a second"
+        + (f", {report.frame_cost * 1e3:.1f} ms each" if report.frame_cost else ""),
     ]
     return "\n".join(lines)
 

@@ -1,0 +1,99 @@
+"""The page in a browser: its options, shared by the commands that show something."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import sys
+import threading
+import webbrowser
+from pathlib import Path
+
+from maglev_mj.cli.arguments import Parser
+from maglev_mj.cli.options import count
+from maglev_mj.display.remote import Front
+from maglev_mj.errors import ParameterError, require
+from maglev_mj.net.addresses import is_loopback, listen
+
+__all__ = ["PORT", "add_web", "chosen_front", "chosen_page"]
+
+PORT = 8123
+"""Where a browser finds the page by default."""
+
+_TOKEN = re.compile(r"[\w-]{16,}", re.ASCII)
+_OWN = "port", "no_open", "host", "token"
+
+
+def add_web(parser: Parser) -> None:
+    """Add --web and what goes with it."""
+    page = parser.group("page in a browser")
+    page.add_argument("--web", action="store_true", help="a page for any browser")
+    page.add_argument("--port", type=count, metavar="N", help=f"port of the page; 0 for any (default {PORT})")
+    page.add_argument("--no-open", action="store_true", help="open no browser")
+    page.add_argument("--host", metavar="H", help="address of the page, with --token (default 127.0.0.1)")
+    page.add_argument("--token", metavar="T", help="text that the page's address must have, at least 16 characters")
+
+
+def chosen_front(options: argparse.Namespace, folder: Path = Path(), *, watch: bool = False) -> Front | None:
+    """Return what shows a device that this process does not simulate alone: a window, a page, or None for neither.
+
+    Args:
+        options: As parsed, with --view and --web.
+        folder: Folder for a window's screenshots.
+        watch: Whether a page can only be looked at; its parameters are the host's in any case.
+
+    Raises:
+        DisplayError: If a window cannot be opened.
+        MaglevError: See `chosen_page`.
+    """
+    if options.view and options.web:
+        raise ParameterError("view and web are two ways to show it: give one")
+    if (front := chosen_page(options, drag=not watch, settings=False)) is not None or not options.view:
+        return front
+    # imported here: they load the library that opens windows
+    from maglev_mj.viewer.process import window
+    from maglev_mj.viewer.window import require_display
+
+    require_display()
+    return window(folder)
+
+
+def chosen_page(options: argparse.Namespace, *, drag: bool = True, settings: bool = True) -> Front | None:
+    """Return the page asked for, say where it is and open it; None for none.
+
+    Args:
+        options: As parsed.
+        drag: Whether the knob can be pulled.
+        settings: Whether parameters can be changed.
+
+    Raises:
+        ParameterError: If an option is wrong, or does not go with another.
+        MissingPackageError: If viser is not installed.
+        ListenError: If the port is taken, or the host is not of this machine.
+    """
+    if not options.web:
+        if wrong := [name for name in _OWN if getattr(options, name) not in (None, False)]:
+            raise ParameterError(f"{wrong[0].replace('_', '-')} is for --web")
+        return None
+    host = options.host or "127.0.0.1"
+    if options.token is None and not is_loopback(host):
+        raise ParameterError(f"token must be given for a host that is not this machine, {host!r}: see --token")
+    if options.token is not None and not _TOKEN.fullmatch(options.token):
+        raise ParameterError("token must be 16 or more letters, digits, - and _")
+    require(("viser",), "web", "a page needs viser")
+    # imported here: it takes a fifth of a second
+    from maglev_mj.web.guard import Door
+    from maglev_mj.web.page import page
+
+    listener = listen(PORT if options.port is None else options.port, host)
+    door = Door(host, listener.getsockname()[1], options.token)
+    print(f"  the page is at {door.url}", flush=True)
+    if not options.no_open and (os.name == "nt" or sys.platform == "darwin" or _has_screen()):
+        threading.Thread(target=webbrowser.open, args=(door.url,), daemon=True).start()
+    return page(door, listener, drag=drag, settings=settings)
+
+
+def _has_screen() -> bool:
+    """Return whether a browser would have a screen; one in the terminal would take that."""
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))

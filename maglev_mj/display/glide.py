@@ -1,0 +1,52 @@
+"""A hand's target that arrives in steps over a line: carried on without jumps, let go where the line is silent."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+
+from maglev_mj.hand import SpringHand
+
+__all__ = ["SILENCE", "Glide"]
+
+SILENCE = 0.5
+"""A held target is said again and again; after such a silence the hand lets go [s]."""
+
+_LONGEST = 0.05
+"""A browser sends 20 targets a second, a window 60; each is reached when the next may come [s]."""
+
+
+class Glide:
+    """Carry a hand's target from where it is to where it is wanted.
+
+    Args:
+        clock: Returns real time [s].
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._start: Sequence[float] = ()
+        self._goal: Sequence[float] | None = None
+        self._came, self._lasts, self._held = 0.0, 0.0, False
+
+    def aim(self, target: Sequence[float] | None) -> None:
+        """Take a new target: a pose [m, rad], (6,); None to let go."""
+        now = self._clock()
+        self._start = (self._now(now) or target) if self._held and target is not None else target or ()
+        self._goal, self._came, self._lasts = target, now, min(now - self._came, _LONGEST)
+
+    def move(self, hand: SpringHand) -> None:
+        """Move a hand's target; a hand that is held by nobody here is left alone."""
+        if not self._held and self._goal is None:
+            return
+        hand.target = self._now(self._clock())
+        self._held = hand.target is not None
+
+    def _now(self, now: float) -> Sequence[float] | None:
+        """Return the target of an instant."""
+        passed = now - self._came
+        if self._goal is None or passed > SILENCE:
+            self._goal = None
+            return None
+        share = min(passed / self._lasts, 1.0) if self._lasts > 0.0 else 1.0
+        return [start + share * (goal - start) for start, goal in zip(self._start, self._goal)]

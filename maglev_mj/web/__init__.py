@@ -1,0 +1,1 @@
+"""A running scene as a page for any browser."""

@@ -1,0 +1,87 @@
+"""The knob in a person's hand: who holds it, and where it is pulled to."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from maglev_mj.display.glide import SILENCE
+from maglev_mj.frames import Array
+from maglev_mj.shapes import GRIP
+
+__all__ = ["Grab"]
+
+Aim = Callable[[list[float] | None], object]
+"""Takes the pose to which the hand pulls [m, rad], (6,); None where it has let go."""
+
+
+class Grab:
+    """Follow drags of the knob: plainly to move it, with Shift to tilt it. The first browser to grab has the hand.
+
+    Its methods run in the event loop of viser, in order.
+
+    Args:
+        server: viser's.
+        knob: What is dragged.
+        aim: Told of each target.
+
+    Attributes:
+        pose: Where the flotor is [m, rad], (6,).
+    """
+
+    def __init__(self, server: Any, knob: Any, aim: Aim) -> None:
+        self._server, self._aim = server, aim
+        self._holder: int | None = None
+        self._listening: asyncio.Task[None] | None = None
+        self._tilts = self._silent = False
+        self.pose = self._from = np.zeros(6)
+        self._start, self._target = np.zeros(3), [0.0] * 6
+        for modifier in (None, "shift"):
+            knob.on_drag("left", modifier=modifier)(self._dragged)
+
+    async def _dragged(self, event: Any) -> None:
+        if event.phase == "start" and (self._holder is None or self._silent):
+            self._let_go()
+            self._holder, self._tilts = event.client_id, event.modifier == "shift"
+            self._from, self._start = self.pose, np.array(event.start_position)
+            self._listening = asyncio.create_task(self._listen(event.client_id))
+        if event.client_id != self._holder:
+            return
+        if event.phase == "end":
+            self._let_go()
+        else:
+            self._target = self._pose(np.array(event.end_position) - self._start).tolist()
+            self._aim(self._target)
+
+    def _pose(self, moved: Array) -> Array:
+        """Return the pose to pull to where the knob was moved by so much [m], (3,)."""
+        place, turn = self._from[:3], self._from[3:]
+        if self._tilts:
+            return np.concatenate([place, turn + np.cross(GRIP, moved) / (GRIP @ GRIP)])
+        return np.concatenate([place + moved, turn])
+
+    def _let_go(self) -> None:
+        self._holder, self._silent = None, False
+        if self._listening is not None:
+            self._listening.cancel()
+        self._aim(None)
+
+    async def _listen(self, client: int) -> None:
+        """Let go while a browser does not answer: one that is held still says nothing by itself."""
+        while self._holder == client:
+            answer = asyncio.ensure_future(self._ask(client))
+            self._silent = not (await asyncio.wait([answer], timeout=SILENCE))[0]
+            if self._silent:
+                self._aim(None)
+                await asyncio.wait([answer])
+                if self._holder == client and answer.exception() is None:
+                    self._silent = False
+                    self._aim(self._target)
+            await asyncio.sleep(SILENCE / 5.0)
+
+    async def _ask(self, client: int) -> None:
+        """Wait for a browser's answer; viser ends the drag of one that is gone."""
+        await (await self._server._websock_server._live_connections[client].ping())

@@ -1,0 +1,112 @@
+"""The page's door: who may ask for it, checked before a byte of it is served.
+
+A browser lets any page open a WebSocket to this machine, and says in Origin whose page it is. A name of the attacker's
+own may lead to this machine, too, which Host tells. viser checks neither, and would listen at every address. Its server
+is therefore given a socket that listens already, and each request is checked first. A forwarder in front would leave
+that server behind it open to other programs of this machine, whatever the token.
+"""
+
+from __future__ import annotations
+
+import hmac
+import http
+import re
+import socket
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+from urllib.parse import parse_qs, urlsplit
+
+import websockets.asyncio.server as websockets_server
+from websockets.datastructures import Headers
+from websockets.http11 import Request, Response
+
+from maglev_mj.net.addresses import LOOPBACK, is_loopback
+
+__all__ = ["Door", "guarded"]
+
+_FRAMES = "frame-ancestors 'self' http://127.0.0.1:* http://localhost:*"
+"""Pages that may frame this one: notebooks on this machine, and no page that could lure a click to it."""
+
+
+@dataclass(frozen=True)
+class Door:
+    """Address of the page and the key to it.
+
+    Args:
+        host: IPv4 address, or name of one, where it listens.
+        port: Where it listens.
+        token: Text that a browser must show once; None for none.
+    """
+
+    host: str
+    port: int
+    token: str | None = None
+
+    @property
+    def url(self) -> str:
+        """Address for a browser; with the token, where there is one."""
+        return f"http://{self.host}:{self.port}/" + (f"?token={self.token}" if self.token else "")
+
+    @property
+    def cookie(self) -> str:
+        """Name of the cookie: cookies are not kept apart by port."""
+        return f"maglev_mj_{self.port}"
+
+    def objection(self, path: str, headers: Headers) -> str:
+        """Return why a request is refused; empty if it is not."""
+        hosts, origins, jar = (headers.get_all(name) for name in ("Host", "Origin", "Cookie"))
+        if len(hosts) != 1 or not re.fullmatch(self._hosts, hosts[0], re.IGNORECASE):
+            return f"Host must be {self.host}, not {', '.join(hosts)!r}"
+        upgrade = "Upgrade" in headers
+        if wrong := [origin for origin in origins or [""] * upgrade if urlsplit(origin).netloc != hosts[0]]:
+            return f"Origin must be the page itself, not {wrong[0]!r}"
+        if self.token is None:
+            return ""
+        shown = re.findall(rf"(?:^|;)\s*{self.cookie}=([\w-]+)", "; ".join(jar), re.ASCII)
+        if not upgrade:
+            shown += parse_qs(urlsplit(path).query).get("token", [])
+        right = [hmac.compare_digest(one.encode(), self.token.encode()) for one in shown]
+        return "" if any(right) else "the address must have the token that was printed at the start: ?token=..."
+
+    @cached_property
+    def _hosts(self) -> str:
+        """Pattern of Host fields: the host that was asked for, and this machine's own names where they lead here."""
+        # at every address any number is right, but no name: those are what an attacker can have
+        own = r"(?:\d{1,3}\.){3}\d{1,3}" if self.host == "0.0.0.0" else re.escape(self.host)
+        return rf"{own}(?::\d{{1,5}})?" + (f"|{LOOPBACK}" if is_loopback(self.host) else "")
+
+
+@contextmanager
+def guarded(door: Door, listener: socket.socket) -> Iterator[None]:
+    """Let a server of websockets that starts meanwhile listen behind a door.
+
+    Args:
+        door: The door.
+        listener: Socket that listens; in place of any host and port that the server would choose.
+    """
+    real = websockets_server.serve
+
+    def serve(handler: Any, host: Any, port: Any, *, process_request: Callable[..., Any], **options: Any) -> Any:
+        def check(connection: Any, request: Request) -> Response | None:
+            if why := door.objection(request.path, request.headers):
+                text = Headers({"Content-Type": "text/plain; charset=utf-8"})
+                return Response(http.HTTPStatus.FORBIDDEN, "Forbidden", text, f"{why}\n".encode())
+            answer: Response | None = process_request(connection, request)
+            if answer is not None:
+                answer.headers["Content-Security-Policy"] = _FRAMES
+                answer.headers["Referrer-Policy"] = "no-referrer"
+                if door.token is not None:
+                    kept = "HttpOnly; SameSite=Strict; Path=/"
+                    answer.headers["Set-Cookie"] = f"{door.cookie}={door.token}; {kept}"
+            return answer
+
+        return real(handler, sock=listener, process_request=check, **options)
+
+    websockets_server.serve = serve  # type: ignore[misc, assignment]
+    try:
+        yield
+    finally:
+        websockets_server.serve = real  # type: ignore[misc]

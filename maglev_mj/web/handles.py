@@ -1,0 +1,16 @@
+"""Properties of what viser shows."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+__all__ = ["put"]
+
+
+def put(handle: Any, **properties: Any) -> None:
+    """Set properties that differ: viser would send the others to every browser again."""
+    for name, value in properties.items():
+        if not np.array_equal(getattr(handle, name), value):
+            setattr(handle, name, value)

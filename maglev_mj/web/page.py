@@ -1,0 +1,136 @@
+"""A page that shows a running scene in any browser, by viser; it runs in a process of its own."""
+
+from __future__ import annotations
+
+import logging
+import os
+import queue
+import socket
+import sys
+from collections.abc import Mapping
+from functools import partial
+from typing import Any
+
+import viser
+from viser._messages import ShareUrlRequest
+
+from maglev_mj.display.remote import Front
+from maglev_mj.errors import MaglevError
+from maglev_mj.session import Due, SnapshotSource, real_time
+from maglev_mj.web.grab import Grab
+from maglev_mj.web.guard import Door, guarded
+from maglev_mj.web.panel import Panel
+from maglev_mj.web.plots import Plots
+from maglev_mj.web.stage import VIEWS, Stage, look
+
+__all__ = ["Page", "PageServer", "page"]
+
+_FRAME, _PLOT = 1.0 / 30.0, 1.0 / 8.0
+_NAP = 0.005
+
+
+class PageServer(viser.ViserServer):
+    """viser's server behind a door; no browser can make it ask for a public address.
+
+    Args:
+        door: The door.
+        listener: Socket that listens there.
+    """
+
+    def __init__(self, door: Door, listener: socket.socket) -> None:
+        with guarded(door, listener):
+            super().__init__(host=door.host, port=door.port, label="maglev-mj", verbose=False)
+        self._websock_server.unregister_handler(ShareUrlRequest)
+
+    def request_share_url(self, verbose: bool = True) -> str | None:
+        """Return None: a device is not for the public."""
+        return None
+
+
+class Page:
+    """The page of one source.
+
+    Args:
+        server: Its server.
+        source: What it shows.
+        drag: Whether the knob can be pulled.
+        settings: Whether parameters can be changed.
+    """
+
+    def __init__(self, server: viser.ViserServer, source: SnapshotSource, *, drag: bool, settings: bool) -> None:
+        self._server, self._source = server, source
+        self._asked: queue.SimpleQueue[tuple[str, Any]] = queue.SimpleQueue()
+        snapshot, gui = source.snapshot(), server.gui
+        gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
+        gui.main_panel.dock_right()
+        self._stage = Stage(server, snapshot)
+        self._grab = Grab(server, self._stage.knob, partial(self._ask, "hand")) if drag else None
+        self._panel = Panel(server, snapshot, self._ask, settings)
+        panel = gui.add_panel()
+        with panel.add_tab("plots"):
+            self._plots = Plots(gui, snapshot.scene)
+        panel.dock_left()
+        self._frame, self._plot = Due(_FRAME), Due(_PLOT)
+        server.on_client_connect(_greet)
+
+    def run(self) -> None:
+        """Show the source until it ends."""
+        for elapsed, _ in real_time(None, _NAP):
+            self._source.tick(elapsed)
+            self._obey()
+            if self._frame():
+                self._show()
+
+    def _ask(self, kind: str, value: Any) -> None:
+        """Pass on what a person asks for; called in viser's thread."""
+        self._asked.put((kind, value))
+
+    def _obey(self) -> None:
+        while not self._asked.empty():
+            kind, value = self._asked.get()
+            if kind == "hand":
+                self._source.hand.target = value
+            elif kind == "act":
+                self._source.act(value)
+            else:
+                self._source.change(value)
+
+    def _show(self) -> None:
+        snapshot = self._source.snapshot()
+        if self._grab is not None:
+            self._grab.pose = snapshot.pose
+        if not self._server.get_clients():  # the next one is told all at once
+            return
+        with self._server.atomic():
+            self._stage.show(snapshot)
+            self._panel.show(snapshot)
+            if self._plot():
+                self._plots.show(snapshot)
+
+
+async def _greet(client: viser.ClientHandle) -> None:
+    look(client, next(iter(VIEWS)))
+
+
+def page(door: Door, listener: socket.socket, *, drag: bool = True, settings: bool = True) -> Front:
+    """Return what serves a page.
+
+    Args:
+        door: Where, and to whom.
+        listener: Socket that listens there.
+        drag: Whether the knob can be pulled.
+        settings: Whether parameters can be changed.
+    """
+    return partial(_serve, door, listener, {"drag": drag, "settings": settings})
+
+
+def _serve(door: Door, listener: socket.socket, options: Mapping[str, bool], source: SnapshotSource) -> None:
+    sys.stdout = open(os.devnull, "w")  # what viser says is not for the terminal, nor what browsers do wrong
+    logging.getLogger("websockets").setLevel(logging.CRITICAL)
+    server = PageServer(door, listener)
+    try:
+        Page(server, source, **options).run()
+    except MaglevError:
+        pass  # the source has ended, and says why
+    finally:
+        server.stop()

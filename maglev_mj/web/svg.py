@@ -1,0 +1,96 @@
+"""Small charts as SVG, which a browser draws at any width; uPlot, which viser brings, draws no phase plane."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from html import escape
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from maglev_mj.colours import BOUNDARY, Colour, hex_of
+
+__all__ = ["Line", "Range", "chart", "ticks"]
+
+_WIDTH, _HEIGHT = 320, 156
+_LEFT, _RIGHT, _TOP, _BOTTOM = 38, 14, 22, 22
+_TICKS = 4
+_GRID, _TEXT = "rgba(128,128,128,.28)", "currentColor"
+
+Range = tuple[float, float]
+
+
+class Line(NamedTuple):
+    """One line of a chart.
+
+    Attributes:
+        colour: Its colour.
+        x: Along, (N,).
+        y: Up, (N,).
+        dashed: Whether it is dashed.
+        dot: Whether its last point is marked.
+    """
+
+    colour: Colour
+    x: ArrayLike
+    y: ArrayLike
+    dashed: bool = False
+    dot: bool = False
+
+
+def chart(title: Sequence[tuple[str, Colour | None]], lines: Sequence[Line], across: Range, up: Range) -> str:
+    """Return a chart as SVG.
+
+    Args:
+        title: Pieces of text, each with a colour or None for the text's own.
+        lines: The lines, the last one on top.
+        across: Ends of the axis along.
+        up: Ends of the axis up.
+    """
+    right, bottom = _WIDTH - _RIGHT, _HEIGHT - _BOTTOM
+    parts = [
+        f'<svg viewBox="0 0 {_WIDTH} {_HEIGHT}" style="width:100%;display:block" font-size="11" '
+        f'font-family="system-ui,sans-serif" fill="{_TEXT}"><text x="4" y="13">',
+        *(f'<tspan{_fill(colour)} font-weight="600">{escape(text)} </tspan>' for text, colour in title),
+        f'</text><svg x="{_LEFT}" y="{_TOP}" width="{right - _LEFT}" height="{bottom - _TOP}" '
+        f'viewBox="{_LEFT} {_TOP} {right - _LEFT} {bottom - _TOP}">',
+    ]
+    words = []
+    for value in ticks(*across):
+        place = float(_along(value, across))
+        parts.append(f'<path d="M{place:.1f} {_TOP}V{bottom}" stroke="{_GRID}"/>')
+        words.append(f'<text x="{place:.1f}" y="{_HEIGHT - 5}" text-anchor="middle">{value:g}</text>')
+    for value in ticks(*up):
+        place = float(_upward(value, up))
+        parts.append(f'<path d="M{_LEFT} {place:.1f}H{right}" stroke="{_GRID}"/>')
+        words.append(f'<text x="{_LEFT - 4}" y="{place + 4:.1f}" text-anchor="end">{value:g}</text>')
+    for line in lines:
+        x, y = _along(line.x, across), _upward(line.y, up)
+        points = " ".join(f"{one:.1f},{other:.1f}" for one, other in zip(x, y))
+        dash = ' stroke-dasharray="4 3"' if line.dashed else ""
+        look = f'fill="none" stroke="{hex_of(line.colour)}" stroke-width="1.6"{dash}'
+        parts.append(f'<polyline points="{points}" {look}/>')
+        if line.dot and len(x):
+            parts.append(f'<circle cx="{x[-1]:.1f}" cy="{y[-1]:.1f}" r="4"{_fill(line.colour)}/>')
+    frame = f'<rect x="{_LEFT}" y="{_TOP}" width="{right - _LEFT}" height="{bottom - _TOP}"'
+    return "".join([*parts, "</svg>", f'{frame} fill="none" stroke="{hex_of(BOUNDARY)}"/>', *words, "</svg>"])
+
+
+def ticks(low: float, high: float) -> list[float]:
+    """Return round numbers between two ends, some four of them."""
+    step = 10.0 ** np.floor(np.log10((high - low) / _TICKS))
+    step *= next(size for size in (1.0, 2.0, 2.5, 5.0, 10.0) if size * step * (_TICKS + 1) >= high - low)
+    return [float(np.round(count * step, 12)) for count in range(int(np.ceil(low / step)), int(high / step) + 1)]
+
+
+def _fill(colour: Colour | None) -> str:
+    return "" if colour is None else f' fill="{hex_of(colour)}"'
+
+
+def _along(value: ArrayLike, ends: Range) -> Any:
+    return _LEFT + (np.asarray(value) - ends[0]) / (ends[1] - ends[0]) * (_WIDTH - _RIGHT - _LEFT)
+
+
+def _upward(value: ArrayLike, ends: Range) -> Any:
+    return _HEIGHT - _BOTTOM - (np.asarray(value) - ends[0]) / (ends[1] - ends[0]) * (_HEIGHT - _BOTTOM - _TOP)

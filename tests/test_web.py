@@ -1,0 +1,486 @@
+"""The page without a browser: who gets in, what is drawn, what is asked of the scene, and how a hand lets go."""
+
+from __future__ import annotations
+
+import contextlib
+import http.client
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from dataclasses import replace
+from multiprocessing import Pipe
+from types import SimpleNamespace
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+
+pytest.importorskip("viser", reason="the page needs viser: pip install 'maglev-mj[web]'")
+
+import msgspec
+import viser
+from viser._messages import ShareUrlDisconnect, ShareUrlRequest
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect
+from websockets.typing import Origin, Subprotocol
+
+from maglev_mj.cli import main
+from maglev_mj.cli.web import PORT
+from maglev_mj.display.glide import SILENCE, Glide
+from maglev_mj.display.remote import RemoteSession, RemoteViewer
+from maglev_mj.hand import SpringHand
+from maglev_mj.net.addresses import ListenError, listen
+from maglev_mj.parameters import Turn, param
+from maglev_mj.scenes import BUILT_IN, Scene, find_scene
+from maglev_mj.scenes.joystick import Joystick
+from maglev_mj.session import EMERGENCY_STOP, Session, Snapshot
+from maglev_mj.shapes import Shape, shapes
+from maglev_mj.web.controls import Choice, Slider, Switch, control
+from maglev_mj.web.guard import Door
+from maglev_mj.web.meshes import glb, triangles
+from maglev_mj.web.page import Page, PageServer
+from maglev_mj.web.svg import Line, chart, ticks
+
+TOKEN = "a-token-of-some-length"
+VERSION = [Subprotocol(f"viser-v{viser.__version__}")]
+
+pytestmark = pytest.mark.xdist_group("realtime")
+
+
+@contextmanager
+def served(host: str = "127.0.0.1", token: str | None = None) -> Iterator[PageServer]:
+    """Yield the server of a page."""
+    with listen(0, host) as listener:
+        port = listener.getsockname()[1]
+        server = PageServer(Door(host, port, token), listener)
+        assert server.get_port() == port  # no other is taken
+        try:
+            yield server
+        finally:
+            server.stop()
+
+
+class Answer(NamedTuple):
+    """What a server answered."""
+
+    status: int
+    headers: dict[str, str]
+    text: str
+
+
+def ask(server: PageServer, path: str = "/", **headers: str) -> Answer:
+    """Return the answer to a request as a browser makes it; Host is right unless given."""
+    with closing(http.client.HTTPConnection("127.0.0.1", server.get_port(), timeout=10.0)) as line:
+        line.request("GET", path, headers={"Host": f"127.0.0.1:{server.get_port()}", **headers})
+        got = line.getresponse()
+        return Answer(got.status, dict(got.getheaders()), got.read().decode("utf-8"))
+
+
+def upgrade(server: PageServer, origin: str | None = "", **headers: str) -> int:
+    """Return the status of a WebSocket handshake; 101 where it is let in."""
+    own = f"http://127.0.0.1:{server.get_port()}"
+    try:
+        with connect(
+            f"ws://127.0.0.1:{server.get_port()}",
+            origin=None if origin is None else Origin(origin or own),
+            subprotocols=VERSION,
+            additional_headers=headers,
+        ):
+            return 101
+    except InvalidStatus as error:
+        return error.response.status_code
+
+
+def test_the_page_is_for_its_own_origin_and_host() -> None:
+    with served() as server:
+        page = ask(server)
+        assert page.status == 200 and "<html" in page.text
+        assert upgrade(server) == 101
+        for origin in ("http://evil.example", "null", "http://127.0.0.1:1", "http://127.0.0.1.evil.example", None):
+            assert upgrade(server, origin) == 403
+        port = server.get_port()
+        for host in (f"evil.example:{port}", f"127.0.0.1.evil.example:{port}", f"127.0.0.2:{port}", ""):
+            assert ask(server, Host=host).status == 403
+        assert ask(server, Origin="http://evil.example").status == 403
+        for host in (f"localhost:{port}", "localhost:9999", f"[::1]:{port}"):  # of a tunnel by ssh, too
+            assert ask(server, Host=host).status == 200
+        # another site cannot frame it and have a person click there
+        assert page.headers["Content-Security-Policy"].startswith("frame-ancestors 'self' http://127.0.0.1:*")
+        assert "Set-Cookie" not in page.headers
+
+
+def test_two_hosts_in_one_request_are_refused() -> None:
+    with served() as server, socket.create_connection(("127.0.0.1", server.get_port())) as line:
+        own = f"127.0.0.1:{server.get_port()}"
+        line.sendall(f"GET / HTTP/1.1\r\nHost: {own}\r\nHost: evil.example\r\n\r\n".encode())
+        assert line.recv(100).startswith(b"HTTP/1.1 403")
+
+
+def test_a_token_is_shown_once_and_kept_as_a_cookie_that_scripts_and_other_sites_do_not_get() -> None:
+    with served(token=TOKEN) as server:
+        for path in ("/", "/?token=", f"/?token={TOKEN[:-1]}", "/?token=%C3%A9", f"/?other={TOKEN}"):
+            refused = ask(server, path)
+            assert refused.status == 403 and TOKEN not in refused.text and "Set-Cookie" not in refused.headers
+        assert upgrade(server) == 403
+        page = ask(server, f"/?token={TOKEN}")
+        cookie = page.headers["Set-Cookie"]
+        assert page.status == 200 and page.headers["Referrer-Policy"] == "no-referrer"
+        assert {"HttpOnly", "SameSite=Strict"} <= set(cookie.split("; ")[1:])
+        kept = cookie.split(";")[0]
+        assert ask(server, Cookie=kept).status == 200 and upgrade(server, Cookie=f"a=b; {kept}") == 101
+        assert upgrade(server, Cookie=kept.replace(TOKEN, "wrong")) == 403
+        assert upgrade(server, "http://evil.example", Cookie=kept) == 403
+        with pytest.raises(InvalidStatus, match="403"):  # a token in the address of a WebSocket is no cookie
+            connect(f"ws://127.0.0.1:{server.get_port()}/?token={TOKEN}", origin=Origin(server_url(server)))
+
+
+def server_url(server: PageServer) -> str:
+    return f"http://127.0.0.1:{server.get_port()}"
+
+
+def test_at_every_address_numbers_are_right_and_names_are_not() -> None:
+    with served("0.0.0.0", TOKEN) as server:
+        assert ask(server, f"/?token={TOKEN}").status == 200
+        assert ask(server, f"/?token={TOKEN}", Host="192.168.1.7:80").status == 200
+        assert ask(server, f"/?token={TOKEN}", Host="evil.example").status == 403
+
+
+def test_no_browser_gets_a_public_address(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither through the message nor through the method: both are touched here."""
+    opened: list[object] = []
+
+    class Tunnel:
+        def __init__(self, *args: object) -> None:
+            opened.append(args)
+
+        on_connect = on_disconnect = lambda self, told: told
+
+        def get_status(self) -> str:
+            return "failed"
+
+        def close(self) -> None: ...
+
+    monkeypatch.setattr("viser._viser.ViserTunnel", Tunnel)
+    with served() as server:
+        assert server.request_share_url() is None and opened == []
+        assert ShareUrlRequest not in server._websock_server._incoming_handlers
+        assert ShareUrlDisconnect in server._websock_server._incoming_handlers  # the names are still those
+        asked: list[object] = []
+        monkeypatch.setattr(server, "request_share_url", lambda: asked.append(1))
+        with connect(
+            f"ws://127.0.0.1:{server.get_port()}", origin=Origin(server_url(server)), subprotocols=VERSION
+        ) as line:
+            line.send(msgspec.msgpack.encode({"type": "ShareUrlRequest"}))
+            line.send(msgspec.msgpack.encode({"type": "ShareUrlDisconnect"}))
+            time.sleep(0.3)
+        assert asked == [] and opened == []
+        monkeypatch.undo()
+        monkeypatch.setattr("viser._viser.ViserTunnel", Tunnel)
+        viser.ViserServer.request_share_url(server)
+        assert len(opened) == 1  # this is what would have come of it
+
+
+def test_a_port_that_is_taken_and_a_host_that_is_not_here_are_told(capsys: pytest.CaptureFixture[str]) -> None:
+    with listen(0) as taken:
+        port = taken.getsockname()[1]
+        assert main(["view", "--web", "--no-open", "--port", str(port)]) == 1
+        assert f"cannot listen at port {port} of 127.0.0.1: Address already in use" in capsys.readouterr().err
+    with pytest.raises(ListenError, match=r"cannot listen at port 0 of 192\.0\.2\.1: Cannot assign"):
+        listen(0, "192.0.2.1")
+    assert main(["view", "--web", "--no-open", "--host", "192.0.2.1", "--token", TOKEN, "--port", "0"]) == 1
+    assert "192.0.2.1" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--web", "--host", "0.0.0.0"], "token must be given for a host that is not this machine"),
+        (["--web", "--token", "short"], "token must be 16 or more letters"),
+        (["--web", "--port", "65536"], "port must be a whole number of 0 to 65535"),
+        (["--port", "8000"], "port is for --web"),
+        (["--no-open"], "no-open is for --web"),
+    ],
+)
+def test_bad_options_are_one_line(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["view", "--seconds", "0.1", *words]) == 2
+    assert said in capsys.readouterr().err
+
+
+def test_a_page_and_a_window_at_once_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["twin", "--view", "--web"]) == 2
+    assert "give one" in capsys.readouterr().err
+    assert PORT == 8123
+
+
+@pytest.mark.parametrize("kind", ["box", "cylinder", "ellipsoid"])
+def test_a_shape_is_closed_turned_outward_and_as_large_as_it_says(kind: str) -> None:
+    half, turn = np.array([0.01, 0.015, 0.02]), [np.cos(0.3), 0.0, np.sin(0.3), 0.0]
+    points, normals, faces = triangles(Shape(True, kind, half, np.array([0.1, 0.2, 0.3]), turn, (1.0, 1.0, 1.0, 1.0)))
+    corners = points[faces] - [0.1, 0.2, 0.3]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    large = np.linalg.norm(across, axis=1) > 1e-12
+    assert (np.einsum("ij,ij->i", across, corners.mean(axis=1))[large] > 0.0).all()
+    assert (np.einsum("ij,ij->i", across, normals[faces].mean(axis=1))[large] > 0.0).all()
+    volume = np.einsum("ij,ij->i", np.cross(corners[:, 0], corners[:, 1]), corners[:, 2]).sum() / 6.0
+    whole = {"box": 8.0, "cylinder": 2.0 * np.pi, "ellipsoid": 4.0 / 3.0 * np.pi}[kind] * half.prod()
+    assert volume == pytest.approx(whole, rel=0.01)
+    assert np.linalg.norm(normals, axis=1) == pytest.approx(1.0)
+
+
+def test_a_device_is_few_meshes() -> None:
+    import trimesh
+
+    found = shapes("scenes/joystick")
+    for moves in (True, False):
+        scene: Any = trimesh.load(
+            trimesh.util.wrap_as_stream(glb([shape for shape in found if shape.moves == moves])), file_type="glb"
+        )
+        assert len(scene.geometry) <= 8
+        assert scene.bounds[1, 2] < 0.1 and sum(len(mesh.faces) for mesh in scene.geometry.values()) < 25_000
+
+
+def test_a_chart_holds_its_points_and_says_no_markup() -> None:
+    made = chart([("a<b", None)], [Line((1.0, 0.0, 0.0), [0.0, 1.0], [0.0, 2.0], dot=True)], (0.0, 1.0), (0.0, 2.0))
+    assert "a&lt;b" in made and 'points="38.0,134.0 306.0,22.0"' in made and "#ff0000" in made
+    assert ticks(0.0, 20.0) == [0.0, 5.0, 10.0, 15.0, 20.0] and ticks(-3.7, 4.1) == [-2.0, 0.0, 2.0, 4.0]
+    for span in np.geomspace(1e-6, 1e6, 200):
+        assert 3 <= len(ticks(-span, span)) <= 10
+
+
+class Recorder:
+    """A source that does nothing and keeps what is asked of it."""
+
+    def __init__(self, snapshot: Snapshot) -> None:
+        self.hand, self.simulated, self.asked = SpringHand(), 0.0, []  # type: ignore[var-annotated]
+        self.shown = snapshot
+
+    def tick(self, elapsed: float) -> int:
+        return 0
+
+    def act(self, action: str) -> None:
+        self.asked.append(action)
+
+    def change(self, parameters: Any) -> None:
+        self.asked.append(parameters)
+
+    def snapshot(self) -> Snapshot:
+        return self.shown
+
+    def close(self) -> None: ...
+
+
+@pytest.mark.parametrize("name", [*BUILT_IN, "detents.py"])
+def test_each_live_parameter_of_a_scene_has_a_control(name: str) -> None:
+    cls = find_scene(name if name in BUILT_IN else f"scripts/examples/{name}")
+    scene = cls()
+    asked: list[Any] = []
+    with served() as server:
+        for one in scene.parameters():
+            if not one.live:
+                continue
+            made = control(server.gui, one, scene, lambda kind, given: asked.append(given))
+            assert (made is None) == (one.kind is object)
+            if made is None:
+                continue
+            value = getattr(scene, one.name)
+            made.show(value)
+            assert made.value(made.handle.value) == pytest.approx(value)  # what is shown is what is in force
+            if isinstance(made, Slider):  # what can be chosen is allowed
+                for end in (made.handle.min, made.handle.max):
+                    one.checked(made.value(end))
+    assert asked == []  # nothing is changed by showing it
+
+
+class Typed(Scene):
+    """Parameters of every kind."""
+
+    name = "typed"
+    mode: str = param("way", default="soft", choices=("soft", "hard"), live=True)
+    count: int = param("steps", default=3, at_least=1, at_most=8, live=True)
+    share: float = param("above none", default=0.5, above=0.0, below=1.0, live=True)
+    low: float = param("either side", "m", default=0.0, at_least=-0.004, at_most=0.004, live=True)
+    weight: float = param("wide", "N", default=1.0, live=Turn(among=(1.0, 2.0)))
+
+    def laws(self) -> Any:
+        """Return none."""
+        return []
+
+
+def test_a_control_is_as_the_parameter_declares() -> None:
+    scene = Typed()
+    with served() as server:
+        made = {one.name: control(server.gui, one, scene, lambda kind, given: None) for one in scene.parameters()}
+        assert isinstance(made["mode"], Choice) and made["mode"].handle.options == ("soft", "hard")
+        for name in ("count", "share", "low"):
+            slider = made[name]
+            assert isinstance(slider, Slider)
+            for end in (slider.handle.min, slider.handle.max):
+                scene.replace(**{name: slider.value(end)})
+        low = made["low"]
+        assert low is not None and (low.handle.min, low.handle.max) == (-0.004, 0.004)
+        assert made["period"] is not None and made["period"].handle.value == "200 Hz"
+        made["period"].show(1.0 / 300.0)
+        assert made["period"].handle.value == "300 Hz" and made["period"].value("300 Hz") == 1.0 / 300.0
+        assert "at most 8" in str(made["count"] and made["count"].handle.hint)
+        joystick = Joystick()
+        stiffness = control(server.gui, joystick.parameter("stiffness"), joystick, lambda kind, given: None)
+        assert isinstance(stiffness, Slider) and stiffness.handle.max == 20_000.0
+        stiffness.show(30_000.0)  # by a key
+        assert stiffness.handle.max >= 30_000.0 and stiffness.handle.value == 30_000.0
+        assert isinstance(control(server.gui, joystick.parameter("wall"), joystick, lambda *_: None), Switch)
+
+
+def test_a_page_that_only_watches_has_neither_hand_nor_sliders() -> None:
+    snapshot = Snapshot(scene=Joystick(), actions=(*Session().actions, EMERGENCY_STOP))
+    with served() as server:
+        page = Page(server, Recorder(snapshot), drag=False, settings=False)
+        assert page._grab is None and page._panel._followed == []
+        knob = page._stage.knob
+        assert not knob._impl.drag_cb
+    with served() as server:
+        page = Page(server, Recorder(snapshot), drag=True, settings=True)
+        assert page._grab is not None and len(page._panel._followed) > 5 and page._stage.knob._impl.drag_cb
+
+
+@pytest.mark.parametrize("watch", [True, False])
+def test_nothing_but_an_emergency_stop_is_taken_from_a_page_of_a_real_device(watch: bool) -> None:
+    """Whatever its process sends."""
+    line, far = Pipe()
+    viewer: Any = RemoteViewer.__new__(RemoteViewer)
+    front = SimpleNamespace(received=lambda: [line.recv() for _ in iter(line.poll, False)], ended=False)
+    stopped: list[int] = []
+    viewer.__dict__ |= {
+        "_front": front,
+        "_open": True,
+        "_scene": Joystick(),
+        "_watch": watch,
+        "_glide": Glide(),
+        "hand": SpringHand(),
+        "on_emergency": lambda: stopped.append(1),
+    }
+    page = RemoteSession(far, Snapshot(scene=Joystick()))
+    page.hand.target = [1e-3] * 6
+    page.tick(0.0)
+    page.change({"stiffness": 3000.0})
+    page.act("wall")
+    page.act(EMERGENCY_STOP)
+    wish = viewer.take()
+    assert stopped == [1]
+    assert (wish is None) == watch and (viewer.hand.target is None) == watch
+
+
+def test_a_target_glides_and_a_silent_line_lets_go() -> None:
+    now = [10.0]
+    glide, hand = Glide(lambda: now[0]), SpringHand()
+    glide.move(hand)
+    hand.target = [9.0] * 6
+    glide.move(hand)
+    assert hand.target == [9.0] * 6  # nobody here holds it
+    glide.aim([0.0] * 6)
+    glide.move(hand)
+    assert hand.target == [0.0] * 6
+    now[0] += 0.05
+    glide.aim([1.0] * 6)
+    shares = []
+    for _ in range(6):
+        glide.move(hand)
+        assert hand.target is not None
+        shares.append(hand.target[0])
+        now[0] += 0.0125
+    assert shares == pytest.approx([0.0, 0.25, 0.5, 0.75, 1.0, 1.0])
+    now[0] += SILENCE
+    glide.move(hand)
+    assert hand.target is None
+    hand.target = [9.0] * 6
+    glide.move(hand)
+    assert hand.target == [9.0] * 6
+    glide.aim([0.0] * 6)
+    glide.move(hand)
+    glide.aim(None)
+    glide.move(hand)
+    assert hand.target is None
+
+
+def test_a_held_target_is_said_again_and_again() -> None:
+    near, far = Pipe()
+    page = RemoteSession(far, Snapshot(scene=Joystick()))
+    page.hand.target = [1e-3] * 6
+    end = time.monotonic() + SILENCE
+    while time.monotonic() < end:
+        page.tick(0.0)
+        time.sleep(0.01)
+    said = [near.recv() for _ in iter(near.poll, False)]
+    assert 3 <= len(said) <= 8 and set(map(str, said)) == {str(("hand", [1e-3] * 6))}
+
+
+def test_plots_of_a_page_go_on_after_a_scene_has_started_again() -> None:
+    near, far = Pipe()
+    page = RemoteSession(far, blank := Snapshot(scene=Joystick()))
+    for begun in (0.0, 0.0):
+        for tick in range(1, 5):
+            time = begun + 0.005 * tick
+            near.send(replace(blank, tick=tick, time=time, history=np.full((1, 25), time)))
+            page.tick(0.0)
+    assert page.snapshot().history[:, 0].tolist() == [0.005, 0.01, 0.015, 0.02]
+
+
+FROZEN = """
+import sys, msgspec
+from websockets.sync.client import connect
+port, version = sys.argv[1:]
+line = connect(f"ws://127.0.0.1:{port}", origin=f"http://127.0.0.1:{port}", subprotocols=[f"viser-v{version}"])
+camera = {"wxyz": [1.0, 0.0, 0.0, 0.0], "position": [1.0, 0.0, 0.0], "fov": 1.0, "near": 0.01, "far": 10.0,
+    "image_height": 100, "image_width": 100, "look_at": [0.0, 0.0, 0.0], "up_direction": [0.0, 0.0, 1.0]}
+line.send(msgspec.msgpack.encode({"type": "ViewerCameraMessage", **camera}))
+drag = {"phase": "start", "name": "/flotor/knob", "instance_index": None, "start_position": [0.0, 0.0, 0.08],
+    "start_screen_pos": [0.5, 0.5], "end_position": [0.001, 0.0, 0.08], "end_screen_pos": [0.5, 0.5],
+    "button": "left", "modifier": None, "owner": ""}
+line.send(msgspec.msgpack.encode({"type": "SceneNodeDragMessage", **drag}))
+print("holds", flush=True)
+for message in line:
+    pass
+"""
+
+
+def test_the_first_browser_has_the_hand_and_one_that_does_not_answer_loses_it() -> None:
+    """A person who holds still says nothing; a browser that answers is there."""
+    source = Recorder(Snapshot(scene=Joystick()))
+    with served() as server, contextlib.ExitStack() as last:
+        page = Page(server, source, drag=True, settings=True)
+        words = [sys.executable, "-c", FROZEN, str(server.get_port()), viser.__version__]
+        children = []
+        for place in range(2):
+            child = last.enter_context(subprocess.Popen(words, stdout=subprocess.PIPE, text=True))
+            last.callback(child.kill)
+            assert child.stdout is not None and child.stdout.readline() == "holds\n"
+            children.append(child)
+            until(page, lambda: source.hand.target is not None and len(server.get_clients()) == place + 1)  # noqa: B023
+        holder = page._grab._holder if page._grab is not None else None
+        assert holder == min(server.get_clients())  # the second did not get it
+        assert source.hand.target[0] == pytest.approx(0.001)  # type: ignore[index]
+        end = time.monotonic() + 3.0 * SILENCE
+        while time.monotonic() < end:
+            page._obey()
+            assert source.hand.target is not None  # held still, and held
+            time.sleep(0.02)
+        os.kill(children[0].pid, signal.SIGSTOP)
+        until(page, lambda: source.hand.target is None)
+        assert holder in server.get_clients()  # it was not noticed by its connection
+        os.kill(children[0].pid, signal.SIGCONT)
+        until(page, lambda: source.hand.target is not None)
+        children[0].kill()
+        until(page, lambda: source.hand.target is None)
+
+
+def until(page: Page, done: Any) -> None:
+    """Do what the page is asked for until something is so."""
+    end = time.monotonic() + 20.0
+    while not done():
+        page._obey()
+        assert time.monotonic() < end
+        time.sleep(0.01)

@@ -1,0 +1,253 @@
+"""The page in a real browser: what a person does to the scene with a slider, the knob, a finger and buttons."""
+
+from __future__ import annotations
+
+import itertools
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from browser import MISSING, chromium, on_screen
+from maglev_mj.display.remote import RemoteViewer
+from maglev_mj.net.addresses import listen
+from maglev_mj.plants import engine_warnings_silenced
+from maglev_mj.recording import Recording, verify
+from maglev_mj.replay import rebuild
+from maglev_mj.session import Session, Snapshot, real_time
+from maglev_mj.shapes import GRIP
+
+pytestmark = [
+    pytest.mark.skipif(bool(MISSING), reason=f"needs {', '.join(MISSING)}"),
+    pytest.mark.xdist_group("realtime"),
+]
+
+if not MISSING:
+    from maglev_mj.web.guard import Door
+    from maglev_mj.web.page import page
+    from maglev_mj.web.stage import FIELD, VIEWS
+
+
+SIZE = {"width": 860, "height": 420}
+PATIENCE = 20.0
+
+
+class Run:
+    """A session that runs in a thread, and its page.
+
+    Attributes:
+        url: Address of the page.
+        shown: The newest snapshot.
+        recordings: Files written.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        listener = listen(0)
+        door = Door("127.0.0.1", listener.getsockname()[1])
+        self.url, self._over = door.url, threading.Event()
+        self._session = Session(folder=folder)
+        self.shown: Snapshot = self._session.snapshot()
+        self._viewer = RemoteViewer(self.shown, page(door, listener))
+        listener.close()
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    @property
+    def recordings(self) -> Any:
+        return self._session.recordings
+
+    def _run(self) -> None:
+        with engine_warnings_silenced():
+            for elapsed, _ in real_time(None, 0.002):
+                self._session.tick(elapsed)
+                self._viewer.serve(self._session)
+                self.shown = self._session.snapshot()
+                if self._over.is_set():
+                    break
+        self._session.close()
+        self._viewer.close()
+
+    def until(self, done: Callable[[Snapshot], Any]) -> Snapshot:
+        """Wait until the scene is so."""
+        end = time.monotonic() + PATIENCE
+        while not done(shown := self.shown):
+            assert time.monotonic() < end, f"{shown.pose}, {shown.hand}, {shown.state}, {shown.scene}"
+            time.sleep(0.01)
+        return shown
+
+    def close(self) -> None:
+        self._over.set()
+        self._thread.join()
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Run]:
+    one = Run(tmp_path_factory.mktemp("recordings"))
+    yield one
+    one.close()
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with chromium() as found:
+        yield found
+
+
+def opened(browser: Any, run: Run, **options: Any) -> Any:
+    """Return a tab that shows the scene."""
+    tab = browser.new_context(**{"viewport": SIZE, **options}).new_page()
+    tab.goto(run.url, wait_until="domcontentloaded")
+    tab.wait_for_selector("text=joystick", timeout=30_000)
+    tab.add_style_tag(content=".mantine-Notifications-root{display:none}")  # that it draws by software is known
+    return tab
+
+
+@pytest.fixture(scope="module")
+def tab(browser: Any, run: Run) -> Any:
+    return opened(browser, run)
+
+
+@pytest.fixture(autouse=True)
+def let_go(run: Run) -> None:
+    """Begin each test with a hand that has let go."""
+    run.until(lambda shown: shown.target is None)
+
+
+def knob(tab: Any, run: Run) -> tuple[float, float]:
+    """Return where the knob is drawn [px]."""
+    return on_screen(tab, run.shown.pose[:3] + GRIP, VIEWS["home"], FIELD)
+
+
+def press(tab: Any, run: Run) -> tuple[float, float]:
+    """Take hold of the knob: the mouse moves, for a click alone takes hold of nothing."""
+    x, y = knob(tab, run)
+    end = time.monotonic() + PATIENCE
+    while run.shown.target is None:  # the device is drawn some time after the panel is there
+        tab.mouse.move(x, y)
+        tab.mouse.down()
+        tab.mouse.move(x + 6, y, steps=3)
+        time.sleep(0.3)
+        if run.shown.target is None:
+            tab.mouse.up()
+        assert time.monotonic() < end
+    return x, y
+
+
+def pull(tab: Any, run: Run, x: float, y: float, done: Callable[[Snapshot], Any]) -> Snapshot:
+    """Pull the knob to a place until the scene is so: on a busy machine a browser loses hold of it now and then."""
+    end = time.monotonic() + PATIENCE
+    while not done(shown := run.shown):
+        assert time.monotonic() < end, f"{shown.pose}, {shown.hand}"
+        tab.mouse.move(x - 2, y)
+        tab.mouse.move(x, y)
+        time.sleep(0.1)
+    return shown
+
+
+def stiffness(shown: Snapshot) -> float:
+    return float(shown.scene.as_json()["stiffness"])
+
+
+def test_a_slider_moves_a_gain(run: Run, tab: Any) -> None:
+    slider = tab.locator("[role=slider]").first
+    before = stiffness(run.shown)
+    slider.focus()
+    for _ in range(3):
+        tab.keyboard.press("ArrowRight")
+    run.until(lambda shown: stiffness(shown) == float(slider.get_attribute("aria-valuenow")) > before + 200.0)
+
+
+def test_the_knob_is_pulled_into_the_wall_which_stops_it(run: Run, tab: Any) -> None:
+    x, y = press(tab, run)
+    edge = next(edge for axis, normal, edge in run.shown.faces if (axis, normal) == (0, -1.0))
+    pushed = pull(tab, run, x + 90, y, lambda shown: shown.pose[0] > edge and shown.hand[0] > 3.0)
+    assert pushed.target is not None and pushed.target[0] > 2.0 * edge  # the hand is far in the wall, the flotor is not
+    assert pushed.pose[0] < 1.3 * edge
+    run.until(lambda shown: shown.force[0] < -3.0)
+    tab.mouse.up()
+    let_go = run.until(lambda shown: shown.target is None and not shown.hand.any())
+    assert let_go.state == "running"
+
+
+def test_a_finger_pulls_and_a_tab_closed_in_mid_drag_lets_go(run: Run, browser: Any, tab: Any) -> None:
+    phone = opened(browser, run, viewport={"width": 390, "height": 500}, has_touch=True, is_mobile=True)
+    assert phone.evaluate("document.documentElement.scrollWidth") <= 390
+    touch = phone.context.new_cdp_session(phone)
+    heights = itertools.cycle(range(60, 260, 12))  # where the phone's camera draws the knob is for it to say
+    y, end = 0, time.monotonic() + PATIENCE
+    while not run.shown.hand.any():
+        assert time.monotonic() < end
+        if run.shown.target is None:
+            if y:
+                touch.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
+            y = next(heights)
+            touch.send("Input.dispatchTouchEvent", {"type": "touchStart", "touchPoints": [{"x": 195.0, "y": y}]})
+        for step in range(1, 5):
+            points = [{"x": 195.0 + 4.0 * step, "y": y}]
+            touch.send("Input.dispatchTouchEvent", {"type": "touchMove", "touchPoints": points})
+        time.sleep(0.15)
+    closed = time.monotonic()
+    phone.context.close()
+    run.until(lambda shown: shown.target is None and not shown.hand.any())
+    assert time.monotonic() - closed < 3.0
+    press(tab, run)  # another can take hold
+    tab.mouse.up()
+
+
+def test_a_recording_of_a_drag_runs_again_bit_for_bit(run: Run, tab: Any) -> None:
+    before = len(run.recordings)
+    tab.get_by_role("button", name="record", exact=True).click()
+    run.until(lambda shown: any(note.startswith("RECORDING") for note in shown.notes))
+    x, y = press(tab, run)
+    pull(tab, run, x + 60, y - 30, lambda shown: shown.hand[0] > 1.0)
+    tab.mouse.up()
+    run.until(lambda shown: shown.target is None)
+    tab.get_by_role("button", name="record", exact=True).click()
+    run.until(lambda shown: len(run.recordings) > before)
+    verdict = verify(Recording.load(run.recordings[-1]), rebuild)
+    assert verdict.ticks > 100 and all(field.first is None for field in verdict.fields.values())
+
+
+def test_buttons_pause_step_and_stop_and_the_banner_says_the_way_on(run: Run, tab: Any) -> None:
+    def button(name: str) -> Any:
+        return tab.get_by_role("button", name=name, exact=True)
+
+    button("pause").click()
+    paused = run.until(lambda shown: shown.state == "paused")
+    tab.wait_for_selector("[role=alert]:has-text('PAUSED')")
+    button("step").click()
+    run.until(lambda shown: shown.tick == paused.tick + 1)
+    button("pause").click()
+    run.until(lambda shown: shown.state == "running")
+    button("slower").click()
+    run.until(lambda shown: shown.time_scale == 0.5)
+    button("faster").click()
+    button("emergency stop").click()
+    run.until(lambda shown: shown.state == "stopped")
+    tab.wait_for_selector("[role=alert]:has-text('press centre')")
+    button("centre").click()
+    run.until(lambda shown: shown.state == "running" and shown.time_scale == 1.0)
+    tab.wait_for_selector("[role=alert]:has-text('STOPPED')", state="detached")
+
+
+def test_a_refused_value_is_told_and_the_slider_goes_back(run: Run, tab: Any) -> None:
+    choose(tab, "press")
+    run.until(lambda shown: shown.scene.name == "press")
+    slider = tab.locator("[role=slider]").first
+    tab.wait_for_function("document.querySelector('[role=slider]').getAttribute('aria-valuenow') == '6000'")
+    slider.focus()
+    tab.keyboard.press("Home")  # to 0
+    tab.wait_for_selector("text=stiffness must be a finite number above 0")
+    assert stiffness(run.shown) > 0.0
+    tab.wait_for_function("document.querySelector('[role=slider]').getAttribute('aria-valuenow') != '0'")
+    choose(tab, "joystick")
+    run.until(lambda shown: shown.scene.name == "joystick")
+
+
+def choose(tab: Any, scene: str) -> None:
+    """Choose a scene in the list."""
+    tab.get_by_label("scene").click()
+    tab.get_by_role("option", name=scene, exact=True).click()
