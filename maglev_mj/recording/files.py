@@ -178,7 +178,7 @@ def check_name(path: Path) -> None:
 
     Raises:
         ParameterError: If it does not.
-        McapMissingError: If the package for .mcap is not installed.
+        MissingPackageError: If the package for .mcap is not installed.
     """
     if path.suffix not in _SUFFIXES:
         raise ParameterError(f"record must be a file that ends in {' or '.join(_SUFFIXES)}, not {str(path)!r}")
@@ -195,7 +195,7 @@ def open_recording(path: Path, *, wait: bool = False) -> RecordingFile:
 
     Raises:
         ParameterError: If it ends in anything else.
-        McapMissingError: If the package for .mcap is not installed.
+        MissingPackageError: If the package for .mcap is not installed.
         OSError: If it cannot be written.
     """
     flag("wait", wait)

@@ -152,7 +152,7 @@ class Recording:
         What a file unpacks to is bounded, by 64 MiB for each of its parts among other things.
 
         Raises:
-            McapMissingError: If it is of MCAP, and the package for it is not installed.
+            MissingPackageError: If it is of MCAP, and the package for it is not installed.
             InvalidRecordingError: If it is not there, no recording, or holds what none can, such as a number that is
                 not finite, of another type or out of range.
         """
@@ -173,7 +173,7 @@ def read_file(path: Path, names: frozenset[str] | None = None) -> Recording | Fo
         names: Fields of an MCAP file to keep; None for all.
 
     Raises:
-        McapMissingError: If it is of MCAP, and a package for it is not installed.
+        MissingPackageError: If it is of MCAP, and a package for it is not installed.
         InvalidRecordingError: See `Recording.load`.
     """
     from maglev_mj.recording.mcap import MAGIC, read_mcap  # which needs what is defined here
