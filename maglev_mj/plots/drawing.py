@@ -153,14 +153,12 @@ def name_curves(place: Any, panels: Sequence[Any] = (), named: Mapping[str, Any]
 
 
 def _columns(names: Sequence[str], width: float) -> int:
-    """Return in how many columns, filled one after the other, names fit into a width [inch]."""
+    """Return in how many columns names fit into a width [inch], columns of about the same length."""
     lengths = np.array([len(name) * 0.54 * _WORDS / 72.0 + 0.52 for name in names])  # each with its mark
-    fitting = (
-        count
-        for count in range(len(names), 0, -1)
-        if sum(part.max() for part in np.array_split(lengths, count)) <= width
-    )
-    return next(fitting, 1)
+    counts = range(len(names), 0, -1)
+    fitting = (count for count in counts if sum(part.max() for part in np.array_split(lengths, count)) <= width)
+    rows = -(-len(names) // next(fitting, 1))
+    return -(-len(names) // rows)
 
 
 @dataclass(frozen=True, kw_only=True)

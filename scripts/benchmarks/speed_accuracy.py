@@ -233,8 +233,8 @@ def draw(pictures: PictureFolder, ways: dict[str, list[Way]], everyone: list[Way
             way for way in ways.get("drop-no-pulse", []) if way.integrator == kind and way.step and way.group != "exact"
         ]
         mine.sort(key=lambda way: way.step or 0.0)
-        energies.append((kind, [way.step for way in mine], [way.energy for way in mine]))
-    energies = merged(energies)
+        if mine:
+            energies.append((kind, [way.step for way in mine], [way.energy for way in mine]))
     steps = [
         Panel(
             title="shift of the stiffest stable wall",
@@ -246,7 +246,7 @@ def draw(pictures: PictureFolder, ways: dict[str, list[Way]], everyone: list[Way
         Panel(
             title="energy of a bounce",
             labels=("time step (s)", "largest error, share of the fall's"),
-            curves=energies,
+            curves=merged(energies),
             log="xy",
             marked=True,
         ),
@@ -255,7 +255,7 @@ def draw(pictures: PictureFolder, ways: dict[str, list[Way]], everyone: list[Way
     return [
         *(work_precision(some, pictures.path(name)) for name, some in charts.items() if some),
         work_precision([drop], pictures.path("speed_accuracy_peers"), columns=1),
-        small_multiples(steps, pictures.path("speed_accuracy_steps")),
+        small_multiples([panel for panel in steps if panel.curves], pictures.path("speed_accuracy_steps")),
     ]
 
 

@@ -129,8 +129,14 @@ def _draw_fronts(axis: Any, fronts: Sequence[Sequence[WorkPoint]], groups: Seque
             axis.step(*zip(*places, strict=True), where="post", color=REFERENCE, linewidth=1.2, linestyle=style)
         for point, place in zip(front, places, strict=True):
             number = f"{len(named) + 1}"
-            over = {"textcoords": "offset points", "xytext": (0, 5), "ha": "center", "fontsize": 8.5}
+            over = {"textcoords": "offset points", "xytext": (-3, 4), "ha": "right", "fontsize": 8.5}
             axis.annotate(number, place, fontweight="bold", **over)
-            mark = {"marker": f"$\\mathbf{{{number}}}$", "markersize": 6.0, "linestyle": "none", "color": "black"}
-            (named[point.name],) = axis.plot([], [], **mark)
+            mark = {
+                "marker": f"$\\mathbf{{{number}}}$",
+                "markersize": 6.0,
+                "linestyle": "none",
+                "color": "black",
+                "markeredgewidth": 0.0,
+            }
+            (named[point.name],) = axis.plot([], [], markeredgewidth=0.0, **mark)
     name_curves(axis, named=named)
