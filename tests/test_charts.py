@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,9 +10,12 @@ import numpy as np
 import pytest
 
 from maglev_mj import plots
+from maglev_mj.bridge.fault import load_black_box
 from maglev_mj.cli import main
 from maglev_mj.errors import ParameterError
 from maglev_mj.plots.drawing import FORMATS, name_curves, new_figure
+from maglev_mj.scenes.drop import Drop
+from tests.test_analysis import analysed, recorded
 from tests.test_black_box import flown
 from tests.test_colours import PAPER, contrast
 
@@ -98,6 +102,7 @@ COMMANDS = {
     "drop": "drop --plant exact --phase 0.56 --phases 3",
     "own gains": "drop --plant exact --pulse 150 --force-limit 12345 --height 0.003",
     "press": "press --plant exact",
+    "press, own hand": "press --plant exact --hand 0.554,6.45,135.5,25.25,1000.5 --force-limit 60.5",
     "stick-slip": "stick-slip --plant exact",
     "scene": "run joystick --phases 2",
     "stability": "stability --grid 12 --plant exact --workers 0",
@@ -123,6 +128,13 @@ def test_a_chart_of_a_recording_can_be_read(scene: str, tmp_path: Path, figures:
         assert [len(panel.lines) for panel in figures[1].axes] == [2]
 
 
+def test_the_chart_of_a_recording_that_differs_can_be_read(figures: list[Any]) -> None:
+    stretch = recorded(Drop())
+    other = stretch.replace(position=stretch.position + 1e-5)
+    plots.whole_run(analysed(other), 2, Path("unused.png"))
+    assert [complaints(figure) for figure in figures] == [[]]
+
+
 @pytest.mark.parametrize("count", range(1, 7))
 def test_staircases_have_a_panel_for_each_axis(count: int, figures: list[Any]) -> None:
     time, position = np.linspace(0.0, 1.0, 50), np.random.default_rng(1).normal(size=(50, 6)) * 1e-3
@@ -135,8 +147,13 @@ def test_staircases_have_a_panel_for_each_axis(count: int, figures: list[Any]) -
 def test_the_chart_of_a_fault_can_be_read(tmp_path: Path, figures: list[Any]) -> None:
     _, error = flown(tmp_path)
     assert error.path is not None
-    assert main(["fault", str(error.path), "--out", str(tmp_path)]) == 0
-    assert [complaints(figure) for figure in figures] == [[]]
+    record = load_black_box(error.path)
+    long = replace(
+        record, message="a word or two " * 20, faults="COIL_NOT_FOLLOWING FLOTOR_OVERSPEED SENSOR_FROZEN " * 2
+    )
+    for one in (record, long):
+        plots.last_cycles(one, Path("unused.png"))
+    assert [complaints(figure) for figure in figures] == [[], []]
 
 
 @pytest.mark.parametrize("same", [True, False])

@@ -43,7 +43,7 @@ def last_cycles(record: FaultRecord, path: Path) -> Path:
         if len(time) and time[0] <= first <= time[-1]:
             axis.axvline(first, color=REFERENCE, linewidth=1.0, linestyle="--")
     axes[3].set_xlabel("time before the last cycle (ms)")
-    axes[0].set_title(f"{record.faults}: {_shortened(record.message)}", **TITLE)
+    axes[0].set_title(f"{_shortened(record.faults)}\n{_shortened(record.message)}", **TITLE)
     return save(figure, path)
 
 

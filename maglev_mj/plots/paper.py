@@ -213,7 +213,7 @@ def _describe(result: Result) -> str:
     p = result.scene
     limit = "" if p.force_limit is None else f", limit {p.force_limit:g} N"
     return (
-        f"hand {p.hand}, {p.press:g} N in the end, wall of {p.stiffness:g} N/m and {p.damping:g} N s/m, "
+        f"hand {p.hand}, {p.press:g} N in the end\nwall of {p.stiffness:g} N/m and {p.damping:g} N s/m, "
         f"{1.0 / p.period:g} Hz, delay {p.delay * 1e3:g} ms{limit} ({result.plant})"
     )
 

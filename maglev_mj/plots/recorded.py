@@ -137,7 +137,7 @@ def _over_time(analysed: Analysed, axis: int, path: Path, window: tuple[float, f
 
 def _describe(analysed: Analysed) -> str:
     known, comparison = analysed.metadata, analysed.comparison
-    said = "" if comparison is None else f": {comparison.sentence}"
+    said = "" if comparison is None else f"\n{comparison.sentence}"
     return f"{known.name}, {1.0 / known.period:g} Hz, delay {known.delay * 1e3:g} ms{said}"
 
 
