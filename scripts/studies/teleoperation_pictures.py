@@ -9,7 +9,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from maglev_mj.colours import GRID, HAND, REFERENCE, SERIES, STOP
+from maglev_mj.colours import GRID, HAND, REFERENCE, SERIES, STOP, TOUCHED
 from maglev_mj.frames import Array
 from maglev_mj.plots.drawing import FIRST, SECOND, TITLE, name_curves, new_figure, save
 from maglev_mj.viewer.offscreen import DisplayError
@@ -186,7 +186,7 @@ def _rendered(history: History, times: Sequence[float]) -> list[Array]:
             renderer.update_scene(data, camera)
             tip = model.body("along_x").pos + history.slave[0][step]
             _add_ball(renderer.scene, model.body("along_x").pos + history.target[tick])
-            _add_arrow(renderer.scene, tip + np.array([0.025, -0.025, 0.0]), history.contact[step])
+            _add_arrow(renderer.scene, tip + np.array([0.04, -0.04, 0.0]), history.contact[step])
             pictures.append(renderer.render())
     return pictures
 
@@ -194,17 +194,17 @@ def _rendered(history: History, times: Sequence[float]) -> list[Array]:
 def _add_ball(scene: Any, place: Array) -> None:
     """Add a ball, seen through."""
     geom = scene.geoms[scene.ngeom]
-    size, colour = np.array([0.012, 0.0, 0.0]), np.array([*HAND, 0.6], dtype=np.float32)
+    size, colour = np.array([0.012, 0.0, 0.0]), np.array([*HAND, 0.9], dtype=np.float32)
     mujoco.mjv_initGeom(geom, mujoco.mjtGeom.mjGEOM_SPHERE, size, place, np.eye(3).ravel(), colour)
     scene.ngeom += 1
 
 
 def _add_arrow(scene: Any, tail: Array, force: Array) -> None:
-    """Add an arrow of 2 mm for each newton, if there is a force."""
+    """Add an arrow of 3 mm for each newton, if there is a force."""
     if np.linalg.norm(force) < 0.5:
         return
     geom = scene.geoms[scene.ngeom]
-    colour = np.array([*STOP, 1.0], dtype=np.float32)
+    colour = np.array([*TOUCHED, 1.0], dtype=np.float32)
     mujoco.mjv_initGeom(geom, mujoco.mjtGeom.mjGEOM_ARROW, np.zeros(3), np.zeros(3), np.eye(3).ravel(), colour)
-    mujoco.mjv_connector(geom, mujoco.mjtGeom.mjGEOM_ARROW, 0.006, tail, tail + 0.002 * force)
+    mujoco.mjv_connector(geom, mujoco.mjtGeom.mjGEOM_ARROW, 0.009, tail, tail + 0.003 * force)
     scene.ngeom += 1
