@@ -18,6 +18,7 @@ from maglev_mj.scenes.drop import Drop
 from tests.test_analysis import analysed, recorded
 from tests.test_black_box import flown
 from tests.test_colours import PAPER, contrast
+from work_precision import WorkPoint, WorkPrecision, work_precision
 
 pytest.importorskip("matplotlib")
 
@@ -173,6 +174,22 @@ def test_panels_of_curves_can_be_read(same: bool, figures: list[Any]) -> None:
     plots.small_multiples(panels, Path("unused.png"))
     (figure,) = figures
     assert complaints(figure) == [] and len(figure.legends) == int(same)
+
+
+@pytest.mark.parametrize("columns", [1, 2])
+def test_speed_and_accuracy_can_be_read(columns: int, figures: list[Any]) -> None:
+    groups = ["exact", "MuJoCo, body", "MuJoCo, full device", "MuJoCo, batch", "MuJoCo by hand", "drake", "scipy"]
+    costs, errors = np.geomspace(1.0, 1e-3, 10), np.geomspace(1e-12, 1e-3, 10)
+    names = [f"way {index}, a step a segment" for index in range(10)]
+    points = [
+        WorkPoint(name, groups[index % 7], costs[index], errors[index], index > 4) for index, name in enumerate(names)
+    ]
+    work_precision([WorkPrecision("drop: on a wall, with a braking pulse", points)] * 3, Path("unused.png"), columns)
+    (figure,) = figures
+    assert complaints(figure) == []
+    for panel in figure.axes[:3]:  # each point of a front is named under its panel, and no name hides another point
+        assert sorted(text.get_text() for text in panel.get_legend().get_texts()) == names
+        assert sorted(int(text.get_text()) for text in panel.texts) == list(range(1, 11))
 
 
 def test_what_cannot_be_read_is_found() -> None:

@@ -7,15 +7,38 @@ import re
 import runpy
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from ctypes.util import find_library
 from pathlib import Path
+from typing import Any
 
 import pytest
+
+from tests.test_charts import complaints
 
 ROOT = Path(__file__).resolve().parent.parent
 
 Script = Callable[..., str]
+
+
+@pytest.fixture(autouse=True)
+def readable(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Check that every chart that a script draws can be read."""
+    try:
+        from matplotlib.figure import Figure
+    except ImportError:
+        yield
+        return
+    drawn: list[Any] = []
+    save = Figure.savefig
+
+    def keep(figure: Any, *places: Any, **options: Any) -> None:
+        drawn.append(figure)
+        save(figure, *places, **options)
+
+    monkeypatch.setattr(Figure, "savefig", keep)
+    yield
+    assert [complaints(figure) for figure in drawn] == [[]] * len(drawn)
 
 
 @pytest.fixture

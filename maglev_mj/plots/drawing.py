@@ -14,6 +14,7 @@ from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.parameters import flag
 
 __all__ = [
+    "BESIDE",
     "FIRST",
     "FORMATS",
     "SECOND",
@@ -23,6 +24,7 @@ __all__ = [
     "ChartsMissingError",
     "Panel",
     "PictureFolder",
+    "legend_height",
     "name_curves",
     "new_figure",
     "require",
@@ -34,6 +36,9 @@ FIRST, SECOND = SERIES[:2]
 SHADE: dict[str, Any] = {"color": WALL, "alpha": 0.15, "linewidth": 0.0, "zorder": 0}
 """Style of an area, such as that behind a wall's edge."""
 
+BESIDE: dict[str, Any] = {"loc": "center left", "bbox_to_anchor": (1.0, 0.5), "frameon": False, "fontsize": 9.0}
+"""Style of a legend at the right of its panel."""
+
 TITLE: dict[str, Any] = {"loc": "left", "fontsize": 10.0}
 """Style of the title of a panel."""
 
@@ -44,7 +49,6 @@ FORMATS = "png", "pdf", "svg"
 """Formats of pictures."""
 
 _WORDS = 9.0  # size of a legend's words [pt]
-_HALF = 0.5 * WIDTH - 0.4  # width of a legend under one of two panels [inch]
 _UNDER = 36.0  # what stands between a panel and its legend: ticks, their numbers, the axis' name [pt]
 
 
@@ -138,7 +142,7 @@ def name_curves(place: Any, panels: Sequence[Any] = (), named: Mapping[str, Any]
     options: dict[str, Any] = {"loc": "outside lower center"}
     width = WIDTH
     if not panels:
-        width = WIDTH if place.get_gridspec().ncols == 1 else _HALF
+        width = _width(place.get_gridspec().ncols)
         down = moves.ScaledTranslation(0.0, -_UNDER / 72.0, place.figure.dpi_scale_trans)
         options = {"loc": "upper center", "bbox_to_anchor": (0.5, 0.0), "bbox_transform": place.transAxes + down}
         options["borderaxespad"] = 0.0
@@ -152,13 +156,28 @@ def name_curves(place: Any, panels: Sequence[Any] = (), named: Mapping[str, Any]
     place.legend(entries.values(), entries.keys(), **options)
 
 
+def legend_height(names: Sequence[Sequence[str]], columns: int) -> float:
+    """Return the height of the largest legend under one of several panels side by side [inch].
+
+    Args:
+        names: Of the curves of each panel.
+        columns: How many stand side by side.
+    """
+    return 0.19 * max(-(-len(some) // _columns(some, _width(columns))) for some in names)
+
+
+def _width(columns: int) -> float:
+    """Return the width of a legend under a panel [inch]."""
+    return WIDTH if columns == 1 else WIDTH / columns - 0.4
+
+
 def _columns(names: Sequence[str], width: float) -> int:
     """Return in how many columns names fit into a width [inch], columns of about the same length."""
     lengths = np.array([len(name) * 0.54 * _WORDS / 72.0 + 0.52 for name in names])  # each with its mark
     counts = range(len(names), 0, -1)
     fitting = (count for count in counts if sum(part.max() for part in np.array_split(lengths, count)) <= width)
     rows = -(-len(names) // next(fitting, 1))
-    return -(-len(names) // rows)
+    return max(-(-len(names) // max(rows, 1)), 1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -200,8 +219,8 @@ def small_multiples(panels: Sequence[Panel], path: Path) -> Path:
         ChartsMissingError: If matplotlib is not installed.
     """
     rows = -(-len(panels) // 2)
-    deepest = max(-(-len(panel.curves) // _columns([label for label, _, _ in panel.curves], _HALF)) for panel in panels)
-    figure, axes = new_figure(rows, 2, rows * (3.3 + 0.19 * deepest))
+    legends = legend_height([[label for label, _, _ in panel.curves] for panel in panels], 2)
+    figure, axes = new_figure(rows, 2, rows * (3.3 + legends))
     for axis, panel in zip(axes, panels):
         for index, (label, x, y) in enumerate(panel.curves):
             color = SERIES[index % len(SERIES)]

@@ -10,7 +10,7 @@ import numpy as np
 from maglev_mj.bridge.fault import FaultRecord
 from maglev_mj.colours import REFERENCE, SERIES
 from maglev_mj.frames import AXES, Array
-from maglev_mj.plots.drawing import TITLE, new_figure, save
+from maglev_mj.plots.drawing import BESIDE, TITLE, new_figure, save
 from maglev_mj.terminal import printable
 
 __all__ = ["last_cycles"]
@@ -52,7 +52,7 @@ def _curves(axis: Any, time: Array, values: Array, names: Any, label: str) -> No
     for place, name in enumerate(names):
         axis.plot(time, values[:, place], color=SERIES[place], linewidth=1.4, label=name)
     axis.set_ylabel(label)
-    axis.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize=8.5)
+    axis.legend(**BESIDE)
 
 
 def _shortened(text: str) -> str:

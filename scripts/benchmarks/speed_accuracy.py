@@ -42,8 +42,8 @@ from work_precision import WorkPrecision, work_precision
 
 TITLES = {
     "drop": "on a wall, with a braking pulse",
-    "drop-no-pulse": "the same without the pulse",
-    "press": "an arm hits the wall, then presses",
+    "drop-no-pulse": "without the pulse",
+    "press": "an arm hits, then presses",
     "stick-slip": "pulled out of friction",
     "twist": "free, at 3.7 rad/s",
     "six-axes": "drawn back to the centre",

@@ -9,7 +9,7 @@ from typing import Any
 
 from maglev_mj.colours import GRID, REFERENCE, SERIES
 from maglev_mj.parameters import flag
-from maglev_mj.plots.drawing import TITLE, name_curves, new_figure, save
+from maglev_mj.plots.drawing import TITLE, legend_height, name_curves, new_figure, save
 
 __all__ = ["WorkPoint", "WorkPrecision", "pareto", "work_precision"]
 
@@ -71,9 +71,13 @@ def work_precision(panels: Sequence[WorkPrecision], path: Path, columns: int = 2
         ChartsMissingError: If matplotlib is not installed.
     """
     rows = -(-len(panels) // columns)
-    figure, axes = new_figure(rows, columns, 4.6 * rows + 0.8 if columns > 1 else 6.6)
     groups = list(dict.fromkeys(point.group for panel in panels for point in panel.points))
-    for axis, panel in zip(axes, panels):
+    fronts = [
+        [pareto([point for point in panel.points if point.many is many]) for many in (True, False)] for panel in panels
+    ]
+    legends = legend_height([[point.name for front in both for point in front] for both in fronts], columns)
+    figure, axes = new_figure(rows, columns, rows * ((3.7 if columns > 1 else 5.6) + legends) + 0.6)
+    for axis, panel, both in zip(axes, panels, fronts):
         for index, group in enumerate(groups):
             mine = [point for point in panel.points if point.group == group]
             axis.plot(
@@ -86,9 +90,8 @@ def work_precision(panels: Sequence[WorkPrecision], path: Path, columns: int = 2
                 alpha=0.85,
                 label=group,
             )
-        fronts = [pareto([point for point in panel.points if point.many is many]) for many in (True, False)]
         _furnish(axis, panel.title, len(groups))
-        _draw_fronts(axis, fronts, groups)
+        _draw_fronts(axis, both, groups)
     for axis in axes[len(panels) :]:
         axis.set_axis_off()
     name_curves(figure, axes)
@@ -123,14 +126,15 @@ def _furnish(axis: Any, title: str, rows: int) -> None:
 def _draw_fronts(axis: Any, fronts: Sequence[Sequence[WorkPoint]], groups: Sequence[str]) -> None:
     """Draw fronts as steps, that of many devices dashed, and number their points; name them under the panel."""
     named: dict[str, Any] = {}
-    for front, style in zip(fronts, ("--", "-"), strict=True):
+    for front, style, up in zip(fronts, ("--", "-"), (-11, 4), strict=True):
         places = [(1e3 * point.cost, _height(point, groups)) for point in front]
         if places:
             axis.step(*zip(*places, strict=True), where="post", color=REFERENCE, linewidth=1.2, linestyle=style)
         for point, place in zip(front, places, strict=True):
             number = f"{len(named) + 1}"
-            over = {"textcoords": "offset points", "xytext": (-3, 4), "ha": "right", "fontsize": 8.5}
-            axis.annotate(number, place, fontweight="bold", **over)
+            right = len(named) % 2 == 0  # neighbours on a front lie close together
+            beside = {"xytext": (4 if right else -4, up), "ha": "left" if right else "right"}
+            axis.annotate(number, place, textcoords="offset points", fontweight="bold", fontsize=8.5, **beside)
             mark = {
                 "marker": f"$\\mathbf{{{number}}}$",
                 "markersize": 6.0,
@@ -138,5 +142,5 @@ def _draw_fronts(axis: Any, fronts: Sequence[Sequence[WorkPoint]], groups: Seque
                 "color": "black",
                 "markeredgewidth": 0.0,
             }
-            (named[point.name],) = axis.plot([], [], markeredgewidth=0.0, **mark)
+            (named[point.name],) = axis.plot([], [], **mark)
     name_curves(axis, named=named)

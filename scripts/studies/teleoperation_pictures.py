@@ -11,7 +11,7 @@ import numpy as np
 
 from maglev_mj.colours import GRID, HAND, REFERENCE, SERIES, STOP, TOUCHED
 from maglev_mj.frames import Array
-from maglev_mj.plots.drawing import FIRST, SECOND, TITLE, name_curves, new_figure, save
+from maglev_mj.plots.drawing import BESIDE, FIRST, SECOND, TITLE, name_curves, new_figure, save
 from maglev_mj.viewer.offscreen import DisplayError
 from teleoperation_energy import Ledger
 from teleoperation_limits import Growth
@@ -72,7 +72,7 @@ def _finished(figure: Any, panels: Sequence[Any], history: History, path: Path) 
     """Add time, title and legends, each beside its panel, and write the figure."""
     task = history.task
     for panel in panels:
-        panel.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize=9.0)
+        panel.legend(**BESIDE)
     panels[-1].set_xlabel("time (s)")
     panels[-1].set_xlim(0.0, float(history.time[-1]))
     figure.suptitle(
