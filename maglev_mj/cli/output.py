@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from maglev_mj.errors import DivergenceError, ParameterError
+from maglev_mj.plots import PictureFolder
 from maglev_mj.recording import check_name
 from maglev_mj.studies.cells import Record, StudyInterrupted
 from maglev_mj.versions import differences, versions
@@ -125,7 +126,7 @@ def write_results(
     options: argparse.Namespace,
     data: Callable[[], Mapping[str, Any]],
     text: Callable[[], str],
-    draw: Callable[[Path], Sequence[Path]] = lambda folder: (),
+    draw: Callable[[PictureFolder], Sequence[Path]] = lambda pictures: (),
     written: Sequence[Path] = (),
 ) -> None:
     """Write JSON and pictures where they are asked for, and print the text unless standard output has the JSON.
@@ -141,8 +142,7 @@ def write_results(
         write_json(options.json, data())
     files = list(written)
     if getattr(options, "out", None) is not None:
-        options.out.mkdir(parents=True, exist_ok=True)
-        files += draw(options.out)
+        files += draw(PictureFolder(options.out, options.format))
     if options.json != "-":
         print(text())
         for path in files:
