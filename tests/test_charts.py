@@ -229,6 +229,8 @@ def test_no_other_format(capsys: pytest.CaptureFixture[str]) -> None:
         main(["stick-slip", "--out", "pictures", "--format", "bmp"])
     said = capsys.readouterr().err
     assert ended.value.code == 2 and said.count("\n") == 1
-    assert "--format: invalid choice: 'bmp'" in said and "png" in said
+    assert "--format must be one of png, pdf, svg, not 'bmp'" in said
+    assert main(["stick-slip", "--format", "pdf"]) == 2
+    assert "format must be given with out, the folder of pictures, not 'pdf' alone" in capsys.readouterr().err
     with pytest.raises(ParameterError, match="format must be one of png, pdf, svg, not 'bmp'"):
         plots.PictureFolder(Path(), "bmp")

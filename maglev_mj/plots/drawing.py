@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from maglev_mj.colours import GRID, REFERENCE, SERIES, WALL
-from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.errors import MaglevError, ParameterError, not_one_of
 from maglev_mj.parameters import flag
 
 __all__ = [
@@ -73,7 +73,7 @@ class PictureFolder:
 
     def __post_init__(self) -> None:
         if self.format not in FORMATS:
-            raise ParameterError(f"format must be one of {', '.join(FORMATS)}, not {self.format!r}")
+            raise ParameterError(not_one_of("format", FORMATS, self.format))
 
     def path(self, name: str, ending: str | None = None) -> Path:
         """Return the path of a file, its folder made.

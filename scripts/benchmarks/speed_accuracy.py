@@ -24,8 +24,8 @@ import mujoco
 import numpy as np
 
 from maglev_mj import drive
-from maglev_mj.cli.options import Parser
-from maglev_mj.cli.pictures import add_pictures
+from maglev_mj.cli.arguments import Parser
+from maglev_mj.cli.pictures import script_options
 from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.plants import ExactPlant, MuJoCoBatchPlant, SampledPlant, Timing
 from maglev_mj.plots import Panel, PictureFolder, small_multiples
@@ -52,12 +52,12 @@ TURNING = "twist", "six-axes"
 NANOMETRE = 1e-9
 PERIOD, DELAY = Timing().period, Timing().delay
 
-parser = Parser(description=__doc__)
-add_pictures(parser, Path("figures"))
-parser.add_argument("--quick", action="store_true", help="fewer steps and repeats")
-parser.add_argument(
-    "--scenes", nargs="+", default=list(TITLES), choices=TITLES, metavar="SCENE", help=", ".join(TITLES)
-)
+
+def add_scenes(parser: Parser) -> None:
+    """Add --scenes."""
+    parser.add_argument(
+        "--scenes", nargs="+", default=list(TITLES), choices=TITLES, metavar="SCENE", help=", ".join(TITLES)
+    )
 
 
 class PeersDrop(Drop):
@@ -170,8 +170,8 @@ def print_ratios(ways: list[Way]) -> dict[str, float]:
 
 def main() -> None:
     """Measure, print, draw, write."""
-    options = parser.parse_args()
-    pictures, quick = PictureFolder(options.out, options.format), options.quick
+    options = script_options(__doc__, "fewer steps and repeats", add_scenes)
+    pictures, quick = options.pictures, options.quick
     ways = {name: our_ways(name, preset_of(name).scene, quick) for name in options.scenes}
     task = Task()
     drop = PeersDrop()

@@ -20,8 +20,7 @@ import numpy as np
 from maglev_mj import plots
 from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.options import number_option
-from maglev_mj.cli.output import check_outputs
-from maglev_mj.cli.pictures import add_pictures
+from maglev_mj.cli.pictures import add_pictures, chosen_pictures
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.parameters import number
@@ -59,11 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         options = _parser().parse_args(arguments)
         task = _task(options)
-        check_outputs(out=options.out)
-        pictures = None
-        if options.out is not None:
-            plots.require()
-            pictures = plots.PictureFolder(options.out, options.format)
+        pictures = chosen_pictures(options)
         _tell(task, pictures)
         if options.sweep:
             _sweep(task)
