@@ -50,6 +50,7 @@ FLOORS = {
     "replay": 9,
     "tables": 9,
     "conformance": 9,
+    "playback": 9.5,
     "cli": 10,
     "__main__": 11,
 }

@@ -60,6 +60,7 @@ class Snapshot:
         late: Whether ticks are being given up: this machine cannot keep up.
         time_scale: Simulated time for each second of real time.
         duration: Length of a recording [s]; None for what runs now.
+        marks: Times of a recording's events [s].
         actions: Names that `act` takes.
         state: "running", "paused", "stopped" or "flying".
         reason: Why it has stopped; empty otherwise.
@@ -90,6 +91,7 @@ class Snapshot:
     late: bool = False
     time_scale: float = 1.0
     duration: float | None = None
+    marks: Sequence[float] = ()
     actions: Sequence[str] = ()
     state: str = "running"
     reason: str = ""
