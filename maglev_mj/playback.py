@@ -21,8 +21,8 @@ from maglev_mj.session import SHOWN, TIME_SCALES, Snapshot, next_scale
 
 __all__ = ["ACTIONS", "Replay"]
 
-ACTIONS = "pause", "step", "step back", "forward", "back", "slower", "faster", "loop", "start", "end"
-"""What `Replay.act` does; "forward" and "back" go a twentieth of the recording."""
+ACTIONS = "pause", "step", "step back", "skip forward", "skip back", "slower", "faster", "loop", "start", "end"
+"""What `Replay.act` does; "skip forward" and "skip back" go a twentieth of the recording."""
 
 _SCALES = (*TIME_SCALES, 2.0, 5.0, 10.0)
 _JUMP = 0.05
@@ -101,7 +101,7 @@ class Replay:
         elif action in ("step", "step back"):
             self._paused = True
             self._seek(float(self._times[min(max(self._row + way, 0), len(self._times) - 1)]))
-        elif action in ("forward", "back"):
+        elif action in ("skip forward", "skip back"):
             time = self._time + way * _JUMP * self._duration
             self._seek(min(max(time, 0.0), float(self._times[-1])))
         elif action in ("slower", "faster"):

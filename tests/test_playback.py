@@ -114,13 +114,13 @@ def test_steps_pause_and_go_one_sample(replay: Replay) -> None:
 
 
 def test_jumps_go_a_twentieth(replay: Replay) -> None:
-    replay.act("forward")
+    replay.act("skip forward")
     assert replay.snapshot().time == pytest.approx(0.2)
-    replay.act("back")
-    replay.act("back")
+    replay.act("skip back")
+    replay.act("skip back")
     assert replay.snapshot().time == 0.0 and replay.snapshot().state == "running"
     replay.change({"time": 3.95})
-    replay.act("forward")
+    replay.act("skip forward")
     assert replay.snapshot().tick == FIRST + SECOND - 1
 
 
