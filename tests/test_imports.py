@@ -37,6 +37,7 @@ FLOORS = {
     "scenes": 6,
     "session": 7,
     "display": 7.5,
+    "tour": 8,
     "bridge": 8,
     "live": 8,
     "report": 8,

@@ -13,6 +13,7 @@ from maglev_mj.session.snapshot import (
     SampledMotion,
     Snapshot,
     SnapshotSource,
+    TourLine,
     Wish,
 )
 from maglev_mj.session.stretch import begin_scene
@@ -33,6 +34,7 @@ __all__ = [
     "Session",
     "Snapshot",
     "SnapshotSource",
+    "TourLine",
     "Wish",
     "actions",
     "begin_scene",

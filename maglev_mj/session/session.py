@@ -82,6 +82,7 @@ class Session:
         self._time_scale = 1.0
         self._changed, self._unchanged = False, _RENEWED
         self._publishers, self._ticks, self._since = Publishers(publishers), 0, 0
+        self._pulses = 0
         self._step_force = number("step_force", step_force, above=0.0)
         self._stretch = self._begin(self._scene.start().pose)
 
@@ -203,6 +204,7 @@ class Session:
             history=self._history.rows,
             work=stretch.energy.hand,
             taken=stretch.energy.taken,
+            pulses=self._pulses,
             cost=self._pacer.cost,
             missed=self._pacer.missed,
             late=self._pacer.late,
@@ -232,6 +234,7 @@ class Session:
         self._take_wanted()
         self._stretch.tick()
         self._ticks += 1
+        self._pulses += self._stretch.pulsed
         self.simulated += self._stretch.scene.period
         if self._stretch.energy.stored < _MADE:
             made = -self._stretch.energy.stored
