@@ -140,11 +140,12 @@ class Recording:
             "gaps": [list(stretch.gaps) for stretch in self.stretches],
             "setups": setups,
             "events": list(self.events),
-            "event_samples": list(self.event_samples),
             "damage": self.damage,
             "attachments": list(self.attachments),
             "about": dict(self.about),
         }
+        if self.event_samples:
+            header["event_samples"] = list(self.event_samples)
         with aside(Path(path)) as partial, partial.open("wb") as file:
             np.savez(file, header=np.array(json.dumps(header)), **arrays)
 
