@@ -182,29 +182,24 @@ def _pushed(moment: Moment) -> bool:
 
 
 def _met(moment: Moment) -> bool:
-    """Return whether the hand has pressed the handle into a wall, which pushed back."""
-    for axis, normal, edge in moment.now.faces:
-        inside, pressing, back = _at_wall(moment.rows, axis, normal, edge)
-        if axis < 3 and (inside & (pressing >= _TOUCH) & (back >= _TOUCH)).any():
-            return True
-    return False
+    """Return whether the hand has pressed the handle into a wall."""
+    return any((inside & (pressing >= _TOUCH)).any() for inside, pressing, _ in _at_walls(moment, moment.rows))
 
 
 def _braked(moment: Moment) -> bool:
-    """Return whether a wall that the hand has hit gave a pulse."""
-    return moment.now.pulses > moment.begin.pulses and _met(moment)
+    """Return whether a wall has given a pulse."""
+    return moment.now.pulses > moment.begin.pulses
 
 
 def _stuck(moment: Moment) -> bool:
     """Return whether the handle sticks, off the walls, while the hand pulls."""
-    rows, anchors = moment.last(_STUCK), moment.now.anchors
-    if not len(rows) or anchors is None:
+    rows = moment.last(_STUCK)
+    if not len(rows) or moment.now.anchors is None:
         return False
     axis = int(np.argmax(np.abs(rows[-1, 19:22])))
-    walls = [face for face in moment.now.faces if face[0] < 3]
-    free = not any(_at_wall(rows, *face)[0].any() for face in walls)
+    free = not any(inside.any() for inside, _, _ in _at_walls(moment, rows))
     pulled = (np.abs(rows[:, 19 + axis]) >= _TOUCH).all()
-    return bool(free and pulled and np.isfinite(anchors[axis]) and np.ptp(rows[:, 1 + axis]) <= _STILL)
+    return bool(free and pulled and np.ptp(rows[:, 1 + axis]) <= _STILL)
 
 
 def _too_stiff(moment: Moment) -> bool:
@@ -214,17 +209,17 @@ def _too_stiff(moment: Moment) -> bool:
 
 def _buzzes(moment: Moment) -> bool:
     """Return whether the force at a wall has alternated while it was held."""
-    return any(_swings(force, _BUZZ) >= _BUZZES for force, _ in _held(moment))
+    return any(_swings(force, _BUZZ) >= _BUZZES for force in _held(moment))
 
 
 def _too_late(moment: Moment) -> bool:
-    """Return whether more delay has made the loop unstable, and a wall that is held buzz."""
-    return not moment.stable and _raised("delay", moment) and _buzzes(moment)
+    """Return whether more delay has made a wall that is held buzz."""
+    return _raised("delay", moment) and _buzzes(moment)
 
 
 def _mended(moment: Moment) -> bool:
     """Return whether more damping has made the loop stable, and a wall that is held quiet."""
-    quiet = any(inside.all() and _swings(force, _CALM) < _CALMER for force, inside in _held(moment))
+    quiet = any(_swings(force, _CALM) < _CALMER for force in _held(moment))
     return moment.stable and _raised("damping", moment) and quiet
 
 
@@ -232,21 +227,19 @@ def _raised(name: str, moment: Moment) -> bool:
     return bool(getattr(moment.now.scene, name) > getattr(moment.begin.scene, name))
 
 
-def _at_wall(rows: Array, axis: int, normal: float, edge: float) -> tuple[Mask, Array, Array]:
-    """Return whether the handle is inside a wall, and the forces of hand and wall against each other [N], (N,) each."""
-    inside: Mask = normal * (rows[:, 1 + axis] - edge) <= 0.0
-    return inside, -normal * rows[:, 19 + axis], normal * rows[:, 13 + axis]
-
-
-def _held(moment: Moment) -> list[tuple[Array, Mask]]:
-    """Return the force [N] of each wall held for the last second, and when the handle was inside, (N,) each."""
-    rows = moment.last(_HELD)
-    found = [_at_wall(rows, *face) for face in moment.now.faces if face[0] < 3]
+def _at_walls(moment: Moment, rows: Array) -> list[tuple[Mask, Array, Array]]:
+    """Return when the handle is inside each wall, and the forces of hand and wall against each other [N], (N,) each."""
     return [
-        (back, inside)
-        for inside, pressing, back in found
-        if inside.any() and pressing.all() and pressing.mean() >= _TOUCH
+        (normal * (rows[:, 1 + axis] - edge) <= 0.0, -normal * rows[:, 19 + axis], normal * rows[:, 13 + axis])
+        for axis, normal, edge in moment.now.faces
+        if axis < 3
     ]
+
+
+def _held(moment: Moment) -> list[Array]:
+    """Return the force of each wall to which the handle was held for the last second [N], (N,) each."""
+    walls = _at_walls(moment, moment.last(_HELD))
+    return [back for inside, pressing, back in walls if inside.any() and pressing.all()]
 
 
 def _swings(force: Array, least: float) -> int:

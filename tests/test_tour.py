@@ -39,9 +39,11 @@ class User:
 
     def pull(self, x: float, seconds: float, *, slowly: float = 0.0, y: float = 0.0) -> None:
         """Pull to a place [m], at once or in some time."""
+        begin = self.tour.snapshot().target or [0.0] * 6
         for part in range(1, round(slowly / TICK) + 1):
             share = part * TICK / slowly
-            self.tour.hand.target = [share * x, share * y, 0.0, 0.0, 0.0, 0.0]
+            drawn = [one + share * (end - one) for one, end in zip(begin, (x, y), strict=False)]
+            self.tour.hand.target = [*drawn, 0.0, 0.0, 0.0, 0.0]
             self.tour.tick(TICK)
         self.tour.hand.target = [x, y, 0.0, 0.0, 0.0, 0.0]
         self.wait(seconds)
@@ -111,13 +113,14 @@ WRONG: list[tuple[int, str, Callable[[User], None]]] = [
     (PUSH, "too gentle", lambda user: user.pull(0.002, 2.0)),
     (PUSH, "a twist", lambda user: user.twist(0.1)),
     (WALL, "not so far", lambda user: user.pull(0.008, 2.0, slowly=1.0)),
+    (WALL, "a twist", lambda user: user.twist(0.5)),
     (WALL, "no wall", then(press("wall"), hit)),
     (PULSE, "slowly", lambda user: user.pull(0.012, 1.0, slowly=2.0)),
     (PULSE, "no pulse", then(press("pulse"), hit)),
     (STICK, "nothing", lambda user: user.wait(2.0)),
     (STICK, "no friction", then(press("friction"), lambda user: user.pull(0.005, 2.0, slowly=0.3))),
-    (STICK, "to the wall", hit),
-    (STICK, "moving", lambda user: user.pull(0.013, 0.0, slowly=0.4)),
+    (STICK, "to the wall", lambda user: user.pull(0.016, 2.0)),
+    (STICK, "moving", then(lambda user: user.pull(0.01, 0.0), lambda user: user.pull(0.015, 0.0, slowly=1.0))),
     (STIFF, "not beyond the boundary", press("stiffness up", 2)),
     (STIFF, "unstable by delay", press("delay up", 12)),
     (BUZZ, "nothing", lambda user: user.wait(2.0)),
@@ -155,6 +158,46 @@ def test_a_step_is_not_done_by_another_deed(step: int, name: str, deed: Callable
     deed(user)
     user.release(0.5)
     assert (user.line.number, user.line.done) == (step, False)
+
+
+def test_what_was_done_before_a_step_does_not_count() -> None:
+    """The handle is still in the wall, and then on its way back, when the step begins; nobody holds it any more."""
+    user = User(PUSH)
+    user.pull(0.014, 0.0)
+    for _ in range(50):
+        user.tour.tick(TICK)
+    assert user.tour.snapshot().pose[0] > 0.0035
+    user.tour.hand.target = None
+    user.tour.act("next")
+    user.wait(1.0)
+    assert (user.line.number, user.line.done) == (WALL, False)
+    user.tour.hand.target = [0.008, 0.0, 0.0, 0.0, 0.0, 0.0]
+    for _ in range(50):
+        user.tour.tick(TICK)
+    user.tour.hand.target = None
+    user.tour.act("back")
+    assert user.tour.snapshot().pose[0] > 0.002
+    user.wait(1.0)
+    assert (user.line.number, user.line.done) == (PUSH, False)
+
+
+def test_a_wall_is_quiet_for_a_second_before_it_is_mended() -> None:
+    user = User(MEND)
+    hold(user)
+    for _ in range(5):
+        user.tour.act("damping up")
+    user.wait(0.5)
+    assert not user.line.done
+    user.wait(1.5)
+    assert user.line.done
+
+
+def test_a_step_goes_on_after_the_scene_was_started_again() -> None:
+    user = User(WALL)
+    user.wait(3.0)
+    user.press("centre")
+    hit(user)
+    assert user.line.done
 
 
 def test_the_whole_tour_is_done_in_a_row() -> None:

@@ -133,7 +133,7 @@ class Recording:
                 arrays |= {f"{index}/{one.name}": stretch.totals[one.name] for one in TOTALS}
         setups = [stretch.whole_setup for stretch in self.stretches]
         arrays |= {f"attachment/{place}": _bytes(data) for place, data in enumerate(self.attachments.values())}
-        header = {
+        header: dict[str, Any] = {
             "format": _FORMAT,
             "axes": AXES,
             "units": units(),
