@@ -48,8 +48,9 @@ from maglev_mj.laws import (
 )
 from maglev_mj.loop import drive
 from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant, Sensor, SpotSensor, Timing
+from maglev_mj.playback import Replay
 from maglev_mj.recording import ArrayFile, InvalidRecordingError, Recording, open_recording, verify
-from maglev_mj.replay import Replay, expected, rebuild, write_run
+from maglev_mj.replay import expected, rebuild, write_run
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.find import find_scene, object_of_text
 from maglev_mj.scenes.parts import WEIGHT

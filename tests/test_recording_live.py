@@ -25,6 +25,7 @@ from maglev_mj.hand import Hand
 from maglev_mj.laws import Bias, Wall
 from maglev_mj.loop import drive
 from maglev_mj.plants import ExactPlant, Timing
+from maglev_mj.playback import Replay
 from maglev_mj.recording import (
     ArrayFile,
     Recording,
@@ -36,7 +37,7 @@ from maglev_mj.recording import (
 )
 from maglev_mj.recording.live import ROWS, Ring, RowReader
 from maglev_mj.recording.row import ROW, TOTALS
-from maglev_mj.replay import Replay, rebuild, record_run, write_run
+from maglev_mj.replay import rebuild, record_run, write_run
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.run import run as run_scene
 from maglev_mj.scenes.scene import Scene

@@ -181,6 +181,7 @@ class Found:
     Attributes:
         parts: Stretches, in their order.
         events: What happened, as texts.
+        event_samples: Number of samples before each event.
         attachments: Files in the file.
         about: The record of metadata that a recording begins with; empty in files of before.
         damage: What is wrong with the file; empty for nothing.
@@ -190,6 +191,7 @@ class Found:
     def __init__(self, allowance: Allowance, names: frozenset[str] | None) -> None:
         self.parts: list[Part] = []
         self.events: list[str] = []
+        self.event_samples: list[int] = []
         self.attachments: dict[str, bytes] = {}
         self.about: Mapping[str, str] = {}
         self.damage, self.counted = "", False
@@ -354,6 +356,7 @@ class Found:
         whole(message, "tick", at_least=self._tick, at_most=self._tick)
         kind, text = text_in(message, "kind"), text_in(message, "text")
         self.events.append(f"{kind}: {text}")
+        self.event_samples.append(sum(map(len, self.parts)))
         if "missed" in message:
             missed = whole(message, "missed")
         else:  # of version 0.1.0: how many is in the text alone
