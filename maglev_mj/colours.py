@@ -9,8 +9,10 @@ __all__ = [
     "BOUNDARY",
     "DEVICE",
     "GOOD",
+    "GRID",
     "HAND",
     "MEASURED",
+    "REFERENCE",
     "SERIES",
     "STOP",
     "STUCK",
@@ -53,8 +55,14 @@ GOOD: Colour = _GREEN
 BAD: Colour = _VERMILLION
 """Unstable, stopped, or refused."""
 
-BOUNDARY: Colour = (0.62, 0.66, 0.70)
+BOUNDARY: Colour = (0.85, 0.87, 0.90)
 """Edge between stable and unstable, or of a wall in a plot."""
+
+REFERENCE: Colour = (0.35, 0.37, 0.40)
+"""An exact or ideal curve of a chart, and its smaller words."""
+
+GRID: Colour = (0.89, 0.90, 0.91)
+"""Grid of a chart."""
 
 SERIES: tuple[Colour, ...] = (_BLUE, _VERMILLION, _GREEN, _PURPLE, _ORANGE, _SKY, _INK)
 """Colours of a chart's series, in order."""

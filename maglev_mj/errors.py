@@ -1,9 +1,10 @@
-"""The errors this package raises: one base, a few children. Messages name the value and what is allowed."""
+"""The errors this package raises, and messages that several share: the value, and what is allowed."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from difflib import get_close_matches
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -12,12 +13,14 @@ if TYPE_CHECKING:
 __all__ = [
     "DivergenceError",
     "MaglevError",
+    "MissingPackageError",
     "ModelError",
     "ParameterError",
     "PlantError",
     "SensingError",
     "meant",
     "not_one_of",
+    "require",
 ]
 
 
@@ -33,6 +36,10 @@ class MaglevError(Exception):
 
 class ParameterError(MaglevError, ValueError):
     """A parameter is outside what is allowed, or has a shape that does not fit."""
+
+
+class MissingPackageError(MaglevError):
+    """A package of an extra is not installed."""
 
 
 class ModelError(MaglevError):
@@ -74,3 +81,18 @@ def meant(given: object, allowed: Iterable[str]) -> str:
     """Return the end of a message that names the text most like a given one; empty for none."""
     near = get_close_matches(str(given), allowed, n=1)
     return f"; did you mean {near[0]}?" if near else ""
+
+
+def require(packages: Iterable[str], extra: str, why: str) -> None:
+    """Check that packages are installed.
+
+    Args:
+        packages: Names by which they are imported.
+        extra: Extra of this package that installs them.
+        why: Sentence on what needs them.
+
+    Raises:
+        MissingPackageError: If one is not.
+    """
+    if not all(map(find_spec, packages)):
+        raise MissingPackageError(f"{why}: pip install 'maglev-mj[{extra}]'")

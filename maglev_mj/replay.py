@@ -1,9 +1,9 @@
-"""Recordings made, run again and shown: what a recording's setup says, turned into plant and controller."""
+"""Recordings made and run again: what a recording's setup says, turned into plant and controller."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -14,10 +14,9 @@ import numpy as np
 from maglev_mj.controller import Controller
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import AXES, Array, Sample
-from maglev_mj.hand import HandForce, SpringHand
+from maglev_mj.hand import HandForce
 from maglev_mj.laws import Law
 from maglev_mj.loop import ControlLoop
-from maglev_mj.model import load
 from maglev_mj.parameters import param
 from maglev_mj.plants import SampledPlant, engine_warnings_silenced
 from maglev_mj.recording import (
@@ -32,7 +31,6 @@ from maglev_mj.recording import (
     RunMetadata,
     Setup,
     Stretch,
-    metadata_of,
     open_recording,
 )
 from maglev_mj.recording.checks import start_in, whole
@@ -42,24 +40,18 @@ from maglev_mj.scenes.find import defined_in, object_of_text, text_of
 from maglev_mj.scenes.legacy import parameters_in, recorded_scene
 from maglev_mj.scenes.run import checked_phase, checked_plant
 from maglev_mj.scenes.scene import PLANTS
-from maglev_mj.session import (
-    EMERGENCY_STOP,
-    SampledMotion,
-    Snapshot,
-    begin_scene,
-    device_controller,
-    live_plant,
-)
+from maglev_mj.session import begin_scene, device_controller, live_plant
 from maglev_mj.versions import hash_of
 
 __all__ = [
     "ATTACHED",
     "OwnCode",
-    "Replay",
     "expected",
     "rebuild",
     "rebuild_for",
     "record_run",
+    "shown_scene",
+    "stick_positions",
     "stick_positions_of",
     "unmade_plant",
     "write_run",
@@ -67,6 +59,9 @@ __all__ = [
 
 ATTACHED = "attached"
 """In place of a scene's name: the sources that are in the recording."""
+
+_CHUNK = 1000
+"""Samples at a time."""
 
 _KINDS = ("run", "device", "scene", "own")
 """Kinds of setups besides the names of scenes; all but the first two are of before."""
@@ -333,113 +328,6 @@ def _run_into(file: RecordingFile, scene: Scene, plant: str | None, phase: float
             file.event("fault", str(error))
 
 
-class Replay:
-    """A recording to be shown in real time, over and over.
-
-    Args:
-        recording: The recording, of at least one sample.
-        own: Code of a user's own that may be executed, which finds where the flotor sticks; it is shown without too.
-
-    Attributes:
-        hand: There is none to be moved; the recorded one acts.
-        simulated: Time shown so far [s].
-
-    Raises:
-        RecordingError: If there is nothing in it, or its setup is not known here.
-    """
-
-    def __init__(self, recording: Recording, own: OwnCode | None = None) -> None:
-        self.hand = SpringHand()
-        self.simulated = 0.0
-        self._stretches = [_Shown(stretch, own) for stretch in recording.stretches if len(stretch)]
-        if not self._stretches:
-            raise InvalidRecordingError("there is nothing in the recording")
-        self._owed, self._paused = 0.0, False
-        self._show(0, 0)
-
-    def tick(self, elapsed: float) -> int:
-        """Go on by as much as real time has [s]; return how many samples that were."""
-        if self._paused:
-            return 0
-        self._owed += elapsed
-        shown = 0
-        while self._owed >= (period := self._now.scene.period):
-            self._owed -= period
-            self.simulated += period
-            self._next()
-            shown += 1
-        return shown
-
-    def act(self, action: str) -> None:
-        """Pause, or start over for "centre" and "drop"; nothing else can be changed in a recording."""
-        if action in ("pause", EMERGENCY_STOP):
-            self._paused = action == EMERGENCY_STOP or not self._paused
-        elif action in ("centre", "drop"):
-            self._show(0, 0)
-
-    def change(self, parameters: Mapping[str, Any]) -> None:
-        """Refuse: what is recorded stays as it is."""
-        raise ParameterError(f"a recording has no parameters to be changed, such as {next(iter(parameters), '')}")
-
-    def snapshot(self) -> Snapshot:
-        """Return the picture of now."""
-        (_, row), now, motion = self._place, self._now, self._motion
-        return Snapshot(
-            scene=now.scene,
-            delay=now.scene.delay,
-            tick=row,
-            time=float(now.time[row]),
-            pose=now.pose[row],
-            force=now.force[row],
-            hand=now.hand[row],
-            currents=now.currents[row],
-            faces=now.faces,
-            anchors=None if now.anchors is None else now.anchors[row],
-            history=motion.history.rows,
-            work=motion.work,
-            actions=("pause", "centre"),
-            state="paused" if self._paused else "running",
-            notes=("REPLAY",),
-        )
-
-    def close(self) -> None:
-        """Do nothing: a recording stays as it is."""
-
-    @property
-    def _now(self) -> _Shown:
-        return self._stretches[self._place[0]]
-
-    def _next(self) -> None:
-        stretch, row = self._place
-        if row + 1 < len(self._now.pose):
-            self._show(stretch, row + 1)
-        else:
-            self._show((stretch + 1) % len(self._stretches), 0)
-
-    def _show(self, stretch: int, row: int) -> None:
-        """Go to a sample; a stretch begins with a history of its own."""
-        self._place, now = (stretch, row), self._stretches[stretch]
-        if row == 0:
-            self._motion = SampledMotion()
-        self._motion.add(float(now.time[row]), now.pose[row], now.force[row], now.hand[row])
-
-
-class _Shown:
-    """A stretch of a recording with what its setup tells of it."""
-
-    def __init__(self, stretch: Stretch, own: OwnCode | None) -> None:
-        again = rebuild_for(stretch, own)
-        metadata = metadata_of(stretch, again)
-        self.scene = shown_scene(stretch.setup, metadata, own)
-        self.time, self.pose, self.hand = stretch.time, stretch.position, stretch.hand
-        self.force = stretch.applied - metadata.carried
-        coils = load("drop").coils
-        assert coils is not None
-        self.currents = stretch.applied @ coils.current_per_wrench.T
-        self.faces = tuple(metadata.faces or ())
-        self.anchors = stick_positions_of(stretch, again)
-
-
 def shown_scene(setup: Setup, metadata: RunMetadata, own: OwnCode | None = None) -> Scene:
     """Return the scene that shows a stretch: its own where that is known here.
 
@@ -455,21 +343,26 @@ def shown_scene(setup: Setup, metadata: RunMetadata, own: OwnCode | None = None)
         return _Unknown(period=metadata.period, delay=metadata.delay, axis=metadata.axis)
 
 
-def stick_positions_of(stretch: Stretch, again: Rebuild | None = rebuild) -> Array | None:
-    """Return where the flotor stuck at each sample, as the controller saw it, (N, 6); None without friction.
+def stick_positions(stretch: Stretch, again: Rebuild | None = rebuild) -> Iterator[Array]:
+    """Yield the stick positions at each sample [m, rad], (6,), as the controller saw them; nothing without friction.
 
     Args:
         stretch: The stretch.
         again: Makes plant and controller from a setup and a hand; None where nobody can: then it is not known.
     """
     if again is None:
-        return None
+        return
     _, controller = again(stretch.setup, None)
-    anchors = []
-    for tick, place in zip(stretch.tick.tolist(), stretch.position.tolist(), strict=True):
-        controller.step(Sample(int(tick), 0.0, place))
-        found = controller.stick_positions
-        if found is None:
-            return None
-        anchors.append(found)
-    return np.array(anchors)
+    for first in range(0, len(stretch), _CHUNK):  # as lists, a long stretch would take a second and much memory
+        part = slice(first, first + _CHUNK)
+        for tick, place in zip(stretch.tick[part].tolist(), stretch.position[part].tolist(), strict=True):
+            controller.step(Sample(int(tick), 0.0, place))
+            if (found := controller.stick_positions) is None:
+                return
+            yield found
+
+
+def stick_positions_of(stretch: Stretch, again: Rebuild | None = rebuild) -> Array | None:
+    """Return the stick positions at all samples, (N, 6); None without friction. See `stick_positions`."""
+    found = list(stick_positions(stretch, again))
+    return np.array(found) if found else None

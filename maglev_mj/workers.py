@@ -15,7 +15,7 @@ from functools import partial
 from multiprocessing import get_context, resource_tracker
 from typing import Any
 
-from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.errors import MaglevError, ParameterError, require
 from maglev_mj.versions import Versions, differences, versions
 
 __all__ = ["Workers", "WorkersError", "dask_workers", "inline", "interrupts_held", "local_workers"]
@@ -118,12 +118,11 @@ def dask_workers(address: str) -> Workers:
     Raises:
         ParameterError: If nothing answers there.
         WorkersError: If a worker has other code than this process; it names each.
-        MaglevError: If Dask is not installed.
+        MissingPackageError: If Dask is not installed.
     """
-    try:
-        from distributed import KilledWorker
-    except ImportError:
-        raise MaglevError("a cluster needs Dask: pip install 'maglev-mj[distributed]'") from None
+    require(("distributed",), "distributed", "a cluster needs Dask")
+    from distributed import KilledWorker
+
     # where it loses the scheduler it logs tracebacks; `_cause` says it in one line
     logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
     try:

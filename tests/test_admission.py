@@ -310,14 +310,14 @@ def test_the_stability_plot_shows_gains_only_where_all_laws_state_them() -> None
         session = Session(scene)
         snapshot, plots = session.snapshot(), Plots()
         session.close()
-        plots.wait(snapshot)
-        figure = plots.update(snapshot)[3]
+        plots.wait(snapshot.scene)
+        figure = plots.update(snapshot)[2]
         title = bytes(figure.title).split(b"\0")[0].decode() if not isinstance(figure.title, str) else figure.title
         return title, int(np.count_nonzero(figure.linepnt))
 
     assert shown(Detents(stiffness=9870.0)) == ("x: largest root 1.031 UNSTABLE", 0)
     assert shown(Detents(stiffness=4000.0)) == ("x: largest root 0.9147 stable", 0)
-    assert shown(Joystick(stiffness=4000.0)) == ("stable below: kN/m over N s/m", 2)
+    assert shown(Joystick(stiffness=4000.0)) == ("stable: 42 % of the boundary", 3)
     assert shown(Detents(period=0.001, delay=0.05))[0] == "stability not known"
 
 
@@ -325,8 +325,8 @@ def test_the_boundary_in_the_plot_is_that_of_the_scenes_own_mass() -> None:
     def most(mass: float) -> float:
         """Return the damping up to which a wall may be stable [N s/m], as drawn."""
         plots, snapshot = Plots(), Snapshot(scene=Drop(mass=mass))
-        plots.wait(snapshot)
-        figure = plots.update(snapshot)[3]
+        plots.wait(snapshot.scene)
+        figure = plots.update(snapshot)[2]
         return float(figure.linedata[0, 2 * int(figure.linepnt[0]) - 2])
 
     assert most(1.4) == pytest.approx(2.0 * most(0.7), rel=1e-3)

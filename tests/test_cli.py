@@ -38,8 +38,9 @@ def test_drop_prints_one_screen(capsys: pytest.CaptureFixture[str]) -> None:
     assert len(out.splitlines()) <= 24
 
 
-def test_drop_prints_at_most_80_columns(capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["drop", "--phases", "5"]) == 0
+@pytest.mark.parametrize("more", ["", "--plant exact --force-limit 60 --carry --duration 0.12"])
+def test_drop_prints_at_most_80_columns(more: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["drop", "--phases", "5", *more.split()]) == 0
     assert max(map(len, capsys.readouterr().out.splitlines())) <= 80
 
 

@@ -314,9 +314,9 @@ def test_a_mouse_is_looked_for_where_libspnav_looks(path: Path, monkeypatch: pyt
 )
 def test_each_control_of_a_gamepad_moves_its_axis(control: int, axis: str, share: float) -> None:
     controls = [0.0, 0.0, 0.0, 0.0, -1.0, -1.0, 0.0, 0.0]
-    assert gamepad_shares(controls[:6], False, False) == (0.0,) * 6
+    assert gamepad_shares(controls[:6], 0.0) == (0.0,) * 6
     controls[control] = 1.0
-    shares = gamepad_shares(controls[:6], bool(controls[6]), bool(controls[7]))
+    shares = gamepad_shares(controls[:6], float(controls[6]) - float(controls[7]))
     assert shares == pytest.approx(one(AXES.index(axis), share))
 
 

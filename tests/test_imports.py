@@ -37,6 +37,7 @@ FLOORS = {
     "scenes": 6,
     "session": 7,
     "display": 7.5,
+    "tour": 8,
     "bridge": 8,
     "live": 8,
     "report": 8,
@@ -50,6 +51,7 @@ FLOORS = {
     "replay": 9,
     "tables": 9,
     "conformance": 9,
+    "playback": 9.5,
     "cli": 10,
     "__main__": 11,
 }

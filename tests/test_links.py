@@ -13,14 +13,13 @@ from typing import Any
 import pytest
 
 from maglev_mj.bridge.simulated_links import Impairer, Impairment, UdpProxy
-from maglev_mj.errors import ParameterError
+from maglev_mj.errors import MissingPackageError, ParameterError
 from maglev_mj.net.addresses import is_loopback
 from maglev_mj.net.serial import (
     LONGEST,
     Deframer,
     PtyServer,
     SerialLink,
-    SerialMissingError,
     cobs_decode,
     cobs_encode,
 )
@@ -368,7 +367,7 @@ def test_a_line_that_is_gone_is_an_error() -> None:
 
 def test_without_pyserial_one_line_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "serial", None)
-    with pytest.raises(SerialMissingError, match=r"pip install 'maglev-mj\[serial\]'"):
+    with pytest.raises(MissingPackageError, match=r"pip install 'maglev-mj\[serial\]'"):
         open_link("serial:///dev/ttyUSB0")
 
 

@@ -30,7 +30,7 @@ from websockets.typing import Origin, Subprotocol
 
 from live_client import LiveClient
 from maglev_mj import AXES
-from maglev_mj.errors import ParameterError
+from maglev_mj.errors import MissingPackageError, ParameterError
 from maglev_mj.hand import SpringHand
 from maglev_mj.live import LiveServer, LiveServerError, guard
 from maglev_mj.live.guard import forward, objection
@@ -875,8 +875,10 @@ def test_without_its_package_it_says_which(monkeypatch: pytest.MonkeyPatch) -> N
     with monkeypatch.context() as changed, pytest.raises(LiveServerError, match="needs a POSIX system"):
         changed.delattr(os, "fork")
         LiveServer(0)
-    monkeypatch.setattr("maglev_mj.live.server.find_spec", lambda name: None)
-    with pytest.raises(LiveServerError, match=r"a live server needs foxglove-sdk: pip install 'maglev-mj\[record\]'"):
+    monkeypatch.setattr("maglev_mj.errors.find_spec", lambda name: None)
+    with pytest.raises(
+        MissingPackageError, match=r"a live server needs foxglove-sdk: pip install 'maglev-mj\[record\]'"
+    ):
         LiveServer(0)
 
 

@@ -409,7 +409,7 @@ def test_the_viewer_takes_it_and_says_whether_it_is_stable(cls: type[Mine]) -> N
         shot, plots = session.snapshot(), Plots()
     assert shot.state == "running" and np.abs(shot.pose).max() < np.abs(START).max()
     verdict = stability(cls())
-    plots.wait(shot)
-    title = plots.update(shot)[3].title
+    plots.wait(shot.scene)
+    title = plots.update(shot)[2].title
     text = title if isinstance(title, str) else bytes(title).split(b"\0")[0].decode()
     assert verdict.stable and text == str(verdict) and set(verdict.axes) <= set(AXES)

@@ -126,7 +126,7 @@ def test_the_chart_holds_every_scene_and_says_what_is_missing(scenes: list[str],
     pytest.importorskip("matplotlib")
     import subprocess
 
-    command = [sys.executable, str(SCRIPT), str(tmp_path), "--quick", "--scenes", *scenes]
+    command = [sys.executable, str(SCRIPT), "--out", str(tmp_path), "--quick", "--scenes", *scenes]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
     assert done.returncode == 0, done.stderr
     data = json.loads((tmp_path / "speed_accuracy.json").read_text())

@@ -12,8 +12,9 @@ import pytest
 
 from maglev_mj.cli import main
 from maglev_mj.loop import drive
+from maglev_mj.playback import Replay
 from maglev_mj.recording import Recording, RecordingError, Stretch, best_suffix, open_recording, verify
-from maglev_mj.replay import Replay, rebuild, record_run
+from maglev_mj.replay import rebuild, record_run
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.find import find_scene
 from maglev_mj.scenes.run import run
@@ -126,7 +127,7 @@ def test_a_replay_shows_what_was_recorded_in_real_time(kind: str, tmp_path: Path
     assert (view.anchors is not None) == (kind == "stick-slip")
     replay.act("pause")
     assert replay.tick(1.0) == 0
-    replay.act("centre")
+    replay.act("start")
     assert (replay.snapshot().pose == recording.stretches[0].position[0]).all()
 
 

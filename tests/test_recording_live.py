@@ -19,15 +19,15 @@ import pytest
 from maglev_mj.analysis import analyse
 from maglev_mj.cli import main
 from maglev_mj.controller import Controller
-from maglev_mj.errors import ParameterError, PlantError
+from maglev_mj.errors import MissingPackageError, ParameterError, PlantError
 from maglev_mj.frames import ZERO, Command, Sample
 from maglev_mj.hand import Hand
 from maglev_mj.laws import Bias, Wall
 from maglev_mj.loop import drive
 from maglev_mj.plants import ExactPlant, Timing
+from maglev_mj.playback import Replay
 from maglev_mj.recording import (
     ArrayFile,
-    PandasMissingError,
     Recording,
     RecordingError,
     load,
@@ -37,7 +37,7 @@ from maglev_mj.recording import (
 )
 from maglev_mj.recording.live import ROWS, Ring, RowReader
 from maglev_mj.recording.row import ROW, TOTALS
-from maglev_mj.replay import Replay, rebuild, record_run, write_run
+from maglev_mj.replay import rebuild, record_run, write_run
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.run import run as run_scene
 from maglev_mj.scenes.scene import Scene
@@ -463,8 +463,8 @@ def test_a_recording_is_loaded_as_arrays_and_as_a_data_frame(tmp_path: Path, mon
         assert frame.attrs["units"]["hand.rx"] == "N m"
         with pytest.raises(ParameterError, match=r"fields must be of tick, time, position, .* not 'positions'"):
             load(path, fields=["positions"])
-    monkeypatch.setattr("maglev_mj.recording.samples.find_spec", lambda name: None)
-    with pytest.raises(PandasMissingError, match=r"pip install 'maglev-mj\[pandas\]'"):
+    monkeypatch.setattr("maglev_mj.errors.find_spec", lambda name: None)
+    with pytest.raises(MissingPackageError, match=r"pip install 'maglev-mj\[pandas\]'"):
         samples.to_pandas()
     with pytest.raises(RecordingError, match="cannot be read: No such file"):
         load(tmp_path / "none.mcap")

@@ -174,7 +174,7 @@ def test_a_type_that_no_option_can_have_needs_a_parser(annotation: Any) -> None:
     assert declare("speed", annotation, parse=lambda value: value).parameter("speed").kind is object  # type: ignore[attr-defined]
 
 
-@pytest.mark.parametrize("name", sorted(RESERVED))
+@pytest.mark.parametrize("name", sorted(RESERVED | {"out", "format"}))
 def test_a_parameter_may_not_be_named_as_an_option_of_every_command(name: str) -> None:
     with pytest.raises(TypeError, match=rf"Mine\.{name} cannot be a parameter: it is an option of every command"):
         declare(name)

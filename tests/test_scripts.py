@@ -7,15 +7,38 @@ import re
 import runpy
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from ctypes.util import find_library
 from pathlib import Path
+from typing import Any
 
 import pytest
+
+from tests.test_charts import complaints
 
 ROOT = Path(__file__).resolve().parent.parent
 
 Script = Callable[..., str]
+
+
+@pytest.fixture(autouse=True)
+def readable(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Check that every chart that a script draws can be read."""
+    try:
+        from matplotlib.figure import Figure
+    except ImportError:
+        yield
+        return
+    drawn: list[Any] = []
+    save = Figure.savefig
+
+    def keep(figure: Any, *places: Any, **options: Any) -> None:
+        drawn.append(figure)
+        save(figure, *places, **options)
+
+    monkeypatch.setattr(Figure, "savefig", keep)
+    yield
+    assert [complaints(figure) for figure in drawn] == [[]] * len(drawn)
 
 
 @pytest.fixture
@@ -34,7 +57,7 @@ def run_script(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[st
 @pytest.mark.parametrize("name", ["fig2_stability", "fig3_drop", "fig4_phase_plane", "fig6_press", "fig8_stick_slip"])
 def test_figures(name: str, tmp_path: Path, run_script: Script) -> None:
     pytest.importorskip("matplotlib")
-    assert f"{name}.png" in run_script(f"figures/{name}.py", str(tmp_path))
+    assert f"{name}.png" in run_script(f"figures/{name}.py", "--out", str(tmp_path))
     assert (tmp_path / f"{name}.png").stat().st_size > 10_000
 
 
@@ -61,7 +84,7 @@ def test_pulse_effect_prints_the_table_of_the_readme(run_script: Script) -> None
 
 def test_friction_laws_prints_and_writes_every_law(tmp_path: Path, run_script: Script) -> None:
     pytest.importorskip("matplotlib")
-    out = run_script("studies/friction_laws.py", "--quick", str(tmp_path))
+    out = run_script("studies/friction_laws.py", "--quick", "--out", str(tmp_path))
     data = json.loads((tmp_path / "friction_laws.json").read_text())
     assert len(data["spring"]) == 7 * 2 * 4
     assert len(data["hard"]) == 7 * 2 * 2
@@ -71,24 +94,26 @@ def test_friction_laws_prints_and_writes_every_law(tmp_path: Path, run_script: S
 
 def test_stability_bounds_prints_and_writes_its_figures(tmp_path: Path, run_script: Script) -> None:
     pytest.importorskip("matplotlib")
-    out = run_script("studies/stability_bounds.py", "--quick", str(tmp_path))
+    out = run_script("studies/stability_bounds.py", "--quick", "--out", str(tmp_path))
     data = json.loads((tmp_path / "stability_bounds.json").read_text())
     assert len(data["bounds"]) == 12 and len(data["integrators"]) == 3 * 5 + 2
     assert out.count("euler") == 4
-    assert (tmp_path / "stability_bounds.png").stat().st_size > 10_000
+    for name in ("stability_bounds", "stability_steps"):
+        assert (tmp_path / f"{name}.png").stat().st_size > 10_000
 
 
 def test_where_methods_fail_draws_its_panels(tmp_path: Path, run_script: Script) -> None:
     pytest.importorskip("matplotlib")
-    run_script("studies/where_methods_fail.py", "--quick", str(tmp_path))
+    run_script("studies/where_methods_fail.py", "--quick", "--out", str(tmp_path))
     panels = json.loads((tmp_path / "where_methods_fail.json").read_text())["panels"]
     assert len(panels) == 8 and all(panel["curves"] for panel in panels)
-    assert (tmp_path / "where_methods_fail.png").stat().st_size > 10_000
+    for name in ("timing", "pulse", "limits", "hands"):
+        assert (tmp_path / f"where_methods_fail_{name}.png").stat().st_size > 10_000
 
 
 def test_two_walls_prints_draws_and_writes_where_they_rattle(tmp_path: Path, run_script: Script) -> None:
     pytest.importorskip("matplotlib")
-    out = run_script("studies/two_walls.py", "--quick", str(tmp_path))
+    out = run_script("studies/two_walls.py", "--quick", "--out", str(tmp_path))
     rows = json.loads((tmp_path / "two_walls.json").read_text())["rows"]
     assert len(rows) == 9 and out.count("\npulse") == 3
     assert [max(row["share"]) for row in rows if row["delay"] == 0.0] == [0.0] * 3
@@ -98,13 +123,13 @@ def test_two_walls_prints_draws_and_writes_where_they_rattle(tmp_path: Path, run
 
 def test_figure_9_prints_how_far_resting_places_are_apart(tmp_path: Path, run_script: Script) -> None:
     pytest.importorskip("matplotlib")
-    out = run_script("figures/fig9_six_axes.py", "--quick", str(tmp_path))
+    out = run_script("figures/fig9_six_axes.py", "--quick", "--out", str(tmp_path))
     assert out.count("N/m") == 3 and out.count("6 of 6") == 3
     assert (tmp_path / "fig9_six_axes.png").stat().st_size > 10_000
 
 
 def test_better_walls_prints_and_writes_its_figures(tmp_path: Path, run_script: Script) -> None:
-    out = run_script("studies/better_walls.py", "--quick", str(tmp_path))
+    out = run_script("studies/better_walls.py", "--quick", "--out", str(tmp_path))
     data = json.loads((tmp_path / "better_walls.json").read_text())
     assert len(data["designs"]) == 2 and len(data["bounces"]) == 2 and len(data["hum"]) == 2
     assert "observer, poles at 0" in out

@@ -2,6 +2,7 @@
 
 import re
 from pathlib import Path
+from threading import Event
 from typing import Any
 
 import glfw
@@ -16,7 +17,7 @@ from maglev_mj.laws import Hold, Law, StickSlip, Wall
 from maglev_mj.loop import ControlLoop
 from maglev_mj.parameters import param
 from maglev_mj.plants import MuJoCoPlant, Timing
-from maglev_mj.recording import Recording, verify
+from maglev_mj.recording import ArrayFile, Recording, verify
 from maglev_mj.replay import rebuild
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene
 from maglev_mj.scenes.drop import Drop
@@ -38,7 +39,8 @@ from maglev_mj.session import (
 )
 from maglev_mj.spec import Spec
 from maglev_mj.theory import largest_stable_stiffness
-from maglev_mj.viewer.overlay import help_text, keys_of, status_text
+from maglev_mj.viewer.keys import help_rows, keys_of
+from maglev_mj.viewer.overlay import status_rows
 
 ROOT = Path(__file__).parents[1]
 FRAME = 1.0 / 60.0
@@ -304,10 +306,57 @@ def test_what_was_recorded_before_a_run_is_stopped_is_kept(tmp_path: Path) -> No
     after(session, 1.0)
     assert session.snapshot().state == "stopped"
     session.act("record")
+    session.close()
     recording = Recording.load(session.recordings[0])
     assert recording.ticks > 5
     assert verify(recording, rebuild).same
+
+
+def test_the_end_of_a_recording_never_holds_the_loop_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Three recordings within a second, each slow to close: no tick waits, none overwrites another, nothing is lost."""
+    gate = Event()
+
+    class Slow(ArrayFile):
+        def close(self) -> Path | None:
+            assert gate.wait(4.0)
+            return super().close()
+
+    monkeypatch.setattr("maglev_mj.session.tape.open_recording", lambda path: Slow(path.with_suffix(".npz")))
+    session = made(folder=tmp_path)
+    for ticks in (4, 8, 12):
+        session.act("record")
+        after(session, ticks * FRAME)
+        session.act("record")
+        after(session, FRAME)
+    assert session.recordings == [] and session.snapshot().notes == ["writing the recording"]
+    gate.set()
     session.close()
+    recorded = [Recording.load(path).ticks for path in session.recordings]
+    assert len({*session.recordings}) == 3 and sorted(recorded) == [
+        pytest.approx(n * FRAME * 200, abs=1) for n in (4, 8, 12)
+    ]
+
+
+def test_a_recording_that_cannot_be_written_is_tried_again_at_the_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tried: list[int] = []
+
+    class Full(ArrayFile):
+        def close(self) -> Path | None:
+            tried.append(1)
+            if len(tried) == 1:
+                raise OSError("no space left")
+            return super().close()
+
+    monkeypatch.setattr("maglev_mj.session.tape.open_recording", lambda path: Full(path.with_suffix(".npz")))
+    session = made(folder=tmp_path)
+    session.act("record")
+    after(session, 0.1)
+    session.act("record")
+    session.close()
+    (path,) = session.recordings
+    assert Recording.load(path).ticks > 5
 
 
 def test_a_recording_whose_folder_is_gone_goes_elsewhere(tmp_path: Path) -> None:
@@ -378,9 +427,9 @@ def shaft(tmp_path: Path) -> type[Scene]:
 
 
 def test_a_scene_of_ones_own_has_keys_on_its_parameters(shaft: type[Scene]) -> None:
-    words = dict(zip(*(column.splitlines() for column in help_text(shaft)), strict=True))
-    assert words["Up  Down"] == "stiffness" and words[".   ,"] == "width" and words["6"] == "rubber"
-    keys, session = keys_of(shaft), made(shaft())
+    session = made(shaft())
+    words, keys = dict(help_rows(session.actions)), keys_of(session.actions)
+    assert words["Up  Down"] == "stiffness" and words["Period .  Comma ,"] == "width" and words["6"] == "rubber"
     for key, name, value in (
         (glfw.KEY_PERIOD, "width", 0.0045),
         (glfw.KEY_DOWN, "stiffness", 3200.0),
@@ -394,8 +443,7 @@ def test_a_scene_of_ones_own_has_keys_on_its_parameters(shaft: type[Scene]) -> N
     assert session.snapshot().scene.as_json()["width"] == 0.009
     session.act("next scene")
     assert session.snapshot().scene.name == "joystick"
-    names, values = (column.splitlines() for column in status_text(made(shaft()).snapshot()))
-    assert dict(zip(names, values, strict=True))["gains"] == "width 0.004 m  4000 N/m"
+    assert dict(status_rows(made(shaft()).snapshot()))["gains"] == "width 0.004 m  4000 N/m"
 
 
 def test_a_scene_of_ones_own_runs_and_is_recorded(shaft: type[Scene], tmp_path: Path) -> None:

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj.display.banner import Note, banner
+from maglev_mj.display.banner import Banner, Note, banner
 from maglev_mj.errors import ParameterError
 from maglev_mj.hand import SpringHand
 from maglev_mj.parameters import param
@@ -156,9 +156,9 @@ def test_a_banner_says_what_is_the_matter_and_the_way_on() -> None:
     session = made(Drop())
     assert banner(session.snapshot()) is None
     session.act("pause")
-    assert banner(session.snapshot()) == ("PAUSED", "pause", False)
+    assert banner(session.snapshot()) == Banner("PAUSED", "pause", False)
     session.act("emergency stop")
-    assert banner(session.snapshot()) == ("STOPPED: emergency stop", "centre", True)
+    assert banner(session.snapshot()) == Banner("STOPPED: emergency stop", "centre", True)
 
 
 def test_a_machine_that_is_too_slow_has_a_banner() -> None:

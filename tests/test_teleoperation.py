@@ -267,7 +267,8 @@ def test_the_script_prints_its_tables_and_draws(tmp_path: Path) -> None:
     ended = called("--mode", "rate", "--out", str(tmp_path))
     assert ended.returncode == 0, ended.stderr
     assert "stylus" in ended.stdout and "made by sampling and delay" in ended.stdout
-    assert (tmp_path / "teleoperation_rate_200.png").stat().st_size > 50_000
+    for name in ("teleoperation_rate_200", "teleoperation_rate_200_energy"):
+        assert (tmp_path / f"{name}.png").stat().st_size > 50_000
     slave = image.imread(tmp_path / "teleoperation_rate_200_slave.png")
     assert slave[..., :3].std() > 0.1  # a gantry, not an empty sky
 

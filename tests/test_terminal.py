@@ -66,10 +66,11 @@ def test_tables_of_devices_and_models_fit_80_columns(tmp_path: Path) -> None:
 BOX = {"tick": 1, "lost": 0, "skipped": 0, "period_ns": 5_000_000}
 
 
-def test_a_number_keeps_its_unit_and_a_file_its_name() -> None:
-    text = "a wall of 6000 N/m " * 9 + "in " + "x" * 90
+@pytest.mark.parametrize("shift", range(12))
+def test_a_number_keeps_its_unit_and_a_file_its_name(shift: int) -> None:
+    text = "-" * shift + " a wall of 6000 N/m" * 9 + " in " + "x" * 90
     lines = wrapped(text, "  ", "    ")
-    assert " ".join(" ".join(lines).split()) == text
+    assert " ".join(" ".join(lines).split()) == text.strip()
     assert all(len(line) <= 80 for line in lines[:-1]) and lines[-1] == "    " + "x" * 90
     assert not any(re.search(r"\d$", line) for line in lines)
 
@@ -91,13 +92,14 @@ def test_the_package_runs_as_the_command_does() -> None:
 def test_help_fits_80_columns_and_ends_with_an_example(
     command: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.setenv("COLUMNS", "200")
     for scene in ("", *(BUILT_IN if command in SCENES_OF else ())):
         status, out, err = said(capsys, command, *scene.split(), "--help")
         assert (status, err) == (0, "")
         lines = out.splitlines()
         assert max(map(len, lines)) <= 80
         assert lines[-2:] == ["Example:", f"  maglev-mj {command} {COMMANDS[command].example}"]
+    assert out.index("\n  --") < out.index("\noptions:\n")  # the command's own come first
     (ungrouped,) = re.findall(r"(?ms)^options:\n(.*?)\n\n", out)
     assert re.findall(r"^  (-.*?)  ", ungrouped, re.MULTILINE) == ["-h, --help"]
 
@@ -165,6 +167,7 @@ OFFERED = {
     "maglev-mj stick-slip --law l": ["lugre"],
     "maglev-mj design --law d": ["disturbance-observer"],
     "maglev-mj drop --period ": [],
+    "maglev-mj view --seconds ": [],
     "maglev-mj replay ru": ["run.mcap"],
     "maglev-mj bridge udp://127.0.0.1:1 --scene bo": ["box"],
     "maglev-mj bridge udp://127.0.0.1:1 --scene none.py --vi": ["--view"],

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import glfw
 import mujoco
 import numpy as np
 import pytest
@@ -20,12 +21,17 @@ import pytest
 from live_client import LiveClient
 from maglev_mj.frames import AXES, Array
 from maglev_mj.hand import SpringHand
-from maglev_mj.model import model_path
 from maglev_mj.recording import Recording, RecordingError, verify
 from maglev_mj.replay import rebuild
+from maglev_mj.scenes import Scene
 from maglev_mj.scenes.joystick import CENTRING, Joystick
-from maglev_mj.viewer.overlay import help_text, keys_of
-from maglev_mj.viewer.scenery import GRIP
+from maglev_mj.session import EMERGENCY_STOP, device_actions
+from maglev_mj.session import Session as LiveSession
+from maglev_mj.viewer.framing import Framing
+from maglev_mj.viewer.keys import AXIS, CAMERA, KEYS, SCREENSHOT, help_rows, key_of, keys_of
+from maglev_mj.viewer.layout import Area
+from maglev_mj.viewer.scenery import GRIP, Scenery
+from maglev_mj.viewer.screen import Screen
 from tests.virtual_screen import MISSING, VirtualScreen, waited
 
 pytestmark = pytest.mark.xdist_group("realtime")
@@ -34,7 +40,7 @@ needs_screen = pytest.mark.skipif(bool(MISSING), reason=f"a window needs {', '.j
 
 SCREEN = 900, 600
 SAMPLE, RATE = "/maglev/sample", 200
-DRAG = 30
+DRAG = 16
 """Pixels."""
 
 PATIENCE = 60.0
@@ -203,7 +209,7 @@ def test_a_drag_moves_the_flotor_as_the_hands_stiffness_says(session: Session) -
     hand = np.concatenate([stretch.hand for stretch in recording.stretches])
     held = np.flatnonzero(np.abs(hand).max(axis=1) > 0.0)
     assert held.size > 100
-    drawn = camera_drag("joystick", DRAG, SCREEN[1] * 2 // 3)
+    drawn = camera_drag(Joystick(), DRAG, Area(0, 0, SCREEN[0] * 2 // 3, SCREEN[1] * 2 // 3))
     stiffness = SpringHand().stiffness
     expected = drawn * stiffness / (stiffness + CENTRING)
     settled = position[held[-20:], :3].mean(axis=0)
@@ -250,29 +256,43 @@ def test_a_screenshot_is_taken(session: Session) -> None:
     assert path.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
 
 
-def camera_drag(scene: str, pixels: int, height: int) -> Array:
-    """Return how far a drag to the right moves the grip [m], (3,), by the camera of a scene's file alone."""
-    model = mujoco.MjModel.from_xml_path(str(model_path(f"scenes/{scene}")))
-    azimuth, elevation = (math.radians(getattr(model.vis.global_, name)) for name in ("azimuth", "elevation"))
+def camera_drag(scene: Scene, pixels: int, view: Area) -> Array:
+    """Return how far a drag to the right moves the grip [m], (3,), by the camera of a window alone."""
+    session, framing, camera = LiveSession(scene), Framing(Scenery(scene).model), mujoco.MjvCamera()
+    framing.reset(camera)
+    framing.follow(camera, view, Screen().draw(session.snapshot(), view, 100).layout.handle)
+    session.close()
+    azimuth, elevation = math.radians(camera.azimuth), math.radians(camera.elevation)
     forward = np.array(
         [math.cos(elevation) * math.cos(azimuth), math.cos(elevation) * math.sin(azimuth), math.sin(elevation)]
     )
-    camera = model.stat.center - 1.5 * model.stat.extent * forward
-    depth = float((GRIP - camera) @ forward)
-    across = 2.0 * depth * math.tan(math.radians(0.5 * model.vis.global_.fovy))  # of the whole picture's height
+    depth = float((GRIP - camera.lookat) @ forward) + camera.distance
+    across = 2.0 * depth * math.tan(math.radians(0.5 * 45.0))  # of the whole picture's height
     right = np.cross(forward, [0.0, 0.0, 1.0])
-    return pixels / height * across * right / np.linalg.norm(right)
+    drawn: Array = pixels / view.height * across * right / np.linalg.norm(right)
+    return drawn
 
 
 def test_every_key_is_in_the_overlay_and_none_is_the_viewers_own() -> None:
-    keys = keys_of(Joystick)
-    assert len(help_text(Joystick)[0].splitlines()) == len(help_text(Joystick)[1].splitlines())
-    words = help_text(Joystick)[1]
-    for action in keys.values():
-        assert action.removesuffix(" up").removesuffix(" down") in words
+    actions = LiveSession(Joystick()).actions
+    keys, rows = keys_of(actions), help_rows(actions)
+    words = " ".join(words for _, words in rows)
+    for code, action in keys.items():
+        assert (action if code == glfw.KEY_ESCAPE else action.removesuffix(" up").removesuffix(" down")) in words
     letters, digits, function = set(range(65, 91)), set(range(48, 54)), set(range(290, 297))
-    others = {258, 259, 262, 263, 266, 45, 61, 91, 93}  # Tab Backspace right left PageUp - = [ ]
+    others = {258, 259, 266, 91, 93}  # Tab Backspace PageUp [ ]; right, left, - and = it passes on
     assert not set(keys) & (letters | digits | function | others)
+
+
+def test_there_are_keys_only_for_what_can_be_done() -> None:
+    """A replay or a device shows only what does something there."""
+    own = {AXIS, CAMERA, KEYS, SCREENSHOT}
+    for actions in (("pause", "step", "step back"), device_actions(Joystick), (EMERGENCY_STOP,), ()):
+        assert {*keys_of(actions).values()} == {*actions, *own} - {"damping"}
+        assert len(help_rows(actions, hand=False)) <= len(keys_of(actions))
+    words = " ".join(words for _, words in help_rows(device_actions(Joystick)))
+    assert "drop" not in words and "rate" not in words and "delay" not in words and "stiffness" in words
+    assert key_of("centre", ("centre",)) == "/" and key_of("centre", ()) == ""
 
 
 def test_without_a_display_one_line_says_what_to_use_instead() -> None:

@@ -21,10 +21,8 @@ from maglev_mj.display.remote import RemoteSession, RemoteViewer
 from maglev_mj.errors import MaglevError
 from maglev_mj.recording import Recording
 from maglev_mj.scenes.joystick import Joystick
-from maglev_mj.session import SampledMotion, Snapshot
-from maglev_mj.viewer.offscreen import arranged, label_place
-from maglev_mj.viewer.overlay import keys_of
-from maglev_mj.viewer.plots import StopLabel
+from maglev_mj.session import SampledMotion, Snapshot, device_actions
+from maglev_mj.viewer.keys import keys_of
 from maglev_mj.viewer.process import window
 from tests.virtual_screen import MISSING, VirtualScreen
 
@@ -215,19 +213,8 @@ def test_the_emergency_stops_key_reaches_who_runs_the_device() -> None:
     pressed: list[int] = []
     viewer.on_emergency = lambda: pressed.append(1)
     watched = RemoteSession(far, Snapshot(scene=Joystick()))
-    watched.act(keys_of(Joystick)[glfw.KEY_ESCAPE])
+    watched.act(keys_of(device_actions(Joystick))[glfw.KEY_ESCAPE])
     assert viewer.take() is None and pressed == [1]
-
-
-def test_the_label_says_the_key_and_then_the_way_on() -> None:
-    label, blank = StopLabel(), Snapshot(scene=Joystick())
-    assert label.update(blank).title == "ESC: EMERGENCY STOP"
-    assert label.update(replace(blank, state="flying")).title == "ESC: EMERGENCY STOP"
-    assert label.update(replace(blank, state="stopped")).title == "STOPPED: / starts again"
-    assert max(label.update(blank).figurergba[:3]) == label.update(blank).figurergba[0] > 0.7  # red
-    for width, height in ((1120, 700), (640, 480), (200, 150)):
-        place = label_place(width, height)
-        assert place.left >= 0 and place.left + place.width <= arranged(width, height)[0].left
 
 
 def _pull(screen: VirtualScreen, window: int) -> None:

@@ -26,16 +26,15 @@ from maglev_mj.scenes import Scene
 from maglev_mj.scenes.parts import WEIGHT
 from maglev_mj.session import (
     DEVICES_OWN,
-    EMERGENCY_STOP,
     STEP_FORCE,
     Publisher,
     Publishers,
     SampledMotion,
     Snapshot,
     Wish,
-    actions,
     begin_scene,
     check_step,
+    device_actions,
     device_controller,
 )
 from maglev_mj.spec import GRAVITY
@@ -239,6 +238,7 @@ class Flight:
         self._begun: Wish | None = Wish(scene)
         self._controller = device_controller(scene)
         self._step_force = number("step_force", step_force, above=0.0)
+        self._actions = device_actions(type(scene))
         self._inertia = [*[plant.calibration.mass] * 3, *plant.calibration.inertia]
         self._force: Sequence[float] = WEIGHT
         self._delays: deque[float] = deque(maxlen=_USUAL)
@@ -392,7 +392,7 @@ class Flight:
             history=self._motion.history.rows,
             work=self._motion.work,
             missed=samples.lost + samples.skipped,
-            actions=(*actions(type(self._scene)), EMERGENCY_STOP),
+            actions=self._actions,
             state="flying",
             notes=[self._note],
         )

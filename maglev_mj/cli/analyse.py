@@ -11,6 +11,7 @@ from maglev_mj.analysis import Analysed, analyse
 from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.options import add_outputs, count, number_option
 from maglev_mj.cli.output import check_outputs, write_json
+from maglev_mj.cli.pictures import chosen_pictures
 from maglev_mj.cli.progress import Progress
 from maglev_mj.cli.replay import add_own_scene, own_code
 from maglev_mj.errors import ParameterError
@@ -55,11 +56,10 @@ def add_options(parser: Parser) -> None:
 
 
 def _analyse(options: argparse.Namespace) -> int:
-    check_outputs(json=options.json, out=options.out)
+    check_outputs(json=options.json)
     if options.axis is not None:
         axis_indices(options.axis)
-    if options.out is not None:
-        plots.require()
+    pictures = chosen_pictures(options)
     with Progress("analyse") as progress:
         recording = Recording.load(options.file)
         stretches = recording.stretches
@@ -78,10 +78,9 @@ def _analyse(options: argparse.Namespace) -> int:
         about = {"file": str(options.file), "damage": recording.damage, "events": list(recording.events)}
         write_json(options.json, {**about, "stretches": data})
     drawn = []
-    if options.out is not None:
-        options.out.mkdir(parents=True, exist_ok=True)
+    if pictures is not None:
         for (place, one), axis in zip(found, axes, strict=True):
-            drawn += _draw(one, axis, options.out, f"stretch_{place}_" if several else "analysis_")
+            drawn += _draw(one, axis, pictures, f"stretch_{place}_" if several else "analysis_")
     if options.json != "-":
         print("\n\n".join(analysis_table(one, place, len(stretches)) for place, one in found))
         damage = [f"{options.file}: {recording.damage}"] if recording.damage else []
@@ -119,15 +118,15 @@ def _found(stretch: Stretch, options: argparse.Namespace, own: OwnCode | None) -
     return analyse(stretch, again, anchors=anchors, scene=own.scene if own else None, **part)
 
 
-def _draw(analysed: Analysed, axis: int, folder: Path, stem: str) -> list[str]:
+def _draw(analysed: Analysed, axis: int, pictures: plots.PictureFolder, stem: str) -> list[str]:
     """Draw what there is to draw of a stretch; return what was written, and what there is not."""
-    wrote = [f"wrote {plots.whole_run(analysed, axis, folder / f'{stem}run.png')}"]
+    wrote = [f"wrote {plots.whole_run(analysed, axis, pictures.path(f'{stem}run'))}"]
     if any(face.axis == axis for face in analysed.recorded.figures.faces):
-        wrote.insert(0, f"wrote {plots.first_contact(analysed, axis, folder / f'{stem}contact.png')}")
+        wrote.insert(0, f"wrote {plots.first_contact(analysed, axis, pictures.path(f'{stem}contact'))}")
     else:
         wrote.append(f"no wall was touched on {AXES[axis]}: no picture of a contact")
     if analysed.recorded.anchors is not None:
-        wrote.append(f"wrote {plots.sticks(analysed.recorded, folder / f'{stem}sticks.png')}")
+        wrote.append(f"wrote {plots.sticks(analysed.recorded, pictures.path(f'{stem}sticks'))}")
     else:
         wrote.append("there is no friction: no picture of where it sticks")
     return wrote

@@ -31,7 +31,7 @@ from maglev_mj.net.udp import open_link
 from maglev_mj.parameters import number
 from maglev_mj.recording import RecordingFile, open_recording, tee
 from maglev_mj.scenes import Scene
-from maglev_mj.session import DEVICES_OWN, Publisher, Snapshot
+from maglev_mj.session import DEVICES_OWN, Publisher, Snapshot, device_actions
 from maglev_mj.tables import flown_table, latched_table, timing_table
 from maglev_mj.terminal import say, wrapped
 
@@ -65,6 +65,7 @@ def add_options(parser: Parser) -> None:
     run.add_argument("--view", action="store_true", help="a window on the device; its hand is at the device")
     add_web(parser)
     add_bridge(parser)
+    add_web(parser)
     limits = parser.group("limits of the host; the smaller of these and the device's counts")
     add_parameters(limits, HostLimits)
     limits.add_argument(
@@ -144,7 +145,8 @@ def _fly(
         last.enter_context(stopping(switch.land, switch.cut, within=LANDING_TIME))
         viewer = None
         if front is not None:
-            viewer = RemoteViewer(Snapshot(scene=scene), front, watch=options.web)
+            blank = Snapshot(scene=scene, actions=device_actions(type(scene)))
+            viewer = RemoteViewer(blank, front, watch=options.web)
             last.callback(viewer.close)
             publishers = [*publishers, viewer]
         file = None if options.record is None else open_recording(options.record)

@@ -10,6 +10,7 @@ from maglev_mj import plots
 from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.options import add_outputs, add_parameters, chosen, range_of
 from maglev_mj.cli.output import check_outputs, write_results
+from maglev_mj.cli.pictures import chosen_pictures
 from maglev_mj.cli.progress import Progress
 from maglev_mj.cli.scenes import add_scene
 from maglev_mj.errors import ParameterError
@@ -70,13 +71,12 @@ def _design(options: argparse.Namespace) -> int:
     hands = _hands(options.hand or ["none"], options.held)
     requirements = chosen(options, _required(options.scene_class), hands=hands, **ranges)
     contact = chosen(options, Contact)
-    if options.out is not None:
-        plots.require()
+    if chosen_pictures(options) is not None:
         if all(low == high for low, high in (requirements.mass, requirements.delay)):
             raise ParameterError("mass or delay must be a range for a picture, not one value each")
     if contact.pulse and options.law != "pd":
         raise ParameterError(f"pulse must be left out for the {options.law}: it gives none")
-    check_outputs(json=options.json, out=options.out)
+    check_outputs(json=options.json)
     with Progress("design"):
         wall = design_wall(requirements, options.law, goal=options.goal)
         reference = None
@@ -88,7 +88,7 @@ def _design(options: argparse.Namespace) -> int:
         options,
         result.as_json,
         lambda: design_table(result),
-        lambda folder: [plots.design_map(result, folder / "design.png")],
+        lambda pictures: [plots.design_map(result, pictures.path("design"))],
     )
     return int(result.grows.any())
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from maglev_mj import plots
 from maglev_mj.bridge.fault import load_black_box
 from maglev_mj.cli.arguments import Parser
-from maglev_mj.cli.output import check_outputs
+from maglev_mj.cli.pictures import add_pictures, chosen_pictures
 from maglev_mj.tables import fault_table
 
 __all__ = ["add_options"]
@@ -20,17 +20,14 @@ def add_options(parser: Parser) -> None:
     parser.add_argument("file", metavar="FILE", type=Path, help="maglev-fault-DATE.json, which a flight has left")
     output = parser.group("output")
     output.add_argument("--all", action="store_true", help="show all 200 cycles, not the last 20")
-    output.add_argument("--out", metavar="DIR", type=Path, help="write a picture to this folder")
+    add_pictures(parser, "write a picture to this folder")
     parser.set_defaults(run=_fault)
 
 
 def _fault(options: argparse.Namespace) -> int:
-    check_outputs(out=options.out)
-    if options.out is not None:
-        plots.require()
+    pictures = chosen_pictures(options)
     record = load_black_box(options.file)
     print(fault_table(record, whole=options.all))
-    if options.out is not None:
-        options.out.mkdir(parents=True, exist_ok=True)
-        print(f"  wrote {plots.last_cycles(record, options.out / f'{options.file.stem}.png')}")
+    if pictures is not None:
+        print(f"  wrote {plots.last_cycles(record, pictures.path(options.file.stem))}")
     return 0

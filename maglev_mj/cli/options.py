@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from maglev_mj.cli.arguments import Container, Parser, offer
+from maglev_mj.cli.pictures import add_pictures
 from maglev_mj.errors import ParameterError
 from maglev_mj.net.authentication import LEAST_KEY, MOST_KEY
 from maglev_mj.parameters import Parameter, Parameters
@@ -122,7 +123,7 @@ def add_outputs(
     json: str = "parameters, motion and figures",
     out: str = "write pictures to this folder",
 ) -> None:
-    """Add --json and --out.
+    """Add --json, --out and --format.
 
     Args:
         parser: Of the command.
@@ -130,7 +131,7 @@ def add_outputs(
         out: Help of --out.
     """
     add_json(parser, json)
-    parser.group("output").add_argument("--out", metavar="DIR", type=Path, help=out)
+    add_pictures(parser, out)
 
 
 def add_recording(parser: Parser) -> None:

@@ -11,7 +11,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from maglev_mj.cli.pictures import check_folder, chosen_pictures
 from maglev_mj.errors import DivergenceError, ParameterError
+from maglev_mj.plots import PictureFolder
 from maglev_mj.recording import check_name
 from maglev_mj.studies.cells import Record, StudyInterrupted
 from maglev_mj.versions import differences, versions
@@ -68,7 +70,7 @@ def check_outputs(*, json: str | None = None, record: Path | None = None, out: P
     Args:
         json: File for JSON, or "-".
         record: File for cells.
-        out: Folder for pictures.
+        out: Folder for other files.
 
     Raises:
         ParameterError: If a file is a folder, is in no folder, may not be written, or is meant for two things.
@@ -79,8 +81,8 @@ def check_outputs(*, json: str | None = None, record: Path | None = None, out: P
             check_file(name, path)
     if record is not None and files["json"] is not None and record.resolve() == files["json"].resolve():
         raise ParameterError(f"json and record must be two files, not {str(record)!r} for both")
-    if out is not None and out.exists() and not out.is_dir():
-        raise ParameterError(f"out must be a folder, not {str(out)!r}")
+    if out is not None:
+        check_folder(out)
 
 
 @contextmanager
@@ -125,7 +127,7 @@ def write_results(
     options: argparse.Namespace,
     data: Callable[[], Mapping[str, Any]],
     text: Callable[[], str],
-    draw: Callable[[Path], Sequence[Path]] = lambda folder: (),
+    draw: Callable[[PictureFolder], Sequence[Path]] = lambda pictures: (),
     written: Sequence[Path] = (),
 ) -> None:
     """Write JSON and pictures where they are asked for, and print the text unless standard output has the JSON.
@@ -140,9 +142,8 @@ def write_results(
     if options.json is not None:
         write_json(options.json, data())
     files = list(written)
-    if getattr(options, "out", None) is not None:
-        options.out.mkdir(parents=True, exist_ok=True)
-        files += draw(options.out)
+    if (pictures := chosen_pictures(options)) is not None:
+        files += draw(pictures)
     if options.json != "-":
         print(text())
         for path in files:

@@ -12,6 +12,7 @@ from maglev_mj import plots
 from maglev_mj.cli.arguments import Parser, offer
 from maglev_mj.cli.options import add_outputs, add_parameters, add_recording, count, number_option
 from maglev_mj.cli.output import check_outputs, check_recording, keep_partial, write_results
+from maglev_mj.cli.pictures import chosen_pictures
 from maglev_mj.cli.progress import Progress
 from maglev_mj.cli.scenes import add_scene, chosen_scene, warn_of_instability
 from maglev_mj.errors import DivergenceError
@@ -60,15 +61,14 @@ def _add_plant(parser: Parser, cls: type[Scene]) -> None:
 def _run(options: argparse.Namespace) -> int:
     scene = chosen_scene(options)
     check_recording(options.record)
-    if options.out is not None:
-        plots.require()
-    check_outputs(json=options.json, out=options.out)
+    pictures = chosen_pictures(options)
+    check_outputs(json=options.json)
     warn_of_instability(scene)
     recorded = []
     if options.record is not None:
         with Progress("recording"):
             recorded = write_run(options.record, scene, plant=options.plant, phase=options.phase)
-    alone = options.json == "-" and options.out is None
+    alone = options.json == "-" and pictures is None
     variants = dict(list(scene.variants().items())[: 1 if alone else None])
     try:
         results, sweeps = _results(scene, variants, options)
@@ -81,8 +81,8 @@ def _run(options: argparse.Namespace) -> int:
         options,
         lambda: first.as_json() | swept,
         lambda: run_table(results, sweeps, _gap(first)),
-        lambda folder: [
-            draw(results, sweeps, folder / name) for name, draw in plots.pictures_of(scene, sweeps).items()
+        lambda pictures: [
+            draw(results, sweeps, pictures.path(name)) for name, draw in plots.pictures_of(scene, sweeps).items()
         ],
         recorded,
     )

@@ -9,6 +9,7 @@ from maglev_mj import plots
 from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.options import add_json, add_parameters, add_workers, chosen, chosen_workers, range_of
 from maglev_mj.cli.output import cells_kept, check_outputs, tell_of_others, write_results
+from maglev_mj.cli.pictures import add_pictures, chosen_pictures
 from maglev_mj.cli.progress import Progress
 from maglev_mj.cli.scenes import add_scene
 from maglev_mj.errors import ParameterError
@@ -42,7 +43,7 @@ def _add_map(parser: Parser) -> None:
         told = f"{one.help} [{one.unit}]: LOW HIGH, LOW:HIGH, or one value (default: what shows the stable region)"
         group.add_argument(f"--{name}", nargs="+", metavar="X", help=told)
     add_parameters(group, StabilityParameters)
-    parser.group("output").add_argument("--out", metavar="DIR", type=Path, help="write the picture to this folder")
+    add_pictures(parser, "write the picture to this folder")
     add_workers(parser, "cells done are kept here and not done again")
 
 
@@ -64,12 +65,11 @@ def _map(options: argparse.Namespace) -> int:
     """Print where walls are stable."""
     ranges = {name: range_of(name, getattr(options, name)) for name in _RANGES}
     parameters = chosen(options, StabilityParameters, **ranges)
-    if options.out is not None:
-        plots.require()
+    if chosen_pictures(options) is not None:
         for name in ("damping", "stiffness"):
             if (limits := getattr(parameters, name)) is not None and limits[0] == limits[1]:
                 raise ParameterError(f"{name} must be a range for a picture, not {limits[0]:g} alone")
-    check_outputs(json=options.json, record=options.record, out=options.out)
+    check_outputs(json=options.json, record=options.record)
     workers = chosen_workers(options, default=0)
     with cells_kept(options.record, _FALLBACK), Progress("stability") as progress:
         result = run_stability(parameters, record=Record(options.record), workers=workers, progress=progress)
@@ -78,6 +78,6 @@ def _map(options: argparse.Namespace) -> int:
         options,
         result.as_json,
         lambda: stability_table(result),
-        lambda folder: [plots.stability_map(result, folder / "stability.png")],
+        lambda pictures: [plots.stability_map(result, pictures.path("stability"))],
     )
     return 0

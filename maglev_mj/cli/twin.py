@@ -111,7 +111,9 @@ def _twin(options: argparse.Namespace) -> int:
         if front is not None:
             # what it renders is for whoever flies it to say
             off = {one.name: False for one in look.parameters() if one.kind is bool and one.live}
-            blank = Snapshot(scene=look(**off, period=parameters.period, delay=parameters.delay))
+            blank = Snapshot(
+                scene=look(**off, period=parameters.period, delay=parameters.delay), actions=(EMERGENCY_STOP,)
+            )
             viewer = RemoteViewer(blank, front)
             last.callback(viewer.close)
         if (live := chosen_foxglove(options)) is not None:
@@ -205,12 +207,13 @@ def _shown(viewer: RemoteViewer, blank: Snapshot, server: TwinServer) -> Callabl
                 pose=pose,
                 force=force,
                 hand=np.array(plant.hand_wrench),
+                stops=plant.stop_wrench,
                 currents=currents,
                 history=motion.history.rows,
                 work=motion.work,
-                actions=(EMERGENCY_STOP,),
                 state="stopped" if twin.firmware.state == State.FAULT else "running",
-                remedy="bridge ADDRESS --reset",
+                reason=fault_names(twin.firmware.faults) if twin.firmware.faults else "",
+                remedy="maglev-mj bridge ADDRESS --reset goes on",
                 notes=[f"a device, {twin.firmware.state.name.lower()}{_faults(twin)}"],
             )
         )

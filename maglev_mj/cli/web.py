@@ -8,26 +8,21 @@ import re
 import sys
 import threading
 import webbrowser
-from importlib.util import find_spec
 from pathlib import Path
 
 from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.options import count
 from maglev_mj.display.remote import Front
-from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.errors import ParameterError, require
 from maglev_mj.net.addresses import is_loopback, listen
 
-__all__ = ["PORT", "PageMissingError", "add_web", "chosen_front", "chosen_page"]
+__all__ = ["PORT", "add_web", "chosen_front", "chosen_page"]
 
 PORT = 8123
 """Where a browser finds the page by default."""
 
 _TOKEN = re.compile(r"[\w-]{16,}", re.ASCII)
 _OWN = "port", "no_open", "host", "token"
-
-
-class PageMissingError(MaglevError):
-    """viser is not installed."""
 
 
 def add_web(parser: Parser) -> None:
@@ -74,7 +69,7 @@ def chosen_page(options: argparse.Namespace, *, drag: bool = True, settings: boo
 
     Raises:
         ParameterError: If an option is wrong, or does not go with another.
-        PageMissingError: If viser is not installed.
+        MissingPackageError: If viser is not installed.
         ListenError: If the port is taken, or the host is not of this machine.
     """
     if not options.web:
@@ -86,8 +81,7 @@ def chosen_page(options: argparse.Namespace, *, drag: bool = True, settings: boo
         raise ParameterError(f"token must be given for a host that is not this machine, {host!r}: see --token")
     if options.token is not None and not _TOKEN.fullmatch(options.token):
         raise ParameterError("token must be 16 or more letters, digits, - and _")
-    if find_spec("viser") is None:
-        raise PageMissingError("a page needs viser: pip install 'maglev-mj[web]'")
+    require(("viser",), "web", "a page needs viser")
     # imported here: it takes a fifth of a second
     from maglev_mj.web.guard import Door
     from maglev_mj.web.page import page

@@ -20,22 +20,30 @@ class Banner(NamedTuple):
         text: What is the matter.
         way_on: Action that goes on; empty where there is none.
         bad: Whether something is wrong, and not only asked for.
+        remedy: Way on where it is no action; empty otherwise.
     """
 
     text: str
     way_on: str
     bad: bool
+    remedy: str = ""
 
 
 def banner(snapshot: Snapshot) -> Banner | None:
     """Return the banner of a snapshot; None where all goes on."""
     if snapshot.state == "stopped":
-        return Banner(f"STOPPED: {snapshot.reason}", "centre", True)
+        return Banner(f"STOPPED: {snapshot.reason}", _known("centre", snapshot), True, snapshot.remedy)
     if snapshot.state == "paused":
-        return Banner("PAUSED", "pause", False)
+        return Banner("PAUSED", _known("pause", snapshot), False)
     if snapshot.late:
-        return Banner("TOO SLOW: this machine cannot keep up, simulated time slows down", "slower", True)
+        text = "TOO SLOW: this machine cannot keep up, simulated time slows down"
+        return Banner(text, _known("slower", snapshot), True)
     return None
+
+
+def _known(action: str, snapshot: Snapshot) -> str:
+    """Return an action if it does something, empty if it does not."""
+    return action if action in snapshot.actions else ""
 
 
 class Note:

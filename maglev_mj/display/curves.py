@@ -6,11 +6,14 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from maglev_mj.frames import AXES, Array
 from maglev_mj.session import SHOWN, Snapshot
 
-__all__ = ["SHOWN", "Curves", "curves", "round_up"]
+__all__ = ["SHOWN", "Curves", "SteadyRange", "curves", "fitted_range", "round_up"]
+
+_ROUNDING = 1e-6
 
 
 class Curves(NamedTuple):
@@ -63,6 +66,64 @@ def curves(snapshot: Snapshot, axis: int, most: int) -> Curves:
         hand=rows[:, 19 + axis],
         edges=[edge * 1e3 for index, _, edge in snapshot.faces if index == axis],
     )
+
+
+class SteadyRange:
+    """Range of a plot's axis that fits its data and does not jitter; a function that keeps the last.
+
+    Args:
+        least: Smallest span, in the data's unit.
+    """
+
+    def __init__(self, least: float) -> None:
+        self._least = least
+        self._last: tuple[float, float] | None = None
+
+    def __call__(self, *values: ArrayLike) -> tuple[float, float]:
+        """Return a range that holds all values; narrower than the last only where that is twice as wide."""
+        found = fitted_range(np.concatenate([np.ravel(some) for some in values]), self._least)
+        last = self._last
+        if last is None or found[0] < last[0] or found[1] > last[1] or found[1] - found[0] <= 0.5 * (last[1] - last[0]):
+            self._last = found
+        assert self._last is not None
+        return self._last
+
+
+class Ranges:
+    """Ranges of the plots of one axis.
+
+    Args:
+        axis: Index into AXES.
+
+    Attributes:
+        place: Of the position [mm, mrad].
+        speed: Of the speed [mm/s, mrad/s].
+        force: Of the force [N, N m].
+    """
+
+    def __init__(self, axis: int) -> None:
+        self.axis = axis
+        self.place, self.speed = SteadyRange(2.0), SteadyRange(20.0)
+        self.force = SteadyRange(0.02 if axis > 2 else 2.0)
+
+
+def fitted_range(values: Array, least: float) -> tuple[float, float]:
+    """Return a range between whole multiples of the power of ten below its span.
+
+    Args:
+        values: Values that it holds; any number.
+        least: Smallest span.
+    """
+    kept = values[np.isfinite(values)]
+    low, high = (float(kept.min()), float(kept.max())) if kept.size else (0.0, 0.0)
+    if (lack := least - (high - low)) > 0.0:
+        low, high = low - 0.5 * lack, high + 0.5 * lack
+    step = 10.0 ** np.floor(np.log10(high - low) + _ROUNDING)
+    while True:
+        bottom, top = (float(np.floor(low / step + _ROUNDING)), float(np.ceil(high / step - _ROUNDING)))
+        if top - bottom < 10.0:
+            return bottom * step, top * step
+        step *= 10.0  # both ends rounded away beyond the next power
 
 
 def round_up(value: float) -> float:

@@ -1,33 +1,96 @@
-"""Stability of what is shown, found beside the loop: a boundary and the gains' place in it, or a verdict in words."""
+"""Stability of what is shown, found beside the loop: the gains that act together under their boundary, or words."""
 
 from __future__ import annotations
 
 import threading
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
 from maglev_mj.errors import MaglevError, ParameterError
-from maglev_mj.frames import Array
+from maglev_mj.frames import AXES, Array
 from maglev_mj.scenes import Scene
-from maglev_mj.theory import inertia_of, largest_stable_stiffness, stability, stated_gains
+from maglev_mj.theory import Verdict, inertia_of, largest_stable_stiffness, stability, stated_gains
 
-__all__ = ["StabilityMap"]
+__all__ = ["Margin", "StabilityMap", "margin"]
 
 _DAMPINGS = 32
-_NO_BOUNDARY = np.zeros(0), np.zeros(0)
+_NOTHING = np.zeros(0)
+
+
+class Margin(NamedTuple):
+    """Place of a scene's gains under the stability boundary.
+
+    Attributes:
+        words: Verdict, such as "stable: 59 % of the boundary".
+        stable: None where that is not known.
+        axis: Name of the axis that is nearest to its boundary; empty where the laws do not state their gains.
+        stiffness: Of all that acts together there [N/m, N m/rad].
+        damping: Likewise [N s/m, N m s/rad].
+        dampings: Of the axis' boundary, increasing, (N,).
+        stiffnesses: Largest stable stiffness at each, (N,).
+    """
+
+    words: str
+    stable: bool | None = None
+    axis: str = ""
+    stiffness: float = 0.0
+    damping: float = 0.0
+    dampings: Array = _NOTHING
+    stiffnesses: Array = _NOTHING
+
+
+def margin(scene: Scene) -> Margin:
+    """Return the place of a scene's gains under the stability boundary.
+
+    The loop is that of a flotor that nobody holds: of all axes and combinations of laws the one nearest its boundary.
+    """
+    try:
+        gains = stated_gains(scene.controller())
+        verdict = stability(scene)
+        if gains is None:
+            return Margin(str(verdict), verdict.stable)
+        return _placed(scene, verdict, list(gains.values()))
+    except MaglevError:
+        return Margin("stability not known")
+
+
+def _placed(scene: Scene, verdict: Verdict, gains: list[tuple[Array, Array]]) -> Margin:
+    stiffness, damping = (np.array(both) for both in zip(*gains, strict=True))
+    body, shares = inertia_of(scene), np.zeros_like(stiffness)
+    if stiffness.any():
+        most = largest_stable_stiffness(damping, period=scene.period, delay=scene.delay, mass=body)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            shares = np.where(stiffness > 0.0, stiffness / most, 0.0)
+        place = divmod(int(shares.argmax()), len(AXES))
+    else:  # the most damped combination, on the axis that is looked at
+        place = int(damping[:, scene.axis_index].argmax()), scene.axis_index
+    share, index = float(shares[place]), place[1]
+    own = float(stiffness[place]), float(damping[place])
+    if not verdict.stable:
+        index = AXES.index(verdict.axes[0])
+        own = float(verdict.stiffness[index, index]), float(verdict.damping[index, index])
+        words = f"UNSTABLE on {AXES[index]}"
+        if 1.0 <= share < np.inf:
+            words += f": {100.0 * share:.0f} % of the boundary"
+    elif own[0]:
+        words = f"stable: {100.0 * share:.0f} % of the boundary"
+    else:
+        words = "stable: no stiffness"
+    return Margin(words, verdict.stable, AXES[index], *own, *_boundary(scene.period, scene.delay, float(body[index])))
 
 
 class StabilityMap:
-    """Stability of the newest parameters, found beside the session: a boundary, or a verdict in words."""
+    """Margin of the newest parameters, found beside the session."""
 
     def __init__(self) -> None:
         self._key: Scene | None = None
-        self._found: tuple[Array, Array] | str = _NO_BOUNDARY
+        self._found = Margin("")
         self._busy: threading.Thread | None = None
 
-    def of(self, scene: Scene) -> tuple[Array, Array] | str:
-        """Return dampings [N s/m] and stiffnesses [N/m], or the verdict; the last one until a scene's own is known."""
+    def of(self, scene: Scene) -> Margin:
+        """Return the margin of a scene; the last one until its own is known."""
         if scene != self._key and (self._busy is None or not self._busy.is_alive()):
             self._busy = threading.Thread(target=self._find, args=(scene,), daemon=True)
             self._busy.start()
@@ -39,19 +102,13 @@ class StabilityMap:
             self._find(scene)
 
     def _find(self, scene: Scene) -> None:
-        try:
-            if stated_gains(scene.controller()) is None:
-                self._found = str(stability(scene))
-            else:
-                self._found = _boundary(scene.period, scene.delay, float(inertia_of(scene)[0]))
-        except MaglevError:
-            self._found = "stability not known"
+        self._found = margin(scene)
         self._key = scene
 
 
 @lru_cache
 def _boundary(period: float, delay: float, mass: float) -> tuple[Array, Array]:
-    """Return dampings [N s/m] and the largest stable stiffness at each [N/m]."""
+    """Return dampings and the largest stable stiffness at each, of an axis with so much mass or inertia."""
     # no damping beyond this is stable, whatever the stiffness
     most = 0.5 * np.pi * mass / (0.5 * period + delay) * 1.1
     dampings = np.linspace(0.0, most, _DAMPINGS)

@@ -70,17 +70,16 @@ def gamepad_names() -> list[str]:
         process.close()
 
 
-def gamepad_shares(axes: Sequence[float], turn_left: bool, turn_right: bool) -> tuple[float, ...]:
+def gamepad_shares(axes: Sequence[float], turn: float) -> tuple[float, ...]:
     """Return the six deflections of a gamepad.
 
     Args:
         axes: Left stick x, y, right stick x, y, left and right trigger; up is negative, a trigger at rest is -1.
-        turn_left: Whether the left bumper is pressed.
-        turn_right: Whether the right bumper is.
+        turn: 1 for the left bumper, -1 for the right one.
     """
     x, y, tilt_x, tilt_y, left, right = axes
     # turned about x, a handle leans towards the person: the stick pulled back
-    return x, -y, 0.5 * (right - left), tilt_y, tilt_x, float(turn_left) - float(turn_right)
+    return x, -y, 0.5 * (right - left), tilt_y, tilt_x, turn
 
 
 def watch(line: Connection, wanted: str) -> None:
@@ -151,7 +150,7 @@ class _Pads:
             return None
         buttons = [bool(down) for down in state.buttons]
         left, right = buttons[glfw.GAMEPAD_BUTTON_LEFT_BUMPER], buttons[glfw.GAMEPAD_BUTTON_RIGHT_BUMPER]
-        return gamepad_shares(state.axes, left, right), tuple(buttons[: len(BUTTONS)])
+        return gamepad_shares(state.axes, float(left) - float(right)), tuple(buttons[: len(BUTTONS)])
 
     def _joystick(self, number: int) -> State:
         """Return the first six axes of a joystick, from where each was first: a throttle rests at its end."""

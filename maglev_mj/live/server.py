@@ -5,11 +5,10 @@ from __future__ import annotations
 import os
 import time
 from collections import deque
-from importlib.util import find_spec
 from typing import Any
 
 from maglev_mj.controller import Controller
-from maglev_mj.errors import MaglevError
+from maglev_mj.errors import MaglevError, require
 from maglev_mj.live.settings import NICE, Answer, State
 from maglev_mj.loop import Record
 from maglev_mj.net.addresses import ListenError, check_port, listen
@@ -50,14 +49,14 @@ class LiveServer:
 
     Raises:
         ParameterError: If the port is none.
-        LiveServerError: If it is taken, the package is not installed, or the process does not start, as from a script
-            without `if __name__ == "__main__":`.
+        MissingPackageError: If the package is not installed.
+        LiveServerError: If the port is taken, or the process does not start, as from a script without
+            `if __name__ == "__main__":`.
     """
 
     def __init__(self, port: int = PORT) -> None:
         check_port(port)
-        if find_spec("foxglove") is None:
-            raise LiveServerError("a live server needs foxglove-sdk: pip install 'maglev-mj[record]'")
+        require(("foxglove",), "record", "a live server needs foxglove-sdk")
         if not hasattr(os, "fork"):
             raise LiveServerError("a live server needs a POSIX system")
         try:

@@ -10,20 +10,16 @@ import time
 from collections import deque
 from contextlib import suppress
 
-from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.errors import ParameterError, require
 from maglev_mj.net.udp import Address, LinkError, readable
 
-__all__ = ["LONGEST", "Deframer", "PtyServer", "SerialLink", "SerialMissingError", "cobs_decode", "cobs_encode"]
+__all__ = ["LONGEST", "Deframer", "PtyServer", "SerialLink", "cobs_decode", "cobs_encode"]
 
 LONGEST = 4096
 """Bytes without a zero after which they are no frame."""
 
 _FLOOD = 1e-3  # [s] of reading what is no frame beyond the time that a caller would wait
 _CODES = [bytes([length + 1]) for length in range(255)]
-
-
-class SerialMissingError(MaglevError):
-    """pyserial is not installed."""
 
 
 def cobs_encode(data: bytes) -> bytes:
@@ -142,16 +138,15 @@ class SerialLink(_Line):
         baud: Rate [1/s], above 0.
 
     Raises:
-        SerialMissingError: If pyserial is not installed.
+        MissingPackageError: If pyserial is not installed.
         ParameterError: If the line does not have that rate.
         LinkError: If it cannot be opened.
     """
 
     def __init__(self, path: str, baud: int) -> None:
-        try:
-            from serial import Serial
-        except ImportError:
-            raise SerialMissingError("a serial line needs pyserial: pip install 'maglev-mj[serial]'") from None
+        require(("serial",), "serial", "a serial line needs pyserial")
+        from serial import Serial
+
         try:
             self._port = Serial(path, baud, timeout=0, exclusive=True)
         except ValueError:

@@ -200,7 +200,7 @@ def open_link(url: str, key: bytes | None = None) -> Link:
     Raises:
         ParameterError: If the address is none, or is another machine's and there is no key.
         LinkError: If it cannot be opened.
-        SerialMissingError: If a serial line is asked for and pyserial is not installed.
+        MissingPackageError: If a serial line is asked for and pyserial is not installed.
     """
     scheme, place, number = parse_url(url)
     if scheme == "udp":

@@ -1,15 +1,17 @@
 """Pictures of results; the only room that needs matplotlib (the extra `charts`)."""
 
-from maglev_mj.plots.drawing import ChartsMissingError, Panel, require, small_multiples
+from maglev_mj.plots.drawing import FORMATS, ChartsMissingError, Panel, PictureFolder, require, small_multiples
 from maglev_mj.plots.fault import last_cycles
 from maglev_mj.plots.paper import figure_6, phase_plane, stick_slip, time_series
-from maglev_mj.plots.recorded import first_contact, sticks, whole_run
+from maglev_mj.plots.recorded import first_contact, staircases, sticks, whole_run
 from maglev_mj.plots.results import pictures_of
 from maglev_mj.plots.stability import design_map, stability_map
 
 __all__ = [
+    "FORMATS",
     "ChartsMissingError",
     "Panel",
+    "PictureFolder",
     "design_map",
     "figure_6",
     "first_contact",
@@ -19,6 +21,7 @@ __all__ = [
     "require",
     "small_multiples",
     "stability_map",
+    "staircases",
     "stick_slip",
     "sticks",
     "time_series",

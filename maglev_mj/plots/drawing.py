@@ -1,38 +1,89 @@
-"""What pictures share: colours, a figure with quiet axes, panels of curves, and writing to a file."""
+"""Parts of every chart: a figure with quiet axes, legends beside the data, panels of curves, files."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from maglev_mj.errors import MaglevError
+from maglev_mj.colours import GRID, REFERENCE, SERIES, WALL
+from maglev_mj.errors import MaglevError, ParameterError, not_one_of
 from maglev_mj.parameters import flag
 
 __all__ = [
+    "BESIDE",
     "FIRST",
-    "GRID",
-    "IDEAL",
-    "MANY",
+    "FORMATS",
     "SECOND",
-    "WALL",
+    "SHADE",
+    "TITLE",
+    "WIDTH",
     "ChartsMissingError",
     "Panel",
+    "PictureFolder",
+    "legend_height",
+    "name_curves",
     "new_figure",
     "require",
     "save",
     "small_multiples",
 ]
 
-FIRST, SECOND, IDEAL, GRID, WALL = "#0b6e99", "#d1495b", "#5a5f66", "#e3e5e8", "#f1efe9"
-MANY = (FIRST, SECOND, "#7a8b3c", "#8d6cab", "#e3973b", "#4f5a65", "#3aa6a0")
+FIRST, SECOND = SERIES[:2]
+SHADE: dict[str, Any] = {"color": WALL, "alpha": 0.15, "linewidth": 0.0, "zorder": 0}
+"""Style of an area, such as that behind a wall's edge."""
+
+BESIDE: dict[str, Any] = {"loc": "center left", "bbox_to_anchor": (1.0, 0.5), "frameon": False, "fontsize": 9.0}
+"""Style of a legend at the right of its panel."""
+
+TITLE: dict[str, Any] = {"loc": "left", "fontsize": 10.0}
+"""Style of the title of a panel."""
+
+WIDTH = 8.0
+"""Width of every chart [inch]: a page shows no more than 8.6 (830 px), so that its words keep their size."""
+
+FORMATS = "png", "pdf", "svg"
+"""Formats of pictures."""
+
+_WORDS = 9.0  # size of a legend's words [pt]
+_UNDER = 36.0  # what stands between a panel and its legend: ticks, their numbers, the axis' name [pt]
 
 
 class ChartsMissingError(MaglevError):
     """matplotlib is not installed."""
+
+
+@dataclass(frozen=True)
+class PictureFolder:
+    """Folder that pictures go to, and their format.
+
+    Attributes:
+        folder: The folder; it is made with the first file.
+        format: One of `FORMATS`.
+
+    Raises:
+        ParameterError: If there is no such format.
+    """
+
+    folder: Path
+    format: str = FORMATS[0]
+
+    def __post_init__(self) -> None:
+        if self.format not in FORMATS:
+            raise ParameterError(not_one_of("format", FORMATS, self.format))
+
+    def path(self, name: str, ending: str | None = None) -> Path:
+        """Return the path of a file, its folder made.
+
+        Args:
+            name: Of the file, without an ending.
+            ending: Of a file that is no picture.
+        """
+        self.folder.mkdir(parents=True, exist_ok=True)
+        return self.folder / f"{name}.{ending or self.format}"
 
 
 def require() -> None:
@@ -47,27 +98,86 @@ def require() -> None:
         raise ChartsMissingError("pictures need matplotlib: pip install 'maglev-mj[charts]'") from None
 
 
-def new_figure(rows: int, columns: int, size: tuple[float, float], **options: Any) -> tuple[Any, list[Any]]:
-    """Return a figure of rows x columns panels, `size` in inches, and the panels row by row."""
+def new_figure(rows: int, columns: int, height: float, **options: Any) -> tuple[Any, list[Any]]:
+    """Return a figure of rows x columns panels and the panels row by row; it is `WIDTH` wide, `height` in inches."""
     require()
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=size, layout="constrained")
+    figure = Figure(figsize=(WIDTH, height), layout="constrained")
     FigureCanvasAgg(figure)
     axes = list(np.atleast_1d(figure.subplots(rows, columns, **options)).ravel())
     for panel in axes:
         panel.grid(color=GRID, linewidth=0.8)
         panel.set_axisbelow(True)
+        panel.tick_params(labelsize=9.0)
+        panel.locator_params(axis="x", nbins=max(12 // columns, 4))  # so that numbers do not touch
         for side in ("top", "right"):
             panel.spines[side].set_visible(False)
     return figure, axes
 
 
 def save(figure: Any, path: Path) -> Path:
-    """Write the figure and return its path."""
-    figure.savefig(path, dpi=150)
+    """Write the figure in the format that its path ends in, and return the path."""
+    figure.savefig(path, dpi=150, **({"pil_kwargs": {"optimize": True}} if path.suffix == ".png" else {}))
     return path
+
+
+def name_curves(place: Any, panels: Sequence[Any] = (), named: Mapping[str, Any] | None = None) -> None:
+    """Add the legend of a panel under it, or that of several panels under the figure; none without a name.
+
+    Args:
+        place: The figure, or the panel.
+        panels: Panels whose curves are named in the figure's legend, each name once.
+        named: Curves by name, in place of the panel's own.
+    """
+    import matplotlib.transforms as moves
+
+    entries = dict(named or {})
+    for panel in panels or (() if named else (place,)):
+        handles, labels = panel.get_legend_handles_labels()
+        entries |= {label: handle for label, handle in zip(labels, handles, strict=True) if label not in entries}
+    if not entries:
+        return
+    options: dict[str, Any] = {"loc": "outside lower center"}
+    width = WIDTH
+    if not panels:
+        width = _width(place.get_gridspec().ncols)
+        down = moves.ScaledTranslation(0.0, -_UNDER / 72.0, place.figure.dpi_scale_trans)
+        options = {"loc": "upper center", "bbox_to_anchor": (0.5, 0.0), "bbox_transform": place.transAxes + down}
+        options["borderaxespad"] = 0.0
+    options |= {
+        "ncols": _columns(list(entries), width),
+        "columnspacing": 1.2,
+        "handlelength": 2.4,
+        "frameon": False,
+        "fontsize": _WORDS,
+    }
+    place.legend(entries.values(), entries.keys(), **options)
+
+
+def legend_height(names: Sequence[Sequence[str]], columns: int) -> float:
+    """Return the height of the largest legend under one of several panels side by side [inch].
+
+    Args:
+        names: Of the curves of each panel.
+        columns: How many stand side by side.
+    """
+    return 0.19 * max(-(-len(some) // _columns(some, _width(columns))) for some in names)
+
+
+def _width(columns: int) -> float:
+    """Return the width of a legend under a panel [inch]."""
+    return WIDTH if columns == 1 else WIDTH / columns - 0.4
+
+
+def _columns(names: Sequence[str], width: float) -> int:
+    """Return in how many columns names fit into a width [inch], columns of about the same length."""
+    lengths = np.array([len(name) * 0.54 * _WORDS / 72.0 + 0.52 for name in names])  # each with its mark
+    counts = range(len(names), 0, -1)
+    fitting = (count for count in counts if sum(part.max() for part in np.array_split(lengths, count)) <= width)
+    rows = -(-len(names) // next(fitting, 1))
+    return max(-(-len(names) // max(rows, 1)), 1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,7 +193,6 @@ class Panel:
         top: Upper end of the ordinate; None for what the curves need.
         marked: Whether points are marked.
         outside: For each curve, which points leave the device's range: they are drawn hollow. Empty for none.
-        legend: Where the names of the curves stand: "best" inside, "below" under the panel.
     """
 
     title: str
@@ -94,40 +203,38 @@ class Panel:
     top: float | None = None
     marked: bool = False
     outside: Sequence[Any] = ()
-    legend: str = "best"
 
     def __post_init__(self) -> None:
         flag("marked", self.marked)
 
 
-def small_multiples(panels: Sequence[Panel], path: Path, columns: int = 2) -> Path:
-    """Draw several panels of curves.
+def small_multiples(panels: Sequence[Panel], path: Path) -> Path:
+    """Draw panels of curves, two side by side.
 
     Args:
         panels: What to draw, row by row.
-        path: PNG to write.
-        columns: How many stand side by side.
+        path: File to write.
 
     Raises:
         ChartsMissingError: If matplotlib is not installed.
     """
-    rows = -(-len(panels) // columns)
-    deep = any(panel.legend == "below" for panel in panels)
-    figure, axes = new_figure(rows, columns, ((5.8 if deep else 5.0) * columns, (4.3 if deep else 3.7) * rows))
+    rows = -(-len(panels) // 2)
+    legends = legend_height([[label for label, _, _ in panel.curves] for panel in panels], 2)
+    figure, axes = new_figure(rows, 2, rows * (3.3 + legends))
     for axis, panel in zip(axes, panels):
-        for place, (label, x, y) in enumerate(panel.curves):
-            color = MANY[place % len(MANY)]
+        for index, (label, x, y) in enumerate(panel.curves):
+            color = SERIES[index % len(SERIES)]
             axis.plot(
                 x,
                 y,
                 label=label,
                 color=color,
                 linewidth=1.7,
-                linestyle=("-", "--", "-.", ":")[place // 2 % 4],
+                linestyle=("-", "--", "-.", ":")[index // 2 % 4],
                 marker="o" if panel.marked else None,
                 markersize=4,
             )
-            if panel.outside and np.any(hollow := np.asarray(panel.outside[place])):
+            if panel.outside and np.any(hollow := np.asarray(panel.outside[index])):
                 style = {"color": color, "markersize": 6, "markerfacecolor": "white", "linestyle": "none"}
                 axis.plot(np.asarray(x)[hollow], np.asarray(y)[hollow], marker="o", **style)
         if "x" in panel.log:
@@ -135,28 +242,22 @@ def small_multiples(panels: Sequence[Panel], path: Path, columns: int = 2) -> Pa
         if "y" in panel.log:
             axis.set_yscale("log")
         if panel.level is not None:
-            axis.axhline(panel.level, color=IDEAL, linewidth=1.0, linestyle=":")
+            axis.axhline(panel.level, color=REFERENCE, linewidth=1.0, linestyle=":")
         if panel.top is not None:
-            axis.set_ylim(0.0 if "y" not in panel.log else None, panel.top)
-        axis.set_title(panel.title, loc="left", fontsize=10.5)
+            axis.set_ylim(-0.02 * panel.top if "y" not in panel.log else None, panel.top)
+        axis.set_title(panel.title, **TITLE)
         axis.set_xlabel(panel.labels[0])
         axis.set_ylabel(panel.labels[1])
-        if any(label for label, _, _ in panel.curves):
-            _name_curves(axis, panel)
+        if any(np.any(hollow) for hollow in panel.outside):
+            hollow_point = {"color": REFERENCE, "markersize": 6, "markerfacecolor": "white"}
+            axis.plot([], [], "o", label="hollow: leaves the device's range", **hollow_point)
     for axis in axes[len(panels) :]:
         axis.set_axis_off()
-    return save(figure, path)
-
-
-def _name_curves(axis: Any, panel: Panel) -> None:
-    """Add the legend, with a line of its own for hollow points."""
-    handles, labels = axis.get_legend_handles_labels()
-    if any(np.any(hollow) for hollow in panel.outside):
-        handles += axis.plot([], [], "o", color=IDEAL, markersize=6, markerfacecolor="white")
-        labels += ["hollow: leaves the device's range"]
-    if panel.legend == "below":
-        columns = 1 if max(map(len, labels)) > 36 else 2
-        where = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.17), "ncols": columns, "columnspacing": 1.2}
-        axis.legend(handles, labels, frameon=False, fontsize=8.5, **where)
+    names = [axis.get_legend_handles_labels()[1] for axis in axes]
+    longest = max(names, key=len)
+    if all(some == longest[: len(some)] for some in names):  # the same curves in all
+        name_curves(figure, axes)
     else:
-        axis.legend(handles, labels, frameon=True, framealpha=0.85, edgecolor="none", fontsize=8.5)
+        for axis in axes:
+            name_curves(axis)
+    return save(figure, path)

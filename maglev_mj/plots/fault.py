@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from maglev_mj.bridge.fault import FaultRecord
+from maglev_mj.colours import REFERENCE, SERIES
 from maglev_mj.frames import AXES, Array
-from maglev_mj.plots.drawing import IDEAL, MANY, new_figure, save
+from maglev_mj.plots.drawing import BESIDE, TITLE, new_figure, save
 from maglev_mj.terminal import printable
 
 __all__ = ["last_cycles"]
@@ -22,36 +23,36 @@ def last_cycles(record: FaultRecord, path: Path) -> Path:
 
     Args:
         record: The black box.
-        path: PNG to write.
+        path: File to write.
 
     Raises:
         ChartsMissingError: If matplotlib is not installed.
     """
-    figure, axes = new_figure(4, 1, (8.0, 8.6), sharex=True, height_ratios=[2, 2, 3, 2])
+    figure, axes = new_figure(4, 1, 8.6, sharex=True, height_ratios=[2, 2, 3, 2])
     time, pose, columns = record.time * 1e3, record.six("pose") * 1e3, record.columns
     _curves(axes[0], time, pose[:, :3], AXES[:3], "position (mm)")
     _curves(axes[1], time, pose[:, 3:], AXES[3:], "angle (mrad)")
     coils, label = [f"coil {place}" for place in range(6)], "current (A)\n—— measured   · · commanded"
     _curves(axes[2], time, record.six("measured"), coils, label)
     for place, held in enumerate(record.six("held").T):
-        axes[2].plot(time, held, ".", color=MANY[place], markersize=2.5)
+        axes[2].plot(time, held, ".", color=SERIES[place], markersize=2.5)
     spans = np.stack([columns["delay"], columns["latency"]], axis=-1) * 1e3
     _curves(axes[3], time, spans, ("delay at the device", "latency of the answer"), "time (ms)")
     first = (record.fault_time - columns["time"][-1]) * 1e3 if len(time) else np.nan
     for axis in axes:
         if len(time) and time[0] <= first <= time[-1]:
-            axis.axvline(first, color=IDEAL, linewidth=1.0, linestyle="--")
+            axis.axvline(first, color=REFERENCE, linewidth=1.0, linestyle="--")
     axes[3].set_xlabel("time before the last cycle (ms)")
-    axes[0].set_title(f"{record.faults}: {_shortened(record.message)}", loc="left", fontsize=10.5)
+    axes[0].set_title(f"{_shortened(record.faults)}\n{_shortened(record.message)}", **TITLE)
     return save(figure, path)
 
 
 def _curves(axis: Any, time: Array, values: Array, names: Any, label: str) -> None:
     """Draw a curve for each column, its name in a legend beside the panel."""
     for place, name in enumerate(names):
-        axis.plot(time, values[:, place], color=MANY[place], linewidth=1.4, label=name)
+        axis.plot(time, values[:, place], color=SERIES[place], linewidth=1.4, label=name)
     axis.set_ylabel(label)
-    axis.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize=8.5)
+    axis.legend(**BESIDE)
 
 
 def _shortened(text: str) -> str:

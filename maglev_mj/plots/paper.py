@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from maglev_mj.colours import REFERENCE, SERIES, STUCK
 from maglev_mj.frames import AXES, Array
-from maglev_mj.plots.drawing import FIRST, IDEAL, MANY, SECOND, WALL, new_figure, save
+from maglev_mj.plots.drawing import FIRST, SECOND, SHADE, TITLE, name_curves, new_figure, save
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.run import Phases, Result, run, run_phases
 from maglev_mj.spec import Spec
@@ -43,7 +44,7 @@ def time_series(results: Mapping[str, Result], sweeps: Mapping[str, Phases], pat
     Args:
         results: Drops by label.
         sweeps: Not drawn: the band has phases of its own.
-        path: PNG to write.
+        path: File to write.
 
     Raises:
         ChartsMissingError: If matplotlib is not installed.
@@ -51,7 +52,7 @@ def time_series(results: Mapping[str, Result], sweeps: Mapping[str, Phases], pat
     """
     time = _times(results)
     columns = _columns(results, time)
-    figure, panels = new_figure(2, len(columns), (8.0, 6.2), sharex=True, sharey="row")
+    figure, panels = new_figure(2, len(columns), 6.4, sharex=True, sharey="row")
     heights, forces = panels[: len(columns)], panels[len(columns) :]
     analog = _analog(columns[0][0].result.scene, time)
     for row, part, step in ((heights, 0, None), (forces, 2, "post")):
@@ -64,12 +65,13 @@ def time_series(results: Mapping[str, Result], sweeps: Mapping[str, Phases], pat
                 panel.plot(time, analog[part], **_ANALOG)
     bottom = min(heights[0].get_ylim()[0], -0.5)
     for upper, lower in zip(heights, forces, strict=True):
-        upper.axhspan(bottom, 0.0, color=WALL, zorder=0)
+        upper.axhspan(bottom, 0.0, **SHADE)
         lower.axhline(Spec.largest_vertical_force.value, **_LIMIT)
         lower.set_xlabel("time after release (s)")
     heights[0].set(ylim=(bottom, None), xlim=(0.0, time[-1]), ylabel="height above the wall (mm)")
     forces[0].set_ylabel("force on the flotor (N)")
-    _explain(figure, heights, forces, columns)
+    _explain(figure, heights, columns)
+    name_curves(figure, forces)
     return save(figure, path)
 
 
@@ -82,7 +84,7 @@ def phase_plane(results: Mapping[str, Result], sweeps: Mapping[str, Phases], pat
     Args:
         results: Drops by label.
         sweeps: Not drawn: the band has phases of its own.
-        path: PNG to write.
+        path: File to write.
 
     Raises:
         ChartsMissingError: If matplotlib is not installed.
@@ -90,7 +92,7 @@ def phase_plane(results: Mapping[str, Result], sweeps: Mapping[str, Phases], pat
     """
     time = _times(results)
     columns = _columns(results, time)
-    figure, panels = new_figure(1, len(columns), (8.0, 5.0), sharex=True, sharey=True)
+    figure, panels = new_figure(1, len(columns), 5.0, sharex=True, sharey=True)
     analog = _analog(columns[0][0].result.scene, time)
     for panel, column in zip(panels, columns, strict=True):
         for drop in column:
@@ -102,9 +104,10 @@ def phase_plane(results: Mapping[str, Result], sweeps: Mapping[str, Phases], pat
         panel.set_xlabel("height above the wall (mm)")
     left = min(panels[0].get_xlim()[0], -0.5)
     for panel in panels:
-        panel.axvspan(left, 0.0, color=WALL, zorder=0)
+        panel.axvspan(left, 0.0, **SHADE)
     panels[0].set(xlim=(left, None), ylabel="velocity (m/s)")
-    _explain(figure, panels, panels, columns)
+    _explain(figure, panels, columns)
+    name_curves(figure, panels)
     return save(figure, path)
 
 
@@ -114,30 +117,30 @@ def phases(results: Mapping[str, Result], sweeps: Mapping[str, Phases], path: Pa
     Args:
         results: Drops by label.
         sweeps: The same at many phases; without any they are run at 50 on the exact plant.
-        path: PNG to write.
+        path: File to write.
 
     Raises:
         ChartsMissingError: If matplotlib is not installed.
         DivergenceError: If a flotor leaves its range by a wide margin at one of the phases.
     """
-    figure, panels = new_figure(1, 3, (10.0, 4.0), sharex=True)
+    figure, panels = new_figure(1, 3, 3.6, sharex=True)
     shown = sweeps or {label: run_phases(one.scene, _SWEPT, plant="exact") for label, one in results.items()}
     for place, (label, sweep) in enumerate(shown.items()):
         style = _style(place, label, pulsed=sweep.scene.pulse > 0.0)
         for panel, name in zip(panels, ("penetration", "rebound", "peak_force"), strict=True):
             panel.plot(sweep.phases, sweep.figures[name] * sweep.scene.figures[name].scale, **style)
     for panel, name in zip(panels, ("penetration (mm)", "rebound (mm)", "peak force (N)"), strict=True):
-        panel.set_title(name, loc="left", fontsize=10.5)
+        panel.set_title(name, **TITLE)
         panel.set_ylim(bottom=0.0)
         panel.set_xlim(0.0, 1.0)
-        panel.set_xlabel("phase of the first sample (periods)")
+        panel.set_xlabel("phase of the first sample\n(periods)")
     panels[2].axhline(Spec.largest_vertical_force.value, **_LIMIT)
-    handles, _ = panels[2].get_legend_handles_labels()
-    figure.legend(handles=handles, frameon=False, loc="outside lower center", ncols=len(handles))
+    name_curves(figure, panels[2:])
     return save(figure, path)
 
 
-_ANALOG: dict[str, Any] = {"color": IDEAL, "linestyle": ":", "linewidth": 1.8, "label": "analog wall, 10 kHz filter"}
+_IDEAL: dict[str, Any] = {"color": REFERENCE, "linestyle": ":", "linewidth": 1.8}
+_ANALOG: dict[str, Any] = _IDEAL | {"label": "analog wall, 10 kHz filter"}
 _LIMIT: dict[str, Any] = {
     "color": "black",
     "linestyle": (0, (6, 3)),
@@ -148,7 +151,7 @@ _LIMIT: dict[str, Any] = {
 
 def _style(place: int, label: str, *, pulsed: bool) -> dict[str, Any]:
     """Return the line of a drop, of one colour in every picture."""
-    color = (FIRST, MANY[2])[place % 2] if pulsed else SECOND
+    color = (FIRST, SERIES[2])[place % 2] if pulsed else SECOND
     dashes, front = ("-", 4) if pulsed else ("--", 3)
     return {"color": color, "linestyle": dashes, "linewidth": 1.8, "zorder": front, "label": label}
 
@@ -187,14 +190,11 @@ def _analog(scene: Drop, time: Array) -> tuple[Array, Array, Array] | None:
     return z * 1e3, velocity, force
 
 
-def _explain(figure: Any, tops: Sequence[Any], bottoms: Sequence[Any], columns: Sequence[Sequence[_Drop]]) -> None:
-    """Add the legend and the titles, which name the phase of the lines."""
+def _explain(figure: Any, tops: Sequence[Any], columns: Sequence[Sequence[_Drop]]) -> None:
+    """Add the titles, which name the phase of the lines."""
     for panel, (drop, *_) in zip(tops, columns, strict=True):
         total = f"{drop.result.scene.damping + drop.result.scene.pulse:g} N s/m"
-        panel.set_title(f"{drop.style['label']}: {total}", loc="left", fontsize=10.5, fontweight="bold")
-    entries = zip(*(zip(*panel.get_legend_handles_labels(), strict=True) for panel in bottoms), strict=True)
-    handles = {label: handle for row in entries for handle, label in row}
-    figure.legend(handles=handles.values(), frameon=False, loc="outside lower center", ncols=3, fontsize=9.5)
+        panel.set_title(f"{drop.style['label']}: {total}", fontweight="bold", **TITLE)
     drop = columns[0][0]
     p, result = drop.result.scene, drop.result
     limit = "" if p.force_limit is None else f", limit {p.force_limit:g} N"
@@ -213,7 +213,7 @@ def _describe(result: Result) -> str:
     p = result.scene
     limit = "" if p.force_limit is None else f", limit {p.force_limit:g} N"
     return (
-        f"hand {p.hand}, {p.press:g} N in the end, wall of {p.stiffness:g} N/m and {p.damping:g} N s/m, "
+        f"hand {p.hand}, {p.press:g} N in the end\nwall of {p.stiffness:g} N/m and {p.damping:g} N s/m, "
         f"{1.0 / p.period:g} Hz, delay {p.delay * 1e3:g} ms{limit} ({result.plant})"
     )
 
@@ -224,12 +224,12 @@ def figure_6(results: Mapping[str, Result], sweeps: Mapping[str, Phases], path: 
     Args:
         results: Runs by label; the first is drawn in front.
         sweeps: Not drawn.
-        path: PNG to write.
+        path: File to write.
 
     Raises:
         ChartsMissingError: If matplotlib is not installed.
     """
-    figure, (upper, lower) = new_figure(2, 1, (10.0, 6.8), sharex=True)
+    figure, (upper, lower) = new_figure(2, 1, 6.4, sharex=True)
     first = next(iter(results.values()))
     for place, (label, result) in enumerate(results.items()):
         series = result.series(1e-4)
@@ -248,19 +248,19 @@ def figure_6(results: Mapping[str, Result], sweeps: Mapping[str, Phases], path: 
     upper.plot(
         pulled["time"],
         pulled["target"] * 1e3,
-        color=IDEAL,
+        color=REFERENCE,
         linewidth=0.8,
         label=f"where the hand pulls to, down to {p.resting_point * 1e3:.1f} mm",
     )
-    upper.axhspan(bottom, 0.0, color=WALL, zorder=0)
-    upper.set_ylim(bottom, top + 0.22 * (top - bottom))
-    upper.text(0.008, 0.02, "wall", transform=upper.transAxes, color=IDEAL, fontsize=9.5)
+    upper.axhspan(bottom, 0.0, **SHADE)
+    upper.set_ylim(bottom, top)
+    upper.text(0.008, 0.02, "wall", transform=upper.transAxes, color=REFERENCE, fontsize=9.0)
     upper.set_ylabel("height above the wall (mm)")
     lower.set_ylabel("control force (N)")
     lower.set_xlabel("time (s)")
     lower.set_xlim(0.0, p.end)
-    upper.legend(frameon=False, loc="upper right", ncols=3)
-    upper.set_title(_describe(first), loc="left", fontsize=10.5)
+    name_curves(figure, [upper])
+    upper.set_title(_describe(first), **TITLE)
     return save(figure, path)
 
 
@@ -270,31 +270,30 @@ def stick_slip(results: Mapping[str, Result], sweeps: Mapping[str, Phases], path
     Args:
         results: Runs by label, the first of which is drawn.
         sweeps: Not drawn.
-        path: PNG to write.
+        path: File to write.
 
     Raises:
         ChartsMissingError: If matplotlib is not installed.
     """
-    figure, (upper, lower) = new_figure(2, 1, (8.0, 6.4), sharex=True)
+    figure, (upper, lower) = new_figure(2, 1, 6.4, sharex=True)
     result = next(iter(results.values()))
     p, series = result.scene, result.series(1e-4)
     time, length = series["time"], "mm" if p.axis in AXES[:3] else "mrad"
     exact = p.exact(time)
     upper.plot(time, series["position"] * 1e3, color=FIRST, linewidth=1.7, label=f"{p.law}, {1.0 / p.period:g} Hz")
     anchor = np.where(series["state"] == "stuck", series["stick_position"], np.nan)
-    upper.plot(time, anchor * 1e3, color=SECOND, linewidth=1.4, linestyle="--", label="stick position")
-    upper.plot(time, exact.position * 1e3, color=IDEAL, linewidth=1.8, linestyle=":", label=f"{p.exact_name}, exact")
+    upper.plot(time, anchor * 1e3, color=STUCK, linewidth=1.6, linestyle="--", label="stick position")
+    upper.plot(time, exact.position * 1e3, label=f"{p.exact_name}, exact", **_IDEAL)
     lower.plot(time, series["velocity"] * 1e3, color=FIRST, linewidth=1.5)
-    lower.plot(time, exact.velocity * 1e3, color=IDEAL, linewidth=1.8, linestyle=":")
+    lower.plot(time, exact.velocity * 1e3, **_IDEAL)
     upper.set_ylabel(f"position along {p.axis} ({length})")
     lower.set_ylabel(f"velocity ({length}/s)")
     lower.set_xlabel("time (s)")
     lower.set_xlim(0.0, max(float(time[-1]), 1e-3))
-    upper.legend(frameon=False, loc="lower right")
+    name_curves(figure, [upper])
     upper.set_title(
         f"spring {p.spring:.4g}, breakaway {p.breakaway:.4g}, stiffness {p.stiffness:.4g}, damping {p.damping:.4g} "
         f"(SI), delay {p.delay * 1e3:g} ms ({result.plant})",
-        loc="left",
-        fontsize=10.5,
+        **TITLE,
     )
     return save(figure, path)

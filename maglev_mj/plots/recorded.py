@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from maglev_mj.analysis import Analysed, Run
-from maglev_mj.frames import AXES
-from maglev_mj.plots.drawing import FIRST, IDEAL, SECOND, WALL, new_figure, save
+from maglev_mj.colours import REFERENCE, STUCK
+from maglev_mj.frames import AXES, Array
+from maglev_mj.plots.drawing import FIRST, SECOND, SHADE, TITLE, name_curves, new_figure, save
 
-__all__ = ["first_contact", "sticks", "whole_run"]
+__all__ = ["first_contact", "staircases", "sticks", "whole_run"]
 
 _SHOWN, _LEAD, _POINTS = 0.4, 0.1, 2001
 _MOST_DOTS, _MOST_MARKS, _APART = 150, 12, 0.045
@@ -23,7 +25,7 @@ def first_contact(analysed: Analysed, axis: int, path: Path) -> Path:
     Args:
         analysed: The recording, and its simulation if there is one.
         axis: Index into AXES.
-        path: PNG to write.
+        path: File to write.
 
     Raises:
         ChartsMissingError: If matplotlib is not installed.
@@ -43,7 +45,7 @@ def whole_run(analysed: Analysed, axis: int, path: Path) -> Path:
     Args:
         analysed: The recording, and its simulation if there is one.
         axis: Index into AXES.
-        path: PNG to write.
+        path: File to write.
 
     Raises:
         ChartsMissingError: If matplotlib is not installed.
@@ -53,38 +55,56 @@ def whole_run(analysed: Analysed, axis: int, path: Path) -> Path:
 
 
 def sticks(run: Run, path: Path) -> Path:
-    """Draw position and stick position on six axes, as figure 9 does.
+    """Draw position and stick position on each axis with friction, as figure 9 does.
 
     Args:
         run: A recording with friction.
-        path: PNG to write.
+        path: File to write.
 
     Raises:
         ChartsMissingError: If matplotlib is not installed.
     """
-    figure, panels = new_figure(3, 2, (10.5, 7.5), sharex=True)
-    order = [panel for column in (panels[0::2], panels[1::2]) for panel in column]
-    time, places = run.motion.time, run.motion.trace.pose[run.motion.starts]
+    places = run.motion.trace.pose[run.motion.starts]
     anchors = np.full_like(places, np.nan) if run.anchors is None else run.anchors
-    for index, (axis, panel) in enumerate(zip(AXES, order, strict=True)):
-        unit = "mm" if index < 3 else "mrad"
-        rubs = run.figures.sticks[index] is not None
-        panel.plot(time, places[:, index] * 1e3, color=FIRST, linewidth=1.0, label="position")
-        panel.step(time, anchors[:, index] * 1e3, color=SECOND, linewidth=1.5, where="post", label="stick position")
-        count = run.figures.slips(index)
-        said = f"{count} slip{'' if count == 1 else 's'}" if rubs else "no friction"
-        panel.set_title(f"{axis} ({unit}): {said}", loc="left", fontsize=10.5)
+    slips = {axis: run.figures.slips(axis) for axis in range(len(AXES)) if run.figures.sticks[axis] is not None}
+    said = {axis: f"{count} slip{'' if count == 1 else 's'}" for axis, count in slips.items()}
+    return staircases(run.motion.time, places, anchors, said or {0: "no friction"}, path)
+
+
+def staircases(time: Array, position: Array, anchors: Array, said: Mapping[int, str], path: Path) -> Path:
+    """Draw position and stick position over time, a panel for each axis.
+
+    Args:
+        time: Of the samples [s], (K,).
+        position: Positions [m, rad], (K, 6).
+        anchors: Stick positions [m, rad], (K, 6); NaN where an axis does not stick.
+        said: Axes to draw, as indices into AXES, and what the title of each says.
+        path: File to write.
+
+    Raises:
+        ChartsMissingError: If matplotlib is not installed.
+    """
+    columns = 1 if len(said) < 4 else 2
+    rows = -(-len(said) // columns)
+    figure, panels = new_figure(rows, columns, 1.1 + 2.1 * rows, sharex=True)
+    order = [panel for column in range(columns) for panel in panels[column::columns]]
+    for (axis, words), panel in zip(said.items(), order):
+        panel.plot(time, position[:, axis] * 1e3, color=FIRST, linewidth=1.0, label="position")
+        panel.step(time, anchors[:, axis] * 1e3, color=STUCK, linewidth=2.0, where="post", label="stick position")
+        panel.set_title(f"{AXES[axis]} ({'mm' if axis < 3 else 'mrad'}): {words}", **TITLE)
         panel.set_xlim(float(time[0]), float(time[-1]))
         _no_narrower(panel, 0.02)
-    for panel in panels[-2:]:
-        panel.set_xlabel("time (s)")
-    panels[0].legend(frameon=False, loc="best")
+    for panel in order[len(said) :]:
+        panel.set_axis_off()
+    for column in range(columns):
+        order[min((column + 1) * rows, len(said)) - 1].set_xlabel("time (s)")
+    name_curves(figure, order[:1])
     return save(figure, path)
 
 
 def _over_time(analysed: Analysed, axis: int, path: Path, window: tuple[float, float], *, marks: bool) -> Path:
     """Draw position and force of recording and simulation over a window of time [s]."""
-    figure, (upper, lower) = new_figure(2, 1, (10.0, 6.4), sharex=True)
+    figure, (upper, lower) = new_figure(2, 1, 6.4, sharex=True)
     sides = [("recording", analysed.recorded, FIRST, "-", 3), ("simulation", analysed.simulated, SECOND, "--", 4)]
     for label, run, color, dashes, order in sides:
         if run is None:
@@ -110,14 +130,14 @@ def _over_time(analysed: Analysed, axis: int, path: Path, window: tuple[float, f
     lower.set_ylabel(f"force of the actuators ({force})" if axis < 3 else f"torque of the actuators ({force})")
     lower.set_xlabel("time (s)")
     lower.set_xlim(*window)
-    upper.legend(frameon=False, loc="upper right", ncols=3)
-    upper.set_title(_describe(analysed), loc="left", fontsize=10.5)
+    name_curves(figure, [upper])
+    upper.set_title(_describe(analysed), **TITLE)
     return save(figure, path)
 
 
 def _describe(analysed: Analysed) -> str:
     known, comparison = analysed.metadata, analysed.comparison
-    said = "" if comparison is None else f": {comparison.sentence}"
+    said = "" if comparison is None else f"\n{comparison.sentence}"
     return f"{known.name}, {1.0 / known.period:g} Hz, delay {known.delay * 1e3:g} ms{said}"
 
 
@@ -148,7 +168,7 @@ def _marks(panel: Any, run: Run, axis: int) -> None:
             textcoords="offset points",
             va="top" if below else "bottom",
             fontsize=8.5,
-            color=IDEAL,
+            color=REFERENCE,
         )
     if found:
         panel.margins(y=0.16)
@@ -162,11 +182,11 @@ def _walls(panel: Any, analysed: Analysed, axis: int) -> None:
         place = edge * 1e3
         if normal > 0.0 and place > bottom - room:
             bottom = min(bottom, place - room)
-            panel.axhspan(bottom - 1e3, place, color=WALL, zorder=0)
+            panel.axhspan(bottom - 1e3, place, **SHADE)
         elif normal < 0.0 and place < top + room:
             top = max(top, place + room)
-            panel.axhspan(place, top + 1e3, color=WALL, zorder=0)
-    panel.set_ylim(bottom, top + 0.16 * (top - bottom))
+            panel.axhspan(place, top + 1e3, **SHADE)
+    panel.set_ylim(bottom, top)
 
 
 def _no_narrower(panel: Any, least: float) -> None:

@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from maglev_mj.colours import REFERENCE, STOP
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
-from maglev_mj.plots.drawing import FIRST, IDEAL, SECOND, new_figure, save
+from maglev_mj.plots.drawing import FIRST, SECOND, TITLE, name_curves, new_figure, save
 from maglev_mj.studies.designed_wall import DesignResult
 from maglev_mj.studies.stability_map import StabilityMap
 
@@ -28,9 +29,18 @@ def level_sets(panel: Any, x: Array, y: Array, modulus: Array) -> None:
         modulus: (K, B).
     """
     panel.contourf(x, y, modulus, levels=[0.0, *_LEVELS], cmap="GnBu_r", vmin=0.2, vmax=1.1)
-    lines_ = panel.contour(x, y, modulus, levels=_LEVELS[:-1], colors=IDEAL, linewidths=0.7)
-    panel.clabel(lines_, fmt="%g", fontsize=8)
-    panel.contour(x, y, modulus, levels=[1.0], colors=FIRST, linewidths=2.2)
+    lines = panel.contour(x, y, modulus, levels=_LEVELS[:-1], colors=[REFERENCE], linewidths=0.7)
+    extents = np.ptp(x), np.ptp(y)
+    wide = [level for level, found in zip(lines.levels, lines.allsegs) if _room(found, extents)]
+    panel.clabel(lines, wide, fmt="%g", fontsize=8)
+    panel.contour(x, y, modulus, levels=[1.0], colors=[FIRST], linewidths=2.2)
+    panel.plot([], [], color=REFERENCE, linewidth=0.7, label="lines: largest modulus of the eigenvalues")
+    panel.plot([], [], color=FIRST, linewidth=2.2, label="modulus 1: boundary of stability")
+
+
+def _room(segments: Any, extents: tuple[float, float]) -> bool:
+    """Return whether a level set is so large that a number in it hides none of it."""
+    return any(len(points) > 1 and (np.ptp(points, axis=0) > 0.15 * np.array(extents)).all() for points in segments)
 
 
 def stability_map(result: StabilityMap, path: Path) -> Path:
@@ -38,13 +48,13 @@ def stability_map(result: StabilityMap, path: Path) -> Path:
 
     Args:
         result: The map; its grid must have at least two values on each axis.
-        path: PNG to write.
+        path: File to write.
 
     Raises:
         ChartsMissingError: If matplotlib is not installed.
     """
     p = result.parameters
-    figure, (panel,) = new_figure(1, 1, (7.6, 5.8))
+    figure, (panel,) = new_figure(1, 1, 6.0)
     level_sets(panel, result.damping, result.stiffness, result.modulus)
     best = result.maximum
     panel.plot(
@@ -54,7 +64,7 @@ def stability_map(result: StabilityMap, path: Path) -> Path:
         k, b = np.meshgrid(result.stiffness, result.damping, indexing="ij")
         settles = result.simulated
         size = max(60.0 / max(len(result.stiffness), len(result.damping)), 0.6) * 1.6
-        panel.plot(b[settles], k[settles], ".", color="#12344d", markersize=size, label=f"settles ({p.plant})")
+        panel.plot(b[settles], k[settles], ".", color=STOP, markersize=size, label=f"settles ({p.plant})")
         if result.misjudged is not None and result.misjudged.any():
             wrong = result.misjudged
             panel.plot(b[wrong], k[wrong], "x", color=SECOND, label="simulation and theory differ")
@@ -62,13 +72,12 @@ def stability_map(result: StabilityMap, path: Path) -> Path:
     panel.set_ylabel("stiffness (N/m)")
     panel.set_xlim(result.damping.min(), result.damping.max())
     panel.set_ylim(result.stiffness.min(), result.stiffness.max())
-    panel.legend(frameon=True, framealpha=0.9, edgecolor="none", loc="upper right")
+    name_curves(figure, [panel])
     hand = "" if p.hand == "none" else f", hand {p.hand}"
     panel.set_title(
         f"largest modulus: {1.0 / p.period:g} Hz, delay {p.delay * 1e3:g} ms, {p.mass:g} kg{hand}\n"
         f"stiffest wall {float(best.stiffness):.0f} N/m at {float(best.damping):.1f} N s/m",
-        loc="left",
-        fontsize=10.5,
+        **TITLE,
     )
     return save(figure, path)
 
@@ -80,7 +89,7 @@ def design_map(result: DesignResult, path: Path) -> Path:
 
     Args:
         result: The design.
-        path: PNG to write.
+        path: File to write.
 
     Raises:
         ChartsMissingError: If matplotlib is not installed.
@@ -91,7 +100,7 @@ def design_map(result: DesignResult, path: Path) -> Path:
     sizes = result.masses.size, result.delays.size
     if sizes == (1, 1):
         raise ParameterError("mass or delay must be a range for a picture, not one value each")
-    figure, (panel,) = new_figure(1, 1, (7.4, 5.4))
+    figure, (panel,) = new_figure(1, 1, 5.6)
     marked = f"worst: {wall.modulus:.4f}, hand {worst.hand}"
     if min(sizes) > 1:
         low, high = float(result.map.min()), float(result.map.max())
@@ -99,7 +108,8 @@ def design_map(result: DesignResult, path: Path) -> Path:
         panel.contourf(
             result.delays * 1e3, result.masses, result.map, levels=levels, cmap="GnBu", vmax=2.0 * high - low
         )
-        lines = panel.contour(result.delays * 1e3, result.masses, result.map, levels=levels[1:-1], colors=IDEAL)
+        lines = panel.contour(result.delays * 1e3, result.masses, result.map, levels=levels[1:-1], colors=[REFERENCE])
+        panel.plot([], [], color=REFERENCE, label="lines: largest modulus of the eigenvalues")
         panel.clabel(lines, fmt="%.3f", fontsize=8.5)
         panel.plot(worst.delay * 1e3, worst.mass, "*", color=SECOND, markersize=15, label=marked, clip_on=False)
         panel.set_xlabel("delay (ms)")
@@ -110,15 +120,14 @@ def design_map(result: DesignResult, path: Path) -> Path:
         panel.plot(x, result.map.ravel(), color=FIRST, linewidth=2.0)
         at = worst.mass if along_mass else worst.delay * 1e3
         panel.plot(at, wall.modulus, "*", color=SECOND, markersize=15, label=marked, clip_on=False)
-        panel.axhline(needs.modulus, color=IDEAL, linestyle=":", label=f"allowed: {needs.modulus:g}")
+        panel.axhline(needs.modulus, color=REFERENCE, linestyle=":", label=f"allowed: {needs.modulus:g}")
         panel.set_xlabel("mass (kg)" if along_mass else "delay (ms)")
         panel.set_ylabel("largest modulus")
-    figure.legend(loc="outside lower center", ncols=2, frameon=False)
+    name_curves(figure, [panel])
     law = "PD wall" if wall.pole is None else "Observer wall"
     panel.set_title(
         f"{law} of {wall.stiffness:.0f} N/m and {wall.damping:.1f} N s/m, {1.0 / needs.period:g} Hz\n"
         f"largest modulus over the hands {', '.join(needs.hands)}",
-        loc="left",
-        fontsize=10.5,
+        **TITLE,
     )
     return save(figure, path)

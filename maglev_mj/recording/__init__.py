@@ -1,11 +1,11 @@
 """Recordings of runs: what went by at each sample, to be looked at, checked and run again bit for bit."""
 
-from maglev_mj.recording.export import EXPORTS, ParquetMissingError, export
+from maglev_mj.recording.export import EXPORTS, export
 from maglev_mj.recording.files import ArrayFile, Recorder, RecordingFile, best_suffix, check_name, open_recording
 from maglev_mj.recording.legacy import metadata_of
 from maglev_mj.recording.metadata import Mechanics, RunMetadata, Setup
 from maglev_mj.recording.recording import InvalidRecordingError, Recording, RecordingError, Stretch
-from maglev_mj.recording.samples import PandasMissingError, Samples, load
+from maglev_mj.recording.samples import Samples, load
 from maglev_mj.recording.setup import OwnCodeError, setup_of
 from maglev_mj.recording.tee import tee
 from maglev_mj.recording.verify import Expected, Rebuild, Verdict, verify
@@ -17,8 +17,6 @@ __all__ = [
     "InvalidRecordingError",
     "Mechanics",
     "OwnCodeError",
-    "PandasMissingError",
-    "ParquetMissingError",
     "Rebuild",
     "Recorder",
     "Recording",

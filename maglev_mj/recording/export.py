@@ -7,24 +7,19 @@ import csv
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 from numpy.typing import NDArray
 
-from maglev_mj.errors import MaglevError, ParameterError, not_one_of
+from maglev_mj.errors import ParameterError, not_one_of, require
 from maglev_mj.recording.recording import Recording, aside
 from maglev_mj.recording.row import FIELDS, TOTALS, told, units
 from maglev_mj.recording.samples import samples_of
 
-__all__ = ["EXPORTS", "ParquetMissingError", "export"]
+__all__ = ["EXPORTS", "export"]
 
 _BLOCK = 1 << 14
-
-
-class ParquetMissingError(MaglevError):
-    """The package that writes Parquet is not installed."""
 
 
 def export(recording: Recording, kind: str, path: Path) -> None:
@@ -37,7 +32,7 @@ def export(recording: Recording, kind: str, path: Path) -> None:
 
     Raises:
         ParameterError: If the kind is not known.
-        ParquetMissingError: If Parquet is asked for, and the package for it is not installed.
+        MissingPackageError: If Parquet is asked for, and the package for it is not installed.
         OSError: If it cannot be written; then what was there stays.
     """
     if kind not in EXPORTS:
@@ -80,8 +75,7 @@ def _as_csv(recording: Recording, partial: Path, path: Path) -> None:
 
 
 def _as_parquet(recording: Recording, partial: Path, _path: Path) -> None:
-    if find_spec("pyarrow") is None:
-        raise ParquetMissingError("Parquet needs pyarrow: pip install 'maglev-mj[parquet]'")
+    require(("pyarrow",), "parquet", "Parquet needs pyarrow")
     import pyarrow
     from pyarrow import parquet
 

@@ -95,6 +95,9 @@ class Recorder:
         """Keep one cycle."""
         self._rows.append(row_of(sample, command, applied, self._plant))
 
+    def __len__(self) -> int:
+        return len(self._rows)
+
     def miss(self, count: int) -> None:
         """Keep how many samples were missed before the next."""
         self._gaps.append((len(self._rows), count))
@@ -121,6 +124,7 @@ class ArrayFile:
         self._versions = versions()  # here, for a stretch may begin in real time
         self._recorders: list[Recorder] = []
         self._events: list[str] = []
+        self._event_samples: list[int] = []
         self._attachments: dict[str, bytes] = {}
 
     @property
@@ -128,7 +132,12 @@ class ArrayFile:
         """What is kept so far."""
         stretches = [recorder.stretch() for recorder in self._recorders]
         kept = [stretch for stretch in stretches if len(stretch)]
-        return Recording(kept, events=tuple(self._events), attachments=self._attachments)
+        return Recording(
+            kept,
+            events=tuple(self._events),
+            event_samples=tuple(self._event_samples),
+            attachments=self._attachments,
+        )
 
     def begin(self, plant: RecordedPlant, controller: Controller, setup: Setup | None = None) -> Recorder:
         """Begin a stretch; return what the loop records it to."""
@@ -140,6 +149,7 @@ class ArrayFile:
     def event(self, kind: str, text: str, missed: int = 0) -> None:
         """See `RecordingFile`."""
         self._events.append(f"{kind}: {text}")
+        self._event_samples.append(sum(map(len, self._recorders)))
         if missed and self._recorders:
             self._recorders[-1].miss(missed)
 
@@ -178,7 +188,7 @@ def check_name(path: Path) -> None:
 
     Raises:
         ParameterError: If it does not.
-        McapMissingError: If the package for .mcap is not installed.
+        MissingPackageError: If the package for .mcap is not installed.
     """
     if path.suffix not in _SUFFIXES:
         raise ParameterError(f"record must be a file that ends in {' or '.join(_SUFFIXES)}, not {str(path)!r}")
@@ -195,7 +205,7 @@ def open_recording(path: Path, *, wait: bool = False) -> RecordingFile:
 
     Raises:
         ParameterError: If it ends in anything else.
-        McapMissingError: If the package for .mcap is not installed.
+        MissingPackageError: If the package for .mcap is not installed.
         OSError: If it cannot be written.
     """
     flag("wait", wait)

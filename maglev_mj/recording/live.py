@@ -162,7 +162,7 @@ class LiveFile:
         wait: Whether to wait for it where a run is faster than it writes; a run in real time must not.
 
     Raises:
-        McapMissingError: If the package is not installed.
+        MissingPackageError: If the package is not installed.
         RecordingError: If this system is none for it, or has no memory left to share.
         OSError: If the file cannot be written.
     """

@@ -10,13 +10,12 @@ import re
 import struct
 import zlib
 from collections.abc import Callable, Iterator, Mapping
-from importlib.util import find_spec
 from io import BytesIO
 from typing import IO, Any
 
 import numpy as np
 
-from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.errors import ParameterError, require
 from maglev_mj.frames import Array
 from maglev_mj.recording.before import sample_row
 from maglev_mj.recording.checks import (
@@ -44,7 +43,6 @@ __all__ = [
     "SAMPLE",
     "STRETCH",
     "Found",
-    "McapMissingError",
     "Part",
     "read_mcap",
     "require_mcap",
@@ -68,23 +66,16 @@ _LOOK = 32
 _ENOUGH = 1 << 10
 
 
-class McapMissingError(MaglevError):
-    """The packages that write and read MCAP are not installed."""
+_NEEDED = "record", "recordings as MCAP need mcap and foxglove-sdk"
 
 
 def require_mcap() -> None:
     """Check that MCAP can be written and read.
 
     Raises:
-        McapMissingError: If a package is not installed.
+        MissingPackageError: If a package is not installed.
     """
-    _require("mcap", "foxglove")
-
-
-def _require(*packages: str) -> None:
-    if not all(map(find_spec, packages)):
-        missing = "mcap and foxglove-sdk"
-        raise McapMissingError(f"recordings as MCAP need {missing}: pip install 'maglev-mj[record]'")
+    require(("mcap", "foxglove"), *_NEEDED)
 
 
 class _Ended(Exception):
@@ -100,10 +91,10 @@ def read_mcap(file: IO[bytes], size: int, names: frozenset[str] | None = None) -
         names: Fields to keep; None for all.
 
     Raises:
-        McapMissingError: If a package is not installed.
+        MissingPackageError: If a package is not installed.
         ParameterError: If there is no recording in it, or it holds what none can.
     """
-    _require("mcap")
+    require(("mcap",), *_NEEDED)
     found = Found(Allowance(size), names)
     try:
         try:
@@ -190,6 +181,7 @@ class Found:
     Attributes:
         parts: Stretches, in their order.
         events: What happened, as texts.
+        event_samples: Number of samples before each event.
         attachments: Files in the file.
         about: The record of metadata that a recording begins with; empty in files of before.
         damage: What is wrong with the file; empty for nothing.
@@ -199,6 +191,7 @@ class Found:
     def __init__(self, allowance: Allowance, names: frozenset[str] | None) -> None:
         self.parts: list[Part] = []
         self.events: list[str] = []
+        self.event_samples: list[int] = []
         self.attachments: dict[str, bytes] = {}
         self.about: Mapping[str, str] = {}
         self.damage, self.counted = "", False
@@ -363,6 +356,7 @@ class Found:
         whole(message, "tick", at_least=self._tick, at_most=self._tick)
         kind, text = text_in(message, "kind"), text_in(message, "text")
         self.events.append(f"{kind}: {text}")
+        self.event_samples.append(sum(map(len, self.parts)))
         if "missed" in message:
             missed = whole(message, "missed")
         else:  # of version 0.1.0: how many is in the text alone

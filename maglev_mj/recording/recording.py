@@ -103,6 +103,7 @@ class Recording:
     Attributes:
         stretches: In the order in which they happened.
         events: What a person should know of, such as faults.
+        event_samples: Number of samples before each event; empty in files that do not tell.
         damage: What is wrong with the file that it was read from, such as a missing end; empty for nothing.
         attachments: Files that are kept with it, by name.
         about: Format of the file and versions of the code that made it; empty in files of before.
@@ -110,6 +111,7 @@ class Recording:
 
     stretches: Sequence[Stretch]
     events: Sequence[str] = ()
+    event_samples: Sequence[int] = ()
     damage: str = ""
     attachments: Mapping[str, bytes] = field(default_factory=dict)
     about: Mapping[str, str] = field(default_factory=dict)
@@ -131,7 +133,7 @@ class Recording:
                 arrays |= {f"{index}/{one.name}": stretch.totals[one.name] for one in TOTALS}
         setups = [stretch.whole_setup for stretch in self.stretches]
         arrays |= {f"attachment/{place}": _bytes(data) for place, data in enumerate(self.attachments.values())}
-        header = {
+        header: dict[str, Any] = {
             "format": _FORMAT,
             "axes": AXES,
             "units": units(),
@@ -142,6 +144,8 @@ class Recording:
             "attachments": list(self.attachments),
             "about": dict(self.about),
         }
+        if self.event_samples:
+            header["event_samples"] = list(self.event_samples)
         with aside(Path(path)) as partial, partial.open("wb") as file:
             np.savez(file, header=np.array(json.dumps(header)), **arrays)
 
@@ -152,7 +156,7 @@ class Recording:
         What a file unpacks to is bounded, by 64 MiB for each of its parts among other things.
 
         Raises:
-            McapMissingError: If it is of MCAP, and the package for it is not installed.
+            MissingPackageError: If it is of MCAP, and the package for it is not installed.
             InvalidRecordingError: If it is not there, no recording, or holds what none can, such as a number that is
                 not finite, of another type or out of range.
         """
@@ -173,7 +177,7 @@ def read_file(path: Path, names: frozenset[str] | None = None) -> Recording | Fo
         names: Fields of an MCAP file to keep; None for all.
 
     Raises:
-        McapMissingError: If it is of MCAP, and a package for it is not installed.
+        MissingPackageError: If it is of MCAP, and a package for it is not installed.
         InvalidRecordingError: See `Recording.load`.
     """
     from maglev_mj.recording.mcap import MAGIC, read_mcap  # which needs what is defined here
@@ -206,7 +210,12 @@ def _recording(found: Found) -> Recording:
         rows, totals = tables
         stretches.append(Stretch(setup=part.setup, rows=rows, totals=totals, metadata=part.metadata, gaps=part.gaps))
     return Recording(
-        stretches, events=found.events, damage=found.damage, attachments=found.attachments, about=found.about
+        stretches,
+        events=found.events,
+        event_samples=found.event_samples,
+        damage=found.damage,
+        attachments=found.attachments,
+        about=found.about,
     )
 
 
@@ -276,7 +285,11 @@ def _read_arrays(file: IO[bytes], size: int) -> Recording:
     if not isinstance(events, list):
         raise ParameterError("events must be a list")
     texts = tuple(text_in({"event": event}, "event") for event in events)
-    return Recording(stretches, events=texts, damage=damage, attachments=attachments, about=about)
+    counts = list_in(header, "event_samples") if "event_samples" in header else ()
+    samples = tuple(whole({"event_samples": count}, "event_samples") for count in counts)
+    return Recording(
+        stretches, events=texts, event_samples=samples, damage=damage, attachments=attachments, about=about
+    )
 
 
 def _header(archive: ZipFile, allowance: Allowance) -> Mapping[str, Any]:

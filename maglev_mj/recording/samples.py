@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.errors import ParameterError, require
 from maglev_mj.frames import Array
 from maglev_mj.recording.mcap import Found, Part
 from maglev_mj.recording.metadata import RunMetadata, Setup
@@ -21,13 +20,9 @@ from maglev_mj.recording.row import FIELDS, TOTALS, Field
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-__all__ = ["PandasMissingError", "Samples", "load", "samples_of"]
+__all__ = ["Samples", "load", "samples_of"]
 
 _FIELDS: Mapping[str, Field] = {field.name: field for field in (*FIELDS, *TOTALS)}
-
-
-class PandasMissingError(MaglevError):
-    """The package of data frames is not installed."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -83,10 +78,9 @@ class Samples:
         """Return a data frame, a row for each sample; `attrs` has units and events.
 
         Raises:
-            PandasMissingError: If pandas is not installed.
+            MissingPackageError: If pandas is not installed.
         """
-        if find_spec("pandas") is None:
-            raise PandasMissingError("data frames need pandas: pip install 'maglev-mj[pandas]'")
+        require(("pandas",), "pandas", "data frames need pandas")
         from pandas import DataFrame
 
         frame = DataFrame(self.columns())
@@ -104,7 +98,7 @@ def load(path: Path | str, fields: Sequence[str] | None = None) -> Samples:
         fields: Names of the fields to keep, such as "time" and "position"; None for all.
 
     Raises:
-        McapMissingError: If it is of MCAP, and a package for it is not installed.
+        MissingPackageError: If it is of MCAP, and a package for it is not installed.
         InvalidRecordingError: If it is not there, no recording, or holds what none can.
         ParameterError: If a field is not known.
     """

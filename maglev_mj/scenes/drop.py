@@ -31,9 +31,9 @@ class Drop(WallScene):
     tolerance: ClassVar[float] = 1e-3
     tolerance_reason: ClassVar[str] = "less than the sampler's phase alone does to the penetration"
     plots: ClassVar[Mapping[str, str]] = {
-        "drop_time.png": "maglev_mj.plots.paper:time_series",
-        "drop_phase_plane.png": "maglev_mj.plots.paper:phase_plane",
-        "drop_phases.png": "maglev_mj.plots.paper:phases",
+        "drop_time": "maglev_mj.plots.paper:time_series",
+        "drop_phase_plane": "maglev_mj.plots.paper:phase_plane",
+        "drop_phases": "maglev_mj.plots.paper:phases",
     }
 
     height: float = param(

@@ -43,7 +43,7 @@ PLANTS: Mapping[str, PlantMaker] = {"exact": ExactPlant, "mujoco": MuJoCoPlant}
 """Plants by name."""
 
 RESERVED = frozenset(
-    "version plant phase phases json out record seconds size fps workers scheduler vary set scene plots".split()
+    "version plant phase phases json out format record seconds size fps workers scheduler vary set scene plots".split()
 )
 """Names of the options that every command has, which no parameter may take."""
 
@@ -77,7 +77,8 @@ class Scene(Parameters):
         tolerance: Displacement of a coil that does not matter [m], as `fidelity` takes it.
         tolerance_reason: Where that is from.
         model: MJCF file that shows it: a path, or the name of one of the package's.
-        plots: Pictures of its own: name of the file -> "module:function", called with labelled results and a path.
+        plots: Pictures of its own: name of the file, without ending -> "module:function", called with results by label
+            and a path.
 
     Raises:
         ParameterError: If a parameter is outside its bounds, or a run has more than a million periods.

@@ -1,10 +1,10 @@
 """A scene in real time, without a window: pacing, what keys change, recording, and the picture of now."""
 
-from maglev_mj.session.actions import DEVICES_OWN, EMERGENCY_STOP, actions, settable
+from maglev_mj.session.actions import DEVICES_OWN, EMERGENCY_STOP, actions, device_actions, settable
 from maglev_mj.session.admission import STEP_FORCE, Refusal, check_step, refusal, stability_warning
 from maglev_mj.session.live import device_controller, live_plant
-from maglev_mj.session.pacing import Due, Pacer, real_time
-from maglev_mj.session.session import TIME_SCALES, Session
+from maglev_mj.session.pacing import TIME_SCALES, Due, Pacer, next_scale, real_time
+from maglev_mj.session.session import Session
 from maglev_mj.session.snapshot import (
     SHOWN,
     History,
@@ -13,6 +13,7 @@ from maglev_mj.session.snapshot import (
     SampledMotion,
     Snapshot,
     SnapshotSource,
+    TourLine,
     Wish,
 )
 from maglev_mj.session.stretch import begin_scene
@@ -33,12 +34,15 @@ __all__ = [
     "Session",
     "Snapshot",
     "SnapshotSource",
+    "TourLine",
     "Wish",
     "actions",
     "begin_scene",
     "check_step",
+    "device_actions",
     "device_controller",
     "live_plant",
+    "next_scale",
     "real_time",
     "refusal",
     "settable",

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from maglev_mj.parameters import Parameter
 from maglev_mj.scenes import Scene
 
-__all__ = ["DEVICES_OWN", "EMERGENCY_STOP", "actions", "settable"]
+__all__ = ["DEVICES_OWN", "EMERGENCY_STOP", "actions", "device_actions", "settable"]
 
 DEVICES_OWN = "period", "delay"
 """Parameters of the device, or of the person at the machine: no other program changes them."""
@@ -43,6 +43,13 @@ def actions(cls: type[Scene]) -> Mapping[str, Action]:
         for sense, way in (("up", 1), ("down", -1)):
             found[f"{word} {sense}"] = _turned(one, way)
     return found
+
+
+def device_actions(cls: type[Scene]) -> tuple[str, ...]:
+    """Return the names of what a person does to a scene on a device: all but its own, and the emergency stop."""
+    own = {one.live.word or one.name for one in cls.parameters() if one.live and one.name in DEVICES_OWN}
+    names = (name for name in actions(cls) if name.removesuffix(" up").removesuffix(" down") not in own)
+    return *names, EMERGENCY_STOP
 
 
 def _switched(name: str) -> Action:

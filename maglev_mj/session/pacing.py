@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from bisect import bisect_left, bisect_right
+from collections.abc import Callable, Iterator, Sequence
 
 from maglev_mj.parameters import number
 
-__all__ = ["Due", "Pacer", "real_time"]
+__all__ = ["TIME_SCALES", "Due", "Pacer", "next_scale", "real_time"]
+
+TIME_SCALES = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
+"""Steps of slow motion."""
 
 _ROUNDING = 1e-9
 _LONGEST_PAUSE = 1.0
@@ -29,6 +33,18 @@ def real_time(
         yield min(now - last, _LONGEST_PAUSE), now - start  # a machine that was suspended owes no more
         last = now
         time.sleep(step)
+
+
+def next_scale(scale: float, action: str, scales: Sequence[float] = TIME_SCALES) -> float:
+    """Return the next time scale for "slower" or "faster".
+
+    Args:
+        scale: Simulated time for each second of real time now.
+        action: One of the two.
+        scales: Those there are, in rising order.
+    """
+    place = bisect_right(scales, scale) if action == "faster" else bisect_left(scales, scale) - 1
+    return scales[min(max(place, 0), len(scales) - 1)]
 
 
 class Due:

@@ -16,19 +16,16 @@ from maglev_mj.scenes import BUILT_IN, Scene, find_scene
 from maglev_mj.session.actions import DEVICES_OWN, EMERGENCY_STOP, actions, settable
 from maglev_mj.session.admission import STEP_FORCE, check_step
 from maglev_mj.session.live import centred, lifted
-from maglev_mj.session.pacing import Pacer
+from maglev_mj.session.pacing import TIME_SCALES, Pacer, next_scale
 from maglev_mj.session.snapshot import History, Publisher, Publishers, Snapshot
 from maglev_mj.session.stretch import LiveStretch
 from maglev_mj.session.tape import Tape
 
-__all__ = ["TIME_SCALES", "Session"]
+__all__ = ["Session"]
 
 _OWN = "next scene", "drop", "centre", "pause", "step", "slower", "faster", "record", EMERGENCY_STOP
 _CHOOSES = "scene "
 """Begins the actions that choose a scene by its name."""
-
-TIME_SCALES = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
-"""Steps of slow motion."""
 
 _MADE = -0.1
 _RENEWED = 0.1
@@ -85,6 +82,7 @@ class Session:
         self._time_scale = 1.0
         self._changed, self._unchanged = False, _RENEWED
         self._publishers, self._ticks, self._since = Publishers(publishers), 0, 0
+        self._pulses = 0
         self._step_force = number("step_force", step_force, above=0.0)
         self._stretch = self._begin(self._scene.start().pose)
 
@@ -145,8 +143,7 @@ class Session:
         elif action == "step":
             self._paused, self._steps = True, self._steps + 1
         elif action in ("slower", "faster"):
-            place = int(np.searchsorted(TIME_SCALES, self._time_scale)) + (1 if action == "faster" else -1)
-            self._time_scale = TIME_SCALES[min(max(place, 0), len(TIME_SCALES) - 1)]
+            self._time_scale = next_scale(self._time_scale, action)
         elif action == "record":
             self._record()
         elif action == "next scene":
@@ -207,6 +204,7 @@ class Session:
             history=self._history.rows,
             work=stretch.energy.hand,
             taken=stretch.energy.taken,
+            pulses=self._pulses,
             cost=self._pacer.cost,
             missed=self._pacer.missed,
             late=self._pacer.late,
@@ -221,7 +219,7 @@ class Session:
         """Keep what is recorded, and let go of the plant."""
         self._publishers.close()
         try:
-            self._tape.stop()
+            self._tape.close()
         finally:
             self._stretch.plant.close()
 
@@ -236,6 +234,7 @@ class Session:
         self._take_wanted()
         self._stretch.tick()
         self._ticks += 1
+        self._pulses += self._stretch.pulsed
         self.simulated += self._stretch.scene.period
         if self._stretch.energy.stored < _MADE:
             made = -self._stretch.energy.stored

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -16,7 +17,7 @@ from maglev_mj.parameters import flag
 from maglev_mj.scenes import Scene
 from maglev_mj.session.pacing import Due
 
-__all__ = ["History", "Publisher", "Publishers", "SampledMotion", "Snapshot", "SnapshotSource", "Wish"]
+__all__ = ["History", "Publisher", "Publishers", "SampledMotion", "Snapshot", "SnapshotSource", "TourLine", "Wish"]
 
 SHOWN = 2.0
 """Time that a history covers [s]."""
@@ -29,6 +30,35 @@ _Six: TypeAlias = Sequence[float] | Array
 
 def _zeros() -> Array:
     return np.zeros(6)
+
+
+class TourLine(NamedTuple):
+    """A step of a guided tour, for the person at a window or page.
+
+    Names in braces, such as {stiffness up}, are actions, and {hand} is the hand's way to pull.
+
+    Attributes:
+        number: Number of the step, from 1.
+        total: Number of steps.
+        text: What there is to know.
+        deed: What to do.
+        done: Whether it was done.
+    """
+
+    number: int
+    total: int
+    text: str
+    deed: str
+    done: bool
+
+    def words(self, name: Callable[[str], str]) -> tuple[str, str]:
+        """Return text and deed with a front's own names.
+
+        Args:
+            name: Returns the front's name for what is in braces.
+        """
+        text, deed = (re.sub(r"\{(.*?)\}", lambda found: name(found[1]), part) for part in (self.text, self.deed))
+        return text, deed
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -55,16 +85,19 @@ class Snapshot:
         history: Latest samples, (N, 25): time, then pose, twist, wrench of the device and of the hand, six each.
         work: Work of the hand [J].
         taken: Energy taken in by the rendered world [J]; NaN where it is not known.
+        pulses: Braking pulses given so far.
         cost: Real time of a tick [s].
         missed: Ticks given up, or samples that did not arrive.
         late: Whether ticks are being given up: this machine cannot keep up.
         time_scale: Simulated time for each second of real time.
         duration: Length of a recording [s]; None for what runs now.
+        marks: Times of a recording's events [s].
         actions: Names that `act` takes.
         state: "running", "paused", "stopped" or "flying".
         reason: Why it has stopped; empty otherwise.
-        remedy: How to go on once it has.
+        remedy: How to go on once it has, where no action does; empty otherwise.
         notes: Messages for the person at the window.
+        tour: Present step of a guided tour; None for no tour.
     """
 
     scene: Scene
@@ -85,16 +118,19 @@ class Snapshot:
     history: Array = field(default_factory=lambda: np.empty((0, _COLUMNS)))
     work: float = 0.0
     taken: float = _NAN
+    pulses: int = 0
     cost: float = 0.0
     missed: int = 0
     late: bool = False
     time_scale: float = 1.0
     duration: float | None = None
+    marks: Sequence[float] = ()
     actions: Sequence[str] = ()
     state: str = "running"
     reason: str = ""
-    remedy: str = "/ starts again"
+    remedy: str = ""
     notes: Sequence[str] = ()
+    tour: TourLine | None = None
 
     def __post_init__(self) -> None:
         flag("late", self.late)

@@ -55,6 +55,7 @@ class LiveStretch:
         scene: The scene.
         energy: Where the energy went.
         faces: Every wall: index into AXES, normal, edge.
+        pulsed: Whether the last command had a pulse.
     """
 
     def __init__(
@@ -82,6 +83,7 @@ class LiveStretch:
         self.ticks, self._period = 0, scene.period
         self.pose, self.twist = np.array(pose, dtype=np.float64), np.array(twist, dtype=np.float64)
         self.force: Sequence[float] = wrench
+        self.pulsed = False
 
     def tick(self) -> None:
         """Answer one sample."""
@@ -110,4 +112,5 @@ class LiveStretch:
         effort = plant.hand_wrench
         self.energy.add(self.pose, effort, plant.work)
         self.force = applied.force
+        self.pulsed = applied.extra is not None and any(applied.extra)
         self._keep(self.time, self.pose, self.twist, self.rendered, effort)

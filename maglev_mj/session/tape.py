@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+import threading
 from datetime import datetime
 from pathlib import Path
 
@@ -27,6 +28,9 @@ class Tape:
         self.written: list[Path] = []
         self.file: RecordingFile | None = None
         self._folder, self._beside, self._said, self._missed = folder, beside, "", 0
+        self._closing: list[threading.Thread] = []
+        self._unwritten: list[RecordingFile] = []
+        self._named: set[Path] = set()
 
     @property
     def whole(self) -> RecordingFile | None:
@@ -46,25 +50,46 @@ class Tape:
             self.file = open_recording(path)
             return
         try:
-            self.file = open_recording(_new_path(self._folder))
+            self.file = open_recording(self._new_path(self._folder))
         except OSError:
-            self.file = open_recording(_new_path(Path(tempfile.gettempdir())))
+            self.file = open_recording(self._new_path(Path(tempfile.gettempdir())))
 
     def stop(self) -> None:
-        """End the recording, if there is one.
-
-        Raises:
-            OSError: If it cannot be written; it is tried again the next time.
-        """
+        """End the recording, if there is one; what writes it ends beside the loop."""
         if self.file is None:
             return
+        file, self.file = self.file, None
+        self._said = "writing the recording"
+        self._closing.append(threading.Thread(target=self._finish, args=(file,)))
+        self._closing[-1].start()
+
+    def close(self) -> None:
+        """End the recording, and wait until all are written.
+
+        Raises:
+            OSError: If one cannot be written, after another try.
+        """
+        self.stop()
+        for thread in self._closing:
+            thread.join()
+        for file in self._unwritten:
+            self._keep(file)
+
+    def _finish(self, file: RecordingFile) -> None:
+        try:
+            self._keep(file)
+        except OSError as error:
+            self._unwritten.append(file)
+            self._said = f"RECORDING: {error}; it is tried again at the end"
+
+    def _keep(self, file: RecordingFile) -> None:
+        """Close a file, and say how that went."""
         path = None
         try:
-            path = self.file.close()
+            path = file.close()
             self._said = f"wrote {path}" if path is not None else "nothing was recorded"
         except RecordingError as error:  # what there is of it, is there
             self._said = f"RECORDING: {error}"
-        self.file = None  # only now, for what could not be written is tried again
         if path is not None:
             self.written.append(path)
 
@@ -90,11 +115,11 @@ class Tape:
             return f"NOT RECORDING: {error}"
         return "RECORDING"
 
-
-def _new_path(folder: Path) -> Path:
-    """Return a name for a recording that no file has yet."""
-    stem, suffix = datetime.now().strftime("maglev-%Y%m%d-%H%M%S"), best_suffix()
-    path, count = folder / f"{stem}{suffix}", 1
-    while path.exists():
-        path, count = folder / f"{stem}-{count}{suffix}", count + 1
-    return path
+    def _new_path(self, folder: Path) -> Path:
+        """Return a name for a recording that no file has yet, nor one that is still being written."""
+        stem, suffix = datetime.now().strftime("maglev-%Y%m%d-%H%M%S"), best_suffix()
+        path, count = folder / f"{stem}{suffix}", 1
+        while path in self._named or path.exists():
+            path, count = folder / f"{stem}-{count}{suffix}", count + 1
+        self._named.add(path)
+        return path

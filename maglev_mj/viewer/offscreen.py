@@ -14,37 +14,20 @@ from maglev_mj.errors import MaglevError
 from maglev_mj.parameters import flag
 from maglev_mj.scenes import Scene
 from maglev_mj.session import Snapshot
-from maglev_mj.viewer.overlay import help_text, status_text
-from maglev_mj.viewer.plots import Plots
+from maglev_mj.viewer.framing import Framing
+from maglev_mj.viewer.layout import Area
 from maglev_mj.viewer.scenery import Scenery
+from maglev_mj.viewer.screen import Screen
 
-__all__ = ["DisplayError", "OffscreenPainter", "arranged", "label_place"]
+__all__ = ["DisplayError", "OffscreenPainter"]
 
 _SHADOWS, _SAMPLES = 2048, 4
 _NEEDS = {"osmesa": "on Debian libosmesa6", "egl": "on Debian libegl1 and libgl1", "glfw": "and a display"}
-_SMALL, _HELPED = 600, 500
-_LABEL, _MARGIN = (280, 34), 6
+_LARGE = 1500
 
 
 class DisplayError(MaglevError):
     """There is nothing to draw with or to draw on."""
-
-
-def column(width: int) -> int:
-    """Return how wide the column of plots is in a picture so wide, in pixels; their titles need some room."""
-    return max(int(0.27 * width), min(250, width // 2))
-
-
-def arranged(width: int, height: int) -> list[Any]:
-    """Return where the four plots go in a picture: a column at its right."""
-    wide, high = column(width), height // 4
-    return [mujoco.MjrRect(width - wide, height - (place + 1) * high, wide, high) for place in range(4)]
-
-
-def label_place(width: int, height: int) -> Any:
-    """Return where the emergency stop's label goes: at the bottom, left of the plots."""
-    free = width - column(width)
-    return mujoco.MjrRect(max(free - _LABEL[0] - _MARGIN, 0), _MARGIN, min(_LABEL[0], free), _LABEL[1])
 
 
 class OffscreenPainter:
@@ -66,8 +49,9 @@ class OffscreenPainter:
     def __init__(
         self, scene: Scene, width: int, height: int, *, plots: bool = True, backend: str | None = None
     ) -> None:
-        self._plots = Plots() if flag("plots", plots) else None
+        self._screen = Screen(keys=False) if flag("plots", plots) else None
         self.scenery = Scenery(scene)
+        self._framing = Framing(self.scenery.model)
         self._whole = mujoco.MjrRect(0, 0, width, height)
         model = self.scenery.model
         model.vis.global_.offwidth, model.vis.global_.offheight = width, height
@@ -76,36 +60,36 @@ class OffscreenPainter:
         self._gl.make_current()
         self._scene = mujoco.MjvScene(model, 2000)
         self._option, self._camera = mujoco.MjvOption(), mujoco.MjvCamera()
-        mujoco.mjv_defaultFreeCamera(model, self._camera)
-        scales = mujoco.mjtFontScale
-        scale = scales.mjFONTSCALE_50 if height < _SMALL else scales.mjFONTSCALE_100
-        self._render = mujoco.MjrContext(model, scale)
+        self._framing.reset(self._camera)
+        self._scale = 150 if height >= _LARGE else 100
+        self._render = mujoco.MjrContext(model, self._scale)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._render)
 
     def wait(self, snapshot: Snapshot) -> None:
         """Wait until all that the plots need is known."""
-        if self._plots is not None:
-            self._plots.wait(snapshot)
+        if self._screen is not None:
+            self._screen.wait(snapshot.scene)
 
     def picture(self, snapshot: Snapshot) -> NDArray[np.uint8]:
         """Return a picture, (height, width, 3)."""
         scenery, scene, whole, render = self.scenery, self._scene, self._whole, self._render
+        view = Area(0, 0, whole.width, whole.height)
+        over = None if self._screen is None else self._screen.draw(snapshot, view, self._scale)
         self._gl.make_current()
         scenery.place(snapshot)
+        self._framing.follow(self._camera, view, view if over is None else over.layout.handle)
         everything = mujoco.mjtCatBit.mjCAT_ALL.value
         mujoco.mjv_updateScene(scenery.model, scenery.data, self._option, None, self._camera, everything, scene)
         scenery.decorate(scene, snapshot)
+        if over is not None:
+            if (corner := self._framing.corner(self._camera, view, over.layout.handle)) is not None:
+                scenery.draw_axes(scene, *corner)
         mujoco.mjr_render(whole, scene, render)
-        if self._plots is not None:
-            for rectangle, figure in zip(
-                arranged(whole.width, whole.height), self._plots.update(snapshot), strict=True
-            ):
+        if over is not None:
+            for rectangle, figure in over.figures:
                 mujoco.mjr_figure(rectangle, figure, render)
-            font, grid = mujoco.mjtFont.mjFONT_NORMAL, mujoco.mjtGridPos
-            left = mujoco.MjrRect(0, 0, whole.width - column(whole.width), whole.height)
-            mujoco.mjr_overlay(font, grid.mjGRID_TOPLEFT, left, *status_text(snapshot), render)
-            if whole.height >= _HELPED:
-                mujoco.mjr_overlay(font, grid.mjGRID_BOTTOMLEFT, left, *help_text(type(snapshot.scene)), render)
+            for font, grid, *columns in over.texts:
+                mujoco.mjr_overlay(font, grid, whole, *columns, render)
         pixels = np.empty((whole.height, whole.width, 3), dtype=np.uint8)
         mujoco.mjr_readPixels(pixels, None, whole, render)
         return pixels[::-1]

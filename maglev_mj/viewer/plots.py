@@ -1,4 +1,4 @@
-"""The live plots: position and force over the last two seconds, the phase plane, and the gains on the stability map."""
+"""The live plots: position, force, the phase plane, and the gains under their stability boundary; and labels."""
 
 from __future__ import annotations
 
@@ -7,116 +7,168 @@ from typing import Any, TypeAlias
 
 import mujoco
 import numpy as np
+from numpy.typing import ArrayLike
 
-from maglev_mj.display.curves import SHOWN, curves, round_up
-from maglev_mj.display.stability_map import StabilityMap
+from maglev_mj.colours import BAD, BOUNDARY, DEVICE, GOOD, HAND, MEASURED, Colour
+from maglev_mj.display.curves import SHOWN, Ranges, curves, round_up
+from maglev_mj.display.stability_map import Margin, StabilityMap
 from maglev_mj.frames import Array
 from maglev_mj.scenes import Scene
 from maglev_mj.session import Snapshot
 
-__all__ = ["Plots", "StopLabel"]
+__all__ = ["Label", "Plots", "shown_colour"]
 
 _POINTS = 500
-_LEAST = 1.0
-_BLUE, _RED, _GREEN, _GREY = (0.16, 0.52, 0.80), (0.90, 0.35, 0.33), (0.25, 0.72, 0.42), (0.62, 0.66, 0.70)
+_LEAST = 1e-3
+_NOW = 0.018, 0.045
 
-_Line: TypeAlias = tuple[tuple[float, float, float], Any, Any]
+_Line: TypeAlias = tuple[Colour, ArrayLike, ArrayLike]
 """Colour, x and y of a line."""
 
 _Range: TypeAlias = tuple[float, float]
 
 
 class Plots:
-    """Four figures of the engine's own kind, renewed from a snapshot."""
+    """Four figures of the engine's own kind, renewed from a snapshot; the most important first."""
 
     def __init__(self) -> None:
         self._stability = StabilityMap()
+        self._ranges = Ranges(0)
         self.figures = [mujoco.MjvFigure() for _ in range(4)]
         for figure in self.figures:
             _prepare(figure)
 
-    def update(self, snapshot: Snapshot) -> list[Any]:
-        """Return the figures: position, force, phase plane, stability map."""
-        position, force, plane, gains = self.figures
-        axis, unit, torque, when, place, speed, device, hand, edges = curves(
-            snapshot, snapshot.scene.axis_index, _POINTS
-        )
-        across = (-SHOWN, 0.0)
-        lines: list[_Line] = [(_GREY, across, [edge, edge]) for edge in edges]
-        lines.append((_BLUE, when, place))
-        _draw(position, f"{axis} [{unit}], grey: wall", lines, across, _span(place, edges, 1.0))
-        lines = [(_RED, when, device), (_GREEN, when, hand)]
-        _draw(force, f"red device, green hand [{torque}]", lines, across, _span(np.r_[device, hand], [], 4.0))
-        lines = [(_GREY, [edge, edge], [-1e6, 1e6]) for edge in edges] + [(_BLUE, place, speed)]
-        x_range, y_range = _span(place, edges, 1.0), _span(speed, [], 30.0)
-        _draw(plane, f"speed [{unit}/s] over {axis} [{unit}]", lines, x_range, y_range)
-        self._draw_gains(gains, snapshot.scene)
+    def update(self, snapshot: Snapshot, axis: int | None = None, *, low: bool = False) -> list[Any]:
+        """Return the figures: position, force, stability map, phase plane.
+
+        Args:
+            snapshot: The snapshot.
+            axis: Index into AXES; the scene's own by default.
+            low: Whether there is no room for words under the plots.
+        """
+        axis = snapshot.scene.axis_index if axis is None else axis
+        if axis != self._ranges.axis:
+            self._ranges = Ranges(axis)
+        position, force_figure, gains, plane = self.figures
+        name, unit, torque_unit, when, places, speeds, device, hand, edges = curves(snapshot, axis, _POINTS)
+        across, up = (-SHOWN, 0.0), self._ranges.place(places, edges)
+        lines: list[_Line] = [(BOUNDARY, across, [edge, edge]) for edge in edges]
+        lines += [(MEASURED, when, places), *_dot(MEASURED, when, places, across, up)]
+        _draw(position, f"{name} [{unit}]" + (", walls" if edges else ""), lines, across, up)
+        up = self._ranges.force(device, hand, [0.0])
+        lines = [(DEVICE, when, device), (HAND, when, hand)]
+        lines += [*_dot(DEVICE, when, device, across, up), *_dot(HAND, when, hand, across, up)]
+        kind = "torque about" if axis > 2 else "force on"
+        _draw(force_figure, f"{kind} {name[-1]} [{torque_unit}]", lines, across, up)
+        x_range, y_range = self._ranges.place(places, edges), self._ranges.speed(speeds)
+        lines = [(BOUNDARY, [edge, edge], y_range) for edge in edges]
+        lines += [(MEASURED, places, speeds), *_dot(MEASURED, places, speeds, x_range, y_range)]
+        _draw(plane, f"{unit}/s over {name} [{unit}]", lines, x_range, y_range)
+        self._draw_gains(gains, self._stability.of(snapshot.scene))
+        for figure in self.figures:
+            figure.flg_ticklabel[0] = not low
+            figure.xlabel = "" if low else figure.xlabel
         return self.figures
 
-    def wait(self, snapshot: Snapshot) -> None:
-        """Wait until the stability of a snapshot is known."""
-        self._stability.wait(snapshot.scene)
+    def wait(self, scene: Scene) -> None:
+        """Wait until the stability of a scene is known."""
+        self._stability.wait(scene)
 
-    def _draw_gains(self, figure: Any, scene: Scene) -> None:
+    def _draw_gains(self, figure: Any, found: Margin) -> None:
         """Draw the stability boundary and a cross at the gains; the verdict alone where a law states no gains."""
-        known = self._stability.of(scene)
-        if isinstance(known, str):
-            _draw(figure, known, [], (0.0, 1.0), (0.0, 1.0))
+        figure.textrgb[:] = _TEXT if found.stable is None else shown_colour(GOOD if found.stable else BAD)
+        if not found.axis:
+            _draw(figure, found.words, [], (0.0, 1.0), (0.0, 1.0))
             return
-        dampings, stiffnesses = known
-        lines: list[_Line] = [(_GREY, dampings, stiffnesses * 1e-3)]
-        damping, stiffness = getattr(scene, "damping", 0.0), getattr(scene, "stiffness", 0.0)
-        width = round_up(max(float(dampings.max(initial=0.0)), 1.1 * damping, _LEAST))
-        height = round_up(1e-3 * max(float(stiffnesses.max(initial=0.0)), 1.1 * stiffness, _LEAST))
-        x, y, dx, dy = damping, stiffness * 1e-3, 0.04 * width, 0.06 * height
-        if damping or stiffness:
-            lines.append((_RED, [x - dx, x + dx, x, x, x], [y, y, y, y - dy, y + dy]))
-        _draw(figure, "stable below: kN/m over N s/m", lines, (0.0, width), (0.0, height))
+        factor, unit = (1e-3, "kN/m") if found.axis[0] != "r" else (1.0, "N m/rad")
+        width = round_up(max(float(found.dampings.max(initial=0.0)), 1.1 * found.damping, _LEAST))
+        height = round_up(factor * max(float(found.stiffnesses.max(initial=0.0)), 1.1 * found.stiffness, _LEAST))
+        colour = GOOD if found.stable else BAD
+        lines: list[_Line] = [(BOUNDARY, found.dampings, found.stiffnesses * factor)]
+        x, y, dx, dy = found.damping, found.stiffness * factor, 0.05 * width, 0.08 * height
+        lines += [(colour, [x - dx, x + dx], [y, y]), (colour, [x, x], [y - dy, y + dy])]
+        _draw(figure, found.words, lines, (0.0, width), (0.0, height))
+        figure.xlabel = f"{found.axis}: {unit} over damping"
 
 
-class StopLabel:
-    """Red label of the emergency stop's key; once stopped, of the way on."""
+_TEXT = 0.95, 0.96, 0.98
 
-    def __init__(self) -> None:
+
+class Label:
+    """A rectangle with a line of words, as a figure of the engine's own kind.
+
+    Args:
+        colour: Of the rectangle.
+        opacity: Of the rectangle, from 0 to 1.
+    """
+
+    def __init__(self, colour: Colour, opacity: float = 1.0) -> None:
         figure = self._figure = mujoco.MjvFigure()
         _prepare(figure)
-        figure.figurergba[:], figure.panergba[:], figure.textrgb[:] = (0.8, 0.05, 0.05, 1.0), 0.0, 1.0
-        figure.gridsize[:], figure.gridrgb[:], figure.flg_ticklabel[:] = 0, figure.figurergba[:3], 0
-        figure.minwidth = ""
+        figure.panergba[:], figure.textrgb[:], figure.gridsize[:] = 0.0, 1.0, 0
+        figure.flg_ticklabel[:], figure.minwidth = 0, ""
+        self._opacity = opacity
+        self.paint(colour)
 
-    def update(self, snapshot: Snapshot) -> Any:
-        """Return the label as a figure of the engine's own kind."""
-        self._figure.title = f"STOPPED: {snapshot.remedy}" if snapshot.state == "stopped" else "ESC: EMERGENCY STOP"
+    def paint(self, colour: Colour) -> None:
+        """Give it another colour."""
+        figure = self._figure
+        figure.figurergba[:] = (*colour, self._opacity)
+        figure.gridrgb[:] = colour
+
+    def update(self, text: str, foot: str = "") -> Any:
+        """Return it with a line of words at its top, and one at its foot."""
+        _entitle(self._figure, text)
+        self._figure.xlabel = foot
         return self._figure
+
+
+def shown_colour(colour: Colour) -> Colour:
+    """Return a colour light enough for letters on a dark ground."""
+    return tuple(0.45 + 0.55 * part for part in colour)  # type: ignore[return-value]
 
 
 def _prepare(figure: Any) -> None:
     mujoco.mjv_defaultFigure(figure)
-    figure.figurergba[:] = 0.10, 0.12, 0.15, 0.80
-    figure.panergba[:] = 0.14, 0.16, 0.20, 0.60
+    figure.figurergba[:] = 0.07, 0.08, 0.10, 0.88
+    figure.panergba[:] = 0.13, 0.15, 0.18, 0.80
     figure.legendrgba[:] = 0.0, 0.0, 0.0, 0.0
-    figure.textrgb[:] = 0.92, 0.93, 0.95
+    figure.textrgb[:] = _TEXT
     figure.gridrgb[:] = 0.34, 0.37, 0.42
-    figure.linewidth, figure.gridwidth = 2.0, 1.0
+    figure.linewidth, figure.gridwidth = 2.5, 1.0
     figure.gridsize[:] = 3, 3
     figure.flg_legend = figure.flg_extend = 0
     figure.xformat = figure.yformat = "%.4g"
     figure.minwidth = "-100"
 
 
+def _entitle(figure: Any, title: str) -> None:
+    # the engine looks one letter beyond the end, where that of a longer title would be
+    figure.title = f"{title}\0"
+
+
 def _draw(figure: Any, title: str, lines: Sequence[_Line], across: _Range, up: _Range) -> None:
-    figure.title = title
+    _entitle(figure, title)
     figure.linepnt[:] = 0
     for index, (colour, x, y) in enumerate(lines):
         x, y = np.asarray(x, dtype=np.float32), np.asarray(y, dtype=np.float32)
         figure.linergb[index] = colour
         figure.linepnt[index] = x.size
-        figure.linedata[index, : 2 * x.size : 2] = x
+        figure.linedata[index, : 2 * x.size : 2] = np.clip(x, *across)
         figure.linedata[index, 1 : 2 * x.size : 2] = np.clip(y, *up)
     figure.range[0], figure.range[1] = across, up
 
 
-def _span(values: Array, others: Sequence[float], least: float) -> _Range:
-    """Return a range that holds all values, of a size that the engine does not round up itself: 1, 2 or 5."""
-    bound = round_up(max(float(np.abs(values).max(initial=0.0)), *(abs(other) for other in others), least))
-    return -bound, bound
+def _dot(colour: Colour, x: Array, y: Array, across: _Range, up: _Range) -> list[_Line]:
+    """Return lines that make a dot at the last point, inside the ranges; none where there is no point."""
+    if not len(x):
+        return []
+    wide, high = _NOW[0] * (across[1] - across[0]), _NOW[1] * (up[1] - up[0])
+    middle = min(max(float(x[-1]), across[0] + wide), across[1] - wide)
+    level = min(max(float(y[-1]), up[0] + high), up[1] - high)
+    found: list[_Line] = []
+    for share in (1.0, 0.66, 0.33):
+        dx, dy = share * wide, share * high
+        corners = [middle - dx, middle, middle + dx, middle, middle - dx], [level, level + dy, level, level - dy, level]
+        found.append((colour, *corners))
+    return found

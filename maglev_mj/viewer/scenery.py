@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, TypeAlias
 
 import mujoco
 import numpy as np
 
-from maglev_mj.frames import Array, quaternion, rotation_matrix
+from maglev_mj.colours import DEVICE, HAND, STOP, STUCK, TOUCHED, WALL, Colour
+from maglev_mj.display.stops import met_stops
+from maglev_mj.frames import AXES, Array, quaternion, rotation_matrix
 from maglev_mj.model import COILS, load
 from maglev_mj.scenes import Scene
 from maglev_mj.session import Snapshot
@@ -16,13 +18,16 @@ from maglev_mj.spec import Spec
 
 __all__ = ["ARROW", "GRIP", "Scenery"]
 
-_WALL, _TOUCHED, _GHOST = (0.25, 0.47, 0.85, 0.16), (1.0, 0.55, 0.10, 0.36), (0.10, 0.60, 0.35, 0.35)
-_HAND, _DEVICE = (0.13, 0.62, 0.30, 1.0), (0.80, 0.16, 0.14, 1.0)
+_WALL, _TOUCHED, _GHOST, _STOP = (*WALL, 0.22), (*TOUCHED, 0.42), (*STUCK, 0.40), (*STOP, 0.55)
 _COLD, _WARM, _LIMIT = np.array([0.84, 0.49, 0.22]), np.array([1.0, 0.90, 0.20]), np.array([1.0, 0.05, 0.05])
 _MOST = Spec.peak_current.value
-_GLOW, _GHOST_SIZE = 1.12, 1.08
+_GLOW, _GHOST_SIZE, _AXIS = 1.12, 1.08, 30
 _SLICES = 32, 16
 _IDENTITY = np.eye(3).ravel()
+_SPHERE, _UNSEEN = int(mujoco.mjtGeom.mjGEOM_SPHERE), (0.0, 0.0, 0.0, 0.0)
+
+_Shade: TypeAlias = tuple[float, float, float, float]
+"""Red, green, blue and opacity, from 0 to 1."""
 
 
 class Scenery:
@@ -53,6 +58,9 @@ class Scenery:
         self._handle_shapes = np.flatnonzero(self.model.geom_bodyid == handle)
         self._handle = handle
         self._windings = self._find_windings()
+        rgba: Any = self.model.vis.rgba
+        # what the engine draws of the mouse's hand: its spring, its turned box, and where it grips
+        rgba.constraint[:] = rgba.inertia[:] = rgba.selectpoint[:] = (*HAND, 1.0)
 
     def place(self, snapshot: Snapshot) -> None:
         """Put the model where the flotor is."""
@@ -67,12 +75,41 @@ class Scenery:
         """Add what the model does not have to a scene of the engine's, behind what is in it."""
         self._draw_coils(scene, snapshot)
         for face in snapshot.faces:
-            self._draw_wall(scene, face, snapshot.pose)
+            touched = face[1] * (snapshot.pose[face[0]] - face[2]) <= 0.0
+            self._draw_plate(scene, face, _TOUCHED if touched else _WALL)
+            if face[0] > 2 and touched:
+                self._draw_ring(scene, snapshot.pose, _TOUCHED)
+        stops = met_stops(snapshot)
+        for face in stops.faces:
+            self._draw_plate(scene, face, _STOP)
+        if stops.turning:
+            self._draw_ring(scene, snapshot.pose, _STOP)
         if snapshot.anchors is not None:
             self._draw_ghost(scene, snapshot)
         knob = self.data.xpos[self.flotor] + rotation_matrix(snapshot.pose[3:]) @ GRIP
-        _draw_arrow(scene, knob, snapshot.hand[:3], _HAND)
-        _draw_arrow(scene, knob, snapshot.force[:3], _DEVICE)
+        hand, device, stop = snapshot.hand[:3], snapshot.force[:3], snapshot.stops[:3]
+        _draw_arrow(scene, knob, hand, HAND)
+        _draw_arrow(scene, knob, device, DEVICE)
+        # that of a stop goes on where the device's of the same sense ends, so that what balances is of one length
+        size = float(np.linalg.norm(stop)) or 1.0
+        _draw_arrow(scene, knob + max(float(device @ stop) / size, 0.0) * ARROW / size * stop, stop, STOP)
+
+    def draw_axes(self, scene: Any, place: Array, pixel: float) -> None:
+        """Add arrows along x, y and z, with their names.
+
+        Args:
+            scene: The engine's scene.
+            place: Where they begin [m], (3,).
+            pixel: Height of a pixel there [m].
+        """
+        length = _AXIS * pixel
+        for name, direction in zip(AXES[:3], np.eye(3), strict=True):
+            _connect(scene, place, place + 2.0 * length * direction, 0.05 * length, STOP)
+            # an invisible point beyond the tip carries the name
+            if (
+                shape := _add(scene, _SPHERE, np.zeros(3), place + 1.25 * length * direction, _IDENTITY, _UNSEEN)
+            ) is not None:
+                shape.label = name
 
     def _find_windings(self) -> list[tuple[int, int]]:
         """Return the shapes of the coils' windings, each with the number of its coil."""
@@ -94,24 +131,21 @@ class Scenery:
                 self.model.geom_size[shape] * [_GLOW, 1.0, 1.0],
                 self.data.geom_xpos[shape],
                 self.data.geom_xmat[shape],
-                (*colour, 1.0),
+                (*colour.tolist(), 1.0),
                 emission=0.2 + 0.6 * share,
             )
 
-    def _draw_wall(self, scene: Any, face: tuple[int, float, float], pose: Array) -> None:
-        """Draw the plane that the knob meets; a stop of a rotation lights the rim of the knob."""
-        axis, normal, edge = face
-        touched = normal * (pose[axis] - edge) <= 0.0
-        colour = _TOUCHED if touched else _WALL
-        plate = wall_plate(face)
-        if plate is None:
-            if touched:
-                ring = self.data.xpos[self.flotor] + rotation_matrix(pose[3:]) @ [0.0, 0.0, UNDER_KNOB + 0.0012]
-                turn = rotation_matrix(pose[3:]).ravel()
-                _add(scene, int(mujoco.mjtGeom.mjGEOM_CYLINDER), [0.0118, 0.0012, 0.0], ring, turn, colour)
-            return
-        centre, size = plate
-        _add(scene, int(mujoco.mjtGeom.mjGEOM_BOX), size, centre, _IDENTITY, colour)
+    def _draw_plate(self, scene: Any, face: tuple[int, float, float], colour: _Shade) -> None:
+        """Draw the plane that the knob meets; a rotation has none."""
+        if (plate := wall_plate(face)) is not None:
+            centre, size = plate
+            _add(scene, int(mujoco.mjtGeom.mjGEOM_BOX), size, centre, _IDENTITY, colour)
+
+    def _draw_ring(self, scene: Any, pose: Array, colour: _Shade) -> None:
+        """Light the rim of the knob, for a stop of a rotation."""
+        turn = rotation_matrix(pose[3:])
+        place = self.data.xpos[self.flotor] + turn @ [0.0, 0.0, UNDER_KNOB + 0.0012]
+        _add(scene, int(mujoco.mjtGeom.mjGEOM_CYLINDER), [0.0118, 0.0012, 0.0], place, turn.ravel(), colour)
 
     def _draw_ghost(self, scene: Any, snapshot: Snapshot) -> None:
         """Draw the handle where it sticks; along axes that do not stick it is where the handle is."""
@@ -129,29 +163,27 @@ class Scenery:
             _add(scene, int(self.model.geom_type[shape]), size, place, matrix, _GHOST)
 
 
-def _draw_arrow(scene: Any, knob: Array, force: Array, colour: tuple[float, ...]) -> None:
+def _draw_arrow(scene: Any, knob: Array, force: Array, colour: Colour) -> None:
     """Draw a force to scale, from the surface of the knob on; below 0.05 N there is nothing to see."""
-    size = float(np.linalg.norm(force))
-    if size < LEAST_FORCE:
-        return
-    shape = _next(scene)
-    if shape is None:
-        return
-    start = arrow_start(knob, force)
-    # an arrow between two points is drawn from the first on, at half the length between them
-    arrow = int(mujoco.mjtGeom.mjGEOM_ARROW)
-    mujoco.mjv_connector(shape, arrow, 0.0016, start, start + 2.0 * ARROW * force)
-    _style(shape, colour, 0.3)
+    if float(np.linalg.norm(force)) >= LEAST_FORCE:
+        start = arrow_start(knob, force)
+        # an arrow between two points is drawn from the first on, at half the length between them
+        _connect(scene, start, start + 2.0 * ARROW * force, 0.0016, colour)
 
 
-def _add(
-    scene: Any, kind: int, size: Any, place: Any, matrix: Any, colour: tuple[float, ...], emission: float = 0.1
-) -> None:
-    shape = _next(scene)
-    if shape is not None:
+def _connect(scene: Any, start: Array, end: Array, width: float, colour: Colour) -> None:
+    if (shape := _next(scene)) is not None:
+        mujoco.mjv_connector(shape, int(mujoco.mjtGeom.mjGEOM_ARROW), width, start, end)
+        _style(shape, (*colour, 1.0), 0.3)
+
+
+def _add(scene: Any, kind: int, size: Any, place: Any, matrix: Any, colour: _Shade, emission: float = 0.1) -> Any:
+    """Add a shape to a scene; return it, None where there is no room."""
+    if (shape := _next(scene)) is not None:
         parts = (np.asarray(part, dtype=np.float64) for part in (size, place, matrix))
         mujoco.mjv_initGeom(shape, kind, *parts, np.array(colour, np.float32))
         _style(shape, colour, emission)
+    return shape
 
 
 def _next(scene: Any) -> Any:
@@ -160,13 +192,12 @@ def _next(scene: Any) -> Any:
         return None
     scene.ngeom += 1
     shape = scene.geoms[scene.ngeom - 1]
-    mujoco.mjv_initGeom(
-        shape, int(mujoco.mjtGeom.mjGEOM_SPHERE), np.zeros(3), np.zeros(3), _IDENTITY, np.ones(4, np.float32)
-    )
+    mujoco.mjv_initGeom(shape, _SPHERE, np.zeros(3), np.zeros(3), _IDENTITY, np.ones(4, np.float32))
+    shape.label = ""
     return shape
 
 
-def _style(shape: Any, colour: tuple[float, ...], emission: float) -> None:
+def _style(shape: Any, colour: _Shade, emission: float) -> None:
     shape.rgba[:] = colour
     shape.emission, shape.specular, shape.shininess = emission, 0.2, 0.3
     shape.category = int(mujoco.mjtCatBit.mjCAT_DECOR)

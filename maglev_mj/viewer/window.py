@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import glfw
 import mujoco
 
+from maglev_mj.display.banner import Note
 from maglev_mj.display.remote import ShowReport
 from maglev_mj.errors import MaglevError
 from maglev_mj.frames import Array, rotation_matrix, rotation_vector
@@ -23,10 +24,13 @@ from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.scenes import Scene
 from maglev_mj.session import Due, Snapshot, SnapshotSource, real_time
 from maglev_mj.viewer.clip import write_picture
-from maglev_mj.viewer.offscreen import DisplayError, OffscreenPainter, arranged, label_place
-from maglev_mj.viewer.overlay import SCREENSHOT, help_text, keys_of, status_text
-from maglev_mj.viewer.plots import Plots, StopLabel
+from maglev_mj.viewer.framing import Framing
+from maglev_mj.viewer.keys import AXIS, CAMERA, KEYS, SCREENSHOT, keys_of
+from maglev_mj.viewer.layout import Area
+from maglev_mj.viewer.offscreen import DisplayError, OffscreenPainter
 from maglev_mj.viewer.scenery import GRIP, Scenery
+from maglev_mj.viewer.screen import Screen
+from maglev_mj.viewer.shadows import SlowFrames
 
 __all__ = ["require_display", "show"]
 
@@ -35,7 +39,6 @@ _NAP = 0.001
 _PATIENCE = 10.0
 _SHADOWS, _SAMPLES = 2048, 4
 _PICTURE = 1600, 1000
-_HELPED = 560
 
 
 class _Mouse(NamedTuple):
@@ -68,13 +71,16 @@ def require_display() -> None:
             raise DisplayError(f"a window cannot be opened on this display: {instead}")
 
 
-def show(session: SnapshotSource, *, folder: Path = Path(), duration: float | None = None) -> ShowReport:
+def show(
+    session: SnapshotSource, *, folder: Path = Path(), duration: float | None = None, shadows: bool | None = None
+) -> ShowReport:
     """Open a window on a session and keep it in real time until the window is closed.
 
     Args:
         session: What to show.
         folder: Where screenshots go.
         duration: Close the window after so much real time [s]; None waits for the person.
+        shadows: Whether there are shadows; None for as long as frames are not slow.
 
     Returns:
         What it came to.
@@ -83,7 +89,7 @@ def show(session: SnapshotSource, *, folder: Path = Path(), duration: float | No
         DisplayError: If a window cannot be opened.
     """
     require_display()
-    window = _Window(session, folder)
+    window = _Window(session, folder, shadows)
     try:
         with engine_warnings_silenced():
             return window.run(duration)
@@ -101,17 +107,19 @@ class _Window:
     viewer draws in its own. Handing over waits for a frame to be drawn, which must not hold up the ticks.
     """
 
-    def __init__(self, session: SnapshotSource, folder: Path) -> None:
+    def __init__(self, session: SnapshotSource, folder: Path, shadows: bool | None) -> None:
         self._session, self._folder = session, folder
-        self._plots, self._label = Plots(), StopLabel()
+        self._screen, self._slow = Screen(), SlowFrames() if shadows is None else None
+        self._scale = _font_scale()
         self._pressed: queue.SimpleQueue[int] = queue.SimpleQueue()
         self._snapshots: queue.Queue[Snapshot | None] = queue.Queue(maxsize=1)
         self._mouse: _Mouse | None = None
-        self._note = ""
+        self._note = Note()
         self._costs: list[float] = []
         self._failed: Exception | None = None
         self._pictures: list[threading.Thread] = []
         self._scenery = _scenery(session.snapshot().scene)
+        self._framing, self._camera_back = Framing(self._scenery.model), True
         before = set(threading.enumerate())
         # imported here: it asks for a display as soon as it is
         import mujoco.viewer
@@ -123,7 +131,8 @@ class _Window:
             show_left_ui=False,
             show_right_ui=False,
         )
-        self._frame_camera()
+        if shadows is False:
+            self._drop_shadows()
         self._painter = threading.Thread(target=self._paint, name="painter", daemon=True)
         self._threads = [thread for thread in threading.enumerate() if thread not in before]
         self._painter.start()
@@ -166,14 +175,23 @@ class _Window:
     def _press_keys(self) -> None:
         """Do what the keys pressed since the last tick ask for."""
         while not self._pressed.empty():
-            action = keys_of(type(self._session.snapshot().scene)).get(self._pressed.get())
+            code, snapshot = self._pressed.get(), self._session.snapshot()
+            self._screen.note_engine_key(code)
+            action = keys_of(snapshot.actions).get(code)
             if action == SCREENSHOT:
                 path = _new_picture(self._folder)
-                thread = threading.Thread(target=self._picture, args=(self._session.snapshot(), path))
+                thread = threading.Thread(target=self._picture, args=(snapshot, path))
                 self._pictures.append(thread)
                 thread.start()
+            elif action == CAMERA:
+                self._camera_back = True
+            elif action in (AXIS, KEYS):
+                self._screen.press(action, snapshot.scene)
             elif action is not None:
-                self._session.act(action)
+                try:
+                    self._session.act(action)
+                except (MaglevError, OSError) as error:  # such as a rate with which no controller can be made
+                    self._note.say(str(error))
 
     def _guide_hand(self) -> None:
         """Let the hand pull to where the mouse is, or let go."""
@@ -200,7 +218,15 @@ class _Window:
                 if self._handle.is_running():  # otherwise the window was closed meanwhile
                     self._failed = error
                 return
-            self._costs.append(time.perf_counter() - begun)
+            cost = time.perf_counter() - begun
+            self._costs.append(cost)
+            if self._slow is not None and self._slow.add(cost):
+                self._drop_shadows()
+                self._note.say("shadows are off, for frames were slow; S puts them back")
+
+    def _drop_shadows(self) -> None:
+        with self._handle.lock():
+            self._handle.user_scn.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = 0
 
     def _draw(self, snapshot: Snapshot) -> None:
         handle = self._handle
@@ -208,36 +234,33 @@ class _Window:
             return
         if snapshot.scene.model != self._scenery.shown:
             self._scenery = _scenery(snapshot.scene)
+            self._framing, self._camera_back = Framing(self._scenery.model), True
             # the handle offers no way to change the model; the simulation behind it, which opened it, does
             handle._get_sim().load(self._scenery.model, self._scenery.data, "")
-            self._frame_camera()
-        scenery = self._scenery
+        scenery, framing, rectangle = self._scenery, self._framing, handle.viewport
+        over = None
+        if rectangle is not None and min(rectangle.width, rectangle.height) > 0:
+            view = Area(rectangle.left, rectangle.bottom, rectangle.width, rectangle.height)
+            over = self._screen.draw(snapshot, view, self._scale, self._note.lines)
         with handle.lock():
             scenery.place(snapshot)
             scene = handle.user_scn
             scene.ngeom = 0
             scenery.decorate(scene, snapshot)
+            if over is not None:
+                if self._camera_back:
+                    self._camera_back = False
+                    framing.reset(handle.cam)
+                framing.follow(handle.cam, view, over.layout.handle)
+                if (corner := framing.corner(handle.cam, view, over.layout.handle)) is not None:
+                    scenery.draw_axes(scene, *corner)
             self._mouse = _mouse(handle.perturb)
             handle.perturb.select = scenery.flotor  # always in reach, without a double click
             handle.perturb.localpos[:] = GRIP
-        rectangle = handle.viewport
-        if rectangle is not None and rectangle.width > 0:
-            size = rectangle.width, rectangle.height
-            figures = list(zip(arranged(*size), self._plots.update(snapshot), strict=True))
-            handle.set_figures([*figures, (label_place(*size), self._label.update(snapshot))])
-        font, grid = mujoco.mjtFont.mjFONT_NORMAL, mujoco.mjtGridPos
-        notes = (self._note,) if self._note else ()
-        status = (font, grid.mjGRID_TOPLEFT, *status_text(snapshot, notes))
-        tall = rectangle is not None and rectangle.height >= _HELPED  # in a small window the two would overlap
-        words = help_text(type(snapshot.scene)) if tall else ("keys", "in a taller window")
-        keys = (font, grid.mjGRID_BOTTOMLEFT, *words)
-        handle.set_texts([status, keys])
+        if over is not None:
+            handle.set_figures(over.figures)
+            handle.set_texts(over.texts)
         handle.sync()
-
-    def _frame_camera(self) -> None:
-        """Point the camera as the scene's file says."""
-        with self._handle.lock():
-            mujoco.mjv_defaultFreeCamera(self._scenery.model, self._handle.cam)
 
     def _picture(self, snapshot: Snapshot, path: Path) -> None:
         """Write what is to be seen, larger than the window and without its edges."""
@@ -247,9 +270,9 @@ class _Window:
             with OffscreenPainter(snapshot.scene, *_PICTURE, backend=backend) as painter:
                 painter.wait(snapshot)
                 write_picture(painter.picture(snapshot), path)
-            self._note = f"wrote {path}"
+            self._note.say(f"wrote {path}")
         except (MaglevError, OSError, mujoco.FatalError) as error:
-            self._note = f"no screenshot: {error}"
+            self._note.say(f"no screenshot: {error}")
 
 
 def _mouse(perturb: Any) -> _Mouse:
@@ -261,6 +284,20 @@ def _mouse(perturb: Any) -> _Mouse:
         place=perturb.refselpos.copy(),
         turn=tuple(perturb.refquat.tolist()),
     )
+
+
+def _font_scale() -> int:
+    """Return the scale that the engine's viewer gives its letters on this screen [%]; it says so nowhere."""
+    monitor = glfw.get_primary_monitor()
+    if not monitor:
+        return 100
+    if sys.platform == "darwin":
+        dense = 100.0 * glfw.get_monitor_content_scale(monitor)[0]
+    else:
+        width, _ = glfw.get_monitor_physical_size(monitor)
+        dense = 25.4 * glfw.get_video_mode(monitor).size.width / width if width else 0.0
+        dense = dense if 50.0 < dense < 350.0 else 150.0
+    return min(max(50 * round(0.02 * dense), 100), 300)
 
 
 def _scenery(scene: Scene) -> Scenery:

@@ -6,10 +6,8 @@ import textwrap
 from html import escape
 from typing import Any
 
-import numpy as np
-
 from maglev_mj.colours import BAD, BOUNDARY, DEVICE, GOOD, HAND, MEASURED
-from maglev_mj.display.curves import SHOWN, Curves, curves, round_up
+from maglev_mj.display.curves import SHOWN, Curves, Ranges, curves
 from maglev_mj.display.stability_map import StabilityMap
 from maglev_mj.frames import AXES
 from maglev_mj.scenes import Scene
@@ -20,7 +18,7 @@ from maglev_mj.web.svg import Line, Range, chart
 __all__ = ["Plots"]
 
 _POINTS, _MARGIN = 200, 1.1
-_LEAST_DISTANCE, _LEAST_SPEED, _LEAST_FORCE = 1.0, 20.0, 2.0
+_LEAST = 1e-3
 
 
 class Plots:
@@ -35,35 +33,37 @@ class Plots:
         self._stability = StabilityMap()
         self._axis = gui.add_dropdown("axis", AXES, initial_value=scene.axis, hint="axis of the plots")
         self._plots = [gui.add_html("") for _ in range(4)]
-        self._type = type(scene)
+        self._type, self._ranges = type(scene), Ranges(scene.axis_index)
 
     def show(self, snapshot: Snapshot) -> None:
         """Show a snapshot."""
         if type(snapshot.scene) is not self._type:
             self._type, self._axis.value = type(snapshot.scene), snapshot.scene.axis
-        shown = curves(snapshot, AXES.index(self._axis.value), _POINTS)
-        made = (_position(shown), _force(shown), _plane(shown), self._gains(snapshot.scene))
+        axis = AXES.index(self._axis.value)
+        if axis != self._ranges.axis:
+            self._ranges = Ranges(axis)
+        shown, ranges = curves(snapshot, axis, _POINTS), self._ranges
+        made = (
+            _position(shown, ranges),
+            _force(shown, ranges),
+            _plane(shown, ranges),
+            self._gains(snapshot.scene),
+        )
         for plot, content in zip(self._plots, made, strict=True):
             put(plot, content=content)
 
     def _gains(self, scene: Scene) -> str:
         """Return the stability boundary and a cross at the gains; the verdict alone where a law states no gains."""
-        known = self._stability.of(scene)
-        if isinstance(known, str):
-            return f'<p style="margin:.5em">{escape(textwrap.shorten(known, 300))}</p>'
-        dampings, stiffnesses = known
-        if not len(dampings):
-            return ""
-        damping, stiffness = float(getattr(scene, "damping", 0.0)), float(getattr(scene, "stiffness", 0.0))
-        most = float(np.interp(damping, dampings, stiffnesses, right=0.0))
-        good = stiffness <= most
-        far = f"{100.0 * stiffness / most:.0f} % of the boundary" if most else "unstable at any stiffness"
-        across = 0.0, _MARGIN * max(float(dampings.max()), damping)
-        up = 0.0, 1e-3 * _MARGIN * max(float(stiffnesses.max()), stiffness)
-        lines = [Line(BOUNDARY, dampings, 1e-3 * stiffnesses)]
-        if damping or stiffness:
-            lines.append(Line(GOOD if good else BAD, [damping], [1e-3 * stiffness], dot=True))
-        title = [("kN/m over N s/m:", None), (far, GOOD if good else BAD)]
+        found = self._stability.of(scene)
+        colour = None if found.stable is None else GOOD if found.stable else BAD
+        if not found.axis:
+            return f'<p style="margin:.5em">{escape(textwrap.shorten(found.words, 300))}</p>'
+        factor, unit = (1e-3, "kN/m") if found.axis[0] != "r" else (1.0, "N m/rad")
+        across = 0.0, _MARGIN * max(float(found.dampings.max(initial=0.0)), found.damping, _LEAST)
+        up = 0.0, _MARGIN * factor * max(float(found.stiffnesses.max(initial=0.0)), found.stiffness, _LEAST)
+        lines = [Line(BOUNDARY, found.dampings, factor * found.stiffnesses)]
+        lines.append(Line(colour or BOUNDARY, [found.damping], [factor * found.stiffness], dot=True))
+        title = [(found.words, colour), (f"{found.axis}: {unit} over damping", None)]
         return chart(title, lines, across, up)
 
 
@@ -72,26 +72,20 @@ def _edges(shown: Curves, ends: Range, upright: bool) -> list[Line]:
     return [Line(BOUNDARY, *(pair if upright else pair[::-1]), dashed=True) for pair in pairs]
 
 
-def _position(shown: Curves) -> str:
-    across, up = (-SHOWN, 0.0), _span(shown.position, shown.edges, _LEAST_DISTANCE)
+def _position(shown: Curves, ranges: Ranges) -> str:
+    across, up = (-SHOWN, 0.0), ranges.place(shown.position, shown.edges)
     lines = [*_edges(shown, across, False), Line(MEASURED, shown.time, shown.position)]
     return chart([(f"{shown.axis} [{shown.unit}]", MEASURED), ("walls dashed", None)], lines, across, up)
 
 
-def _force(shown: Curves) -> str:
+def _force(shown: Curves, ranges: Ranges) -> str:
     lines = [Line(DEVICE, shown.time, shown.device), Line(HAND, shown.time, shown.hand)]
     title = [("device", DEVICE), ("hand", HAND), (f"[{shown.torque}]", None)]
-    return chart(title, lines, (-SHOWN, 0.0), _span(np.r_[shown.device, shown.hand], (), _LEAST_FORCE))
+    return chart(title, lines, (-SHOWN, 0.0), ranges.force(shown.device, shown.hand, [0.0]))
 
 
-def _plane(shown: Curves) -> str:
-    across = _span(shown.position, shown.edges, _LEAST_DISTANCE)
-    up = _span(shown.speed, (), _LEAST_SPEED)
+def _plane(shown: Curves, ranges: Ranges) -> str:
+    across = ranges.place(shown.position, shown.edges)
+    up = ranges.speed(shown.speed)
     lines = [*_edges(shown, up, True), Line(MEASURED, shown.position, shown.speed, dot=True)]
     return chart([(f"speed [{shown.unit}/s] over {shown.axis} [{shown.unit}]", None)], lines, across, up)
-
-
-def _span(values: Any, others: Any, least: float) -> Range:
-    """Return a range about 0 that holds all values."""
-    bound = round_up(max(float(np.abs(values).max(initial=0.0)), *(abs(other) for other in others), least))
-    return -bound, bound

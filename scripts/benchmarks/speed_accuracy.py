@@ -7,7 +7,6 @@ of repeats in turn within this one run, so that their ratios hold on a machine t
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import platform
@@ -25,9 +24,11 @@ import mujoco
 import numpy as np
 
 from maglev_mj import drive
+from maglev_mj.cli.arguments import Parser
+from maglev_mj.cli.pictures import script_options
 from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.plants import ExactPlant, MuJoCoBatchPlant, SampledPlant, Timing
-from maglev_mj.plots import Panel, small_multiples
+from maglev_mj.plots import Panel, PictureFolder, small_multiples
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.scene import Start
 from maglev_mj.spec import Spec
@@ -41,21 +42,22 @@ from work_precision import WorkPrecision, work_precision
 
 TITLES = {
     "drop": "on a wall, with a braking pulse",
-    "drop-no-pulse": "the same without the pulse",
-    "press": "an arm hits the wall, then presses",
+    "drop-no-pulse": "without the pulse",
+    "press": "an arm hits, then presses",
     "stick-slip": "pulled out of friction",
     "twist": "free, at 3.7 rad/s",
     "six-axes": "drawn back to the centre",
 }
+TURNING = "twist", "six-axes"
 NANOMETRE = 1e-9
 PERIOD, DELAY = Timing().period, Timing().delay
 
-parser = argparse.ArgumentParser(description=__doc__)
-parser.add_argument("folder", nargs="?", default="figures", type=Path, help="where files go")
-parser.add_argument("--quick", action="store_true", help="fewer steps and repeats")
-parser.add_argument(
-    "--scenes", nargs="+", default=list(TITLES), choices=TITLES, metavar="SCENE", help=", ".join(TITLES)
-)
+
+def add_scenes(parser: Parser) -> None:
+    """Add --scenes."""
+    parser.add_argument(
+        "--scenes", nargs="+", default=list(TITLES), choices=TITLES, metavar="SCENE", help=", ".join(TITLES)
+    )
 
 
 class PeersDrop(Drop):
@@ -168,9 +170,8 @@ def print_ratios(ways: list[Way]) -> dict[str, float]:
 
 def main() -> None:
     """Measure, print, draw, write."""
-    options = parser.parse_args()
-    folder, quick = options.folder, options.quick
-    folder.mkdir(parents=True, exist_ok=True)
+    options = script_options(__doc__, "fewer steps and repeats", add_scenes)
+    pictures, quick = options.pictures, options.quick
     ways = {name: our_ways(name, preset_of(name).scene, quick) for name in options.scenes}
     task = Task()
     drop = PeersDrop()
@@ -196,9 +197,10 @@ def main() -> None:
     for name, order in data["boundary"]["orders"].items():
         first = data["boundary"]["shifts"][name][0]
         print(f"  {name:<44}{order:5.2f}   {first:+.1%} at {data['boundary']['steps'][0] * 1e3:g} ms")
-    (folder / "speed_accuracy.json").write_text(json.dumps({**data, "versions": versions()}, indent=1) + "\n")
-    print(f"\nwrote {folder / 'speed_accuracy.json'}")
-    for path in draw(folder, ways, everyone, data):
+    figures = pictures.path("speed_accuracy", "json")
+    figures.write_text(json.dumps({**data, "versions": versions()}, indent=1) + "\n")
+    print(f"\nwrote {figures}")
+    for path in draw(pictures, ways, everyone, data):
         print(f"wrote {path}")
 
 
@@ -215,9 +217,11 @@ def merged(curves: list[tuple[str, list[Any], list[Any]]]) -> list[tuple[str, li
     return kept
 
 
-def draw(folder: Path, ways: dict[str, list[Way]], everyone: list[Way], data: dict[str, Any]) -> list[Path]:
+def draw(pictures: PictureFolder, ways: dict[str, list[Way]], everyone: list[Way], data: dict[str, Any]) -> list[Path]:
     """Draw the charts; return their files."""
-    panels = [WorkPrecision(f"{name}: {TITLES[name]}", points_of(some)) for name, some in ways.items()]
+    panels = {name: WorkPrecision(f"{name}: {TITLES[name]}", points_of(some)) for name, some in ways.items()}
+    turning = [panel for name, panel in panels.items() if name in TURNING]
+    along = [panel for name, panel in panels.items() if name not in TURNING]
     drop = WorkPrecision("a drop on the wall, six axes, with what else one might take", points_of(everyone))
     boundary = data["boundary"]
     shifts = merged(
@@ -229,8 +233,8 @@ def draw(folder: Path, ways: dict[str, list[Way]], everyone: list[Way], data: di
             way for way in ways.get("drop-no-pulse", []) if way.integrator == kind and way.step and way.group != "exact"
         ]
         mine.sort(key=lambda way: way.step or 0.0)
-        energies.append((kind, [way.step for way in mine], [way.energy for way in mine]))
-    energies = merged(energies)
+        if mine:
+            energies.append((kind, [way.step for way in mine], [way.energy for way in mine]))
     steps = [
         Panel(
             title="shift of the stiffest stable wall",
@@ -242,15 +246,16 @@ def draw(folder: Path, ways: dict[str, list[Way]], everyone: list[Way], data: di
         Panel(
             title="energy of a bounce",
             labels=("time step (s)", "largest error, share of the fall's"),
-            curves=energies,
+            curves=merged(energies),
             log="xy",
             marked=True,
         ),
     ]
+    charts = {"speed_accuracy": along, "speed_accuracy_turning": turning}
     return [
-        work_precision(panels, folder / "speed_accuracy.png"),
-        work_precision([drop], folder / "speed_accuracy_peers.png", columns=1),
-        small_multiples(steps, folder / "speed_accuracy_steps.png"),
+        *(work_precision(some, pictures.path(name)) for name, some in charts.items() if some),
+        work_precision([drop], pictures.path("speed_accuracy_peers"), columns=1),
+        small_multiples([panel for panel in steps if panel.curves], pictures.path("speed_accuracy_steps")),
     ]
 
 

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from maglev_mj.colours import GRID, REFERENCE, SERIES
 from maglev_mj.parameters import flag
-from maglev_mj.plots.drawing import GRID, MANY, SECOND, new_figure, save
+from maglev_mj.plots.drawing import TITLE, legend_height, name_curves, new_figure, save
 
 __all__ = ["WorkPoint", "WorkPrecision", "pareto", "work_precision"]
 
 _ROUNDING = 1e-13
-_BEHIND = {"facecolor": "white", "alpha": 0.75, "edgecolor": "none", "pad": 0.8}
 _BAND, _ROW = 1e-7, 0.45
 
 
@@ -57,44 +56,45 @@ def pareto(points: Sequence[WorkPoint]) -> list[WorkPoint]:
     return front
 
 
-def work_precision(panels: Sequence[WorkPrecision], path: Path, columns: int = 3) -> Path:
+def work_precision(panels: Sequence[WorkPrecision], path: Path, columns: int = 2) -> Path:
     """Draw error over cost for each panel, with the front that nothing beats, for one device and for many at once.
 
-    What is exact to rounding is below the line, a row for each group.
+    What is exact to rounding is below the line, a row for each group. The points of the fronts are numbered, and named
+    under their panel.
 
     Args:
         panels: What to draw, row by row.
-        path: PNG to write.
+        path: File to write.
         columns: How many stand side by side.
 
     Raises:
         ChartsMissingError: If matplotlib is not installed.
     """
     rows = -(-len(panels) // columns)
-    size = (5.2 * columns, 4.5 * rows) if columns > 1 else (10.0, 6.8)
-    figure, axes = new_figure(rows, columns, size)
     groups = list(dict.fromkeys(point.group for panel in panels for point in panel.points))
-    for axis, panel in zip(axes, panels):
-        for place, group in enumerate(groups):
+    fronts = [
+        [pareto([point for point in panel.points if point.many is many]) for many in (True, False)] for panel in panels
+    ]
+    legends = legend_height([[point.name for front in both for point in front] for both in fronts], columns)
+    figure, axes = new_figure(rows, columns, rows * ((3.7 if columns > 1 else 5.6) + legends) + 0.6)
+    for axis, panel, both in zip(axes, panels, fronts):
+        for index, group in enumerate(groups):
             mine = [point for point in panel.points if point.group == group]
             axis.plot(
                 [1e3 * point.cost for point in mine],
                 [_height(point, groups) for point in mine],
                 linestyle="none",
-                marker="osD^vPX<>hpd"[place % 12],
-                color=MANY[place % len(MANY)],
+                marker="osD^vPX<>hpd"[index % 12],
+                color=SERIES[index % len(SERIES)],
                 markersize=5.5,
                 alpha=0.85,
                 label=group,
             )
-        named: list[tuple[float, float]] = []
-        for many, style in ((True, "--"), (False, "-")):
-            _draw_front(axis, pareto([point for point in panel.points if point.many is many]), groups, style, named)
         _furnish(axis, panel.title, len(groups))
+        _draw_fronts(axis, both, groups)
     for axis in axes[len(panels) :]:
         axis.set_axis_off()
-    labels = axes[0].get_legend_handles_labels()
-    figure.legend(*labels, loc="outside lower center", ncols=min(len(groups), 6), frameon=False, fontsize=9.5)
+    name_curves(figure, axes)
     return save(figure, path)
 
 
@@ -112,35 +112,35 @@ def _furnish(axis: Any, title: str, rows: int) -> None:
     axis.set_yscale("log")
     low, high = axis.get_ylim()
     bottom = _BAND * 10.0 ** (-_ROW * (rows + 1))
-    axis.set_ylim(min(low, bottom), max(high, 1e3))
+    axis.set_ylim(min(low, bottom), max(high, 1e4))
     axis.axhspan(bottom * 1e-3, _BAND, color=GRID, alpha=0.5, zorder=-1)
     ticks = [10.0**power for power in range(-6, 6, 2) if 10.0**power < axis.get_ylim()[1]]
     axis.set_yticks([*ticks, _BAND * 10.0 ** (-_ROW * 0.5 * (rows + 1))])
     axis.set_yticklabels([f"{tick:g}" for tick in ticks] + ["exact to\nrounding"])
     axis.minorticks_off()
-    axis.set_title(title, loc="left", fontsize=10.5)
-    axis.set_xlabel("cost (µs a simulated ms and device; real time is 1000)")
+    axis.set_title(title, **TITLE)
+    axis.set_xlabel("cost (µs a simulated ms and device)")
     axis.set_ylabel("largest error (µm)")
 
 
-def _draw_front(
-    axis: Any, front: Sequence[WorkPoint], groups: Sequence[str], style: str, named: list[tuple[float, float]]
-) -> None:
-    """Draw the front as steps and name its points, but for those whose name would lie on one of `named`."""
-    places = [(1e3 * point.cost, _height(point, groups)) for point in front]
-    axis.step(*zip(*places, strict=True), where="post", color=SECOND, linewidth=1.2, linestyle=style, zorder=0)
-    for point, place in zip(front, places, strict=True):
-        cost, error = (math.log10(part) for part in place)
-        if any(abs(cost - x) < 2.0 and abs(error - y) < 0.6 for x, y in named):
-            continue
-        named.append((cost, error))
-        axis.annotate(
-            point.name,
-            place,
-            textcoords="offset points",
-            xytext=(7, 5),
-            fontsize=8,
-            color=SECOND,
-            zorder=3,
-            bbox=_BEHIND,
-        )
+def _draw_fronts(axis: Any, fronts: Sequence[Sequence[WorkPoint]], groups: Sequence[str]) -> None:
+    """Draw fronts as steps, that of many devices dashed, and number their points; name them under the panel."""
+    named: dict[str, Any] = {}
+    for front, style, up in zip(fronts, ("--", "-"), (-11, 4), strict=True):
+        places = [(1e3 * point.cost, _height(point, groups)) for point in front]
+        if places:
+            axis.step(*zip(*places, strict=True), where="post", color=REFERENCE, linewidth=1.2, linestyle=style)
+        for point, place in zip(front, places, strict=True):
+            number = f"{len(named) + 1}"
+            right = len(named) % 2 == 0  # neighbours on a front lie close together
+            beside = {"xytext": (4 if right else -4, up), "ha": "left" if right else "right"}
+            axis.annotate(number, place, textcoords="offset points", fontweight="bold", fontsize=8.5, **beside)
+            mark = {
+                "marker": f"$\\mathbf{{{number}}}$",
+                "markersize": 6.0,
+                "linestyle": "none",
+                "color": "black",
+                "markeredgewidth": 0.0,
+            }
+            (named[point.name],) = axis.plot([], [], **mark)
+    name_curves(axis, named=named)

@@ -1,22 +1,18 @@
 """Figure 2: level sets of the largest root modulus over (c_p, c_v), with one sample of delay and with the device's."""
 
-import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
+from maglev_mj.cli.pictures import script_options
 from maglev_mj.frames import Array
-from maglev_mj.plots.drawing import SECOND, new_figure, save
+from maglev_mj.plots.drawing import SECOND, TITLE, name_curves, new_figure, save
 from maglev_mj.plots.stability import level_sets
 from maglev_mj.spec import Spec
 from maglev_mj.theory import largest_modulus, stiffest_wall
 
-parser = argparse.ArgumentParser(description=__doc__)
-parser.add_argument("folder", nargs="?", default="figures", type=Path, help="where files go")
-options = parser.parse_args()
-folder = options.folder
-folder.mkdir(parents=True, exist_ok=True)
+pictures = script_options(__doc__).pictures
 
 
 def draw(cases: Sequence[tuple[str, Array, Array, Array, tuple[float, float]]], path: Path) -> Path:
@@ -24,25 +20,27 @@ def draw(cases: Sequence[tuple[str, Array, Array, Array, tuple[float, float]]], 
 
     Args:
         cases: Title, values of c_v (B,) and c_p (K,), modulus (K, B), and the maximum (c_v, c_p) of each panel.
-        path: PNG to write.
+        path: File to write.
 
     Raises:
         ChartsMissingError: If matplotlib is not installed.
     """
-    figure, panels = new_figure(1, len(cases), (5.6 * len(cases), 5.0))
+    figure, panels = new_figure(1, len(cases), 4.6, sharex=True, sharey=True)
     for panel, (title, cv, cp, modulus, top) in zip(panels, cases, strict=True):
         level_sets(panel, cv, cp, modulus)
-        panel.plot(*top, "*", color=SECOND, markersize=14)
+        panel.plot(*top, "*", color=SECOND, markersize=14, label="largest stable stiffness")
         panel.annotate(
             f"$c_p$ = {top[1]:.4f}, $c_v$ = {top[0]:.4f}",
             top,
             textcoords="offset points",
-            xytext=(10, 6),
-            fontsize=9.5,
+            xytext=(0, 9),
+            ha="center",
+            fontsize=9.0,
         )
         panel.set_xlabel("$c_v = T k_v / 2m$")
-        panel.set_ylabel("$c_p = T^2 k_p / 2m$")
-        panel.set_title(title, loc="left", fontsize=10.5)
+        panel.set_title(title, **TITLE)
+    panels[0].set_ylabel("$c_p = T^2 k_p / 2m$")
+    name_curves(figure, panels)
     return save(figure, path)
 
 
@@ -59,4 +57,4 @@ for name, delay in (("one sample of delay, eq. (6)", PERIOD), ("delay 1.5 ms, th
     cases.append((title, to_cv * damping, to_cp * stiffness, modulus, top))
     print(title.replace("\n", ": "))
 print("the paper reads off figure 2: about 3900 N/m at about 60 N s/m")
-print("wrote", draw(cases, folder / "fig2_stability.png"))
+print("wrote", draw(cases, pictures.path("fig2_stability")))

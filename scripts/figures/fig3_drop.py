@@ -1,14 +1,11 @@
 """Figure 3: height and force of the flotor dropped on an emulated wall, by both readings of the braking pulse."""
 
-import sys
-from pathlib import Path
-
 from maglev_mj import plots
+from maglev_mj.cli.pictures import script_options
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.run import run
 
-folder = Path(sys.argv[1] if len(sys.argv) > 1 else "figures")
-folder.mkdir(parents=True, exist_ok=True)
+pictures = script_options(__doc__).pictures
 
 # the paper's gains are the defaults: 6000 N/m, 80 N s/m, a pulse of 220 N s/m for 3 ms, 200 Hz, 1.5 ms; it prints
 # neither height nor phase: the device's range, and the phase of median penetration
@@ -20,4 +17,4 @@ for label, result in results.items():
         f"{label:>18}: {figures['penetration'] * 1e3:.2f} mm deep, rebound {figures['rebound'] * 1e3:.2f} mm, "
         f"peak {figures['peak_force']:.1f} N, settled after {figures['settling_time'] * 1e3:.0f} ms"
     )
-print("wrote", plots.time_series(results, {}, folder / "fig3_drop.png"))
+print("wrote", plots.time_series(results, {}, pictures.path("fig3_drop")))

@@ -1,14 +1,11 @@
 """Figure 6: position and control force while a hand hits the wall several times and then presses against it."""
 
-import sys
-from pathlib import Path
-
 from maglev_mj import plots
+from maglev_mj.cli.pictures import script_options
 from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.run import run
 
-folder = Path(sys.argv[1] if len(sys.argv) > 1 else "figures")
-folder.mkdir(parents=True, exist_ok=True)
+pictures = script_options(__doc__).pictures
 
 # the wall's gains are those of figure 3; the hand, how often it hits and how hard it presses are ours
 results = {label: run(variant) for label, variant in Press().variants().items()}
@@ -20,4 +17,4 @@ for label, result in results.items():
         f"{label:>14}: hits {depths} mm deep, peak {figures['peak_force'].max():.1f} N, "
         f"pressed {figures['final_depth'] * 1e3:.3f} mm deep with {figures['final_force']:.3f} N"
     )
-print("wrote", plots.figure_6(results, {}, folder / "fig6_press.png"))
+print("wrote", plots.figure_6(results, {}, pictures.path("fig6_press")))

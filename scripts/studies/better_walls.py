@@ -25,10 +25,10 @@ from maglev_mj.theory import WallRequirements, design_wall, stiffest_wall
 from maglev_mj.versions import versions
 
 parser = argparse.ArgumentParser(description=__doc__)
-parser.add_argument("folder", nargs="?", default="figures", type=Path, help="where files go")
+parser.add_argument("--out", metavar="DIR", default="figures", type=Path, help="where files go (default figures)")
 parser.add_argument("--quick", action="store_true", help="a delay of 1.5 ms, PD and the deadbeat observer alone")
 options = parser.parse_args()
-folder = options.folder
+folder = options.out
 folder.mkdir(parents=True, exist_ok=True)
 
 PERIOD, MASS = 1.0 / Spec.control_rate.value, Spec.moving_mass.value

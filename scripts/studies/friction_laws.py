@@ -4,7 +4,6 @@ Prints three tables, writes every figure to friction_laws.json and a picture to 
 """
 
 import json
-import sys
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -12,12 +11,15 @@ from typing import Any
 
 from friction_study import against_exact, chatter, creep, cycle_work, friction_law, mean_friction
 from maglev_mj import Controller, Sample
-from maglev_mj.plots.drawing import MANY, new_figure, save
+from maglev_mj.cli.pictures import script_options
+from maglev_mj.colours import SERIES
+from maglev_mj.plots.drawing import TITLE, name_curves, new_figure, save
 from maglev_mj.scenes.stick_slip import LAWS, VELOCITIES
 from maglev_mj.spec import Spec
 from maglev_mj.versions import versions
 
-QUICK = "--quick" in sys.argv  # two rates and fewer load cycles
+OPTIONS = script_options(__doc__, quick="two rates and fewer load cycles")
+QUICK, PICTURES = OPTIONS.quick, OPTIONS.pictures
 RATES = (200, 1000) if QUICK else (200, 500, 1000, 2000, 5000)
 CASES = (
     ("ideal, difference", 0.0, "difference"),
@@ -108,38 +110,38 @@ def draw(rows: Sequence[Mapping[str, Any]], path: Path) -> Path:
 
     Args:
         rows: Each with law, rate [Hz], quantize [m], velocity (an estimator's name) and error [m].
-        path: PNG to write.
+        path: File to write.
 
     Raises:
         ChartsMissingError: If matplotlib is not installed.
     """
     cases = [(0.0, "difference"), (5e-6, "difference"), (5e-6, "low-pass"), (5e-6, "adaptive")]
-    figure, panels = new_figure(1, len(cases), (13.0, 4.2), sharex=True, sharey=True)
+    figure, panels = new_figure(2, 2, 6.6, sharex=True, sharey=True)
     names = list(dict.fromkeys(row["law"] for row in rows))
     for panel, (quantize, velocity) in zip(panels, cases, strict=True):
-        for name, color in zip(names, MANY, strict=False):
+        for name, color in zip(names, SERIES, strict=False):
             chosen = [r for r in rows if (r["law"], r["quantize"], r["velocity"]) == (name, quantize, velocity)]
             rates, errors = [r["rate"] for r in chosen], [r["error"] * 1e3 for r in chosen]
             panel.loglog(rates, errors, color=color, marker="o", markersize=4, linewidth=1.5, label=name)
         sensor = "ideal sensor" if quantize == 0.0 else "5 µm sensor"
-        panel.set_title(f"{sensor}, {velocity}", loc="left", fontsize=10.5)
-        panel.set_xlabel("rate (Hz)")
+        panel.set_title(f"{sensor}, {velocity}", **TITLE)
         ticks = sorted({row["rate"] for row in rows})
         panel.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
         panel.minorticks_off()
         panel.set_yticks([0.05, 0.1, 0.2, 0.5, 1.0], ["0.05", "0.1", "0.2", "0.5", "1"])
-    panels[0].set_ylabel("greatest error (mm)")
-    figure.legend(*panels[0].get_legend_handles_labels(), frameon=False, loc="outside lower center", ncols=len(names))
+    for panel in panels[::2]:
+        panel.set_ylabel("greatest error (mm)")
+    for panel in panels[2:]:
+        panel.set_xlabel("rate (Hz)")
+    name_curves(figure, panels[:1])
     return save(figure, path)
 
 
 def main() -> None:
     """Print the tables, write data and picture."""
-    folder = Path(next((argument for argument in sys.argv[1:] if not argument.startswith("--")), "figures"))
-    folder.mkdir(parents=True, exist_ok=True)
     springs, hard, costs = spring_rows(), hard_rows(), estimator_rows()
     data = {"spring": springs, "hard": hard, "velocity": costs, "versions": versions()}
-    (folder / "friction_laws.json").write_text(json.dumps(data, indent=1) + "\n")
+    PICTURES.path("friction_laws", "json").write_text(json.dumps(data, indent=1) + "\n")
 
     print(f"Figure 8's case, delay {DELAY * 1e3:g} ms: greatest distance from exact friction in mm")
     print("(changes of state, ripple at the end in µm)")
@@ -173,8 +175,8 @@ def main() -> None:
         "A tick of each velocity estimate, all six axes: "
         + ", ".join(f"{r['velocity']} {r['microseconds']:.1f} µs" for r in costs)
     )
-    print("wrote", folder / "friction_laws.json")
-    print("wrote", draw(springs, folder / "friction_laws.png"))
+    print("wrote", PICTURES.path("friction_laws", "json"))
+    print("wrote", draw(springs, PICTURES.path("friction_laws")))
 
 
 if __name__ == "__main__":

@@ -195,7 +195,7 @@ def holds(one: Estimate, value: float) -> bool:
 def main() -> None:
     """Run the study."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("folder", nargs="?", default="figures", type=Path, help="where files go")
+    parser.add_argument("--out", metavar="DIR", default="figures", type=Path, help="where files go (default figures)")
     parser.add_argument("--count", type=int, default=200, help="how many recordings")
     parser.add_argument("--first", type=int, default=5_000_000, help="seed of the first")
     options = parser.parse_args()
@@ -224,9 +224,9 @@ def main() -> None:
             print(f"{name:<40}{len(kept):>6}{share:>15.1%} {far[0]:>11.2%}{far[1]:>10.2%}")
         for why in sorted(set(untold.get(name, []))):
             print(f"    {untold[name].count(why)} not: {why}")
-    options.folder.mkdir(parents=True, exist_ok=True)
+    options.out.mkdir(parents=True, exist_ok=True)
     told = {"versions": versions(), "recordings": data}
-    (options.folder / "identification.json").write_text(json.dumps(told))
+    (options.out / "identification.json").write_text(json.dumps(told))
 
 
 if __name__ == "__main__":

@@ -1,12 +1,11 @@
 """Published bounds beside the exact boundary, and what a simulation's time step makes of that boundary."""
 
-import argparse
 import json
-from pathlib import Path
 
 import numpy as np
 
 from maglev_mj import plots
+from maglev_mj.cli.pictures import script_options
 from maglev_mj.frames import Array
 from maglev_mj.hand import Hand
 from maglev_mj.spec import Spec
@@ -15,12 +14,8 @@ from maglev_mj.theory import bounds, largest_stable_stiffness, stiffest_wall
 from maglev_mj.theory.closed_loop import SampledLoop
 from maglev_mj.versions import versions
 
-parser = argparse.ArgumentParser(description=__doc__)
-parser.add_argument("folder", nargs="?", default="figures", type=Path, help="where files go")
-parser.add_argument("--quick", action="store_true", help="fewer time steps and points")
-options = parser.parse_args()
-folder = options.folder
-folder.mkdir(parents=True, exist_ok=True)
+options = script_options(__doc__, quick="fewer time steps and points")
+pictures = options.pictures
 
 PERIOD, DELAY = 1.0 / Spec.control_rate.value, Spec.transport_delay.value
 OWN = 20.0  # damping of the device or the hand, in one of the panels [N s/m]
@@ -51,6 +46,7 @@ for delay, own in ((0.0, 0.0), (DELAY, 0.0), (PERIOD, 0.0), (0.0, OWN)):
             f"{at['Minsky et al.'] / base:>8.2f}{passive}"
         )
 
+by_step = []
 steps = np.array([1e-3] if options.quick else [1e-5, 2e-5, 5e-5, 1e-4, 2e-4, 5e-4, 1e-3, 2.5e-3, 5e-3])
 shifts: list[dict[str, object]] = []
 LOOPS = {delay: SampledLoop(period=PERIOD, delay=delay) for delay in (0.0, DELAY, PERIOD)}
@@ -78,12 +74,13 @@ for delay in LOOPS:
         if kind == "euler":  # the other semi-implicit ones are the same to the last digit here
             curves.append((f"delay {delay * 1e3:g} ms", steps * 1e3, percent))
 labels = ("time step (ms)", "stiffest wall too stiff by (%)")
-title = "Euler, implicit, discrete; steps end at switches. RK4: 0"
-panels.append(plots.Panel(title=title, labels=labels, curves=curves, log="xy", marked=True))
+title = "Euler, implicit, discrete; steps end\nat switches (RK4: 0)"
+by_step.append(plots.Panel(title=title, labels=labels, curves=curves, log="xy", marked=True))
 fixed = [(kind, steps * 1e3, shift(kind, DELAY, aligned=False)) for kind in ("rk4", "euler")]
-title = "fixed step, the switch seen late (delay 1.5 ms)"
-panels.append(plots.Panel(title=title, labels=labels, curves=fixed, log="x", level=0.0, marked=True))
+title = "fixed step, the switch seen late\n(delay 1.5 ms)"
+by_step.append(plots.Panel(title=title, labels=labels, curves=fixed, log="x", level=0.0, marked=True))
 data = {"bounds": rows, "integrators": shifts, "versions": versions()}
-(folder / "stability_bounds.json").write_text(json.dumps(data, indent=1) + "\n")
-print("wrote", folder / "stability_bounds.json")
-print("wrote", plots.small_multiples(panels, folder / "stability_bounds.png"))
+pictures.path("stability_bounds", "json").write_text(json.dumps(data, indent=1) + "\n")
+print("wrote", pictures.path("stability_bounds", "json"))
+print("wrote", plots.small_multiples(panels, pictures.path("stability_bounds")))
+print("wrote", plots.small_multiples(by_step, pictures.path("stability_steps")))

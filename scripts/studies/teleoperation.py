@@ -12,7 +12,6 @@ import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import product
-from pathlib import Path
 
 os.environ.setdefault("MUJOCO_GL", "osmesa")  # before the engine is imported
 
@@ -21,14 +20,14 @@ import numpy as np
 from maglev_mj import plots
 from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.options import number_option
-from maglev_mj.cli.output import check_outputs
+from maglev_mj.cli.pictures import add_pictures, chosen_pictures
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.parameters import number
 from teleoperation_coupling import Coupling
 from teleoperation_energy import Ledger, ledger
 from teleoperation_limits import GRIPS, bodies, contacts, growth, measured_boundary
-from teleoperation_pictures import chart, limits, scenes
+from teleoperation_pictures import balance, limits, motion, scenes
 from teleoperation_run import History, carry_out
 from teleoperation_task import DELAY_SHARE, Task
 from teleoperation_theory import NO_GAINS, Gains, stiffest_coupling
@@ -59,15 +58,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         options = _parser().parse_args(arguments)
         task = _task(options)
-        check_outputs(out=options.out)
-        if options.out is not None:
-            plots.require()
-            options.out.mkdir(parents=True, exist_ok=True)
-        _tell(task, options.out)
+        pictures = chosen_pictures(options)
+        _tell(task, pictures)
         if options.sweep:
             _sweep(task)
         if options.limits:
-            _limits(task, options.out)
+            _limits(task, pictures)
     except MaglevError as error:
         print(f"teleoperation.py: {error}", file=sys.stderr)
         return 2 if isinstance(error, ParameterError) else 1
@@ -87,7 +83,7 @@ def _parser() -> Parser:
     )
     parser.add_argument("--sweep", action="store_true", help="also contacts over hands, phases, speeds and forces")
     parser.add_argument("--limits", action="store_true", help="also growth of oscillations beside the eigenvalues")
-    parser.add_argument("--out", metavar="DIR", type=Path, help="write pictures to this folder")
+    add_pictures(parser)
     return parser
 
 
@@ -98,7 +94,7 @@ def _task(options: argparse.Namespace) -> Task:
     return Task(mode=options.mode, period=period, delay=delay, phase=options.phase, press=options.press)
 
 
-def _tell(task: Task, folder: Path | None) -> None:
+def _tell(task: Task, pictures: plots.PictureFolder | None) -> None:
     """Do the task and print what there is to say of it."""
     history = carry_out(task)
     energies = ledger(history)
@@ -106,16 +102,17 @@ def _tell(task: Task, folder: Path | None) -> None:
     print(_margins(task, history))
     print(_contact(history))
     print(_balance(history, energies))
-    if folder is not None:
+    if pictures is not None:
         name = f"teleoperation_{task.mode}_{1.0 / task.period:g}"
-        print("wrote", chart(history, energies, folder / f"{name}.png"))
+        print("wrote", motion(history, pictures.path(name)))
+        print("wrote", balance(history, energies, pictures.path(f"{name}_energy")))
         pressed = history.pressed + 0.5 * task.hold
         moments = [
             (0.0, "at the start"),
             _UNDERWAY[task.mode],
             (pressed, f"pressing with {history.press:.0f} N"),
         ]
-        print("wrote", scenes(history, moments, folder / f"{name}_slave.png"))
+        print("wrote", scenes(history, moments, pictures.path(f"{name}_slave")))
 
 
 def _heading(history: History) -> str:
@@ -209,7 +206,7 @@ def _sweep(task: Task) -> None:
         )
 
 
-def _limits(task: Task, folder: Path | None) -> None:
+def _limits(task: Task, pictures: plots.PictureFolder | None) -> None:
     """Print and draw how an oscillation grows around the stiffness at which the coupling fails."""
     shares = [0.94, 0.97, 1.0, 1.03, 1.06]
     print()
@@ -227,8 +224,8 @@ def _limits(task: Task, folder: Path | None) -> None:
         if mode == "touching":
             _fails(near, coupling, edge)
         rows.append((f"slave {label}, {1.0 / task.period:g} Hz: {edge:.0f} N/m", shares, found))
-    if folder is not None:
-        print("wrote", limits(rows, folder / f"teleoperation_limits_{1.0 / task.period:g}.png"))
+    if pictures is not None:
+        print("wrote", limits(rows, pictures.path(f"teleoperation_limits_{1.0 / task.period:g}")))
 
 
 def _fails(near: Task, coupling: Coupling, edge: float) -> None:

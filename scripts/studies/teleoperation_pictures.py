@@ -9,56 +9,76 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from maglev_mj.colours import GRID, HAND, REFERENCE, SERIES, STOP, TOUCHED
 from maglev_mj.frames import Array
-from maglev_mj.plots.drawing import FIRST, GRID, IDEAL, MANY, SECOND, new_figure, save
+from maglev_mj.plots.drawing import BESIDE, FIRST, SECOND, TITLE, name_curves, new_figure, save
 from maglev_mj.viewer.offscreen import DisplayError
 from teleoperation_energy import Ledger
 from teleoperation_limits import Growth
 from teleoperation_run import History
 from teleoperation_slave import Slave
 
-__all__ = ["chart", "limits", "scenes"]
+__all__ = ["balance", "limits", "motion", "scenes"]
 
 _PARTS = {
-    "springs": ("springs of coupling and arm", MANY[0]),
-    "arm": ("the arm's damper", MANY[1]),
-    "friction": ("stick-slip", MANY[2]),
-    "damper": ("the coupling's damper", MANY[3]),
-    "block": ("the block", MANY[4]),
-    "motion": ("motion", MANY[5]),
+    "springs": ("springs of coupling\nand arm", SERIES[0]),
+    "arm": ("the arm's damper", SERIES[1]),
+    "friction": ("stick-slip", SERIES[2]),
+    "damper": ("the coupling's damper", SERIES[3]),
+    "block": ("the block", SERIES[4]),
+    "motion": ("motion", SERIES[5]),
 }
-_INK = "#1a1c1f"
 
 
-def chart(history: History, energies: Ledger, path: Path) -> Path:
-    """Draw what the slave did, what it pressed with, and where the energy went.
+def motion(history: History, path: Path) -> Path:
+    """Draw the slave's position, and the forces on slave and joystick.
 
     Args:
         history: What was seen.
-        energies: Its ledger.
-        path: PNG to write.
+        path: File to write.
 
     Raises:
         ChartsMissingError: If matplotlib is not installed.
     """
-    figure, (places, forces, balance, made) = new_figure(2, 2, (12.0, 7.6), sharex=True)
+    figure, panels = new_figure(2, 1, 6.8, sharex=True)
+    _draw_places(panels[0], history)
+    _draw_forces(panels[1], history)
+    return _finished(figure, panels, history, path)
+
+
+def balance(history: History, energies: Ledger, path: Path) -> Path:
+    """Draw where the energy went.
+
+    Args:
+        history: What was seen.
+        energies: Its ledger.
+        path: File to write.
+
+    Raises:
+        ChartsMissingError: If matplotlib is not installed.
+    """
+    figure, panels = new_figure(2, 1, 6.8, sharex=True)
+    _draw_balance(panels[0], energies)
+    made = panels[1]
+    made.plot(energies.time, 1e3 * energies.damper, color=FIRST, linewidth=1.6, label="taken by the\ncoupling's damper")
+    made.plot(energies.time, 1e3 * energies.made, color=SECOND, linewidth=1.6, label="made by sampling\nand delay")
+    order = {"color": REFERENCE, "linestyle": ":", "label": "first order:\nK (T/2 + delay)"}
+    made.plot(energies.time, 1e3 * energies.foreseen, **order)
+    made.set_title("what sampling makes, and what the damper takes (mJ)", **TITLE)
+    return _finished(figure, panels, history, path)
+
+
+def _finished(figure: Any, panels: Sequence[Any], history: History, path: Path) -> Path:
+    """Add time, title and legends, each beside its panel, and write the figure."""
     task = history.task
-    _draw_places(places, history)
-    _draw_forces(forces, history)
-    _draw_balance(balance, energies)
-    made.plot(energies.time, 1e3 * energies.damper, color=FIRST, linewidth=1.6, label="taken by the coupling's damper")
-    made.plot(energies.time, 1e3 * energies.made, color=SECOND, linewidth=1.6, label="made by sampling and delay")
-    made.plot(energies.time, 1e3 * energies.foreseen, color=IDEAL, linestyle=":", label="first order: K (T/2 + delay)")
-    made.set_ylim(top=1.35e3 * float(energies.damper.max()))
-    made.set_title("what sampling makes, and what the damper takes (mJ)", loc="left", fontsize=10.5)
-    made.legend(frameon=False, loc="upper left")
-    for panel in (balance, made):
-        panel.set_xlabel("time (s)")
-        panel.set_xlim(0.0, float(history.time[-1]))
+    for panel in panels:
+        panel.legend(**BESIDE)
+    panels[-1].set_xlabel("time (s)")
+    panels[-1].set_xlim(0.0, float(history.time[-1]))
     figure.suptitle(
         f"{task.mode} mode, {1.0 / task.period:g} Hz, delay {task.delay * 1e3:g} ms, coupling "
         f"{history.coupling.stiffness:.0f} N/m and {history.coupling.damping:.1f} N s/m",
-        fontsize=11.5,
+        fontsize=11.0,
     )
     return save(figure, path)
 
@@ -75,19 +95,18 @@ def _draw_places(panel: Any, history: History) -> None:
         panel.fill_between(ticks, low, high, where=history.rate[:, axis], color=color, alpha=0.10, linewidth=0.0)
         panel.set_ylim(low, high)
     shaded = "; shaded: rate mode" if history.rate.any() else ""
-    panel.set_title(f"place of the slave (mm){shaded}", loc="left", fontsize=10.5)
-    panel.legend(frameon=False, loc="best", fontsize=8.5)
+    panel.set_title(f"place of the slave (mm){shaded}", **TITLE)
 
 
 def _draw_forces(panel: Any, history: History) -> None:
     """Draw what the slave feels, and what the hand does."""
     felt = -history.force[:, 2] / history.coupling.reflection
     block = history.contact[:, 2]
-    panel.plot(history.time, block, color=FIRST, linewidth=1.5, label="the block's, on the slave")
-    panel.plot(history.time, felt, color=SECOND, linewidth=1.3, linestyle="--", label="the coupling's, on the joystick")
-    panel.set_ylim(top=1.35 * float(block.max()))
-    panel.set_title("forces along z, as at the slave (N)", loc="left", fontsize=10.5)
-    panel.legend(frameon=False, loc="upper left")
+    panel.plot(history.time, block, color=FIRST, linewidth=1.5, label="of the block, on the slave")
+    panel.plot(
+        history.time, felt, color=SECOND, linewidth=1.3, linestyle="--", label="of the coupling,\non the joystick"
+    )
+    panel.set_title("forces along z, as at the slave (N)", **TITLE)
 
 
 def _draw_balance(panel: Any, energies: Ledger) -> None:
@@ -96,11 +115,9 @@ def _draw_balance(panel: Any, energies: Ledger) -> None:
     labels, colours = zip(*(_PARTS[name] for name in names), strict=True)
     parts = [1e3 * getattr(energies, name) for name in names]
     panel.stackplot(energies.time, parts, labels=labels, colors=colours, alpha=0.55, linewidth=0.0)
-    panel.plot(energies.time, 1e3 * energies.put_in, color=_INK, linewidth=1.5, label="put in, all")
-    panel.plot(energies.time, 1e3 * energies.hand, color=_INK, linewidth=1.2, linestyle=":", label="by the hand")
-    panel.set_ylim(top=1.25 * 1e3 * float(energies.put_in.max()))
-    panel.set_title("energy put in, and what became of it (mJ)", loc="left", fontsize=10.5)
-    panel.legend(frameon=False, loc="upper left", fontsize=8.5, ncols=2)
+    panel.plot(energies.time, 1e3 * energies.put_in, color=STOP, linewidth=1.5, label="put in, all")
+    panel.plot(energies.time, 1e3 * energies.hand, color=STOP, linewidth=1.2, linestyle=":", label="by the hand")
+    panel.set_title("energy put in, and what became of it (mJ)", **TITLE)
 
 
 def limits(rows: Sequence[tuple[str, Sequence[float], Sequence[Growth]]], path: Path) -> Path:
@@ -108,21 +125,21 @@ def limits(rows: Sequence[tuple[str, Sequence[float], Sequence[Growth]]], path: 
 
     Args:
         rows: For each panel its title, stiffnesses in parts of the boundary's, and the growths there.
-        path: PNG to write.
+        path: File to write.
 
     Raises:
         ChartsMissingError: If matplotlib is not installed.
     """
-    figure, panels = new_figure(1, len(rows), (4.8 * len(rows), 3.6))
+    figure, panels = new_figure(1, len(rows), 3.6)
     for panel, (title, shares, found) in zip(panels, rows, strict=True):
         panel.axhline(1.0, color=GRID, linewidth=2.0)
-        panel.plot(shares, [one.foreseen for one in found], color=IDEAL, linewidth=1.6, label="eigenvalues")
+        panel.plot(shares, [one.foreseen for one in found], color=REFERENCE, linewidth=1.6, label="eigenvalues")
         measured = [one.measured for one in found]
         panel.plot(shares, measured, color=SECOND, linestyle="", marker="o", markersize=5, label="measured")
-        panel.set_title(title, loc="left", fontsize=10.5)
+        panel.set_title(title, **TITLE)
         panel.set_xlabel("stiffness over the boundary's")
     panels[0].set_ylabel("growth from sample to sample")
-    panels[0].legend(frameon=False, loc="upper left")
+    name_curves(figure, panels)
     return save(figure, path)
 
 
@@ -132,18 +149,18 @@ def scenes(history: History, moments: Sequence[tuple[float, str]], path: Path) -
     Args:
         history: What was seen.
         moments: Times [s] and what to write over them.
-        path: PNG to write.
+        path: File to write.
 
     Raises:
         ChartsMissingError: If matplotlib is not installed.
         DisplayError: If there is no library to draw with.
     """
     pictures = _rendered(history, [time for time, _ in moments])
-    figure, panels = new_figure(1, len(pictures), (4.4 * len(pictures), 3.6))
+    figure, panels = new_figure(1, len(pictures), 2.5)
     for panel, (time, label), image in zip(panels, moments, pictures, strict=True):
         panel.imshow(image)
         panel.set_axis_off()
-        panel.set_title(f"{time:.1f} s: {label}", loc="left", fontsize=11.0)
+        panel.set_title(f"{time:.1f} s: {label}", **TITLE)
     return save(figure, path)
 
 
@@ -169,7 +186,7 @@ def _rendered(history: History, times: Sequence[float]) -> list[Array]:
             renderer.update_scene(data, camera)
             tip = model.body("along_x").pos + history.slave[0][step]
             _add_ball(renderer.scene, model.body("along_x").pos + history.target[tick])
-            _add_arrow(renderer.scene, tip + np.array([0.025, -0.025, 0.0]), history.contact[step])
+            _add_arrow(renderer.scene, tip + np.array([0.04, -0.04, 0.0]), history.contact[step])
             pictures.append(renderer.render())
     return pictures
 
@@ -177,17 +194,17 @@ def _rendered(history: History, times: Sequence[float]) -> list[Array]:
 def _add_ball(scene: Any, place: Array) -> None:
     """Add a ball, seen through."""
     geom = scene.geoms[scene.ngeom]
-    size, colour = np.array([0.012, 0.0, 0.0]), np.array([0.10, 0.60, 0.35, 0.45], dtype=np.float32)
+    size, colour = np.array([0.012, 0.0, 0.0]), np.array([*HAND, 0.9], dtype=np.float32)
     mujoco.mjv_initGeom(geom, mujoco.mjtGeom.mjGEOM_SPHERE, size, place, np.eye(3).ravel(), colour)
     scene.ngeom += 1
 
 
 def _add_arrow(scene: Any, tail: Array, force: Array) -> None:
-    """Add an arrow of 2 mm for each newton, if there is a force."""
+    """Add an arrow of 3 mm for each newton, if there is a force."""
     if np.linalg.norm(force) < 0.5:
         return
     geom = scene.geoms[scene.ngeom]
-    colour = np.array([0.80, 0.16, 0.14, 1.0], dtype=np.float32)
+    colour = np.array([*TOUCHED, 1.0], dtype=np.float32)
     mujoco.mjv_initGeom(geom, mujoco.mjtGeom.mjGEOM_ARROW, np.zeros(3), np.zeros(3), np.eye(3).ravel(), colour)
-    mujoco.mjv_connector(geom, mujoco.mjtGeom.mjGEOM_ARROW, 0.006, tail, tail + 0.002 * force)
+    mujoco.mjv_connector(geom, mujoco.mjtGeom.mjGEOM_ARROW, 0.009, tail, tail + 0.003 * force)
     scene.ngeom += 1

@@ -1,6 +1,5 @@
 """Two walls close together: from which starts the flotor rattles between them, by gap, delay and braking pulse."""
 
-import argparse
 import json
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,17 +8,14 @@ from typing import Any
 import numpy as np
 
 from impacts import RATTLE, rattle
+from maglev_mj.cli.pictures import script_options
 from maglev_mj.frames import Array, Mask
-from maglev_mj.plots.drawing import SECOND, new_figure, save
+from maglev_mj.plots.drawing import SECOND, TITLE, name_curves, new_figure, save
 from maglev_mj.spec import RANGE, Spec
 from maglev_mj.versions import versions
 
-parser = argparse.ArgumentParser(description=__doc__)
-parser.add_argument("folder", nargs="?", default="figures", type=Path, help="where files go")
-parser.add_argument("--quick", action="store_true", help="fewer gaps, delays and starts")
-options = parser.parse_args()
-folder = options.folder
-folder.mkdir(parents=True, exist_ok=True)
+options = script_options(__doc__, quick="fewer gaps, delays and starts")
+pictures = options.pictures
 quick = options.quick
 
 # the paper's, that which stops the flotor within its 3 ms and no more, and none
@@ -52,37 +48,40 @@ def widest(pulse: float, delay: float, seed: int) -> float:
 def draw(
     maps: Sequence[tuple[str, Array, Mask]], axes: tuple[Array, Array], labels: tuple[str, str, str], path: Path
 ) -> Path:
-    """Draw maps of shares over two values side by side.
+    """Draw maps of shares over two values, two side by side.
 
     Args:
         maps: Title, shares (M, N), and which cells leave the device's range (M, N), of each map.
         axes: Values of the rows (M,) and of the columns (N,).
         labels: Names of rows, columns and share.
-        path: PNG to write.
+        path: File to write.
 
     Raises:
         ChartsMissingError: If matplotlib is not installed.
     """
     rows, columns = axes
-    size = (0.42 * len(columns) * len(maps) + 0.9, 0.32 * len(rows) + 1.7)
-    figure, panels = new_figure(1, len(maps), size, sharey=True)
-    for panel, (title, share, outside) in zip(panels, maps, strict=True):
+    deep = -(-len(maps) // 2)
+    figure, panels = new_figure(deep, 2, deep * (0.25 * len(rows) + 0.8) + 0.4, sharex=True, sharey=True)
+    for panel, (title, share, outside) in zip(panels, maps):
         panel.grid(visible=False)
         panel.imshow(np.ma.masked_equal(share, 0.0), cmap="GnBu", vmin=-0.1, vmax=1.4, aspect="auto", origin="lower")
         for (row, column), value in np.ndenumerate(share):
             if value > 0.0:
                 text = "1" if value == 1.0 else f"{value:.2f}".lstrip("0")
-                panel.text(column, row, text, ha="center", va="center", fontsize=7.5)
+                panel.text(column, row, text, ha="center", va="center", fontsize=8.0)
         left_row, left_column = np.nonzero(outside)
         panel.plot(left_column + 0.32, left_row + 0.32, ".", color=SECOND, markersize=3.5)
-        panel.set_xticks(range(len(columns)), [f"{value:g}" for value in columns], fontsize=8.0, rotation=90)
-        panel.set_yticks(range(len(rows)), [f"{value:g}" for value in rows], fontsize=8.0)
+        panel.set_xticks(range(len(columns)), [f"{value:g}" for value in columns], rotation=90)
+        panel.set_yticks(range(len(rows)), [f"{value:g}" for value in rows])
         panel.set_xlabel(labels[1])
-        panel.set_title(title, loc="left", fontsize=10.5)
-    panels[0].set_ylabel(labels[0])
-    (dot,) = panels[0].plot([], [], ".", color=SECOND, markersize=5)
-    names = f"red dot: leaves the device's range; number: {labels[2]}; white: none"
-    figure.legend([dot], [names], frameon=False, loc="outside lower center", fontsize=9.0)
+        panel.set_ylabel(labels[0])
+        panel.set_title(title, **TITLE)
+        panel.tick_params(labelbottom=True, labelleft=True)
+    for panel in panels[len(maps) :]:
+        panel.set_axis_off()
+    words = f"dot: leaves the device's range; number: {labels[2]}; white: none"
+    panels[0].plot([], [], ".", color=SECOND, markersize=5, label=words)
+    name_curves(figure, panels[:1])
     return save(figure, path)
 
 
@@ -104,12 +103,12 @@ for pulse in PULSES:
         row = {"pulse": pulse, "delay": delay * 1e-3, "gaps": (GAPS * 1e-3).tolist()}
         data.append({**row, "share": share.tolist(), "outside": outside.tolist(), "widest_of_random": most * 1e-3})
 text = json.dumps({"versions": versions(), "rows": data}, indent=1)
-(folder / "two_walls.json").write_text(text + "\n")
-print("wrote", folder / "two_walls.json")
+pictures.path("two_walls", "json").write_text(text + "\n")
+print("wrote", pictures.path("two_walls", "json"))
 maps = []
 for pulse in PULSES:
     rows = [row for row in data if row["pulse"] == pulse]
     both = [np.array([row[name] for row in rows]) for name in ("share", "outside")]
     maps.append((f"pulse {pulse:.0f} N s/m" if pulse else "no pulse", both[0], both[1]))
 names = ("delay (ms)", "gap (mm)", f"share of {STARTS} starts that rattle")
-print("wrote", draw(maps, (DELAYS, GAPS), names, folder / "two_walls.png"))
+print("wrote", draw(maps, (DELAYS, GAPS), names, pictures.path("two_walls")))

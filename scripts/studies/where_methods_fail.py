@@ -1,12 +1,10 @@
-"""Where walls fail, and what cures it: eight panels, each over phases, seeds or a sweep.
+"""Where walls fail, and what cures it: four figures of two panels, each over phases, seeds or a sweep.
 
 `two_walls.py` draws the fourth one's subject over every delay.
 """
 
-import argparse
 import itertools
 import json
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,6 +13,7 @@ from corner import corner
 from failures import press_at_edge, random_delay_rate
 from impacts import RATTLE, limited_drop, rattle
 from maglev_mj import Timing, Wall, plots
+from maglev_mj.cli.pictures import script_options
 from maglev_mj.hand import Hand
 from maglev_mj.laws import Law, ObserverWall
 from maglev_mj.spec import RANGE, Spec
@@ -23,12 +22,8 @@ from maglev_mj.studies.growth import RestingWall, measure_growth
 from maglev_mj.theory import largest_modulus, stiffest_wall
 from maglev_mj.versions import versions
 
-parser = argparse.ArgumentParser(description=__doc__)
-parser.add_argument("folder", nargs="?", default="figures", type=Path, help="where files go")
-parser.add_argument("--quick", action="store_true", help="fewer points")
-options = parser.parse_args()
-folder = options.folder
-folder.mkdir(parents=True, exist_ok=True)
+options = script_options(__doc__, quick="fewer points")
+pictures = options.pictures
 
 T, DELAY, MASS = 1.0 / Spec.control_rate.value, Spec.transport_delay.value, Spec.moving_mass.value
 COUNT = 2 if options.quick else 10
@@ -37,7 +32,7 @@ PHASES = np.arange(32)[:: 8 if options.quick else 1] / 32
 
 def panel(title: str, x: str, y: str, curves: list[tuple[str, Any, Any]], **options: Any) -> plots.Panel:
     """Return a panel of curves with its axes named."""
-    return plots.Panel(title=title, labels=(x, y), curves=curves, legend="below", **options)
+    return plots.Panel(title=title, labels=(x, y), curves=curves, **options)
 
 
 def just_above_the_boundary() -> plots.Panel:
@@ -52,7 +47,7 @@ def just_above_the_boundary() -> plots.Panel:
         seen = measure_growth(walls, plant).ticks
         curves.append((f"simulated, {plant}", over * 100.0, seen))
     return panel(
-        "one sample of delay, just above the boundary",
+        "one sample of delay,\njust above the boundary",
         "stiffness above it (%)",
         "samples to grow 10 000-fold",
         curves,
@@ -71,7 +66,7 @@ def jitter() -> plots.Panel:
             rates.append(random_delay_rate(6000.0, 80.0, [timing.rest_at(tick) for tick in range(4000)]))
         curves.append((f"± {spread * 1e3:g} ms", means * 1e3, np.array(rates)))
     return panel(
-        "delay jitter acts as its mean (6000 N/m, 80 N s/m)", "mean delay (ms)", "growth a sample", curves, level=1.0
+        "delay jitter acts as its mean\n(6000 N/m, 80 N s/m)", "mean delay (ms)", "growth a sample", curves, level=1.0
     )
 
 
@@ -196,7 +191,13 @@ def corners() -> plots.Panel:
     return panel("a corner: x, z and ry at once", "time (s)", "kinetic energy (J)", curves, log="y")
 
 
-panels = [make() for make in (just_above_the_boundary, jitter, chatter, gaps, saturation, quantization, hands, corners)]
+FIGURES = {
+    "timing": (just_above_the_boundary, jitter),
+    "pulse": (chatter, gaps),
+    "limits": (saturation, quantization),
+    "hands": (hands, corners),
+}
+drawn = {name: [make() for make in makers] for name, makers in FIGURES.items()}
 data = [
     {
         "title": one.title,
@@ -204,8 +205,12 @@ data = [
         "curves": [[name, list(x), list(y)] for name, x, y in one.curves],
         "outside": [np.asarray(points).tolist() for points in one.outside],
     }
+    for panels in drawn.values()
     for one in panels
 ]
-(folder / "where_methods_fail.json").write_text(json.dumps({"panels": data, "versions": versions()}, indent=1) + "\n")
-print("wrote", folder / "where_methods_fail.json")
-print("wrote", plots.small_multiples(panels, folder / "where_methods_fail.png"))
+pictures.path("where_methods_fail", "json").write_text(
+    json.dumps({"panels": data, "versions": versions()}, indent=1) + "\n"
+)
+print("wrote", pictures.path("where_methods_fail", "json"))
+for name, panels in drawn.items():
+    print("wrote", plots.small_multiples(panels, pictures.path(f"where_methods_fail_{name}")))

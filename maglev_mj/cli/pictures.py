@@ -1,0 +1,81 @@
+"""Options of what draws: a folder for pictures, and their format."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+
+from maglev_mj.cli.arguments import Parser
+from maglev_mj.errors import ParameterError
+from maglev_mj.plots import FORMATS, PictureFolder, require
+
+__all__ = ["add_pictures", "check_folder", "chosen_pictures", "script_options"]
+
+
+def add_pictures(parser: Parser, told: str = "write pictures to this folder", default: Path | None = None) -> None:
+    """Add --out and --format.
+
+    Args:
+        parser: Of the command.
+        told: Help of --out.
+        default: Folder where none is given; None for no pictures.
+    """
+    output = parser.group("output")
+    output.add_argument("--out", metavar="DIR", type=Path, default=default, help=told)
+    output.add_argument(
+        "--format", metavar="NAME", choices=FORMATS, help=f"of pictures: {', '.join(FORMATS)} (default {FORMATS[0]})"
+    )
+
+
+def check_folder(path: Path) -> None:
+    """Check that a folder is there, or may be made.
+
+    Raises:
+        ParameterError: If it is a file.
+    """
+    if path.exists() and not path.is_dir():
+        raise ParameterError(f"out must be a folder, not {str(path)!r}")
+
+
+def chosen_pictures(options: argparse.Namespace) -> PictureFolder | None:
+    """Return where pictures go; None for no pictures.
+
+    Raises:
+        ParameterError: If a format is given without a folder, or the folder is a file.
+        ChartsMissingError: If matplotlib is not installed.
+    """
+    folder = getattr(options, "out", None)
+    if folder is None:
+        if getattr(options, "format", None) is not None:
+            raise ParameterError(f"format must be given with out, the folder of pictures, not {options.format!r} alone")
+        return None
+    require()
+    check_folder(folder)
+    return PictureFolder(folder, options.format or FORMATS[0])
+
+
+def script_options(
+    description: str | None, quick: str | None = None, more: Callable[[Parser], object] = lambda parser: None
+) -> argparse.Namespace:
+    """Return the options of a script that draws.
+
+    Args:
+        description: Of the script.
+        quick: Help of `--quick`; None for a script without.
+        more: Called with the parser, for options of its own.
+
+    Returns:
+        `pictures`, a `PictureFolder`, and `quick`.
+    """
+    parser = Parser(description=description)
+    add_pictures(parser, "write files to this folder (default figures)", Path("figures"))
+    if quick is not None:
+        parser.add_argument("--quick", action="store_true", help=quick)
+    more(parser)
+    options = parser.parse_args()
+    try:
+        options.pictures = chosen_pictures(options)
+    except ParameterError as error:
+        parser.error(str(error))
+    return options

@@ -1,0 +1,142 @@
+"""What is over the scene, in a window and in a picture: words, plots, labels and a banner, each in its place."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple, TypeAlias
+
+import glfw
+import mujoco
+
+from maglev_mj.colours import BAD, STOP, Colour
+from maglev_mj.display.banner import Banner, Note, banner
+from maglev_mj.frames import AXES
+from maglev_mj.scenes import Scene
+from maglev_mj.session import EMERGENCY_STOP, Snapshot
+from maglev_mj.viewer.keys import AXIS, KEYS, help_rows, key_of
+from maglev_mj.viewer.layout import Area, Font, Layout, arrange
+from maglev_mj.viewer.overlay import status_rows
+from maglev_mj.viewer.plots import Label, Plots
+
+__all__ = ["Drawn", "Screen"]
+
+_Text: TypeAlias = tuple[int, int, str, str]
+"""Font, place in the picture, and two columns."""
+
+_HELPS, _CHARTS = (glfw.KEY_F1, glfw.KEY_F2), (glfw.KEY_F3, glfw.KEY_F4)
+_RED: Colour = (0.80, 0.05, 0.05)
+_STOPS = "ESC: EMERGENCY STOP", "ESC: STOP", "ESC"
+_LOW, _ROUND = 130, 12
+_DARK: Colour = (0.05, 0.06, 0.08)
+_WAYS = {"centre": "to start again", "pause": "to go on", "slower": "for slow motion"}
+
+
+class Drawn(NamedTuple):
+    """What is to be drawn over the scene.
+
+    Attributes:
+        figures: Rectangles and figures, the lowest first.
+        texts: Words over them, as the engine's viewer takes them.
+        layout: Where everything is.
+    """
+
+    figures: list[tuple[Any, Any]]
+    texts: list[_Text]
+    layout: Layout
+
+
+class Screen:
+    """Lays out what is over the scene, and keeps what a person has chosen of it.
+
+    Args:
+        keys: Whether there is anybody to press keys.
+    """
+
+    def __init__(self, *, keys: bool = True) -> None:
+        self._plots, self._with_keys = Plots(), keys
+        self._stop, self._hint, self._back = Label(_RED), Label(_DARK, 0.85), Label(_DARK, 0.80)
+        self._banner = Label(BAD)
+        self._late = Note()
+        self._axis: int | None = None
+        self._wanted: bool | None = None
+        self._shown = False
+        self._engine: set[int] = set()
+
+    def wait(self, scene: Scene) -> None:
+        """Wait until all that the plots need of a scene is known."""
+        self._plots.wait(scene)
+
+    def press(self, action: str, scene: Scene) -> None:
+        """Do what a key of the screen itself asks for."""
+        if action == AXIS:
+            self._axis = ((scene.axis_index if self._axis is None else self._axis) + 1) % len(AXES)
+        elif action == KEYS:
+            self._wanted = not self._shown
+
+    def note_engine_key(self, code: int) -> None:
+        """Keep what the engine's viewer shows over the scene; it says so nowhere."""
+        if code in (*_HELPS, *_CHARTS):
+            self._engine ^= {code}
+
+    def draw(self, snapshot: Snapshot, view: Area, scale: int, notes: Sequence[str] = ()) -> Drawn:
+        """Return what is to be drawn.
+
+        Args:
+            snapshot: The picture of now.
+            view: Where the scene is drawn.
+            scale: Of the engine's letters, 100 to 300 [%].
+            notes: Further words for the person.
+        """
+        if snapshot.late:
+            self._late.say("late")
+        said = banner(replace(snapshot, late=bool(self._late.lines)))  # ticks are given up now and then: no flicker
+        # a hand is the mouse's, but in a recording and on a device, which has one of its own
+        mouse = snapshot.duration is None and snapshot.state != "flying"
+        layout = arrange(
+            view,
+            scale,
+            status_rows(snapshot, notes),
+            help_rows(snapshot.actions, hand=mouse) if self._with_keys else [],
+            banner=said is not None,
+            label=self._with_keys and EMERGENCY_STOP in snapshot.actions,
+            shown=self._wanted if self._with_keys else False,
+            helped=bool(self._engine & {*_HELPS}),
+            charted=bool(self._engine & {*_CHARTS}),
+        )
+        self._shown = layout.keys is not None
+        low = bool(layout.plots) and layout.plots[0].height < _LOW * 0.01 * scale
+        figures = list(zip(layout.plots, self._plots.update(snapshot, self._axis, low=low), strict=False))
+        texts: list[_Text] = []
+        grids = mujoco.mjtGridPos
+        for words, grid in ((layout.status, grids.mjGRID_TOPLEFT), (layout.keys, grids.mjGRID_BOTTOMLEFT)):
+            if words is not None:
+                figures.append((words.area, self._back.update("")))
+                fonts = mujoco.mjtFont
+                font = fonts.mjFONT_BIG if words.font.large else fonts.mjFONT_NORMAL
+                first, second = ("\n".join(column) for column in zip(*words.rows, strict=True))
+                texts.append((int(font), int(grid), first, second))
+        if layout.label is not None:
+            room = layout.label.width - Font(scale).row
+            text = next((text for text in _STOPS if Font(scale).width(text) <= room), "")
+            figures.append((layout.label, self._stop.update(text)))
+        if layout.hint is not None:
+            figures.append((layout.hint, self._hint.update("F11: KEYS")))
+        if said is not None:
+            heads, why = _said(said, snapshot)
+            middle, letters, strip = int(view.centre[0]), Font(scale, large=True), layout.banner
+            half = min(middle - strip.left, strip.right - middle) - _ROUND
+            head = next((head for head in heads if letters.width(head) <= 2 * half), "")
+            self._banner.paint(BAD if said.bad else STOP)
+            figures.append((layout.banner, self._banner.update("" if head else heads[0], why)))
+            if head:
+                texts.append((int(mujoco.mjtFont.mjFONT_BIG), int(grids.mjGRID_TOP), head, ""))
+        return Drawn([(mujoco.MjrRect(*area), figure) for area, figure in figures], texts, layout)
+
+
+def _said(said: Banner, snapshot: Snapshot) -> tuple[list[str], str]:
+    """Return what a banner says, with the key that goes on, in less and less room; and why."""
+    title, _, why = said.text.partition(": ")
+    way = key_of(said.way_on, snapshot.actions) if said.way_on else ""
+    heads = [f"{title}: press {way} {_WAYS[said.way_on]}", f"{title}: press {way}"] if way else [title]
+    return heads, ". ".join(part for part in (why, said.remedy) if part)

@@ -1,0 +1,236 @@
+"""Every chart can be read at the width at which a page shows it, in every format."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from maglev_mj import plots
+from maglev_mj.bridge.fault import load_black_box
+from maglev_mj.cli import main
+from maglev_mj.errors import ParameterError
+from maglev_mj.plots.drawing import FORMATS, name_curves, new_figure
+from maglev_mj.scenes.drop import Drop
+from tests.test_analysis import analysed, recorded
+from tests.test_black_box import flown
+from tests.test_colours import PAPER, contrast
+from work_precision import WorkPoint, WorkPrecision, work_precision
+
+pytest.importorskip("matplotlib")
+
+COLUMN = 830 / 96
+"""Width of a page's column [inch]."""
+SMALLEST = 8.0
+"""Size of the smallest words there [pt]."""
+
+
+@pytest.fixture
+def figures(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """Return the list that figures are added to in place of files."""
+    from matplotlib.figure import Figure
+
+    drawn: list[Any] = []
+    monkeypatch.setattr(Figure, "savefig", lambda figure, *_, **__: drawn.append(figure))
+    return drawn
+
+
+def apart(boxes: list[Any]) -> bool:
+    """Return whether no two boxes overlap, by more than what rounding makes."""
+    return not any(
+        min(one.x1, other.x1) - max(one.x0, other.x0) > 1.0 and min(one.y1, other.y1) - max(one.y0, other.y0) > 1.0
+        for index, one in enumerate(boxes)
+        for other in boxes[:index]
+    )
+
+
+def numbers_of(axis: Any) -> list[Any]:
+    """Return the numbers of an axis that are seen."""
+    low, high = sorted(axis.get_view_interval())
+    ticks = [tick for tick in [*axis.get_major_ticks(), *axis.get_minor_ticks()] if low <= tick.get_loc() <= high]
+    return [tick.label1 for tick in ticks if tick.label1.get_visible() and tick.label1.get_text()]
+
+
+def words_of(figure: Any) -> list[Any]:
+    """Return the texts that are seen."""
+    from matplotlib.axis import Tick
+    from matplotlib.text import Text
+
+    panels = [panel for panel in figure.axes if panel.axison]
+    hidden = {text for panel in figure.axes if not panel.axison for text in panel.findobj(Text)}
+    hidden |= {text for tick in figure.findobj(Tick) for text in tick.findobj(Text)}
+    texts = [text for text in figure.findobj(Text) if text.get_visible() and text.get_text().strip()]
+    numbers = [text for panel in panels for axis in (panel.xaxis, panel.yaxis) for text in numbers_of(axis)]
+    return [text for text in texts if text not in hidden] + numbers
+
+
+def complaints(figure: Any) -> list[str]:
+    """Return what cannot be read in a figure."""
+    from matplotlib.colors import to_rgb
+
+    figure.canvas.draw()
+    renderer = figure.canvas.get_renderer()
+    scale, whole, found = min(COLUMN / figure.get_figwidth(), 1.0), figure.bbox, []
+    panels = [panel for panel in figure.axes if panel.axison]
+    for text in words_of(figure):
+        box = text.get_window_extent(renderer)
+        if text.get_size() * scale < SMALLEST:
+            found.append(f"{text.get_text()!r} has {text.get_size() * scale:.1f} pt")
+        if min(box.x0, box.y0, whole.x1 - box.x1, whole.y1 - box.y1) < -1.0:
+            found.append(f"{text.get_text()!r} leaves the picture")
+        if contrast(to_rgb(text.get_color()), PAPER) < 4.5:
+            found.append(f"{text.get_text()!r} is pale")
+    legends = [legend for legend in [*figure.legends, *(panel.get_legend() for panel in panels)] if legend is not None]
+    for legend in legends:
+        box = legend.get_window_extent(renderer)
+        inside = [panel.get_title(loc="left") for panel in panels if not apart([box, panel.bbox])]
+        found += [f"a legend lies on the panel {title!r}" for title in inside]
+    blocks = [legend.get_window_extent(renderer) for legend in legends]
+    for panel in panels:
+        names = [panel.xaxis.label, panel.yaxis.label, panel._left_title]
+        blocks += [text.get_window_extent(renderer) for text in names if text.get_text()]
+        numbers = numbers_of(panel.xaxis) + numbers_of(panel.yaxis)
+        blocks += [text.get_window_extent(renderer).padded(3.0, 0.0) for text in numbers]
+    if not apart(blocks):
+        found.append("names, numbers, titles or legends lie on one another")
+    return found
+
+
+COMMANDS = {
+    "drop": "drop --plant exact --phase 0.56 --phases 3",
+    "own gains": "drop --plant exact --pulse 150 --force-limit 12345 --height 0.003",
+    "press": "press --plant exact",
+    "press, own hand": "press --plant exact --hand 0.554,6.45,135.5,25.25,1000.5 --force-limit 60.5",
+    "stick-slip": "stick-slip --plant exact",
+    "scene": "run joystick --phases 2",
+    "stability": "stability --grid 12 --plant exact --workers 0",
+    "stability, hand": "stability --grid 12 --delay 0 --hand arm",
+    "design": "design --mass 0.63:0.77 --delay 0.001:0.002",
+    "design, one range": "design --mass 0.63:0.77",
+}
+
+
+@pytest.mark.parametrize("command", COMMANDS.values(), ids=COMMANDS)
+def test_a_chart_of_a_command_can_be_read(command: str, tmp_path: Path, figures: list[Any]) -> None:
+    assert main([*command.split(), "--out", str(tmp_path)]) == 0
+    assert figures and [complaints(figure) for figure in figures] == [[]] * len(figures)
+
+
+@pytest.mark.parametrize("scene", ["drop", "press", "stick-slip"])
+def test_a_chart_of_a_recording_can_be_read(scene: str, tmp_path: Path, figures: list[Any]) -> None:
+    path = tmp_path / "run.npz"
+    assert main([scene, "--plant", "exact", "--record", str(path)]) == 0
+    assert main(["analyse", str(path), "--out", str(tmp_path)]) == 0
+    assert len(figures) == 2 and [complaints(figure) for figure in figures] == [[], []]
+    if scene == "stick-slip":  # no empty panel for an axis without friction
+        assert [len(panel.lines) for panel in figures[1].axes] == [2]
+
+
+def test_the_chart_of_a_recording_that_differs_can_be_read(figures: list[Any]) -> None:
+    stretch = recorded(Drop())
+    other = stretch.replace(position=stretch.position + 1e-5)
+    plots.whole_run(analysed(other), 2, Path("unused.png"))
+    assert [complaints(figure) for figure in figures] == [[]]
+
+
+@pytest.mark.parametrize("count", range(1, 7))
+def test_staircases_have_a_panel_for_each_axis(count: int, figures: list[Any]) -> None:
+    time, position = np.linspace(0.0, 1.0, 50), np.random.default_rng(1).normal(size=(50, 6)) * 1e-3
+    said = {axis: "3 slips, resting places 0.73 to 2.3 apart" for axis in range(count)}
+    plots.staircases(time, position, position, said, Path("unused.png"))
+    (figure,) = figures
+    assert sum(panel.axison for panel in figure.axes) == count and complaints(figure) == []
+
+
+def test_the_chart_of_a_fault_can_be_read(tmp_path: Path, figures: list[Any]) -> None:
+    _, error = flown(tmp_path)
+    assert error.path is not None
+    record = load_black_box(error.path)
+    long = replace(
+        record, message="a word or two " * 20, faults="COIL_NOT_FOLLOWING FLOTOR_OVERSPEED SENSOR_FROZEN " * 2
+    )
+    for one in (record, long):
+        plots.last_cycles(one, Path("unused.png"))
+    assert [complaints(figure) for figure in figures] == [[], []]
+
+
+@pytest.mark.parametrize("same", [True, False])
+def test_panels_of_curves_can_be_read(same: bool, figures: list[Any]) -> None:
+    x = np.geomspace(1e-3, 0.22, 20)
+    names = [f"a rather long name of curve {index}" for index in range(8)]
+    panels = [
+        plots.Panel(
+            title=f"panel {index} with a title that is\nas long as two lines",
+            labels=("a quantity (unit)", "another quantity (unit)"),
+            curves=[(name if same else f"{name}, {index}", x, x * (place + 1)) for place, name in enumerate(names)],
+            log=("", "x", "xy")[index],
+            outside=[x > 0.1] * 8 if index == 2 else (),
+        )
+        for index in range(3)
+    ]
+    plots.small_multiples(panels, Path("unused.png"))
+    (figure,) = figures
+    assert complaints(figure) == [] and len(figure.legends) == int(same)
+
+
+@pytest.mark.parametrize("columns", [1, 2])
+def test_speed_and_accuracy_can_be_read(columns: int, figures: list[Any]) -> None:
+    groups = ["exact", "MuJoCo, body", "MuJoCo, full device", "MuJoCo, batch", "MuJoCo by hand", "drake", "scipy"]
+    costs, errors = np.geomspace(1.0, 1e-3, 10), np.geomspace(1e-12, 1e-3, 10)
+    names = [f"way {index}, a step a segment" for index in range(10)]
+    points = [
+        WorkPoint(name, groups[index % 7], costs[index], errors[index], index > 4) for index, name in enumerate(names)
+    ]
+    work_precision([WorkPrecision("drop: on a wall, with a braking pulse", points)] * 3, Path("unused.png"), columns)
+    (figure,) = figures
+    assert complaints(figure) == []
+    for panel in figure.axes[:3]:  # each point of a front is named under its panel, and no name hides another point
+        assert sorted(text.get_text() for text in panel.get_legend().get_texts()) == names
+        assert sorted(int(text.get_text()) for text in panel.texts) == list(range(1, 11))
+
+
+def test_what_cannot_be_read_is_found() -> None:
+    figure, (left, right) = new_figure(1, 2, 3.0)
+    for panel in (left, right):
+        panel.plot([0.0, 1.0], [0.0, 1.0], label="curve")
+    name_curves(figure, [left, right])
+    assert complaints(figure) == []
+    left.legend(loc="center")
+    right.set_xlabel("small", fontsize=7.0)
+    right.set_ylabel("pale", color="0.7")
+    left.set_title("a title so long that it runs far into that of the next panel", loc="left")
+    figure.text(0.9, 0.5, "a word that leaves the picture at its right side")
+    right.set_title("the next panel", loc="left")
+    assert set(complaints(figure)) == {
+        "'small' has 7.0 pt",
+        "'pale' is pale",
+        "'a word that leaves the picture at its right side' leaves the picture",
+        "a legend lies on the panel 'a title so long that it runs far into that of the next panel'",
+        "names, numbers, titles or legends lie on one another",
+    }
+
+
+BEGINS = {"png": b"\x89PNG", "pdf": b"%PDF", "svg": b"<?xml"}
+
+
+@pytest.mark.parametrize("kind", FORMATS)
+def test_pictures_have_the_format_asked_for(kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["stick-slip", "--plant", "exact", "--out", str(tmp_path / "new"), "--format", kind]) == 0
+    (path,) = (tmp_path / "new").iterdir()
+    assert path.name == f"stick_slip.{kind}" and path.read_bytes().startswith(BEGINS[kind])
+    assert f"wrote {path}" in capsys.readouterr().out
+
+
+def test_no_other_format(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["stick-slip", "--out", "pictures", "--format", "bmp"])
+    said = capsys.readouterr().err
+    assert ended.value.code == 2 and said.count("\n") == 1
+    assert "--format must be one of png, pdf, svg, not 'bmp'" in said
+    assert main(["stick-slip", "--format", "pdf"]) == 2
+    assert "format must be given with out, the folder of pictures, not 'pdf' alone" in capsys.readouterr().err
+    with pytest.raises(ParameterError, match="format must be one of png, pdf, svg, not 'bmp'"):
+        plots.PictureFolder(Path(), "bmp")

@@ -1,0 +1,96 @@
+"""The palette is told apart with every common colour vision, and its words can be read."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+
+from maglev_mj import colours
+from maglev_mj.frames import Array
+
+# what dichromats see of linear RGB: Machado, Oliveira and Fernandes (2009), severity 1.0
+VISIONS = {
+    "normal": np.eye(3),
+    "protanopia": np.array(
+        [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]]
+    ),
+    "deuteranopia": np.array(
+        [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]]
+    ),
+    "tritanopia": np.array(
+        [[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602], [0.004733, 0.691367, 0.303900]]
+    ),
+}
+TO_XYZ = np.array(
+    [[0.4124564, 0.3575761, 0.1804375], [0.2126729, 0.7151522, 0.0721750], [0.0193339, 0.1191920, 0.9503041]]
+)
+WHITE = TO_XYZ.sum(axis=1)
+PAPER = (1.0, 1.0, 1.0)
+LEAST = 15.0
+"""Distance in CIE L*a*b* between two colours that mean two things; the eye just sees 2.3."""
+
+SHOWN = ["HAND", "DEVICE", "STOP", "WALL", "TOUCHED", "STUCK"]
+PAIRS = [*itertools.combinations(SHOWN, 2), ("GOOD", "BAD")]
+PAIRS += [("BOUNDARY", other) for other in ("MEASURED", "STUCK", "GOOD", "BAD", "HAND", "DEVICE")]
+PAIRS += [("MEASURED", other) for other in ("STUCK", "HAND", "DEVICE", "TOUCHED")]
+
+
+def linear(colour: colours.Colour) -> Array:
+    """Return linear RGB of sRGB."""
+    values = np.array(colour)
+    return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
+
+
+def lab(colour: colours.Colour, vision: str = "normal") -> Array:
+    """Return CIE L*a*b* (D65) of a colour as it is seen."""
+    seen = np.clip(VISIONS[vision] @ linear(colour), 0.0, 1.0)
+    part = TO_XYZ @ seen / WHITE
+    f = np.where(part > (6.0 / 29.0) ** 3, np.cbrt(part), part / (3.0 * (6.0 / 29.0) ** 2) + 4.0 / 29.0)
+    return np.array([116.0 * f[1] - 16.0, 500.0 * (f[0] - f[1]), 200.0 * (f[1] - f[2])])
+
+
+def contrast(first: colours.Colour, second: colours.Colour) -> float:
+    """Return the contrast ratio of WCAG 2, from 1 to 21."""
+    low, high = sorted(float(TO_XYZ[1] @ linear(colour)) for colour in (first, second))
+    return (high + 0.05) / (low + 0.05)
+
+
+def test_the_simulation_knows_what_each_vision_confuses() -> None:
+    """Red and green for two, blue and green for the third, light and dark for none."""
+
+    def apart(first: colours.Colour, second: colours.Colour, vision: str) -> float:
+        return float(np.linalg.norm(lab(first, vision) - lab(second, vision)))
+
+    assert lab(PAPER) == pytest.approx([100.0, 0.0, 0.0], abs=1e-9)
+    red, green = (0.80, 0.16, 0.14), (0.36, 0.42, 0.0)
+    assert apart(red, green, "normal") > 60.0
+    assert apart(red, green, "deuteranopia") < LEAST
+    assert apart((0.0, 0.55, 0.60), (0.0, 0.60, 0.35), "tritanopia") < LEAST
+    assert contrast((0.0, 0.0, 0.0), PAPER) == pytest.approx(21.0)
+    assert min(apart((0.0, 0.0, 0.0), PAPER, vision) for vision in VISIONS) > 99.0
+
+
+@pytest.mark.parametrize("vision", VISIONS)
+@pytest.mark.parametrize(("first", "second"), PAIRS)
+def test_roles_seen_together_are_told_apart(first: str, second: str, vision: str) -> None:
+    pair = (lab(getattr(colours, name), vision) for name in (first, second))
+    assert np.linalg.norm(np.subtract(*pair)) > LEAST
+
+
+@pytest.mark.parametrize("vision", VISIONS)
+@pytest.mark.parametrize(("first", "second"), [*itertools.combinations(range(len(colours.SERIES)), 2)])
+def test_the_series_of_a_chart_are_told_apart(first: int, second: int, vision: str) -> None:
+    assert np.linalg.norm(lab(colours.SERIES[first], vision) - lab(colours.SERIES[second], vision)) > LEAST
+
+
+def test_curves_and_words_are_seen_on_paper() -> None:
+    """WCAG 2 asks for 4.5 of words; the two palest series are the last before black, for want of dark hues."""
+    assert contrast(colours.REFERENCE, PAPER) > 4.5 and contrast(colours.STOP, PAPER) > 4.5
+    assert min(contrast(colour, PAPER) for colour in colours.SERIES[:4]) > 3.0
+    assert min(contrast(colour, PAPER) for colour in colours.SERIES) > 2.2
+
+
+def test_a_colour_as_hexadecimal_digits() -> None:
+    assert colours.hex_of((0.0, 0.5, 1.0)) == "#0080ff"

@@ -1,0 +1,204 @@
+"""A recording in time: one axis over all stretches, searched, stepped, looped, with its events."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from maglev_mj.errors import ParameterError
+from maglev_mj.hand import SpringHand
+from maglev_mj.playback import ACTIONS, Replay
+from maglev_mj.recording import Recording
+from maglev_mj.session import Pacer, Session
+
+FIRST, SECOND = 600, 1000
+"""Samples of the two stretches at 200 Hz and at 1 kHz: 3 s and 1 s."""
+
+
+@pytest.fixture(scope="module", params=[".mcap", ".npz"])
+def recording(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    """Record two stretches, pulled by a hand; ticks are missed in the second, which then stops."""
+    path = tmp_path_factory.mktemp("playback") / f"run{request.param}"
+    hand = SpringHand(target=[6e-3, 0.0, 0.0, 0.0, 0.0, 0.0])
+    session = Session(hand=hand, record=path, pacer=Pacer(budget=60.0, patience=3600.0))
+    session.tick(3.0)
+    session.change({"period": 0.001, "friction": True})
+    session.tick(0.5)
+    session._pacer.missed += 3
+    session.tick(0.0)
+    session.tick(0.5)
+    session.act("emergency stop")
+    session.close()
+    return Recording.load(path)
+
+
+@pytest.fixture
+def replay(recording: Recording) -> Replay:
+    return Replay(recording)
+
+
+def test_all_stretches_are_on_one_time_axis(replay: Replay, recording: Recording) -> None:
+    first, second = recording.stretches
+    assert (len(first), len(second)) == (FIRST, SECOND)
+    assert replay.snapshot().duration == pytest.approx(4.0)
+    replay.change({"time": 1.0})
+    shown = replay.snapshot()
+    assert (shown.pose == first.position[200]).all() and shown.scene.period == 0.005 and shown.time == 1.0
+    assert (shown.hand == first.hand[200]).all()
+    replay.change({"time": 3.25})
+    shown = replay.snapshot()
+    assert (shown.pose == second.position[250]).all() and shown.scene.period == 0.001
+    assert shown.time == pytest.approx(3.25) and shown.since == FIRST and shown.tick == FIRST + 250
+
+
+def test_searching_gives_the_last_two_seconds_at_once(replay: Replay, recording: Recording) -> None:
+    first, second = recording.stretches
+    replay.change({"time": 3.5})
+    history = replay.snapshot().history
+    assert history[0, 0] == pytest.approx(1.5) and history[-1, 0] == pytest.approx(3.5)
+    assert len(history) == (FIRST - 300) + 501 and (np.diff(history[:, 0]) > 0.0).all()
+    assert (history[:300, 1:7] == first.position[300:]).all()
+    assert (history[300:, 1:7] == second.position[:501]).all()
+    speed = np.diff(first.position[299:], axis=0) / 0.005
+    assert history[:300, 7:13] == pytest.approx(speed, rel=1e-9, abs=1e-12)
+    assert (history[300, 7:13] == history[301, 7:13]).all()  # nothing before a stretch tells its speed
+    assert (history[300:, 19:] == second.hand[:501]).all()
+    replay.change({"time": 0.0})
+    assert replay.snapshot().history.shape == (1, 25)
+
+
+def test_a_history_played_is_that_of_a_search(replay: Replay) -> None:
+    for _ in range(35):
+        replay.tick(0.1)
+    played = replay.snapshot()
+    replay.change({"time": 0.0})
+    replay.change({"time": played.time})
+    assert (replay.snapshot().history == played.history).all() and replay.snapshot().work == played.work
+
+
+def test_work_of_the_hand_is_that_of_the_samples(replay: Replay, recording: Recording) -> None:
+    stretch = recording.stretches[0]
+    work = (stretch.hand[:250] * np.diff(stretch.position[:251], axis=0)).sum()
+    replay.change({"time": 1.25})
+    shown = replay.snapshot()
+    assert shown.work == pytest.approx(work, rel=1e-9) and work > 1e-3
+    assert math.isnan(shown.taken) == (stretch.totals is None)
+
+
+def test_speed(replay: Replay) -> None:
+    assert replay.tick(0.5) == 100
+    replay.act("faster")
+    assert replay.snapshot().time_scale == 2.0 and replay.tick(0.5) == 200
+    for _ in range(5):
+        replay.act("faster")
+    assert replay.snapshot().time_scale == 10.0
+    replay.change({"time_scale": 0.1})
+    replay.act("slower")
+    assert replay.snapshot().time_scale == 0.05 and replay.tick(1.0) == 10
+    assert replay.snapshot().time == pytest.approx(1.55)
+
+
+def test_steps_pause_and_go_one_sample(replay: Replay) -> None:
+    replay.change({"time": 3.0 - 0.005})
+    for action, row in (("step", FIRST), ("step", FIRST + 1), ("step back", FIRST), ("step back", FIRST - 1)):
+        replay.act(action)
+        shown = replay.snapshot()
+        assert shown.tick == row and shown.state == "paused" and replay.tick(1.0) == 0
+    replay.act("start")
+    replay.act("step back")
+    assert replay.snapshot().tick == 0
+    replay.act("end")
+    replay.act("step")
+    assert replay.snapshot().tick == FIRST + SECOND - 1
+
+
+def test_jumps_go_a_twentieth(replay: Replay) -> None:
+    replay.act("skip forward")
+    assert replay.snapshot().time == pytest.approx(0.2)
+    replay.act("skip back")
+    replay.act("skip back")
+    assert replay.snapshot().time == 0.0 and replay.snapshot().state == "running"
+    replay.change({"time": 3.95})
+    replay.act("skip forward")
+    assert replay.snapshot().tick == FIRST + SECOND - 1
+
+
+def test_it_loops_or_stops_at_its_end(replay: Replay) -> None:
+    replay.change({"time": 3.75})
+    assert replay.tick(0.5) == 250 + 50 and replay.snapshot().time == pytest.approx(0.25)
+    assert replay.tick(8.0) == 2 * (FIRST + SECOND)
+    assert "REPLAY, in a loop" in replay.snapshot().notes
+    replay.act("loop")
+    replay.change({"time": 3.75})
+    assert replay.tick(0.5) == 249
+    ended = replay.snapshot()
+    assert ended.state == "paused" and ended.tick == FIRST + SECOND - 1 and "REPLAY" in ended.notes
+    replay.act("pause")  # plays it again
+    assert replay.snapshot().state == "running" and replay.tick(0.1) == 20
+
+
+def test_events_are_marked_and_told_when_they_are_passed(replay: Replay, recording: Recording) -> None:
+    assert [event.partition(":")[0] for event in recording.events] == ["missed", "fault"]
+    assert replay.snapshot().marks == pytest.approx([3.499, 3.999])
+    told = []
+    for time in (3.4, 3.6, 3.9999):
+        replay.change({"time": time})
+        told.append(list(replay.snapshot().notes)[1:])
+    assert told == [[], list(recording.events[:1]), list(recording.events)]
+    replay.change({"time": 1.0})
+    assert len(replay.snapshot().notes) == 1
+
+
+def test_a_file_that_does_not_tell_when_events_were_has_no_marks(recording: Recording) -> None:
+    shown = Replay(Recording(recording.stretches, events=recording.events)).snapshot()
+    assert not shown.marks and len(shown.notes) == 1
+
+
+def test_stick_positions_are_found_while_it_is_shown(replay: Replay) -> None:
+    replay.change({"time": 3.9})
+    assert replay.snapshot().anchors is None
+    replay.act("pause")
+    for _ in range(SECOND // 100):
+        replay.tick(0.001)
+    found = replay.snapshot().anchors
+    assert found is not None and found[0] == pytest.approx(replay.snapshot().pose[0], abs=1e-3)
+
+
+def test_every_action_does_something(recording: Recording) -> None:
+    for action in ACTIONS:
+        replay = Replay(recording)
+        replay.change({"time": 2.0})
+        before = replay.snapshot()
+        replay.act(action)
+        after = replay.snapshot()
+        told = [(one.time, one.state, one.time_scale, list(one.notes)) for one in (before, after)]
+        assert told[0] != told[1], action
+        assert action in after.actions
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"stiffness": 1.0}, "parameters of a recording must be of time, time_scale, not stiffness"),
+        ({"time": -0.1}, "time must be"),
+        ({"time": 4.1}, "time must be"),
+        ({"time": math.nan}, "time must be"),
+        ({"time_scale": 20.0, "time": 1.0}, "time_scale must be"),
+    ],
+)
+def test_what_a_recording_cannot_be_changed_to(replay: Replay, given: dict[str, float], said: str) -> None:
+    with pytest.raises(ParameterError, match=said):
+        replay.change(given)
+    assert replay.snapshot().time == 0.0
+
+
+def test_an_action_that_a_recording_does_not_have(replay: Replay) -> None:
+    with pytest.raises(ParameterError, match=r"action must be one of pause, step.* not 'wall'"):
+        replay.act("wall")
+
+
+def test_one_sample_is_shown(recording: Recording, tmp_path: Path) -> None:
+    replay = Replay(Recording([recording.stretches[0].part(0, 0)]))
+    assert replay.tick(0.02) == 4 and replay.snapshot().duration == pytest.approx(0.005)
+    assert replay.snapshot().history.shape == (1, 25)

@@ -1,0 +1,301 @@
+"""The guided tour, done by a scripted user: a check is true after its deed, and neither before nor after another."""
+
+from collections.abc import Callable
+
+import pytest
+
+from maglev_mj.errors import ParameterError
+from maglev_mj.session import EMERGENCY_STOP, Pacer, Session, TourLine
+from maglev_mj.tour import STEPS, Step, Tour
+
+TICK = 0.02
+PUSH, WALL, PULSE, STICK, STIFF, BUZZ, DELAY, MEND = range(1, 9)
+
+
+class User:
+    """Somebody at a tour, who pulls with the hand's spring and presses keys.
+
+    Args:
+        step: Where to begin.
+    """
+
+    def __init__(self, step: int) -> None:
+        self.tour = Tour(Session(pacer=Pacer(budget=60.0, patience=3600.0)))
+        for _ in range(step - 1):
+            self.tour.act("next")
+        self.wait(0.3)
+
+    @property
+    def line(self) -> TourLine:
+        line = self.tour.snapshot().tour
+        assert line is not None
+        return line
+
+    def wait(self, seconds: float) -> None:
+        for _ in range(round(seconds / TICK)):
+            self.tour.tick(TICK)
+            if self.line.done:
+                break
+
+    def pull(self, x: float, seconds: float, *, slowly: float = 0.0, y: float = 0.0) -> None:
+        """Pull to a place [m], at once or in some time."""
+        begin = self.tour.snapshot().target or [0.0] * 6
+        for part in range(1, round(slowly / TICK) + 1):
+            share = part * TICK / slowly
+            drawn = [one + share * (end - one) for one, end in zip(begin, (x, y), strict=False)]
+            self.tour.hand.target = [*drawn, 0.0, 0.0, 0.0, 0.0]
+            self.tour.tick(TICK)
+        self.tour.hand.target = [x, y, 0.0, 0.0, 0.0, 0.0]
+        self.wait(seconds)
+
+    def twist(self, turn: float) -> None:
+        self.tour.hand.target = [0.0, 0.0, 0.0, turn, 0.0, 0.0]
+        self.wait(2.0)
+
+    def release(self, seconds: float) -> None:
+        self.tour.hand.target = None
+        self.wait(seconds)
+
+    def press(self, action: str, times: int = 1) -> None:
+        for _ in range(times):
+            self.tour.act(action)
+            self.wait(0.15)
+
+
+def hit(user: User) -> None:
+    user.pull(0.014, 0.5)
+
+
+def hold(user: User) -> None:
+    user.pull(0.013, 2.5)
+
+
+def press(action: str, times: int = 1) -> Callable[[User], None]:
+    return lambda user: user.press(action, times)
+
+
+def then(*deeds: Callable[[User], None]) -> Callable[[User], None]:
+    def do(user: User) -> None:
+        for deed in deeds:
+            deed(user)
+
+    return do
+
+
+RIGHT: dict[int, Callable[[User], None]] = {
+    PUSH: lambda user: user.pull(0.004, 1.0),
+    WALL: lambda user: user.pull(0.012, 1.5, slowly=2.0),
+    PULSE: hit,
+    STICK: lambda user: user.pull(0.005, 1.5, slowly=0.3),
+    STIFF: press("stiffness up", 3),
+    BUZZ: hold,
+    DELAY: then(press("delay up", 5), hold),
+    MEND: then(press("damping up", 5), hold),
+}
+
+
+def tap(user: User) -> None:
+    """Hit the wall again and again, and never hold it."""
+    for _ in range(6):
+        user.pull(0.014, 0.25)
+        user.release(0.25)
+
+
+def shake(user: User) -> None:
+    """Shake the handle in the wall as fast as a person can: 5 times a second."""
+    for _ in range(10):
+        user.pull(0.026, 0.1)
+        user.pull(0.012, 0.1)
+
+
+WRONG: list[tuple[int, str, Callable[[User], None]]] = [
+    (PUSH, "nothing", lambda user: user.wait(2.0)),
+    (PUSH, "too gentle", lambda user: user.pull(0.002, 2.0)),
+    (PUSH, "a twist", lambda user: user.twist(0.1)),
+    (WALL, "not so far", lambda user: user.pull(0.008, 2.0, slowly=1.0)),
+    (WALL, "a twist", lambda user: user.twist(0.5)),
+    (WALL, "no wall", then(press("wall"), hit)),
+    (PULSE, "slowly", lambda user: user.pull(0.012, 1.0, slowly=2.0)),
+    (PULSE, "no pulse", then(press("pulse"), hit)),
+    (STICK, "nothing", lambda user: user.wait(2.0)),
+    (STICK, "no friction", then(press("friction"), lambda user: user.pull(0.005, 2.0, slowly=0.3))),
+    (STICK, "to the wall", lambda user: user.pull(0.016, 2.0)),
+    (STICK, "moving", then(lambda user: user.pull(0.01, 0.0), lambda user: user.pull(0.015, 0.0, slowly=1.0))),
+    (STIFF, "not beyond the boundary", press("stiffness up", 2)),
+    (STIFF, "unstable by delay", press("delay up", 12)),
+    (BUZZ, "nothing", lambda user: user.wait(2.0)),
+    (BUZZ, "not so far", lambda user: user.pull(0.008, 2.5)),
+    (BUZZ, "tapping", tap),
+    (BUZZ, "softer", then(press("stiffness down", 3), hold)),
+    (BUZZ, "shaken", then(press("stiffness down", 3), shake)),
+    (DELAY, "less", then(press("delay down", 3), hold)),
+    (DELAY, "too little", then(press("delay up", 2), hold)),
+    (DELAY, "not held", press("delay up", 5)),
+    (DELAY, "unstable by stiffness", then(press("stiffness up", 5), hold)),
+    (MEND, "held", hold),
+    (MEND, "not held", then(press("damping up", 5), lambda user: user.wait(2.5))),
+    (MEND, "too little", then(press("damping up", 2), hold)),
+    (MEND, "by the delay", then(press("delay down", 5), hold)),
+]
+
+
+@pytest.mark.parametrize("step", RIGHT)
+def test_a_step_is_done_by_its_deed(step: int) -> None:
+    user = User(step)
+    assert user.line.number == step and not user.line.done
+    RIGHT[step](user)
+    assert user.line.done, user.line
+    user.release(0.0)
+    for _ in range(round(2.2 / TICK)):
+        user.tour.tick(TICK)
+    last = step == len(STEPS)
+    assert user.line.number == (step if last else step + 1) and user.line.done == last
+
+
+@pytest.mark.parametrize(("step", "name", "deed"), WRONG, ids=[f"{step}-{name}" for step, name, _ in WRONG])
+def test_a_step_is_not_done_by_another_deed(step: int, name: str, deed: Callable[[User], None]) -> None:
+    user = User(step)
+    deed(user)
+    user.release(0.5)
+    assert (user.line.number, user.line.done) == (step, False)
+
+
+def test_what_was_done_before_a_step_does_not_count() -> None:
+    """The handle is still in the wall, and then on its way back, when the step begins; nobody holds it any more."""
+    user = User(PUSH)
+    user.pull(0.014, 0.0)
+    for _ in range(50):
+        user.tour.tick(TICK)
+    assert user.tour.snapshot().pose[0] > 0.0035
+    user.tour.hand.target = None
+    user.tour.act("next")
+    user.wait(1.0)
+    assert (user.line.number, user.line.done) == (WALL, False)
+    user.tour.hand.target = [0.008, 0.0, 0.0, 0.0, 0.0, 0.0]
+    for _ in range(50):
+        user.tour.tick(TICK)
+    user.tour.hand.target = None
+    user.tour.act("back")
+    assert user.tour.snapshot().pose[0] > 0.002
+    user.wait(1.0)
+    assert (user.line.number, user.line.done) == (PUSH, False)
+
+
+def test_a_wall_is_quiet_for_a_second_before_it_is_mended() -> None:
+    user = User(MEND)
+    hold(user)
+    for _ in range(5):
+        user.tour.act("damping up")
+    user.wait(0.5)
+    assert not user.line.done
+    user.wait(1.5)
+    assert user.line.done
+
+
+def test_a_step_goes_on_after_the_scene_was_started_again() -> None:
+    user = User(WALL)
+    user.wait(3.0)
+    user.press("centre")
+    hit(user)
+    assert user.line.done
+
+
+def test_the_whole_tour_is_done_in_a_row() -> None:
+    user = User(1)
+    for step, deed in RIGHT.items():
+        assert user.line.number == step and not user.line.done
+        deed(user)
+        assert user.line.done, user.line
+        user.tour.hand.target = None
+        for _ in range(round(2.1 / TICK)):
+            user.tour.tick(TICK)
+        assert user.tour.snapshot().state == "running"
+    assert user.line.deed.startswith("Done. That was the tour")
+
+
+def test_steps_are_left_by_keys_in_both_directions() -> None:
+    user = User(1)
+    user.press("back")
+    assert user.line.number == 1
+    user.press("next", 20)
+    assert user.line.number == len(STEPS)
+    user.press("back")
+    assert user.line.number == DELAY
+    assert user.tour.snapshot().scene.delay == 0.0015
+
+
+def test_every_step_begins_with_its_own_parameters() -> None:
+    user = User(BUZZ)
+    user.press("damping up", 3)
+    user.press("friction")
+    for step in (DELAY, MEND):
+        user.press("next")
+        scene = user.tour.snapshot().scene
+        assert {name: getattr(scene, name) for name in STEPS[step - 1].parameters} == STEPS[step - 1].parameters
+
+
+def test_a_tour_takes_what_leaves_the_joystick_as_it_is() -> None:
+    user = User(1)
+    actions = user.tour.snapshot().actions
+    assert {"next", "back", "pause", "centre", "slower", EMERGENCY_STOP, "stiffness up"} <= set(actions)
+    for action in ("next scene", "scene drop", "drop"):
+        assert action not in actions
+        with pytest.raises(ParameterError, match="action must be one of next, back"):
+            user.tour.act(action)
+    user.tour.act("pause")
+    assert user.tour.snapshot().state == "paused"
+    with pytest.raises(ParameterError, match="stiffness"):
+        user.tour.change({"stiffness": -1.0})
+
+
+def test_a_scene_that_made_energy_starts_again_by_itself() -> None:
+    user = User(BUZZ)
+    user.tour.change({"stiffness": 40000.0})
+    user.pull(0.02, 0.0)
+    for _ in range(500):
+        user.tour.tick(TICK)
+        if user.tour.snapshot().state == "stopped":
+            break
+    assert "made energy" in user.line.deed and not user.line.done
+    user.tour.hand.target = None
+    for _ in range(round(2.2 / TICK)):
+        user.tour.tick(TICK)
+    assert user.tour.snapshot().state == "running" and user.line.number == BUZZ
+    assert user.line.deed == STEPS[BUZZ - 1].deed
+
+
+def test_an_emergency_stop_stays() -> None:
+    user = User(1)
+    user.tour.act(EMERGENCY_STOP)
+    for _ in range(round(5.0 / TICK)):
+        user.tour.tick(TICK)
+    assert user.tour.snapshot().state == "stopped"
+
+
+def test_nothing_is_done_in_a_pause() -> None:
+    user = User(STIFF)
+    user.tour.act("pause")
+    user.tour.change({"stiffness": 20000.0})
+    user.wait(1.0)
+    assert not user.line.done
+    user.tour.act("pause")
+    user.wait(0.5)
+    assert user.line.done
+
+
+def test_words_have_the_names_of_a_front() -> None:
+    line = TourLine(5, 8, "Text.", "Raise it: {stiffness up}, {hand}.", False)
+    assert line.words(lambda name: f"<{name}>") == ("Text.", "Raise it: <stiffness up>, <hand>.")
+
+
+@pytest.mark.parametrize("step", STEPS)
+def test_words_are_short_and_name_what_is_there(step: Step) -> None:
+    names: list[str] = []
+
+    def name(action: str) -> str:
+        names.append(action)
+        return action
+
+    TourLine(1, 1, step.text, step.deed, False).words(name)
+    assert set(names) <= {"hand", *User(1).tour.snapshot().actions}
+    assert len(step.text) <= 90 and len(step.deed) <= 90

@@ -1,0 +1,359 @@
+"""What the window puts where: at any size words, plots and labels leave the handle and each other alone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import combinations, product
+from queue import SimpleQueue
+from types import SimpleNamespace
+from typing import Any
+
+import glfw
+import mujoco
+import numpy as np
+import pytest
+
+from maglev_mj.colours import BAD, GOOD, HAND, STOP
+from maglev_mj.display.banner import Note, banner
+from maglev_mj.display.curves import SteadyRange, fitted_range
+from maglev_mj.display.stability_map import margin
+from maglev_mj.display.stops import met_stops
+from maglev_mj.errors import ParameterError
+from maglev_mj.frames import Array
+from maglev_mj.scenes import BUILT_IN, Scene, find_scene
+from maglev_mj.scenes.drop import Drop
+from maglev_mj.scenes.joystick import CENTRING, Joystick
+from maglev_mj.session import Pacer, Session, Snapshot, device_actions
+from maglev_mj.theory import inertia_of, largest_stable_stiffness
+from maglev_mj.viewer.framing import Framing, directions
+from maglev_mj.viewer.keys import AXIS, KEYS, help_rows
+from maglev_mj.viewer.layout import Area, Font, Layout, arrange
+from maglev_mj.viewer.overlay import status_rows
+from maglev_mj.viewer.scenery import GRIP, Scenery
+from maglev_mj.viewer.screen import Screen
+from maglev_mj.viewer.shadows import SlowFrames
+from maglev_mj.viewer.window import _Window
+
+SIZES = (
+    (480, 360),
+    (560, 420),
+    (640, 400),
+    (800, 600),
+    (1000, 700),
+    (1120, 700),
+    (1280, 800),
+    (1600, 900),
+    (1920, 1080),
+)
+KNOB = np.array(
+    [[side * 0.0165, other * 0.0165, 0.079 + up * 0.0125] for side, other, up in product((-1, 1), repeat=3)]
+)
+
+
+def made(scene: Scene, target: list[float] | None = None, seconds: float = 3.0) -> Snapshot:
+    """Return a picture of a scene after some time in a hand."""
+    session = Session(scene, pacer=Pacer(budget=60.0, patience=3600.0))
+    session.hand.target = target
+    session.tick(seconds)
+    session.close()
+    return session.snapshot()
+
+
+@pytest.fixture(scope="module")
+def shot() -> Snapshot:
+    return made(Joystick(), seconds=0.1)
+
+
+def areas(layout: Layout, *, banner: bool) -> dict[str, Area]:
+    """Return everything that is drawn, the handle too."""
+    found = {f"plot {place}": area for place, area in enumerate(layout.plots)} | {"handle": layout.handle}
+    for name, words in (("status", layout.status), ("keys", layout.keys)):
+        found |= {name: words.area} if words is not None else {}
+    for name, area in (("label", layout.label), ("hint", layout.hint), ("banner", layout.banner if banner else None)):
+        found |= {name: area} if area is not None else {}
+    return found
+
+
+@pytest.mark.parametrize("scale", [100, 150])
+@pytest.mark.parametrize("stopped", [False, True])
+def test_nothing_covers_the_handle_or_anything_else(shot: Snapshot, stopped: bool, scale: int) -> None:
+    """From 480 pixels on, beside the engine's side panel or not, with keys, without, and with the engine's own help."""
+    rows, keys = status_rows(shot, ["a note that is as long as notes are: shadows are off"]), help_rows(shot.actions)
+    for (width, height), panel, shown, helped, charted in product(
+        SIZES, (0, 270), (None, True, False), (False, True), (False, True)
+    ):
+        view = Area(panel, 0, width * scale // 100 - panel, height * scale // 100)
+        layout = arrange(
+            view, scale, rows, keys, banner=stopped, shown=shown, helped=helped, charted=charted and not helped
+        )
+        found = areas(layout, banner=stopped)
+        for (name, one), (other_name, other) in combinations(found.items(), 2):
+            assert not one.meets(other), (view, shown, helped, name, other_name)
+        for name, one in found.items():
+            assert view.left <= one.left and one.right <= view.right, (view, shown, helped, name)
+            assert view.bottom <= one.bottom and one.top <= view.top, (view, shown, helped, name)
+        assert layout.label is not None
+        assert layout.handle.width >= 0.2 * view.width and layout.handle.height >= 0.3 * view.height
+        if not panel and not helped and not charted:
+            assert bool(layout.keys) is (shown is True) or shown is None
+            assert (layout.status is not None) or shown is True or stopped
+            assert len(layout.plots) >= 2 or shown is True
+
+
+def test_the_widths_of_the_engines_letters_are_known() -> None:
+    text = "".join(chr(code) for code in range(32, 127))
+    context = SimpleNamespace(**dict(zip(("small", "large", "high", "large_high"), measured(100), strict=True)))
+    small, large = Font(100), Font(100, large=True)
+    assert [small.width(letter) for letter in text] == context.small[32:127]
+    assert small.row >= context.high + 5 and large.row >= context.large_high + 5
+    for words in (line for row in help_rows(Session(Joystick()).actions) for line in row):
+        assert large.width(words) >= sum(context.large[ord(letter)] for letter in words)
+        assert small._replace(scale=150).width(words) >= sum(measured(150)[0][ord(letter)] for letter in words)
+
+
+def measured(scale: int) -> tuple[list[int], list[int], int, int]:
+    """Return the engine's letters' widths, small and large, and heights."""
+    osmesa = pytest.importorskip("mujoco.osmesa")
+    gl = osmesa.GLContext(16, 16)
+    gl.make_current()
+    context = mujoco.MjrContext(mujoco.MjModel.from_xml_string("<mujoco/>"), scale)
+    found = [int(one) for one in context.charWidth], [int(one) for one in context.charWidthBig]
+    heights = int(context.charHeight), int(context.charHeightBig)
+    context.free()
+    gl.free()
+    return *found, *heights
+
+
+def seen(model: Any, camera: Any, view: Area, points: Array) -> Array:
+    """Return where points are in a picture [pixels], (N, 2)."""
+    across, up = directions(camera)
+    forward = np.cross(up, across)
+    away = points - (camera.lookat - camera.distance * forward)
+    focal = 0.5 * view.height / np.tan(np.radians(0.5 * model.vis.global_.fovy))
+    depth = away @ forward
+    return np.stack(
+        [view.centre[0] + focal * (away @ across) / depth, view.centre[1] + focal * (away @ up) / depth], axis=1
+    )
+
+
+@pytest.mark.parametrize("name", ["joystick", "drop", "box", "six-axes"])
+def test_the_knob_is_in_the_free_part_of_the_picture(name: str, shot: Snapshot) -> None:
+    """At each size, wherever the flotor is; and after a resize as if the window had been so from its start."""
+    model = Scenery(find_scene(name)).model
+    framing, camera, fresh = Framing(model), mujoco.MjvCamera(), mujoco.MjvCamera()
+    framing.reset(camera)
+    for (width, height), panel, helped in product(SIZES, (0, 250), (False, True)):
+        view = Area(panel, 0, width - panel, height)
+        free = arrange(view, 100, status_rows(shot), help_rows(shot.actions), helped=helped).handle
+        framing.follow(camera, view, free)
+        for place in (np.zeros(3), np.full(3, 4.5e-3), np.full(3, -4.5e-3)):
+            points = seen(model, camera, view, KNOB + place)
+            assert (points >= (free.left, free.bottom)).all() and (points <= (free.right, free.top)).all(), view
+        middle = seen(model, camera, view, GRIP[None, :])[0]
+        assert abs(middle[0] - free.centre[0]) < 0.1 * free.width
+        other = Framing(model)
+        other.reset(fresh)
+        other.follow(fresh, view, free)
+        assert camera.lookat == pytest.approx(fresh.lookat, abs=1e-9) and camera.distance == pytest.approx(
+            fresh.distance
+        )
+
+
+def test_a_resize_keeps_what_a_person_has_turned() -> None:
+    model = Scenery(Joystick).model
+    framing, camera = Framing(model), mujoco.MjvCamera()
+    view = Area(0, 0, 800, 600)
+    framing.reset(camera)
+    framing.follow(camera, view, view)
+    camera.azimuth, before = 30.0, camera.distance
+    framing.follow(camera, Area(0, 0, 1280, 800), Area(300, 50, 600, 700))
+    framing.follow(camera, view, view)
+    assert camera.azimuth == 30.0 and camera.distance == pytest.approx(before)
+    camera.type = int(mujoco.mjtCamera.mjCAMERA_FIXED)
+    framing.follow(camera, Area(0, 0, 1280, 800), Area(300, 50, 600, 700))
+    assert camera.distance == pytest.approx(before)
+
+
+@pytest.mark.parametrize(
+    ("target", "words"),
+    [
+        ([8e-3, 0.0, 0.0, 0.0, 0.0, 0.0], "metal stop: +x 4.5 mm"),
+        ([0.0, -9e-3, 7e-3, 0.0, 0.0, 0.0], "metal stop: -y 4.5 mm"),
+        ([0.0, 0.0, 0.0, 0.5, 0.0, 0.4], "metal stop: turned 6.0 deg"),
+    ],
+)
+def test_forces_balance_at_a_metal_stop_and_it_is_named(target: list[float], words: str) -> None:
+    session = Session(Joystick(wall=False), pacer=Pacer(budget=60.0, patience=3600.0))
+    session.change({"hand_stiffness": 2000.0})
+    session.hand.target = target
+    session.tick(3.0)
+    shown = session.snapshot()
+    session.close()
+    for part in (slice(0, 3), slice(3, 6)):
+        forces = [shown.hand[part], shown.force[part], shown.stops[part]]
+        largest = max(np.linalg.norm(force) for force in forces)
+        assert np.linalg.norm(sum(forces)) <= 0.02 * largest + 1e-9
+    stops = met_stops(shown)
+    assert stops.words.startswith(words) and words in dict(status_rows(shown))[""]
+    assert stops.turning is ("turned" in words) and bool(stops.faces) is not stops.turning
+    for axis, normal, edge in stops.faces:
+        assert abs(edge) == pytest.approx(4.5e-3, rel=0.1) and normal == -np.sign(edge) == -np.sign(target[axis])
+
+
+def test_what_balances_is_drawn_as_long_on_both_sides() -> None:
+    """Hand to one side; device and stop, one behind the other, to the other: sums of lengths agree."""
+    session = Session(Joystick(wall=False), pacer=Pacer(budget=60.0, patience=3600.0))
+    session.change({"hand_stiffness": 2000.0})
+    session.hand.target = [8e-3, 0.0, 0.0, 0.0, 0.0, 0.0]
+    session.tick(3.0)
+    shown, scenery = session.snapshot(), Scenery(Joystick)
+    session.close()
+    scene = mujoco.MjvScene(scenery.model, 500)
+    scenery.place(shown)
+    scenery.decorate(scene, shown)
+    arrow = int(mujoco.mjtGeom.mjGEOM_ARROW)
+    hand, device, stop = [geom for geom in scene.geoms[: scene.ngeom] if geom.type == arrow]
+    assert hand.rgba[:3] == pytest.approx(HAND) and stop.rgba[:3] == pytest.approx(STOP)
+    assert hand.size[2] == pytest.approx(device.size[2] + stop.size[2], rel=0.02)
+    # the stop's goes on where the device's ends, drawn at half of the length between its points
+    assert stop.pos[0] == pytest.approx(device.pos[0] - 0.5 * device.size[2], abs=2e-4)
+    assert scenery.model.vis.rgba.constraint[:3] == pytest.approx(HAND)
+
+
+def test_no_stop_is_named_where_none_is_met(shot: Snapshot) -> None:
+    assert met_stops(shot).words == "" and met_stops(shot).faces == ()
+
+
+def test_ranges_fit_the_data_and_do_not_jitter() -> None:
+    random = np.random.default_rng(19)
+    for _ in range(300):
+        low, span = random.uniform(-50.0, 50.0), 10.0 ** random.uniform(-2.0, 2.0)
+        data = low + span * random.random(20)
+        bottom, top = fitted_range(data, 1e-3)
+        assert bottom <= data.min() + 1e-5 * span and top >= data.max() - 1e-5 * span
+        assert np.ptp(data) >= 0.33 * (top - bottom)  # never two thirds for nothing
+        # the engine rounds a range to multiples of the power of ten below it: this one stays as it is
+        step = 10.0 ** np.floor(np.log10(np.float32(top - bottom) * (1 + 1e-6)))
+        assert bottom / step == pytest.approx(round(bottom / step), abs=1e-3)
+    assert fitted_range(np.array([0.1, 4.4]), 1.0) == (0.0, 5.0)
+    assert fitted_range(np.zeros(3), 2.0) == (-1.0, 1.0) and fitted_range(np.array([np.nan]), 2.0) == (-1.0, 1.0)
+    steady = SteadyRange(1.0)
+    ranges = {steady(np.array([0.0, 3.0 + 0.05 * np.sin(turn)])) for turn in np.linspace(0.1, 6.0, 50)}
+    assert ranges == {(0.0, 4.0)}
+    assert steady([0.0, 2.6]) == (0.0, 4.0) and steady([0.0, 1.5]) == (0.0, 2.0) and steady([-9.0]) == (-10.0, -8.0)
+
+
+def test_the_cross_is_at_the_gains_that_act_together() -> None:
+    """Those of wall and centring, of the walls alone where there is a wall, and of the loop that is refused."""
+    found, body = margin(Joystick()), inertia_of(Joystick())
+    assert found.stable and found.axis == "x"
+    assert found.stiffness == pytest.approx(6000.0 + CENTRING) and found.damping == pytest.approx(92.0)
+    most = float(largest_stable_stiffness(92.0, period=0.005, delay=0.0015, mass=float(body[0])))
+    assert found.words == f"stable: {100.0 * found.stiffness / most:.0f} % of the boundary"
+    free = margin(Joystick(wall=False))
+    assert free.stable and max(free.stiffness, 12.0) <= CENTRING + 1e-9  # nothing of the wall that is off
+    wrong = margin(Drop(stiffness=20000.0))
+    assert wrong.stable is False and wrong.axis == "z" and wrong.words.startswith("UNSTABLE on z: ")
+    assert wrong.stiffness >= 20000.0
+    six = margin(find_scene("six-axes")())
+    assert six.stable and six.stiffness < 6000.0
+    assert margin(find_scene("twist")()).words == "stable: no stiffness"
+    for name in BUILT_IN:
+        assert "known" not in margin(find_scene(name)()).words
+
+
+def test_the_cross_is_green_or_red_and_the_axis_of_the_plots_is_on_a_key(shot: Snapshot) -> None:
+    screen, view = Screen(), Area(0, 0, 1280, 800)
+    for scene, colour in ((Joystick(), GOOD), (Joystick(stiffness=30000.0), BAD)):
+        shown = replace(shot, scene=scene)
+        screen.wait(scene)
+        _, gains = titled(screen.draw(shown, view, 100).figures, "% of the boundary")
+        assert gains.linergb[1] == pytest.approx(colour)
+    names = []
+    for _ in range(7):
+        names.append(
+            next(
+                title for title, _ in titles(screen.draw(shot, view, 100).figures) if "[mm]" in title or "mrad" in title
+            )
+        )
+        screen.press(AXIS, shot.scene)
+    assert [name.split()[0] for name in names] == ["x", "y", "z", "rx", "ry", "rz", "x"]
+
+
+def titles(figures: list[Any]) -> list[tuple[str, Any]]:
+    return [(str(figure.title), figure) for _, figure in figures]
+
+
+def titled(figures: list[Any], words: str) -> tuple[str, Any]:
+    return next((title, figure) for title, figure in titles(figures) if words in title)
+
+
+def test_the_banner_says_what_is_the_matter_and_the_key_that_goes_on(shot: Snapshot) -> None:
+    screen, view = Screen(), Area(0, 0, 1280, 800)
+
+    def said(shown: Snapshot, size: Area = view) -> str:
+        drawn = screen.draw(shown, size, 100)
+        inside = [text for _, _, text, _ in drawn.texts if text.startswith(("STOPPED", "PAUSED", "TOO"))]
+        return inside[0] if inside else ""
+
+    assert said(shot) == ""
+    stopped = replace(shot, state="stopped", reason="emergency stop")
+    assert said(stopped) == "STOPPED: press / to start again"
+    assert said(replace(shot, state="paused")) == "PAUSED: press Space to go on"
+    device = replace(stopped, actions=device_actions(Joystick), remedy="maglev-mj bridge ADDRESS --reset goes on")
+    assert said(device) == "STOPPED"  # no key does
+    found = banner(device)
+    assert found is not None and found.way_on == "" and "--reset" in found.remedy
+    assert said(stopped, Area(0, 0, 1040, 700)).startswith("STOPPED: press /")
+    assert said(replace(shot, late=True)) == said(shot) == "TOO SLOW: press - for slow motion"  # it stays for a while
+
+
+def test_keys_and_label_only_where_they_do_something(shot: Snapshot) -> None:
+    screen, view = Screen(), Area(0, 0, 1280, 800)
+    assert screen.draw(shot, view, 100).layout.keys is not None
+    screen.press(KEYS, shot.scene)
+    layout = screen.draw(shot, view, 100).layout
+    assert layout.keys is None and layout.hint is not None
+    replayed = screen.draw(replace(shot, actions=("pause",), duration=3.0), view, 100).layout
+    assert replayed.label is None
+    assert Screen(keys=False).draw(shot, view, 100).layout.label is None  # nobody presses keys in a picture
+
+
+def test_shadows_go_once_when_a_second_of_frames_was_slow() -> None:
+    now = [0.0]
+    slow = SlowFrames(lambda: now[0])
+
+    def told(cost: float, seconds: float) -> int:
+        count = 0
+        for _ in range(round(seconds / 0.1)):
+            now[0] += 0.1
+            count += slow.add(cost)
+        return count
+
+    assert told(0.02, 5.0) == 0 and told(0.2, 0.8) == 0 and told(0.02, 0.1) == 0 and told(0.2, 0.8) == 0
+    assert told(0.2, 5.0) == 1  # once: who puts them back keeps them
+
+
+def test_what_a_key_may_not_do_is_a_note_and_not_the_end(shot: Snapshot) -> None:
+    def refuse(action: str) -> None:
+        raise ParameterError(f"{action} is not taken here") if action == "rate up" else OSError("no space left")
+
+    window: Any = _Window.__new__(_Window)
+    session = SimpleNamespace(snapshot=lambda: shot, act=refuse)
+    window.__dict__ |= {"_session": session, "_screen": Screen(), "_note": Note(), "_pressed": SimpleQueue()}
+    for code, words in ((glfw.KEY_F9, "rate up is not taken here"), (glfw.KEY_F10, "no space left")):
+        window._pressed.put(code)
+        window._press_keys()
+        assert window._note.lines == [words]
+    window._pressed.put(glfw.KEY_F1)  # the engine's own help is on now
+    window._press_keys()
+    assert window._screen.draw(shot, Area(0, 0, 1280, 800), 100).layout.status is None
+
+
+def test_notes_go_away() -> None:
+    now = [0.0]
+    note = Note(lambda: now[0])
+    note.say("wrote a file")
+    assert note.lines == ["wrote a file"]
+    now[0] = 60.0
+    assert note.lines == []
