@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -35,7 +36,7 @@ _FAINT, _LIT = 0.18, 0.45
 _FLOOR = -0.0552
 _REACH = 0.021  # of the ball by which the knob is taken hold of [m]
 _LONGEST = 0.12  # of an arrow [m]
-_SWOLLEN = 1.06
+_SWOLLEN, _GAMMA = 1.06, 2.2
 _RIM = 0.0118, 0.0012
 """Radius and half height of a ring under the knob, lit where a rotation meets its stop [m]."""
 
@@ -155,7 +156,8 @@ class _Arrow:
     def __init__(self, scene: Any, name: str, colour: Colour) -> None:
         sizes = {"shaft_radius": 0.0013, "head_radius": 0.0032, "head_length": 0.0065}
         points = np.array([[GRIP, 2.0 * GRIP]], dtype=np.float32)
-        self._arrow = scene.add_arrows(f"/forces/{name}", points, _bytes(colour), visible=False, **sizes)
+        shade = tuple(part**_GAMMA for part in colour)  # viser takes an arrow's colour for a linear one
+        self._arrow = scene.add_arrows(f"/forces/{name}", points, _bytes(shade), visible=False, **sizes)
 
     def show(self, knob: Array, force: Array) -> None:
         """Show a force [N], (3,), at a knob at some place [m], (3,)."""
@@ -171,6 +173,6 @@ _FORCES = {"hand": HAND, "device": DEVICE, "stops": STOP}
 _PLAIN = {"cast_shadow": False, "receive_shadow": False}
 
 
-def _bytes(colour: Colour) -> tuple[int, int, int]:
+def _bytes(colour: Sequence[float]) -> tuple[int, int, int]:
     red, green, blue = (round(255 * part) for part in colour)
     return red, green, blue
