@@ -58,7 +58,8 @@ def calls() -> Iterator[tuple[str, Callable[..., Any]]]:
                 continue
             if inspect.isclass(found):
                 methods = inspect.getmembers_static(found, inspect.isfunction)
-                yield from ((f"{name}.{method}", call) for method, call in methods if not method.startswith("_"))
+                ours = [(method, call) for method, call in methods if call.__module__.startswith("maglev_mj")]
+                yield from ((f"{name}.{method}", call) for method, call in ours if not method.startswith("_"))
             if callable(found) and not inspect.isabstract(found):
                 yield name, found
 

@@ -15,6 +15,7 @@ from maglev_mj.cli.options import count
 from maglev_mj.display.remote import Front
 from maglev_mj.errors import ParameterError, require
 from maglev_mj.net.addresses import is_loopback, listen
+from maglev_mj.parameters import flag
 
 __all__ = ["PORT", "add_web", "chosen_front", "chosen_page"]
 
@@ -47,6 +48,7 @@ def chosen_front(options: argparse.Namespace, folder: Path = Path(), *, watch: b
         DisplayError: If a window cannot be opened.
         MaglevError: See `chosen_page`.
     """
+    flag("watch", watch)
     if options.view and options.web:
         raise ParameterError("view and web are two ways to show it: give one")
     if (front := chosen_page(options, drag=not watch, settings=False)) is not None or not options.view:
@@ -72,6 +74,8 @@ def chosen_page(options: argparse.Namespace, *, drag: bool = True, settings: boo
         MissingPackageError: If viser is not installed.
         ListenError: If the port is taken, or the host is not of this machine.
     """
+    flag("drag", drag)
+    flag("settings", settings)
     if not options.web:
         if wrong := [name for name in _OWN if getattr(options, name) not in (None, False)]:
             raise ParameterError(f"{wrong[0].replace('_', '-')} is for --web")

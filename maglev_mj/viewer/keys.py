@@ -7,6 +7,7 @@ from typing import NamedTuple, TypeVar
 
 import glfw
 
+from maglev_mj.parameters import flag
 from maglev_mj.session import EMERGENCY_STOP
 
 __all__ = ["AXIS", "CAMERA", "KEYS", "SCREENSHOT", "help_rows", "key_of", "keys_of"]
@@ -130,6 +131,7 @@ def help_rows(actions: Sequence[str], *, hand: bool = True) -> list[tuple[str, s
         actions: Names of what can be done.
         hand: Whether the mouse moves the flotor.
     """
+    flag("hand", hand)
     rows: dict[str, tuple[list[str], list[str]]] = {}
     for key in _there(actions):
         names, words = rows.setdefault(key.row, ([], []))

@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, TypeAlias
 
+from maglev_mj.parameters import flag
+
 __all__ = ["Area", "Font", "Layout", "Row", "Words", "arrange"]
 
 Row: TypeAlias = tuple[str, str]
@@ -153,6 +155,8 @@ def arrange(
         helped: Whether the engine's viewer shows its own help, which it does at the upper left.
         charted: Whether it shows its own charts at the right.
     """
+    for name, value in (("banner", banner), ("label", label), ("helped", helped), ("charted", charted)):
+        flag(name, value)
     asked = _Asked(view, scale, list(status), list(keys), banner, label, shown, helped, charted)
     plain = Font(scale)
     large = view.width >= asked.pixels(_LARGE[0]) and view.height >= asked.pixels(_LARGE[1])

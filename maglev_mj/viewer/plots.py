@@ -13,6 +13,7 @@ from maglev_mj.colours import BAD, BOUNDARY, DEVICE, GOOD, HAND, MEASURED, Colou
 from maglev_mj.display.curves import SHOWN, Ranges, curves, round_up
 from maglev_mj.display.stability_map import Margin, StabilityMap
 from maglev_mj.frames import Array
+from maglev_mj.parameters import flag
 from maglev_mj.scenes import Scene
 from maglev_mj.session import Snapshot
 
@@ -46,6 +47,7 @@ class Plots:
             axis: Index into AXES; the scene's own by default.
             low: Whether there is no room for words under the plots.
         """
+        flag("low", low)
         axis = snapshot.scene.axis_index if axis is None else axis
         if axis != self._ranges.axis:
             self._ranges = Ranges(axis)

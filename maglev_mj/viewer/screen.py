@@ -12,6 +12,7 @@ import mujoco
 from maglev_mj.colours import BAD, STOP, Colour
 from maglev_mj.display.banner import Banner, Note, banner
 from maglev_mj.frames import AXES
+from maglev_mj.parameters import flag
 from maglev_mj.scenes import Scene
 from maglev_mj.session import EMERGENCY_STOP, Snapshot
 from maglev_mj.viewer.keys import AXIS, KEYS, help_rows, key_of
@@ -54,7 +55,7 @@ class Screen:
     """
 
     def __init__(self, *, keys: bool = True) -> None:
-        self._plots, self._with_keys = Plots(), keys
+        self._plots, self._with_keys = Plots(), flag("keys", keys)
         self._stop, self._hint, self._back = Label(_RED), Label(_DARK, 0.85), Label(_DARK, 0.80)
         self._banner = Label(BAD)
         self._late = Note()

@@ -16,6 +16,7 @@ from viser._messages import ShareUrlRequest
 
 from maglev_mj.display.remote import Front
 from maglev_mj.errors import MaglevError
+from maglev_mj.parameters import flag
 from maglev_mj.session import Due, SnapshotSource, real_time
 from maglev_mj.web.grab import Grab
 from maglev_mj.web.guard import Door, guarded
@@ -42,7 +43,7 @@ class PageServer(viser.ViserServer):
             super().__init__(host=door.host, port=door.port, label="maglev-mj", verbose=False)
         self._websock_server.unregister_handler(ShareUrlRequest)
 
-    def request_share_url(self, verbose: bool = True) -> str | None:
+    def request_share_url(self, verbose: Any = True) -> str | None:
         """Return None: a device is not for the public."""
         return None
 
@@ -57,7 +58,11 @@ class Page:
         settings: Whether parameters can be changed.
     """
 
-    def __init__(self, server: viser.ViserServer, source: SnapshotSource, *, drag: bool, settings: bool) -> None:
+    def __init__(
+        self, server: viser.ViserServer, source: SnapshotSource, *, drag: bool = True, settings: bool = True
+    ) -> None:
+        flag("drag", drag)
+        flag("settings", settings)
         self._server, self._source = server, source
         self._asked: queue.SimpleQueue[tuple[str, Any]] = queue.SimpleQueue()
         snapshot, gui = source.snapshot(), server.gui
@@ -121,7 +126,7 @@ def page(door: Door, listener: socket.socket, *, drag: bool = True, settings: bo
         drag: Whether the knob can be pulled.
         settings: Whether parameters can be changed.
     """
-    return partial(_serve, door, listener, {"drag": drag, "settings": settings})
+    return partial(_serve, door, listener, {"drag": flag("drag", drag), "settings": flag("settings", settings)})
 
 
 def _serve(door: Door, listener: socket.socket, options: Mapping[str, bool], source: SnapshotSource) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 
 from maglev_mj.colours import BAD, DEVICE, HAND, STOP, Colour, hex_of
 from maglev_mj.display.banner import Banner, banner
+from maglev_mj.parameters import flag
 from maglev_mj.session import DEVICES_OWN, EMERGENCY_STOP, Snapshot, actions
 from maglev_mj.web.controls import Ask, Choice, Control, Slider, control
 from maglev_mj.web.handles import put
@@ -46,8 +47,8 @@ class Panel:
     """
 
     def __init__(self, server: Any, snapshot: Snapshot, ask: Ask, settings: bool) -> None:
+        self._ask, self._settings = ask, flag("settings", settings)
         gui = self._gui = server.gui
-        self._ask, self._settings = ask, settings
         self._actions: tuple[str, ...] | None = None
         self._scene: Any = None
         self._banner, self._words = gui.add_html("", order=0.0), gui.add_html("", order=0.1)
