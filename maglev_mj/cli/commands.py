@@ -25,6 +25,7 @@ class Command(NamedTuple):
 GROUPS: Mapping[str, Mapping[str, Command]] = {
     "feel it": {
         "view": Command("feel a scene in a window: pull with the mouse", "box --stiffness 4000 --friction"),
+        "tour": Command("walls and friction in eight steps, guided", "--out tour"),
         "render": Command("a picture or a clip of a scene, without a window", "corner --out corner.png --size 800x500"),
         "serve-spacenav": Command("a scene as the 3D mouse of other programs", "joystick --axes rate --seconds 60"),
     },

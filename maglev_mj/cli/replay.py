@@ -9,6 +9,8 @@ from pathlib import Path
 
 from maglev_mj.cli.arguments import Container, Parser
 from maglev_mj.cli.progress import Progress
+from maglev_mj.cli.web import add_web, chosen_page
+from maglev_mj.display.remote import show_remotely
 from maglev_mj.playback import Replay
 from maglev_mj.recording import (
     InvalidRecordingError,
@@ -41,6 +43,7 @@ def add_options(parser: Parser) -> None:
         "file is not whole",
     )
     add_own_scene(group)
+    add_web(parser)
     parser.set_defaults(run=_replay)
 
 
@@ -91,7 +94,10 @@ def _replay(options: argparse.Namespace) -> int:
     if note := _other_code(recording, own):
         for line in wrapped(f"{options.file}: {note}", further="    "):
             say(line)
-    session = Replay(recording, own)
+    page, session = chosen_page(options, drag=False, settings=False), Replay(recording, own)
+    if page is not None:
+        show_remotely(session, page)
+        return 0
     # imported here: it loads the library that opens windows
     from maglev_mj.viewer.window import show
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from maglev_mj.session import Snapshot
 
-__all__ = ["Banner", "Note", "banner"]
+__all__ = ["Banner", "Note", "banner", "pace"]
 
 _SHOWN = 6.0
 
@@ -34,7 +34,10 @@ def banner(snapshot: Snapshot) -> Banner | None:
     if snapshot.state == "stopped":
         return Banner(f"STOPPED: {snapshot.reason}", _known("centre", snapshot), True, snapshot.remedy)
     if snapshot.state == "paused":
-        return Banner("PAUSED", _known("pause", snapshot), False)
+        where = "" if snapshot.duration is None else f": {snapshot.time:.3f} of {snapshot.duration:.3f} s"
+        return Banner(f"PAUSED{where}", _known("pause", snapshot), False)
+    if (line := snapshot.tour) is not None and line.done and line.number < line.total:
+        return Banner("DONE", "next", False)
     if snapshot.late:
         text = "TOO SLOW: this machine cannot keep up, simulated time slows down"
         return Banner(text, _known("slower", snapshot), True)
@@ -44,6 +47,13 @@ def banner(snapshot: Snapshot) -> Banner | None:
 def _known(action: str, snapshot: Snapshot) -> str:
     """Return an action if it does something, empty if it does not."""
     return action if action in snapshot.actions else ""
+
+
+def pace(snapshot: Snapshot) -> str:
+    """Return how fast time goes, in words; empty for real time."""
+    if (scale := snapshot.time_scale) == 1.0:
+        return ""
+    return f"1/{1.0 / scale:.3g} of real time" if scale < 1.0 else f"{scale:.3g} times real time"
 
 
 class Note:

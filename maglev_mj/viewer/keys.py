@@ -10,7 +10,7 @@ import glfw
 from maglev_mj.parameters import flag
 from maglev_mj.session import EMERGENCY_STOP
 
-__all__ = ["AXIS", "CAMERA", "KEYS", "SCREENSHOT", "help_rows", "key_of", "keys_of"]
+__all__ = ["AXIS", "CAMERA", "HAND", "KEYS", "SCREENSHOT", "help_rows", "key_of", "keys_of"]
 
 SCREENSHOT, AXIS, CAMERA, KEYS = "screenshot", "axis of the plots", "camera", "keys"
 """Actions of the window itself, which every one has."""
@@ -36,6 +36,8 @@ class Key(NamedTuple):
 
 _KEYS = (
     Key(glfw.KEY_F11, "F11", KEYS, "keys", "show, hide keys"),
+    Key(glfw.KEY_ENTER, "Enter", "next", "tour", "next step"),
+    Key(glfw.KEY_9, "9", "back", "tour", "step before"),
     Key(glfw.KEY_ENTER, "Enter", "next scene", "place"),
     Key(glfw.KEY_9, "9", "drop", "place"),
     Key(glfw.KEY_9, "9", "loop", "place", "play over and over"),
@@ -45,6 +47,8 @@ _KEYS = (
     Key(glfw.KEY_RIGHT, "Right", "step", "pause", "one step"),
     Key(glfw.KEY_MINUS, "-", "slower", "speed"),
     Key(glfw.KEY_EQUAL, "=", "faster", "speed"),
+    Key(glfw.KEY_DOWN, "Down", "skip back", "skip"),
+    Key(glfw.KEY_UP, "Up", "skip forward", "skip"),
     Key(glfw.KEY_HOME, "Home", "start", "ends"),
     Key(glfw.KEY_END, "End", "end", "ends"),
     Key(glfw.KEY_F10, "F10", "record", "files"),
@@ -82,7 +86,10 @@ _PAIRS: Mapping[tuple[str, str], tuple[int, int, str]] = {
 _Name = TypeVar("_Name")
 _NAMED = {key.action for key in _KEYS}
 _CHOOSES = "scene "
-_HAND = (("Ctrl + right drag", "push (Shift: level)"), ("Ctrl + left drag", "twist"))
+HAND = "Ctrl + right drag"
+"""How the mouse pulls the flotor."""
+
+_HANDS = ((HAND, "push (Shift: level)"), ("Ctrl + left drag", "twist"))
 
 
 def _there(actions: Sequence[str]) -> list[Key]:
@@ -137,4 +144,4 @@ def help_rows(actions: Sequence[str], *, hand: bool = True) -> list[tuple[str, s
         names, words = rows.setdefault(key.row, ([], []))
         names.append(key.name)
         words += [key.words or key.action] if not key.action.endswith(" down") else []
-    return [*(_HAND if hand else ()), *(("  ".join(names), ", ".join(words)) for names, words in rows.values())]
+    return [*(_HANDS if hand else ()), *(("  ".join(names), ", ".join(words)) for names, words in rows.values())]

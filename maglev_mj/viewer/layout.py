@@ -281,21 +281,21 @@ class _Asked(NamedTuple):
 
     @property
     def foot_height(self) -> int:
-        """Height of the emergency stop's label, and what is around it."""
-        return Font(self.scale).row + 2 * self.pad if self.label else 0
+        """Height of the emergency stop's label and of the hint, and what is around them."""
+        return Font(self.scale).row + 2 * self.pad if self.label or self.keys else 0
 
     def feet(self, left: int, right: int, bottom: int, keys: bool) -> tuple[Area | None, Area | None, int]:
         """Return where label and hint go, and the lowest row above them."""
-        if not self.label:
-            return None, None, bottom
         font, pad, high = Font(self.scale), self.pad, self.foot_height - self.pad
         hinted = 0 if keys or self.helped or not self.keys else font.width("F11: KEYS") + 4 * pad
-        wide = min(font.width("ESC: EMERGENCY STOP") + 4 * pad, right - left - 2 * pad)
+        wide = min(font.width("ESC: EMERGENCY STOP") + 4 * pad, right - left - 2 * pad) if self.label else 0
         if wide + hinted + 3 * pad > right - left:
             hinted = 0
+        if not wide and not hinted:
+            return None, None, bottom
         start = left + (right - left - wide - hinted) // 2
-        label = Area(start, bottom + pad // 2, wide, high)
-        hint = Area(start + wide + pad, label.bottom, hinted, high) if hinted else None
+        label = Area(start, bottom + pad // 2, wide, high) if wide else None
+        hint = Area(start + wide + pad, bottom + pad // 2, hinted, high) if hinted else None
         return label, hint, bottom + self.foot_height
 
 

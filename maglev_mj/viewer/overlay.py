@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from maglev_mj.display.banner import pace
 from maglev_mj.display.stops import met_stops
 from maglev_mj.parameters import Parameter
 from maglev_mj.session import DEVICES_OWN, Snapshot
 from maglev_mj.shapes import ARROW
+from maglev_mj.viewer.keys import HAND, key_of
 from maglev_mj.viewer.layout import Row
 
 __all__ = ["status_rows"]
@@ -28,12 +30,14 @@ def status_rows(snapshot: Snapshot, notes: Sequence[str] = ()) -> list[Row]:
     on = [one.name for one in live if one.kind is bool and getattr(scene, one.name)]
     gains = [_shown(one, getattr(scene, one.name)) for one in live if one.kind in (float, int)]
     rows = [
+        *_tour(snapshot),
         ("scene", f"{scene.name}: {scene.describe()}"),
         *(("", note) for note in (met_stops(snapshot).words, *snapshot.notes, *notes) if note),
+        ("time", _time(snapshot) if snapshot.duration is not None else ""),
         ("gains", "  ".join(gains)),
         ("on", ", ".join(on)),
         ("rate", f"{1.0 / scene.period:.0f} Hz, delay {scene.delay * 1e3:.1f} ms"),
-        ("time", _time(snapshot)),
+        ("time", _time(snapshot) if snapshot.duration is None else ""),
         ("energy", _energy(snapshot)),
         ("arrows", f"blue hand, orange device, black stop, {5e3 * ARROW:.0f} mm for 5 N"),
         ("tick", f"{snapshot.cost * 1e6:.0f} us, {snapshot.missed} missed" if snapshot.cost else ""),
@@ -41,11 +45,18 @@ def status_rows(snapshot: Snapshot, notes: Sequence[str] = ()) -> list[Row]:
     return [(name, value) for name, value in rows if value]
 
 
+def _tour(snapshot: Snapshot) -> list[Row]:
+    """Return the step of the guided tour, and what to do."""
+    if (line := snapshot.tour) is None:
+        return []
+    text, deed = line.words(lambda action: HAND if action == "hand" else key_of(action, snapshot.actions))
+    return [(f"{line.number} of {line.total}", text), ("" if line.done else "do", deed)]
+
+
 def _time(snapshot: Snapshot) -> str:
     """Return time, and how slowly it goes."""
     whole = "" if snapshot.duration is None else f" of {snapshot.duration:.1f}"
-    slow = "" if snapshot.time_scale == 1.0 else f", 1/{1.0 / snapshot.time_scale:.0f} of real time"
-    return f"{snapshot.time:.1f}{whole} s{slow}"
+    return ", ".join(filter(None, (f"{snapshot.time:.1f}{whole} s", pace(snapshot))))
 
 
 def _energy(snapshot: Snapshot) -> str:

@@ -17,11 +17,12 @@ from maglev_mj.parameters import flag
 from maglev_mj.scenes import Scene
 from maglev_mj.session import Snapshot
 
-__all__ = ["Label", "Plots", "shown_colour"]
+__all__ = ["Label", "Plots", "TimeBar", "shown_colour"]
 
 _POINTS = 500
 _LEAST = 1e-3
 _NOW = 0.018, 0.045
+_STROKES, _MARKS = 8, 80
 
 _Line: TypeAlias = tuple[Colour, ArrayLike, ArrayLike]
 """Colour, x and y of a line."""
@@ -122,6 +123,27 @@ class Label:
         """Return it with a line of words at its top, and one at its foot."""
         _entitle(self._figure, text)
         self._figure.xlabel = foot
+        return self._figure
+
+
+class TimeBar:
+    """Time of a recording, with marks where something happened, as a figure of the engine's own kind."""
+
+    def __init__(self) -> None:
+        figure = self._figure = mujoco.MjvFigure()
+        _prepare(figure)
+        figure.gridsize[:], figure.flg_ticklabel[:], figure.minwidth = 0, 0, ""
+
+    def update(self, snapshot: Snapshot) -> Any:
+        """Return the bar of a snapshot that has a duration."""
+        duration, now = snapshot.duration or 1.0, snapshot.time
+        # the engine draws nothing but lines, the first uppermost; one to and fro is a bar
+        levels = np.repeat(np.linspace(-0.5, 0.5, _STROKES), 2)
+        ways = np.resize([0.0, 1.0, 1.0, 0.0], levels.size)
+        lines: list[_Line] = [(_TEXT, [now, now], [-1.0, 1.0])]
+        lines += [(BAD, [mark, mark], [-1.0, 1.0]) for mark in snapshot.marks[:_MARKS]]
+        lines += [(MEASURED, now * ways, levels), (BOUNDARY, duration * ways, levels)]
+        _draw(self._figure, "", lines, (0.0, duration), (-1.0, 1.0))
         return self._figure
 
 

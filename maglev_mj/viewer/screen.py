@@ -18,7 +18,7 @@ from maglev_mj.session import EMERGENCY_STOP, Snapshot
 from maglev_mj.viewer.keys import AXIS, KEYS, help_rows, key_of
 from maglev_mj.viewer.layout import Area, Font, Layout, arrange
 from maglev_mj.viewer.overlay import status_rows
-from maglev_mj.viewer.plots import Label, Plots
+from maglev_mj.viewer.plots import Label, Plots, TimeBar
 
 __all__ = ["Drawn", "Screen"]
 
@@ -30,7 +30,7 @@ _RED: Colour = (0.80, 0.05, 0.05)
 _STOPS = "ESC: EMERGENCY STOP", "ESC: STOP", "ESC"
 _LOW, _ROUND = 130, 12
 _DARK: Colour = (0.05, 0.06, 0.08)
-_WAYS = {"centre": "to start again", "pause": "to go on", "slower": "for slow motion"}
+_WAYS = {"centre": "to start again", "pause": "to go on", "slower": "for slow motion", "next": "to go on"}
 
 
 class Drawn(NamedTuple):
@@ -57,7 +57,7 @@ class Screen:
     def __init__(self, *, keys: bool = True) -> None:
         self._plots, self._with_keys = Plots(), flag("keys", keys)
         self._stop, self._hint, self._back = Label(_RED), Label(_DARK, 0.85), Label(_DARK, 0.80)
-        self._banner = Label(BAD)
+        self._banner, self._bar = Label(BAD), TimeBar()
         self._late = Note()
         self._axis: int | None = None
         self._wanted: bool | None = None
@@ -117,6 +117,9 @@ class Screen:
                 font = fonts.mjFONT_BIG if words.font.large else fonts.mjFONT_NORMAL
                 first, second = ("\n".join(column) for column in zip(*words.rows, strict=True))
                 texts.append((int(font), int(grid), first, second))
+        if snapshot.duration is not None:
+            layout, bar = _parted(layout, 2 * Font(scale).row)
+            figures.append((bar, self._bar.update(snapshot)))
         if layout.label is not None:
             room = layout.label.width - Font(scale).row
             text = next((text for text in _STOPS if Font(scale).width(text) <= room), "")
@@ -141,3 +144,10 @@ def _said(said: Banner, snapshot: Snapshot) -> tuple[list[str], str]:
     way = key_of(said.way_on, snapshot.actions) if said.way_on else ""
     heads = [f"{title}: press {way} {_WAYS[said.way_on]}", f"{title}: press {way}"] if way else [title]
     return heads, ". ".join(part for part in (why, said.remedy) if part)
+
+
+def _parted(layout: Layout, high: int) -> tuple[Layout, Area]:
+    """Return a layout with less room for the handle, and the room for a time bar under it."""
+    area = layout.handle
+    handle = area._replace(bottom=area.bottom + high, height=max(area.height - high, 1))
+    return replace(layout, handle=handle), area._replace(height=high)

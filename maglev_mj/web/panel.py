@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from maglev_mj.colours import BAD, DEVICE, HAND, STOP, Colour, hex_of
-from maglev_mj.display.banner import Banner, banner
+from maglev_mj.colours import BAD, DEVICE, GOOD, HAND, STOP, Colour, hex_of
+from maglev_mj.display.banner import Banner, banner, pace
 from maglev_mj.parameters import flag
 from maglev_mj.session import DEVICES_OWN, EMERGENCY_STOP, Snapshot, actions
 from maglev_mj.web.controls import Ask, Choice, Control, Slider, control
@@ -23,6 +23,8 @@ _ROWS = {
     "handle": ("centre", "drop", "record"),
     "time": ("pause", "step", "slower", "faster"),
     "replay": ("start", "step back", "end", "loop"),
+    "skip": ("skip back", "skip forward"),
+    "tour": ("back", "next"),
 }
 _SCENE = "scene "
 _USUAL_STIFFNESS, _MOST_STIFFNESS = 200.0, 5000.0  # of the hand [N/m]
@@ -71,7 +73,7 @@ class Panel:
             self._scene = type(snapshot.scene)
             self._make_controls(snapshot)
         put(self._banner, content=_banner(banner(snapshot), snapshot))
-        put(self._words, content=_words(snapshot))
+        put(self._words, content=_tour(snapshot) + _words(snapshot))
         for each, value in self._followed:
             each.show(value(snapshot))
         if self._time is not None:
@@ -150,6 +152,23 @@ def _banner(said: Banner | None, snapshot: Snapshot) -> str:
     )
 
 
+def _tour(snapshot: Snapshot) -> str:
+    """Return the step of a guided tour and what to do, as HTML."""
+    if (line := snapshot.tour) is None:
+        return ""
+    text, deed = line.words(_named)
+    style = f"border-left:4px solid {hex_of(GOOD if line.done else HAND)};padding:.3em .7em;margin:.4em 0"
+    return (
+        f'<div style="{style}"><small>step {line.number} of {line.total}</small><br>{escape(text)}<br>'
+        f"<b>{escape(deed)}</b></div>"
+    )
+
+
+def _named(action: str) -> str:
+    """Return the name of an action's control."""
+    return "drag the knob" if action == "hand" else f"the slider {action.removesuffix(' up')}"
+
+
 def _words(snapshot: Snapshot) -> str:
     """Return what a person wants to know of a session, as HTML."""
     scene = snapshot.scene
@@ -167,7 +186,7 @@ def _words(snapshot: Snapshot) -> str:
         f"{snapshot.time:.1f} s, {1.0 / scene.period:.4g} Hz, {snapshot.missed} missed",
     ]
     if snapshot.time_scale != 1.0:
-        rows.append(f"slow motion: 1/{1.0 / snapshot.time_scale:.0f} of real time")
+        rows.append(pace(snapshot))
     made = snapshot.taken < -_NOTHING
     if made:
         rows.append(f'<b style="color:{hex_of(BAD)}">the world made {-1e3 * snapshot.taken:.1f} mJ</b>')
