@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from maglev_mj.colours import BAD, DEVICE, HAND, STOP, Colour, hex_of
+from maglev_mj.colours import BAD, DEVICE, GOOD, HAND, STOP, Colour, hex_of
 from maglev_mj.display.banner import Banner, banner
 from maglev_mj.session import DEVICES_OWN, EMERGENCY_STOP, Snapshot, actions
+from maglev_mj.session.snapshot import TourLine
 from maglev_mj.web.controls import Ask, Choice, Control, Slider, control
 from maglev_mj.web.handles import put
 from maglev_mj.web.stage import VIEWS, look
@@ -22,6 +23,8 @@ _ROWS = {
     "handle": ("centre", "drop", "record"),
     "time": ("pause", "step", "slower", "faster"),
     "replay": ("start", "step back", "end", "loop"),
+    "skip": ("skip back", "skip forward"),
+    "tour": ("back", "next"),
 }
 _SCENE = "scene "
 _USUAL_STIFFNESS, _MOST_STIFFNESS = 200.0, 5000.0  # of the hand [N/m]
@@ -70,7 +73,7 @@ class Panel:
             self._scene = type(snapshot.scene)
             self._make_controls(snapshot)
         put(self._banner, content=_banner(banner(snapshot), snapshot))
-        put(self._words, content=_words(snapshot))
+        put(self._words, content=_tour(snapshot.tour) + _words(snapshot))
         for each, value in self._followed:
             each.show(value(snapshot))
         if self._time is not None:
@@ -147,6 +150,25 @@ def _banner(said: Banner | None, snapshot: Snapshot) -> str:
     return (
         f'<div role="alert" style="{style};border-radius:4px">{escape(said.text)}<br><small>{escape(way)}</small></div>'
     )
+
+
+def _tour(step: TourLine | None) -> str:
+    """Return the step of a guided tour as HTML."""
+    if step is None:
+        return ""
+    text, deed = (escape(part) for part in step.words(_called))
+    done = f' <b style="color:{hex_of(GOOD)}">done</b>' if step.done else ""
+    style = f"border-left:4px solid {hex_of(GOOD if step.done else HAND)};margin:.3em .5em;padding:.2em .6em"
+    head = f"<small>step {step.number} of {step.total}</small>{done}"
+    return f'<div style="{style}">{head}<br>{text}<br><b>{deed}</b></div>'
+
+
+def _called(name: str) -> str:
+    """Return what a person uses here for an action."""
+    if name == "hand":
+        return "drag the knob"
+    moved = name.removesuffix(" up").removesuffix(" down")
+    return f"the slider {moved}" if moved != name else f"the button {name}"
 
 
 def _words(snapshot: Snapshot) -> str:
