@@ -65,7 +65,6 @@ def add_options(parser: Parser) -> None:
     run.add_argument("--view", action="store_true", help="a window on the device; its hand is at the device")
     add_web(parser)
     add_bridge(parser)
-    add_web(parser)
     limits = parser.group("limits of the host; the smaller of these and the device's counts")
     add_parameters(limits, HostLimits)
     limits.add_argument(

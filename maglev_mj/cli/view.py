@@ -34,7 +34,6 @@ def add_options(parser: Parser) -> None:
     group.add_argument("--seconds", type=number_option, metavar="X", help="close the window after so long [s]")
     add_web(parser)
     add_hand_device(parser.group("gamepad or 3D mouse as the hand"))
-    add_web(parser)
     add_recording(parser)
     output.add_argument(
         "--out", metavar="DIR", type=Path, default=Path(), help="folder for recordings and screenshots (default .)"
