@@ -484,3 +484,10 @@ def until(page: Page, done: Any) -> None:
         page._obey()
         assert time.monotonic() < end
         time.sleep(0.01)
+
+
+@pytest.mark.parametrize("command", ["view", "twin", "bridge udp://127.0.0.1:1", "replay none.npz"])
+def test_commands_that_show_something_take_the_page_s_options(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main([*command.split(), "--help"])
+    assert ended.value.code == 0 and "page in a browser" in capsys.readouterr().out

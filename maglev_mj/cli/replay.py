@@ -1,4 +1,4 @@
-"""`maglev-mj replay`: a recording shown in a window, or checked bit for bit."""
+"""`maglev-mj replay`: a recording shown in a window or page, or checked bit for bit."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ from pathlib import Path
 
 from maglev_mj.cli.arguments import Container, Parser
 from maglev_mj.cli.progress import Progress
-from maglev_mj.cli.web import add_web, chosen_page
-from maglev_mj.display.remote import show_remotely
+from maglev_mj.cli.web import add_web, chosen_page, show_session
 from maglev_mj.playback import Replay
 from maglev_mj.recording import (
     InvalidRecordingError,
@@ -94,14 +93,7 @@ def _replay(options: argparse.Namespace) -> int:
     if note := _other_code(recording, own):
         for line in wrapped(f"{options.file}: {note}", further="    "):
             say(line)
-    page, session = chosen_page(options, drag=False, settings=False), Replay(recording, own)
-    if page is not None:
-        show_remotely(session, page)
-        return 0
-    # imported here: it loads the library that opens windows
-    from maglev_mj.viewer.window import show
-
-    show(session)
+    show_session(Replay(recording, own), chosen_page(options, drag=False, settings=False))
     return 0
 
 

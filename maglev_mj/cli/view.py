@@ -11,8 +11,7 @@ from maglev_mj.cli.options import add_recording, number_option
 from maglev_mj.cli.output import check_outputs, check_recording
 from maglev_mj.cli.publishers import add_publishers, chosen_publishers
 from maglev_mj.cli.scenes import add_scene, chosen_scene, warn_of_instability
-from maglev_mj.cli.web import add_web, chosen_page
-from maglev_mj.display.remote import show_remotely
+from maglev_mj.cli.web import add_web, chosen_page, show_session
 from maglev_mj.hand import SpringHand
 from maglev_mj.parameters import number
 from maglev_mj.session import Session
@@ -52,7 +51,7 @@ def _view(options: argparse.Namespace) -> int:
     page = chosen_page(options)
     if page is None:
         # imported here: it loads the library that opens windows
-        from maglev_mj.viewer.window import require_display, show
+        from maglev_mj.viewer.window import require_display
 
         require_display()
     warn_of_instability(scene)
@@ -71,11 +70,7 @@ def _view(options: argparse.Namespace) -> int:
         for device in devices:
             device.act = session.act
         try:
-            if page is None:
-                report = show(session, folder=options.out, duration=seconds)
-            else:
-                report = show_remotely(session, page, duration=seconds)
-            print(show_table(report))
+            print(show_table(show_session(session, page, options.out, seconds)))
         finally:
             for path in session.recordings:  # whatever happened, a person wants to know where they are
                 print(f"  wrote {path}")

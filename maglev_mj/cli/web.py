@@ -12,12 +12,13 @@ from pathlib import Path
 
 from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.options import count
-from maglev_mj.display.remote import Front
+from maglev_mj.display.remote import Front, ShowReport, show_remotely
 from maglev_mj.errors import ParameterError, require
 from maglev_mj.net.addresses import is_loopback, listen
 from maglev_mj.parameters import flag
+from maglev_mj.session import SnapshotSource
 
-__all__ = ["PORT", "add_web", "chosen_front", "chosen_page"]
+__all__ = ["PORT", "add_web", "chosen_front", "chosen_page", "show_session"]
 
 PORT = 8123
 """Where a browser finds the page by default."""
@@ -96,6 +97,29 @@ def chosen_page(options: argparse.Namespace, *, drag: bool = True, settings: boo
     if not options.no_open and (os.name == "nt" or sys.platform == "darwin" or _has_screen()):
         threading.Thread(target=webbrowser.open, args=(door.url,), daemon=True).start()
     return page(door, listener, drag=drag, settings=settings)
+
+
+def show_session(
+    source: SnapshotSource, page: Front | None, folder: Path = Path(), duration: float | None = None
+) -> ShowReport:
+    """Show what this process runs on a page, or in a window where there is none.
+
+    Args:
+        source: What to show.
+        page: The page; None for a window.
+        folder: Folder for a window's screenshots.
+        duration: End after so much real time [s]; None waits for the person.
+
+    Raises:
+        DisplayError: If a window cannot be opened.
+        MaglevError: If the page's process ends before.
+    """
+    if page is not None:
+        return show_remotely(source, page, duration)
+    # imported here: it loads the library that opens windows
+    from maglev_mj.viewer.window import show
+
+    return show(source, folder=folder, duration=duration)
 
 
 def _has_screen() -> bool:

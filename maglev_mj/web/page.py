@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import os
 import queue
@@ -27,7 +28,7 @@ from maglev_mj.web.stage import VIEWS, Stage, look
 __all__ = ["Page", "PageServer", "page"]
 
 _FRAME, _PLOT = 1.0 / 30.0, 1.0 / 8.0
-_NAP = 0.005
+_NAP, _SETTLED = 0.005, 0.5
 
 
 class PageServer(viser.ViserServer):
@@ -114,6 +115,7 @@ class Page:
 
 
 async def _greet(client: viser.ClientHandle) -> None:
+    await asyncio.sleep(_SETTLED)  # a browser still has its size to say, and its first camera to set
     look(client, next(iter(VIEWS)))
 
 

@@ -13,6 +13,7 @@ from maglev_mj.colours import BAD, DEVICE, GOOD, HAND, STOP, Colour, hex_of
 from maglev_mj.display.banner import Banner, banner, pace
 from maglev_mj.parameters import flag
 from maglev_mj.session import DEVICES_OWN, EMERGENCY_STOP, Snapshot, actions
+from maglev_mj.session.snapshot import TourLine
 from maglev_mj.web.controls import Ask, Choice, Control, Slider, control
 from maglev_mj.web.handles import put
 from maglev_mj.web.stage import VIEWS, look
@@ -73,7 +74,7 @@ class Panel:
             self._scene = type(snapshot.scene)
             self._make_controls(snapshot)
         put(self._banner, content=_banner(banner(snapshot), snapshot))
-        put(self._words, content=_tour(snapshot) + _words(snapshot))
+        put(self._words, content=_tour(snapshot.tour) + _words(snapshot))
         for each, value in self._followed:
             each.show(value(snapshot))
         if self._time is not None:
@@ -152,21 +153,23 @@ def _banner(said: Banner | None, snapshot: Snapshot) -> str:
     )
 
 
-def _tour(snapshot: Snapshot) -> str:
-    """Return the step of a guided tour and what to do, as HTML."""
-    if (line := snapshot.tour) is None:
+def _tour(step: TourLine | None) -> str:
+    """Return the step of a guided tour as HTML."""
+    if step is None:
         return ""
-    text, deed = line.words(_named)
-    style = f"border-left:4px solid {hex_of(GOOD if line.done else HAND)};padding:.3em .7em;margin:.4em 0"
-    return (
-        f'<div style="{style}"><small>step {line.number} of {line.total}</small><br>{escape(text)}<br>'
-        f"<b>{escape(deed)}</b></div>"
-    )
+    text, deed = (escape(part) for part in step.words(_called))
+    done = f' <b style="color:{hex_of(GOOD)}">done</b>' if step.done else ""
+    style = f"border-left:4px solid {hex_of(GOOD if step.done else HAND)};margin:.3em .5em;padding:.2em .6em"
+    head = f"<small>step {step.number} of {step.total}</small>{done}"
+    return f'<div style="{style}">{head}<br>{text}<br><b>{deed}</b></div>'
 
 
-def _named(action: str) -> str:
-    """Return the name of an action's control."""
-    return "drag the knob" if action == "hand" else f"the slider {action.removesuffix(' up')}"
+def _called(name: str) -> str:
+    """Return what a person uses here for an action."""
+    if name == "hand":
+        return "drag the knob"
+    moved = name.removesuffix(" up").removesuffix(" down")
+    return f"the slider {moved}" if moved != name else f"the button {name}"
 
 
 def _words(snapshot: Snapshot) -> str:

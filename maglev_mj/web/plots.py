@@ -63,7 +63,7 @@ class Plots:
         up = 0.0, _MARGIN * factor * max(float(found.stiffnesses.max(initial=0.0)), found.stiffness, _LEAST)
         lines = [Line(BOUNDARY, found.dampings, factor * found.stiffnesses)]
         lines.append(Line(colour or BOUNDARY, [found.damping], [factor * found.stiffness], dot=True))
-        title = [(found.words, colour), (f"{found.axis}: {unit} over damping", None)]
+        title = [(found.words, colour), (f"{found.axis}, {unit}", None)]
         return chart(title, lines, across, up)
 
 
