@@ -29,6 +29,7 @@ from maglev_mj.viewer.framing import Framing, directions
 from maglev_mj.viewer.keys import AXIS, KEYS, help_rows
 from maglev_mj.viewer.layout import Area, Font, Layout, arrange
 from maglev_mj.viewer.overlay import status_rows
+from maglev_mj.viewer.plots import shown_colour
 from maglev_mj.viewer.scenery import GRIP, Scenery
 from maglev_mj.viewer.screen import Screen
 from maglev_mj.viewer.shadows import SlowFrames
@@ -107,9 +108,10 @@ def test_the_widths_of_the_engines_letters_are_known() -> None:
     small, large = Font(100), Font(100, large=True)
     assert [small.width(letter) for letter in text] == context.small[32:127]
     assert small.row >= context.high + 5 and large.row >= context.large_high + 5
+    scaled = measured(150)[0]
     for words in (line for row in help_rows(Session(Joystick()).actions) for line in row):
         assert large.width(words) >= sum(context.large[ord(letter)] for letter in words)
-        assert small._replace(scale=150).width(words) >= sum(measured(150)[0][ord(letter)] for letter in words)
+        assert small._replace(scale=150).width(words) >= sum(scaled[ord(letter)] for letter in words)
 
 
 def measured(scale: int) -> tuple[list[int], list[int], int, int]:
@@ -270,6 +272,7 @@ def test_the_cross_is_green_or_red_and_the_axis_of_the_plots_is_on_a_key(shot: S
         screen.wait(scene)
         _, gains = titled(screen.draw(shown, view, 100).figures, "% of the boundary")
         assert gains.linergb[1] == pytest.approx(colour)
+        assert gains.textrgb == pytest.approx(shown_colour(colour))
     names = []
     for _ in range(7):
         names.append(
