@@ -130,6 +130,8 @@ class _Window:
             show_left_ui=False,
             show_right_ui=False,
         )
+        with self._handle.lock():  # for the frames until the first of ours
+            self._framing.reset(self._handle.cam)
         if shadows is False:
             self._drop_shadows()
         self._painter = threading.Thread(target=self._paint, name="painter", daemon=True)
