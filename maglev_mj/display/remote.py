@@ -11,7 +11,6 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from maglev_mj.display.banner import Note
 from maglev_mj.display.glide import SILENCE, Glide
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.hand import SpringHand
@@ -22,6 +21,7 @@ from maglev_mj.session import (
     EMERGENCY_STOP,
     Due,
     History,
+    Note,
     Snapshot,
     SnapshotSource,
     Wish,
