@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -28,7 +27,7 @@ pytestmark = [
 if not MISSING:
     from maglev_mj.web.guard import Door
     from maglev_mj.web.page import page
-    from maglev_mj.web.stage import FIELD, VIEWS
+    from maglev_mj.web.stage import FIELD, placed
 
 
 SIZE = {"width": 860, "height": 420}
@@ -100,7 +99,7 @@ def opened(browser: Any, run: Run, **options: Any) -> Any:
     """Return a tab that shows the scene."""
     tab = browser.new_context(**{"viewport": SIZE, **options}).new_page()
     tab.goto(run.url, wait_until="domcontentloaded")
-    tab.wait_for_selector("text=joystick", timeout=30_000)
+    tab.wait_for_selector("text=joystick", timeout=60_000)
     tab.add_style_tag(content=".mantine-Notifications-root{display:none}")  # that it draws by software is known
     return tab
 
@@ -118,7 +117,8 @@ def let_go(run: Run) -> None:
 
 def knob(tab: Any, run: Run) -> tuple[float, float]:
     """Return where the knob is drawn [px]."""
-    return on_screen(tab, run.shown.pose[:3] + GRIP, VIEWS["home"], FIELD)
+    box = tab.locator("canvas").last.bounding_box()
+    return on_screen(tab, run.shown.pose[:3] + GRIP, placed("home", box["width"], box["height"]), FIELD)
 
 
 def press(tab: Any, run: Run) -> tuple[float, float]:
@@ -176,19 +176,19 @@ def test_a_finger_pulls_and_a_tab_closed_in_mid_drag_lets_go(run: Run, browser: 
     phone = opened(browser, run, viewport={"width": 390, "height": 500}, has_touch=True, is_mobile=True)
     assert phone.evaluate("document.documentElement.scrollWidth") <= 390
     touch = phone.context.new_cdp_session(phone)
-    heights = itertools.cycle(range(60, 260, 12))  # where the phone's camera draws the knob is for it to say
-    y, end = 0, time.monotonic() + PATIENCE
+    x, y = knob(phone, run)
+    touched, end = False, time.monotonic() + PATIENCE
     while not run.shown.hand.any():
         assert time.monotonic() < end
         if run.shown.target is None:
-            if y:
+            if touched:
                 touch.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
-            y = next(heights)
-            touch.send("Input.dispatchTouchEvent", {"type": "touchStart", "touchPoints": [{"x": 195.0, "y": y}]})
+            touched = True
+            touch.send("Input.dispatchTouchEvent", {"type": "touchStart", "touchPoints": [{"x": x, "y": y}]})
         for step in range(1, 5):
-            points = [{"x": 195.0 + 4.0 * step, "y": y}]
+            points = [{"x": x + 5.0 * step, "y": y}]
             touch.send("Input.dispatchTouchEvent", {"type": "touchMove", "touchPoints": points})
-        time.sleep(0.15)
+        time.sleep(0.3)
     closed = time.monotonic()
     phone.context.close()
     run.until(lambda shown: shown.target is None and not shown.hand.any())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import logging
 import os
 import queue
@@ -28,7 +27,7 @@ from maglev_mj.web.stage import VIEWS, Stage, look
 __all__ = ["Page", "PageServer", "page"]
 
 _FRAME, _PLOT = 1.0 / 30.0, 1.0 / 8.0
-_NAP, _SETTLED = 0.005, 0.5
+_NAP = 0.005
 
 
 class PageServer(viser.ViserServer):
@@ -115,8 +114,17 @@ class Page:
 
 
 async def _greet(client: viser.ClientHandle) -> None:
-    await asyncio.sleep(_SETTLED)  # a browser still has its size to say, and its first camera to set
-    look(client, next(iter(VIEWS)))
+    """Fit the device into a browser, again when its size changes: the first that it says is not yet its own."""
+    fitted = (0, 0)
+
+    async def fit(camera: viser.CameraHandle) -> None:
+        nonlocal fitted
+        if (size := (camera.image_width, camera.image_height)) != fitted:
+            fitted = size
+            look(client, next(iter(VIEWS)))
+
+    client.camera.on_update(fit)
+    await fit(client.camera)
 
 
 def page(door: Door, listener: socket.socket, *, drag: bool = True, settings: bool = True) -> Front:

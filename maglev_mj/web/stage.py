@@ -15,7 +15,7 @@ from maglev_mj.shapes import ARROW, GRIP, KNOB, LEAST_FORCE, UNDER_KNOB, arrow_s
 from maglev_mj.web.handles import put
 from maglev_mj.web.meshes import glb
 
-__all__ = ["FIELD", "VIEWS", "Stage", "look"]
+__all__ = ["FIELD", "VIEWS", "Stage", "look", "placed"]
 
 VIEWS = {
     "home": ((0.17, -0.27, 0.21), (0.0, 0.0, 0.028)),
@@ -42,18 +42,28 @@ _RIM = 0.0118, 0.0012
 
 
 def look(client: Any, view: str) -> None:
-    """Point a browser's camera; on a phone from farther away, at the middle of the upper half."""
-    camera, (place, target) = client.camera, np.array(VIEWS[view])
-    if camera.image_width <= _PHONE:
-        back = place - target
-        width = 2.0 * np.linalg.norm(back) * np.tan(0.5 * camera.fov) * camera.image_width / camera.image_height
-        back = back * max(_WIDE / width, 1.0)
-        across = np.cross([0.0, 0.0, 1.0], back)
-        up = np.cross(back, across) / np.linalg.norm(across)
-        target = target - 0.5 * np.linalg.norm(back) * np.tan(0.5 * camera.fov) * up
-        place = target + back
+    """Point a browser's camera."""
+    camera = client.camera
     with client.atomic():
-        camera.position, camera.look_at = place, target
+        camera.position, camera.look_at = placed(view, camera.image_width, camera.image_height)
+
+
+def placed(view: str, width: int, height: int) -> tuple[Array, Array]:
+    """Return where a camera is and what it looks at [m], (3,) each; on a phone in the middle of the upper half.
+
+    Args:
+        view: One of VIEWS.
+        width: Width of the picture [px].
+        height: Its height.
+    """
+    place, target = np.array(VIEWS[view])
+    if width > _PHONE:
+        return place, target
+    back, rise = place - target, np.tan(0.5 * FIELD)
+    back = back * max(_WIDE / (2.0 * np.linalg.norm(back) * rise * width / height), 1.0)
+    across = np.cross([0.0, 0.0, 1.0], back)
+    target = target - 0.5 * rise * np.cross(back, across) / np.linalg.norm(across)
+    return target + back, target
 
 
 class Stage:

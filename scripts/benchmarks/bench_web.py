@@ -29,7 +29,7 @@ from maglev_mj.session import Session, real_time
 from maglev_mj.shapes import GRIP
 from maglev_mj.web.guard import Door
 from maglev_mj.web.page import page
-from maglev_mj.web.stage import FIELD, VIEWS
+from maglev_mj.web.stage import FIELD, placed
 
 RATES = 200.0, 1000.0
 NAP, BETWEEN = 0.001, 0.33
@@ -55,7 +55,8 @@ def drive(url: str, seconds: float, size: dict[str, int]) -> None:
         tab.wait_for_selector("text=joystick", timeout=60_000)
         tab.add_style_tag(content=".mantine-Notifications-root{display:none}")
         time.sleep(5.0)
-        x, y = on_screen(tab, GRIP, VIEWS["home"], FIELD)
+        box = tab.locator("canvas").last.bounding_box()
+        x, y = on_screen(tab, GRIP, placed("home", box["width"], box["height"]), FIELD)
         tab.mouse.move(x, y)
         tab.mouse.down()
         tab.mouse.move(x + 8, y, steps=4)
