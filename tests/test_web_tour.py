@@ -53,7 +53,7 @@ def done(number: int) -> Callable[[Any], bool]:
 
 def begun(run: Run, tab: Any, number: int) -> None:
     """Wait until a step has begun; its controls show its parameters a second after the last move of one."""
-    run.until(lambda shown: shown.tour.number == number)
+    run.until(lambda shown: shown.tour is not None and shown.tour.number == number)
     tab.wait_for_selector(f"text=step {number} of 8")
     time.sleep(1.2)
     assert not done(number)(run.shown)
