@@ -53,7 +53,7 @@ def done(number: int) -> Callable[[Any], bool]:
 
 def begun(run: Run, tab: Any, number: int) -> None:
     """Wait until a step has begun; its controls show its parameters a second after the last move of one."""
-    run.until(lambda shown: shown.tour.number == number)
+    run.until(lambda shown: shown.tour is not None and shown.tour.number == number)
     tab.wait_for_selector(f"text=step {number} of 8")
     time.sleep(1.2)
     assert not done(number)(run.shown)
@@ -85,6 +85,7 @@ def turned(run: Run, tab: Any, index: int, so: Callable[[Any], Any]) -> None:
     run.until(so)
 
 
+@pytest.mark.study  # a minute and a half of drags by software drawing
 def test_the_tour_is_done_in_a_browser(browser: Any) -> None:
     with page_of(browser, Tour(Session())) as (run, tab):
         for number, force in ((1, 0.4), (2, 2.2), (3, 2.2), (4, 0.6)):
