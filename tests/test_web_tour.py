@@ -85,6 +85,7 @@ def turned(run: Run, tab: Any, index: int, so: Callable[[Any], Any]) -> None:
     run.until(so)
 
 
+@pytest.mark.study  # a minute and a half of drags by software drawing
 def test_the_tour_is_done_in_a_browser(browser: Any) -> None:
     with page_of(browser, Tour(Session())) as (run, tab):
         for number, force in ((1, 0.4), (2, 2.2), (3, 2.2), (4, 0.6)):
