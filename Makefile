@@ -25,10 +25,11 @@ test: $(READY)  ## run all tests, on every core
 studies: $(READY)  ## run the sweeps behind the published figures in full: minutes to an hour
 	$(BIN)/python -m pytest -n auto --dist loadgroup -m study
 
-# three thumbnails in a row of a page 830 pixels wide, at twice their size for sharp screens, and a clip; no words: too small to read
+# thumbnails, three in a row of a page 830 pixels wide, at twice their size for sharp screens, and a clip as wide as the page;
+# words would be too small to read in a thumbnail
 pictures: $(READY)  ## draw the README's pictures of the scenes anew
 	for scene in $(SCENES); do $(BIN)/maglev-mj render $$scene --plain --out docs/images/scene_$$scene.png --size 560x350 || exit 1; done
-	$(BIN)/maglev-mj render joystick --plain --out docs/images/joystick.gif --size 560x350 --fps 12 --seconds 4.2
+	$(BIN)/maglev-mj render joystick --out docs/images/joystick.gif --size 830x520 --fps 12 --seconds 4.2
 
 check: lint types test  ## what a change must pass
 

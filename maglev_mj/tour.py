@@ -301,7 +301,7 @@ STEPS = (
     ),
     Step(
         "A softer wall with little damping: it is quiet while its forces come 1.5 ms late.",
-        "Raise the delay: {delay up}. Hold a wall again and again, until it buzzes.",
+        "Raise the delay: {delay up}. Hold a wall gently now and then, until it buzzes.",
         _too_late,
         _BARE,
     ),

@@ -213,6 +213,13 @@ def test_what_cannot_be_read_is_found() -> None:
     }
 
 
+def test_a_file_is_no_folder_for_pictures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "file"
+    path.touch()
+    assert main(["stick-slip", "--out", str(path)]) == 2
+    assert f"out must be a folder, not '{path}'" in capsys.readouterr().err
+
+
 BEGINS = {"png": b"\x89PNG", "pdf": b"%PDF", "svg": b"<?xml"}
 
 

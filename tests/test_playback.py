@@ -49,6 +49,8 @@ def test_all_stretches_are_on_one_time_axis(replay: Replay, recording: Recording
     replay.change({"time": 3.25})
     shown = replay.snapshot()
     assert (shown.pose == second.position[250]).all() and shown.scene.period == 0.001
+    replay.change({"time": 3.2507})
+    assert replay.snapshot().time == replay.snapshot().history[-1, 0] < 3.2504
     assert shown.time == pytest.approx(3.25) and shown.since == FIRST and shown.tick == FIRST + 250
 
 

@@ -18,7 +18,7 @@ from maglev_mj.replay import rebuild, record_run
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.find import find_scene
 from maglev_mj.scenes.run import run
-from maglev_mj.viewer.clip import write_picture
+from maglev_mj.viewer.clip import write_clip, write_picture
 
 
 @pytest.mark.parametrize("command", ["drop", "press", "stick-slip"])
@@ -163,6 +163,19 @@ def test_a_picture_is_written_as_it_is(tmp_path: Path) -> None:
     pixels = np.random.default_rng(1).integers(0, 256, (7, 5, 3), dtype=np.uint8)
     write_picture(pixels, tmp_path / "a.png")
     assert (imageio.v2.imread(tmp_path / "a.png") == pixels).all()
+
+
+def test_a_clip_keeps_the_colour_of_a_small_mark(tmp_path: Path) -> None:
+    image = pytest.importorskip("PIL.Image")
+    rows, columns = np.mgrid[0:200, 0:320]
+    shades = np.stack([(rows + columns) / 2.6, rows / 1.3, columns / 1.6], axis=-1).astype(np.uint8)
+    frames = np.stack([shades, shades])
+    frames[:, 100, 150:170] = green = np.array([0, 158, 115], dtype=np.uint8)
+    write_clip(frames, tmp_path / "a.gif", 10)
+    with image.open(tmp_path / "a.gif") as clip:
+        assert (clip.n_frames, clip.info["duration"], clip.size) == (1, 200, (320, 200))  # two of one kind
+        seen = np.array(clip.convert("RGB"), dtype=int)[100, 155:165]
+    assert np.abs(seen - green).max() < 20
 
 
 @pytest.mark.parametrize(

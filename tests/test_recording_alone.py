@@ -564,7 +564,7 @@ def shown(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     """Return what is shown in place of a window."""
     seen: list[Any] = []
     window = types.ModuleType("window")
-    window.show = seen.append  # type: ignore[attr-defined]
+    window.show = lambda source, **options: seen.append(source)  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "maglev_mj.viewer.window", window)
     return seen
 

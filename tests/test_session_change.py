@@ -5,14 +5,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj.display.banner import Banner, Note, banner
+from maglev_mj.display.banner import Banner, banner
 from maglev_mj.errors import ParameterError
 from maglev_mj.hand import SpringHand
 from maglev_mj.parameters import param
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.joystick import Joystick
-from maglev_mj.session import TIME_SCALES, Pacer, Session
+from maglev_mj.session import TIME_SCALES, Note, Pacer, Session
 
 FRAME = 1.0 / 60.0
 

@@ -181,6 +181,16 @@ def test_what_was_done_before_a_step_does_not_count() -> None:
     assert (user.line.number, user.line.done) == (PUSH, False)
 
 
+def test_pulses_of_before_do_not_count() -> None:
+    user = User(WALL)
+    hit(user)
+    user.release(2.0)
+    assert user.tour.snapshot().pulses > 0
+    user.tour.act("next")
+    user.wait(1.0)
+    assert (user.line.number, user.line.done) == (PULSE, False)
+
+
 def test_a_wall_is_quiet_for_a_second_before_it_is_mended() -> None:
     user = User(MEND)
     hold(user)
@@ -195,9 +205,11 @@ def test_a_wall_is_quiet_for_a_second_before_it_is_mended() -> None:
 def test_a_step_goes_on_after_the_scene_was_started_again() -> None:
     user = User(WALL)
     user.wait(3.0)
+    user.press("next")
+    user.press("back")  # the step begins at 3 s of the scene's time
     user.press("centre")
     hit(user)
-    assert user.line.done
+    assert user.tour.snapshot().time < 1.0 and user.line.done
 
 
 def test_the_whole_tour_is_done_in_a_row() -> None:

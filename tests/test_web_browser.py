@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -35,7 +34,11 @@ PATIENCE = 20.0
 
 
 class Run:
-    """A session that runs in a thread, and its page.
+    """A source that runs in a thread, and its page.
+
+    Args:
+        source: The source.
+        options: Of the page.
 
     Attributes:
         url: Address of the page.
@@ -43,13 +46,13 @@ class Run:
         recordings: Files written.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, source: Any, **options: Any) -> None:
         listener = listen(0)
         door = Door("127.0.0.1", listener.getsockname()[1])
         self.url, self._over = door.url, threading.Event()
-        self._session = Session(folder=folder)
+        self._session = source
         self.shown: Snapshot = self._session.snapshot()
-        self._viewer = RemoteViewer(self.shown, page(door, listener))
+        self._viewer = RemoteViewer(self.shown, page(door, listener, **options))
         listener.close()
         self._thread = threading.Thread(target=self._run)
         self._thread.start()
@@ -84,7 +87,7 @@ class Run:
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Run]:
-    one = Run(tmp_path_factory.mktemp("recordings"))
+    one = Run(Session(folder=tmp_path_factory.mktemp("recordings")))
     yield one
     one.close()
 

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from maglev_mj.colours import BAD, GOOD, HAND, STOP
-from maglev_mj.display.banner import Note, banner
+from maglev_mj.display.banner import banner
 from maglev_mj.display.curves import SteadyRange, fitted_range
 from maglev_mj.display.stability_map import margin
 from maglev_mj.display.stops import met_stops
@@ -23,12 +23,13 @@ from maglev_mj.frames import Array
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.joystick import CENTRING, Joystick
-from maglev_mj.session import Pacer, Session, Snapshot, device_actions
+from maglev_mj.session import Note, Pacer, Session, Snapshot, device_actions
 from maglev_mj.theory import inertia_of, largest_stable_stiffness
 from maglev_mj.viewer.framing import Framing, directions
 from maglev_mj.viewer.keys import AXIS, KEYS, help_rows
 from maglev_mj.viewer.layout import Area, Font, Layout, arrange
 from maglev_mj.viewer.overlay import status_rows
+from maglev_mj.viewer.plots import shown_colour
 from maglev_mj.viewer.scenery import GRIP, Scenery
 from maglev_mj.viewer.screen import Screen
 from maglev_mj.viewer.shadows import SlowFrames
@@ -41,6 +42,7 @@ SIZES = (
     (800, 600),
     (1000, 700),
     (1120, 700),
+    (1250, 500),
     (1280, 800),
     (1600, 900),
     (1920, 1080),
@@ -106,9 +108,10 @@ def test_the_widths_of_the_engines_letters_are_known() -> None:
     small, large = Font(100), Font(100, large=True)
     assert [small.width(letter) for letter in text] == context.small[32:127]
     assert small.row >= context.high + 5 and large.row >= context.large_high + 5
+    scaled = measured(150)[0]
     for words in (line for row in help_rows(Session(Joystick()).actions) for line in row):
         assert large.width(words) >= sum(context.large[ord(letter)] for letter in words)
-        assert small._replace(scale=150).width(words) >= sum(measured(150)[0][ord(letter)] for letter in words)
+        assert small._replace(scale=150).width(words) >= sum(scaled[ord(letter)] for letter in words)
 
 
 def measured(scale: int) -> tuple[list[int], list[int], int, int]:
@@ -269,6 +272,7 @@ def test_the_cross_is_green_or_red_and_the_axis_of_the_plots_is_on_a_key(shot: S
         screen.wait(scene)
         _, gains = titled(screen.draw(shown, view, 100).figures, "% of the boundary")
         assert gains.linergb[1] == pytest.approx(colour)
+        assert gains.textrgb == pytest.approx(shown_colour(colour))
     names = []
     for _ in range(7):
         names.append(
@@ -334,6 +338,12 @@ def test_shadows_go_once_when_a_second_of_frames_was_slow() -> None:
     assert told(0.2, 5.0) == 1  # once: who puts them back keeps them
 
 
+def test_slow_motion_is_said_where_there_is_room_for_little(shot: Snapshot) -> None:
+    slow = status_rows(replace(shot, time_scale=0.1))
+    assert slow[1] == ("time", f"{shot.time:.1f} s, 1/10 of real time")
+    assert status_rows(shot)[1][0] == "gains"
+
+
 def test_what_a_key_may_not_do_is_a_note_and_not_the_end(shot: Snapshot) -> None:
     def refuse(action: str) -> None:
         raise ParameterError(f"{action} is not taken here") if action == "rate up" else OSError("no space left")
@@ -348,12 +358,3 @@ def test_what_a_key_may_not_do_is_a_note_and_not_the_end(shot: Snapshot) -> None
     window._pressed.put(glfw.KEY_F1)  # the engine's own help is on now
     window._press_keys()
     assert window._screen.draw(shot, Area(0, 0, 1280, 800), 100).layout.status is None
-
-
-def test_notes_go_away() -> None:
-    now = [0.0]
-    note = Note(lambda: now[0])
-    note.say("wrote a file")
-    assert note.lines == ["wrote a file"]
-    now[0] = 60.0
-    assert note.lines == []

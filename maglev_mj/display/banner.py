@@ -1,16 +1,12 @@
-"""The banner of a snapshot: stopped, paused, too slow; and notes that go away."""
+"""The banner of a snapshot: stopped, paused, too slow."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
 from typing import NamedTuple
 
 from maglev_mj.session import Snapshot
 
-__all__ = ["Banner", "Note", "banner", "pace"]
-
-_SHOWN = 6.0
+__all__ = ["Banner", "banner", "pace"]
 
 
 class Banner(NamedTuple):
@@ -54,23 +50,3 @@ def pace(snapshot: Snapshot) -> str:
     if (scale := snapshot.time_scale) == 1.0:
         return ""
     return f"1/{1.0 / scale:.3g} of real time" if scale < 1.0 else f"{scale:.3g} times real time"
-
-
-class Note:
-    """Hold one line for the person, for some seconds.
-
-    Args:
-        clock: Returns real time [s].
-    """
-
-    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
-        self._clock, self._text, self._until = clock, "", 0.0
-
-    def say(self, text: str) -> None:
-        """Show a line in place of the last."""
-        self._text, self._until = text, self._clock() + _SHOWN
-
-    @property
-    def lines(self) -> list[str]:
-        """The line, while it is to be shown."""
-        return [self._text] if self._text and self._clock() < self._until else []

@@ -11,7 +11,6 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from maglev_mj.display.banner import Note
 from maglev_mj.display.glide import SILENCE, Glide
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.hand import SpringHand
@@ -22,6 +21,7 @@ from maglev_mj.session import (
     EMERGENCY_STOP,
     Due,
     History,
+    Note,
     Snapshot,
     SnapshotSource,
     Wish,
@@ -72,7 +72,8 @@ class RemoteViewer:
         # only the rows that are new, and so many that writing them cannot wait
         rows = snapshot.history[np.searchsorted(snapshot.history[:, 0], self._sent, side="right") :]
         self._sent = snapshot.time
-        self._front.send(replace(snapshot, history=rows[-_MOST_ROWS:]))
+        every = max(1, -(-len(rows) // _MOST_ROWS))  # fewer of them where a recording has jumped
+        self._front.send(replace(snapshot, history=rows[::-every][::-1]))
         self.frames += 1
 
     def take(self) -> Wish | None:

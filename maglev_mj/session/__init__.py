@@ -3,7 +3,7 @@
 from maglev_mj.session.actions import DEVICES_OWN, EMERGENCY_STOP, actions, device_actions, settable
 from maglev_mj.session.admission import STEP_FORCE, Refusal, check_step, refusal, stability_warning
 from maglev_mj.session.live import device_controller, live_plant
-from maglev_mj.session.pacing import TIME_SCALES, Due, Pacer, next_scale, real_time
+from maglev_mj.session.pacing import TIME_SCALES, Due, Note, Pacer, next_scale, real_time
 from maglev_mj.session.session import Session
 from maglev_mj.session.snapshot import (
     SHOWN,
@@ -26,6 +26,7 @@ __all__ = [
     "TIME_SCALES",
     "Due",
     "History",
+    "Note",
     "Pacer",
     "Publisher",
     "Publishers",

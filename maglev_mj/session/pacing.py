@@ -1,4 +1,4 @@
-"""Real time: when a frame is due, and how many control ticks a stretch of it asks for within a budget."""
+"""Real time: when a frame is due, how many control ticks fit in a budget, and how long a note is shown."""
 
 from __future__ import annotations
 
@@ -8,13 +8,14 @@ from collections.abc import Callable, Iterator, Sequence
 
 from maglev_mj.parameters import number
 
-__all__ = ["TIME_SCALES", "Due", "Pacer", "next_scale", "real_time"]
+__all__ = ["TIME_SCALES", "Due", "Note", "Pacer", "next_scale", "real_time"]
 
 TIME_SCALES = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 """Steps of slow motion."""
 
 _ROUNDING = 1e-9
 _LONGEST_PAUSE = 1.0
+_SHOWN = 6.0
 
 
 def real_time(
@@ -125,3 +126,23 @@ class Pacer:
     def forgive(self) -> None:
         """Forget what is owed: after a pause, or where nothing can be made."""
         self.owed, self.late = 0.0, False
+
+
+class Note:
+    """Hold one line for the person, for some seconds.
+
+    Args:
+        clock: Returns real time [s].
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock, self._text, self._until = clock, "", 0.0
+
+    def say(self, text: str) -> None:
+        """Show a line in place of the last."""
+        self._text, self._until = text, self._clock() + _SHOWN
+
+    @property
+    def lines(self) -> list[str]:
+        """The line, while it is to be shown."""
+        return [self._text] if self._text and self._clock() < self._until else []

@@ -212,7 +212,7 @@ class Session:
             actions=self.actions,
             state="stopped" if self._stopped else "paused" if self._paused else "running",
             reason=self._stopped,
-            notes=self._notes(),
+            notes=self._tape.notes,
         )
 
     def close(self) -> None:
@@ -319,6 +319,3 @@ class Session:
             self._tape.stop()
         if not self._stopped:
             self._go_on()
-
-    def _notes(self) -> list[str]:
-        return [*([self._tape.note] if self._tape.note else []), *self._publishers.notes]

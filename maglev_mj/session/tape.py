@@ -8,6 +8,7 @@ from datetime import datetime
 from pathlib import Path
 
 from maglev_mj.recording import RecordingError, RecordingFile, best_suffix, open_recording, tee
+from maglev_mj.session.pacing import Note
 
 __all__ = ["Tape"]
 
@@ -27,7 +28,8 @@ class Tape:
     def __init__(self, folder: Path, beside: RecordingFile | None = None) -> None:
         self.written: list[Path] = []
         self.file: RecordingFile | None = None
-        self._folder, self._beside, self._said, self._missed = folder, beside, "", 0
+        self._folder, self._beside, self._failed, self._missed = folder, beside, "", 0
+        self._said = Note()
         self._closing: list[threading.Thread] = []
         self._unwritten: list[RecordingFile] = []
         self._named: set[Path] = set()
@@ -59,7 +61,7 @@ class Tape:
         if self.file is None:
             return
         file, self.file = self.file, None
-        self._said = "writing the recording"
+        self._said.say("writing the recording")
         self._closing.append(threading.Thread(target=self._finish, args=(file,)))
         self._closing[-1].start()
 
@@ -80,16 +82,16 @@ class Tape:
             self._keep(file)
         except OSError as error:
             self._unwritten.append(file)
-            self._said = f"RECORDING: {error}; it is tried again at the end"
+            self._failed = f"RECORDING: {error}; it is tried again at the end"
 
     def _keep(self, file: RecordingFile) -> None:
         """Close a file, and say how that went."""
         path = None
         try:
             path = file.close()
-            self._said = f"wrote {path}" if path is not None else "nothing was recorded"
+            self._said.say(f"wrote {path}" if path is not None else "nothing was recorded")
         except RecordingError as error:  # what there is of it, is there
-            self._said = f"RECORDING: {error}"
+            self._failed = f"RECORDING: {error}"
         if path is not None:
             self.written.append(path)
 
@@ -105,15 +107,16 @@ class Tape:
             file.event("missed", f"{more} ticks were given up: too slow", more)
 
     @property
-    def note(self) -> str:
-        """How it goes, for a person; empty where nothing was ever recorded."""
+    def notes(self) -> list[str]:
+        """How it goes, for a person; what went well goes away."""
+        found = [*filter(None, [self._failed]), *self._said.lines]
         if self.file is None:
-            return self._said
+            return found
         try:
             self.file.check()
         except RecordingError as error:
-            return f"NOT RECORDING: {error}"
-        return "RECORDING"
+            return [*found, f"NOT RECORDING: {error}"]
+        return [*found, "RECORDING"]
 
     def _new_path(self, folder: Path) -> Path:
         """Return a name for a recording that no file has yet, nor one that is still being written."""

@@ -69,10 +69,22 @@ def write_clip(frames: Iterable[Pixels], path: Path, rate: int) -> None:
         ClipsMissingError: If imageio is not installed.
     """
     imageio = _imageio()
-    options = {"duration": 1000.0 / rate, "loop": 0} if path.suffix == ".gif" else {"fps": rate, "macro_block_size": 2}
-    with imageio.get_writer(path, **options) as writer:
+    if path.suffix == ".gif":
+        _write_gif(frames, path, 1000.0 / rate)
+        return
+    with imageio.get_writer(path, fps=rate, macro_block_size=2) as writer:
         for frame in frames:
             writer.append_data(np.ascontiguousarray(frame))
+
+
+def _write_gif(frames: Iterable[Pixels], path: Path, duration: float) -> None:
+    """Write a GIF of frames that each last so long [ms], each of 256 colours of its own."""
+    from PIL import Image  # imageio's own
+
+    # the octree keeps the colour of a small mark, which a median cut gives away for shades of a wide floor
+    octree, plain = Image.Quantize.FASTOCTREE, Image.Dither.NONE
+    few = (Image.fromarray(np.ascontiguousarray(frame)).quantize(256, octree, dither=plain) for frame in frames)
+    next(few).save(path, save_all=True, append_images=few, duration=duration, loop=0)
 
 
 def _imageio() -> Any:

@@ -282,7 +282,7 @@ class _Asked(NamedTuple):
     @property
     def foot_height(self) -> int:
         """Height of the emergency stop's label and of the hint, and what is around them."""
-        return Font(self.scale).row + 2 * self.pad if self.label or self.keys else 0
+        return Font(self.scale).row + 3 * self.pad if self.label or self.keys else 0
 
     def feet(self, left: int, right: int, bottom: int, keys: bool) -> tuple[Area | None, Area | None, int]:
         """Return where label and hint go, and the lowest row above them."""

@@ -29,15 +29,16 @@ def status_rows(snapshot: Snapshot, notes: Sequence[str] = ()) -> list[Row]:
     live = [one for one in scene.parameters() if one.live and one.live.has_keys and one.name not in DEVICES_OWN]
     on = [one.name for one in live if one.kind is bool and getattr(scene, one.name)]
     gains = [_shown(one, getattr(scene, one.name)) for one in live if one.kind in (float, int)]
+    time, early = ("time", _time(snapshot)), snapshot.duration is not None or snapshot.time_scale != 1.0
     rows = [
         *_tour(snapshot),
         ("scene", f"{scene.name}: {scene.describe()}"),
+        *((time,) if early else ()),
         *(("", note) for note in (met_stops(snapshot).words, *snapshot.notes, *notes) if note),
-        ("time", _time(snapshot) if snapshot.duration is not None else ""),
         ("gains", "  ".join(gains)),
         ("on", ", ".join(on)),
         ("rate", f"{1.0 / scene.period:.0f} Hz, delay {scene.delay * 1e3:.1f} ms"),
-        ("time", _time(snapshot) if snapshot.duration is None else ""),
+        *(() if early else (time,)),
         ("energy", _energy(snapshot)),
         ("arrows", f"blue hand, orange device, black stop, {5e3 * ARROW:.0f} mm for 5 N"),
         ("tick", f"{snapshot.cost * 1e6:.0f} us, {snapshot.missed} missed" if snapshot.cost else ""),

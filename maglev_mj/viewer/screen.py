@@ -10,11 +10,11 @@ import glfw
 import mujoco
 
 from maglev_mj.colours import BAD, STOP, Colour
-from maglev_mj.display.banner import Banner, Note, banner
+from maglev_mj.display.banner import Banner, banner
 from maglev_mj.frames import AXES
 from maglev_mj.parameters import flag
 from maglev_mj.scenes import Scene
-from maglev_mj.session import EMERGENCY_STOP, Snapshot
+from maglev_mj.session import EMERGENCY_STOP, Note, Snapshot
 from maglev_mj.viewer.keys import AXIS, KEYS, help_rows, key_of
 from maglev_mj.viewer.layout import Area, Font, Layout, arrange
 from maglev_mj.viewer.overlay import status_rows

@@ -16,13 +16,12 @@ from typing import Any, NamedTuple
 import glfw
 import mujoco
 
-from maglev_mj.display.banner import Note
 from maglev_mj.display.remote import ShowReport
 from maglev_mj.errors import MaglevError
 from maglev_mj.frames import Array, rotation_matrix, rotation_vector
 from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.scenes import Scene
-from maglev_mj.session import Due, Snapshot, SnapshotSource, real_time
+from maglev_mj.session import Due, Note, Snapshot, SnapshotSource, real_time
 from maglev_mj.viewer.clip import write_picture
 from maglev_mj.viewer.framing import Framing
 from maglev_mj.viewer.keys import AXIS, CAMERA, KEYS, SCREENSHOT, keys_of
@@ -131,6 +130,8 @@ class _Window:
             show_left_ui=False,
             show_right_ui=False,
         )
+        with self._handle.lock():  # for the frames until the first of ours
+            self._framing.reset(self._handle.cam)
         if shadows is False:
             self._drop_shadows()
         self._painter = threading.Thread(target=self._paint, name="painter", daemon=True)

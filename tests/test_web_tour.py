@@ -1,0 +1,128 @@
+"""The tour and a recording in a real browser."""
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+import pytest
+
+from browser import MISSING, chromium
+from maglev_mj.hand import SpringHand
+from maglev_mj.playback import Replay
+from maglev_mj.recording import ArrayFile
+from maglev_mj.session import Pacer, Session
+from maglev_mj.tour import Tour
+from tests.test_web_browser import Run, opened, press, pull
+
+pytestmark = [
+    pytest.mark.skipif(bool(MISSING), reason=f"needs {', '.join(MISSING)}"),
+    pytest.mark.xdist_group("realtime"),
+]
+
+
+STIFFNESS, DAMPING, _, DELAY = range(4)
+"""Places of the sliders."""
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with chromium() as found:
+        yield found
+
+
+@contextmanager
+def page_of(browser: Any, source: Any, **options: Any) -> Iterator[tuple[Run, Any]]:
+    run = Run(source, **options)
+    try:
+        tab = opened(browser, run)
+        yield run, tab
+        tab.context.close()
+    finally:
+        run.close()
+
+
+def done(number: int) -> Callable[[Any], bool]:
+    def so(shown: Any) -> bool:
+        line = shown.tour
+        return line is not None and (line.number > number or (line.number == number and line.done))
+
+    return so
+
+
+def begun(run: Run, tab: Any, number: int) -> None:
+    """Wait until a step has begun; its controls show its parameters a second after the last move of one."""
+    run.until(lambda shown: shown.tour is not None and shown.tour.number == number)
+    tab.wait_for_selector(f"text=step {number} of 8")
+    time.sleep(1.2)
+    assert not done(number)(run.shown)
+
+
+def held(run: Run, tab: Any, number: int, force: float) -> None:
+    """Pull the knob with a force [N] until a step is done."""
+    run.until(lambda shown: np.abs(shown.pose).max() < 1e-3)
+    time.sleep(1.0)  # until it is drawn there
+    x, y = press(tab, run)
+    for far in range(8, 200, 4):
+        if done(number)(run.shown) or np.linalg.norm(run.shown.hand[:3]) >= force:
+            break
+        tab.mouse.move(x + far, y)
+        time.sleep(0.1)
+    pull(tab, run, x + far, y, done(number))
+    tab.mouse.up()
+    run.until(lambda shown: shown.target is None)
+
+
+def turned(run: Run, tab: Any, index: int, so: Callable[[Any], Any]) -> None:
+    """Move a slider by keys until the scene is so."""
+    tab.locator("[role=slider]").nth(index).focus()
+    for _ in range(120):
+        tab.keyboard.press("ArrowRight")
+        time.sleep(0.02)
+        if so(run.shown):
+            break
+    run.until(so)
+
+
+def test_the_tour_is_done_in_a_browser(browser: Any) -> None:
+    with page_of(browser, Tour(Session())) as (run, tab):
+        for number, force in ((1, 0.4), (2, 2.2), (3, 2.2), (4, 0.6)):
+            begun(run, tab, number)
+            held(run, tab, number, force)
+        begun(run, tab, 5)
+        turned(run, tab, STIFFNESS, done(5))
+        begun(run, tab, 6)
+        held(run, tab, 6, 2.5)
+        begun(run, tab, 7)
+        turned(run, tab, DELAY, lambda shown: shown.scene.delay > 0.0039)
+        held(run, tab, 7, 2.5)
+        begun(run, tab, 8)
+        turned(run, tab, DAMPING, lambda shown: shown.scene.damping > 38.0)
+        held(run, tab, 8, 2.5)
+        tab.wait_for_selector("text=That was the tour")
+
+
+def test_a_recording_is_searched_in_a_browser(browser: Any) -> None:
+    file = ArrayFile()
+    session = Session(hand=SpringHand(target=[4e-3, 0, 0, 0, 0, 0]), file=file, pacer=Pacer(budget=60.0))
+    for _ in range(40):
+        session.tick(0.1)
+    session.close()
+    with page_of(browser, Replay(file.recording), drag=False, settings=False) as (run, tab):
+        for name, so in (
+            ("pause", lambda shown: shown.state == "paused"),
+            ("start", lambda shown: shown.time == 0.0),
+            ("skip forward", lambda shown: shown.time == pytest.approx(0.2)),
+            ("step back", lambda shown: shown.time == pytest.approx(0.195)),
+            ("loop", lambda shown: shown.notes == ["REPLAY"]),
+            ("faster", lambda shown: shown.time_scale == 2.0),
+        ):
+            tab.get_by_role("button", name=name, exact=True).click()
+            run.until(so)
+        slider = tab.locator("[role=slider]").first
+        slider.focus()
+        tab.keyboard.press("End")
+        run.until(lambda shown: shown.time == pytest.approx(3.995))
+        assert tab.locator("[role=slider]").count() == 1
+        assert tab.get_by_role("button", name="emergency stop").count() == 0
