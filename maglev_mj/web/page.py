@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
+import numpy as np
 import viser
 from viser._messages import ShareUrlRequest
 
@@ -114,17 +115,14 @@ class Page:
 
 
 async def _greet(client: viser.ClientHandle) -> None:
-    """Fit the device into a browser, again when its size changes: the first that it says is not yet its own."""
-    fitted = (0, 0)
+    """Fit the device into a browser wherever its camera is as it is at first: set up, or reset by the person."""
+    view, (place, _) = next(iter(VIEWS.items()))
 
     async def fit(camera: viser.CameraHandle) -> None:
-        nonlocal fitted
-        if (size := (camera.image_width, camera.image_height)) != fitted:
-            fitted = size
-            look(client, next(iter(VIEWS)))
+        if np.allclose(camera.position, place, atol=1e-4):
+            look(client, view)
 
     client.camera.on_update(fit)
-    await fit(client.camera)
 
 
 def page(door: Door, listener: socket.socket, *, drag: bool = True, settings: bool = True) -> Front:
