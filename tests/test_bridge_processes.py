@@ -339,7 +339,7 @@ BAD: list[tuple[list[str], int, str]] = [
     (["twin", "--rate", "0"], 2, "rate must be"),
     (["twin", "--fault", "thirst:1@2"], 2, "fault must be one of"),
     (["twin", "--fault", "dead-coil:6@2"], 2, "dead-coil must be of 0 to 5, not 6"),
-    (["twin", "--realtime", "maybe"], 2, "choose from"),
+    (["twin", "--realtime", "maybe"], 2, "--realtime must be one of enforce, ignore, not 'maybe'"),
     (["twin", "--key", "nowhere"], 2, "key must be a file of 32 to 64 hexadecimal digits"),
     (["twin", "--truth", "nowhere"], 1, "nowhere"),
 ]

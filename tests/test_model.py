@@ -355,7 +355,7 @@ def test_what_the_drop_keeps_does_change_an_answer() -> None:
 def test_report_prints_table_1_beside_the_model() -> None:
     report = device_report()
     text = device_table(report)
-    for words in ("wrench map", "condition number", "hover current", "at 3 A", "at 10 A", "4.33 A", *COILS):
+    for words in ("wrench of one ampere", "condition number", "hover current", "at 3 A", "at 10 A", "4.33 A", *COILS):
         assert words in text
     assert all(len(line) <= 200 for line in text.splitlines())
     names = [row.name for row in report.table]

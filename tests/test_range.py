@@ -24,7 +24,8 @@ LINE = re.compile(r"  Beyond the range of (.*): (.*)")
 
 def remark(text: str) -> str | None:
     """Return what a table says is out of range; None for nothing."""
-    found = [match for line in text.splitlines() if (match := LINE.fullmatch(line))]
+    whole = re.sub(r"\n    (?=\S)", " ", text)  # a line that goes on below
+    found = [match for line in whole.splitlines() if (match := LINE.fullmatch(line))]
     assert len(found) <= 1
     return found[0][2] if found else None
 

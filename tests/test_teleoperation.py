@@ -279,7 +279,7 @@ def test_the_script_prints_its_tables_and_draws(tmp_path: Path) -> None:
         (["--rate", "50"], "rate must be a finite number at least 200 and at most 2000, not 50.0"),
         (["--press", "9"], "press must be a finite number above 0 and at most 6, not 9.0"),
         (["--phase", "1"], "phase must be at least 0 and below 1, not 1"),
-        (["--mode", "both"], "invalid choice: 'both'"),
+        (["--mode", "both"], "--mode must be one of position, rate, not 'both'"),
     ],
 )
 def test_bad_options_are_told_in_one_line(arguments: list[str], told: str) -> None:

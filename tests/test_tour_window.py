@@ -124,6 +124,7 @@ def shown(*arguments: object) -> Iterator[Shown]:
             window.close()
 
 
+@pytest.mark.study  # half a minute of drags in real time
 def test_the_tour_is_done_by_mouse_and_keys(tmp_path: Path) -> None:
     """Each step is done after its deed and not before; the next comes by itself."""
     deeds: dict[int, tuple[list[str], float, int]] = {

@@ -104,6 +104,7 @@ def test_the_tour_is_done_in_a_browser(browser: Any) -> None:
         tab.wait_for_selector("text=That was the tour")
 
 
+@pytest.mark.study
 def test_a_recording_is_searched_in_a_browser(browser: Any) -> None:
     file = ArrayFile()
     session = Session(hand=SpringHand(target=[4e-3, 0, 0, 0, 0, 0]), file=file, pacer=Pacer(budget=60.0))

@@ -212,7 +212,7 @@ class Session:
             actions=self.actions,
             state="stopped" if self._stopped else "paused" if self._paused else "running",
             reason=self._stopped,
-            notes=self._tape.notes,
+            notes=[*self._tape.notes, *self._publishers.notes],
         )
 
     def close(self) -> None:
