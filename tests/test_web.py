@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import http.client
 import os
@@ -41,6 +42,7 @@ from maglev_mj.scenes.joystick import Joystick
 from maglev_mj.session import EMERGENCY_STOP, Session, Snapshot
 from maglev_mj.shapes import Shape, shapes
 from maglev_mj.web.controls import Choice, Slider, Switch, control
+from maglev_mj.web.grab import Grab
 from maglev_mj.web.guard import Door
 from maglev_mj.web.meshes import glb, triangles
 from maglev_mj.web.page import Page, PageServer
@@ -475,6 +477,25 @@ def test_the_first_browser_has_the_hand_and_one_that_does_not_answer_loses_it() 
         until(page, lambda: source.hand.target is not None)
         children[0].kill()
         until(page, lambda: source.hand.target is None)
+
+
+def test_a_browser_that_is_gone_without_a_word_has_no_hand() -> None:
+    """The end of its drag is lost where it comes after its connection."""
+    aimed: list[object] = []
+    knob = SimpleNamespace(on_drag=lambda button, modifier: lambda callback: callback)
+    server = SimpleNamespace(_websock_server=SimpleNamespace(_live_connections={}))
+    place = (0.0, 0.0, 0.08)
+    start = SimpleNamespace(phase="start", client_id=1, modifier=None, start_position=place, end_position=place)
+
+    async def drag() -> None:
+        grab = Grab(server, knob, aimed.append)
+        await grab._dragged(start)
+        await asyncio.sleep(0.05)
+        assert aimed[-1] is None
+        await grab._dragged(SimpleNamespace(**vars(start) | {"client_id": 2}))
+        assert aimed[-1] is not None  # the next one has it
+
+    asyncio.run(drag())
 
 
 def until(page: Page, done: Any) -> None:
