@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import asyncio
 import contextlib
 import http.client
@@ -31,7 +32,7 @@ from websockets.sync.client import connect
 from websockets.typing import Origin, Subprotocol
 
 from maglev_mj.cli import main
-from maglev_mj.cli.web import PORT
+from maglev_mj.cli.web import PORT, chosen_page
 from maglev_mj.display.glide import SILENCE, Glide
 from maglev_mj.display.remote import RemoteSession, RemoteViewer
 from maglev_mj.hand import SpringHand
@@ -211,6 +212,19 @@ def test_a_port_that_is_taken_and_a_host_that_is_not_here_are_told(capsys: pytes
 def test_bad_options_are_one_line(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["view", "--seconds", "0.1", *words]) == 2
     assert said in capsys.readouterr().err
+
+
+def test_a_token_is_made_where_the_option_has_none(capsys: pytest.CaptureFixture[str]) -> None:
+    """One that is typed is in the list of processes."""
+    tokens = []
+    for _ in range(2):
+        options = argparse.Namespace(web=True, port=0, no_open=True, host=None, token="")
+        front: Any = chosen_page(options)
+        door, listener, _ = front.args
+        listener.close()
+        tokens.append(door.token)
+        assert f"the page is at http://127.0.0.1:{door.port}/?token={door.token}\n" in capsys.readouterr().out
+    assert tokens[0] != tokens[1] and min(map(len, tokens)) >= 32
 
 
 def test_a_page_and_a_window_at_once_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
