@@ -35,6 +35,7 @@ from maglev_mj.cli import main
 from maglev_mj.cli.web import PORT, chosen_page
 from maglev_mj.display.glide import SILENCE, Glide
 from maglev_mj.display.remote import RemoteSession, RemoteViewer
+from maglev_mj.errors import MaglevError
 from maglev_mj.hand import SpringHand
 from maglev_mj.net.addresses import ListenError, listen
 from maglev_mj.parameters import Turn, param
@@ -140,6 +141,13 @@ def test_a_token_is_shown_once_and_kept_as_a_cookie_that_scripts_and_other_sites
         assert upgrade(server, "http://evil.example", Cookie=kept) == 403
         with pytest.raises(InvalidStatus, match="403"):  # a token in the address of a WebSocket is no cookie
             connect(f"ws://127.0.0.1:{server.get_port()}/?token={TOKEN}", origin=Origin(server_url(server)))
+
+
+def test_a_server_that_starts_without_the_door_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As another version of viser might: the process that serves the page ends."""
+    monkeypatch.setattr(viser.ViserServer, "__init__", lambda self, **options: None)
+    with listen(0) as listener, pytest.raises(MaglevError, match="without its door"):
+        PageServer(Door("127.0.0.1", listener.getsockname()[1]), listener)
 
 
 def server_url(server: PageServer) -> str:
