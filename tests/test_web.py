@@ -430,6 +430,14 @@ def test_a_target_glides_and_a_silent_line_lets_go() -> None:
     assert hand.target is None
 
 
+def test_a_target_that_is_not_finite_lets_go() -> None:
+    glide, hand = Glide(lambda: 10.0), SpringHand()
+    for target in ([0.0] * 6, [float("nan")] * 6, [0.0] * 6, [0.0] * 5 + [float("inf")]):
+        glide.aim(target)
+        glide.move(hand)
+        assert (hand.target is not None) == (target == [0.0] * 6)
+
+
 def test_a_held_target_is_said_again_and_again() -> None:
     near, far = Pipe()
     page = RemoteSession(far, Snapshot(scene=Joystick()))
