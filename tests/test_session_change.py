@@ -118,6 +118,24 @@ def test_what_a_scene_of_ones_own_refuses_changes_nothing_and_ends_no_stop(
     assert (session.snapshot().scene, session.snapshot().state) == (Picky(level=200.0), "running")
 
 
+@pytest.mark.parametrize("paused", [False, True])
+def test_a_change_that_is_held_back_ends_no_stop(paused: bool) -> None:
+    """A slider is let go of, and the emergency stop pressed at once."""
+    session = made(Joystick())
+    if paused:
+        session.act("pause")
+    for stiffness in (4000.0, 3000.0):
+        session.change({"stiffness": stiffness})
+        session.tick(0.02)
+    session.act("emergency stop")
+    before = session.snapshot().tick
+    assert session.tick(1.0) == session.tick(1.0) == 0
+    assert (session.snapshot().state, session.snapshot().tick) == ("stopped", before)
+    session.act("centre")
+    session.tick(0.1)
+    assert session._stretch.scene == session.snapshot().scene == Joystick(stiffness=3000.0)
+
+
 def test_a_step_is_made_with_what_was_changed_just_before() -> None:
     session = made(Joystick())
     session.tick(0.1)

@@ -103,7 +103,8 @@ class Session:
         before = self._ticks
         self._unchanged += elapsed
         try:
-            if self._changed and (self._steps or self._unchanged >= _RENEWED):
+            held = not self._steps and self._unchanged < _RENEWED
+            if self._changed and not (held or self._stopped):
                 self._unchanged = 0.0
                 self._go_on()
             if self._paused or self._stopped:
