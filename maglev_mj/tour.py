@@ -150,6 +150,8 @@ class Tour:
     def _look(self, elapsed: float) -> None:
         """Check the step; go on to the next once it is done, and to the centre once it has made energy."""
         now = self._session.snapshot()
+        if now.reason == EMERGENCY_STOP:  # it stays until the person goes on
+            return
         if self._made_energy(now) or (self._done and self._place < len(STEPS) - 1):
             self._waited += elapsed
             if self._waited >= _SHOWN:

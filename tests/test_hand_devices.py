@@ -390,6 +390,19 @@ def test_a_gamepad_is_read_unplugged_and_plugged_in_again(pads: Pads) -> None:
 
 
 @pytest.mark.xdist_group("realtime")
+def test_another_joystick_does_not_take_the_place_of_the_first(pads: Pads) -> None:
+    """Not even where the first one that there was is the hand."""
+    pads.plug("event1")
+    pads.plug()
+    with closing(open_device("auto")) as pad:
+        assert pad.name == "X360 Controller"
+        pads.say((ABSOLUTE, 0, 32767))
+        held = waited(lambda: (now := pad.read().shares) and now[0] > 0.9 and now)
+        pads.unplug()
+        assert waited(lambda: (now := pad.read()).shares != held and now) == Reading(None)
+
+
+@pytest.mark.xdist_group("realtime")
 def test_an_unknown_joystick_has_its_axes_in_order_from_where_they_rest(pads: Pads) -> None:
     pads.plug("event1")
     with closing(open_device("auto")) as stick:

@@ -146,7 +146,7 @@ def test_a_law_that_fails_is_said() -> None:
         def own_laws(self) -> Any:
             raise ZeroDivisionError("no")
 
-    assert checked(state(Failing()), {"wall": False}) == "the parameters cannot be checked: ZeroDivisionError: no"
+    assert checked(state(Failing()), {"wall": False}) == "the parameters are refused: ZeroDivisionError: no"
 
 
 def test_one_request_at_a_time_and_the_newest_waits() -> None:

@@ -263,19 +263,20 @@ def test_a_flight_is_recorded_through_changes_as_one_run(tmp_path: Path, monkeyp
 
 
 def test_settings_that_would_push_the_flotor_are_refused_in_a_flight(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A wall 2 mm deep, the flotor's weight, a law that fails: each is refused with why, and the flight goes on."""
+    """A wall 2 mm deep, the flotor's weight, laws that fail: each is refused with why, and the flight goes on."""
     monkeypatch.setattr(Publishers.__init__, "__defaults__", ((), slow()))
     around, good = [("z", -1, -0.002)], Joystick(stiffness=3000.0)
-    asks = Asks(Joystick(walls=around), good, Failing(period=0.005, delay=0.0015))
+    asks = Asks(Joystick(walls=around), good, Unmade(), Failing(period=0.005, delay=0.0015))
     flown, plant = flight(publishers=[asks])
     with plant:
         assert flown.run(0.6).ticks == 120
-    wall, tick, failing = asks.answers
+    wall, tick, unmade, failing = asks.answers
     pushed = re.fullmatch(
         r"settings must change the force on z, where the flotor is, by at most 2 N, not -(.*) N", str(wall)
     )
     assert pushed and float(pushed[1]) == pytest.approx(12.0, abs=0.5)
     assert "law broken fails: ValueError: no" in str(failing)
+    assert unmade == "the parameters are refused: ValueError: never"
     assert asks.snapshots[-1].scene == good and asks.snapshots[-1].since == tick
     assert any(wall in one.notes for one in asks.snapshots) and failing in asks.snapshots[-1].notes
     asks = Asks(Joystick(walls=around, stiffness=1000.0))
@@ -287,6 +288,13 @@ def test_settings_that_would_push_the_flotor_are_refused_in_a_flight(monkeypatch
 
 def broken(position: Any, velocity: Any) -> Any:
     raise ValueError("no")
+
+
+class Unmade(Joystick):
+    """Its laws cannot be made."""
+
+    def own_laws(self) -> Any:
+        raise ValueError("never")
 
 
 class Failing(Joystick):

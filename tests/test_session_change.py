@@ -82,6 +82,72 @@ def test_laws_that_cannot_be_made_are_refused_where_they_are_asked_for() -> None
     assert session.tick(0.1) == 20 and session.snapshot().scene == Fragile()
 
 
+class Picky(Scene):
+    """Laws that are made from 10 to 1000 alone."""
+
+    level: float = param("level", default=100.0, live=True)
+
+    def laws(self) -> list[Any]:
+        if self.level < 10.0:
+            raise ValueError("too low for me")
+        if self.level > 1000.0:
+            raise ParameterError("level must be at most 1000")
+        return []
+
+
+@pytest.mark.parametrize(
+    ("level", "said"), [(2000.0, "level must be at most 1000"), (1.0, "ValueError: too low for me")]
+)
+@pytest.mark.parametrize("stopped", [False, True])
+def test_what_a_scene_of_ones_own_refuses_changes_nothing_and_ends_no_stop(
+    stopped: bool, level: float, said: str
+) -> None:
+    session = made(Picky())
+    session.tick(0.1)
+    if stopped:
+        session.act("emergency stop")
+    before = session.snapshot()
+    with pytest.raises(ParameterError, match=said):
+        session.change({"level": level})
+    made_ticks = session.tick(0.2)
+    now = session.snapshot()
+    assert (now.scene, now.state, now.since) == (Picky(), "stopped" if stopped else "running", 0)
+    assert made_ticks == (0 if stopped else 40) and now.tick == before.tick + made_ticks
+    session.change({"level": 200.0})
+    session.tick(0.01)
+    assert (session.snapshot().scene, session.snapshot().state) == (Picky(level=200.0), "running")
+
+
+@pytest.mark.parametrize("paused", [False, True])
+def test_a_change_that_is_held_back_ends_no_stop(paused: bool) -> None:
+    """A slider is let go of, and the emergency stop pressed at once."""
+    session = made(Joystick())
+    if paused:
+        session.act("pause")
+    for stiffness in (4000.0, 3000.0):
+        session.change({"stiffness": stiffness})
+        session.tick(0.02)
+    session.act("emergency stop")
+    before = session.snapshot().tick
+    assert session.tick(1.0) == session.tick(1.0) == 0
+    assert (session.snapshot().state, session.snapshot().tick) == ("stopped", before)
+    session.act("centre")
+    session.tick(0.1)
+    assert session._stretch.scene == session.snapshot().scene == Joystick(stiffness=3000.0)
+
+
+def test_a_step_is_made_with_what_was_changed_just_before() -> None:
+    session = made(Joystick())
+    session.tick(0.1)
+    session.act("pause")
+    for stiffness in (4000.0, 3000.0):
+        session.change({"stiffness": stiffness})
+        session.act("step")
+        session.tick(0.001)
+        now = session.snapshot()
+        assert session._stretch.scene == now.scene == Joystick(stiffness=stiffness) and now.since == now.tick - 1
+
+
 @pytest.mark.parametrize("scale", TIME_SCALES)
 def test_slow_motion_is_simulated_time_over_real_time(scale: float) -> None:
     session = made(Joystick(period=0.001, delay=0.0005))

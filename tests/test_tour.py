@@ -284,6 +284,19 @@ def test_an_emergency_stop_stays() -> None:
     assert user.tour.snapshot().state == "stopped"
 
 
+def test_an_emergency_stop_stays_after_a_step_is_done() -> None:
+    """The next step would begin two seconds later, and start the scene again."""
+    user = User(PUSH)
+    user.pull(0.004, 1.0)
+    assert user.line.done
+    user.tour.act(EMERGENCY_STOP)
+    for _ in range(round(5.0 / TICK)):
+        user.tour.tick(TICK)
+    assert (user.tour.snapshot().state, user.line.number) == ("stopped", PUSH)
+    user.tour.act("next")
+    assert (user.tour.snapshot().state, user.line.number) == ("running", WALL)
+
+
 def test_nothing_is_done_in_a_pause() -> None:
     user = User(STIFF)
     user.tour.act("pause")

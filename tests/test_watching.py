@@ -11,17 +11,19 @@ from multiprocessing import Pipe
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import patch
 
 import glfw
 import numpy as np
 import pytest
 
-from maglev_mj.display.glide import Glide
 from maglev_mj.display.remote import RemoteSession, RemoteViewer
 from maglev_mj.errors import MaglevError
+from maglev_mj.parameters import Turn, param
 from maglev_mj.recording import Recording
+from maglev_mj.scenes import Scene
 from maglev_mj.scenes.joystick import Joystick
-from maglev_mj.session import SampledMotion, Snapshot, device_actions
+from maglev_mj.session import SampledMotion, Session, Snapshot, device_actions
 from maglev_mj.viewer.keys import keys_of
 from maglev_mj.viewer.process import window
 from tests.virtual_screen import MISSING, VirtualScreen
@@ -203,18 +205,62 @@ def test_escape_in_a_window_cuts_the_currents(seen: str, tmp_path: Path) -> None
                     child.wait()
 
 
+class ViewerHere(RemoteViewer):
+    """A viewer whose window is this test.
+
+    Attributes:
+        sent: What it has shown.
+        window: The session behind the window.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        line, far = Pipe()
+        received = lambda: [line.recv() for _ in iter(line.poll, False)]  # noqa: E731
+        self.sent, self.window = list[Snapshot](), RemoteSession(far, Snapshot(scene=scene))
+        front = SimpleNamespace(received=received, ended=False, ready=True, send=self.sent.append)
+        with patch("maglev_mj.display.remote.SideProcess", return_value=front):
+            super().__init__(Snapshot(scene=scene), window())
+
+
 def test_the_emergency_stops_key_reaches_who_runs_the_device() -> None:
-    line, far = Pipe()
-    viewer: Any = RemoteViewer.__new__(RemoteViewer)
-    received = lambda: [line.recv() for _ in iter(line.poll, False)]  # noqa: E731
-    window = SimpleNamespace(received=received, ended=False)
-    viewer.__dict__ |= {"_front": window, "_open": True, "_scene": Joystick(), "hand": SimpleNamespace(target=None)}
-    viewer.__dict__ |= {"_watch": False, "_glide": Glide()}
-    pressed: list[int] = []
+    viewer, pressed = ViewerHere(Joystick()), []
     viewer.on_emergency = lambda: pressed.append(1)
-    watched = RemoteSession(far, Snapshot(scene=Joystick()))
-    watched.act(keys_of(device_actions(Joystick))[glfw.KEY_ESCAPE])
+    viewer.window.act(keys_of(device_actions(Joystick))[glfw.KEY_ESCAPE])
     assert viewer.take() is None and pressed == [1]
+
+
+class Steep(Scene):
+    """A number and a switch that keys can turn to where the scene refuses them."""
+
+    level: float = param("level", default=1.0, above=0.0, live=Turn(add=1.0))
+    fragile: bool = param("fails", default=False, live=True)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.fragile:
+            raise ValueError("it breaks")
+
+
+@pytest.mark.parametrize(("key", "said"), [("level down", "level must be"), ("fragile", "ValueError: it breaks")])
+def test_what_a_scene_refuses_ends_no_flight_and_is_told(key: str, said: str) -> None:
+    """Keys are taken in the loop of a device."""
+    viewer = ViewerHere(Steep())
+    viewer.window.act(key)
+    assert viewer.take() is None
+    viewer.show(Snapshot(scene=Steep(), notes=["a device"]))
+    assert viewer.sent[0].notes[0] == "a device" and said in viewer.sent[0].notes[1]
+    viewer.window.act("level up")
+    wish = viewer.take()
+    assert wish is not None and wish.scene == Steep(level=2.0)
+
+
+def test_a_folder_that_takes_no_recording_ends_no_session() -> None:
+    viewer, session = ViewerHere(Joystick()), Session()
+    with patch("maglev_mj.session.tape.open_recording", side_effect=OSError("no space left")):
+        viewer.window.act("record")
+        viewer.serve(session)
+    assert viewer.sent[0].notes == ["no space left"] and session.tick(0.02) > 0
+    session.close()
 
 
 def _pull(screen: VirtualScreen, window: int) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import argparse
+import asyncio
 import contextlib
 import http.client
 import os
@@ -30,9 +32,10 @@ from websockets.sync.client import connect
 from websockets.typing import Origin, Subprotocol
 
 from maglev_mj.cli import main
-from maglev_mj.cli.web import PORT
+from maglev_mj.cli.web import PORT, chosen_page
 from maglev_mj.display.glide import SILENCE, Glide
 from maglev_mj.display.remote import RemoteSession, RemoteViewer
+from maglev_mj.errors import MaglevError
 from maglev_mj.hand import SpringHand
 from maglev_mj.net.addresses import ListenError, listen
 from maglev_mj.parameters import Turn, param
@@ -41,6 +44,7 @@ from maglev_mj.scenes.joystick import Joystick
 from maglev_mj.session import EMERGENCY_STOP, Session, Snapshot
 from maglev_mj.shapes import Shape, shapes
 from maglev_mj.web.controls import Choice, Slider, Switch, control
+from maglev_mj.web.grab import Grab
 from maglev_mj.web.guard import Door
 from maglev_mj.web.meshes import glb, triangles
 from maglev_mj.web.page import Page, PageServer
@@ -139,6 +143,13 @@ def test_a_token_is_shown_once_and_kept_as_a_cookie_that_scripts_and_other_sites
             connect(f"ws://127.0.0.1:{server.get_port()}/?token={TOKEN}", origin=Origin(server_url(server)))
 
 
+def test_a_server_that_starts_without_the_door_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As another version of viser might: the process that serves the page ends."""
+    monkeypatch.setattr(viser.ViserServer, "__init__", lambda self, **options: None)
+    with listen(0) as listener, pytest.raises(MaglevError, match="without its door"):
+        PageServer(Door("127.0.0.1", listener.getsockname()[1]), listener)
+
+
 def server_url(server: PageServer) -> str:
     return f"http://127.0.0.1:{server.get_port()}"
 
@@ -209,6 +220,19 @@ def test_a_port_that_is_taken_and_a_host_that_is_not_here_are_told(capsys: pytes
 def test_bad_options_are_one_line(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["view", "--seconds", "0.1", *words]) == 2
     assert said in capsys.readouterr().err
+
+
+def test_a_token_is_made_where_the_option_has_none(capsys: pytest.CaptureFixture[str]) -> None:
+    """One that is typed is in the list of processes."""
+    tokens = []
+    for _ in range(2):
+        options = argparse.Namespace(web=True, port=0, no_open=True, host=None, token="")
+        front: Any = chosen_page(options)
+        door, listener, _ = front.args
+        listener.close()
+        tokens.append(door.token)
+        assert f"the page is at http://127.0.0.1:{door.port}/?token={door.token}\n" in capsys.readouterr().out
+    assert tokens[0] != tokens[1] and min(map(len, tokens)) >= 32
 
 
 def test_a_page_and_a_window_at_once_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
@@ -406,6 +430,14 @@ def test_a_target_glides_and_a_silent_line_lets_go() -> None:
     assert hand.target is None
 
 
+def test_a_target_that_is_not_finite_lets_go() -> None:
+    glide, hand = Glide(lambda: 10.0), SpringHand()
+    for target in ([0.0] * 6, [float("nan")] * 6, [0.0] * 6, [0.0] * 5 + [float("inf")]):
+        glide.aim(target)
+        glide.move(hand)
+        assert (hand.target is not None) == (target == [0.0] * 6)
+
+
 def test_a_held_target_is_said_again_and_again() -> None:
     near, far = Pipe()
     page = RemoteSession(far, Snapshot(scene=Joystick()))
@@ -475,6 +507,25 @@ def test_the_first_browser_has_the_hand_and_one_that_does_not_answer_loses_it() 
         until(page, lambda: source.hand.target is not None)
         children[0].kill()
         until(page, lambda: source.hand.target is None)
+
+
+def test_a_browser_that_is_gone_without_a_word_has_no_hand() -> None:
+    """The end of its drag is lost where it comes after its connection."""
+    aimed: list[object] = []
+    knob = SimpleNamespace(on_drag=lambda button, modifier: lambda callback: callback)
+    server = SimpleNamespace(_websock_server=SimpleNamespace(_live_connections={}))
+    place = (0.0, 0.0, 0.08)
+    start = SimpleNamespace(phase="start", client_id=1, modifier=None, start_position=place, end_position=place)
+
+    async def drag() -> None:
+        grab = Grab(server, knob, aimed.append)
+        await grab._dragged(start)
+        await asyncio.sleep(0.05)
+        assert aimed[-1] is None
+        await grab._dragged(SimpleNamespace(**vars(start) | {"client_id": 2}))
+        assert aimed[-1] is not None  # the next one has it
+
+    asyncio.run(drag())
 
 
 def until(page: Page, done: Any) -> None:

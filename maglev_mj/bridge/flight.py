@@ -36,6 +36,7 @@ from maglev_mj.session import (
     check_step,
     device_actions,
     device_controller,
+    own_code_refused,
 )
 from maglev_mj.spec import GRAVITY
 from maglev_mj.theory import stability
@@ -361,8 +362,9 @@ class Flight:
         self._staged = None
         try:
             if controller is None:  # making one takes half of a period at 1 kHz: it is looked at a sample later
-                scene = wish.scene.replace(**{name: getattr(self._scene, name) for name in DEVICES_OWN})
-                self._staged = Wish(scene, wish.answer), device_controller(scene)
+                with own_code_refused():
+                    scene = wish.scene.replace(**{name: getattr(self._scene, name) for name in DEVICES_OWN})
+                    self._staged = Wish(scene, wish.answer), device_controller(scene)
                 return
             check_step(self._controller, controller, sample.position, self._step_force)
         except MaglevError as error:

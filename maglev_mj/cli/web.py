@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import re
+import secrets
 import sys
 import threading
 import webbrowser
@@ -34,7 +35,13 @@ def add_web(parser: Parser) -> None:
     group.add_argument("--port", type=count, metavar="N", help=f"port of the page; 0 for any (default {PORT})")
     group.add_argument("--no-open", action="store_true", help="open no browser")
     group.add_argument("--host", metavar="H", help="address of the page, with --token (default 127.0.0.1)")
-    group.add_argument("--token", metavar="T", help="text that the page's address must have, at least 16 characters")
+    group.add_argument(
+        "--token",
+        nargs="?",
+        const="",
+        metavar="T",
+        help="text that the page's address must have, at least 16 characters; a new one where none is given",
+    )
 
 
 def chosen_front(options: argparse.Namespace, folder: Path = Path(), *, watch: bool = False) -> Front | None:
@@ -82,9 +89,11 @@ def chosen_page(options: argparse.Namespace, *, drag: bool = True, settings: boo
             raise ParameterError(f"{wrong[0].replace('_', '-')} is for --web")
         return None
     host = options.host or "127.0.0.1"
-    if options.token is None and not is_loopback(host):
+    # one on the command line is read in the list of processes by anybody of this machine
+    token = secrets.token_urlsafe() if options.token == "" else options.token
+    if token is None and not is_loopback(host):
         raise ParameterError(f"token must be given for a host that is not this machine, {host!r}: see --token")
-    if options.token is not None and not _TOKEN.fullmatch(options.token):
+    if token is not None and not _TOKEN.fullmatch(token):
         raise ParameterError("token must be 16 or more letters, digits, - and _")
     require(("viser",), "web", "a page needs viser")
     # imported here: it takes a fifth of a second
@@ -92,7 +101,7 @@ def chosen_page(options: argparse.Namespace, *, drag: bool = True, settings: boo
     from maglev_mj.web.page import page
 
     listener = listen(PORT if options.port is None else options.port, host)
-    door = Door(host, listener.getsockname()[1], options.token)
+    door = Door(host, listener.getsockname()[1], token)
     print(f"  the page is at {door.url}", flush=True)
     if not options.no_open and (os.name == "nt" or sys.platform == "darwin" or _has_screen()):
         threading.Thread(target=webbrowser.open, args=(door.url,), daemon=True).start()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Sequence
 
@@ -30,7 +31,9 @@ class Glide:
         self._came, self._lasts, self._held = 0.0, 0.0, False
 
     def aim(self, target: Sequence[float] | None) -> None:
-        """Take a new target: a pose [m, rad], (6,); None to let go."""
+        """Take a new target: a pose [m, rad], (6,); None to let go, as does one that is not finite."""
+        if target is not None and not all(map(math.isfinite, target)):
+            target = None  # a browser may say anything, and a plant refuses such a hand for good
         now = self._clock()
         self._start = (self._now(now) or target) if self._held and target is not None else target or ()
         self._goal, self._came, self._lasts = target, now, min(now - self._came, _LONGEST)

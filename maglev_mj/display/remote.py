@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from dataclasses import replace
 from multiprocessing.connection import Connection
 from typing import Any, NamedTuple, TypeAlias
@@ -12,11 +11,12 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 
 from maglev_mj.display.glide import SILENCE, Glide
-from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.errors import MaglevError
 from maglev_mj.hand import SpringHand
 from maglev_mj.parameters import flag
 from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.process import SideProcess
+from maglev_mj.scenes import Scene
 from maglev_mj.session import (
     EMERGENCY_STOP,
     Due,
@@ -26,6 +26,7 @@ from maglev_mj.session import (
     SnapshotSource,
     Wish,
     actions,
+    own_code_refused,
     real_time,
     settable,
 )
@@ -73,7 +74,7 @@ class RemoteViewer:
         rows = snapshot.history[np.searchsorted(snapshot.history[:, 0], self._sent, side="right") :]
         self._sent = snapshot.time
         every = max(1, -(-len(rows) // _MOST_ROWS))  # fewer of them where a recording has jumped
-        self._front.send(replace(snapshot, history=rows[::-every][::-1]))
+        self._front.send(replace(snapshot, history=rows[::-every][::-1], notes=[*snapshot.notes, *self._note.lines]))
         self.frames += 1
 
     def take(self) -> Wish | None:
@@ -86,16 +87,25 @@ class RemoteViewer:
                 continue
             elif kind == "hand":
                 self._glide.aim(value)
-            elif kind == "change":
-                with suppress(ParameterError):  # a device's person sees what is in force
-                    known = settable(self._scene)
-                    given = {name: value[name] for name in value if name in known}
-                    self._scene = wanted = self._scene.replace(**given)
-            elif (change := actions(type(self._scene)).get(value)) is not None:
-                self._scene = wanted = change(self._scene)
+            elif (asked := self._asked(kind, value)) is not None:
+                self._scene = wanted = asked
         self._look()
         self._glide.move(self.hand)
         return None if wanted is None else Wish(wanted)
+
+    def _asked(self, kind: str, value: Any) -> Scene | None:
+        """Return the scene that a key or control asks for; what is refused ends no flight."""
+        scene = self._scene
+        try:
+            with own_code_refused():
+                if kind == "change":
+                    known = settable(scene)
+                    return scene.replace(**{name: value[name] for name in value if name in known})
+                change = actions(type(scene)).get(value)
+                return None if change is None else change(scene)
+        except MaglevError as error:
+            self._note.say(str(error))
+            return None
 
     def serve(self, source: SnapshotSource) -> None:
         """Do to a source what the person asks for, and show it; to be called between its ticks."""
@@ -107,13 +117,12 @@ class RemoteViewer:
                     source.act(value)
                 else:
                     source.change(value)
-            except MaglevError as error:
+            except (MaglevError, OSError) as error:  # such as a folder that takes no recording
                 self._note.say(str(error))
         self._look()
         self._glide.move(source.hand)
         if self._front.ready and self._due():
-            snapshot = source.snapshot()
-            self.show(replace(snapshot, notes=[*snapshot.notes, *self._note.lines]))
+            self.show(source.snapshot())
 
     def _look(self) -> None:
         """Let go of the hand once the front is closed."""

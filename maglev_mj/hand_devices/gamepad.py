@@ -98,6 +98,8 @@ def watch(line: Connection, wanted: str) -> None:
     glfw.init()  # where it cannot, as without a display, there are no devices
     pads = _Pads(glfw)
     sent: Any = pads.names()
+    # once it is unplugged, no other becomes the hand
+    wanted = next((name for name in sent if wanted.lower() in name.lower()), wanted)
     try:
         line.send(sent)
         while not line.poll(_PERIOD):  # the end of the program is something to read

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, TypeAlias
 
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.scenes import Scene
-from maglev_mj.session import DEVICES_OWN, Refusal, refusal, settable
+from maglev_mj.session import DEVICES_OWN, Refusal, own_code_refused, refusal, settable
 
 __all__ = ["NICE", "Answer", "Requests", "State", "Verdict", "check_requests", "checked", "values_of"]
 
@@ -79,12 +79,11 @@ def checked(state: State, given: Mapping[str, Any]) -> Verdict:
         if unknown := sorted(set(given) - set(known := settable(scene))):
             raise ParameterError(f"parameters must be of {', '.join(known)}, not {', '.join(unknown)}")
         absent = {name: None for name in given if given[name] == _NONE and scene.parameter(name).optional}
-        wanted = scene.replace(**{**given, **absent})
-        return refusal(wanted.replace(delay=state.delay), inertia=state.inertia) or wanted
+        with own_code_refused():
+            wanted = scene.replace(**{**given, **absent})
+            return refusal(wanted.replace(delay=state.delay), inertia=state.inertia) or wanted
     except MaglevError as error:
         return str(error)
-    except Exception as error:  # a scene or a law of the user's own
-        return f"the parameters cannot be checked: {type(error).__name__}: {error}"
 
 
 def check_requests(line: Connection) -> None:

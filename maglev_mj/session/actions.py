@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from typing import TypeAlias
 
 from maglev_mj.parameters import Parameter
 from maglev_mj.scenes import Scene
 
-__all__ = ["DEVICES_OWN", "EMERGENCY_STOP", "actions", "device_actions", "settable"]
+__all__ = ["DEVICES_OWN", "EMERGENCY_STOP", "Action", "actions", "device_actions", "settable"]
 
 DEVICES_OWN = "period", "delay"
 """Parameters of the device, or of the person at the machine: no other program changes them."""
@@ -16,7 +17,8 @@ DEVICES_OWN = "period", "delay"
 EMERGENCY_STOP = "emergency stop"
 """Action of the key that every window has."""
 
-Action = Callable[[Scene], Scene]
+Action: TypeAlias = Callable[[Scene], Scene]
+"""Returns the changed scene."""
 
 
 def settable(scene: Scene) -> tuple[str, ...]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import NamedTuple
 
 from numpy.typing import ArrayLike
@@ -12,9 +13,10 @@ from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import AXES, ZERO, Sample, components
 from maglev_mj.parameters import numbers
 from maglev_mj.scenes import Scene
+from maglev_mj.scenes.find import line_of
 from maglev_mj.theory import inertia_of, largest_stable_stiffness, stability
 
-__all__ = ["STEP_FORCE", "Refusal", "check_step", "refusal", "stability_warning"]
+__all__ = ["STEP_FORCE", "Refusal", "check_step", "own_code_refused", "refusal", "stability_warning"]
 
 STEP_FORCE = 2.0
 """Largest step of force that settings of other programs may make by default [N].
@@ -66,6 +68,25 @@ class Refusal(NamedTuple):
             f"{rate:.4g} Hz with {self.delay * 1e3:.3g} ms of delay, have the largest root modulus {self.modulus:.4f}, "
             f"which must be below 1{bound}"
         )
+
+
+@contextmanager
+def own_code_refused() -> Iterator[None]:
+    """Refuse parameters at which a user's own code fails.
+
+    A slider goes through values that nobody thought of: they end neither a session nor a flight.
+
+    Raises:
+        ParameterError: If what is done meanwhile fails.
+    """
+    try:
+        yield
+    except MaglevError:
+        raise
+    except Exception as error:
+        where = line_of(error)
+        said = f"{type(error).__name__}: {error}"
+        raise ParameterError(f"the parameters are refused: {said if where is None else f'{where}: {said}'}") from error
 
 
 def refusal(scene: Scene, *, inertia: ArrayLike | None = None, delay: float | None = None) -> Refusal | None:

@@ -13,8 +13,8 @@ from maglev_mj.hand import HandForce, SpringHand, Trajectory
 from maglev_mj.parameters import number
 from maglev_mj.recording import RecordingFile
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene
-from maglev_mj.session.actions import DEVICES_OWN, EMERGENCY_STOP, actions, settable
-from maglev_mj.session.admission import STEP_FORCE, check_step
+from maglev_mj.session.actions import DEVICES_OWN, EMERGENCY_STOP, Action, actions, settable
+from maglev_mj.session.admission import STEP_FORCE, check_step, own_code_refused
 from maglev_mj.session.live import centred, lifted
 from maglev_mj.session.pacing import TIME_SCALES, Pacer, next_scale
 from maglev_mj.session.snapshot import History, Publisher, Publishers, Snapshot
@@ -103,7 +103,8 @@ class Session:
         before = self._ticks
         self._unchanged += elapsed
         try:
-            if self._changed and self._unchanged >= _RENEWED:
+            held = not self._steps and self._unchanged < _RENEWED
+            if self._changed and not (held or self._stopped):
                 self._unchanged = 0.0
                 self._go_on()
             if self._paused or self._stopped:
@@ -135,7 +136,7 @@ class Session:
         """
         changes = actions(type(self._scene))
         if action in changes:
-            self._adopt(changes[action](self._scene))
+            self._adopt(changes[action])
         elif action == EMERGENCY_STOP:
             self._stop(EMERGENCY_STOP)
         elif action == "pause":
@@ -180,7 +181,7 @@ class Session:
             names = ", ".join((*known, "hand_stiffness", "time_scale"))
             raise ParameterError(f"parameters must be of {names}, not {', '.join(unknown)}")
         if given:
-            self._adopt(self._scene.replace(**given))
+            self._adopt(lambda scene: scene.replace(**given))
         self.hand.stiffness, self._time_scale = stiffness, scale
 
     def snapshot(self) -> Snapshot:
@@ -279,19 +280,23 @@ class Session:
             keep=self._history.add,
         )
 
-    def _adopt(self, scene: Scene) -> None:
+    def _adopt(self, change: Action) -> None:
         """Go on with other parameters from the next tick on.
 
         Raises:
             MaglevError: If its controller or its timing cannot be made.
         """
-        if self._stopped:
-            self._scene = scene
-            self._go_on()
-        elif scene != self._scene:
+        with own_code_refused():
+            scene = change(self._scene)
+            if scene == self._scene and not self._stopped:
+                return
             scene.timing()
             scene.controller()
-            self._scene, self._changed = scene, True
+        self._scene = scene
+        if self._stopped:
+            self._go_on()
+        else:
+            self._changed = True
 
     def _choose(self, place: int) -> None:
         """Start another scene."""
@@ -306,10 +311,10 @@ class Session:
             self._stretch = self._begin(self._stretch.pose.tolist(), going_on=True)
 
     def _restart(self, pose: Sequence[float]) -> None:
+        self._stretch = self._begin(pose)
         self._stopped = ""
         self._history.clear()
         self._pacer.forgive()
-        self._stretch = self._begin(pose)
 
     def _record(self) -> None:
         """Start recording, or end it."""

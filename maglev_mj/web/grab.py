@@ -77,11 +77,20 @@ class Grab:
             if self._silent:
                 self._aim(None)
                 await asyncio.wait([answer])
-                if self._holder == client and answer.exception() is None:
-                    self._silent = False
-                    self._aim(self._target)
+            if self._holder != client:
+                return
+            if answer.exception() is not None:  # it is gone, and nobody may say the end of its drag
+                self._let_go()
+                return
+            if self._silent:
+                self._silent = False
+                self._aim(self._target)
             await asyncio.sleep(SILENCE / 5.0)
 
     async def _ask(self, client: int) -> None:
-        """Wait for a browser's answer; viser ends the drag of one that is gone."""
+        """Wait for a browser's answer.
+
+        Raises:
+            Exception: If it is gone.
+        """
         await (await self._server._websock_server._live_connections[client].ping())

@@ -23,6 +23,7 @@ import websockets.asyncio.server as websockets_server
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
+from maglev_mj.errors import MaglevError
 from maglev_mj.net.addresses import LOOPBACK, is_loopback
 
 __all__ = ["Door", "guarded"]
@@ -86,10 +87,16 @@ def guarded(door: Door, listener: socket.socket) -> Iterator[None]:
     Args:
         door: The door.
         listener: Socket that listens; in place of any host and port that the server would choose.
+
+    Raises:
+        MaglevError: If no server has started: one that starts in another way has no door.
     """
-    real = websockets_server.serve
+    real, started = websockets_server.serve, False
 
     def serve(handler: Any, host: Any, port: Any, *, process_request: Callable[..., Any], **options: Any) -> Any:
+        nonlocal started
+        started = True
+
         def check(connection: Any, request: Request) -> Response | None:
             if why := door.objection(request.path, request.headers):
                 text = Headers({"Content-Type": "text/plain; charset=utf-8"})
@@ -110,3 +117,5 @@ def guarded(door: Door, listener: socket.socket) -> Iterator[None]:
         yield
     finally:
         websockets_server.serve = real  # type: ignore[misc]
+    if not started:
+        raise MaglevError("the page's server starts in a way that is not known here, without its door")
