@@ -542,3 +542,17 @@ def test_commands_that_show_something_take_the_page_s_options(command: str, caps
     with pytest.raises(SystemExit) as ended:
         main([*command.split(), "--help"])
     assert ended.value.code == 0 and "page in a browser" in capsys.readouterr().out
+
+
+def test_ctrl_c_ends_a_page_and_says_what_it_came_to() -> None:
+    """Which is how it ends, and no failure."""
+    command = [sys.executable, "-m", "maglev_mj", "view", "--web", "--no-open", "--port", "0"]
+    child = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        assert child.stdout is not None and "the page is at http://127.0.0.1:" in child.stdout.readline()
+        time.sleep(1.5)
+        child.send_signal(signal.SIGINT)
+        said, wrong = child.communicate(timeout=30)
+    finally:
+        child.kill()
+    assert (child.returncode, wrong) == (0, "") and "control ticks, 0 missed" in said

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from multiprocessing.connection import Connection
 from typing import Any, NamedTuple, TypeAlias
@@ -171,7 +172,7 @@ def show_remotely(source: SnapshotSource, front: Front, duration: float | None =
     viewer, ticks, wall_time = RemoteViewer(source.snapshot(), front), 0, 0.0
     viewer.on_close = _ended
     try:
-        with engine_warnings_silenced():
+        with engine_warnings_silenced(), suppress(KeyboardInterrupt):  # the way in which a page is ended
             for elapsed, passed in real_time(duration, _NAP):
                 ticks, wall_time = ticks + source.tick(elapsed), passed
                 viewer.serve(source)
