@@ -1,8 +1,8 @@
 """Which code made a result: in every JSON, recording and record."""
 
 import json
-import re
 import os
+import re
 import shutil
 import subprocess
 import sys
