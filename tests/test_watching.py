@@ -254,6 +254,13 @@ def test_what_a_scene_refuses_ends_no_flight_and_is_told(key: str, said: str) ->
     assert wish is not None and wish.scene == Steep(level=2.0)
 
 
+def test_a_scene_that_has_started_again_is_shown_from_its_beginning() -> None:
+    viewer, blank = ViewerHere(Joystick()), Snapshot(scene=Joystick())
+    for times in ([0.9, 1.0], [0.005, 0.01], [0.01, 0.015]):
+        viewer.show(replace(blank, time=times[-1], history=np.full((2, 25), 1.0) * np.array(times)[:, None]))
+    assert [shown.history[:, 0].tolist() for shown in viewer.sent] == [[0.9, 1.0], [0.005, 0.01], [0.015]]
+
+
 def test_a_folder_that_takes_no_recording_ends_no_session() -> None:
     viewer, session = ViewerHere(Joystick()), Session()
     with patch("maglev_mj.session.tape.open_recording", side_effect=OSError("no space left")):
