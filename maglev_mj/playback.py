@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from maglev_mj.energy import hand_work
-from maglev_mj.errors import ParameterError
+from maglev_mj.errors import ParameterError, not_one_of
 from maglev_mj.frames import Array
 from maglev_mj.hand import SpringHand
 from maglev_mj.model import load
@@ -114,7 +114,7 @@ class Replay:
             self._paused = True
             self._seek(self._duration)
         else:
-            raise ParameterError(f"action must be one of {', '.join(ACTIONS)}, not {action!r}")
+            raise ParameterError(not_one_of("action", ACTIONS, action))
 
     def change(self, parameters: Mapping[str, Any]) -> None:
         """Go to another time, or go faster or slower.

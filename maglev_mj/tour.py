@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from maglev_mj.errors import ParameterError
+from maglev_mj.errors import ParameterError, not_one_of
 from maglev_mj.frames import Array, Mask
 from maglev_mj.scenes import Scene
 from maglev_mj.session import EMERGENCY_STOP, Session, Snapshot, TourLine
@@ -113,7 +113,7 @@ class Tour:
         elif action in (known := self._actions()):
             self._session.act(action)
         else:
-            raise ParameterError(f"action must be one of {', '.join(known)}, not {action!r}")
+            raise ParameterError(not_one_of("action", known, action))
 
     def change(self, parameters: Mapping[str, Any]) -> None:
         """Change parameters; see `Session.change`."""

@@ -523,24 +523,25 @@ def test_keys_stop_at_the_bounds_and_leave_what_is_not_theirs() -> None:
     assert set(settable(Joystick())) >= {"walls", "weightless", "breakaway"}
 
 
+class Program:
+    """A program that asks for a scene, once, and keeps the answers."""
+
+    wanted: Scene | None = None
+
+    def __init__(self) -> None:
+        self.answers: list[int | str] = []
+
+    def take(self) -> Wish | None:
+        taken, self.wanted = self.wanted, None
+        return None if taken is None else Wish(taken, self.answers.append)
+
+    def show(self, snapshot: Snapshot) -> None: ...
+
+    def close(self) -> None: ...
+
+
 def test_what_a_program_asks_of_the_scene_before_is_not_done() -> None:
-    class Late:
-        """A program that answers to the scene that was there when it asked."""
-
-        wanted: Scene | None = None
-
-        def __init__(self) -> None:
-            self.answers: list[int | str] = []
-
-        def take(self) -> Wish | None:
-            taken, self.wanted = self.wanted, None
-            return None if taken is None else Wish(taken, self.answers.append)
-
-        def show(self, snapshot: Snapshot) -> None: ...
-
-        def close(self) -> None: ...
-
-    late = Late()
+    late = Program()
     session = made("box", publishers=[late])
     late.wanted = Joystick(stiffness=3000.0, period=0.001)
     after(session, 0.1)
@@ -549,6 +550,19 @@ def test_what_a_program_asks_of_the_scene_before_is_not_done() -> None:
     after(session, 0.1)
     assert session.snapshot().scene == find_scene("box")().replace(stiffness=3000.0)
     assert late.answers == ["settings must be those of box, not of joystick", session.snapshot().since]
+
+
+def test_no_program_ends_an_emergency_stop() -> None:
+    program = Program()
+    session = Session(Joystick(), publishers=[program])
+    session.tick(0.05)
+    session.act(EMERGENCY_STOP)
+    program.wanted = Joystick(stiffness=3000.0)
+    assert session.tick(0.05) == 0
+    now = session.snapshot()
+    assert (now.state, now.scene) == ("stopped", Joystick())
+    assert program.answers == ["settings must wait until the scene is started again: emergency stop"]
+    session.close()
 
 
 def test_the_emergency_stop_stops_the_scene_until_it_is_started_again() -> None:

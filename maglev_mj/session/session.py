@@ -247,6 +247,8 @@ class Session:
             return
         try:
             scene = self._scene
+            if self._stopped == EMERGENCY_STOP:  # the person goes on, no program
+                raise ParameterError("settings must wait until the scene is started again: emergency stop")
             if type(wish.scene) is not type(scene):
                 raise ParameterError(f"settings must be those of {scene.name}, not of {wish.scene.name}")
             if self._changed:  # what the person asks for comes first
