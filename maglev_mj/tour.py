@@ -102,7 +102,7 @@ class Tour:
         return made
 
     def act(self, action: str) -> None:
-        """Go to the "next" step or "back", or do one of the session's actions that leave the joystick as it is.
+        """Go to the "next" step or "back", or do a session's action.
 
         Raises:
             ParameterError: If it is none.

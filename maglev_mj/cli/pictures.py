@@ -43,7 +43,7 @@ def chosen_pictures(options: argparse.Namespace) -> PictureFolder | None:
 
     Raises:
         ParameterError: If a format is given without a folder, or the folder is a file.
-        ChartsMissingError: If matplotlib is not installed.
+        MissingPackageError: If matplotlib is not installed.
     """
     folder = getattr(options, "out", None)
     if folder is None:

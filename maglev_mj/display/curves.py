@@ -69,7 +69,7 @@ def curves(snapshot: Snapshot, axis: int, most: int) -> Curves:
 
 
 class SteadyRange:
-    """Range of a plot's axis that fits its data and does not jitter; a function that keeps the last.
+    """Range of a plot's axis that fits its data without jitter.
 
     Args:
         least: Smallest span, in the data's unit.

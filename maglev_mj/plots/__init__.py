@@ -1,6 +1,6 @@
 """Pictures of results; the only room that needs matplotlib (the extra `charts`)."""
 
-from maglev_mj.plots.drawing import FORMATS, ChartsMissingError, Panel, PictureFolder, require, small_multiples
+from maglev_mj.plots.drawing import FORMATS, Panel, PictureFolder, require, small_multiples
 from maglev_mj.plots.fault import last_cycles
 from maglev_mj.plots.paper import figure_6, phase_plane, stick_slip, time_series
 from maglev_mj.plots.recorded import first_contact, staircases, sticks, whole_run
@@ -9,7 +9,6 @@ from maglev_mj.plots.stability import design_map, stability_map
 
 __all__ = [
     "FORMATS",
-    "ChartsMissingError",
     "Panel",
     "PictureFolder",
     "design_map",

@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from maglev_mj import errors
 from maglev_mj.colours import GRID, REFERENCE, SERIES, WALL
-from maglev_mj.errors import MaglevError, ParameterError, not_one_of
+from maglev_mj.errors import ParameterError, not_one_of
 from maglev_mj.parameters import flag
 
 __all__ = [
@@ -21,7 +22,6 @@ __all__ = [
     "SHADE",
     "TITLE",
     "WIDTH",
-    "ChartsMissingError",
     "Panel",
     "PictureFolder",
     "legend_height",
@@ -50,10 +50,6 @@ FORMATS = "png", "pdf", "svg"
 
 _WORDS = 9.0  # size of a legend's words [pt]
 _UNDER = 36.0  # what stands between a panel and its legend: ticks, their numbers, the axis' name [pt]
-
-
-class ChartsMissingError(MaglevError):
-    """matplotlib is not installed."""
 
 
 @dataclass(frozen=True)
@@ -90,12 +86,9 @@ def require() -> None:
     """Check that pictures can be drawn.
 
     Raises:
-        ChartsMissingError: If matplotlib is not installed.
+        MissingPackageError: If matplotlib is not installed.
     """
-    try:
-        import matplotlib.figure  # noqa: F401 - only whether it is there
-    except ImportError:
-        raise ChartsMissingError("pictures need matplotlib: pip install 'maglev-mj[charts]'") from None
+    errors.require(("matplotlib",), "charts", "pictures need matplotlib")
 
 
 def new_figure(rows: int, columns: int, height: float, **options: Any) -> tuple[Any, list[Any]]:
@@ -216,7 +209,7 @@ def small_multiples(panels: Sequence[Panel], path: Path) -> Path:
         path: File to write.
 
     Raises:
-        ChartsMissingError: If matplotlib is not installed.
+        MissingPackageError: If matplotlib is not installed.
     """
     rows = -(-len(panels) // 2)
     legends = legend_height([[label for label, _, _ in panel.curves] for panel in panels], 2)

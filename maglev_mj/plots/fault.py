@@ -26,7 +26,7 @@ def last_cycles(record: FaultRecord, path: Path) -> Path:
         path: File to write.
 
     Raises:
-        ChartsMissingError: If matplotlib is not installed.
+        MissingPackageError: If matplotlib is not installed.
     """
     figure, axes = new_figure(4, 1, 8.6, sharex=True, height_ratios=[2, 2, 3, 2])
     time, pose, columns = record.time * 1e3, record.six("pose") * 1e3, record.columns

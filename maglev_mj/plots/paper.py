@@ -47,7 +47,7 @@ def time_series(results: Mapping[str, Result], sweeps: Mapping[str, Phases], pat
         path: File to write.
 
     Raises:
-        ChartsMissingError: If matplotlib is not installed.
+        MissingPackageError: If matplotlib is not installed.
         DivergenceError: If a flotor leaves its range by a wide margin at one of the phases.
     """
     time = _times(results)
@@ -87,7 +87,7 @@ def phase_plane(results: Mapping[str, Result], sweeps: Mapping[str, Phases], pat
         path: File to write.
 
     Raises:
-        ChartsMissingError: If matplotlib is not installed.
+        MissingPackageError: If matplotlib is not installed.
         DivergenceError: If a flotor leaves its range by a wide margin at one of the phases.
     """
     time = _times(results)
@@ -120,7 +120,7 @@ def phases(results: Mapping[str, Result], sweeps: Mapping[str, Phases], path: Pa
         path: File to write.
 
     Raises:
-        ChartsMissingError: If matplotlib is not installed.
+        MissingPackageError: If matplotlib is not installed.
         DivergenceError: If a flotor leaves its range by a wide margin at one of the phases.
     """
     figure, panels = new_figure(1, 3, 3.6, sharex=True)
@@ -227,7 +227,7 @@ def figure_6(results: Mapping[str, Result], sweeps: Mapping[str, Phases], path: 
         path: File to write.
 
     Raises:
-        ChartsMissingError: If matplotlib is not installed.
+        MissingPackageError: If matplotlib is not installed.
     """
     figure, (upper, lower) = new_figure(2, 1, 6.4, sharex=True)
     first = next(iter(results.values()))
@@ -273,7 +273,7 @@ def stick_slip(results: Mapping[str, Result], sweeps: Mapping[str, Phases], path
         path: File to write.
 
     Raises:
-        ChartsMissingError: If matplotlib is not installed.
+        MissingPackageError: If matplotlib is not installed.
     """
     figure, (upper, lower) = new_figure(2, 1, 6.4, sharex=True)
     result = next(iter(results.values()))

@@ -28,7 +28,7 @@ def first_contact(analysed: Analysed, axis: int, path: Path) -> Path:
         path: File to write.
 
     Raises:
-        ChartsMissingError: If matplotlib is not installed.
+        MissingPackageError: If matplotlib is not installed.
     """
     time = analysed.recorded.motion.time
     begin, end = float(analysed.recorded.motion.trace.time[0]), float(time[-1])
@@ -48,7 +48,7 @@ def whole_run(analysed: Analysed, axis: int, path: Path) -> Path:
         path: File to write.
 
     Raises:
-        ChartsMissingError: If matplotlib is not installed.
+        MissingPackageError: If matplotlib is not installed.
     """
     trace = analysed.recorded.motion.trace
     return _over_time(analysed, axis, path, (float(trace.time[0]), float(trace.time[-1])), marks=True)
@@ -62,7 +62,7 @@ def sticks(run: Run, path: Path) -> Path:
         path: File to write.
 
     Raises:
-        ChartsMissingError: If matplotlib is not installed.
+        MissingPackageError: If matplotlib is not installed.
     """
     places = run.motion.trace.pose[run.motion.starts]
     anchors = np.full_like(places, np.nan) if run.anchors is None else run.anchors
@@ -82,7 +82,7 @@ def staircases(time: Array, position: Array, anchors: Array, said: Mapping[int, 
         path: File to write.
 
     Raises:
-        ChartsMissingError: If matplotlib is not installed.
+        MissingPackageError: If matplotlib is not installed.
     """
     columns = 1 if len(said) < 4 else 2
     rows = -(-len(said) // columns)

@@ -49,7 +49,7 @@ def series(results: Mapping[str, Result], sweeps: Mapping[str, Phases], path: Pa
         path: File to write.
 
     Raises:
-        ChartsMissingError: If matplotlib is not installed.
+        MissingPackageError: If matplotlib is not installed.
     """
     shown = {label: result.series(_FINE) for label, result in results.items()}
     first = next(iter(shown.values()))
@@ -82,7 +82,7 @@ def spread(results: Mapping[str, Result], sweeps: Mapping[str, Phases], path: Pa
         path: File to write.
 
     Raises:
-        ChartsMissingError: If matplotlib is not installed.
+        MissingPackageError: If matplotlib is not installed.
     """
     scene = next(iter(sweeps.values())).scene
     rows = max(-(-len(scene.figures) // _COLUMNS), 1)

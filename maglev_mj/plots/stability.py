@@ -51,7 +51,7 @@ def stability_map(result: StabilityMap, path: Path) -> Path:
         path: File to write.
 
     Raises:
-        ChartsMissingError: If matplotlib is not installed.
+        MissingPackageError: If matplotlib is not installed.
     """
     p = result.parameters
     figure, (panel,) = new_figure(1, 1, 6.0)
@@ -92,7 +92,7 @@ def design_map(result: DesignResult, path: Path) -> Path:
         path: File to write.
 
     Raises:
-        ChartsMissingError: If matplotlib is not installed.
+        MissingPackageError: If matplotlib is not installed.
         ParameterError: If neither mass nor delay has a range.
     """
     wall = result.wall

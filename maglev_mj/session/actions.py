@@ -48,7 +48,7 @@ def actions(cls: type[Scene]) -> Mapping[str, Action]:
 
 
 def device_actions(cls: type[Scene]) -> tuple[str, ...]:
-    """Return the names of what a person does to a scene on a device: all but its own, and the emergency stop."""
+    """Return the actions on a scene that a device runs."""
     own = {one.live.word or one.name for one in cls.parameters() if one.live and one.name in DEVICES_OWN}
     names = (name for name in actions(cls) if name.removesuffix(" up").removesuffix(" down") not in own)
     return *names, EMERGENCY_STOP

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.errors import ParameterError, require
 
-__all__ = ["CLIPS", "ClipsMissingError", "checked_name", "write_clip", "write_picture"]
+__all__ = ["CLIPS", "checked_name", "write_clip", "write_picture"]
 
 CLIPS = (".gif", ".mp4")
 """Endings of files that move."""
@@ -21,16 +21,12 @@ CLIPS = (".gif", ".mp4")
 Pixels = NDArray[np.uint8]
 
 
-class ClipsMissingError(MaglevError):
-    """imageio is not installed."""
-
-
 def checked_name(path: Path) -> Path:
     """Return a file's name if its ending says what to write.
 
     Raises:
         ParameterError: If it does not.
-        ClipsMissingError: If what writes it is not installed.
+        MissingPackageError: If what writes it is not installed.
     """
     if path.suffix not in (".png", *CLIPS):
         raise ParameterError(f"out must end in .png, .gif or .mp4, not {str(path)!r}")
@@ -66,7 +62,7 @@ def write_clip(frames: Iterable[Pixels], path: Path, rate: int) -> None:
         rate: Pictures a second.
 
     Raises:
-        ClipsMissingError: If imageio is not installed.
+        MissingPackageError: If imageio is not installed.
     """
     imageio = _imageio()
     if path.suffix == ".gif":
@@ -88,9 +84,7 @@ def _write_gif(frames: Iterable[Pixels], path: Path, duration: float) -> None:
 
 
 def _imageio() -> Any:
-    try:
-        import imageio.v2
-        import imageio_ffmpeg  # noqa: F401 - only whether it is there
-    except ImportError:
-        raise ClipsMissingError("clips need imageio with ffmpeg: pip install 'maglev-mj[clips]'") from None
+    require(("imageio", "imageio_ffmpeg"), "clips", "clips need imageio with ffmpeg")
+    import imageio.v2
+
     return imageio.v2

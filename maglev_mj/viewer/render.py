@@ -47,7 +47,7 @@ def render(
 
     Raises:
         DisplayError: If there is no library to draw with.
-        ClipsMissingError: If a clip is asked for, and what writes it is not installed.
+        MissingPackageError: If a clip is asked for, and what writes it is not installed.
     """
     flag("plots", plots)
     moving = path.suffix in CLIPS

@@ -145,7 +145,7 @@ class Slider(Control):
 
 
 def control(gui: Any, one: Parameter, scene: Scene, ask: Ask) -> Control | None:
-    """Return an input for a live parameter; None for one whose values only a program can give."""
+    """Return an input for a live parameter; None where only programs set it."""
     value, label, hint = getattr(scene, one.name), one.name.replace("_", " "), _hint(one)
     if one.kind is bool:
         return Switch(one.name, gui.add_checkbox(label, value, hint=hint), ask)

@@ -19,7 +19,9 @@ Aim = Callable[[list[float] | None], object]
 
 
 class Grab:
-    """Follow drags of the knob: plainly to move it, with Shift to tilt it. The first browser to grab has the hand.
+    """Follow drags of the knob: plainly to move it, with Shift to tilt it.
+
+    The first browser to grab has the hand.
 
     Its methods run in the event loop of viser, in order.
 

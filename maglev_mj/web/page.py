@@ -32,7 +32,9 @@ _NAP = 0.005
 
 
 class PageServer(viser.ViserServer):
-    """viser's server behind a door; no browser can make it ask for a public address.
+    """viser's server behind a door.
+
+    No browser can make it ask for a public address.
 
     Args:
         door: The door.

@@ -49,7 +49,9 @@ def look(client: Any, view: str) -> None:
 
 
 def placed(view: str, width: int, height: int) -> tuple[Array, Array]:
-    """Return where a camera is and what it looks at [m], (3,) each; on a phone in the middle of the upper half.
+    """Return position and target of a camera [m], (3,) each.
+
+    On a phone the target is in the middle of the upper half.
 
     Args:
         view: One of VIEWS.

@@ -68,7 +68,7 @@ def work_precision(panels: Sequence[WorkPrecision], path: Path, columns: int = 2
         columns: How many stand side by side.
 
     Raises:
-        ChartsMissingError: If matplotlib is not installed.
+        MissingPackageError: If matplotlib is not installed.
     """
     rows = -(-len(panels) // columns)
     groups = list(dict.fromkeys(point.group for panel in panels for point in panel.points))

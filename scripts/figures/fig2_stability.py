@@ -23,7 +23,7 @@ def draw(cases: Sequence[tuple[str, Array, Array, Array, tuple[float, float]]], 
         path: File to write.
 
     Raises:
-        ChartsMissingError: If matplotlib is not installed.
+        MissingPackageError: If matplotlib is not installed.
     """
     figure, panels = new_figure(1, len(cases), 4.6, sharex=True, sharey=True)
     for panel, (title, cv, cp, modulus, top) in zip(panels, cases, strict=True):

@@ -113,7 +113,7 @@ def draw(rows: Sequence[Mapping[str, Any]], path: Path) -> Path:
         path: File to write.
 
     Raises:
-        ChartsMissingError: If matplotlib is not installed.
+        MissingPackageError: If matplotlib is not installed.
     """
     cases = [(0.0, "difference"), (5e-6, "difference"), (5e-6, "low-pass"), (5e-6, "adaptive")]
     figure, panels = new_figure(2, 2, 6.6, sharex=True, sharey=True)

@@ -38,7 +38,7 @@ def motion(history: History, path: Path) -> Path:
         path: File to write.
 
     Raises:
-        ChartsMissingError: If matplotlib is not installed.
+        MissingPackageError: If matplotlib is not installed.
     """
     figure, panels = new_figure(2, 1, 6.8, sharex=True)
     _draw_places(panels[0], history)
@@ -55,7 +55,7 @@ def balance(history: History, energies: Ledger, path: Path) -> Path:
         path: File to write.
 
     Raises:
-        ChartsMissingError: If matplotlib is not installed.
+        MissingPackageError: If matplotlib is not installed.
     """
     figure, panels = new_figure(2, 1, 6.8, sharex=True)
     _draw_balance(panels[0], energies)
@@ -128,7 +128,7 @@ def limits(rows: Sequence[tuple[str, Sequence[float], Sequence[Growth]]], path: 
         path: File to write.
 
     Raises:
-        ChartsMissingError: If matplotlib is not installed.
+        MissingPackageError: If matplotlib is not installed.
     """
     figure, panels = new_figure(1, len(rows), 3.6)
     for panel, (title, shares, found) in zip(panels, rows, strict=True):
@@ -152,7 +152,7 @@ def scenes(history: History, moments: Sequence[tuple[float, str]], path: Path) -
         path: File to write.
 
     Raises:
-        ChartsMissingError: If matplotlib is not installed.
+        MissingPackageError: If matplotlib is not installed.
         DisplayError: If there is no library to draw with.
     """
     pictures = _rendered(history, [time for time, _ in moments])

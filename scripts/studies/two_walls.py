@@ -57,7 +57,7 @@ def draw(
         path: File to write.
 
     Raises:
-        ChartsMissingError: If matplotlib is not installed.
+        MissingPackageError: If matplotlib is not installed.
     """
     rows, columns = axes
     deep = -(-len(maps) // 2)
