@@ -338,7 +338,7 @@ def test_info(capsys: pytest.CaptureFixture[str]) -> None:
 def test_without_matplotlib_pictures_say_what_to_install(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    monkeypatch.setattr("maglev_mj.errors.find_spec", lambda name: None)
     assert cli.main(["drop", "--out", str(tmp_path)]) == 1
     assert "pip install 'maglev-mj[charts]'" in capsys.readouterr().err
 
