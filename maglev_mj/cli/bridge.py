@@ -46,7 +46,7 @@ how a flight ends, in takeoff, flight and landing alike:
   Ctrl-C twice         cuts the currents now: an emergency stop
   SIGTERM, SIGHUP      land as the first Ctrl-C, however often they come
   Esc in the window    cuts the currents now; closing the window lands
-  emergency stop       the page's button cuts them too; closing a tab does nothing
+  emergency stop       on the page cuts them too; closing a tab does nothing
   maglev-mj estop ADDRESS [--key FILE]
                        cuts them from any terminal, whatever this program does
   this program dies    the device's watchdog cuts them
