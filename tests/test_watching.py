@@ -25,7 +25,7 @@ from maglev_mj.scenes import Scene
 from maglev_mj.scenes.joystick import Joystick
 from maglev_mj.session import SampledMotion, Session, Snapshot, device_actions
 from maglev_mj.viewer.keys import keys_of
-from maglev_mj.viewer.process import window
+from maglev_mj.viewer.window import show
 from tests.virtual_screen import MISSING, VirtualScreen
 
 pytestmark = pytest.mark.xdist_group("realtime")
@@ -87,7 +87,7 @@ def test_both_ends_of_a_window_agree(monkeypatch: pytest.MonkeyPatch) -> None:
     context = SimpleNamespace(Pipe=lambda: (line, SimpleNamespace(close=lambda: None)), Process=opened)
     monkeypatch.setattr(multiprocessing, "get_context", lambda method: context)
     motion, blank = SampledMotion(), Snapshot(scene=Joystick())
-    viewer, closed = RemoteViewer(blank, window()), []
+    viewer, closed = RemoteViewer(blank, show), []
     viewer.on_close = lambda: closed.append(1)
     session = RemoteSession(far, ends[0].blank)
     for tick in range(1, 1001):
@@ -219,7 +219,7 @@ class ViewerHere(RemoteViewer):
         self.sent, self.window = list[Snapshot](), RemoteSession(far, Snapshot(scene=scene))
         front = SimpleNamespace(received=received, ended=False, ready=True, send=self.sent.append)
         with patch("maglev_mj.display.remote.SideProcess", return_value=front):
-            super().__init__(Snapshot(scene=scene), window())
+            super().__init__(Snapshot(scene=scene), show)
 
 
 def test_the_emergency_stops_key_reaches_who_runs_the_device() -> None:

@@ -9,6 +9,7 @@ import secrets
 import sys
 import threading
 import webbrowser
+from functools import partial
 from pathlib import Path
 
 from maglev_mj.cli.arguments import Parser
@@ -61,12 +62,11 @@ def chosen_front(options: argparse.Namespace, folder: Path = Path(), *, watch: b
         raise ParameterError("view and web are two ways to show it: give one")
     if (front := chosen_page(options, drag=not watch, settings=False)) is not None or not options.view:
         return front
-    # imported here: they load the library that opens windows
-    from maglev_mj.viewer.process import window
-    from maglev_mj.viewer.window import require_display
+    # imported here: it loads the library that opens windows
+    from maglev_mj.viewer.window import require_display, show
 
     require_display()
-    return window(folder)
+    return partial(show, folder=folder)
 
 
 def chosen_page(options: argparse.Namespace, *, drag: bool = True, settings: bool = True) -> Front | None:

@@ -46,7 +46,7 @@ class RemoteViewer:
 
     Args:
         snapshot: What it shows at first.
-        front: Opens it there, such as what `viewer.process.window` returns.
+        front: Opens it there, such as `viewer.window.show`.
         watch: Whether nothing but an emergency stop is taken from it: no hand, no parameter.
 
     Attributes:
