@@ -7,7 +7,7 @@ import struct
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
-from typing import Any
+from typing import Any, TypeAlias
 
 import mujoco
 import numpy as np
@@ -23,6 +23,7 @@ from maglev_mj.spec import GRAVITY
 __all__ = [
     "INTEGRATORS",
     "CorrectedSteps",
+    "Drive",
     "Steps",
     "effort_addresses",
     "engine_warnings_silenced",
@@ -34,6 +35,9 @@ __all__ = [
     "turned_back",
     "turned_work",
 ]
+
+Drive: TypeAlias = tuple[Sequence[float | None], Sequence[float], Any]
+"""The wrench commanded (or None and six currents), the engine's controls, and the map from one to the other or None."""
 
 _STOP_TIME = 0.02
 """Time constant with which a stop slows what moves along it [s]; assumed."""
@@ -97,6 +101,8 @@ def prepared(
     if falling.shape not in ((), (3,)):
         raise ParameterError(f"gravity must be a number or (3,), not {falling.shape}")
     options.gravity[:] = falling if falling.ndim else (0.0, 0.0, -float(falling))
+    if device.get("hand") is None and not device.get("flexible"):  # nothing else springs or damps
+        options.disableflags |= mujoco.mjtDisableBit.mjDSBL_SPRING | mujoco.mjtDisableBit.mjDSBL_DAMPER
     # an automatic reset would make a diverging run look stable, and the plant limits currents itself
     options.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET | mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL
     if flag("stops", stops):
@@ -211,6 +217,10 @@ class Steps:
     def __init__(self, device: Device, data: mujoco.MjData, falloff: float = 0.0, stop_damping: bool = False) -> None:
         damped, model = flag("stop_damping", stop_damping), device.model
         self._options = model.opt
+        controls = data.xfrc_applied[device.flotor] if device.coils is None else data.ctrl[: len(COILS)]
+        # as `controls[:] = values`, in half the time
+        self._control = partial(struct.Struct("6d").pack_into, controls.data, 0)
+        self._drive: Drive | None = None
         step = _DampedStops(device, data) if damped else partial(mujoco.mj_step, model, data)
         self.falloff = _Falloff(device, data, falloff, step) if falloff else None
         self._step: Callable[..., object] = self.falloff or step
@@ -218,8 +228,11 @@ class Steps:
         self.look: Callable[[], Sequence[float]] = self._position.tolist
         self.settle: Callable[[], Sequence[float]] = self.look
 
-    def advance(self, duration: float, pieces: int = 1) -> None:
-        """Carry the state over `duration` [s] in so many equal steps."""
+    def advance(self, duration: float, drive: Drive, pieces: int = 1) -> None:
+        """Carry the state over `duration` [s] under a drive in so many equal steps."""
+        if drive is not self._drive:
+            self._drive = drive
+            self._control(*drive[1])
         if pieces == 1:
             self._options.timestep = duration
             self._step()
@@ -248,14 +261,17 @@ class CorrectedSteps(Steps):
         # how far each segment since the last correction went too far: a factor, and what it is a factor of
         self._excess: list[tuple[float, Sequence[float]]] = []
 
-    def advance(self, duration: float, pieces: int = 1) -> None:
+    def advance(self, duration: float, drive: Drive, pieces: int = 1) -> None:
         """See `Steps`."""
         if pieces > 1 or self._damped:
             before = self._velocity()
-            super().advance(duration, pieces)
+            super().advance(duration, drive, pieces)
             gained = [after - earlier for after, earlier in zip(self._velocity(), before)]
             self._excess.append((0.5 * duration / pieces, gained))
             return
+        if drive is not self._drive:
+            self._drive = drive
+            self._control(*drive[1])
         self._options.timestep = duration
         self._step()
         self._excess.append((0.5 * duration * duration, self._acceleration()))

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-import struct
-from collections.abc import Sequence
-from functools import cached_property, partial
-from typing import Any, TypeAlias, Unpack
+from collections.abc import Callable, Sequence
+from functools import cached_property
+from typing import Any, Unpack
 
 import mujoco
 import numpy as np
@@ -22,6 +21,7 @@ from maglev_mj.plants.base import PlantKeywords, SampledPlant
 from maglev_mj.plants.currents import CoilDrive
 from maglev_mj.plants.engine import (
     CorrectedSteps,
+    Drive,
     Steps,
     effort_addresses,
     longest_step,
@@ -35,10 +35,6 @@ from maglev_mj.spec import GRAVITY
 from maglev_mj.timeline import Timing
 
 __all__ = ["MuJoCoPlant"]
-
-
-Drive: TypeAlias = tuple[Sequence[float | None], Sequence[float], Any]
-"""The wrench commanded (or None and six currents), the engine's controls, and the map from one to the other or None."""
 
 
 _ENGINE_BOUND = 1e10
@@ -176,17 +172,13 @@ class MuJoCoPlant(SampledPlant):
         self._model = model
         steps = CorrectedSteps if integrator == "corrected" else Steps
         self._steps = steps(device, self._data, falloff, stop_damping)
-        self._look, self._settle, self._step_on = self._steps.look, self._steps.settle, self._steps.advance
+        self._look, self._settle = self._steps.look, self._steps.settle
         self._qpos = self._data.qpos[device.position_address :][:7]
         self._qvel = self._data.qvel[device.velocity_address :][:6]
         self._push_on = self._data.qfrc_applied
         self._effort_addresses = effort_addresses(device, hand)
         self._turning = slice(device.velocity_address + 3, device.velocity_address + 6)
         self._rotation = np.zeros(9)
-        controls = self._data.xfrc_applied[device.flotor] if self._coils is None else self._data.ctrl[: len(COILS)]
-        # as `controls[:] = values`, in half the time
-        self._control = partial(struct.pack_into, "6d", controls.data, 0)
-        self._applied: Drive | None = None
         self._last: Drive = (), (), None
         # whether the coils' map is to be renewed for the next wrench, and the angle measured if there is a sensor
         self._stale = self._turned = False
@@ -296,11 +288,12 @@ class MuJoCoPlant(SampledPlant):
         near = near_stops(self._reach, self._settle(), self._qvel.tolist(), self._period)
         self._run = self._run_in_pieces if near else self._carry
 
+    @property
+    def _carry(self) -> Callable[..., None]:
+        return self._steps.advance if self._total is None else self._advance_metered  # a call less than `_advance`
+
     def _advance(self, duration: float, drive: Drive, pieces: int = 1) -> None:
-        if drive is not self._applied:
-            self._applied = drive
-            self._control(*drive[1])
-        self._step_on(duration, pieces)
+        self._steps.advance(duration, drive, pieces)
 
     def _exert(self, effort: Sequence[float]) -> None:
         push = self._push_on
