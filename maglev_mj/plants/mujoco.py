@@ -82,6 +82,26 @@ class MuJoCoPlant(SampledPlant):
         ModelError: If the model cannot be used.
     """
 
+    # as in `SampledPlant`: what is not used on every tick
+    __slots__ = (
+        "_angle",
+        "_coil_drive",
+        "_coils",
+        "_data",
+        "_effort_addresses",
+        "_look",
+        "_model",
+        "_push_on",
+        "_qpos",
+        "_qvel",
+        "_reach",
+        "_rotation",
+        "_turning",
+        "_warnings",
+        "current_limit",
+        "device",
+    )
+
     def __init__(
         self,
         timing: Timing | None = None,
