@@ -44,6 +44,18 @@ _STOP_TIME = 0.02
 
 _HAND_STEP, _STOP_STEP, _FALLOFF_STEP, _BEND_STEP = 5e-4, 2.5e-4, 2.5e-4, 5e-5
 
+_PASSIVE = (
+    "jnt_stiffness",
+    "jnt_stiffnesspoly",
+    "dof_damping",
+    "dof_dampingpoly",
+    "tendon_stiffness",
+    "tendon_stiffnesspoly",
+    "tendon_damping",
+    "tendon_dampingpoly",
+    "body_gravcomp",
+)
+
 NOTHING = 1e-12
 """Angle [rad] that is rounding."""
 
@@ -101,7 +113,7 @@ def prepared(
     if falling.shape not in ((), (3,)):
         raise ParameterError(f"gravity must be a number or (3,), not {falling.shape}")
     options.gravity[:] = falling if falling.ndim else (0.0, 0.0, -float(falling))
-    if device.get("hand") is None and not device.get("flexible"):  # nothing else springs or damps
+    if not _has_passive_forces(made.model):  # else both flags together would take all of them away
         options.disableflags |= mujoco.mjtDisableBit.mjDSBL_SPRING | mujoco.mjtDisableBit.mjDSBL_DAMPER
     # an automatic reset would make a diverging run look stable, and the plant limits currents itself
     options.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET | mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL
@@ -113,6 +125,13 @@ def prepared(
     if (stops or falloff) and not np.isfinite(made.range).all():
         raise ModelError("stops and force_falloff need limits on the joints x, y, z and rotation of the model")
     return made
+
+
+def _has_passive_forces(model: mujoco.MjModel) -> bool:
+    """Return whether joints, tendons, a fluid, flexes or plugins of a model may push by themselves."""
+    springs = (getattr(model, name) for name in _PASSIVE)
+    options = model.opt
+    return bool(any(map(np.any, springs)) or options.density or options.viscosity or model.nflex or model.nplugin)
 
 
 def start_state(device: Device, pose: Array, twist: Array, hand: Hand | None) -> tuple[Array, Array]:
@@ -188,11 +207,11 @@ def near_stops(reach: Sequence[float], position: Sequence[float], velocity: Sequ
 
     Args:
         reach: Least displacement and least angle at which there is a stop [m, rad].
-        position: x y z [m] and a quaternion.
+        position: x y z [m] and the first part of a quaternion.
         velocity: Linear and angular [m/s, rad/s].
         period: Sample period [s].
     """
-    x, y, z, w, *_ = position
+    x, y, z, w = position
     u, v, s, p, q, r = velocity
     if max(abs(x), abs(y), abs(z)) + period * (max(abs(u), abs(v), abs(s)) + _FIERCEST * period) > reach[0]:
         return True
@@ -233,12 +252,10 @@ class Steps:
         if drive is not self._drive:
             self._drive = drive
             self._control(*drive[1])
-        if pieces == 1:
-            self._options.timestep = duration
-            self._step()
-        else:
-            self._options.timestep = duration / pieces
-            self._step(pieces)
+        if pieces != 1:
+            duration /= pieces
+        self._options.timestep = duration
+        self._step(pieces)
 
 
 class CorrectedSteps(Steps):
@@ -338,6 +355,7 @@ class _DampedStops:
         self._model, self._data = device.model, data
         self._damping = device.model.dof_damping[device.velocity_address :][:6]
         self._free = self._damping.copy()
+        device.model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_DAMPER)
         self._touching = self._free + np.append([device.mass] * 3, device.inertia) / _STOP_TIME
 
     def __call__(self, steps: int = 1) -> None:

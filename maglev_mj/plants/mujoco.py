@@ -170,8 +170,8 @@ class MuJoCoPlant(SampledPlant):
             keywords["longest_step"] = longest_step(self.device, stops=stops, **needs)
         super().__init__(timing, batch=(), **keywords)
         # where stops alone ask for short steps, those are for when the flotor is near one
+        self._reach = None
         if stops and free and self._recorder is None:
-            self._before_period = self._choose_steps
             self._reach = float(self.device.range[:3].min()), float(self.device.range[3])
         if driver_lag:
             self._data.act[:] = self._timeline.acting[1]
@@ -303,11 +303,6 @@ class MuJoCoPlant(SampledPlant):
             self._last = given, drive.currents(force), drive.inverse_map
         return self._last
 
-    def _choose_steps(self) -> None:
-        """Take short steps over the next period only if the flotor may meet a stop."""
-        near = near_stops(self._reach, self._settle(), self._qvel.tolist(), self._period)
-        self._run = self._run_in_pieces if near else self._carry
-
     @property
     def _carry(self) -> Callable[..., None]:
         return self._steps.advance if self._total is None else self._advance_metered  # a call less than `_advance`
@@ -340,6 +335,9 @@ class MuJoCoPlant(SampledPlant):
             self._stale = self._turned = True
         elif self._turned:
             self._stale, self._turned = True, False
+        if self._reach is not None:
+            near = near_stops(self._reach, (x, y, z, q0), self._qvel.tolist(), self._period)
+            self._run = self._run_in_pieces if near else self._carry
         return position
 
     def _follow_turn(self) -> None:
