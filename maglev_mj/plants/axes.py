@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import reduce
 from operator import add, mul
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 
@@ -17,18 +17,9 @@ __all__ = ["Amendment", "DryFriction", "HeldAxis", "Lag", "Motion"]
 _MOST_KEPT = 64
 
 
-class Motion(NamedTuple):
-    """Motion of the six axes at an instant, six components each.
-
-    Attributes:
-        place: Position [m, rad].
-        velocity: Velocity [m/s, rad/s].
-        actual: Force of the actuators [N, N m]; it trails the command where the drivers lag.
-    """
-
-    place: list[Component]
-    velocity: list[Component]
-    actual: list[Component]
+Motion: TypeAlias = tuple[list[Component], list[Component], list[Component]]
+"""Position [m, rad], velocity [m/s, rad/s] and force of the actuators [N, N m], which trails the command where the
+drivers lag; six components each."""
 
 
 class Amendment(Protocol):
@@ -79,24 +70,28 @@ class Lag:
             factors or self._factors(duration)
         )
         fx, fy, fz, tx, ty, tz = force
-        ax, ay, az, arx, ary, arz = before.actual
+        ax, ay, az, arx, ary, arz = before[2]
         place, velocity, actual = after
         # what is missing of each force; written out, for this runs two or three times a tick
         dx, dy, dz, drx, dry, drz = ax - fx, ay - fy, az - fz, arx - tx, ary - ty, arz - tz
-        x, y, z, rx, ry, rz = place
-        u, v, w, p, q, r = velocity
-        place[:] = (
-            *(x + way_x * dx, y + way_y * dy, z + way_z * dz),
-            *(rx + way_rx * drx, ry + way_ry * dry, rz + way_rz * drz),
-        )
-        velocity[:] = (
-            *(u + by_x * dx, v + by_y * dy, w + by_z * dz),
-            *(p + by_rx * drx, q + by_ry * dry, r + by_rz * drz),
-        )
-        actual[:] = (
-            *(fx + left * dx, fy + left * dy, fz + left * dz),
-            *(tx + left * drx, ty + left * dry, tz + left * drz),
-        )
+        place[0] += way_x * dx
+        place[1] += way_y * dy
+        place[2] += way_z * dz
+        place[3] += way_rx * drx
+        place[4] += way_ry * dry
+        place[5] += way_rz * drz
+        velocity[0] += by_x * dx
+        velocity[1] += by_y * dy
+        velocity[2] += by_z * dz
+        velocity[3] += by_rx * drx
+        velocity[4] += by_ry * dry
+        velocity[5] += by_rz * drz
+        actual[0] = fx + left * dx
+        actual[1] = fy + left * dy
+        actual[2] = fz + left * dz
+        actual[3] = tx + left * drx
+        actual[4] = ty + left * dry
+        actual[5] = tz + left * drz
 
     def _factors(self, duration: Component) -> tuple[Component, list[Component], list[Component]]:
         """Return what is left of a missing newton after a duration [s], and the way and speed [m, m/s] that it gives.
@@ -158,19 +153,26 @@ class HeldAxis:
     ) -> None:
         """See `Amendment`."""
         index = self._index
-        known = force[index], self._weight, effort[index], before.place[index], before.velocity[index], *self._hand
-        if self._lags:
-            known = *known, before.actual[index]
-        key = duration if duration.__class__ is float else np.asarray(duration).tobytes()
-        rows = self._known.get(key) or self._rows(key, duration)
+        (place, velocity, actual), (places, velocities, actuals) = before, after
+        rows = self._known.get(duration) if duration.__class__ is float else None
+        rows = rows or self._rows(duration)
+        push, weight, pull, x, v = force[index], self._weight, effort[index], place[index], velocity[index]
+        if len(rows) == 2:  # written out, at a third of the time
+            (a, b, c, d, e), (p, q, r, s, t) = rows
+            places[index] = a * push + b * weight + c * pull + d * x + e * v
+            velocities[index] = p * push + q * weight + r * pull + s * x + t * v
+            return
+        known = push, weight, pull, x, v, *self._hand, *([actual[index]] if self._lags else ())
         # not sum(), which from Python 3.12 on rounds floats otherwise than arrays
-        after.place[index], after.velocity[index], *hand = [reduce(add, map(mul, row, known)) for row in rows]
+        places[index], velocities[index], *self._hand = [reduce(add, map(mul, row, known)) for row in rows]
         if self._lags:
-            after.actual[index] = hand.pop()
-        self._hand = hand
+            actuals[index] = self._hand.pop()
 
-    def _rows(self, key: float | bytes, duration: Component) -> list[list[Component]]:
-        """Return the rows of a transition as components, the inputs' columns first; kept as in `Lag`."""
+    def _rows(self, duration: Component) -> list[list[Component]]:
+        """Return the rows of a transition as components, the inputs' columns first, kept because durations return."""
+        key = duration if duration.__class__ is float else np.asarray(duration).tobytes()
+        if (known := self._known.get(key)) is not None:
+            return known
         whole = np.concatenate(transition(self._a, self._b, duration)[::-1], axis=-1)
         rows: list[list[Component]]
         if whole.ndim == 2:

@@ -13,7 +13,7 @@ from maglev_mj.frames import Array, Component, components, join
 from maglev_mj.hand import Hand
 from maglev_mj.model import Model, load
 from maglev_mj.parameters import flag, number, numbers
-from maglev_mj.plants.axes import Amendment, DryFriction, HeldAxis, Lag, Motion
+from maglev_mj.plants.axes import Amendment, DryFriction, HeldAxis, Lag
 from maglev_mj.plants.base import PlantKeywords, SampledPlant
 from maglev_mj.spec import DRIVER_TIME_CONSTANT, GRAVITY, INERTIA
 from maglev_mj.timeline import Timing
@@ -156,10 +156,11 @@ class ExactPlant(SampledPlant):
             r + duration * arz,
         ]
         if self._amendments:
-            before, after = Motion(place, velocity, self._actual), Motion(self._place, self._velocity, list(drive[1]))
+            force = drive[1]
+            before, after = (place, velocity, self._actual), (self._place, self._velocity, list(force))
             for amendment in self._amendments:
-                amendment.amend(duration, drive[1], self._effort, before, after)
-            self._actual = after.actual
+                amendment.amend(duration, force, self._effort, before, after)
+            self._actual = after[2]
 
     def _where(self) -> Sequence[Component]:
         return self._place

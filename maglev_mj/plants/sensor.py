@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from operator import add
 from typing import Protocol, TypeAlias
 
 import numpy as np
@@ -57,17 +58,17 @@ class Sensor:
 
     def start(self) -> Measure:
         """Return what turns the components of the true pose into those measured, from the seed on."""
-        noise = np.asarray(self.noise).tolist()
+        noise = np.asarray(self.noise)
         quantize = _quantizer(np.asarray(self.quantum).tolist())
-        if not any(noise):
+        if not noise.any():
             return quantize
-        rows: Iterator[list[Component]] | None = None
+        draws: Iterator[list[Component]] | None = None
 
         def measure(position: Sequence[Component]) -> list[Component]:
-            nonlocal rows
-            if rows is None:
-                rows = _normal_rows(np.random.default_rng(self.seed), np.broadcast_shapes(*map(np.shape, position)))
-            return quantize([part + share * draw for part, share, draw in zip(position, noise, next(rows))])
+            nonlocal draws
+            if draws is None:
+                draws = _draws(noise, self.seed, np.broadcast_shapes(*map(np.shape, position)))
+            return quantize(map(add, position, next(draws)))
 
         return measure
 
@@ -79,10 +80,10 @@ That holds below 2**51, beyond which a float's own rounding is larger than what 
 """
 
 
-def _quantizer(quantum: Sequence[float]) -> Measure:
+def _quantizer(quantum: Sequence[float]) -> Callable[[Iterable[Component]], list[Component]]:
     """Return what rounds six components to whole steps [m, rad], six; a step of 0 leaves its component.
 
-    It is np.rint to the last bit, but for the sign of a zero, at a twentieth of the time for one device.
+    It is np.rint to the last bit, but for the sign of a zero.
     """
     if not all(quantum):
         return lambda position: [
@@ -90,7 +91,7 @@ def _quantizer(quantum: Sequence[float]) -> Measure:
         ]
     x_step, y_step, z_step, rx_step, ry_step, rz_step = quantum
 
-    def quantize(position: Sequence[Component]) -> list[Component]:
+    def quantize(position: Iterable[Component]) -> list[Component]:
         x, y, z, rx, ry, rz = position  # written out: this runs on every tick
         return [
             (x / x_step + _WHOLE - _WHOLE) * x_step,
@@ -104,12 +105,16 @@ def _quantizer(quantum: Sequence[float]) -> Measure:
     return quantize
 
 
-def _normal_rows(generator: np.random.Generator, shape: tuple[int, ...] = ()) -> Iterator[list[Component]]:
-    """Yield six draws at a time, (...,) each; for one device many are drawn at once, the same as one by one."""
+def _draws(noise: Array | float, seed: int, shape: tuple[int, ...] = ()) -> Iterator[list[Component]]:
+    """Yield six draws of noise at a time, (...,) each.
+
+    For one device many are drawn at once, the same as one by one.
+    """
+    generator = np.random.default_rng(seed)
     while shape:
-        yield components(generator.standard_normal((*shape, 6)))
+        yield components(noise * generator.standard_normal((*shape, 6)))
     while True:
-        yield from generator.standard_normal((64, 6)).tolist()
+        yield from (noise * generator.standard_normal((256, 6))).tolist()
 
 
 class SpotReader:
@@ -128,8 +133,7 @@ class SpotReader:
     def __init__(self, beams: Beams, quantum: float = 0.0, noise: float = 0.0, seed: int = 0) -> None:
         self._beams = FastBeams(beams)
         self._quantize = _quantizer([number("quantum", quantum, at_least=0.0)] * 6)
-        self._noise = number("noise", noise, at_least=0.0)
-        self._draws = _normal_rows(np.random.default_rng(whole("seed", seed)))
+        self._draws = _draws(noise, whole("seed", seed)) if number("noise", noise, at_least=0.0) else None
 
     def __call__(self, pose: Sequence[float]) -> list[float]:
         """Return the six coordinates of the spots [m] that are measured of the true pose, six floats [m, rad].
@@ -138,10 +142,7 @@ class SpotReader:
             SensingError: If a beam runs along its diode, or the pose is not finite.
         """
         spots = self._beams.spots(pose)
-        noise = self._noise
-        if noise > 0.0:
-            spots = [spot + noise * draw for spot, draw in zip(spots, next(self._draws))]
-        return self._quantize(spots)
+        return self._quantize(spots if self._draws is None else map(add, spots, next(self._draws)))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
