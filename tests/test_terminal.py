@@ -173,7 +173,7 @@ OFFERED = {
     "maglev-mj stick-slip --law l": ["lugre"],
     "maglev-mj design --law d": ["disturbance-observer"],
     "maglev-mj drop --period ": [],
-    "maglev-mj view --seconds ": [],
+    "maglev-mj view --stiffness 4e3 --seconds ": [],
     "maglev-mj replay ru": ["run.mcap"],
     "maglev-mj bridge udp://127.0.0.1:1 --scene bo": ["box"],
     "maglev-mj bridge udp://127.0.0.1:1 --scene none.py --vi": ["--view"],

@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from typing import Any
@@ -21,6 +22,8 @@ __all__ = ["complete"]
 
 _FILES = "FILE", "DIR", "PATH"
 _KEPT = "dest", "nargs", "metavar", "choices", "help"
+_NO_SCENE = r"-(?!-scene).*|[\d.]+(e-?\d+)?"
+"""An option or a number."""
 
 
 def complete(parser: Parser) -> None:
@@ -61,13 +64,14 @@ def _values(prefix: str, action: argparse.Action, **_: Any) -> list[str]:
 def _add_options(parser: Parser, command: str, arguments: Sequence[str]) -> None:
     """Add the options of a command: those that are kept, or its own, which are kept then.
 
-    Kept are those of a command without a scene, and of one whose first argument is a scene of this package or missing.
+    Kept are those of a command without a scene, and of one whose first argument is a scene of this package, or that
+    has none.
     """
-    first = arguments[0] if arguments else ""
-    names = [command, f"{command} {first}"] if first in BUILT_IN else [command]
+    scene = _scene_in(arguments)
+    names = [command, f"{command} {scene}"] if scene else [command]
     code = _code()
     for kept in filter(None, map(_read, names)):
-        if kept["code"] == code and kept["first"] in (None, first):
+        if kept["code"] == code and kept["scene"] in ("any", scene):
             _recall(parser, kept["actions"])
             return
     before, parser.before = parser.before, None
@@ -75,9 +79,16 @@ def _add_options(parser: Parser, command: str, arguments: Sequence[str]) -> None
     before(arguments)
     depends = parser.before is not None
     parser.prepare(arguments)
-    if not depends or not first or first in BUILT_IN:
-        name = names[-1] if depends else command
-        _write(name, {"code": code, "first": first if depends else None, "actions": _told(parser)})
+    if not depends or scene is not None:
+        kept = {"code": code, "scene": scene if depends else "any", "actions": _told(parser)}
+        _write(names[-1] if depends else command, kept)
+
+
+def _scene_in(arguments: Sequence[str]) -> str | None:
+    """Return the scene among arguments; empty for none, None where only the command itself can tell."""
+    if arguments and arguments[0] in BUILT_IN:
+        return arguments[0]
+    return "" if all(re.fullmatch(_NO_SCENE, one) for one in arguments) else None
 
 
 def _told(parser: Parser) -> list[dict[str, Any]]:
