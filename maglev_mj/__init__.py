@@ -1,7 +1,8 @@
 """A 6-DOF magnetically levitated joystick, simulated, and the sampled laws that render walls and friction on it."""
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from maglev_mj.lazy import attach
 
 if TYPE_CHECKING:
     from maglev_mj.bridge.remote import RemotePlant as RemotePlant
@@ -39,33 +40,26 @@ if TYPE_CHECKING:
     from maglev_mj.studies.sweep import sweep as sweep
     from maglev_mj.theory.linearise import linearise as linearise
     from maglev_mj.theory.verdict import stability as stability
+else:
+    __getattr__, __dir__, __all__ = attach(
+        __name__,
+        {
+            "bridge.remote": "RemotePlant",
+            "controller": "Controller",
+            "errors": "DivergenceError MaglevError ParameterError PlantError",
+            "frames": "AXES Command Sample",
+            "laws": "AxisLaw Bias Hold Law StickSlip Wall gain",
+            "loop": "drive",
+            "parameters": "param",
+            "plants": "ExactPlant MuJoCoPlant Sensor Timing",
+            "recording": "Recording",
+            "scenes.figures": "Figure figure",
+            "scenes.find": "find_scene",
+            "scenes.run": "Phases Result run run_phases",
+            "scenes.scene": "Scene Start",
+            "studies.sweep": "sweep",
+            "theory": "linearise stability",
+        },
+    )
 
 __version__ = "0.1.0"
-
-_HOMES = {
-    "bridge.remote": "RemotePlant",
-    "controller": "Controller",
-    "errors": "DivergenceError MaglevError ParameterError PlantError",
-    "frames": "AXES Command Sample",
-    "laws": "AxisLaw Bias Hold Law StickSlip Wall gain",
-    "loop": "drive",
-    "parameters": "param",
-    "plants": "ExactPlant MuJoCoPlant Sensor Timing",
-    "recording": "Recording",
-    "scenes.figures": "Figure figure",
-    "scenes.find": "find_scene",
-    "scenes.run": "Phases Result run run_phases",
-    "scenes.scene": "Scene Start",
-    "studies.sweep": "sweep",
-    "theory": "linearise stability",
-}
-_HOME = {name: f"maglev_mj.{home}" for home, names in _HOMES.items() for name in names.split()}
-
-__all__ = sorted(_HOME)
-
-
-def __getattr__(name: str) -> Any:
-    """Load a name when it is asked for."""
-    if name not in _HOME:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_HOME[name]), name)

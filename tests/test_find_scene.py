@@ -16,7 +16,8 @@ import pytest
 
 from maglev_mj.errors import ParameterError
 from maglev_mj.scenes.drop import Drop
-from maglev_mj.scenes.find import BUILT_IN, find_scene, line_of, made_again, reference_of, scene_names, source_of
+from maglev_mj.scenes.find import find_scene, line_of, made_again, reference_of, source_of
+from maglev_mj.scenes.names import BUILT_IN, scene_names
 from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.run import run
 from maglev_mj.scenes.scene import Scene

@@ -1,7 +1,17 @@
 """Imports point down, leaves do not import one another, and heavy packages stay in their rooms."""
 
+from __future__ import annotations
+
 import ast
+import inspect
+import pkgutil
+import subprocess
+import sys
+from collections.abc import Sequence
+from importlib import import_module
 from pathlib import Path
+
+import pytest
 
 import maglev_mj
 
@@ -9,6 +19,7 @@ PACKAGE = Path(maglev_mj.__file__).parent
 
 # floor of each module; a module may import only from floors below its own, or its own package
 FLOORS = {
+    "lazy": 0,
     "errors": 0,
     "frames": 0,
     "spec": 0,
@@ -122,3 +133,46 @@ def test_heavy_packages_stay_in_their_rooms() -> None:
 def test_no_module_outgrows_its_room() -> None:
     long = {path.name: count for path in PACKAGE.rglob("*.py") if (count := len(path.read_text().splitlines())) > 500}
     assert not long
+
+
+def faces() -> list[str]:
+    """Return the packages whose names are loaded when they are asked for."""
+    found = [path for path in PACKAGE.rglob("__init__.py") if "attach(" in path.read_text(encoding="utf-8")]
+    return [".".join(("maglev_mj", *path.parent.relative_to(PACKAGE).parts)) for path in found]
+
+
+@pytest.mark.parametrize("package", faces())
+def test_a_name_that_is_loaded_late_is_the_one_that_is_typed(package: str) -> None:
+    face = import_module(package)
+    tree = ast.parse(inspect.getsource(face))
+    typed = {
+        alias.asname: f"{node.module}.{alias.name}"
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ImportFrom)
+        for alias in node.names
+        if alias.asname
+    }
+    assert sorted(typed) == dir(face)
+    for module in pkgutil.iter_modules(face.__path__):  # a module that is loaded would take the name's place
+        import_module(f"{package}.{module.name}") if module.name in typed else None
+    for name, place in typed.items():
+        home, _, _ = place.rpartition(".")
+        assert getattr(face, name) is getattr(import_module(home), name)
+
+
+LIGHT = "numpy", "mujoco", "importlib.metadata"
+OTHERS = "asyncio", "multiprocessing", "matplotlib", "mujoco.batch", "numpy.polynomial"
+UNUSED = [f"maglev_mj.{name}" for name in "recording session studies bridge analysis replay workers".split()]
+
+
+@pytest.mark.parametrize(
+    ("words", "absent"),
+    [("--help", LIGHT), ("drop", [*OTHERS, *UNUSED, "maglev_mj.theory.design", "maglev_mj.laws.bristle"])],
+)
+def test_a_command_loads_what_it_runs(words: str, absent: Sequence[str]) -> None:
+    ask = "import atexit, sys; atexit.register(lambda: print(*sys.modules)); from maglev_mj.cli import main; "
+    ask += f"main({words.split()!r})"
+    done = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=True)
+    loaded = set(done.stdout.splitlines()[-1].split())
+    assert "maglev_mj.cli.program" in loaded
+    assert sorted(loaded.intersection(absent)) == []

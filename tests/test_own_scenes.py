@@ -14,6 +14,7 @@ import pytest
 from maglev_mj.cli import main
 from maglev_mj.errors import ParameterError
 from maglev_mj.scenes.find import find_scene, text_of
+from maglev_mj.scenes.names import GROUP
 from maglev_mj.studies import sweep as sweeping
 from maglev_mj.studies.cells import run_cells
 from maglev_mj.studies.sweep import run_scene_cells, sweep, swept_cells
@@ -160,7 +161,7 @@ def test_a_file_that_needs_its_neighbour_is_refused_by_a_worker_in_one_line(file
 
 def test_a_scene_of_another_package_goes_by_its_place_and_a_hash(file: Path, monkeypatch: Any) -> None:
     monkeypatch.syspath_prepend(file.parent)
-    monkeypatch.setattr(sweeping, "entry_points", lambda group: [EntryPoint("magnet", "magnet:Magnet", group)])
+    monkeypatch.setattr(sweeping, "installed_scenes", lambda: [EntryPoint("magnet", "magnet:Magnet", GROUP)])
     import magnet  # type: ignore[import-not-found]
 
     (cell,) = swept_cells(magnet.Magnet(), {}, plant="exact")

@@ -13,7 +13,8 @@ import pytest
 from maglev_mj.errors import ParameterError
 from maglev_mj.parameters import Parameters, param
 from maglev_mj.scenes.drop import Drop
-from maglev_mj.scenes.find import BUILT_IN, find_scene
+from maglev_mj.scenes.find import find_scene
+from maglev_mj.scenes.names import BUILT_IN
 from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.scene import RESERVED, Scene
 from maglev_mj.scenes.stick_slip import StickSlip

@@ -17,8 +17,9 @@ from maglev_mj.parameters import param
 from maglev_mj.plants import ExactPlant, MuJoCoPlant, Timing
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.figures import STOCK, Figure, figure, figures_named
-from maglev_mj.scenes.find import BUILT_IN, find_scene
+from maglev_mj.scenes.find import find_scene
 from maglev_mj.scenes.free import LetGo, SixAxes, Twist
+from maglev_mj.scenes.names import BUILT_IN
 from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.run import Result, plain, run, run_phases
 from maglev_mj.scenes.scene import Scene, Start

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shlex
@@ -23,7 +24,7 @@ from maglev_mj.cli.arguments import joined
 from maglev_mj.cli.commands import COMMANDS, GROUPS
 from maglev_mj.cli.commission import _coil_row
 from maglev_mj.cli.progress import Progress
-from maglev_mj.scenes.find import BUILT_IN
+from maglev_mj.scenes.names import BUILT_IN
 from maglev_mj.studies.fidelity_cases import COMPARED
 from maglev_mj.studies.fidelity_levels import LevelResult
 from maglev_mj.studies.levels import LEVELS
@@ -148,13 +149,18 @@ def test_a_slip_gets_one_line_that_ends_with_the_nearest_name(
 
 ASK = """
 import os, sys
-from maglev_mj.cli import bridge, design, main, replay, run, view  # once, not in each child
+from maglev_mj.cli import main
+leave = os._exit
+def tell(status):
+    print("numpy" in sys.modules, flush=True)
+    leave(status)
+os._exit = tell  # as argcomplete ends a process
 for place, line in enumerate(sys.stdin.read().splitlines()):
     if os.fork() == 0:
         asked = {"COMP_LINE": line, "COMP_POINT": str(len(line)), "_ARGCOMPLETE_STDOUT_FILENAME": f"answer {place}"}
         os.environ.update(asked, _ARGCOMPLETE="1", _ARGCOMPLETE_IFS=",")
         main()
-        os._exit(9)
+        leave(9)
     assert os.wait()[1] == 0, line
 """
 
@@ -167,7 +173,7 @@ OFFERED = {
     "maglev-mj stick-slip --law l": ["lugre"],
     "maglev-mj design --law d": ["disturbance-observer"],
     "maglev-mj drop --period ": [],
-    "maglev-mj view --seconds ": [],
+    "maglev-mj view --stiffness 4e3 --seconds ": [],
     "maglev-mj replay ru": ["run.mcap"],
     "maglev-mj bridge udp://127.0.0.1:1 --scene bo": ["box"],
     "maglev-mj bridge udp://127.0.0.1:1 --scene none.py --vi": ["--view"],
@@ -178,12 +184,32 @@ def test_a_shell_is_offered_commands_options_scenes_and_values(tmp_path: Path) -
     pytest.importorskip("argcomplete")
     if not hasattr(os, "fork"):
         pytest.skip("argcomplete ends the process that it answers in: a fork for each line")
+    here = tmp_path / "here"
+    here.mkdir()
     for name in ("mine.py", "run.mcap"):
-        (tmp_path / name).touch()
-    subprocess.run([sys.executable, "-c", ASK], input="\n".join(OFFERED), text=True, cwd=tmp_path, check=True)
-    for place, (line, offered) in enumerate(OFFERED.items()):
-        found = (tmp_path / f"answer {place}").read_text()
-        assert [word.strip() for word in found.split(",") if word] == offered, line
+        (here / name).touch()
+    environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path / "cache")}
+    kept = tmp_path / "cache" / "maglev-mj" / "completion"
+
+    def loaded() -> list[str]:
+        """Ask for all lines; return for each whether numpy was loaded."""
+        asked, lines = [sys.executable, "-c", ASK], "\n".join(OFFERED)
+        done = subprocess.run(asked, input=lines, text=True, cwd=here, env=environment, capture_output=True, check=True)
+        for place, (line, offered) in enumerate(OFFERED.items()):
+            found = (here / f"answer {place}").read_text()
+            assert [word.strip() for word in found.split(",") if word] == offered, line
+        return done.stdout.split()
+
+    first, second = loaded(), loaded()  # the second time from what the first has kept
+    assert first[:2] == ["False"] * 2 and first[2:7] == ["True"] * 5
+    assert second == ["False"] * 9 + ["True"] * 2  # a flight's scene stands behind its address
+    for file in kept.iterdir():  # of other code
+        told = json.loads(file.read_text())
+        file.write_text(json.dumps({**told, "code": "0.1.0 1 1", "actions": []}))
+    assert loaded()[2:7] == ["True"] * 5
+    for file in kept.iterdir():
+        file.write_text("{")
+    assert loaded()[2:7] == ["True"] * 5
 
 
 BASH = """
@@ -202,7 +228,12 @@ def test_bash_itself_completes(tmp_path: Path) -> None:
     program.write_text(f'#!/bin/sh\nexec {shlex.join(PROGRAM)} "$@"\n')
     program.chmod(0o755)
     path = f"{tmp_path}:{Path(sys.executable).parent}:{os.environ['PATH']}"
-    done = subprocess.run(["bash", "-c", BASH], env={**os.environ, "PATH": path}, capture_output=True, text=True)
+    done = subprocess.run(
+        ["bash", "-c", BASH],
+        env={**os.environ, "PATH": path, "XDG_CACHE_HOME": str(tmp_path)},
+        capture_output=True,
+        text=True,
+    )
     assert (done.stdout.split(), done.returncode) == (["--stiffness"], 0), done.stderr
 
 

@@ -92,7 +92,7 @@ class Parser(argparse.ArgumentParser):
 
 def offer(action: argparse.Action, values: Iterable[str]) -> None:
     """Offer values of an option to a shell that completes it; others stay allowed."""
-    setattr(action, "completer", lambda prefix, **_: [one for one in values if one.startswith(prefix)])  # noqa: B010
+    setattr(action, "offered", list(values))  # noqa: B010
 
 
 def joined(arguments: Sequence[str]) -> list[str]:

@@ -1,18 +1,29 @@
-"""Completion of commands, options and their values in a shell, by argcomplete where it is installed."""
+"""Completion of commands, options and their values in a shell, by argcomplete where it is installed.
+
+A shell asks at each press of a key, so that the options of a command are kept in the user's cache folder, for as long
+as no file of this package changes: to find them takes the libraries that the command needs, four times as long.
+"""
 
 from __future__ import annotations
 
 import argparse
+import json
 import os
+import re
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from typing import Any
 
-from maglev_mj.cli.arguments import Parser
-from maglev_mj.scenes.find import scene_names
+import maglev_mj
+from maglev_mj.cli.arguments import Parser, offer
+from maglev_mj.scenes.names import BUILT_IN, scene_names
 
 __all__ = ["complete"]
 
 _FILES = "FILE", "DIR", "PATH"
+_KEPT = "dest", "nargs", "metavar", "choices", "help"
+_NO_SCENE = r"-(?!-scene).*|[\d.]+(e-?\d+)?"
+"""An option or a number."""
 
 
 def complete(parser: Parser) -> None:
@@ -27,19 +38,112 @@ def complete(parser: Parser) -> None:
     from argcomplete.lexers import split_line
 
     _, _, _, words, _ = split_line(os.environ["COMP_LINE"], int(os.environ["COMP_POINT"]))
-    with suppress(SystemExit):  # of a scene that is none
-        parser.prepare(words[1:])
+    (commands,) = (one.choices for one in parser._actions if isinstance(one, argparse._SubParsersAction))
+    parser.before = None
+    if len(words) > 1 and words[1] in commands:
+        with suppress(SystemExit):  # of a scene that is none
+            _add_options(commands[words[1]], words[1], words[2:])
     values: Any = _values  # any callable will do
     argcomplete.autocomplete(parser, always_complete_options=False, default_completer=values)
 
 
 def _values(prefix: str, action: argparse.Action, **_: Any) -> list[str]:
-    """Return files and scenes where they are asked for; nothing for a number."""
+    """Return the values offered, files and scenes where they are asked for; nothing for a number."""
     from argcomplete.completers import FilesCompleter
 
+    if offered := getattr(action, "offered", ()):
+        return [one for one in offered if one.startswith(prefix)]
     if action.metavar in _FILES:
         return list(FilesCompleter()(prefix))
     if action.metavar != "SCENE":
         return []
     names = [name for name in scene_names() if name.startswith(prefix)]
     return [*names, *FilesCompleter(["py"])(prefix)]
+
+
+def _add_options(parser: Parser, command: str, arguments: Sequence[str]) -> None:
+    """Add the options of a command: those that are kept, or its own, which are kept then.
+
+    Kept are those of a command without a scene, and of one whose first argument is a scene of this package, or that
+    has none.
+    """
+    scene = _scene_in(arguments)
+    names = [command, f"{command} {scene}"] if scene else [command]
+    code = _code()
+    for kept in filter(None, map(_read, names)):
+        if kept["code"] == code and kept["scene"] in ("any", scene):
+            _recall(parser, kept["actions"])
+            return
+    before, parser.before = parser.before, None
+    assert before is not None
+    before(arguments)
+    depends = parser.before is not None
+    parser.prepare(arguments)
+    if not depends or scene is not None:
+        kept = {"code": code, "scene": scene if depends else "any", "actions": _told(parser)}
+        _write(names[-1] if depends else command, kept)
+
+
+def _scene_in(arguments: Sequence[str]) -> str | None:
+    """Return the scene among arguments; empty for none, None where only the command itself can tell."""
+    if arguments and arguments[0] in BUILT_IN:
+        return arguments[0]
+    return "" if all(re.fullmatch(_NO_SCENE, one) for one in arguments) else None
+
+
+def _told(parser: Parser) -> list[dict[str, Any]]:
+    """Return the arguments of a parser, all but its help, ready for JSON."""
+    told = []
+    for one in parser._actions:
+        if one.dest != "help":
+            about = {name: getattr(one, name) for name in _KEPT}
+            about["choices"] = one.choices and [*one.choices]
+            told.append({**about, "options": one.option_strings, "offered": getattr(one, "offered", [])})
+    return told
+
+
+def _recall(parser: Parser, actions: Sequence[Mapping[str, Any]]) -> None:
+    """Add arguments that were kept."""
+    parser.before = None
+    for told in actions:
+        about = {name: value for name in _KEPT if (value := told[name]) is not None}
+        if isinstance(about.get("metavar"), list):
+            about["metavar"] = tuple(about["metavar"])
+        if told["options"] and about.get("nargs") == 0:
+            about = {"dest": about["dest"], "help": about.get("help"), "action": "store_true"}
+        named = [about.pop("dest")] if not told["options"] else told["options"]
+        offer(parser.add_argument(*named, **about), told["offered"])
+
+
+def _code() -> str:
+    """Return a text that changes with the files of this package."""
+    written = [
+        os.stat(os.path.join(folder, name)).st_mtime_ns
+        for folder, _, names in os.walk(os.path.dirname(maglev_mj.__file__))
+        for name in names
+        if name.endswith(".py")
+    ]
+    return f"{maglev_mj.__version__} {len(written)} {max(written)}"
+
+
+def _path(name: str) -> str:
+    cache = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    return os.path.join(cache, "maglev-mj", "completion", f"{name}.json")
+
+
+def _read(name: str) -> Any:
+    """Return what is kept under a name; None for nothing that can be read."""
+    with suppress(OSError, ValueError), open(_path(name), encoding="utf-8") as file:
+        return json.load(file)
+    return None
+
+
+def _write(name: str, kept: Mapping[str, Any]) -> None:
+    """Keep under a name, whole or not at all; it is found anew where that fails."""
+    path = _path(name)
+    partial = f"{path}.{os.getpid()}"
+    with suppress(OSError):
+        os.makedirs(os.path.dirname(path), exist_ok=True)
+        with open(partial, "w", encoding="utf-8") as file:
+            json.dump(kept, file)
+        os.replace(partial, path)

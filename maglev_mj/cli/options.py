@@ -13,7 +13,6 @@ from maglev_mj.cli.pictures import add_pictures
 from maglev_mj.errors import ParameterError
 from maglev_mj.net.authentication import LEAST_KEY, MOST_KEY
 from maglev_mj.parameters import Parameter, Parameters
-from maglev_mj.workers import Workers, dask_workers, local_workers
 
 __all__ = [
     "add_bridge",
@@ -23,10 +22,8 @@ __all__ = [
     "add_outputs",
     "add_parameters",
     "add_recording",
-    "add_workers",
     "chosen",
     "chosen_key",
-    "chosen_workers",
     "count",
     "described",
     "number_option",
@@ -139,28 +136,6 @@ def add_recording(parser: Parser) -> None:
     parser.group("output").add_argument(
         "--record", metavar="FILE", type=Path, help="write a recording, .mcap or .npz, for `maglev-mj replay`"
     )
-
-
-def add_workers(parser: Parser, record: str) -> None:
-    """Add --record, --workers and --scheduler.
-
-    Args:
-        parser: Of the command.
-        record: What the record is for.
-    """
-    parser.group("output").add_argument("--record", metavar="FILE", type=Path, help=f"{record}; one JSON object a line")
-    group = parser.group("workers")
-    group.add_argument("--workers", type=count, metavar="N", help="processes on this machine; 0 for this one alone")
-    group.add_argument("--scheduler", metavar="ADDRESS", help="run on the Dask cluster of this scheduler instead")
-
-
-def chosen_workers(options: argparse.Namespace, default: int | None) -> Workers:
-    """Return the workers asked for; `default` processes, None for one a processor, unless told."""
-    if options.scheduler is not None:
-        if options.workers is not None:
-            raise ParameterError(f"workers must be left to the scheduler where there is one, not {options.workers}")
-        return dask_workers(options.scheduler)
-    return local_workers(default if options.workers is None else options.workers)
 
 
 def number_option(text: str) -> float:

@@ -5,27 +5,20 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from maglev_mj.cli.pictures import check_folder, chosen_pictures
 from maglev_mj.errors import DivergenceError, ParameterError
 from maglev_mj.plots import PictureFolder
-from maglev_mj.recording import check_name
-from maglev_mj.studies.cells import Record, StudyInterrupted
-from maglev_mj.versions import differences, versions
-from maglev_mj.workers import WorkersError
+from maglev_mj.versions import versions
 
 __all__ = [
-    "cells_kept",
     "check_file",
     "check_outputs",
     "check_recording",
     "keep_partial",
-    "tell_of_others",
     "write_json",
     "write_results",
 ]
@@ -60,6 +53,8 @@ def check_recording(path: Path | None) -> None:
         McapMissingError: If the package for its kind is not installed.
     """
     if path is not None:
+        from maglev_mj.recording import check_name  # nothing else here needs what reads and writes recordings
+
         check_name(path)
         check_file("record", path)
 
@@ -83,35 +78,6 @@ def check_outputs(*, json: str | None = None, record: Path | None = None, out: P
         raise ParameterError(f"json and record must be two files, not {str(record)!r} for both")
     if out is not None:
         check_folder(out)
-
-
-@contextmanager
-def cells_kept(path: Path | None, fallback: Path) -> Iterator[None]:
-    """Write the cells of a study that is stopped, unless they are in a file, and name it in the error."""
-    try:
-        yield
-    except (StudyInterrupted, WorkersError) as stopped:
-        if path is None:
-            path = fallback
-            kept = Record(path)
-            kept.add([(cell, result) for cell, result in stopped.landed if cell not in kept])
-        where = f"{len(stopped.landed)} cells are in {path}, the same command with --record {path} goes on from there"
-        stopped.args = (f"{stopped}; {where}",)
-        raise
-
-
-def tell_of_others(command: str, others: Sequence[Mapping[str, Any]]) -> None:
-    """Print on standard error that other code made cells of a record; nothing without any.
-
-    Args:
-        command: Of the command line.
-        others: See `Record.others`.
-    """
-    if others:
-        ours = versions()
-        kinds = [f"{other['cells']} cells have {differences(other['versions'], ours)}" for other in others]
-        more = f"; and {len(kinds) - 1} more kinds" if len(kinds) > 1 else ""
-        print(f"maglev-mj {command}: the record is also by other code: {kinds[0]}{more}", file=sys.stderr)
 
 
 def write_json(target: str, data: Mapping[str, Any]) -> None:

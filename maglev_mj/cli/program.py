@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import atexit
+import gc
 import os
 import select
 import sys
@@ -16,7 +18,6 @@ from maglev_mj.cli.arguments import Parser, joined
 from maglev_mj.cli.commands import GROUPS, Command
 from maglev_mj.cli.completion import complete
 from maglev_mj.errors import MaglevError, ParameterError
-from maglev_mj.scenes.find import line_of
 from maglev_mj.terminal import say
 
 __all__ = ["main", "parser"]
@@ -30,6 +31,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns:
         Exit status: 0, 1 for a run that failed, 2 for bad input, 130 for Ctrl-C, 141 for an output that nobody reads.
     """
+    if arguments is None:  # a program: its end need not look through all that was loaded, which takes 25 ms
+        atexit.register(gc.freeze)
     try:
         try:
             made = parser()
@@ -67,6 +70,8 @@ def _run(options: argparse.Namespace) -> int:
         _drop_unwritten()
         return 1
     except Exception as error:
+        from maglev_mj.scenes.find import line_of  # which the help does not need
+
         if (line := line_of(error)) is None:
             raise
         say(f"maglev-mj {options.command}: {line}: {type(error).__name__}: {error}", sys.stderr)

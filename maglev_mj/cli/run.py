@@ -16,7 +16,6 @@ from maglev_mj.cli.pictures import chosen_pictures
 from maglev_mj.cli.progress import Progress
 from maglev_mj.cli.scenes import add_scene, chosen_scene, warn_of_instability
 from maglev_mj.errors import DivergenceError
-from maglev_mj.replay import write_run
 from maglev_mj.scenes.find import find_scene
 from maglev_mj.scenes.run import Phases, Result, run, run_phases
 from maglev_mj.scenes.scene import PLANTS, Scene
@@ -66,6 +65,8 @@ def _run(options: argparse.Namespace) -> int:
     warn_of_instability(scene)
     recorded = []
     if options.record is not None:
+        from maglev_mj.replay import write_run  # with all that reads and writes recordings
+
         with Progress("recording"):
             recorded = write_run(options.record, scene, plant=options.plant, phase=options.phase)
     alone = options.json == "-" and pictures is None

@@ -7,8 +7,9 @@ from pathlib import Path
 
 from maglev_mj import plots
 from maglev_mj.cli.arguments import Parser
-from maglev_mj.cli.options import add_json, add_parameters, add_workers, chosen, chosen_workers, range_of
-from maglev_mj.cli.output import cells_kept, check_outputs, tell_of_others, write_results
+from maglev_mj.cli.cells import add_workers, cells_kept, chosen_workers, tell_of_others
+from maglev_mj.cli.options import add_json, add_parameters, chosen, range_of
+from maglev_mj.cli.output import check_outputs, write_results
 from maglev_mj.cli.pictures import add_pictures, chosen_pictures
 from maglev_mj.cli.progress import Progress
 from maglev_mj.cli.scenes import add_scene

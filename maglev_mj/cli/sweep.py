@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from maglev_mj.cli.arguments import Parser
-from maglev_mj.cli.options import add_json, add_workers, chosen_workers, described
-from maglev_mj.cli.output import cells_kept, check_outputs, tell_of_others, write_results
+from maglev_mj.cli.cells import add_workers, cells_kept, chosen_workers, tell_of_others
+from maglev_mj.cli.options import add_json, described
+from maglev_mj.cli.output import check_outputs, write_results
 from maglev_mj.cli.progress import Progress
 from maglev_mj.cli.scenes import add_scene
 from maglev_mj.errors import ParameterError

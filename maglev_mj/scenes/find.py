@@ -8,7 +8,6 @@ import importlib
 import sys
 from collections.abc import Iterator, Mapping
 from functools import lru_cache
-from importlib.metadata import entry_points
 from importlib.util import decode_source
 from pathlib import Path
 from traceback import walk_tb
@@ -16,12 +15,11 @@ from types import ModuleType
 from typing import Any
 
 from maglev_mj.errors import ParameterError, not_one_of
+from maglev_mj.scenes.names import BUILT_IN, installed_scenes, scene_names
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.versions import TEXT, file_of, hash_of
 
 __all__ = [
-    "BUILT_IN",
-    "GROUP",
     "defined_in",
     "find_scene",
     "hash_of",
@@ -29,36 +27,12 @@ __all__ = [
     "made_again",
     "object_of_text",
     "reference_of",
-    "scene_names",
     "scene_of_text",
     "source_of",
     "text_of",
 ]
 
-GROUP = "maglev_mj.scenes"
-"""Entry point group by which other packages add scenes."""
-
-BUILT_IN: Mapping[str, str] = {
-    "joystick": "maglev_mj.scenes.joystick:Joystick",
-    "drop": "maglev_mj.scenes.drop:Drop",
-    "press": "maglev_mj.scenes.press:Press",
-    "table": "maglev_mj.scenes.table:Table",
-    "box": "maglev_mj.scenes.box:Box",
-    "corner": "maglev_mj.scenes.corner:Corner",
-    "stick-slip": "maglev_mj.scenes.stick_slip:StickSlip",
-    "twist": "maglev_mj.scenes.free:Twist",
-    "let-go": "maglev_mj.scenes.free:LetGo",
-    "six-axes": "maglev_mj.scenes.free:SixAxes",
-    "wall": "maglev_mj.studies.growth:RestingWall",
-}
-"""The scenes of this package: name -> module and class, in the order in which a key goes through them."""
-
 _OWN = "maglev_mj_scene_"
-
-
-def scene_names() -> list[str]:
-    """Return the names of the scenes of this package, then of other packages."""
-    return [*BUILT_IN, *sorted(set(entry_points(group=GROUP).names) - set(BUILT_IN))]
 
 
 def find_scene(text: str) -> type[Scene]:
@@ -75,7 +49,7 @@ def find_scene(text: str) -> type[Scene]:
     path, _, wanted = text.partition(".py:") if ".py:" in text else (text.removesuffix(".py"), "", "")
     if path != text:
         return _of_file(Path(f"{path}.py"), wanted)
-    for entry in entry_points(group=GROUP):
+    for entry in installed_scenes():
         if entry.name == text:  # loaded when asked for: a broken package breaks its own scene alone
             return _installed(entry)
     raise ParameterError(not_one_of("scene", scene_names(), text, ", or a file such as my_scene.py"))

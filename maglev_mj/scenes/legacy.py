@@ -10,8 +10,9 @@ from maglev_mj.frames import AXES
 from maglev_mj.laws import Law
 from maglev_mj.parameters import param
 from maglev_mj.scenes.bench import hold
-from maglev_mj.scenes.find import BUILT_IN, find_scene
+from maglev_mj.scenes.find import find_scene
 from maglev_mj.scenes.interactive import InteractiveScene
+from maglev_mj.scenes.names import BUILT_IN
 from maglev_mj.scenes.parts import wall, weight
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.spec import Spec

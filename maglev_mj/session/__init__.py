@@ -1,7 +1,7 @@
 """A scene in real time, without a window: pacing, what keys change, recording, and the picture of now."""
 
+from maglev_mj.scenes.admission import STEP_FORCE, Refusal, check_step, own_code_refused, refusal, stability_warning
 from maglev_mj.session.actions import DEVICES_OWN, EMERGENCY_STOP, actions, device_actions, settable
-from maglev_mj.session.admission import STEP_FORCE, Refusal, check_step, own_code_refused, refusal, stability_warning
 from maglev_mj.session.live import device_controller, live_plant
 from maglev_mj.session.pacing import TIME_SCALES, Due, Note, Pacer, next_scale, real_time
 from maglev_mj.session.session import Session

@@ -13,8 +13,8 @@ from maglev_mj.hand import HandForce, SpringHand, Trajectory
 from maglev_mj.parameters import number
 from maglev_mj.recording import RecordingFile
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene
+from maglev_mj.scenes.admission import STEP_FORCE, check_step, own_code_refused
 from maglev_mj.session.actions import DEVICES_OWN, EMERGENCY_STOP, Action, actions, settable
-from maglev_mj.session.admission import STEP_FORCE, check_step, own_code_refused
 from maglev_mj.session.live import centred, lifted
 from maglev_mj.session.pacing import TIME_SCALES, Pacer, next_scale
 from maglev_mj.session.snapshot import History, Publisher, Publishers, Snapshot

@@ -8,7 +8,6 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,8 @@ import maglev_mj
 from maglev_mj.errors import MaglevError, ParameterError, not_one_of
 from maglev_mj.frames import Array
 from maglev_mj.parameters import parsed_number
-from maglev_mj.scenes.find import GROUP, hash_of, made_again, reference_of, scene_of_text, text_of
+from maglev_mj.scenes.find import hash_of, made_again, reference_of, scene_of_text, text_of
+from maglev_mj.scenes.names import installed_scenes
 from maglev_mj.scenes.run import checked_phase, checked_plant, parameters_json, plain
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.studies.cells import Cell, Record, run_cells
@@ -171,7 +171,7 @@ def _name(cls: type[Scene]) -> str:
 
 def _text(cls: type[Scene]) -> str | None:
     """Return the text that workers are given; None for a scene of a package, which they have."""
-    if _is_ours(cls) or any(entry.value == _place(cls) for entry in entry_points(group=GROUP)):
+    if _is_ours(cls) or any(entry.value == _place(cls) for entry in installed_scenes()):
         return None
     return text_of(cls)
 

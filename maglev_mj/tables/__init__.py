@@ -1,26 +1,34 @@
 """Results as text for a terminal, one module a subject."""
 
-from maglev_mj.tables.analysis import analysis_table
-from maglev_mj.tables.fault import fault_table, latched_table
-from maglev_mj.tables.fidelity import fidelity_table, levels_table
-from maglev_mj.tables.run import run_table, sweep_table
-from maglev_mj.tables.sessions import flown_table, served_table, show_table, timing_table, verdict_table
-from maglev_mj.tables.stability import design_table, loop_table, stability_table
+from typing import TYPE_CHECKING
 
-__all__ = [
-    "analysis_table",
-    "design_table",
-    "fault_table",
-    "fidelity_table",
-    "flown_table",
-    "latched_table",
-    "levels_table",
-    "loop_table",
-    "run_table",
-    "served_table",
-    "show_table",
-    "stability_table",
-    "sweep_table",
-    "timing_table",
-    "verdict_table",
-]
+from maglev_mj.lazy import attach
+
+if TYPE_CHECKING:
+    from maglev_mj.tables.analysis import analysis_table as analysis_table
+    from maglev_mj.tables.fault import fault_table as fault_table
+    from maglev_mj.tables.fault import latched_table as latched_table
+    from maglev_mj.tables.fidelity import fidelity_table as fidelity_table
+    from maglev_mj.tables.fidelity import levels_table as levels_table
+    from maglev_mj.tables.run import run_table as run_table
+    from maglev_mj.tables.run import sweep_table as sweep_table
+    from maglev_mj.tables.sessions import flown_table as flown_table
+    from maglev_mj.tables.sessions import served_table as served_table
+    from maglev_mj.tables.sessions import show_table as show_table
+    from maglev_mj.tables.sessions import timing_table as timing_table
+    from maglev_mj.tables.sessions import verdict_table as verdict_table
+    from maglev_mj.tables.stability import design_table as design_table
+    from maglev_mj.tables.stability import loop_table as loop_table
+    from maglev_mj.tables.stability import stability_table as stability_table
+else:
+    __getattr__, __dir__, __all__ = attach(
+        __name__,
+        {
+            "analysis": "analysis_table",
+            "fault": "fault_table latched_table",
+            "fidelity": "fidelity_table levels_table",
+            "run": "run_table sweep_table",
+            "sessions": "flown_table served_table show_table timing_table verdict_table",
+            "stability": "design_table loop_table stability_table",
+        },
+    )

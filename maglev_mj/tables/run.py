@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,8 +13,10 @@ from maglev_mj.scenes.figures import Figure
 from maglev_mj.scenes.run import Phases, Result
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.spec import RANGE, Spec
-from maglev_mj.studies.sweep import Sweep
 from maglev_mj.terminal import WIDTH, cell, printable, wrapped
+
+if TYPE_CHECKING:
+    from maglev_mj.studies.sweep import Sweep
 
 __all__ = ["run_table", "sweep_table"]
 

@@ -8,13 +8,14 @@ from typing import NamedTuple
 
 from numpy.typing import ArrayLike
 
+from maglev_mj import theory
 from maglev_mj.controller import Controller
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import AXES, ZERO, Sample, components
 from maglev_mj.parameters import numbers
-from maglev_mj.scenes import Scene
 from maglev_mj.scenes.find import line_of
-from maglev_mj.theory import inertia_of, largest_stable_stiffness, stability
+from maglev_mj.scenes.scene import Scene
+from maglev_mj.theory.verdict import inertia_of, stability
 
 __all__ = ["STEP_FORCE", "Refusal", "check_step", "own_code_refused", "refusal", "stability_warning"]
 
@@ -112,7 +113,7 @@ def refusal(scene: Scene, *, inertia: ArrayLike | None = None, delay: float | No
     index = AXES.index(verdict.axes[0])
     damping, bound = float(verdict.damping[index, index]), None
     if verdict.stated:
-        bound = float(largest_stable_stiffness(damping, period=period, delay=delay, mass=body[index]))
+        bound = float(theory.largest_stable_stiffness(damping, period=period, delay=delay, mass=body[index]))
     return Refusal(
         axis=AXES[index],
         acting=" and ".join(_ACTING.get(state, state) for state in verdict.acting)

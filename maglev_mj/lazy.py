@@ -1,0 +1,28 @@
+"""Names of a package, each loaded with its module when it is first asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from importlib import import_module
+from typing import Any
+
+__all__ = ["attach"]
+
+
+def attach(package: str, homes: Mapping[str, str]) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
+    """Return `__getattr__`, `__dir__` and `__all__` of a package.
+
+    A name must not be that of a module of the package, which would take its place once that is loaded.
+
+    Args:
+        package: Its name.
+        homes: Names that it gives, by the module that has them; both without the package's name.
+    """
+    home = {name: f"{package}.{module}" for module, names in homes.items() for name in names.split()}
+
+    def load(name: str) -> Any:
+        if name not in home:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        return getattr(import_module(home[name]), name)
+
+    return load, lambda: sorted(home), sorted(home)

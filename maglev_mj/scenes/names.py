@@ -1,0 +1,41 @@
+"""Names of scenes, without the scenes: of this package, and of other packages."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoints
+
+__all__ = ["BUILT_IN", "GROUP", "installed_scenes", "scene_names"]
+
+GROUP = "maglev_mj.scenes"
+"""Entry point group by which other packages add scenes."""
+
+BUILT_IN: Mapping[str, str] = {
+    "joystick": "maglev_mj.scenes.joystick:Joystick",
+    "drop": "maglev_mj.scenes.drop:Drop",
+    "press": "maglev_mj.scenes.press:Press",
+    "table": "maglev_mj.scenes.table:Table",
+    "box": "maglev_mj.scenes.box:Box",
+    "corner": "maglev_mj.scenes.corner:Corner",
+    "stick-slip": "maglev_mj.scenes.stick_slip:StickSlip",
+    "twist": "maglev_mj.scenes.free:Twist",
+    "let-go": "maglev_mj.scenes.free:LetGo",
+    "six-axes": "maglev_mj.scenes.free:SixAxes",
+    "wall": "maglev_mj.studies.growth:RestingWall",
+}
+"""The scenes of this package: name -> module and class, in the order in which a key goes through them."""
+
+
+def installed_scenes() -> EntryPoints:
+    """Return the entry points of the scenes of other packages."""
+    from importlib.metadata import entry_points  # which takes as long to load as a command line takes in all
+
+    return entry_points(group=GROUP)
+
+
+def scene_names() -> list[str]:
+    """Return the names of the scenes of this package, then of other packages."""
+    return [*BUILT_IN, *sorted(set(installed_scenes().names) - set(BUILT_IN))]
