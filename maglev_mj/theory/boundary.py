@@ -12,7 +12,7 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Mask
 from maglev_mj.parameters import common_shape, number, numbers
 from maglev_mj.theory.characteristic import SampledCurve, characteristic, crossings, scales
-from maglev_mj.theory.closed_loop import LoopKeywords, SampledLoop, is_stable
+from maglev_mj.theory.closed_loop import ROUNDING, LoopKeywords, SampledLoop, is_stable
 
 __all__ = [
     "StiffestWall",
@@ -30,8 +30,8 @@ __all__ = [
 _HIGHEST = 8.0
 _NEAR = 1e-7
 _LOWEST, _APART = 8e-4, 1e-9
-_CLOSE = np.array([-1e-3, -1e-5, -2e-7, 2e-7, 1e-5, 1e-3])
-_EVEN = np.array([0.0, 0.2, 0.4, 0.6, 0.8, 1.0])
+_CLOSE = np.array([-1e-4, -2e-7, 2e-7, 1e-4])
+_EVEN = np.array([0.0, 0.3, 0.7, 1.0])
 _GRID = np.geomspace(_LOWEST, _HIGHEST, 60)
 
 
@@ -149,7 +149,7 @@ def boundary_of(loop: SampledLoop, damping: Array) -> Array:
     while (found & (high - low > 1e-13 * high)).any():
         # closely around where a straight line between the moduli is 1; evenly, for it may be none
         with np.errstate(divide="ignore", invalid="ignore"):
-            crossing = (1.0 - moduli[:, 0]) / (moduli[:, -1] - moduli[:, 0])
+            crossing = (1.0 - ROUNDING - moduli[:, 0]) / (moduli[:, -1] - moduli[:, 0])
         shares = np.where(np.isfinite(crossing), crossing, 0.5)[:, None] + _CLOSE
         shares = np.sort(np.concatenate([np.clip(shares, 0.0, 1.0), np.tile(_EVEN, (rows.size, 1))], axis=1))
         middle = low[:, None] + (high - low)[:, None] * shares
@@ -198,16 +198,17 @@ def _stiffest(loop: SampledLoop) -> tuple[float, float]:
     unit = float(scales(loop)[1])
 
     curve = SampledCurve(characteristic(loop, 1.0))
-    places = [damping for damping in curve.extremes if _LOWEST < damping < _HIGHEST]
-    dampings = np.concatenate([place * (1.0 + _APART * np.array([-1.0, 0.0, 1.0])) for place in places] + [_GRID])
-    dampings = np.unique(np.clip(dampings, _LOWEST, _HIGHEST))
-    stiffness = np.minimum(curve.reach(dampings), _HIGHEST)
+    places = np.array([damping for damping in curve.extremes if _LOWEST < damping < _HIGHEST])
+    sides = np.outer(1.0 + _APART * np.array([-1.0, 0.0, 1.0]), places).ravel()
+    dampings, low, high = _GRID, _LOWEST, _HIGHEST
     while True:
-        level = np.flatnonzero(stiffness >= stiffness.max() * (1.0 - 1e-14))
-        best = int(level[len(level) // 2])
-        low, high = dampings[max(best - 1, 0)], dampings[min(best + 1, len(dampings) - 1)]
-        if high - low <= 3.0 * _APART * high:
-            damping = dampings[best] * unit
-            return float(boundary_of(loop, np.asarray(damping))), float(damping)
-        dampings = low + (high - low) * np.linspace(0.0, 1.0, 15)
+        # a fold or a corner has its own, or is never met
+        dampings = np.unique([*dampings, *sides[(low <= sides) & (sides <= high)]])
         stiffness = np.minimum(curve.reach(dampings), _HIGHEST)
+        level = np.flatnonzero(stiffness >= stiffness.max() * (1.0 - 1e-14))
+        best = dampings[level[len(level) // 2]]
+        low = dampings[dampings < best * (1.0 - 10.0 * _APART)].max(initial=low)
+        high = dampings[dampings > best * (1.0 + 10.0 * _APART)].min(initial=high)
+        if high - low <= 60.0 * _APART * high:
+            return float(boundary_of(loop, np.asarray(best * unit))), float(best * unit)
+        dampings = np.linspace(low, high, 33)

@@ -118,7 +118,7 @@ class SampledCurve:
         angles = low + (high - low) * left / (left - right)
         series = self._series[0] + damping[rows, None] * self._series[1]
         order = np.arange(1, series.shape[-1] + 1)
-        for _ in range(3):
+        for _ in range(2):
             turns = angles[:, None] * order
             with np.errstate(divide="ignore", invalid="ignore"):
                 step = (np.sin(turns) * series).sum(axis=-1) / (np.cos(turns) * (order * series)).sum(axis=-1)
