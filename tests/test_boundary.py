@@ -13,7 +13,7 @@ from maglev_mj.hand import Hand
 from maglev_mj.laws import LinearController, LowPass, ObserverWall, Window
 from maglev_mj.theory import boundary_of, is_stable, largest_stable_stiffness, ranges_of, stable_ranges, stiffest_of
 from maglev_mj.theory.boundary import first_end, spans
-from maglev_mj.theory.characteristic import characteristic, scales, turning_points
+from maglev_mj.theory.characteristic import SampledCurve, characteristic, scales
 from maglev_mj.theory.closed_loop import SampledLoop, pd
 
 # a soft grip whose own resonance leaves walls stable again beyond ones that are not
@@ -116,7 +116,7 @@ def test_a_crossing_is_good_before_it_is_refined(seed: int) -> None:
 @pytest.mark.parametrize("delay", [0.0, 0.0015, 0.003, 0.005, 0.0125])
 def test_the_stiffest_wall_is_an_extreme_of_the_explicit_curve(delay: float) -> None:
     loop = SampledLoop(delay=delay)
-    extremes = turning_points(characteristic(loop, 1.0)) * float(scales(loop)[1])
+    extremes = SampledCurve(characteristic(loop, 1.0)).extremes * float(scales(loop)[1])
     assert np.abs(extremes / float(stiffest_of(loop).damping) - 1.0).min() < 1e-8
 
 

@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Mask
 from maglev_mj.parameters import common_shape, number, numbers
-from maglev_mj.theory.characteristic import Characteristic, characteristic, crossings, scales, turning_points
-from maglev_mj.theory.closed_loop import LoopKeywords, SampledLoop, is_stable
+from maglev_mj.theory.characteristic import SampledCurve, characteristic, crossings, scales
+from maglev_mj.theory.closed_loop import ROUNDING, LoopKeywords, SampledLoop, is_stable
 
 __all__ = [
     "StiffestWall",
@@ -30,6 +30,8 @@ __all__ = [
 _HIGHEST = 8.0
 _NEAR = 1e-7
 _LOWEST, _APART = 8e-4, 1e-9
+_CLOSE = np.array([-1e-4, -2e-7, 2e-7, 1e-4])
+_EVEN = np.array([0.0, 0.3, 0.7, 1.0])
 _GRID = np.geomspace(_LOWEST, _HIGHEST, 60)
 
 
@@ -46,22 +48,23 @@ def flattened(loop: SampledLoop, damping: Array) -> tuple[SampledLoop, Array, tu
     return loop.part(shape, slice(None)), np.broadcast_to(damping, shape).reshape(-1), shape
 
 
-def spans(loop: SampledLoop, damping: Array, limit: float, parts: Characteristic | None = None) -> tuple[Array, Mask]:
+def spans(loop: SampledLoop, damping: Array, limit: float) -> tuple[Array, Mask]:
     """Return the stiffnesses between which the verdict cannot change, (N, c + 1), and the verdicts between, (N, c).
 
     Args:
         loop: One, or N of them.
         damping: (N,).
         limit: Largest modulus allowed.
-        parts: The loop's characteristic polynomial on that circle, where it is known.
     """
     stiff, damp = scales(loop)
-    parts = parts or characteristic(loop, limit)
-    crossed = np.minimum(crossings(parts, damping / damp), _HIGHEST)
+    crossed = np.minimum(crossings(characteristic(loop, limit), damping / damp), _HIGHEST)
     edges = np.pad(crossed, ((0, 0), (1, 1)), constant_values=(0.0, _HIGHEST))
     edges = edges * np.broadcast_to(stiff, damping.shape)[:, None]
-    middle = 0.5 * (edges[:, 1:] + edges[:, :-1])
-    good = is_stable(loop.widened().modulus(middle, damping[:, None]), limit)
+    low, high = edges[:, :-1], edges[:, 1:]
+    rows, place = np.nonzero(high > low)
+    good = np.zeros(low.shape, dtype=bool)
+    middle = 0.5 * (low + high)[rows, place]
+    good[rows, place] = is_stable(loop.part(damping.shape, rows).modulus(middle, damping[rows]), limit)
     return edges, good
 
 
@@ -135,7 +138,8 @@ def boundary_of(loop: SampledLoop, damping: Array) -> Array:
     wide, b = flat.widened(), b[:, None]
     # the crossing is good to rounding but for a slow one; the eigenvalues have the last word
     ends = rough[:, None] * [1.0 - _NEAR, 1.0 + _NEAR]
-    verdicts = is_stable(wide.modulus(ends, b))
+    moduli = wide.modulus(ends, b)
+    verdicts = is_stable(moduli)
     apart = 0.5 * (edges[:, :-1] + edges[:, 1:])
     rows = np.arange(len(edges))
     last = np.minimum(first, apart.shape[-1] - 1)
@@ -143,16 +147,24 @@ def boundary_of(loop: SampledLoop, damping: Array) -> Array:
     high = np.where(verdicts[:, 1], apart[rows, last], ends[:, 1])
     found = (first > 0) & (first < good.shape[-1])
     while (found & (high - low > 1e-13 * high)).any():
-        middle = np.linspace(low, high, 17, axis=-1)
-        steady = is_stable(wide.modulus(middle[:, 1:-1], b))
+        # closely around where a straight line between the moduli is 1; evenly, for it may be none
+        with np.errstate(divide="ignore", invalid="ignore"):
+            crossing = (1.0 - ROUNDING - moduli[:, 0]) / (moduli[:, -1] - moduli[:, 0])
+        shares = np.where(np.isfinite(crossing), crossing, 0.5)[:, None] + _CLOSE
+        shares = np.sort(np.concatenate([np.clip(shares, 0.0, 1.0), np.tile(_EVEN, (rows.size, 1))], axis=1))
+        middle = low[:, None] + (high - low)[:, None] * shares
+        moduli = wide.modulus(middle, b)
+        steady = is_stable(moduli[:, 1:-1])
         # the part that ends with the first that is not; the upper end never is
-        part = np.where(steady.all(axis=-1), 15, np.argmin(steady, axis=-1))
+        part = np.where(steady.all(axis=-1), steady.shape[-1], np.argmin(steady, axis=-1))
         low, high = middle[rows, part], middle[rows, part + 1]
+        moduli = np.stack([moduli[rows, part], moduli[rows, part + 1]], axis=-1)
     return np.where(found, low, rough).reshape(shape)
 
 
 def first_end(edges: Array, good: Mask) -> tuple[Array, Array]:
     """Return where the stable range from 0 up ends, (N,), and the index of the first part that is not stable."""
+    good = good | (edges[:, 1:] <= edges[:, :-1])
     first = np.where(good.all(axis=-1), good.shape[-1], np.argmin(good, axis=-1))
     return edges[np.arange(len(edges)), first], first
 
@@ -185,21 +197,18 @@ def _stiffest(loop: SampledLoop) -> tuple[float, float]:
     """
     unit = float(scales(loop)[1])
 
-    parts = characteristic(loop, 1.0)
-
-    def reach(damping: Array) -> Array:
-        return first_end(*spans(loop, damping, 1.0, parts))[0]
-
-    places = [damping for damping in turning_points(parts) if _LOWEST < damping < _HIGHEST]
-    dampings = np.concatenate([place * (1.0 + _APART * np.array([-1.0, 0.0, 1.0])) for place in places] + [_GRID])
-    dampings = unit * np.unique(np.clip(dampings, _LOWEST, _HIGHEST))
-    stiffness = reach(dampings)
+    curve = SampledCurve(characteristic(loop, 1.0))
+    places = np.array([damping for damping in curve.extremes if _LOWEST < damping < _HIGHEST])
+    sides = np.outer(1.0 + _APART * np.array([-1.0, 0.0, 1.0]), places).ravel()
+    dampings, low, high = _GRID, _LOWEST, _HIGHEST
     while True:
+        # a fold or a corner has its own, or is never met
+        dampings = np.unique([*dampings, *sides[(low <= sides) & (sides <= high)]])
+        stiffness = np.minimum(curve.reach(dampings), _HIGHEST)
         level = np.flatnonzero(stiffness >= stiffness.max() * (1.0 - 1e-14))
-        best = int(level[len(level) // 2])
-        low, high = dampings[max(best - 1, 0)], dampings[min(best + 1, len(dampings) - 1)]
-        if high - low <= 3.0 * _APART * high:
-            damping = dampings[best]
-            return float(boundary_of(loop, np.asarray(damping))), float(damping)
-        dampings = low + (high - low) * np.linspace(0.0, 1.0, 15)
-        stiffness = reach(dampings)
+        best = dampings[level[len(level) // 2]]
+        low = dampings[dampings < best * (1.0 - 10.0 * _APART)].max(initial=low)
+        high = dampings[dampings > best * (1.0 + 10.0 * _APART)].min(initial=high)
+        if high - low <= 60.0 * _APART * high:
+            return float(boundary_of(loop, np.asarray(best * unit))), float(best * unit)
+        dampings = np.linspace(low, high, 33)

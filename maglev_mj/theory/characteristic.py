@@ -9,19 +9,22 @@ boundary of a margin in the same way.
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.polynomial import chebyshev
 
 from maglev_mj.errors import ParameterError
-from maglev_mj.frames import Array
+from maglev_mj.frames import Array, Mask
 from maglev_mj.theory.closed_loop import SampledLoop
 
-__all__ = ["Characteristic", "characteristic", "crossings", "scales", "turning_points"]
+__all__ = ["Characteristic", "SampledCurve", "characteristic", "crossings", "scales"]
 
-_LEAST = 1e-11
+_LEAST, _MOST = 1e-11, 1e3
 _TRIM = 1e-10
+_SLOWEST, _SLOW, _EACH = 1e-4, 0.25, 20
+"""Least angle sampled [rad], that up to which they are spread by ratio, and samples a power of z beyond it."""
 _PAIRS = np.array([[0.0, 1.0, 0.0, 2.0], [0.0, 0.0, 1.0, 2.0]])
 _Series: TypeAlias = Array
 
@@ -70,15 +73,78 @@ def crossings(parts: Characteristic, damping: Array) -> Array:
     """
     damped = parts.free + damping[:, None] * parts.damped
     angles = _roots(_turned(damped, np.broadcast_to(parts.stiff, damped.shape)))
+    return np.sort(_stiffness(damped, parts.stiff, angles), axis=-1)
+
+
+def _stiffness(damped: Array, stiff: Array, angles: Array) -> Array:
+    """Return the stiffness at angles of a curve, (..., A), infinity where it is not above 0."""
     powers = np.exp(1j * angles[..., None] * np.arange(damped.shape[-1]))
-    held, sprung = (np.matmul(powers, part[..., None])[..., 0] for part in (damped, parts.stiff))
+    held, sprung = (np.matmul(powers, part[..., None])[..., 0] for part in (damped, stiff))
     with np.errstate(divide="ignore", invalid="ignore"):
         stiffness = -(held * sprung.conj()).real / np.abs(sprung) ** 2
-    return np.sort(np.where(stiffness > _LEAST, stiffness, np.inf), axis=-1)
+    return np.where(stiffness > _LEAST, stiffness, np.inf)
 
 
-def turning_points(parts: Characteristic) -> Array:
-    """Return the dampings of the curve's extremes, folds and crossings with the line of z = -1, in units of m/T."""
+class SampledCurve:
+    """The gains with a root on the circle, sampled closely, for many dampings at once.
+
+    Args:
+        parts: Of one loop, (n + 1,) each.
+
+    Attributes:
+        extremes: Dampings of the curve's extremes, folds and crossings with the line of z = -1, in units of m/T.
+    """
+
+    def __init__(self, parts: Characteristic) -> None:
+        self._parts, turning = parts, _turning_angles(parts)
+        usual = _samples(parts.free.size)
+        angles, sines, powers = (np.concatenate(both) for both in zip(usual, _tables(turning, parts.free.size)))
+        order = np.argsort(angles)
+        self._angles = angles[order]
+        self._series = np.array([_turned(part, parts.stiff) for part in (parts.free, parts.damped)])
+        self._sides = sines[order] @ self._series.T
+        values = powers[order] @ np.array(parts).T
+        self._real, self._imag = values.real.copy(), values.imag.copy()
+        held, damped = (sines[usual[0].size :] @ self._series.T).T
+        with np.errstate(divide="ignore", invalid="ignore"):
+            self.extremes = -held / damped
+
+    def reach(self, damping: Array) -> Array:
+        """Return the stiffness up to which every wall is stable at each damping, both without units, (N,)."""
+        sides = self._sides[:, 0] + damping[:, None] * self._sides[:, 1]
+        rows, place = np.nonzero((sides[:, 1:] > 0.0) != (sides[:, :-1] > 0.0))
+        low, high = self._angles[place], self._angles[place + 1]
+        left, right = sides[rows, place], sides[rows, place + 1]
+        angles = low + (high - low) * left / (left - right)
+        series = self._series[0] + damping[rows, None] * self._series[1]
+        order = np.arange(1, series.shape[-1] + 1)
+        for _ in range(2):
+            turns = angles[:, None] * order
+            with np.errstate(divide="ignore", invalid="ignore"):
+                step = (np.sin(turns) * series).sum(axis=-1) / (np.cos(turns) * (order * series)).sum(axis=-1)
+            angles = np.clip(angles - step, low, high)
+        damped = self._parts.free + damping[:, None] * self._parts.damped
+        stiff = np.broadcast_to(self._parts.stiff, damped.shape)
+        ends = np.broadcast_to([0.0, np.pi], (damping.size, 2))
+        result = _stiffness(damped, stiff, ends).min(axis=-1)
+        np.minimum.at(result, rows, _stiffness(damped[rows], stiff[rows], angles[:, None])[:, 0])
+        return np.where(self._stable(0.5 * np.minimum(result, _MOST), damping), result, 0.0)
+
+    def _stable(self, stiffness: Array, damping: Array) -> Mask:
+        """Return whether all roots are inside the circle: the polynomial then makes n half turns on half of it."""
+        gains = np.stack([np.ones_like(damping), stiffness, damping])
+        real, imag = ((part @ gains).T for part in (self._real, self._imag))
+        above, first, last = imag[:, 1:-1] > 0.0, real[:, 0] < 0.0, real[:, -1] < 0.0
+        rows, place = np.nonzero(above[:, 1:] != above[:, :-1])
+        here, there = (real[rows, place + ahead] + 1j * imag[rows, place + ahead] for ahead in (1, 2))
+        turns = np.bincount(rows, np.sign((here.conj() * there).imag), minlength=damping.size)
+        turns += np.where(above[:, 0], 0.0, np.where(first, 1.0, -1.0))
+        turns += (turns % 2.0 != last) - 1.0 * first
+        return np.asarray(turns == self._parts.free.size - 1)
+
+
+def _turning_angles(parts: Characteristic) -> Array:
+    """Return the angles of the curve's extremes, folds and crossings with the line of z = -1."""
     # k = a / c and b = d / c along the curve, series of T_m(cos theta)
     a, d, c = (
         _chebyshev(sign * _turned(*pair))
@@ -99,9 +165,7 @@ def turning_points(parts: Characteristic) -> Array:
     roots = np.concatenate(
         [chebyshev.chebroots(chebyshev.chebtrim(series, _TRIM * np.abs(series).max())) for series in (*rising, meets)]
     )
-    x = roots[(roots.imag == 0.0) & (np.abs(roots) <= 1.0)].real
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(chebyshev.chebval(x, d) / chebyshev.chebval(x, c))
+    return np.asarray(np.arccos(roots[(roots.imag == 0.0) & (np.abs(roots) <= 1.0)].real))
 
 
 def _chebyshev(series: _Series) -> Array:
@@ -150,3 +214,16 @@ def _roots(series: _Series) -> Array:
             step = np.sin(turns) @ series[..., None] / (np.cos(turns) @ (order * series)[..., None])
         inner -= np.where(np.abs(step[..., 0]) < 0.1, step[..., 0], 0.0)
     return result
+
+
+@lru_cache(maxsize=32)
+def _samples(size: int) -> tuple[Array, Array, Array]:
+    """Return `_tables` of angles from 0 to pi."""
+    fast = np.linspace(_SLOW, np.pi, _EACH * size)
+    return _tables(np.concatenate([[0.0], np.geomspace(_SLOWEST, _SLOW, 8 * _EACH, endpoint=False), fast]), size)
+
+
+def _tables(angles: Array, size: int) -> tuple[Array, Array, Array]:
+    """Return angles (A,), sines of their multiples (A, size - 1), and powers of z there (A, size)."""
+    powers = np.exp(1j * angles[:, None] * np.arange(size))
+    return angles, powers.imag[:, 1:], powers

@@ -23,6 +23,7 @@ from maglev_mj.spec import Spec
 from maglev_mj.timeline import split_delay
 
 __all__ = [
+    "ROUNDING",
     "Design",
     "LoopKeywords",
     "SampledLoop",
@@ -242,12 +243,12 @@ class SampledLoop:
 
 
 _HALVINGS = 45
-_ROUNDING = 1e-12
+ROUNDING = 1e-12
 
 
 def is_stable(modulus: ArrayLike, limit: float = 1.0) -> Mask:
     """Return whether a largest modulus is below a limit, by more than rounding."""
-    return np.asarray(modulus) < limit * (1.0 - _ROUNDING)
+    return np.asarray(modulus) < limit * (1.0 - ROUNDING)
 
 
 def largest_modulus(stiffness: ArrayLike, damping: ArrayLike, **loop: Unpack[LoopKeywords]) -> Array:
