@@ -25,7 +25,7 @@ __all__ = ["LEAST", "SceneStack", "figures_together"]
 LEAST = 8
 """Fewest runs that are worth a batch."""
 
-_MOST, _AT_ONCE = 256, 64
+_MOST, _AT_ONCE = 512, 64
 _ROOM = 256e6
 _PER_KNOT = 18 * 8.0
 _FAR = (1e15, 1e15)
