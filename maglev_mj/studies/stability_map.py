@@ -17,7 +17,7 @@ from maglev_mj.hand import hand_called
 from maglev_mj.parameters import Parameters, interval, param
 from maglev_mj.spec import Spec
 from maglev_mj.studies.cells import Cell, Record, run_cells
-from maglev_mj.studies.growth import HAND_HELP, RestingWall, measure_growth
+from maglev_mj.studies.growth import HAND_HELP, RestingWall, grow_together
 from maglev_mj.theory.closed_loop import MOST_PERIODS, LoopKeywords
 from maglev_mj.workers import Workers
 
@@ -187,20 +187,14 @@ def _cells(p: StabilityParameters, stiffness: Array, damping: Array, modulus: Ar
 def simulate_walls(cells: list[Cell]) -> list[dict[str, Any]]:
     """Simulate cells and return for each whether it is stable, its growth a sample, and the samples it took.
 
-    Each cell has plant, period, delay, mass, hand, stiffness and damping; those that share the first five run
-    as one batch.
+    Each cell has plant, period, delay, mass, hand, stiffness and damping; they share the plant.
     """
-    results: list[dict[str, Any]] = [{}] * len(cells)
-    groups: dict[tuple[Any, ...], list[int]] = {}
-    for place, cell in enumerate(cells):
-        groups.setdefault(tuple(cell[name] for name in _AROUND), []).append(place)
-    for (plant, *around), places in groups.items():
-        named = dict(zip(_AROUND[1:], around, strict=True))
-        gains = ({gain: cells[place][gain] for gain in ("stiffness", "damping")} for place in places)
-        growth = measure_growth([RestingWall(**named, **each) for each in gains], plant)
-        for place, stable, rate, ticks in zip(places, *growth, strict=True):
-            results[place] = {"stable": bool(stable), "rate": float(rate), "ticks": int(ticks)}
-    return results
+    names = (*_AROUND[1:], "stiffness", "damping")
+    growth = grow_together([RestingWall(**{name: cell[name] for name in names}) for cell in cells], cells[0]["plant"])
+    return [
+        {"stable": stable, "rate": rate, "ticks": int(ticks)}
+        for stable, rate, ticks in zip(*(part.tolist() for part in growth), strict=True)
+    ]
 
 
 def _stable(result: Any) -> bool:

@@ -31,7 +31,8 @@ __all__ = ["MOST_CELLS", "Sweep", "run_scene_cells", "sweep", "swept_cells", "va
 MOST_CELLS = 1_000_000
 """Most cells of a sweep."""
 
-_JOBS, _MOST_TOGETHER, _MOST_IN_BATCHES = 8, 50, 1024
+_JOBS, _MOST_TOGETHER = 8, 50
+_LEAST_IN_BATCHES, _MOST_IN_BATCHES = 64, 512
 
 _Run: TypeAlias = tuple[Scene, str, float]
 """A scene, the name of a plant, and a phase."""
@@ -116,12 +117,13 @@ def sweep(
 def _cells_a_job(missing: int, window: int, batches: bool) -> int:
     """Return how many cells make a job.
 
-    Enough jobs for every worker to get several, few enough that handing them out costs nothing; of cells that run as
-    batches, which cost hardly more for being larger, one a worker.
+    Enough jobs for every worker to get several, few enough that handing them out costs nothing. Batches are dear if
+    small: their jobs are not much smaller than what a worker gets in all, or 64.
     """
+    several = missing // (_JOBS * window)
     if batches:
-        return max(min(-(-2 * missing // max(window, 2)), _MOST_IN_BATCHES), 1)
-    return max(min(missing // (_JOBS * window), _MOST_TOGETHER), 1)
+        return max(min(several, _MOST_IN_BATCHES), min(-(-2 * missing // max(window, 2)), _LEAST_IN_BATCHES), 1)
+    return max(min(several, _MOST_TOGETHER), 1)
 
 
 def swept_cells(
