@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -23,6 +24,18 @@ MOST_PERIODS = 10_000
 
 _ROUNDING = 1e-9
 """Share of a period that is rounding, not time."""
+
+
+_BLOCK = 256
+
+
+@lru_cache(maxsize=64)
+def _draws(seed: int, block: int) -> tuple[float, ...]:
+    """Return draws between -1 and 1 for a block of ticks.
+
+    They come from seed and tick alone, so that it does not matter who asks, nor in which order.
+    """
+    return tuple(np.random.default_rng((seed, block)).uniform(-1.0, 1.0, _BLOCK).tolist())
 
 
 def split_delay(delay: Component, period: Component) -> tuple[Component, Component]:
@@ -103,9 +116,7 @@ class Timing:
         """Return what remains of the delay [s] after whole periods, for the command that takes effect after `tick`."""
         if self.jitter == 0.0:
             return self.rest
-        # from tick and seed alone, so that it does not matter who asks, nor in which order
-        draw = np.random.default_rng((self.seed, tick)).uniform(-1.0, 1.0)
-        return self.rest + float(self.jitter * draw)
+        return self.rest + self.jitter * _draws(self.seed, tick // _BLOCK)[tick % _BLOCK]
 
     def time(self, tick: int, offset: Component = 0.0) -> Any:
         """Return the time [s] of an instant `offset` after sample `tick`; never a running sum."""
@@ -138,8 +149,9 @@ class Timeline:
         self._period, self._rest, self._whole = timing.period, timing.rest, timing.whole
         self._negligible, self._jitters = timing.negligible, timing.jitter > 0.0
         self._each = np.ndim(timing.delay) > 0
-        # one switch within the period, always at the same place
-        self._plain = timing.whole == 0 and not self._jitters and (self._each or self._rest > self._negligible)
+        # one switch within the period, never at a sample
+        room = np.minimum(timing.rest, timing.period - timing.rest) - timing.jitter
+        self._plain = timing.whole == 0 and (self._each or float(room) > self._negligible)
         self._left = timing.period - timing.rest
 
     def answer(
@@ -182,6 +194,9 @@ class Timeline:
                 if self.compares and held[0] == before[0]:
                     return [(self._period, before)]
                 self.acting = held
+                if self._jitters:
+                    rest = self.timing.rest_at(tick)
+                    return [(rest, before), (self._period - rest, held)]
                 return [(self._rest, before), (self._left, held)]
             self.answer(tick, held, pulsed, width)
         segments: list[Segment] = []

@@ -17,22 +17,29 @@ __all__ = ["Trace", "TraceRecorder"]
 
 
 class TraceRecorder:
-    """Collects the state at each switch; `time(tick, offset)` turns integer ticks into seconds at the end."""
+    """Collects the state at each switch, and makes arrays of it at the end.
 
-    def __init__(self, time: Callable[[int, Component], Any]) -> None:
-        self._time = time
-        self._rows: list[tuple[int, Component, Array, Array, Array]] = []
+    Args:
+        time: Turns a tick and an offset [s] from it into seconds.
+        arrays: Turns a state, in whatever form it is kept, into pose, twist and wrench, (..., 6) each.
+    """
 
-    def add(self, tick: int, offset: Component, pose: Array, twist: Array, wrench: Array) -> None:
-        """Keep the state at `offset` [s] after sample `tick` and the wrench that acts from there on."""
-        self._rows.append((tick, offset, pose, twist, wrench))
+    def __init__(
+        self, time: Callable[[int, Component], Any], arrays: Callable[[Any], tuple[Array, Array, Array]]
+    ) -> None:
+        self._time, self._arrays = time, arrays
+        self._rows: list[tuple[int, Component, Any]] = []
 
-    def finish(self, tick: int, pose: Array, twist: Array, wrench: Array) -> Trace:
+    def add(self, tick: int, offset: Component, state: Any) -> None:
+        """Keep the state at `offset` [s] after sample `tick`, which nothing may change any more."""
+        self._rows.append((tick, offset, state))
+
+    def finish(self, tick: int, state: Any) -> Trace:
         """Return everything kept so far, closed by the state at sample `tick`."""
-        rows = [*self._rows, (tick, 0.0, pose, twist, wrench)]
-        batch = pose.shape[:-1]
-        times = [np.broadcast_to(self._time(row[0], row[1]), batch) for row in rows]
-        return Trace(np.stack(times), *(np.stack([row[part] for row in rows]) for part in (2, 3, 4)))
+        rows = [*self._rows, (tick, 0.0, state)]
+        pose, twist, wrench = (np.stack(part) for part in zip(*(self._arrays(row[2]) for row in rows)))
+        times = [np.broadcast_to(self._time(*row[:2]), pose.shape[1:-1]) for row in rows]
+        return Trace(np.stack(times), pose, twist, wrench)
 
 
 @dataclass(frozen=True, eq=False)

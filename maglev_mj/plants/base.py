@@ -113,7 +113,7 @@ class SampledPlant(ABC):
         distance, angle = (number("escape", value, above=0.0) for value in escape)
         self._escape = distance * distance, angle * angle
         self._longest_step = None if longest_step is None else number("longest_step", longest_step, above=0.0)
-        self._recorder = TraceRecorder(timing.time) if flag("record", record) else None
+        self._recorder = TraceRecorder(timing.time, self._arrays) if flag("record", record) else None
         self._total: Component | None = 0.0 if flag("metered", metered) else None
         self._run = self._carry if self._recorder is None and longest_step is None else self._run_in_pieces
         self._hand_force, self._effort = hand_force, _NO_EFFORT
@@ -149,8 +149,12 @@ class SampledPlant(ABC):
         """Let a hand's muscles exert a wrench from now on."""
 
     @abstractmethod
-    def _state(self, drive: Any) -> tuple[Array, Array, Array]:
-        """Return pose, twist and the wrench on the flotor at this instant, (..., 6) each."""
+    def _kept(self, drive: Any) -> Any:
+        """Return the state at this instant and the drive, in a form that is cheap to make and never changes."""
+
+    @abstractmethod
+    def _arrays(self, kept: Any) -> tuple[Array, Array, Array]:
+        """Return pose, twist and the wrench on the flotor of what `_kept` returned, (..., 6) each."""
 
     @abstractmethod
     def _where(self) -> Sequence[Component]:
@@ -232,11 +236,11 @@ class SampledPlant(ABC):
         """
         if self._recorder is None or self._tick < 0:
             raise PlantError("nothing is recorded: make the plant with record=True and read at least one sample")
-        return self._recorder.finish(self._tick, *self._state(self._timeline.now()))
+        return self._recorder.finish(self._tick, self._kept(self._timeline.now()))
 
     def state(self) -> tuple[Array, Array]:
         """Return the true pose and twist at the last sample, whatever the sensor made of them, (..., 6) each."""
-        return self._state(self._timeline.acting)[:2]
+        return self._arrays(self._kept(self._timeline.acting))[:2]
 
     @property
     def begun(self) -> bool:
@@ -297,10 +301,10 @@ class SampledPlant(ABC):
             pieces = max(math.ceil(whole / self._longest_step - 1e-9), 1)
         if self._recorder is None:
             return self._carry(duration, drive, pieces)
-        for piece in range(pieces):
-            offset = self._offset + duration * (piece / pieces)
-            self._recorder.add(max(self._tick, 0), offset, *self._state(drive))
-            self._carry(duration / pieces, drive)
+        tick, piece = max(self._tick, 0), duration if pieces == 1 else duration / pieces
+        for done in range(pieces):
+            self._recorder.add(tick, self._offset + duration * (done / pieces), self._kept(drive))
+            self._carry(piece, drive)
         self._offset = self._offset + duration
 
     def six(self, name: str, value: ArrayLike, *, at_least: float = 0.0, finite: bool = False) -> Array:
@@ -317,12 +321,14 @@ class SampledPlant(ABC):
 
     def _limited(self, command: Command) -> Command:
         """Clip the held wrench, and the wrench in the pulse, each on its own."""
-        if self._limit is None:
+        limit = self._limit
+        if limit is None:
             return command
-        force = [clipped(one, most) for one, most in zip(command.force, self._limit)]
         if command.extra is None:
-            return Command(force)
-        total = (clipped(one + other, most) for one, other, most in zip(command.force, command.extra, self._limit))
+            within = not self.batch and _within(command.force, limit)  # as nearly always
+            return command if within else Command(list(map(clipped, command.force, limit)))
+        force = list(map(clipped, command.force, limit))
+        total = (clipped(one + other, most) for one, other, most in zip(command.force, command.extra, limit))
         return Command(force, [one - other for one, other in zip(total, force)], command.pulse_width)
 
     def _sound(self, total: Any) -> bool:
@@ -340,6 +346,14 @@ class SampledPlant(ABC):
         elif np.all((distance < largest_distance) & (angle < largest_angle)):
             return angle
         raise _escaped(distance, angle, self._escape, self.timing.time(self._tick), self.batch)
+
+
+def _within(force: Sequence[float], limit: Sequence[float]) -> bool:
+    """Return whether a wrench of one device is within its limits [N, N m], six each."""
+    fx, fy, fz, tx, ty, tz = force
+    x, y, z, rx, ry, rz = limit
+    linear = -x <= fx <= x and -y <= fy <= y and -z <= fz <= z
+    return linear and -rx <= tx <= rx and -ry <= ty <= ry and -rz <= tz <= rz
 
 
 def _refusal(force: Sequence[Component], tick: int, batch: tuple[int, ...], what: str = "a command") -> PlantError:

@@ -34,6 +34,9 @@ __all__ = ["MuJoCoBatchPlant"]
 Drive: TypeAlias = tuple[Array, Array]
 """Wrenches (N, 6) and the controls that give them, (N, 6)."""
 
+_Kept: TypeAlias = tuple[Sequence[Component], Array, Array, Array, Array | None, Array | None]
+"""x y z and a quaternion, that in the engine (N, 4), velocities (N, 6), wrenches (N, 6), currents (N, 6), their map."""
+
 
 class MuJoCoBatchPlant(SampledPlant):
     """N devices, each as in `MuJoCoPlant` with its coils: one engine call carries all of them on.
@@ -184,22 +187,36 @@ class MuJoCoBatchPlant(SampledPlant):
         return position
 
     def _components(self) -> list[Component]:
-        x, y, z, q0, q1, q2, q3 = self._corrected()
-        return [x, y, z, *rotation_vector(q0, q1, q2, q3, np.sqrt, np.arctan2)]
+        return _pose(self._corrected())
 
     def _rotations(self) -> Array:
         """Return each flotor's rotation matrix, (N, 9)."""
-        matrices = np.empty((len(self._qpos), 9))
-        for matrix, turn in zip(matrices, self._qpos[:, 3:], strict=True):
-            mujoco.mju_quat2Mat(matrix, turn)
-        return matrices
+        return _matrices(self._qpos[:, 3:])
 
-    def _state(self, drive: Drive) -> tuple[Array, Array, Array]:
-        pose = join(self._components())
-        spin = np.einsum("nab,nb->na", self._rotations().reshape(-1, 3, 3), self._qvel[:, 3:])
-        wrench = drive[0]
+    def _kept(self, drive: Drive) -> _Kept:
+        currents = None
         if self.device.model.na:  # the drivers lag: their currents, not the commanded ones
-            currents = self._engine.bind("act")
-            maps = np.broadcast_to(np.asarray(self._inverse_map), (*self.batch, 6, 6))
+            currents = self._engine.bind("act").copy()
+        return self._corrected(), self._qpos[:, 3:].copy(), self._qvel.copy(), drive[0], currents, self._inverse_map
+
+    def _arrays(self, kept: _Kept) -> tuple[Array, Array, Array]:
+        place, turns, velocity, wrench, currents, inverse_map = kept
+        spin = np.einsum("nab,nb->na", _matrices(turns).reshape(-1, 3, 3), velocity[:, 3:])
+        if currents is not None:
+            maps = np.broadcast_to(np.asarray(inverse_map), (*self.batch, 6, 6))
             wrench = np.linalg.solve(maps, currents[..., None])[..., 0]
-        return pose, np.column_stack([self._qvel[:, :3], spin]), wrench
+        return join(_pose(place)), np.column_stack([velocity[:, :3], spin]), wrench
+
+
+def _pose(place: Sequence[Component]) -> list[Component]:
+    """Return the components of poses from x y z and a quaternion, (N,) each."""
+    x, y, z, q0, q1, q2, q3 = place
+    return [x, y, z, *rotation_vector(q0, q1, q2, q3, np.sqrt, np.arctan2)]
+
+
+def _matrices(turns: Array) -> Array:
+    """Return rotation matrices, (N, 9), of quaternions, (N, 4)."""
+    matrices = np.empty((len(turns), 9))
+    for matrix, turn in zip(matrices, turns, strict=True):
+        mujoco.mju_quat2Mat(matrix, turn)
+    return matrices

@@ -57,6 +57,9 @@ class CoilDrive:
         known, currents = self._known
         if force is known:  # worked out for the limit
             return currents
+        return self._mapped(force)
+
+    def _mapped(self, force: Sequence[float]) -> list[float]:
         self._fill(*force)
         listed: list[float] = self.inverse_map.dot(self._wrench, out=self._currents).tolist()
         return listed
@@ -68,10 +71,13 @@ class CoilDrive:
             total = self._clipped([one + other for one, other in zip(command.force, command.extra)])
         force = self._clipped(command.force)
         if total is None:
-            return Command(force)
+            return command if force is command.force else Command(force)
         return Command(force, [one - other for one, other in zip(total, force)], command.pulse_width)
 
     def _clipped(self, force: Sequence[float]) -> Sequence[float]:
-        assert self._limit is not None
-        self._known = limited_wrench(self.inverse_map, force, self._limit)
+        limit = self._limit
+        assert limit is not None
+        currents = self._mapped(force)
+        within = max(currents) <= limit and min(currents) >= -limit  # as nearly always
+        self._known = (force, currents) if within else limited_wrench(self.inverse_map, force, limit)
         return self._known[0]

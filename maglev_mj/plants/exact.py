@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
-from typing import Any, Protocol, TypeAlias, Unpack
+from collections.abc import Iterator, Sequence
+from typing import Any, TypeAlias, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Component, components, join
-from maglev_mj.hand import Hand, motion, transition
+from maglev_mj.hand import Hand
 from maglev_mj.model import Model, load
 from maglev_mj.parameters import flag, number, numbers
+from maglev_mj.plants.axes import Amendment, DryFriction, HeldAxis, Lag
 from maglev_mj.plants.base import PlantKeywords, SampledPlant
 from maglev_mj.spec import DRIVER_TIME_CONSTANT, GRAVITY, INERTIA
 from maglev_mj.timeline import Timing
@@ -23,6 +23,9 @@ __all__ = ["ExactPlant"]
 
 Drive: TypeAlias = tuple[Sequence[Component], Sequence[Component]]
 """Acceleration of each axis, gravity included [m/s², rad/s²], and the force behind it [N, N m]."""
+
+_Kept: TypeAlias = tuple[Sequence[Component], Sequence[Component], Sequence[Component]]
+"""Position, velocity, and the force of the actuators, six components each."""
 
 
 class ExactPlant(SampledPlant):
@@ -92,59 +95,50 @@ class ExactPlant(SampledPlant):
         if keywords.get("record") and self._lag:
             # only the recorded curve needs the pieces: the state itself is exact over any stretch
             keywords["longest_step"] = 0.25 * self._lag
+        special = driver_lag or hand is not None or dry_friction is not None
+        self._uses_force = special or bool(keywords.get("record"))
         super().__init__(timing, batch=start.shape[:-1], **keywords)
-        self._axes: list[_AxisMotion] | None = None
         self._pull: tuple[Component, ...] | None = None
-        if driver_lag or hand is not None or dry_friction is not None:
-            self._axes = self._special_axes(body, hand, dry_friction)
+        self._actual = list(self._timeline.acting[1])
+        self._amendments = tuple(self._amended(body, hand, dry_friction)) if special else ()
 
-    def _special_axes(self, body: list[float], hand: Hand | None, dry_friction: ArrayLike | None) -> list[_AxisMotion]:
-        """Return how each axis moves where that is not as a free mass."""
+    def _amended(self, body: list[Component], hand: Hand | None, dry_friction: ArrayLike | None) -> Iterator[Amendment]:
+        """Yield what sets the axes apart from free masses."""
         rub = None if dry_friction is None else self.six("dry_friction", dry_friction, finite=True)
         held = hand.indices if hand is not None else ()
         if hand is not None and hand.shape not in ((), self.batch):
             raise ParameterError(f"hand must be one, or one for each device of {self.batch}, not {hand.shape}")
         if rub is not None and self._lag:
             raise ParameterError("dry_friction must be without driver_lag: the two have no closed form together")
-        frictions = [0.0] * 6 if rub is None else components(np.broadcast_to(rub, (*rub.shape[:-1], 6)))
-        axes: list[_AxisMotion] = []
-        start = zip(self._place, self._velocity, self._timeline.acting[1], body, frictions, strict=True)
-        for index, (place, velocity, force, inertia, friction) in enumerate(start):
-            if index in held and np.any(np.asarray(friction) > 0.0):
+        if self._lag:
+            yield Lag(body, self._lag)
+        if rub is not None:
+            rubbing = {index: one for index, one in enumerate(components(rub)) if np.any(np.asarray(one) > 0.0)}
+            if not rubbing.keys().isdisjoint(held):
                 raise ParameterError("dry_friction must be 0 on an axis that a hand holds")
-            if hand is not None and index in held:
-                axes.append(_HeldAxis(place, velocity, force, inertia, hand, self._lag))
-            elif self._lag:
-                axes.append(_LaggedAxis(place, velocity, force, inertia, self._lag))
-            elif np.any(np.asarray(friction) > 0.0):
-                axes.append(_RubbingAxis(place, velocity, force, inertia, friction))
-            else:
-                axes.append(_FreeAxis(place, velocity, force, inertia))
-        return axes
+            yield DryFriction(rubbing, body, self._weight, single=not self.batch)
+        for index in held:
+            assert hand is not None
+            place, velocity = self._place[index], self._velocity[index]
+            yield HeldAxis(index, place, velocity, body[index], self._weight[index], hand, self._lag)
 
     def _prepare(self, force: Sequence[Component]) -> Drive:
         fx, fy, fz, tx, ty, tz = force
         one, by_x, by_y, by_z, fall = self._body
+        if self._uses_force:  # later, when the caller may have used its list or arrays again
+            force = [np.array(part) for part in force] if self.batch else tuple(force)
         return (fx * one, fy * one, fz * one + fall, tx * by_x, ty * by_y, tz * by_z), force
 
     def _advance(self, duration: Component, drive: Drive, pieces: int = 1) -> None:
-        if self._axes is not None:
-            position, velocity = self._place.copy(), self._velocity
-            self._place = position
-            for index, (moving, command, weight, effort) in enumerate(
-                zip(self._axes, drive[1], self._weight, self._effort)
-            ):
-                moving.advance(duration, command, weight, effort)
-                position[index], velocity[index] = moving.place, moving.velocity
-            return
+        place, velocity = self._place, self._velocity
         half = 0.5 * duration
         # written out, as in `FiniteDifference`: this runs two or three times a tick
         ax, ay, az, arx, ary, arz = drive[0]
         if (pull := self._pull) is not None:
             ax, ay, az = ax + pull[0], ay + pull[1], az + pull[2]
             arx, ary, arz = arx + pull[3], ary + pull[4], arz + pull[5]
-        x, y, z, rx, ry, rz = self._place
-        u, v, w, p, q, r = self._velocity
+        x, y, z, rx, ry, rz = place
+        u, v, w, p, q, r = velocity
         self._place = [
             x + duration * (u + half * ax),
             y + duration * (v + half * ay),
@@ -161,6 +155,12 @@ class ExactPlant(SampledPlant):
             q + duration * ary,
             r + duration * arz,
         ]
+        if self._amendments:
+            force = drive[1]
+            before, after = (place, velocity, self._actual), (self._place, self._velocity, list(force))
+            for amendment in self._amendments:
+                amendment.amend(duration, force, self._effort, before, after)
+            self._actual = after[2]
 
     def _where(self) -> Sequence[Component]:
         return self._place
@@ -177,12 +177,12 @@ class ExactPlant(SampledPlant):
         self._check_escape(self._place)
         return self._place.copy()
 
-    def _state(self, drive: Drive) -> tuple[Array, Array, Array]:
-        force = drive[1]
-        if self._axes is not None and self._lag:
-            force = [axis.actual for axis in self._axes]
+    def _kept(self, drive: Drive) -> _Kept:
+        return self._place, self._velocity, self._actual if self._lag else drive[1]
+
+    def _arrays(self, kept: _Kept) -> tuple[Array, Array, Array]:
         shape = (*self.batch, 6)
-        pose, twist, wrench = (np.broadcast_to(join(part), shape) for part in (self._place, self._velocity, force))
+        pose, twist, wrench = (np.broadcast_to(join(part), shape) for part in kept)
         return pose, twist, wrench
 
 
@@ -217,139 +217,3 @@ def _shared(parts: list[Component]) -> list[Component]:
     if np.ndim(parts[0]) and not any(np.ndim(part) for part in shared):
         shared[2] = parts[2]
     return shared
-
-
-class _AxisMotion(Protocol):
-    """One coordinate of one device or of N."""
-
-    @property
-    def place(self) -> Component:
-        """Position [m, rad]."""
-
-    @property
-    def velocity(self) -> Component:
-        """Velocity [m/s, rad/s]."""
-
-    @property
-    def actual(self) -> Component:
-        """Force of the actuators now [N, N m]; it trails the command where the drivers lag."""
-
-    def advance(self, duration: Component, command: Component, weight: Component, effort: Component) -> None:
-        """Go on for `duration` [s] under a commanded force, a weight, and what a hand's muscles exert [N, N m]."""
-
-
-class _FreeAxis:
-    """A mass, and nothing else."""
-
-    def __init__(self, place: Component, velocity: Component, actual: Component, inertia: float) -> None:
-        self.place, self.velocity, self.actual = place, velocity, actual
-        self._inverse = 1.0 / inertia
-
-    def advance(self, duration: Component, command: Component, weight: Component, effort: Component) -> None:
-        """See `_AxisMotion`."""
-        acceleration = (command + weight + effort) * self._inverse
-        self.place = self.place + duration * (self.velocity + 0.5 * duration * acceleration)
-        self.velocity = self.velocity + duration * acceleration
-        self.actual = command
-
-
-class _LaggedAxis:
-    """A mass behind first-order drivers: actual force = command + (actual - command) exp(-t / lag)."""
-
-    def __init__(self, place: Component, velocity: Component, actual: Component, inertia: float, lag: float) -> None:
-        self.place, self.velocity, self.actual = place, velocity, actual
-        self._inverse, self._lag = 1.0 / inertia, lag
-
-    def advance(self, duration: Component, command: Component, weight: Component, effort: Component) -> None:
-        """See `_AxisMotion`; the exponential is integrated twice."""
-        lag, faded = self._lag, -np.expm1(-duration / self._lag)
-        acceleration, missing = (command + weight + effort) * self._inverse, (self.actual - command) * self._inverse
-        gained = missing * lag * faded
-        travel = self.velocity + 0.5 * duration * acceleration + missing * lag
-        self.place = self.place + duration * travel - lag * gained
-        self.velocity = self.velocity + duration * acceleration + gained
-        self.actual = command + (self.actual - command) * (1.0 - faded)
-
-
-class _HeldAxis:
-    """A mass in a hand, its drivers with or without lag: the transition matrix of `motion`."""
-
-    def __init__(
-        self, place: Component, velocity: Component, actual: Component, inertia: float, hand: Hand, lag: float
-    ) -> None:
-        self._state: list[Component] = [place, velocity, *([hand.place(place), velocity] if hand.soft else [])]
-        self._lags = lag > 0.0
-        if self._lags:
-            self._state.append(actual)
-        self.actual = actual
-        self._a, self._b = motion(inertia, hand, lag)
-        self._known: dict[float | bytes, tuple[list[list[Component]], list[list[Component]]]] = {}
-
-    @property
-    def place(self) -> Component:
-        """Position of the flotor [m]."""
-        return self._state[0]
-
-    @property
-    def velocity(self) -> Component:
-        """Velocity of the flotor [m/s]."""
-        return self._state[1]
-
-    def advance(self, duration: Component, command: Component, weight: Component, effort: Component) -> None:
-        """See `_AxisMotion`."""
-        phi, gamma = self._transition(duration)
-        self._state = [
-            sum((one * part for one, part in zip(row, self._state)), by[0] * command + by[1] * weight + by[2] * effort)
-            for row, by in zip(phi, gamma)
-        ]
-        self.actual = self._state[-1] if self._lags else command
-
-    def _transition(self, duration: Component) -> tuple[list[list[Component]], list[list[Component]]]:
-        """Return the matrices as rows of components, kept because the durations return every period."""
-        key = duration if isinstance(duration, float) else np.asarray(duration).tobytes()
-        known = self._known.get(key)
-        if known is None:
-            if len(self._known) > 64:
-                self._known.clear()
-            phi, gamma = _rows(*transition(self._a, self._b, duration))
-            known = self._known[key] = phi, gamma
-        return known
-
-
-def _rows(*matrices: Array) -> Any:
-    """Return matrices (..., n, m) as rows of components: floats, or arrays (...,)."""
-    result = []
-    for matrix in matrices:
-        if matrix.ndim == 2:
-            result.append(matrix.tolist())
-        else:
-            result.append([[entry.copy() for entry in row] for row in np.moveaxis(matrix, (-2, -1), (0, 1))])
-    return tuple(result)
-
-
-class _RubbingAxis:
-    """A mass with dry friction of its own: it stops, stays, or turns back within the stretch."""
-
-    def __init__(
-        self, place: Component, velocity: Component, actual: Component, inertia: float, friction: Component
-    ) -> None:
-        self.place, self.velocity, self.actual = place, velocity, actual
-        self._inverse, self._friction = 1.0 / inertia, friction
-
-    def advance(self, duration: Component, command: Component, weight: Component, effort: Component) -> None:
-        """See `_AxisMotion`."""
-        force, speed, rub = np.asarray(command + weight + effort), np.asarray(self.velocity), self._friction
-        breaks = np.where(np.abs(force) > rub, np.sign(force), 0.0)
-        sense = np.where(speed != 0.0, np.sign(speed), breaks)
-        first = np.where(sense != 0.0, force - sense * rub, 0.0) * self._inverse
-        stops = first * speed < 0.0
-        until = np.where(stops, np.minimum(-speed / np.where(stops, first, 1.0), duration), duration)
-        place = self.place + until * (speed + 0.5 * until * first)
-        stopped = stops & (until < duration)
-        second = np.where(breaks != 0.0, force - breaks * rub, 0.0) * self._inverse
-        left = duration - until
-        speed = np.where(stopped, left * second, speed + until * first)
-        place = np.where(stopped, place + 0.5 * left * left * second, place)
-        single = not place.ndim and not math.isnan(place)
-        self.place, self.velocity = (float(place), float(speed)) if single else (place, speed)
-        self.actual = command

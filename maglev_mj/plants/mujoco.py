@@ -40,6 +40,8 @@ __all__ = ["MuJoCoPlant"]
 Drive: TypeAlias = tuple[Sequence[float | None], Sequence[float], Any]
 """The wrench commanded (or None and six currents), the engine's controls, and the map from one to the other or None."""
 
+_Kept: TypeAlias = tuple[Sequence[float], Sequence[float], Drive]
+"""Where the flotor is, as x y z and a quaternion, its velocity in the engine's form, and the drive as it acts."""
 
 _ENGINE_BOUND = 1e10
 
@@ -361,28 +363,39 @@ class MuJoCoPlant(SampledPlant):
         return self._look()
 
     def _work(self, drive: Drive, before: Sequence[float], after: Sequence[float]) -> float:
-        force: Any = self._wrench(drive, before).tolist() if drive[0][0] is None else drive[0]
+        known = drive[0][0] is not None
+        force: Any = drive[0] if known else self._wrench(self._acting(drive), before).tolist()
         return float(turned_work(force, before, after))
 
-    def _wrench(self, drive: Drive, place: Sequence[float]) -> Array:
-        """Return the wrench on the flotor (6,) under a drive, at x y z and a quaternion."""
-        force, controls, inverse = drive
+    def _acting(self, drive: Drive) -> Drive:
+        """Return a drive as it acts now: with the currents in the coils, and no wrench where they give another."""
+        _, controls, inverse = drive
         falloff = self._steps.falloff
         if self._coils is None or (inverse is not None and not self._model.na and falloff is None):
-            return np.array(force, dtype=np.float64)
-        # not what was commanded
+            return drive
         currents = np.array(self._data.act if self._model.na else controls)
+        return (None,), (currents if falloff is None else currents * falloff.share()).tolist(), inverse
+
+    def _wrench(self, acting: Drive, place: Sequence[float]) -> Array:
+        """Return the wrench on the flotor (6,) under a drive as it acts, at x y z and a quaternion."""
+        force, currents, inverse = acting
+        if force[0] is not None:
+            return np.array(force, dtype=np.float64)
+        assert self._coils is not None
         if inverse is None:
             mujoco.mju_quat2Mat(self._rotation, np.array(place[3:]))
             inverse = self._coils.inverse_at(self._rotation)
-        share = 1.0 if falloff is None else falloff.share()
-        return np.asarray(np.linalg.solve(inverse, currents * share), dtype=np.float64)
+        return np.asarray(np.linalg.solve(inverse, currents), dtype=np.float64)
 
-    def _state(self, drive: Drive) -> tuple[Array, Array, Array]:
-        x, y, z, q0, q1, q2, q3 = place = self._look()
+    def _kept(self, drive: Drive) -> _Kept:
+        return self._look(), self._qvel.tolist(), self._acting(drive)
+
+    def _arrays(self, kept: _Kept) -> tuple[Array, Array, Array]:
+        place, velocity, acting = kept
+        x, y, z, q0, q1, q2, q3 = place
         mujoco.mju_quat2Mat(self._rotation, np.array([q0, q1, q2, q3]))
-        twist = np.concatenate([self._qvel[:3], self._rotation.reshape(3, 3) @ self._qvel[3:]])
-        return np.array([x, y, z, *rotation_vector(q0, q1, q2, q3)]), twist, self._wrench(drive, place)
+        twist = np.concatenate([velocity[:3], self._rotation.reshape(3, 3) @ velocity[3:]])
+        return np.array([x, y, z, *rotation_vector(q0, q1, q2, q3)]), twist, self._wrench(acting, place)
 
 
 def _of_currents(currents: Sequence[float]) -> Drive:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from operator import add
 from typing import Protocol, TypeAlias
 
 import numpy as np
@@ -57,17 +58,63 @@ class Sensor:
 
     def start(self) -> Measure:
         """Return what turns the components of the true pose into those measured, from the seed on."""
-        quantum, noise = np.asarray(self.quantum), np.asarray(self.noise)
-        generator = np.random.default_rng(self.seed) if noise.any() else None
-        step = np.where(quantum > 0.0, quantum, 1.0)
+        noise = np.asarray(self.noise)
+        quantize = _quantizer(np.asarray(self.quantum).tolist())
+        if not noise.any():
+            return quantize
+        draws: Iterator[list[Component]] | None = None
 
         def measure(position: Sequence[Component]) -> list[Component]:
-            pose: Array = join(position)
-            if generator is not None:
-                pose = pose + noise * generator.standard_normal(pose.shape)
-            return components(np.where(quantum > 0.0, np.rint(pose / step) * step, pose))
+            nonlocal draws
+            if draws is None:
+                draws = _draws(noise, self.seed, np.broadcast_shapes(*map(np.shape, position)))
+            return quantize(map(add, position, next(draws)))
 
         return measure
+
+
+_WHOLE = 1.5 * 2.0**52
+"""Next to this number floats are whole numbers: x + _WHOLE - _WHOLE is x to the nearest one, halves to the even one.
+
+That holds below 2**51, beyond which a float's own rounding is larger than what is added; NaN and infinity stay.
+"""
+
+
+def _quantizer(quantum: Sequence[float]) -> Callable[[Iterable[Component]], list[Component]]:
+    """Return what rounds six components to whole steps [m, rad], six; a step of 0 leaves its component.
+
+    It is np.rint to the last bit, but for the sign of a zero.
+    """
+    if not all(quantum):
+        return lambda position: [
+            (part / step + _WHOLE - _WHOLE) * step if step else part for part, step in zip(position, quantum)
+        ]
+    x_step, y_step, z_step, rx_step, ry_step, rz_step = quantum
+
+    def quantize(position: Iterable[Component]) -> list[Component]:
+        x, y, z, rx, ry, rz = position  # written out: this runs on every tick
+        return [
+            (x / x_step + _WHOLE - _WHOLE) * x_step,
+            (y / y_step + _WHOLE - _WHOLE) * y_step,
+            (z / z_step + _WHOLE - _WHOLE) * z_step,
+            (rx / rx_step + _WHOLE - _WHOLE) * rx_step,
+            (ry / ry_step + _WHOLE - _WHOLE) * ry_step,
+            (rz / rz_step + _WHOLE - _WHOLE) * rz_step,
+        ]
+
+    return quantize
+
+
+def _draws(noise: Array | float, seed: int, shape: tuple[int, ...] = ()) -> Iterator[list[Component]]:
+    """Yield six draws of noise at a time, (...,) each.
+
+    For one device many are drawn at once, the same as one by one.
+    """
+    generator = np.random.default_rng(seed)
+    while shape:
+        yield components(noise * generator.standard_normal((*shape, 6)))
+    while True:
+        yield from (noise * generator.standard_normal((256, 6))).tolist()
 
 
 class SpotReader:
@@ -85,9 +132,8 @@ class SpotReader:
 
     def __init__(self, beams: Beams, quantum: float = 0.0, noise: float = 0.0, seed: int = 0) -> None:
         self._beams = FastBeams(beams)
-        self._quantum = number("quantum", quantum, at_least=0.0)
-        self._noise = number("noise", noise, at_least=0.0)
-        self._draws = _normal_rows(np.random.default_rng(whole("seed", seed)))
+        self._quantize = _quantizer([number("quantum", quantum, at_least=0.0)] * 6)
+        self._draws = _draws(noise, whole("seed", seed)) if number("noise", noise, at_least=0.0) else None
 
     def __call__(self, pose: Sequence[float]) -> list[float]:
         """Return the six coordinates of the spots [m] that are measured of the true pose, six floats [m, rad].
@@ -96,22 +142,7 @@ class SpotReader:
             SensingError: If a beam runs along its diode, or the pose is not finite.
         """
         spots = self._beams.spots(pose)
-        noise, quantum = self._noise, self._quantum
-        if noise > 0.0:
-            spots = [spot + noise * draw for spot, draw in zip(spots, next(self._draws))]
-        if quantum > 0.0:
-            # next to this number floats are whole numbers: as np.rint, halves go to the even one, NaN stays NaN
-            spots = [(spot / quantum + _WHOLE - _WHOLE) * quantum for spot in spots]
-        return spots
-
-
-_WHOLE = 1.5 * 2.0**52
-
-
-def _normal_rows(generator: np.random.Generator) -> Iterator[list[float]]:
-    """Yield six draws at a time; the same as one by one, but drawn many at once."""
-    while True:
-        yield from generator.standard_normal((64, 6)).tolist()
+        return self._quantize(spots if self._draws is None else map(add, spots, next(self._draws)))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -1,0 +1,274 @@
+"""What the exact plant's axes have beside a mass under a constant force: drivers that lag, a hand, dry friction."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import reduce
+from operator import add, mul
+from typing import Any, Protocol, TypeAlias
+
+import numpy as np
+
+from maglev_mj.frames import Array, Component
+from maglev_mj.hand import Hand, motion, transition
+
+__all__ = ["Amendment", "DryFriction", "HeldAxis", "Lag", "Motion"]
+
+_MOST_KEPT = 64
+
+
+Motion: TypeAlias = tuple[list[Component], list[Component], list[Component]]
+"""Position [m, rad], velocity [m/s, rad/s] and force of the actuators [N, N m], which trails the command where the
+drivers lag; six components each."""
+
+
+class Amendment(Protocol):
+    """What sets an axis apart from a free mass."""
+
+    def amend(
+        self,
+        duration: Component,
+        force: Sequence[Component],
+        effort: Sequence[Component],
+        before: Motion,
+        after: Motion,
+    ) -> None:
+        """Put right the motion `after` a duration [s], in place, which is that of free masses.
+
+        Args:
+            duration: Duration [s].
+            force: Wrench commanded, six [N, N m].
+            effort: Wrench of a hand's muscles, six [N, N m].
+            before: Motion at the beginning.
+            after: Motion of free masses at the end.
+        """
+
+
+class Lag:
+    """First-order drivers: actual force = command + (actual - command) exp(-t / lag), integrated twice.
+
+    Args:
+        inertia: Mass and moments of inertia of the axes, six [kg, kg m²].
+        lag: Time constant [s].
+    """
+
+    def __init__(self, inertia: Sequence[Component], lag: float) -> None:
+        self._inverse, self._lag = [1.0 / value for value in inertia], lag
+        self._known: dict[float, tuple[Component, list[Component], list[Component]]] = {}
+
+    def amend(
+        self,
+        duration: Component,
+        force: Sequence[Component],
+        effort: Sequence[Component],
+        before: Motion,
+        after: Motion,
+    ) -> None:
+        """See `Amendment`."""
+        factors = self._known.get(duration) if duration.__class__ is float else None
+        left, (way_x, way_y, way_z, way_rx, way_ry, way_rz), (by_x, by_y, by_z, by_rx, by_ry, by_rz) = (
+            factors or self._factors(duration)
+        )
+        fx, fy, fz, tx, ty, tz = force
+        ax, ay, az, arx, ary, arz = before[2]
+        place, velocity, actual = after
+        # what is missing of each force; written out, for this runs two or three times a tick
+        dx, dy, dz, drx, dry, drz = ax - fx, ay - fy, az - fz, arx - tx, ary - ty, arz - tz
+        place[0] += way_x * dx
+        place[1] += way_y * dy
+        place[2] += way_z * dz
+        place[3] += way_rx * drx
+        place[4] += way_ry * dry
+        place[5] += way_rz * drz
+        velocity[0] += by_x * dx
+        velocity[1] += by_y * dy
+        velocity[2] += by_z * dz
+        velocity[3] += by_rx * drx
+        velocity[4] += by_ry * dry
+        velocity[5] += by_rz * drz
+        actual[0] = fx + left * dx
+        actual[1] = fy + left * dy
+        actual[2] = fz + left * dz
+        actual[3] = tx + left * drx
+        actual[4] = ty + left * dry
+        actual[5] = tz + left * drz
+
+    def _factors(self, duration: Component) -> tuple[Component, list[Component], list[Component]]:
+        """Return what is left of a missing newton after a duration [s], and the way and speed [m, m/s] that it gives.
+
+        Those of a number are kept because the durations return every period.
+        """
+        faded = -np.expm1(-duration / self._lag)
+        faded = faded if np.ndim(faded) else float(faded)
+        gained = self._lag * faded
+        way = self._lag * (duration - gained)
+        factors = 1.0 - faded, [way * one for one in self._inverse], [gained * one for one in self._inverse]
+        if duration.__class__ is float:
+            _keep(self._known, duration, factors)
+        return factors
+
+
+def _keep(known: dict[Any, Any], key: Any, value: Any) -> None:
+    """Keep a value; where there are many, durations do not return."""
+    if len(known) >= _MOST_KEPT:
+        known.clear()
+    known[key] = value
+
+
+class HeldAxis:
+    """An axis in a hand, its drivers with or without lag: the transition matrix of `motion`.
+
+    Args:
+        index: Index of the axis into AXES.
+        place: Position at release [m].
+        velocity: Velocity at release [m/s].
+        inertia: Mass of the flotor [kg].
+        weight: Its weight along the axis [N].
+        hand: The hand.
+        lag: Time constant of the drivers [s]; 0 for none.
+    """
+
+    def __init__(
+        self,
+        index: int,
+        place: Component,
+        velocity: Component,
+        inertia: Component,
+        weight: Component,
+        hand: Hand,
+        lag: float,
+    ) -> None:
+        self._index, self._weight, self._lags = index, weight, lag > 0.0
+        self._hand: list[Component] = [hand.place(place), velocity] if hand.soft else []
+        self._a, self._b = motion(inertia, hand, lag)
+        self._known: dict[float | bytes, list[list[Component]]] = {}
+
+    def amend(
+        self,
+        duration: Component,
+        force: Sequence[Component],
+        effort: Sequence[Component],
+        before: Motion,
+        after: Motion,
+    ) -> None:
+        """See `Amendment`."""
+        index = self._index
+        (place, velocity, actual), (places, velocities, actuals) = before, after
+        rows = self._known.get(duration) if duration.__class__ is float else None
+        rows = rows or self._rows(duration)
+        push, weight, pull, x, v = force[index], self._weight, effort[index], place[index], velocity[index]
+        if len(rows) == 2:  # written out, at a third of the time
+            (a, b, c, d, e), (p, q, r, s, t) = rows
+            places[index] = a * push + b * weight + c * pull + d * x + e * v
+            velocities[index] = p * push + q * weight + r * pull + s * x + t * v
+            return
+        known = push, weight, pull, x, v, *self._hand, *([actual[index]] if self._lags else ())
+        # not sum(), which from Python 3.12 on rounds floats otherwise than arrays
+        places[index], velocities[index], *self._hand = [reduce(add, map(mul, row, known)) for row in rows]
+        if self._lags:
+            actuals[index] = self._hand.pop()
+
+    def _rows(self, duration: Component) -> list[list[Component]]:
+        """Return the rows of a transition as components, the inputs' columns first, kept because durations return."""
+        key = duration if duration.__class__ is float else np.asarray(duration).tobytes()
+        if (known := self._known.get(key)) is not None:
+            return known
+        whole = np.concatenate(transition(self._a, self._b, duration)[::-1], axis=-1)
+        rows: list[list[Component]]
+        if whole.ndim == 2:
+            rows = whole.tolist()
+        else:
+            rows = [[entry.copy() for entry in row] for row in np.moveaxis(whole, (-2, -1), (0, 1))]
+        _keep(self._known, key, rows)
+        return rows
+
+
+class DryFriction:
+    """Coulomb friction of the device itself: an axis stops, stays, or turns back within the stretch.
+
+    Args:
+        friction: Friction of the axes that have some, by index into AXES [N, N m].
+        inertia: Mass and moments of inertia, six [kg, kg m²].
+        weight: Weight, six [N, N m].
+        single: True for one device.
+    """
+
+    def __init__(
+        self,
+        friction: Mapping[int, Component],
+        inertia: Sequence[Component],
+        weight: Sequence[Component],
+        *,
+        single: bool,
+    ) -> None:
+        self._single = single
+        self._axes = [(index, rub, 1.0 / inertia[index], weight[index]) for index, rub in friction.items()]
+
+    def amend(
+        self,
+        duration: Component,
+        force: Sequence[Component],
+        effort: Sequence[Component],
+        before: Motion,
+        after: Motion,
+    ) -> None:
+        """See `Amendment`."""
+        (place, velocity, _), (places, velocities, _) = before, after
+        for index, rub, inverse, weight in self._axes:
+            x, v, push = place[index], velocity[index], force[index] + weight + effort[index]
+            # what the devices of a batch share is a number too
+            one = self._single or all(isinstance(part, float) for part in (push, v, x, duration, rub, inverse))
+            slide = _slide if one else _slide_many
+            places[index], velocities[index] = slide(duration, x, v, push, rub, inverse)
+
+
+def _slide(duration: float, x: float, v: float, push: float, rub: float, inverse: float) -> tuple[float, float]:
+    """Return where one device's axis is after a duration under a force and friction, and how fast.
+
+    Args:
+        duration: Duration [s].
+        x: Position [m, rad].
+        v: Velocity [m/s, rad/s].
+        push: Force, that of friction apart [N, N m].
+        rub: Friction while it moves, and largest while it rests [N, N m].
+        inverse: One over the mass or moment of inertia.
+    """
+    if v == 0.0 and -rub <= push <= rub:
+        return x, v
+    first = (push - rub if v > 0.0 or (v == 0.0 and push > 0.0) else push + rub) * inverse
+    if first * v < 0.0:
+        until = -v / first
+        if until < duration:
+            x += until * (v + 0.5 * until * first)
+            if -rub <= push <= rub:
+                return x, 0.0
+            left, second = duration - until, (push - rub if push > 0.0 else push + rub) * inverse
+            return x + 0.5 * left * left * second, left * second
+    return x + duration * (v + 0.5 * duration * first), v + duration * first
+
+
+def _slide_many(
+    duration: Component, x: Component, v: Component, push: Component, rub: Component, inverse: Component
+) -> tuple[Array, Array]:
+    """Return what `_slide` does for a batch, (...,) each: all as if none stopped, then those that do."""
+    rests = v == 0.0
+    first = (push - np.copysign(rub, v)) * inverse
+    if np.any(rests):
+        first = np.where(rests, _beyond(push, rub) * inverse, first)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        until = -v / first
+    place, speed = np.asarray(x + duration * (v + 0.5 * duration * first)), np.asarray(v + duration * first)
+    # an infinite or no speed-up has no such time, nor has a flotor at rest
+    stops = np.nonzero(np.broadcast_to((until > 0.0) & (until < duration), place.shape))
+    if stops[0].size:
+        parts = duration, x, v, push, rub, inverse, first, until
+        duration, x, v, push, rub, inverse, first, until = (np.broadcast_to(one, place.shape)[stops] for one in parts)
+        left, second = duration - until, _beyond(push, rub) * inverse
+        place[stops] = x + until * (v + 0.5 * until * first) + 0.5 * left * left * second
+        speed[stops] = left * second
+    return place, speed
+
+
+def _beyond(push: Component, rub: Component) -> Component:
+    """Return what of a force is beyond friction, (...,) [N, N m]."""
+    return push - np.clip(push, -rub, rub)
