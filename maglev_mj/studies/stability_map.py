@@ -21,7 +21,7 @@ from maglev_mj.studies.growth import HAND_HELP, RestingWall, grow_together
 from maglev_mj.theory.closed_loop import MOST_PERIODS, LoopKeywords
 from maglev_mj.workers import Workers
 
-__all__ = ["StabilityMap", "StabilityParameters", "run_stability"]
+__all__ = ["StabilityMap", "StabilityParameters", "gain_axes", "run_stability"]
 
 _NEAR = 0.005
 _TOGETHER = 240
@@ -133,10 +133,7 @@ def run_stability(
         StudyInterrupted: On Ctrl-C; the cells done are in the record.
     """
     p, loop = parameters, parameters.loop
-    best = theory.stiffest_wall(**loop)
-    some = float(best.stiffness) > 0.0  # without a stable wall there is nothing to frame
-    damping = _axis(p.damping, p.grid, 2.2 * float(best.damping) if some else p.mass / p.period)
-    stiffness = _axis(p.stiffness, p.grid, 1.25 * float(best.stiffness) if some else p.mass / p.period**2)
+    damping, stiffness, best = gain_axes(p)
     k, b = stiffness[:, None], damping[None, :]
     modulus = _moduli(stiffness, damping, loop, progress)
     simulated, near, others = None, np.zeros(modulus.shape, dtype=bool), []
@@ -153,6 +150,15 @@ def run_stability(
         simulated = np.array([[verdict.get((row, column), False) for column in damping] for row in stiffness])
     boundary = theory.largest_stable_stiffness(damping, **loop)
     return StabilityMap(p, damping, stiffness, modulus, boundary, best, simulated, near, others)
+
+
+def gain_axes(p: StabilityParameters) -> tuple[Array, Array, theory.StiffestWall]:
+    """Return dampings [N s/m], (B,), and stiffnesses [N/m], (K,), of a grid, and the stiffest wall by theory."""
+    best = theory.stiffest_wall(**p.loop)
+    some = float(best.stiffness) > 0.0  # without a stable wall there is nothing to frame
+    damping = _axis(p.damping, p.grid, 2.2 * float(best.damping) if some else p.mass / p.period)
+    stiffness = _axis(p.stiffness, p.grid, 1.25 * float(best.stiffness) if some else p.mass / p.period**2)
+    return damping, stiffness, best
 
 
 def _moduli(stiffness: Array, damping: Array, loop: LoopKeywords, progress: Callable[[int, int], None] | None) -> Array:
