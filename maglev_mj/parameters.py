@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import inspect
 import math
+import sys
 import types
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
@@ -37,6 +38,8 @@ __all__ = [
 
 _NO_NUMBERS = bool, np.bool_, str, bytes
 """Types that float() takes, and that are a slip in place of a number."""
+
+_LARGEST = sys.float_info.max
 
 
 def flag(name: str, value: object) -> bool:
@@ -128,6 +131,8 @@ def numbers(name: str, value: ArrayLike, *, at_least: float = -math.inf, finite:
     Raises:
         ParameterError: If an entry is not a number, not finite, or too small.
     """
+    if value.__class__ is float and max(at_least, -_LARGEST) <= value <= _LARGEST and finite.__class__ is bool:
+        return np.array(value)  # most, at a third of the cost
     try:
         given = np.asarray(value)
     except ValueError:  # rows of different lengths

@@ -6,7 +6,7 @@ import inspect
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields
-from typing import Any, NamedTuple, Protocol, Self, TypeAlias, dataclass_transform
+from typing import Any, ClassVar, NamedTuple, Protocol, Self, TypeAlias, dataclass_transform
 
 import numpy as np
 
@@ -60,6 +60,8 @@ class Law:
     its stability is found numerically.
     """
 
+    per_device: ClassVar[Sequence[str]] = ()
+    """Fields that may be (N, axes) for N devices; a law that names some answers N devices elementwise."""
     batch: tuple[int, ...] = ()
     """Shape of parameters that differ from device to device; () where they do not."""
     pulse_width: float = 0.0
@@ -171,6 +173,7 @@ class AxisLaw(Law):
     def __init_subclass__(cls, **keywords: Any) -> None:
         super().__init_subclass__(**keywords)
         dataclass(frozen=True, kw_only=True, eq=False)(cls)
+        cls.per_device = tuple(one.name for one in fields(cls) if "at_least" in one.metadata)
         if hidden := [name for name in inspect.get_annotations(cls) if name != "axes" and hasattr(AxisLaw, name)]:
             raise ParameterError(f"{cls.__name__} must not have a gain called {hidden[0]}: a law has that itself")
         if not _takes(cls.force, 5):
@@ -181,7 +184,7 @@ class AxisLaw(Law):
         name, indices = type(self).__name__, axis_indices(self.axes)
         values: dict[str, Array] = {}
         for one in fields(self):
-            if "at_least" not in one.metadata:
+            if one.name not in self.per_device:
                 continue
             what, above = f"{name} {one.name}", one.metadata["above"]
             array = values[one.name] = numbers(what, getattr(self, one.name), at_least=one.metadata["at_least"])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -26,6 +27,8 @@ class Bias(Law):
     Raises:
         ParameterError: If it is not finite, or its last dimension is not six.
     """
+
+    per_device: ClassVar[Sequence[str]] = ("wrench",)
 
     wrench: ArrayLike
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple, TypeAlias
+from typing import ClassVar, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -70,6 +70,16 @@ class Wall(Law):
 
     Source: Salcudean & Vlaar 1997, eq. (3), (8) and (9), with one delay less as in the simulation of figure 3.
     """
+
+    per_device: ClassVar[Sequence[str]] = (
+        "lower",
+        "upper",
+        "stiffness",
+        "damping",
+        "pulse",
+        "pulse_gate",
+        "force_limit",
+    )
 
     axes: str | Sequence[str] = AXES
     lower: ArrayLike = -math.inf

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from typing import Any, Self
 
 import numpy as np
@@ -36,8 +37,14 @@ def stepped(axis: str, quantum: float) -> Sensor | None:
 
 def hold(scene: Scene, axes: str | Sequence[str], mass: float = Spec.moving_mass.value) -> Hold:
     """Return a hold that keeps axes where they are, as stiff as period and delay allow with ease."""
+    return _hold(axes if isinstance(axes, str) else tuple(axes), mass, scene.period, scene.delay)
+
+
+@lru_cache
+def _hold(axes: str | tuple[str, ...], mass: float, period: float, delay: float) -> Hold:
+    """Return a hold, which never changes: one for all scenes of a sweep."""
     inertia = [mass if index < 3 else INERTIA[index] for index in axis_indices(axes)]
-    return Hold.critically_damped(axes, inertia=inertia, period=scene.period, delay=scene.delay)
+    return Hold.critically_damped(axes, inertia=inertia, period=period, delay=delay)
 
 
 class WallScene(Scene):

@@ -100,12 +100,14 @@ class Result:
             "summary": plain(self.figures),
         }
 
-    def __getitem__(self, device: int) -> Result:
-        """Return the run of one device of a batch."""
+    def __getitem__(self, device: Any) -> Result:
+        """Return the run of one device of a batch, or of several by an array of indices."""
+        scene = self.scene if isinstance(self.scene, Scene) else self.scene[device]
+        phase = self.phase[device]
         parts = (part[:, device] for part in (self.trace.time, self.trace.pose, self.trace.twist, self.trace.wrench))
         kept = {name: values[..., device] for name, values in self.samples.items()}
         time = self.sample_time[..., device] if self.sample_time.ndim > 1 else self.sample_time
-        return Result(self.scene, self.plant, float(self.phase[device]), Trace(*parts), time, kept)
+        return Result(scene, self.plant, phase if np.ndim(phase) else float(phase), Trace(*parts), time, kept)
 
 
 @dataclass(frozen=True, eq=False)

@@ -220,26 +220,46 @@ class Scene(Parameters):
         Raises:
             ParameterError: If a plant that is named does not have an option of the scene.
         """
-        start, scripted = self.start(), self._hands(phase)
+        scripted = self._hands(phase)
         timing = timing or self.timing(phase)
-        pose: Any = list(start.pose)
+        options = self.plant_keywords(plant, scripted)
         if np.ndim(phase) and not np.ndim(timing.phase):  # the hands alone differ
-            pose = [pose] * np.size(phase)
-        options: dict[str, Any] = {"pose": pose, "gravity": start.gravity, "escape": (ESCAPE, 1.0)}
-        if any(start.twist):
-            options["twist"] = start.twist
-        if any(start.wrench):
-            options["wrench"] = start.wrench
-        if (impedance := getattr(scripted, "hand", None)) is not None:
-            options["hand"] = impedance
-        options |= self.plant_options() | keywords
-        if callable(step := options.get("longest_step")):
-            options["longest_step"] = step(plant)
+            options["pose"] = [options["pose"]] * np.size(phase)
+        options |= keywords
         if isinstance(plant, str):
             if unknown := sorted(options.keys() - _keywords(plant)):
                 raise ParameterError(f"plant_options must be those of plant {plant}, which has no {', '.join(unknown)}")
             plant = PLANTS[plant]
         return plant(timing, hand_force=hand or scripted, **options)
+
+    def plant_keywords(self, plant: str | PlantMaker, hand: HandForce | None) -> dict[str, Any]:
+        """Return the keywords of a plant at release, those of `plant_options` included.
+
+        Args:
+            plant: Name from PLANTS, or what makes one.
+            hand: The scripted hand, whose impedance is on the flotor.
+        """
+        start = self.start()
+        options: dict[str, Any] = {"pose": list(start.pose), "gravity": start.gravity, "escape": (ESCAPE, 1.0)}
+        if any(start.twist):
+            options["twist"] = start.twist
+        if any(start.wrench):
+            options["wrench"] = start.wrench
+        if (impedance := getattr(hand, "hand", None)) is not None:
+            options["hand"] = impedance
+        options |= self.plant_options()
+        if callable(step := options.get("longest_step")):
+            options["longest_step"] = step(plant)
+        return options
+
+    @classmethod
+    def figures_together(
+        cls, scenes: Sequence[Self], plant: str, phases: Sequence[float]
+    ) -> Sequence[Mapping[str, Any] | None]:
+        """Return the figures of many runs by name, made as batches where that can be; None for one to run alone."""
+        from maglev_mj.scenes.together import figures_together
+
+        return figures_together(scenes, plant, phases)
 
     def _hands(self, phase: Component) -> HandForce | None:
         if np.ndim(phase) == 0:

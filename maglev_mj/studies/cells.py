@@ -240,5 +240,6 @@ class _Study:
     def close(self) -> None:
         """Let go of the workers."""
         if self._pool is not None:
-            self._pool.shutdown(wait=False, cancel_futures=True)
+            # idle workers end at once; a program that ends meanwhile would stumble over them
+            self._pool.shutdown(wait=not self._hand, cancel_futures=True)
             self._pool = None

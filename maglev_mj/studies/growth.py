@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 
@@ -23,7 +24,7 @@ from maglev_mj.studies.batches import wall_controller
 from maglev_mj.theory import StiffestWall, largest_modulus, largest_stable_stiffness, stiffest_wall
 from maglev_mj.theory.closed_loop import MOST_PERIODS, LoopKeywords
 
-__all__ = ["HAND_HELP", "RestingWall", "measure_growth"]
+__all__ = ["HAND_HELP", "RestingWall", "grow_together", "measure_growth"]
 
 _MOVED = 1e-6
 _DECIDED = 1e4
@@ -109,23 +110,45 @@ class RestingWall(Scene):
 
     def run_figures(self, plant: str, phase: float = 0.0) -> Mapping[str, Any]:
         """Return the figures of theory, and of a simulation unless the plant is "none"."""
-        stiffest = _stiffest(self.period, self.delay, self.mass, self.hand)
-        figures: dict[str, Any] = {
-            "modulus": float(largest_modulus(self.stiffness, self.damping, **self.loop)),
-            "largest_stiffness": float(largest_stable_stiffness(self.damping, **self.loop)),
-            "stiffest_wall": float(stiffest.stiffness),
-            "at_damping": float(stiffest.damping),
-        }
+        return self.figures_together([self], plant, [phase])[0]
+
+    @classmethod
+    def figures_together(
+        cls, scenes: Sequence[Self], plant: str, phases: Sequence[float]
+    ) -> Sequence[Mapping[str, Any]]:
+        """See `Scene`: walls that differ in their gains alone are one batch."""
+        found: list[dict[str, Any]] = []
+        for wall in scenes:
+            stiffest = _stiffest(wall.period, wall.delay, wall.mass, wall.hand)
+            found.append(
+                {
+                    "modulus": float(largest_modulus(wall.stiffness, wall.damping, **wall.loop)),
+                    "largest_stiffness": float(largest_stable_stiffness(wall.damping, **wall.loop)),
+                    "stiffest_wall": float(stiffest.stiffness),
+                    "at_damping": float(stiffest.damping),
+                }
+            )
         if plant != "none":
-            growth = measure_growth([self], plant)
-            figures |= {"simulated_rate": float(growth.rate[0]), "simulated_stable": bool(growth.stable[0])}
-        return figures
+            growth = grow_together(scenes, plant)
+            for figures, stable, rate in zip(found, growth.stable.tolist(), growth.rate.tolist(), strict=True):
+                figures |= {"simulated_rate": rate, "simulated_stable": stable}
+        return found
 
 
 @lru_cache(maxsize=1024)
 def _stiffest(period: float, delay: float, mass: float, hand: str) -> StiffestWall:
     """Return what does not depend on the gains, once for all of them."""
     return stiffest_wall(period=period, delay=delay, mass=mass, hand=hand_called(hand))
+
+
+def grow_together(walls: Sequence[RestingWall], plant: str) -> Growth:
+    """Measure the growth of walls that may differ in period, delay, mass and hand too: a batch for each of these."""
+    alike: dict[tuple[Any, ...], list[int]] = defaultdict(list)
+    for index, wall in enumerate(walls):
+        alike[wall.period, wall.delay, wall.mass, wall.hand].append(index)
+    grown = [(places, measure_growth([walls[index] for index in places], plant)) for places in alike.values()]
+    order = np.argsort(np.concatenate([places for places, _ in grown]))
+    return Growth(*(np.concatenate(parts)[order] for parts in zip(*(growth for _, growth in grown), strict=True)))
 
 
 def measure_growth(walls: Sequence[RestingWall], plant: str = "exact", **keywords: Any) -> Growth:

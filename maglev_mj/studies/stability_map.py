@@ -17,11 +17,11 @@ from maglev_mj.hand import hand_called
 from maglev_mj.parameters import Parameters, interval, param
 from maglev_mj.spec import Spec
 from maglev_mj.studies.cells import Cell, Record, run_cells
-from maglev_mj.studies.growth import HAND_HELP, RestingWall, measure_growth
+from maglev_mj.studies.growth import HAND_HELP, RestingWall, grow_together
 from maglev_mj.theory.closed_loop import MOST_PERIODS, LoopKeywords
 from maglev_mj.workers import Workers
 
-__all__ = ["StabilityMap", "StabilityParameters", "run_stability"]
+__all__ = ["StabilityMap", "StabilityParameters", "gain_axes", "run_stability"]
 
 _NEAR = 0.005
 _TOGETHER = 240
@@ -133,10 +133,7 @@ def run_stability(
         StudyInterrupted: On Ctrl-C; the cells done are in the record.
     """
     p, loop = parameters, parameters.loop
-    best = theory.stiffest_wall(**loop)
-    some = float(best.stiffness) > 0.0  # without a stable wall there is nothing to frame
-    damping = _axis(p.damping, p.grid, 2.2 * float(best.damping) if some else p.mass / p.period)
-    stiffness = _axis(p.stiffness, p.grid, 1.25 * float(best.stiffness) if some else p.mass / p.period**2)
+    damping, stiffness, best = gain_axes(p)
     k, b = stiffness[:, None], damping[None, :]
     modulus = _moduli(stiffness, damping, loop, progress)
     simulated, near, others = None, np.zeros(modulus.shape, dtype=bool), []
@@ -153,6 +150,15 @@ def run_stability(
         simulated = np.array([[verdict.get((row, column), False) for column in damping] for row in stiffness])
     boundary = theory.largest_stable_stiffness(damping, **loop)
     return StabilityMap(p, damping, stiffness, modulus, boundary, best, simulated, near, others)
+
+
+def gain_axes(p: StabilityParameters) -> tuple[Array, Array, theory.StiffestWall]:
+    """Return dampings [N s/m], (B,), and stiffnesses [N/m], (K,), of a grid, and the stiffest wall by theory."""
+    best = theory.stiffest_wall(**p.loop)
+    some = float(best.stiffness) > 0.0  # without a stable wall there is nothing to frame
+    damping = _axis(p.damping, p.grid, 2.2 * float(best.damping) if some else p.mass / p.period)
+    stiffness = _axis(p.stiffness, p.grid, 1.25 * float(best.stiffness) if some else p.mass / p.period**2)
+    return damping, stiffness, best
 
 
 def _moduli(stiffness: Array, damping: Array, loop: LoopKeywords, progress: Callable[[int, int], None] | None) -> Array:
@@ -187,20 +193,14 @@ def _cells(p: StabilityParameters, stiffness: Array, damping: Array, modulus: Ar
 def simulate_walls(cells: list[Cell]) -> list[dict[str, Any]]:
     """Simulate cells and return for each whether it is stable, its growth a sample, and the samples it took.
 
-    Each cell has plant, period, delay, mass, hand, stiffness and damping; those that share the first five run
-    as one batch.
+    Each cell has plant, period, delay, mass, hand, stiffness and damping; they share the plant.
     """
-    results: list[dict[str, Any]] = [{}] * len(cells)
-    groups: dict[tuple[Any, ...], list[int]] = {}
-    for place, cell in enumerate(cells):
-        groups.setdefault(tuple(cell[name] for name in _AROUND), []).append(place)
-    for (plant, *around), places in groups.items():
-        named = dict(zip(_AROUND[1:], around, strict=True))
-        gains = ({gain: cells[place][gain] for gain in ("stiffness", "damping")} for place in places)
-        growth = measure_growth([RestingWall(**named, **each) for each in gains], plant)
-        for place, stable, rate, ticks in zip(places, *growth, strict=True):
-            results[place] = {"stable": bool(stable), "rate": float(rate), "ticks": int(ticks)}
-    return results
+    names = (*_AROUND[1:], "stiffness", "damping")
+    growth = grow_together([RestingWall(**{name: cell[name] for name in names}) for cell in cells], cells[0]["plant"])
+    return [
+        {"stable": stable, "rate": rate, "ticks": int(ticks)}
+        for stable, rate, ticks in zip(*(part.tolist() for part in growth), strict=True)
+    ]
 
 
 def _stable(result: Any) -> bool:

@@ -5,11 +5,12 @@ from __future__ import annotations
 import inspect
 import itertools
 import math
+from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from maglev_mj.scenes.find import hash_of, made_again, reference_of, scene_of_te
 from maglev_mj.scenes.names import installed_scenes
 from maglev_mj.scenes.run import checked_phase, checked_plant, parameters_json, plain
 from maglev_mj.scenes.scene import Scene
+from maglev_mj.scenes.together import LEAST
 from maglev_mj.studies.cells import Cell, Record, run_cells
 from maglev_mj.workers import Workers, inline, local_workers
 
@@ -30,6 +32,10 @@ MOST_CELLS = 1_000_000
 """Most cells of a sweep."""
 
 _JOBS, _MOST_TOGETHER = 8, 50
+_LEAST_IN_BATCHES, _MOST_IN_BATCHES = 64, 512
+
+_Run: TypeAlias = tuple[Scene, str, float]
+"""A scene, the name of a plant, and a phase."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,12 +107,23 @@ def sweep(
     kept = Record(None if record is None else Path(record))
     known = sum(cell in kept for cell in cells)
     hands = local_workers(workers) if isinstance(workers, int) else workers or inline()
-    # enough jobs for every worker to get several, few enough that handing them out costs nothing
-    together = max(min((len(cells) - known) // (_JOBS * hands.window), _MOST_TOGETHER), 1)
-    others = kept.others(cells)
     function = partial(run_scene_cells, text=_text(type(made)))
+    together = _cells_a_job(len(cells) - known, hands.window, all(cell["plant"] == "exact" for cell in cells))
+    others = kept.others(cells)
     results = run_cells(function, cells, record=kept, workers=hands, together=together, progress=progress)
     return Sweep(type(made), vary, cells, results, known, others)
+
+
+def _cells_a_job(missing: int, window: int, batches: bool) -> int:
+    """Return how many cells make a job.
+
+    Enough jobs for every worker to get several, few enough that handing them out costs nothing. Batches are dear if
+    small: their jobs are not much smaller than what a worker gets in all, or 64.
+    """
+    several = missing // (_JOBS * window)
+    if batches:
+        return max(min(several, _MOST_IN_BATCHES), min(-(-2 * missing // max(window, 2)), _LEAST_IN_BATCHES), 1)
+    return max(min(several, _MOST_TOGETHER), 1)
 
 
 def swept_cells(
@@ -141,24 +158,59 @@ def run_scene_cells(cells: Sequence[Cell], text: str | None = None) -> list[dict
     Raises:
         ParameterError: If there is no such scene, or its file fails.
     """
-    return [_run(dict(cell), text) for cell in cells]
+    runs = [_made(dict(cell), text) for cell in cells]
+    found: list[Mapping[str, Any] | None] = [None] * len(runs)
+    plants = defaultdict(list)
+    for index, (scene, plant, _) in enumerate(runs):
+        plants[type(scene), plant].append(index)
+    for (cls, plant), indices in plants.items():
+        if len(indices) < LEAST:
+            continue
+        together = _together(cls, plant, [runs[index] for index in indices])
+        for index, figures in zip(indices, together, strict=True):
+            found[index] = figures
+    return [_alone(one, text is not None) if figures is None else plain(figures) for one, figures in zip(runs, found, strict=True)]
 
 
-def _run(cell: Cell, text: str | None) -> dict[str, Any]:
+def _made(cell: Cell, text: str | None) -> _Run:
     name, plant, phase = cell.pop("scene"), cell.pop("plant"), cell.pop("phase", 0.0)
     cell.pop("version")
     if text is None:
-        scene = made_again(name.partition("@")[0], cell)
-    else:
-        scene = scene_of_text(text, name.rpartition(":")[2].partition("@")[0]).from_json(cell)
+        return made_again(name.partition("@")[0], cell), plant, phase
+    return scene_of_text(text, name.rpartition(":")[2].partition("@")[0]).from_json(cell), plant, phase
+
+
+def _together(cls: type[Scene], plant: str, runs: Sequence[_Run]) -> Sequence[Mapping[str, Any] | None]:
+    """Return the figures of runs made as batches; None for those that must be made alone."""
+    found = cls.figures_together([scene for scene, _, _ in runs], plant, [phase for _, _, phase in runs])
+    done = [index for index, figures in enumerate(found) if figures is not None]
+    # a law of somebody's own may mix devices, which its contract forbids: two runs alone must say the same
+    for index in () if _is_ours(cls) else {*done[:1], *done[-1:]}:
+        if not _same(found[index], _alone(runs[index], True)):
+            return [None] * len(runs)
+    return found
+
+
+def _same(figures: Mapping[str, Any] | None, alone: Mapping[str, Any]) -> bool:
+    """Return whether figures are those of a run alone but for rounding."""
+    return figures is not None and all(
+        np.shape(value) == np.shape(alone.get(name))
+        and np.allclose(*(np.array(one, dtype=np.float64) for one in (value, alone[name])), 1e-6, 1e-12, equal_nan=True)
+        for name, value in plain(figures).items()
+    )
+
+
+def _alone(one: _Run, catches: bool) -> dict[str, Any]:
+    """Return the figures of one run, or its error; any error where `catches` says so, as of a user's own code."""
+    scene, plant, phase = one
     try:
         return plain(scene.run_figures(plant, phase))
     except MaglevError as error:
         return {"error": str(error)}
     except Exception as error:
-        if text is None:
+        if not catches:
             raise
-        return {"error": f"{type(error).__name__}: {error}"}  # of the user's own code
+        return {"error": f"{type(error).__name__}: {error}"}
 
 
 def _name(cls: type[Scene]) -> str:

@@ -1,0 +1,209 @@
+"""Many runs of a scene as batches on the exact plant, where the runs differ in numbers alone."""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Hashable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from maglev_mj.controller import Controller
+from maglev_mj.frames import Array, Command, Mask, Sample, components
+from maglev_mj.hand import HandForce
+from maglev_mj.laws.stack import content, law_kind, stacked
+from maglev_mj.plants import ExactPlant, Timing
+from maglev_mj.scenes.figures import Figure
+from maglev_mj.scenes.run import Result, run
+from maglev_mj.scenes.scene import Scene, SideBySide
+
+__all__ = ["LEAST", "SceneStack", "figures_together"]
+
+LEAST = 8
+"""Fewest runs that are worth a batch."""
+
+_MOST, _AT_ONCE = 512, 64
+_ROOM = 256e6
+_PER_KNOT = 18 * 8.0
+_FAR = (1e15, 1e15)
+_NEAR = 0.9
+_STACKED = ("pose", "twist", "wrench", "mass", "wrench_limit")
+_OWN_RUN = ("run_figures", "plant", "plant_keywords", "controller", "ticks")
+
+
+@dataclass(frozen=True)
+class _Member:
+    """One run ahead of its batch; those of one kind fit one batch."""
+
+    index: int
+    scene: Scene
+    phase: float
+    laws: Sequence[Any]
+    options: Mapping[str, Any]
+    hand: HandForce | None
+    kind: Hashable
+
+
+class SceneStack:
+    """Scenes that differ in numbers alone, as one scene of N devices for `run`.
+
+    An attribute is that of the scenes where they agree, and (N,) where they do not.
+    """
+
+    def __init__(self, members: Sequence[_Member]) -> None:
+        self.scenes = [one.scene for one in members]
+        self.phases = np.array([one.phase for one in members])
+        self._members = members
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        values = [getattr(one, name) for one in self.scenes]
+        if all(value == values[0] for value in values[1:]):
+            return values[0]
+        return np.array(values, dtype=np.float64)
+
+    def __getitem__(self, device: Any) -> Any:
+        """Return the scene of one device, or a stack of several by an array of indices."""
+        if np.ndim(device) == 0:
+            return self.scenes[device]
+        return SceneStack([self._members[index] for index in device.tolist()])
+
+    def controller(self) -> Controller:
+        """Return one controller for all, with the laws stacked."""
+        first = self.scenes[0]
+        laws = [stacked(of_all) for of_all in zip(*(one.laws for one in self._members), strict=True)]
+        return Controller(laws, period=first.period, velocity=first.velocity_estimator())
+
+    def plant(self, plant: str, *, phase: Array, **keywords: Any) -> ExactPlant:
+        """Return the exact plant of N devices at release; none of them ends the run by leaving its range."""
+        first = self._members[0]
+        options = dict(first.options)
+        for name in _STACKED:
+            if options.get(name) is not None:
+                rows = np.array([one.options[name] for one in self._members], dtype=np.float64)
+                options[name] = rows if name == "pose" or (rows != rows[0]).any() else options[name]
+        hands = [one.hand for one in self._members if one.hand is not None]
+        options |= {"escape": _FAR, "hand_force": SideBySide(hands) if hands else None}
+        return ExactPlant(first.scene.timing(phase), **options, **keywords)
+
+    def ticks(self, timing: Timing) -> int:
+        """Return how many samples to answer until the end."""
+        return self.scenes[0].ticks(timing)
+
+    def timing(self, phase: Array) -> Timing:
+        """Return when samples are taken and commands act."""
+        return self.scenes[0].timing(phase)
+
+
+def figures_together(
+    scenes: Sequence[Scene], plant: str, phases: Sequence[float]
+) -> list[Mapping[str, Any] | None]:
+    """Return the figures of many runs by name, made as batches; None for a run that must be made alone.
+
+    Runs fit one batch if their laws are of the same kinds, declare which parameters may differ, and what the plant
+    does not take per device is equal. Alone go those of a scene with a run of its own, of fewer than `LEAST` of a
+    kind, those that come near the end of their range, and all of a batch that fails.
+
+    Args:
+        scenes: Scenes of one class.
+        plant: Name from PLANTS.
+        phases: Of the samples, one for each scene.
+    """
+    found: list[Mapping[str, Any] | None] = [None] * len(scenes)
+    cls = type(scenes[0])
+    if plant != "exact" or any(getattr(cls, name) is not getattr(Scene, name) for name in _OWN_RUN):
+        return found
+    kinds: dict[Hashable, list[_Member]] = defaultdict(list)
+    for index, (scene, phase) in enumerate(zip(scenes, phases, strict=True)):
+        with suppress(Exception):  # of a scene's own code: alone it says what it has to say
+            member = _member(index, scene, phase)
+            kinds[member.kind].append(member)
+    kinds.pop(None, None)
+    for members in kinds.values():
+        size = _most_of(members[0])
+        for start in range(0, len(members), size):
+            for member, figures in _figures_of(members[start : start + size]):
+                found[member.index] = figures
+    return found
+
+
+def _member(index: int, scene: Scene, phase: float) -> _Member:
+    """Return a run and its kind, which is None if it fits no batch."""
+    laws = scene.laws()
+    kinds = [law_kind(law) for law in laws]
+    hand = scene.scripted_hand(phase)
+    options = scene.plant_keywords("exact", hand)
+    timing = scene.timing(phase)
+    fixed = content(
+        (
+            (scene.axis, scene.end, scene.period, timing.delay, timing.jitter, timing.seed, type(hand)),
+            {name: value for name, value in options.items() if name not in _STACKED},
+            [name for name in _STACKED if options.get(name) is None],
+            scene.velocity_estimator(),
+        )
+    )
+    fits = fixed is not None and None not in kinds and timing.period == scene.period
+    return _Member(index, scene, phase, laws, options, hand, (*kinds, fixed) if fits else None)
+
+
+def _most_of(member: _Member) -> int:
+    """Return how many runs of a kind go together: fewer of long ones, whose recorded motion has to fit memory."""
+    step = member.options.get("longest_step") or math.inf
+    knots = 3.0 * member.scene.ticks(member.scene.timing(0.0)) * max(math.ceil(member.scene.period / step), 1)
+    return max(min(_MOST, int(_ROOM / (knots * _PER_KNOT))), 1)
+
+
+def _figures_of(members: Sequence[_Member]) -> list[tuple[_Member, Mapping[str, Any]]]:
+    """Return the figures of the runs of one kind that went well together; halves, where one fails."""
+    if len(members) < LEAST:
+        return []
+    try:
+        stack, stays = SceneStack(members), _Stays(members)
+        result = run(stack, plant="exact", phase=stack.phases, observe=stays)
+        stays.look(components(result.trace.pose[-1]))
+        good = np.flatnonzero(stays.all_along)
+        parts = [good[start : start + _AT_ONCE] for start in range(0, good.size, _AT_ONCE)]
+        rows = [row for part in parts for row in _rows(result[part])]
+        return [(members[device], row) for device, row in zip(good.tolist(), rows, strict=True)]
+    except Exception:  # of any of them: alone it says what it has to say
+        half = len(members) // 2
+        return [*_figures_of(members[:half]), *_figures_of(members[half:])]
+
+
+def _rows(result: Result) -> list[Mapping[str, Any]]:
+    """Return the figures of each device of a batch: at once where a figure takes a batch."""
+    figures: Mapping[str, Figure] = result.scene.figures
+    at_once = {name: np.asarray(one(result)) for name, one in figures.items() if one.batched}
+    rows = []
+    for index in range(result.phase.size):
+        device = result[index] if len(at_once) < len(figures) else None
+        rows.append(
+            {
+                name: at_once[name][..., index] if name in at_once else one(device)
+                for name, one in figures.items()
+            }
+        )
+    return rows
+
+
+class _Stays:
+    """Sees which devices stay well within the range in which a run goes on."""
+
+    def __init__(self, members: Sequence[_Member]) -> None:
+        distance, angle = members[0].options["escape"]
+        self._bounds = (_NEAR * distance) ** 2, (_NEAR * angle) ** 2
+        self.all_along: Mask = np.ones(len(members), dtype=bool)
+
+    def __call__(self, sample: Sample, _: Command) -> None:
+        """Look at one sample."""
+        self.look(sample.position)
+
+    def look(self, position: Sequence[Any]) -> None:
+        """Look at six components of positions; one that is no number is outside."""
+        x, y, z, rx, ry, rz = position
+        distance, angle = self._bounds
+        self.all_along &= (x * x + y * y + z * z < distance) & (rx * rx + ry * ry + rz * rz < angle)

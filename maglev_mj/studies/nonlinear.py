@@ -1,0 +1,257 @@
+"""The stability map of walls with a pulse, a force limit and a sensor's steps: drops, judged by their last swing."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+
+import maglev_mj
+import maglev_mj.theory as theory
+from maglev_mj.errors import MaglevError
+from maglev_mj.frames import Array, Command, Mask, Sample
+from maglev_mj.loop import drive
+from maglev_mj.parameters import param
+from maglev_mj.plants import ExactPlant, Timing
+from maglev_mj.scenes.bench import along, stepped
+from maglev_mj.spec import Spec
+from maglev_mj.studies.batches import along_z, wall_controller
+from maglev_mj.studies.cells import Cell, Record, run_cells
+from maglev_mj.studies.stability_map import StabilityParameters, gain_axes
+from maglev_mj.workers import Workers
+
+__all__ = ["PART", "SAMPLES", "DropMap", "DropMapParameters", "Ending", "judge_drops", "run_drop_map"]
+
+PART = 10_000
+"""Walls that are simulated at once: so many stay in the cache."""
+
+SAMPLES = 400
+"""Samples of a drop."""
+
+_STEPS, _SHARE, _DYING = 10.0, 1e-3, 0.8
+# beyond what any wall of the grid asks for until it has swung by metres: what grows stays finite
+_MOST_FORCE, _FAR = 1e9, (1e30, 1.0)
+
+
+class Ending(IntEnum):
+    """How a drop on a wall ends.
+
+    It settles if the samples of its last quarter swing by at most ten steps of the sensor, or a thousandth of the
+    range where that is more; or if it has not left the wall in the second half, and swings by less than 0.8 of the
+    quarter before. Of those that do not, one gains energy that is seen in the last quarter above its release.
+    """
+
+    SETTLES = 0
+    GOES_ON = 1
+    GAINS = 2
+
+
+class DropMapParameters(StabilityParameters):
+    """A grid of gains, the loop around them, and what no linear theory has.
+
+    Raises:
+        ParameterError: If a value is outside its bounds.
+    """
+
+    plant: str = param("plant", default="exact", choices=("exact",))
+    height: float = param(
+        "drop height above the wall; 0 to release the flotor at the edge",
+        "m",
+        default=Spec.translation_range.value,
+        at_least=0.0,
+        at_most=1.0,
+    )
+    pulse: float = param(
+        "further damping in the braking pulse; 0 for none", "N s/m", default=0.0, at_least=0.0, at_most=1e6
+    )
+    pulse_width: float = param("how long the pulse lasts", "s", default=0.003, above=0.0, at_most=1.0)
+    force_limit: float | None = param(
+        "largest force of the actuators along z", "N", default=None, above=0.0, at_most=1e6, optional=True
+    )
+    quantize: float = param(
+        "resolution of the position sensor; 0 for an ideal one", "m", default=0.0, at_least=0.0, at_most=1.0
+    )
+
+    @property
+    def band(self) -> float:
+        """Largest swing of a flotor at rest [m]."""
+        return max(_STEPS * self.quantize, _SHARE * Spec.translation_range.value)
+
+
+@dataclass(frozen=True, eq=False)
+class DropMap:
+    """What drops say of each cell, and where theory has the boundary without all that they add.
+
+    Attributes:
+        parameters: The grid.
+        damping: Its dampings [N s/m], (B,).
+        stiffness: Its stiffnesses [N/m], (K,).
+        swing: Swing of the samples in the last quarter [m], (K, B).
+        ending: Values of `Ending`, (K, B).
+        boundary: Largest stable stiffness at each damping by theory [N/m], (B,).
+        maximum: The stiffest wall by theory over all dampings, in the grid or not.
+        others: Other code behind parts of the record; see `Record.others`.
+    """
+
+    parameters: DropMapParameters
+    damping: Array
+    stiffness: Array
+    swing: Array
+    ending: Array
+    boundary: Array
+    maximum: theory.StiffestWall
+    others: Sequence[Mapping[str, Any]] = ()
+
+    @property
+    def settles(self) -> Mask:
+        """Cells whose drop settles, (K, B)."""
+        return self.ending == Ending.SETTLES
+
+    @property
+    def settles_up_to(self) -> Array:
+        """Largest stiffness at each damping up to which every cell of the grid settles [N/m], (B,); 0 for none."""
+        count = np.argmin(np.vstack([self.settles, np.zeros(self.damping.size, dtype=bool)]), axis=0)
+        return np.where(count > 0, self.stiffness[np.maximum(count, 1) - 1], 0.0)
+
+    @property
+    def stable_by_theory(self) -> Mask:
+        """Cells below theory's boundary, (K, B)."""
+        return self.stiffness[:, None] <= self.boundary
+
+    def as_json(self) -> dict[str, Any]:
+        """Return everything, ready for JSON."""
+        return {
+            "parameters": self.parameters.as_json(),
+            "damping": self.damping.tolist(),
+            "stiffness": self.stiffness.tolist(),
+            "swing": self.swing.tolist(),
+            "ending": self.ending.tolist(),
+            "endings": [one.name.lower() for one in Ending],
+            "settles_up_to": self.settles_up_to.tolist(),
+            "boundary": self.boundary.tolist(),
+            "maximum": {"stiffness": float(self.maximum.stiffness), "damping": float(self.maximum.damping)},
+            "other_versions": list(self.others),
+        }
+
+
+def run_drop_map(
+    parameters: DropMapParameters,
+    *,
+    record: Record | None = None,
+    workers: Workers | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    part: int = PART,
+) -> DropMap:
+    """Drop the flotor on every wall of the grid, in parts, and judge each by its samples.
+
+    Args:
+        parameters: The grid.
+        record: Where the parts done are kept; None for memory.
+        workers: Where parts run; None for this process.
+        progress: Told how many walls are done, and of how many.
+        part: Walls that are simulated at once. Their number changes no result but by rounding, and that only where
+            there are pulses.
+
+    Raises:
+        ParameterError: If a value is outside its bounds.
+        StudyInterrupted: On Ctrl-C; the parts done are in the record.
+    """
+    damping, stiffness, best = gain_axes(parameters)
+    count = stiffness.size * damping.size
+    # what was derived is written into the parts, which then need nothing else
+    ranges = {"damping": _ends(damping), "stiffness": _ends(stiffness)}
+    head = {"scene": "drop-map", "version": maglev_mj.__version__, **parameters.as_json(), **ranges}
+    parts: list[Cell] = [
+        head | {"first": first, "last": min(first + part, count)} for first in range(0, count, part)
+    ]
+    others = [] if record is None else record.others(parts)
+
+    def told(done: int, total: int) -> None:
+        if progress is not None:
+            progress(min(done * part, count), count)
+
+    results = run_cells(_judge_parts, parts, record=record, workers=workers, progress=told)
+    if lost := [result for result in results if "swing" not in result]:
+        raise MaglevError(f"a part of the map has no verdicts: {lost[0]!r}")
+    shape = stiffness.size, damping.size
+    swing, ending = (np.concatenate([result[name] for result in results]).reshape(shape) for name in ("swing", "ending"))
+    boundary = theory.largest_stable_stiffness(damping, **parameters.loop)
+    return DropMap(parameters, damping, stiffness, swing, ending, boundary, best, others)
+
+
+def _judge_parts(cells: list[Cell]) -> list[dict[str, Any]]:
+    """Return swing and ending of the walls of each part of a map."""
+    results = []
+    for cell in cells:
+        values = {one.name: cell[one.name] for one in DropMapParameters.parameters()}
+        parameters = DropMapParameters.from_json(values)
+        damping, stiffness, _ = gain_axes(parameters)
+        row, column = np.divmod(np.arange(cell["first"], cell["last"]), damping.size)
+        swing, ending = judge_drops(stiffness[row], damping[column], parameters)
+        results.append({"swing": swing.tolist(), "ending": ending.tolist()})
+    return results
+
+
+def judge_drops(stiffness: Array, damping: Array, parameters: DropMapParameters) -> tuple[Array, Array]:
+    """Drop the flotor on N walls and return the last swing [m] and the `Ending`, (N,) each.
+
+    Args:
+        stiffness: Stiffness of each wall [N/m], (N,).
+        damping: Damping of each [N s/m], (N,).
+        parameters: Everything else; their grid is not used.
+    """
+    p, count = parameters, stiffness.size
+    timing = Timing(period=p.period, delay=p.delay)
+    limit = along("z", p.force_limit or _MOST_FORCE, math.inf)
+    plant = ExactPlant(
+        timing,
+        mass=p.mass,
+        hand=p.loop["hand"],
+        pose=along_z(np.full(count, p.height)),
+        escape=_FAR,
+        wrench_limit=limit,
+        sensor=stepped("z", p.quantize),
+    )
+    controller = wall_controller(
+        stiffness=stiffness,
+        damping=damping,
+        pulse=p.pulse,
+        pulse_width=p.pulse_width,
+        period=p.period,
+        delay=p.delay,
+        mass=p.mass,
+    )
+    quarters = _Quarters(count)
+    with plant:
+        drive(plant, controller, SAMPLES, observe=quarters)
+    return quarters.judge(p)
+
+
+class _Quarters:
+    """Keeps least and greatest position along z of each device in the third and the last quarter of the samples."""
+
+    def __init__(self, devices: int) -> None:
+        self._least, self._most = np.full((2, devices), np.inf), np.full((2, devices), -np.inf)
+
+    def __call__(self, sample: Sample, _: Command) -> None:
+        """Look at one sample."""
+        if (quarter := 4 * sample.tick // SAMPLES - 2) >= 0:
+            position = sample.position[2]
+            np.minimum(self._least[quarter], position, out=self._least[quarter])
+            np.maximum(self._most[quarter], position, out=self._most[quarter])
+
+    def judge(self, p: DropMapParameters) -> tuple[Array, Array]:
+        """Return the last swing and the ending of each device, (N,) each."""
+        before, swing = self._most - self._least
+        inside = self._most.max(axis=0) <= 0.0
+        settles = (swing <= p.band) | (inside & (swing < _DYING * before))
+        gains = self._most[1] > p.height
+        return swing, np.where(settles, Ending.SETTLES, np.where(gains, Ending.GAINS, Ending.GOES_ON))
+
+
+def _ends(values: Array) -> tuple[float, float]:
+    return float(values[0]), float(values[-1])
