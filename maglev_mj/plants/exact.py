@@ -126,7 +126,7 @@ class ExactPlant(SampledPlant):
         fx, fy, fz, tx, ty, tz = force
         one, by_x, by_y, by_z, fall = self._body
         if self._uses_force:  # later, when the caller may have used its list or arrays again
-            force = [np.array(part) for part in force] if self.batch else tuple(force)
+            force = [part if part.__class__ is float else np.array(part) for part in force]
         return (fx * one, fy * one, fz * one + fall, tx * by_x, ty * by_y, tz * by_z), force
 
     def _advance(self, duration: Component, drive: Drive, pieces: int = 1) -> None:
