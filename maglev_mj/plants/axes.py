@@ -9,7 +9,7 @@ from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 
-from maglev_mj.frames import Array, Component
+from maglev_mj.frames import Component
 from maglev_mj.hand import Hand, motion, transition
 
 __all__ = ["Amendment", "DryFriction", "HeldAxis", "Lag", "Motion"]
@@ -215,7 +215,7 @@ class DryFriction:
         """See `Amendment`."""
         (place, velocity, _), (places, velocities, _) = before, after
         for index, rub, inverse, weight in self._axes:
-            x, v, push = place[index], velocity[index], force[index] + weight + effort[index]
+            x, v, push = place[index], velocity[index], force[index] + (weight + effort[index])
             # what the devices of a batch share is a number too
             one = self._single or all(isinstance(part, float) for part in (push, v, x, duration, rub, inverse))
             slide = _slide if one else _slide_many
@@ -236,33 +236,34 @@ def _slide(duration: float, x: float, v: float, push: float, rub: float, inverse
     if v == 0.0 and -rub <= push <= rub:
         return x, v
     first = (push - rub if v > 0.0 or (v == 0.0 and push > 0.0) else push + rub) * inverse
-    if first * v < 0.0:
+    speed = v + duration * first
+    if v * speed < 0.0:  # it stops on the way
         until = -v / first
-        if until < duration:
-            x += until * (v + 0.5 * until * first)
-            if -rub <= push <= rub:
-                return x, 0.0
-            left, second = duration - until, (push - rub if push > 0.0 else push + rub) * inverse
-            return x + 0.5 * left * left * second, left * second
-    return x + duration * (v + 0.5 * duration * first), v + duration * first
+        x += until * (v + 0.5 * until * first)
+        if -rub <= push <= rub:
+            return x, 0.0
+        left, second = duration - until, (push - rub if push > 0.0 else push + rub) * inverse
+        return x + 0.5 * left * left * second, left * second
+    return x + duration * (v + 0.5 * duration * first), speed
 
 
 def _slide_many(
     duration: Component, x: Component, v: Component, push: Component, rub: Component, inverse: Component
-) -> tuple[Array, Array]:
+) -> tuple[Component, Component]:
     """Return what `_slide` does for a batch, (...,) each: all as if none stopped, then those that do."""
     rests = v == 0.0
     first = (push - np.copysign(rub, v)) * inverse
-    if np.any(rests):
+    if np.count_nonzero(rests):
         first = np.where(rests, _beyond(push, rub) * inverse, first)
-    with np.errstate(divide="ignore", invalid="ignore"):
+    speed = v + duration * first
+    place = x + duration * (v + 0.5 * duration * first)
+    stops = v * speed < 0.0
+    if np.count_nonzero(stops):
+        place, speed = (np.array(part) for part in np.broadcast_arrays(place, speed))
+        stops = np.nonzero(np.broadcast_to(stops, place.shape))
+        parts = duration, x, v, push, rub, inverse, first
+        duration, x, v, push, rub, inverse, first = (np.broadcast_to(one, place.shape)[stops] for one in parts)
         until = -v / first
-    place, speed = np.asarray(x + duration * (v + 0.5 * duration * first)), np.asarray(v + duration * first)
-    # an infinite or no speed-up has no such time, nor has a flotor at rest
-    stops = np.nonzero(np.broadcast_to((until > 0.0) & (until < duration), place.shape))
-    if stops[0].size:
-        parts = duration, x, v, push, rub, inverse, first, until
-        duration, x, v, push, rub, inverse, first, until = (np.broadcast_to(one, place.shape)[stops] for one in parts)
         left, second = duration - until, _beyond(push, rub) * inverse
         place[stops] = x + until * (v + 0.5 * until * first) + 0.5 * left * left * second
         speed[stops] = left * second

@@ -152,8 +152,8 @@ class SampledPlant(ABC):
         """Return the state at this instant and the drive, in a form that is cheap to make and never changes."""
 
     @abstractmethod
-    def _arrays(self, kept: Any) -> tuple[Array, Array, Array]:
-        """Return pose, twist and the wrench on the flotor of what `_kept` returned, (..., 6) each."""
+    def _arrays(self, kept: Sequence[Any]) -> tuple[Array, Array, Array]:
+        """Return pose, twist and the wrench on the flotor of K states of `_kept`, (K, ..., 6) each."""
 
     @abstractmethod
     def _where(self) -> Sequence[Component]:
@@ -237,7 +237,8 @@ class SampledPlant(ABC):
 
     def state(self) -> tuple[Array, Array]:
         """Return the true pose and twist at the last sample, whatever the sensor made of them, (..., 6) each."""
-        return self._arrays(self._kept(self._timeline.acting))[:2]
+        pose, twist, _ = self._arrays([self._kept(self._timeline.acting)])
+        return pose[0], twist[0]
 
     @property
     def begun(self) -> bool:

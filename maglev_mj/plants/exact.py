@@ -126,7 +126,7 @@ class ExactPlant(SampledPlant):
         fx, fy, fz, tx, ty, tz = force
         one, by_x, by_y, by_z, fall = self._body
         if self._uses_force:  # later, when the caller may have used its list or arrays again
-            force = [np.array(part) for part in force] if self.batch else tuple(force)
+            force = [part if part.__class__ is float else np.array(part) for part in force]
         return (fx * one, fy * one, fz * one + fall, tx * by_x, ty * by_y, tz * by_z), force
 
     def _advance(self, duration: Component, drive: Drive, pieces: int = 1) -> None:
@@ -180,10 +180,19 @@ class ExactPlant(SampledPlant):
     def _kept(self, drive: Drive) -> _Kept:
         return self._place, self._velocity, self._actual if self._lag else drive[1]
 
-    def _arrays(self, kept: _Kept) -> tuple[Array, Array, Array]:
-        shape = (*self.batch, 6)
-        pose, twist, wrench = (np.broadcast_to(join(part), shape) for part in kept)
+    def _arrays(self, kept: Sequence[_Kept]) -> tuple[Array, Array, Array]:
+        pose, twist, wrench = map(self._stacked, zip(*kept))
         return pose, twist, wrench
+
+    def _stacked(self, rows: Sequence[Sequence[Component]]) -> Array:
+        """Return K times six components as an array, (K, ..., 6)."""
+        if not self.batch:
+            return np.array(rows, dtype=np.float64)
+        stacked = np.empty((len(rows), *self.batch, 6))
+        for array, row in zip(stacked, rows, strict=True):
+            for axis, part in enumerate(row):
+                array[..., axis] = part
+        return stacked
 
 
 def _start(

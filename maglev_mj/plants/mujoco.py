@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from functools import cached_property
-from typing import Any, TypeAlias, Unpack
+from typing import Any, TypeAlias, Unpack, cast
 
 import mujoco
 import numpy as np
@@ -376,7 +376,7 @@ class MuJoCoPlant(SampledPlant):
 
     def _work(self, drive: Drive, before: Sequence[float], after: Sequence[float]) -> float:
         known = drive[0][0] is not None
-        force: Any = drive[0] if known else self._wrench(self._acting(drive), before).tolist()
+        force: Any = drive[0] if known else self._wrench(self._acting(drive), before)
         return float(turned_work(force, before, after))
 
     def _acting(self, drive: Drive) -> Drive:
@@ -388,26 +388,29 @@ class MuJoCoPlant(SampledPlant):
         currents = np.array(self._data.act if self._model.na else controls)
         return (None,), (currents if falloff is None else currents * falloff.share()).tolist(), inverse
 
-    def _wrench(self, acting: Drive, place: Sequence[float]) -> Array:
-        """Return the wrench on the flotor (6,) under a drive as it acts, at x y z and a quaternion."""
+    def _wrench(self, acting: Drive, place: Sequence[float]) -> Sequence[float]:
+        """Return the wrench on the flotor, six, under a drive as it acts, at x y z and a quaternion."""
         force, currents, inverse = acting
         if force[0] is not None:
-            return np.array(force, dtype=np.float64)
+            return cast("Sequence[float]", force)
         assert self._coils is not None
         if inverse is None:
             mujoco.mju_quat2Mat(self._rotation, np.array(place[3:]))
             inverse = self._coils.inverse_at(self._rotation)
-        return np.asarray(np.linalg.solve(inverse, currents), dtype=np.float64)
+        wrench: list[float] = np.linalg.solve(inverse, currents).tolist()
+        return wrench
 
     def _kept(self, drive: Drive) -> _Kept:
         return self._look(), self._qvel.tolist(), self._acting(drive)
 
-    def _arrays(self, kept: _Kept) -> tuple[Array, Array, Array]:
-        place, velocity, acting = kept
-        x, y, z, q0, q1, q2, q3 = place
-        mujoco.mju_quat2Mat(self._rotation, np.array([q0, q1, q2, q3]))
-        twist = np.concatenate([velocity[:3], self._rotation.reshape(3, 3) @ velocity[3:]])
-        return np.array([x, y, z, *rotation_vector(q0, q1, q2, q3)]), twist, self._wrench(acting, place)
+    def _arrays(self, kept: Sequence[_Kept]) -> tuple[Array, Array, Array]:
+        places, velocities, actings = zip(*kept)
+        pose = [[x, y, z, *rotation_vector(q0, q1, q2, q3)] for x, y, z, q0, q1, q2, q3 in places]
+        twist, matrices = np.array(velocities), np.empty((len(kept), 9))
+        for matrix, turn in zip(matrices, np.array(places)[:, 3:], strict=True):
+            mujoco.mju_quat2Mat(matrix, turn)
+        twist[:, 3:] = np.matmul(matrices.reshape(-1, 3, 3), twist[:, 3:, None])[..., 0]
+        return np.array(pose), twist, np.array([self._wrench(*one) for one in zip(actings, places)])
 
 
 def _of_currents(currents: Sequence[float]) -> Drive:
