@@ -141,6 +141,11 @@ def test_bench_loop_prints_its_ratios(run_script: Script) -> None:
     assert "RK4, coils, closed loop / bare mj_step" in run_script("benchmarks/bench_loop.py", "--quick")
 
 
-def test_bench_recording_prints_what_a_tick_costs(run_script: Script) -> None:
-    out = run_script("benchmarks/bench_recording.py", "--quick")
-    assert "recorded to .mcap, into shared memory" in out and "samples a second" in out
+def test_recorder_prints_what_a_tick_costs(run_script: Script) -> None:
+    out = run_script("benchmarks/recorder.py", "--quick")
+    assert "recorded to .mcap, into shared memory" in out and "samples a second" in out and "is read in" in out
+
+
+def test_start_prints_times_and_ratios(run_script: Script) -> None:
+    out = run_script("benchmarks/start.py", "--quick")
+    assert "complete an option" in out and "drop over numpy and mujoco" in out

@@ -10,9 +10,11 @@ from maglev_mj.frames import Array
 from maglev_mj.recording.checks import check_rows
 from maglev_mj.recording.row import Field, as_rows
 
-__all__ = ["Columns"]
+__all__ = ["BLOCK", "Columns"]
 
-_BLOCK = 1 << 13
+BLOCK = 1 << 13
+"""Samples that are checked at a time."""
+
 _TWINS = {"applied": "command", "applied_pulse": "pulse", "applied_pulse_width": "pulse_width"}
 """Fields that are another to the last bit until the plant meets a limit."""
 
@@ -35,7 +37,7 @@ class _Column:
             self._array[:] = self._row
         if self._array is not None:
             if stop > len(self._array):  # by the system, which moves pages and copies nothing
-                self._array.resize((stop + max(stop >> 5, _BLOCK), *block.shape[1:]), refcheck=False)
+                self._array.resize((stop + max(stop >> 5, BLOCK), *block.shape[1:]), refcheck=False)
             self._array[start:stop] = block
         self._count = stop
 
@@ -73,13 +75,13 @@ class Columns:
         """Take some samples as arrays of all fields, (N,) or (N, 6)."""
         self._waiting.append(values)
         self._count += len(values["tick"])
-        self.sort(_BLOCK)
+        self.sort(BLOCK)
 
     def add_row(self, row: Sequence[float]) -> None:
         """Take one sample as the values of its fields."""
         self._rows.append(row)
         self._count += 1
-        self.sort(_BLOCK)
+        self.sort(BLOCK)
 
     def array(self, name: str) -> Array:
         """Return a field of all samples, (N,) or (N, 6); it is not to be changed."""
@@ -97,7 +99,9 @@ class Columns:
         if self._rows:
             rows = as_rows(self._rows, self._fields)
             self._waiting, self._rows = [{name: rows[name] for name in self._names}], []
-        values = {name: np.concatenate([part[name] for part in self._waiting]) for name in self._names}
+        values, *more = self._waiting
+        if more:
+            values = {name: np.concatenate([part[name] for part in self._waiting]) for name in self._names}
         self._waiting, self._sorted = [], self._count
         if self._last:  # with the row before, for what goes from row to row
             check_rows({name: np.concatenate([self._last[name], values[name]]) for name in self._names}, start - 1)

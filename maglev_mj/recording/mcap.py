@@ -29,10 +29,10 @@ from maglev_mj.recording.checks import (
     unpacked,
     whole,
 )
-from maglev_mj.recording.columns import Columns
+from maglev_mj.recording.columns import BLOCK, Columns
 from maglev_mj.recording.metadata import RunMetadata, Setup
 from maglev_mj.recording.protobuf import STRETCH as NUMBER
-from maglev_mj.recording.protobuf import Layout, MessageArray, layout_of
+from maglev_mj.recording.protobuf import Layout, layout_of
 from maglev_mj.recording.row import FIELDS, TOTALS
 
 __all__ = [
@@ -59,12 +59,11 @@ STRETCH, SAMPLE, EVENT = "/maglev/stretch", "/maglev/sample", "/maglev/event"
 _MOST_MESSAGE = 1 << 20
 _MOST_RECORD = LARGEST_PART + (1 << 20)
 _RECORD, _MESSAGE = struct.Struct("<BQ"), struct.Struct("<HIQQ")
+_NUMBERED, _COUNT = struct.Struct("<HI"), struct.Struct("<I")
 _FRONT, _SAME = _RECORD.size + _MESSAGE.size, _RECORD.size + 2  # bytes before a message; those alike in each of a topic
 _HEADER, _FOOTER, _SCHEMA, _CHANNEL, _SAID, _CHUNK = 1, 2, 3, 4, 5, 6
 _ATTACHED, _STATISTICS, _ABOUT, _DATA_END = 9, 11, 12, 15
-_LOOK = 32
-_ENOUGH = 1 << 10
-
+_OURS = frozenset((STRETCH, SAMPLE, EVENT))
 
 _NEEDED = "record", "recordings as MCAP need mcap and foxglove-sdk"
 
@@ -199,7 +198,8 @@ class Found:
         self._topics: dict[int, str] = {}
         self._counts: dict[int, int] = {}
         self._layout: Layout | None = None
-        self._runs: list[MessageArray] = []
+        self._runs: list[bytes] = []
+        self._waiting = 0
         self._tick = 0
         self._takers: Mapping[int, Callable[[bytes], None]] = {
             _CHUNK: self._chunk,
@@ -242,13 +242,14 @@ class Found:
             if kind == _SAID:
                 if not _MESSAGE.size <= length <= _MOST_MESSAGE:
                     raise UnpackingError(f"a message must have at most {_MOST_MESSAGE} bytes, not {length}")
-                channel, number, _, _ = _MESSAGE.unpack_from(data, at + _RECORD.size)
+                channel, number = _NUMBERED.unpack_from(data, at + _RECORD.size)
                 topic = self._topic(channel)
                 if topic == SAMPLE and self.about:
                     after = self._run(data, at, after, channel)
                 else:
                     self._count(channel, topic, number)
-                    self._message(topic, data[at + _FRONT : after])
+                    if topic in _OURS:
+                        self._message(topic, data[at + _FRONT : after])
             elif kind == _CHANNEL:
                 self._channel(data[at + _RECORD.size : after])
             elif kind != _SCHEMA:
@@ -256,7 +257,7 @@ class Found:
                     f"a chunk must hold schemas, channels and messages alone, not records of kind {kind}"
                 )
             at = after
-        if sum(map(len, self._runs)) > _ENOUGH:
+        if self._waiting >= BLOCK:
             self.join()
 
     def _topic(self, channel: int) -> str:
@@ -275,7 +276,7 @@ class Found:
     def _count(self, channel: int, topic: str, number: int, count: int = 1) -> None:
         """Count messages on a channel; in files of before all but the strangers' are numbered together, from 0."""
         if not self.about:
-            if topic not in (STRETCH, SAMPLE, EVENT):
+            if topic not in _OURS:
                 return
             channel, number = -1, number + 1
         before = self._counts.get(channel, 0)
@@ -290,21 +291,14 @@ class Found:
             self._layout = layout_of(data[at + _FRONT : after])
         if size != _FRONT + self._layout.size:
             raise ParameterError("the samples of a file must all have the same fields")
-        head, look = data[at : at + _SAME], _LOOK
-        while True:
-            most = min(look, (len(data) - at) // size)
-            alike = np.ndarray((most,), "<u8", data, at + 1, (size,)) == size - _RECORD.size
-            found = most if alike.all() else int(alike.argmin())
-            if found < look:
-                break
-            look *= 8
-        rows = np.ndarray((found, size), np.uint8, data, at)
-        if rows[:, :_SAME].tobytes() != head * found:  # what follows has the length of a sample, and is none
-            found = int((rows[:, :_SAME] == rows[0, :_SAME]).all(axis=1).argmin())
-        (first,) = struct.unpack_from("<I", data, at + _SAME)
+        head, end, last = data[at : at + _SAME], after, len(data) - size
+        while end <= last and data.startswith(head, end):
+            end += size
+        (first,), found = _COUNT.unpack_from(data, at + _SAME), (end - at) // size
         self._count(channel, SAMPLE, first, found)
-        self._runs.append(rows[:found])
-        return at + found * size
+        self._runs.append(data[at:end])
+        self._waiting += found
+        return end
 
     def join(self) -> None:
         """Add the samples that were taken to their stretch.
@@ -318,8 +312,9 @@ class Found:
         assert self._layout is not None
         if not self.parts:
             raise ParameterError("a sample must be in a stretch")
-        records = np.concatenate(self._runs)
-        self._runs = []
+        messages = b"".join(self._runs)
+        self._runs, self._waiting = [], 0
+        records = np.frombuffer(messages, np.uint8).reshape(-1, _FRONT + self._layout.size)
         numbers = np.ascontiguousarray(records[:, _SAME : _SAME + 4]).view("<u4")[:, 0]
         good = 1 + int(np.argmin(np.append(np.diff(numbers) == 1, False)))
         rows = records[:good, _FRONT:]
@@ -335,8 +330,6 @@ class Found:
             raise ValueError("messages are missing")
 
     def _message(self, topic: str, data: bytes) -> None:
-        if topic not in (STRETCH, SAMPLE, EVENT):
-            return
         self.join()
         if topic != SAMPLE:
             self._allowance.text(len(data))
@@ -392,8 +385,7 @@ class Found:
 
         said: Mapping[int, int] = Statistics.read(ReadDataStream(BytesIO(data))).channel_message_counts
         if not self.about:
-            ours = (STRETCH, SAMPLE, EVENT)
-            said = {-1: sum(count for channel, count in said.items() if self._topic(channel) in ours)}
+            said = {-1: sum(count for channel, count in said.items() if self._topic(channel) in _OURS)}
         missing = sum(said.values()) - sum(self._counts.values())
         if missing or any(self._counts.get(channel, 0) != count for channel, count in said.items()):
             raise ValueError(f"{missing} messages are missing")

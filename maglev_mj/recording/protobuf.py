@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
+from numpy.lib.stride_tricks import as_strided
 
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Array
@@ -169,14 +170,11 @@ class Layout:
         if at is None:
             return np.full((count, 6) if field.six else count, np.nan)
         kind = np.dtype("<f8" if field.unit else "<u8")
-        place = messages[:, at : at + _NUMBER_SIZE]
-        if not field.six:
-            return np.ascontiguousarray(place).view(kind)[:, 0].astype(np.float64)
-        found = np.empty((count, 6))
-        for axis in range(6):
-            start = at + axis * (_SIX_SIZE // 6)
-            found[:, axis] = np.ascontiguousarray(messages[:, start : start + _NUMBER_SIZE]).view(kind)[:, 0]
-        return found
+        values = messages[:, at : at + _NUMBER_SIZE].view(kind)
+        if field.six:
+            values = as_strided(values, (count, 6), (values.strides[0], _SIX_SIZE // 6))
+        found = values.astype(np.float64)
+        return found if field.six else found[:, 0]
 
 
 def layout_of(message: bytes) -> Layout:

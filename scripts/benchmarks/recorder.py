@@ -1,0 +1,308 @@
+"""What recording costs the tick and its writer, and how long an hour takes to read.
+
+    python scripts/benchmarks/recorder.py [--quick] [--hour FILE]
+    python scripts/benchmarks/recorder.py --rate 20000 --seconds 30
+
+The same loop with and without a recording in turn, with the wall's laws on a plant that costs nothing; the difference
+is what recording adds to a tick. Times of ticks and writer are of the processor, medians over many short turns and
+some runs; the machine may be shared. The time to read an hour at 1 kHz, all six axes noisy, is extrapolated from some
+minutes of it; with --hour a file of the whole, of 830 MB, is made and read. With --rate a run in real time is recorded.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import io
+import json
+import math
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, cast
+
+import numpy as np
+
+from maglev_mj import Command, Sample
+from maglev_mj.loop import ControlLoop, Record
+from maglev_mj.recording import ArrayFile, RecordingError, RecordingFile, load, setup_of, tee
+from maglev_mj.recording.files import row_of
+from maglev_mj.recording.live import ROWS, LiveFile, Ring
+from maglev_mj.recording.row import ROW, as_table
+from maglev_mj.recording.writer import McapWriter
+from maglev_mj.scenes.joystick import Joystick
+
+BLOCK = 200
+PERIOD = Joystick().period
+NOISY = 60_000
+
+
+class Nothing:
+    """A plant that costs nothing: the flotor is pressed against the wall, and hits it once in 100 samples."""
+
+    period = PERIOD
+
+    def __init__(self) -> None:
+        self._tick = 0
+        self._places = [
+            [3e-3 + 1e-5 * step, *(1e-4 * math.sin(step + axis) for axis in range(5))] for step in range(100)
+        ]
+        self.hand_wrench = self._places[0]
+
+    def read(self) -> Sample:
+        """Return the next sample."""
+        self._tick += 1
+        self.hand_wrench = self._places[self._tick * 7 % 100]
+        return Sample(self._tick, self._tick * PERIOD, self._places[self._tick % 100])
+
+    def write(self, command: Command) -> Command:
+        """Return it as it is."""
+        return command
+
+    def close(self) -> None:
+        """Do nothing."""
+
+
+def tick_times(makers: Sequence[Callable[[Nothing], Record] | None], turns: int) -> list[list[float]]:
+    """Return the time of a tick [s] in each turn, recorded in each way; short turns, for a machine is not alone."""
+    loops = []
+    for make in makers:
+        plant, controller = Nothing(), Joystick().controller()
+        loops.append(ControlLoop(plant, controller, record=None if make is None else make(plant)))
+    times: list[list[float]] = [[] for _ in loops]
+    gc.disable()
+    for _ in range(turns):
+        for loop, kept in zip(loops, times, strict=True):
+            start = time.thread_time()
+            loop.cycle(BLOCK)
+            kept.append((time.thread_time() - start) / BLOCK)
+    gc.enable()
+    return times
+
+
+def tick_costs(turns: int, runs: int) -> dict[str, float]:
+    """Return the time of a tick, and what each way to record adds [s]: medians of runs, each of its turns."""
+    found: dict[str, list[float]] = {"bare": [], "mcap": [], "npz": [], "tee": []}
+    for _ in range(runs):
+        ring = Ring()
+        arrays, both = ArrayFile(), tee(cast(RecordingFile, _Opened(ring)), ArrayFile())
+        assert both is not None
+        makers = [ring.record, *(partial(_begun, file) for file in (arrays, both))]
+        bare, *recorded = tick_times([None, *makers], turns)
+        ring.close()
+        found["bare"].append(statistics.median(bare))
+        for name, one in zip(("mcap", "npz", "tee"), recorded, strict=True):
+            found[name].append(statistics.median(more - less for more, less in zip(one, bare, strict=True)))
+    return {name: statistics.median(times) for name, times in found.items()}
+
+
+class _Opened:
+    """A ring as a file of a tee, without a writer."""
+
+    def __init__(self, ring: Ring) -> None:
+        self._ring = ring
+
+    def begin(self, plant: Nothing, controller: Any, setup: Any = None) -> Record:
+        """Return what the loop records it to."""
+        return self._ring.record(plant)
+
+
+def _begun(file: RecordingFile, plant: Nothing) -> Record:
+    controller = Joystick().controller()
+    return file.begin(plant, controller, setup_of(plant, controller, delay=0.0))
+
+
+def writer_costs(count: int, runs: int) -> dict[str, dict[str, float]]:
+    """Return what a sample costs the writer, by rate: time of the processor [s], and bytes."""
+    plant, controller = Nothing(), Joystick().controller()
+    rows: list[list[float]] = []
+
+    def keep(sample: Sample, command: Command, applied: Command) -> None:
+        rows.append([*row_of(sample, command, applied, plant)])
+
+    ControlLoop(plant, controller, record=keep).cycle(count)
+    whole, costs = {**setup_of(plant, controller, delay=0.0), "versions": {}}, {}
+    for rate in (200, 1000, 20_000):
+        for tick, row in enumerate(rows):
+            row[1] = tick / rate
+        found = []
+        for _ in range(runs):
+            file = io.BytesIO()
+            writer, start = McapWriter(file), time.thread_time()
+            writer.begin(whole, 10**18)
+            for row in rows:
+                writer.row(row)
+            writer.close()
+            found.append((time.thread_time() - start) / count)
+        costs[f"{rate} Hz"] = {"seconds": statistics.median(found), "bytes": len(file.getvalue()) / count}
+    return costs
+
+
+def kept_up(rate: float, seconds: float) -> dict[str, float]:
+    """Record to a file at a rate in real time [1/s], as a session does.
+
+    Returns:
+        Samples recorded and lost, and the time that the writer takes for the rest at the end [s].
+    """
+    plant, controller = Nothing(), Joystick().controller()
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "run.mcap"
+        file = LiveFile(path)
+        record = file.begin(plant, controller, setup_of(plant, controller, delay=0.0))
+        loop, start, done = ControlLoop(plant, controller, record=record), time.perf_counter(), 0
+        while (now := time.perf_counter() - start) < seconds:
+            if due := int(now * rate) - done:
+                loop.cycle(due)
+                done += due
+            else:
+                time.sleep(1e-4)
+        start = time.perf_counter()
+        with suppress(RecordingError):  # of lost samples, which are counted
+            file.close()
+        rest = time.perf_counter() - start
+        lost = done - len(load(path, ["tick"]))
+    return {"samples": done, "lost": lost, "rest": rest}
+
+
+def throughput(samples: int) -> float:
+    """Return how many samples a second a run that waits for its writer records, its start and end apart."""
+    plant, controller = Nothing(), Joystick().controller()
+    with TemporaryDirectory() as folder:
+        file = LiveFile(Path(folder) / "run.mcap", wait=True)
+        loop = ControlLoop(
+            plant, controller, record=file.begin(plant, controller, setup_of(plant, controller, delay=0))
+        )
+        loop.cycle(2 * ROWS)  # until it has begun, and the memory is full
+        start = time.perf_counter()
+        loop.cycle(samples)
+        took = time.perf_counter() - start
+        file.close()
+    return samples / took
+
+
+class _Totals:
+    """Totals that cost nothing."""
+
+    def __init__(self, values: Sequence[Sequence[float]]) -> None:
+        self._values, self._place = values, 0
+
+    def add(self, row: Any) -> tuple[float, float, int]:
+        """Return the next."""
+        self._place += 1
+        taken, work = self._values[self._place % len(self._values)]
+        return taken, work, 0
+
+
+def make_file(path: Path, samples: int) -> None:
+    """Write a file of so many samples at 1 kHz, by the writer, from noise in place of a plant."""
+    random, rows = np.random.default_rng(1), np.zeros(NOISY, ROW)
+    for name, size in (("position", 1e-3), ("command", 10.0), ("hand", 3.0)):
+        rows[name] = random.normal(size=(NOISY, 6)) * size
+    rows["pulse"][: NOISY // 10, 2] = random.normal(size=NOISY // 10)
+    rows["pulse_width"][: NOISY // 10] = 1e-3
+    for name in ("", "_pulse", "_pulse_width"):
+        rows[f"applied{name}"] = rows["command" if not name else name[1:]]
+    rows["arrival"] = np.nan
+    values, (plant, controller) = as_table(rows).tolist(), (Nothing(), Joystick().controller())
+    with path.open("wb") as file:
+        writer = McapWriter(file)
+        writer.begin({**setup_of(plant, controller, delay=0.0), "versions": {}}, 10**18)
+        writer._messages._totals = _Totals(random.normal(size=(NOISY, 2)).tolist())  # type: ignore[assignment]
+        for tick in range(samples):
+            row = values[tick % NOISY]
+            row[:2] = [tick, tick * 1e-3]
+            writer.row(row)
+        writer.close()
+
+
+READ = """
+import json, resource, sys, time
+from maglev_mj.recording import load
+start, used = time.perf_counter(), time.process_time()
+samples = load(sys.argv[1], sys.argv[2].split(",") if len(sys.argv) > 2 else None)
+found = [len(samples), time.perf_counter() - start, time.process_time() - used]
+print(json.dumps([*found, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024]))
+"""
+
+
+def read_cost(path: Path, fields: str = "") -> dict[str, float]:
+    """Return time, time of the processor [s] and memory [bytes] that a file takes to read, in a process of its own."""
+    done = subprocess.run([sys.executable, "-c", READ, str(path), *fields.split()], check=True, capture_output=True)
+    return dict(zip(("samples", "seconds", "processor", "memory"), json.loads(done.stdout), strict=True))
+
+
+def read_hour(minutes: float, runs: int) -> dict[str, float]:
+    """Return the time to read an hour at 1 kHz [s], extrapolated from so many minutes."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "minutes.mcap"
+        make_file(path, round(minutes * 60_000))
+        found = [read_cost(path) for _ in range(runs)]
+        size = path.stat().st_size
+    hour = 60.0 / minutes
+    return {
+        "minutes": minutes,
+        "seconds": statistics.median(one["seconds"] for one in found) * hour,
+        "bytes": size * hour,
+    }
+
+
+def measure(quick: bool) -> dict[str, Any]:
+    """Return the costs of recording and reading.
+
+    Args:
+        quick: Fewer turns, samples and runs.
+    """
+    turns, count, runs = (20, 1000, 1) if quick else (60, 4000, 3)
+    return {
+        "tick": tick_costs(turns, runs),
+        "writer": writer_costs(count, runs),
+        "kept_up": kept_up(20_000.0, 0.3 if quick else 1.0),
+        "throughput": throughput(5000 if quick else 30_000),
+        "read_hour": read_hour(0.05 if quick else 1.0, runs),
+    }
+
+
+def main() -> None:
+    """Print what a recorded tick costs, its writer and its reader."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="fewer turns and samples")
+    parser.add_argument("--hour", metavar="FILE", type=Path, help="also read a file of an hour, made under this name")
+    parser.add_argument("--rate", metavar="HZ", type=float, help="record for --seconds at this rate, and nothing else")
+    parser.add_argument("--seconds", metavar="X", type=float, default=30.0, help="how long (default 30)")
+    options = parser.parse_args()
+    if options.rate is not None:
+        found = kept_up(options.rate, options.seconds)
+        print(f"  {found['samples']} samples, {found['lost']} lost, {found['rest']:.2f} s to write the rest")
+        return
+    found = measure(options.quick)
+    tick, bare = found["tick"], found["tick"]["bare"]
+    print(f"  a tick without recording             {bare * 1e6:5.2f} µs")
+    for name, what in (("mcap", ".mcap, into shared memory"), ("npz", ".npz, into memory"), ("tee", "both at once")):
+        more = f"{tick[name] * 1e6:5.2f} µs, {1.0 + tick[name] / bare:.3f} times the tick"
+        print(f"  recorded to {what:25s}+{more}")
+    for rate, one in found["writer"].items():
+        print(f"  the writer takes {one['seconds'] * 1e6:.0f} µs a sample at {rate}, {one['bytes']:.0f} bytes each")
+    kept = found["kept_up"]
+    print(
+        f"  at 20 kHz: {kept['samples']} samples, {kept['lost']} lost; up to {found['throughput']:.0f} samples a second"
+    )
+    hour = found["read_hour"]
+    print(f"  an hour at 1 kHz is read in {hour['seconds']:.1f} s, from {hour['minutes']:g} minutes of it")
+    if options.hour is not None:
+        make_file(options.hour, 20_000 if options.quick else 3_600_000)
+        for fields in ("", "time,position"):
+            one = read_cost(options.hour, fields)
+            took = (
+                f"{one['seconds']:.1f} s, {one['processor']:.1f} s of processor, {one['memory'] / 1e6:.0f} MB at most"
+            )
+            print(f"  load, {fields or 'all fields'}: {one['samples']} samples in {took}")
+
+
+if __name__ == "__main__":
+    main()
