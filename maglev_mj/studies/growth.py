@@ -28,6 +28,7 @@ __all__ = ["HAND_HELP", "RestingWall", "measure_growth"]
 _MOVED = 1e-6
 _DECIDED = 1e4
 _BLOCK = 16
+_FEW = 48
 _FAR = (1e15, 1.0)
 HAND_HELP = f"{', '.join(HANDS)} or MASS,DAMPING,STIFFNESS[,GRIP_DAMPING,GRIP_STIFFNESS]"
 """Help of a hand on the flotor."""
@@ -145,8 +146,6 @@ def measure_growth(walls: Sequence[RestingWall], plant: str = "exact", **keyword
     """
     if plant not in _BATCHES:
         raise ParameterError(not_one_of("plant", _BATCHES, plant))
-    if plant == "mujoco" and not any(wall.impedance for wall in walls):
-        keywords = {"integrator": "corrected", **keywords}  # exact along an axis, where no hand pushes within a step
     count = len(walls)
     stable, rate, spent = np.zeros(count, dtype=bool), np.full(count, np.nan), np.zeros(count)
     undecided = np.arange(count)
@@ -155,13 +154,20 @@ def measure_growth(walls: Sequence[RestingWall], plant: str = "exact", **keyword
             some = [walls[index] for index in undecided.tolist()]
             starts = [wall.start() for wall in some]
             pose, wrench = (np.array(parts) for parts in zip(*((start.pose, start.wrench) for start in starts)))
-            device = some[0].plant(_BATCHES[plant], pose=pose, wrench=wrench, **keywords)
+            options = {**_engine(some), **keywords} if plant == "mujoco" else keywords
+            device = some[0].plant(_BATCHES[plant], pose=pose, wrench=wrench, **options)
             sizes = _sizes(device, _controller(some), np.array([wall.rest for wall in some]), ticks)
             growth, decided = _judge(sizes, last=ticks == _PATIENCE[-1])
             done = undecided[decided]
             stable[done], rate[done], spent[done] = (part[decided] for part in growth)
             undecided = undecided[~decided]
     return Growth(stable, rate, spent)
+
+
+def _engine(walls: Sequence[RestingWall]) -> dict[str, Any]:
+    """Return the cheapest engine that is exact for some walls; threads pay off for many."""
+    held = any(wall.impedance for wall in walls)  # a hand's force changes within a step
+    return {"integrator": "rk4" if held else "corrected", "threads": int(len(walls) < _FEW)}
 
 
 def _controller(walls: Sequence[RestingWall]) -> Controller:
