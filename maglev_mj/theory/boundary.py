@@ -202,9 +202,10 @@ def _stiffest(loop: SampledLoop) -> tuple[float, float]:
     sides = np.outer(1.0 + _APART * np.array([-1.0, 0.0, 1.0]), places).ravel()
     dampings, low, high = _GRID, _LOWEST, _HIGHEST
     while True:
-        # a fold or a corner has its own, or is never met
+        # a fold or a corner is met only at its own
         dampings = np.unique([*dampings, *sides[(low <= sides) & (sides <= high)]])
         stiffness = np.minimum(curve.reach(dampings), _HIGHEST)
+        stiffness[np.isin(dampings, places)] *= 1.0 + 1e-12
         level = np.flatnonzero(stiffness >= stiffness.max() * (1.0 - 1e-14))
         best = dampings[level[len(level) // 2]]
         low = dampings[dampings < best * (1.0 - 10.0 * _APART)].max(initial=low)

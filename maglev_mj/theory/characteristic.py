@@ -14,6 +14,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.polynomial import chebyshev
+from numpy.typing import NDArray
 
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Mask
@@ -21,12 +22,13 @@ from maglev_mj.theory.closed_loop import SampledLoop
 
 __all__ = ["Characteristic", "SampledCurve", "characteristic", "crossings", "scales"]
 
-_LEAST, _MOST = 1e-11, 1e3
+_LEAST, _MOST, _FAR = 1e-11, 1e3, 3.0
 _TRIM = 1e-10
 _SLOWEST, _SLOW, _EACH = 1e-4, 0.25, 20
 """Least angle sampled [rad], that up to which they are spread by ratio, and samples a power of z beyond it."""
 _PAIRS = np.array([[0.0, 1.0, 0.0, 2.0], [0.0, 0.0, 1.0, 2.0]])
 _Series: TypeAlias = Array
+_Index: TypeAlias = NDArray[np.intp]
 
 
 class Characteristic(NamedTuple):
@@ -107,14 +109,36 @@ class SampledCurve:
         self._real, self._imag = values.real.copy(), values.imag.copy()
         held, damped = (sines[usual[0].size :] @ self._series.T).T
         with np.errstate(divide="ignore", invalid="ignore"):
+            self._leans = -(values[:, ::2] / values[:, 1:2]).real
             self.extremes = -held / damped
 
     def reach(self, damping: Array) -> Array:
         """Return the stiffness up to which every wall is stable at each damping, both without units, (N,)."""
+        rows, angles = self._crossings(damping)
+        damped = self._parts.free + damping[:, None] * self._parts.damped
+        stiff = np.broadcast_to(self._parts.stiff, damped.shape)
+        ends = np.broadcast_to([0.0, np.pi], (damping.size, 2))
+        result = _stiffness(damped, stiff, ends).min(axis=-1)
+        np.minimum.at(result, rows, _stiffness(damped[rows], stiff[rows], angles[:, None])[:, 0])
+        return np.where(self._stable(0.5 * np.minimum(result, _MOST), damping), result, 0.0)
+
+    def _crossings(self, damping: Array) -> tuple[_Index, Array]:
+        """Return the rows of dampings, and the angles between 0 and pi, at which each row's least stiffness may be."""
         sides = self._sides[:, 0] + damping[:, None] * self._sides[:, 1]
-        rows, place = np.nonzero((sides[:, 1:] > 0.0) != (sides[:, :-1] > 0.0))
-        low, high = self._angles[place], self._angles[place + 1]
-        left, right = sides[rows, place], sides[rows, place + 1]
+        above = sides[:, 1:-1] > 0.0  # at the ends it always vanishes
+        rows, place = np.nonzero(above[:, 1:] != above[:, :-1])
+        place = place + 1
+        one, other = (self._leans[place + on, 0] + damping[rows] * self._leans[place + on, 1] for on in (0, 1))
+        high, least = np.maximum(one, other), np.full(damping.size, np.inf)
+        np.minimum.at(least, rows, np.where(high > 0.0, high, np.inf))
+        near = ~((high <= 0.0) | (np.minimum(one, other) > _FAR * least[rows]))  # at a pole of the curve too
+        rows, place = rows[near], place[near]
+        low, high, left, right = (
+            self._angles[place],
+            self._angles[place + 1],
+            sides[rows, place],
+            sides[rows, place + 1],
+        )
         angles = low + (high - low) * left / (left - right)
         series = self._series[0] + damping[rows, None] * self._series[1]
         order = np.arange(1, series.shape[-1] + 1)
@@ -123,12 +147,7 @@ class SampledCurve:
             with np.errstate(divide="ignore", invalid="ignore"):
                 step = (np.sin(turns) * series).sum(axis=-1) / (np.cos(turns) * (order * series)).sum(axis=-1)
             angles = np.clip(angles - step, low, high)
-        damped = self._parts.free + damping[:, None] * self._parts.damped
-        stiff = np.broadcast_to(self._parts.stiff, damped.shape)
-        ends = np.broadcast_to([0.0, np.pi], (damping.size, 2))
-        result = _stiffness(damped, stiff, ends).min(axis=-1)
-        np.minimum.at(result, rows, _stiffness(damped[rows], stiff[rows], angles[:, None])[:, 0])
-        return np.where(self._stable(0.5 * np.minimum(result, _MOST), damping), result, 0.0)
+        return rows, angles
 
     def _stable(self, stiffness: Array, damping: Array) -> Mask:
         """Return whether all roots are inside the circle: the polynomial then makes n half turns on half of it."""
@@ -165,7 +184,8 @@ def _turning_angles(parts: Characteristic) -> Array:
     roots = np.concatenate(
         [chebyshev.chebroots(chebyshev.chebtrim(series, _TRIM * np.abs(series).max())) for series in (*rising, meets)]
     )
-    return np.asarray(np.arccos(roots[(roots.imag == 0.0) & (np.abs(roots) <= 1.0)].real))
+    angles = np.arccos(roots[(roots.imag == 0.0) & (np.abs(roots) <= 1.0)].real)
+    return np.asarray(angles[(angles > _SLOWEST) & (angles < np.pi - _SLOWEST)])
 
 
 def _chebyshev(series: _Series) -> Array:
@@ -219,8 +239,8 @@ def _roots(series: _Series) -> Array:
 @lru_cache(maxsize=32)
 def _samples(size: int) -> tuple[Array, Array, Array]:
     """Return `_tables` of angles from 0 to pi."""
-    fast = np.linspace(_SLOW, np.pi, _EACH * size)
-    return _tables(np.concatenate([[0.0], np.geomspace(_SLOWEST, _SLOW, 8 * _EACH, endpoint=False), fast]), size)
+    slow = np.geomspace(_SLOWEST, _SLOW, 8 * _EACH, endpoint=False)
+    return _tables(np.array([0.0, *slow, *np.linspace(_SLOW, np.pi - _SLOWEST, _EACH * size), np.pi]), size)
 
 
 def _tables(angles: Array, size: int) -> tuple[Array, Array, Array]:
