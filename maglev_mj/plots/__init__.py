@@ -5,13 +5,15 @@ from maglev_mj.plots.fault import last_cycles
 from maglev_mj.plots.paper import figure_6, phase_plane, stick_slip, time_series
 from maglev_mj.plots.recorded import first_contact, staircases, sticks, whole_run
 from maglev_mj.plots.results import pictures_of
-from maglev_mj.plots.stability import design_map, stability_map
+from maglev_mj.plots.stability import design_map, drop_map, drop_panels, stability_map
 
 __all__ = [
     "FORMATS",
     "Panel",
     "PictureFolder",
     "design_map",
+    "drop_map",
+    "drop_panels",
     "figure_6",
     "first_contact",
     "last_cycles",
