@@ -26,6 +26,7 @@ __all__ = [
     "chosen_key",
     "count",
     "described",
+    "given",
     "number_option",
     "range_of",
 ]
@@ -107,6 +108,11 @@ def chosen(options: argparse.Namespace, parameters: P | type[P], prefix: str = "
         return made.replace(**found, **further)
     except ParameterError as error:
         raise ParameterError(f"{prefix}{error}") from None
+
+
+def given(options: argparse.Namespace, parameters: type[Parameters]) -> set[str]:
+    """Return the names of the parameters of a class for which an option of `add_parameters` was given."""
+    return {one.name for one in parameters.parameters() if hasattr(options, _APART + one.name)}
 
 
 def add_json(parser: Parser, what: str = "the figures") -> None:

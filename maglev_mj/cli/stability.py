@@ -8,7 +8,7 @@ from pathlib import Path
 from maglev_mj import plots
 from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.cells import add_workers, cells_kept, chosen_workers, tell_of_others
-from maglev_mj.cli.options import add_json, add_parameters, chosen, range_of
+from maglev_mj.cli.options import add_json, add_parameters, chosen, given, range_of
 from maglev_mj.cli.output import check_outputs, write_results
 from maglev_mj.cli.pictures import add_pictures, chosen_pictures
 from maglev_mj.cli.progress import Progress
@@ -16,14 +16,16 @@ from maglev_mj.cli.scenes import add_scene
 from maglev_mj.errors import ParameterError
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.studies.cells import Record
+from maglev_mj.studies.nonlinear import PART, DropMapParameters, run_drop_map
 from maglev_mj.studies.stability_map import StabilityParameters, run_stability
-from maglev_mj.tables import loop_table, stability_table
+from maglev_mj.tables import drop_table, loop_table, stability_table
 from maglev_mj.theory import stability
 
 __all__ = ["add_options"]
 
 _RANGES = "damping", "stiffness"
 _WALL = "parameters of a wall"
+_DROP = "a map of drops instead, where one of these is given"
 _FALLBACK = Path("stability-cells.jsonl")
 
 
@@ -44,6 +46,7 @@ def _add_map(parser: Parser) -> None:
         told = f"{one.help} [{one.unit}]: LOW HIGH, LOW:HIGH, or one value (default: what shows the stable region)"
         group.add_argument(f"--{name}", nargs="+", metavar="X", help=told)
     add_parameters(group, StabilityParameters)
+    add_parameters(parser.group(_DROP), DropMapParameters)
     add_pictures(parser, "write the picture to this folder")
     add_workers(parser, "cells done are kept here and not done again")
 
@@ -63,14 +66,17 @@ def _verdict(options: argparse.Namespace) -> int:
 
 
 def _map(options: argparse.Namespace) -> int:
-    """Print where walls are stable."""
+    """Print where walls are stable, or where drops on them settle."""
     ranges = {name: range_of(name, getattr(options, name)) for name in _RANGES}
-    parameters = chosen(options, StabilityParameters, **ranges)
+    drops = bool(given(options, DropMapParameters) - given(options, StabilityParameters))
+    parameters = chosen(options, DropMapParameters if drops else StabilityParameters, **ranges)
     if chosen_pictures(options) is not None:
         for name in ("damping", "stiffness"):
             if (limits := getattr(parameters, name)) is not None and limits[0] == limits[1]:
                 raise ParameterError(f"{name} must be a range for a picture, not {limits[0]:g} alone")
     check_outputs(json=options.json, record=options.record)
+    if isinstance(parameters, DropMapParameters):
+        return _drops(options, parameters)
     workers = chosen_workers(options, default=0)
     with cells_kept(options.record, _FALLBACK), Progress("stability") as progress:
         result = run_stability(parameters, record=Record(options.record), workers=workers, progress=progress)
@@ -80,5 +86,20 @@ def _map(options: argparse.Namespace) -> int:
         result.as_json,
         lambda: stability_table(result),
         lambda pictures: [plots.stability_map(result, pictures.path("stability"))],
+    )
+    return 0
+
+
+def _drops(options: argparse.Namespace, parameters: DropMapParameters) -> int:
+    """Print where drops settle, simulated on every core where there is more than one part."""
+    workers = chosen_workers(options, default=None if parameters.grid**2 > PART else 0)
+    with cells_kept(options.record, _FALLBACK), Progress("stability") as progress:
+        result = run_drop_map(parameters, record=Record(options.record), workers=workers, progress=progress)
+    tell_of_others("stability", result.others)
+    write_results(
+        options,
+        result.as_json,
+        lambda: drop_table(result),
+        lambda pictures: [plots.drop_map(result, pictures.path("stability_drops"))],
     )
     return 0

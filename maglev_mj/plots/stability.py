@@ -1,7 +1,8 @@
-"""Pictures of stability: maps over the gains, and the margin of a designed wall."""
+"""Pictures of stability: maps over the gains, drops on their walls, and the margin of a designed wall."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +13,13 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.plots.drawing import FIRST, SECOND, TITLE, name_curves, new_figure, save
 from maglev_mj.studies.designed_wall import DesignResult
+from maglev_mj.studies.nonlinear import DropMap
 from maglev_mj.studies.stability_map import StabilityMap
 
-__all__ = ["design_map", "level_sets", "stability_map"]
+__all__ = ["design_map", "drop_map", "drop_panels", "level_sets", "stability_map"]
 
+_DECADES = [10.0**power for power in range(-6, 1)]
+_SHADES = ["#f7fcf0", "#e0f3db", "#ccebc5", "#a8ddb5", "#7bccc4", "#4eb3d3", "#2b8cbe", "#084081"]
 _LEVELS = np.array([0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 1.0])
 
 
@@ -80,6 +84,63 @@ def stability_map(result: StabilityMap, path: Path) -> Path:
         **TITLE,
     )
     return save(figure, path)
+
+
+def drop_map(result: DropMap, path: Path) -> Path:
+    """Draw how far drops on walls swing in the end, with theory's boundary and that of the drops that settle.
+
+    Args:
+        result: The map; its grid must have at least two values on each axis.
+        path: File to write.
+
+    Raises:
+        MissingPackageError: If matplotlib is not installed.
+    """
+    p = result.parameters
+    figure, panels = new_figure(1, 1, 5.6)
+    drop_panels(figure, panels, [result])
+    panels[0].set_title(f"{1.0 / p.period:g} Hz, delay {p.delay * 1e3:g} ms, {p.described}", **TITLE)
+    return save(figure, path)
+
+
+def drop_panels(figure: Any, panels: Sequence[Any], results: Sequence[DropMap]) -> None:
+    """Draw maps of drops over the same grid, one a panel, with one scale and one legend for all.
+
+    Args:
+        figure: matplotlib figure.
+        panels: Its panels, as many as maps.
+        results: The maps.
+    """
+    from matplotlib.colors import BoundaryNorm, ListedColormap
+
+    shades = ListedColormap(_SHADES)
+    norm = BoundaryNorm(_DECADES, len(_SHADES), extend="both")
+    for panel, result in zip(panels, results, strict=True):
+        x, y = result.damping, result.stiffness
+        panel.grid(visible=False)
+        edges = (*_outer(x), *_outer(y))
+        swing = np.maximum(result.swing, 1e-12)
+        image = panel.imshow(
+            swing, extent=edges, origin="lower", aspect="auto", cmap=shades, norm=norm, interpolation="nearest"
+        )
+        panel.contour(x, y, result.settles, levels=[0.5], colors=[STOP], linewidths=0.9)
+        panel.plot([], [], color=STOP, linewidth=0.9, label="boundary of the drops that settle")
+        panel.plot(x, result.boundary, color=SECOND, linewidth=2.0, label="boundary of stability by theory")
+        panel.set_xlim(edges[:2])
+        panel.set_ylim(edges[2:])
+        panel.set_xlabel("damping (N s/m)")
+        panel.set_ylabel("stiffness (N/m)")
+    bar = figure.colorbar(image, ax=list(panels), ticks=_DECADES, aspect=40, pad=0.02, fraction=0.04)
+    bar.ax.set_yticklabels(["1 µm", "10 µm", "0.1 mm", "1 mm", "10 mm", "0.1 m", "1 m"])
+    bar.ax.tick_params(labelsize=9.0)
+    bar.set_label("swing over the last 100 of 400 samples", fontsize=9.0)
+    name_curves(figure, panels)
+
+
+def _outer(values: Array) -> tuple[float, float]:
+    """Return the outer edges of cells around increasing values."""
+    half = 0.5 * (values[1] - values[0])
+    return float(values[0] - half), float(values[-1] + half)
 
 
 def design_map(result: DesignResult, path: Path) -> Path:

@@ -77,6 +77,17 @@ class DropMapParameters(StabilityParameters):
     )
 
     @property
+    def described(self) -> str:
+        """Where the drop begins, and what acts beside a linear wall, in a few words."""
+        start = f"released at {self.height * 1e3:g} mm" if self.height else "released at the edge"
+        more = [
+            f"pulse {self.pulse:g} N s/m for {self.pulse_width * 1e3:g} ms" if self.pulse else "",
+            f"{self.force_limit:g} N" if self.force_limit else "",
+            f"sensor {self.quantize * 1e6:g} µm" if self.quantize else "",
+        ]
+        return ", ".join([start, *filter(None, more)])
+
+    @property
     def band(self) -> float:
         """Largest swing of a flotor at rest [m]."""
         return max(_STEPS * self.quantize, _SHARE * Spec.translation_range.value)

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from maglev_mj.tables.sessions import timing_table as timing_table
     from maglev_mj.tables.sessions import verdict_table as verdict_table
     from maglev_mj.tables.stability import design_table as design_table
+    from maglev_mj.tables.stability import drop_table as drop_table
     from maglev_mj.tables.stability import loop_table as loop_table
     from maglev_mj.tables.stability import stability_table as stability_table
 else:
@@ -29,6 +30,6 @@ else:
             "fidelity": "fidelity_table levels_table",
             "run": "run_table sweep_table",
             "sessions": "flown_table served_table show_table timing_table verdict_table",
-            "stability": "design_table loop_table stability_table",
+            "stability": "design_table drop_table loop_table stability_table",
         },
     )

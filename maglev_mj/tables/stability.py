@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from maglev_mj.frames import AXES
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.spec import RANGE
 from maglev_mj.studies.designed_wall import DesignResult
-from maglev_mj.studies.stability_map import StabilityMap
+from maglev_mj.studies.nonlinear import SAMPLES, DropMap, Ending
+from maglev_mj.studies.stability_map import StabilityMap, StabilityParameters
 from maglev_mj.terminal import wrapped
 from maglev_mj.theory import Verdict, bounds, is_stable
 from maglev_mj.theory.design import Case
 
-__all__ = ["design_table", "loop_table", "stability_table"]
+__all__ = ["design_table", "drop_table", "loop_table", "stability_table"]
 
 _MOST_LISTED = 8
 
@@ -20,11 +23,8 @@ def stability_table(result: StabilityMap) -> str:
     """Return the stiffest wall, the published bounds at its damping, and how theory and simulation agree, as text."""
     p, best = result.parameters, result.maximum
     stiffest, damping = float(best.stiffness), float(best.damping)
-    hand = "no hand" if p.hand == "none" else f"hand {p.hand}"
     lines = [
-        *wrapped(
-            f"Stability of a PD wall, {1.0 / p.period:g} Hz, delay {p.delay * 1e3:g} ms, mass {p.mass:g} kg, {hand}", ""
-        ),
+        *wrapped(f"Stability of a PD wall, {_loop(p)}", ""),
         "",
         f"  stiffest stable wall  {stiffest:>9.0f} N/m at {damping:.1f} N s/m"
         if stiffest > 0.0
@@ -50,6 +50,37 @@ def stability_table(result: StabilityMap) -> str:
             ),
         ]
     return "\n".join(lines)
+
+
+def drop_table(result: DropMap) -> str:
+    """Return how drops on walls end, and where that differs from theory, as text."""
+    p, settles, stable = result.parameters, result.settles, result.stable_by_theory
+    up_to = result.settles_up_to
+    best = int(np.argmax(up_to))
+    counts = {one: int((result.ending == one).sum()) for one in Ending}
+    lines = [
+        *wrapped(f"Drops on PD walls, {_loop(p)}: {p.described}", ""),
+        "",
+        f"  grid: {settles.size} walls, {int(stable.sum())} stable by theory",
+        *wrapped(
+            f"{counts[Ending.SETTLES]} settle: {SAMPLES} samples on they swing by at most {p.band * 1e6:g} µm, or ever "
+            f"less without leaving the wall; {counts[Ending.GOES_ON]} go on; {counts[Ending.GAINS]} rise above where "
+            "they were released"
+        ),
+        f"  stiffest up to which all settle  {up_to[best]:>8.0f} N/m at {result.damping[best]:.1f} N s/m"
+        if up_to[best] > 0.0
+        else "  no damping at which all settle from the softest wall on",
+        f"  stiffest stable wall by theory   {float(result.maximum.stiffness):>8.0f} N/m at "
+        f"{float(result.maximum.damping):.1f} N s/m",
+        f"  stable by theory, does not settle {int((stable & ~settles).sum()):>7}",
+        f"  settles, unstable by theory       {int((~stable & settles).sum()):>7}",
+    ]
+    return "\n".join(lines)
+
+
+def _loop(p: StabilityParameters) -> str:
+    hand = "no hand" if p.hand == "none" else f"hand {p.hand}"
+    return f"{1.0 / p.period:g} Hz, delay {p.delay * 1e3:g} ms, mass {p.mass:g} kg, {hand}"
 
 
 def loop_table(scene: Scene, verdict: Verdict) -> str:

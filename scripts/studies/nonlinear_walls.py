@@ -1,0 +1,68 @@
+"""Where pulse, force limit and sensor's steps move the boundary of stability: a million drops for each picture."""
+
+import json
+import time
+
+import numpy as np
+
+from maglev_mj.cli.pictures import script_options
+from maglev_mj.cli.progress import Progress
+from maglev_mj.plots.drawing import TITLE, new_figure, save
+from maglev_mj.plots.stability import drop_panels
+from maglev_mj.studies.nonlinear import DropMapParameters, Ending, run_drop_map
+from maglev_mj.versions import versions
+from maglev_mj.workers import local_workers
+
+QUANTUM, LIMIT, PULSE = 5e-6, 60.0, 220.0
+CASES = {
+    "linear: released at the edge": {"height": 0.0},
+    "a drop from 4.5 mm: the edge alone": {},
+    f"with the sensor's steps of {QUANTUM * 1e6:g} µm": {"quantize": QUANTUM},
+    f"with a limit of {LIMIT:g} N": {"force_limit": LIMIT},
+    f"with a pulse of {PULSE:g} N s/m": {"pulse": PULSE},
+    "with all three": {"quantize": QUANTUM, "force_limit": LIMIT, "pulse": PULSE},
+}
+
+if __name__ == "__main__":
+    options = script_options(__doc__, quick="150 x 150 walls a picture instead of 1000 x 1000")
+    grid = 150 if options.quick else 1000
+    workers = local_workers(0 if options.quick else None)
+    results, data = {}, {}
+    print(f"{grid} x {grid} walls a case, 200 Hz, delay 1.5 ms, 0.7 kg, 400 samples")
+    for name, values in CASES.items():
+        start = time.perf_counter()
+        with Progress(name) as progress:
+            found = run_drop_map(DropMapParameters(grid=grid, **values), workers=workers, progress=progress)
+        took = time.perf_counter() - start
+        stable, settles, up_to = found.stable_by_theory, found.settles, found.settles_up_to
+        quiet = found.swing[settles & stable]
+        row = {
+            "seconds": took,
+            "settles": float(settles.mean()),
+            "stable_by_theory": float(stable.mean()),
+            "stable_that_does_not_settle": float((stable & ~settles).sum() / stable.sum()),
+            "unstable_that_settles": float((~stable & settles).sum() / (~stable).sum()),
+            "unstable_that_gains": float((found.ending == Ending.GAINS)[~stable].mean()),
+            "median_swing_of_unstable": float(np.median(found.swing[~stable])),
+            "largest_swing": float(found.swing.max()),
+            "median_swing_of_settled": float(np.median(quiet)),
+            "stiffest_up_to_which_all_settle": float(up_to.max()),
+            "at_damping": float(found.damping[np.argmax(up_to)]),
+        }
+        results[name], data[name] = found, row
+        print(f"\n{name}: {took:.1f} s")
+        print(f"  all settle up to {row['stiffest_up_to_which_all_settle']:.0f} N/m at {row['at_damping']:.1f} N s/m")
+        print(f"  stable by theory, does not settle: {row['stable_that_does_not_settle']:.2%} of the stable")
+        print(f"  unstable by theory, settles: {row['unstable_that_settles']:.2%} of the unstable;", end=" ")
+        print(f"rises above its release: {row['unstable_that_gains']:.0%}")
+        print(f"  swing of the unstable: median {row['median_swing_of_unstable'] * 1e3:.2g} mm,", end=" ")
+        print(f"most {row['largest_swing'] * 1e3:.3g} mm; of the settled: median {row['median_swing_of_settled'] * 1e6:.2g} µm")
+    path = options.pictures.path("stability_nonlinear", "json")
+    path.write_text(json.dumps({"grid": grid, "cases": data, "versions": versions()}, indent=1) + "\n")
+    print("wrote", path)
+    figure, panels = new_figure(3, 2, 9.6, sharex=True, sharey=True)
+    drop_panels(figure, panels, list(results.values()))
+    for panel, name in zip(panels, results, strict=True):
+        panel.set_title(name, **TITLE)
+        panel.label_outer()
+    print("wrote", save(figure, options.pictures.path("stability_nonlinear")))
