@@ -153,7 +153,7 @@ class HeldAxis:
     ) -> None:
         """See `Amendment`."""
         index = self._index
-        (place, velocity, actual), (places, velocities, actuals) = before, after
+        (place, velocity, actual), (places, velocities, _) = before, after
         rows = self._known.get(duration) if duration.__class__ is float else None
         rows = rows or self._rows(duration)
         push, weight, pull, x, v = force[index], self._weight, effort[index], place[index], velocity[index]
@@ -164,9 +164,8 @@ class HeldAxis:
             return
         known = push, weight, pull, x, v, *self._hand, *([actual[index]] if self._lags else ())
         # not sum(), which from Python 3.12 on rounds floats otherwise than arrays
-        places[index], velocities[index], *self._hand = [reduce(add, map(mul, row, known)) for row in rows]
-        if self._lags:
-            actuals[index] = self._hand.pop()
+        places[index], velocities[index], *rest = [reduce(add, map(mul, row, known)) for row in rows]
+        self._hand = rest[: len(self._hand)]  # the actual force is that of `Lag`
 
     def _rows(self, duration: Component) -> list[list[Component]]:
         """Return the rows of a transition as components, the inputs' columns first, kept because durations return."""
