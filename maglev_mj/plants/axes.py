@@ -122,6 +122,7 @@ class HeldAxis:
         index: Index of the axis into AXES.
         place: Position at release [m].
         velocity: Velocity at release [m/s].
+        actual: Force of the actuators at release [N].
         inertia: Mass of the flotor [kg].
         weight: Its weight along the axis [N].
         hand: The hand.
@@ -133,13 +134,15 @@ class HeldAxis:
         index: int,
         place: Component,
         velocity: Component,
+        actual: Component,
         inertia: Component,
         weight: Component,
         hand: Hand,
         lag: float,
     ) -> None:
-        self._index, self._weight, self._lags = index, weight, lag > 0.0
-        self._hand: list[Component] = [hand.place(place), velocity] if hand.soft else []
+        self._index, self._weight = index, weight
+        # the states of `motion` beyond position and velocity
+        self._others = [*([hand.place(place), velocity] if hand.soft else []), *([actual] if lag else [])]
         self._a, self._b = motion(inertia, hand, lag)
         self._known: dict[float | bytes, list[list[Component]]] = {}
 
@@ -153,7 +156,7 @@ class HeldAxis:
     ) -> None:
         """See `Amendment`."""
         index = self._index
-        (place, velocity, actual), (places, velocities, _) = before, after
+        (place, velocity, _), (places, velocities, _) = before, after
         rows = self._known.get(duration) if duration.__class__ is float else None
         rows = rows or self._rows(duration)
         push, weight, pull, x, v = force[index], self._weight, effort[index], place[index], velocity[index]
@@ -162,10 +165,9 @@ class HeldAxis:
             places[index] = a * push + b * weight + c * pull + d * x + e * v
             velocities[index] = p * push + q * weight + r * pull + s * x + t * v
             return
-        known = push, weight, pull, x, v, *self._hand, *([actual[index]] if self._lags else ())
+        known = push, weight, pull, x, v, *self._others
         # not sum(), which from Python 3.12 on rounds floats otherwise than arrays
-        places[index], velocities[index], *rest = [reduce(add, map(mul, row, known)) for row in rows]
-        self._hand = rest[: len(self._hand)]  # the actual force is that of `Lag`
+        places[index], velocities[index], *self._others = [reduce(add, map(mul, row, known)) for row in rows]
 
     def _rows(self, duration: Component) -> list[list[Component]]:
         """Return the rows of a transition as components, the inputs' columns first, kept because durations return."""

@@ -119,8 +119,8 @@ class ExactPlant(SampledPlant):
             yield DryFriction(rubbing, body, self._weight, single=not self.batch)
         for index in held:
             assert hand is not None
-            place, velocity = self._place[index], self._velocity[index]
-            yield HeldAxis(index, place, velocity, body[index], self._weight[index], hand, self._lag)
+            start = self._place[index], self._velocity[index], self._actual[index]
+            yield HeldAxis(index, *start, body[index], self._weight[index], hand, self._lag)
 
     def _prepare(self, force: Sequence[Component]) -> Drive:
         fx, fy, fz, tx, ty, tz = force
