@@ -186,7 +186,7 @@ def test_friction_slides_stops_rests_and_turns_back_to_the_last_bit() -> None:
         none: list[Component] = [0.0] * 6
         friction = DryFriction({0: rub}, INERTIA, none, single=single)
         after: tuple[list[Component], list[Component], list[Component]] = [0.0] * 6, [0.0] * 6, [0.0] * 6
-        friction.amend(duration, [push, *none[1:]], none, ([x, *none[1:]], [v, *none[1:]], none), after)
+        friction.amend(duration, ([push, *none[1:]], none), ([x, *none[1:]], [v, *none[1:]], none), after)
         return [after[0][0], after[1][0]]
 
     assert np.array_equal(slid(False, x, v, push, rub), expected)
@@ -222,7 +222,7 @@ def test_a_hand_and_lagging_drivers_are_their_transition_matrix(lag: float, grip
             list(force),
         )
         for amendment in amendments:
-            amendment.amend(duration, force, effort, now, after)
+            amendment.amend(duration, (force, effort), now, after)
         now = after
         for axis, mass in enumerate(INERTIA):
             phi, gamma = transition(*motion(mass, hand if axis == 2 else None, lag), duration)

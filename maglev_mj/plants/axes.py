@@ -22,23 +22,19 @@ Motion: TypeAlias = tuple[list[Component], list[Component], list[Component]]
 drivers lag; six components each."""
 
 
+Forces: TypeAlias = tuple[Sequence[Component], Sequence[Component]]
+"""Wrench commanded and wrench of a hand's muscles, six components each [N, N m]."""
+
+
 class Amendment(Protocol):
     """What sets an axis apart from a free mass."""
 
-    def amend(
-        self,
-        duration: Component,
-        force: Sequence[Component],
-        effort: Sequence[Component],
-        before: Motion,
-        after: Motion,
-    ) -> None:
+    def amend(self, duration: Component, forces: Forces, before: Motion, after: Motion) -> None:
         """Put right the motion `after` a duration [s], in place, which is that of free masses.
 
         Args:
             duration: Duration [s].
-            force: Wrench commanded, six [N, N m].
-            effort: Wrench of a hand's muscles, six [N, N m].
+            forces: Wrenches commanded and of a hand's muscles.
             before: Motion at the beginning.
             after: Motion of free masses at the end.
         """
@@ -56,20 +52,13 @@ class Lag:
         self._inverse, self._lag = [1.0 / value for value in inertia], lag
         self._known: dict[float, tuple[Component, list[Component], list[Component]]] = {}
 
-    def amend(
-        self,
-        duration: Component,
-        force: Sequence[Component],
-        effort: Sequence[Component],
-        before: Motion,
-        after: Motion,
-    ) -> None:
+    def amend(self, duration: Component, forces: Forces, before: Motion, after: Motion) -> None:
         """See `Amendment`."""
         factors = self._known.get(duration) if duration.__class__ is float else None
         left, (way_x, way_y, way_z, way_rx, way_ry, way_rz), (by_x, by_y, by_z, by_rx, by_ry, by_rz) = (
             factors or self._factors(duration)
         )
-        fx, fy, fz, tx, ty, tz = force
+        fx, fy, fz, tx, ty, tz = forces[0]
         ax, ay, az, arx, ary, arz = before[2]
         place, velocity, actual = after
         # what is missing of each force; written out, for this runs two or three times a tick
@@ -146,16 +135,9 @@ class HeldAxis:
         self._a, self._b = motion(inertia, hand, lag)
         self._known: dict[float | bytes, list[list[Component]]] = {}
 
-    def amend(
-        self,
-        duration: Component,
-        force: Sequence[Component],
-        effort: Sequence[Component],
-        before: Motion,
-        after: Motion,
-    ) -> None:
+    def amend(self, duration: Component, forces: Forces, before: Motion, after: Motion) -> None:
         """See `Amendment`."""
-        index = self._index
+        index, (force, effort) = self._index, forces
         (place, velocity, _), (places, velocities, _) = before, after
         rows = self._known.get(duration) if duration.__class__ is float else None
         rows = rows or self._rows(duration)
@@ -205,16 +187,9 @@ class DryFriction:
         self._single = single
         self._axes = [(index, rub, 1.0 / inertia[index], weight[index]) for index, rub in friction.items()]
 
-    def amend(
-        self,
-        duration: Component,
-        force: Sequence[Component],
-        effort: Sequence[Component],
-        before: Motion,
-        after: Motion,
-    ) -> None:
+    def amend(self, duration: Component, forces: Forces, before: Motion, after: Motion) -> None:
         """See `Amendment`."""
-        (place, velocity, _), (places, velocities, _) = before, after
+        (force, effort), (place, velocity, _), (places, velocities, _) = forces, before, after
         for index, rub, inverse, weight in self._axes:
             x, v, push = place[index], velocity[index], force[index] + (weight + effort[index])
             # what the devices of a batch share is a number too

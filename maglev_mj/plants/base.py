@@ -123,7 +123,6 @@ class SampledPlant(ABC):
         self._timeline = Timeline(timing, self._prepare(components(self.before)), compares=not batch)
         self._segments: list[Segment] = []
         self._closed = False
-        self._before_period: Callable[[], None] | None = None
         # at hand, for they are used on every tick
         self._period, self._phase = timing.period, timing.phase
         self._segments_of = self._timeline.period
@@ -176,8 +175,6 @@ class SampledPlant(ABC):
         tick = self._tick
         if tick >= 0:
             self._offset = 0.0
-            if self._before_period is not None:
-                self._before_period()
             run = self._run
             self._segments = segments = self._segments_of(tick, self._answer)
             self._answer = None

@@ -156,10 +156,10 @@ class ExactPlant(SampledPlant):
             r + duration * arz,
         ]
         if self._amendments:
-            force = drive[1]
-            before, after = (place, velocity, self._actual), (self._place, self._velocity, list(force))
+            forces = drive[1], self._effort
+            before, after = (place, velocity, self._actual), (self._place, self._velocity, list(drive[1]))
             for amendment in self._amendments:
-                amendment.amend(duration, force, self._effort, before, after)
+                amendment.amend(duration, forces, before, after)
             self._actual = after[2]
 
     def _where(self) -> Sequence[Component]:
