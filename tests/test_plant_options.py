@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from maglev_mj import Command, Controller, ExactPlant, MuJoCoPlant, Timing, drive
+from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Component, components, join
 from maglev_mj.hand import Hand, motion, transition
 from maglev_mj.laws import Hold, Wall
@@ -95,16 +96,22 @@ def test_jitter_is_that_of_seed_and_tick_whoever_asks_in_whatever_order() -> Non
 
 @pytest.mark.parametrize("jitter", [1e-4, 1.5e-3])
 @pytest.mark.parametrize("delay", [0.0015, np.array([0.0015, 0.002])])
-def test_a_jittering_answer_is_short_of_neither_way(jitter: float, delay: Component) -> None:
-    """Up to a switch that may fall on the sample itself."""
+@pytest.mark.parametrize("draw", [None, -1.0])
+def test_a_jittering_answer_with_the_request_is_as_one_before_it(
+    jitter: float, delay: Component, draw: float | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where the switch falls on the sample itself too, which leaves one segment of one device."""
+    if draw is not None:
+        monkeypatch.setattr("maglev_mj.timeline._draws", lambda seed, block: (draw,) * 256)
     made = Timing(period=T, delay=delay, jitter=jitter)
     direct, queued = Timeline(made, 0), Timeline(made, 0)
     for tick in range(1, 600):
         queued.answer(tick, tick)
         one, other = direct.period(tick, (tick, None, 0.0)), queued.period(tick)
-        assert [drive for _, drive in one] == [drive for _, drive in other] == [tick - 1, tick]
-        assert np.array_equal([part for part, _ in one], [part for part, _ in other])
-        assert np.array_equal(one[0][0], made.rest_at(tick))
+        on_sample = draw is not None and jitter == delay if np.ndim(delay) == 0 else False
+        assert [drive for _, drive in one] == [drive for _, drive in other] == [tick - 1, tick][on_sample:]
+        assert all(np.array_equal(part, same) for (part, _), (same, _) in zip(one, other, strict=True))
+        assert np.array_equal(one[-1][0], T - made.rest_at(tick))
 
 
 # --- limits
@@ -131,7 +138,8 @@ def test_currents_within_their_limit_leave_a_command_as_it_is(coils: bool) -> No
     command = Command([0.5, 0.0, 59.0, 0.0, 0.0, 0.0])
     assert plant.write(command) is command
     plant.read()
-    assert plant.write(Command([0.0, 0.0, 61.0, 0.0, 0.0, 0.0])).force[2] == pytest.approx(60.0)
+    for push in (61.0, -61.0):
+        assert plant.write(Command([0.0, 0.0, push, 0.0, 0.0, 0.0])).force[2] == pytest.approx(np.copysign(60.0, push))
 
 
 @pytest.mark.parametrize("coils", [True, False])
@@ -178,7 +186,7 @@ def test_friction_slides_stops_rests_and_turns_back_to_the_last_bit() -> None:
         none: list[Component] = [0.0] * 6
         friction = DryFriction({0: rub}, INERTIA, none, single=single)
         after: tuple[list[Component], list[Component], list[Component]] = [0.0] * 6, [0.0] * 6, [0.0] * 6
-        friction.amend(duration, [push, *none[1:]], none, ([x, *none[1:]], [v, *none[1:]], none), after)
+        friction.amend(duration, ([push, *none[1:]], none), ([x, *none[1:]], [v, *none[1:]], none), after)
         return [after[0][0], after[1][0]]
 
     assert np.array_equal(slid(False, x, v, push, rub), expected)
@@ -199,7 +207,7 @@ def test_a_hand_and_lagging_drivers_are_their_transition_matrix(lag: float, grip
     hand = Hand(mass=0.1, damping=5.0, stiffness=100.0, axes="z", **grip)
     amendments: list[Amendment] = [
         *([Lag(INERTIA, lag)] if lag else []),
-        HeldAxis(2, 1e-3, 0.02, INERTIA[2], -6.0, hand, lag),
+        HeldAxis(2, 1e-3, 0.02, 1.0, INERTIA[2], -6.0, hand, lag),
     ]
     force, effort = [0.3, -0.2, 5.0, 0.01, -0.02, 0.03], [0.0, 0.0, 0.4, 0.0, 0.0, 0.0]
     now: tuple[list[Component], list[Component], list[Component]] = [1e-3] * 6, [0.02] * 6, [1.0] * 6
@@ -214,7 +222,7 @@ def test_a_hand_and_lagging_drivers_are_their_transition_matrix(lag: float, grip
             list(force),
         )
         for amendment in amendments:
-            amendment.amend(duration, force, effort, now, after)
+            amendment.amend(duration, (force, effort), now, after)
         now = after
         for axis, mass in enumerate(INERTIA):
             phi, gamma = transition(*motion(mass, hand if axis == 2 else None, lag), duration)
@@ -223,6 +231,19 @@ def test_a_hand_and_lagging_drivers_are_their_transition_matrix(lag: float, grip
             assert now[1][axis] == pytest.approx(kept[axis][1], rel=0.0, abs=1e-14)
             if lag:
                 assert now[2][axis] == pytest.approx(kept[axis][-1], rel=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"driver_lag": True}, "dry_friction must be without driver_lag"),
+        ({"hand": Hand(stiffness=50.0, axes=("y", "z"))}, "dry_friction must be 0 on an axis that a hand holds"),
+        ({"hand": Hand(stiffness=np.ones(3))}, r"hand must be one, or one for each device of \(\), not \(3,\)"),
+    ],
+)
+def test_options_without_a_closed_form_together_are_refused(options: dict[str, Any], words: str) -> None:
+    with pytest.raises(ParameterError, match=words):
+        ExactPlant(dry_friction=[0.1, 0.0, 0.2, 0.0, 0.0, 0.0], **options)
 
 
 OPTIONS: dict[str, dict[str, Any]] = {
@@ -284,13 +305,14 @@ def test_a_trace_is_what_each_state_was(name: str, monkeypatch: pytest.MonkeyPat
             assert np.array_equal(kept[knot], part)
 
 
+@pytest.mark.parametrize("record", [True, False])
 @pytest.mark.parametrize("name", [*RECORDED, "exact, nothing"])
-def test_what_a_caller_does_to_a_command_later_changes_no_trace(name: str) -> None:
+def test_what_a_caller_does_to_a_command_later_changes_nothing(name: str, record: bool) -> None:
     """Its list and its arrays are its own."""
-    traces = []
+    states, traces = [], []
     for again in (False, True):
         make = RECORDED.get(name, partial(ExactPlant, pose=MANY[0]))
-        plant = make(Timing(delay=1.3 * T), record=True, gravity=0.0)
+        plant = make(Timing(delay=1.3 * T), record=record, gravity=0.0)
         force: list[Any] = [np.zeros(plant.batch) if plant.batch else 0.0 for _ in range(6)]
         for sample in islice(plant, 10):
             push = np.full(plant.batch, 0.1 * sample.tick) if plant.batch else 0.1 * sample.tick
@@ -299,7 +321,11 @@ def test_what_a_caller_does_to_a_command_later_changes_no_trace(name: str) -> No
             else:
                 force[2] = push
             plant.write(Command(force if again else list(force)))
-        traces.append(plant.trace())
-    for part in ("time", "pose", "twist", "wrench"):
-        assert np.array_equal(getattr(traces[0], part), getattr(traces[1], part))
-    assert traces[0].wrench[..., 2].max() > 0.5
+        states.append(plant.state())
+        if record:
+            traces.append(plant.trace())
+    assert np.array_equal(states[0], states[1])
+    if record:
+        for part in ("time", "pose", "twist", "wrench"):
+            assert np.array_equal(getattr(traces[0], part), getattr(traces[1], part))
+        assert traces[0].wrench[..., 2].max() > 0.5

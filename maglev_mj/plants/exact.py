@@ -119,8 +119,8 @@ class ExactPlant(SampledPlant):
             yield DryFriction(rubbing, body, self._weight, single=not self.batch)
         for index in held:
             assert hand is not None
-            place, velocity = self._place[index], self._velocity[index]
-            yield HeldAxis(index, place, velocity, body[index], self._weight[index], hand, self._lag)
+            start = self._place[index], self._velocity[index], self._actual[index]
+            yield HeldAxis(index, *start, body[index], self._weight[index], hand, self._lag)
 
     def _prepare(self, force: Sequence[Component]) -> Drive:
         fx, fy, fz, tx, ty, tz = force
@@ -156,10 +156,10 @@ class ExactPlant(SampledPlant):
             r + duration * arz,
         ]
         if self._amendments:
-            force = drive[1]
-            before, after = (place, velocity, self._actual), (self._place, self._velocity, list(force))
+            forces = drive[1], self._effort
+            before, after = (place, velocity, self._actual), (self._place, self._velocity, list(drive[1]))
             for amendment in self._amendments:
-                amendment.amend(duration, force, self._effort, before, after)
+                amendment.amend(duration, forces, before, after)
             self._actual = after[2]
 
     def _where(self) -> Sequence[Component]:
