@@ -247,7 +247,7 @@ def test_totals_of_many_samples_are_those_of_one_by_one_to_the_last_bit(period: 
     pulsed = random.random(count) < 0.2
     rows["applied_pulse"] = random.normal(size=(count, 6))
     rows["applied_pulse_width"] = np.where(pulsed, period * random.choice([0.2, 0.7, 1.0, 2.5], count), 0.0)
-    carried = dict.fromkeys(("load", "before", "carried"), np.array([0.1, 0.0, -6.9, 0.0, 0.0, 0.01]))
+    carried: dict[str, Any] = dict.fromkeys(("load", "before", "carried"), np.array([0.1, 0.0, -6.9, 0.0, 0.0, 0.01]))
     metadata = RunMetadata(period=period, delay=delay, inertia=np.array([0.7, 0.7, 0.7, 9e-4, 9e-4, 8e-4]), **carried)
     alone, together = Totals(metadata), Totals(metadata)
     alone.miss(3)
