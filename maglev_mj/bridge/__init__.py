@@ -3,7 +3,6 @@
 from typing import TYPE_CHECKING
 
 from maglev_mj.lazy import attach
-from maglev_mj.net.udp import open_link as open_link
 
 if TYPE_CHECKING:
     from maglev_mj.bridge.calibration import Calibration as Calibration
@@ -16,15 +15,15 @@ if TYPE_CHECKING:
     from maglev_mj.bridge.twin import TwinParameters as TwinParameters
     from maglev_mj.bridge.wire import Fault as Fault
     from maglev_mj.bridge.wire import State as State
+    from maglev_mj.net.udp import open_link as open_link
 else:
-    __getattr__, __dir__, __all__ = attach(
-        __name__,
-        {
-            "calibration": "Calibration",
-            "fault": "DeviceFault HandshakeError",
-            "remote": "RemotePlant",
-            "safety": "HostLimits Limits",
-            "twin": "Twin TwinParameters",
-            "wire": "Fault State",
-        },
-    )
+    _HOMES = {
+        "calibration": "Calibration",
+        "fault": "DeviceFault HandshakeError",
+        "remote": "RemotePlant",
+        "safety": "HostLimits Limits",
+        "twin": "Twin TwinParameters",
+        "wire": "Fault State",
+        ".net.udp": "open_link",
+    }
+    __getattr__, __dir__, __all__ = attach(__name__, _HOMES)
