@@ -41,25 +41,23 @@ if TYPE_CHECKING:
     from maglev_mj.theory.linearise import linearise as linearise
     from maglev_mj.theory.verdict import stability as stability
 else:
-    __getattr__, __dir__, __all__ = attach(
-        __name__,
-        {
-            "bridge.remote": "RemotePlant",
-            "controller": "Controller",
-            "errors": "DivergenceError MaglevError ParameterError PlantError",
-            "frames": "AXES Command Sample",
-            "laws": "AxisLaw Bias Hold Law StickSlip Wall gain",
-            "loop": "drive",
-            "parameters": "param",
-            "plants": "ExactPlant MuJoCoPlant Sensor Timing",
-            "recording": "Recording",
-            "scenes.figures": "Figure figure",
-            "scenes.find": "find_scene",
-            "scenes.run": "Phases Result run run_phases",
-            "scenes.scene": "Scene Start",
-            "studies.sweep": "sweep",
-            "theory": "linearise stability",
-        },
-    )
+    _HOMES = {
+        "bridge.remote": "RemotePlant",
+        "controller": "Controller",
+        "errors": "DivergenceError MaglevError ParameterError PlantError",
+        "frames": "AXES Command Sample",
+        "laws": "AxisLaw Bias Hold Law StickSlip Wall gain",
+        "loop": "drive",
+        "parameters": "param",
+        "plants": "ExactPlant MuJoCoPlant Sensor Timing",
+        "recording": "Recording",
+        "scenes.figures": "Figure figure",
+        "scenes.find": "find_scene",
+        "scenes.run": "Phases Result run run_phases",
+        "scenes.scene": "Scene Start",
+        "studies.sweep": "sweep",
+        "theory": "linearise stability",
+    }
+    __getattr__, __dir__, __all__ = attach(__name__, _HOMES)
 
 __version__ = "0.1.0"

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from maglev_mj.frames import Array, Command, Component, Sample
 from maglev_mj.parameters import numbers
-from maglev_mj.timeline import Timeline, Timing
+from maglev_mj.timeline import Segment, Timeline, Timing
 from maglev_mj.trace import Trace
 
 __all__ = ["EnergyAccount", "HandWork", "PassivityObserver", "actuator_work", "hand_work"]
@@ -59,6 +59,20 @@ class HandWork:
         if self._pose is not None:
             self.total += float(self._effort @ (pose - self._pose))
         self._pose, self._effort = pose, np.array(effort)
+
+    def take(self, poses: Array, efforts: Array) -> Array:
+        """Add the ways up to N samples, to the same bits as one by one; return the total at each [J], (N,).
+
+        Args:
+            poses: At the samples [m, rad], (N, 6).
+            efforts: Wrenches of the hand from there on [N, N m], (N, 6).
+        """
+        acting = np.concatenate([self._effort[None], efforts])[:-1]
+        ways = np.diff(poses, axis=0, prepend=poses[:1] if self._pose is None else self._pose[None])
+        work = (acting[:, None, :] @ ways[:, :, None])[:, 0, 0]
+        totals: Array = np.add.accumulate(np.append(self.total, work))[1:]
+        self._pose, self._effort, self.total = poses[-1], efforts[-1], float(totals[-1])
+        return totals
 
 
 class EnergyAccount:
@@ -144,7 +158,7 @@ class PassivityObserver:
         """Take in one sample and the command that answered it; samples that are missing count for nothing."""
         pose = sample.pose
         if self._pose is not None:
-            self.energy = self.energy - self._work(pose - self._pose)
+            self.energy = self.energy - self._work(pose - self._pose, self._timeline.period(self._count))
             self.least = np.minimum(self.least, self.energy)
             self._count += 1
         self._pose = pose
@@ -154,12 +168,43 @@ class PassivityObserver:
         else:
             self._timeline.answer(self._count, held, held + command.pulse, command.pulse_width)
 
-    def _work(self, moved: Array) -> Array:
-        """Return the work of the forces over the period behind the last sample kept."""
-        segments = [
-            (duration, force, duration * ((force + self._load) / self._inertia))
-            for duration, force in self._timeline.period(self._count)
-        ]
+    def take(self, poses: Array, held: Array, pulses: Array, widths: Array) -> Array:
+        """Take in N samples of one device and their commands, in less time than one by one and to the same bits.
+
+        Args:
+            poses: Poses [m, rad], (N, 6).
+            held: Held wrenches of the commands [N, N m], (N, 6).
+            pulses: Wrenches of their pulses [N, N m], (N, 6).
+            widths: Widths of the pulses [s], (N,); 0 for none.
+
+        Returns:
+            Energy taken in up to each sample [J], (N, 6).
+        """
+        groups: dict[int, list[tuple[int, list[Segment]]]] = {}  # by how many segments a period has
+        for place, (force, pulse, width) in enumerate(zip(held, pulses, widths.tolist())):
+            if place or self._pose is not None:
+                segments = self._timeline.period(self._count)
+                groups.setdefault(len(segments), []).append((place, segments))
+                self._count += 1
+            if width:
+                self._timeline.answer(self._count, force, force + pulse, width)
+            else:
+                self._timeline.answer(self._count, force)
+        moved = np.diff(poses, axis=0, prepend=poses[:1] if self._pose is None else self._pose[None])
+        work = np.zeros_like(poses)
+        for group in groups.values():
+            places = [place for place, _ in group]
+            columns = zip(*(segments for _, segments in group), strict=True)
+            stacked = [tuple(map(np.array, zip(*column, strict=True))) for column in columns]
+            work[places] = self._work(moved[places], [(duration[:, None], force) for duration, force in stacked])
+        energy: Array = np.subtract.accumulate(np.concatenate([self.energy[None], work]))[1:]
+        self.energy, self._pose = energy[-1], poses[-1]
+        self.least = np.minimum(self.least, energy.min(axis=0))
+        return energy
+
+    def _work(self, moved: Array, periods: Sequence[Segment]) -> Array:
+        """Return the work of the forces over a period, from the way between its samples and its segments."""
+        segments = [(duration, force, duration * ((force + self._load) / self._inertia)) for duration, force in periods]
         # speed at the start, such that the segments add up to the way between the samples
         place: Component = 0.0
         speed: Component = 0.0

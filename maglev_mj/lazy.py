@@ -16,13 +16,13 @@ def attach(package: str, homes: Mapping[str, str]) -> tuple[Callable[[str], Any]
 
     Args:
         package: Its name.
-        homes: Names that it gives, by the module that has them; both without the package's name.
+        homes: Names that it gives, by the module that has them, relative to it: "find", or ".timeline" beside it.
     """
-    home = {name: f"{package}.{module}" for module, names in homes.items() for name in names.split()}
+    home = {name: f".{module}" for module, names in homes.items() for name in names.split()}
 
     def load(name: str) -> Any:
         if name not in home:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        return getattr(import_module(home[name]), name)
+        return getattr(import_module(home[name], package), name)
 
     return load, lambda: sorted(home), sorted(home)

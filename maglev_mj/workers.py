@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import logging
 import os
 import signal
@@ -137,6 +136,8 @@ def dask_workers(address: str) -> Workers:
 
 def _client(address: str) -> Any:
     """Return a Dask client; an OSError, TimeoutError or ValueError if nothing answers."""
+    import asyncio  # as long to load as all of this module
+
     from distributed import Client
     from distributed.core import connect
 

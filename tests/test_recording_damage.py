@@ -144,7 +144,7 @@ def test_a_disk_that_is_full_is_told_of_and_what_was_written_is_read(
         writer = McapWriter(file)
         plant, controller = parts()
         writer.begin(setup_of(plant, controller), 1)
-        drive(plant, controller, 600, record=lambda *cycle: writer.row(row_of(*cycle, plant)))  # type: ignore[call-arg]
+        drive(plant, controller, 600, record=lambda *cycle: writer.rows([row_of(*cycle, plant)]))  # type: ignore[call-arg]
         writer.flush()
         writer.close()
 

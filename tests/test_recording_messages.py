@@ -8,7 +8,8 @@ import pytest
 
 from maglev_mj.frames import ZERO, quaternion
 from maglev_mj.recording import Recording, open_recording, protobuf
-from maglev_mj.recording.row import FIELDS, TOTALS
+from maglev_mj.recording.metadata import RunMetadata, Totals
+from maglev_mj.recording.row import FIELDS, ROW, TOTALS, as_table, named
 from maglev_mj.replay import write_run
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.press import Press
@@ -233,3 +234,25 @@ def test_rerun_finds_the_flotors_transform_and_fields_by_name(tmp_path: Path) ->
         assert done.returncode == 0, done.stderr
         assert "Transform3D of the flotor: 25 rows" in done.stdout
         assert f"Scalars of {field}: 81 rows, least {float(values.min())!r}" in done.stdout
+
+
+@pytest.mark.parametrize(("period", "delay"), [(1e-3, 0.0), (1e-3, 1.5e-3), (5e-5, 1e-4), (5e-3, 1.3e-3)])
+def test_totals_of_many_samples_are_those_of_one_by_one_to_the_last_bit(period: float, delay: float) -> None:
+    random, count = np.random.default_rng(0), 400
+    rows = np.zeros(count, ROW)
+    rows["tick"] = np.cumsum(1 + random.integers(0, 20, count) // 19)  # some are missing
+    rows["time"] = rows["tick"] * period
+    for name in ("position", "applied", "hand"):
+        rows[name] = random.normal(size=(count, 6))
+    pulsed = random.random(count) < 0.2
+    rows["applied_pulse"] = random.normal(size=(count, 6))
+    rows["applied_pulse_width"] = np.where(pulsed, period * random.choice([0.2, 0.7, 1.0, 2.5], count), 0.0)
+    carried: dict[str, Any] = dict.fromkeys(("load", "before", "carried"), np.array([0.1, 0.0, -6.9, 0.0, 0.0, 0.01]))
+    metadata = RunMetadata(period=period, delay=delay, inertia=np.array([0.7, 0.7, 0.7, 9e-4, 9e-4, 8e-4]), **carried)
+    alone, together = Totals(metadata), Totals(metadata)
+    alone.miss(3)
+    together.miss(3)
+    expected = np.array([alone.add(named(row)) for row in as_table(rows).tolist()])
+    blocks = np.split(rows, [1, 2, 150, 153, 390])
+    assert np.concatenate([together.take(block) for block in blocks]).tobytes() == expected.tobytes()
+    assert expected[-1, 2] > 3 and (expected[-1, :2] != 0.0).all()

@@ -36,18 +36,16 @@ if TYPE_CHECKING:
     from maglev_mj.laws.velocity import Window as Window
     from maglev_mj.laws.wall import Wall as Wall
 else:
-    __getattr__, __dir__, __all__ = attach(
-        __name__,
-        {
-            "base": "AxisLaw Gains Law LinearController VelocityEstimator gain",
-            "bias": "Bias",
-            "bristle": "Dahl ElastoPlastic HaywardArmstrong LuGre",
-            "checking": "check",
-            "friction": "Friction FrictionState ImplicitCoulomb SpringReset StickSlip",
-            "hold": "Hold",
-            "passivity": "PassivityController",
-            "prediction": "ObserverWall PredictiveWall",
-            "velocity": "AdaptiveWindow FiniteDifference LowPass Window",
-            "wall": "Wall",
-        },
-    )
+    _HOMES = {
+        "base": "AxisLaw Gains Law LinearController VelocityEstimator gain",
+        "bias": "Bias",
+        "bristle": "Dahl ElastoPlastic HaywardArmstrong LuGre",
+        "checking": "check",
+        "friction": "Friction FrictionState ImplicitCoulomb SpringReset StickSlip",
+        "hold": "Hold",
+        "passivity": "PassivityController",
+        "prediction": "ObserverWall PredictiveWall",
+        "velocity": "AdaptiveWindow FiniteDifference LowPass Window",
+        "wall": "Wall",
+    }
+    __getattr__, __dir__, __all__ = attach(__name__, _HOMES)

@@ -20,14 +20,13 @@ if TYPE_CHECKING:
     from maglev_mj.plants.sensor import SpotSensor as SpotSensor
     from maglev_mj.timeline import Timing as Timing
 else:
-    __getattr__, __dir__, __all__ = attach(
-        __name__,
-        {
-            "base": "Plant PlantKeywords SampledPlant Timing",
-            "batch": "MuJoCoBatchPlant",
-            "engine": "INTEGRATORS engine_warnings_silenced one_step",
-            "exact": "ExactPlant",
-            "mujoco": "MuJoCoPlant",
-            "sensor": "PoseSensor Sensor SpotReader SpotSensor",
-        },
-    )
+    _HOMES = {
+        "base": "Plant PlantKeywords SampledPlant",
+        "batch": "MuJoCoBatchPlant",
+        "engine": "INTEGRATORS engine_warnings_silenced one_step",
+        "exact": "ExactPlant",
+        "mujoco": "MuJoCoPlant",
+        "sensor": "PoseSensor Sensor SpotReader SpotSensor",
+        ".timeline": "Timing",
+    }
+    __getattr__, __dir__, __all__ = attach(__name__, _HOMES)

@@ -25,14 +25,12 @@ if TYPE_CHECKING:
     from maglev_mj.plots.stability import drop_panels as drop_panels
     from maglev_mj.plots.stability import stability_map as stability_map
 else:
-    __getattr__, __dir__, __all__ = attach(
-        __name__,
-        {
-            "drawing": "FORMATS Panel PictureFolder require small_multiples",
-            "fault": "last_cycles",
-            "paper": "figure_6 phase_plane stick_slip time_series",
-            "recorded": "first_contact staircases sticks whole_run",
-            "results": "pictures_of",
-            "stability": "design_map drop_map drop_panels stability_map",
-        },
-    )
+    _HOMES = {
+        "drawing": "FORMATS Panel PictureFolder require small_multiples",
+        "fault": "last_cycles",
+        "paper": "figure_6 phase_plane stick_slip time_series",
+        "recorded": "first_contact staircases sticks whole_run",
+        "results": "pictures_of",
+        "stability": "design_map drop_map drop_panels stability_map",
+    }
+    __getattr__, __dir__, __all__ = attach(__name__, _HOMES)

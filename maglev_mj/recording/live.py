@@ -34,8 +34,8 @@ from maglev_mj.workers import interrupts_held
 
 __all__ = ["ROWS", "LiveFile", "Ring", "RowReader"]
 
-ROWS = 1 << 14
-"""Rows in the memory: 8 s at 2 kHz, which is how long the writer may be away."""
+ROWS = 1 << 15
+"""Rows in the memory: 1.6 s at 20 kHz, which is how long the writer may take to begin, or be away."""
 
 _SLOT = struct.Struct(f"{ROW.itemsize // 8 + 2}d")  # native, which packs faster
 _HEAD, _PLACE = 64, struct.Struct("=q")  # bytes in front of the rows, the first eight of them the reader's place

@@ -36,7 +36,7 @@ from maglev_mj.frames import Array, quaternion, rotation_matrix
 from maglev_mj.recording import protobuf
 from maglev_mj.recording.mcap import EVENT, SAMPLE, STRETCH
 from maglev_mj.recording.metadata import RunMetadata, Setup, Totals
-from maglev_mj.recording.row import FIELDS, Field, Row, named, schema
+from maglev_mj.recording.row import FIELDS, Field, Row, as_rows, named, schema
 from maglev_mj.shapes import ARROW, GRIP, LEAST_FORCE, Shape, arrow_start, shapes, wall_plate
 
 __all__ = ["FRAMES", "LOG", "SCENE", "Messages"]
@@ -158,17 +158,25 @@ class Messages:
     def row(self, row: Row) -> None:
         """Log a sample of the stretch that was begun, its values in the order of FIELDS."""
         assert self._totals is not None
-        values = named(row)
-        time = values["time"]
+        self._log_sample(row, self._totals.add(named(row)))
+
+    def rows(self, rows: Sequence[Row]) -> None:
+        """Log samples, one or more; see `row`."""
+        assert self._totals is not None
+        for row, totals in zip(rows, self._totals.take(as_rows(rows)).tolist()):
+            self._log_sample(row, totals)
+
+    def _log_sample(self, row: Row, totals: Row) -> None:
+        tick, time = row[0], row[1]
         if self._first is None:
             self._first = time
-        self._tick = int(values["tick"])
+        self._tick = int(tick)
         self._now = max(self._now, self._began + round((time - self._first) * 1e9))
-        self._sample.log(protobuf.packed(self._stretch, row, self._totals.add(values)), self._now)
+        self._sample.log(protobuf.packed(self._stretch, row, totals), self._now)
         turn = math.floor((time - self._first) * _SHOWN + 1e-6)
         if turn > self._shown:
             self._shown = turn
-            self._show(values)
+            self._show(named(row))
 
     def event(self, kind: str, text: str, missed: int = 0) -> None:
         """Log what happened.

@@ -15,6 +15,7 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, ZERO, Array, Command, Sample
 from maglev_mj.parameters import axis_indices, flag, number, numbers
 from maglev_mj.recording.checks import flag_in, list_in, object_in, six, text_in
+from maglev_mj.recording.row import Rows
 from maglev_mj.spec import GRAVITY, INERTIA
 from maglev_mj.terminal import printable
 from maglev_mj.timeline import Timing
@@ -218,3 +219,14 @@ class Totals:
             self._missed += max(int(row["tick"] - self._tick) - 1, 0)
         self._tick = row["tick"]
         return float(self._observer.energy.sum()), self._hand.total, self._missed
+
+    def take(self, rows: Rows) -> Array:
+        """Return the totals at N samples, (N, 3); see `add`, of which they have the bits."""
+        poses, force = np.ascontiguousarray(rows["position"]), rows["applied"] - self._carried
+        energy = self._observer.take(poses, force, rows["applied_pulse"], rows["applied_pulse_width"])
+        work = self._hand.take(poses, np.ascontiguousarray(rows["hand"]))
+        ticks = rows["tick"]
+        gaps = np.diff(ticks, prepend=ticks[:1] - 1.0 if self._tick is None else self._tick)
+        missed = self._missed + np.add.accumulate(np.maximum(np.trunc(gaps) - 1.0, 0.0))
+        self._tick, self._missed = float(ticks[-1]), int(missed[-1])
+        return np.column_stack([energy.sum(axis=1), work, missed])

@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import base64
 import json
+import math
 import os
 import sys
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from itertools import islice
 from pathlib import Path
 from typing import IO, Any
 
@@ -28,6 +30,7 @@ from maglev_mj.versions import versions
 __all__ = ["McapWriter", "main"]
 
 _NAP = 0.02
+_TOGETHER = 1 << 10  # samples that are added up at once
 _LOST = 0.1  # s that a SIGKILL to this process may cost
 _CHUNK = 1 << 16  # before it is packed: some 150 samples, which is what damage to one of its bytes costs
 
@@ -93,7 +96,7 @@ class McapWriter:
             self._writer = open_mcap(self._file, context=self._context, writer_options=options)
             self._writer.write_metadata(METADATA, texts)
         self._messages, self._flushed = Messages(self._context), time.monotonic()
-        self.begin, self.row = self._messages.begin, self._messages.row
+        self.begin, self.rows = self._messages.begin, self._messages.rows
         self.event, self.stick = self._messages.event, self._messages.stick
 
     def attach(self, name: str, media_type: str, data: str) -> None:
@@ -148,14 +151,20 @@ def _write(ring: RowReader, orders: _Orders, mcap: McapWriter, first: Callable[[
     place = 0
     while True:
         over = orders.over
-        rows = list(ring.rows())  # before what is said, for what is said of a row comes before it
+        # before what is said, for what is said of a row comes before it
+        rows = list(islice(ring.rows(), _TOGETHER))
         orders.listen()
         if rows and place == 0:
             first()
-        for place, row in rows:
-            obey(place)
-            mcap.row(row)
-            place += 1
+        waiting = deque(rows)
+        while waiting:
+            obey(waiting[0][0])
+            block = [waiting.popleft()]
+            said = orders.waiting[0]["at"] if orders.waiting else math.inf
+            while waiting and waiting[0][0] < said:
+                block.append(waiting.popleft())
+            mcap.rows([row for _, row in block])
+            place = block[-1][0] + 1
         obey(place)
         mcap.flush()
         if over and not rows:

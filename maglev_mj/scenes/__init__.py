@@ -11,11 +11,9 @@ if TYPE_CHECKING:
     from maglev_mj.scenes.scene import Scene as Scene
     from maglev_mj.scenes.scene import Start as Start
 else:
-    __getattr__, __dir__, __all__ = attach(
-        __name__,
-        {
-            "find": "find_scene",
-            "names": "BUILT_IN scene_names",
-            "scene": "Scene Start",
-        },
-    )
+    _HOMES = {
+        "find": "find_scene",
+        "names": "BUILT_IN scene_names",
+        "scene": "Scene Start",
+    }
+    __getattr__, __dir__, __all__ = attach(__name__, _HOMES)

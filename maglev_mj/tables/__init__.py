@@ -22,14 +22,12 @@ if TYPE_CHECKING:
     from maglev_mj.tables.stability import loop_table as loop_table
     from maglev_mj.tables.stability import stability_table as stability_table
 else:
-    __getattr__, __dir__, __all__ = attach(
-        __name__,
-        {
-            "analysis": "analysis_table",
-            "fault": "fault_table latched_table",
-            "fidelity": "fidelity_table levels_table",
-            "run": "run_table sweep_table",
-            "sessions": "flown_table served_table show_table timing_table verdict_table",
-            "stability": "design_table drop_table loop_table stability_table",
-        },
-    )
+    _HOMES = {
+        "analysis": "analysis_table",
+        "fault": "fault_table latched_table",
+        "fidelity": "fidelity_table levels_table",
+        "run": "run_table sweep_table",
+        "sessions": "flown_table served_table show_table timing_table verdict_table",
+        "stability": "design_table drop_table loop_table stability_table",
+    }
+    __getattr__, __dir__, __all__ = attach(__name__, _HOMES)

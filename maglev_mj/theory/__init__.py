@@ -32,14 +32,12 @@ if TYPE_CHECKING:
     from maglev_mj.theory.verdict import stability as stability
     from maglev_mj.theory.verdict import stated_gains as stated_gains
 else:
-    __getattr__, __dir__, __all__ = attach(
-        __name__,
-        {
-            "boundary": "StiffestWall boundary_of largest_stable_stiffness ranges_of"
-            " stable_ranges stiffest_of stiffest_wall",
-            "closed_loop": "critical_delay is_stable largest_modulus least_dynamic_stiffness",
-            "design": "Case DesignedWall GOALS LAWS WallRequirements design_wall worst_case",
-            "linearise": "ClosedLoop Linearised linearise",
-            "verdict": "Verdict inertia_of judge stability stated_gains",
-        },
-    )
+    _HOMES = {
+        "boundary": "StiffestWall boundary_of largest_stable_stiffness ranges_of"
+        " stable_ranges stiffest_of stiffest_wall",
+        "closed_loop": "critical_delay is_stable largest_modulus least_dynamic_stiffness",
+        "design": "Case DesignedWall GOALS LAWS WallRequirements design_wall worst_case",
+        "linearise": "ClosedLoop Linearised linearise",
+        "verdict": "Verdict inertia_of judge stability stated_gains",
+    }
+    __getattr__, __dir__, __all__ = attach(__name__, _HOMES)

@@ -33,7 +33,7 @@ from maglev_mj import Command, Sample
 from maglev_mj.loop import ControlLoop, Record
 from maglev_mj.recording import ArrayFile, RecordingError, RecordingFile, load, setup_of, tee
 from maglev_mj.recording.files import row_of
-from maglev_mj.recording.live import ROWS, LiveFile, Ring
+from maglev_mj.recording.live import LiveFile, Ring
 from maglev_mj.recording.row import ROW, as_table
 from maglev_mj.recording.writer import McapWriter
 from maglev_mj.scenes.joystick import Joystick
@@ -41,6 +41,7 @@ from maglev_mj.scenes.joystick import Joystick
 BLOCK = 200
 PERIOD = Joystick().period
 NOISY = 60_000
+TOGETHER = 1 << 10
 
 
 class Nothing:
@@ -93,8 +94,8 @@ def tick_costs(turns: int, runs: int) -> dict[str, float]:
         ring = Ring()
         arrays, both = ArrayFile(), tee(cast(RecordingFile, _Opened(ring)), ArrayFile())
         assert both is not None
-        makers = [ring.record, *(partial(_begun, file) for file in (arrays, both))]
-        bare, *recorded = tick_times([None, *makers], turns)
+        makers: list[Callable[[Nothing], Record] | None] = [None, ring.record]
+        bare, *recorded = tick_times([*makers, partial(_begun, arrays), partial(_begun, both)], turns)
         ring.close()
         found["bare"].append(statistics.median(bare))
         for name, one in zip(("mcap", "npz", "tee"), recorded, strict=True):
@@ -136,8 +137,7 @@ def writer_costs(count: int, runs: int) -> dict[str, dict[str, float]]:
             file = io.BytesIO()
             writer, start = McapWriter(file), time.thread_time()
             writer.begin(whole, 10**18)
-            for row in rows:
-                writer.row(row)
+            write(writer, rows)
             writer.close()
             found.append((time.thread_time() - start) / count)
         costs[f"{rate} Hz"] = {"seconds": statistics.median(found), "bytes": len(file.getvalue()) / count}
@@ -171,19 +171,30 @@ def kept_up(rate: float, seconds: float) -> dict[str, float]:
 
 
 def throughput(samples: int) -> float:
-    """Return how many samples a second a run that waits for its writer records, its start and end apart."""
+    """Return how many samples a second a writer takes that has begun, to the last one in the file."""
     plant, controller = Nothing(), Joystick().controller()
     with TemporaryDirectory() as folder:
-        file = LiveFile(Path(folder) / "run.mcap", wait=True)
-        loop = ControlLoop(
-            plant, controller, record=file.begin(plant, controller, setup_of(plant, controller, delay=0))
-        )
-        loop.cycle(2 * ROWS)  # until it has begun, and the memory is full
+        path = Path(folder) / "run.mcap"
+        file = LiveFile(path, wait=True)
+        record = file.begin(plant, controller, setup_of(plant, controller, delay=0.0))
+        loop = ControlLoop(plant, controller, record=record)
+        loop.cycle(1)
+        while not path.exists():  # which it gets with its first sample
+            time.sleep(1e-3)
         start = time.perf_counter()
         loop.cycle(samples)
-        took = time.perf_counter() - start
         file.close()
-    return samples / took
+        return samples / (time.perf_counter() - start)
+
+
+def write(writer: Any, rows: Sequence[Sequence[float]]) -> None:
+    """Write rows as the process that writes a recording does."""
+    if not hasattr(writer, "rows"):  # of before: one by one
+        for row in rows:
+            writer.row(row)
+        return
+    for start in range(0, len(rows), TOGETHER):
+        writer.rows(rows[start : start + TOGETHER])
 
 
 class _Totals:
@@ -197,6 +208,10 @@ class _Totals:
         self._place += 1
         taken, work = self._values[self._place % len(self._values)]
         return taken, work, 0
+
+    def take(self, rows: Any) -> Any:
+        """Return the next ones."""
+        return np.array([self.add(row) for row in rows])
 
 
 def make_file(path: Path, samples: int) -> None:
@@ -214,10 +229,10 @@ def make_file(path: Path, samples: int) -> None:
         writer = McapWriter(file)
         writer.begin({**setup_of(plant, controller, delay=0.0), "versions": {}}, 10**18)
         writer._messages._totals = _Totals(random.normal(size=(NOISY, 2)).tolist())  # type: ignore[assignment]
-        for tick in range(samples):
-            row = values[tick % NOISY]
-            row[:2] = [tick, tick * 1e-3]
-            writer.row(row)
+        for start in range(0, samples, NOISY):
+            for tick, row in enumerate(values, start):
+                row[:2] = [tick, tick * 1e-3]
+            write(writer, values[: samples - start])
         writer.close()
 
 
@@ -248,6 +263,7 @@ def read_hour(minutes: float, runs: int) -> dict[str, float]:
     return {
         "minutes": minutes,
         "seconds": statistics.median(one["seconds"] for one in found) * hour,
+        "processor": statistics.median(one["processor"] for one in found) * hour,
         "bytes": size * hour,
     }
 
@@ -277,8 +293,8 @@ def main() -> None:
     parser.add_argument("--seconds", metavar="X", type=float, default=30.0, help="how long (default 30)")
     options = parser.parse_args()
     if options.rate is not None:
-        found = kept_up(options.rate, options.seconds)
-        print(f"  {found['samples']} samples, {found['lost']} lost, {found['rest']:.2f} s to write the rest")
+        kept = kept_up(options.rate, options.seconds)
+        print(f"  {kept['samples']} samples, {kept['lost']} lost, {kept['rest']:.2f} s to write the rest")
         return
     found = measure(options.quick)
     tick, bare = found["tick"], found["tick"]["bare"]
@@ -289,11 +305,11 @@ def main() -> None:
     for rate, one in found["writer"].items():
         print(f"  the writer takes {one['seconds'] * 1e6:.0f} µs a sample at {rate}, {one['bytes']:.0f} bytes each")
     kept = found["kept_up"]
-    print(
-        f"  at 20 kHz: {kept['samples']} samples, {kept['lost']} lost; up to {found['throughput']:.0f} samples a second"
-    )
+    print(f"  at 20 kHz {kept['lost']} of {kept['samples']} samples are lost;", end=" ")
+    print(f"the writer takes up to {found['throughput']:.0f} samples a second")
     hour = found["read_hour"]
-    print(f"  an hour at 1 kHz is read in {hour['seconds']:.1f} s, from {hour['minutes']:g} minutes of it")
+    print(f"  an hour at 1 kHz is read in {hour['seconds']:.1f} s, {hour['processor']:.1f} s of processor,", end=" ")
+    print(f"from {hour['minutes']:g} minutes of it")
     if options.hour is not None:
         make_file(options.hour, 20_000 if options.quick else 3_600_000)
         for fields in ("", "time,position"):

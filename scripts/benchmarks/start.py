@@ -2,8 +2,9 @@
 
     python scripts/benchmarks/start.py [--quick]
 
-Wall times of whole processes, medians over rounds in which each has its turn; byte code is compiled beforehand, as an
-installer does. Options are completed from what the first press of a key has kept.
+Times of whole processes, on the wall and of the processor, which a busy machine changes less; medians over rounds in
+which each has its turn. Byte code is compiled beforehand, as an installer does. Options are completed from what the
+first press of a key has kept.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import time
 from collections.abc import Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
+from resource import RUSAGE_CHILDREN, getrusage
 from tempfile import TemporaryDirectory
 from typing import Any
 
@@ -37,11 +39,13 @@ COMMANDS: Mapping[str, Sequence[str]] = {
 LINES = {"complete a command": "maglev-mj st", "complete an option": "maglev-mj drop --stif"}
 
 
-def _took(arguments: Sequence[str], environment: Mapping[str, str]) -> float:
-    start = time.perf_counter()
+def _took(arguments: Sequence[str], environment: Mapping[str, str]) -> tuple[float, float]:
+    """Return wall time and time of the processor [s] of a process."""
     nowhere = environment["XDG_CACHE_HOME"]  # for -m takes a package from where it is
+    start, before = time.perf_counter(), getrusage(RUSAGE_CHILDREN)
     subprocess.run([sys.executable, *arguments], env=environment, cwd=nowhere, stdout=subprocess.DEVNULL, check=True)
-    return time.perf_counter() - start
+    took, after = time.perf_counter() - start, getrusage(RUSAGE_CHILDREN)
+    return took, sum(after[:2]) - sum(before[:2])
 
 
 def measure(quick: bool) -> dict[str, Any]:
@@ -59,19 +63,21 @@ def measure(quick: bool) -> dict[str, Any]:
             asking = {**here, "_ARGCOMPLETE": "1", "_ARGCOMPLETE_STDOUT_FILENAME": str(Path(folder) / "answer")}
             for name, line in LINES.items():
                 turns[name] = (PROGRAM, {**asking, "COMP_LINE": line, "COMP_POINT": str(len(line))})
-        times: dict[str, list[float]] = {name: [] for name in turns}
+        times: dict[str, list[tuple[float, float]]] = {name: [] for name in turns}
         for once in range(2 if quick else 6):
             for name, turn in turns.items():
                 took = _took(*turn)
                 if once:
                     times[name].append(took)
-    found = {name: statistics.median(kept) for name, kept in times.items()}
-    return {
-        "seconds": found,
-        "drop over numpy and mujoco": found["drop"] / found[FLOOR],
-        "maglev_mj over mujoco": found["import maglev_mj"] / found[MUJOCO],
-        "all names over mujoco": found["from maglev_mj import *"] / found[MUJOCO],
-    }
+    found: dict[str, Any] = {}
+    for place, kind in enumerate(("seconds", "processor")):
+        of = found[kind] = {name: statistics.median(one[place] for one in kept) for name, kept in times.items()}
+        found[f"ratios, {kind}"] = {
+            "drop over numpy and mujoco": of["drop"] / of[FLOOR],
+            "import maglev_mj over mujoco": of["import maglev_mj"] / of[MUJOCO],
+            "all its names over mujoco": of["from maglev_mj import *"] / of[MUJOCO],
+        }
+    return found
 
 
 def main() -> None:
@@ -79,10 +85,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="one round")
     found = measure(parser.parse_args().quick)
-    for name, seconds in found.pop("seconds").items():
-        print(f"  {name:28s}{seconds * 1e3:6.0f} ms")
-    for name, ratio in found.items():
-        print(f"  {name:28s}{ratio:6.2f}")
+    print("                                 wall  processor")
+    for name, seconds in found["seconds"].items():
+        print(f"  {name:30s}{seconds * 1e3:5.0f}{found['processor'][name] * 1e3:7.0f} ms")
+    for name, ratio in found["ratios, seconds"].items():
+        print(f"  {name:30s}{ratio:5.2f}{found['ratios, processor'][name]:7.2f}")
 
 
 if __name__ == "__main__":
