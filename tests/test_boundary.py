@@ -113,6 +113,25 @@ def test_a_crossing_is_good_before_it_is_refined(seed: int) -> None:
     np.testing.assert_allclose(rough, exact, rtol=1e-5)
 
 
+@pytest.mark.parametrize("seed", [*range(400, 424), 357])
+def test_the_sampled_curve_has_the_boundary_of_the_eigenvalues(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    loop = random_loop(random)
+    damping, (stiff, damp) = dampings_of(loop, random, 40), scales(loop)
+    found = np.minimum(SampledCurve(characteristic(loop, 1.0)).reach(damping / damp), 8.0) * stiff
+    np.testing.assert_allclose(found, boundary_of(loop, damping), rtol=1e-5)
+
+
+def test_the_stiffest_wall_is_found_where_its_curve_is_flat() -> None:
+    """A grip so soft that rounding moves the extreme of the curve by 4 %."""
+    hand = Hand(mass=0.03693, damping=0.30835, stiffness=86.728, grip_damping=5.25597, grip_stiffness=303.058)
+    velocity = LowPass(cutoff=78.017)
+    around: dict[str, Any] = {"driver_lag": 8e-5, "velocity": velocity}
+    loop = SampledLoop(period=3.8868e-4, delay=3.10946e-3, mass=1.14487, hand=hand, **around)
+    dense = boundary_of(loop, np.linspace(170.0, 190.0, 201))
+    assert float(stiffest_of(loop).stiffness) >= dense.max() * (1.0 - 1e-7)
+
+
 @pytest.mark.parametrize("delay", [0.0, 0.0015, 0.003, 0.005, 0.0125])
 def test_the_stiffest_wall_is_an_extreme_of_the_explicit_curve(delay: float) -> None:
     loop = SampledLoop(delay=delay)
