@@ -9,7 +9,7 @@ import pytest
 
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
-from maglev_mj.hand import Hand
+from maglev_mj.hand import Hand, hand_called
 from maglev_mj.laws import LinearController, LowPass, ObserverWall, Window
 from maglev_mj.theory import boundary_of, is_stable, largest_stable_stiffness, ranges_of, stable_ranges, stiffest_of
 from maglev_mj.theory.boundary import first_end, spans
@@ -122,14 +122,40 @@ def test_the_sampled_curve_has_the_boundary_of_the_eigenvalues(seed: int) -> Non
     np.testing.assert_allclose(found, boundary_of(loop, damping), rtol=1e-5)
 
 
-def test_the_stiffest_wall_is_found_where_its_curve_is_flat() -> None:
-    """A grip so soft that rounding moves the extreme of the curve by 4 %."""
-    hand = Hand(mass=0.03693, damping=0.30835, stiffness=86.728, grip_damping=5.25597, grip_stiffness=303.058)
-    velocity = LowPass(cutoff=78.017)
-    around: dict[str, Any] = {"driver_lag": 8e-5, "velocity": velocity}
-    loop = SampledLoop(period=3.8868e-4, delay=3.10946e-3, mass=1.14487, hand=hand, **around)
-    dense = boundary_of(loop, np.linspace(170.0, 190.0, 201))
-    assert float(stiffest_of(loop).stiffness) >= dense.max() * (1.0 - 1e-7)
+FLAT: list[dict[str, Any]] = [
+    {
+        "period": 0.00038868256085192215,
+        "delay": 0.003109460486815377,
+        "mass": 1.144867948611289,
+        "hand": Hand(
+            mass=0.036934050333148866,
+            damping=0.30835285690314435,
+            stiffness=86.7280435217133,
+            grip_damping=5.255968574528895,
+            grip_stiffness=303.05798920824077,
+        ),
+        "driver_lag": 8e-5,
+        "velocity": LowPass(cutoff=78.01673581424564),
+    },
+    {
+        "period": 0.00031919906994537305,
+        "delay": 0.0031919906994537306,
+        "mass": 0.5250667908407717,
+        "hand": hand_called("fingertip"),
+        "driver_lag": 0.0005,
+        "prediction": 0.00047879860491805955,
+    },
+]
+
+
+@pytest.mark.parametrize("around", FLAT)
+def test_the_stiffest_wall_is_found_where_rounding_moves_the_extreme_of_the_curve(around: dict[str, Any]) -> None:
+    loop = SampledLoop(**around)
+    found = stiffest_of(loop)
+    dense = boundary_of(loop, float(found.damping) * np.linspace(0.98, 1.02, 101))
+    assert float(found.stiffness) >= dense.max() * (1.0 - 1e-8)
+    wide = boundary_of(loop, float(found.damping) * np.linspace(0.5, 1.5, 301))
+    assert float(found.stiffness) >= wide.max() * (1.0 - 1e-8)
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.0015, 0.003, 0.005, 0.0125])
