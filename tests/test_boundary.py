@@ -141,7 +141,7 @@ FLAT: list[dict[str, Any]] = [
         "period": 0.00031919906994537305,
         "delay": 0.0031919906994537306,
         "mass": 0.5250667908407717,
-        "hand": hand_called("fingertip"),
+        "hand": hand_called("stylus"),
         "driver_lag": 0.0005,
         "prediction": 0.00047879860491805955,
     },
