@@ -138,7 +138,7 @@ def measure_growth(walls: Sequence[RestingWall], plant: str = "exact", **keyword
 
     Args:
         walls: The walls, which differ in their gains alone.
-        plant: "exact" or "mujoco".
+        plant: "exact" or "mujoco"; the latter by corrected Euler where that is exact, otherwise by RK4.
         keywords: Further ones of `Scene.plant`, such as another timing, and of the plant.
 
     Raises:
