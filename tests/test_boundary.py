@@ -9,7 +9,7 @@ import pytest
 
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
-from maglev_mj.hand import Hand
+from maglev_mj.hand import Hand, hand_called
 from maglev_mj.laws import LinearController, LowPass, ObserverWall, Window
 from maglev_mj.theory import boundary_of, is_stable, largest_stable_stiffness, ranges_of, stable_ranges, stiffest_of
 from maglev_mj.theory.boundary import first_end, spans
@@ -111,6 +111,51 @@ def test_a_crossing_is_good_before_it_is_refined(seed: int) -> None:
     damping = dampings_of(loop, random, 12)
     rough, exact = first_end(*spans(loop, damping, 1.0))[0], boundary_of(loop, damping)
     np.testing.assert_allclose(rough, exact, rtol=1e-5)
+
+
+@pytest.mark.parametrize("seed", [*range(400, 424), 357])
+def test_the_sampled_curve_has_the_boundary_of_the_eigenvalues(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    loop = random_loop(random)
+    damping, (stiff, damp) = dampings_of(loop, random, 40), scales(loop)
+    found = np.minimum(SampledCurve(characteristic(loop, 1.0)).reach(damping / damp), 8.0) * stiff
+    np.testing.assert_allclose(found, boundary_of(loop, damping), rtol=1e-5)
+
+
+FLAT: list[dict[str, Any]] = [
+    {
+        "period": 0.00038868256085192215,
+        "delay": 0.003109460486815377,
+        "mass": 1.144867948611289,
+        "hand": Hand(
+            mass=0.036934050333148866,
+            damping=0.30835285690314435,
+            stiffness=86.7280435217133,
+            grip_damping=5.255968574528895,
+            grip_stiffness=303.05798920824077,
+        ),
+        "driver_lag": 8e-5,
+        "velocity": LowPass(cutoff=78.01673581424564),
+    },
+    {
+        "period": 0.00031919906994537305,
+        "delay": 0.0031919906994537306,
+        "mass": 0.5250667908407717,
+        "hand": hand_called("stylus"),
+        "driver_lag": 0.0005,
+        "prediction": 0.00047879860491805955,
+    },
+]
+
+
+@pytest.mark.parametrize("around", FLAT)
+def test_the_stiffest_wall_is_found_where_rounding_moves_the_extreme_of_the_curve(around: dict[str, Any]) -> None:
+    loop = SampledLoop(**around)
+    found = stiffest_of(loop)
+    dense = boundary_of(loop, float(found.damping) * np.linspace(0.98, 1.02, 101))
+    assert float(found.stiffness) >= dense.max() * (1.0 - 1e-8)
+    wide = boundary_of(loop, float(found.damping) * np.linspace(0.5, 1.5, 301))
+    assert float(found.stiffness) >= wide.max() * (1.0 - 1e-8)
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.0015, 0.003, 0.005, 0.0125])

@@ -85,6 +85,26 @@ def test_growth_is_the_modulus() -> None:
     np.testing.assert_allclose(np.log(growth.rate[long]), np.log(modulus[long]), atol=0.01)
 
 
+@pytest.mark.parametrize("hand", ["none", "arm"])
+def test_the_engine_that_is_taken_gives_the_growth_of_rk4(hand: str) -> None:
+    """Rounding is a millionth of the motion at which a wall counts as settled."""
+    some = walls([3000.0, 9000.0, 12000.0], [60.0, 100.0, 60.0], hand=hand)
+    taken, reference = measure_growth(some, "mujoco"), measure_growth(some, "mujoco", integrator="rk4")
+    np.testing.assert_array_equal(taken.stable, reference.stable)
+    np.testing.assert_array_equal(taken.ticks, reference.ticks)
+    np.testing.assert_allclose(taken.rate, reference.rate, rtol=1e-7)
+
+
+def test_a_wall_s_growth_is_that_of_the_wall_alone() -> None:
+    """Runs end when the last of a batch is decided, of which one that grows 1 % too stiff takes the longest."""
+    edge = float(largest_stable_stiffness(80.0, period=T, delay=0.0015))
+    some = walls([2000.0, 0.99 * edge, 1.01 * edge, 2.0 * edge], 80.0)
+    together = measure_growth(some)
+    alone = [measure_growth([wall]) for wall in some]
+    for name in ("stable", "rate", "ticks"):
+        np.testing.assert_array_equal(getattr(together, name), [getattr(one, name)[0] for one in alone])
+
+
 def settles_just_below(boundary: ArrayLike, damping: float, wall: RestingWall, margin: float, **keywords: Any) -> bool:
     """Return whether a wall settles a margin below each boundary, and grows as far above it; all in one batch."""
     k = np.atleast_1d(np.asarray(boundary, dtype=np.float64))
