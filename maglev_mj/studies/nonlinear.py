@@ -124,9 +124,14 @@ class DropMap:
 
     @property
     def settles_up_to(self) -> Array:
-        """Largest stiffness at each damping up to which every cell of the grid settles [N/m], (B,); 0 for none."""
-        count = np.argmin(np.vstack([self.settles, np.zeros(self.damping.size, dtype=bool)]), axis=0)
-        return np.where(count > 0, self.stiffness[np.maximum(count, 1) - 1], 0.0)
+        """Largest stiffness before the first that does not settle [N/m], (B,); 0 for none.
+
+        Walls too soft to come to rest within the samples are passed over.
+        """
+        settles = self.settles
+        over = ~settles & np.logical_or.accumulate(settles, axis=0)
+        count = np.where(over.any(axis=0), np.argmax(over, axis=0), self.stiffness.size)
+        return np.where(settles.any(axis=0), self.stiffness[np.maximum(count, 1) - 1], 0.0)
 
     @property
     def stable_by_theory(self) -> Mask:
