@@ -26,7 +26,9 @@ def squares(cells: list[Cell]) -> list[Any]:
 
 
 def drop_cells(count: int) -> list[Cell]:
-    return swept_cells(Drop(height=0.003, pulse=0.0), {"phase": [number / count for number in range(count)]}, plant="exact")
+    return swept_cells(
+        Drop(height=0.003, pulse=0.0), {"phase": [number / count for number in range(count)]}, plant="exact"
+    )
 
 
 def deadly(cells: list[Cell]) -> list[Any]:

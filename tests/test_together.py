@@ -12,6 +12,7 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.laws import Bias, Hold, Law, StickSlip, Wall
 from maglev_mj.laws.stack import law_kind, stacked
 from maglev_mj.scenes import together
+from maglev_mj.scenes.drop import Drop
 from maglev_mj.studies import sweep as sweeping
 from maglev_mj.studies.sweep import run_scene_cells, swept_cells
 from maglev_mj.studies.sweep import sweep as run_sweep
@@ -40,16 +41,18 @@ def same(one: Mapping[str, Any], other: Mapping[str, Any], tolerance: float) -> 
     if "error" in one or "error" in other:
         return one == other
     return one.keys() == other.keys() and all(
-        np.allclose(*(np.array(value, dtype=float) for value in (one[name], other[name])), tolerance, 1e-12, True)
+        np.allclose(
+            np.array(one[name], dtype=float), np.array(other[name], dtype=float), tolerance, 1e-12, equal_nan=True
+        )
         for name in one
     )
 
 
 def spread(low: float, high: float, count: int) -> list[float]:
-    return np.linspace(low, high, count).tolist()
+    return [float(value) for value in np.linspace(low, high, count)]
 
 
-CASES: Mapping[str, tuple[str, dict[str, Any], dict[str, list[float]]]] = {
+CASES: Mapping[str, tuple[str, dict[str, Any], dict[str, list[Any]]]] = {
     "gains": ("drop", {}, {"stiffness": spread(1000.0, 9000.0, 5), "damping": spread(40.0, 100.0, 4)}),
     "starts and masses": ("drop", {"quantize": 5e-6}, {"height": spread(1e-3, 4e-3, 4), "mass": spread(0.5, 0.9, 3)}),
     "phases and limits": (
@@ -65,11 +68,15 @@ CASES: Mapping[str, tuple[str, dict[str, Any], dict[str, list[float]]]] = {
 
 @pytest.mark.parametrize("case", CASES)
 def test_a_batch_says_what_its_runs_say_one_by_one(case: str) -> None:
-    """But for rounding: in a batch a neighbour's pulse splits a period in two, and the sums of the motion round anew."""
+    """But for rounding: in a batch a neighbour's pulse splits a period in two, and the sums of the motion round anew.
+
+    In a hand the recorded curve is the true one within a nanometre only, between more knots a little nearer to it.
+    """
+    tolerance = 1e-5 if case == "hands" else 1e-8
     name, fixed, vary = CASES[case]
     cells = swept_cells(find_scene(name)(**fixed), vary, plant="exact")
     at_once, alone = both_ways(cells)
-    assert all(same(one, other, 1e-8) for one, other in zip(at_once, alone, strict=True))
+    assert all(same(one, other, tolerance) for one, other in zip(at_once, alone, strict=True))
     assert len({str(one) for one in alone}) > len(alone) // 2  # the runs do differ
 
 
@@ -80,23 +87,22 @@ def test_runs_of_a_kind_are_one_batch_and_others_another(batches: list[int]) -> 
 
 
 def test_few_runs_other_plants_and_other_periods_are_made_alone(batches: list[int]) -> None:
-    drop = find_scene("drop")
-    run_scene_cells(swept_cells(drop(), {"stiffness": spread(3000.0, 6000.0, 7)}, plant="exact"))
-    run_scene_cells(swept_cells(drop(duration=0.05), {"stiffness": spread(3000.0, 6000.0, 8)}, plant="mujoco"))
-    run_scene_cells(swept_cells(drop(duration=0.05), {"period": spread(0.004, 0.006, 8)}, plant="exact"))
+    run_scene_cells(swept_cells(Drop(), {"stiffness": spread(3000.0, 6000.0, 7)}, plant="exact"))
+    run_scene_cells(swept_cells(Drop(duration=0.05), {"stiffness": spread(3000.0, 6000.0, 8)}, plant="mujoco"))
+    run_scene_cells(swept_cells(Drop(duration=0.05), {"period": spread(0.004, 0.006, 8)}, plant="exact"))
     assert batches == []
 
 
 def test_runs_that_diverge_are_made_alone_and_say_so(batches: list[int]) -> None:
-    vary = {"stiffness": [4000.0, 6000.0, 60000.0], "damping": [0.0, 60.0, 80.0]}
-    at_once, alone = both_ways(swept_cells(find_scene("drop")(duration=2.0), vary, plant="exact"))
+    vary = {"stiffness": [4000.0, 6000.0, 60000.0], "damping": [50.0, 60.0, 80.0]}
+    at_once, alone = both_ways(swept_cells(Drop(duration=2.0), vary, plant="exact"))
     assert batches == [9]
     diverged = [index for index, one in enumerate(alone) if "error" in one]
     assert 0 < len(diverged) < 9 and all("a run has diverged beyond" in alone[index]["error"] for index in diverged)
     assert all(same(one, other, 1e-8) for one, other in zip(at_once, alone, strict=True))
 
 
-OWN = '''
+OWN = """
 import numpy as np
 from maglev_mj import AxisLaw, Scene, Start, figure, gain, param
 
@@ -124,7 +130,7 @@ class Spring(Scene):
 
     def laws(self):
         return [Pull(axes="z", stiffness=self.stiffness)]
-'''
+"""
 
 
 @pytest.mark.parametrize(
@@ -148,9 +154,15 @@ def test_laws_of_ones_own_run_together_unless_they_are_not_elementwise(
     assert "error" not in alone[0]
 
 
+OWN_RUN = """
+    def run_figures(self, plant, phase=0.0):
+        return {'own': self.stiffness}
+"""
+
+
 def test_a_scene_with_a_run_of_its_own_is_left_to_it(tmp_path: Path, batches: list[int]) -> None:
     file = tmp_path / "spring.py"
-    file.write_text(OWN % "pass" + "\n    def run_figures(self, plant, phase=0.0):\n        return {'own': self.stiffness}\n")
+    file.write_text(OWN % "pass" + OWN_RUN)
     cells = swept_cells(find_scene(str(file))(), {"stiffness": spread(200.0, 900.0, 12)}, plant="exact")
     assert [one["own"] for one in run_scene_cells(cells, file.read_text())] == spread(200.0, 900.0, 12)
     assert batches == []
@@ -178,7 +190,8 @@ def test_laws_are_stacked_by_the_parameters_that_may_differ() -> None:
 
 def test_laws_are_of_one_kind_if_all_else_agrees() -> None:
     def friction(**values: Any) -> Law:
-        return StickSlip(**{"axes": "z", "stiffness": 1.0, "breakaway": 1.0, "v_min": 1.0} | values)
+        default: dict[str, Any] = {"axes": "z", "stiffness": 1.0, "breakaway": 1.0, "v_min": 1.0}
+        return StickSlip(**default | values)
 
     assert law_kind(friction()) == law_kind(friction(stiffness=2.0)) != law_kind(friction(axes="x"))
     assert law_kind(Hold(axes="z", stiffness=1.0, damping=0.0)) != law_kind(friction())

@@ -99,9 +99,7 @@ class SceneStack:
         return self.scenes[0].timing(phase)
 
 
-def figures_together(
-    scenes: Sequence[Scene], plant: str, phases: Sequence[float]
-) -> list[Mapping[str, Any] | None]:
+def figures_together(scenes: Sequence[Scene], plant: str, phases: Sequence[float]) -> list[Mapping[str, Any] | None]:
     """Return the figures of many runs by name, made as batches; None for a run that must be made alone.
 
     Runs fit one batch if their laws are of the same kinds, declare which parameters may differ, and what the plant
@@ -162,7 +160,8 @@ def _figures_of(members: Sequence[_Member]) -> list[tuple[_Member, Mapping[str, 
     if len(members) < LEAST:
         return []
     try:
-        stack, stays = SceneStack(members), _Stays(members)
+        stays = _Stays(members)
+        stack: Any = SceneStack(members)
         result = run(stack, plant="exact", phase=stack.phases, observe=stays)
         stays.look(components(result.trace.pose[-1]))
         good = np.flatnonzero(stays.all_along)
@@ -178,15 +177,14 @@ def _rows(result: Result) -> list[Mapping[str, Any]]:
     """Return the figures of each device of a batch: at once where a figure takes a batch."""
     figures: Mapping[str, Figure] = result.scene.figures
     at_once = {name: np.asarray(one(result)) for name, one in figures.items() if one.batched}
-    rows = []
+    others = {name: one for name, one in figures.items() if not one.batched}
+    rows: list[Mapping[str, Any]] = []
     for index in range(result.phase.size):
-        device = result[index] if len(at_once) < len(figures) else None
-        rows.append(
-            {
-                name: at_once[name][..., index] if name in at_once else one(device)
-                for name, one in figures.items()
-            }
-        )
+        row = {name: values[..., index] for name, values in at_once.items()}
+        if others:
+            device = result[index]
+            row |= {name: one(device) for name, one in others.items()}
+        rows.append({name: row[name] for name in figures})
     return rows
 
 

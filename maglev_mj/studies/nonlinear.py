@@ -120,7 +120,8 @@ class DropMap:
     @property
     def settles(self) -> Mask:
         """Cells whose drop settles, (K, B)."""
-        return self.ending == Ending.SETTLES
+        settles: Mask = self.ending == Ending.SETTLES
+        return settles
 
     @property
     def settles_up_to(self) -> Array:
@@ -136,7 +137,8 @@ class DropMap:
     @property
     def stable_by_theory(self) -> Mask:
         """Cells below theory's boundary, (K, B)."""
-        return self.stiffness[:, None] <= self.boundary
+        below: Mask = self.stiffness[:, None] <= self.boundary
+        return below
 
     def as_json(self) -> dict[str, Any]:
         """Return everything, ready for JSON."""
@@ -181,9 +183,7 @@ def run_drop_map(
     # what was derived is written into the parts, which then need nothing else
     ranges = {"damping": _ends(damping), "stiffness": _ends(stiffness)}
     head = {"scene": "drop-map", "version": maglev_mj.__version__, **parameters.as_json(), **ranges}
-    parts: list[Cell] = [
-        head | {"first": first, "last": min(first + part, count)} for first in range(0, count, part)
-    ]
+    parts: list[Cell] = [head | {"first": first, "last": min(first + part, count)} for first in range(0, count, part)]
     others = [] if record is None else record.others(parts)
 
     def told(done: int, total: int) -> None:
@@ -194,7 +194,9 @@ def run_drop_map(
     if lost := [result for result in results if "swing" not in result]:
         raise MaglevError(f"a part of the map has no verdicts: {lost[0]!r}")
     shape = stiffness.size, damping.size
-    swing, ending = (np.concatenate([result[name] for result in results]).reshape(shape) for name in ("swing", "ending"))
+    swing, ending = (
+        np.concatenate([result[name] for result in results]).reshape(shape) for name in ("swing", "ending")
+    )
     boundary = theory.largest_stable_stiffness(damping, **parameters.loop)
     return DropMap(parameters, damping, stiffness, swing, ending, boundary, best, others)
 

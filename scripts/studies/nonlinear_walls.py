@@ -2,6 +2,7 @@
 
 import json
 import time
+from typing import Any
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from maglev_mj.workers import local_workers
 
 QUANTUM, LIMIT, PULSE = 5e-6, 60.0, 220.0
 SOFTEST = 1000.0  # boundaries below are met by walls too soft to come to rest in time
-CASES = {
+CASES: dict[str, dict[str, Any]] = {
     "linear: released at the edge": {"height": 0.0},
     "a drop from 4.5 mm: the edge alone": {},
     f"with the sensor's steps of {QUANTUM * 1e6:g} µm": {"quantize": QUANTUM},
@@ -38,7 +39,7 @@ if __name__ == "__main__":
         stable, settles, up_to = found.stable_by_theory, found.settles, found.settles_up_to
         quiet, firm = found.swing[settles & stable], found.boundary > SOFTEST
         share = up_to[firm] / found.boundary[firm]
-        row = {
+        row: dict[str, Any] = {
             "seconds": took,
             "settles": float(settles.mean()),
             "stable_by_theory": float(stable.mean()),
@@ -48,7 +49,9 @@ if __name__ == "__main__":
             "median_swing_of_unstable": float(np.median(found.swing[~stable])),
             "largest_swing": float(found.swing.max()),
             "median_swing_of_settled": float(np.median(quiet)),
-            "settles_up_to_over_theory": dict(zip(("least", "5 %", "median"), np.percentile(share, (0, 5, 50)).tolist())),
+            "settles_up_to_over_theory": dict(
+                zip(("least", "5 %", "median"), np.percentile(share, (0, 5, 50)).tolist())
+            ),
             "least_at_damping": float(found.damping[firm][np.argmin(share)]),
         }
         results[name], data[name] = found, row
@@ -59,7 +62,8 @@ if __name__ == "__main__":
         print(f"  unstable by theory, settles: {row['unstable_that_settles']:.2%} of the unstable;", end=" ")
         print(f"rises above its release: {row['unstable_that_gains']:.0%}")
         print(f"  swing of the unstable: median {row['median_swing_of_unstable'] * 1e3:.2g} mm,", end=" ")
-        print(f"most {row['largest_swing'] * 1e3:.3g} mm; of the settled: median {row['median_swing_of_settled'] * 1e6:.2g} µm")
+        print(f"most {row['largest_swing'] * 1e3:.3g} mm;", end=" ")
+        print(f"of the settled: median {row['median_swing_of_settled'] * 1e6:.2g} µm")
     path = options.pictures.path("stability_nonlinear", "json")
     path.write_text(json.dumps({"grid": grid, "cases": data, "versions": versions()}, indent=1) + "\n")
     print("wrote", path)
