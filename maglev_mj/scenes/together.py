@@ -20,11 +20,9 @@ from maglev_mj.scenes.figures import Figure
 from maglev_mj.scenes.run import Result, run
 from maglev_mj.scenes.scene import Scene, SideBySide
 
-__all__ = ["LEAST", "SceneStack", "figures_together"]
+__all__ = ["SceneStack", "figures_together"]
 
-LEAST = 8
-"""Fewest runs that are worth a batch."""
-
+_LEAST = 8  # fewer are hardly worth a batch
 _MOST, _AT_ONCE = 512, 64
 _ROOM = 256e6
 _PER_KNOT = 18 * 8.0
@@ -103,7 +101,7 @@ def figures_together(scenes: Sequence[Scene], plant: str, phases: Sequence[float
     """Return the figures of many runs by name, made as batches; None for a run that must be made alone.
 
     Runs fit one batch if their laws are of the same kinds, declare which parameters may differ, and what the plant
-    does not take per device is equal. Alone go those of a scene with a run of its own, of fewer than `LEAST` of a
+    does not take per device is equal. Alone go those of a scene with a run of its own, of fewer than `_LEAST` of a
     kind, those that come near the end of their range, and all of a batch that fails.
 
     Args:
@@ -157,7 +155,7 @@ def _most_of(member: _Member) -> int:
 
 def _figures_of(members: Sequence[_Member]) -> list[tuple[_Member, Mapping[str, Any]]]:
     """Return the figures of the runs of one kind that went well together; halves, where one fails."""
-    if len(members) < LEAST:
+    if len(members) < _LEAST:
         return []
     try:
         stays = _Stays(members)

@@ -22,7 +22,6 @@ from maglev_mj.parameters import parsed_number
 from maglev_mj.scenes.find import GROUP, hash_of, made_again, reference_of, scene_of_text, text_of
 from maglev_mj.scenes.run import checked_phase, checked_plant, parameters_json, plain
 from maglev_mj.scenes.scene import Scene
-from maglev_mj.scenes.together import LEAST
 from maglev_mj.studies.cells import Cell, Record, run_cells
 from maglev_mj.workers import Workers, inline, local_workers
 
@@ -164,8 +163,6 @@ def run_scene_cells(cells: Sequence[Cell], text: str | None = None) -> list[dict
     for index, (scene, plant, _) in enumerate(runs):
         plants[type(scene), plant].append(index)
     for (cls, plant), indices in plants.items():
-        if len(indices) < LEAST:
-            continue
         together = _together(cls, plant, [runs[index] for index in indices])
         for index, figures in zip(indices, together, strict=True):
             found[index] = figures

@@ -5,6 +5,7 @@ import resource
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,6 @@ from maglev_mj import find_scene
 from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.loop import drive
 from maglev_mj.plants import ExactPlant, Sensor, Timing
-from maglev_mj.studies import sweep as sweeping
 from maglev_mj.studies.batches import FAR, along_z, wall_controller
 from maglev_mj.studies.cells import Cell
 from maglev_mj.studies.sweep import run_scene_cells, swept_cells
@@ -100,7 +100,7 @@ def sweeps(quick: bool) -> dict[str, Any]:
             run_scene_cells(cells[:1])  # what is imported and kept by the first
             alone, one_by_one = timed(partial(each, some))
             row = found[f"{name}_{len(cells)}"] = {"alone_ms": alone / len(some) * 1e3}
-            if hasattr(sweeping, "LEAST"):
+            if find_spec("maglev_mj.scenes.together"):
                 together, at_once = timed(partial(run_scene_cells, cells))
                 row["together_ms"] = together / len(cells) * 1e3
                 row["ratio"] = row["alone_ms"] / row["together_ms"]
