@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any, TypeAlias
 
 from maglev_mj import plots
 from maglev_mj.cli.arguments import Parser
@@ -27,6 +29,9 @@ _RANGES = "damping", "stiffness"
 _WALL = "parameters of a wall"
 _DROP = "a map of drops instead, where one of these is given"
 _FALLBACK = Path("stability-cells.jsonl")
+_Kind: TypeAlias = tuple[Callable[..., Any], Callable[[Any], str], Callable[[Any, Path], Path], str]
+_GROWTH: _Kind = run_stability, stability_table, plots.stability_map, "stability"
+_DROPS: _Kind = run_drop_map, drop_table, plots.drop_map, "stability_drops"
 
 
 def add_options(parser: Parser) -> None:
@@ -75,31 +80,11 @@ def _map(options: argparse.Namespace) -> int:
             if (limits := getattr(parameters, name)) is not None and limits[0] == limits[1]:
                 raise ParameterError(f"{name} must be a range for a picture, not {limits[0]:g} alone")
     check_outputs(json=options.json, record=options.record)
-    if isinstance(parameters, DropMapParameters):
-        return _drops(options, parameters)
-    workers = chosen_workers(options, default=0)
+    # a map of drops is simulated on every core where it has more than one part
+    workers = chosen_workers(options, default=None if drops and parameters.grid**2 > PART else 0)
+    run, table, draw, name = _DROPS if drops else _GROWTH
     with cells_kept(options.record, _FALLBACK), Progress("stability") as progress:
-        result = run_stability(parameters, record=Record(options.record), workers=workers, progress=progress)
+        result = run(parameters, record=Record(options.record), workers=workers, progress=progress)
     tell_of_others("stability", result.others)
-    write_results(
-        options,
-        result.as_json,
-        lambda: stability_table(result),
-        lambda pictures: [plots.stability_map(result, pictures.path("stability"))],
-    )
-    return 0
-
-
-def _drops(options: argparse.Namespace, parameters: DropMapParameters) -> int:
-    """Print where drops settle, simulated on every core where there is more than one part."""
-    workers = chosen_workers(options, default=None if parameters.grid**2 > PART else 0)
-    with cells_kept(options.record, _FALLBACK), Progress("stability") as progress:
-        result = run_drop_map(parameters, record=Record(options.record), workers=workers, progress=progress)
-    tell_of_others("stability", result.others)
-    write_results(
-        options,
-        result.as_json,
-        lambda: drop_table(result),
-        lambda pictures: [plots.drop_map(result, pictures.path("stability_drops"))],
-    )
+    write_results(options, result.as_json, lambda: table(result), lambda pictures: [draw(result, pictures.path(name))])
     return 0

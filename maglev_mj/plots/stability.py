@@ -18,8 +18,8 @@ from maglev_mj.studies.stability_map import StabilityMap
 
 __all__ = ["design_map", "drop_map", "drop_panels", "level_sets", "stability_map"]
 
-_DECADES = [10.0**power for power in range(-6, 1)]
-_SHADES = ["#f7fcf0", "#e0f3db", "#ccebc5", "#a8ddb5", "#7bccc4", "#4eb3d3", "#2b8cbe", "#084081"]
+_DECADES = [10.0**power for power in range(-6, 0)]
+_SHADES = ["#f7fcf0", "#e0f3db", "#ccebc5", "#a8ddb5", "#7bccc4", "#43a2ca", "#0868ac"]
 _LEVELS = np.array([0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 1.0])
 
 
@@ -131,7 +131,7 @@ def drop_panels(figure: Any, panels: Sequence[Any], results: Sequence[DropMap]) 
         panel.set_xlabel("damping (N s/m)")
         panel.set_ylabel("stiffness (N/m)")
     bar = figure.colorbar(image, ax=list(panels), ticks=_DECADES, aspect=40, pad=0.02, fraction=0.04)
-    bar.ax.set_yticklabels(["1 µm", "10 µm", "0.1 mm", "1 mm", "10 mm", "0.1 m", "1 m"])
+    bar.ax.set_yticklabels(["1 µm", "10 µm", "0.1 mm", "1 mm", "10 mm", "0.1 m"])
     bar.ax.tick_params(labelsize=9.0)
     bar.set_label("swing over the last 100 of 400 samples", fontsize=9.0)
     name_curves(figure, panels)

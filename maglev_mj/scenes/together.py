@@ -20,11 +20,9 @@ from maglev_mj.scenes.figures import Figure
 from maglev_mj.scenes.run import Result, run
 from maglev_mj.scenes.scene import Scene, SideBySide
 
-__all__ = ["LEAST", "SceneStack", "figures_together"]
+__all__ = ["SceneStack", "figures_together"]
 
-LEAST = 8
-"""Fewest runs that are worth a batch."""
-
+_LEAST = 8  # fewer are hardly worth a batch
 _MOST, _AT_ONCE = 512, 64
 _ROOM = 256e6
 _PER_KNOT = 18 * 8.0
@@ -99,13 +97,11 @@ class SceneStack:
         return self.scenes[0].timing(phase)
 
 
-def figures_together(
-    scenes: Sequence[Scene], plant: str, phases: Sequence[float]
-) -> list[Mapping[str, Any] | None]:
+def figures_together(scenes: Sequence[Scene], plant: str, phases: Sequence[float]) -> list[Mapping[str, Any] | None]:
     """Return the figures of many runs by name, made as batches; None for a run that must be made alone.
 
     Runs fit one batch if their laws are of the same kinds, declare which parameters may differ, and what the plant
-    does not take per device is equal. Alone go those of a scene with a run of its own, of fewer than `LEAST` of a
+    does not take per device is equal. Alone go those of a scene with a run of its own, of fewer than `_LEAST` of a
     kind, those that come near the end of their range, and all of a batch that fails.
 
     Args:
@@ -159,10 +155,11 @@ def _most_of(member: _Member) -> int:
 
 def _figures_of(members: Sequence[_Member]) -> list[tuple[_Member, Mapping[str, Any]]]:
     """Return the figures of the runs of one kind that went well together; halves, where one fails."""
-    if len(members) < LEAST:
+    if len(members) < _LEAST:
         return []
     try:
-        stack, stays = SceneStack(members), _Stays(members)
+        stays = _Stays(members)
+        stack: Any = SceneStack(members)
         result = run(stack, plant="exact", phase=stack.phases, observe=stays)
         stays.look(components(result.trace.pose[-1]))
         good = np.flatnonzero(stays.all_along)
@@ -178,15 +175,14 @@ def _rows(result: Result) -> list[Mapping[str, Any]]:
     """Return the figures of each device of a batch: at once where a figure takes a batch."""
     figures: Mapping[str, Figure] = result.scene.figures
     at_once = {name: np.asarray(one(result)) for name, one in figures.items() if one.batched}
-    rows = []
+    others = {name: one for name, one in figures.items() if not one.batched}
+    rows: list[Mapping[str, Any]] = []
     for index in range(result.phase.size):
-        device = result[index] if len(at_once) < len(figures) else None
-        rows.append(
-            {
-                name: at_once[name][..., index] if name in at_once else one(device)
-                for name, one in figures.items()
-            }
-        )
+        row = {name: values[..., index] for name, values in at_once.items()}
+        if others:
+            device = result[index]
+            row |= {name: one(device) for name, one in others.items()}
+        rows.append({name: row[name] for name in figures})
     return rows
 
 

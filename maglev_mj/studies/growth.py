@@ -34,6 +34,7 @@ _FAR = (1e15, 1.0)
 HAND_HELP = f"{', '.join(HANDS)} or MASS,DAMPING,STIFFNESS[,GRIP_DAMPING,GRIP_STIFFNESS]"
 """Help of a hand on the flotor."""
 
+_GAINS = "stiffness", "damping"
 _PATIENCE = (128, 512, 2048, 8192)
 _BATCHES: Mapping[str, PlantMaker] = {"exact": ExactPlant, "mujoco": MuJoCoBatchPlant}
 
@@ -118,21 +119,23 @@ class RestingWall(Scene):
         cls, scenes: Sequence[Self], plant: str, phases: Sequence[float]
     ) -> Sequence[Mapping[str, Any]]:
         """See `Scene`: walls that differ in their gains alone are one batch."""
-        found: list[dict[str, Any]] = []
-        for wall in scenes:
-            stiffest = _stiffest(wall.period, wall.delay, wall.mass, wall.hand)
-            found.append(
-                {
-                    "modulus": float(largest_modulus(wall.stiffness, wall.damping, **wall.loop)),
-                    "largest_stiffness": float(largest_stable_stiffness(wall.damping, **wall.loop)),
-                    "stiffest_wall": float(stiffest.stiffness),
-                    "at_damping": float(stiffest.damping),
-                }
-            )
-        if plant != "none":
-            growth = grow_together(scenes, plant)
-            for figures, stable, rate in zip(found, growth.stable.tolist(), growth.rate.tolist(), strict=True):
-                figures |= {"simulated_rate": rate, "simulated_stable": stable}
+        found: list[dict[str, Any]] = [{}] * len(scenes)
+        for indices in _alike(scenes).values():
+            walls = [scenes[index] for index in indices]
+            stiffness, damping = (np.array([getattr(wall, name) for wall in walls]) for name in _GAINS)
+            first = walls[0]
+            stiffest = _stiffest(first.period, first.delay, first.mass, first.hand)
+            columns = {
+                "modulus": largest_modulus(stiffness, damping, **first.loop),
+                "largest_stiffness": largest_stable_stiffness(damping, **first.loop),
+                "stiffest_wall": np.full(len(walls), stiffest.stiffness),
+                "at_damping": np.full(len(walls), stiffest.damping),
+            }
+            if plant != "none":
+                growth = measure_growth(walls, plant)
+                columns |= {"simulated_rate": growth.rate, "simulated_stable": growth.stable}
+            for index, row in zip(indices, zip(*(column.tolist() for column in columns.values()), strict=True)):
+                found[index] = dict(zip(columns, row, strict=True))
         return found
 
 
@@ -142,13 +145,20 @@ def _stiffest(period: float, delay: float, mass: float, hand: str) -> StiffestWa
     return stiffest_wall(period=period, delay=delay, mass=mass, hand=hand_called(hand))
 
 
-def grow_together(walls: Sequence[RestingWall], plant: str) -> Growth:
-    """Measure the growth of walls that may differ in period, delay, mass and hand too: a batch for each of these."""
+def _alike(walls: Sequence[RestingWall]) -> Mapping[tuple[Any, ...], list[int]]:
+    """Return the indices of walls that differ in their gains alone, by what they agree in."""
     alike: dict[tuple[Any, ...], list[int]] = defaultdict(list)
     for index, wall in enumerate(walls):
         alike[wall.period, wall.delay, wall.mass, wall.hand].append(index)
-    grown = [(places, measure_growth([walls[index] for index in places], plant)) for places in alike.values()]
-    order = np.argsort(np.concatenate([places for places, _ in grown]))
+    return alike
+
+
+def grow_together(walls: Sequence[RestingWall], plant: str) -> Growth:
+    """Measure the growth of walls that may differ in period, delay, mass and hand too: a batch for each of these."""
+    grown = [
+        (indices, measure_growth([walls[index] for index in indices], plant)) for indices in _alike(walls).values()
+    ]
+    order = np.argsort(np.concatenate([indices for indices, _ in grown]))
     return Growth(*(np.concatenate(parts)[order] for parts in zip(*(growth for _, growth in grown), strict=True)))
 
 

@@ -120,18 +120,25 @@ class DropMap:
     @property
     def settles(self) -> Mask:
         """Cells whose drop settles, (K, B)."""
-        return self.ending == Ending.SETTLES
+        settles: Mask = self.ending == Ending.SETTLES
+        return settles
 
     @property
     def settles_up_to(self) -> Array:
-        """Largest stiffness at each damping up to which every cell of the grid settles [N/m], (B,); 0 for none."""
-        count = np.argmin(np.vstack([self.settles, np.zeros(self.damping.size, dtype=bool)]), axis=0)
-        return np.where(count > 0, self.stiffness[np.maximum(count, 1) - 1], 0.0)
+        """Largest stiffness before the first that does not settle [N/m], (B,); 0 for none.
+
+        Walls too soft to come to rest within the samples are passed over.
+        """
+        settles = self.settles
+        over = ~settles & np.logical_or.accumulate(settles, axis=0)
+        count = np.where(over.any(axis=0), np.argmax(over, axis=0), self.stiffness.size)
+        return np.where(settles.any(axis=0), self.stiffness[np.maximum(count, 1) - 1], 0.0)
 
     @property
     def stable_by_theory(self) -> Mask:
         """Cells below theory's boundary, (K, B)."""
-        return self.stiffness[:, None] <= self.boundary
+        below: Mask = self.stiffness[:, None] <= self.boundary
+        return below
 
     def as_json(self) -> dict[str, Any]:
         """Return everything, ready for JSON."""
@@ -176,9 +183,7 @@ def run_drop_map(
     # what was derived is written into the parts, which then need nothing else
     ranges = {"damping": _ends(damping), "stiffness": _ends(stiffness)}
     head = {"scene": "drop-map", "version": maglev_mj.__version__, **parameters.as_json(), **ranges}
-    parts: list[Cell] = [
-        head | {"first": first, "last": min(first + part, count)} for first in range(0, count, part)
-    ]
+    parts: list[Cell] = [head | {"first": first, "last": min(first + part, count)} for first in range(0, count, part)]
     others = [] if record is None else record.others(parts)
 
     def told(done: int, total: int) -> None:
@@ -189,7 +194,9 @@ def run_drop_map(
     if lost := [result for result in results if "swing" not in result]:
         raise MaglevError(f"a part of the map has no verdicts: {lost[0]!r}")
     shape = stiffness.size, damping.size
-    swing, ending = (np.concatenate([result[name] for result in results]).reshape(shape) for name in ("swing", "ending"))
+    swing, ending = (
+        np.concatenate([result[name] for result in results]).reshape(shape) for name in ("swing", "ending")
+    )
     boundary = theory.largest_stable_stiffness(damping, **parameters.loop)
     return DropMap(parameters, damping, stiffness, swing, ending, boundary, best, others)
 

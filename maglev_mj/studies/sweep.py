@@ -22,7 +22,6 @@ from maglev_mj.scenes.find import hash_of, made_again, reference_of, scene_of_te
 from maglev_mj.scenes.names import installed_scenes
 from maglev_mj.scenes.run import checked_phase, checked_plant, parameters_json, plain
 from maglev_mj.scenes.scene import Scene
-from maglev_mj.scenes.together import LEAST
 from maglev_mj.studies.cells import Cell, Record, run_cells
 from maglev_mj.workers import Workers, inline, local_workers
 
@@ -164,12 +163,13 @@ def run_scene_cells(cells: Sequence[Cell], text: str | None = None) -> list[dict
     for index, (scene, plant, _) in enumerate(runs):
         plants[type(scene), plant].append(index)
     for (cls, plant), indices in plants.items():
-        if len(indices) < LEAST:
-            continue
         together = _together(cls, plant, [runs[index] for index in indices])
         for index, figures in zip(indices, together, strict=True):
             found[index] = figures
-    return [_alone(one, text is not None) if figures is None else plain(figures) for one, figures in zip(runs, found, strict=True)]
+    return [
+        _alone(one, text is not None) if figures is None else plain(figures)
+        for one, figures in zip(runs, found, strict=True)
+    ]
 
 
 def _made(cell: Cell, text: str | None) -> _Run:
@@ -193,11 +193,10 @@ def _together(cls: type[Scene], plant: str, runs: Sequence[_Run]) -> Sequence[Ma
 
 def _same(figures: Mapping[str, Any] | None, alone: Mapping[str, Any]) -> bool:
     """Return whether figures are those of a run alone but for rounding."""
-    return figures is not None and all(
-        np.shape(value) == np.shape(alone.get(name))
-        and np.allclose(*(np.array(one, dtype=np.float64) for one in (value, alone[name])), 1e-6, 1e-12, equal_nan=True)
-        for name, value in plain(figures).items()
-    )
+    if figures is None or figures.keys() != alone.keys():
+        return False
+    pairs = [(np.array(one, dtype=float), np.array(alone[name], dtype=float)) for name, one in plain(figures).items()]
+    return all(a.shape == b.shape and np.allclose(a, b, 1e-6, 1e-12, equal_nan=True) for a, b in pairs)
 
 
 def _alone(one: _Run, catches: bool) -> dict[str, Any]:

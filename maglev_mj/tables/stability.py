@@ -69,7 +69,7 @@ def drop_table(result: DropMap) -> str:
         ),
         f"  stiffest up to which all settle  {up_to[best]:>8.0f} N/m at {result.damping[best]:.1f} N s/m"
         if up_to[best] > 0.0
-        else "  no damping at which all settle from the softest wall on",
+        else "  none settles",
         f"  stiffest stable wall by theory   {float(result.maximum.stiffness):>8.0f} N/m at "
         f"{float(result.maximum.damping):.1f} N s/m",
         f"  stable by theory, does not settle {int((stable & ~settles).sum()):>7}",

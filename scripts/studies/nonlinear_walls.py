@@ -2,6 +2,7 @@
 
 import json
 import time
+from typing import Any
 
 import numpy as np
 
@@ -14,7 +15,8 @@ from maglev_mj.versions import versions
 from maglev_mj.workers import local_workers
 
 QUANTUM, LIMIT, PULSE = 5e-6, 60.0, 220.0
-CASES = {
+SOFTEST = 1000.0  # boundaries below are met by walls too soft to come to rest in time
+CASES: dict[str, dict[str, Any]] = {
     "linear: released at the edge": {"height": 0.0},
     "a drop from 4.5 mm: the edge alone": {},
     f"with the sensor's steps of {QUANTUM * 1e6:g} µm": {"quantize": QUANTUM},
@@ -35,8 +37,9 @@ if __name__ == "__main__":
             found = run_drop_map(DropMapParameters(grid=grid, **values), workers=workers, progress=progress)
         took = time.perf_counter() - start
         stable, settles, up_to = found.stable_by_theory, found.settles, found.settles_up_to
-        quiet = found.swing[settles & stable]
-        row = {
+        quiet, firm = found.swing[settles & stable], found.boundary > SOFTEST
+        share = up_to[firm] / found.boundary[firm]
+        row: dict[str, Any] = {
             "seconds": took,
             "settles": float(settles.mean()),
             "stable_by_theory": float(stable.mean()),
@@ -46,21 +49,25 @@ if __name__ == "__main__":
             "median_swing_of_unstable": float(np.median(found.swing[~stable])),
             "largest_swing": float(found.swing.max()),
             "median_swing_of_settled": float(np.median(quiet)),
-            "stiffest_up_to_which_all_settle": float(up_to.max()),
-            "at_damping": float(found.damping[np.argmax(up_to)]),
+            "settles_up_to_over_theory": dict(
+                zip(("least", "5 %", "median"), np.percentile(share, (0, 5, 50)).tolist())
+            ),
+            "least_at_damping": float(found.damping[firm][np.argmin(share)]),
         }
         results[name], data[name] = found, row
         print(f"\n{name}: {took:.1f} s")
-        print(f"  all settle up to {row['stiffest_up_to_which_all_settle']:.0f} N/m at {row['at_damping']:.1f} N s/m")
+        shares = ", ".join(f"{name} {value:.3f}" for name, value in row["settles_up_to_over_theory"].items())
+        print(f"  settles up to, over theory's boundary: {shares}; the least at {row['least_at_damping']:.0f} N s/m")
         print(f"  stable by theory, does not settle: {row['stable_that_does_not_settle']:.2%} of the stable")
         print(f"  unstable by theory, settles: {row['unstable_that_settles']:.2%} of the unstable;", end=" ")
         print(f"rises above its release: {row['unstable_that_gains']:.0%}")
         print(f"  swing of the unstable: median {row['median_swing_of_unstable'] * 1e3:.2g} mm,", end=" ")
-        print(f"most {row['largest_swing'] * 1e3:.3g} mm; of the settled: median {row['median_swing_of_settled'] * 1e6:.2g} µm")
+        print(f"most {row['largest_swing'] * 1e3:.3g} mm;", end=" ")
+        print(f"of the settled: median {row['median_swing_of_settled'] * 1e6:.2g} µm")
     path = options.pictures.path("stability_nonlinear", "json")
     path.write_text(json.dumps({"grid": grid, "cases": data, "versions": versions()}, indent=1) + "\n")
     print("wrote", path)
-    figure, panels = new_figure(3, 2, 9.6, sharex=True, sharey=True)
+    figure, panels = new_figure(3, 2, 8.2, sharex=True, sharey=True)
     drop_panels(figure, panels, list(results.values()))
     for panel, name in zip(panels, results, strict=True):
         panel.set_title(name, **TITLE)

@@ -1,0 +1,158 @@
+"""Drops on walls with a pulse, a force limit and a sensor's steps: verdicts, parts, workers."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from maglev_mj.cli import main
+from maglev_mj.errors import ParameterError
+from maglev_mj.studies.cells import Record
+from maglev_mj.studies.nonlinear import DropMapParameters, Ending, judge_drops, run_drop_map
+from maglev_mj.theory import is_stable, largest_modulus
+from maglev_mj.workers import local_workers
+
+ALL: dict[str, Any] = {"pulse": 220.0, "force_limit": 60.0, "quantize": 5e-6}
+
+
+@pytest.mark.parametrize("hand", ["none", "arm"])
+@pytest.mark.parametrize("delay", [0.0, 0.0015, 0.005])
+def test_released_at_the_edge_a_wall_settles_where_theory_has_it_stable(delay: float, hand: str) -> None:
+    """In every cell whose modulus is further than 0.005 from 1: it changes by a factor of 1.6 over a quarter."""
+    found = run_drop_map(DropMapParameters(grid=40, height=0.0, delay=delay, hand=hand))
+    modulus = largest_modulus(found.stiffness[:, None], found.damping, **found.parameters.loop)
+    away = np.abs(modulus - 1.0) > 0.005
+    assert away.mean() > 0.9 and 0.3 < found.settles.mean() < 0.7
+    assert (found.settles == is_stable(modulus))[away].all()
+    # what leaves the wall by itself has gained energy
+    assert ((found.ending == Ending.GAINS) | ~away | found.settles).mean() > 0.97
+
+
+def ending(stiffness: float, damping: float, **values: Any) -> tuple[float, Ending]:
+    swing, found = judge_drops(np.array([stiffness]), np.array([damping]), DropMapParameters(**values))
+    return float(swing[0]), Ending(found[0])
+
+
+def test_endings_of_drops_with_known_answers() -> None:
+    """The paper's wall settles, hums within a few steps of the sensor, bounces on where the damping is too low."""
+    swing, found = ending(6000.0, 80.0)
+    assert found is Ending.SETTLES and swing < 1e-12
+    swing, found = ending(6000.0, 80.0, **ALL)
+    assert found is Ending.SETTLES and 0.0 < swing <= 5 * 5e-6
+    # a sampled spring without damping makes energy at each bounce: with nothing to stop it, it rises ever higher
+    swing, found = ending(6000.0, 0.0)
+    assert found is Ending.GAINS and swing > 0.1
+    # under 60 N it cannot be thrown so far
+    assert ending(6000.0, 0.0, force_limit=60.0)[0] < 0.7 * swing
+    # far above the boundary at its damping, the limit leaves a cycle below the height of release
+    swing, found = ending(12000.0, 88.0, **ALL)
+    assert found is Ending.GOES_ON and 50e-6 < swing < 4.5e-3
+    # 0.2 % below the boundary it still rings, ever less and within the wall
+    assert ending(10000.0, 87.6, height=0.0)[1] is Ending.SETTLES
+
+
+def test_steps_keep_walls_of_much_damping_from_resting_that_theory_has_stable() -> None:
+    """A step is much force where the damping is high: a hum of ten steps and more."""
+    k, b = (part.ravel() for part in np.meshgrid(np.linspace(3000.0, 8000.0, 120), np.linspace(120.0, 165.0, 60)))
+    p = DropMapParameters(height=0.0)
+    stable = largest_modulus(k, b, **p.loop) < 0.99
+    assert stable.sum() > 1000 and (judge_drops(k, b, p)[1][stable] == Ending.SETTLES).all()
+    swing, found = judge_drops(k, b, DropMapParameters(height=0.0, quantize=5e-6))
+    hums = stable & (found != Ending.SETTLES)
+    assert 0 < hums.sum() < 0.05 * stable.sum() and (swing[hums] > 50e-6).all() and (swing[hums] < 200e-6).all()
+
+
+def test_what_grows_without_bound_stays_finite_and_ends_no_other() -> None:
+    """An arm pushes the flotor back into a wall that throws it further out each time."""
+    gains: dict[str, Any] = {"stiffness": (1e3, 1e8), "damping": (0.0, 1e6)}
+    found = run_drop_map(DropMapParameters(grid=12, height=0.0, mass=1e-3, hand="0,0,1e6", **gains))
+    assert np.isfinite(found.swing).all() and (found.ending == Ending.GAINS).any()
+
+
+def test_parts_and_workers_do_not_matter() -> None:
+    """To the last bit without pulses; with them where it settles, for a neighbour's pulse splits a period: rounding."""
+    still = DropMapParameters(grid=24, quantize=5e-6, force_limit=60.0)
+    whole = run_drop_map(still)
+    for parts in (run_drop_map(still, part=77), run_drop_map(still, part=100, workers=local_workers(2))):
+        assert (parts.swing == whole.swing).all() and (parts.ending == whole.ending).all()
+    pulsed = DropMapParameters(grid=16, pulse=220.0, force_limit=60.0)
+    whole, parts = run_drop_map(pulsed), run_drop_map(pulsed, part=40)
+    assert (parts.settles == whole.settles).all()
+    np.testing.assert_allclose(parts.swing[whole.settles], whole.swing[whole.settles], rtol=1e-9, atol=1e-12)
+
+
+def test_parts_are_recorded_counted_and_not_done_again(tmp_path: Path) -> None:
+    path, told = tmp_path / "parts.jsonl", list[tuple[int, int]]()
+    p = DropMapParameters(grid=10, **ALL)
+    first = run_drop_map(p, record=Record(path), part=30, progress=lambda *both: told.append(both))
+    assert told == [(30, 100), (60, 100), (90, 100), (100, 100)]
+    assert len(path.read_text().splitlines()) == 4
+    again = run_drop_map(p, record=Record(path), part=30, progress=lambda *both: told.append(both))
+    assert len(told) == 4 and (again.swing == first.swing).all()
+
+
+def test_the_boundary_of_settling_passes_over_walls_too_soft_to_come_to_rest() -> None:
+    grid: dict[str, Any] = {"grid": 30, "stiffness": (10.0, 12000.0), "damping": (60.0, 100.0)}
+    found = run_drop_map(DropMapParameters(height=0.0, **grid))
+    assert not found.settles[0].all()
+    share = found.settles_up_to / found.boundary
+    assert (share > 0.93).all() and (share <= 1.0).all()
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_the_command_maps_drops_where_an_option_of_theirs_is_given(here: Path, capsys: Any) -> None:
+    arguments = ["stability", "--grid", "12", "--pulse", "220", "--force-limit", "60", "--quantize", "5e-6"]
+    assert main([*arguments, "--json", "map.json", "--out", "."]) == 0
+    told = capsys.readouterr().out
+    assert "Drops on PD walls, 200 Hz" in told and "sensor 5 µm" in told and "stability_drops.png" in told
+    assert (here / "stability_drops.png").stat().st_size > 10_000
+    assert '"endings": ["settles", "goes_on", "gains"]' in (here / "map.json").read_text()
+    assert main(["stability", "--grid", "3"]) == 0
+    assert "Stability of a PD wall" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--pulse", "-1"], "pulse must be a finite number at least 0 and at most 1e+06, not -1"),
+        (["--force-limit", "0"], "force_limit must be a finite number above 0 and at most 1e+06, not 0"),
+        (["--quantize", "2"], "quantize must be a finite number at least 0 and at most 1, not 2"),
+        (["--height", "-0.001"], "height must be a finite number at least 0 and at most 1, not -0.001"),
+        (["--height", "0", "--plant", "mujoco"], "plant must be one of exact, not 'mujoco'"),
+        (["--pulse", "220", "--damping", "50", "--out", "."], "damping must be a range for a picture, not 50 alone"),
+    ],
+)
+def test_bad_options_of_drops_are_one_line(here: Path, capsys: Any, arguments: list[str], words: str) -> None:
+    assert main(["stability", "--grid", "3", *arguments]) == 2
+    said = capsys.readouterr().err
+    assert words in said and len(said.splitlines()) == 1
+
+
+def test_bad_pulse_width_is_refused() -> None:
+    with pytest.raises(ParameterError, match="pulse_width must be a finite number above 0"):
+        DropMapParameters(pulse=220.0, pulse_width=0.0)
+
+
+def test_ctrl_c_keeps_the_parts_that_are_done(here: Path) -> None:
+    record = here / "parts.jsonl"
+    command = [sys.executable, "-m", "maglev_mj", "stability", "--grid", "600", "--quantize", "5e-6", "--workers", "0"]
+    process = subprocess.Popen([*command, "--record", str(record)], stderr=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 60.0
+    while not (record.exists() and record.stat().st_size) and time.monotonic() < deadline:
+        time.sleep(0.01)
+    os.kill(process.pid, signal.SIGINT)
+    _, said = process.communicate(timeout=60)
+    assert process.returncode == 130, said
+    assert "maglev-mj stability: stopped; " in said and "Traceback" not in said
+    assert 1 <= len(record.read_text().splitlines()) < 36
