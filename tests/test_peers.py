@@ -26,6 +26,7 @@ EXACT = {
     "drake": ("scripted, RK2", "LeafSystem, RK2"),
     "pybullet": ("step a segment, corrected",),
     "scipy": ("solve_ivp a segment, RK45, one step",),
+    "pinocchio": ("free flyer, step a segment, mean velocity", "slides and ball, step a segment, mean velocity"),
     "control": ("ss, sampled for each length, A x + B u",),
 }
 """Variants that are exact to rounding in translation."""
@@ -83,6 +84,14 @@ def test_a_peer_that_is_said_to_be_exact_is(peer: str, capfd: pytest.CaptureFixt
             assert np.abs(simulate() - poses).max() < 1e-13, name
     with pytest.raises(ValueError, match="peer must be one of mujoco, drake"):
         available(["gazebo"])
+
+
+def test_pinocchio_takes_torques_in_the_axes_of_the_body() -> None:
+    pytest.importorskip("pinocchio")
+    from peers.pinocchio_peer import _in_body_axes
+
+    half = 0.5**0.5  # a quarter turn about z brings the body's x onto the world's y
+    np.testing.assert_allclose(_in_body_axes(half, 0.0, 0.0, half, 1.0, 2.0, 3.0), [2.0, -1.0, 3.0], rtol=1e-15)
 
 
 def test_steps_that_miss_what_they_should_not_are_seen_to() -> None:
