@@ -2,17 +2,18 @@
 
 Draws a chart of every scene, one of the drop with what a user would take instead, and curves of what the step does
 to the stability boundary and to the energy of a bounce; writes every figure to speed_accuracy.json. Costs are medians
-of repeats in turn within this one run, so that their ratios hold on a machine that is not alone.
+of repeats in turn within this one run, so that their ratios hold on a machine that is not alone. `measure` is a section
+of bench.py.
 """
 
 from __future__ import annotations
 
 import json
+import math
 import os
-import platform
 import statistics
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,6 @@ from typing import Any
 # six by six matrices gain nothing from threads, and some peers lose much; numpy reads this once
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import mujoco
 import numpy as np
 
 from maglev_mj import drive
@@ -37,8 +37,8 @@ from maglev_mj.studies.fidelity_cases import preset_of
 from maglev_mj.studies.integrators import INTEGRATORS
 from maglev_mj.versions import versions
 from peers import Task
-from ways import SEMI_IMPLICIT, Way, as_json, boundary_shift, measure, our_ways, peer_ways, points_of
-from work_precision import WorkPrecision, work_precision
+from ways import GROUPS, SEMI_IMPLICIT, as_json, boundary_shift, our_ways, peer_ways, take_times
+from work_precision import WorkPoint, work_precision
 
 TITLES = {
     "drop": "on a wall, with a braking pulse",
@@ -48,8 +48,6 @@ TITLES = {
     "twist": "free, at 3.7 rad/s",
     "six-axes": "drawn back to the centre",
 }
-TURNING = "twist", "six-axes"
-NANOMETRE = 1e-9
 PERIOD, DELAY = Timing().period, Timing().delay
 
 
@@ -85,18 +83,6 @@ def boundary_shifts(quick: bool) -> dict[str, Any]:
         if min(map(abs, shifts)) > 1e-9:
             rows["orders"][name] = float(np.polyfit(np.log(steps), np.log(np.abs(shifts)), 1)[0])
     return rows
-
-
-def machine() -> dict[str, Any]:
-    """Return what the figures were measured on."""
-    return {
-        "processor": platform.machine(),
-        "processors": os.cpu_count(),
-        "system": platform.system(),
-        "python": platform.python_version(),
-        "mujoco": mujoco.__version__,
-        "numpy": np.__version__,
-    }
 
 
 def sweep_of_drops(stiffnesses: int, dampings: int, repeats: int) -> dict[str, Any]:
@@ -147,49 +133,38 @@ def sweep_of_drops(stiffnesses: int, dampings: int, repeats: int) -> dict[str, A
     }
 
 
-def cheapest(ways: list[Way], group: str, part: str = "", error: float = NANOMETRE) -> Way | None:
-    """Return the cheapest way of a group, and of a name with some part in it, within an error."""
-    good = [way for way in ways if way.group == group and part in way.name and way.error <= error]
-    return min(good, key=lambda way: way.cost, default=None)
+def measure(quick: bool, scenes: Sequence[str] = tuple(TITLES)) -> dict[str, Any]:
+    """Return cost and error of every way to simulate each scene, the peers' too, and what the step does.
 
-
-def print_ratios(ways: list[Way]) -> dict[str, float]:
-    """Print what others cost at an error of a nanometre, against the cheapest engine here; return the ratios."""
-    ours = cheapest(ways, "MuJoCo, body")
-    assert ours is not None
-    print(f"\nthe drop within 1 nm: MuJoCo costs {ours.cost * 1e3:.2f} µs a simulated ms ({ours.name})")
-    ratios = {}
-    rows = [(group, "") for group in dict.fromkeys(way.group for way in ways)]
-    for group, part in [*rows, ("drake", "LeafSystem"), ("scipy", "solve_ivp a segment"), ("control", "nlsys")]:
-        way = cheapest(ways, group, part)
-        if way is not None and way is not ours:
-            ratios[f"{group} {part}".strip()] = way.cost / ours.cost
-            print(f"  {f'{group}: {way.name}':<58}{way.cost * 1e3:9.3f} µs  {way.cost / ours.cost:8.3f} times that")
-    return ratios
+    Args:
+        quick: Fewer steps and repeats.
+        scenes: Names from TITLES.
+    """
+    ways = {name: our_ways(name, preset_of(name).scene, quick) for name in scenes}
+    drop = PeersDrop()
+    peers, missing = peer_ways(drop, Task(), quick)
+    everyone = our_ways("drop", drop, quick) + peers
+    for some in (*ways.values(), everyone):
+        take_times(some, 2 if quick else 3)
+    return {
+        "scenes": {name: as_json(some) for name, some in ways.items()},
+        "peers": as_json(everyone),
+        "boundary": boundary_shifts(quick),
+        "sweep": sweep_of_drops(10, 10, 1) if quick else sweep_of_drops(40, 25, 1),
+        "missing": missing,
+    }
 
 
 def main() -> None:
     """Measure, print, draw, write."""
     options = script_options(__doc__, "fewer steps and repeats", add_scenes)
-    pictures, quick = options.pictures, options.quick
-    ways = {name: our_ways(name, preset_of(name).scene, quick) for name in options.scenes}
-    task = Task()
-    drop = PeersDrop()
-    peers, missing = peer_ways(drop, task, quick)
-    for line in missing:
+    data = measure(options.quick, options.scenes)
+    for line in data["missing"]:
         print(line)
-    everyone = our_ways("drop", drop, quick) + peers
-    for some in (*ways.values(), everyone):
-        measure(some, 2 if quick else 9)
-    data: dict[str, Any] = {"machine": machine(), "scenes": {name: as_json(some) for name, some in ways.items()}}
-    data["peers"] = as_json(everyone)
     print("what nothing beats, the cheapest first")
     for name, part in {**data["scenes"], "with peers": data["peers"]}.items():
         print(f"  {name:<14} one device: {'; '.join(part['front'])}")
         print(f"  {'':<14}       many: {'; '.join(part['front_of_many'])}")
-    data["ratios"] = print_ratios(everyone)
-    data["boundary"] = boundary_shifts(quick)
-    data["sweep"] = sweep_of_drops(10, 10, 1) if quick else sweep_of_drops(40, 25, 3)
     print("\na sweep of drops, on two threads: cost of a drop, and drops that end otherwise than exact")
     for name, cost in data["sweep"]["cost"].items():
         print(f"  {name:<28}{cost * 1e6:8.1f} µs{data['sweep']['misjudged'][name]:6d}")
@@ -197,10 +172,9 @@ def main() -> None:
     for name, order in data["boundary"]["orders"].items():
         first = data["boundary"]["shifts"][name][0]
         print(f"  {name:<44}{order:5.2f}   {first:+.1%} at {data['boundary']['steps'][0] * 1e3:g} ms")
-    figures = pictures.path("speed_accuracy", "json")
+    figures = options.pictures.path("speed_accuracy", "json")
     figures.write_text(json.dumps({**data, "versions": versions()}, indent=1) + "\n")
-    print(f"\nwrote {figures}")
-    for path in draw(pictures, ways, everyone, data):
+    for path in [figures, *draw(options.pictures, data)]:
         print(f"wrote {path}")
 
 
@@ -217,46 +191,47 @@ def merged(curves: list[tuple[str, list[Any], list[Any]]]) -> list[tuple[str, li
     return kept
 
 
-def draw(pictures: PictureFolder, ways: dict[str, list[Way]], everyone: list[Way], data: dict[str, Any]) -> list[Path]:
-    """Draw the charts; return their files."""
-    panels = {name: WorkPrecision(f"{name}: {TITLES[name]}", points_of(some)) for name, some in ways.items()}
-    turning = [panel for name, panel in panels.items() if name in TURNING]
-    along = [panel for name, panel in panels.items() if name not in TURNING]
-    drop = WorkPrecision("a drop on the wall, six axes, with what else one might take", points_of(everyone))
-    boundary = data["boundary"]
-    shifts = merged(
-        [(name, boundary["steps"], np.abs(boundary["shifts"][name]).tolist()) for name in boundary["orders"]]
-    )
+def chart_points(rows: Sequence[Mapping[str, Any]]) -> list[WorkPoint]:
+    """Return the ways of a scene as points of a chart, those of raw Euler for all that are one with it."""
+    points = []
+    for row in rows:
+        integrator, step = row["integrator"], row["step"]
+        ours = integrator in GROUPS
+        if integrator not in SEMI_IMPLICIT[1:] and math.isfinite(row["error"]):
+            label = f"{row['group']}, {1e3 * step:g} ms" if ours and step in (1e-3, 1e-4, 1e-5) else ""
+            cost, many = 1e-3 * row["microseconds_a_millisecond"], "at once" in row["name"]
+            point = WorkPoint(row["name"], row["group"], cost, row["error"], many, label, joined=ours)
+            points.append(point)
+    return points
+
+
+def step_panels(data: Mapping[str, Any]) -> list[Panel]:
+    """Return what the step does to the boundary, and to the energy of a bounce."""
+    boundary, options = data["boundary"], {"log": "xy", "marked": True}
+    shifts = [(name, boundary["steps"], np.abs(boundary["shifts"][name]).tolist()) for name in boundary["orders"]]
     energies = []
     for kind in SEMI_IMPLICIT:
-        mine = [
-            way for way in ways.get("drop-no-pulse", []) if way.integrator == kind and way.step and way.group != "exact"
-        ]
-        mine.sort(key=lambda way: way.step or 0.0)
-        if mine:
-            energies.append((kind, [way.step for way in mine], [way.energy for way in mine]))
-    steps = [
-        Panel(
-            title="shift of the stiffest stable wall",
-            labels=("time step (s)", "relative shift"),
-            curves=shifts,
-            log="xy",
-            marked=True,
-        ),
-        Panel(
-            title="energy of a bounce",
-            labels=("time step (s)", "largest error, share of the fall's"),
-            curves=merged(energies),
-            log="xy",
-            marked=True,
-        ),
+        rows = [row for row in data["scenes"].get("drop-no-pulse", {}).get("ways", ()) if row["integrator"] == kind]
+        mine = sorted((row["step"], row["energy_error"]) for row in rows if row["step"] and row["step"] >= 1e-4)
+        energies += [(kind, *map(list, zip(*mine, strict=True)))] if mine else []
+    labels = "time step (s)", "relative shift"
+    panels = [Panel(title="shift of the stiffest stable wall", labels=labels, curves=merged(shifts), **options)]
+    if energies:
+        labels = "time step (s)", "largest error, share of the fall's"
+        panels.append(Panel(title="energy of a bounce", labels=labels, curves=merged(energies), **options))
+    return panels
+
+
+def draw(pictures: PictureFolder, data: Mapping[str, Any]) -> list[Path]:
+    """Draw the charts; return their files."""
+    drawn = [
+        work_precision(f"{name}: {TITLES[name]}", chart_points(part["ways"]), pictures.path(f"speed_accuracy_{name}"))
+        for name, part in data["scenes"].items()
     ]
-    charts = {"speed_accuracy": along, "speed_accuracy_turning": turning}
-    return [
-        *(work_precision(some, pictures.path(name)) for name, some in charts.items() if some),
-        work_precision([drop], pictures.path("speed_accuracy_peers"), columns=1),
-        small_multiples([panel for panel in steps if panel.curves], pictures.path("speed_accuracy_steps")),
-    ]
+    everyone = chart_points(data["peers"]["ways"])
+    title = "a drop on the wall, six axes, with what else one might take"
+    drawn.append(work_precision(title, everyone, pictures.path("speed_accuracy_peers")))
+    return [*drawn, small_multiples(step_panels(data), pictures.path("speed_accuracy_steps"))]
 
 
 if __name__ == "__main__":
