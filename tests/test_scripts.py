@@ -137,8 +137,18 @@ def test_better_walls_prints_and_writes_its_figures(tmp_path: Path, run_script: 
         assert row["modulus"] < 1.0 and row["growing"] == [0, 0]
 
 
-def test_bench_loop_prints_its_ratios(run_script: Script) -> None:
-    assert "RK4, coils, closed loop / bare mj_step" in run_script("benchmarks/bench_loop.py", "--quick")
+def test_bench_measures_sections_and_writes_one_file(tmp_path: Path, run_script: Script) -> None:
+    with pytest.raises(SystemExit) as done:
+        arguments = "--quick", "--repeats", "2", "--only", "loop", "others", "--before", "no-such-revision"
+        run_script("benchmarks/bench.py", *arguments, "--out", str(tmp_path))
+    assert done.value.code == 0
+    found = json.loads((tmp_path / "bench.json").read_text())
+    loop, others = (found["sections"][name]["figures"] for name in ("loop", "others"))
+    ratio = loop["ratio: corrected, body: over by hand"]["after"]
+    assert len(ratio["runs"]) == 2 and ratio["least"] <= ratio["median"] <= ratio["greatest"]
+    assert "before" not in loop["ratio: corrected, body: over by hand"]
+    errors = {name: figure["after"]["greatest"] for name, figure in others.items() if name.startswith("error (m): ")}
+    assert len(errors) >= 5 and max(errors.values()) < 1e-9  # accuracy beside every cost
 
 
 def test_bench_recording_prints_what_a_tick_costs(run_script: Script) -> None:

@@ -25,9 +25,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import pictures_of_speed
-
 import bench_tables
+import pictures_of_speed
 from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.pictures import script_options
 from maglev_mj.errors import ParameterError

@@ -9,7 +9,7 @@ from typing import Any
 
 __all__ = ["heading", "machine", "markdown", "terminal", "times"]
 
-_NAME = 40
+_NAME = 28
 
 
 def machine() -> dict[str, Any]:
@@ -36,8 +36,10 @@ def grouped(figures: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
 
 
 def short(value: float) -> str:
-    """Return a number to three digits."""
-    return f"{value:.0f}" if 100.0 <= abs(value) < 1e6 else f"{value:.3g}"
+    """Return a number to three digits, to two where it has an exponent."""
+    if value == 0.0 or 1e-3 <= abs(value) < 100.0:
+        return f"{value:.3g}"
+    return f"{value:.0f}" if 100.0 <= abs(value) < 1e6 else f"{value:.1e}".replace("e-0", "e-").replace("e+0", "e")
 
 
 def median(spread: Mapping[str, float] | None) -> str:
@@ -45,34 +47,30 @@ def median(spread: Mapping[str, float] | None) -> str:
     return "" if spread is None else short(spread["median"])
 
 
-def ends(spread: Mapping[str, float] | None) -> str:
-    """Return least and greatest of a spread; empty for none."""
-    return "" if spread is None else f"{short(spread['least'])} to {short(spread['greatest'])}"
+def ends(spread: Mapping[str, float] | None, between: str = " to ") -> str:
+    """Return least and greatest of a spread; empty for none, or where both are one."""
+    low, high = ("", "") if spread is None else (short(spread["least"]), short(spread["greatest"]))
+    return "" if low == high else f"{low}{between}{high}"
 
 
 def terminal(name: str, section: Mapping[str, Any]) -> str:
-    """Return a section as a table: each number, before and after, and their ratio with its range."""
+    """Return a section as a table: each number before and after with its range, and their ratio with its own."""
     lines = ["", f"{name}: {section['title']}, {section['seconds']:.0f} s"]
     lines += [f"  {side}: {said}" for side, said in section["failed"].items()]
     compared = any("before" in figure for figure in section["figures"].values())
-    columns = ("before", "after", "ratio", "range") if compared else ("", "", "median", "range")
-    lines.append(_row("", *columns))
+    lines.append(_row("", "before", "after", "range", "ratio", "range") if compared else _row("", "", "", "range"))
     for head, figures in grouped(section["figures"]).items():
         lines += [f" {head}"] * bool(head)
         for label, figure in figures.items():
             before, after, ratio = (figure.get(key) for key in ("before", "after", "ratio"))
-            cells = (
-                (median(before), median(after), median(ratio), ends(ratio))
-                if compared
-                else ("", "", median(after), ends(after))
-            )
-            lines += [f"  {label}", _row("", *cells)] if len(label) > _NAME - 2 else [_row(label, *cells)]
+            cells = median(before), median(after), ends(after, "-"), median(ratio), ends(ratio, "-")
+            lines += [f"  {label}", _row("", *cells)] if len(label) >= _NAME else [_row(label, *cells)]
     lines += [f"  {line}" for line in section["details"].get("missing", ())]
     return "\n".join(lines)
 
 
-def _row(label: str, before: str, after: str, ratio: str, span: str) -> str:
-    return f"  {label:<{_NAME - 2}}{before:>8}{after:>8}{ratio:>8} {span:>15}".rstrip()
+def _row(label: str, before: str, after: str, span: str, ratio: str = "", ratios: str = "") -> str:
+    return f"  {label:<{_NAME}}{before:>8}{after:>8} {span:>13}{ratio:>7} {ratios:>12}".rstrip()
 
 
 def times(sections: Mapping[str, Any]) -> str:
@@ -93,20 +91,27 @@ def markdown(found: Mapping[str, Any]) -> str:
 
 
 def compared_table(figures: Mapping[str, Any]) -> list[str]:
-    """Return a row for each number: before, after, and their ratio with its range."""
-    lines = ["| | before | after | after / before | range |", "|---|---|---|---|---|"]
+    """Return a row for each number: before, after and their ratio, with their ranges."""
+    lines = ["| | before | after | range | after / before | range |", "|---" * 6 + "|"]
     for head, some in grouped(figures).items():
-        lines += [f"| *{head}* | | | | |"] * bool(head)
+        lines += [f"| *{head}* | | | | | |"] * bool(head)
         for label, figure in some.items():
             before, after, ratio = (figure.get(key) for key in ("before", "after", "ratio"))
-            lines.append(f"| {label} | {median(before)} | {median(after)} | {median(ratio)} | {ends(ratio)} |")
+            cells = label, median(before), median(after), ends(after), median(ratio), ends(ratio)
+            lines.append("| " + " | ".join(cells) + " |")
     return lines
 
 
 def side_by_side(figures: Mapping[str, Any]) -> list[str]:
-    """Return a row for each name, a column for each group of numbers, with the range where there is one."""
+    """Return a row for each name, a column for each group of numbers; one column where groups share no name."""
     groups = grouped(figures)
     names = dict.fromkeys(label for some in groups.values() for label in some)
+    if len(names) == len(figures):
+        lines = ["| | |", "|---|---|"]
+        for head, some in groups.items():
+            lines += [f"| *{head}* | |"] * bool(head)
+            lines += [f"| {label} | {_spread(figure)} |" for label, figure in some.items()]
+        return lines
     lines = ["| | " + " | ".join(groups) + " |", "|---" * (len(groups) + 1) + "|"]
     for label in names:
         lines.append(f"| {label} | " + " | ".join(_spread(some.get(label)) for some in groups.values()) + " |")
@@ -118,5 +123,5 @@ def _spread(figure: Mapping[str, Any] | None) -> str:
     spread = None if figure is None else figure.get("after")
     if spread is None:
         return ""
-    low, high = short(spread["least"]), short(spread["greatest"])
-    return median(spread) if low == high else f"{median(spread)} ({low} to {high})"
+    span = ends(spread)
+    return f"{median(spread)} ({span})" if span else median(spread)

@@ -79,7 +79,7 @@ def against_devices(quick: bool) -> dict[str, dict[int, float]]:
 
 
 def slow_from(costs: Mapping[int, float], factor: float = 1.25) -> int | None:
-    """Return the first number of devices beyond the cheapest at which one costs `factor` times as much; None if none."""
+    """Return the first number of devices, beyond the cheapest, that costs `factor` times as much; None for none."""
     cheapest = min(costs, key=lambda count: costs[count])
     return next(
         (count for count in sorted(costs) if count > cheapest and costs[count] > factor * costs[cheapest]), None
@@ -145,7 +145,7 @@ def against_cells(workers: Workers, few: int, many: int) -> dict[str, float]:
 
 def against_workers(quick: bool) -> dict[str, Any]:
     """Return start, rate and jobs a second of each kind of worker."""
-    few, many, jobs = (4, 8, 20) if quick else (40, 600, 1000)
+    few, many, jobs = (4, 24, 20) if quick else (40, 600, 1000)
     kinds = {"this process": inline(), "1 worker": local_workers(1), "2 workers": local_workers(2)}
     found: dict[str, Any] = {name: against_cells(workers, few, many) for name, workers in kinds.items()}
     if quick:  # a cluster takes seconds to start
@@ -174,7 +174,8 @@ def estimate(found: Mapping[str, Any], workers: int = MANY, cells: int = CELLS) 
     dask = found.get("Dask, 2 workers", found["2 workers"])
     each = min(one, 0.5 * dask["cells a second"], 0.5 * two)
     together = min(max(cells // (JOBS_EACH * workers), 1), MOST_TOGETHER)
-    by_workers, by_scheduler = workers * each, together * dask.get("empty jobs a second", np.inf)
+    by_workers = workers * each
+    by_scheduler = together * dask.get("empty jobs a second", by_workers)
     rate = min(by_workers, by_scheduler)
     start = dask.get("start of the cluster (s)", 0.0) + dask["start (s)"]
     return {

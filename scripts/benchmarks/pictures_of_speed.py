@@ -7,12 +7,13 @@ from pathlib import Path
 from typing import Any
 
 import growth
+import realism
 import speed_accuracy
 from maglev_mj.plots import PictureFolder
 
 __all__ = ["draw"]
 
-_DRAWN = {"speed_accuracy": speed_accuracy.draw, "growth": growth.draw}
+_DRAWN = {"speed_accuracy": speed_accuracy.draw, "realism": realism.draw, "growth": growth.draw}
 
 
 def draw(pictures: PictureFolder, sections: Mapping[str, Any]) -> list[Path]:

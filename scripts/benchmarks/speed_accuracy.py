@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
 import statistics
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -37,8 +38,8 @@ from maglev_mj.studies.fidelity_cases import preset_of
 from maglev_mj.studies.integrators import INTEGRATORS
 from maglev_mj.versions import versions
 from peers import Task
-from ways import GROUPS, SEMI_IMPLICIT, as_json, boundary_shift, our_ways, peer_ways, take_times
-from work_precision import WorkPoint, work_precision
+from ways import GROUPS, PEERS, SEMI_IMPLICIT, as_json, boundary_shift, our_ways, peer_ways, take_times
+from work_precision import EXACT_ENOUGH, WorkPoint, work_precision
 
 TITLES = {
     "drop": "on a wall, with a braking pulse",
@@ -48,6 +49,15 @@ TITLES = {
     "twist": "free, at 3.7 rad/s",
     "six-axes": "drawn back to the centre",
 }
+STEPPED = {
+    "mujoco": "Euler, steps of {} ms",
+    "drake": "scripted, discrete {} ms",
+    "pybullet": "steps of {} ms",
+    "pinocchio": "free flyer, steps of {} ms",
+    "scipy": "solve_ivp a period, RK45, max_step {} ms",
+}
+"""Names of a peer's ways on a fixed grid, the step left out: what its user would try first."""
+
 PERIOD, DELAY = Timing().period, Timing().delay
 
 
@@ -179,11 +189,12 @@ def main() -> None:
 
 
 def merged(curves: list[tuple[str, list[Any], list[Any]]]) -> list[tuple[str, list[Any], list[Any]]]:
-    """Return curves with those that are one and the same named together."""
+    """Return curves with those that are one and the same, where both are known, named together; the longest first."""
     kept: list[tuple[str, list[Any], list[Any]]] = []
     for name, steps, values in curves:
         for place, (other, over, known) in enumerate(kept):
-            if steps == over and np.allclose(values, known, rtol=1e-6):
+            shared = dict(zip(over, known, strict=True))
+            if set(steps) <= set(shared) and np.allclose(values, [shared[step] for step in steps], rtol=1e-6):
                 kept[place] = f"{other}, {name}", over, known
                 break
         else:
@@ -195,31 +206,63 @@ def chart_points(rows: Sequence[Mapping[str, Any]]) -> list[WorkPoint]:
     """Return the ways of a scene as points of a chart, those of raw Euler for all that are one with it."""
     points = []
     for row in rows:
-        integrator, step = row["integrator"], row["step"]
-        ours = integrator in GROUPS
-        if integrator not in SEMI_IMPLICIT[1:] and math.isfinite(row["error"]):
-            label = f"{row['group']}, {1e3 * step:g} ms" if ours and step in (1e-3, 1e-4, 1e-5) else ""
-            cost, many = 1e-3 * row["microseconds_a_millisecond"], "at once" in row["name"]
-            point = WorkPoint(row["name"], row["group"], cost, row["error"], many, label, joined=ours)
-            points.append(point)
+        integrator, step, group = row["integrator"], row["step"], row["group"]
+        if integrator in SEMI_IMPLICIT[1:] or not math.isfinite(row["error"]):
+            continue
+        joined = integrator in GROUPS and "coils" not in group
+        label = group
+        if joined:
+            finest = min(other["step"] or math.inf for other in rows if other["group"] == group)
+            label = f"{group}, {1e3 * step:g} ms" if step == finest else ""
+            label = f"{1e3 * step:g} ms" if integrator == "euler" and step in (1e-3, 1e-4) else label
+        points.append(_point(row, group, label, joined))
+    return points
+
+
+def _stem(name: str) -> str:
+    """Return the name of a way with its step left out."""
+    return re.sub(r"[0-9.]+ ms", "{} ms", name)
+
+
+def _point(row: Mapping[str, Any], group: str, label: str, joined: bool) -> WorkPoint:
+    cost, many = 1e-3 * row["microseconds_a_millisecond"], "at once" in row["name"]
+    return WorkPoint(row["name"], group, cost, row["error"], many, label, joined)
+
+
+def peer_points(rows: Sequence[Mapping[str, Any]]) -> list[WorkPoint]:
+    """Return this package's plants and, of each peer, the ways that no other of its own beats."""
+    ours = {"exact plant", "exact plant, 1000 at once", GROUPS["corrected"], GROUPS["rk4"]}
+    points = [
+        _point(row, f"this package, {row['group']}", "", False)
+        for row in rows
+        if row["group"] in ours and row["error"] <= EXACT_ENOUGH
+    ]
+    for peer, name in PEERS.items():
+        mine = [row for row in rows if row["group"] == name]
+        points += [_point(row, name, "", False) for row in mine if row["error"] <= EXACT_ENOUGH]
+        grid = [row for row in mine if _stem(row["name"]) == STEPPED.get(peer) and row["error"] > EXACT_ENOUGH]
+        points += [_point(row, name, name if row is grid[-1] else "", True) for row in grid]
     return points
 
 
 def step_panels(data: Mapping[str, Any]) -> list[Panel]:
     """Return what the step does to the boundary, and to the energy of a bounce."""
-    boundary, options = data["boundary"], {"log": "xy", "marked": True}
+    boundary = data["boundary"]
     shifts = [(name, boundary["steps"], np.abs(boundary["shifts"][name]).tolist()) for name in boundary["orders"]]
     energies = []
     for kind in SEMI_IMPLICIT:
         rows = [row for row in data["scenes"].get("drop-no-pulse", {}).get("ways", ()) if row["integrator"] == kind]
-        mine = sorted((row["step"], row["energy_error"]) for row in rows if row["step"] and row["step"] >= 1e-4)
-        energies += [(kind, *map(list, zip(*mine, strict=True)))] if mine else []
-    labels = "time step (s)", "relative shift"
-    panels = [Panel(title="shift of the stiffest stable wall", labels=labels, curves=merged(shifts), **options)]
-    if energies:
-        labels = "time step (s)", "largest error, share of the fall's"
-        panels.append(Panel(title="energy of a bounce", labels=labels, curves=merged(energies), **options))
-    return panels
+        mine = sorted((row["step"], row["energy_error"]) for row in rows if row["step"])
+        energies.append((kind, [step for step, _ in mine], [error for _, error in mine]))
+    tables = {
+        "shift of the stiffest stable wall": ("relative shift", shifts),
+        "energy of a bounce": ("largest error, share of the fall's", [curve for curve in energies if curve[1]]),
+    }
+    return [
+        Panel(title=title, labels=("time step (s)", label), curves=merged(curves), log="xy", marked=True)
+        for title, (label, curves) in tables.items()
+        if curves
+    ]
 
 
 def draw(pictures: PictureFolder, data: Mapping[str, Any]) -> list[Path]:
@@ -228,7 +271,7 @@ def draw(pictures: PictureFolder, data: Mapping[str, Any]) -> list[Path]:
         work_precision(f"{name}: {TITLES[name]}", chart_points(part["ways"]), pictures.path(f"speed_accuracy_{name}"))
         for name, part in data["scenes"].items()
     ]
-    everyone = chart_points(data["peers"]["ways"])
+    everyone = peer_points(data["peers"]["ways"])
     title = "a drop on the wall, six axes, with what else one might take"
     drawn.append(work_precision(title, everyone, pictures.path("speed_accuracy_peers")))
     return [*drawn, small_multiples(step_panels(data), pictures.path("speed_accuracy_steps"))]

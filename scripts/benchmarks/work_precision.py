@@ -5,8 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from maglev_mj.colours import GRID, REFERENCE, SERIES
 from maglev_mj.parameters import flag
@@ -20,6 +23,12 @@ EXACT_ENOUGH = 1e-9
 _ROW = 0.75  # distance of two rows, in decades of the error
 _INCH = 0.27  # height of a decade
 _SMALL = 9.0  # size of words beside points [pt]
+_BESIDE = (
+    *((9, 0), (0, 9), (0, -9), (-9, 0), (9, 9), (9, -9)),
+    *((24, 24), (24, -24), (-24, -24), (0, -36), (36, -36), (0, -54), (-36, -54), (36, -54)),
+)
+_LEADER = {"arrowstyle": "-", "color": REFERENCE, "linewidth": 0.7}
+_PARTS = np.linspace(0.1, 0.9, 9)  # of a line that labels keep off
 
 
 @dataclass(frozen=True)
@@ -72,26 +81,28 @@ def work_precision(title: str, points: Sequence[WorkPoint], path: Path) -> Path:
         MissingPackageError: If matplotlib is not installed.
     """
     groups = list(dict.fromkeys(point.group for point in points))
-    styles = {group: ("osD^vPX<>hpd"[index % 12], SERIES[index % len(SERIES)]) for index, group in enumerate(groups)}
+    styles = {
+        group: ("osD^vPX<>hpd"[index % 12], SERIES[index % (len(SERIES) - 1)]) for index, group in enumerate(groups)
+    }
     rows = exact_rows(points)
     off = [point for point in points if point.error > EXACT_ENOUGH]
     front = {id(point) for many in (False, True) for point in pareto([one for one in points if one.many is many])}
     top = math.ceil(max([_decade(point) for point in off], default=1.0) + 0.3)
     bottom = -_ROW * (len(rows) + 0.2)
     figure, (axis,) = new_figure(1, 1, _INCH * (top - bottom) + 1.0)
+    chains = []
     for group in groups:
         mine = [point for point in off if point.group == group]
         _draw(axis, [(point, _decade(point)) for point in mine], styles[group], front)
-        chain = sorted((point for point in mine if point.joined), key=lambda one: one.cost)
-        axis.plot(*_places(chain), color=styles[group][1], linewidth=1.0, alpha=0.6, zorder=1)
+        chains.append(sorted((point for point in mine if point.joined), key=lambda one: one.cost))
+        axis.plot(*_places(chains[-1]), color=styles[group][1], linewidth=1.0, alpha=0.6, zorder=1)
     for index, point in enumerate(rows):
         height = -_ROW * (index + 0.7)
         _draw(axis, [(point, height)], styles[point.group], front)
-        _beside(axis, point, height, f"{1e3 * point.cost:.2g}")
-    for point in off:
-        if point.label:
-            _beside(axis, point, _decade(point), point.label)
+        place = (1e3 * point.cost, height)
+        axis.annotate(f"{float(f'{place[0]:.2g}'):g}", place, va="center", **_words(9, 0))
     _furnish(axis, title, rows, front, (bottom, float(top)))
+    _name(figure, axis, off, chains)
     return save(figure, path)
 
 
@@ -120,9 +131,43 @@ def _draw(axis: Any, placed: Sequence[tuple[WorkPoint, float]], style: tuple[str
         axis.plot(1e3 * point.cost, height, marker=style[0], color=style[1], markersize=7.0, zorder=3, **ring)
 
 
-def _beside(axis: Any, point: WorkPoint, height: float, words: str) -> None:
-    place = {"xytext": (7, 0), "textcoords": "offset points", "va": "center", "fontsize": _SMALL}
-    axis.annotate(words, (1e3 * point.cost, height), color=REFERENCE, **place)
+def _words(right: float, up: float) -> dict[str, Any]:
+    """Return the style of words so far from a point [pt]."""
+    return {"xytext": (right, up), "textcoords": "offset points", "fontsize": _SMALL, "color": REFERENCE}
+
+
+def _name(figure: Any, axis: Any, points: Sequence[WorkPoint], chains: Sequence[Sequence[WorkPoint]]) -> None:
+    """Write each label at the first place beside its point, or farther with a line to it, where it covers least."""
+    from matplotlib.text import Text
+    from matplotlib.transforms import Bbox
+
+    figure.canvas.draw()
+    renderer, scale = figure.canvas.get_renderer(), figure.dpi / 72.0
+    dots = [axis.transData.transform(np.transpose(_places(some))) if some else [] for some in (points, *chains)]
+    lines = [tuple(a + part * (b - a)) for chain in dots[1:] for a, b in pairwise(chain) for part in _PARTS]
+    taken = [Bbox.from_bounds(x, y, 0.0, 0.0).padded(4.0 * scale) for x, y in (*dots[0], *lines)]
+    for index, point in enumerate(points):
+        if not point.label:
+            continue
+        others, found = taken[:index] + taken[index + 1 :], []
+        for right, up in _BESIDE:
+            beside = "left" if right > 0 else "right" if right < 0 else "center"
+            above = "bottom" if up > 0 else "top" if up < 0 else "center"
+            leader = (
+                {"arrowstyle": "-", "color": REFERENCE, "linewidth": 0.7} if max(abs(right), abs(up)) > 12 else None
+            )
+            place = (1e3 * point.cost, _decade(point))
+            words = axis.annotate(point.label, place, ha=beside, va=above, arrowprops=leader, **_words(right, up))
+            words.set_in_layout(False)  # the panel keeps its size
+            words.update_positions(renderer)
+            box = Text.get_window_extent(words, renderer)
+            inside = axis.bbox.contains(box.x0, box.y0) and axis.bbox.contains(box.x1, box.y1)
+            found.append((box.count_overlaps(others) + 100 * (not inside), words, box))
+        best = min(range(len(found)), key=lambda number: found[number][0])
+        taken.append(found[best][2])
+        for number, (_, words, _) in enumerate(found):
+            if number != best:
+                words.remove()
 
 
 def _furnish(axis: Any, title: str, rows: Sequence[WorkPoint], front: set[int], span: tuple[float, float]) -> None:
@@ -130,7 +175,8 @@ def _furnish(axis: Any, title: str, rows: Sequence[WorkPoint], front: set[int], 
     axis.set_xscale("log")
     axis.set_ylim(*span)
     low, high = axis.get_xlim()
-    axis.set_xlim(low, 1.8 * high)  # room for the words at the right
+    axis.set_xlim(0.6 * low, 4.0 * high)  # room for the words
+    axis.xaxis.set_major_formatter(lambda cost, _: f"{cost:g}")
     axis.axhspan(span[0], 0.0, color=GRID, alpha=0.5, zorder=-1)
     units = ("1 nm", "10 nm", "0.1 µm", "1 µm", "10 µm", "0.1 mm", "1 mm", "10 mm", "0.1 m", "1 m")
     decades = range(min(int(span[1]) + 1, len(units)))
@@ -140,6 +186,8 @@ def _furnish(axis: Any, title: str, rows: Sequence[WorkPoint], front: set[int], 
     for label, point in zip(axis.get_yticklabels()[len(decades) :], rows, strict=True):
         label.set_fontweight("bold" if id(point) in front else "normal")
     axis.minorticks_off()
-    axis.set_title(f"{title}\nringed and bold: nothing is both cheaper and nearer to the exact motion", **TITLE)
-    axis.set_xlabel("cost (µs a simulated ms and device); below 1 nm of error the cheapest of each kind, with its cost")
+    axis.set_title(f"{title}\nringed and bold: nothing is both cheaper and nearer", **TITLE)
+    told = {"ha": "right", "va": "top", "fontsize": _SMALL, "color": REFERENCE, "transform": axis.get_yaxis_transform()}
+    axis.text(0.995, -0.2, "within 1 nm: the cheapest of each", **told)
+    axis.set_xlabel("cost (µs a simulated ms and device)")
     axis.set_ylabel("largest error")
