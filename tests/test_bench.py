@@ -69,6 +69,13 @@ def test_tables_of_the_documentation_have_every_number_with_its_range() -> None:
     assert apart[2:] == ["| *one* | |", "| a | 1 |", "| *other* | |", "| b | 2 |"]
 
 
+def test_the_table_of_options_has_a_column_for_each_plant() -> None:
+    one = {"exact plant": {"over plain": {"plain": 1.0, "jitter": 3.0}}, "RK4": {"over plain": {"jitter": 2.0}}}
+    other = {"exact plant": {"over plain": {"plain": 1.0, "jitter": 1.2}, "µs": {"jitter": 4.0}}}
+    lines = bench_tables.options_table(bench.summary({"before": [one], "after": [other]}))
+    assert lines == ["| | exact plant |", "|---|---|", "| jitter | 3 → 1.2 |"]
+
+
 def test_a_section_that_fails_is_named_with_its_error(tmp_path: Path) -> None:
     with pytest.raises(bench.SectionFailedError, match="no_such_section failed: ModuleNotFoundError"):
         bench.run_section("no_such_section", ROOT, quick=True)

@@ -84,6 +84,10 @@ def markdown(found: Mapping[str, Any]) -> str:
     """Return the tables of the documentation: one a section, in the order of the run."""
     parts = [heading(found).replace("\n", "; ") + "."]
     for name, section in found["sections"].items():
+        if name == "options":
+            parts.append(
+                "### options over the plain loop (`options`)\n\n" + "\n".join(options_table(section["figures"]))
+            )
         if section["figures"]:
             table = compared_table if any("ratio" in figure for figure in section["figures"].values()) else side_by_side
             parts.append(f"### {section['title']} (`{name}`)\n\n" + "\n".join(table(section["figures"])))
@@ -100,6 +104,21 @@ def compared_table(figures: Mapping[str, Any]) -> list[str]:
             cells = label, median(before), median(after), ends(after), median(ratio), ends(ratio)
             lines.append("| " + " | ".join(cells) + " |")
     return lines
+
+
+def options_table(figures: Mapping[str, Any]) -> list[str]:
+    """Return a row for each option, a column for each plant: cost over the plain loop, before and after."""
+    found: dict[str, dict[str, str]] = {}
+    for name, figure in figures.items():
+        plant, _, rest = name.partition(": over plain: ")
+        if rest and "after" in figure and rest != "plain":
+            before = f"{median(figure['before'])} → " if "before" in figure else ""
+            found.setdefault(rest, {})[plant] = before + _spread(figure)
+    plants = list(dict.fromkeys(plant for row in found.values() for plant in row))
+    lines = ["| | " + " | ".join(plants) + " |", "|---" * (len(plants) + 1) + "|"]
+    return lines + [
+        f"| {name} | " + " | ".join(row.get(plant, "") for plant in plants) + " |" for name, row in found.items()
+    ]
 
 
 def side_by_side(figures: Mapping[str, Any]) -> list[str]:

@@ -145,7 +145,7 @@ def against_cells(workers: Workers, few: int, many: int) -> dict[str, float]:
 
 def against_workers(quick: bool) -> dict[str, Any]:
     """Return start, rate and jobs a second of each kind of worker."""
-    few, many, jobs = (4, 24, 20) if quick else (40, 600, 1000)
+    few, many, jobs = (4, 24, 20) if quick else (40, 440, 1000)
     kinds = {"this process": inline(), "1 worker": local_workers(1), "2 workers": local_workers(2)}
     found: dict[str, Any] = {name: against_cells(workers, few, many) for name, workers in kinds.items()}
     if quick:  # a cluster takes seconds to start

@@ -22,7 +22,7 @@ from peers import Task, mujoco_peer
 
 __all__ = ["measure", "timed"]
 
-REPEATS = 20
+REPEATS = 12
 TICKS = 400
 BATCH = 1000
 TIMING = Timing()

@@ -117,7 +117,7 @@ def draw(pictures: PictureFolder, found: Mapping[str, Any]) -> list[Path]:
             axis.annotate(told, (values[name], row), color=REFERENCE, **words)
         axis.set_xscale("log")
         low, high = axis.get_xlim()
-        axis.set_xlim(low, 8.0 * high)
+        axis.set_xlim(min(low, 0.9), 8.0 * high)
         axis.minorticks_off()
         axis.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
         axis.set_title(title, **TITLE)

@@ -49,6 +49,9 @@ TITLES = {
     "twist": "free, at 3.7 rad/s",
     "six-axes": "drawn back to the centre",
 }
+BENCHED = "drop", "drop-no-pulse", "press", "six-axes"
+"""Scenes that `make bench` runs; the others say what the drop says, or what six-axes does."""
+
 STEPPED = {
     "mujoco": "Euler, steps of {} ms",
     "drake": "scripted, discrete {} ms",
@@ -143,7 +146,7 @@ def sweep_of_drops(stiffnesses: int, dampings: int, repeats: int) -> dict[str, A
     }
 
 
-def measure(quick: bool, scenes: Sequence[str] = tuple(TITLES)) -> dict[str, Any]:
+def measure(quick: bool, scenes: Sequence[str] = BENCHED) -> dict[str, Any]:
     """Return cost and error of every way to simulate each scene, the peers' too, and what the step does.
 
     Args:
