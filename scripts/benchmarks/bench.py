@@ -206,13 +206,15 @@ def add_options(parser: Parser) -> None:
 def main() -> int:
     """Measure, print, write and draw; return 1 if a section failed."""
     options = script_options(__doc__, "little work, for a test", add_options)
-    if options.tables is not None:
-        print(bench_tables.markdown(json.loads(options.tables.read_text(encoding="utf-8"))))
-        return 0
     try:
         number("repeats", options.repeats, at_least=1)
-    except ParameterError as error:
-        print(error, file=sys.stderr)
+        if options.tables is not None:
+            print(bench_tables.markdown(json.loads(options.tables.read_text(encoding="utf-8"))))
+            return 0
+    except (ParameterError, OSError, ValueError, KeyError) as error:
+        print(
+            f"bench.py: {error if options.tables is None else f'tables must be a bench.json: {error}'}", file=sys.stderr
+        )
         return 2
     found: dict[str, Any] = {
         "before": options.before,

@@ -58,7 +58,9 @@ def terminal(name: str, section: Mapping[str, Any]) -> str:
     lines = ["", f"{name}: {section['title']}, {section['seconds']:.0f} s"]
     lines += [f"  {side}: {said}" for side, said in section["failed"].items()]
     compared = any("before" in figure for figure in section["figures"].values())
-    lines.append(_row("", "before", "after", "range", "ratio", "range") if compared else _row("", "", "", "range"))
+    if section["figures"]:
+        columns = ("before", "after", "range", "ratio", "range") if compared else ("", "median", "range")
+        lines.append(_row("", *columns))
     for head, figures in grouped(section["figures"]).items():
         lines += [f" {head}"] * bool(head)
         for label, figure in figures.items():

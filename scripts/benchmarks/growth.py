@@ -42,7 +42,7 @@ ASSUMED = (
 
 _POSE = [0.5e-3, -0.3e-3, Spec.translation_range.value, 0.0, 0.0, 0.0]
 _TICKS = 60  # of a run: the flotor falls, hits the wall and rests in it
-_DEAR = 0.4  # a run as long is not repeated [s]
+_SPENT = 1.5  # on the repeats of a run [s]
 
 
 def plants() -> dict[str, tuple[Callable[..., SampledPlant], Callable[..., SampledPlant], int]]:
@@ -65,7 +65,8 @@ def tick_cost(make: Callable[..., SampledPlant], devices: int) -> float:
         return timed(lambda: drive(plant, controller, _TICKS)) / _TICKS / devices
 
     first = run()
-    return min([first, *(run() for _ in range(4))]) if first * devices * _TICKS < _DEAR else first
+    more = min(int(_SPENT / (first * devices * _TICKS)), 4)
+    return min([first, *(run() for _ in range(more))])
 
 
 def against_devices(quick: bool) -> dict[str, dict[int, float]]:
