@@ -4,10 +4,12 @@ VENV := .venv
 BIN := $(VENV)/bin
 CHARTS := $(VENV)/.charts# stamp: what the demo needs is installed
 READY := $(VENV)/.ready# stamp: what tests and checks need is installed
+PEERS := $(VENV)/.peers# stamp: what others' simulators need is installed too
+BEFORE := 65016d1# revision that benchmarks compare with
 
 SCENES := joystick drop press table box corner
 
-.PHONY: demo test studies pictures check lint types wheel firmware clean
+.PHONY: demo test studies bench pictures check lint types wheel firmware clean
 
 demo: $(CHARTS)  ## drop the flotor: a summary here, pictures in figures/
 	@echo 'A flotor falls on a wall at 100 phases of the sampler, with and without pulse:'
@@ -24,6 +26,9 @@ test: $(READY)  ## run all tests, on every core
 
 studies: $(READY)  ## run the sweeps behind the published figures in full: minutes to an hour
 	$(BIN)/python -m pytest -n auto --dist loadgroup -m study
+
+bench: $(PEERS)  ## all benchmarks, before against after, with others' simulators: ten minutes, figures/bench.json
+	$(BIN)/python scripts/benchmarks/bench.py --before $(BEFORE) --out figures
 
 # thumbnails, three in a row of a page 830 pixels wide, at twice their size for sharp screens, and a clip as wide as the page;
 # words would be too small to read in a thumbnail
@@ -66,6 +71,10 @@ $(CHARTS): pyproject.toml requirements.lock
 $(READY): pyproject.toml requirements.lock
 	$(call install,dev,310 MB)
 	@touch $(CHARTS) $@
+
+$(PEERS): $(READY)
+	$(call install,peers,280 MB)
+	@touch $@
 
 # an extra of this package, and the size of what is downloaded for it
 define install

@@ -137,8 +137,33 @@ def test_better_walls_prints_and_writes_its_figures(tmp_path: Path, run_script: 
         assert row["modulus"] < 1.0 and row["growing"] == [0, 0]
 
 
-def test_bench_loop_prints_its_ratios(run_script: Script) -> None:
-    assert "RK4, coils, closed loop / bare mj_step" in run_script("benchmarks/bench_loop.py", "--quick")
+@pytest.mark.parametrize("wrong", [("--repeats", "0"), ("--tables", "no.json"), ("--tables", __file__)])
+def test_bench_refuses_what_it_cannot_do(
+    wrong: tuple[str, str], run_script: Script, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as done:
+        run_script("benchmarks/bench.py", *wrong)
+    assert done.value.code == 2 and len(capsys.readouterr().err.splitlines()) == 1
+
+
+def test_bench_measures_sections_and_writes_one_file(
+    tmp_path: Path, run_script: Script, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as done:
+        arguments = "--quick", "--repeats", "2", "--only", "loop", "others", "--before", "no-such-revision"
+        run_script("benchmarks/bench.py", *arguments, "--out", str(tmp_path))
+    out = capsys.readouterr().out
+    assert done.value.code == 0 and "no-such-revision is not here" in out and "this package, exact plant" in out
+    found = json.loads((tmp_path / "bench.json").read_text())
+    loop, others = (found["sections"][name]["figures"] for name in ("loop", "others"))
+    ratio = loop["ratio: corrected, body: over by hand"]["after"]
+    assert len(ratio["runs"]) == 2 and ratio["least"] <= ratio["median"] <= ratio["greatest"]
+    assert "before" not in loop["ratio: corrected, body: over by hand"]
+    errors = {name: figure["after"]["greatest"] for name, figure in others.items() if name.startswith("error (m): ")}
+    assert len(errors) >= 5 and max(errors.values()) < 1e-9  # accuracy beside every cost
+    with pytest.raises(SystemExit) as done:
+        run_script("benchmarks/bench.py", "--tables", str(tmp_path / "bench.json"))
+    assert done.value.code == 0 and "| corrected, body: over by hand |" in capsys.readouterr().out
 
 
 def test_recorder_prints_what_a_tick_costs(run_script: Script) -> None:

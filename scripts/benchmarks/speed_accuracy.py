@@ -2,17 +2,19 @@
 
 Draws a chart of every scene, one of the drop with what a user would take instead, and curves of what the step does
 to the stability boundary and to the energy of a bounce; writes every figure to speed_accuracy.json. Costs are medians
-of repeats in turn within this one run, so that their ratios hold on a machine that is not alone.
+of repeats in turn within this one run, so that their ratios hold on a machine that is not alone. `measure` is a section
+of bench.py.
 """
 
 from __future__ import annotations
 
 import json
+import math
 import os
-import platform
+import re
 import statistics
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -20,7 +22,6 @@ from typing import Any
 # six by six matrices gain nothing from threads, and some peers lose much; numpy reads this once
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import mujoco
 import numpy as np
 
 from maglev_mj import drive
@@ -37,8 +38,8 @@ from maglev_mj.studies.fidelity_cases import preset_of
 from maglev_mj.studies.integrators import INTEGRATORS
 from maglev_mj.versions import versions
 from peers import Task
-from ways import SEMI_IMPLICIT, Way, as_json, boundary_shift, measure, our_ways, peer_ways, points_of
-from work_precision import WorkPrecision, work_precision
+from ways import GROUPS, PEERS, SEMI_IMPLICIT, as_json, boundary_shift, our_ways, peer_ways, take_times
+from work_precision import EXACT_ENOUGH, WorkPoint, work_precision
 
 TITLES = {
     "drop": "on a wall, with a braking pulse",
@@ -48,8 +49,18 @@ TITLES = {
     "twist": "free, at 3.7 rad/s",
     "six-axes": "drawn back to the centre",
 }
-TURNING = "twist", "six-axes"
-NANOMETRE = 1e-9
+BENCHED = "drop", "drop-no-pulse", "press", "six-axes"
+"""Scenes that `make bench` runs; the others say what the drop says, or what six-axes does."""
+
+STEPPED = {
+    "mujoco": "Euler, steps of {} ms",
+    "drake": "scripted, discrete {} ms",
+    "pybullet": "steps of {} ms",
+    "pinocchio": "free flyer, steps of {} ms",
+    "scipy": "solve_ivp a period, RK45, max_step {} ms",
+}
+"""Names of a peer's ways on a fixed grid, the step left out: what its user would try first."""
+
 PERIOD, DELAY = Timing().period, Timing().delay
 
 
@@ -85,18 +96,6 @@ def boundary_shifts(quick: bool) -> dict[str, Any]:
         if min(map(abs, shifts)) > 1e-9:
             rows["orders"][name] = float(np.polyfit(np.log(steps), np.log(np.abs(shifts)), 1)[0])
     return rows
-
-
-def machine() -> dict[str, Any]:
-    """Return what the figures were measured on."""
-    return {
-        "processor": platform.machine(),
-        "processors": os.cpu_count(),
-        "system": platform.system(),
-        "python": platform.python_version(),
-        "mujoco": mujoco.__version__,
-        "numpy": np.__version__,
-    }
 
 
 def sweep_of_drops(stiffnesses: int, dampings: int, repeats: int) -> dict[str, Any]:
@@ -147,49 +146,38 @@ def sweep_of_drops(stiffnesses: int, dampings: int, repeats: int) -> dict[str, A
     }
 
 
-def cheapest(ways: list[Way], group: str, part: str = "", error: float = NANOMETRE) -> Way | None:
-    """Return the cheapest way of a group, and of a name with some part in it, within an error."""
-    good = [way for way in ways if way.group == group and part in way.name and way.error <= error]
-    return min(good, key=lambda way: way.cost, default=None)
+def measure(quick: bool, scenes: Sequence[str] = BENCHED) -> dict[str, Any]:
+    """Return cost and error of every way to simulate each scene, the peers' too, and what the step does.
 
-
-def print_ratios(ways: list[Way]) -> dict[str, float]:
-    """Print what others cost at an error of a nanometre, against the cheapest engine here; return the ratios."""
-    ours = cheapest(ways, "MuJoCo, body")
-    assert ours is not None
-    print(f"\nthe drop within 1 nm: MuJoCo costs {ours.cost * 1e3:.2f} µs a simulated ms ({ours.name})")
-    ratios = {}
-    rows = [(group, "") for group in dict.fromkeys(way.group for way in ways)]
-    for group, part in [*rows, ("drake", "LeafSystem"), ("scipy", "solve_ivp a segment"), ("control", "nlsys")]:
-        way = cheapest(ways, group, part)
-        if way is not None and way is not ours:
-            ratios[f"{group} {part}".strip()] = way.cost / ours.cost
-            print(f"  {f'{group}: {way.name}':<58}{way.cost * 1e3:9.3f} µs  {way.cost / ours.cost:8.3f} times that")
-    return ratios
+    Args:
+        quick: Fewer steps and repeats.
+        scenes: Names from TITLES.
+    """
+    ways = {name: our_ways(name, preset_of(name).scene, quick) for name in scenes}
+    drop = PeersDrop()
+    peers, missing = peer_ways(drop, Task(), quick)
+    everyone = our_ways("drop", drop, quick) + peers
+    for some in (*ways.values(), everyone):
+        take_times(some, 2 if quick else 3)
+    return {
+        "scenes": {name: as_json(some) for name, some in ways.items()},
+        "peers": as_json(everyone),
+        "boundary": boundary_shifts(quick),
+        "sweep": sweep_of_drops(10, 10, 1) if quick else sweep_of_drops(40, 25, 1),
+        "missing": missing,
+    }
 
 
 def main() -> None:
     """Measure, print, draw, write."""
     options = script_options(__doc__, "fewer steps and repeats", add_scenes)
-    pictures, quick = options.pictures, options.quick
-    ways = {name: our_ways(name, preset_of(name).scene, quick) for name in options.scenes}
-    task = Task()
-    drop = PeersDrop()
-    peers, missing = peer_ways(drop, task, quick)
-    for line in missing:
+    data = measure(options.quick, options.scenes)
+    for line in data["missing"]:
         print(line)
-    everyone = our_ways("drop", drop, quick) + peers
-    for some in (*ways.values(), everyone):
-        measure(some, 2 if quick else 9)
-    data: dict[str, Any] = {"machine": machine(), "scenes": {name: as_json(some) for name, some in ways.items()}}
-    data["peers"] = as_json(everyone)
     print("what nothing beats, the cheapest first")
     for name, part in {**data["scenes"], "with peers": data["peers"]}.items():
         print(f"  {name:<14} one device: {'; '.join(part['front'])}")
         print(f"  {'':<14}       many: {'; '.join(part['front_of_many'])}")
-    data["ratios"] = print_ratios(everyone)
-    data["boundary"] = boundary_shifts(quick)
-    data["sweep"] = sweep_of_drops(10, 10, 1) if quick else sweep_of_drops(40, 25, 3)
     print("\na sweep of drops, on two threads: cost of a drop, and drops that end otherwise than exact")
     for name, cost in data["sweep"]["cost"].items():
         print(f"  {name:<28}{cost * 1e6:8.1f} µs{data['sweep']['misjudged'][name]:6d}")
@@ -197,19 +185,19 @@ def main() -> None:
     for name, order in data["boundary"]["orders"].items():
         first = data["boundary"]["shifts"][name][0]
         print(f"  {name:<44}{order:5.2f}   {first:+.1%} at {data['boundary']['steps'][0] * 1e3:g} ms")
-    figures = pictures.path("speed_accuracy", "json")
+    figures = options.pictures.path("speed_accuracy", "json")
     figures.write_text(json.dumps({**data, "versions": versions()}, indent=1) + "\n")
-    print(f"\nwrote {figures}")
-    for path in draw(pictures, ways, everyone, data):
+    for path in [figures, *draw(options.pictures, data)]:
         print(f"wrote {path}")
 
 
 def merged(curves: list[tuple[str, list[Any], list[Any]]]) -> list[tuple[str, list[Any], list[Any]]]:
-    """Return curves with those that are one and the same named together."""
+    """Return curves with those that are one and the same, where both are known, named together; the longest first."""
     kept: list[tuple[str, list[Any], list[Any]]] = []
     for name, steps, values in curves:
         for place, (other, over, known) in enumerate(kept):
-            if steps == over and np.allclose(values, known, rtol=1e-6):
+            shared = dict(zip(over, known, strict=True))
+            if set(steps) <= set(shared) and np.allclose(values, [shared[step] for step in steps], rtol=1e-6):
                 kept[place] = f"{other}, {name}", over, known
                 break
         else:
@@ -217,46 +205,79 @@ def merged(curves: list[tuple[str, list[Any], list[Any]]]) -> list[tuple[str, li
     return kept
 
 
-def draw(pictures: PictureFolder, ways: dict[str, list[Way]], everyone: list[Way], data: dict[str, Any]) -> list[Path]:
-    """Draw the charts; return their files."""
-    panels = {name: WorkPrecision(f"{name}: {TITLES[name]}", points_of(some)) for name, some in ways.items()}
-    turning = [panel for name, panel in panels.items() if name in TURNING]
-    along = [panel for name, panel in panels.items() if name not in TURNING]
-    drop = WorkPrecision("a drop on the wall, six axes, with what else one might take", points_of(everyone))
+def chart_points(rows: Sequence[Mapping[str, Any]]) -> list[WorkPoint]:
+    """Return the ways of a scene as points of a chart, those of raw Euler for all that are one with it."""
+    points = []
+    for row in rows:
+        integrator, step, group = row["integrator"], row["step"], row["group"]
+        if integrator in SEMI_IMPLICIT[1:] or not math.isfinite(row["error"]):
+            continue
+        joined = integrator in GROUPS and "coils" not in group
+        label = group
+        if joined:
+            finest = min(other["step"] or math.inf for other in rows if other["group"] == group)
+            label = f"{group}, {1e3 * step:g} ms" if step == finest else ""
+            label = f"{1e3 * step:g} ms" if integrator == "euler" and step in (1e-3, 1e-4) else label
+        points.append(_point(row, group, label, joined))
+    return points
+
+
+def _stem(name: str) -> str:
+    """Return the name of a way with its step left out."""
+    return re.sub(r"[0-9.]+ ms", "{} ms", name)
+
+
+def _point(row: Mapping[str, Any], group: str, label: str, joined: bool) -> WorkPoint:
+    cost, many = 1e-3 * row["microseconds_a_millisecond"], "at once" in row["name"]
+    return WorkPoint(row["name"], group, cost, row["error"], many, label, joined)
+
+
+def peer_points(rows: Sequence[Mapping[str, Any]]) -> list[WorkPoint]:
+    """Return this package's plants and, of each peer, the ways that no other of its own beats."""
+    ours = {"exact plant", "exact plant, 1000 at once", GROUPS["corrected"], GROUPS["rk4"]}
+    points = [
+        _point(row, f"this package, {row['group']}", "", False)
+        for row in rows
+        if row["group"] in ours and row["error"] <= EXACT_ENOUGH
+    ]
+    for peer, name in PEERS.items():
+        mine = [row for row in rows if row["group"] == name]
+        points += [_point(row, name, "", False) for row in mine if row["error"] <= EXACT_ENOUGH]
+        grid = [row for row in mine if _stem(row["name"]) == STEPPED.get(peer) and row["error"] > EXACT_ENOUGH]
+        points += [_point(row, name, name if row is grid[-1] else "", True) for row in grid]
+    return points
+
+
+def step_panels(data: Mapping[str, Any]) -> list[Panel]:
+    """Return what the step does to the boundary, and to the energy of a bounce."""
     boundary = data["boundary"]
-    shifts = merged(
-        [(name, boundary["steps"], np.abs(boundary["shifts"][name]).tolist()) for name in boundary["orders"]]
-    )
+    shifts = [(name, boundary["steps"], np.abs(boundary["shifts"][name]).tolist()) for name in boundary["orders"]]
     energies = []
     for kind in SEMI_IMPLICIT:
-        mine = [
-            way for way in ways.get("drop-no-pulse", []) if way.integrator == kind and way.step and way.group != "exact"
-        ]
-        mine.sort(key=lambda way: way.step or 0.0)
-        if mine:
-            energies.append((kind, [way.step for way in mine], [way.energy for way in mine]))
-    steps = [
-        Panel(
-            title="shift of the stiffest stable wall",
-            labels=("time step (s)", "relative shift"),
-            curves=shifts,
-            log="xy",
-            marked=True,
-        ),
-        Panel(
-            title="energy of a bounce",
-            labels=("time step (s)", "largest error, share of the fall's"),
-            curves=merged(energies),
-            log="xy",
-            marked=True,
-        ),
-    ]
-    charts = {"speed_accuracy": along, "speed_accuracy_turning": turning}
+        rows = [row for row in data["scenes"].get("drop-no-pulse", {}).get("ways", ()) if row["integrator"] == kind]
+        mine = sorted((row["step"], row["energy_error"]) for row in rows if row["step"])
+        energies.append((kind, [step for step, _ in mine], [error for _, error in mine]))
+    tables = {
+        "shift of the stiffest stable wall": ("relative shift", shifts),
+        "energy of a bounce": ("largest error, share of the fall's", [curve for curve in energies if curve[1]]),
+    }
     return [
-        *(work_precision(some, pictures.path(name)) for name, some in charts.items() if some),
-        work_precision([drop], pictures.path("speed_accuracy_peers"), columns=1),
-        small_multiples([panel for panel in steps if panel.curves], pictures.path("speed_accuracy_steps")),
+        Panel(title=title, labels=("time step (s)", label), curves=merged(curves), log="xy", marked=True)
+        for title, (label, curves) in tables.items()
+        if curves
     ]
+
+
+def draw(pictures: PictureFolder, data: Mapping[str, Any]) -> list[Path]:
+    """Draw the charts; return their files."""
+    drawn = [
+        work_precision(f"{name}: {TITLES[name]}", chart_points(part["ways"]), pictures.path(f"speed_accuracy_{name}"))
+        for name, part in data["scenes"].items()
+    ]
+    everyone = peer_points(data["peers"]["ways"])
+    title = "a drop on the wall, six axes, with what else one might take"
+    drawn.append(work_precision(title, everyone, pictures.path("speed_accuracy_peers")))
+    return [*drawn, small_multiples(step_panels(data), pictures.path("speed_accuracy_steps"))]
 
 
 if __name__ == "__main__":

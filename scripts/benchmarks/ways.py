@@ -24,12 +24,25 @@ from maglev_mj.theory.closed_loop import SampledLoop
 from peers import Task, available
 from work_precision import WorkPoint, pareto
 
-__all__ = ["SEMI_IMPLICIT", "Way", "as_json", "boundary_shift", "measure", "our_ways", "peer_ways", "points_of"]
+__all__ = ["GROUPS", "SEMI_IMPLICIT", "Way", "as_json", "boundary_shift", "our_ways", "peer_ways", "take_times"]
 
 CLOSED_FORM = ("drop", "drop-no-pulse", "press", "stick-slip")
 _LOOP = SampledLoop()
-_LEAST_STEP = {"euler": 1e-6, "corrected": 1e-5, "rk4": 1e-5}
 SEMI_IMPLICIT = ("euler", "implicit", "implicitfast", "discrete")
+_LEAST_STEP = dict.fromkeys(("corrected", "rk4", *SEMI_IMPLICIT), 1e-4) | {"euler": 1e-5}
+GROUPS = {"corrected": "corrected Euler", "rk4": "RK4"} | dict.fromkeys(SEMI_IMPLICIT, "raw Euler")
+"""Names of integrators in a chart."""
+
+PEERS = {
+    "mujoco": "MuJoCo by hand",
+    "drake": "Drake",
+    "pybullet": "PyBullet",
+    "scipy": "SciPy",
+    "pinocchio": "Pinocchio by hand",
+    "control": "python-control",
+    "bdsim": "bdsim",
+}
+"""Names of peers in a chart."""
 
 
 @dataclass
@@ -63,14 +76,15 @@ def energy_error(motion: Motion, truth: Motion) -> float:
 
 def single_ways(quick: bool) -> Iterator[tuple[str, str, str, float | None]]:
     """Yield rung, group, integrator and longest step of every single device worth looking at."""
-    steps = (1e-3, 1e-4) if quick else (2.5e-3, 1e-3, 5e-4, 1e-4, 1e-5, 1e-6)
+    steps = (1e-3, 1e-4) if quick else (2.5e-3, 1e-3, 5e-4, 1e-4, 1e-5)
     for integrator in ("corrected", "rk4", *SEMI_IMPLICIT):
-        yield "body", "MuJoCo, body", integrator, None
-        for step in steps:
-            if step >= _LEAST_STEP.get(integrator, 1e-4):  # a microsecond of the dearer ones takes seconds a run
-                yield "body", "MuJoCo, body", integrator, step
+        yield "body", GROUPS[integrator], integrator, None
+        # the other semi-implicit ones are one with Euler: two steps show it
+        for step in (1e-3, 1e-4) if integrator in SEMI_IMPLICIT[1:] else steps:
+            if step >= _LEAST_STEP[integrator]:  # the dearer ones would take seconds a run
+                yield "body", GROUPS[integrator], integrator, step
     for integrator in ("corrected", "rk4"):
-        yield "turning", "MuJoCo, full device", integrator, None
+        yield "turning", f"{GROUPS[integrator]}, coils", integrator, None
 
 
 def our_ways(name: str, scene: Scene, quick: bool) -> list[Way]:
@@ -84,7 +98,7 @@ def our_ways(name: str, scene: Scene, quick: bool) -> list[Way]:
     exact = partial(level_parts, scene, "axes")
     truth, duration = truths["body"], exact()[2] * scene.period
     error = float(apart(motion_of(*exact()).pose, truth.pose))
-    ways = [Way("exact", "exact", partial(closed_loop, exact), error, duration, "exact", None, 0.0)]
+    ways = [Way("exact", "exact plant", partial(closed_loop, exact), error, duration, "exact", None, 0.0)]
     for level, group, integrator, step in single_ways(quick):
         make = partial(level_parts, scene, level, integrator=integrator, longest_step=step)
         motion = motion_of(*make())
@@ -94,14 +108,22 @@ def our_ways(name: str, scene: Scene, quick: bool) -> list[Way]:
         ways.append(Way(way, group, partial(closed_loop, make), error, duration, integrator, step, energy))
     count = 100 if quick else 1000
     many: tuple[tuple[str, str, Callable[..., SampledPlant], dict[str, Any]], ...] = (
-        ("exact", "exact", ExactPlant, {}),
-        ("corrected", "MuJoCo, batch", MuJoCoBatchPlant, {"coils": False, "integrator": "corrected"}),
-        ("rk4", "MuJoCo, batch", MuJoCoBatchPlant, {"coils": False}),
+        ("exact", "exact plant", ExactPlant, {}),
+        ("corrected", GROUPS["corrected"], MuJoCoBatchPlant, {"coils": False, "integrator": "corrected"}),
+        ("rk4", GROUPS["rk4"], MuJoCoBatchPlant, {"coils": False}),
     )
     for way, group, kind, options in many:
         many_parts = partial(batch_of, scene, kind, count, **options)
         error = float(apart(poses_of(*many_parts()), truth.pose))
-        ways.append(Way(f"{way}, {count} at once", group, partial(closed_loop, many_parts), error, duration * count))
+        ways.append(
+            Way(
+                f"{way}, {count} at once",
+                f"{group}, {count} at once",
+                partial(closed_loop, many_parts),
+                error,
+                duration * count,
+            )
+        )
     return ways
 
 
@@ -124,9 +146,9 @@ def peer_ways(scene: Scene, task: Task, quick: bool) -> tuple[list[Way], list[st
         if quick and time.perf_counter() - start > 0.1:
             continue
         error = float(apart(np.where(np.isnan(poses), truth, poses), truth))
-        group = "MuJoCo by hand" if variant.peer == "mujoco" else variant.peer
+        group = PEERS[variant.peer]
         if np.isnan(poses).any():  # one slide: it leaves the five other axes out
-            group = "MuJoCo, z alone"
+            group += ", z alone"
         ways.append(Way(variant.name, group, partial(_same, simulate), error, task.duration))
     return ways, missing
 
@@ -136,7 +158,7 @@ def _same(simulate: Callable[[], object]) -> Callable[[], object]:
     return simulate
 
 
-def measure(ways: list[Way], repeats: int) -> None:
+def take_times(ways: list[Way], repeats: int) -> None:
     """Time every way in turn."""
     for way, taken in zip(ways, median_times([way.prepare for way in ways], repeats), strict=True):
         way.cost = taken / way.simulated
@@ -166,10 +188,13 @@ def as_json(ways: list[Way]) -> dict[str, Any]:
         }
         for way in ways
     ]
-    points = points_of(ways)
-    fronts = ([point for point in points if point.many is many] for many in (False, True))
-    one, many = ([point.name for point in pareto(front)] for front in fronts)
-    return {"ways": rows, "front": one, "front_of_many": many}
+    front = [[point.name for point in pareto(some)] for some in _parted(points_of(ways))]
+    return {"ways": rows, "front": front[0], "front_of_many": front[1]}
+
+
+def _parted(points: list[WorkPoint]) -> tuple[list[WorkPoint], list[WorkPoint]]:
+    """Return the points of single devices, and those of many."""
+    return [point for point in points if not point.many], [point for point in points if point.many]
 
 
 def points_of(ways: list[Way]) -> list[WorkPoint]:

@@ -2,19 +2,33 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from maglev_mj.colours import GRID, REFERENCE, SERIES
 from maglev_mj.parameters import flag
-from maglev_mj.plots.drawing import TITLE, legend_height, name_curves, new_figure, save
+from maglev_mj.plots.drawing import TITLE, new_figure, save
 
-__all__ = ["WorkPoint", "WorkPrecision", "pareto", "work_precision"]
+__all__ = ["EXACT_ENOUGH", "WorkPoint", "pareto", "work_precision"]
 
-_ROUNDING = 1e-13
-_BAND, _ROW = 1e-7, 0.45
+EXACT_ENOUGH = 1e-9
+"""Error below which ways differ in nothing but their cost [m]."""
+
+_ROW = 0.75  # distance of two rows, in decades of the error
+_INCH = 0.27  # height of a decade
+_SMALL = 9.0  # size of words beside points [pt]
+_BESIDE = (
+    *((9, 0), (0, 9), (0, -9), (-9, 0), (9, 9), (9, -9)),
+    *((24, 24), (24, -24), (-24, -24), (0, -36), (36, -36), (0, -54), (-36, -54), (36, -54)),
+)
+_LEADER = {"arrowstyle": "-", "color": REFERENCE, "linewidth": 0.7}
+_PARTS = np.linspace(0.1, 0.9, 9)  # of a line that labels keep off
 
 
 @dataclass(frozen=True)
@@ -23,10 +37,12 @@ class WorkPoint:
 
     Attributes:
         name: Of the way.
-        group: Ways of one kind share a colour and a line of the legend.
+        group: Ways of one kind share a colour, and a row for the cheapest that is exact enough.
         cost: Of a simulated second [s], of each device where there are many.
-        error: [m]; what is below 1e-13 counts as rounding.
+        error: [m]; what is below `EXACT_ENOUGH` counts as none.
         many: Whether that takes many devices at once.
+        label: Words beside it where it is not exact enough; empty for none.
+        joined: Whether a line joins it with others of its group.
     """
 
     name: str
@@ -34,113 +50,144 @@ class WorkPoint:
     cost: float
     error: float
     many: bool = False
+    label: str = ""
+    joined: bool = False
 
     def __post_init__(self) -> None:
         flag("many", self.many)
-
-
-@dataclass(frozen=True)
-class WorkPrecision:
-    """One picture: its title and its points."""
-
-    title: str
-    points: Sequence[WorkPoint]
+        flag("joined", self.joined)
 
 
 def pareto(points: Sequence[WorkPoint]) -> list[WorkPoint]:
-    """Return the points that no other beats in both cost and error, the cheapest first; rounding counts as no error."""
+    """Return the points that no other beats in cost and error, the cheapest first."""
     front: list[WorkPoint] = []
     for point in sorted(points, key=lambda one: (one.cost, one.error)):
-        if not front or max(point.error, _ROUNDING) < max(front[-1].error, _ROUNDING):
+        if not front or max(point.error, EXACT_ENOUGH) < max(front[-1].error, EXACT_ENOUGH):
             front.append(point)
     return front
 
 
-def work_precision(panels: Sequence[WorkPrecision], path: Path, columns: int = 2) -> Path:
-    """Draw error over cost for each panel, with the front that nothing beats, for one device and for many at once.
+def work_precision(title: str, points: Sequence[WorkPoint], path: Path) -> Path:
+    """Draw error over cost, and below it the cheapest way of each group that is exact enough, a row each.
 
-    What is exact to rounding is below the line, a row for each group. The points of the fronts are numbered, and named
-    under their panel.
+    What no other way beats is ringed and its row bold, among single devices and among many at once.
 
     Args:
-        panels: What to draw, row by row.
+        title: Above the panel.
+        points: What to draw.
         path: File to write.
-        columns: How many stand side by side.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
     """
-    rows = -(-len(panels) // columns)
-    groups = list(dict.fromkeys(point.group for panel in panels for point in panel.points))
-    fronts = [
-        [pareto([point for point in panel.points if point.many is many]) for many in (True, False)] for panel in panels
-    ]
-    legends = legend_height([[point.name for front in both for point in front] for both in fronts], columns)
-    figure, axes = new_figure(rows, columns, rows * ((3.7 if columns > 1 else 5.6) + legends) + 0.6)
-    for axis, panel, both in zip(axes, panels, fronts):
-        for index, group in enumerate(groups):
-            mine = [point for point in panel.points if point.group == group]
-            axis.plot(
-                [1e3 * point.cost for point in mine],
-                [_height(point, groups) for point in mine],
-                linestyle="none",
-                marker="osD^vPX<>hpd"[index % 12],
-                color=SERIES[index % len(SERIES)],
-                markersize=5.5,
-                alpha=0.85,
-                label=group,
-            )
-        _furnish(axis, panel.title, len(groups))
-        _draw_fronts(axis, both, groups)
-    for axis in axes[len(panels) :]:
-        axis.set_axis_off()
-    name_curves(figure, axes)
+    groups = list(dict.fromkeys(point.group for point in points))
+    styles = {
+        group: ("osD^vPX<>hpd"[index % 12], SERIES[index % (len(SERIES) - 1)]) for index, group in enumerate(groups)
+    }
+    rows = exact_rows(points)
+    off = [point for point in points if point.error > EXACT_ENOUGH]
+    front = {id(point) for many in (False, True) for point in pareto([one for one in points if one.many is many])}
+    top = math.ceil(max([_decade(point) for point in off], default=1.0) + 0.3)
+    bottom = -_ROW * (len(rows) + 0.2)
+    figure, (axis,) = new_figure(1, 1, _INCH * (top - bottom) + 1.0)
+    chains = []
+    for group in groups:
+        mine = [point for point in off if point.group == group]
+        _draw(axis, [(point, _decade(point)) for point in mine], styles[group], front)
+        chains.append(sorted((point for point in mine if point.joined), key=lambda one: one.cost))
+        axis.plot(*_places(chains[-1]), color=styles[group][1], linewidth=1.0, alpha=0.6, zorder=1)
+    for index, point in enumerate(rows):
+        height = -_ROW * (index + 0.7)
+        _draw(axis, [(point, height)], styles[point.group], front)
+        place = (1e3 * point.cost, height)
+        axis.annotate(f"{float(f'{place[0]:.2g}'):g}", place, va="center", **_words(9, 0))
+    _furnish(axis, title, rows, front, (bottom, float(top)))
+    _name(figure, axis, off, chains)
     return save(figure, path)
 
 
-def _height(point: WorkPoint, groups: Sequence[str]) -> float:
-    """Return where a point is drawn [µm]: at its error, or in its group's row below the line."""
-    if point.error > _ROUNDING:
-        return 1e6 * point.error
-    row: float = _BAND * 10.0 ** (-_ROW * (groups.index(point.group) + 1))
-    return row
+def exact_rows(points: Sequence[WorkPoint]) -> list[WorkPoint]:
+    """Return the cheapest way of each group that is exact enough, the cheapest first."""
+    best: dict[str, WorkPoint] = {}
+    for point in points:
+        if point.error <= EXACT_ENOUGH and (point.group not in best or point.cost < best[point.group].cost):
+            best[point.group] = point
+    return sorted(best.values(), key=lambda point: point.cost)
 
 
-def _furnish(axis: Any, title: str, rows: int) -> None:
-    """Scale and label a panel."""
+def _decade(point: WorkPoint) -> float:
+    """Return decades of an error above what is exact enough."""
+    return math.log10(point.error / EXACT_ENOUGH)
+
+
+def _places(points: Sequence[WorkPoint]) -> tuple[list[float], list[float]]:
+    return [1e3 * point.cost for point in points], [_decade(point) for point in points]
+
+
+def _draw(axis: Any, placed: Sequence[tuple[WorkPoint, float]], style: tuple[str, Any], front: set[int]) -> None:
+    """Draw points at their heights, those of the front ringed."""
+    for point, height in placed:
+        ring: dict[str, Any] = {"markeredgecolor": "black", "markeredgewidth": 1.8} if id(point) in front else {}
+        axis.plot(1e3 * point.cost, height, marker=style[0], color=style[1], markersize=7.0, zorder=3, **ring)
+
+
+def _words(right: float, up: float) -> dict[str, Any]:
+    """Return the style of words so far from a point [pt]."""
+    return {"xytext": (right, up), "textcoords": "offset points", "fontsize": _SMALL, "color": REFERENCE}
+
+
+def _name(figure: Any, axis: Any, points: Sequence[WorkPoint], chains: Sequence[Sequence[WorkPoint]]) -> None:
+    """Write each label at the first place beside its point, or farther with a line to it, where it covers least."""
+    from matplotlib.text import Text
+    from matplotlib.transforms import Bbox
+
+    figure.canvas.draw()
+    renderer, scale = figure.canvas.get_renderer(), figure.dpi / 72.0
+    dots = [axis.transData.transform(np.transpose(_places(some))) if some else [] for some in (points, *chains)]
+    lines = [tuple(a + part * (b - a)) for chain in dots[1:] for a, b in pairwise(chain) for part in _PARTS]
+    taken = [Bbox.from_bounds(x, y, 0.0, 0.0).padded(4.0 * scale) for x, y in (*dots[0], *lines)]
+    for index, point in enumerate(points):
+        if not point.label:
+            continue
+        others, found = taken[:index] + taken[index + 1 :], []
+        for right, up in _BESIDE:
+            beside = "left" if right > 0 else "right" if right < 0 else "center"
+            above = "bottom" if up > 0 else "top" if up < 0 else "center"
+            leader = (
+                {"arrowstyle": "-", "color": REFERENCE, "linewidth": 0.7} if max(abs(right), abs(up)) > 12 else None
+            )
+            place = (1e3 * point.cost, _decade(point))
+            words = axis.annotate(point.label, place, ha=beside, va=above, arrowprops=leader, **_words(right, up))
+            words.set_in_layout(False)  # the panel keeps its size
+            words.update_positions(renderer)
+            box = Text.get_window_extent(words, renderer)
+            inside = axis.bbox.contains(box.x0, box.y0) and axis.bbox.contains(box.x1, box.y1)
+            found.append((box.count_overlaps(others) + 100 * (not inside), words, box))
+        best = min(range(len(found)), key=lambda number: found[number][0])
+        taken.append(found[best][2])
+        for number, (_, words, _) in enumerate(found):
+            if number != best:
+                words.remove()
+
+
+def _furnish(axis: Any, title: str, rows: Sequence[WorkPoint], front: set[int], span: tuple[float, float]) -> None:
+    """Scale and label the panel."""
     axis.set_xscale("log")
-    axis.set_yscale("log")
-    low, high = axis.get_ylim()
-    bottom = _BAND * 10.0 ** (-_ROW * (rows + 1))
-    axis.set_ylim(min(low, bottom), max(high, 1e4))
-    axis.axhspan(bottom * 1e-3, _BAND, color=GRID, alpha=0.5, zorder=-1)
-    ticks = [10.0**power for power in range(-6, 6, 2) if 10.0**power < axis.get_ylim()[1]]
-    axis.set_yticks([*ticks, _BAND * 10.0 ** (-_ROW * 0.5 * (rows + 1))])
-    axis.set_yticklabels([f"{tick:g}" for tick in ticks] + ["exact to\nrounding"])
+    axis.set_ylim(*span)
+    low, high = axis.get_xlim()
+    axis.set_xlim(0.6 * low, 4.0 * high)  # room for the words
+    axis.xaxis.set_major_formatter(lambda cost, _: f"{cost:g}")
+    axis.axhspan(span[0], 0.0, color=GRID, alpha=0.5, zorder=-1)
+    units = ("1 nm", "10 nm", "0.1 µm", "1 µm", "10 µm", "0.1 mm", "1 mm", "10 mm", "0.1 m", "1 m")
+    decades = range(min(int(span[1]) + 1, len(units)))
+    heights = [-_ROW * (index + 0.7) for index in range(len(rows))]
+    axis.set_yticks([*decades, *heights])
+    axis.set_yticklabels([*units[: len(decades)], *(point.group for point in rows)])
+    for label, point in zip(axis.get_yticklabels()[len(decades) :], rows, strict=True):
+        label.set_fontweight("bold" if id(point) in front else "normal")
     axis.minorticks_off()
-    axis.set_title(title, **TITLE)
+    axis.set_title(f"{title}\nringed and bold: nothing is both cheaper and nearer", **TITLE)
+    told = {"ha": "right", "va": "top", "fontsize": _SMALL, "color": REFERENCE, "transform": axis.get_yaxis_transform()}
+    axis.text(0.995, -0.2, "within 1 nm: the cheapest of each", **told)
     axis.set_xlabel("cost (µs a simulated ms and device)")
-    axis.set_ylabel("largest error (µm)")
-
-
-def _draw_fronts(axis: Any, fronts: Sequence[Sequence[WorkPoint]], groups: Sequence[str]) -> None:
-    """Draw fronts as steps, that of many devices dashed, and number their points; name them under the panel."""
-    named: dict[str, Any] = {}
-    for front, style, up in zip(fronts, ("--", "-"), (-11, 4), strict=True):
-        places = [(1e3 * point.cost, _height(point, groups)) for point in front]
-        if places:
-            axis.step(*zip(*places, strict=True), where="post", color=REFERENCE, linewidth=1.2, linestyle=style)
-        for point, place in zip(front, places, strict=True):
-            number = f"{len(named) + 1}"
-            right = len(named) % 2 == 0  # neighbours on a front lie close together
-            beside = {"xytext": (4 if right else -4, up), "ha": "left" if right else "right"}
-            axis.annotate(number, place, textcoords="offset points", fontweight="bold", fontsize=8.5, **beside)
-            mark = {
-                "marker": f"$\\mathbf{{{number}}}$",
-                "markersize": 6.0,
-                "linestyle": "none",
-                "color": "black",
-                "markeredgewidth": 0.0,
-            }
-            (named[point.name],) = axis.plot([], [], **mark)
-    name_curves(axis, named=named)
+    axis.set_ylabel("largest error")

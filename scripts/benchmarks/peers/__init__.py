@@ -12,7 +12,7 @@ from peers.task import Task, Variant
 
 __all__ = ["PEERS", "Task", "Variant", "available"]
 
-PEERS = ("mujoco", "drake", "pybullet", "scipy", "control", "bdsim")
+PEERS = ("mujoco", "drake", "pybullet", "scipy", "pinocchio", "control", "bdsim")
 
 
 def available(names: Iterable[str] | None = None) -> tuple[list[Variant], list[str]]:

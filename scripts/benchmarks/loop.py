@@ -1,11 +1,12 @@
-"""What the closed loop costs, as ratios in one run: absolute times mean little on a shared machine.
+"""Cost of the closed loop, of bare steps of the engine, and of a loop written by hand.
 
-Everything is timed in turn, many times over, and the medians are compared.
+`measure` is a section of bench.py; its times are medians of repeats in turn, its ratios medians of theirs pair by pair.
 """
+
+from __future__ import annotations
 
 import math
 import statistics
-import sys
 import time
 from collections.abc import Callable
 from typing import Any
@@ -19,7 +20,9 @@ from maglev_mj.spec import INERTIA, Spec
 from maglev_mj.theory import largest_modulus
 from peers import Task, mujoco_peer
 
-REPEATS = 5 if "--quick" in sys.argv else 60
+__all__ = ["measure", "timed"]
+
+REPEATS = 12
 TICKS = 400
 BATCH = 1000
 TIMING = Timing()
@@ -102,51 +105,60 @@ def controller_tick(batch: tuple[int, ...], count: int) -> float:
 
 WORK: dict[str, Callable[[], float]] = {
     "RK4, coils: closed loop": mujoco_loop,
-    "RK4, coils: bare mj_step, as many": bare_steps,
+    "RK4, coils: bare steps": bare_steps,
     "RK4, coils, tilted: closed loop": lambda: mujoco_loop(tilt=0.01),
     "RK4, body: closed loop": lambda: mujoco_loop(coils=False),
-    "RK4, body: bare mj_step, as many": lambda: bare_steps(coils=False),
-    "RK4, body: written by hand": lambda: by_hand("split, RK4, slides and ball"),
-    "corrected Euler, body: closed loop": lambda: mujoco_loop(integrator="corrected", coils=False),
-    "corrected Euler, body: bare mj_step, as many": lambda: bare_steps(coils=False, integrator="euler"),
-    "corrected Euler, body: written by hand": lambda: by_hand("split, Euler, half-kick, slides and ball"),
-    "corrected Euler, body, 0.5 ms: closed loop": lambda: mujoco_loop(
-        integrator="corrected", coils=False, longest_step=5e-4
-    ),
+    "RK4, body: bare steps": lambda: bare_steps(coils=False),
+    "RK4, body: by hand": lambda: by_hand("split, RK4, slides and ball"),
+    "corrected, body: closed loop": lambda: mujoco_loop(integrator="corrected", coils=False),
+    "corrected, body: bare steps": lambda: bare_steps(coils=False, integrator="euler"),
+    "corrected, body: by hand": lambda: by_hand("split, Euler, half-kick, slides and ball"),
+    "corrected, body, 0.5 ms: closed loop": lambda: mujoco_loop(integrator="corrected", coils=False, longest_step=5e-4),
     "exact plant: closed loop": exact_loop,
-    f"exact plant, {BATCH} at once: closed loop": lambda: exact_loop((BATCH,)),
-    "six-axis tick, wall + pulse + hold": lambda: controller_tick((), 1000),
-    f"six-axis tick, {BATCH} at once": lambda: controller_tick((BATCH,), 40),
+    "exact plant, 1000 at once: closed loop": lambda: exact_loop((BATCH,)),
+    "six-axis controller": lambda: controller_tick((), 1000),
+    "six-axis controller, 1000 at once": lambda: controller_tick((BATCH,), 40),
 }
+RATIOS = (
+    ("RK4, body", "by hand"),
+    ("corrected, body", "by hand"),
+    ("RK4, coils", "bare steps"),
+    ("RK4, body", "bare steps"),
+    ("corrected, body", "bare steps"),
+)
 
 
-def main() -> None:
-    """Time everything in turn and print medians and ratios."""
+def ended_apart(**options: Any) -> float:
+    """Return how far a closed loop in the engine ends from the exact plant after the drop [m, rad]."""
+    ends = []
+    for plant in (MuJoCoPlant(TIMING, pose=START, **options), ExactPlant(TIMING, pose=START)):
+        drive(plant, drop_controller(), TICKS)
+        ends.append(plant.state()[0])
+    return float(np.abs(ends[0] - ends[1]).max())
+
+
+def measure(quick: bool) -> dict[str, Any]:
+    """Return times [µs], ratios of the closed loop over others, and errors [m].
+
+    Args:
+        quick: Few repeats, for a test.
+    """
     times: dict[str, list[float]] = {name: [] for name in WORK}
-    for _ in range(REPEATS):
+    for _ in range(2 if quick else REPEATS):
         for name, work in WORK.items():
             times[name].append(work())
-    print(f"medians of {REPEATS} interleaved repeats; a tick is {TIMING.period * 1e3:g} simulated ms")
-    for name, values in times.items():
-        print(f"  {name:<48}{statistics.median(values) * 1e6:9.3f} µs a tick and device")
-    print("medians of the ratios, pair by pair")
-    for one in WORK:
-        kind, _, what = one.partition(": ")
-        for other in ("bare mj_step, as many", "written by hand"):
-            if what == "closed loop" and f"{kind}: {other}" in times:
-                ratio = np.median(np.array(times[one]) / np.array(times[f"{kind}: {other}"]))
-                print(f"  {kind + ', closed loop / ' + other:<64}{ratio:9.2f}")
-    exact = np.array(times["exact plant: closed loop"])
-    for kind in ("RK4, coils", "corrected Euler, body"):
-        loop = np.array(times[f"{kind}: closed loop"])
-        batch = np.array(times[f"exact plant, {BATCH} at once: closed loop"])
-        print(f"  {kind + ', closed loop / exact plant':<64}{np.median(loop / exact):9.2f}")
-        print(f"  {kind + ', closed loop / exact batch, a device':<64}{np.median(loop / batch):9.1f}")
-    count = 100 if "--quick" in sys.argv else 1000
+    pairs = {f"{kind}: over {other}": (f"{kind}: closed loop", f"{kind}: {other}") for kind, other in RATIOS}
+    ratios = {name: float(np.median(np.divide(times[one], times[other]))) for name, (one, other) in pairs.items()}
+    count = 100 if quick else 1000
     gains = np.linspace(1.0, 20000.0, count)[:, None], np.linspace(1.0, 200.0, count)
-    whole = timed(lambda: largest_modulus(*gains, period=TIMING.period, delay=TIMING.delay))
-    print(f"  modulus of {count**2:>7} closed loops: {whole:.2f} s")
-
-
-if __name__ == "__main__":
-    main()
+    moduli = timed(lambda: largest_modulus(*gains, period=TIMING.period, delay=TIMING.delay))
+    return {
+        "µs a tick and device": {name: statistics.median(values) * 1e6 for name, values in times.items()},
+        "ratio": ratios,
+        "error at the end (m)": {
+            "RK4, coils": ended_apart(),
+            "RK4, body": ended_apart(coils=False),
+            "corrected, body": ended_apart(integrator="corrected", coils=False),
+        },
+        "µs a closed loop of the theory": moduli / count**2 * 1e6,
+    }

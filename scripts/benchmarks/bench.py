@@ -1,0 +1,244 @@
+"""Run the benchmarks: every section in fresh processes, a revision before and this checkout in turn.
+
+    python scripts/benchmarks/bench.py [--before REV] [--only SECTION ...] [--repeats N] [--quick] [--out DIR]
+    python scripts/benchmarks/bench.py --tables figures/bench.json        the tables of docs/speed.md
+
+A section is a module beside this one with `measure(quick)`, which returns numbers by name, nested or not. All figures
+of a run go to bench.json: of each number median, least and greatest, and the ratio after over before pair by pair.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import io
+import json
+import os
+import statistics
+import subprocess
+import sys
+import tarfile
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import bench_tables
+import pictures_of_speed
+from maglev_mj.cli.arguments import Parser
+from maglev_mj.cli.pictures import script_options
+from maglev_mj.errors import ParameterError
+from maglev_mj.parameters import number
+from maglev_mj.versions import versions
+
+__all__ = ["SECTIONS", "Section", "flat", "main", "measured", "summary"]
+
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parent.parent
+REPEATS = 5
+
+
+@dataclass(frozen=True)
+class Section:
+    """One module of benchmarks.
+
+    Attributes:
+        title: What it measures.
+        compared: Whether it is also run with the revision before.
+        repeats: Processes of each; None for as many as asked for.
+    """
+
+    title: str
+    compared: bool = True
+    repeats: int | None = None
+
+
+SECTIONS = {
+    "loop": Section("the closed loop"),
+    "options": Section("what each option costs"),
+    "walls": Section("walls simulated at once"),
+    "answers": Section("answers of the theory"),
+    "maps": Section("maps of stability in the engine"),
+    "start": Section("start of the program"),
+    "recorder": Section("the recorder"),
+    "others": Section("what a user would take instead", compared=False),
+    "realism": Section("what each piece of realism costs and changes", compared=False, repeats=1),
+    "speed_accuracy": Section("speed against accuracy", compared=False, repeats=1),
+    "growth": Section("growth with devices, rate and workers", compared=False, repeats=1),
+}
+"""Sections by the name of their module, in the order in which they run."""
+
+_CHILD = """import importlib, json, sys
+sys.path.insert(0, sys.argv[1])
+import maglev_mj
+figures = importlib.import_module(sys.argv[2]).measure(sys.argv[3] == "quick")
+print()
+print(json.dumps({"package": maglev_mj.__file__, "figures": figures}))
+"""
+
+
+class SectionFailedError(Exception):
+    """A section's process ended with an error."""
+
+
+def run_section(name: str, package: Path, quick: bool) -> dict[str, Any]:
+    """Return what a section measures in a fresh process, with the package of a folder.
+
+    Raises:
+        SectionFailedError: If it fails, or finds another package; it has the last line of the error.
+    """
+    # six by six matrices gain nothing from threads, and some peers lose much
+    environment = os.environ | {"PYTHONPATH": str(package), "OPENBLAS_NUM_THREADS": "1"}
+    command = [sys.executable, "-c", _CHILD, str(HERE), name, "quick" if quick else "full"]
+    done = subprocess.run(command, env=environment, cwd=package, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise SectionFailedError(f"{name} failed: {(done.stderr.strip().splitlines() or ['no error told'])[-1]}")
+    found: dict[str, Any] = json.loads(done.stdout.strip().splitlines()[-1])
+    if not Path(found["package"]).is_relative_to(package):
+        raise SectionFailedError(f"{name} ran with {found['package']}, not the package in {package}")
+    figures: dict[str, Any] = found["figures"]
+    return figures
+
+
+def flat(figures: dict[str, Any], head: str = "") -> dict[str, float]:
+    """Return the numbers of nested figures, by names joined with ": "."""
+    found: dict[str, float] = {}
+    for key, value in figures.items():
+        name = f"{head}: {key}" if head else str(key)
+        if isinstance(value, dict):
+            found |= flat(value, name)
+        elif isinstance(value, int | float) and not isinstance(value, bool):
+            found[name] = float(value)
+    return found
+
+
+def spread(values: Sequence[float]) -> dict[str, Any]:
+    """Return median, least and greatest of several runs, and the runs."""
+    return {"median": statistics.median(values), "least": min(values), "greatest": max(values), "runs": list(values)}
+
+
+def summary(runs: dict[str, list[dict[str, Any]]]) -> dict[str, dict[str, Any]]:
+    """Return the spread of each number on each side, and of its ratio after over before pair by pair.
+
+    Args:
+        runs: Figures of the runs of each side, "before" and "after".
+    """
+    sides = {side: [flat(figures) for figures in some] for side, some in runs.items()}
+    names = dict.fromkeys(name for some in sides.values() for figures in some for name in figures)
+    found: dict[str, dict[str, Any]] = {}
+    for name in names:
+        values = {side: [figures[name] for figures in some if name in figures] for side, some in sides.items()}
+        found[name] = {side: spread(some) for side, some in values.items() if some}
+        before, after = values.get("before", []), values.get("after", [])
+        if before and len(before) == len(after) and min(map(abs, before)) > 0.0:
+            found[name]["ratio"] = spread([new / old for new, old in zip(after, before, strict=True)])
+    return found
+
+
+def measured(name: str, packages: dict[str, Path], repeats: int, quick: bool) -> dict[str, Any]:
+    """Return the figures of a section, its sides in turn; a side that fails is named, and left out.
+
+    Args:
+        name: Of the section.
+        packages: Folder of the package of each side.
+        repeats: Runs of each side.
+        quick: See `measure` of the sections.
+    """
+    start = time.perf_counter()
+    runs: dict[str, list[dict[str, Any]]] = {side: [] for side in packages}
+    failed: dict[str, str] = {}
+    for turn in range(repeats):
+        for side in list(packages) if turn % 2 else reversed(list(packages)):
+            if side in failed:
+                continue
+            _tell(f"{name}: {side}, {turn + 1} of {repeats}")
+            try:
+                runs[side].append(run_section(name, packages[side], quick))
+            except SectionFailedError as error:
+                failed[side] = str(error)
+    _tell("")
+    whole = {side: some for side, some in runs.items() if side not in failed}
+    details = whole["after"][-1] if whole.get("after") else {}
+    return {
+        "title": SECTIONS[name].title,
+        "seconds": time.perf_counter() - start,
+        "failed": failed,
+        "figures": summary(whole),
+        "details": details,
+    }
+
+
+def _tell(what: str) -> None:
+    """Show progress on a terminal, on a line that the next replaces."""
+    if sys.stderr.isatty():
+        print(f"\r{what:<79}", end="\r", file=sys.stderr, flush=True)
+
+
+@contextmanager
+def package_of(revision: str | None) -> Iterator[dict[str, Path]]:
+    """Unpack a revision in a folder of its own; yield the folder of each side, without "before" if it is not here."""
+    with tempfile.TemporaryDirectory() as folder:
+        sides: dict[str, Path] = {}
+        if revision is not None:
+            done = subprocess.run(["git", "archive", revision], cwd=ROOT, capture_output=True, check=False)
+            if done.returncode == 0:
+                with tarfile.open(fileobj=io.BytesIO(done.stdout)) as archive:
+                    archive.extractall(folder, filter="data")
+                sides["before"] = Path(folder).resolve()
+            else:
+                print(f"revision {revision} is not here: nothing to compare with")
+        yield sides | {"after": ROOT}
+
+
+def add_options(parser: Parser) -> None:
+    """Add the options of the script."""
+    there = [name for name in SECTIONS if importlib.util.find_spec(name)]
+    parser.add_argument("--before", metavar="REV", help="revision to compare with; none by default")
+    parser.add_argument(
+        "--only", nargs="+", choices=there, default=there, metavar="SECTION", help=f"some of {', '.join(there)}"
+    )
+    parser.add_argument("--repeats", type=int, default=REPEATS, metavar="N", help=f"runs of each ({REPEATS})")
+    parser.add_argument("--tables", type=Path, metavar="FILE", help="print the tables of the documentation from a file")
+
+
+def main() -> int:
+    """Measure, print, write and draw; return 1 if a section failed."""
+    options = script_options(__doc__, "little work, for a test", add_options)
+    try:
+        number("repeats", options.repeats, at_least=1)
+        if options.tables is not None:
+            print(bench_tables.markdown(json.loads(options.tables.read_text(encoding="utf-8"))))
+            return 0
+    except (ParameterError, OSError, ValueError, KeyError) as error:
+        print(
+            f"bench.py: {error if options.tables is None else f'tables must be a bench.json: {error}'}", file=sys.stderr
+        )
+        return 2
+    found: dict[str, Any] = {
+        "before": options.before,
+        "versions": versions(),
+        "machine": bench_tables.machine(),
+        "quick": options.quick,
+        "repeats": options.repeats,
+        "sections": {},
+    }
+    print(bench_tables.heading(found))
+    with package_of(options.before) as packages:
+        for name in options.only:
+            section = SECTIONS[name]
+            sides = packages if section.compared else {"after": packages["after"]}
+            repeats = min(options.repeats, section.repeats or options.repeats)
+            found["sections"][name] = measured(name, sides, repeats, options.quick)
+            print(bench_tables.terminal(name, found["sections"][name]), flush=True)
+    print(bench_tables.times(found["sections"]))
+    path = options.pictures.path("bench", "json")
+    path.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    for written in [path, *pictures_of_speed.draw(options.pictures, found["sections"])]:
+        print(f"wrote {written}")
+    return int(any(section["failed"] for section in found["sections"].values()))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

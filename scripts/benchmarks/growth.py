@@ -1,0 +1,269 @@
+"""Cost against what grows: devices at once, the sample rate, cells of a sweep and the workers that share them.
+
+`measure` is a section of bench.py. An estimate for many workers is worked out from what one and two show; its
+assumptions stand in `ASSUMED`.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import wait
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from loop import drop_controller, timed
+from maglev_mj import Controller, Hold, Timing, Wall, drive
+from maglev_mj.plants import ExactPlant, MuJoCoBatchPlant, MuJoCoPlant, SampledPlant
+from maglev_mj.plots import Panel, PictureFolder, small_multiples
+from maglev_mj.scenes.find import find_scene
+from maglev_mj.spec import INERTIA, Spec
+from maglev_mj.studies.sweep import sweep
+from maglev_mj.workers import Workers, dask_workers, inline, local_workers
+
+__all__ = ["ASSUMED", "draw", "estimate", "measure"]
+
+MANY = 100
+CELLS = 100_000
+JOBS_EACH = 32  # jobs a worker of a cluster gets in a sweep, each of at most `MOST_TOGETHER` cells; see studies.sweep
+MOST_TOGETHER = 50
+ASSUMED = (
+    "each worker has a core of its own, as fast as one of these two when both work",
+    "they are slowed down by one another no more than these two are",
+    "the scheduler has a core of its own, and hands out as many empty jobs a second as here, over the loopback",
+    "starting a hundred workers takes as long as starting two: they are started at once, each on its machine",
+    "results are figures of some hundred bytes a cell, so that the network adds nothing",
+)
+"""What the estimate for many workers takes for granted."""
+
+_POSE = [0.5e-3, -0.3e-3, Spec.translation_range.value, 0.0, 0.0, 0.0]
+_TICKS = 60  # of a run: the flotor falls, hits the wall and rests in it
+_SPENT = 1.5  # on the repeats of a run [s]
+
+
+def plants() -> dict[str, tuple[Callable[..., SampledPlant], Callable[..., SampledPlant], int]]:
+    """Return plants for one device and for many, each with the most devices that are measured."""
+    single, batch = partial(MuJoCoPlant, coils=False), partial(MuJoCoBatchPlant, coils=False)
+    euler = {"integrator": "corrected"}
+    return {
+        "exact plant": (ExactPlant, ExactPlant, 1_000_000),
+        "corrected, MuJoCo": (partial(single, **euler), partial(batch, **euler), 10_000),
+        "RK4, MuJoCo": (single, batch, 10_000),
+    }
+
+
+def tick_cost(make: Callable[..., SampledPlant], devices: int) -> float:
+    """Return the cost of a tick of the drop's closed loop, for each device [s]: the least of some runs."""
+    pose = np.tile(_POSE, (devices, 1)) if devices > 1 else _POSE
+
+    def run() -> float:
+        plant, controller = make(Timing(), pose=pose), drop_controller()
+        return timed(lambda: drive(plant, controller, _TICKS)) / _TICKS / devices
+
+    first = run()
+    more = min(int(_SPENT / (first * devices * _TICKS)), 4)
+    return min([first, *(run() for _ in range(more))])
+
+
+def against_devices(quick: bool) -> dict[str, dict[int, float]]:
+    """Return the cost of a tick and device [µs] by plant and number of devices."""
+    counts = [1, 10, 100, 1000, 5000, 10_000, 20_000, 50_000, 100_000, 1_000_000]
+    counts = counts[:3] if quick else counts
+    return {
+        name: {count: 1e6 * tick_cost(one if count == 1 else batch, count) for count in counts if count <= most}
+        for name, (one, batch, most) in plants().items()
+    }
+
+
+def slow_from(costs: Mapping[int, float], factor: float = 1.25) -> int | None:
+    """Return the first number of devices, beyond the cheapest, that costs `factor` times as much; None for none."""
+    cheapest = min(costs, key=lambda count: costs[count])
+    return next(
+        (count for count in sorted(costs) if count > cheapest and costs[count] > factor * costs[cheapest]), None
+    )
+
+
+def against_rate(quick: bool) -> dict[str, dict[int, float]]:
+    """Return simulated seconds a second, by plant and samples a second; the delay is three tenths of the period."""
+    makers: dict[str, Callable[..., SampledPlant]] = {
+        "exact plant": ExactPlant,
+        "corrected, MuJoCo": partial(MuJoCoPlant, integrator="corrected", coils=False),
+        "RK4, MuJoCo, coils": MuJoCoPlant,
+    }
+    ticks, found = 40 if quick else 2000, {}
+    for name, make in makers.items():
+        found[name] = {
+            rate: ticks / rate / min(_rate_run(make, 1.0 / rate, ticks) for _ in range(3))
+            for rate in ((200, 20_000) if quick else (200, 500, 1000, 2000, 5000, 10_000, 20_000))
+        }
+    return found
+
+
+def _rate_run(make: Callable[..., SampledPlant], period: float, ticks: int) -> float:
+    """Return how long a flotor held at the centre takes [s]."""
+    delay = 0.3 * period
+    laws = (
+        Wall(axes="z", lower=-1e-3, stiffness=6000, damping=20),
+        Hold.critically_damped(inertia=INERTIA, period=period, delay=delay),
+    )
+    plant = make(Timing(period=period, delay=delay), pose=[1e-4, 0.0, 0.0, 0.0, 0.0, 0.0])
+    return timed(lambda: drive(plant, Controller(list(laws), period=period), ticks))
+
+
+def sweep_time(workers: Workers, cells: int) -> float:
+    """Return how long a sweep of the drop in the engine takes [s], the workers' start with it."""
+    vary = {"stiffness": np.linspace(1000.0, 6000.0, cells // 4).tolist(), "damping": [60.0, 70.0, 80.0, 90.0]}
+    return timed(lambda: sweep(find_scene("drop"), vary, plant="mujoco", workers=workers))
+
+
+def jobs_a_second(workers: Workers, count: int) -> float:
+    """Return how many empty jobs are handed out a second, by workers that have started."""
+    with workers.make() as executor:
+        wait([executor.submit(time.sleep, 0.0) for _ in range(8)])
+        taken = timed(lambda: wait([executor.submit(time.sleep, 0.0) for _ in range(count)]))
+    return count / taken
+
+
+@contextmanager
+def cluster(count: int) -> Iterator[Workers]:
+    """Start a Dask cluster of this machine, of processes with a thread each; yield its workers."""
+    from distributed import LocalCluster
+
+    with LocalCluster(n_workers=count, threads_per_worker=1, dashboard_address=None) as scheduler:
+        yield dask_workers(scheduler.scheduler_address)
+
+
+def against_cells(workers: Workers, few: int, many: int) -> dict[str, float]:
+    """Return start [s] and rate [cells/s] of workers, from sweeps of few and of many cells."""
+    short, long = min(sweep_time(workers, few) for _ in range(2)), sweep_time(workers, many)
+    rate = (many - few) / max(long - short, 1e-9)
+    return {"cells a second": rate, "start (s)": max(short - few / rate, 0.0)}
+
+
+def against_workers(quick: bool) -> dict[str, Any]:
+    """Return start, rate and jobs a second of each kind of worker."""
+    few, many, jobs = (4, 24, 20) if quick else (40, 440, 1000)
+    kinds = {"this process": inline(), "1 worker": local_workers(1), "2 workers": local_workers(2)}
+    found: dict[str, Any] = {name: against_cells(workers, few, many) for name, workers in kinds.items()}
+    if quick:  # a cluster takes seconds to start
+        return found
+    found["2 workers"]["empty jobs a second"] = jobs_a_second(kinds["2 workers"], jobs)
+    start = time.perf_counter()
+    try:
+        with cluster(2) as workers:
+            found["Dask, 2 workers"] = {"start of the cluster (s)": time.perf_counter() - start}
+            found["Dask, 2 workers"] |= against_cells(workers, few, many)
+            found["Dask, 2 workers"]["empty jobs a second"] = jobs_a_second(workers, jobs)
+    except ImportError:
+        found["missing"] = "distributed is not installed: no Dask cluster"
+    return found
+
+
+def estimate(found: Mapping[str, Any], workers: int = MANY, cells: int = CELLS) -> dict[str, Any]:
+    """Return what a cluster of many workers should do, from what one and two do here; see `ASSUMED`.
+
+    Args:
+        found: See `against_workers`.
+        workers: How many.
+        cells: Of the sweep.
+    """
+    one, two = found["1 worker"]["cells a second"], found["2 workers"]["cells a second"]
+    dask = found.get("Dask, 2 workers", found["2 workers"])
+    each = min(one, 0.5 * dask["cells a second"], 0.5 * two)
+    together = min(max(cells // (JOBS_EACH * workers), 1), MOST_TOGETHER)
+    by_workers = workers * each
+    by_scheduler = together * dask.get("empty jobs a second", by_workers)
+    rate = min(by_workers, by_scheduler)
+    start = dask.get("start of the cluster (s)", 0.0) + dask["start (s)"]
+    return {
+        "workers": workers,
+        "cells": cells,
+        "cells a second and worker": each,
+        "cells a second, by the workers": by_workers,
+        "cells a second, by the scheduler": by_scheduler,
+        "cells a second": rate,
+        "seconds": start + cells / rate,
+        "most workers that the scheduler feeds": by_scheduler / each,
+    }
+
+
+def caches() -> dict[str, str]:
+    """Return the sizes of the first processor's caches, as Linux tells them."""
+    folders = sorted(Path("/sys/devices/system/cpu/cpu0/cache").glob("index*"))
+    return {
+        f"L{(folder / 'level').read_text().strip()} {(folder / 'type').read_text().strip()}": (folder / "size")
+        .read_text()
+        .strip()
+        for folder in folders
+    }
+
+
+def measure(quick: bool) -> dict[str, Any]:
+    """Return costs against devices, rate and workers, and the estimate for many workers.
+
+    Args:
+        quick: Little of each, without a cluster.
+    """
+    devices, workers = against_devices(quick), against_workers(quick)
+    return {
+        "µs a tick and device": devices,
+        "simulated seconds a second": against_rate(quick),
+        "workers": workers,
+        "estimate": estimate(workers),
+        "assumed": list(ASSUMED),
+        "a device costs a quarter more from": {name: slow_from(costs) for name, costs in devices.items()},
+        "caches": caches(),
+    }
+
+
+def _curves(table: Mapping[str, Mapping[Any, float]]) -> list[tuple[str, list[float], list[float]]]:
+    """Return curves of a table, whose keys have become text where it was read from JSON."""
+    return [(name, [float(key) for key in values], list(values.values())) for name, values in table.items()]
+
+
+def draw(pictures: PictureFolder, found: Mapping[str, Any]) -> list[Path]:
+    """Draw the growth; return the file."""
+    workers = {name: row for name, row in found["workers"].items() if isinstance(row, Mapping)}
+    counts, cells = [1, 2, 5, 10, 20, 50, 100], np.geomspace(1.0, 1e6, 25)
+    guesses = {count: estimate(workers, count) for count in counts}
+    rates = [("processes", [1, 2], [workers[name]["cells a second"] for name in ("1 worker", "2 workers")])]
+    if "Dask, 2 workers" in workers:
+        rates.append(("Dask", [2], [workers["Dask, 2 workers"]["cells a second"]]))
+    rates.append(("estimate, Dask", counts, [guesses[count]["cells a second"] for count in counts]))
+    taken = [(name, cells, row["start (s)"] + cells / row["cells a second"]) for name, row in workers.items()]
+    taken.append((f"estimate, {MANY}", cells, [estimate(workers, MANY, int(count))["seconds"] for count in cells]))
+    panels = [
+        Panel(
+            title="a tick of many devices in one process",
+            labels=("devices at once", "µs a tick and device"),
+            curves=_curves(found["µs a tick and device"]),
+            log="xy",
+            marked=True,
+        ),
+        Panel(
+            title="one device, faster samples",
+            labels=("samples a second", "simulated seconds a second"),
+            curves=_curves(found["simulated seconds a second"]),
+            log="xy",
+            marked=True,
+            level=1.0,
+        ),
+        Panel(
+            title="a sweep in the engine, over its workers",
+            labels=("workers", "cells a second"),
+            curves=rates,
+            log="xy",
+            marked=True,
+        ),
+        Panel(
+            title="the same with its start, over its cells",
+            labels=("cells", "seconds"),
+            curves=taken,
+            log="xy",
+        ),
+    ]
+    return [small_multiples(panels, pictures.path("speed_growth"))]

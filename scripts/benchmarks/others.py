@@ -1,0 +1,106 @@
+"""The drop with this package and with what a user would take instead: the best way of each within a nanometre.
+
+`measure` is a section of bench.py. Every way runs in turn, so that costs are compared pair by pair.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from loop import timed
+from maglev_mj import ExactPlant, MuJoCoPlant, Timing, drive
+from maglev_mj.studies.batches import wall_controller
+from maglev_mj.studies.levels import apart
+from peers import Task, available
+
+__all__ = ["OURS", "THEIRS", "measure"]
+
+OURS: dict[str, Callable[..., Any]] = {
+    "this package, corrected": partial(MuJoCoPlant, integrator="corrected", coils=False),
+    "this package, RK4": partial(MuJoCoPlant, coils=False),
+    "this package, exact plant": ExactPlant,
+}
+"""Plants by what a table calls them; costs are compared with the first."""
+
+THEIRS = {
+    "MuJoCo by hand, half-kick": ("mujoco", "split, Euler, half-kick, slides and ball"),
+    "MuJoCo by hand, RK4": ("mujoco", "split, RK4, slides and ball"),
+    "python-control, sampled matrices": ("control", "ss, sampled for each length, A x + B u"),
+    "PyBullet, force as gravity": ("pybullet", "step a segment, corrected, force as gravity"),
+    "Pinocchio, mean velocity": ("pinocchio", "slides and ball, step a segment, mean velocity"),
+    "Drake, scripted": ("drake", "scripted, RK2"),
+    "SciPy, ode dopri5": ("scipy", "ode a segment, dopri5, one step"),
+    "Drake, LeafSystem": ("drake", "LeafSystem, RK2"),
+    "SciPy, solve_ivp": ("scipy", "solve_ivp a segment, RK45, default tolerances"),
+    "python-control, response": ("control", "nlsys a segment, RK23, one step"),
+    "bdsim": ("bdsim", "block diagram, RK23, coarse"),
+}
+"""Peer and variant by what a table calls them."""
+
+_TURNS, _DEAR_TURNS, _RUNS, _DEAR = 15, 3, 4, 0.01
+
+
+def our_run(make: Callable[..., Any], task: Task) -> Callable[[], list[Any]]:
+    """Return the closed loop of a new plant, ready to run once: it returns the poses, as a peer does."""
+    plant = make(Timing(period=task.period, delay=task.delay), pose=task.pose)
+    gains: dict[str, Any] = {name: getattr(task, name) for name in ("stiffness", "damping", "pulse", "pulse_width")}
+    controller = wall_controller(**gains, period=task.period, delay=task.delay, mass=task.mass)
+    poses: list[Any] = []
+
+    def run() -> list[Any]:
+        last = drive(plant, controller, task.ticks, observe=lambda sample, _: poses.append(sample.position))
+        return [*poses, last.position]
+
+    return run
+
+
+def prepared(task: Task) -> tuple[dict[str, Callable[[], Callable[[], Any]]], list[str]]:
+    """Return what makes each run ready, by what a table calls it, and a line for each peer that is not installed."""
+    ways: dict[str, Callable[[], Callable[[], Any]]] = {
+        name: partial(our_run, make, task) for name, make in OURS.items()
+    }
+    variants, missing = available()
+    built = {(variant.peer, variant.name): variant.build for variant in variants}
+    installed = {peer for peer, _ in built}
+    for name, (peer, variant) in THEIRS.items():
+        if peer in installed:
+            simulate = built[peer, variant](task)
+            ways[name] = partial(_itself, simulate)
+    return ways, missing
+
+
+def _itself(simulate: Callable[[], Any]) -> Callable[[], Any]:
+    """Return a peer's run: it begins anew by itself."""
+    return simulate
+
+
+def measure(quick: bool) -> dict[str, Any]:
+    """Return costs [µs a simulated ms], those over the first of OURS, and errors [m].
+
+    Args:
+        quick: Few turns, for a test.
+    """
+    task = Task()
+    ways, missing = prepared(task)
+    truth = np.array(our_run(ExactPlant, task)())
+    errors = {name: float(apart(np.array(prepare()()), truth)) for name, prepare in ways.items()}
+    costs: dict[str, list[float]] = {name: [] for name in ways}
+    for turn in range(3 if quick else _TURNS):
+        for name, prepare in ways.items():
+            dear = bool(costs[name]) and costs[name][0] * task.duration > _DEAR
+            if turn >= _DEAR_TURNS and dear:
+                costs[name].append(math.nan)
+            else:  # the least of several, as the way before has left the processor's caches cold
+                costs[name].append(min(timed(prepare()) for _ in range(1 if dear else _RUNS)) / task.duration)
+    first = np.array(next(iter(costs.values())))
+    return {
+        "µs a simulated ms": {name: float(np.nanmedian(values)) * 1e3 for name, values in costs.items()},
+        "over corrected": {name: float(np.nanmedian(np.array(values) / first)) for name, values in costs.items()},
+        "error (m)": errors,
+        "missing": missing,
+    }

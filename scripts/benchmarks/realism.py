@@ -1,0 +1,128 @@
+"""What each piece of realism costs and changes in the drop: no more than a scene needs, in one picture.
+
+Each piece is added alone to the plain loop of its plant. `measure` is a section of bench.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from loop import timed
+from maglev_mj import drive
+from maglev_mj.colours import DEVICE, HAND, REFERENCE
+from maglev_mj.controller import Controller
+from maglev_mj.hand import hand_called
+from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant, Sensor, SpotSensor
+from maglev_mj.plots import PictureFolder
+from maglev_mj.plots.drawing import TITLE, new_figure, save
+from maglev_mj.scenes.drop import Drop
+from maglev_mj.spec import RESOLUTION, Spec
+from maglev_mj.studies.levels import apart, motion_of
+
+__all__ = ["PIECES", "draw", "measure"]
+
+EXACT, ENGINE = "exact plant", "engine, RK4"
+_TURNS, _RUNS, _DEAR = 9, 3, 0.05
+_NOTHING = 1e-3  # a smaller change is drawn here [µm]
+
+
+class Piece(NamedTuple):
+    """A piece of realism: the plant that it is added to, its options there, and jitter of the conversions [s]."""
+
+    plant: str
+    options: Mapping[str, Any]
+    jitter: float = 0.0
+
+
+_LIMIT = [np.inf, np.inf, Spec.largest_vertical_force.value, np.inf, np.inf, np.inf]
+PIECES = {
+    "sensor: 5 µm, 10 µrad": Piece(EXACT, {"sensor": Sensor(quantum=RESOLUTION)}),
+    "sensor with noise as large": Piece(EXACT, {"sensor": Sensor(quantum=RESOLUTION, noise=RESOLUTION)}),
+    "conversions ±0.1 ms": Piece(EXACT, {}, 1e-4),
+    "force limit": Piece(EXACT, {"wrench_limit": _LIMIT}),
+    "drivers of 2 kHz": Piece(EXACT, {"driver_lag": True}),
+    "an arm's hand": Piece(EXACT, {"hand": hand_called("arm")}),
+    "dry friction of 0.1 N": Piece(EXACT, {"dry_friction": [0.1, 0.1, 0.1, 0.0, 0.0, 0.0]}),
+    "six coils that turn": Piece(ENGINE, {"coils": True}),
+    "six coils, 10 A each": Piece(ENGINE, {"coils": True, "current_limit": Spec.peak_current.value}),
+    "force falls off by a tenth": Piece(ENGINE, {"coils": True, "force_falloff": 0.1}),
+    "LEDs and diodes": Piece(ENGINE, {"sensor": SpotSensor(quantum=Spec.spot_resolution.value)}),
+    "metal stops": Piece(ENGINE, {"stops": True}),
+    "drivers of 2 kHz in the engine": Piece(ENGINE, {"driver_lag": True, "coils": True}),
+    "a handle that swings": Piece(ENGINE, {"flexible": True, "coils": True}),
+}
+"""Pieces by what a chart calls them."""
+
+_MAKERS: dict[str, Callable[..., SampledPlant]] = {EXACT: ExactPlant, ENGINE: partial(MuJoCoPlant, coils=False)}
+
+
+def parts(piece: Piece) -> tuple[SampledPlant, Controller, int]:
+    """Return plant, controller and number of samples of a drop with a piece."""
+    scene = Drop()
+    timing = replace(scene.timing(), jitter=piece.jitter)
+    options = dict(piece.options)
+    held = {"hand": options.pop("hand")} if "hand" in options else {}  # a scene's own hand is one that pushes
+    plant = scene.plant(partial(_MAKERS[piece.plant], **held), timing=timing, **options)
+    return plant, scene.controller(), scene.ticks(timing)
+
+
+def cost(piece: Piece, runs: int) -> float:
+    """Return how long a drop takes [s]: the least of some runs, of one where it is dear."""
+    first = timed(partial(drive, *parts(piece)))
+    return first if first > _DEAR else min(first, *(timed(partial(drive, *parts(piece))) for _ in range(runs - 1)))
+
+
+def measure(quick: bool) -> dict[str, Any]:
+    """Return of each piece the cost over that of the plain loop, the cost [µs a simulated ms] and the change [µm].
+
+    Args:
+        quick: One turn of two runs, for a test.
+    """
+    plain = {kind: Piece(kind, {}) for kind in _MAKERS}
+    truth = {kind: motion_of(*parts(piece)).pose for kind, piece in plain.items()}
+    moved = {name: apart(motion_of(*parts(piece)).pose, truth[piece.plant]) for name, piece in PIECES.items()}
+    taken: dict[str, list[float]] = {name: [] for name in (*plain, *PIECES)}
+    for _ in range(1 if quick else _TURNS):
+        for name, piece in {**plain, **PIECES}.items():
+            taken[name].append(cost(piece, 2 if quick else _RUNS))
+    ratios = {name: float(np.median(np.divide(taken[name], taken[PIECES[name].plant]))) for name in PIECES}
+    simulated = parts(plain[EXACT])[2] * Drop().period
+    return {
+        "cost over plain": ratios,
+        "µs a simulated ms": {name: float(np.median(values)) / simulated * 1e3 for name, values in taken.items()},
+        "change (µm)": {name: 1e6 * float(change) for name, change in moved.items()},
+    }
+
+
+def draw(pictures: PictureFolder, found: Mapping[str, Any]) -> list[Path]:
+    """Draw cost beside change, a row for each piece, the cheapest on top; return the file."""
+    costs, changes = found["cost over plain"], found["change (µm)"]
+    names = sorted(costs, key=lambda name: -costs[name])
+    figure, axes = new_figure(1, 2, 0.24 * len(names) + 1.0, sharey=True)
+    kinds = {EXACT: ("o", HAND), ENGINE: ("s", DEVICE)}
+    titles = "cost, times the plain loop", "greatest displacement of a coil by it (µm)"
+    columns = costs, {name: max(value, _NOTHING) for name, value in changes.items()}
+    for axis, title, values in zip(axes, titles, columns, strict=True):
+        for row, name in enumerate(names):
+            marker, colour = kinds[PIECES[name].plant]
+            axis.plot(values[name], row, marker=marker, color=colour, markersize=7.0)
+            words = {"xytext": (8, 0), "textcoords": "offset points", "va": "center", "fontsize": 9.0}
+            told = "none" if values[name] == _NOTHING else f"{float(f'{values[name]:.2g}'):g}"
+            axis.annotate(told, (values[name], row), color=REFERENCE, **words)
+        axis.set_xscale("log")
+        low, high = axis.get_xlim()
+        axis.set_xlim(min(low, 0.9), 8.0 * high)
+        axis.minorticks_off()
+        axis.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+        axis.set_title(title, **TITLE)
+        axis.set_yticks(range(len(names)), names)
+    for kind, (marker, colour) in kinds.items():
+        axes[0].plot([], [], marker=marker, color=colour, linestyle="none", label=f"added to the {kind}")
+    figure.legend(loc="outside lower center", ncols=2, frameon=False, fontsize=9.0)
+    return [save(figure, pictures.path("speed_options"))]

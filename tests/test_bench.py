@@ -1,0 +1,133 @@
+"""The runner of the benchmarks: sections, ratios pair by pair, tables, pictures from its figures."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import bench
+import bench_tables
+import growth
+import others
+import realism
+from maglev_mj.plots import PictureFolder
+from peers import available
+from tests.test_charts import complaints
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+def section(runs: dict[str, list[dict[str, Any]]], **keywords: Any) -> dict[str, Any]:
+    return {
+        "title": "a section",
+        "seconds": 3.0,
+        "failed": {},
+        "figures": bench.summary(runs),
+        "details": {},
+        **keywords,
+    }
+
+
+def test_numbers_are_named_by_where_they_stand_and_nothing_else_is_a_number() -> None:
+    figures = {"a": {"b": 1, "c": {1000: 2.5}}, "words": "no", "flag": True, "list": [1.0], "d": 3.0}
+    assert bench.flat(figures) == {"a: b": 1.0, "a: c: 1000": 2.5, "d": 3.0}
+
+
+def test_ratios_are_formed_pair_by_pair() -> None:
+    runs = {"before": [{"x": 1.0}, {"x": 2.0}, {"x": 8.0}], "after": [{"x": 2.0}, {"x": 2.0}, {"x": 2.0, "new": 1.0}]}
+    found = bench.summary(runs)
+    assert found["x"]["before"] == {"median": 2.0, "least": 1.0, "greatest": 8.0, "runs": [1.0, 2.0, 8.0]}
+    assert found["x"]["ratio"]["runs"] == [2.0, 1.0, 0.25] and found["x"]["ratio"]["median"] == 1.0
+    assert list(found["new"]) == ["after"]
+    # no ratio over nothing, nor of runs that are not pairs
+    assert "ratio" not in bench.summary({"before": [{"x": 0.0}], "after": [{"x": 1.0}]})["x"]
+    assert "ratio" not in bench.summary({"before": [{"x": 1.0}], "after": [{"x": 1.0}, {"x": 1.0}]})["x"]
+
+
+def test_a_table_for_a_terminal_keeps_to_80_columns_and_says_what_failed() -> None:
+    long = "a name that does not fit into the first column"
+    one = {"group": {"x": 123456.0, long: 1.234e-18}}, {"group": {"x": 0.0123456, long: 5.678e-18}}
+    told = bench_tables.terminal("name", section({"before": list(one), "after": list(one)}, failed={"after": "why"}))
+    assert max(map(len, told.splitlines())) <= 80
+    assert "after: why" in told and " group" in told.splitlines() and f"  {long}" in told.splitlines()
+    missing = section({"after": [{"x": 1.0}]}, details={"missing": ["drake is not installed"]})
+    assert bench_tables.terminal("name", missing).splitlines()[-1] == "  drake is not installed"
+
+
+def test_tables_of_the_documentation_have_every_number_with_its_range() -> None:
+    pair = {"before": [{"x": 2.0}, {"x": 2.0}], "after": [{"x": 1.0}, {"x": 3.0}]}
+    sides = {
+        "after": [{"cost": {"a": 1.0, "b": 2.0}, "error": {"a": 0.0}}, {"cost": {"a": 3.0, "b": 2.0}, "error": {}}]
+    }
+    lines = bench_tables.compared_table(bench.summary(pair))
+    assert lines[2:] == ["| x | 2 | 2 | 1 to 3 | 1 | 0.5 to 1.5 |"]
+    assert bench_tables.side_by_side(bench.summary(sides))[2:] == ["| a | 2 (1 to 3) | 0 |", "| b | 2 |  |"]
+    apart = bench_tables.side_by_side(bench.summary({"after": [{"one": {"a": 1.0}, "other": {"b": 2.0}}]}))
+    assert apart[2:] == ["| *one* | |", "| a | 1 |", "| *other* | |", "| b | 2 |"]
+
+
+def test_the_table_of_options_has_a_column_for_each_plant() -> None:
+    one = {"exact plant": {"over plain": {"plain": 1.0, "jitter": 3.0}}, "RK4": {"over plain": {"jitter": 2.0}}}
+    other = {"exact plant": {"over plain": {"plain": 1.0, "jitter": 1.2}, "µs": {"jitter": 4.0}}}
+    lines = bench_tables.options_table(bench.summary({"before": [one], "after": [other]}))
+    assert lines == ["| | exact plant |", "|---|---|", "| jitter | 3 → 1.2 |"]
+
+
+def test_a_section_that_fails_is_named_with_its_error(tmp_path: Path) -> None:
+    with pytest.raises(bench.SectionFailedError, match="no_such_section failed: ModuleNotFoundError"):
+        bench.run_section("no_such_section", ROOT, quick=True)
+    with pytest.raises(bench.SectionFailedError, match="not the package in"):  # what is measured is what was asked for
+        bench.run_section("others", tmp_path, quick=True)
+
+
+def test_every_peer_of_the_table_is_a_variant_of_the_chart() -> None:
+    variants, missing = available()
+    known = {(variant.peer, variant.name) for variant in variants}
+    installed = {peer for peer, _ in known}
+    assert {way for way in others.THEIRS.values() if way[0] in installed} <= known
+    assert len(installed) + len(missing) == len({peer for peer, _ in others.THEIRS.values()})
+
+
+def test_an_estimate_is_bounded_by_the_workers_and_by_what_hands_out() -> None:
+    row = {"start (s)": 0.5, "cells a second": 100.0}
+    found = {"1 worker": row, "2 workers": {**row, "cells a second": 160.0}}
+    found["Dask, 2 workers"] = {**row, "cells a second": 180.0, "empty jobs a second": 500.0}
+    few, many = growth.estimate(found, 100, 3200), growth.estimate(found, 100, 100_000)
+    # the slowest of a worker alone, half of two, half of two on the cluster
+    assert few["cells a second and worker"] == 80.0
+    assert few["cells a second"] == 500.0  # a cell a job
+    assert many["cells a second"] == 8000.0 and many["cells a second, by the scheduler"] == 31 * 500.0
+    assert many["seconds"] == pytest.approx(0.5 + 100_000 / 8000.0)
+
+
+def test_devices_are_dear_again_beyond_the_cheapest() -> None:
+    assert growth.slow_from({1: 9.0, 10: 1.0, 100: 1.2, 1000: 1.3}) == 1000
+    assert growth.slow_from({1: 9.0, 10: 1.0, 100: 1.2}) is None
+
+
+def test_pictures_are_drawn_from_the_figures_and_can_be_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("matplotlib")
+    from matplotlib.figure import Figure
+
+    drawn: list[Any] = []
+    monkeypatch.setattr(Figure, "savefig", lambda figure, *_, **__: drawn.append(figure))
+    row = {"start (s)": 0.5, "cells a second": 100.0}
+    figures = {
+        "µs a tick and device": {"exact plant": {1: 4.0, 1000: 0.03, 1_000_000: 0.02}},
+        "simulated seconds a second": {"exact plant": {200: 1400.0, 20_000: 14.0}},
+        "workers": {"this process": row, "1 worker": row, "2 workers": row, "missing": "no Dask cluster"},
+    }
+    pieces = {
+        "cost over plain": {name: 300.0 / 1.5**index for index, name in enumerate(realism.PIECES)},
+        "change (µm)": {name: 1e-4 * 3.0**index for index, name in enumerate(realism.PIECES)},
+    }
+    pictures = PictureFolder(tmp_path)
+    growth.draw(pictures, json.loads(json.dumps(figures)))  # as read from the file: keys are text
+    realism.draw(pictures, pieces)
+    assert [complaints(figure) for figure in drawn] == [[], []]
+    assert [label.get_text() for label in drawn[1].axes[0].get_yticklabels()] == list(
+        realism.PIECES
+    )  # the cheapest on top
