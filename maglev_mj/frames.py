@@ -104,7 +104,7 @@ def clipped(value: Component, limit: Component) -> Component:
     """Return a component no further from zero than its limit."""
     if value.__class__ is float and limit.__class__ is float:
         return min(max(value, -limit), limit)
-    return np.minimum(np.maximum(value, -limit), limit)
+    return np.clip(value, -limit, limit)
 
 
 def join(parts: Sequence[Component]) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,11 +21,13 @@ class TraceRecorder:
 
     Args:
         time: Turns a tick and an offset [s] from it into seconds.
-        arrays: Turns a state, in whatever form it is kept, into pose, twist and wrench, (..., 6) each.
+        arrays: Turns K states, in whatever form they are kept, into pose, twist and wrench, (K, ..., 6) each.
     """
 
     def __init__(
-        self, time: Callable[[int, Component], Any], arrays: Callable[[Any], tuple[Array, Array, Array]]
+        self,
+        time: Callable[[int, Component], Any],
+        arrays: Callable[[Sequence[Any]], tuple[Array, Array, Array]],
     ) -> None:
         self._time, self._arrays = time, arrays
         self._rows: list[tuple[int, Component, Any]] = []
@@ -36,10 +38,12 @@ class TraceRecorder:
 
     def finish(self, tick: int, state: Any) -> Trace:
         """Return everything kept so far, closed by the state at sample `tick`."""
-        rows = [*self._rows, (tick, 0.0, state)]
-        pose, twist, wrench = (np.stack(part) for part in zip(*(self._arrays(row[2]) for row in rows)))
-        times = [np.broadcast_to(self._time(*row[:2]), pose.shape[1:-1]) for row in rows]
-        return Trace(np.stack(times), pose, twist, wrench)
+        ticks, offsets, states = zip(*self._rows, (tick, 0.0, state))
+        pose, twist, wrench = self._arrays(states)
+        time = np.empty(pose.shape[:-1])
+        for row, when in enumerate(map(self._time, ticks, offsets)):
+            time[row] = when
+        return Trace(time, pose, twist, wrench)
 
 
 @dataclass(frozen=True, eq=False)

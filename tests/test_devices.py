@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 import pickle
 from functools import partial
 from pathlib import Path
@@ -242,6 +243,44 @@ def test_a_device_from_a_file_obeys_its_own_numbers(tmp_path: Path) -> None:
     carrying = MuJoCoPlant(Timing(delay=0.0), model=path)
     falls(carrying, 1.0 * GRAVITY)
     np.testing.assert_allclose(carrying.currents[:3], 1.0 * GRAVITY / 3.0 / 2.5, rtol=1e-9)
+
+
+def falls_in(spec: mujoco.MjSpec) -> float:
+    """Return where a flotor of a device is after 20 ms of falling."""
+    plant = MuJoCoPlant(Timing(delay=0.0), model=spec, mass=1.0, longest_step=1e-4)
+    for _ in range(5):
+        height = plant.read().position[2]
+        plant.write(Command([0.0] * 6))
+    return float(height)
+
+
+def test_springs_dampers_and_fluids_of_a_model_act() -> None:
+    time, spring, damper = 0.02, 900.0, 30.0  # of 1 kg
+    free = -0.5 * GRAVITY * time**2
+    assert falls_in(mujoco.MjSpec.from_file(str(model_path("drop")))) == pytest.approx(free, rel=1e-9)
+    sprung = -GRAVITY / spring * (1.0 - math.cos(math.sqrt(spring) * time))
+    damped = -GRAVITY / damper * (time - (1.0 - math.exp(-damper * time)) / damper)
+    for kind in ("joint", "tendon"):
+        for what, value, place in (("stiffness", spring, sprung), ("damping", damper, damped)):
+            for power in range(2):
+                spec = mujoco.MjSpec.from_file(str(model_path("drop")))
+                one = spec.joint("z") if kind == "joint" else spec.add_tendon()
+                if kind == "tendon":
+                    one.wrap_joint("z", 1.0)
+                    one.springlength = [0.0, 0.0]
+                getattr(one, what)[power] = value / 1e-3**power
+                found = falls_in(spec)
+                if power:
+                    assert abs(found / free - 1.0) > 1e-3, (kind, what)
+                else:
+                    assert found == pytest.approx(place, rel=1e-6), (kind, what)
+    for option, value in (("density", 1e4), ("viscosity", 10.0)):
+        spec = mujoco.MjSpec.from_file(str(model_path("drop")))
+        setattr(spec.option, option, value)
+        assert falls_in(spec) > 0.999 * free, option
+    spec = mujoco.MjSpec.from_file(str(model_path("drop")))
+    spec.body("flotor").gravcomp = 1.0
+    assert falls_in(spec) > 0.1 * free  # the handle falls still
 
 
 def test_both_plants_take_a_device_of_ones_own_through_the_same_drop(tmp_path: Path) -> None:

@@ -445,7 +445,7 @@ class Branching(AxisLaw):
 
     def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
         """See `AxisLaw`."""
-        return -gains.stiffness * x if x < 0.0 else 0.0
+        return -gains.stiffness * x if x > 0.0 else 0.0
 
 
 class OneAlone(SixAxes):

@@ -110,7 +110,7 @@ def test_a_command_that_is_no_number_ends_in_zero_and_carries_the_last_cycles(ba
     with pytest.raises(PlantError, match="command at tick 260 must be finite") as caught:
         drive(plant, Broken(bad), 300)
     assert list(plant.written[-1].force) == [0.0] * 6
-    assert [sample.tick for sample, _ in caught.value.cycles] == list(range(61, 261))
+    assert [sample.tick for sample, _ in caught.value.cycles] == list(range(211, 261))
     plant.read()  # the plant is still there, with zero on its way
 
 
@@ -136,7 +136,7 @@ def test_divergence_carries_its_cycles() -> None:
     unstable = Controller([Hold(axes="z", stiffness=20_000.0, damping=10.0)], period=0.005)
     with pytest.raises(DivergenceError) as caught:
         drive(MuJoCoPlant(pose=[0, 0, 1e-3, 0, 0, 0]), unstable, 1000)
-    assert 0 < len(caught.value.cycles) <= 200
+    assert 0 < len(caught.value.cycles) <= 50
 
 
 def test_ticks_must_be_whole_and_positive() -> None:

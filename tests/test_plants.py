@@ -399,8 +399,8 @@ def test_a_constant_command_is_one_step_a_period() -> None:
     steps = []
     for forces in ([1.0] * 6, [1.0, 2.0] * 3):
         plant = MuJoCoPlant(gravity=0.0, coils=False)
-        count: list[float] = []
-        plant._steps._step = partial(count.append, 0.0)
+        count: list[int] = []
+        plant._steps._step = count.append
         for force in forces:
             plant.read()
             plant.write(Command([0.0, 0.0, force, 0.0, 0.0, 0.0]))

@@ -146,7 +146,7 @@ class Wall(Law):
         for (axis, normal, edge, stiffness, damping, braking), (free, owed) in zip(self._faces, state):
             offset = position[axis] - edge
             inside = offset <= 0.0 if normal > 0.0 else offset >= 0.0
-            if inside is not True and not _any(inside):
+            if inside is False or (inside is not True and not inside.any()):
                 following.append(_FREE)
                 continue
             speed = velocity[axis]

@@ -9,7 +9,7 @@ from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 
-from maglev_mj.frames import Array, Component
+from maglev_mj.frames import Component
 from maglev_mj.hand import Hand, motion, transition
 
 __all__ = ["Amendment", "DryFriction", "HeldAxis", "Lag", "Motion"]
@@ -22,23 +22,19 @@ Motion: TypeAlias = tuple[list[Component], list[Component], list[Component]]
 drivers lag; six components each."""
 
 
+Forces: TypeAlias = tuple[Sequence[Component], Sequence[Component]]
+"""Wrench commanded and wrench of a hand's muscles, six components each [N, N m]."""
+
+
 class Amendment(Protocol):
     """What sets an axis apart from a free mass."""
 
-    def amend(
-        self,
-        duration: Component,
-        force: Sequence[Component],
-        effort: Sequence[Component],
-        before: Motion,
-        after: Motion,
-    ) -> None:
+    def amend(self, duration: Component, forces: Forces, before: Motion, after: Motion) -> None:
         """Put right the motion `after` a duration [s], in place, which is that of free masses.
 
         Args:
             duration: Duration [s].
-            force: Wrench commanded, six [N, N m].
-            effort: Wrench of a hand's muscles, six [N, N m].
+            forces: Wrenches commanded and of a hand's muscles.
             before: Motion at the beginning.
             after: Motion of free masses at the end.
         """
@@ -56,20 +52,13 @@ class Lag:
         self._inverse, self._lag = [1.0 / value for value in inertia], lag
         self._known: dict[float, tuple[Component, list[Component], list[Component]]] = {}
 
-    def amend(
-        self,
-        duration: Component,
-        force: Sequence[Component],
-        effort: Sequence[Component],
-        before: Motion,
-        after: Motion,
-    ) -> None:
+    def amend(self, duration: Component, forces: Forces, before: Motion, after: Motion) -> None:
         """See `Amendment`."""
         factors = self._known.get(duration) if duration.__class__ is float else None
         left, (way_x, way_y, way_z, way_rx, way_ry, way_rz), (by_x, by_y, by_z, by_rx, by_ry, by_rz) = (
             factors or self._factors(duration)
         )
-        fx, fy, fz, tx, ty, tz = force
+        fx, fy, fz, tx, ty, tz = forces[0]
         ax, ay, az, arx, ary, arz = before[2]
         place, velocity, actual = after
         # what is missing of each force; written out, for this runs two or three times a tick
@@ -122,6 +111,7 @@ class HeldAxis:
         index: Index of the axis into AXES.
         place: Position at release [m].
         velocity: Velocity at release [m/s].
+        actual: Force of the actuators at release [N].
         inertia: Mass of the flotor [kg].
         weight: Its weight along the axis [N].
         hand: The hand.
@@ -133,27 +123,22 @@ class HeldAxis:
         index: int,
         place: Component,
         velocity: Component,
+        actual: Component,
         inertia: Component,
         weight: Component,
         hand: Hand,
         lag: float,
     ) -> None:
-        self._index, self._weight, self._lags = index, weight, lag > 0.0
-        self._hand: list[Component] = [hand.place(place), velocity] if hand.soft else []
+        self._index, self._weight = index, weight
+        # the states of `motion` beyond position and velocity
+        self._others = [*([hand.place(place), velocity] if hand.soft else []), *([actual] if lag else [])]
         self._a, self._b = motion(inertia, hand, lag)
         self._known: dict[float | bytes, list[list[Component]]] = {}
 
-    def amend(
-        self,
-        duration: Component,
-        force: Sequence[Component],
-        effort: Sequence[Component],
-        before: Motion,
-        after: Motion,
-    ) -> None:
+    def amend(self, duration: Component, forces: Forces, before: Motion, after: Motion) -> None:
         """See `Amendment`."""
-        index = self._index
-        (place, velocity, actual), (places, velocities, actuals) = before, after
+        index, (force, effort) = self._index, forces
+        (place, velocity, _), (places, velocities, _) = before, after
         rows = self._known.get(duration) if duration.__class__ is float else None
         rows = rows or self._rows(duration)
         push, weight, pull, x, v = force[index], self._weight, effort[index], place[index], velocity[index]
@@ -162,11 +147,9 @@ class HeldAxis:
             places[index] = a * push + b * weight + c * pull + d * x + e * v
             velocities[index] = p * push + q * weight + r * pull + s * x + t * v
             return
-        known = push, weight, pull, x, v, *self._hand, *([actual[index]] if self._lags else ())
+        known = push, weight, pull, x, v, *self._others
         # not sum(), which from Python 3.12 on rounds floats otherwise than arrays
-        places[index], velocities[index], *self._hand = [reduce(add, map(mul, row, known)) for row in rows]
-        if self._lags:
-            actuals[index] = self._hand.pop()
+        places[index], velocities[index], *self._others = [reduce(add, map(mul, row, known)) for row in rows]
 
     def _rows(self, duration: Component) -> list[list[Component]]:
         """Return the rows of a transition as components, the inputs' columns first, kept because durations return."""
@@ -204,18 +187,11 @@ class DryFriction:
         self._single = single
         self._axes = [(index, rub, 1.0 / inertia[index], weight[index]) for index, rub in friction.items()]
 
-    def amend(
-        self,
-        duration: Component,
-        force: Sequence[Component],
-        effort: Sequence[Component],
-        before: Motion,
-        after: Motion,
-    ) -> None:
+    def amend(self, duration: Component, forces: Forces, before: Motion, after: Motion) -> None:
         """See `Amendment`."""
-        (place, velocity, _), (places, velocities, _) = before, after
+        (force, effort), (place, velocity, _), (places, velocities, _) = forces, before, after
         for index, rub, inverse, weight in self._axes:
-            x, v, push = place[index], velocity[index], force[index] + weight + effort[index]
+            x, v, push = place[index], velocity[index], force[index] + (weight + effort[index])
             # what the devices of a batch share is a number too
             one = self._single or all(isinstance(part, float) for part in (push, v, x, duration, rub, inverse))
             slide = _slide if one else _slide_many
@@ -236,33 +212,34 @@ def _slide(duration: float, x: float, v: float, push: float, rub: float, inverse
     if v == 0.0 and -rub <= push <= rub:
         return x, v
     first = (push - rub if v > 0.0 or (v == 0.0 and push > 0.0) else push + rub) * inverse
-    if first * v < 0.0:
+    speed = v + duration * first
+    if v * speed < 0.0:  # it stops on the way
         until = -v / first
-        if until < duration:
-            x += until * (v + 0.5 * until * first)
-            if -rub <= push <= rub:
-                return x, 0.0
-            left, second = duration - until, (push - rub if push > 0.0 else push + rub) * inverse
-            return x + 0.5 * left * left * second, left * second
-    return x + duration * (v + 0.5 * duration * first), v + duration * first
+        x += until * (v + 0.5 * until * first)
+        if -rub <= push <= rub:
+            return x, 0.0
+        left, second = duration - until, (push - rub if push > 0.0 else push + rub) * inverse
+        return x + 0.5 * left * left * second, left * second
+    return x + duration * (v + 0.5 * duration * first), speed
 
 
 def _slide_many(
     duration: Component, x: Component, v: Component, push: Component, rub: Component, inverse: Component
-) -> tuple[Array, Array]:
+) -> tuple[Component, Component]:
     """Return what `_slide` does for a batch, (...,) each: all as if none stopped, then those that do."""
     rests = v == 0.0
     first = (push - np.copysign(rub, v)) * inverse
-    if np.any(rests):
+    if np.count_nonzero(rests):
         first = np.where(rests, _beyond(push, rub) * inverse, first)
-    with np.errstate(divide="ignore", invalid="ignore"):
+    speed = v + duration * first
+    place = x + duration * (v + 0.5 * duration * first)
+    stops = v * speed < 0.0
+    if np.count_nonzero(stops):
+        place, speed = (np.array(part) for part in np.broadcast_arrays(place, speed))
+        stops = np.nonzero(np.broadcast_to(stops, place.shape))
+        parts = duration, x, v, push, rub, inverse, first
+        duration, x, v, push, rub, inverse, first = (np.broadcast_to(one, place.shape)[stops] for one in parts)
         until = -v / first
-    place, speed = np.asarray(x + duration * (v + 0.5 * duration * first)), np.asarray(v + duration * first)
-    # an infinite or no speed-up has no such time, nor has a flotor at rest
-    stops = np.nonzero(np.broadcast_to((until > 0.0) & (until < duration), place.shape))
-    if stops[0].size:
-        parts = duration, x, v, push, rub, inverse, first, until
-        duration, x, v, push, rub, inverse, first, until = (np.broadcast_to(one, place.shape)[stops] for one in parts)
         left, second = duration - until, _beyond(push, rub) * inverse
         place[stops] = x + until * (v + 0.5 * until * first) + 0.5 * left * left * second
         speed[stops] = left * second

@@ -123,7 +123,6 @@ class SampledPlant(ABC):
         self._timeline = Timeline(timing, self._prepare(components(self.before)), compares=not batch)
         self._segments: list[Segment] = []
         self._closed = False
-        self._before_period: Callable[[], None] | None = None
         # at hand, for they are used on every tick
         self._period, self._phase = timing.period, timing.phase
         self._segments_of = self._timeline.period
@@ -153,8 +152,8 @@ class SampledPlant(ABC):
         """Return the state at this instant and the drive, in a form that is cheap to make and never changes."""
 
     @abstractmethod
-    def _arrays(self, kept: Any) -> tuple[Array, Array, Array]:
-        """Return pose, twist and the wrench on the flotor of what `_kept` returned, (..., 6) each."""
+    def _arrays(self, kept: Sequence[Any]) -> tuple[Array, Array, Array]:
+        """Return pose, twist and the wrench on the flotor of K states of `_kept`, (K, ..., 6) each."""
 
     @abstractmethod
     def _where(self) -> Sequence[Component]:
@@ -176,8 +175,6 @@ class SampledPlant(ABC):
         tick = self._tick
         if tick >= 0:
             self._offset = 0.0
-            if self._before_period is not None:
-                self._before_period()
             run = self._run
             self._segments = segments = self._segments_of(tick, self._answer)
             self._answer = None
@@ -240,7 +237,8 @@ class SampledPlant(ABC):
 
     def state(self) -> tuple[Array, Array]:
         """Return the true pose and twist at the last sample, whatever the sensor made of them, (..., 6) each."""
-        return self._arrays(self._kept(self._timeline.acting))[:2]
+        pose, twist, _ = self._arrays([self._kept(self._timeline.acting)])
+        return pose[0], twist[0]
 
     @property
     def begun(self) -> bool:

@@ -199,7 +199,12 @@ class MuJoCoBatchPlant(SampledPlant):
             currents = self._engine.bind("act").copy()
         return self._corrected(), self._qpos[:, 3:].copy(), self._qvel.copy(), drive[0], currents, self._inverse_map
 
-    def _arrays(self, kept: _Kept) -> tuple[Array, Array, Array]:
+    def _arrays(self, kept: Sequence[_Kept]) -> tuple[Array, Array, Array]:
+        pose, twist, wrench = (np.stack(part) for part in zip(*map(self._parts, kept)))
+        return pose, twist, wrench
+
+    def _parts(self, kept: _Kept) -> tuple[Array, Array, Array]:
+        """Return pose, twist and wrench of one state, (N, 6) each."""
         place, turns, velocity, wrench, currents, inverse_map = kept
         spin = np.einsum("nab,nb->na", _matrices(turns).reshape(-1, 3, 3), velocity[:, 3:])
         if currents is not None:

@@ -66,13 +66,13 @@ class CoilDrive:
 
     def limited(self, command: Command) -> Command:
         """Return a command with its currents clipped, those of the pulse on their own."""
-        total = None
-        if command.extra is not None:
-            total = self._clipped([one + other for one, other in zip(command.force, command.extra)])
-        force = self._clipped(command.force)
-        if total is None:
-            return command if force is command.force else Command(force)
-        return Command(force, [one - other for one, other in zip(total, force)], command.pulse_width)
+        force, extra = command.force, command.extra
+        if extra is None:
+            left = self._clipped(force)
+            return command if left is force else Command(left)
+        total = self._clipped([one + other for one, other in zip(force, extra)])
+        left = self._clipped(force)
+        return Command(left, [one - other for one, other in zip(total, left)], command.pulse_width)
 
     def _clipped(self, force: Sequence[float]) -> Sequence[float]:
         limit = self._limit

@@ -7,7 +7,7 @@ import struct
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
-from typing import Any
+from typing import Any, TypeAlias
 
 import mujoco
 import numpy as np
@@ -23,6 +23,7 @@ from maglev_mj.spec import GRAVITY
 __all__ = [
     "INTEGRATORS",
     "CorrectedSteps",
+    "Drive",
     "Steps",
     "effort_addresses",
     "engine_warnings_silenced",
@@ -35,10 +36,25 @@ __all__ = [
     "turned_work",
 ]
 
+Drive: TypeAlias = tuple[Sequence[float | None], Sequence[float], Any]
+"""The wrench commanded (or None and six currents), the engine's controls, and the map from one to the other or None."""
+
 _STOP_TIME = 0.02
 """Time constant with which a stop slows what moves along it [s]; assumed."""
 
 _HAND_STEP, _STOP_STEP, _FALLOFF_STEP, _BEND_STEP = 5e-4, 2.5e-4, 2.5e-4, 5e-5
+
+_PASSIVE = (
+    "jnt_stiffness",
+    "jnt_stiffnesspoly",
+    "dof_damping",
+    "dof_dampingpoly",
+    "tendon_stiffness",
+    "tendon_stiffnesspoly",
+    "tendon_damping",
+    "tendon_dampingpoly",
+    "body_gravcomp",
+)
 
 NOTHING = 1e-12
 """Angle [rad] that is rounding."""
@@ -97,6 +113,8 @@ def prepared(
     if falling.shape not in ((), (3,)):
         raise ParameterError(f"gravity must be a number or (3,), not {falling.shape}")
     options.gravity[:] = falling if falling.ndim else (0.0, 0.0, -float(falling))
+    if not _has_passive_forces(made.model):  # else both flags together would take all of them away
+        options.disableflags |= mujoco.mjtDisableBit.mjDSBL_SPRING | mujoco.mjtDisableBit.mjDSBL_DAMPER
     # an automatic reset would make a diverging run look stable, and the plant limits currents itself
     options.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET | mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL
     if flag("stops", stops):
@@ -107,6 +125,13 @@ def prepared(
     if (stops or falloff) and not np.isfinite(made.range).all():
         raise ModelError("stops and force_falloff need limits on the joints x, y, z and rotation of the model")
     return made
+
+
+def _has_passive_forces(model: mujoco.MjModel) -> bool:
+    """Return whether joints, tendons, a fluid, flexes or plugins of a model may push by themselves."""
+    springs = (getattr(model, name) for name in _PASSIVE)
+    options = model.opt
+    return bool(any(map(np.any, springs)) or options.density or options.viscosity or model.nflex or model.nplugin)
 
 
 def start_state(device: Device, pose: Array, twist: Array, hand: Hand | None) -> tuple[Array, Array]:
@@ -182,11 +207,11 @@ def near_stops(reach: Sequence[float], position: Sequence[float], velocity: Sequ
 
     Args:
         reach: Least displacement and least angle at which there is a stop [m, rad].
-        position: x y z [m] and a quaternion.
+        position: x y z [m] and the first part of a quaternion.
         velocity: Linear and angular [m/s, rad/s].
         period: Sample period [s].
     """
-    x, y, z, w, *_ = position
+    x, y, z, w = position
     u, v, s, p, q, r = velocity
     if max(abs(x), abs(y), abs(z)) + period * (max(abs(u), abs(v), abs(s)) + _FIERCEST * period) > reach[0]:
         return True
@@ -211,6 +236,10 @@ class Steps:
     def __init__(self, device: Device, data: mujoco.MjData, falloff: float = 0.0, stop_damping: bool = False) -> None:
         damped, model = flag("stop_damping", stop_damping), device.model
         self._options = model.opt
+        controls = data.xfrc_applied[device.flotor] if device.coils is None else data.ctrl[: len(COILS)]
+        # as `controls[:] = values`, in half the time
+        self._control = partial(struct.Struct("6d").pack_into, controls.data, 0)
+        self._drive: Drive | None = None
         step = _DampedStops(device, data) if damped else partial(mujoco.mj_step, model, data)
         self.falloff = _Falloff(device, data, falloff, step) if falloff else None
         self._step: Callable[..., object] = self.falloff or step
@@ -218,14 +247,15 @@ class Steps:
         self.look: Callable[[], Sequence[float]] = self._position.tolist
         self.settle: Callable[[], Sequence[float]] = self.look
 
-    def advance(self, duration: float, pieces: int = 1) -> None:
-        """Carry the state over `duration` [s] in so many equal steps."""
-        if pieces == 1:
-            self._options.timestep = duration
-            self._step()
-        else:
-            self._options.timestep = duration / pieces
-            self._step(pieces)
+    def advance(self, duration: float, drive: Drive, pieces: int = 1) -> None:
+        """Carry the state over `duration` [s] under a drive in so many equal steps."""
+        if drive is not self._drive:
+            self._drive = drive
+            self._control(*drive[1])
+        if pieces != 1:
+            duration /= pieces
+        self._options.timestep = duration
+        self._step(pieces)
 
 
 class CorrectedSteps(Steps):
@@ -248,14 +278,17 @@ class CorrectedSteps(Steps):
         # how far each segment since the last correction went too far: a factor, and what it is a factor of
         self._excess: list[tuple[float, Sequence[float]]] = []
 
-    def advance(self, duration: float, pieces: int = 1) -> None:
+    def advance(self, duration: float, drive: Drive, pieces: int = 1) -> None:
         """See `Steps`."""
         if pieces > 1 or self._damped:
             before = self._velocity()
-            super().advance(duration, pieces)
+            super().advance(duration, drive, pieces)
             gained = [after - earlier for after, earlier in zip(self._velocity(), before)]
             self._excess.append((0.5 * duration / pieces, gained))
             return
+        if drive is not self._drive:
+            self._drive = drive
+            self._control(*drive[1])
         self._options.timestep = duration
         self._step()
         self._excess.append((0.5 * duration * duration, self._acceleration()))
@@ -322,6 +355,7 @@ class _DampedStops:
         self._model, self._data = device.model, data
         self._damping = device.model.dof_damping[device.velocity_address :][:6]
         self._free = self._damping.copy()
+        device.model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_DAMPER)
         self._touching = self._free + np.append([device.mass] * 3, device.inertia) / _STOP_TIME
 
     def __call__(self, steps: int = 1) -> None:

@@ -119,14 +119,14 @@ class ExactPlant(SampledPlant):
             yield DryFriction(rubbing, body, self._weight, single=not self.batch)
         for index in held:
             assert hand is not None
-            place, velocity = self._place[index], self._velocity[index]
-            yield HeldAxis(index, place, velocity, body[index], self._weight[index], hand, self._lag)
+            start = self._place[index], self._velocity[index], self._actual[index]
+            yield HeldAxis(index, *start, body[index], self._weight[index], hand, self._lag)
 
     def _prepare(self, force: Sequence[Component]) -> Drive:
         fx, fy, fz, tx, ty, tz = force
         one, by_x, by_y, by_z, fall = self._body
         if self._uses_force:  # later, when the caller may have used its list or arrays again
-            force = [np.array(part) for part in force] if self.batch else tuple(force)
+            force = [part if part.__class__ is float else np.array(part) for part in force]
         return (fx * one, fy * one, fz * one + fall, tx * by_x, ty * by_y, tz * by_z), force
 
     def _advance(self, duration: Component, drive: Drive, pieces: int = 1) -> None:
@@ -156,10 +156,10 @@ class ExactPlant(SampledPlant):
             r + duration * arz,
         ]
         if self._amendments:
-            force = drive[1]
-            before, after = (place, velocity, self._actual), (self._place, self._velocity, list(force))
+            forces = drive[1], self._effort
+            before, after = (place, velocity, self._actual), (self._place, self._velocity, list(drive[1]))
             for amendment in self._amendments:
-                amendment.amend(duration, force, self._effort, before, after)
+                amendment.amend(duration, forces, before, after)
             self._actual = after[2]
 
     def _where(self) -> Sequence[Component]:
@@ -180,10 +180,19 @@ class ExactPlant(SampledPlant):
     def _kept(self, drive: Drive) -> _Kept:
         return self._place, self._velocity, self._actual if self._lag else drive[1]
 
-    def _arrays(self, kept: _Kept) -> tuple[Array, Array, Array]:
-        shape = (*self.batch, 6)
-        pose, twist, wrench = (np.broadcast_to(join(part), shape) for part in kept)
+    def _arrays(self, kept: Sequence[_Kept]) -> tuple[Array, Array, Array]:
+        pose, twist, wrench = map(self._stacked, zip(*kept))
         return pose, twist, wrench
+
+    def _stacked(self, rows: Sequence[Sequence[Component]]) -> Array:
+        """Return K times six components as an array, (K, ..., 6)."""
+        if not self.batch:
+            return np.array(rows, dtype=np.float64)
+        stacked = np.empty((len(rows), *self.batch, 6))
+        for array, row in zip(stacked, rows, strict=True):
+            for axis, part in enumerate(row):
+                array[..., axis] = part
+        return stacked
 
 
 def _start(

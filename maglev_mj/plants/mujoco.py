@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-import struct
-from collections.abc import Sequence
-from functools import cached_property, partial
-from typing import Any, TypeAlias, Unpack
+from collections.abc import Callable, Sequence
+from functools import cached_property
+from typing import Any, TypeAlias, Unpack, cast
 
 import mujoco
 import numpy as np
@@ -22,6 +21,7 @@ from maglev_mj.plants.base import PlantKeywords, SampledPlant
 from maglev_mj.plants.currents import CoilDrive
 from maglev_mj.plants.engine import (
     CorrectedSteps,
+    Drive,
     Steps,
     effort_addresses,
     longest_step,
@@ -36,9 +36,6 @@ from maglev_mj.timeline import Timing
 
 __all__ = ["MuJoCoPlant"]
 
-
-Drive: TypeAlias = tuple[Sequence[float | None], Sequence[float], Any]
-"""The wrench commanded (or None and six currents), the engine's controls, and the map from one to the other or None."""
 
 _Kept: TypeAlias = tuple[Sequence[float], Sequence[float], Drive]
 """Where the flotor is, as x y z and a quaternion, its velocity in the engine's form, and the drive as it acts."""
@@ -87,6 +84,26 @@ class MuJoCoPlant(SampledPlant):
         ParameterError: If a value is outside its bounds or the shapes do not fit.
         ModelError: If the model cannot be used.
     """
+
+    # as in `SampledPlant`: what is not used on every tick
+    __slots__ = (
+        "_angle",
+        "_coil_drive",
+        "_coils",
+        "_data",
+        "_effort_addresses",
+        "_look",
+        "_model",
+        "_push_on",
+        "_qpos",
+        "_qvel",
+        "_reach",
+        "_rotation",
+        "_turning",
+        "_warnings",
+        "current_limit",
+        "device",
+    )
 
     def __init__(
         self,
@@ -156,8 +173,8 @@ class MuJoCoPlant(SampledPlant):
             keywords["longest_step"] = longest_step(self.device, stops=stops, **needs)
         super().__init__(timing, batch=(), **keywords)
         # where stops alone ask for short steps, those are for when the flotor is near one
+        self._reach = None
         if stops and free and self._recorder is None:
-            self._before_period = self._choose_steps
             self._reach = float(self.device.range[:3].min()), float(self.device.range[3])
         if driver_lag:
             self._data.act[:] = self._timeline.acting[1]
@@ -178,17 +195,13 @@ class MuJoCoPlant(SampledPlant):
         self._model = model
         steps = CorrectedSteps if integrator == "corrected" else Steps
         self._steps = steps(device, self._data, falloff, stop_damping)
-        self._look, self._settle, self._step_on = self._steps.look, self._steps.settle, self._steps.advance
+        self._look, self._settle = self._steps.look, self._steps.settle
         self._qpos = self._data.qpos[device.position_address :][:7]
         self._qvel = self._data.qvel[device.velocity_address :][:6]
         self._push_on = self._data.qfrc_applied
         self._effort_addresses = effort_addresses(device, hand)
         self._turning = slice(device.velocity_address + 3, device.velocity_address + 6)
         self._rotation = np.zeros(9)
-        controls = self._data.xfrc_applied[device.flotor] if self._coils is None else self._data.ctrl[: len(COILS)]
-        # as `controls[:] = values`, in half the time
-        self._control = partial(struct.pack_into, "6d", controls.data, 0)
-        self._applied: Drive | None = None
         self._last: Drive = (), (), None
         # whether the coils' map is to be renewed for the next wrench, and the angle measured if there is a sensor
         self._stale = self._turned = False
@@ -293,16 +306,12 @@ class MuJoCoPlant(SampledPlant):
             self._last = given, drive.currents(force), drive.inverse_map
         return self._last
 
-    def _choose_steps(self) -> None:
-        """Take short steps over the next period only if the flotor may meet a stop."""
-        near = near_stops(self._reach, self._settle(), self._qvel.tolist(), self._period)
-        self._run = self._run_in_pieces if near else self._carry
+    @property
+    def _carry(self) -> Callable[..., None]:
+        return self._steps.advance if self._total is None else self._advance_metered  # a call less than `_advance`
 
     def _advance(self, duration: float, drive: Drive, pieces: int = 1) -> None:
-        if drive is not self._applied:
-            self._applied = drive
-            self._control(*drive[1])
-        self._step_on(duration, pieces)
+        self._steps.advance(duration, drive, pieces)
 
     def _exert(self, effort: Sequence[float]) -> None:
         push = self._push_on
@@ -329,6 +338,9 @@ class MuJoCoPlant(SampledPlant):
             self._stale = self._turned = True
         elif self._turned:
             self._stale, self._turned = True, False
+        if self._reach is not None:
+            near = near_stops(self._reach, (x, y, z, q0), self._qvel.tolist(), self._period)
+            self._run = self._run_in_pieces if near else self._carry
         return position
 
     def _follow_turn(self) -> None:
@@ -364,7 +376,7 @@ class MuJoCoPlant(SampledPlant):
 
     def _work(self, drive: Drive, before: Sequence[float], after: Sequence[float]) -> float:
         known = drive[0][0] is not None
-        force: Any = drive[0] if known else self._wrench(self._acting(drive), before).tolist()
+        force: Any = drive[0] if known else self._wrench(self._acting(drive), before)
         return float(turned_work(force, before, after))
 
     def _acting(self, drive: Drive) -> Drive:
@@ -376,26 +388,29 @@ class MuJoCoPlant(SampledPlant):
         currents = np.array(self._data.act if self._model.na else controls)
         return (None,), (currents if falloff is None else currents * falloff.share()).tolist(), inverse
 
-    def _wrench(self, acting: Drive, place: Sequence[float]) -> Array:
-        """Return the wrench on the flotor (6,) under a drive as it acts, at x y z and a quaternion."""
+    def _wrench(self, acting: Drive, place: Sequence[float]) -> Sequence[float]:
+        """Return the wrench on the flotor, six, under a drive as it acts, at x y z and a quaternion."""
         force, currents, inverse = acting
         if force[0] is not None:
-            return np.array(force, dtype=np.float64)
+            return cast("Sequence[float]", force)
         assert self._coils is not None
         if inverse is None:
             mujoco.mju_quat2Mat(self._rotation, np.array(place[3:]))
             inverse = self._coils.inverse_at(self._rotation)
-        return np.asarray(np.linalg.solve(inverse, currents), dtype=np.float64)
+        wrench: list[float] = np.linalg.solve(inverse, currents).tolist()
+        return wrench
 
     def _kept(self, drive: Drive) -> _Kept:
         return self._look(), self._qvel.tolist(), self._acting(drive)
 
-    def _arrays(self, kept: _Kept) -> tuple[Array, Array, Array]:
-        place, velocity, acting = kept
-        x, y, z, q0, q1, q2, q3 = place
-        mujoco.mju_quat2Mat(self._rotation, np.array([q0, q1, q2, q3]))
-        twist = np.concatenate([velocity[:3], self._rotation.reshape(3, 3) @ velocity[3:]])
-        return np.array([x, y, z, *rotation_vector(q0, q1, q2, q3)]), twist, self._wrench(acting, place)
+    def _arrays(self, kept: Sequence[_Kept]) -> tuple[Array, Array, Array]:
+        places, velocities, actings = zip(*kept)
+        pose = [[x, y, z, *rotation_vector(q0, q1, q2, q3)] for x, y, z, q0, q1, q2, q3 in places]
+        twist, matrices = np.array(velocities), np.empty((len(kept), 9))
+        for matrix, turn in zip(matrices, np.array(places)[:, 3:], strict=True):
+            mujoco.mju_quat2Mat(matrix, turn)
+        twist[:, 3:] = np.matmul(matrices.reshape(-1, 3, 3), twist[:, 3:, None])[..., 0]
+        return np.array(pose), twist, np.array([self._wrench(*one) for one in zip(actings, places)])
 
 
 def _of_currents(currents: Sequence[float]) -> Drive:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import chain, count
 from operator import add
 from typing import Protocol, TypeAlias
 
@@ -58,17 +59,16 @@ class Sensor:
 
     def start(self) -> Measure:
         """Return what turns the components of the true pose into those measured, from the seed on."""
-        noise = np.asarray(self.noise)
-        quantize = _quantizer(np.asarray(self.quantum).tolist())
-        if not noise.any():
+        noise, quantize = np.asarray(self.noise).tolist(), _quantizer(np.asarray(self.quantum).tolist())
+        if not any(noise):
             return quantize
-        draws: Iterator[list[Component]] | None = None
+        draw: Callable[[], list[Component]] | None = None
 
         def measure(position: Sequence[Component]) -> list[Component]:
-            nonlocal draws
-            if draws is None:
-                draws = _draws(noise, self.seed, np.broadcast_shapes(*map(np.shape, position)))
-            return quantize(map(add, position, next(draws)))
+            nonlocal draw
+            if draw is None:
+                draw = _draws(noise, self.seed, np.broadcast_shapes(*map(np.shape, position))).__next__
+            return quantize(map(add, position, draw()))
 
         return measure
 
@@ -105,16 +105,22 @@ def _quantizer(quantum: Sequence[float]) -> Callable[[Iterable[Component]], list
     return quantize
 
 
-def _draws(noise: Array | float, seed: int, shape: tuple[int, ...] = ()) -> Iterator[list[Component]]:
-    """Yield six draws of noise at a time, (...,) each.
+def _draws(noise: Sequence[float], seed: int, shape: tuple[int, ...] = ()) -> Iterator[list[Component]]:
+    """Return draws of noise without end, six components of shape (...,) at a time.
 
     For one device many are drawn at once, the same as one by one.
     """
     generator = np.random.default_rng(seed)
-    while shape:
-        yield components(noise * generator.standard_normal((*shape, 6)))
-    while True:
-        yield from (noise * generator.standard_normal((256, 6))).tolist()
+    if not shape:
+        spread = np.asarray(noise)
+        return chain.from_iterable((spread * generator.standard_normal((256, 6))).tolist() for _ in count())
+    drawn = np.empty((*shape, 6))
+
+    def columns() -> list[Component]:
+        generator.standard_normal(out=drawn)
+        return [one * drawn[..., index] for index, one in enumerate(noise)]
+
+    return (columns() for _ in count())
 
 
 class SpotReader:
@@ -133,7 +139,8 @@ class SpotReader:
     def __init__(self, beams: Beams, quantum: float = 0.0, noise: float = 0.0, seed: int = 0) -> None:
         self._beams = FastBeams(beams)
         self._quantize = _quantizer([number("quantum", quantum, at_least=0.0)] * 6)
-        self._draws = _draws(noise, whole("seed", seed)) if number("noise", noise, at_least=0.0) else None
+        spread, seed = number("noise", noise, at_least=0.0), whole("seed", seed)
+        self._draws = _draws([spread] * 6, seed) if spread else None
 
     def __call__(self, pose: Sequence[float]) -> list[float]:
         """Return the six coordinates of the spots [m] that are measured of the true pose, six floats [m, rad].

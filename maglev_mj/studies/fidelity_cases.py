@@ -188,7 +188,7 @@ def screen_levels(scene: Scene, around: float) -> Array:
     points = [scene_at(scene, case) for case in scattered_cases(scene, _POINTS, around, seed=0)]
     try:
         return _screen(points)
-    except ParameterError:  # of a law that fails for arrays, or differs in more than numbers
+    except ValueError:  # a law fails for arrays, at once or later, or differs in more than numbers
         return np.zeros((len(LEVELS), 1))
     except PlantError:  # one diverged, and with it the batch
         return np.full((len(LEVELS), len(points) * _SEEDS), math.inf)

@@ -1,0 +1,131 @@
+"""Cost of each option of a plant over the plain loop, for one device and for many, and what it changes.
+
+`measure` is a section of bench.py; its times are medians of repeats in turn, its ratios medians of theirs pair by pair.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from functools import partial
+from time import perf_counter
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from maglev_mj import drive
+from maglev_mj.frames import Array
+from maglev_mj.hand import Hand
+from maglev_mj.plants import ExactPlant, MuJoCoBatchPlant, MuJoCoPlant, SampledPlant, Sensor
+from maglev_mj.scenes.drop import Drop
+from maglev_mj.timeline import Timing
+
+__all__ = ["measure"]
+
+PLAIN = "plain"
+START = np.array([0.5e-3, -0.3e-3, 4.5e-3, 0.0, 0.0, 0.0])
+JITTER = 1e-4
+ANY_PLANT: Mapping[str, Mapping[str, Any]] = {
+    PLAIN: {},
+    "quantized sensor": {"sensor": Sensor(quantum=5e-6)},
+    "quantized sensor with noise": {"sensor": Sensor(quantum=5e-6, noise=1e-6)},
+    "jitter": {"timing": Timing(jitter=JITTER)},
+    "wrench limit": {"wrench_limit": 60.0},
+    "hand on z": {"hand": Hand(mass=0.1, damping=5.0, stiffness=100.0, axes="z")},
+    "recording": {"record": True},
+    "recording and its trace": {"record": True},
+}
+EXACT = {
+    **ANY_PLANT,
+    "driver lag": {"driver_lag": True},
+    "dry friction on z": {"dry_friction": [0.0, 0.0, 0.01, 0.0, 0.0, 0.0]},
+    "dry friction on all axes": {"dry_friction": 0.01},
+}
+ENGINE = {**ANY_PLANT, "current limit": {"current_limit": 10.0}}
+_LONG, _SHORT = 400, 60
+
+
+class Loop(NamedTuple):
+    """A plant, its options, how many devices, and how much of it is run.
+
+    Attributes:
+        make: Makes the plant.
+        options: Keywords of the plant by the option's name.
+        pose: Pose at release [m, rad], (..., 6).
+        ticks: Samples of a run that is timed.
+        runs: How many of these.
+    """
+
+    make: Callable[..., SampledPlant]
+    options: Mapping[str, Mapping[str, Any]]
+    pose: Array
+    ticks: int
+    runs: int
+
+    @property
+    def devices(self) -> int:
+        """Number of devices."""
+        return math.prod(self.pose.shape[:-1])
+
+
+def many(count: int, spread: float) -> Array:
+    """Return poses at release that differ by up to so much on each axis [m, rad], (count, 6)."""
+    return START + np.random.default_rng(1).uniform(-spread, spread, (count, 6))
+
+
+_CORRECTED: dict[str, Any] = {"coils": False, "integrator": "corrected"}
+LOOPS = {
+    "exact plant": Loop(ExactPlant, EXACT, START, _LONG, 12),
+    "corrected, body": Loop(partial(MuJoCoPlant, **_CORRECTED), ENGINE, START, _LONG, 8),
+    "RK4, coils": Loop(MuJoCoPlant, ENGINE, START, _LONG, 4),
+    "exact plant, 1000 alike": Loop(ExactPlant, EXACT, many(1000, 0.0), _SHORT, 6),
+    "exact plant, 1000 apart": Loop(ExactPlant, EXACT, many(1000, 3e-4), _SHORT, 5),
+    "exact plant, 100 000 alike": Loop(ExactPlant, EXACT, many(100_000, 0.0), 5, 3),
+    "exact plant, 100 000 apart": Loop(ExactPlant, EXACT, many(100_000, 3e-4), 4, 3),
+    "corrected, body, 1000 apart": Loop(
+        partial(MuJoCoBatchPlant, threads=1, **_CORRECTED), ANY_PLANT, many(1000, 3e-4), 8, 2
+    ),
+}
+
+
+def run(loop: Loop, name: str, ticks: int) -> tuple[float, SampledPlant]:
+    """Return how long a drop takes [s] with an option, and its plant."""
+    plant, controller = loop.make(**{"timing": Timing(), "pose": loop.pose, **loop.options[name]}), Drop().controller()
+    start = perf_counter()
+    drive(plant, controller, ticks)
+    if "trace" in name:
+        plant.trace()
+    return perf_counter() - start, plant
+
+
+def figures(loop: Loop, quick: bool) -> dict[str, Any]:
+    """Return times, ratios and the end of a motion for all options of one plant."""
+    taken: dict[str, list[float]] = {name: [] for name in loop.options}
+    ends: dict[str, Array] = {}
+    ticks = min(_SHORT, loop.ticks) if quick else loop.ticks
+    for _ in range(1 if quick else loop.runs):
+        for name in loop.options:
+            time, plant = run(loop, name, ticks)
+            taken[name].append(time)
+            if ticks <= _SHORT:
+                ends[name] = plant.state()[0]
+    for name in loop.options.keys() - ends:  # one that comes to rest ends everywhere alike: sooner
+        ends[name] = run(loop, name, _SHORT)[1].state()[0]
+    return {
+        "µs a tick and device": {
+            name: float(np.median(times)) / ticks / loop.devices * 1e6 for name, times in taken.items()
+        },
+        "over plain": {name: float(np.median(np.divide(times, taken[PLAIN]))) for name, times in taken.items()},
+        # that two revisions come to the same is seen by the mean, to the last bit
+        "mean height at the end (m)": {name: float(pose[..., 2].mean()) for name, pose in ends.items()},
+        "change at the end (m, rad)": {name: float(np.abs(pose - ends[PLAIN]).max()) for name, pose in ends.items()},
+    }
+
+
+def measure(quick: bool) -> dict[str, Any]:
+    """Return times [µs], ratios to the plain loop, and heights and changes [m] at the end, by plant and option.
+
+    Args:
+        quick: One short run of each, of at most 1000 devices, for a test.
+    """
+    return {name: figures(loop, quick) for name, loop in LOOPS.items() if not quick or loop.devices <= 1000}

@@ -1,0 +1,331 @@
+"""Options of the plants: the fast way gives the numbers of the plain one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from itertools import islice
+from typing import Any
+
+import numpy as np
+import pytest
+
+from maglev_mj import Command, Controller, ExactPlant, MuJoCoPlant, Timing, drive
+from maglev_mj.errors import ParameterError
+from maglev_mj.frames import Array, Component, components, join
+from maglev_mj.hand import Hand, motion, transition
+from maglev_mj.laws import Hold, Wall
+from maglev_mj.plants import MuJoCoBatchPlant, SampledPlant, Sensor
+from maglev_mj.plants.axes import Amendment, DryFriction, HeldAxis, Lag
+from maglev_mj.spec import INERTIA
+from maglev_mj.timeline import Timeline
+from maglev_mj.trace import TraceRecorder
+
+T = 0.005
+QUANTUM = [5e-6, 3e-7, 1.0, 10e-6, 7e-6, 0.3]
+
+
+def bouncing(axes: Sequence[str] = ("z",)) -> Controller:
+    wall = Wall(axes=axes, lower=0.0, stiffness=3000.0, damping=40.0, pulse=60.0, pulse_width=0.002)
+    return Controller([wall, Hold(axes=("rx", "ry"), stiffness=[1.0] * 2, damping=[0.05] * 2)], period=T)
+
+
+def places(count: int) -> Array:
+    """Return poses that differ on all axes, along z above the wall, (count, 6)."""
+    spread = np.random.default_rng(3).uniform(-1.0, 1.0, (count, 6)) * [3e-4, 3e-4, 1e-3, 2e-3, 2e-3, 2e-3]
+    return np.array([5e-4, -3e-4, 2e-3, 0.0, 1e-3, 0.0]) + spread
+
+
+# --- sensor
+
+
+@pytest.mark.parametrize("quantum", [QUANTUM, [0.0, *QUANTUM[1:]]])
+def test_steps_are_whole_ones_to_the_last_bit_for_one_device_and_for_many(quantum: list[float]) -> None:
+    """As np.rint, for ties, for what is beyond every step, and for what is no number."""
+    halves = np.arange(-20.0, 20.0)[:, None] * 0.5 * np.where(np.array(quantum) > 0.0, quantum, 1.0)
+    random = np.random.default_rng(1).normal(size=(500, 6)) * 10.0 ** np.arange(-6, 0)
+    poses = np.concatenate([halves, random, np.full((1, 6), np.nan), np.full((1, 6), np.inf), np.full((1, 6), -np.inf)])
+    step = np.where(np.array(quantum) > 0.0, quantum, 1.0)
+    expected = np.where(np.array(quantum) > 0.0, np.rint(poses / step) * step, poses)
+    measure = Sensor(quantum=quantum).start()
+    assert np.array_equal(join(measure(components(poses))), expected, equal_nan=True)
+    alone = [measure(pose.tolist()) for pose in poses]
+    assert np.array_equal(alone, expected, equal_nan=True)
+    assert all(part.__class__ is float for row in alone for part in row)
+
+
+def test_a_step_far_below_rounding_changes_no_more_than_rounding() -> None:
+    pose = [1e-3, -2e-3, 4.5e-3, 0.1, -0.2, 0.3]
+    measured = Sensor(quantum=1e-22).start()(pose)
+    np.testing.assert_allclose(measured, pose, rtol=1e-15)
+
+
+def test_what_all_devices_share_stays_a_number_behind_steps() -> None:
+    plant = ExactPlant(pose=np.broadcast_to([1e-3, 0, 2e-3, 0, 0, 0], (5, 6)), sensor=Sensor(quantum=5e-6))
+    assert [np.shape(part) for part in plant.read().position] == [(), (), (5,), (), (), ()]
+
+
+@pytest.mark.parametrize("shape", [(), (7,)])
+def test_noise_is_one_stream_of_six_a_sample(shape: tuple[int, ...]) -> None:
+    """Drawn many samples at once for one device, and for axes without noise too."""
+    noise = np.array([1e-6, 0.0, 2e-6, 1e-5, 0.0, 3e-6])
+    measure, stream = Sensor(noise=noise, seed=4).start(), np.random.default_rng(4)
+    for tick in range(600):
+        pose = np.broadcast_to(1e-3 * np.sin(np.arange(6.0) + tick), (*shape, 6))
+        expected = pose + noise * stream.standard_normal((*shape, 6))
+        assert np.array_equal(join(measure(components(pose))), expected)
+
+
+# --- jitter
+
+
+def test_jitter_is_that_of_seed_and_tick_whoever_asks_in_whatever_order() -> None:
+    ticks = range(1200)
+    one, other = (Timing(period=T, jitter=1e-3, seed=2) for _ in range(2))
+    forward = [one.rest_at(tick) for tick in ticks]
+    assert forward == [other.rest_at(tick) for tick in reversed(ticks)][::-1]
+    assert forward != [Timing(period=T, jitter=1e-3, seed=3).rest_at(tick) for tick in ticks]
+    draws = (np.array(forward) - 0.0015) / 1e-3
+    assert len(set(forward)) == len(forward)
+    assert abs(draws).max() < 1.0
+    # evenly: mean 0 and variance 1/3, within four standard errors of 1200 draws, and no draw tells the next one
+    assert abs(draws.mean()) < 4.0 * np.sqrt(1.0 / 3.0 / 1200)
+    assert abs((draws**2).mean() - 1.0 / 3.0) < 4.0 * np.sqrt(4.0 / 45.0 / 1200)
+    assert abs((draws[1:] * draws[:-1]).mean()) < 4.0 / 3.0 / np.sqrt(1200)
+
+
+@pytest.mark.parametrize("jitter", [1e-4, 1.5e-3])
+@pytest.mark.parametrize("delay", [0.0015, np.array([0.0015, 0.002])])
+@pytest.mark.parametrize("draw", [None, -1.0])
+def test_a_jittering_answer_with_the_request_is_as_one_before_it(
+    jitter: float, delay: Component, draw: float | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where the switch falls on the sample itself too, which leaves one segment of one device."""
+    if draw is not None:
+        monkeypatch.setattr("maglev_mj.timeline._draws", lambda seed, block: (draw,) * 256)
+    made = Timing(period=T, delay=delay, jitter=jitter)
+    direct, queued = Timeline(made, 0), Timeline(made, 0)
+    for tick in range(1, 600):
+        queued.answer(tick, tick)
+        one, other = direct.period(tick, (tick, None, 0.0)), queued.period(tick)
+        on_sample = draw is not None and jitter == delay if np.ndim(delay) == 0 else False
+        assert [drive for _, drive in one] == [drive for _, drive in other] == [tick - 1, tick][on_sample:]
+        assert all(np.array_equal(part, same) for (part, _), (same, _) in zip(one, other, strict=True))
+        assert np.array_equal(one[-1][0], T - made.rest_at(tick))
+
+
+# --- limits
+
+
+def test_a_command_within_the_limits_is_passed_on_as_it_is() -> None:
+    limit = [1.0, 2.0, 3.0, 0.1, 0.2, 0.3]
+    for edge in (1.0, -1.0):
+        plant = ExactPlant(wrench_limit=limit)
+        plant.read()
+        command = Command([edge * most for most in limit])
+        assert plant.write(command) is command
+        for axis in range(6):
+            beyond = [edge * most for most in limit]
+            beyond[axis] *= 1.0 + 1e-15
+            plant.read()
+            assert plant.write(Command(beyond)).force == [edge * most for most in limit]
+
+
+@pytest.mark.parametrize("coils", [True, False])
+def test_currents_within_their_limit_leave_a_command_as_it_is(coils: bool) -> None:
+    plant = MuJoCoPlant(current_limit=10.0, coils=coils, gravity=0.0)
+    plant.read()
+    command = Command([0.5, 0.0, 59.0, 0.0, 0.0, 0.0])
+    assert plant.write(command) is command
+    plant.read()
+    for push in (61.0, -61.0):
+        assert plant.write(Command([0.0, 0.0, push, 0.0, 0.0, 0.0])).force[2] == pytest.approx(np.copysign(60.0, push))
+
+
+@pytest.mark.parametrize("coils", [True, False])
+def test_a_list_that_is_used_again_has_its_own_currents(coils: bool) -> None:
+    plant, force, applied = MuJoCoPlant(current_limit=10.0, coils=coils, gravity=0.0), [0.0] * 6, []
+    for push in (10.0, 70.0, 20.0):
+        plant.read()
+        force[2] = push
+        applied.append(plant.write(Command(force)).force[2])
+    assert applied == pytest.approx([10.0, 60.0, 20.0])
+
+
+# --- axes of the exact plant
+
+
+def rubbed(duration: Component, x: Component, v: Component, push: Component, rub: Component, inverse: float) -> Array:
+    """Return position and speed after a stretch with dry friction, case by case for arrays."""
+    breaks = np.where(np.abs(push) > rub, np.sign(push), 0.0)
+    sense = np.where(v != 0.0, np.sign(v), breaks)
+    first = np.where(sense != 0.0, push - sense * rub, 0.0) * inverse
+    stops = first * v < 0.0
+    until = np.where(stops, np.minimum(-v / np.where(stops, first, 1.0), duration), duration)
+    place = x + until * (v + 0.5 * until * first)
+    stopped = stops & (until < duration)
+    second = np.where(breaks != 0.0, push - breaks * rub, 0.0) * inverse
+    left = duration - until
+    speed = np.where(stopped, left * second, v + until * first)
+    return np.stack(np.broadcast_arrays(np.where(stopped, place + 0.5 * left * left * second, place), speed))
+
+
+def test_friction_slides_stops_rests_and_turns_back_to_the_last_bit() -> None:
+    random, count = np.random.default_rng(7), 4000
+    x, v = random.normal(size=(2, count)) * [[1e-3], [0.01]]
+    v[::3] = 0.0
+    push, rub, inverse, duration = random.normal(size=count), np.full(count, 0.5), 1.0 / INERTIA[0], 0.003
+    push[::7], rub[1::9] = np.copysign(0.5, push[::7]), 0.0
+    expected = rubbed(duration, x, v, push, rub, inverse)
+    moved, still = expected[1] != 0.0, expected[1] == 0.0
+    assert (still & (v != 0.0)).sum() > 20  # stopped for good
+    assert (still & (v == 0.0)).sum() > 20  # never left
+    assert (moved & (v * expected[1] < 0.0)).sum() > 20  # turned back
+
+    def slid(single: bool, x: Component, v: Component, push: Component, rub: Component) -> list[Component]:
+        none: list[Component] = [0.0] * 6
+        friction = DryFriction({0: rub}, INERTIA, none, single=single)
+        after: tuple[list[Component], list[Component], list[Component]] = [0.0] * 6, [0.0] * 6, [0.0] * 6
+        friction.amend(duration, ([push, *none[1:]], none), ([x, *none[1:]], [v, *none[1:]], none), after)
+        return [after[0][0], after[1][0]]
+
+    assert np.array_equal(slid(False, x, v, push, rub), expected)
+    for device in range(0, count, 3):
+        alone = slid(True, *(float(part[device]) for part in (x, v, push, rub)))
+        assert alone == expected[:, device].tolist()
+        assert all(part.__class__ is float for part in alone)
+    # some of it shared by all devices
+    for shared in (0.0, -0.001, 0.1):
+        mixed = np.broadcast_arrays(*slid(False, x, shared, 0.3, 0.5))
+        assert np.array_equal(mixed, rubbed(duration, x, shared, 0.3, 0.5, inverse))
+
+
+@pytest.mark.parametrize("lag", [0.0, 8e-5])
+@pytest.mark.parametrize("grip", [{}, {"grip_damping": 2.0, "grip_stiffness": 900.0}])
+def test_a_hand_and_lagging_drivers_are_their_transition_matrix(lag: float, grip: dict[str, Any]) -> None:
+    """Along z in the hand, and on the free axes beside it, over durations that return and others."""
+    hand = Hand(mass=0.1, damping=5.0, stiffness=100.0, axes="z", **grip)
+    amendments: list[Amendment] = [
+        *([Lag(INERTIA, lag)] if lag else []),
+        HeldAxis(2, 1e-3, 0.02, 1.0, INERTIA[2], -6.0, hand, lag),
+    ]
+    force, effort = [0.3, -0.2, 5.0, 0.01, -0.02, 0.03], [0.0, 0.0, 0.4, 0.0, 0.0, 0.0]
+    now: tuple[list[Component], list[Component], list[Component]] = [1e-3] * 6, [0.02] * 6, [1.0] * 6
+    kept = [np.array([1e-3, 0.02, *([1.0] if lag else [])]) for _ in range(6)]
+    if hand.soft:
+        kept[2] = np.array([1e-3, 0.02, hand.place(1e-3), 0.02, *([1.0] if lag else [])])
+    for duration in (0.0015, 0.0035, 0.0015, 0.002, 1e-5):
+        rates = [push / mass for push, mass in zip(force, INERTIA)]
+        after = (
+            [x + duration * (v + 0.5 * duration * rate) for x, v, rate in zip(*now[:2], rates)],
+            [v + duration * rate for v, rate in zip(now[1], rates)],
+            list(force),
+        )
+        for amendment in amendments:
+            amendment.amend(duration, (force, effort), now, after)
+        now = after
+        for axis, mass in enumerate(INERTIA):
+            phi, gamma = transition(*motion(mass, hand if axis == 2 else None, lag), duration)
+            kept[axis] = phi @ kept[axis] + gamma @ [force[axis], -6.0 if axis == 2 else 0.0, effort[axis]]
+            assert now[0][axis] == pytest.approx(kept[axis][0], rel=0.0, abs=1e-17)
+            assert now[1][axis] == pytest.approx(kept[axis][1], rel=0.0, abs=1e-14)
+            if lag:
+                assert now[2][axis] == pytest.approx(kept[axis][-1], rel=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"driver_lag": True}, "dry_friction must be without driver_lag"),
+        ({"hand": Hand(stiffness=50.0, axes=("y", "z"))}, "dry_friction must be 0 on an axis that a hand holds"),
+        ({"hand": Hand(stiffness=np.ones(3))}, r"hand must be one, or one for each device of \(\), not \(3,\)"),
+    ],
+)
+def test_options_without_a_closed_form_together_are_refused(options: dict[str, Any], words: str) -> None:
+    with pytest.raises(ParameterError, match=words):
+        ExactPlant(dry_friction=[0.1, 0.0, 0.2, 0.0, 0.0, 0.0], **options)
+
+
+OPTIONS: dict[str, dict[str, Any]] = {
+    "lag": {"driver_lag": True},
+    "hand": {"hand": Hand(mass=0.1, damping=5.0, stiffness=100.0, axes="z")},
+    "soft hand, lag": {"hand": Hand(mass=0.1, grip_damping=2.0, grip_stiffness=900.0), "driver_lag": True},
+    "friction": {"dry_friction": [0.3, 0.3, 0.3, 1e-3, 1e-3, 1e-3]},
+    "friction, hand": {"dry_friction": [0.3, 0, 0, 1e-3, 0, 0], "hand": Hand(stiffness=50.0, axes=("y", "z"))},
+    "limit, sensor, jitter": {"wrench_limit": 20.0, "sensor": Sensor(quantum=5e-6)},
+}
+
+
+@pytest.mark.parametrize("name", OPTIONS)
+def test_a_batch_moves_as_its_devices_alone_whatever_they_share(name: str) -> None:
+    timing, options = Timing(jitter=1e-4 if "jitter" in name else 0.0), OPTIONS[name]
+    poses = places(12)
+    for start in (poses, np.where([1, 1, 0, 1, 1, 1], poses[0], poses), np.broadcast_to(poses[0], (12, 6))):
+        # a pulse of one splits the step of all
+        together = drive(ExactPlant(timing, pose=start, **options), bouncing(), 80).pose
+        for device in (0, 5, 11):
+            alone = drive(ExactPlant(timing, pose=start[device], **options), bouncing(), 80).pose
+            np.testing.assert_allclose(together[device], alone, rtol=0.0, atol=1e-15)
+
+
+# --- records
+
+
+class _Watched(TraceRecorder):
+    """Makes arrays of each state at once too."""
+
+    def add(self, tick: int, offset: Component, state: Any) -> None:
+        super().add(tick, offset, state)
+        self.__dict__.setdefault("seen", []).append([part[0].copy() for part in self._arrays([state])])
+
+
+MANY = places(4)
+RECORDED: dict[str, Callable[..., SampledPlant]] = {
+    **{f"exact, {name}": partial(ExactPlant, pose=MANY[0], **options) for name, options in OPTIONS.items()},
+    **{f"exact batch, {name}": partial(ExactPlant, pose=MANY, **options) for name, options in OPTIONS.items()},
+    "coils": partial(MuJoCoPlant, pose=MANY[0]),
+    "corrected": partial(MuJoCoPlant, pose=MANY[0], integrator="corrected", coils=False, longest_step=1e-3),
+    "lagging coils": partial(MuJoCoPlant, pose=MANY[0], driver_lag=True),
+    "falling off": partial(MuJoCoPlant, pose=MANY[0], force_falloff=0.1),
+    "batch": partial(MuJoCoBatchPlant, pose=MANY, integrator="corrected", coils=False),
+    "lagging batch": partial(MuJoCoBatchPlant, pose=MANY, driver_lag=True),
+}
+
+
+@pytest.mark.parametrize("name", RECORDED)
+def test_a_trace_is_what_each_state_was(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Bit for bit, though its arrays are made at the end: nothing that is kept changes afterwards."""
+    monkeypatch.setattr("maglev_mj.plants.base.TraceRecorder", _Watched)
+    plant = RECORDED[name](Timing(phase=0.3), record=True)
+    drive(plant, bouncing(), 12)
+    trace, seen = plant.trace(), plant._recorder.__dict__["seen"]
+    assert len(seen) == len(trace.time) - 1 >= 20
+    for knot, state in enumerate(seen):
+        for kept, part in zip((trace.pose, trace.twist, trace.wrench), state, strict=True):
+            assert np.array_equal(kept[knot], part)
+
+
+@pytest.mark.parametrize("record", [True, False])
+@pytest.mark.parametrize("name", [*RECORDED, "exact, nothing"])
+def test_what_a_caller_does_to_a_command_later_changes_nothing(name: str, record: bool) -> None:
+    """Its list and its arrays are its own."""
+    states, traces = [], []
+    for again in (False, True):
+        make = RECORDED.get(name, partial(ExactPlant, pose=MANY[0]))
+        plant = make(Timing(delay=1.3 * T), record=record, gravity=0.0)
+        force: list[Any] = [np.zeros(plant.batch) if plant.batch else 0.0 for _ in range(6)]
+        for sample in islice(plant, 10):
+            push = np.full(plant.batch, 0.1 * sample.tick) if plant.batch else 0.1 * sample.tick
+            if again and plant.batch:
+                force[2][...] = push
+            else:
+                force[2] = push
+            plant.write(Command(force if again else list(force)))
+        states.append(plant.state())
+        if record:
+            traces.append(plant.trace())
+    assert np.array_equal(states[0], states[1])
+    if record:
+        for part in ("time", "pose", "twist", "wrench"):
+            assert np.array_equal(getattr(traces[0], part), getattr(traces[1], part))
+        assert traces[0].wrench[..., 2].max() > 0.5
