@@ -87,6 +87,8 @@ class Record:
         Returns:
             For each such code `cells` and `versions`, which are empty where they are unknown.
         """
+        if not self._others:
+            return []
         found = Counter(_key(self._others[key]) for cell in cells if (key := _key(cell)) in self._others)
         return [{"cells": count, "versions": json.loads(text)} for text, count in found.items()]
 
@@ -136,8 +138,9 @@ def run_cells(
         WorkersError: If a cluster is gone, or one of its workers has other code.
     """
     study = _Study(function, record or Record(), workers or inline(), progress)
-    missing = list({_key(cell): cell for cell in cells if cell not in study.record}.values())
-    study.total = len({_key(cell) for cell in cells})
+    keys, found = [_key(cell) for cell in cells], study.record._results
+    missing = list({key: cell for key, cell in zip(keys, cells, strict=True) if key not in found}.values())
+    study.total = len(set(keys))
     study.done = study.total - len(missing)
     study.waiting.extend(missing[start : start + together] for start in range(0, len(missing), together))
     try:
@@ -154,7 +157,7 @@ def run_cells(
         raise
     finally:
         study.close()
-    return [study.record[cell] if cell in study.record else study.dead[_key(cell)] for cell in cells]
+    return [found[key] if key in found else study.dead[key] for key in keys]
 
 
 class _Study:
