@@ -111,6 +111,18 @@ def test_where_methods_fail_draws_its_panels(tmp_path: Path, run_script: Script)
         assert (tmp_path / f"where_methods_fail_{name}.png").stat().st_size > 10_000
 
 
+def test_nonlinear_walls_are_drawn(tmp_path: Path, run_script: Script) -> None:
+    pytest.importorskip("matplotlib")
+    out = run_script("studies/nonlinear_walls.py", "--quick", "--out", str(tmp_path))
+    assert out.count("settles up to, over theory's boundary") == 6
+    cases = json.loads((tmp_path / "stability_nonlinear.json").read_text())["cases"]
+    assert (
+        cases["with a limit of 60 N"]["largest_swing"]
+        < 0.5 * cases["a drop from 4.5 mm: the edge alone"]["largest_swing"]
+    )
+    assert (tmp_path / "stability_nonlinear.png").stat().st_size > 100_000
+
+
 def test_two_walls_prints_draws_and_writes_where_they_rattle(tmp_path: Path, run_script: Script) -> None:
     pytest.importorskip("matplotlib")
     out = run_script("studies/two_walls.py", "--quick", "--out", str(tmp_path))

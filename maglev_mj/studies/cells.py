@@ -12,6 +12,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from contextlib import suppress
+from hashlib import blake2b
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -51,8 +52,8 @@ class Record:
 
     def __init__(self, path: Path | None = None) -> None:
         self.path = path
-        self._results: dict[str, Any] = {}
-        self._others: dict[str, Versions] = {}  # of cells that other code made
+        self._results: dict[bytes, Any] = {}
+        self._others: dict[bytes, Versions] = {}  # of cells that other code made
         self._whole = True  # whether the file ends with a line's end
         if path is not None and path.exists():
             self._read(path)
@@ -87,7 +88,11 @@ class Record:
         Returns:
             For each such code `cells` and `versions`, which are empty where they are unknown.
         """
-        found = Counter(_key(self._others[key]) for cell in cells if (key := _key(cell)) in self._others)
+        if not self._others:
+            return []
+        found = Counter(
+            json.dumps(self._others[key], sort_keys=True) for cell in cells if (key := _key(cell)) in self._others
+        )
         return [{"cells": count, "versions": json.loads(text)} for text, count in found.items()]
 
     def add(self, pairs: Sequence[tuple[Cell, Any]]) -> None:
@@ -104,8 +109,9 @@ class Record:
         self._whole = True
 
 
-def _key(cell: Mapping[str, Any]) -> str:
-    return json.dumps(cell, sort_keys=True)
+def _key(cell: Mapping[str, Any]) -> bytes:
+    """Return a digest of a cell: a million of them are small."""
+    return blake2b(json.dumps(cell, sort_keys=True).encode(), digest_size=16).digest()
 
 
 def run_cells(
@@ -136,8 +142,9 @@ def run_cells(
         WorkersError: If a cluster is gone, or one of its workers has other code.
     """
     study = _Study(function, record or Record(), workers or inline(), progress)
-    missing = list({_key(cell): cell for cell in cells if cell not in study.record}.values())
-    study.total = len({_key(cell) for cell in cells})
+    keys, found = [_key(cell) for cell in cells], study.record._results
+    missing = list({key: cell for key, cell in zip(keys, cells, strict=True) if key not in found}.values())
+    study.total = len(set(keys))
     study.done = study.total - len(missing)
     study.waiting.extend(missing[start : start + together] for start in range(0, len(missing), together))
     try:
@@ -154,7 +161,7 @@ def run_cells(
         raise
     finally:
         study.close()
-    return [study.record[cell] if cell in study.record else study.dead[_key(cell)] for cell in cells]
+    return [found[key] if key in found else study.dead[key] for key in keys]
 
 
 class _Study:
@@ -171,8 +178,8 @@ class _Study:
         self.total = self.done = 0
         self.waiting: deque[list[Cell]] = deque()
         self.suspects: deque[Cell] = deque()
-        self.dead: dict[str, Any] = {}
-        self._deaths: dict[str, int] = {}
+        self.dead: dict[bytes, Any] = {}
+        self._deaths: dict[bytes, int] = {}
         self._hand: dict[Future[list[Any]], list[Cell]] = {}
         self._pool: Executor | None = None
 

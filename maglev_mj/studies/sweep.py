@@ -104,7 +104,7 @@ def sweep(
     made = scene() if isinstance(scene, type) else scene
     cells = swept_cells(made, vary, plant=plant, phase=phase)
     kept = Record(None if record is None else Path(record))
-    known = sum(cell in kept for cell in cells)
+    known = 0 if record is None else sum(cell in kept for cell in cells)
     hands = local_workers(workers) if isinstance(workers, int) else workers or inline()
     function = partial(run_scene_cells, text=_text(type(made)))
     together = _cells_a_job(len(cells) - known, hands.window, all(cell["plant"] == "exact" for cell in cells))
