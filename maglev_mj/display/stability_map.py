@@ -63,7 +63,8 @@ def _placed(scene: Scene, verdict: Verdict, gains: list[tuple[Array, Array]]) ->
         most = largest_stable_stiffness(damping, period=scene.period, delay=scene.delay, mass=body)
         with np.errstate(divide="ignore", invalid="ignore"):
             shares = np.where(stiffness > 0.0, stiffness / most, 0.0)
-        place = divmod(int(shares.argmax()), len(AXES))
+        # of those that are alike but for rounding the first
+        place = divmod(int(np.argmax(shares >= shares.max() * (1.0 - 1e-9))), len(AXES))
     else:  # the most damped combination, on the axis that is looked at
         place = int(damping[:, scene.axis_index].argmax()), scene.axis_index
     share, index = float(shares[place]), place[1]

@@ -11,6 +11,7 @@ import numpy as np
 
 from maglev_mj.frames import Component
 from maglev_mj.hand import Hand, motion, transition
+from maglev_mj.parameters import flag
 
 __all__ = ["Amendment", "DryFriction", "HeldAxis", "Lag", "Motion"]
 
@@ -184,7 +185,7 @@ class DryFriction:
         *,
         single: bool,
     ) -> None:
-        self._single = single
+        self._single = flag("single", single)
         self._axes = [(index, rub, 1.0 / inertia[index], weight[index]) for index, rub in friction.items()]
 
     def amend(self, duration: Component, forces: Forces, before: Motion, after: Motion) -> None:

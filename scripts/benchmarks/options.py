@@ -18,12 +18,13 @@ from maglev_mj.frames import Array
 from maglev_mj.hand import Hand
 from maglev_mj.plants import ExactPlant, MuJoCoBatchPlant, MuJoCoPlant, SampledPlant, Sensor
 from maglev_mj.scenes.drop import Drop
+from maglev_mj.spec import Spec
 from maglev_mj.timeline import Timing
 
 __all__ = ["measure"]
 
 PLAIN = "plain"
-START = np.array([0.5e-3, -0.3e-3, 4.5e-3, 0.0, 0.0, 0.0])
+START = np.array([0.5e-3, -0.3e-3, Spec.translation_range.value, 0.0, 0.0, 0.0])
 JITTER = 1e-4
 ANY_PLANT: Mapping[str, Mapping[str, Any]] = {
     PLAIN: {},

@@ -14,6 +14,7 @@ from maglev_mj import find_scene
 from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.loop import drive
 from maglev_mj.plants import ExactPlant, Sensor, Timing
+from maglev_mj.spec import Spec
 from maglev_mj.studies.batches import FAR, along_z, wall_controller
 from maglev_mj.studies.cells import Cell
 from maglev_mj.studies.sweep import run_scene_cells, swept_cells
@@ -63,7 +64,7 @@ def swings(stiffness: Array, damping: Array) -> Array:
     plant = ExactPlant(
         Timing(period=AROUND["period"], delay=AROUND["delay"]),
         mass=AROUND["mass"],
-        pose=along_z(np.full(stiffness.size, 4.5e-3)),
+        pose=along_z(np.full(stiffness.size, Spec.translation_range.value)),
         escape=FAR,
         wrench_limit=np.where(np.eye(6)[2] > 0.0, LIMIT, np.inf),
         sensor=Sensor(quantum=np.eye(6)[2] * QUANTUM),
