@@ -291,6 +291,7 @@ def answer(
     """
     name = f"law {getattr(law, 'name', type(law).__name__)}"
     given = [part if part.__class__ is float else np.array(part) for part in (*position, *velocity)]
+    single = set(map(type, given)) == {float}
     try:
         said = law(position, velocity, state, wrench)
     except MaglevError:
@@ -299,10 +300,9 @@ def answer(
         raise ParameterError(f"{name} fails: {type(error).__name__}: {error}") from error
     if not (isinstance(said, tuple) and len(said) == 2):
         raise ParameterError(f"{name} must return its next state and a pulse or None, not {said!r}")
-    seen = (*position, *velocity)
-    if len(seen) != len(given) or not all(map(_same, seen, given)):
+    seen = [*position, *velocity]
+    if not (seen == given if single else len(seen) == len(given) and all(map(_same, seen, given))):
         raise ParameterError(f"{name} must not change the position or velocity that it is given")
-    single = all(part.__class__ is float for part in given)
     batch = () if single else np.broadcast_shapes(*map(np.shape, given))
     _check(name, "wrench", wrench, batch)
     if said[1] is not None:
@@ -318,9 +318,9 @@ def _check(name: str, what: str, parts: Sequence[Component], batch: tuple[int, .
     """Refuse anything but six finite components of a batch."""
     if not hasattr(parts, "__len__") or len(parts) != len(AXES):
         raise ParameterError(f"{name} must leave six components of {what}, not {parts!r}")
+    if set(map(type, parts)) == {float} and all(map(math.isfinite, parts)):
+        return
     for axis, part in zip(AXES, parts):
-        if part.__class__ is float and math.isfinite(part):
-            continue
         array = np.asarray(part)
         if array.dtype.kind not in "fiu" or array.shape not in ((), batch):
             shape = f"shape {batch}" if batch else "a number"
