@@ -15,10 +15,12 @@ import subprocess
 import sys
 import threading
 import time
+from asyncio.trsock import TransportSocket
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager, suppress
 from multiprocessing import Pipe, active_children
+from multiprocessing.connection import wait
 from pathlib import Path
 from typing import Any
 
@@ -151,13 +153,17 @@ def test_a_law_that_fails_is_said() -> None:
 
 def test_one_request_at_a_time_and_the_newest_waits() -> None:
     requests = Requests()
+    assert not requests.arrived.poll()
     answers = [requests.put({"number": number}) for number in range(2)]
     assert answers[0].result(0).reason == "replaced by a newer request before it was in force"
+    assert requests.arrived.poll()
     assert requests.next() == {"number": 1} and requests.next() is None
+    assert not requests.arrived.poll()
     answers += [requests.put({"number": number}) for number in (2, 3)]
     assert answers[2].done() and not answers[3].done() and requests.next() is None
     requests.settle(Answer(since=7))
     assert answers[1].result(0) == (7, "", None) and not answers[3].done()
+    assert not requests.arrived.poll()  # the server asks for the next after every answer
     assert requests.next() == {"number": 3}
 
 
@@ -276,6 +282,22 @@ def test_nothing_reaches_the_server_but_what_is_let_in(monkeypatch: pytest.Monke
         assert line.recv(16) == b"back"
         server.close()
         assert line.recv(16) == b""  # either end closes both
+
+
+def test_small_messages_are_passed_on_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """None waits until the one before it is acknowledged, for which the other end takes its time."""
+    calls: list[tuple[object, ...]] = []
+    monkeypatch.setattr(TransportSocket, "setsockopt", lambda _, *option: calls.append(option))
+    good = (request() + "\r\n\r\n").encode()
+    with guarded() as (port, behind), asks(port, good) as line, behind.accept()[0] as server:
+        server.settimeout(5.0)
+        assert server.recv(4096) == good
+        for one, other in ((server, line), (line, server), (server, line)):
+            one.sendall(b"small")
+            assert other.recv(16) == b"small"
+    if guard._QUICKACK is not None:
+        waited(lambda: calls.count((socket.IPPROTO_TCP, guard._QUICKACK, 1)) == 3, 5.0)
+    assert calls.count((socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)) == 2
 
 
 def test_one_that_stalls_takes_nothing_from_others() -> None:
@@ -407,6 +429,26 @@ def test_a_process_that_cannot_check_is_started_anew_once_a_second(monkeypatch: 
         one._requests.put({"wall": False})
         one._turn()
         assert [given for _, given in one._checker.sent] == [{"wall": False}]
+
+
+def test_a_request_wakes_the_server_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It waits for no row; nor does a request that cannot be checked yet keep it awake."""
+    woken: list[Any] = []
+    monkeypatch.setattr("maglev_mj.live.service.wait", lambda lines, _: woken.append(wait(lines, 0.0)))
+    with in_service(monkeypatch) as (one, _):
+        one._turn()
+        woken.clear()
+        for _ in range(2):
+            one._requests.put({"wall": True})
+            one._turn()
+        assert woken == [[one._requests.arrived], []]
+        one._judge("no")
+        one._turn()
+        one._judge("no")
+        one._checker.ended, one._next_checker = True, math.inf
+        one._requests.put({"wall": True})
+        one._turn()
+        assert woken[2:] == [[], []]
 
 
 def test_a_server_ends_with_its_line_alone(monkeypatch: pytest.MonkeyPatch) -> None:

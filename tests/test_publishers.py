@@ -3,11 +3,14 @@
 import re
 import signal
 import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
+from inspect import CO_OPTIMIZED
 from pathlib import Path
+from types import FrameType
 from typing import Any, ClassVar
 
 import numpy as np
@@ -15,16 +18,18 @@ import pytest
 from mcap.reader import make_reader
 
 from live_client import LiveClient, reader
+from maglev_mj import theory
 from maglev_mj.bridge import RemotePlant, Twin, TwinParameters
-from maglev_mj.bridge.flight import Flight
+from maglev_mj.bridge.flight import Flight, StopSwitch
 from maglev_mj.bridge.simulated_links import Impairment, VirtualLink
 from maglev_mj.bridge.wire import Fault
 from maglev_mj.laws.base import as_law
+from maglev_mj.live import LiveServer
 from maglev_mj.recording import Recording, RecordingError, open_recording
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.box import Box
 from maglev_mj.scenes.joystick import Joystick
-from maglev_mj.session import Publishers, Snapshot, Wish
+from maglev_mj.session import Publishers, Session, Snapshot, Wish, refusal
 from tests.test_bridge_processes import COMMAND, ended, said_by, twin
 
 pytestmark = pytest.mark.xdist_group("realtime")
@@ -288,6 +293,67 @@ def test_settings_that_would_push_the_flotor_are_refused_in_a_flight(monkeypatch
     with plant:
         flown.run(0.3)
     assert asks.answers == [asks.snapshots[-1].since]
+
+
+@contextmanager
+def theory_called() -> Iterator[set[str]]:
+    """Yield the functions of the theory that this process calls in this thread and in new ones."""
+    called, folder = set[str](), str(Path(theory.__file__).parent)
+
+    def note(frame: FrameType, event: str, _: object) -> None:
+        code = frame.f_code
+        if event == "call" and code.co_filename.startswith(folder) and code.co_flags & CO_OPTIMIZED:  # no import
+            called.add(code.co_qualname)
+
+    threading.setprofile(note)
+    sys.setprofile(note)
+    try:
+        yield called
+    finally:
+        sys.setprofile(None)
+        threading.setprofile(None)
+
+
+def fly(live: LiveServer, switch: StopSwitch) -> None:
+    flown, plant = flight(publishers=[live], file=live, switch=switch)
+    with plant:
+        flown.run()
+
+
+def render(live: LiveServer, switch: StopSwitch) -> None:
+    session = Session(publishers=[live], file=live)
+    while not switch.landing:
+        session.tick(0.005)
+        time.sleep(0.001)
+
+
+@pytest.mark.parametrize("run", [fly, render])
+def test_settings_are_checked_in_another_process(run: Callable[..., None], monkeypatch: pytest.MonkeyPatch) -> None:
+    """No function of the theory is called where a scene runs, whether settings are refused or accepted."""
+    with theory_called() as called:
+        refusal(Joystick())
+    assert "stability" in called
+    monkeypatch.setattr("maglev_mj.bridge.flight.delay_check", lambda *_: "")  # after landing it is called there
+    answers: list[dict[str, Any]] = []
+    with closing(LiveServer(0)) as live, theory_called() as called:
+        switch = StopSwitch()
+
+        def ask() -> None:
+            try:
+                with LiveClient(f"ws://127.0.0.1:{live.port}", set()) as client:
+                    while client.parameters().get("state") not in ("flying", "running"):
+                        time.sleep(0.01)
+                    answers.extend(client.set(stiffness=stiffness) for stiffness in (60000.0, 3000.0))
+            finally:
+                switch.land()
+
+        client = threading.Thread(target=ask)
+        client.start()
+        run(live, switch)
+        client.join()
+    refused, accepted = answers
+    assert refused["figures"]["modulus"] > 1.0 and accepted["since"] is not None
+    assert not called
 
 
 def broken(position: Any, velocity: Any) -> Any:

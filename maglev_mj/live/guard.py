@@ -22,6 +22,7 @@ MOST = 64
 """Connections at a time; each takes three open files, of which a process may have few."""
 
 _LONGEST, _CHUNK = 8192, 1 << 16
+_QUICKACK: int | None = getattr(socket, "TCP_QUICKACK", None)  # of Linux only
 _HOST = re.compile(LOOPBACK, re.IGNORECASE)
 _ORIGIN = re.compile(rf"https?://{LOOPBACK}|https://app\.foxglove\.dev", re.IGNORECASE)
 _FIELD = re.compile(r"([\w-]+):[ \t]*([^\r\n]*?)[ \t]*", re.ASCII)
@@ -83,16 +84,19 @@ async def _accept(reader: asyncio.StreamReader, writer: asyncio.StreamWriter, se
             return
         back, forth = await asyncio.open_connection(*server, limit=_LONGEST)
     forth.write(request)
-    ways = [asyncio.create_task(_pass(reader, forth)), asyncio.create_task(_pass(back, writer))]
+    ways = [asyncio.create_task(_pass(reader, writer, forth)), asyncio.create_task(_pass(back, forth, writer))]
     await asyncio.wait(ways, return_when=asyncio.FIRST_COMPLETED)
     for way in ways:
         way.cancel()
     forth.close()
 
 
-async def _pass(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-    """Pass bytes on until either end is closed; wait for the one that takes them."""
+async def _pass(reader: asyncio.StreamReader, source: asyncio.StreamWriter, writer: asyncio.StreamWriter) -> None:
+    """Pass bytes on at once until either end is closed; wait for the one that takes them."""
     with suppress(OSError):
+        writer.get_extra_info("socket").setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         while data := await reader.read(_CHUNK):
             writer.write(data)
+            if _QUICKACK is not None:  # the server's next message waits for it, 40 ms by default; it does not last
+                source.get_extra_info("socket").setsockopt(socket.IPPROTO_TCP, _QUICKACK, 1)
             await writer.drain()

@@ -89,7 +89,8 @@ class _Service(ServerListener):
 
     def _turn(self) -> None:
         """Wait for whatever comes next, and pass it on."""
-        wait([self._line] if self._checker.ended else [self._line, self._checker.line], _LOOK)
+        checking = [] if self._checker.ended else [self._checker.line, self._requests.arrived]
+        wait([self._line, *checking], _LOOK)
         rows = list(self._rows.rows())  # before what is said, for what is said of a row comes before it
         while not self._over and self._line.poll():
             self._hear()

@@ -8,6 +8,7 @@ import threading
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Future
 from contextlib import suppress
+from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from typing import Any, NamedTuple, TypeAlias
 
@@ -96,9 +97,14 @@ def check_requests(line: Connection) -> None:
 
 
 class Requests:
-    """Hold the newest request until the one before it is answered: each is checked with what that one has left."""
+    """Hold the newest request until the one before it is answered: each is checked with what that one has left.
+
+    Attributes:
+        arrived: Readable once a request has come while none was being checked, until `next` returns it.
+    """
 
     def __init__(self) -> None:
+        self.arrived, self._bell = Pipe(duplex=False)
         self._lock = threading.Lock()
         self._waiting: tuple[Mapping[str, Any], Future[Answer]] | None = None
         self._current: Future[Answer] | None = None
@@ -108,6 +114,8 @@ class Requests:
         answer = Future[Answer]()
         with self._lock:
             older, self._waiting = self._waiting, (given, answer)
+            if older is None and self._current is None:
+                self._bell.send(None)
         if older is not None:
             older[1].set_result(Answer(reason="replaced by a newer request before it was in force"))
         return answer
@@ -118,6 +126,8 @@ class Requests:
             if self._current is not None or self._waiting is None:
                 return None
             (given, self._current), self._waiting = self._waiting, None
+            if self.arrived.poll():
+                self.arrived.recv()
         return given
 
     def settle(self, answer: Answer) -> None:

@@ -6,8 +6,8 @@ cost: flights of a real-time twin, in turn without a server, with one that nobod
 every message, and under a flood of sets that are refused, of sets that are accepted, and of sets that are none: the
 time from reading a sample to having sent its answer, over that without a server, the longest time between two answers,
 the samples missed, messages that the client heard, and the flights that a fault has ended. ticks: samples and time from
-a client's call to its being in force, on a device and in a session. --busy keeps every processor busy with something
-else besides.
+a client's call to its being in force, and time until another is refused, on a device and in a session. --busy keeps
+every processor busy with something else besides.
 """
 
 from __future__ import annotations
@@ -101,16 +101,18 @@ def hearing(line: Connection, port: int) -> None:
 
 
 def asking(line: Connection, port: int) -> None:
-    """Ask for parameters at any time; send when that was, and from which sample on they are in force."""
+    """Ask at any time for parameters that are refused every other time.
+
+    Send when each was asked and answered, and from which sample on it is in force.
+    """
     draw, came = np.random.default_rng(1), []
     time.sleep(SETTLED)
     with LiveClient(f"ws://127.0.0.1:{port}", set()) as client:
-        for number in range(SETS):
+        for number in range(2 * SETS):
             time.sleep(draw.uniform(0.0, 0.03))
             sent = time.monotonic()
-            said = client.set(stiffness=3000.0 + number)
-            if not said["reason"]:
-                came.append((sent, said["since"]))
+            since = client.set(stiffness=(60000.0 if number % 2 else 3000.0) + number)["since"]
+            came.append((sent, time.monotonic(), since))
     line.send(came)
 
 
@@ -204,23 +206,28 @@ def asked(live: LiveServer) -> Iterator[list[Any]]:
         host.close()
 
 
-def counted(what: str, noted: Noted, came: Sequence[tuple[float, int]]) -> None:
-    """Print samples and time from asking to being in force."""
+def counted(what: str, noted: Noted, came: Sequence[tuple[float, float, int | None]]) -> None:
+    """Print samples and time from asking to being in force, and time to being refused."""
     instants, answered = [instant for _, instant in noted.rows], dict(noted.rows)
-    samples, spans = [], []
-    for sent, tick in came:
+    samples, spans, refused = [], [], []
+    for sent, told, tick in came:
+        if tick is None:
+            refused.append((told - sent) * 1e3)
+            continue
         samples.append(tick - noted.rows[int(np.searchsorted(instants, sent)) - 1][0])
         spans.append((answered[tick] - sent) * 1e3)
     cells = "  ".join(
         f"{name} {np.percentile(samples, share):3.0f} samples, {np.percentile(spans, share):5.1f} ms"
         for name, share in SHARES.items()
     )
-    print(f"  {what:<20}{len(came)} of {SETS} accepted  {cells}", flush=True)
+    print(f"  {what:<20}{len(spans)} of {SETS} accepted  {cells}", flush=True)
+    cells = "  ".join(f"{name} {np.percentile(refused, share):5.1f} ms" for name, share in SHARES.items())
+    print(f"  {what:<20}{len(refused)} of {SETS} refused   {cells}", flush=True)
 
 
 def ticks(rates: Sequence[int]) -> None:
     """Print how soon settings are in force."""
-    print("from a client's call to the first sample answered under it")
+    print("from a client's call to the first sample answered under it, or to its refusal")
     for rate in rates:
         with device(rate) as plant, closing(LiveServer(0)) as live:
             scene = Joystick(period=plant.period, delay=plant.delay)
