@@ -1,4 +1,4 @@
-"""Many runs of a scene as batches on the exact plant, where the runs differ in numbers alone."""
+"""Run many scenes as batches on the exact plant."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ class SceneStack:
 
 
 def figures_together(scenes: Sequence[Scene], plant: str, phases: Sequence[float]) -> list[Mapping[str, Any] | None]:
-    """Return the figures of many runs by name, made as batches; None for a run that must be made alone.
+    """Return the figures of many runs by name; None for one to run alone.
 
     Runs fit one batch if their laws are of the same kinds, declare which parameters may differ, and what the plant
     does not take per device is equal. Alone go those of a scene with a run of its own, of fewer than `_LEAST` of a
