@@ -61,7 +61,9 @@ class HandWork:
         self._pose, self._effort = pose, np.array(effort)
 
     def take(self, poses: Array, efforts: Array) -> Array:
-        """Add the ways up to N samples, to the same bits as one by one; return the total at each [J], (N,).
+        """Add N samples; return the total at each [J], (N,).
+
+        The bits are those of one by one.
 
         Args:
             poses: At the samples [m, rad], (N, 6).
@@ -169,7 +171,9 @@ class PassivityObserver:
             self._timeline.answer(self._count, held, held + command.pulse, command.pulse_width)
 
     def take(self, poses: Array, held: Array, pulses: Array, widths: Array) -> Array:
-        """Take in N samples of one device and their commands, in less time than one by one and to the same bits.
+        """Take in N samples of one device and their commands.
+
+        The bits are those of one by one.
 
         Args:
             poses: Poses [m, rad], (N, 6).

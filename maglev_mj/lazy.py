@@ -1,4 +1,4 @@
-"""Names of a package, each loaded with its module when it is first asked for."""
+"""Names of a package, loaded with their modules on first use."""
 
 from __future__ import annotations
 

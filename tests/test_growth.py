@@ -12,7 +12,9 @@ from failures import random_delay_rate
 from maglev_mj.errors import ParameterError
 from maglev_mj.hand import HANDS, hand_called
 from maglev_mj.laws import LowPass, VelocityEstimator, Window
-from maglev_mj.plants import Timing
+from maglev_mj.loop import ControlLoop
+from maglev_mj.plants import MuJoCoBatchPlant, Timing
+from maglev_mj.studies import growth as growing
 from maglev_mj.studies.growth import RestingWall, measure_growth
 from maglev_mj.studies.integrators import SteppedLoop, boundary_shift
 from maglev_mj.studies.stability_map import StabilityParameters, run_stability
@@ -103,6 +105,34 @@ def test_a_wall_s_growth_is_that_of_the_wall_alone() -> None:
     alone = [measure_growth([wall]) for wall in some]
     for name in ("stable", "rate", "ticks"):
         np.testing.assert_array_equal(getattr(together, name), [getattr(one, name)[0] for one in alone])
+
+
+def test_a_run_ends_with_the_block_in_which_the_last_is_decided(monkeypatch: pytest.MonkeyPatch) -> None:
+    counts: list[int] = []
+
+    class Counted(ControlLoop):
+        def cycle(self, count: int = 1) -> None:
+            counts.append(count)
+            super().cycle(count)
+
+    monkeypatch.setattr(growing, "ControlLoop", Counted)
+    found = measure_growth(walls([3000.0, 5000.0], 80.0))
+    # ten-thousandfold less
+    last = np.log(1e-4) / np.log(found.rate.max())
+    assert found.stable.all() and last < sum(counts) <= last + 32 < 128
+
+
+@pytest.mark.parametrize(("count", "threads"), [(2, 1), (47, 1), (48, 0)])
+def test_few_walls_are_simulated_on_one_thread(count: int, threads: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[int] = []
+
+    def made(*arguments: Any, **keywords: Any) -> MuJoCoBatchPlant:
+        asked.append(keywords["threads"])
+        return MuJoCoBatchPlant(*arguments, **keywords)
+
+    monkeypatch.setitem(growing._BATCHES, "mujoco", made)
+    assert measure_growth(walls(np.linspace(3000.0, 5000.0, count), 80.0), "mujoco").stable.all()
+    assert asked == [threads]
 
 
 def settles_just_below(boundary: ArrayLike, damping: float, wall: RestingWall, margin: float, **keywords: Any) -> bool:

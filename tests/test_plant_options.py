@@ -305,6 +305,17 @@ def test_a_trace_is_what_each_state_was(name: str, monkeypatch: pytest.MonkeyPat
             assert np.array_equal(kept[knot], part)
 
 
+def test_work_is_that_of_the_command_whatever_a_caller_does_to_it_later() -> None:
+    work = []
+    for again in (False, True):
+        plant, force = ExactPlant(metered=True), [0.0] * 6
+        for sample in islice(plant, 10):
+            force[2] = 0.1 * sample.tick
+            plant.write(Command(force if again else list(force)))
+        work.append(plant.work)
+    assert work[0] == work[1] != 0.0
+
+
 @pytest.mark.parametrize("record", [True, False])
 @pytest.mark.parametrize("name", [*RECORDED, "exact, nothing"])
 def test_what_a_caller_does_to_a_command_later_changes_nothing(name: str, record: bool) -> None:

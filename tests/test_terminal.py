@@ -20,6 +20,7 @@ from maglev_mj import cli
 from maglev_mj.bridge.commissioning import CoilCheck
 from maglev_mj.bridge.fault import BlackBox, load_black_box
 from maglev_mj.bridge.wire import Fault
+from maglev_mj.cli import completion
 from maglev_mj.cli.arguments import joined
 from maglev_mj.cli.commands import COMMANDS, GROUPS
 from maglev_mj.cli.commission import _coil_row
@@ -191,25 +192,41 @@ def test_a_shell_is_offered_commands_options_scenes_and_values(tmp_path: Path) -
     environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path / "cache")}
     kept = tmp_path / "cache" / "maglev-mj" / "completion"
 
-    def loaded() -> list[str]:
-        """Ask for all lines; return for each whether numpy was loaded."""
-        asked, lines = [sys.executable, "-c", ASK], "\n".join(OFFERED)
-        done = subprocess.run(asked, input=lines, text=True, cwd=here, env=environment, capture_output=True, check=True)
-        for place, (line, offered) in enumerate(OFFERED.items()):
+    def loaded(count: int) -> list[str]:
+        """Ask for the first lines; return for each whether numpy was loaded."""
+        asked, lines = [sys.executable, "-c", ASK], [*OFFERED][:count]
+        done = subprocess.run(
+            asked, input="\n".join(lines), text=True, cwd=here, env=environment, capture_output=True, check=True
+        )
+        for place, line in enumerate(lines):
             found = (here / f"answer {place}").read_text()
-            assert [word.strip() for word in found.split(",") if word] == offered, line
+            assert [word.strip() for word in found.split(",") if word] == OFFERED[line], line
         return done.stdout.split()
 
-    first, second = loaded(), loaded()  # the second time from what the first has kept
+    first, second = loaded(11), loaded(11)  # the second time from what the first has kept
     assert first[:2] == ["False"] * 2 and first[2:7] == ["True"] * 5
     assert second == ["False"] * 9 + ["True"] * 2  # a flight's scene stands behind its address
     for file in kept.iterdir():  # of other code
         told = json.loads(file.read_text())
         file.write_text(json.dumps({**told, "code": "0.1.0 1 1", "actions": []}))
-    assert loaded()[2:7] == ["True"] * 5
-    for file in kept.iterdir():
-        file.write_text("{")
-    assert loaded()[2:7] == ["True"] * 5
+    assert loaded(3)[2] == "True"
+
+
+@pytest.mark.parametrize("text", ["{", "[1]", "3", "\x80"])
+def test_options_that_cannot_be_read_or_kept_are_found_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    completion._write("drop", {"code": "1"})
+    assert completion._read("drop") == {"code": "1"} and completion._read("press") is None
+    Path(completion._path("drop")).write_text(text, encoding="latin-1")
+    assert completion._read("drop") is None
+    for folder in ("relative", str(tmp_path / "cache" / "maglev-mj" / "completion" / "drop.json")):  # a file is none
+        monkeypatch.setenv("XDG_CACHE_HOME", folder)
+        completion._write("drop", {})
+        assert completion._read("drop") is None
+    assert [one.name for one in tmp_path.iterdir()] == ["cache"]
 
 
 BASH = """

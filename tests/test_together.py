@@ -15,6 +15,7 @@ from maglev_mj.laws.stack import law_kind, stacked
 from maglev_mj.scenes import together
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.studies import sweep as sweeping
+from maglev_mj.studies.growth import RestingWall
 from maglev_mj.studies.sweep import run_scene_cells, swept_cells
 from maglev_mj.studies.sweep import sweep as run_sweep
 
@@ -153,6 +154,59 @@ def test_laws_of_ones_own_run_together_unless_they_are_not_elementwise(
     assert batches == sizes
     assert all(same(one, other, 1e-9) for one, other in zip(at_once, alone, strict=True))
     assert "error" not in alone[0]
+
+
+OWN_TIMING = """
+    offset: float = param("of the samples", default=0.0, at_least=0.0, below=1.0)
+
+    def timing(self, phase=0.0):
+        return Timing(period=self.period, delay=self.delay, phase=self.offset)
+"""
+# a local class has no content that can be compared
+OWN_SENSOR = """
+    offset: float = param("of the sensor", "m", default=0.0, at_least=0.0)
+
+    def plant_options(self):
+        class Shifted:
+            def start(sensor):
+                return lambda position: [part + self.offset for part in position]
+        return {"sensor": Shifted()}
+"""
+# an array takes None for NaN
+OWN_FIGURE = """
+    offset: float | None = param("in a figure", "m", default=None, at_least=0.0, optional=True)
+    figures = (figure(batched=True)(
+        lambda result: result.phase + (9.0 if result.scene.offset is None else result.scene.offset)
+    ),)
+"""
+
+
+@pytest.mark.parametrize(
+    ("own", "offsets", "sizes"),
+    [
+        (OWN_TIMING, [0.0, 0.3, 0.6, 0.0], [12]),
+        (OWN_SENSOR, [0.0, 1e-4, 2e-4, 0.0], []),
+        (OWN_FIGURE, [0.5, None, 0.7, 0.5], [12]),
+    ],
+)
+def test_what_a_scene_makes_itself_is_that_of_each_run(
+    tmp_path: Path, batches: list[int], own: str, offsets: list[float | None], sizes: list[int]
+) -> None:
+    """Though first and last cell, which are made alone too, agree in it."""
+    file = tmp_path / "spring.py"
+    file.write_text(f"{OWN % 'pass'}{own}".replace("figure, gain", "figure, Timing, gain"))
+    vary: dict[str, list[Any]] = {"stiffness": spread(200.0, 900.0, 3), "offset": [*offsets]}
+    at_once, alone = both_ways(swept_cells(find_scene(str(file))(), vary, plant="exact"), file.read_text())
+    assert batches == sizes
+    assert "error" not in alone[0] and len({str(one) for one in alone[:4]}) == 3
+    assert all(same(one, other, 1e-9) for one, other in zip(at_once, alone, strict=True))
+
+
+def test_a_wall_that_leaves_every_range_ends_no_other() -> None:
+    wall = RestingWall(hand="0.3,5,1e5,10,1e6", period=0.2, delay=0.1)
+    cells = swept_cells(wall, {"stiffness": [1e3, 1e5, 1e8], "damping": [0.0, 1e6]}, plant="exact")
+    at_once, alone = both_ways(cells)
+    assert at_once == alone and not any("error" in one for one in alone)
 
 
 OWN_RUN = """

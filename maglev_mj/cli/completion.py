@@ -71,7 +71,7 @@ def _add_options(parser: Parser, command: str, arguments: Sequence[str]) -> None
     names = [command, f"{command} {scene}"] if scene else [command]
     code = _code()
     for kept in filter(None, map(_read, names)):
-        if kept["code"] == code and kept["scene"] in ("any", scene):
+        if kept.get("code") == code and kept["scene"] in ("any", scene):
             _recall(parser, kept["actions"])
             return
     before, parser.before = parser.before, None
@@ -127,22 +127,30 @@ def _code() -> str:
 
 
 def _path(name: str) -> str:
+    """Return the file of a name.
+
+    Raises:
+        OSError: If there is no cache folder: a relative one would be another in each folder.
+    """
     cache = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    if not os.path.isabs(cache):
+        raise FileNotFoundError(cache)
     return os.path.join(cache, "maglev-mj", "completion", f"{name}.json")
 
 
-def _read(name: str) -> Any:
+def _read(name: str) -> dict[str, Any] | None:
     """Return what is kept under a name; None for nothing that can be read."""
     with suppress(OSError, ValueError), open(_path(name), encoding="utf-8") as file:
-        return json.load(file)
+        kept = json.load(file)
+        return kept if isinstance(kept, dict) else None
     return None
 
 
 def _write(name: str, kept: Mapping[str, Any]) -> None:
     """Keep under a name, whole or not at all; it is found anew where that fails."""
-    path = _path(name)
-    partial = f"{path}.{os.getpid()}"
     with suppress(OSError):
+        path = _path(name)
+        partial = f"{path}.{os.getpid()}"
         os.makedirs(os.path.dirname(path), exist_ok=True)
         with open(partial, "w", encoding="utf-8") as file:
             json.dump(kept, file)

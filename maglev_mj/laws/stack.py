@@ -1,4 +1,4 @@
-"""Laws of devices that differ in their parameters, as one law for all of them."""
+"""Stack the laws of N devices into one law."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ __all__ = ["content", "law_kind", "stacked"]
 
 
 def law_kind(law: object) -> Hashable | None:
-    """Return what laws must agree in to be stacked; None for a law that cannot be.
+    """Return the kind of a law; those of one kind can be stacked.
 
-    A law can be if it is a dataclass that names in `per_device` the fields that may differ.
+    None for a law that cannot be. It can be if it is a dataclass that names in `per_device` the fields that may differ.
     """
     if not (isinstance(law, Law) and is_dataclass(law) and law.per_device):
         return None
@@ -36,7 +36,7 @@ def _fixed(cls: Any) -> tuple[str, ...]:
 
 
 def content(value: object) -> bytes | None:
-    """Return bytes that are equal for equal contents; None for what has none, as a local function."""
+    """Return bytes, equal for equal contents; None for a local function."""
     try:
         return pickle.dumps(value)
     except Exception:  # whatever a user's class raises
@@ -44,7 +44,7 @@ def content(value: object) -> bytes | None:
 
 
 def stacked(laws: Sequence[Any]) -> Any:
-    """Return one law for N devices of N laws of one kind: what differs becomes (N, axes).
+    """Return one law for N devices: parameters that differ become (N, axes).
 
     Raises:
         ParameterError: If a law is of several devices itself, or does not take parameters that differ.

@@ -1,4 +1,4 @@
-"""What the exact plant's axes have beside a mass under a constant force: drivers that lag, a hand, dry friction."""
+"""Driver lag, a hand and dry friction on the exact plant's axes."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ Forces: TypeAlias = tuple[Sequence[Component], Sequence[Component]]
 
 
 class Amendment(Protocol):
-    """What sets an axis apart from a free mass."""
+    """A correction of the motion of free masses."""
 
     def amend(self, duration: Component, forces: Forces, before: Motion, after: Motion) -> None:
-        """Put right the motion `after` a duration [s], in place, which is that of free masses.
+        """Correct the motion `after` in place.
 
         Args:
             duration: Duration [s].
@@ -42,7 +42,9 @@ class Amendment(Protocol):
 
 
 class Lag:
-    """First-order drivers: actual force = command + (actual - command) exp(-t / lag), integrated twice.
+    """First-order lag of the drivers.
+
+    Actual force = command + (actual - command) exp(-t / lag), integrated twice.
 
     Args:
         inertia: Mass and moments of inertia of the axes, six [kg, kg m²].
@@ -84,7 +86,7 @@ class Lag:
         actual[5] = tz + left * drz
 
     def _factors(self, duration: Component) -> tuple[Component, list[Component], list[Component]]:
-        """Return what is left of a missing newton after a duration [s], and the way and speed [m, m/s] that it gives.
+        """Return share of a missing force left after a duration [s], and its way and speed [m, m/s a newton].
 
         Those of a number are kept because the durations return every period.
         """
@@ -106,7 +108,7 @@ def _keep(known: dict[Any, Any], key: Any, value: Any) -> None:
 
 
 class HeldAxis:
-    """An axis in a hand, its drivers with or without lag: the transition matrix of `motion`.
+    """An axis in a hand, by the transition matrix of `motion`.
 
     Args:
         index: Index of the axis into AXES.
@@ -168,7 +170,7 @@ class HeldAxis:
 
 
 class DryFriction:
-    """Coulomb friction of the device itself: an axis stops, stays, or turns back within the stretch.
+    """Coulomb friction of the device: an axis may stop within a segment.
 
     Args:
         friction: Friction of the axes that have some, by index into AXES [N, N m].
@@ -200,7 +202,7 @@ class DryFriction:
 
 
 def _slide(duration: float, x: float, v: float, push: float, rub: float, inverse: float) -> tuple[float, float]:
-    """Return where one device's axis is after a duration under a force and friction, and how fast.
+    """Return position and velocity of one axis after a duration under friction.
 
     Args:
         duration: Duration [s].
@@ -227,14 +229,14 @@ def _slide(duration: float, x: float, v: float, push: float, rub: float, inverse
 def _slide_many(
     duration: Component, x: Component, v: Component, push: Component, rub: Component, inverse: Component
 ) -> tuple[Component, Component]:
-    """Return what `_slide` does for a batch, (...,) each: all as if none stopped, then those that do."""
+    """Return what `_slide` does, for a batch, (...,) each."""
     rests = v == 0.0
     first = (push - np.copysign(rub, v)) * inverse
     if np.count_nonzero(rests):
         first = np.where(rests, _beyond(push, rub) * inverse, first)
     speed = v + duration * first
     place = x + duration * (v + 0.5 * duration * first)
-    stops = v * speed < 0.0
+    stops = v * speed < 0.0  # few do: these again
     if np.count_nonzero(stops):
         place, speed = (np.array(part) for part in np.broadcast_arrays(place, speed))
         stops = np.nonzero(np.broadcast_to(stops, place.shape))

@@ -96,7 +96,7 @@ class ExactPlant(SampledPlant):
             # only the recorded curve needs the pieces: the state itself is exact over any stretch
             keywords["longest_step"] = 0.25 * self._lag
         special = driver_lag or hand is not None or dry_friction is not None
-        self._uses_force = special or bool(keywords.get("record"))
+        self._uses_force = special or bool(keywords.get("record") or keywords.get("metered"))
         super().__init__(timing, batch=start.shape[:-1], **keywords)
         self._pull: tuple[Component, ...] | None = None
         self._actual = list(self._timeline.acting[1])

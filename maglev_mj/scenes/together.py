@@ -1,4 +1,4 @@
-"""Many runs of a scene as batches on the exact plant, where the runs differ in numbers alone."""
+"""Run many scenes as batches on the exact plant."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 from collections import defaultdict
 from collections.abc import Hashable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -39,6 +39,7 @@ class _Member:
     index: int
     scene: Scene
     phase: float
+    timing: Timing
     laws: Sequence[Any]
     options: Mapping[str, Any]
     hand: HandForce | None
@@ -62,7 +63,7 @@ class SceneStack:
         values = [getattr(one, name) for one in self.scenes]
         if all(value == values[0] for value in values[1:]):
             return values[0]
-        return np.array(values, dtype=np.float64)
+        return np.array([float(value) for value in values])  # None, which an array takes for NaN, is no number
 
     def __getitem__(self, device: Any) -> Any:
         """Return the scene of one device, or a stack of several by an array of indices."""
@@ -86,19 +87,19 @@ class SceneStack:
                 options[name] = rows if name == "pose" or (rows != rows[0]).any() else options[name]
         hands = [one.hand for one in self._members if one.hand is not None]
         options |= {"escape": _FAR, "hand_force": SideBySide(hands) if hands else None}
-        return ExactPlant(first.scene.timing(phase), **options, **keywords)
+        return ExactPlant(self.timing(phase), **options, **keywords)
 
     def ticks(self, timing: Timing) -> int:
         """Return how many samples to answer until the end."""
         return self.scenes[0].ticks(timing)
 
-    def timing(self, phase: Array) -> Timing:
-        """Return when samples are taken and commands act."""
-        return self.scenes[0].timing(phase)
+    def timing(self, _: Array) -> Timing:
+        """Return when samples are taken and commands act, for a scene may make its own of a phase."""
+        return replace(self._members[0].timing, phase=np.array([one.timing.phase for one in self._members]))
 
 
 def figures_together(scenes: Sequence[Scene], plant: str, phases: Sequence[float]) -> list[Mapping[str, Any] | None]:
-    """Return the figures of many runs by name, made as batches; None for a run that must be made alone.
+    """Return the figures of many runs by name; None for one to run alone.
 
     Runs fit one batch if their laws are of the same kinds, declare which parameters may differ, and what the plant
     does not take per device is equal. Alone go those of a scene with a run of its own, of fewer than `_LEAST` of a
@@ -136,20 +137,21 @@ def _member(index: int, scene: Scene, phase: float) -> _Member:
     timing = scene.timing(phase)
     fixed = content(
         (
-            (scene.axis, scene.end, scene.period, timing.delay, timing.jitter, timing.seed, type(hand)),
+            (scene.axis, scene.end, scene.period, type(hand)),
+            (timing.period, timing.delay, timing.jitter, timing.seed),
             {name: value for name, value in options.items() if name not in _STACKED},
             [name for name in _STACKED if options.get(name) is None],
             scene.velocity_estimator(),
         )
     )
-    fits = fixed is not None and None not in kinds and timing.period == scene.period
-    return _Member(index, scene, phase, laws, options, hand, (*kinds, fixed) if fits else None)
+    fits = fixed is not None and None not in kinds
+    return _Member(index, scene, phase, timing, laws, options, hand, (*kinds, fixed) if fits else None)
 
 
 def _most_of(member: _Member) -> int:
     """Return how many runs of a kind go together: fewer of long ones, whose recorded motion has to fit memory."""
     step = member.options.get("longest_step") or math.inf
-    knots = 3.0 * member.scene.ticks(member.scene.timing(0.0)) * max(math.ceil(member.scene.period / step), 1)
+    knots = 3.0 * member.scene.ticks(member.timing) * max(math.ceil(member.scene.period / step), 1)
     return max(min(_MOST, int(_ROOM / (knots * _PER_KNOT))), 1)
 
 

@@ -24,7 +24,7 @@ from maglev_mj.studies.batches import wall_controller
 from maglev_mj.theory import StiffestWall, largest_modulus, largest_stable_stiffness, stiffest_wall
 from maglev_mj.theory.closed_loop import MOST_PERIODS, LoopKeywords
 
-__all__ = ["HAND_HELP", "RestingWall", "grow_together", "measure_growth"]
+__all__ = ["HAND_HELP", "RestingWall", "grow_together", "measure_growth", "stiffest_in"]
 
 _MOVED = 1e-6
 _DECIDED = 1e4
@@ -124,7 +124,7 @@ class RestingWall(Scene):
             walls = [scenes[index] for index in indices]
             stiffness, damping = (np.array([getattr(wall, name) for wall in walls]) for name in _GAINS)
             first = walls[0]
-            stiffest = _stiffest(first.period, first.delay, first.mass, first.hand)
+            stiffest = stiffest_in(first.period, first.delay, first.mass, first.hand)
             columns = {
                 "modulus": largest_modulus(stiffness, damping, **first.loop),
                 "largest_stiffness": largest_stable_stiffness(damping, **first.loop),
@@ -140,8 +140,8 @@ class RestingWall(Scene):
 
 
 @lru_cache(maxsize=1024)
-def _stiffest(period: float, delay: float, mass: float, hand: str) -> StiffestWall:
-    """Return what does not depend on the gains, once for all of them."""
+def stiffest_in(period: float, delay: float, mass: float, hand: str) -> StiffestWall:
+    """Return the stiffest wall, found once for all gains."""
     return stiffest_wall(period=period, delay=delay, mass=mass, hand=hand_called(hand))
 
 

@@ -1,4 +1,4 @@
-"""The stability map of walls with a pulse, a force limit and a sensor's steps: drops, judged by their last swing."""
+"""Stability maps of nonlinear walls, from simulated drops."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Ending(IntEnum):
 
 
 class DropMapParameters(StabilityParameters):
-    """A grid of gains, the loop around them, and what no linear theory has.
+    """Parameters of a map of drops.
 
     Raises:
         ParameterError: If a value is outside its bounds.
@@ -95,7 +95,7 @@ class DropMapParameters(StabilityParameters):
 
 @dataclass(frozen=True, eq=False)
 class DropMap:
-    """What drops say of each cell, and where theory has the boundary without all that they add.
+    """Endings of the drops on a grid of walls, and the boundary by theory.
 
     Attributes:
         parameters: The grid.

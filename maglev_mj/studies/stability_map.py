@@ -17,7 +17,7 @@ from maglev_mj.hand import hand_called
 from maglev_mj.parameters import Parameters, interval, param
 from maglev_mj.spec import Spec
 from maglev_mj.studies.cells import Cell, Record, run_cells
-from maglev_mj.studies.growth import HAND_HELP, RestingWall, grow_together
+from maglev_mj.studies.growth import HAND_HELP, RestingWall, grow_together, stiffest_in
 from maglev_mj.theory.closed_loop import MOST_PERIODS, LoopKeywords
 from maglev_mj.workers import Workers
 
@@ -154,7 +154,7 @@ def run_stability(
 
 def gain_axes(p: StabilityParameters) -> tuple[Array, Array, theory.StiffestWall]:
     """Return dampings [N s/m], (B,), and stiffnesses [N/m], (K,), of a grid, and the stiffest wall by theory."""
-    best = theory.stiffest_wall(**p.loop)
+    best = stiffest_in(p.period, p.delay, p.mass, p.hand)
     some = float(best.stiffness) > 0.0  # without a stable wall there is nothing to frame
     damping = _axis(p.damping, p.grid, 2.2 * float(best.damping) if some else p.mass / p.period)
     stiffness = _axis(p.stiffness, p.grid, 1.25 * float(best.stiffness) if some else p.mass / p.period**2)

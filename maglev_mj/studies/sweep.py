@@ -182,7 +182,10 @@ def _made(cell: Cell, text: str | None) -> _Run:
 
 def _together(cls: type[Scene], plant: str, runs: Sequence[_Run]) -> Sequence[Mapping[str, Any] | None]:
     """Return the figures of runs made as batches; None for those that must be made alone."""
-    found = cls.figures_together([scene for scene, _, _ in runs], plant, [phase for _, _, phase in runs])
+    try:
+        found = cls.figures_together([scene for scene, _, _ in runs], plant, [phase for _, _, phase in runs])
+    except MaglevError:  # of any of them: alone it says what it has to say
+        return [None] * len(runs)
     done = [index for index, figures in enumerate(found) if figures is not None]
     # a law of somebody's own may mix devices, which its contract forbids: two runs alone must say the same
     for index in () if _is_ours(cls) else {*done[:1], *done[-1:]}:

@@ -182,13 +182,14 @@ def package_of(revision: str | None) -> Iterator[dict[str, Path]]:
     with tempfile.TemporaryDirectory() as folder:
         sides: dict[str, Path] = {}
         if revision is not None:
-            done = subprocess.run(["git", "archive", revision], cwd=ROOT, capture_output=True, check=False)
-            if done.returncode == 0:
+            try:
+                done = subprocess.run(["git", "archive", revision], cwd=ROOT, capture_output=True, check=True)
+            except (OSError, subprocess.CalledProcessError):  # no git, no repository, no such revision
+                print(f"revision {revision} is not here: nothing to compare with")
+            else:
                 with tarfile.open(fileobj=io.BytesIO(done.stdout)) as archive:
                     archive.extractall(folder, filter="data")
                 sides["before"] = Path(folder).resolve()
-            else:
-                print(f"revision {revision} is not here: nothing to compare with")
         yield sides | {"after": ROOT}
 
 
@@ -211,7 +212,7 @@ def main() -> int:
         if options.tables is not None:
             print(bench_tables.markdown(json.loads(options.tables.read_text(encoding="utf-8"))))
             return 0
-    except (ParameterError, OSError, ValueError, KeyError) as error:
+    except (ParameterError, OSError, ValueError, KeyError, TypeError) as error:
         print(
             f"bench.py: {error if options.tables is None else f'tables must be a bench.json: {error}'}", file=sys.stderr
         )
