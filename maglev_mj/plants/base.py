@@ -180,7 +180,9 @@ class SampledPlant(ABC):
             self._answer = None
             for duration, drive in segments:
                 run(duration, drive)
-        elif self._phase if self._phase.__class__ is float else self._phase.any():  # free fall from release to the first sample, which is tick 0
+        elif (
+            self._phase if self._phase.__class__ is float else self._phase.any()
+        ):  # free fall from release to the first sample, which is tick 0
             ahead = self._phase * self._period
             self._offset = -ahead
             self._run(ahead, self._timeline.acting)
@@ -297,12 +299,15 @@ class SampledPlant(ABC):
         if self._longest_step is not None:
             whole = duration if duration.__class__ is float else float(np.max(duration))
             pieces = max(math.ceil(whole / self._longest_step - 1e-9), 1)
-        if self._recorder is None:
-            return self._carry(duration, drive, pieces)
+        carry, recorder = self._carry, self._recorder
+        if recorder is None:
+            return carry(duration, drive, pieces)
         tick, piece = max(self._tick, 0), duration if pieces == 1 else duration / pieces
-        for done in range(pieces):
-            self._recorder.add(tick, self._offset + duration * (done / pieces), self._kept(drive))
-            self._carry(piece, drive)
+        recorder.add(tick, self._offset, self._kept(drive))
+        carry(piece, drive)
+        for done in range(1, pieces):
+            recorder.add(tick, self._offset + duration * (done / pieces), self._kept(drive))
+            carry(piece, drive)
         self._offset = self._offset + duration
 
     def six(self, name: str, value: ArrayLike, *, at_least: float = 0.0, finite: bool = False) -> Array:

@@ -63,7 +63,9 @@ class SceneStack:
         values = [getattr(one, name) for one in self.scenes]
         if all(value == values[0] for value in values[1:]):
             return values[0]
-        return np.array([float(value) for value in values])  # None, which an array takes for NaN, is no number
+        if any(value is None for value in values):  # which an array takes for NaN
+            raise TypeError(f"{name} must be a number in all of a batch")
+        return np.array(values, dtype=np.float64)
 
     def __getitem__(self, device: Any) -> Any:
         """Return the scene of one device, or a stack of several by an array of indices."""
@@ -95,7 +97,9 @@ class SceneStack:
 
     def timing(self, _: Array) -> Timing:
         """Return when samples are taken and commands act, for a scene may make its own of a phase."""
-        return replace(self._members[0].timing, phase=np.array([one.timing.phase for one in self._members]))
+        phases = [one.timing.phase for one in self._members]
+        alike = all(phase == phases[0] for phase in phases)  # a hand is moved by one clock
+        return replace(self._members[0].timing, phase=phases[0] if alike else np.array(phases))
 
 
 def figures_together(scenes: Sequence[Scene], plant: str, phases: Sequence[float]) -> list[Mapping[str, Any] | None]:

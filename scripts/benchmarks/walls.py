@@ -29,7 +29,7 @@ def measure(quick: bool) -> dict[str, Any]:
     cores = os.sched_getaffinity(0)
     os.sched_setaffinity(0, {min(cores)})
     try:
-        return {"walls": walls(20_000 if quick else 200_000), "sweeps": sweeps(quick), **door(quick)}
+        return {"walls": walls(20_000 if quick else 100_000), "sweeps": sweeps(quick), **door(quick)}
     finally:
         os.sched_setaffinity(0, cores)
 
