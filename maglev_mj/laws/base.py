@@ -290,8 +290,10 @@ def answer(
         ParameterError: If the law fails, changes what it is given, or answers in a wrong shape or not finitely.
     """
     name = f"law {getattr(law, 'name', type(law).__name__)}"
-    given = [part if part.__class__ is float else np.array(part) for part in (*position, *velocity)]
+    given = [*position, *velocity]
     single = set(map(type, given)) == {float}
+    if not single:
+        given = [part if part.__class__ is float else np.array(part) for part in given]
     try:
         said = law(position, velocity, state, wrench)
     except MaglevError:

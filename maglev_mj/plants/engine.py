@@ -300,9 +300,10 @@ class CorrectedSteps(Steps):
             x -= factor * u
             y -= factor * v
             z -= factor * up
-            rx += factor * p
-            ry += factor * q
-            rz += factor * r
+            if p or q or r:
+                rx += factor * p
+                ry += factor * q
+                rz += factor * r
         if rx * rx + ry * ry + rz * rz > NOTHING * NOTHING:
             w, a, b, c = turned_back(w, a, b, c, rx, ry, rz)
         return x, y, z, w, a, b, c
