@@ -13,15 +13,13 @@ from maglev_mj.frames import Component
 from maglev_mj.hand import Hand, motion, transition
 from maglev_mj.parameters import flag
 
-__all__ = ["Amendment", "DryFriction", "HeldAxis", "Lag", "Motion"]
+__all__ = ["Amendment", "DryFriction", "Forces", "HeldAxis", "Lag", "Motion"]
 
 _MOST_KEPT = 64
-
 
 Motion: TypeAlias = tuple[list[Component], list[Component], list[Component]]
 """Position [m, rad], velocity [m/s, rad/s] and force of the actuators [N, N m], which trails the command where the
 drivers lag; six components each."""
-
 
 Forces: TypeAlias = tuple[Sequence[Component], Sequence[Component]]
 """Wrench commanded and wrench of a hand's muscles, six components each [N, N m]."""

@@ -180,9 +180,7 @@ class SampledPlant(ABC):
             self._answer = None
             for duration, drive in segments:
                 run(duration, drive)
-        elif (
-            self._phase if self._phase.__class__ is float else self._phase.any()
-        ):  # free fall from release to the first sample, which is tick 0
+        elif np.count_nonzero(self._phase):  # free fall from release to the first sample, which is tick 0
             ahead = self._phase * self._period
             self._offset = -ahead
             self._run(ahead, self._timeline.acting)
