@@ -183,9 +183,9 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Session]:
             screen.xdotool("key", "Return")
             scene.set_to("scene", "drop")
             scene.later(0.1)
-            for key in ("F10", "F12"):
-                screen.xdotool("key", key)
-            waited(lambda: list(folder.glob("*.png")) and len(whole(folder)) == 2, PATIENCE)
+            screen.xdotool("key", "F10", "key", "F12")  # at once: the one is written while the other is drawn
+            waited(lambda: list(folder.glob("*.png")), PATIENCE)
+            waited(lambda: len(whole(folder)) == 2, PATIENCE)
             screen.close(window)
             said, _ = program.communicate(timeout=PATIENCE)
         finally:

@@ -50,6 +50,7 @@ class VirtualScreen:
         done = subprocess.run(
             ["xdotool", *map(str, arguments)], env=self.environment, capture_output=True, text=True, timeout=20
         )
+        assert not done.stderr, f"xdotool {arguments}: {done.stderr}"
         return done.stdout.strip()
 
     def window(self, name: str, patience: float = 60.0) -> int:
