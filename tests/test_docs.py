@@ -26,7 +26,9 @@ from maglev_mj.session import Session
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = [
-    str(path.relative_to(ROOT)) for folder in (".", "docs", "model") for path in sorted((ROOT / folder).glob("*.md"))
+    str(path.relative_to(ROOT))
+    for pattern in ("*.md", "docs/**/*.md", "model/*.md")
+    for path in sorted(ROOT.glob(pattern))
 ]
 
 
@@ -92,7 +94,7 @@ def scene(_: list[str]) -> Iterator[dict[str, str]]:
 
 BESIDE: dict[str, Callable[[list[str]], AbstractContextManager[dict[str, str]]]] = {
     "README.md": device,
-    "docs/live.md": scene,
+    "docs/reference/live.md": scene,
 }
 
 
@@ -118,20 +120,20 @@ def test_the_python_of_a_page_runs(page: str, tmp_path: Path, monkeypatch: pytes
     if page == "README.md":
         assert len(code_of(page)[0][1].strip().splitlines()) <= 12  # a drop in ten lines
         assert lines[0].startswith("height in mm:") and "force in N:" in lines[0]
-    elif page == "docs/recording.md":
+    elif page == "docs/reference/recording.md":
         assert -2.6e-3 < float(lines[-1]) < -2.2e-3
         assert (tmp_path / "mine.mcap").is_file()
-    elif page == "docs/devices.md":
+    elif page == "docs/howto/device.md":
         assert lines[0] == "1.0 kg"
         for one, other in (lines[1:3], lines[3:5]):  # both plants
             assert one.split(" ", 1)[1] == other.split(" ", 1)[1]
-    elif page == "docs/live.md":
+    elif page == "docs/reference/live.md":
         assert "'scene': 'joystick', 'state': 'running'" in lines[-1]
 
 
 @pytest.mark.skipif(find_library("OSMesa") is None, reason="drawing off screen needs OSMesa (Debian: libosmesa6)")
 def test_the_scene_of_ones_own_is_made_as_the_page_says(tmp_path: Path) -> None:
-    write_files("docs/viewer.md", tmp_path)
+    write_files("docs/reference/viewer.md", tmp_path)
     command = [sys.executable, "-m", "maglev_mj", "render", "shaft.py", "--out", "shaft.png", "--width", "0.003"]
     command += ["--size", "320x200"]
     done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)

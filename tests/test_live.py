@@ -951,7 +951,7 @@ def test_the_example_watches_and_sets(live: LiveServer) -> None:
 
 def rows(heading: str) -> list[list[str]]:
     """Return the first table after a heading, without its head."""
-    page = (Path(__file__).parent.parent / "docs" / "live.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parent.parent / "docs" / "reference" / "live.md").read_text(encoding="utf-8")
     lines = itertools.dropwhile(lambda line: not line.startswith("|"), page[page.index(heading) :].splitlines())
     table = itertools.takewhile(lambda line: line.startswith("|"), lines)
     return [[cell.strip(" `") for cell in line.strip("|").split("|")] for line in table][2:]

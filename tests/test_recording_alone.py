@@ -684,7 +684,7 @@ RECORDED = {"script": of_script, "scene": of_scene, "session": of_session, "devi
 
 
 def test_the_script_on_the_page_is_checked_analysed_and_shown(folder: Path, say: Any) -> None:
-    page = (Path(__file__).parent.parent / "docs" / "recording.md").read_text()
+    page = (Path(__file__).parent.parent / "docs" / "reference" / "recording.md").read_text()
     (script,) = (block for block in re.findall(r"```python\n(.*?)```", page, re.DOTALL) if "open_recording" in block)
     subprocess.run([sys.executable, "-c", script], cwd=folder, check=True, stdout=subprocess.DEVNULL)
     status, said, wrong = say("replay", "mine.mcap", "--check")

@@ -1,4 +1,4 @@
-"""What damage does to a recording: each row of the table in docs/recording.md."""
+"""What damage does to a recording: each row of the table in docs/reference/recording.md."""
 
 import io
 import os

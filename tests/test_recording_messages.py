@@ -172,7 +172,7 @@ def test_events_are_in_the_log_each_with_its_level(tmp_path: Path) -> None:
         (level, f"{kind}: for a test") for kind, level in kinds.items()
     ]
     assert [event["kind"] for event in found_in(path)["/maglev/event"]] == list(kinds)
-    page = (Path(__file__).parent.parent / "docs" / "recording.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parent.parent / "docs" / "reference" / "recording.md").read_text(encoding="utf-8")
     (row,) = (line for line in page.splitlines() if line.startswith("| `/maglev/event`"))
     for kind in kinds:
         assert kind in _EVENT_FIELDS["kind"]["description"] and kind in row

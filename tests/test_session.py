@@ -420,7 +420,9 @@ def test_a_session_is_recorded_from_its_start_on(name: str, tmp_path: Path) -> N
 @pytest.fixture
 def shaft(tmp_path: Path) -> type[Scene]:
     """Return a user's own scene, in a file of its own."""
-    (text,) = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "viewer.md").read_text(encoding="utf-8"), re.S)
+    (text,) = re.findall(
+        r"```python\n(.*?)```", (ROOT / "docs" / "reference" / "viewer.md").read_text(encoding="utf-8"), re.S
+    )
     path = tmp_path / "shaft.py"
     path.write_text(text, encoding="utf-8")
     return find_scene(str(path))

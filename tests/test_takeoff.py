@@ -219,7 +219,7 @@ FIRST_HOVER = HostLimits(max_current=2.0, envelope=0.003, speed_limit=0.1, force
 
 
 def test_the_first_hovers_limits_are_those_of_the_guide() -> None:
-    guide = (Path(__file__).parents[1] / "docs" / "commissioning.md").read_text(encoding="utf-8")
+    guide = (Path(__file__).parents[1] / "docs" / "howto" / "commission.md").read_text(encoding="utf-8")
     (command,) = re.findall(r"^ +maglev-mj bridge .* --envelope .*$", guide, re.MULTILINE)
     told = {name.replace("-", "_"): float(value) for name, value in re.findall(r"--([a-z-]+) ([\d.]+)", command)}
     assert told.pop("seconds") == 5.0 and HostLimits(**told) == FIRST_HOVER and "--scene joystick" in command

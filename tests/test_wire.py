@@ -1,4 +1,4 @@
-"""Frames: the bytes and tables of docs/protocol.md, round trips, damage, tags, and what fuzzing finds."""
+"""Frames: the bytes and tables of docs/reference/protocol.md, round trips, damage, tags, and what fuzzing finds."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ from maglev_mj.model import COILS
 from maglev_mj.net.serial import cobs_encode
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGE = (ROOT / "docs" / "protocol.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "reference" / "protocol.md").read_text(encoding="utf-8")
 KEY = bytes(range(32))
 BODIES: dict[str, Any] = {
     "HELLO": Hello,

@@ -36,7 +36,7 @@ class Amplifiers(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class Profile:
-    """What a device says of itself in the handshake; see HELLO_ACK in docs/protocol.md."""
+    """What a device says of itself in the handshake; see HELLO_ACK in docs/reference/protocol.md."""
 
     period: int  # [ns]
     delay: int  # [ns]

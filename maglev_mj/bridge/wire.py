@@ -1,4 +1,6 @@
-"""Frames on the wire: little-endian, packed, SI, sealed by CRC-32 and, with a key, by a tag; see docs/protocol.md.
+"""Frames on the wire: little-endian, packed, in SI units.
+
+CRC-32 seals each and, with a key, a tag authenticates it: docs/reference/protocol.md.
 
 Nothing that arrives can raise here: what is no frame is counted by reason and dropped.
 """

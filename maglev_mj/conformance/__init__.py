@@ -1,4 +1,6 @@
-"""Conformance of a device: the rules of docs/protocol.md that its wire shows, first without flying, then flying.
+"""Conformance of a device to docs/reference/protocol.md, as its wire shows.
+
+First without flying, then flying.
 
 Without flying, no check sends more than half the currents that carry the flotor.
 """

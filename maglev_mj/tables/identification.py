@@ -45,7 +45,7 @@ def identified_lines(found: Identification) -> list[str]:
         whose = f"of {', '.join(all_of)}: " if any(all_of) else ""
         lines += [*wrapped(f"cannot be told: {names}", further=_IN), *wrapped(whose + why, _IN)]
     if found.samples < found.of:
-        lines.append(f"  from {found.samples} of {found.of} samples: docs/analysis.md says which")
+        lines.append(f"  from {found.samples} of {found.of} samples: docs/explanation/analysis.md says which")
     return lines
 
 

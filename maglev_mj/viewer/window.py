@@ -268,7 +268,9 @@ class _Window:
         try:
             # a program draws with one library only, and its window has chosen unless MUJOCO_GL had
             backend = os.environ.get("MUJOCO_GL", "").lower() or "glfw"
-            with self._handle.lock():  # the window may be loading a model, and the engine's table of GL functions is one
+            with (
+                self._handle.lock()
+            ):  # the window may be loading a model, and the engine's table of GL functions is one
                 painter = OffscreenPainter(snapshot.scene, *_PICTURE, backend=backend)
             with painter:
                 painter.wait(snapshot)

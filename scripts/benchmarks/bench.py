@@ -1,7 +1,7 @@
 """Run the benchmarks: every section in fresh processes, a revision before and this checkout in turn.
 
     python scripts/benchmarks/bench.py [--before REV] [--only SECTION ...] [--repeats N] [--quick] [--out DIR]
-    python scripts/benchmarks/bench.py --tables figures/bench.json        the tables of docs/speed.md
+    python scripts/benchmarks/bench.py --tables figures/bench.json        the tables of docs/explanation/speed.md
 
 A section is a module beside this one with `measure(quick)`, which returns numbers by name, nested or not. All figures
 of a run go to bench.json: of each number median, least and greatest, and the ratio after over before pair by pair.

@@ -78,7 +78,7 @@ class LiveClient:
         return {one["name"]: one["value"] for one in said["parameters"]}
 
     def set(self, **values: Any) -> dict[str, Any]:
-        """Ask for parameters, wait until they are in force or refused, and return which; see docs/live.md."""
+        """Ask for parameters, wait until they are in force or refused, and return which; see docs/reference/live.md."""
         if "/maglev/set" not in self._services:
             self.heard(lambda said: said["op"] == "advertiseServices")
         head = struct.pack("<BIII", CALL, self._services["/maglev/set"], 0, 4)

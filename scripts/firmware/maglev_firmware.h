@@ -1,4 +1,4 @@
-/* The device's side of docs/protocol.md, version 2, in freestanding C99: no heap, no library, no clock of its own.
+/* The device's side of docs/reference/protocol.md, version 2, in freestanding C99: no heap, no library, no clock of its own.
 
    A board fills in a profile and a hardware structure, then calls maglev_receive() for each frame that came and
    maglev_sample() once in every sample period; README.md beside this file says from which interrupt, and what each of
