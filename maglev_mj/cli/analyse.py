@@ -29,8 +29,8 @@ __all__ = ["add_options"]
 def add_options(parser: Parser) -> None:
     """Add the options of the command."""
     parser.description = (
-        "Figures 5, 6 and 9 of the paper from a recording, beside its simulation: docs/explanation/analysis.md says of each "
-        "what it tells."
+        "Figures 5, 6 and 9 of the paper from a recording, beside its simulation: "
+        "docs/explanation/analysis.md says of each what it tells."
     )
     parser.add_argument("file", metavar="FILE", type=Path, help="a recording of run, view or bridge")
     part = parser.group("part of the recording")

@@ -30,8 +30,8 @@ def add_options(parser: Parser) -> None:
     """Add the options of the command."""
     parser.description = (
         "Test a device against docs/reference/protocol.md: first with at most half the currents that carry its flotor, "
-        "then in flight, where the flotor is dropped onto its stops. Keep hands off. Ctrl-C lands and cuts. Exit status 0 if "
-        "every check passes, 1 if one fails."
+        "then in flight, where the flotor is dropped onto its stops. Keep hands off. Ctrl-C lands and cuts. Exit "
+        "status 0 if every check passes, 1 if one fails."
     )
     parser.add_argument("address", metavar="ADDRESS", help="udp://HOST:PORT, or serial:///PATH?baud=RATE")
     add_calibration(parser)
