@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj.analysis import Analysed, analyse, face_figures, reconstruct
+from maglev_mj import Controller, ExactPlant, Hold, Law, Wall
+from maglev_mj.analysis import Analysed, analyse, face_figures, identify, reconstruct
 from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.flight import Flight
 from maglev_mj.bridge.remote import RemotePlant
@@ -141,6 +142,53 @@ def test_where_a_drop_rests_is_found_in_its_samples() -> None:
     assert found.settling_time == pytest.approx(told.settling_time, abs=1e-6)
     (cut,) = analysed(stretch, end=0.06).recorded.figures.faces
     assert np.isnan(cut.settling_time)  # on its way still
+    for share, settled in ((0.85, True), (0.95, False)):  # of the time: in the last tenth it is no rest
+        end = float(told.settling_time) / share
+        (cut,) = analysed(stretch, end=end, rest=drop.rest).recorded.figures.faces
+        assert np.isfinite(cut.settling_time) == settled
+
+
+def test_a_force_that_peaks_after_the_entry_is_the_contacts() -> None:
+    drop = Drop(pulse=0.0, delay=0.0)
+    (face,) = analysed(recorded(drop, phase=0.3), rest=drop.rest).recorded.figures.faces
+    force = run(drop, plant="exact", phase=0.3).trace.wrench[:, 2]
+    entered = np.flatnonzero(force)[0]
+    assert face.contacts[0].peak_force == force.max() > 1.1 * force[entered]
+
+
+LOST = [7, 8, 20, 33, 34, 35, 50]
+"""Samples that neither the controller nor the recording has."""
+
+
+def with_losses(hand: tuple[float, ...], law: Law, start: float) -> Stretch:
+    """Return 60 samples of a flotor under a law and a constant force that is not in the recording."""
+    plant = ExactPlant(
+        Timing(), pose=(0.0, 0.0, start, 0.0, 0.0, 0.0), gravity=0.0, hand_force=lambda tick, time, state: hand
+    )
+    controller, file = Controller([law], period=Timing().period), ArrayFile()
+    record = file.begin(plant, controller)
+    for tick in range(60):
+        sample = plant.read()
+        if tick not in LOST:
+            command = controller.step(sample)
+            record(sample, command, plant.write(command))
+    (stretch,) = file.recording.stretches
+    return stretch.replace(hand=np.zeros_like(stretch.hand))
+
+
+def test_a_constant_force_is_found_over_samples_that_were_lost() -> None:
+    push = (0.3, -0.2, 0.5, 1e-3, -2e-3, 1e-3)
+    stretch = with_losses(push, Hold(stiffness=[200.0] * 3 + [0.2] * 3, damping=[10.0] * 3 + [0.01] * 3), 1e-3)
+    found = reconstruct(stretch, metadata_of(stretch, None))
+    assert len(found.unexplained) == 59 - len(LOST)
+    np.testing.assert_allclose(found.unexplained, np.tile(push, (len(found.unexplained), 1)), rtol=1e-8)
+
+
+def test_a_walls_damping_is_found_over_samples_that_were_lost() -> None:
+    stretch = with_losses((0.0,) * 6, Wall(axes="z", lower=2e-3, stiffness=1000.0, damping=25.0), 1e-3)
+    (wall,) = identify(stretch).walls
+    assert wall.commanded_stiffness.value == pytest.approx(1000.0, rel=1e-9)
+    assert wall.commanded_damping.value == pytest.approx(25.0, rel=1e-9)
 
 
 @pytest.mark.parametrize("hand", ["arm", "fingertip", "stylus"])

@@ -14,6 +14,7 @@ from maglev_mj.metrics import BounceSummary, perceived_hardness
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.figures import STOCK
 from maglev_mj.scenes.run import run, run_phases
+from maglev_mj.trace import Trace
 
 G = 9.81
 
@@ -324,3 +325,18 @@ def test_analog_drop_is_that_of_the_parameters() -> None:
 def test_summary_fields_are_the_public_ones() -> None:
     names = ("penetration", "rebound", "peak_force", "settling_time", "final_z")
     assert BounceSummary._fields == tuple(Drop.figures) == names
+
+
+def test_hardness_is_that_of_the_first_contact_however_hard_later_ones_are() -> None:
+    """By hand: a soft contact, away, and one of ten times the force."""
+    time = 0.01 * np.arange(7)
+    pose, twist, wrench = (np.zeros((7, 6)) for _ in range(3))
+    pose[:, 2] = [1e-3, -1e-3, 1e-3, 1e-3, -1e-3, 1e-3, 1e-3]
+    twist[:, 2] = [-0.2, 0.0, 0.2, -0.2, 0.0, 0.2, 0.0]
+    wrench[:, 2] = [0.0, 2.0, 0.0, 0.0, 20.0, 0.0, 0.0]
+    whole, first, later = (
+        perceived_hardness(Trace(time[part] - time[part][0], pose[part], twist[part], wrench[part]), 0.005).extended
+        for part in (slice(None), slice(4), slice(3, None))
+    )
+    assert whole == first > 0.0
+    assert later == pytest.approx(10.0 * first)

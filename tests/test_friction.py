@@ -558,3 +558,30 @@ def test_walls_take_any_velocity_estimate(estimator: Any) -> None:
         assert (command.extra is not None) == (tick == 4)
         if command.extra is not None:
             assert command.force[0] + command.extra[0] == pytest.approx(-300.0 * speed, rel=1e-12)
+
+
+@pytest.mark.parametrize("early", [1e-6, 1e-4, 2e-3])
+def test_karnopp_is_not_stopped_by_a_rest_that_a_jump_of_the_target_forestalls(early: float) -> None:
+    """The target jumps a little before the mass would stick: it slides on, from the same state."""
+    alone = karnopp([0.5], targets=[(0.0, 0.005)], **FIGURE_8)
+    rest = alone.events[1].time
+    assert alone.events[1].kind == "stick"
+    jump = rest - early
+    around = [jump - 1e-9, jump + 1e-9]
+    found = karnopp(around, targets=[(0.0, 0.005), (jump, 0.02)], **FIGURE_8)
+    assert not found.stuck.any()
+    np.testing.assert_allclose(np.diff(found.position), 2e-9 * found.velocity[0], atol=1e-15)
+    assert [event.kind for event in found.events] == ["slip"]
+    later = karnopp([rest + 1.0], targets=[(0.0, 0.005), (jump, 0.02)], **FIGURE_8)
+    assert [event.kind for event in later.events] == ["slip", "stick"]
+
+
+@pytest.mark.parametrize("noise", [1e-6, 1e-5])
+def test_adaptive_window_reaches_back_while_samples_lie_within_its_band(noise: float) -> None:
+    """A bump in the past of an axis that stands still: passed, at the end of the chord, and outside both."""
+    ends = {0.49: (0.0, 11), 0.99: (0.0, 11), 1.01: (1.01, 7), 1.16: (1.16, 7), 1.17: (0.0, 6), 1.9: (0.0, 6)}
+    for bump, (end, length) in ends.items():
+        places = np.zeros(12)
+        places[[4, 11]] = bump * noise, 11e-9
+        speed = estimates(AdaptiveWindow(noise=(noise,) * 6, longest=11), places, 1e-3)[-1]
+        assert speed == pytest.approx((11e-9 - end * noise) / (length * 1e-3))

@@ -243,3 +243,16 @@ def test_samples_must_fit_the_laws() -> None:
         Controller([law], period=T).step(Sample(0, 0.0, [0.0] * 6))
     with pytest.raises(ParameterError, match="6 position components, not 3"):
         Controller([wall()], period=T).step(Sample(0, 0.0, [0.0] * 3))
+
+
+def test_pulses_on_one_sample_add_up() -> None:
+    """Two walls on one axis and one on another are entered at once."""
+    laws = [
+        wall(pulse=pulse, pulse_width=WIDTH, axes=axes) for pulse, axes in ((PULSE, "z"), (100.0, "z"), (50.0, "x"))
+    ]
+    controller = Controller(laws, period=T)
+    controller.step(Sample(0, 0.0, [1e-3, 0.0, 1e-3, 0.0, 0.0, 0.0]))
+    command = controller.step(Sample(1, T, [-1e-3, 0.0, -2e-3, 0.0, 0.0, 0.0]))
+    assert command.extra == pytest.approx(
+        [50.0 * 0.4 - K * 1e-3, 0.0, (PULSE + 100.0) * 0.6 - 2.0 * K * 2e-3, 0.0, 0.0, 0.0]
+    )

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj import AXES, Controller, ExactPlant, Timing, drive
+from maglev_mj import AXES, Controller, ExactPlant, Timing, Wall, drive
 from maglev_mj.errors import ParameterError
 from maglev_mj.laws import (
     AdaptiveWindow,
@@ -404,3 +404,13 @@ def test_examples_in_the_docstrings() -> None:
 
     for module in (base, checking):
         assert doctest.testmod(module).failed == 0
+
+
+@pytest.mark.parametrize("axis", ["x", "y", "ry"])
+def test_a_hold_on_an_axis_without_a_wall_is_judged_too(axis: str) -> None:
+    laws = [Wall(axes="z", lower=0.0, stiffness=1000.0, damping=40.0), Hold(axes=axis, stiffness=5e4, damping=1.0)]
+    found = judge(Controller(laws, period=0.005), delay=DELAY)
+    assert (found.stable, found.axes, found.stated) == (False, (axis,), True)
+    # of two that are unstable the worse is named
+    worse = [*laws, Hold(axes="z", stiffness=1e9, damping=1.0)]
+    assert judge(Controller(worse, period=0.005), delay=DELAY).axes == ("z",)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import islice
 from typing import Any
@@ -13,12 +13,14 @@ import numpy as np
 import pytest
 
 from maglev_mj import Command, ExactPlant, MuJoCoPlant, Timing, drive
+from maglev_mj.coils import limited_wrench
 from maglev_mj.controller import Controller
 from maglev_mj.errors import DivergenceError, ModelError, ParameterError, PlantError
 from maglev_mj.frames import Array, quaternion
 from maglev_mj.hand import Hand
 from maglev_mj.laws import Hold, Wall
 from maglev_mj.plants import SampledPlant, Sensor
+from maglev_mj.plants.sensor import Measure
 from maglev_mj.spec import INERTIA
 from maglev_mj.trace import Trace
 
@@ -456,3 +458,59 @@ def test_delays_of_a_batch_that_do_not_fit_are_refused() -> None:
         MuJoCoPlant(Timing(delay=[0.001, 0.002]))
     with pytest.raises(ParameterError, match=r"mass must be above 0, a number or one for each device of \(3,\)"):
         ExactPlant(pose=np.zeros((3, 6)), mass=[0.7, 0.7])
+
+
+@pytest.mark.parametrize("device", [0, 1])
+def test_a_batch_escapes_by_the_angle_of_any_device(device: int) -> None:
+    twist = np.zeros((2, 6))
+    twist[device, 4] = 150.0
+    plant = ExactPlant(twist=twist, gravity=0.0)
+    plant.read()
+    plant.write(push(0.0))
+    assert plant.read().pose[device, 4] == pytest.approx(0.75)
+    plant.write(push(0.0))
+    with pytest.raises(DivergenceError, match=r"1\.5 rad"):
+        plant.read()
+
+
+class Tilted:
+    """A sensor that reads an angle of its own."""
+
+    def __init__(self, angle: Sequence[float]) -> None:
+        self.angle = list(angle)
+
+    def start(self) -> Measure:
+        """Return the measurement."""
+        return lambda position: [*position[:3], *self.angle]
+
+
+@pytest.mark.parametrize("seen", [None, (0.03, -0.02, 0.01)])
+def test_current_limit_is_that_of_the_measured_angle(seen: Sequence[float] | None) -> None:
+    angle = (0.08, -0.05, 0.06)
+    sensor = None if seen is None else Tilted(seen)
+    plant = MuJoCoPlant(current_limit=10.0, gravity=0.0, pose=[0.0] * 3 + [*angle], sensor=sensor)
+    plant.read()
+    asked = [20.0, -10.0, 70.0, 0.3, -0.2, 0.4]
+    given, known = plant.write(Command(asked)).wrench, plant.device.coils
+    assert known is not None
+    expected, currents = limited_wrench(known.inverse_turned(*(seen or angle)), asked, 10.0)
+    np.testing.assert_allclose(given, expected, rtol=1e-12)
+    assert np.abs(currents).max() == pytest.approx(10.0)
+    upright, _ = limited_wrench(known.current_per_wrench, asked, 10.0)
+    assert np.abs(given - upright).max() > 0.1
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.0015])
+def test_recorded_force_under_driver_lag_is_the_actual_one(delay: float) -> None:
+    """First order from the command's arrival on, also between the knots."""
+    plant = ExactPlant(Timing(period=T, delay=delay), gravity=0.0, driver_lag=True, record=True)
+    for force in (10.0, -5.0):
+        plant.read()
+        plant.write(push(force))
+    plant.read()
+    trace = plant.trace()
+    inside = trace.time < delay + T - 1e-12
+    since = np.maximum(trace.time[inside] - delay, 0.0)
+    np.testing.assert_allclose(trace.wrench[inside, 2], -10.0 * np.expm1(-since / LAG), rtol=1e-12, atol=1e-12)
+    # the curve between knots takes the force for constant: off by the step's square over the lag's
+    assert np.diff(trace.time).max() <= 0.25 * LAG * (1.0 + 1e-9)

@@ -68,6 +68,15 @@ def test_a_single_bit_that_differs_is_found(name: str, tmp_path: Path, capsys: A
     assert f"80 of 81 the same: {name}, which first differs at tick 20 of stretch 1" in capsys.readouterr().out
 
 
+def test_a_number_that_is_none_is_not_the_finite_one_that_comes_out_again() -> None:
+    (stretch,) = record_run(Drop(), plant="exact").stretches
+    values = stretch.rows["command"].copy()
+    values[20, 2] = np.nan
+    verdict = verify(Recording([stretch.replace(command=values)]), rebuild)
+    assert not verdict.same
+    assert verdict.first == (0, 20)
+
+
 def test_a_hand_that_differs_moves_the_flotor_elsewhere() -> None:
     (stretch,) = record_run(Drop(), plant="exact").stretches
     hand = stretch.hand.copy()

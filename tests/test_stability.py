@@ -247,3 +247,50 @@ def test_bad_loops_are_refused_with_the_value() -> None:
     ):
         with pytest.raises(ParameterError, match=words):
             Hand(**hand)
+
+
+def test_a_hands_force_is_not_filtered_by_the_drivers() -> None:
+    """Compliance is the steady swing of a plant whose drivers lag, under a hand's force held from sample to sample."""
+    lag, frequency, ticks = 20.0 * LAG, 17.0, 2000
+    turns = np.exp(2j * math.pi * frequency * T * np.arange(ticks))
+    plant = ExactPlant(
+        Timing(period=T, delay=0.0015),
+        mass=M,
+        gravity=0.0,
+        driver_lag=True,
+        driver_time_constant=lag,
+        hand_force=lambda tick, time, state: (0.0, 0.0, turns[min(tick, ticks - 1)].real, 0.0, 0.0, 0.0),
+    )
+    seen: list[float] = []
+    hold = Hold(axes="z", stiffness=2000.0, damping=30.0)
+    drive(plant, Controller([hold], period=T), ticks, observe=lambda sample, _: seen.append(sample.position[2]))
+    loop = SampledLoop(period=T, delay=0.0015, mass=M, driver_lag=lag)
+    (compliance,) = loop.compliances(2000.0, 30.0, [frequency])
+    settled = slice(ticks // 2, None)  # whole turns: 85 of them
+    swing = 2.0 * (np.array(seen) / turns)[settled].mean()
+    assert swing == pytest.approx(complex(compliance), rel=1e-9)
+
+
+def test_more_gains_than_are_taken_at_once() -> None:
+    count = (1 << 16) + 3
+    stiffness, damping = np.full(count, 1000.0), np.full(count, 40.0)
+    stiffness[[0, 1 << 15, (1 << 16) - 1, 1 << 16, count - 1]] = [2000.0, 3000.0, 4000.0, 5000.0, 6000.0]
+    found = largest_modulus(stiffness, damping, period=T, delay=0.0)
+    for index in (0, 1, 1 << 15, (1 << 16) - 1, 1 << 16, (1 << 16) + 1, count - 1):
+        assert found[index] == largest_modulus(stiffness[index], damping[index], period=T, delay=0.0)
+    # parameters of the loop in step with the gains
+    masses = np.linspace(0.5, 1.0, count)
+    found = largest_modulus(stiffness, damping, period=T, delay=0.0, mass=masses)
+    for index in (0, (1 << 16) - 1, 1 << 16, count - 1):
+        alone = largest_modulus(stiffness[index], damping[index], period=T, delay=0.0, mass=masses[index])
+        assert found[index] == pytest.approx(float(alone), rel=1e-12)
+
+
+@pytest.mark.parametrize("delay", [2.1 * T, 2.5 * T, 2.95 * T])
+def test_critical_delays_up_to_three_periods(delay: float) -> None:
+    """The stiffest wall at a delay has that delay as its critical one."""
+    wall = stiffest_wall(period=T, delay=delay)
+    gains = 0.999 * float(wall.stiffness), float(wall.damping)
+    found = float(critical_delay(*gains, period=T))
+    assert delay < found < 1.01 * delay
+    assert largest_modulus(*gains, period=T, delay=found) == pytest.approx(1.0, abs=1e-8)
