@@ -1,1 +1,4 @@
-"""What every front shows of a snapshot, and how one runs in a process of its own; nothing here draws."""
+"""Contents that every viewer shows of a snapshot; no drawing.
+
+And viewers in processes of their own.
+"""

@@ -26,7 +26,7 @@ class Banner(NamedTuple):
 
 
 def banner(snapshot: Snapshot) -> Banner | None:
-    """Return the banner of a snapshot; None where all goes on."""
+    """Return the banner of a snapshot; None while running normally."""
     if snapshot.state == "stopped":
         return Banner(f"STOPPED: {snapshot.reason}", _known("centre", snapshot), True, snapshot.remedy)
     if snapshot.state == "paused":
@@ -41,12 +41,12 @@ def banner(snapshot: Snapshot) -> Banner | None:
 
 
 def _known(action: str, snapshot: Snapshot) -> str:
-    """Return an action if it does something, empty if it does not."""
+    """Return an action if it has effect; else empty."""
     return action if action in snapshot.actions else ""
 
 
 def pace(snapshot: Snapshot) -> str:
-    """Return how fast time goes, in words; empty for real time."""
+    """Return the pace of time in words; empty for real time."""
     if (scale := snapshot.time_scale) == 1.0:
         return ""
     return f"1/{1.0 / scale:.3g} of real time" if scale < 1.0 else f"{scale:.3g} times real time"

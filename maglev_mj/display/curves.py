@@ -1,4 +1,4 @@
-"""What the plots of a snapshot show: position, speed and force on one axis over the last seconds."""
+"""Curves of position, speed and force over the last seconds."""
 
 from __future__ import annotations
 
@@ -80,7 +80,10 @@ class SteadyRange:
         self._last: tuple[float, float] | None = None
 
     def __call__(self, *values: ArrayLike) -> tuple[float, float]:
-        """Return a range that holds all values; narrower than the last only where that is twice as wide."""
+        """Return a range that holds all values.
+
+        It is narrower than the last only if that is twice as wide.
+        """
         found = fitted_range(np.concatenate([np.ravel(some) for some in values]), self._least)
         last = self._last
         if last is None or found[0] < last[0] or found[1] > last[1] or found[1] - found[0] <= 0.5 * (last[1] - last[0]):
@@ -108,7 +111,9 @@ class Ranges:
 
 
 def fitted_range(values: Array, least: float) -> tuple[float, float]:
-    """Return a range between whole multiples of the power of ten below its span.
+    """Return a range between multiples of a power of ten.
+
+    That below its span.
 
     Args:
         values: Values that it holds; any number.

@@ -1,4 +1,7 @@
-"""A hand's target that arrives in steps over a line: carried on without jumps, let go where the line is silent."""
+"""Smooth motion of a hand's target that arrives in steps.
+
+The target is released if the line is silent.
+"""
 
 from __future__ import annotations
 
@@ -11,14 +14,20 @@ from maglev_mj.hand import SpringHand
 __all__ = ["SILENCE", "Glide"]
 
 SILENCE = 0.5
-"""A held target is said again and again; after such a silence the hand lets go [s]."""
+"""Silence after which the hand is released [s].
+
+A held target is sent again and again.
+"""
 
 _LONGEST = 0.05
-"""A browser sends 20 targets a second, a window 60; each is reached when the next may come [s]."""
+"""Longest time to reach a target [s].
+
+A browser sends 20 a second, a window 60; each is reached when the next may come.
+"""
 
 
 class Glide:
-    """Carry a hand's target from where it is to where it is wanted.
+    """Move a hand's target smoothly to the wanted pose.
 
     Args:
         clock: Returns real time [s].
@@ -31,7 +40,10 @@ class Glide:
         self._came, self._lasts, self._held = 0.0, 0.0, False
 
     def aim(self, target: Sequence[float] | None) -> None:
-        """Take a new target: a pose [m, rad], (6,); None to let go, as does one that is not finite."""
+        """Take a new target pose [m, rad], (6,).
+
+        None releases the hand, as does one that is not finite.
+        """
         if target is not None and not all(map(math.isfinite, target)):
             target = None  # a browser may say anything, and a plant refuses such a hand for good
         now = self._clock()
@@ -39,7 +51,7 @@ class Glide:
         self._goal, self._came, self._lasts = target, now, min(now - self._came, _LONGEST)
 
     def move(self, hand: SpringHand) -> None:
-        """Move a hand's target; a hand that is held by nobody here is left alone."""
+        """Move a hand's target, if the hand is held here."""
         if not self._held and self._goal is None:
             return
         hand.target = self._now(self._clock())

@@ -1,4 +1,7 @@
-"""A window or page in a process of its own: drawing must not hold up what has deadlines."""
+"""Viewers in a process of their own.
+
+Drawing must not delay a control loop with deadlines.
+"""
 
 from __future__ import annotations
 
@@ -38,11 +41,14 @@ _MOST_ROWS = 400
 _NAP = 0.001
 
 Front: TypeAlias = Callable[[SnapshotSource], object]
-"""Shows a source until the person or the source ends it; of a module, for another process gets it by its name."""
+"""Viewer function: shows a source until either ends.
+
+At module level, since another process gets it by its name.
+"""
 
 
 class RemoteViewer:
-    """A window or page in a process of its own: a `Publisher`.
+    """A window or page in its own process: a `Publisher`.
 
     Args:
         snapshot: What it shows at first.
@@ -65,7 +71,7 @@ class RemoteViewer:
         self._front = SideProcess(_open, snapshot, front)
 
     def show(self, snapshot: Snapshot) -> None:
-        """Show a snapshot; where the window does not keep up, it is left out."""
+        """Show a snapshot, or skip it if the viewer is busy."""
         self._scene = snapshot.scene
         if not self._front.ready:
             return
@@ -79,7 +85,7 @@ class RemoteViewer:
         self.frames += 1
 
     def take(self) -> Wish | None:
-        """Move the hand as the mouse does; return the scene that keys ask for."""
+        """Apply mouse and keys: move the hand, return the scene."""
         wanted = None
         for kind, value in self._front.received():
             if value == EMERGENCY_STOP:
@@ -95,7 +101,7 @@ class RemoteViewer:
         return None if wanted is None else Wish(wanted)
 
     def _asked(self, kind: str, value: Any) -> Scene | None:
-        """Return the scene that a key or control asks for; what is refused ends no flight."""
+        """Return the requested scene; a refusal ends no flight."""
         scene = self._scene
         try:
             with own_code_refused():
@@ -109,7 +115,10 @@ class RemoteViewer:
             return None
 
     def serve(self, source: SnapshotSource) -> None:
-        """Do to a source what the person asks for, and show it; to be called between its ticks."""
+        """Apply a person's requests, show the source.
+
+        To be called between its ticks.
+        """
         for kind, value in self._front.received():
             try:
                 if kind == "hand":
@@ -139,7 +148,7 @@ class RemoteViewer:
 
 
 class ShowReport(NamedTuple):
-    """What a session in a window or page came to.
+    """Report of a session in a window or page.
 
     Attributes:
         frames: Frames shown, or handed to the page.
@@ -159,7 +168,9 @@ class ShowReport(NamedTuple):
 
 
 def show_remotely(source: SnapshotSource, front: Front, duration: float | None = None) -> ShowReport:
-    """Keep a source in real time, shown by a front in a process of its own; then close it.
+    """Run a source in real time behind a remote viewer.
+
+    It is closed at the end.
 
     Args:
         source: What to show.
@@ -186,7 +197,7 @@ def show_remotely(source: SnapshotSource, front: Front, duration: float | None =
 
 
 class RemoteSession:
-    """The session behind a window in a process of its own: a `SnapshotSource`.
+    """Session behind a remote window: a `SnapshotSource`.
 
     Args:
         line: To the process that runs the device.
@@ -201,7 +212,7 @@ class RemoteSession:
         self._due = Due(SILENCE / 5.0)
 
     def tick(self, elapsed: float) -> int:
-        """Take the snapshots that the device has sent; return the number of samples since the last."""
+        """Take new snapshots; return the samples since the last."""
         before = self._snapshot.tick
         try:
             while not self._over and self._line.poll():

@@ -1,4 +1,7 @@
-"""Stability of what is shown, found beside the loop: the gains that act together under their boundary, or words."""
+"""Stability of the scene shown, computed beside the loop.
+
+The gains that act together under their boundary, or words.
+"""
 
 from __future__ import annotations
 
@@ -42,7 +45,7 @@ class Margin(NamedTuple):
 
 
 def margin(scene: Scene) -> Margin:
-    """Return the place of a scene's gains under the stability boundary.
+    """Return a scene's gains and their stability boundary.
 
     The loop is that of a flotor that nobody holds: of all axes and combinations of laws the one nearest its boundary.
     """
@@ -91,14 +94,14 @@ class StabilityMap:
         self._busy: threading.Thread | None = None
 
     def of(self, scene: Scene) -> Margin:
-        """Return the margin of a scene; the last one until its own is known."""
+        """Return a scene's margin, or the last one meanwhile."""
         if scene != self._key and (self._busy is None or not self._busy.is_alive()):
             self._busy = threading.Thread(target=self._find, args=(scene,), daemon=True)
             self._busy.start()
         return self._found
 
     def wait(self, scene: Scene) -> None:
-        """Find at once what is not known yet."""
+        """Compute a missing margin at once."""
         if scene != self._key:
             self._find(scene)
 
@@ -109,7 +112,10 @@ class StabilityMap:
 
 @lru_cache
 def _boundary(period: float, delay: float, mass: float) -> tuple[Array, Array]:
-    """Return dampings and the largest stable stiffness at each, of an axis with so much mass or inertia."""
+    """Return dampings and the largest stable stiffness at each.
+
+    Of an axis with one mass or moment of inertia.
+    """
     # no damping beyond this is stable, whatever the stiffness
     most = 0.5 * np.pi * mass / (0.5 * period + delay) * 1.1
     dampings = np.linspace(0.0, most, _DAMPINGS)

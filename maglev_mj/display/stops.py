@@ -1,4 +1,4 @@
-"""Metal stops that the flotor is at: where they are, and a line that names them."""
+"""Mechanical stops in contact: positions, and a line naming them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pictures of results; the only room that needs matplotlib (the extra `charts`)."""
+"""Charts of results; this package alone needs matplotlib (`charts`)."""
 
 from typing import TYPE_CHECKING
 

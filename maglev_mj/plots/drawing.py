@@ -1,4 +1,4 @@
-"""Parts of every chart: a figure with quiet axes, legends beside the data, panels of curves, files."""
+"""Common parts of charts: figures, legends, columns, files."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ __all__ = [
 
 FIRST, SECOND = SERIES[:2]
 SHADE: dict[str, Any] = {"color": WALL, "alpha": 0.15, "linewidth": 0.0, "zorder": 0}
-"""Style of an area, such as that behind a wall's edge."""
+"""Style of shaded areas, such as behind a wall's edge."""
 
 BESIDE: dict[str, Any] = {"loc": "center left", "bbox_to_anchor": (1.0, 0.5), "frameon": False, "fontsize": 9.0}
 """Style of a legend at the right of its panel."""
@@ -43,7 +43,10 @@ TITLE: dict[str, Any] = {"loc": "left", "fontsize": 10.0}
 """Style of the title of a panel."""
 
 WIDTH = 8.0
-"""Width of every chart [inch]: a page shows no more than 8.6 (830 px), so that its words keep their size."""
+"""Width of every chart [inch].
+
+A page shows no more than 8.6 (830 px), so that letters keep their size.
+"""
 
 FORMATS = "png", "pdf", "svg"
 """Formats of pictures."""
@@ -92,7 +95,10 @@ def require() -> None:
 
 
 def new_figure(rows: int, columns: int, height: float, **options: Any) -> tuple[Any, list[Any]]:
-    """Return a figure of rows x columns panels and the panels row by row; it is `WIDTH` wide, `height` in inches."""
+    """Return a figure of panels, and the panels row by row.
+
+    It is `WIDTH` wide, `height` in inches.
+    """
     require()
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -111,13 +117,15 @@ def new_figure(rows: int, columns: int, height: float, **options: Any) -> tuple[
 
 
 def save(figure: Any, path: Path) -> Path:
-    """Write the figure in the format that its path ends in, and return the path."""
+    """Write the figure in its path's format; return the path."""
     figure.savefig(path, dpi=150, **({"pil_kwargs": {"optimize": True}} if path.suffix == ".png" else {}))
     return path
 
 
 def name_curves(place: Any, panels: Sequence[Any] = (), named: Mapping[str, Any] | None = None) -> None:
-    """Add the legend of a panel under it, or that of several panels under the figure; none without a name.
+    """Add a legend under a panel or a figure.
+
+    Under the figure for several panels; none without a name.
 
     Args:
         place: The figure, or the panel.
@@ -150,7 +158,7 @@ def name_curves(place: Any, panels: Sequence[Any] = (), named: Mapping[str, Any]
 
 
 def legend_height(names: Sequence[Sequence[str]], columns: int) -> float:
-    """Return the height of the largest legend under one of several panels side by side [inch].
+    """Return the largest legend height under several panels [inch].
 
     Args:
         names: Of the curves of each panel.
@@ -165,7 +173,10 @@ def _width(columns: int) -> float:
 
 
 def _columns(names: Sequence[str], width: float) -> int:
-    """Return in how many columns names fit into a width [inch], columns of about the same length."""
+    """Return the number of legend columns for a width [inch].
+
+    Columns are of about the same length.
+    """
     lengths = np.array([len(name) * 0.54 * _WORDS / 72.0 + 0.52 for name in names])  # each with its mark
     counts = range(len(names), 0, -1)
     fitting = (count for count in counts if sum(part.max() for part in np.array_split(lengths, count)) <= width)

@@ -17,7 +17,7 @@ __all__ = ["last_cycles"]
 
 
 def last_cycles(record: FaultRecord, path: Path) -> Path:
-    """Draw pose, currents, and times of the last cycles before a fault.
+    """Draw the last cycles before a fault.
 
     Currents measured are lines, those commanded dots; a vertical line is where the fault came first.
 
@@ -48,7 +48,7 @@ def last_cycles(record: FaultRecord, path: Path) -> Path:
 
 
 def _curves(axis: Any, time: Array, values: Array, names: Any, label: str) -> None:
-    """Draw a curve for each column, its name in a legend beside the panel."""
+    """Draw a curve for each column, with a legend beside."""
     for place, name in enumerate(names):
         axis.plot(time, values[:, place], color=SERIES[place], linewidth=1.4, label=name)
     axis.set_ylabel(label)

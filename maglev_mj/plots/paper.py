@@ -1,4 +1,4 @@
-"""Pictures of the paper's experiments: drops, a wall that a hand presses, a pull out of friction."""
+"""Charts of the paper's experiments: drops, presses, stick-slip pulls."""
 
 from __future__ import annotations
 
@@ -25,7 +25,10 @@ _POINTS = 2001
 
 @dataclass(frozen=True, eq=False)
 class _Drop:
-    """A drop and the same at N phases, over times (M,): z [mm], velocity [m/s] and force [N]."""
+    """A drop at one phase and at N phases.
+
+    Over times (M,): z [mm], velocity [m/s] and force [N].
+    """
 
     result: Result
     style: dict[str, Any]
@@ -76,7 +79,7 @@ def time_series(results: Mapping[str, Result], sweeps: Mapping[str, Phases], pat
 
 
 def phase_plane(results: Mapping[str, Result], sweeps: Mapping[str, Phases], path: Path) -> Path:
-    """Draw velocity over position beside the ideal analog wall, as figure 4 does.
+    """Draw velocity over position beside the analog wall (figure 4).
 
     One panel for each drop with a pulse; a drop without one and the analog wall stand in all of them. Thin lines
     are the drop at other phases of the sampler.
@@ -112,7 +115,7 @@ def phase_plane(results: Mapping[str, Result], sweeps: Mapping[str, Phases], pat
 
 
 def phases(results: Mapping[str, Result], sweeps: Mapping[str, Phases], path: Path) -> Path:
-    """Draw penetration, rebound and peak force over the phase of the sampler.
+    """Draw penetration, rebound and peak force over the phase.
 
     Args:
         results: Drops by label.
@@ -150,21 +153,24 @@ _LIMIT: dict[str, Any] = {
 
 
 def _style(place: int, label: str, *, pulsed: bool) -> dict[str, Any]:
-    """Return the line of a drop, of one colour in every picture."""
+    """Return the line style of a drop, in its colour."""
     color = (FIRST, SERIES[2])[place % 2] if pulsed else SECOND
     dashes, front = ("-", 4) if pulsed else ("--", 3)
     return {"color": color, "linestyle": dashes, "linewidth": 1.8, "zorder": front, "label": label}
 
 
 def _times(results: Mapping[str, Result]) -> Array:
-    """Return the times to draw [s]: until all drops have settled, and half as long again."""
+    """Return the times to draw [s].
+
+    Until all drops have settled, and half as long again.
+    """
     end = next(iter(results.values())).scene.end
     settled = 1.5 * float(np.max([one.figures["settling_time"] for one in results.values()]))  # NaN if one never does
     return np.linspace(0.0, settled if settled < end else end, _POINTS)
 
 
 def _columns(results: Mapping[str, Result], time: Array) -> list[list[_Drop]]:
-    """Return the drops of each column, the one with a pulse first."""
+    """Return the drops of each column, pulsed ones first."""
     pulsed: list[_Drop] = []
     plain: list[_Drop] = []
     for place, (label, result) in enumerate(results.items()):
@@ -183,7 +189,10 @@ def _shown(result: Result, time: Array) -> tuple[Array, Array, Array]:
 
 
 def _analog(scene: Drop, time: Array) -> tuple[Array, Array, Array] | None:
-    """Return the drop on the analog wall; None for a wall without stiffness."""
+    """Return the drop on the analog wall.
+
+    None for a wall without stiffness.
+    """
     if scene.stiffness == 0.0:
         return None
     z, velocity, force = scene.analog(time)
@@ -219,7 +228,9 @@ def _describe(result: Result) -> str:
 
 
 def figure_6(results: Mapping[str, Result], sweeps: Mapping[str, Phases], path: Path) -> Path:
-    """Draw position and control force over time, as figure 6 does, and where the hand pulls to.
+    """Draw position and control force over time (figure 6).
+
+    The hand's target is drawn too.
 
     Args:
         results: Runs by label; the first is drawn in front.
@@ -265,7 +276,7 @@ def figure_6(results: Mapping[str, Result], sweeps: Mapping[str, Phases], path: 
 
 
 def stick_slip(results: Mapping[str, Result], sweeps: Mapping[str, Phases], path: Path) -> Path:
-    """Draw position and velocity against the exact friction that the law stands for, as figure 8 does.
+    """Draw position and velocity against exact friction (figure 8).
 
     Args:
         results: Runs by label, the first of which is drawn.

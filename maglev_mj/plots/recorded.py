@@ -1,4 +1,4 @@
-"""Pictures of a recording beside its simulation: figures 5, 6 and 9 of the paper from any recording."""
+"""Charts of a recording beside its simulation (figures 5, 6, 9)."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _MOST_DOTS, _MOST_MARKS, _APART = 150, 12, 0.045
 
 
 def first_contact(analysed: Analysed, axis: int, path: Path) -> Path:
-    """Draw position and force over 0.4 s around the first contact, as figure 5 does.
+    """Draw 0.4 s around the first contact (figure 5).
 
     Args:
         analysed: The recording, and its simulation if there is one.
@@ -40,7 +40,9 @@ def first_contact(analysed: Analysed, axis: int, path: Path) -> Path:
 
 
 def whole_run(analysed: Analysed, axis: int, path: Path) -> Path:
-    """Draw position and force from beginning to end, with how deep each contact is, as figure 6 does.
+    """Draw position and force of the whole run (figure 6).
+
+    Each contact is marked with its depth.
 
     Args:
         analysed: The recording, and its simulation if there is one.
@@ -55,7 +57,7 @@ def whole_run(analysed: Analysed, axis: int, path: Path) -> Path:
 
 
 def sticks(run: Run, path: Path) -> Path:
-    """Draw position and stick position on each axis with friction, as figure 9 does.
+    """Draw position and stick position by axis (figure 9).
 
     Args:
         run: A recording with friction.
@@ -72,7 +74,7 @@ def sticks(run: Run, path: Path) -> Path:
 
 
 def staircases(time: Array, position: Array, anchors: Array, said: Mapping[int, str], path: Path) -> Path:
-    """Draw position and stick position over time, a panel for each axis.
+    """Draw position and stick position over time, by axis.
 
     Args:
         time: Of the samples [s], (K,).
@@ -103,7 +105,10 @@ def staircases(time: Array, position: Array, anchors: Array, said: Mapping[int, 
 
 
 def _over_time(analysed: Analysed, axis: int, path: Path, window: tuple[float, float], *, marks: bool) -> Path:
-    """Draw position and force of recording and simulation over a window of time [s]."""
+    """Draw position and force over a time window [s].
+
+    Of recording and simulation.
+    """
     figure, (upper, lower) = new_figure(2, 1, 6.4, sharex=True)
     sides = [("recording", analysed.recorded, FIRST, "-", 3), ("simulation", analysed.simulated, SECOND, "--", 4)]
     for label, run, color, dashes, order in sides:
@@ -142,7 +147,7 @@ def _describe(analysed: Analysed) -> str:
 
 
 def _dots(panel: Any, run: Run, axis: int, window: tuple[float, float]) -> None:
-    """Draw the samples themselves, where they are few enough to be told apart."""
+    """Draw the samples, if few enough to tell apart."""
     time = run.motion.time
     shown = (time >= window[0]) & (time <= window[1])
     if shown.sum() <= _MOST_DOTS:
@@ -151,7 +156,10 @@ def _dots(panel: Any, run: Run, axis: int, window: tuple[float, float]) -> None:
 
 
 def _marks(panel: Any, run: Run, axis: int) -> None:
-    """Write to contacts how deep they are, the deepest first, as far as there is room beside one another."""
+    """Label contacts with their depth, deepest first.
+
+    As far as there is room beside one another.
+    """
     found = [(contact, face) for face in run.figures.faces if face.axis == axis for contact in face.contacts]
     found.sort(key=lambda one: -one[0].penetration)
     room = _APART * (run.figures.end - run.figures.start)
@@ -175,7 +183,7 @@ def _marks(panel: Any, run: Run, axis: int) -> None:
 
 
 def _walls(panel: Any, analysed: Analysed, axis: int) -> None:
-    """Shade the walls of an axis that are near what is shown."""
+    """Shade the walls of an axis near the range shown."""
     bottom, top = panel.get_ylim()
     room = 0.08 * (top - bottom)
     for _, normal, edge in (face for face in analysed.metadata.faces or () if face[0] == axis):
@@ -190,7 +198,7 @@ def _walls(panel: Any, analysed: Analysed, axis: int) -> None:
 
 
 def _no_narrower(panel: Any, least: float) -> None:
-    """Keep what does not move a line, not a picture of rounding [mm, mrad]."""
+    """Widen a range that shows rounding alone [mm, mrad]."""
     bottom, top = panel.get_ylim()
     if top - bottom < least:
         middle = 0.5 * (bottom + top)

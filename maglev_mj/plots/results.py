@@ -1,4 +1,4 @@
-"""Pictures of any scene: its series over time, and its figures over the phase of the samples."""
+"""Charts of any scene: series over time, figures over phase."""
 
 from __future__ import annotations
 
@@ -25,7 +25,10 @@ _MOST_PANELS, _COLUMNS = 4, 3
 
 
 def pictures_of(scene: Scene, sweeps: Mapping[str, Phases]) -> dict[str, Picture]:
-    """Return what draws a scene, by name of the file without an ending: its own pictures, or the general ones."""
+    """Return a scene's drawing functions by file name.
+
+    The scene's own, or the general ones; names have no ending.
+    """
     if scene.plots:
         return {name: _found(place) for name, place in scene.plots.items()}
     pictures: dict[str, Picture] = {scene.name: series}
@@ -41,7 +44,7 @@ def _found(place: str) -> Picture:
 
 
 def series(results: Mapping[str, Result], sweeps: Mapping[str, Phases], path: Path) -> Path:
-    """Draw what the scene shows over time, a panel each and a line for each run.
+    """Draw each series over time, one line a run.
 
     Args:
         results: Runs by label.
@@ -74,7 +77,7 @@ def series(results: Mapping[str, Result], sweeps: Mapping[str, Phases], path: Pa
 
 
 def spread(results: Mapping[str, Result], sweeps: Mapping[str, Phases], path: Path) -> Path:
-    """Draw each figure over the phase of the samples, a panel each.
+    """Draw each figure over the sampling phase.
 
     Args:
         results: Not drawn.

@@ -1,4 +1,4 @@
-"""Pictures of stability: maps over the gains, drops on their walls, and the margin of a designed wall."""
+"""Charts of stability: maps over gains, drops, wall margins."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _LEVELS = np.array([0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 1.0])
 
 
 def level_sets(panel: Any, x: Array, y: Array, modulus: Array) -> None:
-    """Draw the level sets of the largest modulus into a panel, the boundary of stability bold.
+    """Draw level sets of the largest modulus, the boundary bold.
 
     Args:
         panel: matplotlib axes.
@@ -43,12 +43,14 @@ def level_sets(panel: Any, x: Array, y: Array, modulus: Array) -> None:
 
 
 def _room(segments: Any, extents: tuple[float, float]) -> bool:
-    """Return whether a level set is so large that a number in it hides none of it."""
+    """Return True if a number fits into a level set."""
     return any(len(points) > 1 and (np.ptp(points, axis=0) > 0.15 * np.array(extents)).all() for points in segments)
 
 
 def stability_map(result: StabilityMap, path: Path) -> Path:
-    """Draw the map: level sets by theory, simulated verdicts as dots, the stiffest wall marked.
+    """Draw the stability map.
+
+    Level sets by theory, simulated verdicts as dots, the stiffest wall marked.
 
     Args:
         result: The map; its grid must have at least two values on each axis.
@@ -87,7 +89,9 @@ def stability_map(result: StabilityMap, path: Path) -> Path:
 
 
 def drop_map(result: DropMap, path: Path) -> Path:
-    """Draw how far drops on walls swing in the end, with theory's boundary and that of the drops that settle.
+    """Draw the final swing of drops over the gains.
+
+    With theory's boundary, and that of the drops that settle.
 
     Args:
         result: The map; its grid must have at least two values on each axis.
@@ -104,7 +108,7 @@ def drop_map(result: DropMap, path: Path) -> Path:
 
 
 def drop_panels(figure: Any, panels: Sequence[Any], results: Sequence[DropMap]) -> None:
-    """Draw maps of drops over the same grid, one a panel, with one scale and one legend for all.
+    """Draw several drop maps with one scale and legend.
 
     Args:
         figure: matplotlib figure.
@@ -144,7 +148,9 @@ def _outer(values: Array) -> tuple[float, float]:
 
 
 def design_map(result: DesignResult, path: Path) -> Path:
-    """Draw the largest modulus over masses and delays, the worst of the hands, with the worst case marked.
+    """Draw the largest modulus over mass and delay.
+
+    The worst of the hands, with the worst case marked.
 
     Level sets where both have a range, a curve where one has.
 

@@ -1,4 +1,7 @@
-"""The joystick as a 3D mouse: six axes to any program that speaks spacenav's protocol, on a Unix socket."""
+"""The joystick as a 3D mouse over spacenav's protocol.
+
+Six axes for any program, on a Unix socket.
+"""
 
 from maglev_mj.spacenav.axes import FULL, PoseAxes, RateAxes
 from maglev_mj.spacenav.buttons import Taps

@@ -1,4 +1,4 @@
-"""The six numbers that programs are told: deflections, or the rates of a slave.
+"""Six numbers sent to programs: deflections, or a slave's rates.
 
 spacenav has y up and z away from the person, the device z up and y away: the two are exchanged, of translations and
 rotations alike, and no sign changes. Turns are right-handed about those directions in both.
@@ -22,19 +22,22 @@ from maglev_mj.spec import RANGE
 __all__ = ["EXCHANGED", "FULL", "FULL_POSE", "FULL_RATE", "REST", "RUNS", "Axes", "PoseAxes", "RateAxes"]
 
 EXCHANGED = [0, 2, 1, 3, 5, 4]
-"""Index of the device's axis behind each of spacenav's, and of spacenav's behind each of the device's."""
+"""Index permutation between device and spacenav axes, both ways."""
 
 FULL = 500
-"""What is said of a full deflection or rate; what programs divide by."""
+"""Number sent for a full deflection or rate."""
 
 FULL_POSE: Array = np.array(RANGE)
-"""Deflections that are FULL, the stops of the device [m, rad], (6,)."""
+"""Deflections sent as FULL, the device's stops [m, rad], (6,)."""
 
 FULL_RATE: Array = np.array([0.020] * 3 + [math.radians(30.0)] * 3)
-"""Rates that are FULL [m/s, rad/s], (6,): those of a navigator by default at the stops."""
+"""Rates sent as FULL [m/s, rad/s], (6,).
+
+Those of a default navigator at the stops.
+"""
 
 REST = (0,) * len(AXES)
-"""What is said where nothing moves."""
+"""Numbers sent at rest."""
 
 Axes: TypeAlias = Callable[[Snapshot], tuple[int, ...]]
 """Returns the six numbers for a snapshot, in spacenav's order."""
@@ -44,7 +47,7 @@ RUNS = ("running", "flying")
 
 
 def told(shares: Array) -> Array:
-    """Return shares of the full deflection or rate as whole numbers, (6,)."""
+    """Return deflection or rate shares as whole numbers, (6,)."""
     counts: Array = np.rint(np.clip(FULL * shares, -MOST, MOST))
     return counts
 

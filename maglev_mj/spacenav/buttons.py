@@ -1,4 +1,4 @@
-"""Buttons without keys: short taps of the handle on a wall below or above it."""
+"""Virtual buttons: short taps of the handle on a wall."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _RELEASE = 0.5
 
 
 class Taps:
-    """Two buttons: 0 for a tap on the lower wall, 1 for one on the upper wall.
+    """Two buttons: 0 for the lower wall, 1 for the upper.
 
     The handle taps if the force along z in a wall passes half of `force`, reaches `force`, and is below half of it
     again 0.06 to 0.15 s later. A bounce is shorter, a handle that leans on the wall longer. The button is down for one
@@ -46,7 +46,7 @@ class Taps:
         return tuple(self._tapped(button, normal, snapshot) for button, normal in enumerate(_WALLS))
 
     def _tapped(self, button: int, normal: float, snapshot: Snapshot) -> bool:
-        """Follow one wall; return whether a tap on it ends now."""
+        """Follow one wall; return True when a tap ends."""
         began, force = self._began[button], _force(snapshot, normal)
         if force >= _RELEASE * self._force:
             self._began[button] = snapshot.time if began is None else began
@@ -58,7 +58,10 @@ class Taps:
 
 
 def _force(snapshot: Snapshot, normal: float) -> float:
-    """Return the force along z in a wall [N]; 0 outside it, and where the scene does not run."""
+    """Return the wall force along z [N].
+
+    0 outside the wall, and while the scene does not run.
+    """
     inside = any(
         axis == _Z and way == normal and way * (edge - snapshot.pose[_Z]) > 0.0 for axis, way, edge in snapshot.faces
     )

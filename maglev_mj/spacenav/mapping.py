@@ -1,4 +1,7 @@
-"""Settings of a six-axis input device: gains, dead zone, order and signs of the axes, buttons."""
+"""Settings of a six-axis input device.
+
+Gains, dead zone, order and signs of the axes, buttons.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +20,7 @@ _FINITE = 1e6
 
 
 class AxisMapping(Parameters):
-    """Settings between the deflections of an input device and the six numbers made of them.
+    """Mapping from an input device's deflections to six numbers.
 
     The dead zone is taken off each deflection first. Then come order and signs, the gains, and the choice of the
     largest. The defaults change no number.
@@ -47,7 +50,9 @@ class AxisMapping(Parameters):
             raise ParameterError(f"invert must be {_NONE}, or some of {', '.join(AXES)}, not {self.invert!r}")
 
     def outside(self, deflection: Array, full: Array) -> Array:
-        """Return a deflection without its dead zone, (6,); a full one stays full.
+        """Return a deflection without its dead zone, (6,).
+
+        A full deflection stays full.
 
         Args:
             deflection: From the centre [m, rad], (6,).
@@ -84,7 +89,7 @@ class AxisMapping(Parameters):
 
 
 class SpacenavMapping(AxisMapping):
-    """Settings of the joystick as a 3D mouse, its buttons included.
+    """Settings of the joystick as a 3D mouse.
 
     Raises:
         ParameterError: See `AxisMapping`.

@@ -1,4 +1,7 @@
-"""Position and rate in one stick: the deflections of a joystick as the motion of a slave, chosen by stick-slip."""
+"""Position and rate control in one stick, by stick-slip.
+
+Deflections of a joystick become the motion of a slave.
+"""
 
 from __future__ import annotations
 
@@ -29,12 +32,14 @@ class Mode(Enum):
     POSITION = "position"
     """The slave goes as far as the flotor goes."""
     RATE = "rate"
-    """The slave goes the faster the further the flotor is beyond the edge."""
+    """Rate of the slave over the distance beyond the edge."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Navigation:
-    """What a navigator goes by; each is a number for all axes, or one for each, (6,).
+    """Settings of a navigator.
+
+    Each is a number for all axes, or one for each, (6,).
 
     Args:
         edge: Deflection from the centre from which on it may be a rate [m, rad].
@@ -65,7 +70,9 @@ class Navigation:
 
 
 class Navigator:
-    """Turns the poses of a joystick into the way of a slave: position within the edge, rate beyond it.
+    """Convert joystick poses into slave motion.
+
+    Position control within the edge, rate control beyond it.
 
     An axis is in rate mode while it is beyond the edge and the hand pushes outward. Sliding, the hand goes where the
     flotor goes. Stuck, what holds the flotor against it shows how hard it pushes: all that the device gives, walls and
@@ -104,7 +111,10 @@ class Navigator:
         return tuple(Mode.RATE if one else Mode.POSITION for one in self._rate)
 
     def restart(self) -> None:
-        """Forget where the flotor was, as where it has been put elsewhere; the slave stays where it is."""
+        """Forget the last pose; the slave stays in place.
+
+        For a flotor that was moved elsewhere.
+        """
         self._last: Array | None = None
         self._rate: Mask = np.zeros(len(AXES), dtype=np.bool_)
         self._rubs: Mask = np.zeros(len(AXES), dtype=np.bool_)
@@ -144,7 +154,10 @@ class Navigator:
         return moved
 
     def _pushed(self, side: Array, stuck: Mask, way: Array, share: Array, elapsed: float) -> Mask:
-        """Return on which axes the hand pushes outward, by its share of the breakaway where they stick."""
+        """Return the axes that the hand pushes outward.
+
+        Judged by its share of the breakaway force while they stick.
+        """
         outward = np.where(stuck, share * side, 0.0)
         self._pressed = np.where(outward > _PUSHES, self._pressed + elapsed, 0.0)
         held = (self._pressed >= _FOR) | (self._rate & (outward > _LETS_GO))

@@ -1,4 +1,4 @@
-"""Where the socket is: its path, how it comes to be there, and how it goes."""
+"""Path of the socket, its creation and removal."""
 
 from __future__ import annotations
 
@@ -19,7 +19,10 @@ _SETTINGS, _DAEMONS = Path("/etc/spnavrc"), Path("/var/run/spnav.sock")
 
 
 def default_path() -> Path:
-    """Return $SPNAV_SOCKET, or a path in $XDG_RUNTIME_DIR, or else one in the folder for temporary files."""
+    """Return the socket's default path.
+
+    $SPNAV_SOCKET, or a path in $XDG_RUNTIME_DIR, or else one in the folder for temporary files.
+    """
     if named := os.environ.get("SPNAV_SOCKET"):
         return Path(named)
     if folder := os.environ.get("XDG_RUNTIME_DIR"):
@@ -28,7 +31,7 @@ def default_path() -> Path:
 
 
 def searched_paths() -> list[Path]:
-    """Return the possible sockets of a 3D mouse, first choice first.
+    """Return possible 3D mouse sockets, first choice first.
 
     Source: libspnav 1.0, `spnav_open`: $SPNAV_SOCKET, the first `socket = PATH` of /etc/spnavrc, /var/run/spnav.sock.
     """
@@ -43,7 +46,9 @@ def searched_paths() -> list[Path]:
 
 
 class Place:
-    """A listening socket at a path, for this user alone: mode 0600 from its first moment on.
+    """Listening socket at a path, for this user alone.
+
+    Mode 0600 from its first moment on.
 
     Args:
         path: Where; `default_path` by default. What a dead server has left there is replaced.
@@ -70,7 +75,10 @@ class Place:
         self._own = _identity(path)
 
     def close(self) -> None:
-        """Stop listening and remove the socket, unless it is another's by now; a second time does nothing."""
+        """Stop listening and remove the socket.
+
+        Not if it is another's by now; a second call does nothing.
+        """
         self.listener.close()
         if self._own is not None and _identity(self.path) == self._own:
             self.path.unlink(missing_ok=True)
@@ -95,7 +103,7 @@ def _listener(path: Path) -> socket.socket:
 
 
 def _clear(path: Path) -> None:
-    """Remove what a dead server has left."""
+    """Remove the socket of a dead server."""
     try:
         mode = path.lstat().st_mode
     except FileNotFoundError:
@@ -115,7 +123,10 @@ def _taken(path: Path) -> ParameterError:
 
 
 def _identity(path: Path) -> tuple[int, int] | None:
-    """Return what tells a file from another that comes to the same path; None where there is none."""
+    """Return an identity that tells files of one path apart.
+
+    None if there is no file.
+    """
     try:
         status = path.lstat()
     except FileNotFoundError:

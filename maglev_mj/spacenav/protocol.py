@@ -1,4 +1,4 @@
-"""What is on a spacenav socket: events, requests and answers, all native 32-bit integers.
+"""Events, requests and answers of spacenav: native 32-bit integers.
 
 A client begins in protocol 0: it sends single floats, sensitivities, and gets events. libspnav 1.0 first asks for
 protocol 1 in four bytes; from the answer on it sends requests of 32 bytes, each answered by as many. Strings travel
@@ -30,16 +30,16 @@ EVENT = 32
 """Bytes of an event, a request, or an answer."""
 
 ALL_EVENTS = 0xFFFF
-"""Mask of a client that has not said which events it wants."""
+"""Default event mask of a client."""
 
 DEVICE = b"maglev_mj"
-"""What the device calls itself."""
+"""Device name reported to clients."""
 
 _WORDS, _WORD, _FLOAT = struct.Struct("=8i"), struct.Struct("=I"), struct.Struct("=f")
 _MOTION, _PRESS, _RELEASE = 0, 1, 2
 
 GREETING = _FLOAT.pack(1.0)
-"""First word of a client that stays in protocol 0: its sensitivity."""
+"""First word of a protocol 0 client: its sensitivity."""
 
 _WANTS_MOTION, _WANTS_BUTTONS = 1, 2
 MOST = 32767
@@ -52,7 +52,7 @@ _NAME, _AXES, _BUTTONS, _KIND = 0x2000, 0x2002, 0x2003, 0x2005
 
 
 class GarbageError(Exception):
-    """A client has sent what is no request."""
+    """A client sent bytes that are not a request."""
 
 
 def motion_event(axes: Sequence[int], period: int) -> bytes:
@@ -66,12 +66,14 @@ def motion_event(axes: Sequence[int], period: int) -> bytes:
 
 
 def button_event(number: int, down: bool) -> bytes:
-    """Return the event of a button that is pressed or released."""
+    """Return the event of a button press or release."""
     return _WORDS.pack(_PRESS if flag("down", down) else _RELEASE, number, down, 0, 0, 0, 0, 0)
 
 
 def read_event(event: bytes) -> tuple[tuple[int, ...] | None, int | None]:
-    """Return the axes of a motion and the number of a pressed button; None for each that the event is not about.
+    """Return the motion or the button of an event.
+
+    None for the one that the event is not about.
 
     Args:
         event: The event, 32 bytes.
@@ -81,7 +83,7 @@ def read_event(event: bytes) -> tuple[tuple[int, ...] | None, int | None]:
 
 
 class Conversation:
-    """What one client asks, and what it is answered.
+    """Requests of one client, and their answers.
 
     Attributes:
         version: Of the protocol that it speaks.
@@ -109,7 +111,7 @@ class Conversation:
         return tuple(round(max(-MOST, min(MOST, self.sensitivity * one))) for one in axes)
 
     def hear(self, data: bytes) -> bytes:
-        """Return the answers to what has come, whole or in pieces.
+        """Return the answers to received bytes, whole or partial.
 
         Raises:
             GarbageError: If it is no request.

@@ -1,4 +1,4 @@
-"""Publish six axes to programs that listen to a 3D mouse; see `Publisher`."""
+"""Publish six axes to 3D mouse clients; see `Publisher`."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _FAREWELL = 0.2
 
 
 class _Client:
-    """One program; `gone` where it has left by itself."""
+    """One connected program; `gone` if it has left."""
 
     def __init__(self, line: socket.socket, now: float) -> None:
         self.line, self.talk, self.gone = line, Conversation(), False
@@ -44,7 +44,9 @@ class _Client:
         return begun and not self._asks
 
     def tell(self, axes: tuple[int, ...], down: tuple[bool, ...], now: float) -> Iterator[bool]:
-        """Send what is new: motion, once that nothing moves, and buttons that change; yield whether there was room.
+        """Send new motion and buttons; yield False without room.
+
+        One more event says that nothing moves.
 
         What there was no room for is said again if it is still so, above all that nothing moves any more.
         """
@@ -71,7 +73,7 @@ class _Client:
             return False
 
     def hear(self) -> bool:
-        """Answer what it asks; return whether it is still there and makes sense."""
+        """Answer a client; return True while it stays valid."""
         self._asks = False
         try:
             data = self.line.recv(_AT_ONCE)
@@ -91,7 +93,7 @@ class _Client:
 
 
 class SpacenavServer:
-    """Tells six axes to any program that speaks spacenav's protocol, at each snapshot that it is shown.
+    """Publish six axes over spacenav's protocol at each snapshot.
 
     Nothing waits: a program misses the events for which its socket has no room, after about 4 s of motion unread. One
     that sends what is no request is let go. At rest there is one event of zeros and then none, as real devices do it;
@@ -148,7 +150,9 @@ class SpacenavServer:
         self._tell(self._axes(snapshot), self._buttons(snapshot), now)
 
     def close(self) -> None:
-        """Say that nothing moves, let everybody go and remove the socket; a second time does nothing.
+        """Send rest, disconnect all clients and remove the socket.
+
+        A second call does nothing.
 
         Who is in motion has 0.2 s to come to rest: libspnav makes of a line that ends while it looks for events an
         endless loop, and of the last motion a lasting one.
@@ -163,7 +167,7 @@ class SpacenavServer:
         self._place.close()
 
     def _admit(self, now: float) -> None:
-        """Take in who waits."""
+        """Accept waiting clients."""
         for _ in range(_MOST_CLIENTS):
             try:
                 line, _ = self._place.listener.accept()
@@ -182,7 +186,7 @@ class SpacenavServer:
                 self.missed += not had_room
 
     def _hear(self) -> None:
-        """Hear each program, and let go of those that have gone or make no sense."""
+        """Hear each client; drop those gone or invalid."""
         kept = []
         for client in self._clients:
             if client.hear():

@@ -1,4 +1,4 @@
-"""Sliders, switches and choices for a scene's live parameters, from what it declares of them."""
+"""Page inputs for the live parameters of a scene."""
 
 from __future__ import annotations
 
@@ -15,18 +15,21 @@ from maglev_mj.web.handles import put
 __all__ = ["Ask", "Choice", "Control", "Slider", "Switch", "control"]
 
 Ask = Callable[[str, Any], object]
-"""Takes "act" and an action, or "change" and parameters by name."""
+"""Takes "act" and an action, or "change" and parameters."""
 
 SETTLED = 1.0
-"""How long a control is left alone after a person's last move [s]: what is in force comes back with a delay."""
+"""Pause after a person's last change [s].
+
+A control shows the value in force only then, since that comes back with a delay.
+"""
 
 _SHARES, _ROOM = 200.0, 2.5
 _INSIDE = 1e-3
-"""Share of the default by which a value stays off a bound that it must not reach."""
+"""Distance from an excluded bound, as a share of the default."""
 
 
 class Control:
-    """One input of the page that shows a value and changes it.
+    """Input of the page for one value.
 
     Args:
         name: Name of the parameter.
@@ -45,16 +48,19 @@ class Control:
         handle.on_update(moved)
 
     def show(self, value: Any) -> None:
-        """Show the value in force, unless a person is about to change it."""
+        """Show the value in force.
+
+        Not while a person is changing it.
+        """
         if time.monotonic() - self._moved > SETTLED:
             put(self.handle, value=self.shown(value))
 
     def value(self, shown: Any) -> Any:
-        """Return the value for what is shown."""
+        """Convert an input's number into a parameter's value."""
         return shown
 
     def shown(self, value: Any) -> Any:
-        """Return what is shown for a value."""
+        """Convert a parameter's value into an input's number."""
         return value
 
 
@@ -83,7 +89,10 @@ class Choice(Control):
         return self._values[shown]
 
     def shown(self, value: Any) -> str:
-        """See `Control`; one that is not among them is added to them."""
+        """See `Control`.
+
+        A value that is not among the choices is added to them.
+        """
         text = self._texts(value)
         if text not in self._values:
             self._values[text] = value
@@ -92,7 +101,7 @@ class Choice(Control):
 
 
 class Slider(Control):
-    """A slider whose range grows with its value, up to the parameter's bounds.
+    """Slider whose range grows up to the parameter's bounds.
 
     Args:
         gui: viser's.
@@ -140,12 +149,15 @@ class Slider(Control):
         return shown
 
     def _top(self, value: float) -> float:
-        """Return the end of a range with some room above a value."""
+        """Return a range's upper end, with room above a value."""
         return min(round_up(_ROOM * value) if value else 1.0, self._most)
 
 
 def control(gui: Any, one: Parameter, scene: Scene, ask: Ask) -> Control | None:
-    """Return an input for a live parameter; None where only programs set it."""
+    """Return an input for a live parameter.
+
+    None for a parameter that programs alone set.
+    """
     value, label, hint = getattr(scene, one.name), one.name.replace("_", " "), _hint(one)
     if one.kind is bool:
         return Switch(one.name, gui.add_checkbox(label, value, hint=hint), ask)
@@ -180,7 +192,10 @@ def control(gui: Any, one: Parameter, scene: Scene, ask: Ask) -> Control | None:
 
 
 def _ends(one: Parameter) -> tuple[float, float]:
-    """Return the least and the largest value that a person may choose: bounds, or what keys go up to."""
+    """Return the least and largest value to choose.
+
+    These are the parameter's bounds, or the limits of its keys.
+    """
     assert one.live
     bounds, keys, inside = one.bounds, one.live, _INSIDE * abs(one.default or 1.0)
     least = max(bounds.get("at_least", -math.inf), bounds.get("above", -math.inf) + inside, keys.least)
@@ -189,6 +204,6 @@ def _ends(one: Parameter) -> tuple[float, float]:
 
 
 def _hint(one: Parameter) -> str:
-    """Return what a parameter is and what is allowed."""
+    """Return a parameter's description and allowed values."""
     words = [f"{word.replace('_', ' ')} {bound:g} {one.unit}".strip() for word, bound in one.bounds.items()]
     return ": ".join([one.help, " and ".join(words)]) if words else one.help

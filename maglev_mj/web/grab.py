@@ -1,4 +1,4 @@
-"""The knob in a person's hand: who holds it, and where it is pulled to."""
+"""Drags of the handle's knob on the page."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from maglev_mj.shapes import GRIP
 __all__ = ["Grab"]
 
 Aim = Callable[[list[float] | None], object]
-"""Takes the pose to which the hand pulls [m, rad], (6,); None where it has let go."""
+"""Takes the hand's target pose [m, rad], (6,); None on release."""
 
 
 class Grab:
-    """Follow drags of the knob: plainly to move it, with Shift to tilt it.
+    """Follow drags of the knob: plain to move, Shift to tilt.
 
     The first browser to grab has the hand.
 
@@ -59,7 +59,7 @@ class Grab:
             self._aim(self._target)
 
     def _pose(self, moved: Array) -> Array:
-        """Return the pose to pull to where the knob was moved by so much [m], (3,)."""
+        """Return the target pose for a knob displacement [m], (3,)."""
         place, turn = self._from[:3], self._from[3:]
         if self._tilts:
             return np.concatenate([place, turn + np.cross(GRIP, moved) / (GRIP @ GRIP)])
@@ -72,7 +72,10 @@ class Grab:
         self._aim(None)
 
     async def _listen(self, client: int) -> None:
-        """Let go while a browser does not answer: one that is held still says nothing by itself."""
+        """Release the knob while a browser does not answer.
+
+        One that is held still sends nothing by itself.
+        """
         while self._holder == client:
             answer = asyncio.ensure_future(self._ask(client))
             self._silent = not (await asyncio.wait([answer], timeout=SILENCE))[0]

@@ -1,4 +1,4 @@
-"""The page's door: who may ask for it, checked before a byte of it is served.
+"""Access control of the page, ahead of every byte served.
 
 A browser lets any page open a WebSocket to this machine, and says in Origin whose page it is. A name of the attacker's
 own may lead to this machine, too, which Host tells. viser checks neither, and would listen at every address. Its server
@@ -29,7 +29,10 @@ from maglev_mj.net.addresses import LOOPBACK, is_loopback
 __all__ = ["Door", "guarded"]
 
 _FRAMES = "frame-ancestors 'self' http://127.0.0.1:* http://localhost:*"
-"""Pages that may frame this one: notebooks on this machine, and no page that could lure a click to it."""
+"""Pages that may frame this one: notebooks on this machine.
+
+Another page could lure a click to it.
+"""
 
 
 @dataclass(frozen=True)
@@ -48,16 +51,19 @@ class Door:
 
     @property
     def url(self) -> str:
-        """Address for a browser; with the token, where there is one."""
+        """Address for a browser, with the token if there is one."""
         return f"http://{self.host}:{self.port}/" + (f"?token={self.token}" if self.token else "")
 
     @property
     def cookie(self) -> str:
-        """Name of the cookie: cookies are not kept apart by port."""
+        """Name of the cookie.
+
+        It holds the port, by which browsers do not keep cookies apart.
+        """
         return f"maglev_mj_{self.port}"
 
     def objection(self, path: str, headers: Headers) -> str:
-        """Return why a request is refused; empty if it is not."""
+        """Return the reason for refusing a request; empty if allowed."""
         hosts, origins, jar = (headers.get_all(name) for name in ("Host", "Origin", "Cookie"))
         if len(hosts) != 1 or not re.fullmatch(self._hosts, hosts[0], re.IGNORECASE):
             return f"Host must be {self.host}, not {', '.join(hosts)!r}"
@@ -74,7 +80,10 @@ class Door:
 
     @cached_property
     def _hosts(self) -> str:
-        """Pattern of Host fields: the host that was asked for, and this machine's own names where they lead here."""
+        """Pattern of allowed Host fields.
+
+        The host that was asked for, and this machine's own names if they lead here.
+        """
         # at every address any number is right, but no name: those are what an attacker can have
         own = r"(?:\d{1,3}\.){3}\d{1,3}" if self.host == "0.0.0.0" else re.escape(self.host)
         return rf"{own}(?::\d{{1,5}})?" + (f"|{LOOPBACK}" if is_loopback(self.host) else "")
@@ -82,7 +91,7 @@ class Door:
 
 @contextmanager
 def guarded(door: Door, listener: socket.socket) -> Iterator[None]:
-    """Let a server of websockets that starts meanwhile listen behind a door.
+    """Put websocket servers that start meanwhile behind a door.
 
     Args:
         door: The door.

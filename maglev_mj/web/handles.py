@@ -1,4 +1,4 @@
-"""Properties of what viser shows."""
+"""Properties of viser's elements."""
 
 from __future__ import annotations
 
@@ -10,7 +10,10 @@ __all__ = ["put"]
 
 
 def put(handle: Any, **properties: Any) -> None:
-    """Set properties that differ: viser would send the others to every browser again."""
+    """Set the properties that differ.
+
+    viser would send the others to every browser again.
+    """
     for name, value in properties.items():
         if not np.array_equal(getattr(handle, name), value):
             setattr(handle, name, value)

@@ -1,4 +1,4 @@
-"""Meshes of a device for a browser: its shapes as triangles, one mesh for each colour."""
+"""Triangle meshes of a device, one for each colour."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ _Mesh: TypeAlias = tuple[Array, Array, _Faces]
 _METALLIC, _ROUGHNESS = 0.1, 0.45
 _GAMMA = 2.2  # glTF's colours are linear
 _FEWEST, _PER_METRE, _MOST = 8, 2000.0, 48
-"""Sides of round shapes: more for larger ones, a multiple of two."""
+"""Sides of round shapes: even, and more for larger shapes."""
 
 
 def glb(shapes: Sequence[Shape]) -> bytes:
-    """Return shapes as a binary glTF file, a mesh for each colour."""
+    """Return shapes as binary glTF, one mesh a colour."""
     scene = trimesh.Scene()
     for colour in sorted({tuple(shape.colour) for shape in shapes}):
         parts = [triangles(shape) for shape in shapes if tuple(shape.colour) == colour]
@@ -46,7 +46,10 @@ def glb(shapes: Sequence[Shape]) -> bytes:
 
 
 def triangles(shape: Shape) -> _Mesh:
-    """Return corners (N, 3) [m], their normals (N, 3), and triangles as indices of corners (M, 3)."""
+    """Return corners, normals and triangles of a shape.
+
+    Corners (N, 3) [m], their normals (N, 3), and triangles as indices of corners (M, 3).
+    """
     sides = min(_FEWEST + 2 * int(_PER_METRE * max(shape.half[:2])), _MOST)
     points, normals, faces = {"box": _box, "cylinder": _cylinder, "ellipsoid": _ellipsoid}[shape.kind](sides)
     w, x, y, z = shape.turn
@@ -63,7 +66,7 @@ def triangles(shape: Shape) -> _Mesh:
 
 
 def _grid(rows: int, columns: int) -> _Faces:
-    """Return the triangles of a sheet of rows by columns of corners."""
+    """Return the triangles of a grid of corners."""
     corner = np.arange(rows * columns, dtype=np.int64).reshape(rows, columns)
     a, b, c, d = corner[:-1, :-1], corner[:-1, 1:], corner[1:, :-1], corner[1:, 1:]
     return np.stack([np.stack([a, b, d], -1), np.stack([a, d, c], -1)]).reshape(-1, 3)

@@ -1,4 +1,7 @@
-"""A page that shows a running scene in any browser, by viser; it runs in a process of its own."""
+"""Browser page of a running scene, in its own process.
+
+viser serves it.
+"""
 
 from __future__ import annotations
 
@@ -90,7 +93,7 @@ class Page:
                 self._show()
 
     def _ask(self, kind: str, value: Any) -> None:
-        """Pass on what a person asks for; called in viser's thread."""
+        """Forward a person's request; called in viser's thread."""
         self._asked.put((kind, value))
 
     def _obey(self) -> None:
@@ -117,7 +120,10 @@ class Page:
 
 
 async def _greet(client: viser.ClientHandle) -> None:
-    """Fit the device into a browser wherever its camera is as it is at first: set up, or reset by the person."""
+    """Fit the device into a browser with an unmoved camera.
+
+    It is unmoved at first, and after a reset by the person.
+    """
     view, (place, _) = next(iter(VIEWS.items()))
 
     async def fit(camera: viser.CameraHandle) -> None:
@@ -128,7 +134,7 @@ async def _greet(client: viser.ClientHandle) -> None:
 
 
 def page(door: Door, listener: socket.socket, *, drag: bool = True, settings: bool = True) -> Front:
-    """Return what serves a page.
+    """Return the server of a page.
 
     Args:
         door: Where, and to whom.

@@ -1,4 +1,4 @@
-"""The page's words and buttons: banner, what is measured, actions, scene, parameters, cameras."""
+"""The page's panel: banner, readings, actions, scene, parameters, cameras."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _SHEET = (
     f"<style>@media(max-width:36em){{{_FIXED}{{width:100%!important;max-height:48%!important}}"
     f'{_FIXED} div[style*="width: 20em"]{{width:100%!important}}}}</style>'
 )
-"""On a phone the panel is a sheet at the lower edge, which is to be as wide as the screen."""
+"""Style of the panel on a phone: a full-width sheet below."""
 _PAUSED: Colour = (0.25, 0.28, 0.33)
 
 
@@ -81,7 +81,7 @@ class Panel:
             self._time.show(round(snapshot.time, 2))
 
     def _make_buttons(self, snapshot: Snapshot) -> None:
-        """Make a button for each action that has no other control."""
+        """Make a button for each action without another control."""
         self._buttons.remove()
         self._buttons, known = self._gui.add_folder(None, order=1.0), snapshot.actions
         shown = {name for row in _ROWS.values() for name in row} | {
@@ -114,7 +114,7 @@ class Panel:
         views.on_click(chosen)
 
     def _make_controls(self, snapshot: Snapshot) -> None:
-        """Make the controls of a scene: which one it is, its live parameters, the hand."""
+        """Make the controls of scene, live parameters and hand."""
         self._parameters.remove()
         self._followed, scene, gui = [], snapshot.scene, self._gui
         self._parameters = gui.add_folder(None, order=2.0)
@@ -165,7 +165,7 @@ def _tour(step: TourLine | None) -> str:
 
 
 def _called(name: str) -> str:
-    """Return what a person uses here for an action."""
+    """Return the input that triggers an action here."""
     if name == "hand":
         return "drag the knob"
     moved = name.removesuffix(" up").removesuffix(" down")
@@ -173,7 +173,7 @@ def _called(name: str) -> str:
 
 
 def _words(snapshot: Snapshot) -> str:
-    """Return what a person wants to know of a session, as HTML."""
+    """Return the session's readings as HTML."""
     scene = snapshot.scene
     rows = [
         f"<b>{escape(scene.name)}</b>: {escape(scene.describe())}",

@@ -1,4 +1,7 @@
-"""The page's plots: position and force over time, phase plane, and the gains on the stability map."""
+"""Plots of the page.
+
+Position and force over time, phase plane, and the gains on the stability map.
+"""
 
 from __future__ import annotations
 
@@ -53,7 +56,10 @@ class Plots:
             put(plot, content=content)
 
     def _gains(self, scene: Scene) -> str:
-        """Return the stability boundary and a cross at the gains; the verdict alone where a law states no gains."""
+        """Return the stability boundary with the gains marked.
+
+        The verdict alone for a law that states no gains.
+        """
         found = self._stability.of(scene)
         colour = None if found.stable is None else GOOD if found.stable else BAD
         if not found.axis:

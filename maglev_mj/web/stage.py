@@ -1,4 +1,4 @@
-"""What is seen of a scene in a browser: device, walls, stick position, forces."""
+"""3D scene of the page: device, walls, stick position, forces."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ VIEWS = {
     "top": ((0.0, -0.02, 0.40), (0.0, 0.0, 0.03)),
     "knob": ((0.09, -0.13, 0.14), (0.0, 0.0, 0.072)),
 }
-"""Camera presets: where it is, and what it looks at [m]."""
+"""Camera presets: position and point looked at [m]."""
 
 _PHONE = 576
-"""Width of a screen on which the panel covers the lower half [px]."""
+"""Screen width below which the panel covers half [px]."""
 
 _WIDE = 0.15  # of the device, with some room [m]
 FIELD = 0.62
@@ -38,7 +38,10 @@ _REACH = 0.021  # of the ball by which the knob is taken hold of [m]
 _LONGEST = 0.12  # of an arrow [m]
 _SWOLLEN, _GAMMA = 1.06, 2.2
 _RIM = 0.0118, 0.0012
-"""Radius and half height of a ring under the knob, lit where a rotation meets its stop [m]."""
+"""Radius and half height of the rotation-stop ring [m].
+
+It lies under the knob and is lit when a rotation meets its stop.
+"""
 
 
 def look(client: Any, view: str) -> None:
@@ -172,7 +175,7 @@ class _Arrow:
         self._arrow = scene.add_arrows(f"/forces/{name}", points, _bytes(shade), visible=False, **sizes)
 
     def show(self, knob: Array, force: Array) -> None:
-        """Show a force [N], (3,), at a knob at some place [m], (3,)."""
+        """Show a force [N], (3,), at a knob position [m], (3,)."""
         size = float(np.linalg.norm(force))
         put(self._arrow, visible=size >= LEAST_FORCE)
         if size >= LEAST_FORCE:

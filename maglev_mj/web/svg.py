@@ -1,4 +1,7 @@
-"""Small charts as SVG, which a browser draws at any width; uPlot, which viser brings, draws no phase plane."""
+"""Small charts as SVG.
+
+A browser draws them at any width; uPlot, which viser brings, draws no phase plane.
+"""
 
 from __future__ import annotations
 
