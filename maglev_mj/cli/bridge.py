@@ -1,4 +1,4 @@
-"""`maglev-mj bridge`: a scene on a device at the other end of a wire."""
+"""`maglev-mj bridge`: a scene on a remote device."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ def _bridge(options: argparse.Namespace) -> int:
 
 
 def _check(options: argparse.Namespace) -> None:
-    """Check what can be checked without the device."""
+    """Check options as far as possible without the device."""
     if options.seconds is not None:
         number("seconds", options.seconds, above=0.0)
     check_recording(options.record)
@@ -139,7 +139,10 @@ def _fly(
     publishers: Sequence[Publisher],
     live: RecordingFile | None,
 ) -> None:
-    """Fly a scene; whatever ends it, first the device is let go, then what was recorded is kept."""
+    """Fly a scene; then disarm the device and close recordings.
+
+    In this order, at any end of the flight.
+    """
     switch = StopSwitch()
     with ExitStack() as last:
         last.enter_context(stopping(switch.land, switch.cut, within=LANDING_TIME))
@@ -178,7 +181,7 @@ def _warn(text: str) -> None:
 
 
 def _keep(file: RecordingFile, _kind: object, error: BaseException | None, _trace: object) -> None:
-    """Write what is left of what was recorded; what ended the flight is told of first."""
+    """Close a recording; print its error after an earlier one."""
     try:
         path = file.close()
     except MaglevError as problem:
@@ -201,7 +204,7 @@ def _opened(
 
 @contextmanager
 def _punctual(options: argparse.Namespace) -> Iterator[None]:
-    """Run in real time, and say what of that was refused."""
+    """Run in real time and print refused settings."""
     with realtime(options.realtime) as refused:
         for complaint in refused:
             print(f"  not in real time: {complaint}", file=sys.stderr)

@@ -1,4 +1,4 @@
-"""The commands of the command line: groups, what each does, an example; a line a command."""
+"""Table of the commands: groups, summaries, examples."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ __all__ = ["COMMANDS", "GROUPS", "Command"]
 
 
 class Command(NamedTuple):
-    """A command, whose module has `add_options(parser)`.
+    """Command with a module that has `add_options(parser)`.
 
     Attributes:
-        summary: What it does.
+        summary: Purpose in a few words.
         example: Arguments of an example.
-        module: Module of this package; empty where it is named as the command.
+        module: Module of this package; empty if it is named as the command.
     """
 
     summary: str
@@ -54,6 +54,6 @@ GROUPS: Mapping[str, Mapping[str, Command]] = {
         "export": Command("a recording as a table for other programs", "run.mcap --to csv"),
     },
 }
-"""Commands in the order in which the help lists them."""
+"""Commands in the order of the help."""
 
 COMMANDS: Mapping[str, Command] = {name: command for group in GROUPS.values() for name, command in group.items()}

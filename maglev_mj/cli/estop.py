@@ -1,4 +1,4 @@
-"""`maglev-mj estop`: stop a device, whoever flies it."""
+"""`maglev-mj estop`: emergency stop of a device."""
 
 from __future__ import annotations
 

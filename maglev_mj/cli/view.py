@@ -1,4 +1,4 @@
-"""`maglev-mj view`: the joystick on the screen, the mouse as the hand."""
+"""`maglev-mj view`: the joystick on the screen, moved by mouse."""
 
 from __future__ import annotations
 
