@@ -75,8 +75,7 @@ class Snapshot:
         tick: Samples answered so far.
         time: Time of the session [s].
         pose: Pose of the flotor [m, rad], (6,).
-        force: Held wrench of the device, limited, without pulses and weight compensation
-            [N, N m], (6,).
+        force: Held wrench of the device, limited, without pulses and weight compensation [N, N m], (6,).
         hand: Wrench of the hand [N, N m], (6,); zeros if not measured.
         stops: Wrench of the metal stops [N, N m], (6,); zeros if not measured.
         target: Pose of the hand's spring [m, rad]; None if released, or if it follows a path.
