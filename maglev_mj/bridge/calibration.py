@@ -127,7 +127,7 @@ class Calibration:
         """Return the calibration of `as_json` output.
 
         Raises:
-            CalibrationError: If it is another format, a value is missing or not known, or a unit is another.
+            CalibrationError: If the format or a unit is wrong, or a value is missing or not known.
             ParameterError: As for the class.
             ModelError: If the coils cannot give every wrench, or the beams do not determine the pose.
         """

@@ -29,7 +29,7 @@ class CoilCheck(NamedTuple):
         current: Commanded [A].
         measured: Mean of its measured current [A].
         others: Largest mean of any other coil's measured current [A].
-        displacement: Of the pose from the current to its opposite, halved [m, rad], (6,).
+        displacement: Half the displacement between the two currents [m, rad], (6,).
         error: Standard error of that [m, rad], (6,).
         expected: Wrench of the coil by the calibration [N, N m], (6,).
         verdict: "as calibrated", "reversed", "elsewhere" or "not seen".
@@ -48,7 +48,7 @@ class CoilCheck(NamedTuple):
 def check_coil(plant: RemotePlant, coil: int, current: float = 0.2) -> CoilCheck:
     """Send a current and its opposite through one coil.
 
-    The flotor must be blocked by something soft, such as foam, that lets it give by some micrometers. The device is
+    The flotor must be blocked by a soft material, such as foam, that yields by some micrometers. The device is
     armed without hover currents and disarmed at the end.
 
     Args:

@@ -304,7 +304,7 @@ class Connection:
             self._link.close()
 
     def _greet(self, calibration: bytes) -> HelloAck:
-        """Say hello until the device answers."""
+        """Send HELLO until the device answers."""
         hello, versions = Hello(int.from_bytes(os.urandom(8), "little"), calibration), set[int]()
         for patience in (self._patience, _TAKEOVER):
             busy = False
@@ -334,7 +334,7 @@ class Connection:
         version = self.codec.version_met
         if version is not None:
             versions.add(version)
-            if self._keyed:  # the tag of another version is not known: anyone may have sent it
+            if self._keyed:  # the tag of another version cannot be checked: the sender is unknown
                 return None
         if frame is not None and isinstance(frame.body, HelloAck):
             answer = frame.body

@@ -227,7 +227,7 @@ class Firmware:
 
     def _obey(self, command: Command, now: int) -> None:
         if (self._sampled - command.answers) & 0xFFFFFFFF > self._stale:
-            self.counts["old"] += 1  # it lay in a queue, answers what is yet to come, or seemed lost and was sent again
+            self.counts["old"] += 1  # delayed in a queue, ahead of its sample, or sent twice
             return
         self.answered = command.answers
         if self.state != State.ACTIVE:

@@ -168,7 +168,7 @@ class LoopTiming:
 def delay_check(timing: LoopTiming, scene: Scene, inertia: Sequence[float], expected: float) -> str:
     """Return a warning if the measured delay exceeds the expected.
 
-    Else an empty text.
+    The text is empty otherwise.
 
     Args:
         timing: Measured latencies of the flight.

@@ -214,7 +214,7 @@ def collect(
         watch: Called before each sample; True ends the motion.
 
     Raises:
-        IdentificationError: If the motion was over before its time.
+        IdentificationError: If the motion ended early.
         ParameterError: If the periods differ, or a duration is shorter than a sample.
         MaglevError: As `run`.
     """

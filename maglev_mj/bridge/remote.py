@@ -137,7 +137,7 @@ class RemotePlant:
         )
         self._led = self._owed = False  # led from or to its stop; an answer is owed to the last sample
         self._sequence, self._located = 0, 0  # of the last sample, and tick of the last whose pose is known
-        self._doubt = ""  # what is wrong with the last sample
+        self._doubt = ""  # fault of the last sample
         self._frame: Frame | None = None  # the last sample
         self._seen: Sequence[float] = _UNKNOWN  # its pose
         self._known: Sequence[float] = ZERO
@@ -171,7 +171,7 @@ class RemotePlant:
         frame = self._next_frame()
         report: StateReport = frame.body  # type: ignore[assignment]
         self._account(frame, report)
-        # one from before the device did what it was asked for is old
+        # a sample from before the device's last answer holds an outdated state
         if (report.state != self.state or report.faults != self.faults) and frame.time > self._line.settled:
             self._adopt(report.state, report.faults)
         if self.state is _FAULT and self._armed:
@@ -344,7 +344,7 @@ class RemotePlant:
         if off_stop(rest, self.calibration.gravity.tolist()):
             raise PlantError(f"no takeoff: the flotor is at {shown(rest)}, and must lie on its lower stop")
         leader.aim(rest, rest, duration)
-        loop.cycle(2)  # the device does not look at these answers; what is slow at first has been once
+        loop.cycle(2)  # the device ignores these answers; slow first calls are done
         leader.aim(rest, ZERO, duration, self._astray)
         self.arm()
         self.rest, self._led = rest, True
@@ -436,7 +436,7 @@ class RemotePlant:
         """Store a sample and update the temperatures up to it."""
         answered, self._owed = not self._owed, False
         elapsed = self.samples.elapsed
-        if (unanswered := elapsed - answered) > 0:  # what nobody wrote for: the coils cool, or go on
+        if (unanswered := elapsed - answered) > 0:  # without a command the coils cool, or keep their currents
             self._output.stay(unanswered, self.last_currents if self.state is _ACTIVE else ZERO)
         behind = (frame.sequence - report.answered) & _NONE
         known = report.age != _NONE and report.answered != self._answered
@@ -491,7 +491,7 @@ class RemotePlant:
             self._fail_if_active(Fault.SENSOR_OUT_OF_RANGE, str(error))
             raise
         self._known, self._owed = position, True
-        self._seen = tuple(position)  # whoever gets the list may write in it
+        self._seen = tuple(position)  # the caller may write into the list
         return position
 
     def _send(self, held: Sequence[float], pulsed: Sequence[float] | None, width: float) -> None:
@@ -520,7 +520,7 @@ class RemotePlant:
         """Trip the device, write the black box, raise DeviceFault."""
         self._armed = False
         if self.state is not _FAULT or not self.faults & faults:
-            with suppress(Exception):  # what went wrong is told, and the last cycles kept, whatever else fails
+            with suppress(Exception):  # report and black box must not depend on the line
                 self.trip(faults)
         faults |= self.faults  # such as an e-stop, after which it fell
         about = {"first": fault_names(self.first), "fault_time_ns": self.fault_time, "period_ns": self.samples.period}

@@ -45,7 +45,7 @@ _CHANGED = (0, 0, 0)
 _CLOSE_SHARE = 0.1
 _IMPLAUSIBLE = 4.0
 _MARGIN = 1.25
-"""Current margin above hover, for control."""
+"""Factor over the weight and its currents, for control."""
 _COLD, _HOT, _OVER = -0.01, 2.0, 1.5
 """Bounds of reported temperatures and overcurrent ratio of measured currents."""
 
@@ -118,7 +118,7 @@ class HostLimits(Parameters):
 def weight_fault(weight: float, hover: Sequence[float], own: HostLimits, limits: Limits) -> str:
     """Return the limit that hovering would exceed, as a message.
 
-    Args are the weight [N], the hover currents [A], six, the host's limits and the device's; empty if all is well.
+    `weight` is in [N], `hover` are six currents [A]; the message is empty if hovering is possible.
     """
     most = max(map(abs, hover))
     force, least, current = own.force_limit, _MARGIN * most, limits.current
@@ -237,7 +237,7 @@ class SpotGuard:
         fault = Fault.SENSOR_STOPPED if conversions == self._conversions else _NO_FAULT
         self._conversions, most = conversions, self._most
         a, b, c, d, e, f = spots
-        # written out: in half the time of min and max; a comparison with what is not finite fails
+        # written out: in half the time of min and max; a comparison with NaN or infinity fails
         within = -most <= a <= most and -most <= b <= most and -most <= c <= most
         if valid & 7 != 7 or not (within and -most <= d <= most and -most <= e <= most and -most <= f <= most):
             self._last = None
@@ -358,7 +358,7 @@ class OutputLimiter:
         if limit is not None:
             total = [clipped(one, most) for one, most in zip(total, limit)]
         total, _ = limited_wrench(inverse_map, total, self._current)
-        # the pulse as it will be known, so that whoever adds it to the force comes to the same currents
+        # the pulse relative to the applied force, so that their sum gives the same currents
         extra = [one - other for one, other in zip(total, left)]
         pulsed: list[float] = inverse_map.dot([one + other for one, other in zip(left, extra)]).tolist()
         return Command(left, extra, width), held, pulsed, width

@@ -37,7 +37,7 @@ REST = (0.0, 0.0, -Spec.translation_range.value, 0.0, 0.0, 0.0)
 
 _ALL = 7
 _MARGIN = 1.25
-"""Largest hover limit over the calibrated hover currents."""
+"""Factor over the calibrated hover currents, for the hover limit."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -61,7 +61,7 @@ class TwinParameters:
     faults: Sequence[InjectedFault] = ()
 
     def __post_init__(self) -> None:
-        # whole nanoseconds, which is what the wire counts time in
+        # whole nanoseconds, the wire's unit of time
         number("period", self.period, at_least=1e-5, at_most=0.1)
         number("delay", self.delay, at_least=0.0, at_most=0.1)
         flag("lockstep", self.lockstep)
@@ -160,7 +160,7 @@ class Twin:
     Attributes:
         plant: The device in the engine; only `board`, its amplifiers, commands it.
         tick: Number of the last sample; -1 before the first.
-        ahead: How far the firmware's clock has jumped [ns].
+        ahead: Jump of the firmware's clock [ns].
         hung: True if the firmware hangs.
         silent_until: End of a silence without any frames [ns].
     """

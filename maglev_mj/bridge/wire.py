@@ -330,7 +330,7 @@ class Codec:
             return "short"
         if data[:2] != _MAGIC:
             return "magic"
-        # the seal first: what it does not vouch for is not looked at
+        # the CRC first: no other field is read unless it is right
         if len(data) < self._overhead + 4 or zlib.crc32(data) != _SEALED:
             return "crc"
         if data[2] != VERSION:

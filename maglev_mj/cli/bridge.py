@@ -88,14 +88,14 @@ def add_options(parser: Parser) -> None:
 
 
 def _bridge(options: argparse.Namespace) -> int:
-    scene, key = chosen_scene(options), chosen_key(options.key)  # before the device: what is wrong is said at once
+    scene, key = chosen_scene(options), chosen_key(options.key)  # before the device: errors are reported at once
     limits = chosen(options, HostLimits() if options.profile is None else HostLimits.load(options.profile))
     _check(options)
     calibration = Calibration.nominal() if options.calibration is None else Calibration.load(options.calibration)
     front = chosen_front(options, options.out, watch=True)
-    # publishers first: what is wrong with them is said before the device moves
+    # publishers first: their errors are reported before the device moves
     with (
-        stopping(interrupt, lambda: None),  # what closes is not stopped by a second Ctrl-C
+        stopping(interrupt, lambda: None),  # closing is not stopped by a second Ctrl-C
         chosen_publishers(options) as (publishers, live),
         _opened(options, calibration, key, limits) as plant,
     ):
@@ -166,7 +166,7 @@ def _fly(
         )
         if viewer is not None:
             viewer.on_close, viewer.on_emergency = switch.land, switch.cut
-        last.push(plant)  # first of all the device is let go
+        last.push(plant)  # the device is closed first
         with _punctual(options):
             print(f"  {scene.name} at {1.0 / plant.period:g} Hz; keep hands off while it takes off", flush=True)
             try:
@@ -176,7 +176,7 @@ def _fly(
 
 
 def _warn(text: str) -> None:
-    with suppress(OSError):  # a terminal that is gone is no reason to let go
+    with suppress(OSError):  # a closed terminal must not end the flight
         say(f"  {text}", sys.stderr)
 
 

@@ -43,7 +43,7 @@ GROUPS: Mapping[str, Mapping[str, Command]] = {
     "device": {
         "twin": Command("a simulated device behind the wire of a real one", "--rate 1000 --fault dead-coil:2@3 --view"),
         "bridge": Command("a scene on a device", "udp://127.0.0.1:5678 --scene box --view --record flight.mcap"),
-        "estop": Command("stop a device, whoever flies it", "udp://192.168.1.20:5678 --key lab.key"),
+        "estop": Command("stop a device, also in the session of another host", "udp://192.168.1.20:5678 --key lab.key"),
         "commission": Command("diodes and coils of a new device, before it hovers", "udp://127.0.0.1:5678 coils"),
         "conform": Command("test a device's side of the protocol", "udp://127.0.0.1:5678 --json report.json"),
         "fault": Command("what happened before a fault, from its file", "maglev-fault-20260101-120000.json --all"),

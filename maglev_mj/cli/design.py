@@ -42,7 +42,7 @@ def add_options(parser: Parser) -> None:
         help=f"hands that it must bear: {', '.join(HANDS)}, several with commas between them, or one as "
         "MASS,DAMPING,STIFFNESS[,GRIP_DAMPING,GRIP_STIFFNESS]; may be given again (default none)",
     )
-    needed.add_argument("--held", action="store_true", help="never let go: leave out the flotor without a hand")
+    needed.add_argument("--held", action="store_true", help="held throughout: leave out the flotor without a hand")
     add_parameters(needed, WallRequirements)
     wall.add_argument("--law", default="pd", choices=LAWS, help="law of the wall (default pd)")
     wall.add_argument(

@@ -53,7 +53,7 @@ def check_recording(path: Path | None) -> None:
         McapMissingError: If the package for its kind is not installed.
     """
     if path is not None:
-        from maglev_mj.recording import check_name  # nothing else here needs what reads and writes recordings
+        from maglev_mj.recording import check_name  # imported here: only this function needs the recording code
 
         check_name(path)
         check_file("record", path)

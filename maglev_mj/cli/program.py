@@ -128,6 +128,6 @@ def _prepare(commands: Mapping[str, Parser], words: Sequence[str]) -> None:
 
 def _add_options(parser: Parser, command: Command, _: Sequence[str]) -> None:
     parser.description = f"{command.summary[0].upper()}{command.summary[1:]}."
-    # a command loads what it needs, and no other's libraries
+    # a command loads its own libraries only
     module = command.module or parser.prog.split()[-1].replace("-", "_")
     import_module(f"maglev_mj.cli.{module}").add_options(parser)

@@ -90,7 +90,7 @@ def _hand(scene: Scene) -> HandForce:
 
 
 def _serve(options: argparse.Namespace) -> int:
-    # what comes back to the centre by itself is a 3D mouse; a slave is moved without that
+    # a 3D mouse returns to the centre by itself; a slave is moved without that
     scene = chosen_scene(options, friction=options.axes == "rate")
     seconds = None if options.seconds is None else number("seconds", options.seconds, above=0.0)
     (server,) = chosen_spacenav(options, say)

@@ -68,7 +68,7 @@ def _sweep(options: argparse.Namespace) -> int:
     workers = chosen_workers(options, default=None)
     with cells_kept(path, path), Progress(f"sweep {cls.name}") as progress:
         found = sweep(cls, fixed | varied, workers=workers, record=path, progress=progress)
-    found = replace(found, varied=varied)  # what is set is no dimension of the grid
+    found = replace(found, varied=varied)  # a set parameter is no dimension of the grid
     tell_of_others("sweep", found.others)
     write_results(options, found.as_json, lambda: sweep_table(found, str(path)))
     return 0

@@ -109,7 +109,7 @@ def _twin(options: argparse.Namespace) -> int:
     with ExitStack() as last:
         viewer, front = None, chosen_front(options)
         if front is not None:
-            # what it renders is for whoever flies it to say
+            # the rendered scene is the host's choice
             off = {one.name: False for one in look.parameters() if one.kind is bool and one.live}
             blank = Snapshot(
                 scene=look(**off, period=parameters.period, delay=parameters.delay), actions=(EMERGENCY_STOP,)

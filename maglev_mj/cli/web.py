@@ -94,7 +94,7 @@ def chosen_page(options: argparse.Namespace, *, drag: bool = True, settings: boo
             raise ParameterError(f"{wrong[0].replace('_', '-')} is for --web")
         return None
     host = options.host or "127.0.0.1"
-    # one on the command line is read in the list of processes by anybody of this machine
+    # every user of this machine can read a token on the command line in the list of processes
     token = secrets.token_urlsafe() if options.token == "" else options.token
     if token is None and not is_loopback(host):
         raise ParameterError(f"token must be given for a host that is not this machine, {host!r}: see --token")

@@ -78,7 +78,7 @@ class SpacenavMouse:
         try:
             self._line.connect(os.fspath(self._path))
             self._line.send(GREETING)
-        except OSError:  # nobody is there, or too many wait
+        except OSError:  # no driver, or too many clients wait
             self.close()
 
     def _hear(self, data: bytes) -> list[int]:

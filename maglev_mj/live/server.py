@@ -130,7 +130,7 @@ class LiveServer:
     def _say(self, *order: Any) -> None:
         """Send a message to the server, before the next row."""
         self._unsent.append((self._ring.count, *order))
-        if len(self._unsent) > _UNSENT:  # all can go but what rows began with, and what a request waits for
+        if len(self._unsent) > _UNSENT:  # all can be dropped but the beginning of rows, and answers to requests
             for place, one in enumerate(self._unsent):
                 if one[1] != "begin" and not isinstance(one[-1], Answer):
                     del self._unsent[place]
@@ -148,7 +148,7 @@ def _serve(*arguments: Any) -> None:
     from maglev_mj.live.service import serve
 
     serve(*arguments)
-    os._exit(0)  # whoever closes it waits, and the interpreter takes its time to end
+    os._exit(0)  # the closing process waits, and the interpreter's own end is slow
 
 
 class _Shared:

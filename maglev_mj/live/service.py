@@ -35,7 +35,7 @@ LONGEST_CHECK = 10.0
 _LOOK = 1.0 / 120.0
 _PAUSE = 1.0  # from one process that checks to the next [s]
 _PATIENCE = 60.0
-_MOST_REASON = 300  # it may repeat what a program sent
+_MOST_REASON = 300  # it may repeat a client's request
 _SET = "/maglev/set"
 _JSON = MessageSchema(encoding="json", schema=Schema(name=_SET, encoding="jsonschema", data=b'{"type": "object"}'))
 _SCHEMA = ServiceSchema(name=_SET, request=_JSON, response=_JSON)
@@ -48,7 +48,7 @@ def serve(line: Connection, rows: RowReader, listener: socket.socket) -> None:
     """
     try:
         service = _Service(line, rows, listener)
-    except Exception as error:  # whatever keeps the package from starting
+    except Exception as error:  # any error that keeps the package from starting
         line.send(f"{type(error).__name__}: {error}")
         return
     line.send("")
@@ -59,7 +59,7 @@ class _Service(ServerListener):
     """Server that logs rows and events and has requests checked."""
 
     def __init__(self, line: Connection, rows: RowReader, listener: socket.socket) -> None:
-        foxglove.set_log_level(logging.CRITICAL)  # what clients do wrong is not for the person at the terminal
+        foxglove.set_log_level(logging.CRITICAL)  # errors of clients are not for the user's terminal
         self._line, self._rows, self._requests, self._greet = line, rows, Requests(), False
         self._orders: deque[tuple[Any, ...]] = deque()
         self._place = 0
@@ -94,7 +94,7 @@ class _Service(ServerListener):
         """Wait for the next event and handle it."""
         checking = [] if self._checker.ended else [self._checker.line, self._requests.arrived]
         wait([self._line, *checking], _LOOK)
-        rows = list(self._rows.rows())  # before what is said, for what is said of a row comes before it
+        rows = list(self._rows.rows())  # rows first: a message about a row arrives before the row
         while not self._over and self._line.poll():
             self._hear()
         if self._greet:

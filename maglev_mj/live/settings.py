@@ -94,7 +94,7 @@ def check_requests(line: Connection) -> None:
     """Check requests until the line ends, in an own process."""
     os.nice(NICE)
     with suppress(EOFError, OSError):
-        line.send(None)  # it has loaded what it needs
+        line.send(None)  # all modules are loaded
         while True:
             line.send(checked(*line.recv()))
 

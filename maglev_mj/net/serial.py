@@ -20,7 +20,7 @@ __all__ = ["LONGEST", "Deframer", "PtyServer", "SerialLink", "cobs_decode", "cob
 LONGEST = 4096
 """Largest number of bytes of a frame."""
 
-_FLOOD = 1e-3  # [s] of reading what is no frame beyond the time that a caller would wait
+_FLOOD = 1e-3  # longest reading of invalid data beyond the caller's timeout [s]
 _CODES = [bytes([length + 1]) for length in range(255)]
 
 

@@ -24,8 +24,8 @@ Host and port, or path and 0 of a serial line.
 """
 
 _LARGEST = 2048  # of a datagram: a frame has at most 300 bytes
-_BACKLOG = 4096 * 1280  # frames in the receive buffer, and what Linux counts for one
-# nobody listens there, nobody is there, no room: what a cable out of its socket looks like;
+_BACKLOG = 4096 * 1280  # frames in the receive buffer, and Linux's size of one
+# no listener, no host, no room: the same as an unplugged cable;
 # and an answer to a forged sender, port 0 or everyone, is not let out
 _SILENCE = {errno.ECONNREFUSED, errno.ECONNRESET, errno.EHOSTUNREACH, errno.ENETUNREACH, errno.ENETDOWN}
 _SILENCE |= {errno.ENOBUFS, errno.EAGAIN, errno.EINVAL, errno.EACCES, errno.EPERM}
@@ -219,7 +219,7 @@ def open_link(url: str, key: bytes | None = None) -> Link:
     """
     scheme, place, number = parse_url(url)
     if scheme == "udp":
-        # what was checked is what is opened: a name may have another address the next time
+        # the checked address is opened: a name may have another address the next time
         return UdpLink(check_host(place, key), number)
     from maglev_mj.net.serial import SerialLink
 

@@ -114,7 +114,7 @@ class Columns:
         if more:
             values = {name: np.concatenate([part[name] for part in self._waiting]) for name in self._names}
         self._waiting, self._sorted = [], self._count
-        if self._last:  # with the row before, for what goes from row to row
+        if self._last:  # with the row before, for checks between rows
             check_rows({name: np.concatenate([self._last[name], values[name]]) for name in self._names}, start - 1)
         else:
             check_rows(values, start)

@@ -113,7 +113,7 @@ def read_mcap(file: IO[bytes], size: int, names: frozenset[str] | None = None) -
         raise
     except _Ended:
         found.damage = "its end is missing"
-    except Exception as error:  # of what unpacks and what is unpacked: what came before it is good
+    except Exception as error:  # errors of unpacking and of the content: data before them is good
         found.damage = f"it is damaged: {error or type(error).__name__}"
     if not found.parts:
         raise ParameterError(found.damage or "nothing of a recording is in it")

@@ -188,7 +188,7 @@ def read_file(path: Path, names: frozenset[str] | None = None) -> Recording | Fo
         MissingPackageError: If an MCAP file needs a package that is not installed.
         InvalidRecordingError: See `Recording.load`.
     """
-    from maglev_mj.recording.mcap import MAGIC, read_mcap  # which needs what is defined here
+    from maglev_mj.recording.mcap import MAGIC, read_mcap  # it imports this module
 
     try:
         with path.open("rb", buffering=1 << 20) as file:
@@ -290,7 +290,7 @@ def _read_arrays(file: IO[bytes], size: int) -> Recording:
         raise
     except UnpackingError as error:
         raise ParameterError(str(error)) from None
-    except Exception:  # of zip files, of what unpacks, of headers: a damaged one fails in many ways
+    except Exception:  # errors of zip files, unpacking and headers: a damaged file fails in many ways
         raise ParameterError("it is damaged") from None
     events = header.get("events", [])
     if not isinstance(events, list):

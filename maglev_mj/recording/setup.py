@@ -260,13 +260,13 @@ def _reference(slot: str, value: Any) -> str:
 def _given(slot: str, value: Any) -> Mapping[str, Any]:
     """Return an object's constructor arguments other than defaults."""
     if isinstance(value, Controller | SampledPlant) and value.begun:
-        raise _UntoldError  # what it remembers is not in its arguments
+        raise _UntoldError  # its state is not in its arguments
     if isinstance(value, Controller):
         return {"laws": value.laws, "period": value.period, "velocity": value.velocity}
     if isinstance(value, SampledPlant):
         return value.given
     if slot == "hand_force" and isinstance(value, SpringHand) and not isinstance(value.target, Trajectory):
-        raise _UntoldError  # somebody moves it
+        raise _UntoldError  # its target is moved from outside
     if is_dataclass(value):
         return {
             one.name: part

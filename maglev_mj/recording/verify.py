@@ -95,7 +95,7 @@ def verify(recording: Recording, rebuild: Rebuild, *, expect: Callable[[Setup], 
         expect: Function of a setup that returns its further expected properties; None for none.
 
     Raises:
-        ParameterError: If a setup is not one that can be made.
+        ParameterError: If a setup cannot be rebuilt.
     """
     found: dict[str, FieldVerdict] = {}
     for place, stretch in enumerate(recording.stretches):
@@ -116,7 +116,7 @@ def first_other_answer(recording: Recording, rebuild: Rebuild, most: int) -> tup
         most: Number of compared samples of each stretch, from its first.
 
     Raises:
-        ParameterError: If a setup is not one that can be made.
+        ParameterError: If a setup cannot be rebuilt.
     """
     for place, stretch in enumerate(recording.stretches):
         part = stretch.part(0, most - 1)
@@ -170,7 +170,7 @@ def _fields(stretch: Stretch, rebuild: Rebuild, expected: Expected) -> Iterator[
         if not told(field, stretch.rows[field.name]):
             continue
         if field.optional and np.isnan(stretch.rows[field.name]).all():
-            continue  # nobody recorded it
+            continue  # not recorded
         again = answers if field in _COMMANDED else seen if field.name != "hand" or expected.scripted else None
         yield field.name, stretch.rows[field.name], None if again is None else again[field.name]
     if stretch.totals is not None and stretch.metadata is not None:

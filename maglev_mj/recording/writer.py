@@ -32,7 +32,7 @@ __all__ = ["McapWriter", "main"]
 _NAP = 0.02
 _TOGETHER = 1 << 10  # samples that are added up at once
 _LOST = 0.1  # s that a SIGKILL to this process may cost
-_CHUNK = 1 << 16  # before it is packed: some 150 samples, which is what damage to one of its bytes costs
+_CHUNK = 1 << 16  # before it is packed: some 150 samples, lost by damage to one of its bytes
 
 
 class _File:
@@ -159,7 +159,7 @@ def _write(ring: RowReader, orders: _Orders, mcap: McapWriter, first: Callable[[
     place = 0
     while True:
         over = orders.over
-        # before what is said, for what is said of a row comes before it
+        # rows first: a message about a row arrives before the row
         rows = list(islice(ring.rows(), _TOGETHER))
         orders.listen()
         if rows and place == 0:
@@ -186,7 +186,7 @@ def main() -> None:
 
     Arguments: descriptor of the ring, temporary file, and the final name.
     """
-    set_log_level("CRITICAL")  # what goes wrong is said once, where the recording is closed
+    set_log_level("CRITICAL")  # errors are reported once, when the recording is closed
     ring, aside, path = RowReader(int(sys.argv[1])), Path(sys.argv[2]), Path(sys.argv[3])
     error = ""
     try:
@@ -199,7 +199,7 @@ def main() -> None:
     except OSError as problem:
         error = problem.strerror or str(problem)
     aside.unlink(missing_ok=True)  # where there was no row
-    with suppress(BrokenPipeError):  # nobody is there any more, and the file is whole
+    with suppress(BrokenPipeError):  # the recording process has ended, and the file is complete
         os.write(sys.stdout.fileno(), json.dumps({"error": error, "lost": ring.lost}).encode())
 
 

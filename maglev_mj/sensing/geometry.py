@@ -76,7 +76,7 @@ class Beams:
             guess: Start of Newton's method [m, rad], (..., 6); the centre by default.
 
         Raises:
-            SensingError: If it does not converge, as for spots that no pose within reach gives.
+            SensingError: If it does not converge, as for spots outside the range of poses.
         """
         pose = np.zeros(spots.shape) if guess is None else np.array(np.broadcast_to(guess, spots.shape))
         for _ in range(_MOST_STEPS):

@@ -167,7 +167,7 @@ class PoseTracker:
                 The next search begins upright.
         """
         a, b, c, d, e, f = spots
-        # numpy would warn of what is not finite; squares also catch what would overflow there
+        # numpy would warn of non-finite values; squares also catch values that would overflow there
         if not math.isfinite(a * a + b * b + c * c + d * d + e * e + f * f):
             raise self._lost(spots)
         forms = self._forms.dot((a, b, c, d, e, f, 1.0)).tolist()

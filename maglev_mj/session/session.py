@@ -166,6 +166,8 @@ class Session:
     def change(self, parameters: Mapping[str, Any]) -> None:
         """Change live parameters of the scene or the session.
 
+        Period and delay are included.
+
         They take effect at the next tick. Of changes within 0.1 s only the newest takes effect, after that time.
 
         Args:
@@ -257,7 +259,7 @@ class Session:
                 raise ParameterError("settings must wait until the scene is started again: emergency stop")
             if type(wish.scene) is not type(scene):
                 raise ParameterError(f"settings must be those of {scene.name}, not of {wish.scene.name}")
-            if self._changed:  # what the person asks for comes first
+            if self._changed:  # the user's changes come first
                 self._go_on()
             wanted = wish.scene.replace(**{name: getattr(scene, name) for name in DEVICES_OWN})
             if not self._stopped:  # otherwise it starts anew

@@ -94,7 +94,7 @@ class Tape:
         try:
             path = file.close()
             self._said.say(f"wrote {path}" if path is not None else "nothing was recorded")
-        except RecordingError as error:  # what there is of it, is there
+        except RecordingError as error:  # the part before the error is on disk
             self._failed = f"RECORDING: {error}"
         if path is not None:
             self.written.append(path)
