@@ -39,21 +39,16 @@ _INACTIVE, _ACTIVE, _FAULT = State  # an enumeration's members are slow to look 
 _NAN, _NONE, _UNKNOWN = math.nan, 0xFFFFFFFF, (math.nan,) * 6
 _MOST = Limits(current=100.0, continuous_current=100.0, hover=100.0)
 _SETTLING, _WATCHING = 0.3, 0.2
-"""Longest wait for rest, and observation after landing [s].
-
-The flotor is disarmed between the two.
-"""
+"""Longest wait for rest before disarming, and observation after [s]."""
 
 
 class RemotePlant:
     """Plant at the other end of a wire.
 
-    It has the interface of `MuJoCoPlant`.
-
-    The device is the clock: `read` waits for its next sample. A sample that was lost leaves a gap in the tick numbers.
-    Six currents leave through one output limiter: finite, wrench limit, current limit, temperatures. Any failure ends
-    in zero currents, a fault that is latched until `reset`, and a file with the last cycles. All methods are for the
-    thread that flies the device.
+    It has the interface of `MuJoCoPlant`. The device is the clock: `read` waits for its next sample. A sample that was
+    lost leaves a gap in the tick numbers. Six currents leave through one output limiter: finite, wrench limit, current
+    limit, temperatures. Any failure ends in zero currents, a fault that is latched until `reset`, and a file with the
+    last cycles. All methods are for the thread that flies the device.
 
     Args:
         link: The wire; see `open_link`. It is closed with the plant, or if the handshake fails.
@@ -239,20 +234,14 @@ class RemotePlant:
 
     @property
     def report(self) -> StateReport:
-        """Device's STATE report at the last sample.
-
-        PlantError before the first sample.
-        """
+        """Device's report at the last sample; PlantError before the first."""
         if self._frame is None:
             raise PlantError("there is no sample: call read() first")
         return self._frame.body  # type: ignore[return-value]
 
     @property
     def temperatures(self) -> list[float]:
-        """Temperature rises of the six coils; at 1 they trip.
-
-        Each is the higher of the device's report and the host's thermal model.
-        """
+        """Temperature rises of the coils, reported or modelled; 1 trips."""
         said = ZERO if self._frame is None else self._frame.body.temperatures  # type: ignore[union-attr]
         return [max(one, other) for one, other in zip(said, self._output.thermal.rises)]
 
@@ -263,10 +252,7 @@ class RemotePlant:
 
     @property
     def transport(self) -> int:
-        """Clock difference between the last sample and its arrival [ns].
-
-        The two clocks have no common zero: only its changes are meaningful.
-        """
+        """Clock difference between last sample and arrival [ns], offset unknown."""
         return self._line.heard - self.samples.time
 
     def arm(self, hover: Sequence[float] | None = None) -> None:
@@ -288,9 +274,7 @@ class RemotePlant:
     def estop(self) -> EstopReport:
         """Switch the currents off in any state and latch ESTOP.
 
-        PlantError if the device does not confirm it.
-
-        The next sample is a fault.
+        PlantError if the device does not confirm it. The next sample is a fault.
         """
         self._check_open()
         report = self._line.estop()
@@ -300,10 +284,7 @@ class RemotePlant:
         return report
 
     def reset(self) -> None:
-        """Leave the fault state.
-
-        PlantError if the device refuses because its coils are too warm.
-        """
+        """Leave the fault state; PlantError while the coils are warm."""
         self._ask(Operation.RESET)
         self.state, self.faults, self.first, self.fault_time, self._armed = _INACTIVE, Fault(0), Fault(0), 0, False
 
@@ -316,10 +297,8 @@ class RemotePlant:
     def takeoff(self, duration: float = 0.6, *, watch: Callable[[], object] | None = None) -> None:
         """Check rest, arm, and move the flotor to the centre.
 
-        No hand may touch it.
-
-        It is observed for 0.1 s; it rests up to 5 mm/s and 0.1 rad/s. All slow work is done before the currents
-        flow.
+        No hand may touch it. It is observed for 0.1 s; it rests up to 5 mm/s and 0.1 rad/s. All slow work is done
+        before the currents flow.
 
         Args:
             duration: Time of the motion [s].
@@ -327,8 +306,7 @@ class RemotePlant:
 
         Raises:
             DeviceFault: If the flotor does not follow, or another fault occurs.
-            PlantError: If the flotor moves, does not lie on its lower stop, or is not measured; the device is not
-                armed.
+            PlantError: If the flotor moves, is not on its lower stop or not measured; the device is not armed.
         """
         self._check_open()
         if self.state is not _INACTIVE:
@@ -355,8 +333,6 @@ class RemotePlant:
 
     def land(self, duration: float = 0.6, *, watch: Callable[[], object] | None = None) -> LandingReport:
         """Move the flotor back to its rest pose and disarm.
-
-        A hand that holds it then carries it.
 
         Args:
             duration: Time of the motion [s]; up to 0.3 s more until it rests.
@@ -389,10 +365,7 @@ class RemotePlant:
                 return
 
     def _watch(self, duration: float) -> Motion:
-        """Observe the flotor's motion for `duration` seconds.
-
-        Observation goes on until the last 0.1 s are known or in doubt.
-        """
+        """Observe motion for `duration` [s] and until known or doubtful."""
         motion, self._doubt = Motion(self.period), ""
         end = self.samples.tick + round(duration / self.period)
         while self.samples.tick < end or not (motion.full or self._doubt):
@@ -479,10 +452,7 @@ class RemotePlant:
             self._fail(fault, said)
 
     def _locate(self, spots: Sequence[float]) -> list[float]:
-        """Return the pose of the given spots.
-
-        An answer to the sample is then due.
-        """
+        """Return the pose of spots; its answer is then due."""
         if self._offsets is not None:
             spots = [spot - offset for spot, offset in zip(spots, self._offsets)]
         try:
