@@ -1,4 +1,4 @@
-"""The bridge to a device: its wire, a twin to try it on, and what keeps both whole."""
+"""Bridge to a device: wire protocol, simulated twin, safety limits."""
 
 from typing import TYPE_CHECKING
 

@@ -1,4 +1,4 @@
-"""What a host knows of a device, as a file that people can read and edit."""
+"""Calibration of a device, stored as a JSON file."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ _UNITS: dict[str, Any] = {
 
 
 class CalibrationError(MaglevError):
-    """A calibration file cannot be read or written, or no device can be as it says."""
+    """Error of a calibration file: unreadable, unwritable or invalid."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Calibration:
-    """Coils, beams and body of a device, as known to its host.
+    """Calibrated coils, beams and body of a device.
 
     Args:
         coils: Points, directions and force constants of the coils.
@@ -81,7 +81,7 @@ class Calibration:
 
     @classmethod
     def nominal(cls) -> Self:
-        """Return the calibration by the model and the paper, level and without offsets."""
+        """Return the nominal calibration: model and paper, level, without offsets."""
         coils = load("drop").coils
         assert coils is not None  # the model is loaded with them
         return cls(
@@ -95,18 +95,24 @@ class Calibration:
 
     @property
     def hover(self) -> Array:
-        """Currents that carry the weight with the flotor upright at the centre [A], (6,)."""
+        """Hover currents at the centre, upright [A], (6,)."""
         return self.coils.currents(np.concatenate([-self.mass * self.gravity, np.zeros(3)]))
 
     @property
     def digest(self) -> bytes:
-        """Sixteen bytes of BLAKE2s over all but the name; the same after `save` and `load`."""
+        """BLAKE2s digest of all values but the name, 16 bytes.
+
+        It is the same after `save` and `load`.
+        """
         values = {name: value for name, value in self.as_json().items() if name != "name"}
         text = json.dumps(values, sort_keys=True, separators=(",", ":"), allow_nan=False)
         return hashlib.blake2s(text.encode(), digest_size=16).digest()
 
     def as_json(self) -> dict[str, Any]:
-        """Return everything as lists, numbers and texts; floats keep every bit."""
+        """Return all values as JSON-ready lists, numbers and texts.
+
+        Floats keep every bit.
+        """
         return {
             "format": _FORMAT,
             "name": self.name,
@@ -118,12 +124,12 @@ class Calibration:
 
     @classmethod
     def from_json(cls, values: Any) -> Self:
-        """Undo `as_json`.
+        """Return the calibration of `as_json` output.
 
         Raises:
-            CalibrationError: If it is another format, a value is missing or not known, or a unit is another.
+            CalibrationError: If the format or a unit is wrong, or a value is missing or not known.
             ParameterError: As for the class.
-            ModelError: If the coils cannot give every wrench, or the beams do not tell every motion.
+            ModelError: If the coils cannot give every wrench, or the beams do not determine the pose.
         """
         if not isinstance(values, dict) or values.get("format") != _FORMAT:
             found = values.get("format") if isinstance(values, dict) else type(values).__name__
@@ -137,7 +143,9 @@ class Calibration:
         return cls(coils=CoilMap(**coils), beams=Beams(**diodes), **rest, name=parts["name"])
 
     def save(self, path: str | Path) -> None:
-        """Write a file, whole or not at all: an older one stays until all is written.
+        """Write the calibration to a file, atomically.
+
+        An existing file is replaced only after all is written.
 
         Raises:
             CalibrationError: If it cannot be written.
@@ -158,10 +166,10 @@ class Calibration:
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
-        """Read a file.
+        """Read a calibration file.
 
         Raises:
-            CalibrationError: If it cannot be read, or a value in it is not as it must be; one line with file and value.
+            CalibrationError: If it cannot be read, or has an invalid value; one line with file and value.
         """
         try:
             # as floats, or a whole number of many digits is not one that numpy knows
@@ -176,7 +184,10 @@ class Calibration:
 
 
 def _checked(name: str, value: Any, shape: tuple[int, ...]) -> Array:
-    """Return a finite read-only array of a shape; directions of unit length."""
+    """Return a finite, read-only array of the given shape.
+
+    Directions must be of unit length.
+    """
     array = np.array(numbers(name, value))
     if array.shape != shape:
         raise ParameterError(f"{name} must be {shape}, not {array.shape}")
@@ -196,7 +207,7 @@ def _arrays(where: str, values: dict[str, Any], shapes: dict[str, tuple[int, ...
 
 
 def _entries(where: str, values: Any, names: set[str]) -> dict[str, Any]:
-    """Return a dictionary that has these names and no other."""
+    """Return a dictionary after checking that its names are these."""
     if not isinstance(values, dict):
         raise CalibrationError(f"{where.strip()} must be an object with {', '.join(sorted(names))}, not {values!r}")
     for name in sorted(names ^ set(values)):
@@ -206,7 +217,7 @@ def _entries(where: str, values: Any, names: set[str]) -> dict[str, Any]:
 
 
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Return a dictionary of pairs, each name once."""
+    """Return a dictionary of pairs; raise if a name repeats."""
     for name, times in Counter(name for name, _ in pairs).items():
         if times > 1:
             raise CalibrationError(f"{name} must be there once, not {times} times")
@@ -214,7 +225,7 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _pretty(value: Any, indent: str = "") -> str:
-    """Return JSON with a row of numbers, and not a single number, to the line."""
+    """Return indented JSON with one row of numbers per line."""
     deeper = indent + "  "
     if isinstance(value, dict):
         lines, ends = [f"{json.dumps(name)}: {_pretty(part, deeper)}" for name, part in value.items()], "{}"

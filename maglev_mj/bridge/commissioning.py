@@ -1,4 +1,4 @@
-"""Steps ahead of a device's first hover: one coil at a time, its current loop, and the diodes' offsets."""
+"""Commissioning ahead of the first hover: coils, current loops, offsets."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ _CLOSE = 0.5  # cosine between the displacement and the calibration's force from
 
 
 class CoilCheck(NamedTuple):
-    """Answer of one coil to a current, with the flotor blocked elastically.
+    """Response of one coil to a test current, flotor blocked.
 
     Attributes:
         coil: Its index, 0 to 5.
         current: Commanded [A].
         measured: Mean of its measured current [A].
         others: Largest mean of any other coil's measured current [A].
-        displacement: Of the pose from the current to its opposite, halved [m, rad], (6,).
+        displacement: Half the displacement between the two currents [m, rad], (6,).
         error: Standard error of that [m, rad], (6,).
         expected: Wrench of the coil by the calibration [N, N m], (6,).
         verdict: "as calibrated", "reversed", "elsewhere" or "not seen".
@@ -48,7 +48,7 @@ class CoilCheck(NamedTuple):
 def check_coil(plant: RemotePlant, coil: int, current: float = 0.2) -> CoilCheck:
     """Send a current and its opposite through one coil.
 
-    The flotor must be blocked by something soft, such as foam, that lets it give by some micrometers. The device is
+    The flotor must be blocked by a soft material, such as foam, that yields by some micrometers. The device is
     armed without hover currents and disarmed at the end.
 
     Args:
@@ -77,13 +77,13 @@ def check_coil(plant: RemotePlant, coil: int, current: float = 0.2) -> CoilCheck
 
 
 def record_step(plant: RemotePlant, coil: int, current: float = 0.2, samples: int = 20) -> Array:
-    """Return a coil's measured currents before and after a step from zero.
+    """Return a coil's measured currents after a step from zero.
 
     Args:
         plant: The device, not armed, its flotor blocked.
         coil: Index, 0 to 5.
-        current: Of the step [A].
-        samples: Samples recorded after it.
+        current: Step size [A].
+        samples: Number of samples recorded after the step.
 
     Returns:
         (samples, 2): time since the command left [s], measured current [A].
@@ -106,11 +106,13 @@ def record_step(plant: RemotePlant, coil: int, current: float = 0.2, samples: in
 
 
 def mean_pose(plant: RemotePlant, duration: float = 1.0) -> tuple[Array, Array]:
-    """Return mean and standard error of the spots [m], (6,) each, of a device at rest.
+    """Return mean and standard error of the measured spots [m].
+
+    Both are (6,). The device must be at rest.
 
     Args:
         plant: The device, not armed.
-        duration: How long to measure [s].
+        duration: Measuring time [s].
     """
     spots = []
     for _ in range(max(round(number("duration", duration, above=0.0) / plant.period), 2)):
@@ -121,11 +123,11 @@ def mean_pose(plant: RemotePlant, duration: float = 1.0) -> tuple[Array, Array]:
 
 
 def with_offsets(calibration: Calibration, spots: ArrayLike) -> Calibration:
-    """Return a calibration whose offsets make these spots those of the centre.
+    """Return a calibration with spot offsets that define the centre.
 
     Args:
-        calibration: All else.
-        spots: Mean spots of a flotor clamped at the centre, upright [m], (6,).
+        calibration: Calibration with all other values.
+        spots: Mean spots with the flotor clamped at the centre, upright [m], (6,).
     """
     centre = calibration.beams.spots(np.zeros(6))
     return replace(calibration, spot_offsets=np.asarray(spots) - centre)
@@ -138,7 +140,10 @@ def _one_coil(plant: RemotePlant, coil: int, current: float) -> list[float]:
 
 
 def _hold(plant: RemotePlant, currents: Sequence[float]) -> tuple[Array, Array]:
-    """Return poses and measured currents under constant currents, (N, 6) each, once the flotor has come to rest."""
+    """Return poses and measured currents under constant currents, after settling.
+
+    Both are (N, 6).
+    """
     poses, measured = [], []
     settle = max(round(_PAUSE / plant.period), 2)
     for _ in range(2 * settle):

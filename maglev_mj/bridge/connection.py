@@ -1,4 +1,4 @@
-"""The host's end of a session: handshake, requests repeated until answered, the newest sample; and emergency stops."""
+"""Session of a host with a device: handshake, requests, samples."""
 
 from __future__ import annotations
 
@@ -37,14 +37,14 @@ from maglev_mj.parameters import number
 __all__ = ["Connection", "EstopReport", "SampleCounter", "estop"]
 
 _AGAIN = 0.02
-"""A request is repeated after so long without an answer [s]."""
+"""Interval at which an unanswered request is repeated [s]."""
 
 _HELLO_AGAIN, _ESTOP_AGAIN = 0.1, 0.005
 _TAKEOVER = 1.0
-"""A device gives up a host that says nothing for so long [s], unless it flies."""
+"""Silence after which a device drops an inactive host [s]."""
 
 _STILL = 4
-"""Answers of one instant after which a clock stands still: that of a device in lockstep."""
+"""Equal timestamps that show a stopped clock, as in lockstep."""
 
 _WRAP = 0xFFFFFFFF
 
@@ -53,11 +53,11 @@ class EstopReport(NamedTuple):
     """Outcome of an emergency stop.
 
     Attributes:
-        confirmed: Whether the device is in the fault state and measured no current after it.
-        duration: From the first request to the end [s].
-        faults: Latched in the device; 0 without an answer.
-        currents: Measured last [A], six; empty without an answer.
-        at: When the device first answered, by its own clock [ns]; 0 without an answer.
+        confirmed: True if the device is in the fault state and then measured no current.
+        duration: Time from the first request to the end [s].
+        faults: Faults latched in the device; 0 without an answer.
+        currents: Last measured currents [A], six; empty without an answer.
+        at: Time of the device's first answer, by its own clock [ns]; 0 without an answer.
     """
 
     confirmed: bool
@@ -79,22 +79,27 @@ class EstopReport(NamedTuple):
 
 
 def estop(link: Link, key: bytes | None = None, patience: float = 1.0) -> EstopReport:
-    """Stop a device, whoever flies it; no session is needed, and the link is left open.
+    """Send an emergency stop to a device, without a session.
+
+    It works while another host is in session. The link is left open.
 
     Args:
-        link: The wire.
-        key: With which frames are sealed.
-        patience: How long to try [s], above 0.
+        link: Link to the device; left open.
+        key: Authentication key of the frames; None for none.
+        patience: Longest time to try [s], above 0.
 
     Raises:
-        LinkError: If the line is gone.
+        LinkError: If the link has failed.
         ParameterError: If the key or the patience is outside its bounds.
     """
     return _stop(link, Codec(key), number("patience", patience, above=0.0), lambda frame: None)
 
 
 def _stop(link: Link, codec: Codec, patience: float, aside: Callable[[Frame], object]) -> EstopReport:
-    """Send ESTOP until a device confirms it; frames that are no answer go aside."""
+    """Send ESTOP until the device confirms it.
+
+    Other frames are passed to `aside`.
+    """
     body = Estop(int.from_bytes(os.urandom(8), "little"))
     start, times, answer = link.now(), Counter[int](), None
     confirmed, first = False, 0
@@ -117,7 +122,10 @@ def _stop(link: Link, codec: Codec, patience: float, aside: Callable[[Frame], ob
 
 
 def _exchange(link: Link, codec: Codec, session: int, body: Body, every: float, patience: float) -> Iterator[bytes]:
-    """Send a request every so often [s], for so long [s]; yield what arrives meanwhile."""
+    """Send a request repeatedly; yield frames received meanwhile.
+
+    It is sent every `every` seconds, for `patience` seconds.
+    """
     end = link.now() + int(patience * 1e9)
     while (now := link.now()) < end:
         link.send(codec.encode(session, 0, now, body))
@@ -127,17 +135,17 @@ def _exchange(link: Link, codec: Codec, session: int, body: Body, every: float, 
 
 
 class SampleCounter:
-    """Counts samples by the numbers that the device gives them.
+    """Counter of received, lost and skipped samples.
 
     Args:
         period: Sample period [ns].
 
     Attributes:
         period: Sample period [ns].
-        tick: Of the last sample, from 0 at the first that came.
-        time: Of the device's clock at the last sample [ns].
-        elapsed: Samples from the one before to the last.
-        out_of_step: What is wrong with the device's clock; empty while it keeps step.
+        tick: Number of the last sample; the first received is 0.
+        time: Device clock at the last sample [ns].
+        elapsed: Sample periods between the last two samples.
+        out_of_step: Error message about the device's clock; empty if it is right.
         lost: Samples that did not arrive.
         skipped: Samples left unanswered because a newer one was there.
     """
@@ -147,7 +155,10 @@ class SampleCounter:
         self.elapsed = self.lost = self.skipped = self.time = self._sequence = 0
 
     def count(self, sequence: int, time: int, skipped: int) -> None:
-        """Count a sample by its number and time [ns], and the older samples that came with it."""
+        """Count a sample by its number and time [ns].
+
+        `skipped` is the number of older samples that arrived with it.
+        """
         self.out_of_step = ""
         if self.tick < 0:
             self.tick = 0
@@ -164,27 +175,27 @@ class SampleCounter:
 
 
 class Connection:
-    """A session with a device.
+    """Session of a host with one device.
 
     Args:
-        link: The wire; closed with the connection, and if there is none.
+        link: Link to the device; closed with the connection or if the handshake fails.
         calibration: First 16 bytes of the hash of the host's calibration.
-        key: With which frames are sealed.
-        patience: How long to wait for an answer [s].
+        key: Authentication key of the frames; None for none.
+        patience: Longest wait for an answer [s].
 
     Attributes:
-        welcome: What the device said of itself.
-        limits: Its limits, within sane bounds.
-        codec: Its frames, and what was dropped of them, by reason.
-        open: Whether it has not been closed.
-        samples: Their count, and what is missing of them.
-        heard: When that was there, by the link's clock [ns].
-        latency: From there to sending the last command [ns].
-        settled: Time of the device's last answer to a request, by its clock [ns]; its state in older samples is old.
+        welcome: Device's answer to the handshake.
+        limits: Device limits, checked against sane bounds.
+        codec: Encoder and decoder of frames; counts dropped frames by reason.
+        open: True until closed.
+        samples: Counter of received, lost and skipped samples.
+        heard: Arrival of the last sample, by the link's clock [ns].
+        latency: Time from that arrival to sending the last command [ns].
+        settled: Device time of its last answer to a request [ns]; older samples hold an outdated state.
 
     Raises:
         HandshakeError: If no device answers, it refuses this host, or its numbers are outside sane bounds.
-        LinkError: If the line is gone.
+        LinkError: If the link has failed.
         ParameterError: If the key or the patience is outside its bounds.
     """
 
@@ -209,7 +220,7 @@ class Connection:
 
     @property
     def latched(self) -> str:
-        """One line about faults latched at the handshake; empty if there were none."""
+        """One line about faults latched at the handshake, or ""."""
         one = self.welcome
         ago = max(self._greeted - one.fault_time, 0) * 1e-9
         names, first = fault_names(one.faults), fault_names(one.first)
@@ -224,7 +235,7 @@ class Connection:
         self.latency = now - self.heard
 
     def state(self, timeout: float) -> Frame | None:
-        """Return the newest sample, or None if none comes in time [s]."""
+        """Return the newest sample; None after `timeout` seconds without one."""
         frame, self._waiting = self._waiting, None
         skipped, self._overtaken = self._overtaken, 0
         link, left = self._link, timeout
@@ -245,7 +256,10 @@ class Connection:
         return frame
 
     def control(self, operation: Operation, *, faults: int = 0, hover: Sequence[float] = ZERO) -> ControlAck | None:
-        """Ask for a change of state until the device answers; None if it does not."""
+        """Request a change of state; return the answer or None.
+
+        The request is repeated until `patience` has passed.
+        """
         if not self.open:
             return None
         self._request += 1
@@ -260,13 +274,16 @@ class Connection:
         return None
 
     def estop(self) -> EstopReport:
-        """Send ESTOP until the device confirms it; samples that come meanwhile are read later."""
+        """Send ESTOP until the device confirms it.
+
+        Samples that arrive meanwhile are kept for `state`.
+        """
         report = _stop(self._link, self.codec, self._patience, self._keep)
         self.settled = max(self.settled, report.at)
         return report
 
     def close(self) -> None:
-        """End the session, if the device still listens, and close the link; a second time does nothing."""
+        """End the session and close the link; idempotent."""
         if self.open:
             try:
                 with suppress(Exception):  # there is nothing to be said to a line that is gone
@@ -287,7 +304,7 @@ class Connection:
             self._link.close()
 
     def _greet(self, calibration: bytes) -> HelloAck:
-        """Say hello until the device answers."""
+        """Send HELLO until the device answers."""
         hello, versions = Hello(int.from_bytes(os.urandom(8), "little"), calibration), set[int]()
         for patience in (self._patience, _TAKEOVER):
             busy = False
@@ -308,13 +325,16 @@ class Connection:
         raise HandshakeError(f"no device answered within {self._patience:g} s{reason}")
 
     def _welcome(self, data: bytes, hello: Hello, versions: set[int]) -> HelloAck | None:
-        """Return the answer to a HELLO, if data is that, and keep the session; raise for a refusal."""
+        """Return the answer to a HELLO and store its session.
+
+        None if data is no such answer. HandshakeError if the device refuses.
+        """
         self.codec.version_met = None
         frame = self.codec.decode(data)
         version = self.codec.version_met
         if version is not None:
             versions.add(version)
-            if self._keyed:  # the tag of another version is not known: anyone may have sent it
+            if self._keyed:  # the tag of another version cannot be checked: the sender is unknown
                 return None
         if frame is not None and isinstance(frame.body, HelloAck):
             answer = frame.body
@@ -353,19 +373,19 @@ class Connection:
         return True
 
     def _keep(self, frame: Frame) -> None:
-        """Keep a sample of this session that came during a request, for the next `state`."""
+        """Keep a sample received during a request for `state`."""
         if frame.session == self._session and isinstance(frame.body, StateReport) and self._is_newer(frame):
             self._overtaken += self._waiting is not None
             self._waiting = frame
 
     def _sample_in(self, data: bytes) -> Frame | None:
-        """Return the sample in a frame, if it is newer than the last."""
+        """Return the frame of a newer sample, else None."""
         frame = self._trusted(data)
         return frame if frame is not None and isinstance(frame.body, StateReport) and self._is_newer(frame) else None
 
 
 def _limits(welcome: HelloAck) -> Limits:
-    """Return a device's limits; raise if one of its numbers is outside sane bounds."""
+    """Return a device's limits; raise if one is invalid."""
     try:
         number("period", welcome.period * 1e-9, at_least=1e-5, at_most=0.1)
         number("delay", welcome.delay * 1e-9, at_least=0.0, at_most=0.1)

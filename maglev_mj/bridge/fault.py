@@ -1,4 +1,4 @@
-"""Faults by name, and the last cycles before one, on disk and back."""
+"""Device faults and black box files of their last cycles."""
 
 from __future__ import annotations
 
@@ -34,23 +34,26 @@ _COLUMNS_BY_FORMAT = {"maglev_mj fault 2": _COLUMNS, "maglev_mj fault 1": _COLUM
 _FORMAT, _FORMAT_1 = _COLUMNS_BY_FORMAT
 
 Cycle: TypeAlias = tuple[Frame, Sequence[float], Sequence[float], Sequence[float] | None, float, float, int]
-"""STATE frame, pose, held and pulsed currents [A], width [s], delay at the device [s], latency of the answer [ns]."""
+"""One cycle in the black box.
+
+STATE frame, pose, held and pulsed currents [A], width [s], delay at the device [s], latency of the answer [ns].
+"""
 
 
 class HandshakeError(PlantError):
-    """No device answered, or the one that did will not have this host."""
+    """Handshake failed: no answer, or the device refuses this host."""
 
 
 class BlackBoxError(ParameterError):
-    """A file is no black box."""
+    """Error of a black box file: unreadable or invalid."""
 
 
 class DeviceFault(PlantError):
-    """The device is in the fault state, and its currents are zero.
+    """The device is in the fault state with zero current.
 
     Attributes:
-        faults: Why.
-        path: File with the last 200 cycles; None where it could not be written.
+        faults: Faults that the device or host raised.
+        path: File with the last 200 cycles; None if it could not be written.
     """
 
     def __init__(self, faults: Fault, message: str, path: Path | None) -> None:
@@ -60,10 +63,10 @@ class DeviceFault(PlantError):
 
 
 class BlackBox:
-    """Keeps the last 200 cycles, and writes them when something has gone wrong.
+    """Ring buffer of the last 200 cycles, written on faults.
 
     Args:
-        folder: Where files go.
+        folder: Folder of the files.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -72,15 +75,17 @@ class BlackBox:
         self.keep = self._rows.append
 
     def write(self, faults: Fault, message: str, about: Mapping[str, Any]) -> Path | None:
-        """Write the cycles kept; to the temporary folder if the own one does not take them.
+        """Write the kept cycles to a file.
+
+        The temporary folder is used if the own folder cannot be written.
 
         Args:
             faults: The faults.
-            message: The same for a person.
+            message: One line of explanation.
             about: Further values, ready for JSON.
 
         Returns:
-            The file; None if there is no place for it at all. Nothing is raised: the fault itself is to be reported.
+            The file; None if no folder can be written. Nothing is raised, so that the fault itself is reported.
         """
         with suppress(Exception):
             told = {"format": _FORMAT, "faults": fault_names(faults), "message": message, "versions": self._versions}
@@ -109,7 +114,7 @@ def _write(folder: Path, text: str, now: Callable[[], float] = time.time) -> Pat
 
 
 def _flat(cycle: Cycle) -> list[float | None]:
-    """Return a cycle as plain numbers, None for what is none: JSON knows no NaN."""
+    """Return a cycle as plain numbers, NaN as None."""
     frame, pose, held, pulsed, width, delay, latency = cycle
     report: StateReport = frame.body  # type: ignore[assignment]
     values = (
@@ -121,20 +126,20 @@ def _flat(cycle: Cycle) -> list[float | None]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FaultRecord:
-    """A black box, read back.
+    """Contents of a black box file.
 
     Attributes:
         faults: Names of the faults.
-        first: Names of those that came first; the same as `faults` in a file of format 1.
-        message: One line for a person.
-        fault_time: When the first came, by the device's clock [s]; NaN where unknown.
-        tick: Of the last sample.
+        first: Names of the first faults; the same as `faults` in a file of format 1.
+        message: One line of explanation.
+        fault_time: Device time of the first fault [s]; NaN if unknown.
+        tick: Number of the last sample.
         lost: Samples that did not arrive.
         skipped: Samples left unanswered for a newer one.
         period: Sample period [s].
-        columns: Values by name, (N,) each, NaN where there is none: sample, time [s], state, faults, spot0 to spot5
+        columns: Values by name, (N,) each, NaN if missing: sample, time [s], state, faults, spot0 to spot5
             [m], x, y, z [m], rx, ry, rz [rad], held0.. and pulsed0.. [A], width [s], measured0.. [A], temperature0..
-            as a share of what a coil bears, delay (at the device) and latency (of the answer) [s].
+            as a share of a coil's limit, delay (at the device) and latency (of the answer) [s].
     """
 
     faults: str
@@ -154,7 +159,10 @@ class FaultRecord:
         return time - time[-1] if len(time) else time
 
     def six(self, kind: str) -> Array:
-        """Return six columns of a kind, such as "measured" or "pose", (N, 6)."""
+        """Return six columns of one kind, (N, 6).
+
+        The kind is "measured", "pose" or another prefix of the columns.
+        """
         names = AXES if kind == "pose" else [f"{kind}{place}" for place in _SIX]
         return np.stack([self.columns[name] for name in names], axis=-1)
 
@@ -163,7 +171,7 @@ def load_black_box(path: str | Path) -> FaultRecord:
     """Read a black box of this or the former format.
 
     Raises:
-        BlackBoxError: If it cannot be read or is none; one line with the file and what is wrong.
+        BlackBoxError: If it cannot be read or is not a black box; one line with file and reason.
     """
     try:
         return _record(json.loads(Path(path).read_text(encoding="utf-8")))

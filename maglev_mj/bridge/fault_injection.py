@@ -1,4 +1,4 @@
-"""Faults that a simulated device can be given: one table of what each does, and when it begins."""
+"""Table of faults to be injected into a simulated device."""
 
 from __future__ import annotations
 
@@ -19,7 +19,10 @@ _MS = 1_000_000
 
 
 class Effect(NamedTuple):
-    """A kind of fault: done to a `Twin` once with K, or a change of its reading or report."""
+    """Effect of one kind of fault with argument K.
+
+    `begin` acts once on a `Twin`; `read` and `report` change its readings and reports.
+    """
 
     words: str
     largest: int  # K
@@ -29,17 +32,17 @@ class Effect(NamedTuple):
 
 
 def _with(values: Sequence[float], first: int, *others: float) -> tuple[float, ...]:
-    """Return values with others from a place on."""
+    """Return values with others inserted from an index on."""
     return (*values[:first], *others, *values[first + len(others) :])
 
 
 def _put(name: str, value: float) -> Callable[..., Any]:
-    """Return a change that puts a value in place of entry K of a field."""
+    """Return a function that sets entry K of a field."""
     return lambda now, *others: now._replace(**{name: _with(getattr(now, name), others[-1], value)})
 
 
 def _keep(name: str) -> Callable[..., Any]:
-    """Return a change that leaves a field as it was at the beginning."""
+    """Return a function that freezes a field's value."""
     return lambda now, first, _: now._replace(**{name: getattr(first, name)})
 
 
@@ -95,7 +98,7 @@ INJECTED_FAULTS = {
 
 @dataclass(frozen=True, kw_only=True)
 class InjectedFault:
-    """A fault of a twin, and when it begins.
+    """Fault of a twin with its start time.
 
     Raises:
         ParameterError: If there is no such fault, or a number is outside its bounds.
@@ -115,10 +118,10 @@ class InjectedFault:
 
     @classmethod
     def parse(cls, text: str) -> Self:
-        """Return what NAME:K@SECONDS says.
+        """Parse a fault given as NAME:K@SECONDS.
 
         Raises:
-            ParameterError: If it says nothing.
+            ParameterError: If the text has another form.
         """
         found = re.fullmatch(r"([a-z-]+):(\d+)@(\d+\.?\d*)", text)
         if not found:

@@ -1,4 +1,7 @@
-"""The device's side of the wire: sessions, states, faults. It knows neither sockets nor clocks nor mechanics."""
+"""Device side of the protocol: sessions, states, faults.
+
+It knows neither sockets nor clocks nor mechanics.
+"""
 
 from __future__ import annotations
 
@@ -22,13 +25,16 @@ _HELLO = 1
 
 
 class Amplifiers(Protocol):
-    """What the firmware drives."""
+    """Interface of the amplifiers that the firmware drives."""
 
     def drive(self, now: int, held: Sequence[float], pulsed: Sequence[float] | None, width: float) -> None:
-        """Switch the currents [A] as soon as they can be; `now` is the device's time [ns]."""
+        """Switch the currents [A] as soon as possible.
+
+        `now` is the device's time [ns].
+        """
 
     def cut(self) -> None:
-        """Switch all currents off at once, and forget what was still to come."""
+        """Switch all currents off and discard pending ones."""
 
     def toggle(self, now: int) -> None:
         """Change the level of the amplifiers' enable line."""
@@ -36,7 +42,10 @@ class Amplifiers(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class Profile:
-    """What a device says of itself in the handshake; see HELLO_ACK in docs/reference/protocol.md."""
+    """Device properties sent in the handshake.
+
+    See HELLO_ACK in docs/reference/protocol.md.
+    """
 
     period: int  # [ns]
     delay: int  # [ns]
@@ -50,7 +59,7 @@ class Profile:
 
 
 class Reading(NamedTuple):
-    """What a device measures at a sample."""
+    """Measurements of a device at one sample."""
 
     spots: Sequence[float]  # on the diodes [m], six
     valid: int  # bit k: diode k's spot can be trusted
@@ -62,16 +71,16 @@ class Reading(NamedTuple):
 
 
 class Firmware:
-    """A device: one session at a time, a state, latched faults.
+    """Device firmware: one session, a state, latched faults.
 
     Args:
-        profile: What it is.
-        amplifiers: What it drives.
-        codec: Its frames.
+        profile: Device properties.
+        amplifiers: Driven amplifiers.
+        codec: Encoder and decoder of frames.
         draw: Returns a new session's number, 1 to 2³² - 1; seeded in tests, else unpredictable.
 
     Attributes:
-        counts: Frames that were ignored, by reason, beside the codec's own.
+        counts: Ignored frames by reason, besides those of the codec.
         answered: Number of the last sample that was answered; None before any.
         peer: Address of the host in session; None for none.
     """
@@ -96,12 +105,15 @@ class Firmware:
         self._stale = 0 if profile.lockstep else self._watchdog // profile.period
 
     def _watch_anew(self) -> None:
-        """Forget what the guards saw before."""
+        """Reset the guards."""
         self._coils, self._off, self._disabled = CoilGuard(), CoilGuard(), 0
         self._spots = SpotGuard(self.profile.limits, self.profile.period * 1e-9)
 
     def receive(self, data: bytes, now: int, peer: Any) -> bytes | None:
-        """Take a frame from a peer at an instant [ns]; return what to send back to it, if anything."""
+        """Handle a frame received at `now` [ns]; return the reply.
+
+        None if there is no reply.
+        """
         codec = self._codec
         codec.version_met = None
         frame = codec.decode(data)
@@ -132,7 +144,9 @@ class Firmware:
         return None
 
     def sample(self, tick: int, now: int, reading: Reading) -> bytes | None:
-        """Check sample `tick` at an instant [ns], trip on faults; return the STATE frame, None without a session.
+        """Check one sample, trip on faults, return the STATE frame.
+
+        `now` is the instant of sample `tick` [ns]. None is returned without a session.
 
         Sensors raise no fault outside the active state: an idle device may be opened and turned over.
         """
@@ -170,13 +184,13 @@ class Firmware:
         self.state, self.faults = State.FAULT, self.faults | faults
 
     def lose_host(self, now: int) -> None:
-        """Latch the watchdog's fault if the device is active, and end the session."""
+        """End the session; trip the watchdog if active."""
         if self.state == State.ACTIVE:
             self.trip(Fault.WATCHDOG, now)
         self.session, self.peer = 0, None
 
     def _waited(self, now: int, faults: Fault) -> Fault:
-        """Hold the flotor where commands are missing; return the watchdog's fault where they have for too long."""
+        """Apply hover currents on missing commands; return the watchdog's fault."""
         gap = 0 if self.profile.lockstep else now - self._commanded_at
         if gap > self._watchdog:
             return Fault.WATCHDOG
@@ -213,7 +227,7 @@ class Firmware:
 
     def _obey(self, command: Command, now: int) -> None:
         if (self._sampled - command.answers) & 0xFFFFFFFF > self._stale:
-            self.counts["old"] += 1  # it lay in a queue, answers what is yet to come, or seemed lost and was sent again
+            self.counts["old"] += 1  # delayed in a queue, ahead of its sample, or sent twice
             return
         self.answered = command.answers
         if self.state != State.ACTIVE:
@@ -240,7 +254,7 @@ class Firmware:
         return answer
 
     def _do(self, control: Control, now: int) -> bool:
-        """Do what a host asks for; return whether it was done."""
+        """Execute an operation; return True if done."""
         operation = control.operation
         if operation == Operation.TRIP:
             self.trip(Fault(control.faults & sum(Fault)) or Fault.HOST, now)

@@ -1,4 +1,4 @@
-"""A scene flown on a device: takeoff, the scene's laws, landing."""
+"""Flight of a scene on a device: takeoff, rendering, landing."""
 
 from __future__ import annotations
 
@@ -57,22 +57,27 @@ _RENEWED = 2_000_000_000  # [ns] the quickest way is looked for in: clocks drift
 _NOTE = "the hand, the rate and the delay are the device's"
 
 LANDING_TIME = 2.0
-"""A flight that is to land has so long before it is cut [s]."""
+"""Longest landing before the currents are cut [s]."""
 
 LINE_TIME = 1e-3
-"""Assumed for the line both ways and the host's answer [s]: by UDP on one machine 99 % take 0.92 ms."""
+"""Assumed delay of the line, both ways, and host [s].
+
+By UDP on one machine 99 % take 0.92 ms.
+"""
 
 
 def expected_delay(plant: RemotePlant) -> float:
-    """Return the delay to check a scene at before takeoff, from a sample to its answer taking effect [s].
+    """Return the delay for the check before takeoff [s].
 
-    A device measures no answer's age before it obeys one, so the line's part is `LINE_TIME`; none in lockstep.
+    It lasts from a sample to its answer's effect.
+
+    The line's part cannot be measured before takeoff and is taken as `LINE_TIME`; it is 0 in lockstep.
     """
     return plant.delay + (0.0 if plant.lockstep else LINE_TIME)
 
 
 class StopSwitch:
-    """Ends a flight: lands it, or cuts the currents.
+    """Switch that ends a flight by landing or zero current.
 
     Attributes:
         landing: True if the flight is to land.
@@ -87,7 +92,10 @@ class StopSwitch:
         self.landing = True
 
     def cut(self) -> None:
-        """Interrupt the flight, once, which cuts its currents; in the thread that flies."""
+        """Interrupt the flight once, which cuts its currents.
+
+        Only for the thread that flies.
+        """
         self.landing = True
         plant, self._plant = self._plant, None
         if plant is not None and not plant.disarmed:
@@ -95,11 +103,11 @@ class StopSwitch:
 
     @contextmanager
     def flying(self, plant: RemotePlant) -> Iterator[None]:
-        """Take off, fly and land; an interrupt is an emergency stop of the plant.
+        """Guard a flight: an interrupt is an emergency stop.
 
         Raises:
-            KeyboardInterrupt: If told to land before it has begun, or cut before takeoff.
-            DeviceFault: If cut.
+            KeyboardInterrupt: If landing was requested before the start, or the currents were cut before takeoff.
+            DeviceFault: If the currents were cut.
             PlantError: If the device does not confirm the cut.
         """
         if self.landing:
@@ -120,13 +128,13 @@ class StopSwitch:
 
 
 class LoopTiming:
-    """Latencies of a loop over a device's samples.
+    """Latency histograms of a control loop over a device.
 
     Attributes:
-        answer: From a sample's arrival to sending its answer.
-        age: From a sample to sending its answer, beyond the quickest transport of the last seconds: the two clocks have
-            no common zero.
-        delay: From a sample to its answer taking effect, by the device's clock.
+        answer: Time from a sample's arrival to sending its answer.
+        age: Time from a sample to sending its answer, beyond the quickest transport of the last seconds: the two clocks
+            have no common zero.
+        delay: Time from a sample to its answer's effect, by the device's clock.
     """
 
     def __init__(self) -> None:
@@ -158,11 +166,13 @@ class LoopTiming:
 
 
 def delay_check(timing: LoopTiming, scene: Scene, inertia: Sequence[float], expected: float) -> str:
-    """Return a warning if the measured delay is longer than expected; else an empty text.
+    """Return a warning if the measured delay exceeds the expected.
+
+    The text is empty otherwise.
 
     Args:
-        timing: Of the flight.
-        scene: The scene.
+        timing: Measured latencies of the flight.
+        scene: Rendered scene.
         inertia: Mass and moments of inertia [kg, kg m²], six.
         expected: The delay checked before takeoff [s].
     """
@@ -185,7 +195,7 @@ class FlightReport(NamedTuple):
         lost: Samples that did not arrive, from takeoff on.
         skipped: Samples too old when read, from takeoff on.
         wall_time: Duration in real time [s].
-        landing: How the flotor lies.
+        landing: Pose and motion after landing.
     """
 
     ticks: int
@@ -196,21 +206,21 @@ class FlightReport(NamedTuple):
 
 
 class Flight:
-    """A scene flown on a device.
+    """Flight of a scene on a device.
 
     Args:
         plant: The device; closed by the caller.
-        scene: The scene; its period is the device's.
-        switch: Lands or cuts it; its own by default.
+        scene: Rendered scene; its period must be the device's.
+        switch: Switch that ends the flight; a new one by default.
         file: Recording of every sample; left open.
-        publishers: Windows and other programs; left open.
+        publishers: Publishers to viewers and other programs; left open.
         warn: Called, once, with the reason if the recording ends.
         step_force: Largest step of force by new settings [N]; see `check_step`.
 
     Attributes:
-        switch: Lands or cuts it.
-        timing: Latencies of its loop.
-        warning: At its end, that of `delay_check`.
+        switch: Switch that ends the flight.
+        timing: Latencies of the loop.
+        warning: Result of `delay_check` after the flight.
 
     Raises:
         ParameterError: If the scene's period is not the device's.
@@ -251,11 +261,11 @@ class Flight:
         """Take off, render the scene, and land.
 
         Args:
-            duration: Of rendering, by the device's clock [s]; None until told to land.
+            duration: Rendering time by the device's clock [s]; None until landing is requested.
 
         Raises:
             KeyboardInterrupt: As `StopSwitch.flying`.
-            DeviceFault: If the device or the flight has a fault, or it was cut.
+            DeviceFault: If the device or the flight has a fault, or the currents were cut.
             PlantError: If the device does not confirm the cut.
         """
         start, plant = time.monotonic(), self._plant
@@ -282,12 +292,12 @@ class Flight:
         return ticks, plant.land(watch=lambda: self._watch() and False)
 
     def _missing(self) -> tuple[int, int]:
-        """Return how many samples were lost and skipped since takeoff."""
+        """Return lost and skipped samples since takeoff."""
         samples = self._plant.samples
         return samples.lost - self._lost, samples.skipped - self._skipped
 
     def _watch(self) -> bool:
-        """Turn down settings while the scene is not rendered; return whether to land."""
+        """Refuse new settings in takeoff and landing; return landing request."""
         if (wish := self._publishers.wanted()) is not None:
             wish.answer("settings are taken in flight, not while it takes off or lands")
         return self.switch.landing
@@ -306,7 +316,7 @@ class Flight:
             self._file.event("timing", line)
 
     def _stretch(self, last: int | None) -> None:
-        """Fly with unchanged parameters."""
+        """Fly one segment with unchanged parameters."""
         if self._wanted is not None:
             (self._begun, self._controller), self._wanted = self._wanted, None
             self._scene = self._begun.scene
@@ -342,7 +352,7 @@ class Flight:
         return observe
 
     def _check(self, file: RecordingFile, warn: Callable[[str], object]) -> None:
-        """Once a second, say so if the recording has ended."""
+        """Report once a second if the recording has ended."""
         if (now := time.monotonic()) < self._checked:
             return
         self._checked = now + 1.0
@@ -353,7 +363,10 @@ class Flight:
             warn(self._note)
 
     def _listen(self, sample: Sample) -> None:
-        """Note the delay and the settings that another program asks for; rate and delay stay the device's."""
+        """Record the delay and take up new settings.
+
+        Sample rate and delay stay the device's.
+        """
         if not math.isnan(self._plant.last_delay):
             self._delays.append(self._plant.last_delay)
         wish, controller = self._staged or (self._publishers.wanted(), None)
@@ -376,7 +389,7 @@ class Flight:
     def _snapshot(
         self, pose: Array, force: Array, faces: Sequence[tuple[int, float, float]], anchors: Array | None
     ) -> Snapshot:
-        """Return the picture of now; the delay is the usual one of late."""
+        """Return the snapshot of now, with the median recent delay."""
         plant, samples = self._plant, self._plant.samples
         return Snapshot(
             scene=self._scene,

@@ -1,4 +1,4 @@
-"""Gravity, mass and the wrench map of a device, from small motions about the centre.
+"""Identification of gravity, mass and wrench map from small motions.
 
 Currents and motion of a free rigid body give its acceleration per ampere, M⁻¹ W (6, 6), and of free fall. Forces in
 newtons need a known mass: the flotor, or a weight on it. Torques need a moment of inertia, the controller's own.
@@ -56,25 +56,27 @@ __all__ = [
 ]
 
 LINES = np.array([[4.5 + axis, 10.5 + axis] for axis in range(6)])
-"""Two frequencies for each axis [Hz], (6, 2), odd multiples of 0.5 Hz: products of two, as of angle and current, are
-even."""
+"""Excitation frequencies, two per axis [Hz], (6, 2).
+
+Odd multiples of 0.5 Hz: products of two, as of angle and current, are even multiples.
+"""
 
 _TRIM, _ON_TIME, _SETTLED = 0.125, 0.1, 2.0
 _SINGULAR, _ROUNDS = 1e-9, 4
 
 
 class IdentificationError(MaglevError):
-    """The motion does not tell what was to be identified."""
+    """Motion from which the requested values cannot be identified."""
 
 
 class Motion(NamedTuple):
     """Recorded motion of a device.
 
     Attributes:
-        poses: Measured at each sample [m, rad], (N, 6); NaN where a sample was lost.
+        poses: Measured pose at each sample [m, rad], (N, 6); NaN for lost samples.
         currents: Answers to these, as applied [A], (N, 6); NaN for lost samples and for answers later or earlier than
             most.
-        delay: From a sample to its answer's taking effect, in the median [s]; NaN where the plant does not say.
+        delay: Median time from a sample to the effect of its answer [s]; NaN if the plant does not report it.
     """
 
     poses: Array
@@ -83,24 +85,29 @@ class Motion(NamedTuple):
 
 
 class CurrentPlant(Plant, Protocol):
-    """A plant that says which currents it sent."""
+    """Plant that reports the currents it sent."""
 
     @property
     def last_currents(self) -> Sequence[float]:
-        """Currents held from the last answer on, after every limit [A], six."""
+        """Currents held since the last answer, limited [A], six."""
 
     @property
     def last_delay(self) -> float:
-        """Delay of the answer to the sample before the last [s]; NaN where not known."""
+        """Delay of the answer to the last sample but one.
+
+        In [s]; NaN if not known.
+        """
 
 
 class Shaker:
-    """A controller, and sines on top of its wrench: force += sum of amplitude sin(2 pi frequency t), t the sample's.
+    """Controller with sines added to its wrench.
+
+    force += sum of amplitude sin(2 pi frequency t), with t the time of the sample.
 
     Args:
-        controller: Whatever keeps the flotor near the centre; without pulses.
-        frequencies: Of each axis [Hz], (6, L).
-        amplitudes: Of each [N, N m], (6, L).
+        controller: Controller that keeps the flotor near the centre; without pulses.
+        frequencies: Frequencies of each axis [Hz], (6, L).
+        amplitudes: Amplitude at each frequency [N, N m], (6, L).
 
     Raises:
         ParameterError: If shapes do not fit, or a frequency is not below half the sample rate.
@@ -127,7 +134,7 @@ class Trim(AxisLaw):
     """Integral action towards the centre, f' = -gain x.
 
     Args:
-        gain: Of each axis [N/(m s), N m/(rad s)].
+        gain: Integral gain of each axis [N/(m s), N m/(rad s)].
         period: Sample period [s].
 
     Raises:
@@ -142,7 +149,10 @@ class Trim(AxisLaw):
         number("period", self.period, above=0.0)
 
     def force(self, x: Component, v: Component, gains: Any, state: Component | None) -> tuple[Component, Component]:
-        """Return the force on one axis, which is also the next state; see `AxisLaw`."""
+        """Return force and next state of one axis.
+
+        The two are equal. See `AxisLaw`.
+        """
         force = (0.0 if state is None else state) - gains.gain * self.period * x
         return force, force
 
@@ -156,14 +166,14 @@ def excitation(
     rotation: float = 1.5e-3,
     lines: ArrayLike = LINES,
 ) -> Shaker:
-    """Return a controller that hovers softly at the centre, and shakes each axis at its own frequencies.
+    """Return a soft hover controller that excites all six axes.
 
     Args:
-        known: Calibration; may be wrong.
+        known: Calibration, possibly inaccurate.
         period: Sample period [s].
         delay: Transport delay [s].
         translation: Amplitude of each line on x, y and z, if the calibration is right [m].
-        rotation: Likewise on rx, ry and rz [rad].
+        rotation: Amplitude of each line on rx, ry and rz, if the calibration is right [rad].
         lines: Frequencies of each axis [Hz], (6, L).
 
     Raises:
@@ -193,18 +203,18 @@ def collect(
     then: Callable[[], object] | None = None,
     watch: Callable[[], object] | None = None,
 ) -> Motion:
-    """Let a controller drive a plant, and return poses and currents.
+    """Run a controller on a plant; return poses and currents.
 
     Args:
-        plant: A plant that says which currents it sent, hovering or just released; left open.
+        plant: Plant that reports its currents, hovering or just released; left open.
         controller: As from `excitation`.
         duration: Recorded time [s].
-        settle: Time ahead of that, until trimmed [s].
-        then: Called as soon as the motion is over, such as to land.
+        settle: Settling time before recording [s].
+        then: Called at the end of the motion, such as to land.
         watch: Called before each sample; True ends the motion.
 
     Raises:
-        IdentificationError: If the motion was over before its time.
+        IdentificationError: If the motion ended early.
         ParameterError: If the periods differ, or a duration is shorter than a sample.
         MaglevError: As `run`.
     """
@@ -239,7 +249,9 @@ def collect(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Identified:
-    """Identified device, at the centre and upright; six rows are x y z and rx ry rz.
+    """Identified dynamics of a device at the centre, upright.
+
+    The six rows are x y z and rx ry rz.
 
     Attributes:
         acceleration_per_current: A [m/s² A, rad/s² A], (6, 6).
@@ -248,9 +260,9 @@ class Identified:
             pose is not that of the centre of mass.
         errors: Standard errors of A, (6, 6).
         free_errors: Standard errors of a, (6,).
-        noise: White noise of the poses as large as the fit's residual at every sample, (6,) [m, rad].
-        misfit: Likewise as its residual on the lines alone, (6,) [m, rad]. Much above `noise`, the delay is another, or
-            something touches the flotor.
+        noise: White noise of the poses equivalent to the fit's residual at every sample, (6,) [m, rad].
+        misfit: Noise equivalent to the residual on the lines alone, (6,) [m, rad]. If much above `noise`, the delay is
+            wrong or something touches the flotor.
     """
 
     acceleration_per_current: Array
@@ -267,7 +279,9 @@ class Identified:
         return self.free_acceleration[:3].copy()
 
     def wrench_per_current(self, mass: float, inertia: ArrayLike) -> Array:
-        """Return the wrench map W = M A [N/A, N m/A], (6, 6).
+        """Return the wrench map W = M A.
+
+        Shape (6, 6), units [N/A, N m/A].
 
         Args:
             mass: Moving mass [kg].
@@ -276,15 +290,15 @@ class Identified:
         return np.concatenate([np.full(3, mass), numbers("inertia", inertia)])[:, None] * self.acceleration_per_current
 
     def calibration(self, nominal: Calibration, mass: float | None = None, *, name: str = "identified") -> Calibration:
-        """Return a calibration with this gravity, and coils that accelerate the flotor like this.
+        """Return a calibration with the identified gravity and coils.
 
-        Directions are kept. A force constant is the part of a force along its coil; a point goes the shortest way to
-        where the torque is right.
+        Directions are kept. A force constant is the force's component along its coil; a point moves the shortest way to
+        the position of right torque.
 
         Args:
-            nominal: All else: directions, inertia, beams, offsets, and points to begin at.
+            nominal: Calibration with directions, inertia, beams, offsets and initial points.
             mass: Moving mass [kg]; the nominal one by default.
-            name: Its name.
+            name: Name of the new calibration.
 
         Raises:
             ParameterError: If the mass is not above 0.
@@ -301,14 +315,16 @@ class Identified:
 
 
 def added_mass(without: Identified, carrying: Identified, added: float) -> float:
-    """Return the moving mass of a device [kg], identified without and with a weight.
+    """Return the moving mass from runs without and with weight.
+
+    The result is in [kg].
 
     The map is the same in both: the translations' block of A₁ A₂⁻¹ = M₁⁻¹ M₂ is (1 + added/mass) times the identity,
-    wherever the weight lies.
+    at any position of the weight.
 
     Args:
-        without: Without the weight.
-        carrying: With it.
+        without: Result without the weight.
+        carrying: Result with the weight.
         added: Mass of the weight [kg].
 
     Raises:
@@ -326,20 +342,20 @@ def added_mass(without: Identified, carrying: Identified, added: float) -> float
 def identify(
     poses: ArrayLike, currents: ArrayLike, *, period: float, delay: float, lines: ArrayLike = LINES
 ) -> Identified:
-    """Fit acceleration per current, stiffness and free fall to a motion.
+    """Fit acceleration per current, stiffness and free fall to motion.
 
     A delay wrong by 0.1 ms, or a driver's lag not added to it, makes A 0.15 % wrong with the lines by default.
 
     Args:
-        poses: Measured, one a sample and near the centre [m, rad], (N, 6); NaN where a sample was lost.
-        currents: Answers to these samples [A], (N, 6); NaN where one is not known.
+        poses: Measured pose at each sample, near the centre [m, rad], (N, 6); NaN for lost samples.
+        currents: Answers to these samples [A], (N, 6); NaN if not known.
         period: Sample period [s].
-        delay: From a sample to the switch to its currents [s]; may exceed the period.
-        lines: Frequencies that were shaken [Hz]: at least two for each axis, or stiffness passes for inertia.
+        delay: Time from a sample to the switch to its currents [s]; may exceed the period.
+        lines: Excitation frequencies [Hz]: at least two for each axis, to separate stiffness from inertia.
 
     Raises:
         ParameterError: If the shapes do not fit, or a number is outside its bounds.
-        IdentificationError: If the motion is too short, or does not tell all axes apart.
+        IdentificationError: If the motion is too short, or does not excite all axes independently.
     """
     places, given = np.asarray(poses, dtype=np.float64), np.asarray(currents, dtype=np.float64)
     for name, values in (("poses", places), ("currents", given)):
@@ -377,7 +393,7 @@ def find_delay(
         currents: See `poses`.
         period: See `poses`.
         near: First guess [s].
-        reach: To either side, at first [s].
+        reach: Initial search range to either side [s].
         lines: See `poses`.
 
     Raises:
@@ -399,7 +415,10 @@ def find_delay(
 
 
 def _instruments(count: int, period: float, lines: Array) -> Array:
-    """Return a constant, cosines and sines under a smooth window, (count, 1 + 2 lines)."""
+    """Return a windowed constant, cosines and sines.
+
+    The shape is (count, 1 + 2 lines).
+    """
     tick = np.arange(count)[:, None]
     phase, window = 2.0 * np.pi * period * tick * lines, np.square(np.sin(np.pi * (tick + 1.0) / (count + 1.0)))
     waves: Array = window * np.concatenate([np.ones((count, 1)), np.cos(phase), np.sin(phase)], axis=1)
@@ -407,7 +426,10 @@ def _instruments(count: int, period: float, lines: Array) -> Array:
 
 
 def _whitened(values: Array, instruments: Array, period: float) -> Array:
-    """Return moments of values with instruments, in which white noise on the poses stays white and of its size."""
+    """Return moments of values with instruments, whitened.
+
+    White noise on the poses stays white and keeps its size.
+    """
     # noise of the poses reaches the moments through the instruments' second difference
     noise = np.diff(np.pad(instruments, ((2, 2), (0, 0))), n=2, axis=0) / period**2
     size = np.linalg.norm(noise, axis=0)
@@ -422,7 +444,10 @@ def _whitened(values: Array, instruments: Array, period: float) -> Array:
 
 
 def _fitted(known: Array, bent: Array, instruments: Array, period: float) -> Identified:
-    """Return the weighted fit of accelerations (N, 6) by known values (N, 13), through instruments."""
+    """Fit accelerations (N, 6) by known values (N, 13).
+
+    Weighted least squares on the moments with the instruments.
+    """
     moments = _whitened(np.concatenate([known, bent], axis=1), instruments, period)
     told, seen = moments[:, : known.shape[1]], moments[:, known.shape[1] :]
     scale = np.maximum(np.linalg.norm(told, axis=0), np.finfo(np.float64).tiny)  # amperes, metres and ones

@@ -1,4 +1,4 @@
-"""What a loop in Python asks of the system: to be on time, and to be told when to stop."""
+"""Real-time scheduling and stop signals of a Python loop."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ __all__ = ["LatencyHistogram", "Realtime", "RealtimeError", "interrupt", "realti
 
 
 class LatencyHistogram:
-    """Latencies of a loop: the last ones, and the worst of all.
+    """Latencies of a loop: recent values and the maximum.
 
     Args:
-        size: Number to keep; a ParameterError if below 1.
+        size: Number of recent values to keep; a ParameterError if below 1.
 
     Attributes:
-        count: Number added.
-        worst: Greatest of all [ns].
+        count: Number of all added values.
+        worst: Maximum of all values [ns].
     """
 
     def __init__(self, size: int = 1 << 16) -> None:
@@ -40,7 +40,7 @@ class LatencyHistogram:
         self.count = self.worst = 0
 
     def add(self, latency: int) -> None:
-        """Take one more in [ns]."""
+        """Add one latency [ns]."""
         self._ring[self.count % self._size] = latency
         self.count += 1
         if latency > self.worst:
@@ -48,50 +48,53 @@ class LatencyHistogram:
 
     @property
     def kept(self) -> NDArray[np.int64]:
-        """The last ones, in no order [ns]."""
+        """Recent latencies, unordered [ns]."""
         return self._ring[: self.count]
 
     def percentile(self, share: float) -> float:
-        """Return the value that `share` percent of those kept are below [s]; NaN for none."""
+        """Return a percentile of the recent latencies [s].
+
+        NaN without latencies.
+        """
         return float(np.percentile(self.kept, share)) * 1e-9 if self.count else math.nan
 
     @property
     def p50(self) -> float:
-        """Median of those kept [s]."""
+        """Median of the recent latencies [s]."""
         return self.percentile(50.0)
 
     @property
     def p99(self) -> float:
-        """99th percentile of those kept [s]."""
+        """99th percentile of the recent latencies [s]."""
         return self.percentile(99.0)
 
     @property
     def max(self) -> float:
-        """Greatest of all [s]; NaN for none."""
+        """Maximum of all latencies [s]; NaN without any."""
         return self.worst * 1e-9 if self.count else math.nan
 
 
 Realtime: TypeAlias = Literal["enforce", "ignore"]
-"""What to do where the system refuses: raise, or go on."""
+"""Reaction to a refusal by the system: raise or continue."""
 
 _GET_SLACK, _SET_SLACK = 30, 29  # of prctl
 _CURRENT_AND_FUTURE = 3  # of mlockall
 
 
 class RealtimeError(MaglevError):
-    """The system does not permit what a real-time loop asks for."""
+    """The system refuses a real-time setting."""
 
 
 @contextmanager
 def realtime(mode: Realtime, priority: int = 80, cpu: int | None = None) -> Iterator[list[str]]:
-    """Make this thread as punctual as the system permits, and give everything back at the end.
+    """Give this thread real-time scheduling; restore it at the end.
 
     Timer slack 1 ns, SCHED_FIFO, locked memory, one processor, no garbage collection. Threads and processes inherit
     some of that: start those first.
 
     Args:
         mode: "enforce" raises if something is refused, "ignore" goes on.
-        priority: Of SCHED_FIFO, 1 to 99.
+        priority: Priority of SCHED_FIFO, 1 to 99.
         cpu: Number of the processor to stay on; None for any.
 
     Yields:
@@ -125,14 +128,14 @@ def realtime(mode: Realtime, priority: int = 80, cpu: int | None = None) -> Iter
 
 
 def _function(owner: object, name: str) -> Any:
-    """Return a function that not every system has; an OSError without it."""
+    """Return an optional function; raise OSError if it is missing."""
     if (function := getattr(owner, name, None)) is None:
         raise OSError(errno.ENOSYS, os.strerror(errno.ENOSYS))
     return function
 
 
 def _libc(name: str, *arguments: int) -> int:
-    """Call a function of the C library; an OSError if it fails."""
+    """Call a C library function; raise OSError if it fails."""
     try:
         library = ctypes.CDLL(None, use_errno=True)
     except TypeError:
@@ -193,14 +196,16 @@ def interrupt() -> NoReturn:
 def stopping(
     stop: Callable[[], object], cut: Callable[[], object] = interrupt, *, within: float | None = None
 ) -> Iterator[None]:
-    """Call `stop` at the first SIGINT, SIGTERM or SIGHUP, and `cut` at each SIGINT after it.
+    """Call `stop` at the first stop signal, then `cut`.
 
-    Only Ctrl-C cuts: SIGTERM may be sent twice, and a terminal that goes adds a SIGHUP.
+    Stop signals are SIGINT, SIGTERM and SIGHUP; each SIGINT after the first signal calls `cut`.
+
+    Only Ctrl-C cuts: SIGTERM may be sent twice, and a closing terminal adds a SIGHUP.
 
     Args:
-        stop: Called in the main thread, between any two steps of it; it may raise.
-        cut: Likewise.
-        within: Call `cut` so long after `stop` too [s]; None for never.
+        stop: Called in the main thread, between any two of its steps; it may raise.
+        cut: Called in the main thread; it may raise.
+        within: Time after `stop` at which `cut` is called too [s]; None for never.
     """
     if threading.current_thread() is not threading.main_thread():
         yield  # signals are the main thread's

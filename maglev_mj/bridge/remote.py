@@ -1,4 +1,4 @@
-"""The plant that is a device at the other end of a wire: spots in, currents out; the controller knows nothing of it."""
+"""Plant at the other end of a wire: spots, currents."""
 
 from __future__ import annotations
 
@@ -39,47 +39,47 @@ _INACTIVE, _ACTIVE, _FAULT = State  # an enumeration's members are slow to look 
 _NAN, _NONE, _UNKNOWN = math.nan, 0xFFFFFFFF, (math.nan,) * 6
 _MOST = Limits(current=100.0, continuous_current=100.0, hover=100.0)
 _SETTLING, _WATCHING = 0.3, 0.2
-"""How long a landing waits for the flotor to come to rest before it disarms, and watches it after [s]."""
+"""Longest wait for rest before disarming, and observation after [s]."""
 
 
 class RemotePlant:
-    """A device at the other end of a wire. The controller cannot tell it from `MuJoCoPlant`.
+    """Plant at the other end of a wire.
 
-    The device is the clock: `read` waits for its next sample. A sample that was lost leaves a gap in the tick numbers.
-    Six currents leave through one output limiter: finite, wrench limit, current limit, temperatures. What goes wrong
-    ends in zero currents, a fault that is latched until `reset`, and a file with the last cycles. All of it is for the
-    thread that flies the device.
+    It has the interface of `MuJoCoPlant`. The device is the clock: `read` waits for its next sample. A sample that was
+    lost leaves a gap in the tick numbers. Six currents leave through one output limiter: finite, wrench limit, current
+    limit, temperatures. Any failure ends in zero currents, a fault that is latched until `reset`, and a file with the
+    last cycles. All methods are for the thread that flies the device.
 
     Args:
-        link: The wire; see `open_link`. It is closed with the plant, and where there is none.
-        calibration: What is known of the device, whose hash it must have.
-        key: With which frames are sealed.
-        limits: Those of the host; the smaller of these and the device's counts.
-        patience: How long to wait for the device [s]: for an answer, and for a sample.
-        folder: Where the last cycles before a fault are written.
+        link: The wire; see `open_link`. It is closed with the plant, or if the handshake fails.
+        calibration: Calibration of the device; the device must have its hash.
+        key: Authentication key of the frames; None for none.
+        limits: Limits of the host; the smaller of these and the device's apply.
+        patience: Longest wait for an answer or a sample [s].
+        folder: Folder of black box files.
 
     Attributes:
         period: Sample period [s].
-        delay: From a command's arrival to its taking effect [s].
-        lockstep: Whether the device's time waits for each answer.
+        delay: Time from a command's arrival to its effect [s].
+        lockstep: True if the device's time waits for each answer.
         limits: The smaller of the device's and the host's.
-        latched: One line about faults that were latched in the device when it answered; empty without.
-        disarmed: True once this host has switched the currents off after it had armed.
-        state: Of the device, at the last sample; likewise `faults`.
-        first: The faults that came first, at `fault_time` by the device's clock [ns]; 0 without.
-        last_currents: What was sent last [A], six.
-        last_delay: From the sample before the last to its answer's effect, by the device's clock [s]; NaN if the
+        latched: One line about faults that were latched in the device at the handshake; empty without faults.
+        disarmed: True after this host armed the device and switched the currents off.
+        state: State of the device at the last sample; `faults` are its faults then.
+        first: First faults, at `fault_time` by the device's clock [ns]; 0 without faults.
+        last_currents: Last sent currents [A], six.
+        last_delay: Time from the last but one sample to its answer's effect, by the device's clock [s]; NaN if the
             command in force at the last sample answers another.
-        newest_delay: Likewise of the newest answer that has arrived, to any sample; NaN if that is the one before.
-        rest: Pose before takeoff, and to land at [m, rad].
-        samples: Their count, and what is missing of them.
-        hand_wrench: Zero: nobody measures what the hand does.
-        arrival: When the last sample arrived, by the link's clock [s].
+        newest_delay: The same for the newest answer that has arrived, to any sample; NaN without a new one.
+        rest: Pose before takeoff and target of the landing [m, rad].
+        samples: Counter of received, lost and skipped samples.
+        hand_wrench: Zero: the hand's wrench is not measured.
+        arrival: Arrival of the last sample, by the link's clock [s].
 
     Raises:
-        HandshakeError: If no device answers, another host flies it, its version or calibration is another, or its
+        HandshakeError: If no device answers, another host flies it, its version or calibration differs, or its
             numbers are not sane or do not carry the weight.
-        LinkError: If the line is gone.
+        LinkError: If the link has failed.
         ParameterError: If a value is outside its bounds, or the host's own limits do not carry the weight.
     """
 
@@ -132,7 +132,7 @@ class RemotePlant:
         )
         self._led = self._owed = False  # led from or to its stop; an answer is owed to the last sample
         self._sequence, self._located = 0, 0  # of the last sample, and tick of the last whose pose is known
-        self._doubt = ""  # what is wrong with the last sample
+        self._doubt = ""  # fault of the last sample
         self._frame: Frame | None = None  # the last sample
         self._seen: Sequence[float] = _UNKNOWN  # its pose
         self._known: Sequence[float] = ZERO
@@ -149,15 +149,15 @@ class RemotePlant:
             self.close()
 
     def close(self) -> None:
-        """Switch the currents off and let go of the device; safe to call at any time, and more than once."""
+        """Switch the currents off and end the session; idempotent."""
         self._armed = False
         self._line.close()
 
     def read(self) -> Sample:
-        """Wait for the device's next sample and return what is measured there; the newest, if several are there.
+        """Return the next sample, or the newest of several waiting.
 
         Raises:
-            DeviceFault: If the device has gone into the fault state, or what it says is not to be trusted.
+            DeviceFault: If the device has gone into the fault state, or its measurements are implausible.
             PlantError: If the plant is closed.
         """
         self._check_open()
@@ -166,7 +166,7 @@ class RemotePlant:
         frame = self._next_frame()
         report: StateReport = frame.body  # type: ignore[assignment]
         self._account(frame, report)
-        # one from before the device did what it was asked for is old
+        # a sample from before the device's last answer holds an outdated state
         if (report.state != self.state or report.faults != self.faults) and frame.time > self._line.settled:
             self._adopt(report.state, report.faults)
         if self.state is _FAULT and self._armed:
@@ -189,7 +189,7 @@ class RemotePlant:
         return Sample(tick, tick * self.period, position)
 
     def write(self, command: Command) -> Command:
-        """Send the answer to the last sample; return it as applied, after every limit.
+        """Send the answer to the last sample; return it limited.
 
         Raises:
             DeviceFault: If the command is not finite.
@@ -204,7 +204,7 @@ class RemotePlant:
         return command
 
     def drive(self, currents: Sequence[float]) -> None:
-        """Send six currents [A] in place of a wrench: one coil at a time.
+        """Send six coil currents [A] in place of a wrench.
 
         Raises:
             ParameterError: If one is not finite or above the limit.
@@ -223,7 +223,7 @@ class RemotePlant:
         return self._frame
 
     def _answer(self, frame: Frame, held: Sequence[float], pulsed: Sequence[float] | None, width: float) -> None:
-        """Send the answer to the last sample, and count what it heats."""
+        """Send the answer to the last sample; update the temperatures."""
         self._send(held, pulsed, width)
         self._owed = False
         if self.state is _ACTIVE:
@@ -234,29 +234,29 @@ class RemotePlant:
 
     @property
     def report(self) -> StateReport:
-        """The device's own report at the last sample; a PlantError before the first."""
+        """Device's report at the last sample; PlantError before the first."""
         if self._frame is None:
             raise PlantError("there is no sample: call read() first")
         return self._frame.body  # type: ignore[return-value]
 
     @property
     def temperatures(self) -> list[float]:
-        """Of the six coils, the higher of what the device says and what was sent: 1 where they trip."""
+        """Temperature rises of the coils, reported or modelled; 1 trips."""
         said = ZERO if self._frame is None else self._frame.body.temperatures  # type: ignore[union-attr]
         return [max(one, other) for one, other in zip(said, self._output.thermal.rises)]
 
     @property
     def answer_latency(self) -> float:
-        """From the last sample's arrival to its answer's leaving [s]."""
+        """Time from the last sample's arrival to its answer [s]."""
         return self._line.latency * 1e-9
 
     @property
     def transport(self) -> int:
-        """From the last sample to its arrival [ns], by two clocks without a common zero: only changes of it count."""
+        """Clock difference between last sample and arrival [ns], offset unknown."""
         return self._line.heard - self.samples.time
 
     def arm(self, hover: Sequence[float] | None = None) -> None:
-        """Let the currents flow; a PlantError if the device refuses, as in the fault state.
+        """Switch the currents on; PlantError if the device refuses.
 
         Args:
             hover: Held by the device if commands are missing [A], six; by default the currents that carry the flotor.
@@ -272,9 +272,9 @@ class RemotePlant:
             self.state = _INACTIVE
 
     def estop(self) -> EstopReport:
-        """Switch the currents off in any state and latch ESTOP; a PlantError if the device does not confirm it.
+        """Switch the currents off in any state and latch ESTOP.
 
-        The next sample is a fault.
+        PlantError if the device does not confirm it. The next sample is a fault.
         """
         self._check_open()
         report = self._line.estop()
@@ -284,29 +284,29 @@ class RemotePlant:
         return report
 
     def reset(self) -> None:
-        """Leave the fault state; a PlantError if the device refuses because its coils are too warm."""
+        """Leave the fault state; PlantError while the coils are warm."""
         self._ask(Operation.RESET)
         self.state, self.faults, self.first, self.fault_time, self._armed = _INACTIVE, Fault(0), Fault(0), 0, False
 
     def trip(self, faults: Fault) -> None:
-        """Put the device into the fault state, whether or not the line is good enough for an answer."""
+        """Put the device into the fault state, answered or not."""
         self._latch(faults, self.samples.time)
         with suppress(LinkError):  # the watchdog does it where there is no line
             self._line.control(Operation.TRIP, faults=faults)
 
     def takeoff(self, duration: float = 0.6, *, watch: Callable[[], object] | None = None) -> None:
-        """Check that the flotor rests, arm, and lead it from where it lies to the centre; keep hands off it.
+        """Check rest, arm, and move the flotor to the centre.
 
-        It is watched for 0.1 s; it rests up to 5 mm/s and 0.1 rad/s. All that is slow is done before the currents
-        flow.
+        No hand may touch it. It is observed for 0.1 s; it rests up to 5 mm/s and 0.1 rad/s. All slow work is done
+        before the currents flow.
 
         Args:
-            duration: How long [s].
-            watch: Called after each sample that was led; leading ends early where it returns True.
+            duration: Time of the motion [s].
+            watch: Called after each sample of the motion; True ends it early.
 
         Raises:
-            DeviceFault: If it does not follow, or anything else goes wrong.
-            PlantError: If it moves, does not lie on its lower stop, or is not measured; the device is not armed.
+            DeviceFault: If the flotor does not follow, or another fault occurs.
+            PlantError: If the flotor moves, is not on its lower stop or not measured; the device is not armed.
         """
         self._check_open()
         if self.state is not _INACTIVE:
@@ -322,7 +322,7 @@ class RemotePlant:
         if off_stop(rest, self.calibration.gravity.tolist()):
             raise PlantError(f"no takeoff: the flotor is at {shown(rest)}, and must lie on its lower stop")
         leader.aim(rest, rest, duration)
-        loop.cycle(2)  # the device does not look at these answers; what is slow at first has been once
+        loop.cycle(2)  # the device ignores these answers; slow first calls are done
         leader.aim(rest, ZERO, duration, self._astray)
         self.arm()
         self.rest, self._led = rest, True
@@ -332,14 +332,14 @@ class RemotePlant:
             self._led = False
 
     def land(self, duration: float = 0.6, *, watch: Callable[[], object] | None = None) -> LandingReport:
-        """Lead the flotor back to where it lay, and disarm; a hand that holds it then has it.
+        """Move the flotor back to its rest pose and disarm.
 
         Args:
-            duration: How long [s]; up to 0.3 s more until it rests.
+            duration: Time of the motion [s]; up to 0.3 s more until it rests.
             watch: As for `takeoff`.
 
         Returns:
-            Pose and motion 0.2 s after.
+            Pose and motion 0.2 s later.
 
         Raises:
             DeviceFault: As for `takeoff`.
@@ -365,7 +365,7 @@ class RemotePlant:
                 return
 
     def _watch(self, duration: float) -> Motion:
-        """Watch the flotor for so long [s], and until the last 0.1 s are known or in doubt."""
+        """Observe motion for `duration` [s] and until known or doubtful."""
         motion, self._doubt = Motion(self.period), ""
         end = self.samples.tick + round(duration / self.period)
         while self.samples.tick < end or not (motion.full or self._doubt):
@@ -406,10 +406,10 @@ class RemotePlant:
         raise PlantError(missing)
 
     def _account(self, frame: Frame, report: StateReport) -> None:
-        """Keep a sample, and what warmed the coils up to it."""
+        """Store a sample and update the temperatures up to it."""
         answered, self._owed = not self._owed, False
         elapsed = self.samples.elapsed
-        if (unanswered := elapsed - answered) > 0:  # what nobody wrote for: the coils cool, or go on
+        if (unanswered := elapsed - answered) > 0:  # without a command the coils cool, or keep their currents
             self._output.stay(unanswered, self.last_currents if self.state is _ACTIVE else ZERO)
         behind = (frame.sequence - report.answered) & _NONE
         known = report.age != _NONE and report.answered != self._answered
@@ -419,7 +419,7 @@ class RemotePlant:
         self._sequence, self._frame, self._seen = frame.sequence, frame, _UNKNOWN
 
     def _adopt(self, state: int, faults: int) -> None:
-        """Take over the state that the device says it is in, and complain of one that flying cannot go on in."""
+        """Adopt the device's reported state; raise if flight must end."""
         if state not in tuple(State):
             self._fail(Fault.HOST, f"the device says that it is in state {state}, which is none")
         before = self.state
@@ -432,7 +432,7 @@ class RemotePlant:
             self._fail(Fault.HOST, "the device switched its currents off without being asked to")
 
     def _mistrust(self, fault: Fault, report: StateReport) -> None:
-        """Note a fault in a sample's numbers, or that there is none any more."""
+        """Note a fault in a sample's numbers, or clear it."""
         self._doubt = ""
         if not fault:
             return
@@ -452,7 +452,7 @@ class RemotePlant:
             self._fail(fault, said)
 
     def _locate(self, spots: Sequence[float]) -> list[float]:
-        """Return the pose whose spots these are; an answer to it is owed."""
+        """Return the pose of spots; its answer is then due."""
         if self._offsets is not None:
             spots = [spot - offset for spot, offset in zip(spots, self._offsets)]
         try:
@@ -461,7 +461,7 @@ class RemotePlant:
             self._fail_if_active(Fault.SENSOR_OUT_OF_RANGE, str(error))
             raise
         self._known, self._owed = position, True
-        self._seen = tuple(position)  # whoever gets the list may write in it
+        self._seen = tuple(position)  # the caller may write into the list
         return position
 
     def _send(self, held: Sequence[float], pulsed: Sequence[float] | None, width: float) -> None:
@@ -487,10 +487,10 @@ class RemotePlant:
         self.state, self.faults = _FAULT, self.faults | faults
 
     def _fail(self, faults: Fault, message: str) -> NoReturn:
-        """Put the device into the fault state, keep the last cycles, and say so."""
+        """Trip the device, write the black box, raise DeviceFault."""
         self._armed = False
         if self.state is not _FAULT or not self.faults & faults:
-            with suppress(Exception):  # what went wrong is told, and the last cycles kept, whatever else fails
+            with suppress(Exception):  # report and black box must not depend on the line
                 self.trip(faults)
         faults |= self.faults  # such as an e-stop, after which it fell
         about = {"first": fault_names(self.first), "fault_time_ns": self.fault_time, "period_ns": self.samples.period}

@@ -1,4 +1,4 @@
-"""Limits of a device and a flight, and the guards that watch them at both ends."""
+"""Limits of device and host, and guards that check them."""
 
 from __future__ import annotations
 
@@ -35,23 +35,26 @@ __all__ = [
 ]
 
 WARNING_RISE = 0.8
-"""Share of what a coil bears from which there is a warning."""
+"""Temperature rise of a warning, as share of the limit."""
 
 OFF = 0.25
-"""Measured current up to which a coil counts as off [A]."""
+"""Largest measured current of a coil that is off [A]."""
 
 _NO_FAULT = Fault(0)
 _CHANGED = (0, 0, 0)
 _CLOSE_SHARE = 0.1
 _IMPLAUSIBLE = 4.0
 _MARGIN = 1.25
-"""Over the weight and its currents, for control."""
+"""Factor over the weight and its currents, for control."""
 _COLD, _HOT, _OVER = -0.01, 2.0, 1.5
-"""Temperatures that a device may report, and measured current over its limit."""
+"""Bounds of reported temperatures and overcurrent ratio of measured currents."""
 
 
 class Limits(Parameters):
-    """Limits of a device; sent to the host in the handshake, which refuses what is outside these bounds."""
+    """Limits of a device, sent in the handshake.
+
+    The host refuses a device with limits outside these bounds.
+    """
 
     current: float = param("largest in a coil", "A", default=Spec.peak_current.value, above=0.0, at_most=100.0)
     continuous_current: float = param("borne", "A", default=Spec.continuous_current.value, above=0.0, at_most=100.0)
@@ -65,7 +68,10 @@ class Limits(Parameters):
 
 
 class HostLimits(Parameters):
-    """Limits of the host's own; the smaller of these and the device's counts."""
+    """Limits of the host.
+
+    The smaller of these and the device's apply.
+    """
 
     max_current: float | None = param("largest current in any coil", "A", default=None, optional=True, above=0.0)
     continuous_current: float | None = param("largest continuous current", "A", default=None, optional=True, above=0.0)
@@ -78,7 +84,7 @@ class HostLimits(Parameters):
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
-        """Read a profile: a JSON object of these parameters by name, SI units.
+        """Read a profile: a JSON object of limits, SI units.
 
         Raises:
             ParameterError: If it cannot be read, or a value is outside its bounds; one line with file and value.
@@ -103,14 +109,17 @@ class HostLimits(Parameters):
         return [self.force_limit or math.inf] * 3 + [self.torque_limit or math.inf] * 3
 
     def narrowed(self, limits: Limits) -> Limits:
-        """Return a device's limits, each the smaller of the device's and the host's."""
+        """Return the smaller of the device's and the host's limits."""
         current = min(limits.current, self.max_current or math.inf)
         steady = min(limits.continuous_current, self.continuous_current or math.inf)
         return limits.replace(current=current, continuous_current=steady, hover=min(limits.hover, current, steady))
 
 
 def weight_fault(weight: float, hover: Sequence[float], own: HostLimits, limits: Limits) -> str:
-    """Return why currents [A], six, cannot carry the weight [N] within both limits; empty if they can."""
+    """Return the limit that hovering would exceed, as a message.
+
+    `weight` is in [N], `hover` are six currents [A]; the message is empty if hovering is possible.
+    """
     most = max(map(abs, hover))
     force, least, current = own.force_limit, _MARGIN * most, limits.current
     if force is not None and force <= _MARGIN * weight:
@@ -124,11 +133,13 @@ def weight_fault(weight: float, hover: Sequence[float], own: HostLimits, limits:
 
 
 class ThermalModel:
-    """Temperature rises of six coils as shares of that of the continuous current; at 1 they trip.
+    """First-order thermal model of the six coils.
+
+    Temperature rises are shares of that at the continuous current; at 1 the coils trip.
 
     Attributes:
-        rises: Of the six coils.
-        warmest: Largest of them.
+        rises: Temperature rises of the six coils.
+        warmest: Largest of the rises.
     """
 
     def __init__(self, limits: Limits) -> None:
@@ -137,7 +148,9 @@ class ThermalModel:
         self._duration, self._share = 0.0, 0.0
 
     def add(self, segments: Iterable[tuple[float, Sequence[float]]]) -> float:
-        """Let currents [A] flow for so long [s] each, in turn; return the share of the warmest coil.
+        """Add segments of constant currents; return the warmest coil's rise.
+
+        Each segment is a duration [s] and six currents [A].
 
         θ' = ((i / i_continuous)² - θ) / τ, solved exactly for constant currents.
         """
@@ -154,7 +167,10 @@ class ThermalModel:
 
 
 def command_fault(limits: Limits, held: Sequence[float], pulsed: Sequence[float], width: float) -> Fault:
-    """Return what is wrong with currents [A], six each, and a pulse width [s]: nothing is ever clipped silently."""
+    """Return the fault of a command, if any.
+
+    Currents [A], six each, and pulse width [s]. They are checked, not clipped.
+    """
     if not math.isfinite(sum(held) + sum(pulsed) + width) or not 0.0 <= width <= 1.0:
         return Fault.INVALID_COMMAND
     # rounding on the host's side is no fault
@@ -165,7 +181,10 @@ def command_fault(limits: Limits, held: Sequence[float], pulsed: Sequence[float]
 
 
 def reading_fault(limits: Limits, currents: Sequence[float], temperatures: Sequence[float]) -> Fault:
-    """Return what is wrong with a device's measured currents [A] and temperatures, six each."""
+    """Return the fault of measured currents and temperatures.
+
+    Currents [A] and temperatures, six each.
+    """
     most, (a, b, c, d, e, f) = _OVER * limits.current, currents
     # the sums of squares first: both say at once that nothing is wrong, and that all is finite
     if a * a + b * b + c * c + d * d + e * e + f * f <= most * most and min(temperatures) >= _COLD:
@@ -177,7 +196,7 @@ def reading_fault(limits: Limits, currents: Sequence[float], temperatures: Seque
 
 
 class CoilGuard:
-    """Finds a coil whose current is not the one commanded."""
+    """Detector of coils that do not follow their command."""
 
     _PATIENCE = 3
 
@@ -198,7 +217,10 @@ class CoilGuard:
 
 
 class SpotGuard:
-    """Finds a sensor that does not live, and spots that cannot be true; samples come every `period` [s]."""
+    """Detector of frozen sensors and implausible spots.
+
+    Samples arrive every `period` [s].
+    """
 
     def __init__(self, limits: Limits, period: float) -> None:
         self._most, self._frozen = limits.spot, limits.frozen
@@ -208,11 +230,14 @@ class SpotGuard:
         self._same: tuple[int, ...] = _CHANGED
 
     def check(self, spots: Sequence[float], valid: int, conversions: int, steps: int) -> Fault:
-        """Check the fields of a `StateReport`, so many steps of the sample number after the last one checked."""
+        """Check the sensor fields of a `StateReport`.
+
+        `steps` is the increase of the sample number since the last check.
+        """
         fault = Fault.SENSOR_STOPPED if conversions == self._conversions else _NO_FAULT
         self._conversions, most = conversions, self._most
         a, b, c, d, e, f = spots
-        # written out: in half the time of min and max; a comparison with what is not finite fails
+        # written out: in half the time of min and max; a comparison with NaN or infinity fails
         within = -most <= a <= most and -most <= b <= most and -most <= c <= most
         if valid & 7 != 7 or not (within and -most <= d <= most and -most <= e <= most and -most <= f <= most):
             self._last = None
@@ -236,7 +261,7 @@ class SpotGuard:
 
 
 class FlotorGuard:
-    """Finds a flotor that is beyond its envelope, or too fast."""
+    """Detector of a flotor outside its envelope or too fast."""
 
     def __init__(self, limits: HostLimits) -> None:
         most = HostLimits()
@@ -249,9 +274,9 @@ class FlotorGuard:
         """Check a pose.
 
         Args:
-            position: The pose [m, rad], six components.
+            position: Measured pose [m, rad], six components.
             elapsed: Time since the pose before [s].
-            led: True from or to its stop, where the default envelope counts if it is the larger.
+            led: True in takeoff and landing: the default envelope applies if it is the larger.
         """
         x, y, z, rx, ry, rz = position
         last, self._last = self._last, position
@@ -269,16 +294,16 @@ class FlotorGuard:
 
 
 class OutputLimiter:
-    """Turns a command into currents, after every limit.
+    """Limiter that turns a command into coil currents.
 
     Args:
         coils: The calibrated coils.
-        limits: Of the device.
-        wrench_limit: Largest wrench, a number or (6,) [N, N m]; None for what the currents allow.
+        limits: Limits of the device.
+        wrench_limit: Largest wrench, a number or (6,) [N, N m]; None for no limit besides the currents.
         period: Sample period [s].
 
     Attributes:
-        thermal: Of the coils, by what was let through and told to `passed`.
+        thermal: Thermal model of the coils, by the currents given to `passed` and `stay`.
 
     Raises:
         ParameterError: If a limit is negative or of another shape.
@@ -294,11 +319,14 @@ class OutputLimiter:
         self._timeline = Timeline(Timing(period=period, delay=0.0), ZERO)
 
     def passed(self, held: Sequence[float], pulsed: Sequence[float] | None, width: float) -> None:
-        """Let what `currents` returned flow for a period: it has been sent."""
+        """Update the thermal model by one period of sent currents."""
         self.thermal.add(self._timeline.period(0, (held, pulsed, width)))
 
     def stay(self, periods: int, currents: Sequence[float]) -> None:
-        """Let currents [A] flow for so many periods in which none were let through; a pulse runs out before them."""
+        """Update the thermal model by periods of constant currents [A].
+
+        A pulse still acting ends first.
+        """
         switch = None if currents == self._timeline.acting else (currents, None, 0.0)
         self.thermal.add(self._timeline.period(0, switch))
         if periods > 1:
@@ -307,9 +335,11 @@ class OutputLimiter:
     def currents(
         self, command: Command, position: Sequence[float]
     ) -> tuple[Command, Sequence[float], Sequence[float] | None, float]:
-        """Return a command within the limits, its currents [A], those of its pulse if it has one, and its width [s].
+        """Return a command within the limits, and its currents.
 
-        The coils turn with the flotor, whose measured pose is `position`.
+        After the command: held currents [A], pulsed currents [A] or None, pulse width [s].
+
+        The coils turn with the flotor; `position` is its measured pose.
 
         Raises:
             PlantError: If the command is not six finite numbers.
@@ -328,7 +358,7 @@ class OutputLimiter:
         if limit is not None:
             total = [clipped(one, most) for one, most in zip(total, limit)]
         total, _ = limited_wrench(inverse_map, total, self._current)
-        # the pulse as it will be known, so that whoever adds it to the force comes to the same currents
+        # the pulse relative to the applied force, so that their sum gives the same currents
         extra = [one - other for one, other in zip(total, left)]
         pulsed: list[float] = inverse_map.dot([one + other for one, other in zip(left, extra)]).tolist()
         return Command(left, extra, width), held, pulsed, width

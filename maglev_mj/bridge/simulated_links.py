@@ -1,4 +1,4 @@
-"""Simulated links: a line that is bad on purpose, and a twin and a host in one program in virtual time.
+"""Simulated links: impaired line, and twin in virtual time.
 
 The same seed loses, repeats, damages and delays the same frames.
 """
@@ -33,12 +33,12 @@ class Impairment:
 
     Attributes:
         loss: Probability that a frame never arrives.
-        duplicate: Probability that one that does arrives twice.
+        duplicate: Probability that an arriving frame arrives twice.
         corrupt: Probability that a copy arrives with one byte changed.
         delay: Mean time under way [s].
-        jitter: Each copy's time differs from that evenly by up to this [s], and is never negative.
-        blackouts: Pairs of start and end [s] since the beginning, in which all that is sent is lost.
-        seed: Of all that is drawn.
+        jitter: Half width of the uniform variation of each copy's time [s]; the time is never negative.
+        blackouts: Pairs of start and end [s] since the beginning, in which all frames are lost.
+        seed: Seed of the random numbers.
 
     Raises:
         ParameterError: If a value is outside its bounds, or a blackout ends before it starts.
@@ -63,18 +63,18 @@ class Impairment:
 
 
 class Impairer:
-    """Decides what becomes of each frame one way, without a clock.
+    """Random fate of each frame in one direction.
 
-    It draws as much for each, so a frame's luck does not depend on those before it, and more loss leaves times alone.
+    It draws equally often for each frame: its fate does not depend on others, nor its time on the loss rate.
 
     Args:
-        impairment: How bad the line is.
-        stream: Number of this way: each has its own luck.
+        impairment: Impairment of the line.
+        stream: Number of this direction; each has its own random numbers.
         start: Instant [ns] from which blackouts count.
 
     Attributes:
-        counts: How many frames came (`frames`), how many of them were `lost`, to a `blackout`, or `duplicated`; how
-            many copies were `corrupted`, and how many arrive before one sent earlier (`reordered`).
+        counts: Numbers of frames (`frames`, `lost`, lost to a `blackout`, `duplicated`) and of copies
+            (`corrupted`; `reordered`: arriving before one sent earlier).
     """
 
     def __init__(self, impairment: Impairment, stream: int = 0, start: int = 0) -> None:
@@ -84,7 +84,10 @@ class Impairer:
         self.counts: Counter[str] = Counter()
 
     def fates(self, data: bytes, now: int) -> list[tuple[int, bytes]]:
-        """Return instant of arrival [ns] and content of each copy of a frame that is sent now [ns]."""
+        """Return arrival time [ns] and content of each copy.
+
+        The frame is sent at `now` [ns].
+        """
         draw, line = self._random.random, self._impairment
         lost, doubled = draw() < line.loss, draw() < line.duplicate
         copies = [self._copy(data, now, (draw(), draw(), draw(), draw())) for _ in range(2)]
@@ -112,7 +115,10 @@ class Impairer:
 
 
 class _Line:
-    """Frames under way, each way its own luck; of two due at once, the first sent arrives first."""
+    """Frames in transit in both directions.
+
+    Of two due at once, the first sent arrives first.
+    """
 
     def __init__(self, impairment: Impairment, start: int = 0) -> None:
         self.to_host, self.to_device = Impairer(impairment, 0, start), Impairer(impairment, 1, start)
@@ -133,23 +139,25 @@ class _Line:
 
 
 class UdpProxy:
-    """A bad line between hosts and a device, in a thread of this process: give hosts its address for the device's.
+    """Impaired UDP line between hosts and a device.
 
-    The device's frames go to the host heard last.
+    It runs in a thread. Hosts use its address in place of the device's.
+
+    The device's frames go to the host of the last frame.
 
     Args:
         upstream: Address of the device.
-        impairment: Of the line, each way.
+        impairment: Impairment of the line, each way.
         host: Address of this machine to listen at.
         port: Port to listen at; 0 for any free one.
 
     Attributes:
-        address: Its own.
-        to_device: Impairer of that way; `counts` has the figures.
-        to_host: Likewise.
+        address: Address of the proxy.
+        to_device: Impairer towards the device; see its `counts`.
+        to_host: Impairer towards the host.
 
     Raises:
-        ParameterError: If a host or port is none.
+        ParameterError: If a host or port is invalid.
         LinkError: If it cannot listen there.
     """
 
@@ -174,7 +182,7 @@ class UdpProxy:
         self.close()
 
     def close(self) -> None:
-        """End it, and lose what is under way; a second time does nothing."""
+        """Stop the proxy and drop frames in transit; idempotent."""
         self._stopped.set()
         self._thread.join()
 
@@ -201,11 +209,13 @@ class UdpProxy:
 
 
 class VirtualLink:
-    """A link to a twin in the same program. Time is simulated, and goes on only while the host waits.
+    """Link to a twin of this program in simulated time.
+
+    Time advances only while the host waits.
 
     Args:
-        twin: The device; nobody else steps it.
-        impairment: What becomes of frames on their way; nothing by default.
+        twin: The device, stepped by this link alone.
+        impairment: Impairment of the line; none by default.
 
     Attributes:
         time: Simulated time [ns].
@@ -218,12 +228,15 @@ class VirtualLink:
         self.time = 0
 
     def send(self, data: bytes) -> None:
-        """Send one frame; where nothing happens to it, it is there at once."""
+        """Send one frame; without impairment it arrives at once."""
         self._line.send(self._line.to_device, data, self.time)
         self._deliver()
 
     def receive(self, timeout: float) -> bytes | None:
-        """Return the oldest frame that has come, or None if none comes within `timeout` of simulated time [s]."""
+        """Return the oldest received frame, or None after the timeout.
+
+        The timeout is in simulated time [s].
+        """
         end = self.time + round(timeout * 1e9)
         while not self._arrived:
             due = min(self._next_sample(), self._line.due)
@@ -237,14 +250,17 @@ class VirtualLink:
         return self._arrived.pop(0)
 
     def now(self) -> int:
-        """Return the instant of simulated time [ns]."""
+        """Return the simulated time [ns]."""
         return self.time
 
     def close(self) -> None:
         """Do nothing: there is nothing open."""
 
     def _next_sample(self) -> int:
-        """Return the next sample's instant [ns]; in lockstep it waits for a host and its answer."""
+        """Return the next sample's time [ns].
+
+        In lockstep it waits for a host and its answer.
+        """
         twin = self._twin
         if not self._lockstep:
             return (twin.tick + 1) * self._period
@@ -256,7 +272,7 @@ class VirtualLink:
             self._line.send(self._line.to_host, frame, self.time)
 
     def _deliver(self) -> None:
-        """Hand over what has arrived by now."""
+        """Deliver all frames that have arrived."""
         # in lockstep the device's clock stands at its last sample
         now = max(self._twin.tick, 0) * self._period if self._lockstep else self.time
         for way, data in self._line.arrived(self.time):

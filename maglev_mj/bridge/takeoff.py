@@ -1,4 +1,4 @@
-"""Takeoff and landing: the rest before and after, and the controller that leads the flotor between."""
+"""Takeoff and landing: detection of rest, and the leading controller."""
 
 from __future__ import annotations
 
@@ -22,15 +22,17 @@ __all__ = ["LandingReport", "Leader", "Motion", "off_stop", "shown"]
 _ASIDE, _ASKEW = 0.002, math.radians(3.0)
 
 _SLOW, _SLOW_SPIN = 5e-3, 0.1
-"""Speed [m/s] and angular speed [rad/s] up to which a flotor rests: at 200 Hz 300 times the look of noise of half a
-spot's step, and 3 times that of 50 µm."""
+"""Largest speed [m/s] and angular speed [rad/s] at rest.
+
+At 200 Hz they are 300 times the apparent speed due to noise of half a spot's step, and 3 times that due to 50 µm.
+"""
 
 _ON_STOP = 0.6 * Spec.translation_range.value
 _WATCHED, _BLOCKS = 0.1, 5
 
 
 class Motion:
-    """Pose and speed of the flotor over the last 0.1 s.
+    """Pose and speed of the flotor over 0.1 s.
 
     The speeds are the range of the mean poses of five blocks, over the time between the first and the last: noise
     counts the less the faster the sampling, and a swing to and fro below 25 Hz is not missed.
@@ -46,7 +48,7 @@ class Motion:
 
     @property
     def full(self) -> bool:
-        """Whether the samples reach back that far."""
+        """True if the samples cover 0.1 s."""
         return len(self._seen) == self._seen.maxlen
 
     @property
@@ -56,7 +58,10 @@ class Motion:
 
     @property
     def speeds(self) -> tuple[float, float]:
-        """Speed [m/s] and angular speed [rad/s]; NaN for less than two samples."""
+        """Speed [m/s] and angular speed [rad/s].
+
+        NaN for less than two samples.
+        """
         if len(self._seen) < 2:
             return math.nan, math.nan
         rows = np.array([(one.tick * self._period, *one.position) for one in self._seen])
@@ -66,7 +71,7 @@ class Motion:
 
     @property
     def at_rest(self) -> bool:
-        """Whether the flotor rests."""
+        """True if the flotor is at rest."""
         speed, spin = self.speeds
         return speed <= _SLOW and spin <= _SLOW_SPIN
 
@@ -78,9 +83,9 @@ class LandingReport(NamedTuple):
     """Pose and motion of a flotor after landing.
 
     Attributes:
-        error: Distance from its place before takeoff [m]; NaN if its pose is not known.
-        speed: Over the last 0.1 s [m/s].
-        spin: Likewise [rad/s].
+        error: Distance from the pose before takeoff [m]; NaN if its pose is not known.
+        speed: Speed over the last 0.1 s [m/s].
+        spin: Angular speed over the last 0.1 s [rad/s].
         at_rest: True if it rests.
     """
 
@@ -95,12 +100,14 @@ class LandingReport(NamedTuple):
 
 
 class Leader:
-    """A controller that leads the flotor along a minimum-jerk path by a soft spring and damper, and carries its weight.
+    """Controller that leads the flotor along a minimum-jerk path.
+
+    A soft spring and damper, and the weight carried.
 
     Args:
-        calibration: What is known of the device.
+        calibration: Calibration of the device.
         period: Sample period [s].
-        delay: From a sample to its command taking effect [s], however it comes about.
+        delay: Total time from a sample to its command's effect [s].
 
     Attributes:
         period: Sample period [s].
@@ -121,7 +128,9 @@ class Leader:
         duration: float,
         astray: Callable[[Sequence[float]], object] | None = None,
     ) -> None:
-        """Begin a path at the next sample, from start to end [m, rad], six each.
+        """Begin a path between two poses at the next sample.
+
+        Poses are [m, rad], six each.
 
         Args:
             start: First pose.
@@ -154,7 +163,10 @@ def _speeds_shown(speed: float, spin: float) -> str:
 
 
 def off_stop(pose: Sequence[float], gravity: Sequence[float]) -> bool:
-    """Return whether a pose [m, rad] is not on the lower stop, as gravity [m/s²] has it; without gravity all are."""
+    """Return True if a pose is off the lower stop.
+
+    The stop is the lower one with respect to gravity [m/s²]; without gravity no pose is off it.
+    """
     return sum(one * other for one, other in zip(pose, gravity)) < _ON_STOP * math.hypot(*gravity)
 
 

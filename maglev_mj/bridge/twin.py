@@ -1,4 +1,7 @@
-"""A device that is not there: the MuJoCo flotor with coils, amplifiers, LEDs and diodes, behind the device's wire."""
+"""Simulated device: MuJoCo flotor, coils, amplifiers, LEDs and diodes.
+
+It is reached by the device's own protocol.
+"""
 
 from __future__ import annotations
 
@@ -30,16 +33,16 @@ from maglev_mj.spec import Spec
 __all__ = ["REST", "AmplifierBoard", "ServerReport", "Twin", "TwinParameters", "TwinServer"]
 
 REST = (0.0, 0.0, -Spec.translation_range.value, 0.0, 0.0, 0.0)
-"""Where the flotor lies while nothing carries it [m, rad]: on its lower stop."""
+"""Pose at rest on the lower stop [m, rad]."""
 
 _ALL = 7
 _MARGIN = 1.25
-"""Hover currents may be that much above those of the calibration."""
+"""Factor over the calibrated hover currents, for the hover limit."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TwinParameters:
-    """What a twin is.
+    """Parameters of a twin.
 
     Raises:
         ParameterError: If a value is outside its bounds.
@@ -58,14 +61,17 @@ class TwinParameters:
     faults: Sequence[InjectedFault] = ()
 
     def __post_init__(self) -> None:
-        # whole nanoseconds, which is what the wire counts time in
+        # whole nanoseconds, the wire's unit of time
         number("period", self.period, at_least=1e-5, at_most=0.1)
         number("delay", self.delay, at_least=0.0, at_most=0.1)
         flag("lockstep", self.lockstep)
 
     @cached_property
     def profile(self) -> Profile:
-        """What it says of itself; its limits as far as calibration, sample period and sensor narrow them."""
+        """Handshake properties, with limits narrowed by the other parameters.
+
+        Those are calibration, sample period and sensor.
+        """
         limits = self.limits.replace(
             enable=min(max(self.limits.enable, 3.0 * self.period), self.limits.watchdog),
             hover=min(
@@ -80,13 +86,13 @@ class TwinParameters:
 
 
 class AmplifierBoard:
-    """Six amplifiers with an enable line, in simulated hardware: no program stands between line and currents.
+    """Simulated board of six amplifiers with an enable line.
 
-    They open at the instant at which the line has stood still for too long; see `Amplifiers`.
+    No program acts between line and currents: they are cut when the line has stopped for too long. See `Amplifiers`.
 
     Attributes:
         now: The hardware's time [ns].
-        stuck: Currents of coils that keep theirs whatever is asked for [A], by coil.
+        stuck: Constant currents of stuck amplifiers [A], by coil.
     """
 
     def __init__(self, plant: MuJoCoPlant, parameters: TwinParameters) -> None:
@@ -98,11 +104,11 @@ class AmplifierBoard:
 
     @property
     def enabled(self) -> bool:
-        """Whether the line lives and currents can flow."""
+        """True if the enable line toggles and currents can flow."""
         return self.now < self._opens
 
     def commanded(self, currents: list[float]) -> list[float]:
-        """Return what the amplifiers were told, where so much flows [A], six."""
+        """Return the commanded currents at these actual currents [A], six."""
         return [self._told[coil] if coil in self.stuck else one for coil, one in enumerate(currents)]
 
     def drive(self, now: int, held: Sequence[float], pulsed: Sequence[float] | None, width: float) -> None:
@@ -121,13 +127,13 @@ class AmplifierBoard:
         self._opens = self.now + self._enable
 
     def go_on(self, now: int) -> None:
-        """Go on to the next sample [ns]; open on the way if it is time."""
+        """Advance to the next sample [ns]; cut currents if due."""
         if self._sampled_at < self._opens <= now:
             self.now = self._opens
             self.cut()
 
     def sampled(self, now: int) -> None:
-        """Take note of the instant of a sample [ns]."""
+        """Set the time of the last sample [ns]."""
         self._sampled_at = self.now = now
 
     def _switch(self, held: Sequence[float], pulsed: Sequence[float] | None, width: float, after: float | None) -> None:
@@ -141,20 +147,22 @@ class AmplifierBoard:
 
 
 class Twin:
-    """A device that is not there. Its time [ns] is the simulated one: whole sample periods, and what others say.
+    """Simulated device in simulated time [ns].
+
+    Time advances by sample periods and by the instants given to `receive`.
 
     Args:
-        parameters: What it is.
-        key: With which frames are sealed.
-        hand_force: The hand on it.
+        parameters: Parameters of the device.
+        key: Authentication key of the frames; None for none.
+        hand_force: Model of the hand.
         draw: See `Firmware`.
 
     Attributes:
         plant: The device in the engine; only `board`, its amplifiers, commands it.
         tick: Number of the last sample; -1 before the first.
-        ahead: How far the firmware's clock has jumped [ns].
-        hung: Whether the firmware hangs.
-        silent_until: Until when nothing comes or goes [ns].
+        ahead: Jump of the firmware's clock [ns].
+        hung: True if the firmware hangs.
+        silent_until: End of a silence without any frames [ns].
     """
 
     def __init__(
@@ -181,7 +189,7 @@ class Twin:
 
     @property
     def answered(self) -> bool:
-        """Whether the last sample has had its answer, in lockstep."""
+        """True if the last sample is answered, in lockstep."""
         return self.firmware.answered == self.tick & 0xFFFFFFFF
 
     @property
@@ -190,17 +198,22 @@ class Twin:
         return self.plant.state()[0]
 
     def receive(self, data: bytes, now: int, peer: Any) -> bytes | None:
-        """Take a frame from a peer at an instant of simulated time [ns]; return what to send back, if anything."""
+        """Handle a frame received at `now` [ns]; return the reply.
+
+        None if there is no reply. `now` is in simulated time.
+        """
         if self.hung or self._silent:
             return None
         self.board.now = max(now, self.tick * self._period)
         return self.firmware.receive(data, self.board.now + self.ahead, peer)
 
     def sample(self) -> bytes | None:
-        """Go on to the next sampling instant; return what to send to the host in session, if there is one.
+        """Advance to the next sample; return its STATE frame.
+
+        None without a session.
 
         Raises:
-            DivergenceError: If the flotor leaves its range by a wide margin, which metal stops do not allow.
+            DivergenceError: If the flotor leaves its range by a wide margin, impossible with metal stops.
         """
         now = (self.tick + 1) * self._period
         self.board.go_on(now)
@@ -227,11 +240,11 @@ class Twin:
         return max(self.tick, 0) * self._period < self.silent_until
 
     def estop(self) -> None:
-        """Stop as an emergency stop's frame does."""
+        """Stop as on an ESTOP frame."""
         self.firmware.trip(Fault.ESTOP, self.board.now + self.ahead)
 
     def _begin(self, reading: Reading) -> None:
-        """Begin with the faults whose time has come."""
+        """Begin the injected faults that are due."""
         while self._waiting and self._waiting[0].at * 1e9 <= self.tick * self._period:
             one = self._waiting.pop(0)
             effect = INJECTED_FAULTS[one.kind]
@@ -240,7 +253,7 @@ class Twin:
             self._live.append((effect, one.which, reading))
 
     def _reported(self, data: bytes) -> bytes:
-        """Return a STATE frame as the faults let it be."""
+        """Return a STATE frame changed by the injected faults."""
         changes = [(effect.report, which) for effect, which, _ in self._live if effect.report is not None]
         frame = self.codec.decode(data) if changes else None
         if frame is None or not isinstance(frame.body, StateReport):
@@ -271,11 +284,11 @@ def _plant(parameters: TwinParameters, truth: Calibration, hand_force: HandForce
 _AGAIN, _LET_GO, _LOOK = 0.02, 2.0, 0.05
 _MOST, _FEW = 4096, 32
 _ESTOP = b"\x07"
-"""The fourth byte of an emergency stop."""
+"""Frame type of ESTOP, the fourth byte."""
 
 
 class ServerReport(NamedTuple):
-    """What a server came to."""
+    """Statistics of a twin server."""
 
     ticks: int  # samples taken
     missed: int  # periods for which simulated time stood still because the machine did
@@ -284,19 +297,19 @@ class ServerReport(NamedTuple):
 
 
 class TwinServer:
-    """Runs a twin: samples on time, frames in and out.
+    """Server of a twin: punctual samples, frames in and out.
 
-    In real time it is the clock of both ends: it samples at absolute deadlines, and where it is late by whole periods
-    simulated time stands still for as long. In lockstep it takes a sample when the one before is answered, says it
-    again after 20 ms without answer, and lets go after 2 s. Emergency stops are taken before whatever else waits.
+    In real time it is the clock of both ends: it samples at absolute deadlines, and if it is late by whole periods
+    simulated time stands still for as long. In lockstep it takes a sample when the one before is answered, repeats it
+    after 20 ms without answer, and drops the host after 2 s. Emergency stops are handled before all other frames.
 
     Args:
         twin: The device.
-        server: Where hosts reach it; closed with the server.
-        spin: How long to poll rather than sleep in lockstep [s]: quick where a processor is free for it.
+        server: Socket or serial line; closed with this server.
+        spin: Polling time before sleeping in lockstep [s]; short latencies if a processor is free.
 
     Attributes:
-        address: Where hosts reach it.
+        address: Address for hosts.
         missed: See `ServerReport`.
     """
 
@@ -310,10 +323,12 @@ class TwinServer:
         self._stopped = threading.Event()
 
     def run(self, duration: float | None = None, each: Callable[[], object] | None = None) -> ServerReport:
-        """Serve for `duration` [s] or until `stop`; call `each` after each sample.
+        """Serve for `duration` [s] or until `stop`.
+
+        `each` is called after each sample.
 
         Raises:
-            MaglevError: If the simulated device cannot go on, or the line is gone.
+            MaglevError: If the simulated device diverges, or the link has failed.
         """
         twin, start = self.twin, time.monotonic_ns()
         end = None if duration is None else start + round(duration * 1e9)
@@ -346,7 +361,10 @@ class TwinServer:
         self._server.close()
 
     def _await_deadline(self) -> None:
-        """Take frames until the next sample is due, and those that wait then: late is not deaf."""
+        """Handle frames until the next sample is due.
+
+        Frames that wait at a late deadline are handled too.
+        """
         clock, period = time.monotonic_ns, self._period
         self._deadline = self._zero + (self.twin.tick + 1) * period
         left = 1
@@ -360,7 +378,7 @@ class TwinServer:
         self._zero += late // period * period
 
     def _await_answer(self, frame: bytes | None) -> None:
-        """Wait until the last sample is answered, or nobody is there any more."""
+        """Wait until the last sample is answered or host lost."""
         twin, clock = self.twin, time.monotonic_ns
         asked = clock()
         patience, again = asked + round(_LET_GO * 1e9), asked + round(_AGAIN * 1e9)
@@ -377,7 +395,10 @@ class TwinServer:
                 again = now + round(_AGAIN * 1e9)
 
     def _hear(self, timeout: float) -> None:
-        """Wait so long for a frame [s], and take those that wait then, for a period at most once the sample is due."""
+        """Receive for `timeout` [s] and handle the frames.
+
+        Once the sample is due, at most one period is spent.
+        """
         self._collect(0.0 if self._waiting else timeout)
         for count in range(1, len(self._waiting) + 1):
             self._take(*self._waiting.popleft())
@@ -387,7 +408,7 @@ class TwinServer:
                     return
 
     def _collect(self, timeout: float) -> None:
-        """Put what has come into the queue; take emergency stops at once."""
+        """Queue received frames; handle emergency stops at once."""
         for count in range(_MOST):
             if (count % _FEW == _FEW - 1 and self._overdue) or (arrived := self._server.receive(timeout)) is None:
                 return

@@ -1,8 +1,8 @@
 """Frames on the wire: little-endian, packed, in SI units.
 
-CRC-32 seals each and, with a key, a tag authenticates it: docs/reference/protocol.md.
+Each ends in a CRC-32 and, with a key, an authentication tag: docs/reference/protocol.md.
 
-Nothing that arrives can raise here: what is no frame is counted by reason and dropped.
+Received data never raises: an invalid frame is counted by reason and dropped.
 """
 
 from __future__ import annotations
@@ -42,7 +42,10 @@ __all__ = [
 
 
 class State(IntEnum):
-    """Of a device. A fault is latched: only an explicit reset leads out of it."""
+    """State of a device.
+
+    A fault is latched: only an explicit reset leads out of it.
+    """
 
     INACTIVE = 0
     ACTIVE = 1
@@ -50,7 +53,10 @@ class State(IntEnum):
 
 
 class Fault(IntFlag):
-    """Why a device is in the fault state; the first four have the bits that Maglev 200 users know."""
+    """Reasons for the fault state.
+
+    The first four have the bits of the Maglev 200.
+    """
 
     SENSOR_OUT_OF_RANGE = 1
     COIL_OVERTEMP = 2
@@ -70,14 +76,14 @@ class Fault(IntFlag):
 
 
 class Flag(IntFlag):
-    """In a STATE frame."""
+    """Flags of a STATE frame."""
 
     HOLDING = 1  # commands are missing: the currents agreed at arming are on
     ENABLED = 2  # the amplifier board sees its enable line live
 
 
 class Operation(IntEnum):
-    """What a host asks for in a CTRL frame."""
+    """Operations that a host requests in a CTRL frame."""
 
     ARM = 1
     DISARM = 2
@@ -87,14 +93,14 @@ class Operation(IntEnum):
 
 
 class Result(IntEnum):
-    """How a device answers a CTRL frame."""
+    """Status in a device's answer to a CTRL frame."""
 
     DONE = 0
     REFUSED = 1
 
 
 class HelloStatus(IntEnum):
-    """How a device answers a HELLO frame."""
+    """Status in a device's answer to a HELLO frame."""
 
     WELCOME = 0
     VERSION = 1
@@ -118,18 +124,21 @@ VERSION = 2
 _HEADER = "<HBBIIQ"
 _CRC = struct.Struct("<I")
 _SEALED = 0x2144DF1C
-"""The CRC of anything that its own CRC follows, and of nothing else of that length and beginning."""
+"""CRC-32 of any data followed by its own CRC."""
 
 
 class Hello(NamedTuple):
-    """A host asks for a session; the same nonce gets the same session."""
+    """Request for a session; equal nonces get the same session."""
 
     nonce: int
     calibration: bytes
 
 
 class HelloAck(NamedTuple):
-    """The device answers, and says what it is: times [ns], currents [A], `spot_limit` [m], `spot_speed` [m/s]."""
+    """Answer to HELLO with the device's properties.
+
+    Times [ns], currents [A], `spot_limit` [m], `spot_speed` [m/s].
+    """
 
     nonce: int
     status: int
@@ -155,7 +164,10 @@ class HelloAck(NamedTuple):
 
 
 class Control(NamedTuple):
-    """A host asks for an `Operation`; `faults` are TRIP's, `hover` [A], six, is ARM's."""
+    """Request for an `Operation`.
+
+    `faults` belong to TRIP; `hover` [A], six, belongs to ARM.
+    """
 
     request: int
     operation: int
@@ -164,7 +176,10 @@ class Control(NamedTuple):
 
 
 class ControlAck(NamedTuple):
-    """The device answers: request and operation as asked, `Result`, and its state and faults after it."""
+    """Answer to CTRL.
+
+    Request and operation as requested, `Result`, state and faults after it.
+    """
 
     request: int
     operation: int
@@ -174,7 +189,10 @@ class ControlAck(NamedTuple):
 
 
 class StateReport(NamedTuple):
-    """A device's measurements at a sample; the frame's sequence number is the sample's number."""
+    """Measurements of a device at one sample.
+
+    The frame's sequence number is the sample's number.
+    """
 
     spots: tuple[float, ...]  # x and y of each of the three [m]
     currents: tuple[float, ...]  # measured, six [A]
@@ -189,7 +207,10 @@ class StateReport(NamedTuple):
 
 
 class Command(NamedTuple):
-    """Currents from now on: `pulsed` for the first `width` seconds, then `held` [A], six each."""
+    """Commanded currents [A], six each.
+
+    `pulsed` for the first `width` seconds, then `held`.
+    """
 
     answers: int  # number of the sample answered
     flags: int  # 0
@@ -199,13 +220,19 @@ class Command(NamedTuple):
 
 
 class Estop(NamedTuple):
-    """Anyone asks for an emergency stop; the same request number in every repetition."""
+    """Request for an emergency stop, from any host.
+
+    Every repetition has the same request number.
+    """
 
     request: int
 
 
 class EstopAck(NamedTuple):
-    """The device answers an emergency stop, with the instant [ns] and the currents [A], six, of its last sample."""
+    """Answer to an emergency stop.
+
+    `sampled` [ns] and `currents` [A], six, are those of the last sample.
+    """
 
     request: int
     state: int
@@ -244,7 +271,7 @@ _NESTED: dict[int, Callable[[tuple[Any, ...]], Body]] = {
 
 
 class Frame(NamedTuple):
-    """A frame that was read."""
+    """Decoded frame."""
 
     session: int  # 0 in a HELLO and an ESTOP
     sequence: int  # in a CMD counted up by the host, in a STATE the number of the sample; else 0
@@ -253,14 +280,14 @@ class Frame(NamedTuple):
 
 
 class Codec:
-    """Writes and reads frames, sealed by a key if there is one.
+    """Encoder and decoder of frames, authenticated with a key.
 
     Args:
-        key: 16 to 32 bytes shared by both ends; None for none.
+        key: 16 to 32 bytes shared by both ends; None for no authentication.
 
     Attributes:
-        dropped: How many frames were dropped, by reason: short, magic, version, type, length, crc, tag.
-        version_met: Protocol version of the last frame that was dropped for its version; None for none.
+        dropped: Numbers of dropped frames by reason: short, magic, version, type, length, crc, tag.
+        version_met: Protocol version of the last frame that was dropped for its version; None for no authentication.
 
     Raises:
         ParameterError: If the key is too short or too long.
@@ -273,7 +300,10 @@ class Codec:
         self.version_met: int | None = None
 
     def encode(self, session: int, sequence: int, time: int, body: Body) -> bytes:
-        """Return a frame; its sequence number is taken modulo 2³², `time` is the sender's clock [ns]."""
+        """Return an encoded frame.
+
+        The sequence number is taken modulo 2³²; `time` is the sender's clock [ns].
+        """
         number = _NUMBERS[body.__class__]
         values = _FLAT[number](body) if number in _FLAT else body
         data = _STRUCTS[number].pack(MAGIC, VERSION, number, session, sequence & 0xFFFFFFFF, time, *values)
@@ -282,7 +312,10 @@ class Codec:
         return data + _CRC.pack(zlib.crc32(data))
 
     def decode(self, data: bytes) -> Frame | None:
-        """Return the frame; None, and a reason counted in `dropped`, if there is none that can be trusted."""
+        """Return the decoded frame, or None if it is invalid.
+
+        The reason is counted in `dropped`.
+        """
         if reason := self._reason(data):
             self.dropped[reason] += 1
             return None
@@ -292,12 +325,12 @@ class Codec:
         return Frame(values[3], values[4], values[5], body)
 
     def _reason(self, data: bytes) -> str:
-        """Return why data is no frame that can be trusted; nothing where it is one."""
+        """Return why data is not a valid frame, or ""."""
         if len(data) < 4:
             return "short"
         if data[:2] != _MAGIC:
             return "magic"
-        # the seal first: what it does not vouch for is not looked at
+        # the CRC first: no other field is read unless it is right
         if len(data) < self._overhead + 4 or zlib.crc32(data) != _SEALED:
             return "crc"
         if data[2] != VERSION:
@@ -316,7 +349,9 @@ class Codec:
 
 
 def newer(one: int, other: int) -> bool:
-    """Return whether a sequence number comes after another, by serial arithmetic on 32 bits.
+    """Return True if one sequence number comes after the other.
+
+    Serial arithmetic on 32 bits.
 
     Source: RFC 1982.
     """

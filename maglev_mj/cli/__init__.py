@@ -1,4 +1,4 @@
-"""The command line: `maglev-mj` and its commands, one a module."""
+"""Command line: `maglev-mj` and its commands, one per module."""
 
 from maglev_mj.cli.program import main, parser
 

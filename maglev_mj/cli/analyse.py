@@ -1,4 +1,4 @@
-"""`maglev-mj analyse`: what a recording tells, and how far it is from its simulation."""
+"""`maglev-mj analyse`: figures of a recording, and comparison with simulation."""
 
 from __future__ import annotations
 
@@ -90,11 +90,11 @@ def _analyse(options: argparse.Namespace) -> int:
 
 
 def _chosen(stretches: Sequence[Stretch], options: argparse.Namespace) -> list[tuple[int, Stretch]]:
-    """Return the stretches to analyse, and which they are from 1.
+    """Return the stretches to analyse and their numbers from 1.
 
     Raises:
-        InvalidRecordingError: If there is nothing in the recording.
-        ParameterError: If there is no such stretch, or it is not clear of which a part is meant.
+        InvalidRecordingError: If the recording has no samples.
+        ParameterError: If there is no such stretch, or the stretch of a part is ambiguous.
     """
     usable = [(place, stretch) for place, stretch in enumerate(stretches, start=1) if len(stretch.tick) > 1]
     if not usable:
@@ -119,7 +119,7 @@ def _found(stretch: Stretch, options: argparse.Namespace, own: OwnCode | None) -
 
 
 def _draw(analysed: Analysed, axis: int, pictures: plots.PictureFolder, stem: str) -> list[str]:
-    """Draw what there is to draw of a stretch; return what was written, and what there is not."""
+    """Draw a stretch; return lines about written and missing pictures."""
     wrote = [f"wrote {plots.whole_run(analysed, axis, pictures.path(f'{stem}run'))}"]
     if any(face.axis == axis for face in analysed.recorded.figures.faces):
         wrote.insert(0, f"wrote {plots.first_contact(analysed, axis, pictures.path(f'{stem}contact'))}")

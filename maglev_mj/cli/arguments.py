@@ -1,4 +1,7 @@
-"""Parsers of the command line: options in groups, an example, each complaint one line, all within 80 columns."""
+"""Command-line parsers: option groups, examples, one-line errors.
+
+All within 80 columns.
+"""
 
 from __future__ import annotations
 
@@ -20,13 +23,16 @@ _MARGIN = 2
 
 
 class _Formatter(argparse.HelpFormatter):
-    """Help that names no option twice, and keeps lines that begin with a space as they are."""
+    """Formatter of help texts that names each option once.
+
+    Lines that begin with a space stay as they are.
+    """
 
     def __init__(self, prog: str) -> None:
         super().__init__(prog, width=min(get_terminal_size().columns, WIDTH) - _MARGIN)
 
     def add_usage(self, usage: str | None, actions: Iterable[argparse.Action], *rest: Any, **named: Any) -> None:
-        """Add what must be given; the other options are listed below."""
+        """Add the required arguments; options are listed below."""
         actions = list(actions)
         needed = [one for one in actions if one.required or not one.option_strings]
         words = [" ".join(filter(None, (*one.option_strings[:1], self._format_args(one, one.dest)))) for one in needed]
@@ -40,10 +46,10 @@ class _Formatter(argparse.HelpFormatter):
 
 
 class Parser(argparse.ArgumentParser):
-    """An argument parser whose complaint is one line.
+    """Argument parser with one-line error messages.
 
     Attributes:
-        example: A command line, at the end of the help; empty for none.
+        example: Example command line at the end of the help; empty for none.
     """
 
     def __init__(self, *, example: str = "", **keywords: Any) -> None:
@@ -52,7 +58,10 @@ class Parser(argparse.ArgumentParser):
         self.example = example
 
     before: Callable[[Sequence[str]], None] | None = None
-    """Called once with the arguments before they are parsed, for options that depend on another."""
+    """Hook called once with the arguments before parsing.
+
+    For options that depend on another.
+    """
 
     def prepare(self, arguments: Sequence[str]) -> None:
         """Add the options that depend on the arguments."""
@@ -61,12 +70,18 @@ class Parser(argparse.ArgumentParser):
             before(arguments)
 
     def group(self, title: str) -> argparse._ArgumentGroup:
-        """Return the group of options of a title; the help lists groups in the order of the first calls."""
+        """Return the option group of a title.
+
+        The help lists groups in the order of the first calls.
+        """
         found = (group for group in self._action_groups if group.title == title)
         return next(found, None) or self.add_argument_group(title)
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """See `argparse.ArgumentParser`; what is not known is an error at once, of the command that it stands in."""
+        """Parse the arguments; an unknown one is an error.
+
+        The error is raised in the command of the argument. See `argparse.ArgumentParser`.
+        """
         self.prepare(args or ())
         found, unknown = super().parse_known_args(args, namespace)
         if unknown:
@@ -81,7 +96,10 @@ class Parser(argparse.ArgumentParser):
             raise argparse.ArgumentError(None, not_one_of(name, action.choices, value))
 
     def format_help(self) -> str:
-        """Return the help: what must be given, then groups of options, those of every command last, an example."""
+        """Return the help: required arguments, option groups, example.
+
+        The options of every command come last among the groups.
+        """
         self._action_groups.sort(key=lambda group: group is self._optionals)
         return super().format_help() + (f"\nExample:\n  {self.example}\n" if self.example else "")
 
@@ -91,14 +109,19 @@ class Parser(argparse.ArgumentParser):
 
 
 def offer(action: argparse.Action, values: Iterable[str]) -> None:
-    """Offer values of an option to a shell that completes it; others stay allowed."""
+    """Set an option's values for shell completion.
+
+    Others stay allowed.
+    """
     setattr(action, "offered", list(values))  # noqa: B010
 
 
 def joined(arguments: Sequence[str]) -> list[str]:
-    """Join an option and a negative number after it: argparse takes -1e-3, -5:3 and -inf for options of their own.
+    """Join an option and a negative number after it.
 
-    What it does know for a number stays as it is, so that an option of several values gets them all.
+    argparse takes -1e-3, -5:3 and -inf for options.
+
+    Numbers that argparse knows stay as they are, so that an option of several values gets them all.
     """
     result: list[str] = []
     for argument in arguments:

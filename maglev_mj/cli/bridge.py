@@ -1,4 +1,4 @@
-"""`maglev-mj bridge`: a scene on a device at the other end of a wire."""
+"""`maglev-mj bridge`: a scene on a remote device."""
 
 from __future__ import annotations
 
@@ -88,14 +88,14 @@ def add_options(parser: Parser) -> None:
 
 
 def _bridge(options: argparse.Namespace) -> int:
-    scene, key = chosen_scene(options), chosen_key(options.key)  # before the device: what is wrong is said at once
+    scene, key = chosen_scene(options), chosen_key(options.key)  # before the device: errors are reported at once
     limits = chosen(options, HostLimits() if options.profile is None else HostLimits.load(options.profile))
     _check(options)
     calibration = Calibration.nominal() if options.calibration is None else Calibration.load(options.calibration)
     front = chosen_front(options, options.out, watch=True)
-    # publishers first: what is wrong with them is said before the device moves
+    # publishers first: their errors are reported before the device moves
     with (
-        stopping(interrupt, lambda: None),  # what closes is not stopped by a second Ctrl-C
+        stopping(interrupt, lambda: None),  # closing is not stopped by a second Ctrl-C
         chosen_publishers(options) as (publishers, live),
         _opened(options, calibration, key, limits) as plant,
     ):
@@ -114,7 +114,7 @@ def _bridge(options: argparse.Namespace) -> int:
 
 
 def _check(options: argparse.Namespace) -> None:
-    """Check what can be checked without the device."""
+    """Check options as far as possible without the device."""
     if options.seconds is not None:
         number("seconds", options.seconds, above=0.0)
     check_recording(options.record)
@@ -139,7 +139,10 @@ def _fly(
     publishers: Sequence[Publisher],
     live: RecordingFile | None,
 ) -> None:
-    """Fly a scene; whatever ends it, first the device is let go, then what was recorded is kept."""
+    """Fly a scene; then disarm the device and close recordings.
+
+    In this order, at any end of the flight.
+    """
     switch = StopSwitch()
     with ExitStack() as last:
         last.enter_context(stopping(switch.land, switch.cut, within=LANDING_TIME))
@@ -163,7 +166,7 @@ def _fly(
         )
         if viewer is not None:
             viewer.on_close, viewer.on_emergency = switch.land, switch.cut
-        last.push(plant)  # first of all the device is let go
+        last.push(plant)  # the device is closed first
         with _punctual(options):
             print(f"  {scene.name} at {1.0 / plant.period:g} Hz; keep hands off while it takes off", flush=True)
             try:
@@ -173,12 +176,12 @@ def _fly(
 
 
 def _warn(text: str) -> None:
-    with suppress(OSError):  # a terminal that is gone is no reason to let go
+    with suppress(OSError):  # a closed terminal must not end the flight
         say(f"  {text}", sys.stderr)
 
 
 def _keep(file: RecordingFile, _kind: object, error: BaseException | None, _trace: object) -> None:
-    """Write what is left of what was recorded; what ended the flight is told of first."""
+    """Close a recording; print its error after an earlier one."""
     try:
         path = file.close()
     except MaglevError as problem:
@@ -201,7 +204,7 @@ def _opened(
 
 @contextmanager
 def _punctual(options: argparse.Namespace) -> Iterator[None]:
-    """Run in real time, and say what of that was refused."""
+    """Run in real time and print refused settings."""
     with realtime(options.realtime) as refused:
         for complaint in refused:
             print(f"  not in real time: {complaint}", file=sys.stderr)

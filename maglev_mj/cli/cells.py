@@ -1,4 +1,4 @@
-"""Studies of many cells on the command line: where they run, and the record that keeps what is done."""
+"""Options of studies with many cells: workers and records."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ def add_workers(parser: Parser, record: str) -> None:
     """Add --record, --workers and --scheduler.
 
     Args:
-        parser: Of the command.
-        record: What the record is for.
+        parser: Parser of the command.
+        record: Purpose of the record, for the help.
     """
     parser.group("output").add_argument("--record", metavar="FILE", type=Path, help=f"{record}; one JSON object a line")
     group = parser.group("workers")
@@ -33,7 +33,10 @@ def add_workers(parser: Parser, record: str) -> None:
 
 
 def chosen_workers(options: argparse.Namespace, default: int | None) -> Workers:
-    """Return the workers asked for; `default` processes, None for one a processor, unless told."""
+    """Return the chosen workers.
+
+    By default `default` processes; None for one per processor.
+    """
     if options.scheduler is not None:
         if options.workers is not None:
             raise ParameterError(f"workers must be left to the scheduler where there is one, not {options.workers}")
@@ -43,7 +46,10 @@ def chosen_workers(options: argparse.Namespace, default: int | None) -> Workers:
 
 @contextmanager
 def cells_kept(path: Path | None, fallback: Path) -> Iterator[None]:
-    """Write the cells of a study that is stopped, unless they are in a file, and name it in the error."""
+    """Write the cells of an interrupted study to a file.
+
+    Only if they are not in a record yet; the error names the file.
+    """
     try:
         yield
     except (StudyInterrupted, WorkersError) as stopped:
@@ -57,10 +63,10 @@ def cells_kept(path: Path | None, fallback: Path) -> Iterator[None]:
 
 
 def tell_of_others(command: str, others: Sequence[Mapping[str, Any]]) -> None:
-    """Print on standard error that other code made cells of a record; nothing without any.
+    """Print on standard error that other code made some cells.
 
     Args:
-        command: Of the command line.
+        command: Name of the command.
         others: See `Record.others`.
     """
     if others:

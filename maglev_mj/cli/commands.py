@@ -1,4 +1,4 @@
-"""The commands of the command line: groups, what each does, an example; a line a command."""
+"""Table of the commands: groups, summaries, examples."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ __all__ = ["COMMANDS", "GROUPS", "Command"]
 
 
 class Command(NamedTuple):
-    """A command, whose module has `add_options(parser)`.
+    """Command with a module that has `add_options(parser)`.
 
     Attributes:
-        summary: What it does.
+        summary: Purpose in a few words.
         example: Arguments of an example.
-        module: Module of this package; empty where it is named as the command.
+        module: Module of this package; empty if it is named as the command.
     """
 
     summary: str
@@ -43,7 +43,7 @@ GROUPS: Mapping[str, Mapping[str, Command]] = {
     "device": {
         "twin": Command("a simulated device behind the wire of a real one", "--rate 1000 --fault dead-coil:2@3 --view"),
         "bridge": Command("a scene on a device", "udp://127.0.0.1:5678 --scene box --view --record flight.mcap"),
-        "estop": Command("stop a device, whoever flies it", "udp://192.168.1.20:5678 --key lab.key"),
+        "estop": Command("stop a device, also in the session of another host", "udp://192.168.1.20:5678 --key lab.key"),
         "commission": Command("diodes and coils of a new device, before it hovers", "udp://127.0.0.1:5678 coils"),
         "conform": Command("test a device's side of the protocol", "udp://127.0.0.1:5678 --json report.json"),
         "fault": Command("what happened before a fault, from its file", "maglev-fault-20260101-120000.json --all"),
@@ -54,6 +54,6 @@ GROUPS: Mapping[str, Mapping[str, Command]] = {
         "export": Command("a recording as a table for other programs", "run.mcap --to csv"),
     },
 }
-"""Commands in the order in which the help lists them."""
+"""Commands in the order of the help."""
 
 COMMANDS: Mapping[str, Command] = {name: command for group in GROUPS.values() for name, command in group.items()}

@@ -1,4 +1,4 @@
-"""`maglev-mj commission`: a new device's sensor and coils, ahead of its first hover."""
+"""`maglev-mj commission`: sensor and coil tests before the first hover."""
 
 from __future__ import annotations
 
@@ -76,7 +76,10 @@ def _commission(options: argparse.Namespace) -> int:
 
 
 def _show_spots(plant: RemotePlant, seconds: float | None) -> None:
-    """Print spots and pose, currents off, until Ctrl-C or for so long [s]."""
+    """Print spots and pose without currents.
+
+    Until Ctrl-C, or for `seconds`.
+    """
     end = math.inf if seconds is None else time.monotonic() + seconds
     print(f"  {'x and y of the spots on diodes 0, 1, 2 [mm]':<43}{'x y z [mm]':>16}{'rx ry rz [°]':>18}")
     every = max(round(_SHOWN / plant.period), 1)

@@ -1,7 +1,7 @@
-"""Completion of commands, options and their values in a shell, by argcomplete where it is installed.
+"""Shell completion of commands, options and values by argcomplete.
 
-A shell asks at each press of a key, so that the options of a command are kept in the user's cache folder, for as long
-as no file of this package changes: to find them takes the libraries that the command needs, four times as long.
+A shell asks at each key press. The options of a command are therefore kept in the user's cache folder, as long
+as no file of this package changes: loading the libraries of the command takes four times as long.
 """
 
 from __future__ import annotations
@@ -23,14 +23,16 @@ __all__ = ["complete"]
 _FILES = "FILE", "DIR", "PATH"
 _KEPT = "dest", "nargs", "metavar", "choices", "help"
 _NO_SCENE = r"-(?!-scene).*|[\d.]+(e-?\d+)?"
-"""An option or a number."""
+"""Pattern of an option or a number."""
 
 
 def complete(parser: Parser) -> None:
-    """Answer a shell that asks for completions, and end; return at once where none asks.
+    """Answer a shell's request for completions, and exit.
+
+    Return at once without a request.
 
     Args:
-        parser: Of all commands.
+        parser: Parser of all commands.
     """
     if "_ARGCOMPLETE" not in os.environ:
         return
@@ -48,7 +50,7 @@ def complete(parser: Parser) -> None:
 
 
 def _values(prefix: str, action: argparse.Action, **_: Any) -> list[str]:
-    """Return the values offered, files and scenes where they are asked for; nothing for a number."""
+    """Return completions: offered values, files or scenes."""
     from argcomplete.completers import FilesCompleter
 
     if offered := getattr(action, "offered", ()):
@@ -62,10 +64,10 @@ def _values(prefix: str, action: argparse.Action, **_: Any) -> list[str]:
 
 
 def _add_options(parser: Parser, command: str, arguments: Sequence[str]) -> None:
-    """Add the options of a command: those that are kept, or its own, which are kept then.
+    """Add a command's options, from the cache if possible.
 
-    Kept are those of a command without a scene, and of one whose first argument is a scene of this package, or that
-    has none.
+    The cache holds options of commands without a scene, or with a scene of this package
+    as first argument.
     """
     scene = _scene_in(arguments)
     names = [command, f"{command} {scene}"] if scene else [command]
@@ -85,14 +87,17 @@ def _add_options(parser: Parser, command: str, arguments: Sequence[str]) -> None
 
 
 def _scene_in(arguments: Sequence[str]) -> str | None:
-    """Return the scene among arguments; empty for none, None where only the command itself can tell."""
+    """Return the scene among arguments; "" for none.
+
+    None if only the command itself can decide.
+    """
     if arguments and arguments[0] in BUILT_IN:
         return arguments[0]
     return "" if all(re.fullmatch(_NO_SCENE, one) for one in arguments) else None
 
 
 def _told(parser: Parser) -> list[dict[str, Any]]:
-    """Return the arguments of a parser, all but its help, ready for JSON."""
+    """Return a parser's arguments except help, ready for JSON."""
     told = []
     for one in parser._actions:
         if one.dest != "help":
@@ -103,7 +108,7 @@ def _told(parser: Parser) -> list[dict[str, Any]]:
 
 
 def _recall(parser: Parser, actions: Sequence[Mapping[str, Any]]) -> None:
-    """Add arguments that were kept."""
+    """Add arguments of the cache."""
     parser.before = None
     for told in actions:
         about = {name: value for name in _KEPT if (value := told[name]) is not None}
@@ -116,7 +121,7 @@ def _recall(parser: Parser, actions: Sequence[Mapping[str, Any]]) -> None:
 
 
 def _code() -> str:
-    """Return a text that changes with the files of this package."""
+    """Return a text that changes with this package's files."""
     written = [
         os.stat(os.path.join(folder, name)).st_mtime_ns
         for folder, _, names in os.walk(os.path.dirname(maglev_mj.__file__))
@@ -127,7 +132,7 @@ def _code() -> str:
 
 
 def _path(name: str) -> str:
-    """Return the file of a name.
+    """Return the cache file of a name.
 
     Raises:
         OSError: If there is no cache folder: a relative one would be another in each folder.
@@ -139,7 +144,7 @@ def _path(name: str) -> str:
 
 
 def _read(name: str) -> dict[str, Any] | None:
-    """Return what is kept under a name; None for nothing that can be read."""
+    """Return the cached entry of a name, or None."""
     with suppress(OSError, ValueError), open(_path(name), encoding="utf-8") as file:
         kept = json.load(file)
         return kept if isinstance(kept, dict) else None
@@ -147,7 +152,7 @@ def _read(name: str) -> dict[str, Any] | None:
 
 
 def _write(name: str, kept: Mapping[str, Any]) -> None:
-    """Keep under a name, whole or not at all; it is found anew where that fails."""
+    """Write a cache entry atomically; ignore failures."""
     with suppress(OSError):
         path = _path(name)
         partial = f"{path}.{os.getpid()}"

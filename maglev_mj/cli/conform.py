@@ -46,7 +46,7 @@ def _conform(options: argparse.Namespace) -> int:
     calibration = Calibration.nominal() if options.calibration is None else Calibration.load(options.calibration)
     if options.json is not None:
         check_file("json", options.json)
-    for name in ("SIGTERM", "SIGHUP"):  # as Ctrl-C: what flies is landed
+    for name in ("SIGTERM", "SIGHUP"):  # as Ctrl-C: a flight is landed
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.default_int_handler)
     with ExitStack() as last:

@@ -1,4 +1,4 @@
-"""`maglev-mj design`: gains of the stiffest wall that bears what it must."""
+"""`maglev-mj design`: gains of the stiffest wall under given requirements."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def add_options(parser: Parser) -> None:
         help=f"hands that it must bear: {', '.join(HANDS)}, several with commas between them, or one as "
         "MASS,DAMPING,STIFFNESS[,GRIP_DAMPING,GRIP_STIFFNESS]; may be given again (default none)",
     )
-    needed.add_argument("--held", action="store_true", help="never let go: leave out the flotor without a hand")
+    needed.add_argument("--held", action="store_true", help="held throughout: leave out the flotor without a hand")
     add_parameters(needed, WallRequirements)
     wall.add_argument("--law", default="pd", choices=LAWS, help="law of the wall (default pd)")
     wall.add_argument(
@@ -58,7 +58,10 @@ def add_options(parser: Parser) -> None:
 
 
 def _required(found: type[Scene] | None) -> WallRequirements:
-    """Return the requirements on the walls of a scene: its rate, delay and moving mass."""
+    """Return the wall requirements of a scene.
+
+    Its sample period, delay and moving mass.
+    """
     if found is None:
         return WallRequirements()
     scene, usual = found(), WallRequirements()
@@ -94,7 +97,7 @@ def _design(options: argparse.Namespace) -> int:
 
 
 def _hands(given: Sequence[str], held: bool) -> tuple[str, ...]:
-    """Return the hands named, and a flotor let go among them unless it is held throughout."""
+    """Return the named hands; a free flotor too unless held."""
     hands: list[str] = []
     for text in given:
         names = text.split(",")

@@ -1,4 +1,4 @@
-"""`maglev-mj estop`: stop a device, whoever flies it."""
+"""`maglev-mj estop`: emergency stop of a device."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ __all__ = ["add_options"]
 def add_options(parser: Parser) -> None:
     """Add the options of the command."""
     parser.description = (
-        "Cut the currents of a device, whoever flies it and in whatever state it is, and latch the fault ESTOP there. "
+        "Cut the currents of a device in any state and any session, and latch the fault ESTOP there. "
         "`maglev-mj bridge ADDRESS --reset` shows and clears it."
     )
     parser.epilog = (

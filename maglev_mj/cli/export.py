@@ -1,4 +1,4 @@
-"""`maglev-mj export`: a recording as a table for other programs."""
+"""`maglev-mj export`: a recording as a table."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`maglev-mj fidelity`: what each piece of the device changes in a scene, and the cheapest model that will do."""
+"""`maglev-mj fidelity`: effect of each device part; cheapest sufficient model."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def add_options(parser: Parser) -> None:
 
 
 def _found(text: str) -> Scene | None:
-    """Return a scene; None for all of those that are compared in one table."""
+    """Return a scene; None for "all"."""
     return None if text == "all" else preset_of(text).scene
 
 
@@ -48,7 +48,7 @@ def _add_phase(parser: Parser, cls: type[Scene]) -> None:
 
 
 def _add_range(parser: Parser, cls: type[Scene]) -> None:
-    """Add the options of what the answer is to hold for."""
+    """Add the options of the range of validity."""
     _add_phase(parser, cls)
     usual, group = Range(), parser.group(_RANGE)
     parser.epilog = (

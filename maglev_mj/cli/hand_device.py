@@ -1,4 +1,4 @@
-"""The options by which a gamepad or a 3D mouse is the hand of a command."""
+"""Options for a gamepad or 3D mouse as hand."""
 
 from __future__ import annotations
 
@@ -51,12 +51,14 @@ def add_hand_device(parser: Container) -> None:
 def chosen_hand_device(
     options: argparse.Namespace, hand: SpringHand, tell: Callable[[str], object] = say
 ) -> Iterator[list[HandDevice]]:
-    """Open the device asked for, and close it at the end; none if none is.
+    """Open the chosen device; close it at the end.
+
+    Empty without a choice.
 
     Args:
-        options: Of the command line.
-        hand: The hand that it moves.
-        tell: Tells the person which it is.
+        options: Parsed options.
+        hand: The hand moved by the device.
+        tell: Function that prints the device's name.
 
     Raises:
         ParameterError: If an option is wrong, is given without --hand-device, or the device is not there.

@@ -1,4 +1,4 @@
-"""`maglev-mj info`: Table 1 of the paper beside what the model yields."""
+"""`maglev-mj info`: Table 1 of the paper beside model values."""
 
 from __future__ import annotations
 

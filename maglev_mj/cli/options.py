@@ -1,4 +1,4 @@
-"""Command-line options: what the commands share, each complaint one line."""
+"""Options shared by the commands, with one-line errors."""
 
 from __future__ import annotations
 
@@ -39,16 +39,18 @@ _APART = "parameter "
 def add_parameters(
     parser: Container, parameters: Parameters | type[Parameters], prefix: str = "", /, *, without: Sequence[str] = ()
 ) -> None:
-    """Add an option for each declared parameter, with unit and default in its help.
+    """Add an option for each declared parameter.
 
-    A value that only a `parse` knows gets none, and neither does one whose option the command has itself. What is
-    given stands apart from the command's own options: see `chosen`.
+    Its help has unit and default.
+
+    A value that only a `parse` knows gets none, nor does one with an option of the command itself. Given values
+    are kept apart from the command's own options: see `chosen`.
 
     Args:
-        parser: Of the command.
-        parameters: Class, or parameters whose values are the defaults.
-        prefix: In front of each option's name, where a command has options of several classes.
-        without: Names of parameters that get no option.
+        parser: Parser of the command.
+        parameters: Class, or parameters with the default values.
+        prefix: Prefix of each option's name, for a command with options of several classes.
+        without: Names of parameters without option.
     """
     made = parameters() if isinstance(parameters, type) else parameters
     for one in made.parameters():
@@ -75,7 +77,7 @@ def _add_parameter(parser: Container, option: str, one: Parameter, default: Any,
 
 
 def described(one: Parameter, default: Any) -> str:
-    """Return what a parameter is, with its unit, its choices and its default."""
+    """Return a parameter's description with unit, choices and default."""
     text, more, rest = one.help.partition(";")
     said = f"{text} [{one.unit}]{more}{rest}" if one.unit else text + more + rest
     if one.choices:
@@ -90,13 +92,13 @@ def _or_none(read: Callable[[str], Any], text: str) -> Any:
 
 
 def chosen(options: argparse.Namespace, parameters: P | type[P], prefix: str = "", /, **further: Any) -> P:
-    """Return parameters with what was chosen by the options of `add_parameters`.
+    """Return parameters with the values chosen by options.
 
     Args:
-        options: As parsed.
-        parameters: Class, or parameters whose values stand where nothing was chosen.
-        prefix: As given to `add_parameters`.
-        further: Values that have options of their own.
+        options: Parsed options.
+        parameters: Class, or parameters with the values used without a choice.
+        prefix: Prefix given to `add_parameters`.
+        further: Values of other options.
 
     Raises:
         ParameterError: If a value is outside its bounds.
@@ -111,7 +113,7 @@ def chosen(options: argparse.Namespace, parameters: P | type[P], prefix: str = "
 
 
 def given(options: argparse.Namespace, parameters: type[Parameters]) -> set[str]:
-    """Return the names of the parameters of a class for which an option of `add_parameters` was given."""
+    """Return the names of parameters with a given option."""
     return {one.name for one in parameters.parameters() if hasattr(options, _APART + one.name)}
 
 
@@ -129,8 +131,8 @@ def add_outputs(
     """Add --json, --out and --format.
 
     Args:
-        parser: Of the command.
-        json: What goes into JSON.
+        parser: Parser of the command.
+        json: Contents of the JSON, for its help.
         out: Help of --out.
     """
     add_json(parser, json)
@@ -138,7 +140,7 @@ def add_outputs(
 
 
 def add_recording(parser: Parser) -> None:
-    """Add --record, for a recording that `replay` shows and checks."""
+    """Add --record, for a recording."""
     parser.group("output").add_argument(
         "--record", metavar="FILE", type=Path, help="write a recording, .mcap or .npz, for `maglev-mj replay`"
     )
@@ -161,7 +163,7 @@ def count(text: str) -> int:
 
 
 def range_of(name: str, words: Sequence[str] | None) -> tuple[float, float] | None:
-    """Return the ends of a range, given as one word or two; None where it is not given.
+    """Return a range from one or two words; None without.
 
     Raises:
         ParameterError: If they are not numbers.
@@ -191,7 +193,7 @@ def add_key(parser: Parser) -> None:
 
 
 def add_bridge(parser: Parser) -> None:
-    """Add what both ends of a wire are told."""
+    """Add the options of both ends of a link."""
     add_calibration(parser)
     add_key(parser)
     group = parser.group("run")
@@ -209,10 +211,10 @@ def chosen_key(path: Path | None, name: str = "key") -> bytes | None:
 
     Args:
         path: The file.
-        name: Of the option that names it.
+        name: Name of the option.
 
     Raises:
-        ParameterError: If it is no key.
+        ParameterError: If the file holds no valid key.
     """
     if path is None:
         return None

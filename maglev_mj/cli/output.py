@@ -1,4 +1,4 @@
-"""Results as JSON: to a file, or to standard output."""
+"""Output of results as JSON and pictures."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ __all__ = [
 
 
 def keep_partial(error: DivergenceError, options: argparse.Namespace) -> None:
-    """Write what was recorded before the run diverged."""
+    """Write the results of a run until it diverged."""
     if error.partial is not None and options.json is not None:
         write_json(options.json, {**error.partial.as_json(), "diverged": str(error)})
 
@@ -34,7 +34,7 @@ def check_file(name: str, path: Path) -> None:
     """Check that a file can be written.
 
     Raises:
-        ParameterError: If it is a folder, is in no folder, or may not be written.
+        ParameterError: If it is a folder, has no folder, or may not be written.
     """
     if path.is_dir() or not path.parent.is_dir():
         raise ParameterError(f"{name} must be a file in a folder that is there, not {str(path)!r}")
@@ -49,18 +49,20 @@ def check_recording(path: Path | None) -> None:
         path: File; None for no recording.
 
     Raises:
-        ParameterError: If it is no file that can be written, or of no kind that is known.
+        ParameterError: If the file cannot be written, or has an unknown suffix.
         McapMissingError: If the package for its kind is not installed.
     """
     if path is not None:
-        from maglev_mj.recording import check_name  # nothing else here needs what reads and writes recordings
+        from maglev_mj.recording import check_name  # imported here: only this function needs the recording code
 
         check_name(path)
         check_file("record", path)
 
 
 def check_outputs(*, json: str | None = None, record: Path | None = None, out: Path | None = None) -> None:
-    """Check before a long run that what it is to write can be written.
+    """Check that all output files can be written.
+
+    Done before a long run.
 
     Args:
         json: File for JSON, or "-".
@@ -68,7 +70,7 @@ def check_outputs(*, json: str | None = None, record: Path | None = None, out: P
         out: Folder for other files.
 
     Raises:
-        ParameterError: If a file is a folder, is in no folder, may not be written, or is meant for two things.
+        ParameterError: If a file is a folder, has no folder, may not be written, or is named twice.
     """
     files = {"record": record, "json": None if json in (None, "-") else Path(str(json))}
     for name, path in files.items():
@@ -81,7 +83,10 @@ def check_outputs(*, json: str | None = None, record: Path | None = None, out: P
 
 
 def write_json(target: str, data: Mapping[str, Any]) -> None:
-    """Write results and the `versions` of the code behind them; to standard output where the target is "-"."""
+    """Write results and code versions as JSON.
+
+    To standard output if the target is "-".
+    """
     text = json.dumps({**data, "versions": versions()}, allow_nan=False)
     if target == "-":
         print(text)
@@ -96,14 +101,16 @@ def write_results(
     draw: Callable[[PictureFolder], Sequence[Path]] = lambda pictures: (),
     written: Sequence[Path] = (),
 ) -> None:
-    """Write JSON and pictures where they are asked for, and print the text unless standard output has the JSON.
+    """Write JSON and pictures if chosen, and print the text.
+
+    The text is left out if standard output has the JSON.
 
     Args:
-        options: Of the command line.
-        data: Returns what JSON has.
-        text: Returns the table.
-        draw: Draws into a folder and returns the files.
-        written: Files written before, to be named too.
+        options: Parsed options.
+        data: Function that returns the JSON data.
+        text: Function that returns the table.
+        draw: Function that draws into a folder and returns the files.
+        written: Files written before, listed as well.
     """
     if options.json is not None:
         write_json(options.json, data())

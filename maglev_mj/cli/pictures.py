@@ -1,4 +1,4 @@
-"""Options of what draws: a folder for pictures, and their format."""
+"""Options of commands that draw: folder and format."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ def add_pictures(parser: Parser, told: str = "write pictures to this folder", de
     """Add --out and --format.
 
     Args:
-        parser: Of the command.
+        parser: Parser of the command.
         told: Help of --out.
-        default: Folder where none is given; None for no pictures.
+        default: Default folder; None for no pictures.
     """
     output = parser.group("output")
     output.add_argument("--out", metavar="DIR", type=Path, default=default, help=told)
@@ -29,7 +29,7 @@ def add_pictures(parser: Parser, told: str = "write pictures to this folder", de
 
 
 def check_folder(path: Path) -> None:
-    """Check that a folder is there, or may be made.
+    """Check that a folder exists or can be made.
 
     Raises:
         ParameterError: If it is a file.
@@ -39,7 +39,7 @@ def check_folder(path: Path) -> None:
 
 
 def chosen_pictures(options: argparse.Namespace) -> PictureFolder | None:
-    """Return where pictures go; None for no pictures.
+    """Return the chosen picture folder; None for no pictures.
 
     Raises:
         ParameterError: If a format is given without a folder, or the folder is a file.
@@ -61,8 +61,8 @@ def script_options(
     """Return the options of a script that draws.
 
     Args:
-        description: Of the script.
-        quick: Help of `--quick`; None for a script without.
+        description: Description of the script.
+        quick: Help of `--quick`; None for a script without it.
         more: Called with the parser, for options of its own.
 
     Returns:

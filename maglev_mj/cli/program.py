@@ -1,4 +1,4 @@
-"""The command line: `maglev-mj` and its commands."""
+"""Entry point of the command line."""
 
 from __future__ import annotations
 
@@ -29,7 +29,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line.
 
     Returns:
-        Exit status: 0, 1 for a run that failed, 2 for bad input, 130 for Ctrl-C, 141 for an output that nobody reads.
+        Exit status: 0, 1 for a run that failed, 2 for bad input, 130 for Ctrl-C, 141 for an output closed by its
+        reader.
     """
     if arguments is None:  # a program: its end need not look through all that was loaded, which takes 25 ms
         atexit.register(gc.freeze)
@@ -79,7 +80,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _is_unread(stream: TextIO) -> bool:
-    """Return whether a stream is a pipe whose other end is closed."""
+    """Return True for a pipe closed at its other end."""
     try:
         poll = select.poll()
         poll.register(stream, 0)
@@ -89,7 +90,7 @@ def _is_unread(stream: TextIO) -> bool:
 
 
 def _drop_unwritten() -> None:
-    """Send to nowhere what the streams cannot write, for the interpreter would try again."""
+    """Discard unwritten output, which the interpreter would write again."""
     for stream in (sys.stdout, sys.stderr):
         try:
             if stream is not None:
@@ -99,7 +100,10 @@ def _drop_unwritten() -> None:
 
 
 def parser() -> Parser:
-    """Return the parser of all commands; a command's module is loaded with the first arguments that it gets."""
+    """Return the parser of all commands.
+
+    A command's module is loaded with its first arguments.
+    """
     made = Parser(prog="maglev-mj", description=maglev_mj.__doc__)
     made.add_argument("--version", action="version", version=f"maglev-mj {maglev_mj.__version__}")
     made.epilog = (
@@ -124,6 +128,6 @@ def _prepare(commands: Mapping[str, Parser], words: Sequence[str]) -> None:
 
 def _add_options(parser: Parser, command: Command, _: Sequence[str]) -> None:
     parser.description = f"{command.summary[0].upper()}{command.summary[1:]}."
-    # a command loads what it needs, and no other's libraries
+    # a command loads its own libraries only
     module = command.module or parser.prog.split()[-1].replace("-", "_")
     import_module(f"maglev_mj.cli.{module}").add_options(parser)

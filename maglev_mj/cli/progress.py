@@ -1,4 +1,7 @@
-"""How far a long run is: a bar on a terminal after two seconds, nothing anywhere else."""
+"""Progress bar of long runs, only on a terminal.
+
+It appears after two seconds.
+"""
 
 from __future__ import annotations
 
@@ -16,12 +19,14 @@ _ERASED = "\r\x1b[K"
 
 
 class Progress:
-    """A context that draws a bar while a run lasts; call it with what is done and the total where these are known.
+    """Context manager that draws a progress bar.
+
+    Call it with the finished and the total work.
 
     Args:
-        label: What is under way.
-        stream: Where to; standard error by default.
-        quiet: How long to keep quiet [s].
+        label: Name of the work.
+        stream: Output stream; standard error by default.
+        quiet: Time before the first drawing [s].
         every: Time between two drawings [s].
     """
 
@@ -47,7 +52,10 @@ class Progress:
             pass
 
     def __call__(self, done: int, total: int) -> None:
-        """Note how far it is; less than before is the beginning of a second part."""
+        """Update the finished work.
+
+        Less than before begins a second part.
+        """
         with self._lock:
             if not self._total or done < self._done:
                 self._start, self._first = time.monotonic(), done
@@ -55,7 +63,7 @@ class Progress:
 
     @contextmanager
     def aside(self) -> Iterator[None]:
-        """Take the bar away while something else is printed."""
+        """Remove the bar while something else is printed."""
         with self._lock:
             if self._shown:
                 self._stream.write(_ERASED)

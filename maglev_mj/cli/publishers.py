@@ -1,4 +1,4 @@
-"""The options by which a command lets other programs in: a live server, a 3D mouse."""
+"""Options of connections to other programs: live server, 3D mouse."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ __all__ = ["OpenPublishers", "add_foxglove", "add_publishers", "chosen_foxglove"
 
 
 class OpenPublishers(NamedTuple):
-    """What was asked for.
+    """Opened connections to other programs.
 
     Attributes:
-        publishers: All of it.
+        publishers: All publishers.
         live: The live server; None for none.
     """
 
@@ -52,7 +52,7 @@ def _port(text: str) -> int:
 
 
 def chosen_foxglove(options: argparse.Namespace) -> LiveServer | None:
-    """Return the live server asked for, which listens already; None if none is.
+    """Start and return the chosen live server, or None.
 
     Raises:
         LiveServerError: See `LiveServer`.
@@ -79,11 +79,11 @@ def add_publishers(parser: Parser) -> None:
 
 @contextmanager
 def chosen_publishers(options: argparse.Namespace) -> Iterator[OpenPublishers]:
-    """Open what was asked for, and close it at the end.
+    """Open the chosen publishers; close them at the end.
 
     Raises:
         ParameterError: If an option is wrong.
-        MaglevError: If a port or a socket is not to be had.
+        MaglevError: If a port or a socket cannot be opened.
     """
     number("step-force", options.step_force, above=0.0)
     with ExitStack() as open_ones:

@@ -1,4 +1,4 @@
-"""`maglev-mj render`: a picture or a clip of a scene, without a window."""
+"""`maglev-mj render`: a picture or clip of a scene."""
 
 from __future__ import annotations
 
@@ -63,10 +63,10 @@ def _render(options: argparse.Namespace) -> int:
 
 
 def _pixels(size: str) -> tuple[int, int]:
-    """Return width and height that a text such as 1200x750 gives.
+    """Return width and height of a text such as 1200x750.
 
     Raises:
-        ParameterError: If it gives none, or they are outside their bounds.
+        ParameterError: If the text has another form, or a size is outside its bounds.
     """
     found = re.fullmatch(r"(\d{1,5})x(\d{1,5})", size)
     if found is None or not all(_LEAST <= int(part) <= _MOST for part in found.groups()):

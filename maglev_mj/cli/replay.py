@@ -1,4 +1,4 @@
-"""`maglev-mj replay`: a recording shown in a window or page, or checked bit for bit."""
+"""`maglev-mj replay`: a recording shown, or verified bitwise."""
 
 from __future__ import annotations
 
@@ -28,7 +28,10 @@ __all__ = ["add_options", "add_own_scene", "own_code"]
 
 
 _COMPARED, _LEAST_COMPARED = 10_000, 10
-"""Answers of a recording of other code that are compared before it is shown, and of each stretch at least."""
+"""Commands compared before other code's recording is shown.
+
+In all, and the least number of each stretch.
+"""
 
 
 def add_options(parser: Parser) -> None:
@@ -47,7 +50,7 @@ def add_options(parser: Parser) -> None:
 
 
 def add_own_scene(parser: Container) -> None:
-    """Add the option for code of a user's own in a recording."""
+    """Add the option for user code in a recording."""
     said = (
         "scene or laws of one's own, which are executed: NAME, FILE.py, FILE.py:CLASS, or attached for what the "
         "recording holds"
@@ -56,10 +59,12 @@ def add_own_scene(parser: Container) -> None:
 
 
 def own_code(text: str | None, recording: Recording) -> OwnCode | None:
-    """Return the code that was given for a recording; None for none. Say so if it is not what was recorded.
+    """Return the code given for a recording; None without.
+
+    A message is printed if it differs from the recorded code.
 
     Raises:
-        ParameterError: If there is none.
+        ParameterError: If there is no such code.
     """
     if text is None:
         return None
@@ -98,10 +103,12 @@ def _replay(options: argparse.Namespace) -> int:
 
 
 def _other_code(recording: Recording, own: OwnCode | None) -> str:
-    """Return a note if other code made a recording, and gave the same answers; empty for this code.
+    """Return a note if other code made a recording.
+
+    Else "". The first answers of each stretch are compared.
 
     Raises:
-        RecordingError: If it gave others.
+        RecordingError: If an answer differs.
     """
     here, stretches = versions(), recording.stretches
     theirs = (differences(versions_read(stretch.setup.get("versions")) or {}, here) for stretch in stretches)

@@ -1,4 +1,4 @@
-"""`maglev-mj run SCENE`, and `drop`, `press` and `stick-slip`: a scene run, its variants and phases beside it."""
+"""`maglev-mj run`, `drop`, `press`, `stick-slip`: a scene, variants, phases."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ __all__ = ["add_options"]
 
 
 def add_options(parser: Parser) -> None:
-    """Add the options of `run`, or of a command that is a scene of the paper."""
+    """Add the options of `run` or a scene's own command."""
     name = parser.prog.split()[-1]
     if name == "run":
         add_scene(parser, more=_add_plant)
@@ -110,7 +110,10 @@ def _results(
 
 
 def _gap(result: Result) -> float | None:
-    """Return how far the two plants are apart on a run [m, rad]; None where the scene runs on one."""
+    """Return the largest distance between two plants' motions.
+
+    In [m, rad]; None if the scene has one plant.
+    """
     others = [name for name in result.scene.plants if name in PLANTS and name != result.plant]
     if not others:
         return None

@@ -1,4 +1,4 @@
-"""The scene that a command is given, and the options that its parameters make."""
+"""Scene argument of a command and options of its parameters."""
 
 from __future__ import annotations
 
@@ -37,20 +37,20 @@ def add_scene(
     find: Find = find_scene,
     names: Sequence[str] = (),
 ) -> None:
-    """Add the scene to a command, and an option for each parameter of the one that is given.
+    """Add the scene argument and options of the scene's parameters.
 
-    The class is found as the arguments are parsed, and left in `scene_class`.
+    The class is found while the arguments are parsed, and stored in `scene_class`.
 
     Args:
-        parser: Of the command.
+        parser: Parser of the command.
         more: Called with parser and scene's class, for options that depend on it.
-        option: Name of the option that says which, such as "--scene"; None for the command's first word.
-        default: Scene where none is given; None where one must be.
-        without: Names of parameters that get no option.
-        options: False where parameters are given in another way.
-        instead: Called with the parser where no scene is given, for a command that may do without.
-        find: Finds the scene, or one whose values are the defaults of its options; None for what has no options.
-        names: Further names that it finds.
+        option: Name of the scene's option, such as "--scene"; None for the command's first word.
+        default: Default scene; None if the scene is required.
+        without: Names of parameters without option.
+        options: False if parameters are given in another way.
+        instead: Called with the parser if no scene is given, for a command with an optional scene.
+        find: Function that finds the scene, or one with the default values of the options; None for no options.
+        names: Further names that `find` knows.
     """
     known = [*scene_names(), *names]
     told = f"{', '.join(known)}, or a file" + (f" (default {default})" if default else "")
@@ -92,11 +92,11 @@ def add_scene(
 
 
 def chosen_scene(options: argparse.Namespace, **defaults: Any) -> Scene:
-    """Return the scene that was given, with the parameters chosen.
+    """Return the given scene with the chosen parameters.
 
     Args:
-        options: As parsed.
-        defaults: Values in place of the scene's own defaults, for the parameters that it has.
+        options: Parsed options.
+        defaults: Values in place of the scene's own defaults, for parameters of the scene.
 
     Raises:
         ParameterError: If a value is outside its bounds.
@@ -108,7 +108,7 @@ def chosen_scene(options: argparse.Namespace, **defaults: Any) -> Scene:
 
 
 def warn_of_instability(scene: Scene, inertia: Sequence[float] | None = None, delay: float | None = None) -> None:
-    """Print on standard error that a scene may be unstable; nothing for a stable one.
+    """Warn on standard error if a scene may be unstable.
 
     Args:
         scene: See `stability_warning`.
@@ -120,7 +120,7 @@ def warn_of_instability(scene: Scene, inertia: Sequence[float] | None = None, de
 
 
 def _given(parser: Parser, arguments: Sequence[str], option: str | None, names: Sequence[str]) -> str | None:
-    """Return the scene among the arguments, which options of its own may stand in front of."""
+    """Return the scene among the arguments, after options if any."""
     if option is not None:
         for place, word in enumerate(arguments):
             if word == option and place + 1 < len(arguments):

@@ -1,4 +1,7 @@
-"""`maglev-mj serve-spacenav`: a scene in a scripted hand as the 3D mouse of other programs, without a window."""
+"""`maglev-mj serve-spacenav`: a scene as 3D mouse, without a window.
+
+A scripted hand moves it.
+"""
 
 from __future__ import annotations
 
@@ -43,9 +46,9 @@ def add_options(parser: Parser) -> None:
 
 
 def tour() -> Trajectory:
-    """Return a path along one axis after the other, out to both sides alike.
+    """Return a path along each axis in turn, both ways.
 
-    The deflections add up to zero on every axis, so a program that takes them for speeds ends where it began.
+    The deflections add up to zero on every axis, so a program that takes them for speeds ends at its start.
     """
     turns = [(axis, sign) for axis in range(len(AXES)) for sign in (1.0, -1.0, 0.0)]
     gaps = {1.0: _QUARTER, -1.0: 2.0 * _QUARTER, 0.0: _QUARTER}
@@ -59,11 +62,11 @@ def tour() -> Trajectory:
 
 
 class _Again:
-    """A hand that begins anew when the scene's time is over.
+    """Hand that starts again at the end of the scene.
 
     Args:
         hand: The hand.
-        end: When it is [s].
+        end: End of the scene [s].
     """
 
     def __init__(self, hand: HandForce, end: float) -> None:
@@ -75,7 +78,10 @@ class _Again:
 
 
 def _hand(scene: Scene) -> HandForce:
-    """Return the hand: the scene's own over and over, for the joystick one that keeps a view where it is."""
+    """Return the scene's own hand, repeated.
+
+    The joystick gets a hand that returns a view to its start.
+    """
     if scene.name == _SCENE:
         path = tour()
         return _Again(SpringHand(stiffness=1000.0, turning_stiffness=3.0, target=path), path.end)
@@ -84,7 +90,7 @@ def _hand(scene: Scene) -> HandForce:
 
 
 def _serve(options: argparse.Namespace) -> int:
-    # what comes back to the centre by itself is a 3D mouse; a slave is moved without that
+    # a 3D mouse returns to the centre by itself; a slave is moved without that
     scene = chosen_scene(options, friction=options.axes == "rate")
     seconds = None if options.seconds is None else number("seconds", options.seconds, above=0.0)
     (server,) = chosen_spacenav(options, say)
@@ -99,7 +105,7 @@ def _serve(options: argparse.Namespace) -> int:
 
 
 def _run(session: Session, ended: threading.Event, seconds: float | None) -> None:
-    """Keep real time until it is over."""
+    """Run in real time until the end."""
     moved = 0.0
     for elapsed, now in real_time(seconds, _STEP):
         if session.tick(elapsed):

@@ -1,4 +1,4 @@
-"""The options by which a command is a 3D mouse to other programs."""
+"""Options of a command as 3D mouse for other programs."""
 
 from __future__ import annotations
 
@@ -17,17 +17,19 @@ __all__ = ["add_spacenav", "chosen_spacenav"]
 
 
 _AXES_TOLD: dict[str, Callable[..., Any]] = {"pose": PoseAxes, "rate": RateAxes}
-"""What may be told, by name."""
+"""Reported axes by name."""
 
 _PREFIX = "spacenav-"
 
 
 def add_spacenav(parser: Parser, *, always: bool = False) -> None:
-    """Add --spacenav, --socket, --axes, and an option for each parameter of `SpacenavMapping`.
+    """Add the options of the 3D mouse.
+
+    --spacenav, --socket, --axes, and an option for each parameter of `SpacenavMapping`.
 
     Args:
-        parser: Of the command.
-        always: Whether the command is one without asking, so that it needs no --spacenav.
+        parser: Parser of the command.
+        always: True if the command always is a 3D mouse, without --spacenav.
     """
     group = parser.group("3D mouse of other programs")
     if flag("always", always):
@@ -49,11 +51,13 @@ def add_spacenav(parser: Parser, *, always: bool = False) -> None:
 
 
 def chosen_spacenav(options: argparse.Namespace, say: Callable[[str], object] = print) -> list[SpacenavServer]:
-    """Return the server asked for, which listens already; none if none is.
+    """Start and return the chosen server, in a list.
+
+    Empty without a choice.
 
     Args:
-        options: Of the command line.
-        say: Tells the person where it is.
+        options: Parsed options.
+        say: Function that prints its address.
 
     Raises:
         ParameterError: If an option is wrong, or is given without --spacenav.

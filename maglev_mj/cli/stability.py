@@ -1,4 +1,4 @@
-"""`maglev-mj stability`: where a wall is stable, by theory and by simulation."""
+"""`maglev-mj stability`: stable walls by theory and simulation."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def add_options(parser: Parser) -> None:
 
 
 def _add_map(parser: Parser) -> None:
-    """Add the options of a map of walls."""
+    """Add the options of a stability map."""
     group = parser.group(_WALL)
     for name in _RANGES:
         one = StabilityParameters.parameter(name)
@@ -61,7 +61,7 @@ def _stability(options: argparse.Namespace) -> int:
 
 
 def _verdict(options: argparse.Namespace) -> int:
-    """Print whether the closed loop of a scene is stable."""
+    """Print the stability of a scene's closed loop."""
     scene: Scene = chosen(options, options.scene_class)
     check_outputs(json=options.json)
     found = stability(scene)
@@ -71,7 +71,7 @@ def _verdict(options: argparse.Namespace) -> int:
 
 
 def _map(options: argparse.Namespace) -> int:
-    """Print where walls are stable, or where drops on them settle."""
+    """Print a map of stable walls, or of settling drops."""
     ranges = {name: range_of(name, getattr(options, name)) for name in _RANGES}
     drops = bool(given(options, DropMapParameters) - given(options, StabilityParameters))
     parameters = chosen(options, DropMapParameters if drops else StabilityParameters, **ranges)

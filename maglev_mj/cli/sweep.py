@@ -1,4 +1,7 @@
-"""`maglev-mj sweep`: any scene over a grid of its parameters, on this machine or on a cluster."""
+"""`maglev-mj sweep`: a scene over a grid of parameters.
+
+On this machine or on a cluster.
+"""
 
 from __future__ import annotations
 
@@ -45,7 +48,7 @@ def add_options(parser: Parser) -> None:
 
 
 def _tell_parameters(parser: Parser, cls: type[Scene]) -> None:
-    """Say in the help which parameters a scene has."""
+    """List a scene's parameters in the help."""
     told = {"plant": f"{', '.join(cls.plants)} (default {cls.plants[0]})"}
     if cls.takes_phase:
         told["phase"] = "of the samples, in [0, 1) (default 0)"
@@ -65,7 +68,7 @@ def _sweep(options: argparse.Namespace) -> int:
     workers = chosen_workers(options, default=None)
     with cells_kept(path, path), Progress(f"sweep {cls.name}") as progress:
         found = sweep(cls, fixed | varied, workers=workers, record=path, progress=progress)
-    found = replace(found, varied=varied)  # what is set is no dimension of the grid
+    found = replace(found, varied=varied)  # a set parameter is no dimension of the grid
     tell_of_others("sweep", found.others)
     write_results(options, found.as_json, lambda: sweep_table(found, str(path)))
     return 0
@@ -86,7 +89,7 @@ def _assignments(words: list[str]) -> dict[str, str]:
 
 
 def _values(cls: type[Scene], name: str, text: str) -> list[Any]:
-    """Return the values of a parameter that varies."""
+    """Return the values of a swept parameter."""
     parts = text.split(":")
     if len(parts) == 1:
         return [value_of(cls, name, part) for part in text.split(";" if ";" in text else ",")]

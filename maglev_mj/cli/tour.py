@@ -1,4 +1,4 @@
-"""`maglev-mj tour`: a guided tour of the joystick, step by step."""
+"""`maglev-mj tour`: guided tour of the joystick."""
 
 from __future__ import annotations
 

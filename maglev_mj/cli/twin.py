@@ -1,4 +1,4 @@
-"""`maglev-mj twin`: a device that is not there, behind the wire of one that is."""
+"""`maglev-mj twin`: a simulated device behind a real device's protocol."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def _twin(options: argparse.Namespace) -> int:
     with ExitStack() as last:
         viewer, front = None, chosen_front(options)
         if front is not None:
-            # what it renders is for whoever flies it to say
+            # the rendered scene is the host's choice
             off = {one.name: False for one in look.parameters() if one.kind is bool and one.live}
             blank = Snapshot(
                 scene=look(**off, period=parameters.period, delay=parameters.delay), actions=(EMERGENCY_STOP,)
@@ -134,7 +134,10 @@ def _twin(options: argparse.Namespace) -> int:
 
 
 def foam(stiffness: float) -> SpringHand:
-    """Return what holds the flotor at the centre, elastically, with critical damping of its translations."""
+    """Return an elastic support of the flotor at the centre.
+
+    Its translations are critically damped.
+    """
     mass, lever = INERTIA[0], 0.02  # [m]
     damping = 2.0 * math.sqrt(stiffness * mass)
     return SpringHand(
@@ -149,7 +152,7 @@ def foam(stiffness: float) -> SpringHand:
 
 
 def _hand(pushes: Sequence[str], mouse: HandForce | None) -> HandForce | None:
-    """Return a hand that pushes when it is time to, beside that of the mouse."""
+    """Return a hand with timed pushes beside the mouse's hand."""
     parts: list[tuple[int, float, float, float]] = []
     for text in pushes:
         found = re.fullmatch(r"(r?[xyz]):([+-]?\d+\.?\d*)@(\d+\.?\d*)-(\d+\.?\d*)", text)
@@ -188,7 +191,10 @@ def _greeting(options: argparse.Namespace, server: TwinServer) -> str:
 
 
 def _shown(viewer: RemoteViewer, blank: Snapshot, server: TwinServer) -> Callable[[], None]:
-    """Return a function that shows a sample of the twin in the window; the window ends the twin."""
+    """Return a function that shows a twin's sample.
+
+    It is shown in the window; closing that stops the twin.
+    """
     twin, plant = server.twin, server.twin.plant
     coils, carried = plant.device.coils, np.array(WEIGHT)
     assert coils is not None  # it is driven through them
@@ -223,7 +229,10 @@ def _shown(viewer: RemoteViewer, blank: Snapshot, server: TwinServer) -> Callabl
 
 
 def _logged(live: LiveServer, twin: Twin) -> Callable[[], None]:
-    """Return a function that logs a sample of the twin: its true pose, the wrench of its currents, its faults."""
+    """Return a function that logs a twin's sample.
+
+    True pose, wrench of the currents, faults.
+    """
     plant, period, coils = twin.plant, twin.parameters.period, twin.plant.device.coils
     assert coils is not None  # it is driven through them
     controller, told = Controller([], period=period), Fault(0)

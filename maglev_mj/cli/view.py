@@ -1,4 +1,4 @@
-"""`maglev-mj view`: the joystick on the screen, the mouse as the hand."""
+"""`maglev-mj view`: the joystick on the screen, moved by mouse."""
 
 from __future__ import annotations
 
@@ -72,6 +72,6 @@ def _view(options: argparse.Namespace) -> int:
         try:
             print(show_table(show_session(session, page, options.out, seconds)))
         finally:
-            for path in session.recordings:  # whatever happened, a person wants to know where they are
+            for path in session.recordings:  # after any error the user needs their paths
                 print(f"  wrote {path}")
     return 0

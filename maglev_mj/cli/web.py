@@ -1,4 +1,7 @@
-"""The page in a browser: its options, shared by the commands that show something."""
+"""Options of the page in a browser.
+
+They are shared by all commands with a viewer.
+"""
 
 from __future__ import annotations
 
@@ -23,14 +26,14 @@ from maglev_mj.session import SnapshotSource
 __all__ = ["PORT", "add_web", "chosen_front", "chosen_page", "show_session"]
 
 PORT = 8123
-"""Where a browser finds the page by default."""
+"""Default port of the page."""
 
 _TOKEN = re.compile(r"[\w-]{16,}", re.ASCII)
 _OWN = "port", "no_open", "host", "token"
 
 
 def add_web(parser: Parser) -> None:
-    """Add --web and what goes with it."""
+    """Add --web and the further options of the page."""
     group = parser.group("page in a browser")
     group.add_argument("--web", action="store_true", help="a page for any browser")
     group.add_argument("--port", type=count, metavar="N", help=f"port of the page; 0 for any (default {PORT})")
@@ -46,12 +49,14 @@ def add_web(parser: Parser) -> None:
 
 
 def chosen_front(options: argparse.Namespace, folder: Path = Path(), *, watch: bool = False) -> Front | None:
-    """Return what shows a device that this process does not simulate alone: a window, a page, or None for neither.
+    """Return the chosen viewer: window, page, or None for neither.
+
+    For a device that is not simulated by this process alone.
 
     Args:
-        options: As parsed, with --view and --web.
+        options: Parsed options, with --view and --web.
         folder: Folder for a window's screenshots.
-        watch: Whether a page can only be looked at; its parameters are the host's in any case.
+        watch: True if a page can only be looked at; its parameters are the host's in any case.
 
     Raises:
         DisplayError: If a window cannot be opened.
@@ -70,15 +75,15 @@ def chosen_front(options: argparse.Namespace, folder: Path = Path(), *, watch: b
 
 
 def chosen_page(options: argparse.Namespace, *, drag: bool = True, settings: bool = True) -> Front | None:
-    """Return the page asked for, say where it is and open it; None for none.
+    """Start, announce and open the chosen page; None without choice.
 
     Args:
-        options: As parsed.
-        drag: Whether the knob can be pulled.
-        settings: Whether parameters can be changed.
+        options: Parsed options.
+        drag: True if the knob can be pulled.
+        settings: True if parameters can be changed.
 
     Raises:
-        ParameterError: If an option is wrong, or does not go with another.
+        ParameterError: If an option is wrong, or is incompatible with another.
         MissingPackageError: If viser is not installed.
         ListenError: If the port is taken, or the host is not of this machine.
     """
@@ -89,7 +94,7 @@ def chosen_page(options: argparse.Namespace, *, drag: bool = True, settings: boo
             raise ParameterError(f"{wrong[0].replace('_', '-')} is for --web")
         return None
     host = options.host or "127.0.0.1"
-    # one on the command line is read in the list of processes by anybody of this machine
+    # every user of this machine can read a token on the command line in the list of processes
     token = secrets.token_urlsafe() if options.token == "" else options.token
     if token is None and not is_loopback(host):
         raise ParameterError(f"token must be given for a host that is not this machine, {host!r}: see --token")
@@ -111,17 +116,17 @@ def chosen_page(options: argparse.Namespace, *, drag: bool = True, settings: boo
 def show_session(
     source: SnapshotSource, page: Front | None, folder: Path = Path(), duration: float | None = None
 ) -> ShowReport:
-    """Show what this process runs on a page, or in a window where there is none.
+    """Show a running scene on a page or window.
 
     Args:
-        source: What to show.
+        source: The scene to show.
         page: The page; None for a window.
         folder: Folder for a window's screenshots.
-        duration: End after so much real time [s]; None waits for the person.
+        duration: Real time until the end [s]; None waits for the user.
 
     Raises:
         DisplayError: If a window cannot be opened.
-        MaglevError: If the page's process ends before.
+        MaglevError: If the page's process ends early.
     """
     if page is not None:
         return show_remotely(source, page, duration)
@@ -132,5 +137,8 @@ def show_session(
 
 
 def _has_screen() -> bool:
-    """Return whether a browser would have a screen; one in the terminal would take that."""
+    """Return True if a graphical browser can open.
+
+    A browser in the terminal would occupy it.
+    """
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))

@@ -1,4 +1,6 @@
-"""Conformance of a device to docs/reference/protocol.md, as its wire shows.
+"""Conformance of a device to docs/reference/protocol.md.
+
+It is tested at the wire, first without flying, then flying.
 
 First without flying, then flying.
 
@@ -38,17 +40,17 @@ def conform(
     """Test a device, and leave it INACTIVE without a session.
 
     Args:
-        links: To the device, from one or two addresses; left open.
-        calibration: Of the device; nominal by default.
-        key: With which frames are sealed.
-        flight: Whether to fly it as well; the flotor is then dropped onto its stops several times.
+        links: Links to the device, from one or two addresses; left open.
+        calibration: Calibration of the device; nominal by default.
+        key: Authentication key of the frames.
+        flight: True for flights as well; the flotor is then dropped onto its stops several times.
         only: Names of checks to run; all by default.
         tell: Called with each result.
 
     Raises:
-        HandshakeError: If no device answers, or it will not have this host.
+        HandshakeError: If no device answers, or it refuses this host.
         PlantError: If it has a fault latched.
-        LinkError: If a line is gone.
+        LinkError: If a link has failed.
     """
     flag("flight", flight)
     tester = Tester(links, calibration or Calibration.nominal(), key)

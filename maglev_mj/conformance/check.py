@@ -1,4 +1,4 @@
-"""What checks are made of: their registry, their results, and the steps that several of them take."""
+"""Registry, results and common steps of the checks."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ __all__ = [
 ]
 
 QUIET = 0.06
-"""Time without an answer after which there is none [s]."""
+"""Time without frames that counts as no answer [s]."""
 
 HALF, NEVER = 0x7FFFFFFF, 0xFFFFFFFF
 NAN = (math.nan,) * 6
@@ -31,10 +31,10 @@ class CheckResult(NamedTuple):
     """Outcome of one check.
 
     Attributes:
-        name: Of the check.
-        expected: Behaviour that the protocol asks for.
+        name: Name of the check.
+        expected: Behaviour required by the protocol.
         seen: Behaviour of the device, or the reason for skipping the check.
-        passed: None where it was skipped.
+        passed: True if it passed; None if it was skipped.
     """
 
     name: str
@@ -44,16 +44,16 @@ class CheckResult(NamedTuple):
 
 
 class Check(NamedTuple):
-    """A check, and what it needs.
+    """Check of a device and its requirements.
 
     Attributes:
-        expected: Behaviour that the protocol asks for.
-        run: Returns the behaviour seen, or raises `Unexpected`.
-        flight: Whether it flies.
-        real_time: Whether it makes no sense in lockstep.
-        peers: Addresses of the host.
-        keyed: Whether it makes no sense without a key.
-        lockstep: Whether it makes no sense in real time.
+        expected: Behaviour required by the protocol.
+        run: Function that returns the observed behaviour, or raises `Unexpected`.
+        flight: True if the check flies.
+        real_time: True if it needs real time.
+        peers: Number of host addresses it needs.
+        keyed: True if it needs a key.
+        lockstep: True if it needs lockstep.
     """
 
     expected: str
@@ -65,7 +65,7 @@ class Check(NamedTuple):
     lockstep: bool = False
 
     def result(self, name: str, tester: Tester, flight: bool) -> CheckResult:
-        """Run the check, again where this host was late."""
+        """Run the check, and again if this host was late."""
         reasons = {
             "flights were not asked for": self.flight and not flight,
             "needs real time, and this device is in lockstep": self.real_time and tester.welcome.lockstep,
@@ -90,11 +90,14 @@ class Check(NamedTuple):
 
 
 CHECKS: dict[str, Check] = {}
-"""In the order in which they run."""
+"""Checks in the order of execution."""
 
 
 def check(expected: str, name: str = "", **needs: Any) -> Callable[[Callable[[Tester], str]], object]:
-    """Register a check under a name, that of its function by default; see `Check` for what it may need."""
+    """Register a check, by default under its function's name.
+
+    `needs` are further values of `Check`.
+    """
 
     def add(run: Any) -> object:
         CHECKS[name or run.__name__.strip("_").replace("_", "-")] = Check(expected, run, **needs)
@@ -104,7 +107,10 @@ def check(expected: str, name: str = "", **needs: Any) -> Callable[[Callable[[Te
 
 
 def stopped(t: Tester, peer: int = 0, faults: int = Fault.ESTOP) -> str:
-    """Ask for an emergency stop until no current is measured after it; return how long that took."""
+    """Request emergency stops until no current is measured.
+
+    The time taken is returned as text.
+    """
     body, begun, first = wire.Estop(draw()), t.now(), None
     while True:
         frame = t.exchange(body, peer=peer) or fail("no answer to ESTOP")
@@ -129,16 +135,18 @@ def ignored(
     session: int | None = None,
     peer: int = 0,
 ) -> str:
-    """See that an active device ignores a CMD that is not finite; TRIP and ESTOP as well, where they have the flaw.
+    """Check that an active device ignores flawed frames.
+
+    First a CMD with NaN; TRIP and ESTOP as well, if the flaw applies to them.
 
     Args:
-        t: The host.
-        said: The flaw.
-        change: Makes it in a frame.
+        t: The testing host.
+        said: Description of the flaw.
+        change: Function that makes the flaw in a frame.
         back: Samples by which the sequence number is older than the last; None for the next one.
         answers: Samples by which the answer is older than the last sample.
         session: Number of the session; None for the own.
-        peer: Address that it is sent from.
+        peer: Index of the sending address.
     """
     t.bring(State.ACTIVE)
     bodies: list[Any] = [wire.Command(0, 0, NAN, NAN, 0.0)]
@@ -167,7 +175,7 @@ def ignored(
 
 
 def sealed(data: bytes) -> bytes:
-    """Return data with the CRC of what comes before it."""
+    """Return data with its CRC recomputed."""
     return data[:-4] + struct.pack("<I", zlib.crc32(data[:-4]))
 
 
@@ -177,13 +185,13 @@ def flipped(data: bytes, place: int) -> bytes:
 
 
 def close(frame: Any, wanted: Sequence[float]) -> None:
-    """See that measured currents are those wanted."""
+    """Check that measured currents are the expected ones."""
     if any(abs(one - other) > 0.1 + 0.1 * abs(other) for one, other in zip(frame.body.currents, wanted)):
         fail(f"{shown(frame.body.currents)} A measured instead of {shown(wanted)} A")
 
 
 def zero(t: Tester) -> str:
-    """See that no current is measured from the sample after next on."""
+    """Check for zero current from the sample after next on."""
     for frame in t.states(4)[1:]:
         if not is_off(frame.body.currents):
             fail(f"{shown(frame.body.currents)} A after the cut")

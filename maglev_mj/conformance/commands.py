@@ -1,4 +1,4 @@
-"""Checks of commands, ignored frames, emergency stops, silence, and flights."""
+"""Checks of commands, emergency stops, silence and flights."""
 
 from __future__ import annotations
 
@@ -34,7 +34,10 @@ def _not_active(t: Tester) -> str:
 
 
 def _bad_commands(name: str, fault: Fault, expected: str, values: Callable[[Tester], Iterable[float]]) -> None:
-    """Add a check of commands with a value in each of the currents in turn, or as width."""
+    """Add a check of commands with invalid values.
+
+    The value is put in each of the currents in turn, or is the pulse width.
+    """
 
     def run(t: Tester) -> str:
         places = [12] if name == "width" else range(12)
@@ -196,7 +199,10 @@ def _estop_elsewhere(t: Tester) -> str:
 
 
 def _silence(t: Tester, hover: Sequence[float], arrived: int = 0) -> str:
-    """Say nothing; see HOLDING and WATCHDOG by the device's own clock and measured currents."""
+    """Send nothing; check HOLDING and WATCHDOG.
+
+    Times are those of the device's own clock and measured currents.
+    """
     one, t.answering = t.welcome, False
     seen = t.states(one.watchdog // one.period + 8)
     ages = [frame.time - 1000 * frame.body.age for frame in seen if frame.body.age != NEVER]

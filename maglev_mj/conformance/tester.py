@@ -1,4 +1,7 @@
-"""A host for testing devices: it keeps the protocol unless told otherwise, and notes every frame that does not."""
+"""Host that tests devices and records protocol violations.
+
+It keeps the protocol itself unless told otherwise.
+"""
 
 from __future__ import annotations
 
@@ -32,27 +35,27 @@ _Law: TypeAlias = Callable[[Any], Sequence[float]]
 
 
 class Unexpected(MaglevError):
-    """A device does not do what a check expects."""
+    """Behaviour of a device differs from a check's expectation."""
 
 
 class Tester:
     """A host that tests a device.
 
     Args:
-        links: To the device, from one address each; the first has the session.
-        calibration: Of the device.
-        key: With which frames are sealed.
+        links: Links to the device, from one address each; the first has the session.
+        calibration: Calibration of the device.
+        key: Authentication key of the frames.
 
     Attributes:
         welcome: HELLO_ACK of the session.
         last: Newest STATE.
-        law: Returns the currents [A] that answer a STATE.
-        once: Arguments of `command` for the next answer, instead of what the law says.
-        answering: Whether STATEs are answered.
-        loss: Share of the answers that is lost; as many are damaged first, and as many doubled.
-        late: Whether a STATE was read late by half a period, which need be no fault of the device.
-        wrong: First violation of each rule that every frame must keep.
-        others: Frames that came, but for STATEs.
+        law: Function that returns the currents [A] answering a STATE.
+        once: Arguments of `command` for the next answer, in place of the law's.
+        answering: True if STATEs are answered.
+        loss: Share of lost answers; as many are damaged first, and as many doubled.
+        late: True if a STATE was read late by half a period, perhaps because of this host.
+        wrong: First violation of each rule for all frames.
+        others: Received frames except STATEs.
     """
 
     def __init__(self, links: Sequence[Link], calibration: Calibration, key: bytes | None) -> None:
@@ -72,7 +75,7 @@ class Tester:
         self._track, self._offsets = PoseTracker(calibration.beams), calibration.spot_offsets.tolist()
 
     def now(self) -> int:
-        """Return the instant [ns] by the link's clock."""
+        """Return the link's clock [ns]."""
         return self.links[0].now()
 
     def encode(self, body: Any, *, session: int | None = None, sequence: int = 0) -> bytes:
@@ -93,7 +96,10 @@ class Tester:
             self.links[0].send(data)
 
     def hear(self, timeout: float, peer: int = 0) -> Any:
-        """Return the next frame at an address, None if none comes in time [s]; STATEs are answered meanwhile."""
+        """Return the next frame at an address, or None.
+
+        It waits up to `timeout` [s]; STATEs are answered meanwhile.
+        """
         end = self.now() + round(timeout * 1e9)
         while True:
             left, source = max((end - self.now()) * 1e-9, 0.0), peer
@@ -107,7 +113,10 @@ class Tester:
                 return frame
 
     def wait(self, seconds: float, kind: type | None = None, peer: int = 0) -> Any:
-        """Listen for so long, or until a frame of a kind comes; return that."""
+        """Receive for `seconds`, or until a frame of a kind.
+
+        That frame is returned.
+        """
         end = self.now() + round(seconds * 1e9)
         while (left := end - self.now()) > 0:
             if (frame := self.hear(left * 1e-9, peer)) is not None and kind and isinstance(frame.body, kind):
@@ -115,7 +124,10 @@ class Tester:
         return None
 
     def exchange(self, body: Any, patience: float = _PATIENCE, *, peer: int = 0, **header: int) -> Any:
-        """Repeat a request until it is answered; return the answering frame, None if none comes in time [s]."""
+        """Repeat a request until its answer; return that or None.
+
+        It gives up after `patience` seconds.
+        """
         end = self.now() + round(patience * 1e9)
         while (left := (end - self.now()) * 1e-9) > 0.0:
             self.links[peer].send(self.encode(body, **header))
@@ -136,7 +148,7 @@ class Tester:
     # rules of all frames
 
     def _checked(self, data: bytes, source: int) -> Any:
-        """Return a frame for this session, after the rules of all frames."""
+        """Return a frame of this session, checked by general rules."""
         frame: Any = self.codec.decode(data)
         if frame is None:
             self.wrong.setdefault("frames", f"no frame: {data[:200].hex()}")
@@ -163,7 +175,7 @@ class Tester:
         return frame
 
     def _sampled(self, frame: Any, data: bytes) -> Any:
-        """Return a sample that is newer than the last, and answer it."""
+        """Return a newer sample, and answer it."""
         before, arrived, self.arrived = self.last, self.arrived, self.now()
         is_newer = before is None or newer(frame.sequence, before.sequence)
         if is_newer:
@@ -181,7 +193,7 @@ class Tester:
         return frame if is_newer else None
 
     def _judge(self, frame: Any, before: Any) -> None:
-        """Note what is wrong with a sample."""
+        """Record violations in a sample."""
         body, period = frame.body, self.welcome.period
         # currents that have just been cut are measured once more, and take their time to fall
         self._idle = 0 if body.state == State.ACTIVE else self._idle + 1
@@ -207,10 +219,10 @@ class Tester:
         return answer or fail("no answer to HELLO")
 
     def join(self) -> None:
-        """Start a session, after that of a host that is gone.
+        """Start a session, if necessary after a lost host's.
 
         Raises:
-            HandshakeError: If no device answers, or it will not have this host.
+            HandshakeError: If no device answers, or it refuses this host.
         """
         end, self.session = self.now() + round(2.0 * _TAKEOVER * 1e9), 0
         while True:
@@ -238,7 +250,10 @@ class Tester:
         return answer
 
     def bring(self, state: State, law: _Law | None = None) -> None:
-        """Bring the device to a state and see a sample of it; ACTIVE with commands obeyed, zeros by default."""
+        """Bring the device to a state, seen in a sample.
+
+        In ACTIVE it obeys commands of zero current by default.
+        """
         self.law, self.answering, self.loss, self.once = _zeros, True, 0.0, []
         try:
             self.ask(Operation.DISARM) if self.session else self.join()
@@ -261,7 +276,10 @@ class Tester:
         self.expect(state, Fault.HOST if state == State.FAULT else 0, 1)
 
     def expect(self, state: State, faults: int = 0, samples: int = 2) -> Any:
-        """Return a sample; it and those before it, all but the first to come, must be of a state with these faults."""
+        """Return a sample after checking states and faults.
+
+        All received samples but the first must have the given ones.
+        """
         for frame in (seen := self.states(samples + 1)[1:]):
             body = frame.body
             if (body.state, body.faults) != (state, faults):
@@ -270,14 +288,17 @@ class Tester:
         return seen[-1]
 
     def leave(self) -> None:
-        """End the session; a new one knows nothing of what was sent before."""
+        """End the session; a new one starts without history."""
         if self.session:
             with suppress(Unexpected):
                 self.ask(Operation.BYE)
         self.session = 0
 
     def release(self) -> None:
-        """Leave the device INACTIVE without a session; if it does not answer, ask for an emergency stop."""
+        """Leave the device INACTIVE without a session.
+
+        If it does not answer, an emergency stop is requested.
+        """
         try:
             self.bring(State.INACTIVE)
             self.ask(Operation.BYE)
@@ -290,7 +311,7 @@ class Tester:
 
     @contextmanager
     def flying(self) -> Iterator[None]:
-        """Take off from rest, and land whatever happens."""
+        """Take off from rest, and land in any case."""
         one, period, known = self.welcome, self.welcome.period * 1e-9, self.calibration
         # before ARM: the device would take the time for a host that is gone
         limits = Limits(
@@ -323,14 +344,17 @@ class Tester:
                     self.states(led)
 
     def hovers(self) -> str:
-        """Return where a flotor hovers that should do so at the centre."""
+        """Return the pose of a hovering flotor as text.
+
+        The check fails if it is not at the centre.
+        """
         pose = self._locate(self.expect(State.ACTIVE))
         if math.hypot(*pose[:3]) > _ASIDE or math.hypot(*pose[3:]) > _ASKEW:
             fail(f"the flotor hovers at {pose_shown(pose)}")
         return pose_shown(pose)
 
     def _rest(self) -> list[float]:
-        """Wait until the flotor lies at rest, and return where."""
+        """Wait for the flotor's rest and return its pose."""
         motion, end = Motion(self.welcome.period * 1e-9), self.now() + 10_000_000_000
         while not (motion.full and motion.at_rest):
             frame = self.states(1)[0]
@@ -344,24 +368,24 @@ class Tester:
 
 
 def draw() -> int:
-    """Return a random number of 64 bits."""
+    """Return a random 64-bit number."""
     return int.from_bytes(os.urandom(8), "little")
 
 
 def fail(seen: str) -> NoReturn:
-    """Fail a check with the behaviour that was seen."""
+    """Fail a check with the observed behaviour."""
     raise Unexpected(seen)
 
 
 def same(what: str, seen: Any, wanted: Any) -> str:
-    """Fail a check if values differ; return what was seen."""
+    """Fail a check if values differ; return the observed one."""
     if seen != wanted:
         fail(f"{what} {shown(seen)} instead of {shown(wanted)}")
     return f"{what} {shown(seen)}"
 
 
 def is_off(currents: Sequence[float]) -> bool:
-    """Return whether measured currents [A] count as zero."""
+    """Return True if measured currents [A] count as zero."""
     return max(map(abs, currents)) <= OFF
 
 

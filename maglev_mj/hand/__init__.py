@@ -1,4 +1,4 @@
-"""The hand that holds the flotor: its impedance, the forces that it exerts, and what was published of both."""
+"""Hand on the flotor: impedance, forces, and published values."""
 
 from maglev_mj.hand.forces import GuidedHand, HandForce, RecordedHand, SpringHand, Trajectory
 from maglev_mj.hand.impedance import HANDS, Hand, exponential, hand_called, motion, transition

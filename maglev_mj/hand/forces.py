@@ -1,7 +1,7 @@
-"""What a hand exerts from one sample to the next: guided along a path, by a spring, or as recorded.
+"""Hand forces over a sample period: guided, spring or recorded.
 
-A hand force is what a plant calls at each sample; the wrench it returns acts until the next one. It is the muscles'
-part: what the hand's mass, damping and stiffness add to it is the plant's `Hand`.
+A plant calls a hand force at each sample; the returned wrench acts until the next one. It is the muscles'
+part of the hand; mass, damping and stiffness are the plant's `Hand`.
 """
 
 from __future__ import annotations
@@ -23,30 +23,35 @@ from maglev_mj.parameters import number, numbers
 __all__ = ["GuidedHand", "HandForce", "RecordedHand", "SpringHand", "Trajectory"]
 
 State: TypeAlias = Callable[[], tuple[Array, Array]]
-"""Returns the true pose and twist of the flotor now, (..., 6) each."""
+"""Function returning the flotor's present pose and twist.
+
+Both are true values, (..., 6) each.
+"""
 
 _NOTHING = (0.0,) * 6
 
 
 class HandForce(Protocol):
-    """What a plant asks of a hand."""
+    """Interface of a hand's force on the flotor."""
 
     def __call__(self, tick: int, time: Component, state: State) -> Sequence[Component]:
-        """Return the six components of the wrench exerted until the next sample [N, N m].
+        """Return the hand's wrench until the next sample.
+
+        Six components [N, N m].
 
         Args:
             tick: Number of the sample.
-            time: When it is taken [s].
-            state: Returns the flotor's true pose and twist, for a hand that needs them.
+            time: Time of the sample [s].
+            state: Function that returns the flotor's true pose and twist.
         """
 
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Poses at given times, and a minimum-jerk movement from each to the next.
+    """Path of minimum-jerk movements through timed poses.
 
     Args:
-        times: When each pose is reached [s], increasing, (N,).
+        times: Time of each pose [s], increasing, (N,).
         poses: The poses [m, rad], (N, 6).
 
     Raises:
@@ -70,7 +75,10 @@ class Trajectory:
         object.__setattr__(self, "_poses", poses.tolist())
 
     def at(self, time: float) -> list[float]:
-        """Return the pose at a time [s]; the first one before the path, the last one after it."""
+        """Return the pose at a time [s].
+
+        The first pose before the path, the last one after it.
+        """
         place = bisect.bisect_right(self._times, time)
         if place == 0 or place == len(self._times):
             return self._poses[place - 1 if place else 0]
@@ -81,20 +89,22 @@ class Trajectory:
 
     @property
     def end(self) -> float:
-        """When the last pose is reached [s]."""
+        """Time of the last pose [s]."""
         return self._times[-1]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GuidedHand:
-    """A hand whose arm is drawn along a path: the muscles move the point to which the arm's spring pulls.
+    """Hand with an arm spring drawn along a path.
+
+    The muscles move the rest position of the arm's spring.
 
     Give the plant the same `hand`, which holds the flotor by its mass, damping and stiffness; both plants are
-    then exact in what lies between two samples.
+    then exact between two samples.
 
     Args:
         hand: The hand, with an arm of some stiffness.
-        path: Where the arm's spring would come to rest.
+        path: Rest position of the arm's spring.
 
     Raises:
         ParameterError: If the hand's arm has no stiffness, or differs from device to device.
@@ -121,19 +131,21 @@ class GuidedHand:
 
 @dataclass(kw_only=True, eq=False)
 class SpringHand:
-    """A spring and damper from the flotor to a pose that may be moved at any time: the mouse's hand.
+    """Spring and damper from the flotor to a movable pose.
 
-    It pulls at the flotor's centre and turns it about that, no harder than its limits, and is held from sample to
-    sample. A period T takes K T / 2 off its damping, which must be larger than that.
+    The hand of the mouse.
+
+    Force and torque at the flotor's centre, within their limits, are held from sample to
+    sample. A period T reduces the damping by K T / 2; the damping must be larger than that.
 
     Args:
         stiffness: Stiffness of the translations [N/m].
-        damping: Their damping [N s/m].
+        damping: Damping of the translations [N s/m].
         turning_stiffness: Stiffness of the rotations [N m/rad].
-        turning_damping: Their damping [N m s/rad].
+        turning_damping: Damping of the rotations [N m s/rad].
         force_limit: Largest force [N].
         torque_limit: Largest torque [N m].
-        target: Where it pulls to [m, rad], (6,), or the path along which that moves; None where it has let go.
+        target: Target pose [m, rad], (6,), or its path; None if released.
         device_target: Target given by an input device, used while `target` is None [m, rad], (6,); None for none.
 
     Raises:
@@ -155,7 +167,7 @@ class SpringHand:
 
     @property
     def goal(self) -> Sequence[float] | Trajectory | None:
-        """Target in force; None for a hand that is released."""
+        """Present target; None if the hand is released."""
         return self.device_target if self.target is None else self.target
 
     def __call__(self, tick: int, time: Component, state: State) -> Sequence[Component]:
@@ -179,10 +191,10 @@ class SpringHand:
 
 @dataclass(frozen=True, eq=False)
 class RecordedHand:
-    """A hand that was recorded, given again sample for sample.
+    """Recorded hand, replayed sample by sample.
 
     Args:
-        wrenches: What it exerted at each sample [N, N m], (N, 6); after the last one it has let go.
+        wrenches: Wrench at each sample [N, N m], (N, 6); zero after the last one.
 
     Raises:
         ParameterError: If they are not finite or not (N, 6).
@@ -203,13 +215,16 @@ class RecordedHand:
 
 
 def _no_more(parts: list[float], limit: float) -> list[float]:
-    """Return a vector no longer than its limit."""
+    """Return a vector shortened to its limit."""
     length = math.sqrt(sum(part * part for part in parts))
     return parts if length <= limit else [part * limit / length for part in parts]
 
 
 def _turn(start: Sequence[float], end: Sequence[float]) -> tuple[float, float, float]:
-    """Return the rotation vector [rad] of the shorter turn from one orientation to another, in stator axes."""
+    """Return the rotation vector between two orientations [rad].
+
+    Of the shorter turn, in stator axes.
+    """
     w, x, y, z = quaternion(start)
     a, b, c, d = quaternion(end)
     turn = (

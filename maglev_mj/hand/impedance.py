@@ -1,4 +1,4 @@
-"""The hand that holds the flotor, as a mass, a damper and a spring; those published; motion under a held force."""
+"""Hand impedance: mass, damper, spring; published hands; discrete motion."""
 
 from __future__ import annotations
 
@@ -23,7 +23,10 @@ HANDS: Mapping[str, tuple[float, ...]] = {
     # assumed: the low corner of the published range
     "fingertip": (0.02, 1.0, 40.0),
 }
-"""Hands by name: mass [kg], damping [N s/m] and stiffness [N/m] of the arm, then damping and stiffness of the grip."""
+"""Published hands by name.
+
+Mass [kg], damping [N s/m] and stiffness [N/m] of the arm, then damping and stiffness of the grip.
+"""
 
 _TERMS = 14
 _LEAST_MASS = 1e-3
@@ -33,7 +36,9 @@ _VALUES = ("mass", "damping", "stiffness", "grip_damping", "grip_stiffness")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Hand:
-    """A hand on the flotor, linear and passive; its weight is its owner's to carry.
+    """Linear, passive hand on the flotor.
+
+    Its weight is carried by its owner.
 
     A mass on an arm that stands still, a spring and a damper. The grip is rigid, so that the mass moves with the
     flotor, or a spring and a damper of its own. Without an arm (no stiffness, no damping) a hand in such a grip is
@@ -83,11 +88,14 @@ class Hand:
 
     @property
     def soft(self) -> bool:
-        """Whether the grip gives, so that the hand has a motion of its own."""
+        """True if the grip is soft.
+
+        The hand then has a motion of its own.
+        """
         return self.grip_stiffness is not None
 
     def place(self, flotor: Component) -> Component:
-        """Return where the hand is when arm and grip balance with the flotor at a place [m]."""
+        """Return the hand's static position for a flotor position [m]."""
         _, _, arm, _, grip = self.values
         total = arm + grip
         share = np.where(total > 0.0, grip / np.where(total > 0.0, total, 1.0), 1.0)
@@ -95,22 +103,27 @@ class Hand:
 
     @property
     def static_stiffness(self) -> Array:
-        """Stiffness of the arm as the flotor has it through the grip [N/m]."""
+        """Static stiffness of arm and grip at the flotor [N/m]."""
         return np.asarray(self.values[2] * (self.place(1.0) if self.soft else 1.0))
 
     @property
     def values(self) -> tuple[Array, ...]:
-        """Mass, damping, stiffness, damping and stiffness of the grip; the last 0 where it is rigid."""
+        """Mass, damping, stiffness; damping and stiffness of the grip.
+
+        The last is 0 for a rigid grip.
+        """
         grip = 0.0 if self.grip_stiffness is None else self.grip_stiffness
         parts = (self.mass, self.damping, self.stiffness, self.grip_damping, grip)
         return tuple(np.asarray(part, dtype=np.float64) for part in parts)
 
 
 def hand_called(text: str) -> Hand | None:
-    """Return a hand by name, or from its numbers as "mass,damping,stiffness[,grip damping,grip stiffness]".
+    """Return a hand by name or from its numbers.
+
+    The numbers are "mass,damping,stiffness[,grip damping,grip stiffness]".
 
     Raises:
-        ParameterError: If there is no such name, or the numbers do not make a hand.
+        ParameterError: If there is no such name, or the numbers are invalid.
     """
     values = HANDS.get(text)
     if values is None:
@@ -130,11 +143,13 @@ def hand_called(text: str) -> Hand | None:
 
 
 def motion(mass: ArrayLike, hand: Hand | None = None, lag: float = 0.0) -> tuple[Array, Array]:
-    """Return the continuous equations s' = A s + B (u, w, e) of a flotor along one axis.
+    """Return the continuous state space model of one axis.
 
-    The state s is position and velocity of the flotor, then those of a hand in a soft grip, then the force that the
-    drivers give where they lag; u is the force commanded, w any other force on the flotor, and e what the hand's
-    muscles exert.
+    s' = A s + B (u, w, e) for a flotor with its hand.
+
+    The state s is position and velocity of the flotor, then those of a hand in a soft grip, then the force of lagging
+    drivers; u is the commanded force, w any other force on the flotor, and e the force of the hand's
+    muscles.
 
     Args:
         mass: Mass of the flotor [kg], (...,).
@@ -175,7 +190,9 @@ def motion(mass: ArrayLike, hand: Hand | None = None, lag: float = 0.0) -> tuple
 
 
 def transition(a: Array, b: Array, duration: ArrayLike) -> tuple[Array, Array]:
-    """Carry s' = A s + B u over a duration [s], (...,), under constant u: s <- Phi s + Gamma u.
+    """Return the transition over a duration under constant input.
+
+    s' = A s + B u becomes s <- Phi s + Gamma u; the duration is [s], (...,).
 
     Returns:
         Phi (..., n, n) and Gamma (..., n, m).
@@ -190,7 +207,9 @@ def transition(a: Array, b: Array, duration: ArrayLike) -> tuple[Array, Array]:
 
 
 def exponential(matrix: Array) -> Array:
-    """Return the exponential of square matrices (..., n, n): Taylor's series, scaled and squared.
+    """Return the exponential of square matrices (..., n, n).
+
+    Taylor's series with scaling and squaring.
 
     Exact to rounding for the small matrices here; numpy has none, and scipy's would be a dependency for this alone.
     """

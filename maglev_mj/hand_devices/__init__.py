@@ -1,1 +1,4 @@
-"""A gamepad or a 3D mouse as the hand: it moves the pose to which the hand's spring pulls, on six axes."""
+"""Gamepads and 3D mice as hands on six axes.
+
+A device moves the target of the hand's spring.
+"""

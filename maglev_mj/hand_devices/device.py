@@ -1,4 +1,4 @@
-"""An input device as the hand: its deflections as the pose to which the hand's spring pulls."""
+"""Input device as hand: deflections set the spring's target."""
 
 from __future__ import annotations
 
@@ -16,14 +16,17 @@ from maglev_mj.spec import RANGE
 __all__ = ["HAND_MAPPING", "HandDevice"]
 
 HAND_MAPPING = AxisMapping(gain=3.0, turning_gain=3.0, dead_zone=0.15)
-"""Settings by default: a full deflection pulls to three times the range, so that a wall can be pressed."""
+"""Default settings of the axes.
+
+A full deflection pulls to three times the range, so that a wall can be pressed.
+"""
 
 _FURTHEST = 1.0  # rad: a turn of more than pi would be one the other way round; no hand pulls so hard
 _FULL = np.ones(len(AXES))
 
 
 class HandDevice:
-    """An input device that moves the target of a hand; a `Publisher`.
+    """Input device that moves a hand's target; a `Publisher`.
 
     A deflection is a pose: the hand holds all six axes there. At rest, within the dead zone on every axis, it is
     released, so that the mouse can be used and friction holds the flotor. Another target of the hand, such as the
@@ -32,11 +35,11 @@ class HandDevice:
     Args:
         device: The device; closed with this.
         hand: The hand.
-        mapping: Settings of the axes; `HAND_MAPPING` where it is None.
+        mapping: Settings of the axes; `HAND_MAPPING` if None.
 
     Attributes:
-        note: Message for the person at the window while the device is gone.
-        act: Called with the action of a button that is pressed; may be replaced.
+        note: Message for the user while the device is missing.
+        act: Called with the action of a pressed button; may be replaced.
     """
 
     def __init__(self, device: InputDevice, hand: SpringHand, mapping: AxisMapping | None = None) -> None:
@@ -44,7 +47,7 @@ class HandDevice:
         self.act: Callable[[str], object] = _nothing
 
     def take(self) -> None:
-        """Return None: a device asks for no other scene."""
+        """Return None: a device requests no scene."""
         return None
 
     def show(self, snapshot: Snapshot) -> None:
@@ -57,12 +60,12 @@ class HandDevice:
                 self.act(BUTTONS[number])
 
     def close(self) -> None:
-        """Release the hand and close the device; a second time does nothing."""
+        """Release the hand and close the device; idempotent."""
         self._hand.device_target = None
         self._device.close()
 
     def _target(self, shares: Sequence[float]) -> list[float] | None:
-        """Return the pose to pull to [m, rad]; None at rest."""
+        """Return the target pose [m, rad]; None at rest."""
         outside = self._mapping.outside(np.asarray(shares), _FULL)
         target = np.clip(self._mapping(outside) * RANGE, -_FURTHEST, _FURTHEST)
         return target.tolist() if target.any() else None

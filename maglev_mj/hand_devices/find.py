@@ -1,4 +1,4 @@
-"""Search for input devices, and the choice of one by name."""
+"""Search for input devices, and selection by name."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from maglev_mj.spacenav import searched_paths
 __all__ = ["AUTO", "described_devices", "open_device"]
 
 AUTO = "auto"
-"""Name of the first device that is there."""
+"""Name that selects the first available device."""
 
 _MOUSE = "spacenav"
 
@@ -25,7 +25,7 @@ def open_device(name: str = AUTO) -> InputDevice:
         name: "auto", "spacenav" for the 3D mouse, the path of its socket, or part of a gamepad's name.
 
     Raises:
-        ParameterError: If it is not there.
+        ParameterError: If it is not found.
     """
     try:
         if "/" in name:
@@ -40,7 +40,10 @@ def open_device(name: str = AUTO) -> InputDevice:
 
 
 def described_devices() -> list[str]:
-    """Return a line about each device, the first choice of "auto" first."""
+    """Return a line about each device.
+
+    The first is that of "auto".
+    """
     mouse = _mouse()
     found = [] if mouse is None else [mouse.name]
     if mouse is not None:
@@ -49,7 +52,7 @@ def described_devices() -> list[str]:
 
 
 def _mouse() -> SpacenavMouse | None:
-    """Return the first 3D mouse that answers; None without one."""
+    """Return the first 3D mouse that answers, or None."""
     for path in searched_paths():
         try:
             return SpacenavMouse(path)

@@ -1,4 +1,7 @@
-"""Gamepads and joysticks by GLFW, in a process of their own: it may be asked by one thread alone, the window's."""
+"""Gamepads and joysticks by GLFW, in a separate process.
+
+GLFW may be called by one thread alone, the window's.
+"""
 
 from __future__ import annotations
 
@@ -18,20 +21,23 @@ _PERIOD = 1.0 / 120.0
 _PATIENCE = 20.0
 
 State: TypeAlias = tuple[tuple[float, ...], tuple[bool, ...]] | None
-"""Shares of the full deflections and buttons that are down; None for no such device."""
+"""Deflections and pressed buttons; None for no such device.
+
+Deflections are shares of the full one.
+"""
 
 
 class Gamepad:
-    """A gamepad, or a joystick of any other kind.
+    """Gamepad, or a joystick of another kind.
 
     Args:
-        name: Part of its name, in letters of any case; the first device where it is empty.
+        name: Part of its name, in upper or lower case; empty for the first device.
 
     Attributes:
-        name: What it is called.
+        name: Full name.
 
     Raises:
-        MaglevError: If there is none, or no display to find one by.
+        MaglevError: If there is none, or no display.
     """
 
     def __init__(self, name: str = "") -> None:
@@ -44,7 +50,7 @@ class Gamepad:
         self._state = _first(self._process)
 
     def read(self) -> Reading:
-        """Return its state; see `InputDevice`."""
+        """Return the state; see `InputDevice`."""
         pressed: list[int] = []
         for state in self._process.received():
             before = self._state[1] if self._state else ()
@@ -56,12 +62,15 @@ class Gamepad:
         return Reading(self._state[0], pressed)
 
     def close(self) -> None:
-        """Close it; a second time does nothing."""
+        """Close the device; idempotent."""
         self._process.close()
 
 
 def gamepad_names() -> list[str]:
-    """Return the names of the gamepads and joysticks that are there; none without a display."""
+    """Return the names of all gamepads and joysticks.
+
+    Empty without a display.
+    """
     process = SideProcess(watch, "")
     try:
         found: list[str] = _first(process)
@@ -83,13 +92,13 @@ def gamepad_shares(axes: Sequence[float], turn: float) -> tuple[float, ...]:
 
 
 def watch(line: Connection, wanted: str) -> None:
-    """Send the names of all devices, then each new state of one.
+    """Send all device names, then each new state of one.
 
     It runs in a process of its own, until the line ends.
 
     Args:
-        line: To the program.
-        wanted: Part of its name.
+        line: Connection to the program.
+        wanted: Part of the device's name.
     """
     # imported here: it loads the library that opens windows
     import glfw
@@ -125,11 +134,11 @@ class _Pads:
         self._rest: dict[int, tuple[float, ...]] = {}
 
     def names(self) -> list[str]:
-        """Return the names of those that are there."""
+        """Return the names of all present devices."""
         return [self._name(number) for number in self._there()]
 
     def state(self, wanted: str) -> State:
-        """Return the state of the first one whose name has a part."""
+        """Return the state of the first device matching a name."""
         for number in self._there():
             if wanted.lower() in self._name(number).lower():
                 return self._gamepad(number) if self._glfw.joystick_is_gamepad(number) else self._joystick(number)
@@ -155,7 +164,10 @@ class _Pads:
         return gamepad_shares(state.axes, float(left) - float(right)), tuple(buttons[: len(BUTTONS)])
 
     def _joystick(self, number: int) -> State:
-        """Return the first six axes of a joystick, from where each was first: a throttle rests at its end."""
+        """Return deflections and buttons of a joystick.
+
+        The first six axes, relative to their first values: a throttle rests at its end.
+        """
         places, count = self._glfw.get_joystick_axes(number)
         axes = tuple(float(places[index]) if index < count else 0.0 for index in range(len(AXES)))
         rest = self._rest.setdefault(number, axes)
@@ -165,7 +177,10 @@ class _Pads:
 
 
 def _first(process: SideProcess) -> Any:
-    """Return the next message of a process; an empty list if it ends first."""
+    """Return the next message of a process.
+
+    An empty list if it ends first.
+    """
     end = time.monotonic() + _PATIENCE
     while not process.ended and time.monotonic() < end:
         for message in process.received():

@@ -1,4 +1,4 @@
-"""A 3D mouse by its driver's socket: a client of spacenav's protocol."""
+"""3D mouse behind its driver's socket, by the spacenav protocol."""
 
 from __future__ import annotations
 
@@ -20,19 +20,21 @@ _AGAIN = 1.0
 
 
 class SpacenavMouse:
-    """A 3D mouse behind a spacenav socket, in protocol 0, which every spacenavd speaks.
+    """3D mouse behind a spacenav socket, in protocol 0.
 
-    Once the other end has gone, it is called again every second.
+    Every spacenavd speaks that.
+
+    After a loss of the connection it is reopened, tried every second.
 
     Args:
-        path: Of the socket.
-        clock: Returns real time [s].
+        path: Path of the socket.
+        clock: Clock of real time [s].
 
     Attributes:
-        name: What it is called.
+        name: Name of the device.
 
     Raises:
-        MaglevError: If nobody answers there.
+        MaglevError: If there is no answer.
     """
 
     def __init__(self, path: Path, clock: Callable[[], float] = time.monotonic) -> None:
@@ -43,7 +45,7 @@ class SpacenavMouse:
             raise MaglevError(f"no {self.name}")
 
     def read(self) -> Reading:
-        """Return its state; see `InputDevice`."""
+        """Return the state; see `InputDevice`."""
         if self._line is None and self._clock() >= self._next:
             self._call()
         if self._line is None:
@@ -61,13 +63,13 @@ class SpacenavMouse:
         return Reading(self._shares, pressed)
 
     def close(self) -> None:
-        """Hang up; a second time does nothing."""
+        """Close the connection; idempotent."""
         if self._line is not None:
             self._line.close()
         self._line, self._next = None, self._clock() + _AGAIN
 
     def _call(self) -> None:
-        """Connect, if somebody answers."""
+        """Connect to the socket, if possible."""
         self._rest, self._shares = b"", _shares(REST)
         if not hasattr(socket, "AF_UNIX"):
             return
@@ -76,11 +78,14 @@ class SpacenavMouse:
         try:
             self._line.connect(os.fspath(self._path))
             self._line.send(GREETING)
-        except OSError:  # nobody is there, or too many wait
+        except OSError:  # no driver, or too many clients wait
             self.close()
 
     def _hear(self, data: bytes) -> list[int]:
-        """Take the last motion of what has come, whole or in pieces; return the buttons pressed."""
+        """Store the last received motion; return pressed buttons.
+
+        Data may arrive in pieces.
+        """
         self._rest += data
         pressed = []
         while len(self._rest) >= EVENT:
@@ -94,5 +99,5 @@ class SpacenavMouse:
 
 
 def _shares(axes: tuple[int, ...]) -> tuple[float, ...]:
-    """Return shares of the full deflection, in the order of the device."""
+    """Return shares of the full deflection, in device order."""
     return tuple(axes[index] / FULL for index in EXCHANGED)

@@ -1,4 +1,4 @@
-"""The state of an input device of any kind."""
+"""State of an input device of any kind."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from typing import NamedTuple, Protocol
 __all__ = ["BUTTONS", "GONE", "InputDevice", "Reading"]
 
 BUTTONS = "centre", "pause"
-"""Actions of the first and the second button."""
+"""Actions of the first and second button."""
 
 
 class Reading(NamedTuple):
     """State of an input device.
 
     Attributes:
-        shares: Of the full deflection on each axis, -1 to 1, six; None while the device is gone.
+        shares: Shares of the full deflection on each axis, -1 to 1, six; None while the device is missing.
         pressed: Numbers of the buttons pressed since the last reading.
     """
 
@@ -28,12 +28,15 @@ GONE = Reading(None)
 
 
 class InputDevice(Protocol):
-    """A device of six axes, read without waiting; once unplugged, it may come back."""
+    """Interface of a six-axis device, read without waiting.
+
+    After it is unplugged, it may return.
+    """
 
     name: str
 
     def read(self) -> Reading:
-        """Return its state."""
+        """Return the state since the last reading."""
 
     def close(self) -> None:
-        """Close it; a second time does nothing."""
+        """Close the device; idempotent."""

@@ -1,4 +1,7 @@
-"""The live server: programs that read the Foxglove protocol watch a scene and set it; see docs/reference/live.md."""
+"""Live server of the Foxglove protocol; see docs/reference/live.md.
+
+Other programs watch a scene and set its parameters.
+"""
 
 from maglev_mj.live.server import PORT, LiveServer, LiveServerError
 

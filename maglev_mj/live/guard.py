@@ -1,7 +1,7 @@
-"""The public port of a live server: it keeps pages of other sites away from the server behind it.
+"""Guard of the live server's public port against web pages.
 
-A browser lets any page open a WebSocket to this machine, and says in Origin whose page it is. A name of the attacker's
-own may lead to this machine, too, which Host tells. The server behind checks neither.
+A browser lets any page open a WebSocket to this machine; Origin names the page's site. A name of the attacker's
+own may resolve to this machine, too; Host shows it. The server behind checks neither.
 """
 
 from __future__ import annotations
@@ -16,10 +16,13 @@ from maglev_mj.net.addresses import LOOPBACK
 __all__ = ["MOST", "PATIENCE", "forward", "objection"]
 
 PATIENCE = 5.0
-"""How long a request may take to come [s]."""
+"""Longest time for a request to arrive [s]."""
 
 MOST = 64
-"""Connections at a time; each takes three open files, of which a process may have few."""
+"""Largest number of connections.
+
+Each takes three open files, a limited resource of a process.
+"""
 
 _LONGEST, _CHUNK = 8192, 1 << 16
 _QUICKACK: int | None = getattr(socket, "TCP_QUICKACK", None)  # of Linux only
@@ -29,10 +32,10 @@ _FIELD = re.compile(r"([\w-]+):[ \t]*([^\r\n]*?)[ \t]*", re.ASCII)
 
 
 def objection(request: str) -> str:
-    """Return why a request is refused; empty if it is not.
+    """Return the reason to refuse a request, or "".
 
     Args:
-        request: Its first line and its header, without the empty line at the end.
+        request: First line and header, without the empty line at the end.
     """
     first, *lines = request.split("\r\n")
     fields: dict[str, list[str]] = {"host": [], "origin": [], "upgrade": []}
@@ -50,9 +53,11 @@ def objection(request: str) -> str:
 
 
 def forward(listener: socket.socket, server: tuple[str, int]) -> None:
-    """Pass connections on to a server that `objection` lets through; in a thread of its own, without end.
+    """Forward accepted connections to a server, without end.
 
-    One more than MOST is closed at once.
+    It needs a thread of its own.
+
+    Connections beyond MOST are closed at once.
 
     Args:
         listener: The public port.
@@ -92,7 +97,7 @@ async def _accept(reader: asyncio.StreamReader, writer: asyncio.StreamWriter, se
 
 
 async def _pass(reader: asyncio.StreamReader, source: asyncio.StreamWriter, writer: asyncio.StreamWriter) -> None:
-    """Pass bytes on at once until either end is closed; wait for the one that takes them."""
+    """Forward bytes until either end is closed."""
     with suppress(OSError):
         writer.get_extra_info("socket").setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         while data := await reader.read(_CHUNK):

@@ -1,4 +1,4 @@
-"""The live server: programs that read the Foxglove protocol see every sample, and set the parameters of the scene."""
+"""Live server: samples and parameters for Foxglove programs."""
 
 from __future__ import annotations
 
@@ -23,32 +23,34 @@ from maglev_mj.versions import versions
 __all__ = ["PORT", "LiveServer", "LiveServerError"]
 
 PORT = 8765
-"""Where programs look by default."""
+"""Default port of Foxglove programs."""
 
 _PATIENCE = 60.0
 _SAME = 1e-5
-"""Delays that differ by less are the same [s]."""
+"""Largest difference of equal delays [s]."""
 _UNSENT = 256
 
 
 class LiveServerError(MaglevError):
-    """The live server cannot start: its package is not installed, or its port is taken."""
+    """Live server cannot start: package missing, or port in use."""
 
 
 class LiveServer:
-    """Serves a running scene to other programs: a `RecordingFile` and a `Publisher`.
+    """Server of a running scene to other programs.
 
-    It logs, checks and answers in processes of its own. For the control loop a sample is a row put into memory that is
-    shared, and a look for a scene that it may go on with; it waits for neither.
+    It is a `RecordingFile` and a `Publisher`.
+
+    It logs, checks and answers in processes of its own. The control loop only writes a row to shared memory
+    and looks for a new scene; it never waits.
 
     Args:
-        port: Of 127.0.0.1; 0 for any that is free.
+        port: Port of 127.0.0.1; 0 for any free one.
 
     Attributes:
-        port: Where it listens.
+        port: Port of the server.
 
     Raises:
-        ParameterError: If the port is none.
+        ParameterError: If the port is invalid.
         MissingPackageError: If the package is not installed.
         LiveServerError: If the port is taken, or the process does not start, as from a script without
             `if __name__ == "__main__":`.
@@ -76,30 +78,33 @@ class LiveServer:
             raise LiveServerError(f"the process of the live server does not start: {why}")
 
     def begin(self, plant: RecordedPlant, controller: Controller, setup: Setup | None = None) -> Record:
-        """Begin a stretch; return what the loop records it to."""
+        """Begin a stretch; return the loop's recording function."""
         whole = {**whole_setup(plant, controller, setup), "versions": self._versions}
         self._say("begin", whole, time.time_ns())
         self._stuck = repr(None)
         return self._ring.record(plant)
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
-        """Do nothing: a recording has what can be attached."""
+        """Do nothing: recordings hold the attachments."""
 
     def event(self, kind: str, text: str, missed: int = 0) -> None:
-        """Tell everybody what a person should know of."""
+        """Send an event to all clients."""
         self._say("event", kind, text, missed)
 
     def check(self) -> None:
-        """Do nothing: where its process ends, the scene goes on."""
+        """Do nothing: the scene runs on without the server's process."""
 
     def take(self) -> Wish | None:
-        """Return the scene that a program asks for and may have, once."""
+        """Return an accepted scene requested by a program, once."""
         for scene in self._process.received():
             return Wish(scene, self._note)
         return None
 
     def show(self, snapshot: Snapshot) -> None:
-        """Tell the process of another scene, state or stick position; samples reach it by themselves."""
+        """Send a changed scene, state or stick position.
+
+        Samples go through shared memory.
+        """
         stuck = None if snapshot.anchors is None else snapshot.anchors.tolist()
         if repr(stuck) != self._stuck:  # NaN does not differ from itself in it
             self._stuck = repr(stuck)
@@ -114,7 +119,7 @@ class LiveServer:
             self._send()
 
     def close(self) -> None:
-        """Let everybody go; a second time does nothing."""
+        """Close all connections; idempotent."""
         self._process.close()
         self._ring.close()
 
@@ -123,9 +128,9 @@ class LiveServer:
         self._answer = Answer(reason=answer) if isinstance(answer, str) else Answer(answer)
 
     def _say(self, *order: Any) -> None:
-        """Tell the process, before the next row is there."""
+        """Send a message to the server, before the next row."""
         self._unsent.append((self._ring.count, *order))
-        if len(self._unsent) > _UNSENT:  # all can go but what rows began with, and what a request waits for
+        if len(self._unsent) > _UNSENT:  # all can be dropped but the beginning of rows, and answers to requests
             for place, one in enumerate(self._unsent):
                 if one[1] != "begin" and not isinstance(one[-1], Answer):
                     del self._unsent[place]
@@ -138,16 +143,16 @@ class LiveServer:
 
 
 def _serve(*arguments: Any) -> None:
-    """See `serve`, which loads what only its process needs."""
+    """Run `serve` with imports needed in its process only."""
     os.nice(NICE)
     from maglev_mj.live.service import serve
 
     serve(*arguments)
-    os._exit(0)  # whoever closes it waits, and the interpreter takes its time to end
+    os._exit(0)  # the closing process waits, and the interpreter's own end is slow
 
 
 class _Shared:
-    """A ring's memory, which the process that is being started gets a reader of."""
+    """Ring memory that a new process receives as reader."""
 
     def __init__(self, descriptor: int) -> None:
         self._descriptor = descriptor

@@ -1,4 +1,4 @@
-"""The live server in its own process, between the control loop, other programs, and the process that checks."""
+"""Process of the live server between control loop and clients."""
 
 from __future__ import annotations
 
@@ -30,22 +30,25 @@ from maglev_mj.session import Refusal
 __all__ = ["LONGEST_CHECK", "serve"]
 
 LONGEST_CHECK = 10.0
-"""How long a check may take [s]."""
+"""Longest time of a check [s]."""
 
 _LOOK = 1.0 / 120.0
 _PAUSE = 1.0  # from one process that checks to the next [s]
 _PATIENCE = 60.0
-_MOST_REASON = 300  # it may repeat what a program sent
+_MOST_REASON = 300  # it may repeat a client's request
 _SET = "/maglev/set"
 _JSON = MessageSchema(encoding="json", schema=Schema(name=_SET, encoding="jsonschema", data=b'{"type": "object"}'))
 _SCHEMA = ServiceSchema(name=_SET, request=_JSON, response=_JSON)
 
 
 def serve(line: Connection, rows: RowReader, listener: socket.socket) -> None:
-    """Serve until the line ends, in a process of its own; say first why it cannot, or nothing."""
+    """Serve until the line ends, in an own process.
+
+    The first message is the reason of a failure, or empty.
+    """
     try:
         service = _Service(line, rows, listener)
-    except Exception as error:  # whatever keeps the package from starting
+    except Exception as error:  # any error that keeps the package from starting
         line.send(f"{type(error).__name__}: {error}")
         return
     line.send("")
@@ -53,10 +56,10 @@ def serve(line: Connection, rows: RowReader, listener: socket.socket) -> None:
 
 
 class _Service(ServerListener):
-    """Logs rows and events to the clients, and has their requests checked."""
+    """Server that logs rows and events and has requests checked."""
 
     def __init__(self, line: Connection, rows: RowReader, listener: socket.socket) -> None:
-        foxglove.set_log_level(logging.CRITICAL)  # what clients do wrong is not for the person at the terminal
+        foxglove.set_log_level(logging.CRITICAL)  # errors of clients are not for the user's terminal
         self._line, self._rows, self._requests, self._greet = line, rows, Requests(), False
         self._orders: deque[tuple[Any, ...]] = deque()
         self._place = 0
@@ -81,17 +84,17 @@ class _Service(ServerListener):
         threading.Thread(target=forward, args=(listener, (host, self._server.port)), daemon=True).start()
 
     def run(self) -> None:
-        """Serve until the control loop's end of the line is closed."""
+        """Serve until the control loop closes its end."""
         while not self._over:
             self._turn()
         self._checker.close(0.0)
         self._server.stop()
 
     def _turn(self) -> None:
-        """Wait for whatever comes next, and pass it on."""
+        """Wait for the next event and handle it."""
         checking = [] if self._checker.ended else [self._checker.line, self._requests.arrived]
         wait([self._line, *checking], _LOOK)
-        rows = list(self._rows.rows())  # before what is said, for what is said of a row comes before it
+        rows = list(self._rows.rows())  # rows first: a message about a row arrives before the row
         while not self._over and self._line.poll():
             self._hear()
         if self._greet:
@@ -121,13 +124,13 @@ class _Service(ServerListener):
             self._orders.append((place, what, *arguments))
 
     def _obey(self, place: int) -> None:
-        """Log what is said before a row."""
+        """Log the messages that precede a row."""
         while self._orders and self._orders[0][0] <= place:
             _, what, *arguments = self._orders.popleft()
             getattr(self._messages, what)(*arguments)
 
     def _show(self, state: State, answer: Answer | None) -> None:
-        """Publish another scene in force, and what the control loop answered to the one that it was handed."""
+        """Publish the present scene and the control loop's answer."""
         self._know(state)
         if answer is not None:
             self._settle(answer)
@@ -138,7 +141,7 @@ class _Service(ServerListener):
         self._parameters = [Parameter(name, value=value) for name, value in values_of(state).items()]
 
     def _check(self) -> None:
-        """Take what has been checked, and let the next be checked."""
+        """Handle checked requests and start the next check."""
         for verdict in self._checker.received():
             if verdict is not None:
                 self._judge(verdict)
@@ -153,7 +156,7 @@ class _Service(ServerListener):
             self._until = time.monotonic() + LONGEST_CHECK
 
     def _replace_checker(self) -> None:
-        """Start another process that checks, unless the last start was just now."""
+        """Restart the checking process, at intervals."""
         if (now := time.monotonic()) < self._next_checker:
             return
         self._next_checker = now + _PAUSE
@@ -167,7 +170,7 @@ class _Service(ServerListener):
         self._judge(f"it is not known whether the parameters would be stable: {why}")
 
     def _judge(self, verdict: Verdict) -> None:
-        """Hand a scene over to the control loop, or say why not."""
+        """Send a checked scene to the loop, or refuse it."""
         self._until = math.inf
         if isinstance(verdict, Scene):
             with suppress(OSError):  # that it has ended is heard
@@ -177,7 +180,7 @@ class _Service(ServerListener):
             self._settle(Answer(None, str(verdict)[:_MOST_REASON], figures))
 
     def _settle(self, answer: Answer) -> None:
-        """Answer a request; tell everybody why one is refused."""
+        """Answer a request; report a refusal to all clients."""
         self._requests.settle(answer)
         if answer.reason:
             self._server.publish_status(answer.reason, StatusLevel.Warning, "set")
@@ -188,7 +191,7 @@ class _Service(ServerListener):
     # --- called by the package, in threads of its own --------------------------------------------
 
     def on_subscribe(self, client: Client, channel: ChannelView) -> None:
-        """Note that somebody needs to know what there is to draw."""
+        """Request the drawing for a new subscriber."""
         self._greet = True
 
     def on_get_parameters(self, client: Client, names: list[str], request: str | None = None) -> list[Parameter]:
@@ -198,12 +201,15 @@ class _Service(ServerListener):
     def on_set_parameters(
         self, client: Client, parameters: list[Parameter], request: str | None = None
     ) -> list[Parameter]:
-        """Let a request wait; return the parameters in force, for whoever waits here keeps others waiting."""
+        """Queue a request; return the parameters in force.
+
+        Waiting here would block other clients.
+        """
         self._requests.put({one.name: one.get_value() for one in parameters})
         return self._parameters
 
     def _call(self, call: ServiceRequest) -> bytes:
-        """Answer a call of the service, when the request is in force or refused."""
+        """Answer a service call once in force or refused."""
         try:
             given = json.loads(bytes(call.payload))
         except (ValueError, RecursionError):

@@ -1,4 +1,4 @@
-"""Parameters of a scene as other programs see them, and their requests to change them, one at a time."""
+"""Parameters of a scene for other programs, and their requests."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from maglev_mj.session import DEVICES_OWN, Refusal, own_code_refused, refusal, s
 __all__ = ["NICE", "Answer", "Requests", "State", "Verdict", "check_requests", "checked", "values_of"]
 
 NICE = 5
-"""How far these processes give way to what has deadlines."""
+"""Niceness of processes without deadlines."""
 
 _NONE = "none"  # as on the command line: the protocol has no null
 
@@ -28,10 +28,10 @@ class State(NamedTuple):
     """The scene that the control loop renders.
 
     Attributes:
-        scene: The scene with its present parameters; None where none runs.
-        delay: From a sample to its command taking effect, as measured [s].
+        scene: The scene with its present parameters; None if none runs.
+        delay: Measured time from a sample to its command's effect [s].
         inertia: Mass and moments of inertia of the flotor [kg, kg m²], (6,); None for the scene's own.
-        state: "running", "paused", "flying", "stopped: " and why; or why there is no scene.
+        state: "running", "paused", "flying", "stopped: " and a reason; or the reason for having no scene.
     """
 
     scene: Scene | None = None
@@ -41,12 +41,12 @@ class State(NamedTuple):
 
 
 class Answer(NamedTuple):
-    """The answer to a request.
+    """Answer to a request.
 
     Attributes:
-        since: The first sample answered under the new parameters; None where they are refused.
-        reason: Why they are refused; empty where they are not.
-        figures: Of the loop that would be unstable, see `Refusal`; None where that is not the reason.
+        since: The first sample answered under the new parameters; None if refused.
+        reason: Reason of a refusal; empty otherwise.
+        figures: Figures of a loop refused as unstable, see `Refusal`; None otherwise.
     """
 
     since: int | None = None
@@ -55,11 +55,14 @@ class Answer(NamedTuple):
 
 
 Verdict: TypeAlias = Scene | Refusal | str
-"""The scene that a program may have, or why it may not."""
+"""Accepted scene, or the reason of its refusal."""
 
 
 def values_of(state: State) -> dict[str, Any]:
-    """Return the parameters by name, ready for JSON, with those of the device and the names of scene and state."""
+    """Return the parameters by name, ready for JSON.
+
+    Those of the device, scene name and state are included.
+    """
     scene = state.scene
     if scene is None:
         return {}
@@ -70,7 +73,7 @@ def values_of(state: State) -> dict[str, Any]:
 
 
 def checked(state: State, given: Mapping[str, Any]) -> Verdict:
-    """Return the present scene with the parameters asked for, or why they are refused."""
+    """Return the scene with requested parameters, or the refusal."""
     scene = state.scene
     if scene is None:
         return state.state
@@ -88,19 +91,21 @@ def checked(state: State, given: Mapping[str, Any]) -> Verdict:
 
 
 def check_requests(line: Connection) -> None:
-    """Check parameters until the line ends; in a process of its own."""
+    """Check requests until the line ends, in an own process."""
     os.nice(NICE)
     with suppress(EOFError, OSError):
-        line.send(None)  # it has loaded what it needs
+        line.send(None)  # all modules are loaded
         while True:
             line.send(checked(*line.recv()))
 
 
 class Requests:
-    """Hold the newest request until the one before it is answered: each is checked with what that one has left.
+    """Hold the newest request until the one before is answered.
+
+    Each is checked with the parameters that the last one left.
 
     Attributes:
-        arrived: Readable once a request has come while none was being checked, until `next` returns it.
+        arrived: Socket that is readable while a request waits and none is being checked.
     """
 
     def __init__(self) -> None:
@@ -110,7 +115,10 @@ class Requests:
         self._current: Future[Answer] | None = None
 
     def put(self, given: Mapping[str, Any]) -> Future[Answer]:
-        """Let a request wait, from any thread, and return what its answer will be; an older one is refused."""
+        """Queue a request from any thread; return its future answer.
+
+        An older waiting request is refused.
+        """
         answer = Future[Answer]()
         with self._lock:
             older, self._waiting = self._waiting, (given, answer)
@@ -121,7 +129,7 @@ class Requests:
         return answer
 
     def next(self) -> Mapping[str, Any] | None:
-        """Return the parameters that are to be checked now, once."""
+        """Return the parameters to check now, once."""
         with self._lock:
             if self._current is not None or self._waiting is None:
                 return None
@@ -131,7 +139,7 @@ class Requests:
         return given
 
     def settle(self, answer: Answer) -> None:
-        """Answer the request that was checked."""
+        """Answer the checked request."""
         current, self._current = self._current, None
         if current is not None:
             current.set_result(answer)

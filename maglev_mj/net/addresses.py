@@ -1,4 +1,4 @@
-"""Where the other end of a link is, and with whom one may speak there."""
+"""Addresses of links, and checks of permitted hosts."""
 
 from __future__ import annotations
 
@@ -24,21 +24,27 @@ __all__ = [
 ]
 
 BAUD = 921600
-"""Of a serial line whose address names none; 139 bytes a sample and as many an answer need 3/5 of it at 200 Hz."""
+"""Default baud rate of a serial line.
+
+139 bytes a sample and as many an answer need 3/5 of it at 200 Hz.
+"""
 
 LOOPBACK = r"(?:127\.0\.0\.1|localhost|\[::1\])(?::\d{1,5})?"
-"""Pattern of this machine's own names, with a port or without, as browsers say them."""
+"""Pattern of this machine's names, with or without port."""
 
 _UDP = re.compile(r"udp://([\w.-]+):(\d{1,5})", re.ASCII)
 _SERIAL = re.compile(r"serial://(/[^?#]+)(?:\?baud=(\d{1,8}))?", re.ASCII)
 
 
 class ListenError(MaglevError):
-    """A port cannot be listened at: it is taken, or the host is not of this machine."""
+    """Port cannot be opened: in use, or not this machine's."""
 
 
 class Url(NamedTuple):
-    """Address of a link: scheme "udp", host and port; or "serial", path of the line and baud rate [1/s]."""
+    """Address of a link, parsed.
+
+    Scheme "udp", host and port; or "serial", path of the line and baud rate [1/s].
+    """
 
     scheme: str
     place: str
@@ -46,10 +52,12 @@ class Url(NamedTuple):
 
 
 def parse_url(text: str, *, server: bool = False) -> Url:
-    """Parse udp://HOST:PORT or serial:///PATH?baud=RATE; a server may have port 0, any that is free.
+    """Parse udp://HOST:PORT or serial:///PATH?baud=RATE.
+
+    A server may have port 0, for any free one.
 
     Raises:
-        ParameterError: If it is neither.
+        ParameterError: If the text has neither form.
     """
     least = 0 if flag("server", server) else 1
     if (udp := _UDP.fullmatch(text)) and least <= int(udp[2]) <= 65535:
@@ -65,7 +73,7 @@ def resolve(host: str) -> str:
     """Return the IPv4 address of a host.
 
     Raises:
-        ParameterError: If it has none.
+        ParameterError: If it has no address.
     """
     try:
         found = socket.getaddrinfo(host, 0, socket.AF_INET, socket.SOCK_DGRAM) if host else []
@@ -75,19 +83,21 @@ def resolve(host: str) -> str:
 
 
 def is_loopback(host: str) -> bool:
-    """Return whether frames to or from a host never leave this machine.
+    """Return True if a host is this machine.
 
     Raises:
-        ParameterError: If it has no IPv4 address.
+        ParameterError: If the host has no IPv4 address.
     """
     return IPv4Address(resolve(host)).is_loopback
 
 
 def check_host(host: str, key: bytes | None) -> str:
-    """Return the IPv4 address of a host that may be spoken with: this machine, or any with a key.
+    """Return the IPv4 address of a permitted host.
+
+    Permitted is this machine, and any with a key.
 
     Raises:
-        ParameterError: If it is another and there is no key, or it has no address.
+        ParameterError: If it is another machine and there is no key, or it has no address.
     """
     address = resolve(host)
     if key is None and not is_loopback(address):
@@ -96,10 +106,10 @@ def check_host(host: str, key: bytes | None) -> str:
 
 
 def check_port(port: int) -> int:
-    """Return a port that a server may listen at.
+    """Return a port after checking it.
 
     Raises:
-        ParameterError: If it is none.
+        ParameterError: If it is not a whole number of 0 to 65535.
     """
     if isinstance(port, bool) or not isinstance(port, int) or not 0 <= port <= 65535:
         raise ParameterError(f"port must be a whole number of 0 to 65535, not {port!r}")
@@ -110,11 +120,11 @@ def listen(port: int, host: str = "127.0.0.1") -> socket.socket:
     """Return a socket that listens for TCP connections.
 
     Args:
-        port: 0 for any that is free.
+        port: Port number; 0 for any free one.
         host: Name or IPv4 address of this machine.
 
     Raises:
-        ParameterError: If the port is none, or the host has no IPv4 address.
+        ParameterError: If the port is invalid, or the host has no IPv4 address.
         ListenError: If the port is taken, or the host is not of this machine.
     """
     try:

@@ -1,4 +1,4 @@
-"""The key that two ends of a wire share, and the tag by which each knows that a message is the other's."""
+"""Message authentication by a shared key."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from maglev_mj.errors import ParameterError
 __all__ = ["LEAST_KEY", "MOST_KEY", "TAG", "Authenticator"]
 
 LEAST_KEY, MOST_KEY = 16, 32
-"""Bytes that a key has."""
+"""Smallest and largest length of a key [bytes]."""
 
 TAG = 16
-"""Bytes of a tag."""
+"""Length of a tag [bytes]."""
 
 
 class Authenticator:
-    """Tags messages by keyed BLAKE2s.
+    """Authenticator of messages by keyed BLAKE2s.
 
     Args:
-        key: Shared by both ends.
+        key: Key shared by both ends.
 
     Raises:
         ParameterError: If it is too short or too long.

@@ -1,4 +1,6 @@
-"""Frames over a serial line: COBS between zero bytes. It needs pyserial (the extra `serial`), a pty does not.
+"""Frames over a serial line, with COBS encoding.
+
+A serial line needs pyserial (the extra `serial`); a pseudo-terminal does not.
 
 Source: S. Cheshire and M. Baker, "Consistent Overhead Byte Stuffing", IEEE/ACM Transactions on Networking 7(2), 1999.
 """
@@ -16,14 +18,17 @@ from maglev_mj.net.udp import Address, LinkError, readable
 __all__ = ["LONGEST", "Deframer", "PtyServer", "SerialLink", "cobs_decode", "cobs_encode"]
 
 LONGEST = 4096
-"""Bytes without a zero after which they are no frame."""
+"""Largest number of bytes of a frame."""
 
-_FLOOD = 1e-3  # [s] of reading what is no frame beyond the time that a caller would wait
+_FLOOD = 1e-3  # longest reading of invalid data beyond the caller's timeout [s]
 _CODES = [bytes([length + 1]) for length in range(255)]
 
 
 def cobs_encode(data: bytes) -> bytes:
-    """Return data without a zero byte in it, longer by 1 and by at most another of every 254."""
+    """Return COBS-encoded data, without a zero byte.
+
+    It is longer by 1 and by at most one more for every 254 bytes.
+    """
     pieces: list[bytes] = []
     blocks = data.split(b"\0")
     for left, block in enumerate(blocks, 1 - len(blocks)):
@@ -35,7 +40,7 @@ def cobs_encode(data: bytes) -> bytes:
 
 
 def cobs_decode(data: bytes) -> bytes | None:
-    """Return what was encoded; None for what no encoding can be."""
+    """Return COBS-decoded data; None for an invalid encoding."""
     end = len(data)
     if not end or b"\0" in data:
         return None
@@ -54,11 +59,13 @@ def cobs_decode(data: bytes) -> bytes | None:
 
 
 class Deframer:
-    """Cuts a stream of bytes into frames, and finds them again after garbage.
+    """Splitter of a byte stream into frames.
+
+    It resynchronizes after garbage.
 
     Attributes:
-        frames: Those that have come, oldest first; to be taken from the left.
-        dropped: How many pieces were no frame.
+        frames: Received frames, oldest first; to be taken from the left.
+        dropped: Number of invalid pieces.
     """
 
     def __init__(self) -> None:
@@ -68,7 +75,7 @@ class Deframer:
         self._lost = False
 
     def feed(self, data: bytes) -> None:
-        """Take in the next bytes."""
+        """Add the next bytes."""
         *pieces, self._rest = (self._rest + data).split(b"\0")
         for piece in pieces:
             frame = None if self._lost or len(piece) > LONGEST else cobs_decode(piece)
@@ -82,7 +89,7 @@ class Deframer:
 
 
 class _Line:
-    """Frames through a file descriptor that does not block."""
+    """Frames over a non-blocking file descriptor."""
 
     def __init__(self, descriptor: int, name: str) -> None:
         self._descriptor, self._name = descriptor, name
@@ -90,14 +97,14 @@ class _Line:
 
     @property
     def dropped(self) -> int:
-        """How many pieces between zero bytes were no frame."""
+        """Number of invalid pieces between zero bytes."""
         return self._deframer.dropped
 
     def _write(self, data: bytes) -> None:
-        """Send one frame; one for which there is no room is lost.
+        """Send one frame; drop it if the buffer is full.
 
         Raises:
-            LinkError: If the line is gone.
+            LinkError: If the link has failed.
         """
         try:
             # the zero before it keeps noise, or a frame cut short for lack of room, from spoiling this one
@@ -131,10 +138,10 @@ class _Line:
 
 
 class SerialLink(_Line):
-    """A link over a serial line, which no other program may have open.
+    """Link over a serial line, opened exclusively.
 
     Args:
-        path: Of the line, such as /dev/ttyUSB0.
+        path: Path of the line, such as /dev/ttyUSB0.
         baud: Rate [1/s], above 0.
 
     Raises:
@@ -161,22 +168,24 @@ class SerialLink(_Line):
     send, receive = _Line._write, _Line._next
 
     def now(self) -> int:
-        """Return the instant [ns] of this machine's monotonic clock."""
+        """Return this machine's monotonic clock [ns]."""
         return time.monotonic_ns()
 
     def close(self) -> None:
-        """Close the line; a second time does nothing."""
+        """Close the line; idempotent."""
         self._descriptor = -1  # a number that the system may hand out again
         with suppress(OSError):  # an adapter that was pulled out
             self._port.close()
 
 
 class PtyServer(_Line):
-    """A device's end of a serial line that is not there: a pseudo-terminal, whose other end anyone may open.
+    """Device's end of a simulated serial line, a pseudo-terminal.
+
+    Any program may open the other end.
 
     Attributes:
-        path: Of the other end, for a `SerialLink`.
-        address: Where its one peer is.
+        path: Path of the other end, for a `SerialLink`.
+        address: Address of its only peer.
 
     Raises:
         LinkError: If the system has no pseudo-terminals.
@@ -197,16 +206,19 @@ class PtyServer(_Line):
         super().__init__(master, self.path)
 
     def receive(self, timeout: float) -> tuple[bytes, Address] | None:
-        """Return the oldest frame and its sender, or None if none comes within `timeout` [s]; 0 only looks."""
+        """Return the oldest frame and its sender, or None.
+
+        It waits up to `timeout` [s]; 0 returns at once.
+        """
         data = self._next(timeout)
         return None if data is None else (data, self.address)
 
     def send(self, data: bytes, address: Address) -> None:
-        """Send one frame; one for which there is no room is lost."""
+        """Send one frame; drop it if the buffer is full."""
         self._write(data)
 
     def close(self) -> None:
-        """Close both ends; a second time does nothing."""
+        """Close both ends; idempotent."""
         if self._open:
             self._open = False
             os.close(self._descriptor)

@@ -1,6 +1,6 @@
-"""How frames travel: what a link is, and links over UDP.
+"""Links that transport frames, and links over UDP.
 
-A link may lose, repeat, reorder and damage frames, and says nothing of it: the frames are numbered and sealed.
+A link may lose, repeat, reorder and damage frames without notice: the frames are numbered and have a checksum.
 """
 
 from __future__ import annotations
@@ -18,69 +18,77 @@ from maglev_mj.net.addresses import check_host, parse_url, resolve
 __all__ = ["Address", "Link", "LinkError", "Server", "UdpLink", "UdpServer", "check_host", "open_link", "parse_url"]
 
 Address: TypeAlias = tuple[str, int]
-"""Where a peer of a server is: host and port, or path and 0 of a serial line."""
+"""Address of a server's peer.
+
+Host and port, or path and 0 of a serial line.
+"""
 
 _LARGEST = 2048  # of a datagram: a frame has at most 300 bytes
-_BACKLOG = 4096 * 1280  # frames in the receive buffer, and what Linux counts for one
-# nobody listens there, nobody is there, no room: what a cable out of its socket looks like;
+_BACKLOG = 4096 * 1280  # frames in the receive buffer, and Linux's size of one
+# no listener, no host, no room: the same as an unplugged cable;
 # and an answer to a forged sender, port 0 or everyone, is not let out
 _SILENCE = {errno.ECONNREFUSED, errno.ECONNRESET, errno.EHOSTUNREACH, errno.ENETUNREACH, errno.ENETDOWN}
 _SILENCE |= {errno.ENOBUFS, errno.EAGAIN, errno.EINVAL, errno.EACCES, errno.EPERM}
 
 
 class LinkError(MaglevError):
-    """A link cannot be opened, or its line is gone."""
+    """Link cannot be opened, or its line has failed."""
 
 
 class Link(Protocol):
     """One end of a connection between two."""
 
     def send(self, data: bytes) -> None:
-        """Send one frame; one that cannot leave now is lost.
+        """Send one frame; drop it if it cannot leave now.
 
         Raises:
-            LinkError: If the line is gone.
+            LinkError: If the link has failed.
         """
 
     def receive(self, timeout: float) -> bytes | None:
-        """Return the oldest frame that has come, or None if none comes within `timeout` [s]; 0 only looks.
+        """Return the oldest received frame, or None.
+
+        It waits up to `timeout` [s]; 0 returns at once.
 
         Raises:
-            LinkError: If the line is gone.
+            LinkError: If the link has failed.
         """
 
     def now(self) -> int:
-        """Return the instant [ns] by the link's clock, which never goes back."""
+        """Return the link's monotonic clock [ns]."""
 
     def close(self) -> None:
-        """Close the link; a second time does nothing."""
+        """Close the link; idempotent."""
 
 
 class Server(Protocol):
-    """The end that waits for others to speak first."""
+    """Interface of the end that waits for hosts."""
 
     @property
     def address(self) -> Address:
-        """Where others reach it."""
+        """Address for hosts."""
 
     def receive(self, timeout: float) -> tuple[bytes, Address] | None:
-        """Return the oldest frame and its sender, or None if none comes within `timeout` [s]; 0 only looks."""
+        """Return the oldest frame and its sender, or None.
+
+        It waits up to `timeout` [s]; 0 returns at once.
+        """
 
     def send(self, data: bytes, address: Address) -> None:
-        """Send one frame; one that cannot leave now is lost."""
+        """Send one frame; drop it if it cannot leave now."""
 
     def close(self) -> None:
-        """Close it; a second time does nothing."""
+        """Close the server; idempotent."""
 
 
 class _Udp:
-    """A socket, IPv4, that does not block.
+    """Non-blocking IPv4 UDP socket.
 
     Args:
         host: Name or address.
-        port: From `least` on.
-        way: How to reach that address: "connect" or "bind".
-        failing: The complaint if there is none.
+        port: Port, at least `least`.
+        way: Method for that address: "connect" or "bind".
+        failing: Error message of a failure.
     """
 
     def __init__(self, host: str, port: int, least: int, way: str, failing: str) -> None:
@@ -102,20 +110,22 @@ class _Udp:
         return self._socket.fileno()
 
     def close(self) -> None:
-        """Close the socket; a second time does nothing."""
+        """Close the socket; idempotent."""
         self._socket.close()
 
 
 class UdpLink(_Udp):
-    """A link over UDP, IPv4; where nobody listens there is silence, not an error.
+    """Link over UDP, IPv4.
+
+    An end without listener gives silence, not an error.
 
     Args:
         host: Name or address of the other end.
-        port: Of the other end, 1 to 65535.
+        port: Port of the other end, 1 to 65535.
 
     Raises:
-        ParameterError: If the host has no address, or the port is none.
-        LinkError: If there is no way there.
+        ParameterError: If the host has no address, or the port is invalid.
+        LinkError: If the host cannot be reached.
     """
 
     def __init__(self, host: str, port: int) -> None:
@@ -149,22 +159,24 @@ class UdpLink(_Udp):
         return self.receive(timeout)
 
     def now(self) -> int:
-        """Return the instant [ns] of this machine's monotonic clock."""
+        """Return this machine's monotonic clock [ns]."""
         return time.monotonic_ns()
 
 
 class UdpServer(_Udp):
-    """A socket that anyone may write to, IPv4; `check_host` says whether it may be opened there.
+    """UDP server socket, IPv4, open to any sender.
+
+    `check_host` tells if it may be opened at a host.
 
     Args:
-        host: Name or address of this machine; 0.0.0.0 for all it has.
-        port: To listen at, 1 to 65535; 0 for any that is free.
+        host: Name or address of this machine; 0.0.0.0 for all addresses.
+        port: Port of the server, 1 to 65535; 0 for any free one.
 
     Attributes:
-        address: Where it listens.
+        address: Address of the server.
 
     Raises:
-        ParameterError: If the host has no address, or the port is none.
+        ParameterError: If the host has no address, or the port is invalid.
         LinkError: If it cannot listen there.
     """
 
@@ -173,7 +185,10 @@ class UdpServer(_Udp):
         self.address: Address = self._socket.getsockname()
 
     def receive(self, timeout: float) -> tuple[bytes, Address] | None:
-        """Return the oldest frame and its sender, or None if none comes within `timeout` [s]; 0 only looks."""
+        """Return the oldest frame and its sender, or None.
+
+        It waits up to `timeout` [s]; 0 returns at once.
+        """
         if timeout > 0.0 and not readable(self._socket, timeout):
             return None
         try:
@@ -183,7 +198,7 @@ class UdpServer(_Udp):
             return None
 
     def send(self, data: bytes, address: Address) -> None:
-        """Send one frame; one that cannot leave now is lost."""
+        """Send one frame; drop it if it cannot leave now."""
         try:
             self._socket.sendto(data, address)
         except OSError as error:
@@ -195,16 +210,16 @@ def open_link(url: str, key: bytes | None = None) -> Link:
 
     Args:
         url: See `parse_url`.
-        key: With which frames are sealed; needed for any machine but this.
+        key: Authentication key of the frames; needed for any machine but this.
 
     Raises:
-        ParameterError: If the address is none, or is another machine's and there is no key.
+        ParameterError: If the address is invalid, or is another machine's and there is no key.
         LinkError: If it cannot be opened.
-        MissingPackageError: If a serial line is asked for and pyserial is not installed.
+        MissingPackageError: If a serial line needs pyserial, which is not installed.
     """
     scheme, place, number = parse_url(url)
     if scheme == "udp":
-        # what was checked is what is opened: a name may have another address the next time
+        # the checked address is opened: a name may have another address the next time
         return UdpLink(check_host(place, key), number)
     from maglev_mj.net.serial import SerialLink
 
@@ -212,10 +227,12 @@ def open_link(url: str, key: bytes | None = None) -> Link:
 
 
 def readable(descriptor: int | socket.socket, timeout: float) -> bool:
-    """Return whether there is something to read, waiting up to `timeout` [s] for it; 0 or less only looks.
+    """Return True if a descriptor is readable within `timeout` [s].
+
+    0 or less returns at once.
 
     Raises:
-        LinkError: If the line is gone.
+        LinkError: If the link has failed.
     """
     try:
         # select, not poll or a timeout of the socket: those wait whole milliseconds
@@ -225,6 +242,6 @@ def readable(descriptor: int | socket.socket, timeout: float) -> bool:
 
 
 def _complain(what: str, error: OSError) -> None:
-    """Raise for what is not mere silence."""
+    """Raise LinkError unless the error means silence."""
     if error.errno not in _SILENCE:
         raise LinkError(f"cannot {what}: {error.strerror or error}") from None

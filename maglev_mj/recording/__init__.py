@@ -1,4 +1,4 @@
-"""Recordings of runs: what went by at each sample, to be looked at, checked and run again bit for bit."""
+"""Recordings of runs: samples to view, check and replay bitwise."""
 
 from maglev_mj.recording.export import EXPORTS, export
 from maglev_mj.recording.files import ArrayFile, Recorder, RecordingFile, best_suffix, check_name, open_recording

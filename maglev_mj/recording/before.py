@@ -1,4 +1,4 @@
-"""Samples as JSON, as files of before have them."""
+"""JSON samples of older files."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ _WHOLE_FIELDS = [field.name for field in _ALL if not field.unit]
 _NUMBERS = {float, int}
 _COLUMNS = [field for field in FIELDS for _ in field.units]
 _COMMANDED = {index for index, field in enumerate(_COLUMNS) if field.array == "command"}
-"""Columns that may be no number, where the plant refused the command."""
+"""Columns that may be NaN for a refused command."""
 
 
 def sample_row(sample: Any) -> list[float]:
-    """Return the values of a sample, and the totals up to it; a command that was not finite is NaN.
+    """Return sample values and totals; non-finite commands as NaN.
 
     Raises:
-        ParameterError: If one is missing, or no number.
+        ParameterError: If a value is missing or is not a number.
     """
     row: list[Any] = []
     try:

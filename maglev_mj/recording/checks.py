@@ -1,4 +1,4 @@
-"""Checks of files: numbers, texts and sizes, whichever kind of file it is."""
+"""Checks of values and sizes in files of any format."""
 
 from __future__ import annotations
 
@@ -39,7 +39,10 @@ _WHOLE = 2**53  # from there on a float skips whole numbers
 _MISSING = 1_000_000
 _FORCE, _POSE = 1e12, 1e3
 LARGEST_PART = 64 << 20
-"""Bytes that a compressed part of a file, a chunk or an array, may unpack to."""
+"""Largest unpacked size of a compressed part [bytes].
+
+A part is a chunk or an array.
+"""
 
 _TIMES = 1000
 _KEPT_TIMES = 100
@@ -47,10 +50,10 @@ _KEPT = 1 << 20
 
 
 def parsed(text: bytes | str) -> Any:
-    """Return what JSON says.
+    """Parse JSON text.
 
     Raises:
-        ParameterError: If it is none, or has a number that JSON does not know, such as NaN.
+        ParameterError: If it is not JSON, or has a number outside JSON, such as NaN.
     """
     try:
         return json.loads(text, parse_constant=_refuse)
@@ -61,47 +64,47 @@ def parsed(text: bytes | str) -> Any:
 
 
 def object_in(holder: Any, name: str) -> Mapping[str, Any]:
-    """Return the object of a name.
+    """Return the object of the given name.
 
     Raises:
-        ParameterError: If there is none.
+        ParameterError: If it is missing or of another type.
     """
     found: Mapping[str, Any] = _of_kind(dict, "an object", holder, name)
     return found
 
 
 def text_in(holder: Any, name: str) -> str:
-    """Return the text of a name.
+    """Return the text of the given name.
 
     Raises:
-        ParameterError: If there is none.
+        ParameterError: If it is missing or of another type.
     """
     return str(_of_kind(str, "a text", holder, name))
 
 
 def list_in(holder: Any, name: str) -> list[Any]:
-    """Return the list of a name.
+    """Return the list of the given name.
 
     Raises:
-        ParameterError: If there is none.
+        ParameterError: If it is missing or of another type.
     """
     return list(_of_kind(list, "a list", holder, name))
 
 
 def flag_in(holder: Any, name: str) -> bool:
-    """Return the switch of a name.
+    """Return the boolean of the given name.
 
     Raises:
-        ParameterError: If there is none.
+        ParameterError: If it is missing or of another type.
     """
     return bool(_of_kind(bool, "true or false", holder, name))
 
 
 def whole(holder: Any, name: str, *, at_least: int = 0, at_most: int = _WHOLE) -> int:
-    """Return the whole number of a name.
+    """Return the whole number of the given name.
 
     Raises:
-        ParameterError: If there is none, or it is outside the bounds.
+        ParameterError: If it is missing, of another type or outside the bounds.
     """
     value = _value(holder, name)
     if value.__class__ is not int or not at_least <= value <= at_most:
@@ -111,20 +114,22 @@ def whole(holder: Any, name: str, *, at_least: int = 0, at_most: int = _WHOLE) -
 
 
 def six(holder: Any, name: str, *, at_least: float = -_FORCE) -> list[float]:
-    """Return the numbers that a name has for each axis.
+    """Return the six axis values of the given name.
 
     Raises:
-        ParameterError: If one is missing, or outside its bounds.
+        ParameterError: If a value is missing or outside its bounds.
     """
     values = object_in(holder, name)
     return [number(f"{name}.{axis}", _value(values, axis, of=name), at_least=at_least, at_most=_FORCE) for axis in AXES]
 
 
 def start_in(setup: Mapping[str, Any]) -> dict[str, list[float]]:
-    """Return pose, twist and wrench with which a setup starts, six each [m, rad; m/s, rad/s; N, N m].
+    """Return the initial pose, twist and wrench of a setup.
+
+    Six each, [m, rad], [m/s, rad/s] and [N, N m].
 
     Raises:
-        ParameterError: If there is none, or it is outside its bounds.
+        ParameterError: If one is missing or outside its bounds.
     """
     found = {}
     for name, most in (("pose", _POSE), ("twist", _POSE), ("wrench", _FORCE)):
@@ -136,10 +141,10 @@ def start_in(setup: Mapping[str, Any]) -> dict[str, list[float]]:
 
 
 def check_setup(value: Any) -> Mapping[str, Any]:
-    """Return what plant and controller were made from, if it is an object with a kind and finite numbers.
+    """Return a setup after checking its kind and numbers.
 
     Raises:
-        ParameterError: If it is not.
+        ParameterError: If it is not an object with a kind and finite numbers.
     """
     setup = object_in({"setup": value}, "setup")
     text_in(setup, "kind")
@@ -163,8 +168,8 @@ def check_rows(rows: Mapping[str, Array], first: int = 0) -> None:
         first: Number of the first row, for the message.
 
     Raises:
-        ParameterError: If a number is not finite or out of range, or ticks or times do not go up. The last command
-            alone may be what is no number: the plant refused it, and applied nothing.
+        ParameterError: If a number is not finite or out of range, or ticks or times do not increase. Only the last
+            command may be NaN: the plant refused it and applied nothing.
     """
     tick = rows["tick"]
     _check_count(tick, "tick")
@@ -221,7 +226,7 @@ def _of_kind(kind: type, what: str, holder: Any, name: str) -> Any:
 
 
 def shown(value: Any) -> str:
-    """Return a value of any size as a few letters."""
+    """Return a value of any size as a short text."""
     if isinstance(value, dict | list):
         return "an object" if isinstance(value, dict) else "a list"
     text = repr(value) if not isinstance(value, int) or abs(value) < _WHOLE else "a number beyond them"
@@ -233,24 +238,26 @@ def _refuse(constant: str) -> None:
 
 
 class UnpackingError(ValueError):
-    """A part of a file is larger than it may be, or is not what it says."""
+    """Unpacked part of a file is too large, or invalid."""
 
 
 class Allowance:
-    """What a file may unpack to in all: by far more than a recording does, and too little to fill a memory.
+    """Memory budget for unpacking a file.
+
+    It exceeds the needs of any recording, and is too small to exhaust the memory.
 
     Args:
-        size: Of the file [bytes].
+        size: Size of the file [bytes].
     """
 
     def __init__(self, size: int) -> None:
         self._left, self._kept = LARGEST_PART + _TIMES * size, _KEPT + _KEPT_TIMES * size
 
     def part(self, size: int) -> None:
-        """Count a part, before it is unpacked.
+        """Count a part's size [bytes] before it is unpacked.
 
         Raises:
-            UnpackingError: If it is too large [bytes], or too much with those before.
+            UnpackingError: If the part or the sum of all parts is too large.
         """
         if size > LARGEST_PART:
             raise UnpackingError(f"a part of it must unpack to at most {LARGEST_PART} bytes, not {size}")
@@ -259,10 +266,12 @@ class Allowance:
             raise UnpackingError(f"it must unpack to at most {_TIMES} times its size")
 
     def text(self, size: int) -> None:
-        """Count a text that is kept; as objects it takes many times its size [bytes].
+        """Count the size of a text to be kept [bytes].
+
+        As objects it takes many times that memory.
 
         Raises:
-            UnpackingError: If it is too much with those before.
+            UnpackingError: If the sum of all texts is too large.
         """
         self._kept -= size
         if self._kept < 0:
@@ -270,11 +279,11 @@ class Allowance:
 
 
 def unpacked(chunk: Chunk) -> bytes:
-    """Return what is in a chunk, whose size was counted.
+    """Return the content of a chunk of checked size.
 
     Raises:
-        UnpackingError: If it is more or less than the chunk says, or packed in a way that is not known.
-        Exception: Of the program that unpacks it, if it is damaged.
+        UnpackingError: If the size is not as declared, or the compression is not known.
+        Exception: Error of the unpacking package, if the chunk is damaged.
     """
     size = chunk.uncompressed_size
     if chunk.compression == "zstd":

@@ -1,4 +1,4 @@
-"""Samples kept column by column, each no larger than what is in it."""
+"""Compact storage of samples by column."""
 
 from __future__ import annotations
 
@@ -13,14 +13,17 @@ from maglev_mj.recording.row import Field, as_rows
 __all__ = ["BLOCK", "Columns"]
 
 BLOCK = 1 << 13
-"""Samples that are checked at a time."""
+"""Number of samples that are checked together."""
 
 _TWINS = {"applied": "command", "applied_pulse": "pulse", "applied_pulse_width": "pulse_width"}
-"""Fields that are another to the last bit until the plant meets a limit."""
+"""Fields that equal another bitwise unless a limit acts."""
 
 
 class _Column:
-    """A field of the samples so far: one row while it is constant, then an array that grows in place."""
+    """Values of one field: one row while constant, else array.
+
+    The array grows in place.
+    """
 
     def __init__(self) -> None:
         self._row: Array | None = None
@@ -28,7 +31,7 @@ class _Column:
         self._count = 0
 
     def add(self, block: Array) -> None:
-        """Add some more, (N,) or (N, 6)."""
+        """Append values, (N,) or (N, 6)."""
         if self._row is None:
             self._row = block[:1].copy()
         start, stop = self._count, self._count + len(block)
@@ -42,7 +45,7 @@ class _Column:
         self._count = stop
 
     def whole(self) -> Array:
-        """Return all of it."""
+        """Return all values."""
         if self._array is None:
             row = np.empty(1) if self._row is None else self._row
             return np.broadcast_to(row, (self._count, *row.shape[1:]))
@@ -52,11 +55,13 @@ class _Column:
 
 
 class Columns:
-    """Samples of a stretch, checked block by block; what is constant, or its twin's, is kept once.
+    """Samples of a stretch, checked in blocks, stored by column.
+
+    A constant column, and a copy of another, is stored once.
 
     Args:
-        fields: What a sample has.
-        names: Which of them to keep; None for all.
+        fields: Fields of a sample.
+        names: Names of the fields to keep; None for all.
     """
 
     def __init__(self, fields: Sequence[Field], names: frozenset[str] | None) -> None:
@@ -72,26 +77,32 @@ class Columns:
         return self._count
 
     def add(self, values: Mapping[str, Array]) -> None:
-        """Take some samples as arrays of all fields, (N,) or (N, 6)."""
+        """Add samples as arrays of all fields.
+
+        Each is (N,) or (N, 6).
+        """
         self._waiting.append(values)
         self._count += len(values["tick"])
         self.sort(BLOCK)
 
     def add_row(self, row: Sequence[float]) -> None:
-        """Take one sample as the values of its fields."""
+        """Add one sample as the values of its fields."""
         self._rows.append(row)
         self._count += 1
         self.sort(BLOCK)
 
     def array(self, name: str) -> Array:
-        """Return a field of all samples, (N,) or (N, 6); it is not to be changed."""
+        """Return a field of all samples, read-only.
+
+        The shape is (N,) or (N, 6).
+        """
         return self._columns[self._twins.get(name, name)].whole()
 
     def sort(self, least: int = 1) -> None:
-        """Check what waits, and keep it by columns, if it is at least so many samples.
+        """Check and store waiting samples, if at least `least`.
 
         Raises:
-            ParameterError: If a sample is not one that a recording has.
+            ParameterError: If a sample is invalid.
         """
         start = self._sorted
         if self._count - start < least:
@@ -103,7 +114,7 @@ class Columns:
         if more:
             values = {name: np.concatenate([part[name] for part in self._waiting]) for name in self._names}
         self._waiting, self._sorted = [], self._count
-        if self._last:  # with the row before, for what goes from row to row
+        if self._last:  # with the row before, for checks between rows
             check_rows({name: np.concatenate([self._last[name], values[name]]) for name in self._names}, start - 1)
         else:
             check_rows(values, start)
@@ -118,5 +129,5 @@ class Columns:
 
 
 def _same(one: Array, other: Array) -> bool:
-    """Whether two arrays are the same to the last bit."""
+    """Return True if two arrays are bitwise equal."""
     return bool((one.view(np.int64) == other.view(np.int64)).all())

@@ -1,4 +1,4 @@
-"""Recordings as tables for other programs: a row for each sample, and all else that is in a recording with it."""
+"""Export of recordings as tables, one row per sample."""
 
 from __future__ import annotations
 
@@ -23,17 +23,19 @@ _BLOCK = 1 << 14
 
 
 def export(recording: Recording, kind: str, path: Path) -> None:
-    """Write a recording as a table, a row for each sample, and what else is in it.
+    """Write a recording as a table, one row per sample.
+
+    All other content goes with it.
 
     Args:
         recording: The recording.
-        kind: One of EXPORTS; with csv what is no table goes to a file beside it, of the same name and .json.
-        path: Where to.
+        kind: One of EXPORTS; with csv, content other than the table goes to a .json file of the same name beside it.
+        path: Path of the new file.
 
     Raises:
         ParameterError: If the kind is not known.
-        MissingPackageError: If Parquet is asked for, and the package for it is not installed.
-        OSError: If it cannot be written; then what was there stays.
+        MissingPackageError: If the package for Parquet is needed and not installed.
+        OSError: If it cannot be written; an existing file then stays.
     """
     if kind not in EXPORTS:
         raise ParameterError(not_one_of("to", EXPORTS, kind))
@@ -42,7 +44,7 @@ def export(recording: Recording, kind: str, path: Path) -> None:
 
 
 def _columns(recording: Recording) -> dict[str, NDArray[Any]]:
-    """Return each column of all samples, (N,); those unknown left out."""
+    """Return each known column of all samples, (N,)."""
     partial = any(stretch.totals is None for stretch in recording.stretches)
     fields = (*FIELDS, *(() if partial or not recording.stretches else TOTALS))
     samples = samples_of(recording, [field.name for field in fields])
@@ -51,7 +53,10 @@ def _columns(recording: Recording) -> dict[str, NDArray[Any]]:
 
 
 def _about(recording: Recording) -> dict[str, Any]:
-    """Return what is in a recording besides its samples, ready for JSON; attachments in base64."""
+    """Return the content besides samples, ready for JSON.
+
+    Attachments are in base64.
+    """
     attached = {name: base64.b64encode(data).decode() for name, data in recording.attachments.items()}
     return {
         "units": units(),
@@ -97,4 +102,7 @@ EXPORTS: Mapping[str, Callable[[Recording, Path, Path], Any]] = {
     "csv": _as_csv,
     "parquet": _as_parquet,
 }
-"""What a recording is exported to; each function writes a recording to a path that takes the place of another."""
+"""Export functions by format name.
+
+Each writes a recording to a temporary path; the second path is the final one.
+"""

@@ -1,4 +1,4 @@
-"""Files that runs are recorded to."""
+"""Recording files of runs."""
 
 from __future__ import annotations
 
@@ -38,52 +38,59 @@ _RowOf: TypeAlias = Callable[[Sample, Command, Command, RecordedPlant], Row]
 
 
 class RecordingFile(Protocol):
-    """What a run is recorded to."""
+    """Interface of a file that records a run."""
 
     def begin(self, plant: RecordedPlant, controller: Controller, setup: Setup | None = None) -> Record:
-        """Begin a stretch; return what the loop records it to.
+        """Begin a stretch; return the loop's recording function.
 
         Args:
-            plant: The plant that is driven.
-            controller: The controller that drives it.
-            setup: What both were made from, by default `setup_of` both; its metadata, `run`, are added if they are not
+            plant: The controlled plant.
+            controller: The controller.
+            setup: Setup of both, by default by `setup_of`; its metadata, `run`, are added if they are not
                 there.
         """
 
     def event(self, kind: str, text: str, missed: int = 0) -> None:
-        """Keep what a person should know of, and how many samples were missed with it."""
+        """Record an event for the user.
+
+        `missed` is the number of samples missed with it.
+        """
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
-        """Keep a file with it, before the first sample.
+        """Attach a file, before the first sample.
 
         Args:
-            name: Unlike those of the others.
+            name: Unique name.
             media_type: Such as "text/xml".
-            data: What is in it.
+            data: Content of the file.
         """
 
     def check(self) -> None:
-        """Check that it is being written.
+        """Check that the recording is being written.
 
         Raises:
-            RecordingError: If it is not.
+            RecordingError: If writing has failed.
         """
 
     def close(self) -> Path | None:
-        """Write what is left; return the file, or None where nothing was recorded. A second time does nothing.
+        """Finish writing; return the file, or None without samples.
+
+        A second call does nothing.
 
         Raises:
-            RecordingError: If it is not whole.
+            RecordingError: If the file is incomplete.
             OSError: If it cannot be written.
         """
 
 
 class Recorder:
-    """Keeps the samples of a control loop in memory: hand it to the loop as `record`.
+    """Recording of a control loop in memory.
+
+    Pass it to the loop as `record`.
 
     Args:
-        plant: The plant that is driven.
-        setup: What plant and controller were made from.
+        plant: The controlled plant.
+        setup: Setup of plant and controller.
     """
 
     def __init__(self, plant: RecordedPlant, setup: Setup) -> None:
@@ -92,31 +99,33 @@ class Recorder:
         self._gaps: list[tuple[int, int]] = []
 
     def __call__(self, sample: Sample, command: Command, applied: Command) -> None:
-        """Keep one cycle."""
+        """Record one cycle."""
         self._rows.append(row_of(sample, command, applied, self._plant))
 
     def __len__(self) -> int:
         return len(self._rows)
 
     def miss(self, count: int) -> None:
-        """Keep how many samples were missed before the next."""
+        """Record the number of samples missed before the next."""
         self._gaps.append((len(self._rows), count))
 
     def stretch(self) -> Stretch:
-        """Return what was kept so far."""
+        """Return the recorded samples."""
         rows = as_rows(self._rows)
         return Stretch(setup=self._setup, rows=rows, metadata=self._metadata, gaps=tuple(self._gaps))
 
 
 row_of: _RowOf = compiled("sample, command, applied, plant", "return ({values},)")
-"""Return the values of one cycle in the order of FIELDS."""
+"""Return the values of one cycle in FIELDS order."""
 
 
 class ArrayFile:
-    """Keeps a run in memory, and writes it to a .npz file when it is closed: see `RecordingFile`.
+    """Recording in memory, written to an .npz file when closed.
+
+    See `RecordingFile`.
 
     Args:
-        path: Where to; None to keep it in memory alone.
+        path: Path of the file; None for memory only.
     """
 
     def __init__(self, path: Path | None = None) -> None:
@@ -129,7 +138,7 @@ class ArrayFile:
 
     @property
     def recording(self) -> Recording:
-        """What is kept so far."""
+        """Recording of all samples so far."""
         stretches = [recorder.stretch() for recorder in self._recorders]
         kept = [stretch for stretch in stretches if len(stretch)]
         return Recording(
@@ -140,7 +149,7 @@ class ArrayFile:
         )
 
     def begin(self, plant: RecordedPlant, controller: Controller, setup: Setup | None = None) -> Recorder:
-        """Begin a stretch; return what the loop records it to."""
+        """Begin a stretch; return the loop's recording function."""
         whole = {**whole_setup(plant, controller, setup), "versions": self._versions}
         attach_parts(self, plant, controller)
         self._recorders.append(Recorder(plant, whole))
@@ -158,13 +167,15 @@ class ArrayFile:
         self._attachments.setdefault(name, data)
 
     def check(self) -> None:
-        """Do nothing: it is written when it is closed."""
+        """Do nothing: the file is written when closed."""
 
     def close(self) -> Path | None:
-        """Write it, to the temporary folder where its own does not take it; see `RecordingFile.close`.
+        """Write the file; see `RecordingFile.close`.
+
+        If its folder cannot be written, the temporary folder is used.
 
         Raises:
-            OSError: If neither does; it is tried again the next time.
+            OSError: If both cannot be written; the next call tries again.
         """
         recording = self.recording
         if self._closed or self._path is None or not recording.ticks:
@@ -179,15 +190,15 @@ class ArrayFile:
 
 
 def best_suffix() -> str:
-    """Return ".mcap" where the package for it is installed, ".npz" where not."""
+    """Return ".mcap" if its packages are installed, else ".npz"."""
     return ".mcap" if find_spec("mcap") and find_spec("foxglove") else ".npz"
 
 
 def check_name(path: Path) -> None:
-    """Check that a name says which kind of file it is, and that it can be written here.
+    """Check a recording's file name and the required package.
 
     Raises:
-        ParameterError: If it does not.
+        ParameterError: If the suffix is not known.
         MissingPackageError: If the package for .mcap is not installed.
     """
     if path.suffix not in _SUFFIXES:
@@ -200,11 +211,11 @@ def open_recording(path: Path, *, wait: bool = False) -> RecordingFile:
     """Open a file to record to, by its suffix.
 
     Args:
-        path: Ends in .mcap, to be written while it happens, or in .npz, to be written at the end.
-        wait: Whether the run may wait for what is written; one in real time must not.
+        path: Path with suffix .mcap, written during the run, or .npz, written at its end.
+        wait: True if the run may wait for the writer; not for a run in real time.
 
     Raises:
-        ParameterError: If it ends in anything else.
+        ParameterError: If it has another suffix.
         MissingPackageError: If the package for .mcap is not installed.
         OSError: If it cannot be written.
     """

@@ -1,4 +1,4 @@
-"""Metadata of files of before, which do not tell them: those of the plant and controller that their setup makes."""
+"""Metadata of older files, obtained from plant and controller."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from maglev_mj.recording.verify import Rebuild
 __all__ = ["metadata_of"]
 
 _AXES = {"joystick": "x", "table": "x", "box": "x"}
-"""Shown axes of the scenes of before; z elsewhere."""
+"""Displayed axis of older scenes; z for all others."""
 
 
 def metadata_of(stretch: Stretch, rebuild: Rebuild | None) -> RunMetadata:
-    """Return the metadata of a stretch, as it has them or as its plant and controller tell.
+    """Return the metadata of a stretch, recorded or reconstructed.
 
     Args:
         stretch: The stretch.
-        rebuild: Makes them from its setup; None where that cannot be.
+        rebuild: Function that makes plant and controller from the setup; None if not available.
 
     Raises:
-        InvalidRecordingError: If the recording has none, and is of no kind of before.
+        InvalidRecordingError: If the recording has no metadata and is of no older format.
     """
     if stretch.metadata is not None and stretch.metadata.faces is not None:
         return stretch.metadata

@@ -1,7 +1,9 @@
-"""A recording written while it happens, by a process of its own that outlives this one, whatever ends it.
+"""Recording written during the run by a separate process.
 
-Rows pass through memory that both share. Each stands between its number from 1 twice over: a reader takes a row whose
-number stands at both ends, for the first is written first and the second last.
+That process outlives this one, even if it is killed.
+
+Rows pass through shared memory. Each row stands between two copies of its number, from 1. A reader takes a row only
+if both are right: the first copy is written first and the second last.
 """
 
 from __future__ import annotations
@@ -35,7 +37,10 @@ from maglev_mj.workers import interrupts_held
 __all__ = ["ROWS", "LiveFile", "Ring", "RowReader"]
 
 ROWS = 1 << 15
-"""Rows in the memory: 1.6 s at 20 kHz, which is how long the writer may take to begin, or be away."""
+"""Rows in the shared memory.
+
+1.6 s at 20 kHz: the longest time for the writer's start or pause.
+"""
 
 _SLOT = struct.Struct(f"{ROW.itemsize // 8 + 2}d")  # native, which packs faster
 _HEAD, _PLACE = 64, struct.Struct("=q")  # bytes in front of the rows, the first eight of them the reader's place
@@ -54,17 +59,17 @@ ring.count = number"""
 
 
 class Ring:
-    """The end that puts rows in.
+    """Writing end of the ring buffer.
 
     Args:
-        wait: Called again and again while the reader is a whole ring behind; None for not to wait, and to lose rows.
+        wait: Called repeatedly while the ring is full; None for no waiting, so that rows are lost.
 
     Attributes:
-        descriptor: Of the memory, for the reader; it has no name that could outlive both.
+        descriptor: File descriptor of the memory, for the reader; the memory has no name that could outlive both.
         count: Rows put in so far.
 
     Raises:
-        OSError: If there is no room for it.
+        OSError: If the memory cannot be allocated.
     """
 
     def __init__(self, *, wait: Callable[[], object] | None = None) -> None:
@@ -82,12 +87,12 @@ class Ring:
         self.descriptor = self._file.fileno()
 
     def record(self, plant: RecordedPlant) -> Record:
-        """Return what puts in a row a cycle.
+        """Return the function that writes one row per cycle.
 
-        Written out as one function, not a method: it is in the tick, and that is cheaper.
+        A compiled function, because it is called in every tick and a method is slower.
 
         Args:
-            plant: Tells what the hand exerts.
+            plant: Plant with the hand's wrench.
         """
         names: dict[str, Any] = {"pack": _SLOT.pack_into, "memory": self._memory, "ring": self, "plant": plant}
         put = compiled("sample, command, applied", _PUT, **names)
@@ -102,7 +107,7 @@ class Ring:
         return put_and_wait
 
     def close(self) -> None:
-        """Let go of the memory; a second time does nothing."""
+        """Release the memory; idempotent."""
         self._memory.close()
         self._file.close()
 
@@ -114,13 +119,13 @@ class Ring:
 
 
 class RowReader:
-    """The end that takes rows out.
+    """Reading end of the ring buffer.
 
     Args:
-        descriptor: Of the memory; left open.
+        descriptor: File descriptor of the memory; left open.
 
     Attributes:
-        lost: Rows that were overwritten before they were read.
+        lost: Number of rows overwritten before they were read.
     """
 
     def __init__(self, descriptor: int) -> None:
@@ -128,7 +133,10 @@ class RowReader:
         self._place, self.lost = 0, 0
 
     def rows(self) -> Iterator[tuple[int, Row]]:
-        """Yield the rows that are there, each with its place in the run, from 0."""
+        """Yield available rows with their index in the run.
+
+        The index is from 0.
+        """
         while True:
             start = _HEAD + (self._place & (ROWS - 1)) * _SLOT.size
             data = self._memory[start : start + _SLOT.size]
@@ -147,23 +155,23 @@ class RowReader:
             yield number - 1, row
 
     def close(self) -> None:
-        """Let go of the memory."""
+        """Release the memory."""
         self._memory.close()
 
 
 class LiveFile:
-    """Writes an MCAP file: see `RecordingFile`.
+    """MCAP file written during the run; see `RecordingFile`.
 
-    A tick costs a row put into memory that the other process reads. That process writes until this one closes the file,
-    or is gone. What was there under the name stays until there is a sample to take its place.
+    A tick writes one row to shared memory. The other process writes the file until this one closes it
+    or ends. An existing file of that name stays until the first sample.
 
     Args:
-        path: Where to.
-        wait: Whether to wait for it where a run is faster than it writes; a run in real time must not.
+        path: Path of the file.
+        wait: True if a run faster than the writer waits for it; not for a run in real time.
 
     Raises:
         MissingPackageError: If the package is not installed.
-        RecordingError: If this system is none for it, or has no memory left to share.
+        RecordingError: If the system is not supported, or has no shared memory left.
         OSError: If the file cannot be written.
     """
 
@@ -191,7 +199,7 @@ class LiveFile:
         self._result: Path | None = None
 
     def begin(self, plant: RecordedPlant, controller: Controller, setup: Setup | None = None) -> Record:
-        """Begin a stretch; return what the loop records it to."""
+        """Begin a stretch; return the loop's recording function."""
         whole = {**whole_setup(plant, controller, setup), "versions": self._versions}
         attach_parts(self, plant, controller)
         self._say(begin=[whole, time.time_ns()])
@@ -207,21 +215,24 @@ class LiveFile:
         return put_and_tell
 
     def event(self, kind: str, text: str, missed: int = 0) -> None:
-        """Keep what a person should know of, and how many samples were missed with it."""
+        """Record an event for the user.
+
+        `missed` is the number of samples missed with it.
+        """
         self._say(event=[kind, text, missed])
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
-        """Keep a file with it; see `RecordingFile.attach`."""
+        """Attach a file; see `RecordingFile.attach`."""
         if name in self._attached:
             return
         self._attached.add(name)
         self._say(attach=[name, media_type, base64.b64encode(data).decode()])
 
     def check(self) -> None:
-        """Check that it is being written.
+        """Check that the recording is being written.
 
         Raises:
-            RecordingError: If the process that writes is gone.
+            RecordingError: If the writing process has ended.
         """
         if self._closed:
             return
@@ -230,7 +241,10 @@ class LiveFile:
         self._tell_stick_position()
 
     def _tell_stick_position(self) -> None:
-        """Tell where the flotor sticks, if that has changed; not in a tick in real time, for it takes its time."""
+        """Send a changed stick position to the writer.
+
+        Too slow for a tick in real time.
+        """
         stuck = None if self._controller is None else self._controller.stick_positions
         told = None if stuck is None else stuck.tolist()
         if repr(told) != self._stuck:  # which NaN does not differ from itself in
@@ -238,10 +252,12 @@ class LiveFile:
             self._say(stick=[told])
 
     def close(self) -> Path | None:
-        """Write what is left; return the file, or None where nothing was recorded. A second time does nothing.
+        """Finish writing; return the file, or None without samples.
+
+        A second call does nothing.
 
         Raises:
-            RecordingError: If it is not whole.
+            RecordingError: If the file is incomplete.
         """
         if self._closed:
             return self._result
@@ -279,7 +295,7 @@ class LiveFile:
             )
 
     def _say(self, **what: Any) -> None:
-        """Tell the writer, before the next row is there."""
+        """Send a message to the writer before the next row."""
         assert self._process.stdin is not None
         with suppress(BrokenPipeError):  # it is gone: `check` and `close` say so
             self._process.stdin.write(json.dumps({"at": self._ring.count, **what}) + "\n")

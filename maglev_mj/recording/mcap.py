@@ -1,6 +1,8 @@
-"""Recordings as MCAP read as far as they go; the format is at https://mcap.dev.
+"""Reading of MCAP recordings, incomplete ones included.
 
-Samples are messages of protobuf, all of one length, read thousands at once; in files of before they are JSON.
+The format is at https://mcap.dev.
+
+Samples are protobuf messages of equal length, read in thousands at once; in older files they are JSON.
 """
 
 from __future__ import annotations
@@ -49,10 +51,10 @@ __all__ = [
 ]
 
 MAGIC = b"\x89MCAP0\r\n"
-"""The first bytes of a file, and its last."""
+"""First and last bytes of a file."""
 
 METADATA, FORMAT = "maglev_mj", "2"
-"""Name of the record of metadata that a recording begins with, and the format that it names."""
+"""Name and format entry of a recording's metadata record."""
 
 STRETCH, SAMPLE, EVENT = "/maglev/stretch", "/maglev/sample", "/maglev/event"
 
@@ -78,20 +80,22 @@ def require_mcap() -> None:
 
 
 class _Ended(Exception):
-    """A file is over before its end."""
+    """Unexpected end of the file."""
 
 
 def read_mcap(file: IO[bytes], size: int, names: frozenset[str] | None = None) -> Found:
-    """Read a recording as far as it goes: one whose writer was killed, up to its last whole chunk.
+    """Read a recording up to its last complete chunk.
+
+    The writer may have been killed.
 
     Args:
-        file: What to read.
-        size: Of the file [bytes].
+        file: File to read.
+        size: Size of the file [bytes].
         names: Fields to keep; None for all.
 
     Raises:
         MissingPackageError: If a package is not installed.
-        ParameterError: If there is no recording in it, or it holds what none can.
+        ParameterError: If it holds no recording or an invalid one.
     """
     require(("mcap",), *_NEEDED)
     found = Found(Allowance(size), names)
@@ -109,7 +113,7 @@ def read_mcap(file: IO[bytes], size: int, names: frozenset[str] | None = None) -
         raise
     except _Ended:
         found.damage = "its end is missing"
-    except Exception as error:  # of what unpacks and what is unpacked: what came before it is good
+    except Exception as error:  # errors of unpacking and of the content: data before them is good
         found.damage = f"it is damaged: {error or type(error).__name__}"
     if not found.parts:
         raise ParameterError(found.damage or "nothing of a recording is in it")
@@ -119,7 +123,10 @@ def read_mcap(file: IO[bytes], size: int, names: frozenset[str] | None = None) -
 
 
 def _records(file: IO[bytes]) -> Iterator[tuple[int, bytes]]:
-    """Yield kind and content of each record, those in chunks apart; the checksums are checked on the way."""
+    """Yield kind and content of each record outside chunks.
+
+    Checksums are checked on the way.
+    """
     if file.read(len(MAGIC)) != MAGIC:
         raise ParameterError("it is no MCAP file")
     checksum = zlib.crc32(MAGIC)
@@ -149,10 +156,10 @@ def _records(file: IO[bytes]) -> Iterator[tuple[int, bytes]]:
 
 
 class Part:
-    """A stretch as far as it is read.
+    """Samples of a stretch read so far.
 
     Args:
-        message: What was said where it began.
+        message: Message at the beginning of the stretch.
         names: Fields to keep; None for all.
     """
 
@@ -171,20 +178,20 @@ class Part:
 
 
 class Found:
-    """What has been read so far.
+    """Content of a recording read so far.
 
     Args:
-        allowance: How much may be unpacked and kept.
+        allowance: Memory budget for unpacked data.
         names: Fields to keep; None for all.
 
     Attributes:
-        parts: Stretches, in their order.
-        events: What happened, as texts.
+        parts: Stretches in their order.
+        events: Texts of the events.
         event_samples: Number of samples before each event.
         attachments: Files in the file.
-        about: The record of metadata that a recording begins with; empty in files of before.
-        damage: What is wrong with the file; empty for nothing.
-        counted: Whether the file has told how many messages there are, and it was true.
+        about: Metadata record at the beginning; empty in older files.
+        damage: Description of damage to the file; empty for none.
+        counted: True if the file's message count was read and right.
     """
 
     def __init__(self, allowance: Allowance, names: frozenset[str] | None) -> None:
@@ -214,8 +221,8 @@ class Found:
         """Take one record.
 
         Raises:
-            ParameterError: If it is not one that a recording has.
-            Exception: Of any kind, if it is damaged.
+            ParameterError: If the record is invalid in a recording.
+            Exception: Any error, if the record is damaged.
         """
         taker = self._takers.get(kind)
         if taker is not None:
@@ -230,7 +237,7 @@ class Found:
         self._walk(unpacked(chunk))
 
     def _walk(self, data: bytes) -> None:
-        """Take the records in a chunk."""
+        """Take the records of a chunk."""
         at, end = 0, len(data)
         while at < end:
             if end - at < _RECORD.size:
@@ -274,7 +281,10 @@ class Found:
             raise ParameterError(f"channel {channel.id} must be of one topic")
 
     def _count(self, channel: int, topic: str, number: int, count: int = 1) -> None:
-        """Count messages on a channel; in files of before all but the strangers' are numbered together, from 0."""
+        """Count messages of a channel; raise if some are missing.
+
+        In older files all messages of this package are numbered together, from 0.
+        """
         if not self.about:
             if topic not in _OURS:
                 return
@@ -285,7 +295,7 @@ class Found:
         self._counts[channel] = before + count
 
     def _run(self, data: bytes, at: int, after: int, channel: int) -> int:
-        """Take the samples that follow one another from a place on; return where they end."""
+        """Take consecutive samples at an offset; return their end."""
         size = after - at
         if self._layout is None:
             self._layout = layout_of(data[at + _FRONT : after])
@@ -301,11 +311,11 @@ class Found:
         return end
 
     def join(self) -> None:
-        """Add the samples that were taken to their stretch.
+        """Add the taken samples to their stretch.
 
         Raises:
-            ParameterError: If they are not those of a recording.
-            ValueError: If some are missing; those before are added.
+            ParameterError: If a sample is invalid.
+            ValueError: If samples are missing; those before the gap are added.
         """
         if not self._runs:
             return

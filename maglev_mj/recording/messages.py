@@ -1,6 +1,6 @@
-"""A run as messages that other programs know: samples by name, frames, what there is to draw, what happened.
+"""Run as messages for other programs: samples, frames, drawings, events.
 
-They are logged to a context of foxglove-sdk, and go to whatever is attached to it: a file, or a server.
+They are logged to a context of foxglove-sdk, for the files and servers attached to it.
 """
 
 from __future__ import annotations
@@ -93,11 +93,11 @@ def _schema(name: str, fields: Mapping[str, Any], says: str) -> dict[str, Any]:
 
 
 class Messages:
-    """Logs a run.
+    """Logger of a run's messages.
 
     Args:
-        context: Where to; files and servers that are attached to it get every message.
-        model: The device to draw, as of `maglev_mj.model.load`.
+        context: Destination; all files and servers attached to it get every message.
+        model: Model of the drawn device, as of `maglev_mj.model.load`.
 
     Raises:
         ModelError: If the model cannot be used.
@@ -127,8 +127,8 @@ class Messages:
         """Begin a stretch.
 
         Args:
-            setup: What plant and controller are made from, with the metadata as `run`.
-            began_ns: When, since 1970 [ns].
+            setup: Setup of plant and controller, with the metadata as `run`.
+            began_ns: Time of the beginning since 1970 [ns].
         """
         self._stretch += 1
         self._first, self._shown = None, -1
@@ -146,17 +146,23 @@ class Messages:
         self._tell(LogLevel.Info, f"stretch {self._stretch + 1}: {metadata.name or setup.get('kind', '')}")
 
     def greet(self) -> None:
-        """Log again what began the stretch, and what there is to draw, for who came later; nothing before the first."""
+        """Log the stretch's beginning and drawing again for new clients.
+
+        Nothing before the first stretch.
+        """
         if self._begun:
             self._say(self._stretch_channel, self._begun)
             self._draw(self._drawn)
 
     def stick(self, position: Sequence[float] | None) -> None:
-        """Take where the flotor sticks [m, rad], six, NaN where it does not; None without friction."""
+        """Set the stick position [m, rad], six.
+
+        NaN for sliding axes; None without friction.
+        """
         self._stick = position
 
     def row(self, row: Row) -> None:
-        """Log a sample of the stretch that was begun, its values in the order of FIELDS."""
+        """Log a sample, its values in FIELDS order."""
         assert self._totals is not None
         self._log_sample(row, self._totals.add(named(row)))
 
@@ -179,12 +185,12 @@ class Messages:
             self._show(named(row))
 
     def event(self, kind: str, text: str, missed: int = 0) -> None:
-        """Log what happened.
+        """Log an event.
 
         Args:
-            kind: What sort of thing.
-            text: For a person.
-            missed: Samples that were missed with it.
+            kind: Kind of event.
+            text: Text for the user.
+            missed: Samples missed with it.
         """
         if self._totals is not None:
             self._totals.miss(missed)
@@ -222,7 +228,10 @@ class Messages:
         self._draw([("stator", name, {"arrows": _arrow(knob, force[:3], colour)}) for name, force, colour in forces])
 
     def _draw(self, entities: Sequence[tuple[str, str, Mapping[str, Any]]]) -> None:
-        """Log what there is to draw: frame, name and shapes of each entity, which take the place of its last."""
+        """Log drawn entities: frame, name and shapes of each.
+
+        An entity replaces the former one of its name.
+        """
         stamp = _stamp(self._now)
         made = [
             SceneEntity(
@@ -276,7 +285,7 @@ def _primitives(found: Sequence[Shape]) -> dict[str, Any]:
 
 
 def _arrow(knob: Array, force: Sequence[float], colour: Sequence[float]) -> list[ArrowPrimitive]:
-    """Return the arrow of a force; none for one too small to see, or that is no number."""
+    """Return a force arrow; none if too small or NaN."""
     size = math.hypot(*force)
     if not LEAST_FORCE <= size < math.inf:
         return []

@@ -1,4 +1,4 @@
-"""Metadata of a run, told by plant and controller and read back, and its running totals."""
+"""Metadata of a run and its running totals."""
 
 from __future__ import annotations
 
@@ -23,21 +23,29 @@ from maglev_mj.timeline import Timing
 __all__ = ["Mechanics", "RunMetadata", "Setup", "Totals"]
 
 Face: TypeAlias = tuple[int, float, float]
-"""A plane of a wall: index into AXES, normal (1 or -1), edge [m, rad]."""
+"""Plane of a wall: index into AXES, normal, edge.
+
+The normal is 1 or -1; the edge is in [m, rad].
+"""
 
 Setup: TypeAlias = Mapping[str, Any]
-"""What a plant and a controller are made from, ready for JSON; `run` in it are the metadata."""
+"""Setup of plant and controller, ready for JSON.
+
+Its entry `run` holds the metadata.
+"""
 
 _WRENCHES = ("load", "before", "carried")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Mechanics:
-    """What the actuators push at, which says where the energy goes; the device as published by default.
+    """Mass, constant load and initial wrench of a plant.
+
+    They determine the energy balance. The defaults are the published device's.
 
     Attributes:
         inertia: Mass and moments of inertia [kg, kg m²], (6,).
-        load: Constant wrench that acts besides the actuators', its weight [N, N m], (6,).
+        load: Constant wrench besides the actuators', the weight [N, N m], (6,).
         before: Wrench of the actuators until the first command takes effect [N, N m], (6,).
 
     Raises:
@@ -55,7 +63,7 @@ class Mechanics:
 
     @classmethod
     def of(cls, plant: Any) -> Self:
-        """Return the mechanics of a plant; those of the device where it tells none.
+        """Return the mechanics of a plant, by default the device's.
 
         The mass of a hand in a rigid grip moves with the flotor.
         """
@@ -69,19 +77,19 @@ class Mechanics:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RunMetadata:
-    """What a run is besides its samples.
+    """Metadata of a run besides its samples.
 
     Attributes:
         period: Sample period [s].
-        delay: From a sample to its command taking effect [s].
-        inertia: Mass and moments of inertia that the actuators push at [kg, kg m²], (6,).
-        load: Constant wrench that acts besides the actuators' [N, N m], (6,).
+        delay: Time from a sample to its command's effect [s].
+        inertia: Moving mass and moments of inertia [kg, kg m²], (6,).
+        load: Constant wrench besides the actuators' [N, N m], (6,).
         before: Wrench of the actuators until the first command takes effect [N, N m], (6,).
         carried: Wrench of the actuators that carries the flotor and renders nothing [N, N m], (6,).
-        faces: Every plane of a wall; None in files of before, which do not tell, nor any of the following.
-        name: What to call it.
+        faces: All planes of walls; None in older files, which lack this and the following values.
+        name: Name of the run.
         axis: Name of the axis that matters most.
-        hand_recorded: True if what the hand exerts was recorded.
+        hand_recorded: True if the hand's wrench was recorded.
         hand_acts_on_flotor: True if the recorded hand acts on the flotor directly, not through a soft grip.
 
     Raises:
@@ -116,19 +124,19 @@ class RunMetadata:
         mechanics: Mechanics | None = None,
         hand_recorded: bool | None = None,
     ) -> Self:
-        """Return the metadata that a plant and its controller tell.
+        """Return the metadata of a plant and its controller.
 
         Args:
             plant: The plant.
             controller: The controller.
-            name: What to call the run.
+            name: Name of the run.
             axis: The axis that matters most; by default that of the first wall, or z.
-            delay: From a sample to its command taking effect [s]; the plant's by default.
-            mechanics: What the actuators push at; the plant's by default.
-            hand_recorded: Whether what the hand exerts is recorded; by default where the plant has one.
+            delay: Time from a sample to its command's effect [s]; the plant's by default.
+            mechanics: Mass and constant wrenches; the plant's by default.
+            hand_recorded: True if the hand's wrench is recorded; by default if the plant has a hand.
 
         Raises:
-            ParameterError: If the plant does not tell its delay, and none is given.
+            ParameterError: If the plant has no delay and none is given.
         """
         known = getattr(plant, "timing", plant)
         late = getattr(known, "delay", None) if delay is None else delay
@@ -149,10 +157,10 @@ class RunMetadata:
 
     @classmethod
     def from_json(cls, values: Any) -> Self:
-        """Return metadata out of a file.
+        """Return the metadata from JSON.
 
         Raises:
-            ParameterError: If something is missing, or outside its bounds.
+            ParameterError: If a value is missing or outside its bounds.
         """
         known: dict[str, Any] = {
             "period": number("period", values.get("period"), above=0.0, at_most=1e3),
@@ -168,7 +176,7 @@ class RunMetadata:
         return cls(**known)
 
     def as_json(self) -> dict[str, Any]:
-        """Return everything, ready for JSON."""
+        """Return all values, ready for JSON."""
         wrenches = {
             name: dict(zip(AXES, getattr(self, name).tolist(), strict=True)) for name in ("inertia", *_WRENCHES)
         }
@@ -180,7 +188,7 @@ class RunMetadata:
 
 
 def _face(values: Any) -> Face:
-    """Return a plane of a wall out of a file."""
+    """Return a plane of a wall from JSON."""
     face = object_in({"a face": values}, "a face")
     (axis,) = axis_indices(text_in(face, "axis"))
     edge = number("edge", face.get("edge"), at_least=-1e3, at_most=1e3)
@@ -191,10 +199,10 @@ def _face(values: Any) -> Face:
 
 
 class Totals:
-    """Adds up what the rendered world takes in, what the hand does, and what is missing, from sample to sample.
+    """Running totals of energy, hand work and missed samples.
 
     Args:
-        metadata: What a stretch is, besides its samples.
+        metadata: Metadata of the stretch.
     """
 
     def __init__(self, metadata: RunMetadata) -> None:
@@ -206,11 +214,14 @@ class Totals:
         self._tick: float | None = None
 
     def miss(self, count: int) -> None:
-        """Count samples that were missed, other than by a gap in the ticks."""
+        """Count missed samples without a gap in the ticks."""
         self._missed += count
 
     def add(self, row: Mapping[str, Any]) -> tuple[float, float, int]:
-        """Return the totals at a sample, given by name: energy taken [J], work of the hand [J], samples missed."""
+        """Return the totals at a sample given by name.
+
+        Energy absorbed by the rendered world [J], work of the hand [J], missed samples.
+        """
         force, width = np.array(row["applied"]) - self._carried, row["applied_pulse_width"]
         command = Command(force.tolist(), row["applied_pulse"], width) if width else Command(force.tolist())
         self._observer(Sample(int(row["tick"]), row["time"], row["position"]), command)
@@ -221,7 +232,10 @@ class Totals:
         return float(self._observer.energy.sum()), self._hand.total, self._missed
 
     def take(self, rows: Rows) -> Array:
-        """Return the totals at N samples, (N, 3); see `add`, of which they have the bits."""
+        """Return the totals at N samples, (N, 3).
+
+        Bitwise equal to those of `add`.
+        """
         poses, force = np.ascontiguousarray(rows["position"]), rows["applied"] - self._carried
         energy = self._observer.take(poses, force, rows["applied_pulse"], rows["applied_pulse_width"])
         work = self._hand.take(poses, np.ascontiguousarray(rows["hand"]))

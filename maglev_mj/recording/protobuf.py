@@ -1,6 +1,6 @@
-"""Samples as messages of protobuf: one layout of bytes, from the table of the recorded sample.
+"""Samples as protobuf messages of one fixed layout.
 
-Every value is written, at its full width, so that all messages of a file have their bytes in the same places: a writer
+Every value is written at its full width, so that all messages of a file have the same layout: a writer
 packs them at once, and a reader takes thousands of them as one array. Any decoder of protobuf reads them by name.
 """
 
@@ -20,10 +20,10 @@ from maglev_mj.recording.row import FIELDS, TOTALS, Field, Row
 __all__ = ["NAME", "STRETCH", "Layout", "MessageArray", "descriptor", "layout_of", "packed"]
 
 NAME = "maglev_mj.Sample"
-"""Full name of the message."""
+"""Full name of the message type."""
 
 STRETCH = Field("stretch", "", "number of the stretch, from 0")
-"""The number in front of the fields of a sample."""
+"""Name of the stretch number, first field of a sample."""
 
 _NUMBERED: Sequence[Field] = (
     STRETCH,
@@ -31,7 +31,10 @@ _NUMBERED: Sequence[Field] = (
     *TOTALS,
     *(field for field in FIELDS if field.optional),
 )
-"""Fields in the order of their numbers in a message, from 1: what is added is optional, and comes last."""
+"""Fields in the order of their numbers, from 1.
+
+New fields are optional and come last.
+"""
 
 _SIX = "SixAxes"
 _VARINT, _FIXED64, _BYTES = 0, 1, 2
@@ -55,7 +58,10 @@ def _part(number: int, value: int | str | bytes) -> bytes:
 
 
 def _message(name: str, fields: Sequence[tuple[str, int, str]]) -> bytes:
-    """Return the descriptor of a message: name, type and name of the type of each field."""
+    """Return the descriptor of a message.
+
+    Each field has a name, a type and the type's name.
+    """
     parts = [_part(1, name)]
     for number, (field, kind, of) in enumerate(fields, 1):
         about = _part(1, field) + _part(3, number) + _part(4, _OPTIONAL) + _part(5, kind)
@@ -78,7 +84,7 @@ def descriptor() -> bytes:
 
 
 def _head(field: Field) -> bytes:
-    """Return what stands in front of the value of a field."""
+    """Return the bytes in front of a field's value."""
     number = _NUMBERED.index(field) + 1
     if field.six:
         return _varint(number << 3 | _BYTES) + bytes([_SIX_SIZE])
@@ -86,7 +92,7 @@ def _head(field: Field) -> bytes:
 
 
 class _Value(NamedTuple):
-    """A number in a message: what stands in front of it, and its type."""
+    """Number in a message: preceding bytes and type code."""
 
     head: bytes
     code: str
@@ -112,9 +118,9 @@ def packed(stretch: int, row: Row, totals: Row) -> bytes:
     """Return a sample as a message.
 
     Args:
-        stretch: Number of its stretch.
-        row: Its values in the order of FIELDS.
-        totals: Its running totals in the order of TOTALS.
+        stretch: Number of the stretch.
+        row: Values in the order of FIELDS.
+        totals: Running totals in the order of TOTALS.
     """
     values: list[float] = [stretch, *row, *totals]
     for place in _WHOLE:
@@ -129,13 +135,13 @@ MessageArray: TypeAlias = "np.ndarray[tuple[int, int], np.dtype[np.uint8]]"
 
 
 class Layout:
-    """Where the numbers of a sample stand in its message.
+    """Layout of a sample's message: byte position of each number.
 
     Args:
-        fields: What is in it, in its order; a number for so many bytes of something that is not known.
+        fields: Fields in their order; a number stands for that many unknown bytes.
 
     Attributes:
-        size: Of a message [bytes].
+        size: Size of a message [bytes].
     """
 
     def __init__(self, fields: Sequence[Field | int]) -> None:
@@ -155,16 +161,19 @@ class Layout:
         self._heads, self._expected = np.array(heads), np.frombuffer(expected, np.uint8)
 
     def check(self, messages: MessageArray) -> None:
-        """Check that messages are laid out like this.
+        """Check that messages have this layout.
 
         Raises:
-            ParameterError: If one is not.
+            ParameterError: If one has another layout.
         """
         if not (messages[:, self._heads] == self._expected).all():
             raise ParameterError("the samples of a file must all have the same fields")
 
     def values(self, messages: MessageArray, field: Field) -> Array:
-        """Return a field of messages, (N,) or (N, 6); NaN where they do not have it."""
+        """Return a field of messages, NaN if missing.
+
+        The shape is (N,) or (N, 6).
+        """
         at = self._places.get(field.name)
         count = len(messages)
         if at is None:
@@ -178,10 +187,10 @@ class Layout:
 
 
 def layout_of(message: bytes) -> Layout:
-    """Return the layout of a message; fields of later versions are passed over.
+    """Return the layout of a message; unknown fields are skipped.
 
     Raises:
-        ParameterError: If it is not one of a sample.
+        ParameterError: If it is no message of a sample.
     """
     heads = {_head(field): field for field in _NUMBERED}
     fields: list[Field | int] = []
@@ -202,7 +211,7 @@ def layout_of(message: bytes) -> Layout:
 
 
 def _number_at(message: bytes, at: int) -> tuple[int, int]:
-    """Return a number of variable length, and where it ends."""
+    """Return a variable-length number and the offset behind it."""
     found = shift = 0
     while at < len(message) and shift < 63:
         found |= (message[at] & 0x7F) << shift

@@ -1,4 +1,4 @@
-"""Recordings: stretches of samples under one controller, and files of arrays that hold them."""
+"""Recordings in memory and as files of arrays."""
 
 from __future__ import annotations
 
@@ -41,11 +41,11 @@ _FORMAT = "maglev_mj recording 1"
 
 
 class RecordingError(MaglevError):
-    """A recording cannot be written, or cannot be run again here."""
+    """Error of a recording: it cannot be written or replayed."""
 
 
 class InvalidRecordingError(RecordingError, ParameterError):
-    """A file is no recording, or holds what none can."""
+    """A file is not a recording, or has invalid content."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -55,13 +55,13 @@ class Stretch:
     Each field of a sample is an attribute too: `stretch.position` is `stretch.rows["position"]`, (N, 6).
 
     Attributes:
-        setup: What plant and controller were made from, the metadata apart.
-        rows: The samples, (N,), a structured array of `maglev_mj.recording.ROW`; a command is not finite where that is
-            why the plant refused it.
-        totals: Energy that the rendered world has taken in [J], work of the hand [J] and samples missed, each from the
-            beginning on, (N,); None where they are not recorded.
-        metadata: What it is besides; None in files of before, which do not tell.
-        gaps: Samples that were missed without a gap in the ticks: before which row, and how many.
+        setup: Setup of plant and controller, without the metadata.
+        rows: The samples, (N,), a structured array of `maglev_mj.recording.ROW`; a command is not finite if the plant
+            refused it for that reason.
+        totals: Energy absorbed by the rendered world [J], work of the hand [J] and missed samples, each from the
+            beginning on, (N,); None if not recorded.
+        metadata: Metadata; None in older files without them.
+        gaps: Samples missed without a gap in the ticks: row that follows, and number.
     """
 
     setup: Setup
@@ -81,15 +81,21 @@ class Stretch:
 
     @property
     def whole_setup(self) -> dict[str, Any]:
-        """Setup with the metadata in it, as a file holds them."""
+        """Setup including the metadata, as stored in a file."""
         return {**self.setup, **({} if self.metadata is None else {"run": self.metadata.as_json()})}
 
     def part(self, first: int, last: int) -> Stretch:
-        """Return the samples from one row to another, both included, without what is only of the whole."""
+        """Return the samples from one row to another, both included.
+
+        Totals and gaps are left out.
+        """
         return replaced(self, rows=self.rows[first : last + 1], totals=None, gaps=())
 
     def replace(self, **values: Any) -> Stretch:
-        """Return a copy with other samples: arrays of the stretch's length by the names of their fields."""
+        """Return a copy with other values of some fields.
+
+        Arrays of the stretch's length by field name.
+        """
         rows = self.rows.copy()
         for name, value in values.items():
             rows[name] = value
@@ -98,15 +104,15 @@ class Stretch:
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """One run.
+    """Recording of one run.
 
     Attributes:
-        stretches: In the order in which they happened.
-        events: What a person should know of, such as faults.
-        event_samples: Number of samples before each event; empty in files that do not tell.
-        damage: What is wrong with the file that it was read from, such as a missing end; empty for nothing.
-        attachments: Files that are kept with it, by name.
-        about: Format of the file and versions of the code that made it; empty in files of before.
+        stretches: Stretches in order of time.
+        events: Texts of events for the user, such as faults.
+        event_samples: Number of samples before each event; empty in files without it.
+        damage: Description of damage to the file, such as a missing end; empty for none.
+        attachments: Attached files by name.
+        about: Format of the file and versions of the code that made it; empty in older files.
     """
 
     stretches: Sequence[Stretch]
@@ -117,7 +123,7 @@ class Recording:
     about: Mapping[str, str] = field(default_factory=dict)
 
     def save(self, path: Path | str) -> None:
-        """Write to a file, whole or not at all.
+        """Write to a file atomically.
 
         Raises:
             OSError: If it cannot be written.
@@ -151,13 +157,15 @@ class Recording:
 
     @classmethod
     def load(cls, path: Path) -> Recording:
-        """Read from a file of either kind; one of MCAP that was not closed, as far as it goes.
+        """Read a file of either format.
 
-        What a file unpacks to is bounded, by 64 MiB for each of its parts among other things.
+        An MCAP file that was not closed is read up to its last complete chunk.
+
+        The unpacked size is limited, for example to 64 MiB for each part.
 
         Raises:
-            MissingPackageError: If it is of MCAP, and the package for it is not installed.
-            InvalidRecordingError: If it is not there, no recording, or holds what none can, such as a number that is
+            MissingPackageError: If an MCAP file needs a package that is not installed.
+            InvalidRecordingError: If it is missing, no recording, or invalid, for example by a number that is
                 not finite, of another type or out of range.
         """
         found = read_file(path)
@@ -165,22 +173,22 @@ class Recording:
 
     @property
     def ticks(self) -> int:
-        """Samples in all."""
+        """Total number of samples."""
         return sum(len(stretch) for stretch in self.stretches)
 
 
 def read_file(path: Path, names: frozenset[str] | None = None) -> Recording | Found:
-    """Read a file of either kind.
+    """Read a file of either format.
 
     Args:
         path: The file.
         names: Fields of an MCAP file to keep; None for all.
 
     Raises:
-        MissingPackageError: If it is of MCAP, and a package for it is not installed.
+        MissingPackageError: If an MCAP file needs a package that is not installed.
         InvalidRecordingError: See `Recording.load`.
     """
-    from maglev_mj.recording.mcap import MAGIC, read_mcap  # which needs what is defined here
+    from maglev_mj.recording.mcap import MAGIC, read_mcap  # it imports this module
 
     try:
         with path.open("rb", buffering=1 << 20) as file:
@@ -196,7 +204,7 @@ def read_file(path: Path, names: frozenset[str] | None = None) -> Recording | Fo
 
 
 def _recording(found: Found) -> Recording:
-    """Return what was found in an MCAP file."""
+    """Return the content of an MCAP file as a recording."""
     stretches = []
     for part in found.parts:
         if not len(part):
@@ -221,7 +229,10 @@ def _recording(found: Found) -> Recording:
 
 @contextmanager
 def aside(path: Path) -> Iterator[Path]:
-    """Return a name to write to; once that is done it takes the place of `path`, and if it fails nothing is left."""
+    """Yield a temporary name that replaces `path` on success.
+
+    After a failure the temporary file is removed.
+    """
     partial = path.with_name(f"{path.name}.{os.getpid()}.partial")
     try:
         yield partial
@@ -231,10 +242,10 @@ def aside(path: Path) -> Iterator[Path]:
 
 
 def split_setup(value: Any) -> tuple[Setup, RunMetadata | None]:
-    """Return a setup out of a file, and the metadata that were in it.
+    """Return setup and metadata of a file's setup entry.
 
     Raises:
-        ParameterError: If it is none, or something in it is missing or out of range.
+        ParameterError: If it is not a setup, or a value is missing or out of range.
     """
     setup = dict(check_setup(value))
     run = setup.pop("run", None)
@@ -246,16 +257,16 @@ def _bytes(data: bytes) -> NDArray[np.uint8]:
 
 
 def _array_of(rows: Rows, name: str) -> Array:
-    """Return one array of a file: a field, or several side by side."""
+    """Return one array of a file: one or several fields."""
     values: list[Array] = [rows[field.name] for field in ARRAYS[name]]
     return np.ascontiguousarray(values[0] if len(values) == 1 else np.column_stack(values))
 
 
 def _read_arrays(file: IO[bytes], size: int) -> Recording:
-    """Return what is in a file of arrays of so many bytes.
+    """Read an .npz file of `size` bytes.
 
     Raises:
-        ParameterError: If there is no recording in it, or it holds what none can.
+        ParameterError: If it holds no recording or an invalid one.
         OSError: If it cannot be read.
     """
     allowance = Allowance(size)
@@ -279,7 +290,7 @@ def _read_arrays(file: IO[bytes], size: int) -> Recording:
         raise
     except UnpackingError as error:
         raise ParameterError(str(error)) from None
-    except Exception:  # of zip files, of what unpacks, of headers: a damaged one fails in many ways
+    except Exception:  # errors of zip files, unpacking and headers: a damaged file fails in many ways
         raise ParameterError("it is damaged") from None
     events = header.get("events", [])
     if not isinstance(events, list):
@@ -332,7 +343,7 @@ _STORED = {**ARRAYS, **{field.name: [field] for field in TOTALS}}
 
 
 def _array(archive: ZipFile, allowance: Allowance, name: str) -> Any:
-    """Return an array; one that is not packed takes up no more than is there."""
+    """Return an array after checking its size."""
     info = archive.getinfo(f"{name}.npy")
     if info.compress_type != ZIP_STORED:
         allowance.part(info.file_size)

@@ -1,4 +1,4 @@
-"""The recorded sample: one table, from which memory, arrays, JSON, tables and schemas follow."""
+"""Recorded sample: one table that defines all file formats."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ __all__ = [
 ]
 
 Row: TypeAlias = Sequence[float]
-"""The values of one sample in the order of FIELDS, components one by one."""
+"""Values of one sample in FIELDS order, components flattened."""
 
 Rows: TypeAlias = NDArray[np.void]
 """N samples: a structured array (N,)."""
@@ -39,25 +39,28 @@ _POSE, _WRENCH, _FORCE = ("m", "rad"), ("N", "N m"), 1e12
 
 
 class RecordedPlant(Protocol):
-    """A plant as `Field.value` refers to it."""
+    """Plant in the expressions of `Field.value`."""
 
     @property
     def hand_wrench(self) -> Sequence[Any]:
-        """What the hand exerts since the last sample [N, N m], six."""
+        """Wrench of the hand since the last sample.
+
+        Six components [N, N m].
+        """
 
 
 class Field(NamedTuple):
     """One value of a recorded sample.
 
     Attributes:
-        name: Its name in every file.
-        unit: Its unit; two for the six components of a pose or wrench, of translations and of rotations; empty for a
+        name: Name in every file.
+        unit: Unit; two for the six components of a pose or wrench, of translations and of rotations; empty for a
             whole number.
-        description: What it is, in a few words.
-        value: Expression of `sample`, `command`, `applied` and `plant`; empty for a running total.
-        array: The array of an .npz file that holds it; empty for one of its own.
-        at_least: Least value in a file.
-        at_most: Largest absolute value in a file; what lies beyond is no device's.
+        description: Short description.
+        value: Expression in `sample`, `command`, `applied` and `plant`; empty for a running total.
+        array: Array of an .npz file that holds it; empty for an array of its own.
+        at_least: Smallest value in a file.
+        at_most: Largest absolute value in a file; beyond the range of any device.
         optional: True if files without it are read too, as NaN.
     """
 
@@ -72,12 +75,12 @@ class Field(NamedTuple):
 
     @property
     def six(self) -> bool:
-        """True if it has six components."""
+        """True if the field has six components."""
         return isinstance(self.unit, tuple)
 
     @property
     def units(self) -> Sequence[tuple[str, str]]:
-        """Name and unit of each column of a table."""
+        """Name and unit of each table column."""
         if isinstance(self.unit, str):
             return [(self.name, self.unit)]
         return [(f"{self.name}.{axis}", self.unit[index > 2]) for index, axis in enumerate(AXES)]
@@ -122,7 +125,10 @@ FIELDS: Sequence[Field] = (
         optional=True,
     ),
 )
-"""What is recorded of each sample, in the order of every file. One more value is one more line."""
+"""Recorded fields of each sample, in file order.
+
+A further value takes one further line here.
+"""
 
 TOTALS: Sequence[Field] = (
     Field(
@@ -134,7 +140,7 @@ TOTALS: Sequence[Field] = (
     Field("hand_work", "J", "work of the hand in the stretch", at_most=1e15),
     Field("missed", "", "samples that did not arrive, or that were not kept up with, in the stretch so far"),
 )
-"""Running totals, which files of MCAP have beside each sample."""
+"""Running totals, stored in MCAP files with each sample."""
 
 
 def _layout(fields: Sequence[Field]) -> np.dtype[np.void]:
@@ -153,19 +159,22 @@ def _arrays() -> Mapping[str, Sequence[Field]]:
 
 
 ARRAYS = _arrays()
-"""Fields in each array of an .npz file: (N,) for one number a sample, or (N, columns)."""
+"""Fields in each array of an .npz file.
+
+(N,) for one number per sample, or (N, columns).
+"""
 
 
 def compiled(arguments: str, template: str, fields: Sequence[Field] = FIELDS, **names: Any) -> Callable[..., Any]:
-    """Return a function over the values of a sample.
+    """Return a compiled function of a sample's values.
 
-    Written out as source, for in the control tick a loop over FIELDS takes four times as long.
+    Generated as source, because a loop over FIELDS takes four times as long in the control tick.
 
     Args:
         arguments: Names of the function's arguments.
-        template: What it does, with {values} for all values one after the other.
-        fields: Whose values.
-        names: What that refers to besides its arguments.
+        template: Body of the function, with {values} for the sequence of all values.
+        fields: Fields of the values.
+        names: Further names used in the body.
     """
     sources = ((field, _source(field, names.get("plant"))) for field in fields)
     values = ", ".join(f"*({source})" if field.six else f"({source})" for field, source in sources)
@@ -177,7 +186,10 @@ def compiled(arguments: str, template: str, fields: Sequence[Field] = FIELDS, **
 
 
 def _source(field: Field, plant: RecordedPlant | None) -> str:
-    """Return the expression of a field; of an optional one of a plant, which is known or yet to come, with NaN."""
+    """Return the expression of a field; NaN if not available.
+
+    An optional field of the plant may be missing; without a plant that is checked later.
+    """
     of, _, name = field.value.partition(".")
     if not field.optional or of != "plant":
         return field.value
@@ -187,7 +199,7 @@ def _source(field: Field, plant: RecordedPlant | None) -> str:
 
 
 def as_rows(values: Any, fields: Sequence[Field] = FIELDS) -> Rows:
-    """Return numbers, (N, columns), as a structured array (N,) of some fields."""
+    """Return numbers (N, columns) as a structured array (N,)."""
     layout = _layout(fields)
     return np.ascontiguousarray(values, dtype=np.float64).reshape(-1, layout.itemsize // 8).view(layout).reshape(-1)
 
@@ -208,7 +220,10 @@ _PLACES = dict(_places())
 
 
 def named(row: Row) -> dict[str, Any]:
-    """Return the values of a sample by name; six components as a sequence."""
+    """Return the values of a sample by name.
+
+    Six components are a sequence.
+    """
     return {name: row[place] for name, place in _PLACES.items()}
 
 
@@ -226,10 +241,13 @@ def schema(field: Field) -> dict[str, Any]:
 
 
 def told(field: Field, values: Array) -> bool:
-    """Return whether a file tells anything of a field: an optional one may be NaN throughout."""
+    """Return False if an optional field is NaN throughout."""
     return not (field.optional and bool(np.isnan(values).all()))
 
 
 def units() -> dict[str, str]:
-    """Return the unit of each column of a table of samples, its totals too; empty for a whole number."""
+    """Return the unit of each column, totals included.
+
+    Empty for a whole number.
+    """
     return {name: unit for field in (*FIELDS, *TOTALS) for name, unit in field.units}

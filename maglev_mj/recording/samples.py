@@ -1,4 +1,4 @@
-"""A recording as arrays, however long it is."""
+"""Recording as arrays, of any length."""
 
 from __future__ import annotations
 
@@ -27,18 +27,20 @@ _FIELDS: Mapping[str, Field] = {field.name: field for field in (*FIELDS, *TOTALS
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Samples:
-    """All N samples of a recording; each field is an attribute too, such as `samples.position`.
+    """All N samples of a recording, fields as attributes.
+
+    For example `samples.position`.
 
     Attributes:
-        arrays: Fields by name, (N,) or (N, 6), not to be changed; NaN where the file does not tell.
+        arrays: Fields by name, (N,) or (N, 6), not to be changed; NaN for values missing in the file.
         units: Unit of each column, such as `position.z`; empty for a whole number.
         stretch: Number of the stretch of each sample, from 0, (N,).
-        setups: What plant and controller of each stretch were made from.
-        metadata: Of each stretch; None in files of before, which do not tell.
-        events: What a person should know of, such as faults.
-        about: Format of the file and versions of the code that made it; empty in files of before.
-        attachments: Files that are kept with it, by name.
-        damage: What is wrong with the file; empty for nothing.
+        setups: Setup of each stretch.
+        metadata: Metadata of each stretch; None in older files without them.
+        events: Texts of events for the user, such as faults.
+        about: Format of the file and versions of the code that made it; empty in older files.
+        attachments: Attached files by name.
+        damage: Description of damage to the file; empty for none.
     """
 
     arrays: Mapping[str, Array]
@@ -65,7 +67,10 @@ class Samples:
         return dict(unit for name in self.arrays for unit in _FIELDS[name].units)
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """Return the columns by name, `stretch` and then those of `units`, (N,) each; without unit whole numbers."""
+        """Return the columns by name, (N,) each.
+
+        `stretch` comes first, then those of `units`. Columns without unit are whole numbers.
+        """
         found: dict[str, NDArray[Any]] = {"stretch": self.stretch}
         for name, values in self.arrays.items():
             field = _FIELDS[name]
@@ -75,7 +80,9 @@ class Samples:
         return found
 
     def to_pandas(self) -> DataFrame:
-        """Return a data frame, a row for each sample; `attrs` has units and events.
+        """Return a data frame with one row per sample.
+
+        Its `attrs` hold units and events.
 
         Raises:
             MissingPackageError: If pandas is not installed.
@@ -91,15 +98,15 @@ class Samples:
 def load(path: Path | str, fields: Sequence[str] | None = None) -> Samples:
     """Read a recording as arrays.
 
-    An hour at 1 kHz takes some seconds and below 1 GB: what is constant, or equal to another field, is there once.
+    An hour at 1 kHz takes some seconds and below 1 GB: a field that is constant or equals another is stored once.
 
     Args:
-        path: A file of either kind; one of MCAP that was not closed is read as far as it goes.
+        path: A file of either format; an MCAP file that was not closed is read up to its last complete chunk.
         fields: Names of the fields to keep, such as "time" and "position"; None for all.
 
     Raises:
-        MissingPackageError: If it is of MCAP, and a package for it is not installed.
-        InvalidRecordingError: If it is not there, no recording, or holds what none can.
+        MissingPackageError: If an MCAP file needs a package that is not installed.
+        InvalidRecordingError: If it is missing, no recording, or invalid.
         ParameterError: If a field is not known.
     """
     names = list(_FIELDS) if fields is None else list(fields)
@@ -110,7 +117,7 @@ def load(path: Path | str, fields: Sequence[str] | None = None) -> Samples:
 
 
 def samples_of(found: Recording | Found, names: Sequence[str]) -> Samples:
-    """Return fields of what was read as arrays."""
+    """Return fields of a read recording as arrays."""
     parts: Sequence[Stretch | Part]
     if isinstance(found, Recording):
         parts = found.stretches
@@ -131,7 +138,7 @@ def samples_of(found: Recording | Found, names: Sequence[str]) -> Samples:
 
 
 def _array(part: Stretch | Part, name: str) -> Array:
-    """Return a field of a stretch; NaN for totals that it does not have."""
+    """Return a field of a stretch; NaN for missing totals."""
     if isinstance(part, Part):
         return part.array(name)
     rows = part.totals if any(name == field.name for field in TOTALS) else part.rows

@@ -1,4 +1,7 @@
-"""What plant and controller were made from: written as JSON, and made again from it without a name being imported."""
+"""Setup of plant and controller: stored as JSON, and rebuilt.
+
+Rebuilding imports nothing by name.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +42,10 @@ __all__ = [
 ]
 
 Own: TypeAlias = Callable[[str], Any]
-"""Returns a user's own class or function by its reference, FILE:NAME@HASH, having executed what it needs."""
+"""Loader of a user's class or function by reference.
+
+The reference is FILE:NAME@HASH; its source is executed.
+"""
 
 _SLOTS: Mapping[str, tuple[type, ...]] = {
     "controller": (Controller,),
@@ -57,10 +63,10 @@ _SLOTS: Mapping[str, tuple[type, ...]] = {
     "path": (Trajectory,),
     "target": (Trajectory,),
 }
-"""What an object may be, by the name of the argument that takes it: nothing else is ever made."""
+"""Allowed types by argument name; no other object is made."""
 
 ALLOW = "allow it by --scene {}, or by --scene attached for the source in the recording"
-"""What a person does about an `OwnCodeError`."""
+"""Advice to the user after an `OwnCodeError`."""
 
 _OBJECTS = ("timing", "sensor", "hand", "hand_force", "path")
 _OWN_SLOTS = ("laws", "velocity")
@@ -69,11 +75,11 @@ _MOST, _LONGEST_LIST, _MOST_LAWS, _LEAST_STEP = 1e12, 100_000, 100, 1e-5
 
 
 class OwnCodeError(InvalidRecordingError):
-    """A recording needs code that is not this package's, and that nobody let this program execute."""
+    """A recording needs user code that was not allowed."""
 
 
 class _UntoldError(Exception):
-    """A value cannot be told in JSON."""
+    """A value cannot be expressed in JSON."""
 
 
 def setup_of(
@@ -87,7 +93,9 @@ def setup_of(
     samples: int | None = None,
     **metadata: Any,
 ) -> dict[str, Any]:
-    """Return what a run is made from, before its first sample, ready for JSON.
+    """Return the setup of a run before its first sample.
+
+    It is ready for JSON.
 
     Args:
         plant: The plant.
@@ -95,12 +103,12 @@ def setup_of(
         kind: "run", or "device" for a flight.
         scene: Reference of the scene; None for none.
         source: Hash of the scene's file; None for none.
-        parameters: Whatever the run depends on, by name, ready for JSON.
-        samples: How many the run takes unless it fails before; None where nobody knows.
-        metadata: In place of what plant and controller tell: see `RunMetadata.of`.
+        parameters: Parameters of the run by name, ready for JSON.
+        samples: Number of samples unless the run fails before; None if not known.
+        metadata: Values in place of those of plant and controller: see `RunMetadata.of`.
 
     Raises:
-        ParameterError: If a value is not finite, or the plant does not tell its delay and none is given.
+        ParameterError: If a value is not finite, or the plant has no delay and none is given.
     """
     if scene is not None:
         metadata.setdefault("name", scene)
@@ -118,21 +126,27 @@ def setup_of(
 
 
 def whole_setup(plant: Any, controller: Controller, setup: Setup | None) -> Setup:
-    """Return a setup with its metadata in it: that of plant and controller where none is given."""
+    """Return a setup including its metadata.
+
+    By default those of plant and controller.
+    """
     if setup is None:
         return setup_of(plant, controller)
     return setup if "run" in setup else {**setup, "run": RunMetadata.of(plant, controller).as_json()}
 
 
 class Attaching(Protocol):
-    """What files are attached to: see `RecordingFile`."""
+    """Interface of a file that takes attachments.
+
+    See `RecordingFile`.
+    """
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
-        """Keep a file; do nothing where one of that name is there."""
+        """Attach a file unless its name exists."""
 
 
 def attach_parts(file: Attaching, plant: Any, controller: Controller) -> None:
-    """Attach what plant and controller depend on: MJCF, and sources that are not this package's."""
+    """Attach the MJCF and user sources of plant and controller."""
     model = getattr(plant, "given", {}).get("model", "drop" if isinstance(plant, MuJoCoPlant) else None)
     if isinstance(model, str | Path):
         attach_model(file, model)
@@ -141,13 +155,13 @@ def attach_parts(file: Attaching, plant: Any, controller: Controller) -> None:
 
 
 def attach_model(file: Attaching, model: str | Path) -> None:
-    """Attach the MJCF of a model, with what it includes."""
+    """Attach the MJCF of a model, included files too."""
     for name, text in model_files(model):
         file.attach(f"model/{name}", "application/xml", text.encode())
 
 
 def attach_source(file: Attaching, thing: Any) -> None:
-    """Attach the file of a class or function that is not this package's."""
+    """Attach the source file of a user's class or function."""
     own = getattr(thing, "__module__", "maglev_mj").partition(".")[0] != "maglev_mj"
     if own and (found := file_of(thing)) is not None:
         path, text = found
@@ -155,21 +169,24 @@ def attach_source(file: Attaching, thing: Any) -> None:
 
 
 def scripted(setup: Setup) -> bool:
-    """Return whether the hand is the run's own: told in its setup, or none at all."""
+    """Return True if the run's hand is in its setup.
+
+    Also True if there is no hand.
+    """
     plant = setup.get("plant")
     return isinstance(plant, dict) and not isinstance(plant.get("hand_force"), str)
 
 
 def controller_again(setup: Setup, own: Own | None = None) -> Controller:
-    """Make the controller of a setup of `setup_of` anew.
+    """Rebuild the controller of a setup.
 
     Args:
         setup: The setup.
-        own: Finds classes and functions that are not this package's; None where nobody let them be executed.
+        own: Loader of a user's classes and functions; None if these must not be executed.
 
     Raises:
-        OwnCodeError: If it takes code that nobody let this program execute, or that nothing tells of.
-        InvalidRecordingError: If something in it is missing, of another kind, or out of range.
+        OwnCodeError: If it needs user code that was not allowed or is not known.
+        InvalidRecordingError: If a value is missing, of another type, or out of range.
     """
     with _refused():
         controller = _made("controller", setup["controller"], own)
@@ -179,14 +196,16 @@ def controller_again(setup: Setup, own: Own | None = None) -> Controller:
 
 
 def plant_again(setup: Setup, hand: HandForce | None = None) -> SampledPlant | None:
-    """Make the plant of a setup of `setup_of` anew; None for one that is not this package's.
+    """Rebuild the plant of a setup, unless a user's own.
+
+    None for a user's own plant.
 
     Args:
         setup: The setup.
-        hand: The hand on the flotor; None for the run's own, if it has one.
+        hand: The hand on the flotor; None for that of the setup, if any.
 
     Raises:
-        InvalidRecordingError: If something in it is missing, of another kind, or out of range.
+        InvalidRecordingError: If a value is missing, of another type, or out of range.
     """
     told = setup.get("plant")
     if isinstance(told, str):
@@ -204,7 +223,7 @@ def plant_again(setup: Setup, hand: HandForce | None = None) -> SampledPlant | N
 
 @contextmanager
 def _refused() -> Iterator[None]:
-    """Turn whatever a made-up setup leads to into one line."""
+    """Turn any error of an invalid setup into one line."""
     try:
         yield
     except InvalidRecordingError:
@@ -214,7 +233,10 @@ def _refused() -> Iterator[None]:
 
 
 def _told(slot: str, value: Any) -> Any:
-    """Return an object as JSON; its class alone where not all of it can be told."""
+    """Return an object as JSON, or its class name.
+
+    The class alone if an argument has no JSON form.
+    """
     try:
         known = _reference(slot, value)
         return {"class": known, **{name: _value(name, part) for name, part in _given(slot, value).items()}}
@@ -223,7 +245,10 @@ def _told(slot: str, value: Any) -> Any:
 
 
 def _reference(slot: str, value: Any) -> str:
-    """Return the name of an object's class: one of `_SLOTS`, or FILE:NAME@HASH of a user's own."""
+    """Return the reference of an object's class.
+
+    A name in `_SLOTS`, or FILE:NAME@HASH for a user's class.
+    """
     if type(value) in _SLOTS[slot]:
         return type(value).__name__
     thing = value.function if isinstance(value, FunctionLaw) else type(value)
@@ -233,15 +258,15 @@ def _reference(slot: str, value: Any) -> str:
 
 
 def _given(slot: str, value: Any) -> Mapping[str, Any]:
-    """Return the arguments from which an object is made, those that are not the default."""
+    """Return an object's constructor arguments other than defaults."""
     if isinstance(value, Controller | SampledPlant) and value.begun:
-        raise _UntoldError  # what it remembers is not in its arguments
+        raise _UntoldError  # its state is not in its arguments
     if isinstance(value, Controller):
         return {"laws": value.laws, "period": value.period, "velocity": value.velocity}
     if isinstance(value, SampledPlant):
         return value.given
     if slot == "hand_force" and isinstance(value, SpringHand) and not isinstance(value.target, Trajectory):
-        raise _UntoldError  # somebody moves it
+        raise _UntoldError  # its target is moved from outside
     if is_dataclass(value):
         return {
             one.name: part
@@ -274,13 +299,13 @@ def _value(slot: str, value: Any) -> Any:
 
 
 def _made(slot: str, told: Any, own: Own | None, more: Mapping[str, Any] | None = None) -> Any:
-    """Return the object or number that JSON tells of.
+    """Return the object or number described by JSON.
 
     Args:
-        slot: Name of the argument that takes it.
+        slot: Name of the argument for it.
         told: The JSON.
         own: See `controller_again`.
-        more: Further arguments of it.
+        more: Further constructor arguments.
     """
     if slot in _OBJECTS and told is not None and not isinstance(told, dict):
         raise ParameterError(f"{slot} must be an object, not {str(told)[:40]!r}")
@@ -309,8 +334,8 @@ def _own(slot: str, name: str, own: Own | None) -> Any:
     """Return a user's own class or function.
 
     Raises:
-        ParameterError: If there is none of that name for this argument.
-        OwnCodeError: If nobody let it be executed.
+        ParameterError: If the class is not allowed for this argument.
+        OwnCodeError: If executing it was not allowed.
     """
     if slot not in _OWN_SLOTS or "@" not in name:
         allowed = ", ".join(one.__name__ for one in _SLOTS.get(slot, ()))

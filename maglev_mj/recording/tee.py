@@ -1,4 +1,4 @@
-"""A run recorded to several files at once."""
+"""Recording of one run to several files."""
 
 from __future__ import annotations
 
@@ -18,19 +18,25 @@ __all__ = ["tee"]
 
 
 def tee(*files: RecordingFile | None) -> RecordingFile | None:
-    """Return one file that writes to all that are given; None for none."""
+    """Return one file that writes to all given files.
+
+    None for no file.
+    """
     given = [file for file in files if file is not None]
     return _Tee(given) if len(given) > 1 else given[0] if given else None
 
 
 class _Tee:
-    """Writes to several files: see `RecordingFile`."""
+    """Group of files that record the same run.
+
+    See `RecordingFile`.
+    """
 
     def __init__(self, files: Sequence[RecordingFile]) -> None:
         self._files = files
 
     def begin(self, plant: RecordedPlant, controller: Controller, setup: Setup | None = None) -> Record:
-        """Begin a stretch in each; return what the loop records it to."""
+        """Begin a stretch in each; return one recording function."""
         whole = whole_setup(plant, controller, setup)
         records = [file.begin(plant, controller, whole) for file in self._files]
 
@@ -56,7 +62,10 @@ class _Tee:
             file.check()
 
     def close(self) -> Path | None:
-        """Close each, whatever another raises; return the first that was written."""
+        """Close all files; return the first one written.
+
+        An error of one file does not keep the others open.
+        """
         paths: list[Path | None] = []
 
         def close(file: RecordingFile) -> None:

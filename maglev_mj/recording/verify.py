@@ -1,4 +1,4 @@
-"""Recordings run again, and every field compared bit for bit."""
+"""Replay of recordings with bitwise comparison of every field."""
 
 from __future__ import annotations
 
@@ -22,18 +22,21 @@ from maglev_mj.recording.row import ARRAYS, FIELDS, ROW, TOTALS, Rows, as_rows, 
 __all__ = ["Expected", "FieldVerdict", "Rebuild", "Verdict", "first_other_answer", "verify"]
 
 Rebuild: TypeAlias = Callable[[Setup, HandForce | None], tuple[SampledPlant | None, Controller]]
-"""Makes plant and controller; None for a plant that cannot be made, such as a device."""
+"""Function that rebuilds plant and controller.
+
+None in place of a plant that cannot be made, such as a device.
+"""
 
 _Field: TypeAlias = tuple[str, Array, Array | None]
 
 
 class Expected(NamedTuple):
-    """What a setup tells of a run besides plant and controller.
+    """Expected properties of a run besides plant and controller.
 
     Attributes:
-        scripted: Whether the hand is the run's own, and not one that was given to it.
-        samples: How many samples it takes, unless it fails before; None for as many as there are.
-        metadata: Names and values of metadata that neither plant nor controller tells; None for one that is not known.
+        scripted: True if the hand is part of the setup.
+        samples: Number of samples, unless the run fails before; None for the recorded number.
+        metadata: Further metadata by name, besides those of plant and controller; None for an unknown value.
     """
 
     scripted: bool = False
@@ -42,12 +45,12 @@ class Expected(NamedTuple):
 
 
 class FieldVerdict(NamedTuple):
-    """How much of a recorded field came out again.
+    """Comparison of one recorded field with its replay.
 
     Attributes:
-        same: How many values, one a sample, or one a stretch, were the same to the last bit.
-        compared: Of how many; 0 for one that is not run again.
-        first: Stretch and tick of the first that was not; None where all were.
+        same: Number of bitwise equal values, one per sample or one per stretch.
+        compared: Number of compared values; 0 for a field that is not replayed.
+        first: Stretch and tick of the first difference; None without differences.
     """
 
     same: int
@@ -56,12 +59,12 @@ class FieldVerdict(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """What running a recording again gave.
+    """Result of a replay.
 
     Attributes:
-        ticks: Samples in it.
-        fields: Of each recorded field, by the name that it has in the file.
-        damage: What is wrong with the file; empty for nothing.
+        ticks: Number of samples.
+        fields: Comparison of each recorded field by name.
+        damage: Description of damage to the file; empty for none.
     """
 
     ticks: int
@@ -70,27 +73,29 @@ class Verdict(NamedTuple):
 
     @property
     def same(self) -> bool:
-        """Whether the file is whole, and nothing in it differs."""
+        """True if the file is complete and all fields equal."""
         return not self.damage and self.first is None
 
     @property
     def first(self) -> tuple[int, int] | None:
-        """Stretch and tick of the first sample that differs in anything; None for none."""
+        """Stretch and tick of the first difference, or None."""
         return min((field.first for field in self.fields.values() if field.first is not None), default=None)
 
 
 def verify(recording: Recording, rebuild: Rebuild, *, expect: Callable[[Setup], Expected] | None = None) -> Verdict:
-    """Feed the recorded samples to a new controller, and the recorded hand to a new plant, and compare bit for bit.
+    """Replay a recording and compare every field bitwise.
 
-    Energy, work and missed samples are added up again from the recorded samples.
+    A new controller gets the recorded samples, and a new plant the recorded hand.
+
+    Energy, work and missed samples are recomputed from the recorded samples.
 
     Args:
         recording: The recording.
         rebuild: Makes plant and controller from a setup and a hand.
-        expect: Tells what else there is to a setup; None for nothing.
+        expect: Function of a setup that returns its further expected properties; None for none.
 
     Raises:
-        ParameterError: If a setup is not one that can be made.
+        ParameterError: If a setup cannot be rebuilt.
     """
     found: dict[str, FieldVerdict] = {}
     for place, stretch in enumerate(recording.stretches):
@@ -101,15 +106,17 @@ def verify(recording: Recording, rebuild: Rebuild, *, expect: Callable[[Setup], 
 
 
 def first_other_answer(recording: Recording, rebuild: Rebuild, most: int) -> tuple[int, int, str] | None:
-    """Return stretch, tick and field of the first answer that a new controller does not give; None where it gives all.
+    """Return the first command that differs from a new controller's.
+
+    Stretch, tick and field; None if all are equal.
 
     Args:
         recording: The recording.
         rebuild: Makes plant and controller from a setup and a hand.
-        most: How many samples of each stretch to look at, from its first.
+        most: Number of compared samples of each stretch, from its first.
 
     Raises:
-        ParameterError: If a setup is not one that can be made.
+        ParameterError: If a setup cannot be rebuilt.
     """
     for place, stretch in enumerate(recording.stretches):
         part = stretch.part(0, most - 1)
@@ -123,7 +130,10 @@ def first_other_answer(recording: Recording, rebuild: Rebuild, most: int) -> tup
 
 
 def _added(before: FieldVerdict | None, same: Mask | None, place: int, ticks: Array) -> FieldVerdict:
-    """Return a verdict with that on one more stretch, whose values are as many as its ticks, or one."""
+    """Return a verdict extended by one more stretch.
+
+    It has one value per tick, or one value only.
+    """
     good, compared, first = before or FieldVerdict(0, 0, None)
     if same is None:
         return FieldVerdict(good, compared, first)
@@ -133,9 +143,9 @@ def _added(before: FieldVerdict | None, same: Mask | None, place: int, ticks: Ar
 
 
 def _same(recorded: Array, again: Array) -> Mask:
-    """Return for each row whether all of it is the same to the last bit.
+    """Return True for each row that is bitwise equal.
 
-    A command that was not finite is NaN in a file that has no word for infinity.
+    A command that was not finite is NaN in a file format without infinity.
     """
     one, other = (np.ascontiguousarray(part, dtype=np.float64).reshape(len(recorded), -1) for part in (recorded, again))
     good = one.view(np.int64) == other.view(np.int64)
@@ -144,7 +154,10 @@ def _same(recorded: Array, again: Array) -> Mask:
 
 
 def _fields(stretch: Stretch, rebuild: Rebuild, expected: Expected) -> Iterator[_Field]:
-    """Yield each recorded field by name: what is recorded, and what comes out again; None for what does not."""
+    """Yield name, recorded and replayed values of each field.
+
+    None in place of values that are not replayed.
+    """
     _, controller = rebuild(stretch.setup, None)
     plant, other = rebuild(stretch.setup, None if expected.scripted else RecordedHand(stretch.hand))
     metadata = _metadata(stretch, plant, controller, expected)
@@ -157,7 +170,7 @@ def _fields(stretch: Stretch, rebuild: Rebuild, expected: Expected) -> Iterator[
         if not told(field, stretch.rows[field.name]):
             continue
         if field.optional and np.isnan(stretch.rows[field.name]).all():
-            continue  # nobody recorded it
+            continue  # not recorded
         again = answers if field in _COMMANDED else seen if field.name != "hand" or expected.scripted else None
         yield field.name, stretch.rows[field.name], None if again is None else again[field.name]
     if stretch.totals is not None and stretch.metadata is not None:
@@ -168,7 +181,7 @@ def _fields(stretch: Stretch, rebuild: Rebuild, expected: Expected) -> Iterator[
 
 
 def _metadata(stretch: Stretch, plant: SampledPlant | None, controller: Controller, expected: Expected) -> list[_Field]:
-    """Return the fields of the metadata, one row each; names are not compared."""
+    """Return the metadata fields, one row each, names excluded."""
     recorded = stretch.metadata
     if recorded is None:
         return []
@@ -186,7 +199,7 @@ def _metadata(stretch: Stretch, plant: SampledPlant | None, controller: Controll
 
 
 def _rows(recorded: ArrayLike, again: ArrayLike | None) -> tuple[Array, Array | None]:
-    """Return two values as one row each, of how many numbers each has and these."""
+    """Return two values as one row each, size first."""
     one, other = (
         None if value is None else np.array([np.size(value), *np.ravel(value)], dtype=np.float64)[None]
         for value in (recorded, again)
@@ -196,7 +209,10 @@ def _rows(recorded: ArrayLike, again: ArrayLike | None) -> tuple[Array, Array | 
 
 
 def _answers(stretch: Stretch, controller: Controller) -> Rows:
-    """Return what a new controller answers to the recorded samples, (N,) of the fields of a command."""
+    """Return a new controller's commands for the recorded samples.
+
+    (N,) with the fields of a command.
+    """
     samples = zip(stretch.tick.tolist(), stretch.time.tolist(), stretch.position.tolist(), strict=True)
     answers = [_values(controller.step(Sample(int(tick), time, place))) for tick, time, place in samples]
     return as_rows(answers, _COMMANDED)
@@ -207,7 +223,10 @@ _values = compiled("command", "return ({values},)", _COMMANDED)
 
 
 def _seen(plant: SampledPlant, controller: Controller, count: int) -> tuple[Rows, bool]:
-    """Return what a plant is seen to do, (count,), NaN from where it stops; and whether it goes no further."""
+    """Return a plant's samples, (count,), and its failure.
+
+    Rows after a failure are NaN.
+    """
     seen = as_rows(np.full((count, ROW.itemsize // 8), np.nan))
     with plant, engine_warnings_silenced():
         try:
@@ -227,7 +246,7 @@ def _seen(plant: SampledPlant, controller: Controller, count: int) -> tuple[Rows
 
 
 def _totals(stretch: Stretch, metadata: RunMetadata) -> Rows:
-    """Return the totals at each sample, from the samples, (N,)."""
+    """Return the totals at each sample, (N,)."""
     adding, gaps = Totals(metadata), list(stretch.gaps)
     found = []
     for index, row in enumerate(as_table(stretch.rows).tolist()):

@@ -1,6 +1,6 @@
-"""The process that writes a recording: it takes rows out of a ring, and what begins and happens from a pipe.
+"""Writer process: rows from a ring, events from a pipe.
 
-It ends when the pipe does: because the recording is closed, or because whoever makes it is gone.
+It ends with the pipe: the recording was closed, or the recording process has ended.
 """
 
 from __future__ import annotations
@@ -32,14 +32,16 @@ __all__ = ["McapWriter", "main"]
 _NAP = 0.02
 _TOGETHER = 1 << 10  # samples that are added up at once
 _LOST = 0.1  # s that a SIGKILL to this process may cost
-_CHUNK = 1 << 16  # before it is packed: some 150 samples, which is what damage to one of its bytes costs
+_CHUNK = 1 << 16  # before it is packed: some 150 samples, lost by damage to one of its bytes
 
 
 class _File:
-    """A file whose first error is kept: foxglove-sdk tells of none while it logs.
+    """File that keeps its first error.
+
+    foxglove-sdk reports no errors while it logs.
 
     Args:
-        file: Where to.
+        file: File to write to.
     """
 
     def __init__(self, file: IO[bytes]) -> None:
@@ -47,15 +49,15 @@ class _File:
         self.error: OSError | None = None
 
     def write(self, data: bytes | bytearray) -> int:
-        """Write all of it."""
+        """Write all data."""
         return int(self._kept(self._file.write, data))
 
     def seek(self, offset: int, whence: int = 0) -> int:
-        """Go elsewhere."""
+        """Set the file position."""
         return int(self._kept(self._file.seek, offset, whence))
 
     def flush(self) -> None:
-        """Hand over to the system."""
+        """Flush the data to the system."""
         self._kept(self._file.flush)
 
     def _kept(self, do: Callable[..., Any], *arguments: Any) -> Any:
@@ -67,7 +69,10 @@ class _File:
 
     @contextmanager
     def checked(self) -> Iterator[None]:
-        """Raise its first error in place of foxglove-sdk's, and where that has none."""
+        """Raise the first error in place of foxglove-sdk's.
+
+        Also if foxglove-sdk raises none.
+        """
         try:
             yield
         except RuntimeError:
@@ -78,13 +83,13 @@ class _File:
 
 
 class McapWriter:
-    """Writes a recording as it happens.
+    """Writer of an MCAP file during a run.
 
     Args:
         file: A file to write to; it is left open.
 
     Raises:
-        OSError: If it cannot be written; as everything here does.
+        OSError: If it cannot be written; this holds for all methods.
     """
 
     def __init__(self, file: IO[bytes]) -> None:
@@ -100,26 +105,26 @@ class McapWriter:
         self.event, self.stick = self._messages.event, self._messages.stick
 
     def attach(self, name: str, media_type: str, data: str) -> None:
-        """Write a file into the file, in base64."""
+        """Attach a file, given in base64."""
         now, whole = time.time_ns(), base64.b64decode(data)
         with self._file.checked():
             self._writer.attach(log_time=now, create_time=now, name=name, media_type=media_type, data=whole)
 
     def flush(self) -> None:
-        """Hand what is written over to the system, from time to time."""
+        """Flush the written data at intervals."""
         with self._file.checked():
             if time.monotonic() - self._flushed > _LOST:
                 self._writer.flush()
                 self._flushed = time.monotonic()
 
     def close(self) -> None:
-        """Write the rest, and the index."""
+        """Write the remaining data and the index."""
         with self._file.checked():
             self._writer.close()
 
 
 class _Orders:
-    """What is said through a pipe, a line each, as far as it has come."""
+    """Messages of a pipe, one per line."""
 
     def __init__(self, descriptor: int) -> None:
         os.set_blocking(descriptor, False)
@@ -127,7 +132,7 @@ class _Orders:
         self.waiting: deque[Mapping[str, Any]] = deque()
 
     def listen(self) -> None:
-        """Take what has come."""
+        """Read the messages that have arrived."""
         while not self.over:
             try:
                 data = os.read(self._descriptor, 1 << 16)
@@ -139,7 +144,10 @@ class _Orders:
 
 
 def _write(ring: RowReader, orders: _Orders, mcap: McapWriter, first: Callable[[], object]) -> None:
-    """Write until the pipe ends; call `first` at the first row."""
+    """Write until the pipe ends.
+
+    `first` is called at the first row.
+    """
 
     def obey(place: int) -> None:
         while orders.waiting and orders.waiting[0]["at"] <= place:
@@ -151,7 +159,7 @@ def _write(ring: RowReader, orders: _Orders, mcap: McapWriter, first: Callable[[
     place = 0
     while True:
         over = orders.over
-        # before what is said, for what is said of a row comes before it
+        # rows first: a message about a row arrives before the row
         rows = list(islice(ring.rows(), _TOGETHER))
         orders.listen()
         if rows and place == 0:
@@ -174,8 +182,11 @@ def _write(ring: RowReader, orders: _Orders, mcap: McapWriter, first: Callable[[
 
 
 def main() -> None:
-    """Write a recording; the command line names the ring, a file to begin with, and the name that it gets then."""
-    set_log_level("CRITICAL")  # what goes wrong is said once, where the recording is closed
+    """Write a recording given by the command line.
+
+    Arguments: descriptor of the ring, temporary file, and the final name.
+    """
+    set_log_level("CRITICAL")  # errors are reported once, when the recording is closed
     ring, aside, path = RowReader(int(sys.argv[1])), Path(sys.argv[2]), Path(sys.argv[3])
     error = ""
     try:
@@ -188,7 +199,7 @@ def main() -> None:
     except OSError as problem:
         error = problem.strerror or str(problem)
     aside.unlink(missing_ok=True)  # where there was no row
-    with suppress(BrokenPipeError):  # nobody is there any more, and the file is whole
+    with suppress(BrokenPipeError):  # the recording process has ended, and the file is complete
         os.write(sys.stdout.fileno(), json.dumps({"error": error, "lost": ring.lost}).encode())
 
 

@@ -1,1 +1,1 @@
-"""The pose sensor: its geometry, and the solver that runs in real time."""
+"""Pose sensor: geometry and real-time solver."""

@@ -1,4 +1,7 @@
-"""Three light beams on three position sensing diodes: spots from a pose, and the pose from spots by Newton's method."""
+"""Geometry of three light beams on three position-sensing diodes.
+
+Spots from a pose, and the pose from spots by Newton's method.
+"""
 
 from __future__ import annotations
 
@@ -19,18 +22,20 @@ _MOST_STEPS = 20
 
 @dataclass(frozen=True, eq=False)
 class Beams:
-    """The geometry of the pose sensor: three LEDs on the flotor, each lighting one two-dimensional diode on the stator.
+    """Geometry of the pose sensor.
+
+    Three LEDs on the flotor each light one two-dimensional diode on the stator.
 
     Args:
-        leds: Place of each LED from the flotor's centre of mass, in flotor axes [m], (3, 3).
+        leds: Position of each LED from the flotor's centre of mass, in flotor axes [m], (3, 3).
         directions: Unit direction of each beam in flotor axes, (3, 3).
         diodes: Centre of each diode from the centre of the range, in stator axes [m], (3, 3).
         across: The two unit axes of each diode's surface in stator axes, (3, 2, 3).
 
     Raises:
-        ModelError: If a beam does not meet its diode, or the spots at centre do not tell every motion.
+        ModelError: If a beam does not meet its diode, or the spots at the centre do not determine the pose.
 
-    Source: Salcudean & Vlaar 1997, section 2 and figure 1; the places are the model's, assumed.
+    Source: Salcudean & Vlaar 1997, section 2 and figure 1; the positions are the model's, assumed.
     """
 
     leds: Array
@@ -53,7 +58,7 @@ class Beams:
         return np.cross(self.across[:, 0], self.across[:, 1])
 
     def spots(self, pose: Array) -> Array:
-        """Return where the beams meet their diodes.
+        """Return the beams' spots on their diodes.
 
         Args:
             pose: Poses [m, rad], (..., 6).
@@ -64,14 +69,14 @@ class Beams:
         return self._spots(pose)[0]
 
     def pose(self, spots: Array, guess: Array | None = None) -> Array:
-        """Return the pose whose spots these are.
+        """Return the pose of given spots by Newton's method.
 
         Args:
-            spots: As from `spots` [m], (..., 6).
-            guess: Where Newton's method begins [m, rad], (..., 6); the centre by default.
+            spots: Spots in the order of `spots` [m], (..., 6).
+            guess: Start of Newton's method [m, rad], (..., 6); the centre by default.
 
         Raises:
-            SensingError: If it does not converge, as for spots that no pose within reach gives.
+            SensingError: If it does not converge, as for spots outside the range of poses.
         """
         pose = np.zeros(spots.shape) if guess is None else np.array(np.broadcast_to(guess, spots.shape))
         for _ in range(_MOST_STEPS):
@@ -88,7 +93,10 @@ class Beams:
         raise SensingError(f"no pose was found for the spots {np.array2string(spots, precision=6)} m")
 
     def _spots(self, pose: Array) -> tuple[Array, Array]:
-        """Return spots (..., 6) and their slopes over small translations and turns in stator axes, (..., 6, 6)."""
+        """Return spots (..., 6) and their derivatives (..., 6, 6).
+
+        Derivatives with respect to small translations and rotations in stator axes.
+        """
         turn = rotation_matrix(pose[..., 3:])
         arm = np.einsum("...ab,kb->...ka", turn, self.leds)
         beam = np.einsum("...ab,kb->...ka", turn, self.directions)
@@ -107,7 +115,10 @@ class Beams:
 
 
 def _moved(pose: Array, change: NDArray[Any]) -> Array:
-    """Return poses after a translation and then a turn about stator axes."""
+    """Return poses after a translation and a rotation.
+
+    The rotation is about stator axes.
+    """
     w, x, y, z = quaternions(change[..., 3:])
     p, a, b, c = quaternions(pose[..., 3:])
     product = (

@@ -1,4 +1,6 @@
-"""The spots of one pose and the pose of six spots in plain floats, a few microseconds each, for a loop in real time.
+"""Spots of a pose, and pose of spots, in microseconds.
+
+In plain floats, for a loop in real time.
 
 A diode's spot S and the light it comes from lie on one line: seen from the flotor, S - p is at the light l plus some
 way along the beam d. Along the two flotor axes e across the beam that reads
@@ -8,9 +10,9 @@ way along the beam d. Along the two flotor axes e across the beam that reads
 which, twice for each of three beams, is *linear* in R' p, the translation in flotor axes. Eliminated, it leaves three
 equations in the rotation alone. With a quaternion (1, g), g = tan(angle / 2) along the axis, a . R b is a quadratic
 form over 1 + g . g, whose coefficients are linear in the spots. So 60 numbers, by one product with a constant matrix,
-hold all that the spots say: three forms that vanish at the rotation, three that give the translation after it. Newton's
-method on three quadratic equations has its exact slopes for nothing: it squares the error in 1 µs, where a chord on all
-six coordinates takes 4 µs to divide it by a number.
+hold all information of the spots: three forms that vanish at the rotation, three that then give the translation.
+Newton's method on three quadratic equations has exact slopes at no cost: it squares the error in 1 µs, while a chord on
+all six coordinates takes 4 µs to divide it by a number.
 """
 
 from __future__ import annotations
@@ -29,25 +31,38 @@ from maglev_mj.sensing.geometry import Beams
 __all__ = ["FARTHEST", "MOST_TURNED", "FastBeams", "PoseTracker"]
 
 FARTHEST = 30e-3
-"""Greatest distance from the centre that a measured pose may have [m], unless told: several times the range."""
+"""Largest distance of a measured pose from the centre [m].
+
+The default; several times the range.
+"""
 
 MOST_TURNED = 0.8
-"""Greatest angle that a measured pose may have [rad], unless told. Three other poses at most give the same spots on the
-model's diodes, each upside down or half a turn about the flotor's axis away: no two are within a quarter turn."""
+"""Largest angle of a measured pose [rad].
+
+The default. At most three other poses give the same spots on the model's diodes, each upside down or half a turn about
+the flotor's axis away: no two are within a quarter turn.
+"""
 
 _CLOSE_ENOUGH = 1e-7
-"""A step of Newton's in g that is the last: as steps square, the next would be 1e-14, the rounding of a pose. (A spot's
-resolution of 0.8 µm is 1e-5 here.)"""
+"""Last step of Newton's method in g.
+
+As steps square, the next would be 1e-14, the rounding of a pose. (A spot's resolution of 0.8 µm is 1e-5 here.)
+"""
 
 _MOST_STEPS = 12
-"""From the centre to anywhere within `FARTHEST` and `MOST_TURNED` it takes 5."""
+"""Largest number of Newton steps.
+
+From the centre to any pose within `FARTHEST` and `MOST_TURNED` it takes 5.
+"""
 
 _Turn: TypeAlias = tuple[float, float, float]
 _UPRIGHT: _Turn = (0.0, 0.0, 0.0)
 
 
 def _form(stator: Array, flotor: Array) -> Array:
-    """Return a . R b as a quadratic form in the quaternion q of R: the ten entries of K in q . K q = (q . q) (a . R b).
+    """Return a . R b as a quaternion's quadratic form.
+
+    The ten entries of K in q . K q = (q . q) (a . R b), with the quaternion q of R.
 
     Args:
         stator: a in stator axes, (..., 3).
@@ -65,11 +80,11 @@ def _form(stator: Array, flotor: Array) -> Array:
 
 
 _ONE = np.array([1.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
-"""The form of the number 1, which is q . q."""
+"""Quadratic form of the number 1, q . q."""
 
 
 class FastBeams:
-    """`Beams.spots` for one device, from floats to floats.
+    """Fast `Beams.spots` for one device, in plain floats.
 
     Args:
         beams: The geometry.
@@ -88,7 +103,7 @@ class FastBeams:
         self._rows = np.concatenate(rows)
 
     def spots(self, pose: Sequence[float]) -> list[float]:
-        """Return where the beams meet their diodes.
+        """Return the beams' spots on their diodes.
 
         Args:
             pose: Six components [m, rad].
@@ -116,18 +131,20 @@ class FastBeams:
 
 
 class PoseTracker:
-    """`Beams.pose` for one device, from floats to floats, each search beginning at the last rotation.
+    """Fast `Beams.pose` for one device, in plain floats.
+
+    Each search begins at the last rotation.
 
     The same spots in the same order give bit-identical poses from every tracker of the same geometry on one machine.
-    Where a search begins matters for its rounding alone (1e-14).
+    The start of a search changes only the rounding (1e-14).
 
     Args:
         beams: The geometry.
-        farthest: Greatest distance from the centre that a pose may have [m]; may be infinite.
-        most_turned: Greatest angle that it may have [rad].
+        farthest: Largest distance of a pose from the centre [m]; may be infinite.
+        most_turned: Largest angle of a pose [rad].
 
     Raises:
-        ParameterError: If the greatest distance or angle is negative, or the angle is beyond pi.
+        ParameterError: If the largest distance or angle is negative, or the angle is beyond pi.
     """
 
     def __init__(self, beams: Beams, farthest: float = FARTHEST, most_turned: float = MOST_TURNED) -> None:
@@ -138,17 +155,19 @@ class PoseTracker:
         self._last = _UPRIGHT
 
     def __call__(self, spots: Sequence[float]) -> list[float]:
-        """Return the pose whose spots these are: six components [m, rad], the angle in [0, pi].
+        """Return the pose of given spots.
+
+        Six components [m, rad], the angle in [0, pi].
 
         Args:
             spots: Both coordinates of the first diode's spot, then of the second's and the third's [m].
 
         Raises:
-            SensingError: If no pose is found within the greatest distance and angle, as for spots that are not finite.
+            SensingError: If no pose is found within the largest distance and angle, as for spots that are not finite.
                 The next search begins upright.
         """
         a, b, c, d, e, f = spots
-        # numpy would warn of what is not finite; squares also catch what would overflow there
+        # numpy would warn of non-finite values; squares also catch values that would overflow there
         if not math.isfinite(a * a + b * b + c * c + d * d + e * e + f * f):
             raise self._lost(spots)
         forms = self._forms.dot((a, b, c, d, e, f, 1.0)).tolist()
@@ -175,7 +194,9 @@ class PoseTracker:
 
 
 def _forms(beams: Beams) -> Array:
-    """Return what turns six spots and a 1 into the coefficients of six quadratic forms, (60, 7).
+    """Return the matrix from spots to quadratic forms, (60, 7).
+
+    It turns six spots and a 1 into the coefficients of six forms.
 
     The first three vanish at the rotation; the others, over q . q, are the translation in flotor axes.
     """
@@ -194,12 +215,14 @@ def _forms(beams: Beams) -> Array:
 
 
 def _turn(forms: Sequence[float], start: _Turn, close: float = _CLOSE_ENOUGH) -> _Turn | None:
-    """Return where three quadratic forms in (1, g) vanish, by Newton's method.
+    """Solve three quadratic forms in (1, g) for g.
+
+    By Newton's method, from `start`.
 
     Args:
         forms: Ten entries of each of them.
-        start: g where it begins.
-        close: A step in g that is the last.
+        start: Initial g.
+        close: Size of a last step in g.
 
     Returns:
         g; None if it does not converge.
@@ -232,7 +255,10 @@ def _turn(forms: Sequence[float], start: _Turn, close: float = _CLOSE_ENOUGH) ->
 
 
 def _pose(forms: Sequence[float], turn: _Turn) -> tuple[float, float, float, float, float, float]:
-    """Return the pose [m, rad] from the forms of its translation in flotor axes and from its rotation g."""
+    """Return the pose [m, rad] of a rotation g.
+
+    `forms` are those of the translation in flotor axes.
+    """
     a0, a1, a2, a3, a4, a5, a6, a7, a8, a9, b0, b1, b2, b3, b4, b5, b6, b7, b8, b9 = forms[:20]
     c0, c1, c2, c3, c4, c5, c6, c7, c8, c9 = forms[20:]
     x, y, z = turn

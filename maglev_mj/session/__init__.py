@@ -1,4 +1,7 @@
-"""A scene in real time, without a window: pacing, what keys change, recording, and the picture of now."""
+"""Scene in real time, without a window.
+
+Pacing, changes by keys, recording, and snapshots.
+"""
 
 from maglev_mj.scenes.admission import STEP_FORCE, Refusal, check_step, own_code_refused, refusal, stability_warning
 from maglev_mj.session.actions import DEVICES_OWN, EMERGENCY_STOP, actions, device_actions, settable

@@ -1,4 +1,4 @@
-"""Changes that keys and other programs make to a running scene, from its live parameters."""
+"""Actions of keys and other programs on a scene's parameters."""
 
 from __future__ import annotations
 
@@ -12,24 +12,27 @@ from maglev_mj.scenes import Scene
 __all__ = ["DEVICES_OWN", "EMERGENCY_STOP", "Action", "actions", "device_actions", "settable"]
 
 DEVICES_OWN = "period", "delay"
-"""Parameters of the device, or of the person at the machine: no other program changes them."""
+"""Parameters that other programs cannot change.
+
+They belong to the device, or to the user at the machine.
+"""
 
 EMERGENCY_STOP = "emergency stop"
-"""Action of the key that every window has."""
+"""Action of the emergency stop key of every window."""
 
 Action: TypeAlias = Callable[[Scene], Scene]
-"""Returns the changed scene."""
+"""Function that returns the changed scene."""
 
 
 def settable(scene: Scene) -> tuple[str, ...]:
-    """Return the names of the parameters that other programs may change."""
+    """Return the parameters that other programs may change."""
     return tuple(one.name for one in scene.parameters() if one.live and one.name not in DEVICES_OWN)
 
 
 def actions(cls: type[Scene]) -> Mapping[str, Action]:
-    """Return the changes that keys make to a scene, by name.
+    """Return a scene's key actions by name.
 
-    A switch has its name; a number has "NAME up" and "NAME down", and its name alone turns it off and on again where
+    A switch has its name; a number has "NAME up" and "NAME down", and its name alone turns it off and on if
     it may be 0.
     """
     found: dict[str, Action] = {}
@@ -48,7 +51,7 @@ def actions(cls: type[Scene]) -> Mapping[str, Action]:
 
 
 def device_actions(cls: type[Scene]) -> tuple[str, ...]:
-    """Return the actions on a scene that a device runs."""
+    """Return the actions of a scene on a device."""
     own = {one.live.word or one.name for one in cls.parameters() if one.live and one.name in DEVICES_OWN}
     names = (name for name in actions(cls) if name.removesuffix(" up").removesuffix(" down") not in own)
     return *names, EMERGENCY_STOP

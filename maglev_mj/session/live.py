@@ -1,4 +1,4 @@
-"""A scene on the device with all its limits, for real time."""
+"""Scene on the limited device, in real time."""
 
 from __future__ import annotations
 
@@ -22,25 +22,30 @@ _LIFTED = 0.004
 
 
 def lifted(scene: Scene) -> tuple[Scene, Sequence[float]]:
-    """Return the scene without what carries the flotor, and its start lifted to 4 mm [m, rad]."""
+    """Return the scene with gravity, and a raised start pose.
+
+    The pose is [m, rad], at a height of 4 mm.
+    """
     pose = scene.start().pose
     falling = scene.replace(weightless=False) if "weightless" in settable(scene) else scene
     return falling, (*pose[:2], _LIFTED, *pose[3:])
 
 
 def centred(scene: Scene) -> Scene:
-    """Return the scene with what carries the flotor as it is by default."""
+    """Return the scene with its default gravity compensation."""
     if "weightless" not in settable(scene):
         return scene
     return scene.replace(weightless=scene.parameter("weightless").default)
 
 
 def live_plant(scene: Scene, hand: HandForce | None = None, **start: ArrayLike) -> MuJoCoPlant:
-    """Return the device with its stops, and 10 A at most in each coil unless the scene says otherwise.
+    """Return a scene's plant with stops and current limits.
+
+    At most 10 A in each coil unless the scene has another limit.
 
     Args:
         scene: The scene.
-        hand: The hand on it; its impedance is its attribute `hand`, if it has one.
+        hand: The hand on the flotor; its attribute `hand`, if any, is its impedance.
         start: Pose, twist and wrench in place of the scene's own.
     """
 
@@ -54,7 +59,10 @@ def live_plant(scene: Scene, hand: HandForce | None = None, **start: ArrayLike) 
 
 
 def device_controller(scene: Scene) -> Controller:
-    """Return a scene's controller for a device, which carries the weight where the scene has no gravity."""
+    """Return a scene's controller for a device, with gravity compensation.
+
+    Added only if the scene has no gravity.
+    """
     controller = scene.controller()
     if scene.start().gravity:
         return controller

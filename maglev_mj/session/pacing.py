@@ -1,4 +1,4 @@
-"""Real time: when a frame is due, how many control ticks fit in a budget, and how long a note is shown."""
+"""Real-time pacing of frames, control ticks and messages."""
 
 from __future__ import annotations
 
@@ -21,12 +21,14 @@ _SHOWN = 6.0
 def real_time(
     duration: float | None, step: float, clock: Callable[[], float] = time.perf_counter
 ) -> Iterator[tuple[float, float]]:
-    """Yield the real time that has gone by since the last turn and since the first [s], sleeping in between.
+    """Yield real time since the last and first turn [s].
+
+    It sleeps between turns.
 
     Args:
-        duration: For how long [s]; None for as long as the caller goes on.
-        step: How long to sleep after each turn [s].
-        clock: Returns real time [s].
+        duration: Total time [s]; None for no end.
+        step: Sleep after each turn [s].
+        clock: Clock of real time [s].
     """
     start = last = clock()
     while duration is None or last - start < duration:
@@ -40,27 +42,29 @@ def next_scale(scale: float, action: str, scales: Sequence[float] = TIME_SCALES)
     """Return the next time scale for "slower" or "faster".
 
     Args:
-        scale: Simulated time for each second of real time now.
-        action: One of the two.
-        scales: Those there are, in rising order.
+        scale: Present simulated time per second of real time.
+        action: "slower" or "faster".
+        scales: Available scales in rising order.
     """
     place = bisect_right(scales, scale) if action == "faster" else bisect_left(scales, scale) - 1
     return scales[min(max(place, 0), len(scales) - 1)]
 
 
 class Due:
-    """Tell when a frame is due, on a grid from which a late call does not drift away.
+    """Frame clock on a fixed time grid.
+
+    A late call does not shift the grid.
 
     Args:
-        period: From one frame to the next [s].
-        clock: Returns real time [s].
+        period: Time between frames [s].
+        clock: Clock of real time [s].
     """
 
     def __init__(self, period: float = 1.0 / 60.0, clock: Callable[[], float] = time.monotonic) -> None:
         self._period, self._clock, self._next = period, clock, -1.0
 
     def __call__(self) -> bool:
-        """Return whether a frame is due, once for each."""
+        """Return True once for each frame that is due."""
         if (now := self._clock()) < self._next:
             return False
         soon = self._next + self._period
@@ -69,20 +73,20 @@ class Due:
 
 
 class Pacer:
-    """Makes as many control ticks as real time has gone by, later ones in the next frame where the budget is spent.
+    """Scheduler of control ticks in real time, within a budget.
 
-    A machine that stalls catches up from frame to frame. What it is behind by more than `patience` is given up:
-    simulated time then slows down, and the ticks are counted as missed.
+    Ticks beyond the budget follow in later frames. A delay of more than `patience` is given up:
+    simulated time then slows down, and the ticks count as missed.
 
     Args:
-        budget: Real time that the ticks of one frame may take [s].
-        patience: How far simulated time may be behind [s].
-        clock: Returns real time [s].
+        budget: Largest real time of the ticks of one frame [s].
+        patience: Largest delay of simulated time [s].
+        clock: Clock of real time [s].
 
     Attributes:
-        owed: Real time that has not been simulated yet [s].
+        owed: Real time not simulated yet [s].
         missed: Ticks given up so far.
-        late: Whether ticks were given up in the last frame.
+        late: True if ticks were given up in the last frame.
         cost: Real time of one tick in the last frame that had any [s].
     """
 
@@ -95,15 +99,15 @@ class Pacer:
         self.owed, self.missed, self.late, self.cost = 0.0, 0, False, 0.0
 
     def advance(self, elapsed: float, period: float, tick: Callable[[], object]) -> int:
-        """Make the ticks that are due.
+        """Run the ticks that are due.
 
         Args:
             elapsed: Real time since the last call [s].
             period: Sample period [s].
-            tick: Makes one tick.
+            tick: Function that runs one tick.
 
         Returns:
-            How many were made.
+            Number of ticks.
         """
         self.owed += elapsed
         start, made = self._clock(), 0
@@ -124,25 +128,25 @@ class Pacer:
         return made
 
     def forgive(self) -> None:
-        """Forget what is owed: after a pause, or where nothing can be made."""
+        """Reset the owed time, as after a pause."""
         self.owed, self.late = 0.0, False
 
 
 class Note:
-    """Hold one line for the person, for some seconds.
+    """Message shown for some seconds.
 
     Args:
-        clock: Returns real time [s].
+        clock: Clock of real time [s].
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock, self._text, self._until = clock, "", 0.0
 
     def say(self, text: str) -> None:
-        """Show a line in place of the last."""
+        """Show a message in place of the last."""
         self._text, self._until = text, self._clock() + _SHOWN
 
     @property
     def lines(self) -> list[str]:
-        """The line, while it is to be shown."""
+        """Message in a list, empty after its time."""
         return [self._text] if self._text and self._clock() < self._until else []

@@ -1,4 +1,7 @@
-"""A scene that runs in real time and can be changed while it does; it knows neither window nor keys."""
+"""Scene running in real time, with changeable parameters.
+
+It knows neither window nor keys.
+"""
 
 from __future__ import annotations
 
@@ -25,31 +28,31 @@ __all__ = ["Session"]
 
 _OWN = "next scene", "drop", "centre", "pause", "step", "slower", "faster", "record", EMERGENCY_STOP
 _CHOOSES = "scene "
-"""Begins the actions that choose a scene by its name."""
+"""Prefix of actions that choose a scene by name."""
 
 _MADE = -0.1
 _RENEWED = 0.1
-"""Real time at least from one change of parameters to the next that is in force [s]."""
+"""Shortest real time between two changes of parameters [s]."""
 
 
 class Session:
-    """A scene that runs in real time and can be changed while it does.
+    """Scene running in real time, with changeable parameters.
 
-    Whatever is changed, plant and controller are made anew at the pose and speed of the moment, so that every stretch
+    After a change, plant and controller are rebuilt at the present pose and speed, so that every stretch
     between two changes is a run like any other: it can be recorded, and run again.
 
     Args:
         scene: The first scene; the joystick by default.
-        hand: The hand on it; the mouse's by default.
-        folder: Where recordings go that a key begins.
-        record: File to record to from the start; None for nothing until a key says so.
-        file: File that every sample goes to besides, such as a live server; left open.
-        pacer: Keeps up with real time.
-        publishers: Ways to other programs; closed with the session.
-        step_force: Largest step of force that settings of other programs may make [N]; see `check_step`.
+        hand: The hand on the flotor; the mouse's by default.
+        folder: Folder of recordings started by a key.
+        record: File to record to from the start; None for no recording until a key starts one.
+        file: Further destination of every sample, such as a live server; left open.
+        pacer: Scheduler of the ticks in real time.
+        publishers: Publishers to other programs; closed with the session.
+        step_force: Largest step of force by settings of other programs [N]; see `check_step`.
 
     Attributes:
-        simulated: Time simulated so far [s].
+        simulated: Simulated time so far [s].
     """
 
     def __init__(
@@ -92,13 +95,13 @@ class Session:
         return self._tape.written
 
     def tick(self, elapsed: float) -> int:
-        """Go on by as much as real time has, within the pacer's budget.
+        """Advance by elapsed real time, within the pacer's budget.
 
         Args:
             elapsed: Real time since the last call [s].
 
         Returns:
-            How many control ticks were made; none while paused or stopped.
+            Number of control ticks; 0 while paused or stopped.
         """
         before = self._ticks
         self._unchanged += elapsed
@@ -124,15 +127,15 @@ class Session:
 
     @property
     def actions(self) -> Sequence[str]:
-        """Names of what `act` does to the present scene."""
+        """Names of the actions of the present scene."""
         names = (f"{_CHOOSES}{cls.name}" for cls in self._scenes)
         return *actions(type(self._scene)), *_OWN, *names
 
     def act(self, action: str) -> None:
-        """Do one of `actions`.
+        """Perform one of `actions`.
 
         Raises:
-            ParameterError: If it is none.
+            ParameterError: If there is no such action.
         """
         changes = actions(type(self._scene))
         if action in changes:
@@ -161,9 +164,11 @@ class Session:
             raise ParameterError(not_one_of("action", self.actions, action))
 
     def change(self, parameters: Mapping[str, Any]) -> None:
-        """Change live parameters of the scene, period and delay too, or the session's own.
+        """Change live parameters of the scene or the session.
 
-        They are in force with the next tick; of those that follow within 0.1 s, only the newest are, after that.
+        Period and delay are included.
+
+        They take effect at the next tick. Of changes within 0.1 s only the newest takes effect, after that time.
 
         Args:
             parameters: Values by name; `time_scale` (simulated time for each second of real time, 0.001 to 1) and
@@ -185,7 +190,7 @@ class Session:
         self.hand.stiffness, self._time_scale = stiffness, scale
 
     def snapshot(self) -> Snapshot:
-        """Return the picture of now."""
+        """Return the snapshot of now."""
         stretch, target = self._stretch, self.hand.goal
         return Snapshot(
             scene=self._scene,
@@ -217,7 +222,7 @@ class Session:
         )
 
     def close(self) -> None:
-        """Keep what is recorded, and let go of the plant."""
+        """Close the recording, the publishers and the plant."""
         self._publishers.close()
         try:
             self._tape.close()
@@ -225,13 +230,13 @@ class Session:
             self._stretch.plant.close()
 
     def _stop(self, reason: str) -> None:
-        """Stop until something is changed or centred."""
+        """Stop until a change or a restart at the centre."""
         if not self._stopped:
             self._stopped = reason
             self._tape.failed(reason)
 
     def _one(self) -> None:
-        """Make one tick; stop a world that makes energy."""
+        """Run one tick; stop an unstable scene."""
         self._take_wanted()
         self._stretch.tick()
         self._ticks += 1
@@ -242,7 +247,10 @@ class Session:
             raise MaglevError(f"the rendered world made {made * 1e3:.0f} mJ more than it took: it is unstable")
 
     def _take_wanted(self) -> None:
-        """Go on with the parameters that another program asks for; rate and delay are the person's here."""
+        """Apply the parameters that another program requests.
+
+        Sample rate and delay stay the user's.
+        """
         if (wish := self._publishers.wanted()) is None:
             return
         try:
@@ -251,7 +259,7 @@ class Session:
                 raise ParameterError("settings must wait until the scene is started again: emergency stop")
             if type(wish.scene) is not type(scene):
                 raise ParameterError(f"settings must be those of {scene.name}, not of {wish.scene.name}")
-            if self._changed:  # what the person asks for comes first
+            if self._changed:  # the user's changes come first
                 self._go_on()
             wanted = wish.scene.replace(**{name: getattr(scene, name) for name in DEVICES_OWN})
             if not self._stopped:  # otherwise it starts anew
@@ -265,7 +273,7 @@ class Session:
         wish.answer(self._since)
 
     def _begin(self, pose: Sequence[float], *, going_on: bool = False) -> LiveStretch:
-        """Return a new stretch, at rest or as the last one left it."""
+        """Return a new stretch, at rest or continuing the last."""
         self._changed = False
         began, self._since, start = 0.0, self._ticks, self._scene.start()
         twist, wrench = start.twist, start.wrench
@@ -283,7 +291,7 @@ class Session:
         )
 
     def _adopt(self, change: Action) -> None:
-        """Go on with other parameters from the next tick on.
+        """Change parameters from the next tick on.
 
         Raises:
             MaglevError: If its controller or its timing cannot be made.
@@ -306,7 +314,10 @@ class Session:
         self._restart(self._scene.start().pose)
 
     def _go_on(self) -> None:
-        """Make plant and controller anew where the flotor is; one that was stopped starts again."""
+        """Rebuild plant and controller at the present state.
+
+        A stopped scene starts again.
+        """
         if self._stopped:
             self._restart(self._scene.start().pose)
         else:
@@ -319,7 +330,7 @@ class Session:
         self._pacer.forgive()
 
     def _record(self) -> None:
-        """Start recording, or end it."""
+        """Start or end recording."""
         if self._tape.file is None:
             self._tape.start()
         else:

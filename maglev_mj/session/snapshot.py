@@ -1,4 +1,4 @@
-"""The picture of now, and those who are told of it."""
+"""Snapshots of a scene and their publishers."""
 
 from __future__ import annotations
 
@@ -33,16 +33,16 @@ def _zeros() -> Array:
 
 
 class TourLine(NamedTuple):
-    """A step of a guided tour, for the person at a window or page.
+    """Step of a guided tour.
 
     Names in braces, such as {stiffness up}, are actions, and {hand} is the hand's way to pull.
 
     Attributes:
         number: Number of the step, from 1.
         total: Number of steps.
-        text: What there is to know.
-        deed: What to do.
-        done: Whether it was done.
+        text: Explanation.
+        deed: Task of the user.
+        done: True if it was done.
     """
 
     number: int
@@ -52,10 +52,10 @@ class TourLine(NamedTuple):
     done: bool
 
     def words(self, name: Callable[[str], str]) -> tuple[str, str]:
-        """Return text and deed with a front's own names.
+        """Return text and deed with a viewer's own names.
 
         Args:
-            name: Returns the front's name for what is in braces.
+            name: Function that returns the viewer's name of an entry in braces.
         """
         text, deed = (re.sub(r"\{(.*?)\}", lambda found: name(found[1]), part) for part in (self.text, self.deed))
         return text, deed
@@ -63,40 +63,41 @@ class TourLine(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Snapshot:
-    """Picture of a scene at one instant; the defaults are those of a scene that has not begun.
+    """State of a scene at one instant.
+
+    The defaults are those of a scene before its start.
 
     Attributes:
         scene: The scene with its present parameters.
         since: First sample answered with them.
-        delay: From a sample to its command taking effect [s]; the median of the last 100 where it is measured.
+        delay: Time from a sample to its command's effect [s]; the median of the last 100 if measured.
         inertia: Mass and moments of inertia of the flotor [kg, kg m²], (6,); None for the scene's own.
         tick: Samples answered so far.
         time: Time of the session [s].
         pose: Pose of the flotor [m, rad], (6,).
-        force: Wrench that the device holds, after every limit and without pulses, beyond what carries the flotor
-            [N, N m], (6,).
-        hand: Wrench of the hand [N, N m], (6,); zeros where it is not measured.
-        stops: Wrench of the metal stops [N, N m], (6,); zeros where it is not measured.
-        target: Pose to which the hand's spring pulls [m, rad]; None where it has let go, or pulls along a path.
+        force: Held wrench of the device, limited, without pulses and weight compensation [N, N m], (6,).
+        hand: Wrench of the hand [N, N m], (6,); zeros if not measured.
+        stops: Wrench of the metal stops [N, N m], (6,); zeros if not measured.
+        target: Pose of the hand's spring [m, rad]; None if released, or if it follows a path.
         hand_stiffness: Stiffness of that spring [N/m].
         currents: Currents in the coils [A], (6,).
         faces: Every wall: index into AXES, normal, edge.
         anchors: Stick positions [m, rad], (6,), NaN on axes that do not stick; None without friction.
         history: Latest samples, (N, 25): time, then pose, twist, wrench of the device and of the hand, six each.
         work: Work of the hand [J].
-        taken: Energy taken in by the rendered world [J]; NaN where it is not known.
+        taken: Energy absorbed by the rendered world [J]; NaN if not known.
         pulses: Braking pulses given so far.
-        cost: Real time of a tick [s].
+        cost: Computing time of a tick [s].
         missed: Ticks given up, or samples that did not arrive.
-        late: Whether ticks are being given up: this machine cannot keep up.
+        late: True if ticks are being given up: this machine cannot keep up.
         time_scale: Simulated time for each second of real time.
-        duration: Length of a recording [s]; None for what runs now.
+        duration: Length of a recording [s]; None for a running scene.
         marks: Times of a recording's events [s].
-        actions: Names that `act` takes.
+        actions: Names of the actions for `act`.
         state: "running", "paused", "stopped" or "flying".
-        reason: Why it has stopped; empty otherwise.
-        remedy: How to go on once it has, where no action does; empty otherwise.
-        notes: Messages for the person at the window.
+        reason: Reason of the stop; empty otherwise.
+        remedy: Advice to restart after a stop without such an action; empty otherwise.
+        notes: Messages for the user.
         tour: Present step of a guided tour; None for no tour.
     """
 
@@ -137,16 +138,16 @@ class Snapshot:
 
 
 class SnapshotSource(Protocol):
-    """A scene in real time that a window can show."""
+    """Interface of a real-time scene for a viewer."""
 
     hand: SpringHand
     simulated: float
 
     def tick(self, elapsed: float) -> int:
-        """Advance by a stretch of real time [s]; return the number of control ticks made."""
+        """Advance by real time [s]; return the number of ticks."""
 
     def act(self, action: str) -> None:
-        """Do one of a snapshot's actions."""
+        """Perform one of a snapshot's actions."""
 
     def change(self, parameters: Mapping[str, Any]) -> None:
         """Change parameters by name.
@@ -156,24 +157,30 @@ class SnapshotSource(Protocol):
         """
 
     def snapshot(self) -> Snapshot:
-        """Return the picture of now."""
+        """Return the snapshot of now."""
 
     def close(self) -> None:
-        """Close what is being recorded."""
+        """Close the recording."""
 
 
 class History:
-    """Keep the last two seconds of samples; rows handed out are never written again."""
+    """Samples of the last two seconds.
+
+    Returned rows are never overwritten.
+    """
 
     def __init__(self) -> None:
         self.clear()
 
     def clear(self) -> None:
-        """Forget every sample."""
+        """Discard all samples."""
         self._rows, self._end = np.empty((_LEAST_ROWS, _COLUMNS)), 0
 
     def add(self, time: float, pose: _Six, twist: _Six, force: _Six, hand: _Six) -> None:
-        """Add a sample: time, then pose, twist, wrench of the device and of the hand, six each."""
+        """Add a sample.
+
+        Time, then pose, twist, wrench of the device and of the hand, six each.
+        """
         if self._end == len(self._rows):
             self._make_room(1)
         row = self._rows[self._end]
@@ -181,7 +188,7 @@ class History:
         self._end += 1
 
     def extend(self, rows: Array) -> None:
-        """Add samples as `rows` gives them, (N, 25)."""
+        """Add samples in the format of `rows`, (N, 25)."""
         if self._end + len(rows) > len(self._rows):
             self._make_room(len(rows))
         self._rows[self._end : self._end + len(rows)] = rows
@@ -200,10 +207,10 @@ class History:
 
 
 class SampledMotion:
-    """Derive speed and work of the hand from samples alone.
+    """Speed and hand work derived from samples alone.
 
     Attributes:
-        history: The last two seconds.
+        history: Samples of the last two seconds.
     """
 
     def __init__(self) -> None:
@@ -212,16 +219,19 @@ class SampledMotion:
 
     @property
     def work(self) -> float:
-        """Work of the hand [J]; its force is held from sample to sample."""
+        """Work of the hand [J].
+
+        Its force is taken as constant from sample to sample.
+        """
         return self._hand.total
 
     def add(self, time: float, pose: Array, force: Array, hand: Sequence[float]) -> None:
         """Add a sample.
 
         Args:
-            time: Its time [s], later than the last one's.
+            time: Time of the sample [s], later than the last.
             pose: Pose [m, rad], (6,).
-            force: Wrench of the device beyond what carries the flotor [N, N m], (6,).
+            force: Wrench of the device without weight compensation [N, N m], (6,).
             hand: Wrench of the hand [N, N m], six.
         """
         self._hand.add(pose, hand)
@@ -234,11 +244,11 @@ def _unheard(_: int | str) -> None: ...
 
 
 class Wish(NamedTuple):
-    """Scene that a program asks for.
+    """Scene requested by another program.
 
     Attributes:
         scene: The scene.
-        answer: Called once by the loop: with the first sample answered under it, or with why it is refused.
+        answer: Called once by the loop, with the first sample under it or the reason of its refusal.
     """
 
     scene: Scene
@@ -246,27 +256,29 @@ class Wish(NamedTuple):
 
 
 class Publisher(Protocol):
-    """A way to other programs. It never waits, for it is called where the samples are answered.
+    """Interface of a publisher to other programs.
 
-    If it has a `note`, that is shown to the person.
+    It never waits, because it is called in the control loop.
+
+    Its `note`, if any, is shown to the user.
     """
 
     def take(self) -> Wish | None:
-        """Return what a program asks for, once."""
+        """Return a program's request once, else None."""
 
     def show(self, snapshot: Snapshot) -> None:
         """Publish a snapshot."""
 
     def close(self) -> None:
-        """Close every connection; a second time does nothing."""
+        """Close all connections; idempotent."""
 
 
 class Publishers:
-    """Publish snapshots 60 times a second.
+    """Group of publishers, served 60 times a second.
 
     Args:
-        publishers: Some, or none.
-        clock: Returns real time [s].
+        publishers: The publishers; may be empty.
+        clock: Clock of real time [s].
     """
 
     def __init__(self, publishers: Sequence[Publisher] = (), clock: Callable[[], float] = time.monotonic) -> None:
@@ -276,7 +288,10 @@ class Publishers:
         return bool(self._publishers)
 
     def show(self, snapshot: Callable[[], Snapshot]) -> None:
-        """Publish a snapshot, if one is due; only then is it made."""
+        """Publish a snapshot if one is due.
+
+        It is made only then.
+        """
         if not self._publishers or not self._due():
             return
         made = snapshot()
@@ -285,17 +300,17 @@ class Publishers:
 
     @property
     def notes(self) -> list[str]:
-        """Messages for the person at the window."""
+        """Messages for the user."""
         return [note for publisher in self._publishers if (note := getattr(publisher, "note", ""))]
 
     def wanted(self) -> Wish | None:
-        """Return what a program asks for, once."""
+        """Return a program's request once, else None."""
         for publisher in self._publishers:
             if (wish := publisher.take()) is not None:
                 return wish
         return None
 
     def close(self) -> None:
-        """Close all."""
+        """Close all publishers."""
         for publisher in self._publishers:
             publisher.close()

@@ -1,4 +1,4 @@
-"""A stretch of a session with unchanged parameters: one plant, one controller, one loop."""
+"""Stretch of a session: constant parameters, plant and controller."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ __all__ = ["LiveStretch", "begin_scene"]
 
 
 def begin_scene(file: RecordingFile, scene: Scene, plant: Any, controller: Controller, **known: Any) -> Record:
-    """Begin a stretch of a recording with all that a scene tells.
+    """Begin a stretch of a recording with a scene's metadata.
 
     Args:
         file: The file.
         scene: The scene.
-        plant: The plant that is driven.
-        controller: The controller that drives it.
-        known: What else `setup_of` takes.
+        plant: The controlled plant.
+        controller: The controller.
+        known: Further arguments of `setup_of`.
     """
     cls = type(scene)
     attach_model(file, scene.model)
@@ -39,23 +39,23 @@ def begin_scene(file: RecordingFile, scene: Scene, plant: Any, controller: Contr
 
 
 class LiveStretch:
-    """A scene running with unchanged parameters, from a given state on.
+    """Scene running with constant parameters from a given state.
 
     Args:
         scene: The scene.
         hand: The hand.
-        pose: Where the flotor starts [m, rad].
-        twist: How fast [m/s, rad/s].
-        wrench: What the coils give until the first command takes effect [N, N m].
-        file: What every sample is recorded to; None for nothing.
-        began: Time of the session at which it starts [s].
+        pose: Initial pose [m, rad].
+        twist: Initial twist [m/s, rad/s].
+        wrench: Coil wrench until the first command takes effect [N, N m].
+        file: Recording of every sample; None for none.
+        began: Session time at the start [s].
         keep: Called after each tick with a row of history, see `History.add`.
 
     Attributes:
         scene: The scene.
-        energy: Where the energy went.
+        energy: Energy balance.
         faces: Every wall: index into AXES, normal, edge.
-        pulsed: Whether the last command had a pulse.
+        pulsed: True if the last command had a pulse.
     """
 
     def __init__(
@@ -97,12 +97,18 @@ class LiveStretch:
 
     @property
     def anchors(self) -> Array | None:
-        """Where the flotor sticks [m, rad], (6,), NaN on axes without friction; None where there is none at all."""
+        """Stick positions [m, rad], (6,).
+
+        NaN on axes without friction; None without any friction.
+        """
         return self.controller.stick_positions
 
     @property
     def rendered(self) -> Array:
-        """Wrench of the device beyond what carries the flotor [N, N m], (6,)."""
+        """Wrench of the device, without weight compensation, (6,).
+
+        In [N, N m].
+        """
         rendered: Array = np.array(self.force) - self._carried
         return rendered
 

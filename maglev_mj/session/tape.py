@@ -1,4 +1,7 @@
-"""What a session is recorded to: one file after the other, each from a key to the next."""
+"""Recordings of a session, one file at a time.
+
+Each lasts from one key press to the next.
+"""
 
 from __future__ import annotations
 
@@ -14,15 +17,15 @@ __all__ = ["Tape"]
 
 
 class Tape:
-    """The recordings of a session.
+    """Recordings of a session.
 
     Args:
-        folder: Where they go.
-        beside: File that everything goes to as well, left open; None for none.
+        folder: Folder of the files.
+        beside: Further destination of all samples, left open; None for none.
 
     Attributes:
-        written: Those that are closed.
-        file: The one that is open; None while nothing is recorded.
+        written: Closed recordings.
+        file: Open recording; None for none.
     """
 
     def __init__(self, folder: Path, beside: RecordingFile | None = None) -> None:
@@ -36,14 +39,15 @@ class Tape:
 
     @property
     def whole(self) -> RecordingFile | None:
-        """What a stretch is to be recorded to; None for nothing."""
+        """File for all samples, None without one."""
         return tee(self.file, self._beside)
 
     def start(self, path: Path | None = None) -> None:
         """Begin a recording.
 
         Args:
-            path: Where to; None for a new name in the folder, or in the temporary one where that does not take it.
+            path: Path of the file; None for a new name in the folder, or in the temporary folder if that cannot be
+                written.
 
         Raises:
             OSError: If the file cannot be written.
@@ -57,7 +61,7 @@ class Tape:
             self.file = open_recording(self._new_path(Path(tempfile.gettempdir())))
 
     def stop(self) -> None:
-        """End the recording, if there is one; what writes it ends beside the loop."""
+        """End the recording; its file is closed in another thread."""
         if self.file is None:
             return
         file, self.file = self.file, None
@@ -66,7 +70,7 @@ class Tape:
         self._closing[-1].start()
 
     def close(self) -> None:
-        """End the recording, and wait until all are written.
+        """End the recording and wait for all files.
 
         Raises:
             OSError: If one cannot be written, after another try.
@@ -85,30 +89,33 @@ class Tape:
             self._failed = f"RECORDING: {error}; it is tried again at the end"
 
     def _keep(self, file: RecordingFile) -> None:
-        """Close a file, and say how that went."""
+        """Close a file and report the outcome."""
         path = None
         try:
             path = file.close()
             self._said.say(f"wrote {path}" if path is not None else "nothing was recorded")
-        except RecordingError as error:  # what there is of it, is there
+        except RecordingError as error:  # the part before the error is on disk
             self._failed = f"RECORDING: {error}"
         if path is not None:
             self.written.append(path)
 
     def failed(self, why: str) -> None:
-        """Keep why the scene stopped."""
+        """Set the reason of a stopped scene."""
         if (file := self.whole) is not None:
             file.event("fault", why)
 
     def missed(self, count: int) -> None:
-        """Keep how many ticks have been given up so far."""
+        """Set the number of ticks given up so far."""
         more, self._missed = count - self._missed, count
         if more and (file := self.whole) is not None:
             file.event("missed", f"{more} ticks were given up: too slow", more)
 
     @property
     def notes(self) -> list[str]:
-        """How it goes, for a person; what went well goes away."""
+        """Recording status lines for the viewer.
+
+        Success messages disappear after some seconds.
+        """
         found = [*filter(None, [self._failed]), *self._said.lines]
         if self.file is None:
             return found
@@ -119,7 +126,7 @@ class Tape:
         return [*found, "RECORDING"]
 
     def _new_path(self, folder: Path) -> Path:
-        """Return a name for a recording that no file has yet, nor one that is still being written."""
+        """Return an unused name for a recording."""
         stem, suffix = datetime.now().strftime("maglev-%Y%m%d-%H%M%S"), best_suffix()
         path, count = folder / f"{stem}{suffix}", 1
         while path in self._named or path.exists():

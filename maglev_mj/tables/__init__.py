@@ -1,4 +1,4 @@
-"""Results as text for a terminal, one module a subject."""
+"""Results as text for a terminal, one module per subject."""
 
 from typing import TYPE_CHECKING
 

@@ -1,4 +1,4 @@
-"""What a recording came to, as text."""
+"""Analysis of a recording as text."""
 
 from __future__ import annotations
 
@@ -21,12 +21,14 @@ _NOTHING = 1e-12
 
 
 def analysis_table(analysed: Analysed, number: int, count: int) -> str:
-    """Return the figures of a stretch, beside those of its simulation where they differ, as text.
+    """Return the figures of a stretch as text.
+
+    Those of its simulation stand beside them if they differ.
 
     Args:
         analysed: The stretch.
-        number: Which it is, from 1.
-        count: How many the recording has.
+        number: Number of the stretch, from 1.
+        count: Number of stretches in the recording.
     """
     figures, comparison = analysed.recorded.figures, analysed.comparison
     other = analysed.simulated
@@ -52,7 +54,7 @@ def _head(analysed: Analysed, number: int, count: int) -> list[str]:
 
 
 def _faces(figures: StretchFigures, beside: StretchFigures | None) -> list[str]:
-    """Return the figures of each wall that was touched, and of contacts one by one."""
+    """Return the figures of touched walls and their contacts."""
     if not figures.faces:
         return ["", "  no wall was touched" if figures.untouched else "  there are no walls"]
     lines = []
@@ -69,7 +71,7 @@ def _faces(figures: StretchFigures, beside: StretchFigures | None) -> list[str]:
 def _walls(
     faces: Sequence[FaceFigures], others: Mapping[tuple[int, float], FaceFigures] | None, *, turning: bool
 ) -> list[str]:
-    """Return a row for each wall, and one for its simulation where there is one."""
+    """Return a row for each wall and for its simulation."""
     small, force, hard = ("mrad", "N m", "N m/rad") if turning else ("mm", "N", "N/mm")
     lines = [
         _cells("wall", ("depth", "rebound", "peak", "settling", "rate", "extended", "contacts"), _WALL),
@@ -98,7 +100,10 @@ def _wall(face: FaceFigures, *, turning: bool) -> list[str]:
 
 
 def _contacts(faces: Sequence[FaceFigures], *, turning: bool) -> list[str]:
-    """Return a row for each of the first contacts, in the order in which they happened."""
+    """Return a row for each of the first contacts.
+
+    In order of time.
+    """
     small, force = ("mrad", "N m") if turning else ("mm", "N")
     lines = [
         _cells("contact", ("at", "for", "approach", "depth", "peak"), _CONTACT),
@@ -130,7 +135,7 @@ def _axes(figures: StretchFigures, beside: StretchFigures | None) -> list[str]:
 
 
 def _friction(figures: StretchFigures) -> list[str]:
-    """Return what friction did, and where each axis stuck."""
+    """Return slips and stick positions of each axis with friction."""
     rubbing = [axis for axis, sticks in enumerate(figures.sticks) if sticks is not None]
     if not rubbing:
         return []
@@ -150,7 +155,7 @@ def _friction(figures: StretchFigures) -> list[str]:
 
 
 def _apart(comparison: Comparison, samples: int) -> list[str]:
-    """Return how far recording and simulation are apart."""
+    """Return the differences between recording and simulation."""
     lines = []
     if not comparison.same and comparison.compared:
         lines += [
@@ -184,7 +189,10 @@ def _cells(label: str, texts: Sequence[str], widths: int | Sequence[int] = _CELL
 
 
 def _small(value: float, scale: float) -> str:
-    """Return a figure as the other tables do; what is only rounding as 0, and no minus before what is as good as 0."""
+    """Return a figure as text, rounding errors as 0.
+
+    No minus in front of a negligible value.
+    """
     if abs(value) < _NOTHING:
         return "0"
     return cell(abs(value) if abs(value * scale) < 0.005 else value, scale)

@@ -1,4 +1,4 @@
-"""Faults as text: what is latched in a device, and what a black box holds."""
+"""Faults as text: latched in a device, or recorded."""
 
 from __future__ import annotations
 
@@ -44,9 +44,11 @@ _REASONS = {
 
 
 def fault_table(record: FaultRecord, *, whole: bool = False) -> str:
-    """Return a fault and its last cycles as text, a dash where a value is unknown.
+    """Return a fault and its last cycles as text.
 
-    A line names the state where it changes. Time is before the last cycle [ms], the pose [mm, mrad], currents the
+    A dash stands for an unknown value.
+
+    A line names each new state. Time is before the last cycle [ms], the pose [mm, mrad], currents the
     largest of the six [A], commanded and measured, the temperature the highest, the delay at the device and the
     latency of the answer [ms].
 
@@ -98,13 +100,13 @@ def _line(cells: tuple[str, ...]) -> str:
 
 
 def _reasons(names: str) -> list[str]:
-    """Return what each fault of some names means, a line each."""
+    """Return the meaning of each named fault, one per line."""
     known = [fault for fault in _REASONS if (fault.name or "") in names.split()]
     return [line for fault in known for line in wrapped(f"{fault.name}: {_REASONS[fault]}", "    ", "      ")]
 
 
 def latched_table(plant: RemotePlant) -> str:
-    """Return what was latched in a device at the handshake, since when and why."""
+    """Return the faults latched at the handshake as text."""
     if not plant.faults:
         return f"  no fault is latched; the device is {plant.state.name.lower()}"
     return "\n".join([*wrapped(plant.latched), *_reasons(fault_names(plant.faults))])

@@ -1,4 +1,4 @@
-"""Model levels, and what each changes, as text."""
+"""Model levels and their effects as text."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _STEPS_SHOWN = 12
 
 
 def fidelity_table(result: FidelityResult) -> str:
-    """Return the model levels, the one chosen, and the steps on it, as text."""
+    """Return the model levels, the choice and its steps as text."""
     preset, chosen = result.preset, result.level
     own = f" ({preset.reason})" if result.tolerance == preset.tolerance else ""
     lines = [
@@ -81,12 +81,12 @@ def fidelity_table(result: FidelityResult) -> str:
 
 
 def _jumps(result: FidelityResult) -> str:
-    """Return why some cases go far."""
+    """Return the reason of large deviations in some cases."""
     return ", where a sample just meets the wall or misses it" if result.jump else ""
 
 
 def _range_lines(result: FidelityResult) -> list[str]:
-    """Return lines on the cases: which, how many, and whether any meets the stops."""
+    """Return lines about the cases: kinds, numbers, contact with stops."""
     over, count = result.over, len(result.cases)
     seeds = "phases with a jitter seed each" if result.preset.scene.takes_phase else "jitter seeds"
     lines = [f"{count} cases of the whole device: {over.phases} {seeds}"]
@@ -106,7 +106,10 @@ def _range_lines(result: FidelityResult) -> list[str]:
 
 
 def levels_table(found: Mapping[str, Sequence[LevelResult]]) -> str:
-    """Return what each level changes in each scene, as text."""
+    """Return the effect of each level in each scene.
+
+    As text.
+    """
     names = list(found)
     heads = {name: name.split("-", 1) for name in names}  # over two lines
     lines = [
@@ -127,7 +130,7 @@ def levels_table(found: Mapping[str, Sequence[LevelResult]]) -> str:
 
 
 def _added(levels: Sequence[LevelResult]) -> list[str]:
-    """Return a line for each level: what it adds."""
+    """Return one line per level about its addition."""
     return [f"  {row.level:<10}{row.adds}" for row in levels]
 
 
@@ -141,12 +144,15 @@ def _newtons(change: float) -> str:
 
 
 def _percent(share: float) -> str:
-    """Return a share in per cent; all only where it is all."""
+    """Return a share in per cent; "all" only for 1."""
     return "all" if share == 1.0 else f"{min(share, 0.9999):.2%}"
 
 
 def _micro(value: float) -> str:
-    """Return a length in micrometres, to three digits; a dash for none at all."""
+    """Return a length in micrometres with three digits.
+
+    A dash if not finite.
+    """
     if not np.isfinite(value):
         return "- µm"
     micro = value * 1e6

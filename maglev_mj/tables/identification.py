@@ -1,4 +1,4 @@
-"""What was identified from a recording, as text."""
+"""Identified parameters of a recording as text."""
 
 from __future__ import annotations
 
@@ -17,7 +17,10 @@ _DECIMALS, _NAME, _IN = 4, 26, "    "
 
 
 class _Row(NamedTuple):
-    """A line of the table: whose it is, name, estimate, scale and unit of it and of its residual."""
+    """Row of the table of identified parameters.
+
+    Owner, name, estimate, scale and unit of the estimate and of its residual.
+    """
 
     whose: str
     name: str
@@ -28,7 +31,10 @@ class _Row(NamedTuple):
 
 
 def identified_lines(found: Identification) -> list[str]:
-    """Return a line for each estimate, and one for those that cannot be told for the same reason."""
+    """Return a line for each estimate.
+
+    Parameters that cannot be identified for the same reason share a line.
+    """
     lines = [f"  {'identified':<{_NAME}}{'value':>12}{'std. error':>12}  {'unit':<10}{'residual':>14}"]
     untold: dict[tuple[str, str], list[str]] = {}
     heading = ""
@@ -58,7 +64,10 @@ def _line(row: _Row) -> str:
 
 
 def _rounded(value: float, error: float) -> tuple[str, str]:
-    """Return a value to the second digit of its error, but not more than four decimals, and the error."""
+    """Return a value rounded to its error, and the error.
+
+    To the second digit of the error, at most four decimals.
+    """
     decimals = min(max(1 - math.floor(math.log10(error)), 0), _DECIMALS) if error > 0.0 else _DECIMALS
     return f"{round(value, decimals) + 0.0:.{decimals}f}", f"{error:.2g}" if error < 100.0 else f"{error:.0f}"
 

@@ -1,4 +1,7 @@
-"""Runs of any scene, their phases and sweeps as text, and what they ask beyond the device."""
+"""Runs, phases and sweeps of any scene as text.
+
+Excesses over the device's limits are included.
+"""
 
 from __future__ import annotations
 
@@ -30,12 +33,12 @@ _TURNING = {
 
 
 def run_table(results: Mapping[str, Result], sweeps: Mapping[str, Phases], gap: float | None) -> str:
-    """Return the figures of runs, and of their phases if there are any, as text.
+    """Return the figures of runs and their phases as text.
 
     Args:
-        results: A run for each label; the first one's parameters head the table.
-        sweeps: The same at many phases, or nothing.
-        gap: Greatest distance between the two plants on the first run [m, rad]; None where they were not compared.
+        results: Run for each label; the parameters of the first head the table.
+        sweeps: The same at many phases; may be empty.
+        gap: Greatest distance between the two plants on the first run [m, rad]; None if not compared.
     """
     first = next(iter(results.values()))
     scene = first.scene
@@ -71,7 +74,7 @@ def run_table(results: Mapping[str, Result], sweeps: Mapping[str, Phases], gap: 
 
 
 def _head(scene: Scene, plant: str) -> list[str]:
-    """Return what was run, and every parameter that is a number or a name."""
+    """Return the name and parameters of the scene."""
     shown = [f"{1.0 / scene.period:g} Hz", f"delay {scene.delay * 1e3:g} ms"]
     for one in scene.parameters():
         value = getattr(scene, one.name)
@@ -90,7 +93,10 @@ def _sentence(scene: Scene) -> str:
 
 
 def _rank(first: Result, sweeps: Mapping[str, Phases]) -> str:
-    """Return how the run is among the phases: one phase alone says little."""
+    """Return the rank of a run among its phases.
+
+    A single phase has little meaning.
+    """
     if not sweeps or not first.scene.figures:
         return ""
     name = next(iter(first.scene.figures))
@@ -102,7 +108,10 @@ def _rank(first: Result, sweeps: Mapping[str, Phases]) -> str:
 
 
 def _blocks(scene: Scene, blocks: Sequence[tuple[str, Mapping[str, Sequence[str]]]]) -> list[str]:
-    """Return a line for each figure with the cells of every label; what is too wide goes on below."""
+    """Return a line for each figure, one cell per label.
+
+    Columns beyond the width go on below.
+    """
     names = [name.replace("_", " ") for name in scene.figures]
     units = [_unit(scene, figure.unit) for figure in scene.figures.values()]
     left = max([_NAME, *map(len, names)]) + 2
@@ -122,13 +131,16 @@ def _blocks(scene: Scene, blocks: Sequence[tuple[str, Mapping[str, Sequence[str]
 
 
 def _columns(columns: Mapping[str, Sequence[str]]) -> list[list[str]]:
-    """Return the cells of each label, the label first, all of one width."""
+    """Return the cells of each label, equally wide.
+
+    The label comes first.
+    """
     widths = [max(_LEAST, *(len(text) + 1 for text in (label, *texts))) for label, texts in columns.items()]
     return [[f"{text:>{width}}" for text in (label, *texts)] for width, (label, texts) in zip(widths, columns.items())]
 
 
 def _fitting(columns: Sequence[list[str]], room: int) -> list[list[list[str]]]:
-    """Return columns in groups that are no wider than there is room."""
+    """Return columns in groups that fit the width."""
     groups: list[list[list[str]]] = []
     for column in columns:
         if not groups or sum(len(one[0]) for one in [*groups[-1], column]) > room:
@@ -138,13 +150,19 @@ def _fitting(columns: Sequence[list[str]], room: int) -> list[list[list[str]]]:
 
 
 def _spread(figure: Figure, values: Any) -> str:
-    """Return median, and 5 to 95 %, over phases, and over hits together where there are several."""
+    """Return median and 5 to 95 % over phases.
+
+    Several hits are pooled.
+    """
     pooled = np.ravel(values) if np.ndim(values) > 1 else values
     return _cell(figure, *(figure.percentile(pooled, share) for share in _SHARES))
 
 
 def _cell(figure: Figure, value: Any, *bounds: Any) -> str:
-    """Return one value, those of several hits, or a median with its bounds where these differ."""
+    """Return one or several values, or a median with bounds.
+
+    Bounds only if they differ.
+    """
     values = np.atleast_1d(np.asarray(value, dtype=np.float64))
     if values.size > _MOST_SHOWN:
         return f"{_number(figure, values.min())} to {_number(figure, values.max())}"
@@ -158,7 +176,7 @@ def _number(figure: Figure, value: float) -> str:
 
 
 def _missing(sweeps: Mapping[str, Phases]) -> list[str]:
-    """Return a line for each figure that is not there at some phases."""
+    """Return a line for each figure missing at some phases."""
     lines = []
     for label, sweep in sweeps.items():
         for name, values in sweep.figures.items():
@@ -177,7 +195,10 @@ _ROUNDING = 1.0 + 1e-9
 
 
 def _beyond_force(results: Mapping[str, Result]) -> list[str]:
-    """Return a line if the actuators exceed the device's force along z in a run, else none."""
+    """Return a line on vertical forces beyond the device's.
+
+    Empty if there are none.
+    """
     device = Spec.largest_vertical_force.value
     # the last knot's force has not acted yet
     peaks = {label: float(np.abs(one.trace.wrench[:-1, 2]).max(initial=0.0)) for label, one in results.items()}
@@ -186,12 +207,14 @@ def _beyond_force(results: Mapping[str, Result]) -> list[str]:
 
 
 def _beyond_range(labels: Sequence[str], runs: Sequence[ArrayLike], sweeps: Sequence[ArrayLike] = ()) -> list[str]:
-    """Return a line if a motion leaves the device's range, else none.
+    """Return a line on motions beyond the device's range.
+
+    Empty if there are none.
 
     Args:
-        labels: A name for each run.
+        labels: Name of each run.
         runs: Greatest distance from the centre on each axis [m, rad], (6,) each.
-        sweeps: The same for each phase of each run, (N, 6) each; or nothing.
+        sweeps: The same for each phase of each run, (N, 6) each; may be empty.
     """
     texts, left = [], np.zeros(len(RANGE), dtype=bool)
     for index, (label, run) in enumerate(zip(labels, runs, strict=True)):
@@ -215,17 +238,22 @@ def _outside(furthest: Array) -> Mask:
 
 
 def _distances(furthest: Array) -> str:
-    """Return the largest translation and rotation, each with its unit; zero is left out."""
+    """Return the largest translation and rotation with units.
+
+    Zero is left out.
+    """
     parts = [(furthest[:3].max() * 1e3, "mm"), (np.degrees(furthest[3:].max()), "deg")]
     return " and ".join(f"{value:.4g} {unit}" for value, unit in parts if value > 0.0)
 
 
 def sweep_table(found: Sweep, path: str) -> str:
-    """Return how many cells were computed and the spread of each figure over them, as text.
+    """Return the spread of each figure over a sweep.
+
+    As text, with the number of cells.
 
     Args:
         found: The sweep.
-        path: Where the record is.
+        path: Path of the record.
     """
     results = found.results
     failed = [result["error"] for result in results if "error" in result]

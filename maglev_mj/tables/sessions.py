@@ -1,4 +1,4 @@
-"""A session in a window, a twin, a flight and the check of a recording as text."""
+"""Sessions, twins, flights and verified recordings as text."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _IN = "    "
 
 
 def served_table(served: ServerReport, twin: Twin) -> str:
-    """Return what a twin came to."""
+    """Return the statistics of a twin as text."""
     firmware = twin.firmware
     rate = served.ticks / max(served.wall_time, 1e-9)
     lines = [
@@ -37,17 +37,19 @@ def served_table(served: ServerReport, twin: Twin) -> str:
 
 
 def flown_table(flown: FlightReport) -> str:
-    """Return what a flight came to."""
+    """Return the outcome of a flight as text."""
     first = f"  {flown.wall_time:.1f} s, {flown.ticks} samples, {flown.lost} lost, {flown.skipped} skipped"
     return "\n".join([first, *wrapped(str(flown.landing), further=_IN)])
 
 
 def timing_table(timing: LoopTiming, warning: str = "") -> str:
-    """Return how late a loop was, whole lines; nothing for one that did not run.
+    """Return the latencies of a loop as text.
+
+    Whole lines; empty for a loop that did not run.
 
     Args:
-        timing: Of the loop.
-        warning: What is wrong with it.
+        timing: Latencies of the loop.
+        warning: Warning about the delay; empty for none.
     """
     known = [
         f"  {name:<34}" + "".join(f"{part * 1e3:10.3f}" for part in (one.p50, one.p99, one.max))
@@ -60,7 +62,7 @@ def timing_table(timing: LoopTiming, warning: str = "") -> str:
 
 
 def show_table(report: ShowReport) -> str:
-    """Return what a session in a window or page came to."""
+    """Return the statistics of a viewer session as text."""
     passed, frames = max(report.wall_time, 1e-9), report.frames
     factor = report.simulated / passed
     lines = [
@@ -73,7 +75,10 @@ def show_table(report: ShowReport) -> str:
 
 
 def verdict_table(verdict: Verdict) -> str:
-    """Return what checking a recording gave: fields that are the same together, each that differs by itself."""
+    """Return the result of verifying a recording as text.
+
+    Equal fields share a line; each different one has its own.
+    """
     lines = [f"  {verdict.ticks} samples, run again and compared to the last bit"]
     same: dict[int, list[str]] = {}
     for name, field in verdict.fields.items():

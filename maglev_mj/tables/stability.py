@@ -1,4 +1,4 @@
-"""A stability map and a designed wall as text."""
+"""Stability maps and designed walls as text."""
 
 from __future__ import annotations
 
@@ -20,7 +20,10 @@ _MOST_LISTED = 8
 
 
 def stability_table(result: StabilityMap) -> str:
-    """Return the stiffest wall, the published bounds at its damping, and how theory and simulation agree, as text."""
+    """Return the stiffest wall and published bounds as text.
+
+    The bounds at its damping, and the agreement of theory and simulation.
+    """
     p, best = result.parameters, result.maximum
     stiffest, damping = float(best.stiffness), float(best.damping)
     lines = [
@@ -53,7 +56,10 @@ def stability_table(result: StabilityMap) -> str:
 
 
 def drop_table(result: DropMap) -> str:
-    """Return how drops on walls end, and where that differs from theory, as text."""
+    """Return the results of drops on walls as text.
+
+    Differences from theory are listed.
+    """
     p, settles, stable = result.parameters, result.settles, result.stable_by_theory
     up_to = result.settles_up_to
     best = int(np.argmax(up_to))
@@ -84,7 +90,10 @@ def _loop(p: StabilityParameters) -> str:
 
 
 def loop_table(scene: Scene, verdict: Verdict) -> str:
-    """Return whether the closed loop of a scene is stable, and where it is worst, as text."""
+    """Return the stability of a scene's closed loop as text.
+
+    The worst pose is named.
+    """
     place = ", ".join(f"{axis} {value:g}" for axis, value in zip(AXES, verdict.pose, strict=True) if value) or "centre"
     worst = f"states of the laws: {', '.join(verdict.acting) or 'none'}" if verdict.stated else f"at {place} (m, rad)"
     means = "by the laws' own gains" if verdict.stated else "by the answers of the laws to small displacements"
@@ -95,7 +104,7 @@ def loop_table(scene: Scene, verdict: Verdict) -> str:
 
 
 def design_table(result: DesignResult) -> str:
-    """Return gains, margins, contact and the check by simulation, as text."""
+    """Return gains, margins, contact and simulated check as text."""
     wall, contact = result.wall, result.contact
     needs = wall.requirements
     law = "PD wall" if wall.pole is None else f"{wall.law} wall, poles at {wall.pole:g},"
