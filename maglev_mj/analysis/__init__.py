@@ -1,4 +1,4 @@
-"""What recordings tell: walls, energy, friction, and how far they are from the simulation of the same parameters."""
+"""Analysis of recordings: walls, energy, friction, comparison with simulation."""
 
 from maglev_mj.analysis.analysed import Analysed, Run, analyse
 from maglev_mj.analysis.comparison import Comparison

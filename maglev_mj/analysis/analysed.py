@@ -1,4 +1,4 @@
-"""A stretch of a recording with everything that is found out about it."""
+"""Complete analysis of a recording segment."""
 
 from __future__ import annotations
 
@@ -25,12 +25,14 @@ _STILL = 1e-9
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Run:
-    """One side of a comparison, the recording or the simulation, over the time asked for.
+    """One side of a comparison: recording or simulation.
+
+    It covers the requested time.
 
     Attributes:
-        motion: How the flotor moved.
-        figures: What that came to.
-        anchors: Where the flotor stuck at each sample [m, rad], (N, 6); None without friction, or for a simulation.
+        motion: Motion of the flotor.
+        figures: Figures of the motion.
+        anchors: Stick positions at each sample [m, rad], (N, 6); None without friction, or for a simulation.
     """
 
     motion: Motion
@@ -40,15 +42,15 @@ class Run:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Analysed:
-    """What is found out about a stretch.
+    """Results of a segment's analysis.
 
     Attributes:
-        kind: Of its setup.
-        metadata: What it is besides its samples.
-        recorded: What the samples say.
-        simulated: What the simulation does; None where none was asked for, or it failed at once.
-        comparison: How far they are apart; None where none was asked for.
-        identified: What the samples tell of walls, friction, mass, delay and sensor.
+        kind: Kind of its setup.
+        metadata: Metadata of the run.
+        recorded: Motion and figures of the samples.
+        simulated: Motion and figures of the simulation; None if none was requested, or it failed at once.
+        comparison: Distance between both; None if none was requested.
+        identified: Identified walls, friction, mass, delay and sensor.
     """
 
     kind: str
@@ -59,13 +61,15 @@ class Analysed:
     identified: Identification
 
     def axis(self, name: str | None = None) -> int:
-        """Return the index of the axis to draw: the one that is named, or the one that tells most.
+        """Return the index of the axis to draw.
 
-        That is the scene's own where a wall of it was touched, then the first of which a wall was, then the one that
-        moved furthest, of the translations unless only rotations moved.
+        It is that named, or the most significant one.
+
+        This is the scene's own axis if a wall on it was touched, else the first axis with a touched wall, else the axis
+        with the largest travel, of the translations unless only rotations moved.
 
         Raises:
-            ParameterError: If the axis that is named does not move.
+            ParameterError: If the named axis does not move.
         """
         figures = self.recorded.figures
         if name is not None:
@@ -103,20 +107,21 @@ def analyse(
     rest: float | None = None,
     scene: type[Scene] | None = None,
 ) -> Analysed:
-    """Return what is found out about a stretch of at least two samples.
+    """Analyse a segment of at least two samples.
 
     Args:
         stretch: The stretch.
-        rebuild: Makes plant and controller from a setup and a hand; None where nobody can: then nothing is simulated.
-        anchors: Where the flotor stuck at each sample [m, rad], (N, 6); None without friction.
-        begin: Time of the stretch from which on it is analysed [s].
-        end: Up to when [s]; None for its end.
-        simulated: Whether to run the simulation of the same parameters and compare.
-        rest: Where it comes to rest at a wall [m, rad]; found from the samples by default.
-        scene: Scene of a recording of one's own.
+        rebuild: Function from a setup and a hand to plant and controller; None if there is none: then nothing is
+            simulated.
+        anchors: Stick positions at each sample [m, rad], (N, 6); None without friction.
+        begin: Start of the analysis, in the segment's time [s].
+        end: End of the analysis [s]; None for the segment's end.
+        simulated: True to run the simulation of the same parameters and compare.
+        rest: Rest position at a wall [m, rad]; found from the samples by default.
+        scene: Scene class of a user's own recording.
 
     Raises:
-        InvalidRecordingError: If it has less than two samples, or it tells no metadata and nobody can make it again.
+        InvalidRecordingError: If it has less than two samples, or has no metadata and cannot be rebuilt.
         ParameterError: If there are less than two samples from `begin` to `end`.
     """
     flag("simulated", simulated)
@@ -144,7 +149,7 @@ def analyse(
 
 
 def _rows(motion: Motion, begin: float, end: float | None) -> tuple[int, int]:
-    """Return the first and the last sample from `begin` to `end`."""
+    """Return the first and last sample of an interval."""
     time = motion.time
     number("from", begin, at_least=0.0, below=float(time[-1]))
     final = float(time[-1]) if end is None else number("to", end, above=begin)

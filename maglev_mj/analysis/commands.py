@@ -1,4 +1,7 @@
-"""The rendered law as its commands tell it: their slopes over the measured positions."""
+"""Identification of a rendered law from its commands.
+
+The gains are slopes of the commands over the measured positions.
+"""
 
 from __future__ import annotations
 
@@ -18,15 +21,17 @@ _ROUNDING = 64.0 * float(np.finfo(np.float64).eps)
 
 
 class CommandedLaw(NamedTuple):
-    """Commands as a sum of P parts, each a gain times a known function of the measured positions.
+    """Linear fit of commands by P parts.
+
+    A part is a known function of the measured positions; each has a gain.
 
     Attributes:
-        names: Of each, such as ("stiffness", 0) for the first face.
-        parts: Their values by unit gain, (N, P).
+        names: Names of the parts, such as ("stiffness", 0) for the first face.
+        parts: Values of the parts at unit gain, (N, P).
         gains: The gains, (P,).
-        errors: Their standard errors, (P,); infinite for what cannot be told from the others.
-        residual: Of the commands [N, N m].
-        degrees: Of freedom.
+        errors: Their standard errors, (P,); infinite for a gain that cannot be separated from the others.
+        residual: Residual of the commands [N, N m].
+        degrees: Degrees of freedom.
         scale: Root mean square of all parts [N, N m].
         rest: Commands as applied without all parts [N, N m], (N,).
     """
@@ -42,22 +47,24 @@ class CommandedLaw(NamedTuple):
 
 
 def is_inside(place: Array, face: Face) -> Mask:
-    """Return which positions (N,) are in a wall."""
+    """Return True for positions (N,) in a wall."""
     return np.asarray(face[1] * (place - face[2]) <= 0.0)
 
 
 def fit_law(
     stretch: Stretch, metadata: RunMetadata, axis: int, faces: Sequence[Face], anchors: Array | None, used: Mask
 ) -> CommandedLaw:
-    """Return the commands on an axis as a sum of walls, friction, and a spring and a damper that act everywhere.
+    """Fit the commands on an axis by a law.
+
+    The law is a sum of walls, friction, and a spring and a damper that act everywhere.
 
     Args:
         stretch: N samples.
-        metadata: What they are besides.
+        metadata: Metadata of the run.
         axis: Index into AXES.
-        faces: Walls that were touched.
-        anchors: Where the axis stuck [m, rad], (N,); None without friction.
-        used: Which samples count, (N,).
+        faces: Touched walls.
+        anchors: Stick positions of the axis [m, rad], (N,); None without friction.
+        used: True for samples that count, (N,).
     """
     tick, place, period = stretch.tick, stretch.position[:, axis], metadata.period
     speed = np.append(0.0, np.diff(place) / (np.diff(tick) * period))

@@ -1,4 +1,7 @@
-"""A recording beside the simulation of the same parameters: how far apart they are, and from one sample to the next."""
+"""Comparison of a recording with its simulation.
+
+The simulation has the same parameters; distances are overall and from one sample to the next.
+"""
 
 from __future__ import annotations
 
@@ -24,17 +27,17 @@ __all__ = ["Comparison", "compare", "simulate"]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Comparison:
-    """How far a recording and its simulation are apart.
+    """Distance between a recording and its simulation.
 
     Attributes:
-        same: Whether every position is the same to the last bit.
+        same: True if every position is the same to the last bit.
         rms: Root mean square of the distance on each axis [m, rad], (6,).
-        most: The greatest [m, rad], (6,).
-        when: When that was [s], (6,).
-        one_step: Root mean square on each axis of what a sample is beyond where the one before it, its speed there
-            and the forces recorded would have brought the flotor [m, rad], (6,); NaN with less than three samples.
-        compared: How many samples the simulation came to; less than all where it failed.
-        device: Whether the recording is of a device, whose hand nobody measured.
+        most: Largest distance on each axis [m, rad], (6,).
+        when: Time of the largest distance [s], (6,).
+        one_step: Root mean square of the one-step prediction error on each axis [m, rad], (6,), predicted from the
+            sample before, its speed and the recorded forces; NaN with less than three samples.
+        compared: Number of samples simulated; less than all if the simulation failed.
+        device: True for a recording of a device, with an unmeasured hand.
     """
 
     same: bool
@@ -47,13 +50,16 @@ class Comparison:
 
     @property
     def worst(self) -> int:
-        """Index into AXES of the axis that is furthest apart: of the translations, unless only rotations are."""
+        """Index into AXES of the largest distance.
+
+        Of the translations, unless only rotations differ.
+        """
         group = slice(0, 3) if self.most[:3].any() else slice(3, 6)
         return int(np.argmax(self.most[group])) + group.start
 
     @property
     def sentence(self) -> str:
-        """How far apart they are, in one sentence."""
+        """Result of the comparison in one sentence."""
         if self.compared == 0:
             return "the simulation failed at once: there is nothing to compare"
         if self.same:
@@ -79,24 +85,26 @@ class Comparison:
 def simulate(
     stretch: Stretch, motion: Motion, metadata: RunMetadata, rebuild: Rebuild, scene: type[Scene] | None = None
 ) -> Stretch:
-    """Return the same run simulated: same laws, the recorded hand, from the recorded start.
+    """Simulate a recorded run again.
 
-    In place of a device stands the simulated one, from the first sample at the speed that the first two tell, in no
-    hand. Samples that are missing in the recording are left out.
+    It has the same laws, the recorded hand, and the recorded start.
+
+    A device is replaced by the simulated one, from the first sample at the speed of the first two, without a hand.
+    Samples missing in the recording are left out.
 
     Args:
         stretch: The recording.
         motion: Its motion.
-        metadata: Of the stretch.
-        rebuild: Makes plant and controller from a setup and a hand.
-        scene: Scene of a recording of one's own.
+        metadata: Metadata of the segment.
+        rebuild: Function from a setup and a hand to plant and controller.
+        scene: Scene class of a user's own recording.
 
     Returns:
-        As many samples as the simulation came to: fewer where it failed.
+        The simulated samples: fewer than recorded if the simulation failed.
 
     Raises:
         RecordingError: If the setup is not known here.
-        ParameterError: If a plant cannot be made from where the recording starts.
+        ParameterError: If a plant cannot be made at the recorded start.
     """
     rows = np.round(stretch.tick - stretch.tick[0]).astype(np.intp)
     plant, controller = rebuild(stretch.setup, RecordedHand(stretch.hand))
@@ -109,7 +117,7 @@ def simulate(
         except ParameterError:
             raise
         except MaglevError:
-            pass  # how far it came is said with the comparison
+            pass  # the comparison reports the number of samples
     made = recorder.stretch().rows
     kept = rows[rows < len(made)]
     simulated = replace(stretch, rows=made[kept])
@@ -123,11 +131,11 @@ def _twin(stretch: Stretch, motion: Motion, metadata: RunMetadata, scene: type[S
 
 
 def compare(stretch: Stretch, simulated: Stretch, motion: Motion) -> Comparison:
-    """Return how far a recording and its simulation are apart.
+    """Return the distance between a recording and its simulation.
 
     Args:
         stretch: The recording, N samples.
-        simulated: Its simulation, of as many or fewer.
+        simulated: Its simulation, of at most N samples.
         motion: The motion of the recording.
     """
     count = len(simulated.tick)

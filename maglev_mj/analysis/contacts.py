@@ -1,4 +1,4 @@
-"""What happened at one wall: contacts one by one, and the figures of all."""
+"""Contacts at a wall, with their figures."""
 
 from __future__ import annotations
 
@@ -16,21 +16,24 @@ from maglev_mj.trace import Trace
 __all__ = ["HARDNESS_WINDOW", "Contact", "FaceFigures", "face_figures", "plain"]
 
 HARDNESS_WINDOW = 0.005
-"""Window over which the rise of the force counts as hardness [s]."""
+"""Window of the force rise for the hardness [s]."""
 
 _REST = 0.1
-"""Share of a stretch, its end, over which the flotor must rest to have settled."""
+"""Final share of a segment that counts as rest.
+
+The flotor must rest over it to have settled.
+"""
 
 
 class Contact(NamedTuple):
-    """From entering a wall to leaving it.
+    """Contact from entering a wall to leaving it.
 
     Attributes:
-        start: When it is entered [s].
-        duration: How long until it is left, or the recording ends [s].
-        approach_speed: Speed of entering it [m/s, rad/s]; NaN where the recording begins inside.
-        penetration: Greatest depth [m, rad].
-        peak_force: Largest force of the actuators on the axis meanwhile, either sign [N, N m].
+        start: Time of entry [s].
+        duration: Time until the exit, or the end of the recording [s].
+        approach_speed: Speed at entry [m/s, rad/s]; NaN if the recording begins inside.
+        penetration: Largest depth [m, rad].
+        peak_force: Largest force of the actuators on the axis during contact, either sign [N, N m].
     """
 
     start: float
@@ -42,20 +45,21 @@ class Contact(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FaceFigures:
-    """What happened at one wall.
+    """Figures of the contacts at one wall.
 
     Attributes:
         axis: Index into AXES.
-        normal: 1 where the axis is free above the edge, -1 where it is below.
-        edge: Where the wall begins [m, rad].
-        contacts: One by one, in order.
-        penetration: Greatest depth of all [m, rad].
-        rebound: Greatest distance from the wall after the first contact, whatever lifted the flotor [m, rad].
+        normal: 1 if the axis is free above the edge, -1 if below.
+        edge: Edge of the wall [m, rad].
+        contacts: All contacts, in order.
+        penetration: Largest depth of all [m, rad].
+        rebound: Largest distance from the wall after the first contact, from any cause [m, rad].
         peak_force: Largest force of the actuators on the axis, in contact or not [N, N m].
         settling_time: Time from the start after which the position stays within 2 % of the way from start to rest
-            around the rest [s]; NaN where the last tenth is not rest.
+            around the rest [s]; NaN if the flotor does not rest over the last tenth.
         rest: Mean position over the last tenth [m, rad].
-        hardness: Of the contact with the fastest approach [N/m, N m/rad]; NaN where none was entered in time.
+        hardness: Hardness of the contact with the fastest approach [N/m, N m/rad]; NaN if there is no such contact
+            with enough time.
     """
 
     axis: int
@@ -71,7 +75,7 @@ class FaceFigures:
 
     @property
     def name(self) -> str:
-        """Such as "z below 0 mm": axis, side and edge."""
+        """Axis, side and edge, such as "z below 0 mm"."""
         side = "below" if self.normal > 0.0 else "above"
         return f"{AXES[self.axis]} {side} {self.edge * 1e3:.4g} {'mm' if self.axis < 3 else 'mrad'}"
 
@@ -84,20 +88,20 @@ class FaceFigures:
 
 
 def plain(value: float) -> float | None:
-    """Return a number as JSON knows it: None for one that is not there."""
+    """Return a number for JSON, None if not finite."""
     return float(value) if math.isfinite(value) else None
 
 
 def face_figures(
     trace: Trace, face: tuple[int, float, float], *, rest: float | None = None, window: float = HARDNESS_WINDOW
 ) -> FaceFigures | None:
-    """Return what happened at a wall; None where the flotor did not touch it.
+    """Return the figures of a wall, None if untouched.
 
     Args:
         trace: The motion.
         face: The wall: index into AXES, normal, edge.
-        rest: Where the flotor comes to rest [m, rad]; its mean position over the last tenth by default.
-        window: Over which the rise of the force counts as hardness [s].
+        rest: Rest position of the flotor [m, rad]; its mean position over the last tenth by default.
+        window: Window of the force rise for the hardness [s].
     """
     axis, normal, edge = face
     line, begin = _facing(trace, axis, normal, edge), float(trace.time[0])
@@ -125,12 +129,15 @@ def face_figures(
 
 
 def _hardness(line: Trace, contacts: Sequence[Contact], window: float) -> Hardness:
-    """Return how hard the contact with the fastest approach feels; a graze says nothing."""
+    """Return the hardness of the contact with fastest approach.
+
+    A grazing contact has no hardness.
+    """
     speeds = [contact.approach_speed for contact in contacts]
     if np.isnan(speeds).all():
         return Hardness(np.array(np.nan), np.array(np.nan))
     place = int(np.nanargmax(speeds))
-    if place:  # from between the contact before and this one
+    if place:  # from the middle between the previous contact and this one
         before, this = contacts[place - 1], contacts[place]
         start = 0.5 * (before.start + before.duration + this.start)
         pose, twist, wrench = line.at(start)
@@ -144,13 +151,19 @@ def _hardness(line: Trace, contacts: Sequence[Contact], window: float) -> Hardne
 
 
 def _facing(trace: Trace, axis: int, normal: float, edge: float) -> Trace:
-    """Return one axis as seen from a wall that fills what is at most 0, from time 0 on."""
+    """Return one axis relative to a wall, from time 0.
+
+    The wall then fills positions up to 0.
+    """
     line = trace.along(axis)
     return Trace(line.time - line.time[0], normal * (line.pose - edge), normal * line.twist, normal * line.wrench)
 
 
 class _Curve(NamedTuple):
-    """One axis on its knots and turning points: from each to the next the flotor goes one way."""
+    """One axis on its knots and turning points.
+
+    The motion is monotonic between them.
+    """
 
     time: Array
     place: Array
@@ -187,7 +200,10 @@ class _Curve(NamedTuple):
         return found
 
     def _crossing(self, place: int) -> tuple[float, float]:
-        """Return when and how fast the edge is crossed behind a point: v² = v0² - 2 a x0, exact on a parabola."""
+        """Return time and speed of an edge crossing.
+
+        It is after a given point: v² = v0² - 2 a x0, exact on a parabola.
+        """
         width = self.time[place + 1] - self.time[place]
         start, speed = float(self.place[place]), float(self.speed[place])
         if width <= 0.0:
@@ -200,7 +216,7 @@ class _Curve(NamedTuple):
 
 
 def _woven(knots: Array, between: Array) -> Array:
-    """Return values at knots with those between them in between."""
+    """Return values at knots interleaved with values between them."""
     woven = np.empty(2 * len(knots) - 1)
     woven[0::2], woven[1::2] = knots, between
     return woven

@@ -1,4 +1,7 @@
-"""Estimates with their errors, and what positions alone tell of the sensor: its steps and its noise."""
+"""Estimates with errors, and sensor resolution and noise.
+
+The latter are identified from positions alone.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +20,10 @@ from maglev_mj.recording.metadata import Face
 __all__ = ["Estimate", "Friction", "Identification", "OfAxis", "OfWall", "find_noise", "find_quantum"]
 
 _DITHERED = 1.0 / 12.0 + 0.25
-"""Mean square of a sensor's error, in steps, from which on noise of half a step carries a flotor at rest over them."""
+"""Least mean square of a dithered sensor's error, in steps².
+
+From this value on, noise of half a step moves a flotor at rest over several steps.
+"""
 _NEAR, _DIVISORS, _LEAST_STEPS, _LEAST_MOVING = 1e-4, 20, 4, 20
 _NOTHING, _NORMAL, _ROUNDING = 1e-12, 1.959963984540054, 4.0 * float(np.finfo(np.float64).eps)
 
@@ -27,13 +33,13 @@ class Estimate:
     """A quantity identified from a recording.
 
     Attributes:
-        value: Best value; NaN where it cannot be told.
+        value: Best value; NaN if it cannot be identified.
         error: Standard error.
         low: Lower end of the 95 % interval.
-        high: Upper end; what noise that cannot be told is at most.
-        residual: Root mean square of what the fit leaves, in the unit of what was fitted: metres or radians of
-            positions, newtons or newton metres of commands.
-        why: Why it cannot be told, in a few words; empty where it can.
+        high: Upper end; for noise that cannot be identified, its upper bound.
+        residual: Root mean square of the fit's residual, in the unit of the fitted data: metres or radians for
+            positions, newtons or newton metres for commands.
+        why: Reason for a failed identification, in a few words; empty if it succeeded.
     """
 
     value: float = math.nan
@@ -51,7 +57,7 @@ class Estimate:
 
     @property
     def known(self) -> bool:
-        """True if it can be told."""
+        """True if the quantity was identified."""
         return not self.why
 
     def as_json(self) -> dict[str, Any]:
@@ -62,13 +68,13 @@ class Estimate:
 
 @dataclass(frozen=True, kw_only=True)
 class OfAxis:
-    """What is identified of a coordinate, whatever is rendered on it.
+    """Identified quantities of a coordinate, independent of the law.
 
     Attributes:
         inertia: Moving mass or moment of inertia, if the forces are as commanded [kg, kg m²].
-        delay: From a sample to the switch of the force [s].
-        force_error: Constant force beyond the load and the carrying command that the recording states [N, N m].
-        noise: Standard deviation of the sensor's noise ahead of its steps [m, rad].
+        delay: Time from a sample to the switch of the force [s].
+        force_error: Constant force beyond the recorded load and carrying command [N, N m].
+        noise: Standard deviation of the sensor's noise before quantization [m, rad].
         quantum: Step of the positions [m, rad].
     """
 
@@ -81,15 +87,15 @@ class OfAxis:
 
 @dataclass(frozen=True, kw_only=True)
 class OfWall:
-    """What is identified of a wall.
+    """Identified quantities of a wall.
 
     Attributes:
         face: Index into AXES, normal, edge.
-        stiffness: By which the motion is pushed back, if the flotor weighs what the recording states [N/m, N m/rad].
-        damping: Likewise [N s/m, N m s/rad].
+        stiffness: Stiffness from the motion, with the recorded mass of the flotor [N/m, N m/rad].
+        damping: Damping from the motion, with the recorded mass of the flotor [N s/m, N m s/rad].
         commanded_stiffness: Slope of the commands over the measured position [N/m, N m/rad].
         commanded_damping: Slope of the commands over its difference quotient [N s/m, N m s/rad].
-        share: Stiffness by the largest that is stable at this damping and delay.
+        share: Stiffness over the largest stable stiffness at this damping and delay.
     """
 
     face: Face
@@ -101,12 +107,12 @@ class OfWall:
 
     @classmethod
     def untold(cls, face: Face, why: str) -> Self:
-        """Return a wall of which nothing can be told."""
+        """Return a wall without identified quantities."""
         return cls(face=face, **{one.name: Estimate(why=why) for one in fields(cls) if one.name != "face"})
 
     @property
     def name(self) -> str:
-        """Such as "z below 0 mm": axis, side and edge."""
+        """Axis, side and edge, such as "z below 0 mm"."""
         axis, normal, edge = self.face
         side = "below" if normal > 0.0 else "above"
         return f"{AXES[axis]} {side} {edge * 1e3:.4g} {'mm' if axis < 3 else 'mrad'}"
@@ -114,14 +120,14 @@ class OfWall:
 
 @dataclass(frozen=True, kw_only=True)
 class Friction:
-    """What is identified of the friction rendered on an axis.
+    """Identified friction of an axis.
 
     Attributes:
-        stiffness: While stuck, as the motion shows it [N/m, N m/rad].
-        commanded_stiffness: While stuck, slope of the commands [N/m, N m/rad].
-        breakaway: Largest friction before it slips, as commanded [N, N m].
+        stiffness: Stiffness while stuck, from the motion [N/m, N m/rad].
+        commanded_stiffness: Stiffness while stuck, slope of the commands [N/m, N m/rad].
+        breakaway: Largest friction before slip, as commanded [N, N m].
         sliding: Friction while sliding that does not depend on the speed, as commanded [N, N m].
-        damping: Viscous part, of all that acts on the axis, as commanded [N s/m, N m s/rad].
+        damping: Total viscous damping on the axis, as commanded [N s/m, N m s/rad].
     """
 
     stiffness: Estimate
@@ -132,20 +138,20 @@ class Friction:
 
     @classmethod
     def untold(cls, why: str) -> Self:
-        """Return friction of which nothing can be told."""
+        """Return friction without identified quantities."""
         return cls(**{one.name: Estimate(why=why) for one in fields(cls)})
 
 
 @dataclass(frozen=True, kw_only=True)
 class Identification:
-    """Everything that is identified from a stretch.
+    """All quantities identified from a segment.
 
     Attributes:
         axes: By index into AXES, for each that moves.
         walls: Every plane of a wall.
         friction: By index into AXES, for each axis with friction.
-        samples: How many were used, on the axis with most.
-        of: How many there are.
+        samples: Largest number of samples used on an axis.
+        of: Number of samples in the segment.
     """
 
     axes: Mapping[int, OfAxis]
@@ -156,7 +162,7 @@ class Identification:
 
     @property
     def delay(self) -> Estimate:
-        """Delay from the axis that tells it best [s]."""
+        """Delay from the axis with the smallest error [s]."""
         found = [one.delay for one in self.axes.values()]
         known = [one for one in found if one.known]
         if known:
@@ -183,7 +189,9 @@ def _parts(one: object) -> dict[str, Any]:
 
 
 def find_quantum(place: Array) -> Estimate:
-    """Return the step of a lattice on which all positions lie [m, rad].
+    """Return the sensor resolution from positions [m, rad].
+
+    It is the step of a lattice with all positions on it.
 
     Args:
         place: Positions, (N,).
@@ -209,18 +217,20 @@ def find_quantum(place: Array) -> Estimate:
 
 
 def find_noise(fitted: Fit, there: Mask, moving: Mask, step: float) -> Estimate:
-    """Return the standard deviation of white noise ahead of a sensor's steps [m, rad].
+    """Return the sensor noise before quantization [m, rad].
 
-    The steps' own error, step² / 12, is taken off: it is that of a flotor that moves over them, or of noise that does.
+    It is the standard deviation of white noise.
+
+    The quantization error, step² / 12, is subtracted: it is that of a position, or of noise, moving over many steps.
 
     Args:
         fitted: Fit of the motion.
-        there: Which samples there are, (M, W).
-        moving: Those between which the flotor moves by more than a step, (M, W).
-        step: The steps; 0 for none.
+        there: True for existing samples, (M, W).
+        moving: True for samples with motion by more than a step, (M, W).
+        step: Step of the sensor; 0 for none.
     """
     left = fitted.left[there]
-    if np.square(left).mean() < _DITHERED * step**2:  # at rest within a step it is seen too seldom
+    if np.square(left).mean() < _DITHERED * step**2:  # at rest within a step the noise is rarely visible
         left = fitted.left[moving & there]
     if len(left) < _LEAST_MOVING:
         return Estimate(why=f"only {len(left)} samples move over the sensor's steps")
@@ -228,7 +238,7 @@ def find_noise(fitted: Fit, there: Mask, moving: Mask, step: float) -> Estimate:
     mean = float(square.mean())
     spread = max(float(square.std(ddof=1)), math.sqrt(2.0) * mean) / math.sqrt(len(left))
     variance = mean - step * step / 12.0
-    # of a variance the logarithm is the more normal
+    # the logarithm of a variance is closer to a normal distribution
     ends = (
         mean * math.exp(sign * _NORMAL * spread / mean) - step * step / 12.0 if mean else 0.0 for sign in (-1.0, 1.0)
     )

@@ -1,4 +1,4 @@
-"""The figures of one stretch of a recording: walls, energy, friction, samples that are missing."""
+"""Figures of a segment: walls, energy, friction, missing samples."""
 
 from __future__ import annotations
 
@@ -18,14 +18,13 @@ __all__ = ["Energy", "Stick", "StretchFigures", "stretch_figures"]
 
 
 class Energy(NamedTuple):
-    """Where energy went on each axis [J], (6,) each.
+    """Energy balance of each axis [J], (6,) each.
 
     Attributes:
-        taken: What the rendered world took in; below 0 it has made energy.
-        least: The least it has been at a switch of the force; the more below 0, the less passive.
-        hand: Work of the hand; NaN where nobody recorded what it exerts.
-        others: Work of what nothing recorded accounts for: of a hand that nobody measures, of a mass that is not the
-            one assumed.
+        taken: Energy absorbed by the rendered environment; below 0 it has generated energy.
+        least: Least absorbed energy at any switch of the force; the further below 0, the less passive.
+        hand: Work of the hand; NaN if its force was not recorded.
+        others: Work of unrecorded forces: of an unmeasured hand, or from a wrong mass.
     """
 
     taken: Array
@@ -35,13 +34,13 @@ class Energy(NamedTuple):
 
 
 class Stick(NamedTuple):
-    """One time at which an axis stuck.
+    """One sticking phase of an axis.
 
     Attributes:
-        start: First sample that finds it stuck [s].
-        duration: Until the first that finds it sliding, or the last of all [s].
-        position: Where the spring that holds it was attached in the end [m, rad].
-        slipped: Whether it broke away; otherwise it stuck until the end.
+        start: Time of the first stuck sample [s].
+        duration: Time until the first sliding sample, or the last of all [s].
+        position: Final anchor of the friction spring [m, rad].
+        slipped: True if it broke away; otherwise it stuck until the end.
     """
 
     start: float
@@ -52,20 +51,20 @@ class Stick(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StretchFigures:
-    """The figures of a stretch.
+    """Figures of a segment.
 
     Attributes:
-        samples: How many there are.
-        missed: How many there are not, by the gaps in their numbers.
-        start: Time of the first [s].
-        end: Time of the last [s].
-        travel: Way between the extremes of each axis [m, rad], (6,).
+        samples: Number of samples.
+        missed: Number of missing samples, by the gaps in their numbers.
+        start: Time of the first sample [s].
+        end: Time of the last sample [s].
+        travel: Distance between the extremes of each axis [m, rad], (6,).
         peak_force: Largest wrench of the actuators on each axis [N, N m], (6,).
-        faces: Every wall that was touched.
-        untouched: How many were not.
-        energy: Where it went.
-        unexplained: Root mean square of the wrench that nothing recorded accounts for [N, N m], (6,).
-        sticks: Of each axis, in order; None where it has no friction.
+        faces: Touched walls.
+        untouched: Number of untouched walls.
+        energy: Energy balance.
+        unexplained: Root mean square of the wrench of unrecorded forces [N, N m], (6,).
+        sticks: Sticking phases of each axis, in order; None for an axis without friction.
     """
 
     samples: int
@@ -82,15 +81,18 @@ class StretchFigures:
 
     @property
     def contacts(self) -> int:
-        """Contacts with all walls."""
+        """Number of contacts with all walls."""
         return sum(len(face.contacts) for face in self.faces)
 
     def slips(self, axis: int) -> int:
-        """Return how often an axis broke away."""
+        """Return the number of breakaways of an axis."""
         return sum(stick.slipped for stick in self.sticks[axis] or ())
 
     def transitions(self, axis: int) -> int:
-        """Return how often an axis changed between stuck and sliding."""
+        """Return the number of stick and slip transitions.
+
+        They are those of one axis.
+        """
         return self.slips(axis) + sum(stick.start > self.start for stick in self.sticks[axis] or ())
 
     def as_json(self) -> dict[str, Any]:
@@ -120,15 +122,15 @@ class StretchFigures:
 def stretch_figures(
     motion: Motion, metadata: RunMetadata, ticks: Array, hand: Array, anchors: Array | None, rest: float | None = None
 ) -> StretchFigures:
-    """Return the figures of a stretch of N samples.
+    """Return the figures of a segment of N samples.
 
     Args:
         motion: The motion through them.
-        metadata: Of the stretch.
-        ticks: Their numbers, (N,).
-        hand: What the hand exerted from each on [N, N m], (N, 6).
-        anchors: Where the flotor stuck at each [m, rad], (N, 6), NaN where it did not; None without friction.
-        rest: Where it comes to rest at a wall [m, rad]; found from the samples by default.
+        metadata: Metadata of the segment.
+        ticks: Numbers of the samples, (N,).
+        hand: Wrench of the hand from each sample on [N, N m], (N, 6).
+        anchors: Stick positions at each sample [m, rad], (N, 6), NaN while sliding; None without friction.
+        rest: Rest position at a wall [m, rad]; found from the samples by default.
     """
     trace = motion.trace
     faces = [found for face in metadata.faces or () if (found := face_figures(trace, face, rest=rest)) is not None]
@@ -148,7 +150,10 @@ def stretch_figures(
 
 
 def _energy(motion: Motion, metadata: RunMetadata, hand: Array) -> Energy:
-    """Return where energy went; each force is paired with the way that it acted over."""
+    """Return the energy balance of each axis.
+
+    Each force is paired with the displacement during its action.
+    """
     taken = -np.vstack([np.zeros(len(AXES)), np.cumsum(actuator_work(motion.trace, metadata.carried), axis=0)])
     places = motion.trace.pose[motion.starts]
     work = hand_work(places, hand).sum(axis=0) if metadata.hand_recorded else np.full(len(AXES), np.nan)
@@ -156,7 +161,10 @@ def _energy(motion: Motion, metadata: RunMetadata, hand: Array) -> Energy:
 
 
 def _sticks(time: Array, anchors: Array) -> list[Stick] | None:
-    """Return every time at which an axis stuck; None for one that never did."""
+    """Return the sticking phases of an axis.
+
+    None if it never stuck.
+    """
     stuck = np.isfinite(anchors)
     if not stuck.any():
         return None

@@ -1,8 +1,8 @@
-"""Identification of walls, friction, mass, delay and sensor from what a recording holds.
+"""Identification of walls, friction, mass, delay and sensor.
 
-Two relations tell them. Commands over measured positions tell the law, exactly where it is a spring and a damper.
-Positions under recorded forces tell mass, delay and constant forces, and under springs and dampers of unknown size
-how stiff a wall is to the motion; see `output_error`.
+A recording allows two fits. Commands over measured positions give the law, exactly if it is a spring and a damper.
+Positions under recorded forces give mass, delay and constant forces, and with springs and dampers of unknown gain the
+actual stiffness of a wall; see `output_error`.
 """
 
 from __future__ import annotations
@@ -36,32 +36,38 @@ __all__ = ["identify"]
 
 _MOST_SAMPLES, _LEAST_SAMPLES, _LEAST_INSIDE, _LEAST_DEGREES = 20_000, 12, 5, 6
 _CLEAR = 10.0
-"""By how many times its noise a quantity must move the flotor to be told."""
+"""Least ratio of caused motion to noise for identification."""
 _MOST_DELAY = 0.1
-"""Largest standard error of a delay that is told, in periods."""
+"""Largest standard error of an identified delay, in periods."""
 _UNEXPLAINED = 3e-3
-"""Least share of the motion that a force which was not recorded must account for to matter."""
+"""Least share of motion of a relevant unrecorded force."""
 _GYRATION = 0.036
 """Radius of gyration of the flotor [m]."""
 _NOT_LINEAR, _ROUNDING = 0.02, 64.0 * float(np.finfo(np.float64).eps)
 _STILL = 1e-9
-"""Travel of an axis that does not move [m, rad]."""
+"""Largest travel of an axis at rest [m, rad]."""
 _HOLDS = 0.5
-"""Share of the force before a slip from which on friction goes on after it."""
+"""Least share of the breakaway force for continued friction.
+
+Above it, friction after a slip counts as going on.
+"""
 
 
 def identify(stretch: Stretch, metadata: RunMetadata | None = None, *, anchors: Array | None = None) -> Identification:
-    """Return what a stretch tells of walls, friction, mass, delay and sensor, each with its standard error.
+    """Identify walls, friction, mass, delay and sensor.
 
-    Each coordinate is taken by itself. A long stretch is told by 20 000 samples of each, where it moves least straight.
+    Each quantity has its standard error.
+
+    Each coordinate is treated separately. A long segment is represented by 20 000 samples of each, with the least
+    straight motion.
 
     Args:
         stretch: The stretch.
-        metadata: What it is besides its samples; its own by default.
-        anchors: Where the flotor stuck at each sample [m, rad], (N, 6); None without friction.
+        metadata: Metadata of the run; the segment's own by default.
+        anchors: Stick positions at each sample [m, rad], (N, 6); None without friction.
 
     Raises:
-        InvalidRecordingError: If it tells no metadata, and none are given.
+        InvalidRecordingError: If it has no metadata, and none is given.
 
     Example:
         >>> from maglev_mj.replay import record_run
@@ -101,15 +107,15 @@ def identify(stretch: Stretch, metadata: RunMetadata | None = None, *, anchors: 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Axis:
-    """One coordinate of a stretch: the samples used, and what is fitted to them.
+    """One coordinate of a segment, with its fits.
 
     Attributes:
-        stretch: The samples used, and those ahead of them whose commands were on their way.
-        metadata: What it is besides.
+        stretch: The samples used, and earlier ones whose commands take effect during them.
+        metadata: Metadata of the run.
         axis: Index into AXES.
-        anchors: Where it stuck [m, rad], (N,); None without friction.
-        windows: Of the samples used.
-        held: True if a spring and a damper that nobody recorded act on it, such as those of an arm.
+        anchors: Stick positions [m, rad], (N,); None without friction.
+        windows: Windows of the samples used.
+        held: True if an unrecorded spring and damper act on it, such as those of an arm.
     """
 
     stretch: Stretch
@@ -121,9 +127,12 @@ class _Axis:
 
     @classmethod
     def of(cls, stretch: Stretch, metadata: RunMetadata, axis: int, anchors: Array | None) -> _Axis | None:
-        """Return the coordinate, of a long stretch the windows in which it moves least straight; None without any."""
+        """Return the coordinate with its selected samples, or None.
+
+        Of a long segment, the windows with the least straight motion are selected; None if there are none.
+        """
         period = metadata.period
-        # after a gap nobody knows which commands were on their way
+        # after a gap the delayed commands are unknown
         ahead = int(split_delay(metadata.delay, period)[0]) + 2
         breaks = (np.flatnonzero(np.diff(stretch.tick) != 1) + 1).tolist()
         first = 0 if stretch.time[0] < period else ahead
@@ -149,25 +158,27 @@ class _Axis:
 
     @cached_property
     def used(self) -> Mask:
-        """Which samples are in a window, (N,)."""
+        """True for samples in a window, (N,)."""
         found = np.zeros(len(self.place), dtype=np.bool_)
         found[self.windows.rows[self.windows.there]] = True
         return found
 
     @property
     def inertia(self) -> float:
-        """Mass or moment of inertia that the recording states [kg, kg m²]."""
+        """Recorded mass or moment of inertia [kg, kg m²]."""
         return float(self.metadata.inertia[self.axis])
 
     def _fit(self, parts: Array, rest: Array, *, delay: float, search: bool, mass: float | None = None) -> Fit:
-        """Return the fit of the motion by P parts of the command, the rest of what was recorded, and a constant.
+        """Fit the motion by forces of known shape.
+
+        They are P parts of the command, the rest of the recorded forces, and a constant.
 
         Args:
             parts: Parts of the command, each to be multiplied by a gain, (N, P).
             rest: Command without them [N, N m], (N,).
             delay: First guess at the delay, or the delay [s].
-            search: Whether to find the delay.
-            mass: What the rest moves [kg, kg m²]; None to find it too.
+            search: True to find the delay.
+            mass: Moving mass or moment of inertia [kg, kg m²]; None to find it too.
         """
         count, gains = parts.shape
         period, time, axis = self.metadata.period, self.stretch.time, self.axis
@@ -206,7 +217,10 @@ class _Axis:
 
     @cached_property
     def _impedance(self) -> list[tuple[Array, Array]]:
-        """Integral and double integral over each period of a unit spring's force, then of a unit damper's, (N - 1,)."""
+        """Integrals of a unit spring's and a unit damper's force.
+
+        The integral and double integral over each period, (N - 1,), for the spring, then for the damper.
+        """
         motion, axis = reconstruct(self.stretch, self.metadata), self.axis
         trace, ends = motion.trace.along(axis), motion.starts
         knots, place, speed = trace.time, trace.pose[:-1, 0], trace.twist[:-1, 0]
@@ -227,18 +241,24 @@ class _Axis:
 
     @cached_property
     def motion(self) -> Fit:
-        """The fit of the motion by all recorded forces: their common factor, a constant, and their delay."""
+        """Fit of the motion by all recorded forces.
+
+        It has their common factor, a constant, and their delay.
+        """
         parts, rest = np.zeros((len(self.place), 0)), self.stretch.applied[:, self.axis]
         return self._fit(parts, rest, delay=self.metadata.delay, search=True)
 
     @property
     def pushed(self) -> bool:
-        """True if the recorded forces move it by more than noise."""
+        """True if recorded forces move it more than noise."""
         return bool(self.motion.moves[0] >= _CLEAR * self.motion.residual and self.motion.values[0] > 0.0)
 
     @property
     def disturbed(self) -> str:
-        """Why its motion is not that of a mass under the recorded forces; empty where it is."""
+        """Reason for a motion with unrecorded forces, or empty.
+
+        Empty if the motion is that of a mass under the recorded forces.
+        """
         travel = np.ptp(self.stretch.position, axis=0)
         travel[:3] /= _GYRATION
         # coordinates act on a rotation by the product of two of them, which is left out
@@ -249,14 +269,14 @@ class _Axis:
 
     @property
     def _why(self) -> str:
-        """Why the motion tells nothing of what the forces do; empty if it does."""
+        """Reason against identification from the motion, or empty."""
         if why := self.disturbed:
             return why
         return "" if self.pushed else "the force on it does not change by more than noise"
 
     @cached_property
     def told(self) -> OfAxis:
-        """What the motion tells whatever is rendered."""
+        """Quantities identified from the motion, independent of the law."""
         motion = self.motion
         quantum = find_quantum(self.place[self.used])
         if self.disturbed:
@@ -294,17 +314,17 @@ class _Axis:
 
     @cached_property
     def faces(self) -> list[Face]:
-        """The walls of the axis that were touched."""
+        """Touched walls of the axis."""
         faces = [face for face in self.metadata.faces or () if face[0] == self.axis]
         return [face for face in faces if (is_inside(self.place, face) & self.used).sum() >= _LEAST_INSIDE]
 
     @cached_property
     def law(self) -> CommandedLaw:
-        """The law, as a fit of the commands by the measured positions."""
+        """Law as a fit of commands by positions."""
         return fit_law(self.stretch, self.metadata, self.axis, self.faces, self.anchors, self.used)
 
     def _commanded(self, name: tuple[str, int]) -> Estimate:
-        """Return a gain of the law."""
+        """Return an identified gain of the law."""
         law = self.law
         if law.residual > _NOT_LINEAR * law.scale:
             return Estimate(why=f"commands are not those of a spring and a damper ({law.residual:.2g} apart)")
@@ -315,11 +335,17 @@ class _Axis:
 
     @cached_property
     def rendered(self) -> Fit:
-        """The fit of the motion by the law's parts, each of a size that is to be found."""
+        """Fit of the motion by the law's parts.
+
+        The gain of each part is found from the motion.
+        """
         return self._fit(self.law.parts, self.law.rest, delay=self.motion.delay, search=True)
 
     def _shown(self, name: tuple[str, int]) -> Estimate:
-        """Return a gain as the motion shows it, if the flotor weighs what the recording states."""
+        """Return a gain as identified from the motion.
+
+        The flotor is assumed to have the recorded mass.
+        """
         if self._why:
             return Estimate(why=self._why, residual=self.motion.residual)
         if not (commanded := self._commanded(name)).known:
@@ -334,7 +360,7 @@ class _Axis:
         )
 
     def wall(self, face: Face) -> OfWall:
-        """Return what is told of a wall."""
+        """Return the identified quantities of a wall."""
         if face not in self.faces:
             count = int((is_inside(self.place, face) & self.used).sum())
             return OfWall.untold(face, f"only {count} samples in it" if count else "it was not touched")
@@ -349,7 +375,10 @@ class _Axis:
         )
 
     def _share(self, *gains: tuple[str, int]) -> Estimate:
-        """Return the stiffness of a wall, with all else on the axis, by the largest that is stable."""
+        """Return a wall's share of the largest stable stiffness.
+
+        Its stiffness includes all other springs on the axis.
+        """
         for one in gains:
             if not (shown := self._shown(one)).known:
                 return shown
@@ -361,7 +390,7 @@ class _Axis:
         weights[2, last] = 1.0
         stiffness, damping, delay = weights @ np.append(found.values, found.delay)
         errors = np.array([_error(found, weight) for weight in weights])
-        # the boundary at the best damping and delay, and a standard error to either side of each
+        # the boundary at the identified damping and delay, and one standard error to either side of each
         aside = np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]]) * errors[1:]
         dampings, delays = np.maximum(np.array([damping, delay]) + aside, 0.0).T
         if delays.max() > MOST_PERIODS * period:
@@ -382,7 +411,7 @@ class _Axis:
     # -- friction -------------------------------------------------------------------------------------------------
 
     def friction(self) -> Friction:
-        """Return what is told of friction."""
+        """Return the identified friction."""
         return Friction(
             stiffness=self._shown(("stuck", 0)),
             commanded_stiffness=self._commanded(("stuck", 0)),
@@ -392,7 +421,10 @@ class _Axis:
         )
 
     def _breakaway(self) -> Estimate:
-        """Return the force between the largest that still held and the least that no longer did."""
+        """Return the breakaway force.
+
+        It is between the largest force while stuck and the least force that caused slip.
+        """
         law, anchors = self.law, self.anchors
         stiffness = self._commanded(("stuck", 0))
         if not stiffness.known or anchors is None:
@@ -405,7 +437,7 @@ class _Axis:
         if not len(last):
             return Estimate(why="it never slips")
         ends = force[last], force[last + 1]
-        if np.median(ends[1]) > _HOLDS * np.median(ends[0]):  # it goes on sliding at what it gives at most
+        if np.median(ends[1]) > _HOLDS * np.median(ends[0]):  # it goes on sliding at its largest friction
             return self._commanded(("sliding", 0))
         if not stiffness.value > 0.0:
             return Estimate(why="it does not stick")
@@ -418,9 +450,12 @@ class _Axis:
 
 
 def _error(found: Fit, weights: Array) -> float:
-    """Return the standard error of a weighted sum of what was found, the delay last."""
+    """Return the standard error of a weighted sum.
+
+    The weights are those of the fitted values, then of the delay.
+    """
     white = np.sqrt(np.diag(found.covariance))
-    # no less than residuals that are not white make of it
+    # enlarged if the residuals are not white
     ratio = np.where(white > 0.0, found.errors / np.where(white > 0.0, white, 1.0), 1.0)
     scaled = np.asarray(weights) * ratio
     return math.sqrt(max(float(scaled @ found.covariance @ scaled), 0.0))

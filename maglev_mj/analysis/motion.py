@@ -1,4 +1,4 @@
-"""The motion between recorded samples, from the forces that acted there."""
+"""Motion between recorded samples, from the recorded forces."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ Numbers: TypeAlias = NDArray[np.intp]
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """How the flotor moved while N samples were taken.
+    """Motion of the flotor over N samples.
 
     Attributes:
-        trace: The motion through every sample, from 0 on; where the speed jumps at a sample, it has two knots there.
-        starts: Number of the knot with which each sample begins, (N,).
-        jumps: What each sample is beyond where the one before it, its speed there and the forces recorded since would
-            have brought the flotor [m, rad], (N, 6); NaN for the first two, before which no speed is metadata.
-        unexplained: Wrench that nothing recorded accounts for, from each sample to the next [N, N m], (N - 1, 6).
+        trace: The motion through every sample, from 0 on; a sample with a jump of the speed has two knots.
+        starts: Index of each sample's knot, the second of two, (N,).
+        jumps: One-step prediction error of each sample, predicted from the sample before, its speed and the recorded
+            forces [m, rad], (N, 6); NaN for the first two, because no earlier speed is known.
+        unexplained: Wrench of unrecorded forces from each sample to the next [N, N m], (N - 1, 6).
     """
 
     trace: Trace
@@ -39,11 +39,11 @@ class Motion:
 
     @property
     def time(self) -> Array:
-        """When the samples were taken [s], (N,)."""
+        """Times of the samples [s], (N,)."""
         return self.trace.time[self.starts]
 
     def between(self, first: int, last: int) -> Motion:
-        """Return the motion from one sample up to and with another."""
+        """Return the motion between two samples, both included."""
         chosen = slice(0 if first == 0 else self.starts[first], self.starts[last] + 1)
         trace = self.trace
         parts = (part[chosen] for part in (trace.time, trace.pose, trace.twist, trace.wrench))
@@ -52,13 +52,15 @@ class Motion:
 
 
 class _Pieces(NamedTuple):
-    """M periods cut where the force switches, in at most S pieces each.
+    """M periods cut at the switches of the force.
+
+    Each has at most S pieces.
 
     Attributes:
-        there: Which pieces there are, (M, S).
-        width: How long each is [s], (M, S); 0 for those that are not there.
-        force: Of the actuators [N, N m], (M, S, 6).
-        start: When each period starts [s], (M,).
+        there: True for existing pieces, (M, S).
+        width: Duration of each piece [s], (M, S); 0 for missing ones.
+        force: Force of the actuators [N, N m], (M, S, 6).
+        start: Start of each period [s], (M,).
     """
 
     there: Mask
@@ -68,18 +70,18 @@ class _Pieces(NamedTuple):
 
 
 def reconstruct(stretch: Stretch, metadata: RunMetadata) -> Motion:
-    """Return the motion through the samples of a stretch.
+    """Return the motion through the samples of a segment.
 
-    Between two samples the forces recorded are known, and where they switch; the speed at the first is such that the
-    piecewise parabola under them ends at the second. Without other forces that is the motion itself. What other
-    forces there are, such as a hand that nobody measures, shows in how much the speed jumps at the samples; they are
-    taken as held from one sample to the next, and put into the parabolas too.
+    Between two samples the recorded forces and their switching times are known. The speed at the first sample is such
+    that the piecewise parabola under these forces ends at the second. Without other forces this is the exact motion.
+    Other forces, such as those of an unmeasured hand, cause jumps of the speed at the samples; they are assumed
+    constant from one sample to the next, and included in the parabolas.
 
-    Time is counted from release where the first sample is within a period of it, otherwise from the first sample.
+    Time begins at release if the first sample is within a period of it, otherwise at the first sample.
 
     Args:
         stretch: The stretch.
-        metadata: Of the stretch.
+        metadata: Metadata of the segment.
 
     Raises:
         InvalidRecordingError: If it has less than two samples, or they are not in order.
@@ -108,7 +110,7 @@ def reconstruct(stretch: Stretch, metadata: RunMetadata) -> Motion:
 
 
 def _pieces(stretch: Stretch, metadata: RunMetadata, time: Array) -> _Pieces:
-    """Cut the time from sample to sample where the force switches."""
+    """Cut the time between samples at force switches."""
     held, extra, widths = stretch.applied, stretch.applied_pulse, stretch.applied_pulse_width
     when, force = recorded_switches(time, held, extra, widths, period=metadata.period, delay=metadata.delay)
     inside = when[(when > time[0]) & (when < time[-1])]
@@ -124,7 +126,10 @@ def _pieces(stretch: Stretch, metadata: RunMetadata, time: Array) -> _Pieces:
 
 
 def _through(place: Array, pieces: _Pieces, steady: Array, inertia: Array) -> tuple[Array, Array, Array]:
-    """Return pose and twist at the start of each piece, (M, S, 6) each, and the twist at the end of each period."""
+    """Return pose and twist at the start of each piece.
+
+    (M, S, 6) each; the twist at the end of each period is returned too.
+    """
     width = pieces.width[:, :, None]
     push = (pieces.force + steady[:, None, :]) / inertia
     gained = np.cumsum(width * push, axis=1)
@@ -138,7 +143,10 @@ def _through(place: Array, pieces: _Pieces, steady: Array, inertia: Array) -> tu
 
 
 def _held(at_samples: Array, periods: int) -> Array:
-    """Return forces from sample to sample, (M, 6), from those at the M - 1 samples between them."""
+    """Return forces between samples from those at samples.
+
+    (M, 6), from those at the M - 1 inner samples.
+    """
     if not len(at_samples):
         return np.zeros((periods, 6))
     return 0.5 * (np.vstack([at_samples[:1], at_samples]) + np.vstack([at_samples, at_samples[-1:]]))
@@ -147,7 +155,7 @@ def _held(at_samples: Array, periods: int) -> Array:
 def _joined(
     place: Array, pieces: _Pieces, pose: Array, twist: Array, end: Array, finish: float
 ) -> tuple[Trace, Numbers]:
-    """Return one curve, and the knot with which each sample begins."""
+    """Return one curve, with each sample's knot index."""
     there = np.column_stack([pieces.there, np.ones(len(end), dtype=np.bool_)])
     time = np.append(pieces.start, finish)
     elapsed = np.cumsum(pieces.width, axis=1)
@@ -163,7 +171,10 @@ def _joined(
 
 
 def _from_release(trace: Trace, metadata: RunMetadata) -> Trace:
-    """Return the curve from time 0 on, from where the flotor moved to the first sample under the wrench at release."""
+    """Return the curve from time 0 on.
+
+    Before the first sample the flotor moves under the wrench at release.
+    """
     ahead = trace.time[0]
     push = (metadata.before + metadata.load) / metadata.inertia
     twist = trace.twist[0] - ahead * push

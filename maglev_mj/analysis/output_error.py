@@ -1,13 +1,15 @@
-"""Output-error fit of one coordinate: recorded forces move a mass, and only the sensor is at fault.
+"""Output-error fit of one coordinate.
 
-Between switches of the force the motion is a parabola, so that the position at a sample is linear in what multiplies
-the forces and smooth in their delay. Forces as recorded are known exactly; noise of the sensor that reached them
-through the controller is in them already. What is left is the sensor's own error, new at every sample, and least
-squares on the positions is without the bias that noise has on accelerations.
+The model is a mass under recorded forces; the only error is that of the sensor.
 
-Samples are cut into windows, each with a position and a speed of its own at its beginning, so that nothing piles up.
+Between switches of the force the motion is a parabola, so that the position at a sample is linear in the factors of
+the forces and smooth in their delay. The recorded forces are known exactly and already include sensor noise fed back
+by the controller. The only remaining error is that of the sensor, independent at every sample, so least squares on the
+positions has no bias, unlike a fit of accelerations.
 
-Source: output-error method as in Ljung 1999, from recollection.
+Samples are cut into windows, each with its own initial position and speed, so that errors do not accumulate.
+
+Source: output-error method as in Ljung 1999; not checked against the original.
 """
 
 from __future__ import annotations
@@ -30,13 +32,16 @@ _MOST_LEVERAGE = 0.9
 _SENSOR = 1e-8
 """Residual below that of any sensor [m, rad]."""
 SLOW = 0.6
-"""Whiteness below which residuals are those of forces."""
+"""Whiteness limit; residuals below it are those of forces."""
 
 Numbers: TypeAlias = NDArray[np.intp]
 
 
 def student(degrees: float) -> float:
-    """Return the 97.5 % point of Student's t; within 1e-3 of itself from 4 degrees of freedom on."""
+    """Return the 97.5 % point of Student's t.
+
+    The relative error is within 1e-3 from 4 degrees of freedom on.
+    """
     z, n = 1.959963984540054, max(degrees, 1.0)
     terms = (
         (z**3 + z) / 4.0,
@@ -47,7 +52,9 @@ def student(degrees: float) -> float:
 
 
 def inverse(columns: Array) -> tuple[Array, Mask]:
-    """Return the inverse of columns' Gram matrix (P, P), and which columns the others cannot stand for, (P,).
+    """Return the inverse Gram matrix of columns, (P, P).
+
+    A mask (P,) of linearly independent columns is returned too.
 
     Args:
         columns: (N, P).
@@ -62,11 +69,11 @@ def inverse(columns: Array) -> tuple[Array, Mask]:
 
 
 class Windows(NamedTuple):
-    """M windows of at most W samples each, without gaps.
+    """M windows of up to W samples, without gaps.
 
     Attributes:
-        rows: Which samples, (M, W).
-        there: Which of them there are, (M, W).
+        rows: Indices of the samples, (M, W).
+        there: True for existing samples, (M, W).
         basis: Position and speed at the beginning as two orthonormal columns, (M, W, 2).
     """
 
@@ -76,7 +83,10 @@ class Windows(NamedTuple):
 
     @classmethod
     def cut(cls, time: Array, runs: Sequence[tuple[int, int]], period: float) -> Windows:
-        """Return windows of some 40 samples or 50 ms, whichever is longer, of runs from one row up to another."""
+        """Cut runs of samples into windows.
+
+        A window has about 40 samples or 50 ms, the longer of both; a run goes from one row up to another.
+        """
         usual = max(_LEAST_SAMPLES, round(_WINDOW_TIME / period))
         parts = [
             part
@@ -97,7 +107,10 @@ class Windows(NamedTuple):
         return cls(rows, there, basis)
 
     def choose(self, place: Array, most: int) -> Windows:
-        """Return the windows in which the motion (N,) is least straight, of so many samples at most."""
+        """Return the windows with the least straight motion.
+
+        They have at most `most` samples in all; the motion is (N,).
+        """
         count = max(most // max(self.rows.shape[1], 1), 1)
         if len(self.rows) <= count:
             return self
@@ -106,22 +119,27 @@ class Windows(NamedTuple):
         return Windows(self.rows[chosen], self.there[chosen], self.basis[chosen])
 
     def project(self, values: Array) -> Array:
-        """Return values (M, W, P) without what position and speed at the beginning account for."""
+        """Remove initial position and speed from values.
+
+        (M, W, P).
+        """
         values = values * self.there[:, :, None]
         return np.asarray(values - self.basis @ (self.basis.swapaxes(1, 2) @ values))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Forces:
-    """P forces on one coordinate while N samples were taken, each to be multiplied by a value that is to be found.
+    """P forces on one coordinate over N samples.
+
+    Each is multiplied by a value to be found.
 
     Attributes:
-        time: When the samples were taken [s], (N,).
-        switch: When commands switch, without their delay [s], (S,).
-        late: To what [N], (S, P).
-        before: What acts until the first takes effect [N], (P,).
-        speed: Integral of what acts without delay, from each sample to the next [N s], (N - 1, P).
-        way: Twice integrated [N s²], (N - 1, P).
+        time: Times of the samples [s], (N,).
+        switch: Switching times of commands, without their delay [s], (S,).
+        late: Forces after each switch [N], (S, P).
+        before: Forces before the first switch [N], (P,).
+        speed: Integral of the forces without delay, from each sample to the next [N s], (N - 1, P).
+        way: Double integral of the same forces [N s²], (N - 1, P).
     """
 
     time: Array
@@ -132,7 +150,10 @@ class Forces:
     way: Array
 
     def gained(self, delay: float) -> tuple[Array, Array, Array, Array]:
-        """Return integral and double integral over each period, and the slopes of both over the delay, (N - 1, P)."""
+        """Return the forces' integrals over each period, with slopes.
+
+        Integral, double integral, and the derivatives of both with respect to the delay, (N - 1, P).
+        """
         time, when = self.time, self.switch + delay
         levels = np.vstack([self.before, self.late])
         at = levels[np.searchsorted(when, time, side="right")]
@@ -149,7 +170,10 @@ class Forces:
         return speed + self.speed, way + self.way, at[:-1] - at[1:], width * at[:-1] - speed
 
     def moved(self, windows: Windows, delay: float) -> tuple[Array, Array]:
-        """Return where each force by itself moves a unit mass, and the slope over the delay, (M, W, P) each."""
+        """Return each force's displacement of a unit mass.
+
+        The derivative with respect to the delay is returned too, (M, W, P) each.
+        """
         speed, way, by_speed, by_way = self.gained(delay)
         width = np.diff(self.time)[:, None]
         steps = np.minimum(windows.rows[:, :-1], len(width) - 1)
@@ -166,21 +190,21 @@ class Forces:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Fit:
-    """A fit of P values and a delay.
+    """Fit of P values and a delay.
 
     Attributes:
-        values: What multiplies the forces [1/kg], (P,).
-        delay: Of the commands [s].
-        covariance: Of the values and the delay, as if the residuals were white, (P + 1, P + 1).
+        values: Factors of the forces [1/kg], (P,).
+        delay: Delay of the commands [s].
+        covariance: Covariance of the values and the delay, for white residuals, (P + 1, P + 1).
         errors: Standard errors of both, (P + 1,).
-        moves: Greatest motion that each value alone accounts for, the delay by one period of it [m], (P + 1,); 0 for
-            what the others can stand for.
-        residual: Root mean square [m].
-        degrees: Of freedom.
-        left: Residuals, each as large as the error of its sample on average [m], (M, W); 0 where there is none.
-        whiteness: Mean square of the residuals' differences by twice their own: 1 for noise, near 0 for what changes
-            slowly, such as a force that is not among those given.
-        share: Residual by what was to be explained.
+        moves: Largest motion explained by each value alone, for the delay by one period of it [m], (P + 1,); 0 for a
+            value that the others can replace.
+        residual: Root mean square of the residuals [m].
+        degrees: Degrees of freedom.
+        left: Residuals, scaled to the error of a sample [m], (M, W); 0 for missing samples.
+        whiteness: Mean square of the residuals' differences over twice their own mean square: 1 for noise, near 0 for
+            slow changes, such as those of a missing force.
+        share: Residual relative to the motion to be explained.
     """
 
     values: Array
@@ -210,16 +234,16 @@ def fit(
 
     Args:
         forces: The forces.
-        windows: Of the samples.
+        windows: Windows of the samples.
         place: Positions at the samples [m], (N,).
         delay: First guess at the delay [s], or the delay.
         period: Sample period [s].
-        search: Whether to find the delay.
+        search: True to find the delay.
         floor: Least error of a position, such as that of rounding [m].
-        fixed: Values that are known, (P,); NaN for those to be found.
+        fixed: Known values, (P,); NaN for values to be found.
 
     Raises:
-        ParameterError: If the switch is neither True nor False.
+        ParameterError: If `search` is neither True nor False.
     """
     flag("search", search)
     seen = windows.project(place[windows.rows][:, :, None])[:, :, 0]
@@ -227,7 +251,10 @@ def fit(
     given = np.where(free, 0.0, fixed)
 
     def at(late: float) -> tuple[Array, Array, Array, Array]:
-        """Return values, residuals and both kinds of columns at a delay."""
+        """Return values, residuals and columns at a delay.
+
+        The columns are the displacements and their derivatives with respect to the delay.
+        """
         where, slope = (windows.project(part) for part in forces.moved(windows, late))
         target = seen - where @ given
         columns = where[:, :, free].reshape(-1, int(free.sum()))
@@ -278,7 +305,7 @@ def _judged(
     floor: float,
     period: float,
 ) -> Fit:
-    """Return the fit with the errors of what it found."""
+    """Return the fit with its errors."""
     size = where.shape[2]
     chosen = np.append(np.flatnonzero(free), size - 1 if period else []).astype(np.intp)
     columns = where[:, :, chosen].reshape(-1, len(chosen))
@@ -295,12 +322,12 @@ def _judged(
     whiteness = float(change / (2.0 * square)) if square > 0.0 else 1.0
     errors = np.sqrt(np.diag(white))
     if whiteness < SLOW or spread < _SENSOR or count < _LEAST_SAMPLES:
-        # not of a sensor but of forces, or of rounding, or too few to see that: all at once in the worst way
+        # residuals of forces or of rounding, or too few samples to tell: the worst case, with all of one sign
         errors = np.maximum(errors, np.abs(columns @ gram).T @ np.abs(left.ravel()))
     covariance, wide, moves = np.zeros((size, size)), np.zeros(size), np.zeros(size)
     covariance[np.ix_(chosen, chosen)] = white
     wide[chosen] = errors
-    # what a column does beyond all others
+    # the effect of a column beyond all others
     unit = np.diag(gram) > 0.0
     alone = np.abs(columns @ (gram / np.where(unit, np.diag(gram), 1.0))).max(axis=0, initial=0.0)
     moves[chosen] = np.where(known & unit, alone, 0.0)

@@ -1,4 +1,6 @@
-"""Pure laws: frozen parameters, state in and state out, written once for one device and for N.
+"""Control laws as pure functions with frozen parameters.
+
+A law takes a state and returns the next one; the same code serves one device and N devices.
 
 A law acts on some of the six axes. The controller hands it the position and velocity components of all six,
 and each law adds its force to the same wrench.

@@ -1,4 +1,7 @@
-"""Base classes of laws: `Law` answers samples and describes itself; `AxisLaw` is made of gains and one function."""
+"""Base classes of control laws and of velocity estimators.
+
+`Law` answers samples and describes itself; an `AxisLaw` consists of gains and one function.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,9 @@ __all__ = ["AxisLaw", "Face", "Gains", "Law", "LinearController", "VelocityEstim
 
 
 class LinearController(NamedTuple):
-    """q[k+1] = advance q[k] + take x[k]; output[k] = give q[k] + direct x[k].
+    """Linear discrete-time controller of one axis.
+
+    q[k+1] = advance q[k] + take x[k]; output[k] = give q[k] + direct x[k].
 
     The position x is measured from the edge of the wall.
 
@@ -36,7 +41,10 @@ class LinearController(NamedTuple):
 
 
 Face: TypeAlias = tuple[int, float, Component]
-"""One plane of a wall: index into AXES, normal, edge; the axis is free where normal (x - edge) > 0."""
+"""One plane of a wall: axis index, normal, edge.
+
+The index is into AXES. The axis is free while normal (x - edge) > 0.
+"""
 
 
 class Gains(NamedTuple):
@@ -54,18 +62,21 @@ class Gains(NamedTuple):
 
 
 class Law:
-    """Base class of laws: give `__call__`, and `start` where the law remembers something.
+    """Base class of control laws; subclasses define `__call__`.
 
-    The other methods say what the law is. A law that says nothing has no faces, carries nothing and sticks nowhere, and
-    its stability is found numerically.
+    A law with memory defines `start` too. The other methods describe the law. By default a law has no faces, carries no
+    weight and has no friction, and its stability is found numerically.
     """
 
     per_device: ClassVar[Sequence[str]] = ()
-    """Fields that may be (N, axes) for N devices; a law that names some answers N devices elementwise."""
+    """Names of fields that accept (N, axes) for N devices.
+
+    A law that names any must answer N devices elementwise.
+    """
     batch: tuple[int, ...] = ()
-    """Shape of parameters that differ from device to device; () where they do not."""
+    """Batch shape of per-device parameters; () for common parameters."""
     pulse_width: float = 0.0
-    """How long the law's pulses last [s]; 0 for a law without any."""
+    """Duration of the law's force pulses [s]; 0 for none."""
 
     def start(self) -> Any:
         """Return the state before the first sample."""
@@ -79,16 +90,19 @@ class Law:
         Args:
             position: Six position components [m, rad].
             velocity: Six velocity components [m/s, rad/s].
-            state: What the previous call returned, or `start()`.
-            wrench: Six components that the laws add up in [N, N m]; the only argument that is changed.
+            state: State returned by the previous call, or `start()`.
+            wrench: Six components [N, N m], the sum of all laws; the only argument that is changed.
 
         Returns:
-            The next state, and six components of pulse on top of the held force for `pulse_width`, or None.
+            The next state, and six pulse components added to the held force for `pulse_width`, or None.
         """
         raise NotImplementedError
 
     def gains(self) -> Iterable[Gains] | None:
-        """Return the law's linearisation in each of its states; None to have it found numerically."""
+        """Return the law's linearisation in each of its states.
+
+        None if it must be found numerically.
+        """
         return None
 
     def faces(self) -> Sequence[Face]:
@@ -96,23 +110,35 @@ class Law:
         return ()
 
     def signals(self, state: Any) -> Mapping[str, Sequence[Component]]:
-        """Return quantities of a state by name, one for each of the law's axes; empty before the first sample."""
+        """Return state quantities by name, one component per axis.
+
+        Empty before the first sample.
+        """
         return {}
 
     def stick_positions(self, state: Any) -> Mapping[int, float]:
-        """Return stick positions [m, rad] by index into AXES, NaN where an axis slides; empty without friction."""
+        """Return stick positions [m, rad] by index into AXES.
+
+        NaN for a sliding axis; empty without friction.
+        """
         return {}
 
     def carried(self) -> Array:
-        """Return the constant wrench that carries the flotor and renders nothing [N, N m], (..., 6)."""
+        """Return the constant weight-bearing wrench [N, N m], (..., 6).
+
+        It renders nothing.
+        """
         return np.zeros(len(AXES))
 
 
 class VelocityEstimator(Protocol):
-    """What the controller asks of a velocity estimate."""
+    """Interface of velocity estimators."""
 
     def __call__(self, position: Sequence[Component], state: Any, period: float) -> tuple[Sequence[Component], Any]:
-        """Return six velocity components and the next state; `state` is None at the first sample."""
+        """Return six velocity components and the next state.
+
+        `state` is None at the first sample.
+        """
 
 
 def gain(
@@ -123,14 +149,16 @@ def gain(
     above: float | None = None,
     at_least: float = 0.0,
 ) -> Any:
-    """Declare a gain of an `AxisLaw`: one number, one an axis, or (N, axes) for N devices.
+    """Declare a gain of an `AxisLaw`.
+
+    Its value is one number, one number per axis, or (N, axes) for N devices.
 
     Args:
-        help: What it is.
-        unit: Its unit.
-        default: Its default; it must be given where there is none.
-        above: Bound that it must exceed; None for none.
-        at_least: Least value; -inf for none.
+        help: Description.
+        unit: Unit.
+        default: Default value; without one the gain is a required argument.
+        above: Exclusive lower bound; None for none.
+        at_least: Inclusive lower bound; -inf for none.
     """
     return field(default=default, metadata={"help": help, "unit": unit, "above": above, "at_least": at_least})
 
@@ -138,7 +166,9 @@ def gain(
 @dataclass_transform(kw_only_default=True, frozen_default=True, eq_default=False, field_specifiers=(gain, field))
 @dataclass(frozen=True, kw_only=True, eq=False)
 class AxisLaw(Law):
-    """A law that acts on each of its axes by itself: declare gains, and give `force`. No decorator is needed.
+    """Law with independent axes, defined by gains and `force`.
+
+    No decorator is needed.
 
     Use + - * /, comparisons and numpy functions alone, no `if` on a coordinate and no `math`: one line then serves one
     device, as floats, and N devices, as arrays.
@@ -168,7 +198,10 @@ class AxisLaw(Law):
     indices: tuple[int, ...] = field(init=False, repr=False)
     batch: tuple[int, ...] = field(init=False, repr=False)
     _each: tuple[tuple[int, Self], ...] = field(init=False, repr=False)
-    """Index into AXES and the law with the gains of that axis alone, as components."""
+    """Index into AXES and the law of that axis alone.
+
+    The gains of that law are components.
+    """
 
     def __init_subclass__(cls, **keywords: Any) -> None:
         super().__init_subclass__(**keywords)
@@ -204,11 +237,16 @@ class AxisLaw(Law):
         object.__setattr__(self, "_each", tuple(each))
 
     def start(self) -> Any:
-        """Return the state before the first sample: None for each axis."""
+        """Return the state before the first sample.
+
+        It is None for each axis.
+        """
         return (None,) * len(self._each)
 
     def force(self, x: Component, v: Component, gains: Self, state: Any) -> Any:
-        """Return the force on one axis [N, N m], or that and the next state.
+        """Return the force on one axis [N, N m].
+
+        A law with memory returns the force and the next state.
 
         Args:
             x: Position [m, rad].
@@ -232,7 +270,10 @@ class AxisLaw(Law):
         return after, None
 
     def on_axes(self, values: Any) -> Array:
-        """Return a gain on the six axes, (..., 6), 0 on those that are not the law's."""
+        """Return a gain on all six axes, (..., 6).
+
+        It is 0 on axes without this law.
+        """
         array = np.asarray(values, dtype=np.float64)
         spread = np.zeros((*array.shape[:-1], len(AXES)))
         spread[..., list(self.indices)] = array
@@ -240,7 +281,10 @@ class AxisLaw(Law):
 
 
 class FunctionLaw(Law):
-    """A law without memory: a function of six positions and six velocities that returns six wrench components."""
+    """Memoryless law defined by a function.
+
+    The function takes six positions and six velocities and returns six wrench components.
+    """
 
     def __init__(self, function: Callable[[Sequence[Component], Sequence[Component]], Sequence[Component]]) -> None:
         self.function = function
@@ -269,10 +313,10 @@ class FunctionLaw(Law):
 
 
 def as_law(given: Law | Callable[..., Any]) -> Law:
-    """Return a law, or the law that a function f(position, velocity) is.
+    """Return a law, wrapping a function f(position, velocity).
 
     Raises:
-        ParameterError: If it is neither.
+        ParameterError: If the argument is neither a law nor such a function.
     """
     if isinstance(given, Law):
         return given
@@ -284,10 +328,12 @@ def as_law(given: Law | Callable[..., Any]) -> Law:
 def answer(
     law: Law, position: Sequence[Component], velocity: Sequence[Component], state: Any, wrench: list[Component]
 ) -> tuple[Any, Sequence[Component] | None]:
-    """Return a law's answer to a sample, and check it; see `Law`.
+    """Return a law's checked answer to one sample.
+
+    See `Law` for the arguments.
 
     Raises:
-        ParameterError: If the law fails, changes what it is given, or answers in a wrong shape or not finitely.
+        ParameterError: If the law fails, changes its input, or returns a wrong shape or a value that is not finite.
     """
     name = f"law {getattr(law, 'name', type(law).__name__)}"
     given = [*position, *velocity]
@@ -317,7 +363,10 @@ def _same(one: Component, other: Component) -> bool:
 
 
 def _check(name: str, what: str, parts: Sequence[Component], batch: tuple[int, ...]) -> None:
-    """Refuse anything but six finite components of a batch."""
+    """Raise ParameterError unless there are six finite components.
+
+    Each is a number or has the batch shape.
+    """
     if not hasattr(parts, "__len__") or len(parts) != len(AXES):
         raise ParameterError(f"{name} must leave six components of {what}, not {parts!r}")
     if set(map(type, parts)) == {float} and all(map(math.isfinite, parts)):
@@ -332,7 +381,7 @@ def _check(name: str, what: str, parts: Sequence[Component], batch: tuple[int, .
 
 
 def _takes(function: Callable[..., Any], count: int) -> bool:
-    """Return whether a function takes so many positional arguments."""
+    """Return True if a function accepts `count` positional arguments."""
     try:
         inspect.signature(function).bind(*[None] * count)
     except (TypeError, ValueError):

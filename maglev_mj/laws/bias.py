@@ -1,4 +1,4 @@
-"""A wrench that never changes, such as the one that carries the flotor's weight."""
+"""Constant wrench, such as the compensation of the flotor's weight."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ __all__ = ["Bias"]
 
 @dataclass(frozen=True, eq=False)
 class Bias(Law):
-    """A constant wrench on top of what the other laws give.
+    """Constant wrench added to the other laws.
 
     Args:
         wrench: The wrench [N, N m], (..., 6).
 
     Raises:
-        ParameterError: If it is not finite, or its last dimension is not six.
+        ParameterError: If the wrench is not finite, or its last dimension is not six.
     """
 
     per_device: ClassVar[Sequence[str]] = ("wrench",)
@@ -51,7 +51,10 @@ class Bias(Law):
         return None, None
 
     def gains(self) -> Iterable[Gains]:
-        """Return nothing: a constant wrench has neither stiffness nor damping."""
+        """Return no gains.
+
+        A constant wrench has neither stiffness nor damping.
+        """
         return ()
 
     def carried(self) -> Array:

@@ -1,4 +1,4 @@
-"""Friction as the deflection of a bristle: Dahl, LuGre, elasto-plastic, Hayward and Armstrong.
+"""Bristle friction models: Dahl, LuGre, elasto-plastic, Hayward-Armstrong.
 
 All four carry a stretch z behind the position x; the anchor of the `FrictionState` is x - z. Their differential
 equations in z are driven by the travel dx of a sample, over which the velocity counts as constant.
@@ -21,10 +21,10 @@ __all__ = ["Dahl", "ElastoPlastic", "HaywardArmstrong", "LuGre"]
 
 
 class _Bristle(Friction):
-    """A friction law whose state is one stretch."""
+    """Friction law with the bristle deflection as its state."""
 
     def stretch(self, z: Component, travel: Component, velocity: Component, gains: Any) -> Component:
-        """Return the stretch [m, rad] after a travel [m, rad] from the stretch before it."""
+        """Return the deflection [m, rad] after a travel [m, rad]."""
         raise NotImplementedError
 
     def pull(self, before: Component, z: Component, velocity: Component, gains: Any) -> Component:
@@ -32,7 +32,7 @@ class _Bristle(Friction):
         return -(gains.stiffness * z)
 
     def limit(self, velocity: Component, gains: Any) -> Component:
-        """Return the force at which the bristle slides at this velocity [N, N m]."""
+        """Return the sliding force at this velocity [N, N m]."""
         return gains.breakaway
 
     def axis(
@@ -47,9 +47,11 @@ class _Bristle(Friction):
 
 
 class Dahl(_Bristle):
-    """Dahl's model, dz = dx (1 - sgn(dx) z / z_c) with z_c = breakaway / stiffness; solved exactly for each travel.
+    """Dahl friction model.
 
-    Source: Dahl 1968, in the form of Olsson et al. 1998; formula recalled and derived again.
+    dz = dx (1 - sgn(dx) z / z_c) with z_c = breakaway / stiffness. The equation is solved exactly for each travel.
+
+    Source: Dahl 1968, in the form of Olsson et al. 1998; derived again, not checked against the original.
     """
 
     def stretch(self, z: Component, travel: Component, velocity: Component, gains: Any) -> Component:
@@ -59,15 +61,17 @@ class Dahl(_Bristle):
 
 
 class LuGre(_Bristle):
-    """LuGre, dz/dt = v - stiffness |v| z / g(v), g falling from breakaway to Coulomb; F = s0 z + s1 dz/dt.
+    """LuGre friction with Stribeck effect and bristle damping.
+
+    dz/dt = v - stiffness |v| z / g(v), with g falling from breakaway to Coulomb friction; F = s0 z + s1 dz/dt.
 
     Args:
         period: Sample period [s].
         coulomb: Friction in fast sliding, as a share of `breakaway`, in (0, 1].
-        stribeck: Speed at which friction falls from breakaway to Coulomb [m/s, rad/s], above 0.
+        stribeck: Stribeck velocity, of the fall from breakaway to Coulomb friction [m/s, rad/s], above 0.
         bristle_damping: Damping s1 of the bristle [N s/m, N m s/rad].
 
-    Source: Canudas de Wit, Olsson, Astrom & Lischinsky 1995; formula recalled.
+    Source: Canudas de Wit, Olsson, Astrom & Lischinsky 1995; not checked against the original.
     """
 
     period: float
@@ -90,26 +94,26 @@ class LuGre(_Bristle):
         return _relaxed(z, travel, self.limit(velocity, gains) / gains.stiffness)
 
     def limit(self, velocity: Component, gains: Any) -> Component:
-        """Return the Stribeck curve at this velocity [N, N m]; see `_Bristle`."""
+        """Return the Stribeck curve at this velocity [N, N m]."""
         ratio = velocity / gains.stribeck
         share = self.coulomb + (1.0 - self.coulomb) * apply(np.exp, -(ratio * ratio))
         return share * gains.breakaway
 
     def pull(self, before: Component, z: Component, velocity: Component, gains: Any) -> Component:
-        """Return the force of the bristle with its damping; see `_Bristle`."""
+        """Return the bristle force with its damping [N, N m]."""
         return -(gains.stiffness * z + gains.bristle_damping * ((z - before) / self.period))
 
 
 class ElastoPlastic(_Bristle):
-    """Elasto-plastic, dz = dx (1 - alpha(z) z / z_ss): purely elastic up to a share of the limit, so no creep there.
+    """Elasto-plastic friction without creep at small loads.
 
-    alpha rises from 0 to 1 over half a sine between elastic * z_ss and z_ss where z and dx have one sign, and is 0
-    where they have not.
+    dz = dx (1 - alpha(z) z / z_ss). Up to a share of the limit the bristle is purely elastic. alpha rises from 0 to 1
+    over half a sine between elastic * z_ss and z_ss if z and dx have the same sign; otherwise it is 0.
 
     Args:
         elastic: Share of the largest stretch up to which the bristle is purely elastic, in (0, 1).
 
-    Source: Dupont, Hayward, Armstrong & Altpeter 2002; formula recalled.
+    Source: Dupont, Hayward, Armstrong & Altpeter 2002; not checked against the original.
     """
 
     elastic: float = 0.7
@@ -130,14 +134,16 @@ class ElastoPlastic(_Bristle):
 
 
 class HaywardArmstrong(_Bristle):
-    """Displacement-based friction without drift: the anchor follows by alpha(z) |dx| z, and never lags beyond z_max.
+    """Displacement-based friction without drift.
 
-    alpha(z) = 1/z_max z^8 / (z_stick^8 + z^8): next to nothing while stuck, so small load cycles do not creep.
+    The anchor follows by alpha(z) |dx| z and stays within z_max of the flotor.
+
+    alpha(z) = 1/z_max z^8 / (z_stick^8 + z^8): almost 0 while stuck, so small load cycles do not creep.
 
     Args:
         stick: z_stick as a share of z_max, in (0, 1).
 
-    Source: Hayward & Armstrong 2000; formula recalled.
+    Source: Hayward & Armstrong 2000; not checked against the original.
     """
 
     stick: float = 0.7
@@ -160,6 +166,9 @@ class HaywardArmstrong(_Bristle):
 
 
 def _relaxed(z: Component, travel: Component, limit: Component) -> Component:
-    """Solve dz = dx - |dx| z / limit over one travel: towards the limit in the direction of travel."""
+    """Return the deflection after one travel.
+
+    Solves dz = dx - |dx| z / limit. The solution tends to the limit in the direction of travel.
+    """
     end = choose(travel > 0.0, limit, -limit)
     return end + (z - end) * apply(np.exp, -abs(travel) / limit)

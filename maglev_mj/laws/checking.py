@@ -1,4 +1,7 @@
-"""Check of a law: finite components, nothing changed but the wrench, the same bits alone and in a batch."""
+"""Check of a user's control law.
+
+Its answer has finite components and changes nothing but the wrench; one device and a batch give the same bits.
+"""
 
 from __future__ import annotations
 
@@ -19,15 +22,16 @@ _REACH = np.array([4e-3] * 3 + [0.09] * 3)
 
 
 def check(law: Law | Callable[..., Any]) -> None:
-    """Check a law, or a function f(position, velocity), along seeded paths of seven devices through the motion range.
+    """Check a law along random trajectories of seven devices.
+
+    The trajectories are seeded and cover the motion range.
 
     Args:
-        law: The law, for one device.
+        law: The law, or a function f(position, velocity), for one device.
 
     Raises:
-        ParameterError: In one line, what is wrong: an answer of another shape or not finite; a change of what the law
-            is given; another answer when asked again; bits that differ between one device and a batch; no wrench at
-            any sample.
+        ParameterError: If an answer has a wrong shape or is not finite, the law changes its input, a repeated call
+            gives another answer, one device and a batch differ in a bit, or the wrench is zero at every sample.
 
     Example:
         >>> from maglev_mj.laws import Hold
@@ -76,7 +80,7 @@ def _answers(law: Law, name: str, poses: Sequence[Array]) -> Array:
 def _row(
     law: Law, position: Sequence[Component], velocity: Sequence[Component], state: Any, shape: tuple[int, ...]
 ) -> tuple[Any, Array]:
-    """Return the next state, and wrench and pulse as (..., 12)."""
+    """Return the next state, and wrench and pulse, (..., 12)."""
     wrench: list[Component] = [0.0] * 6
     following, pulse = answer(law, list(position), list(velocity), state, wrench)
     row = np.empty((*shape[:-1], 12))

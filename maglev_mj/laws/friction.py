@@ -1,4 +1,4 @@
-"""Friction rendered on a frictionless device: stick-slip by PD, spring reset, implicit Coulomb friction.
+"""Rendered friction: PD stick-slip, spring reset, implicit Coulomb friction.
 
 Every friction law keeps, for each axis, a `FrictionState`; the models with a bristle are in `bristle`.
 """
@@ -21,25 +21,28 @@ __all__ = ["Friction", "FrictionState", "ImplicitCoulomb", "SpringReset", "Stick
 
 
 SLIDING_SHARE = 0.95
-"""Share of its limit from which on a force counts as sliding friction.
+"""Share of the limit force that counts as sliding.
 
-A bristle nears its limit without ever reaching it, and a quantized position makes a sliding one rest for a sample.
+A bristle approaches its limit without reaching it, and a quantized position can make a sliding one rest for a sample.
 """
 
 
 class FrictionState(NamedTuple):
-    """What a friction law remembers of one axis."""
+    """State of a friction law on one axis."""
 
     stuck: Component
-    """Whether the axis sticks: its friction is below what the law can give."""
+    """True while the axis sticks.
+
+    The friction force is then below its limit.
+    """
     anchor: Component
-    """Where the spring that holds it is attached [m, rad]: x minus its stretch."""
+    """Anchor of the friction spring [m, rad]: x minus deflection."""
     memory: Any = None
-    """What else the law needs."""
+    """Further state of the law."""
 
 
 class Friction(AxisLaw):
-    """What friction laws share.
+    """Base class of friction laws.
 
     Each parameter is a number for all of the law's axes, one number an axis, or (N, axes) for N devices.
 
@@ -60,18 +63,24 @@ class Friction(AxisLaw):
     def axis(
         self, position: Component, velocity: Component, state: FrictionState, gains: Any
     ) -> tuple[Component, FrictionState]:
-        """Return the friction force without viscous damping [N, N m], and the next state, of one axis."""
+        """Return friction force [N, N m] and next state.
+
+        Viscous damping is not included.
+        """
         raise NotImplementedError
 
     def force(
         self, x: Component, v: Component, gains: Any, state: FrictionState | None
     ) -> tuple[Component, FrictionState]:
-        """Return the force on one axis and its next state: at the first sample it sticks where it is."""
+        """Return the force on one axis and its next state.
+
+        At the first sample the axis sticks at its position.
+        """
         friction, following = self.axis(x, v, state or _stuck_at(x), gains)
         return friction - gains.damping * v, following
 
     def gains(self) -> Iterable[Gains]:
-        """Return the damping, which always acts, and the stiffness while stuck."""
+        """Return the permanent damping and the stiffness while stuck."""
         none = np.zeros(len(AXES))
         yield Gains("always", none, self.on_axes(self.damping))
         yield Gains("stuck", self.on_axes(self.stiffness), self.on_axes(self.stuck_damping))
@@ -82,26 +91,34 @@ class Friction(AxisLaw):
         return 0.0
 
     def signals(self, state: Any) -> Mapping[str, Sequence[Component]]:
-        """Return stick_position [m, rad], that of the last stick while sliding, and stuck."""
+        """Return stick_position [m, rad] and stuck, by name.
+
+        While sliding, stick_position is that of the last stick.
+        """
         known = [one for one in state if one is not None]
         return {"stick_position": [one.anchor for one in known], "stuck": [one.stuck for one in known]} if known else {}
 
     def stick_positions(self, state: Any) -> Mapping[int, float]:
-        """Return stick positions [m, rad] by index into AXES, NaN where an axis slides."""
+        """Return stick positions [m, rad] by index into AXES.
+
+        NaN for a sliding axis.
+        """
         found = zip(self.indices, state)
         return {index: one.anchor if one.stuck else math.nan for index, one in found if one is not None}
 
 
 class StickSlip(Friction):
-    """Karnopp's stick-slip emulated by PD: a spring to the stick position, none while sliding.
+    """Karnopp stick-slip friction rendered by a PD spring.
 
-    Breaks away where the spring exceeds `breakaway`; sticks where it is where the speed falls below `v_min`. One
-    change of state a sample.
+    The spring pulls to the stick position; there is none while sliding.
+
+    The axis breaks away when the spring force exceeds `breakaway`, and sticks again when the speed falls below `v_min`.
+    The state changes at most once per sample.
 
     Args:
         v_min: Speed below which a sliding axis sticks [m/s, rad/s], above 0.
-        coupled: Treat the law's axes, translations then, as one vector, as a block on a table: breakaway and
-            speed are norms, and all axes stick and slide together. Every parameter is one number for all axes.
+        coupled: Treat the law's axes as one vector, as for a block on a table: breakaway and speed are norms, and all
+            axes stick and slide together. The axes must be translations, and every parameter is one number.
 
     Source: Salcudean & Vlaar 1997, eq. (12)-(13).
     """
@@ -151,7 +168,10 @@ class StickSlip(Friction):
         state: FrictionState,
         gains: Any,
     ) -> tuple[Component, FrictionState]:
-        """Return the force and the next state, given the spring's pull and the sizes that decide."""
+        """Return the force and the next state.
+
+        `pull` is the spring force; `size` and `speed` decide on the state.
+        """
         holds = state.stuck & (size <= gains.breakaway)
         sticks = (state.stuck == False) & (speed < gains.v_min)  # noqa: E712 - elementwise
         anchor = choose(holds, state.anchor, position)
@@ -159,10 +179,12 @@ class StickSlip(Friction):
 
 
 class SpringReset(Friction):
-    """A spring to a stick point that moves to the flotor, force gone, where the spring exceeds the limit.
+    """Friction spring that resets to zero force at its limit.
 
-    Without a velocity in it the law never slides: it hops. At speed v its force is a sawtooth of mean breakaway / 2
-    that vanishes where one sample's travel stretches the spring past the limit.
+    When the spring force exceeds the limit, the stick point moves to the flotor.
+
+    The law uses no velocity, so it jumps instead of sliding. At speed v its force is a sawtooth of mean breakaway / 2;
+    it vanishes if one sample's travel stretches the spring past the limit.
 
     Source: described after the stick-slip effect of CHAI3D 3 (www.chai3d.org), which has no damping.
     """
@@ -177,16 +199,18 @@ class SpringReset(Friction):
 
 
 class ImplicitCoulomb(Friction):
-    """Coulomb friction behind a spring and damper, integrated by implicit Euler: no chatter at any rate.
+    """Coulomb friction with spring and damper, by implicit Euler.
 
-    The force of the spring-damper that would follow the flotor is saturated, and the stretch set to what that force
-    leaves: f = sat(breakaway, (K + B/T) (e + dx) - B e / T).
+    It does not chatter at any sample rate.
+
+    The force of the spring-damper is saturated, and its deflection is set to match:
+    f = sat(breakaway, (K + B/T) (e + dx) - B e / T).
 
     Args:
         period: Sample period T [s].
         element_damping: Damping B of the element in series with the friction [N s/m, N m s/rad].
 
-    Source: Kikuuwe, Takesue, Sano, Mochiyama & Fujimoto 2006; formula recalled and derived again.
+    Source: Kikuuwe, Takesue, Sano, Mochiyama & Fujimoto 2006; derived again, not checked against the original.
     """
 
     period: float
@@ -218,19 +242,25 @@ class ImplicitCoulomb(Friction):
 
 
 def _stuck_at(position: Component) -> FrictionState:
-    """Return the state of one axis at the first sample: stuck, unstretched."""
+    """Return a stuck state with zero deflection.
+
+    It is the state of an axis at its first sample.
+    """
     return FrictionState(position == position, position)
 
 
 def choose(mask: Component, yes: Component, no: Component) -> Component:
-    """Return `yes` where the mask holds and `no` elsewhere, for floats or arrays."""
+    """Select `yes` or `no` by a mask, elementwise.
+
+    Floats and arrays are both accepted.
+    """
     if isinstance(mask, bool | np.bool_):
         return yes if mask else no
     return np.where(mask, yes, no)
 
 
 def apply(function: Callable[[Component], Component], value: Component) -> Component:
-    """Apply a numpy function to a component; a float stays a float.
+    """Apply a numpy function; a float stays a float.
 
     numpy's own function serves both cases, because the standard library's may round differently.
     """

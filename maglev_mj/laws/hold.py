@@ -1,4 +1,4 @@
-"""A spring and damper to a target pose."""
+"""Spring and damper to a target pose."""
 
 from __future__ import annotations
 
@@ -17,7 +17,9 @@ __all__ = ["Hold"]
 
 
 class Hold(AxisLaw):
-    """PD hold, f = stiffness (target - x) - damping v, on the axes named.
+    """PD hold of a target pose.
+
+    f = stiffness (target - x) - damping v.
 
     Each parameter is a number for all of the law's axes, one number an axis, or (N, axes) for N devices.
 
@@ -25,7 +27,7 @@ class Hold(AxisLaw):
         axes: Names from AXES; all six by default.
         stiffness: Stiffness [N/m, N m/rad].
         damping: Damping [N s/m, N m s/rad].
-        target: Pose held [m, rad].
+        target: Target pose [m, rad].
 
     Raises:
         ParameterError: If a gain is negative, or a value is not finite or of the wrong shape.
@@ -52,10 +54,10 @@ class Hold(AxisLaw):
         delay: float,
         target: ArrayLike = 0.0,
     ) -> Self:
-        """Return a soft hold that keeps well clear of what period and delay allow.
+        """Return a critically damped hold with wide stability margin.
 
         The natural frequency is 1/4 rad over the time from sample to sample and on to the force, at most
-        50 rad/s, and the damping critical. That holds for any delay: the eigenvalues are in the tests.
+        50 rad/s. It is stable for any delay; the tests check the eigenvalues.
 
         Args:
             axes: Names from AXES.
@@ -72,11 +74,14 @@ class Hold(AxisLaw):
     def __call__(
         self, position: Sequence[Component], velocity: Sequence[Component], state: Any, wrench: list[Component]
     ) -> tuple[Any, None]:
-        """Answer one sample; see `Law`. Written out: `force` for each axis takes a quarter of the tick more."""
+        """Answer one sample; see `Law`.
+
+        Written out for speed: calling `force` for each axis takes a quarter of the tick more.
+        """
         for axis, stiffness, damping, target in self._gains:
             wrench[axis] = wrench[axis] + (stiffness * (target - position[axis]) - damping * velocity[axis])
         return state, None
 
     def gains(self) -> Iterable[Gains]:
-        """Return stiffness and damping, which always hold."""
+        """Return stiffness and damping, always in effect."""
         return (Gains("always", self.on_axes(self.stiffness), self.on_axes(self.damping)),)

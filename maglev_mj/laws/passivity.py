@@ -1,4 +1,7 @@
-"""Passivity control: damping added whenever the rendered environment has given out more energy than it took in."""
+"""Time-domain passivity control.
+
+Damping is added while the rendered environment has given out more energy than it has absorbed.
+"""
 
 from __future__ import annotations
 
@@ -18,28 +21,33 @@ from maglev_mj.timeline import MOST_PERIODS, split_delay
 __all__ = ["PassivityController"]
 
 _AxisState: TypeAlias = tuple[Component, Component, tuple[Component, ...]]
-"""Energy taken in so far [J], position of the last sample, and forces up to it, newest first."""
+"""Absorbed energy [J], last position, past forces.
+
+The forces are newest first.
+"""
 
 
 class PassivityController(AxisLaw):
-    """A law to put last: it watches the energy of what the laws before it have rendered, and damps what they make.
+    """Time-domain passivity controller; must be the last law.
 
-    The energy taken in over the last period is -f (x[k] - x[k-1]), its own damping included, with f the force then in
-    effect, or the mean of two where a delay has them change in between. Where the sum is below 0, a damper is added
-    that would dissipate the lack over one period at the present speed, up to `most`: more would not be stable under
-    the delay. Without delay that makes any wall passive; a delay lets the damper come too late.
+    It observes the energy rendered by the laws before it and dissipates any surplus.
+
+    The energy absorbed over the last period is -f (x[k] - x[k-1]), its own damping included. f is the force in effect;
+    with a delay, it is the weighted mean of the two forces in effect. While the sum is negative, a damper is added that
+    would dissipate the deficit over one period at the present speed, up to `most`: more would not be stable under the
+    delay. Without delay this makes any wall passive; with a delay the damper acts too late.
 
     Args:
         axes: Names from AXES; all six by default.
         period: Sample period [s].
         most: Largest damping added [N s/m, N m s/rad]; a number, one an axis, or (N, axes).
         delay: Transport delay [s].
-        slow: Speed below which nothing is added [m/s, rad/s]: there the damper would have to be infinite.
+        slow: Least speed for added damping [m/s, rad/s]: at lower speed the damper would tend to infinity.
 
     Raises:
         ParameterError: If a value is outside its bounds or a shape does not fit.
 
-    Source: Hannaford & Ryu 2002, series controller in impedance causality; formula as quoted by others.
+    Source: Hannaford & Ryu 2002, series controller in impedance causality; not checked against the original.
     """
 
     period: float
@@ -64,7 +72,7 @@ class PassivityController(AxisLaw):
         return [(0.0, math.nan, (0.0,) * (self._whole + 2))] * len(self._each)
 
     def signals(self, state: Sequence[_AxisState]) -> dict[str, Sequence[Component]]:
-        """Return energy: taken in so far [J]."""
+        """Return the absorbed energy [J] of each axis."""
         return {"energy": [one[0] for one in state]}
 
     def __call__(

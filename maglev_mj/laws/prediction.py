@@ -1,4 +1,4 @@
-"""Walls that look ahead: along a straight line, or by a model of the flotor with the delay as states."""
+"""Predictive walls: linear extrapolation or model-based observer."""
 
 from __future__ import annotations
 
@@ -21,10 +21,12 @@ __all__ = ["ObserverWall", "PredictiveWall"]
 
 
 class PredictiveWall(AxisLaw):
-    """The mean force of the ideal wall over the coming hold, along the straight line that the samples foretell.
+    """Wall that renders the predicted mean force over each hold.
 
-    Inside the wall that is half-sample prediction, f = -K (x + v (T_d + T/2)) - B v; where the line crosses the edge
-    within the hold, only the part inside counts, which gives the crossing its own time.
+    The position is extrapolated along a straight line, and the force of the ideal wall averaged over it.
+
+    Inside the wall this is half-sample prediction, f = -K (x + v (T_d + T/2)) - B v. If the line crosses the edge
+    within the hold, only the part inside the wall counts.
 
     Each gain is a number for all of the law's axes, one number an axis, or (N, axes) for N devices.
 
@@ -70,24 +72,25 @@ class PredictiveWall(AxisLaw):
 
 
 class _Belief(NamedTuple):
-    """What the observer holds true at a sample.
+    """Observer state at a sample.
 
-    The forces are its own, newest first: those on their way, that in effect, and the one before.
+    The forces are the law's own, newest first: those still delayed, the one in effect, and the one before.
     """
 
     place: Component
     speed: Component
-    unknown: Component  # acceleration by forces that the model does not know
+    unknown: Component  # acceleration by unmodelled forces
     forces: tuple[Component, ...]
 
 
 class ObserverWall(AxisLaw):
-    """A wall fed back from the state that a model foretells for the moment at which the command takes effect.
+    """Wall with state feedback from a delay-compensating observer.
 
-    The model is a mass under the law's own forces, those still on their way included, so that the delay is a state
-    of the design rather than a surprise; an observer with all poles at one place corrects it by the samples. A
-    force that the model does not know, such as a hand's, biases it: the wall yields more than its gain says, unless
-    the observer estimates that force too (`disturbance`).
+    The feedback uses the state predicted for the moment the command takes effect.
+
+    The model is a mass under the law's own forces, including the delayed ones, so that the delay is part of the state.
+    An observer with equal poles corrects it at each sample. An unmodelled force, such as a hand's, biases the estimate:
+    the wall is softer than its gain, unless the observer estimates that force too (`disturbance`).
 
     Each gain is a number for all of the law's axes, one number an axis, or (N, axes) for N devices.
 
@@ -96,18 +99,18 @@ class ObserverWall(AxisLaw):
         lower: The wall fills x <= lower [m, rad].
         stiffness: Gain on the position at the moment of effect [N/m, N m/rad].
         damping: Gain on the velocity then [N s/m, N m s/rad].
-        inertia: Mass or moment of inertia that the model has [kg, kg m²].
+        inertia: Mass or moment of inertia in the model [kg, kg m²].
         period: Sample period [s].
-        delay: Transport delay that the model has [s].
-        pole: Where the observer's poles are, in [0, 1); 0 for deadbeat.
-        disturbance: Whether the observer estimates a constant unknown force.
-        force_limit: What the actuators give at most [N, N m]; a number. Without it the model believes in forces that
-            are cut off, and a hard impact throws the flotor out.
+        delay: Transport delay in the model [s].
+        pole: Position of the observer's poles, in [0, 1); 0 for deadbeat.
+        disturbance: True to estimate a constant unknown force.
+        force_limit: Largest actuator force [N, N m]; a number. Without it the model assumes forces beyond saturation,
+            and a hard impact throws the flotor out.
 
     Raises:
         ParameterError: If a value is outside its bounds or a shape does not fit.
 
-    Source: the design that Salcudean & Vlaar 1997 report from Vlaar 1994, delay as poles at the origin; gains and
+    Source: the design reported by Salcudean & Vlaar 1997 from Vlaar 1994, delay as poles at the origin; gains and
         observer are this project's, the observer's gains those of a fading-memory filter.
     """
 
@@ -137,7 +140,9 @@ class ObserverWall(AxisLaw):
         number("pole", self.pole, at_least=0.0, below=1.0)
 
     def force(self, x: Component, v: Component, gains: Any, state: _Belief | None) -> tuple[Component, _Belief]:
-        """Return the force on one axis and the next belief: at first, at rest where it first sees the flotor.
+        """Return the force on one axis and its observer state.
+
+        The observer starts at rest at the first position seen.
 
         The controller's own velocity estimate is not used.
         """
@@ -156,9 +161,11 @@ class ObserverWall(AxisLaw):
         return [(axis, 1.0, one.lower) for axis, one in self._each]
 
     def linear(self, stiffness: Array, damping: Array) -> LinearController:
-        """Return the law inside the wall as a linear system, with gains (...,) and the inertia of its first axis.
+        """Return the law in contact as a linear system.
 
-        Its memory is place, speed, unknown acceleration, and the forces newest first.
+        The gains have shape (...,); the inertia is that of its first axis.
+
+        Its state is position, velocity, unknown acceleration, and the forces, newest first.
         """
         inertia = np.asarray(self._each[0][1].inertia)
         size = 3 + self._whole + 2
@@ -177,7 +184,10 @@ class ObserverWall(AxisLaw):
         )
 
     def _corrected(self, belief: _Belief, seen: Component, inertia: Component) -> _Belief:
-        """Carry the belief over one period, and correct it by what is seen: all poles at one place."""
+        """Return the observer state after one period and correction.
+
+        `seen` is the measured position; all observer poles are equal.
+        """
         place, speed, unknown, forces = belief
         pole, period = self.pole, self.period
         place, speed = _moved(place, speed, unknown + forces[-1] / inertia, self._rest)
@@ -192,7 +202,7 @@ class ObserverWall(AxisLaw):
         return _Belief(place + first * missed, speed + second / period * missed, unknown, forces)
 
     def _at_effect(self, belief: _Belief, inertia: Component) -> tuple[Component, Component]:
-        """Return place and speed when the command of this sample takes effect."""
+        """Return predicted position and velocity at the command's effect."""
         place, speed, unknown, forces = belief
         place, speed = _moved(place, speed, unknown + forces[-2] / inertia, self._rest)
         for force in forces[-3::-1]:

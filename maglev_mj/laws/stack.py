@@ -1,4 +1,4 @@
-"""Stack the laws of N devices into one law."""
+"""Stacking of N devices' laws into one law."""
 
 from __future__ import annotations
 
@@ -19,9 +19,11 @@ __all__ = ["content", "law_kind", "stacked"]
 
 
 def law_kind(law: object) -> Hashable | None:
-    """Return the kind of a law; those of one kind can be stacked.
+    """Return the kind of a law, or None.
 
-    None for a law that cannot be. It can be if it is a dataclass that names in `per_device` the fields that may differ.
+    Laws of one kind can be stacked; None is for a law that cannot be stacked.
+
+    A law can be stacked if it is a dataclass that lists in `per_device` the fields that may differ.
     """
     if not (isinstance(law, Law) and is_dataclass(law) and law.per_device):
         return None
@@ -31,23 +33,28 @@ def law_kind(law: object) -> Hashable | None:
 
 @cache
 def _fixed(cls: Any) -> tuple[str, ...]:
-    """Return the fields of a law in which all devices agree."""
+    """Return the field names common to all devices."""
     return tuple(one.name for one in fields(cls) if one.init and one.name not in cls.per_device)
 
 
 def content(value: object) -> bytes | None:
-    """Return bytes, equal for equal contents; None for a local function."""
+    """Return bytes that are equal for equal contents.
+
+    None for a local function, which has none.
+    """
     try:
         return pickle.dumps(value)
-    except Exception:  # whatever a user's class raises
+    except Exception:  # a user's class may raise anything
         return None
 
 
 def stacked(laws: Sequence[Any]) -> Any:
-    """Return one law for N devices: parameters that differ become (N, axes).
+    """Return one law for N devices.
+
+    Parameters that differ become (N, axes).
 
     Raises:
-        ParameterError: If a law is of several devices itself, or does not take parameters that differ.
+        ParameterError: If a law is itself for several devices, or does not accept per-device parameters.
     """
     first = laws[0]
     if all(law is first for law in laws):
@@ -64,7 +71,10 @@ def stacked(laws: Sequence[Any]) -> Any:
 
 
 def _rows(name: str, values: Sequence[Any], width: int) -> Array:
-    """Return a parameter of N laws, a number or one an axis each, as (N, axes)."""
+    """Return a parameter of N laws as (N, axes).
+
+    In each law it is one number or one number per axis.
+    """
     try:
         if all(value.__class__ is float for value in values):
             return np.repeat(np.array(values), width).reshape(-1, width)

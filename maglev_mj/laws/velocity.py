@@ -1,4 +1,4 @@
-"""Velocity from sampled positions."""
+"""Velocity estimators from sampled positions."""
 
 from __future__ import annotations
 
@@ -34,7 +34,10 @@ class FiniteDifference:
     def __call__(
         self, position: Sequence[Component], state: Sequence[Component] | None, period: float
     ) -> tuple[Sequence[Component], Sequence[Component]]:
-        """Return (x[k] - x[k-1]) / T for each component, and the positions as the next state."""
+        """Return (x[k] - x[k-1]) / T and the next state.
+
+        The next state is the positions.
+        """
         # written out: a loop over six components takes twice as long, and this runs on every tick
         x, y, z, rx, ry, rz = position
         x0, y0, z0, rx0, ry0, rz0 = position if state is None else state
@@ -48,13 +51,18 @@ class FiniteDifference:
         ), position
 
     def linear(self, period: ArrayLike) -> LinearController:
-        """Return the estimate of one coordinate as a linear system that remembers the last position."""
+        """Return the estimator of one axis as a linear system.
+
+        Its state is the last position.
+        """
         return Window(samples=1).linear(period)
 
 
 @dataclass(frozen=True)
 class LowPass:
-    """Finite difference behind a first-order low-pass, v += (1 - exp(-2 pi f T)) (difference - v).
+    """Finite difference with a first-order low-pass filter.
+
+    v += (1 - exp(-2 pi f T)) (difference - v).
 
     Args:
         cutoff: Cut-off f of the filter [Hz].
@@ -69,7 +77,10 @@ class LowPass:
         number("cutoff", self.cutoff, above=0.0)
 
     def __call__(self, position: Sequence[Component], state: Any, period: float) -> tuple[Sequence[Component], Any]:
-        """Return the filtered velocity, zero at the first sample, and the next state."""
+        """Return the filtered velocity and the next state.
+
+        The velocity is zero at the first sample.
+        """
         previous, velocity = (position, (0.0,) * len(position)) if state is None else state
         share = -math.expm1(-2.0 * math.pi * self.cutoff * period)
         filtered = [
@@ -79,7 +90,10 @@ class LowPass:
         return filtered, (position, filtered)
 
     def linear(self, period: ArrayLike) -> LinearController:
-        """Return the estimate of one coordinate as a linear system: last position, last estimate."""
+        """Return the estimator of one axis as a linear system.
+
+        Its state is the last position and the last estimate.
+        """
         time = np.asarray(period, dtype=np.float64)
         share = -np.expm1(-2.0 * math.pi * self.cutoff * time)
         zero, one = np.zeros_like(time), np.ones_like(time)
@@ -90,13 +104,15 @@ class LowPass:
 
 @dataclass(frozen=True)
 class Window:
-    """Slope of the chord over a fixed number of samples, as if at rest before the first.
+    """Mean velocity over a fixed number of samples.
+
+    The flotor counts as at rest before the first sample.
 
     Args:
         samples: Length of the window [samples], 1 to 1000; 1 is the finite difference.
 
     Raises:
-        ParameterError: If it is not a whole number from 1 to 1000.
+        ParameterError: If `samples` is not a whole number from 1 to 1000.
     """
 
     samples: int = 3
@@ -105,14 +121,20 @@ class Window:
         object.__setattr__(self, "samples", whole("samples", self.samples, at_least=1, at_most=_LONGEST))
 
     def __call__(self, position: Sequence[Component], state: Any, period: float) -> tuple[Sequence[Component], Any]:
-        """Return (x[k] - x[k-n]) / (n T) for each component, zero at the first sample, and the next state."""
+        """Return the mean velocity and the next state.
+
+        The velocity is (x[k] - x[k-n]) / (n T) for each component. The velocity is zero at the first sample.
+        """
         past = (position,) * self.samples if state is None else state
         time = len(past) * period
         velocity = [(now - before) / time for now, before in zip(position, past[-1])]
         return velocity, (position, *past[:-1])
 
     def linear(self, period: ArrayLike) -> LinearController:
-        """Return the estimate of one coordinate as a linear system that remembers the last positions."""
+        """Return the estimator of one axis as a linear system.
+
+        Its state is the last positions, newest first.
+        """
         time, count = np.asarray(period, dtype=np.float64), self.samples
         advance, take = np.eye(count, k=-1), np.eye(count)[0]
         oldest = np.eye(count)[-1]
@@ -121,11 +143,13 @@ class Window:
 
 @dataclass(frozen=True)
 class AdaptiveWindow:
-    """First-order adaptive windowing: the slope over the longest window whose chord passes every sample in it.
+    """First-order adaptive windowing velocity estimator.
+
+    The estimate is the slope over the longest window whose chord passes every sample in it.
 
     A sample counts as passed if it lies within `noise` of the chord from the window's first sample to its last.
-    Over a quantized sensor the window grows at low speed, so that the velocity's own step shrinks with it, and
-    shortens where the motion bends.
+    With a quantized sensor the window grows at low speed, which reduces the velocity resolution step, and shortens
+    when the velocity changes.
 
     Args:
         noise: Half-width of the band around the chord [m, rad]: the sensor's resolution, for each of the six
@@ -135,7 +159,7 @@ class AdaptiveWindow:
     Raises:
         ParameterError: If a value is outside its bounds.
 
-    Source: Janabi-Sharifi, Hayward & Chen 2000, the end-fit variant; from recollection.
+    Source: Janabi-Sharifi, Hayward & Chen 2000, the end-fit variant; not checked against the original.
     """
 
     noise: Sequence[float] = RESOLUTION
@@ -149,7 +173,10 @@ class AdaptiveWindow:
             number("noise", value, at_least=0.0)
 
     def __call__(self, position: Sequence[Component], state: Any, period: float) -> tuple[Sequence[Component], Any]:
-        """Return the velocity over each component's own window, zero at the first sample, and the next state."""
+        """Return each component's windowed velocity and the next state.
+
+        The velocity is zero at the first sample.
+        """
         past: list[Sequence[Component]] = [] if state is None else state
         history = [position, *past[: self.longest]]
         velocity = [self._slope([sample[axis] for sample in history], self.noise[axis], period) for axis in range(6)]
@@ -157,7 +184,10 @@ class AdaptiveWindow:
 
     @staticmethod
     def _slope(samples: list[Component], noise: float, period: float) -> Component:
-        """Return the slope over the longest window that fits; samples are newest first."""
+        """Return the slope over the longest fitting window.
+
+        The samples are newest first.
+        """
         newest = samples[0]
         if len(samples) == 1:
             return newest - newest

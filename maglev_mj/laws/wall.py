@@ -1,4 +1,4 @@
-"""The stiff wall: a one-sided sampled spring and damper, and the braking pulse on entry."""
+"""Stiff wall: one-sided sampled spring and damper with braking pulse."""
 
 from __future__ import annotations
 
@@ -19,7 +19,10 @@ __all__ = ["Wall"]
 
 
 class _Braking(NamedTuple):
-    """What one face needs for its braking pulse; `some` says which devices have one, `limit` is None where none has."""
+    """Braking-pulse parameters of one wall face.
+
+    `some` is True for devices with a pulse; `limit` is None if no device has a limit.
+    """
 
     pulse: Component
     some: Component
@@ -28,27 +31,32 @@ class _Braking(NamedTuple):
 
 
 _Face: TypeAlias = tuple[int, float, Component, Component, Component, _Braking | None]
-"""One plane of the wall: axis, normal, edge, stiffness, damping, braking.
+"""One plane of the wall with its gains.
 
-The axis is free where normal * (x - edge) > 0.
+Axis, normal, edge, stiffness, damping, braking. The axis is free while normal * (x - edge) > 0.
 """
 
 _FaceState: TypeAlias = tuple[Component, Component | None]
-"""Whether the flotor was free of the face at the last sample, and the braking force that is still owed."""
+"""Free flag of the last sample, and remaining braking force.
+
+The remaining force is None if there is none.
+"""
 
 _FREE: _FaceState = (True, None)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Wall(Law):
-    """PD wall below `lower`, above `upper` or both, with a braking pulse on the sample that finds it entered.
+    """PD wall on one or both sides, with braking pulse.
+
+    The wall is below `lower`, above `upper`, or both. The pulse is given on the first sample inside.
 
     Inside, f = -stiffness (x - edge) - damping v. On the sample k with x[k-1] free and x[k] inside, the force
-    is -(pulse + damping) v for `pulse_width` and the PD value after it. Where that exceeds `force_limit`, the
-    rest of the impulse follows on the next samples, for as long as the flotor still moves inward.
+    is -(pulse + damping) v for `pulse_width` and the PD value after it. If it exceeds `force_limit`, the rest of
+    the impulse follows on the next samples while the flotor still moves inward.
 
-    Each parameter is a number for all of the law's axes, one number an axis, or (N, axes) for N devices. Add
-    two laws where the two sides need gains of their own.
+    Each parameter is a number for all of the law's axes, one number per axis, or (N, axes) for N devices. Use
+    two laws for different gains on the two sides.
 
     Args:
         axes: Names from AXES; all six by default.
@@ -58,11 +66,11 @@ class Wall(Law):
         damping: Damping [N s/m, N m s/rad].
         pulse: Further damping in the braking pulse [N s/m, N m s/rad]; 0 for none. Stopping within the pulse
             takes pulse + damping = inertia / pulse_width.
-        pulse_width: How long the pulse lasts [s]; a number.
-        pulse_gate: Approach speed from which on a pulse is given [m/s, rad/s]; 0 for always. Without it noise
-            fires pulses at a flotor that lies at the edge.
-        force_limit: Largest force that the actuators give [N, N m], so that the law knows what is left of a
-            pulse; the plant applies the limit itself. Other laws on the axis are not counted.
+        pulse_width: Duration of the pulse [s]; a number.
+        pulse_gate: Least approach speed for a pulse [m/s, rad/s]; 0 for always. Without it sensor noise triggers
+            pulses on a flotor at rest at the edge.
+        force_limit: Largest actuator force [N, N m], used to compute the rest of a pulse; the plant applies the
+            limit itself. Other laws on the axis are not counted.
 
     Raises:
         ParameterError: If a gain, the width, the gate or the limit is negative, no side is given, `lower` is not below
@@ -119,7 +127,10 @@ class Wall(Law):
         object.__setattr__(self, "_faces", faces)
 
     def faces(self) -> tuple[Face, ...]:
-        """Return each plane: index into AXES, normal, edge; the axis is free where normal (x - edge) > 0."""
+        """Return each plane: index into AXES, normal, edge.
+
+        The axis is free while normal (x - edge) > 0.
+        """
         return tuple(face[:3] for face in self._faces)
 
     def gains(self) -> Iterable[Gains]:
@@ -130,7 +141,10 @@ class Wall(Law):
         return (Gains("contact", stiffness, damping),)
 
     def start(self) -> Sequence[_FaceState]:
-        """Return the state before the first sample: a flotor first seen inside has not entered."""
+        """Return the state before the first sample.
+
+        A flotor inside at the first sample has not entered.
+        """
         return [(False, None)] * len(self._faces)
 
     def __call__(
@@ -167,7 +181,7 @@ class Wall(Law):
 
 
 def _faces(indices: tuple[int, ...], normal: float, edges: Array, gains: list[Array]) -> tuple[_Face, ...]:
-    """Return a face for each axis that has an edge on this side."""
+    """Return one face per axis with a finite edge."""
     count = len(indices)
     edge_of = per_axis("wall lower and upper", edges, count)
     gains_of = zip(*(per_axis("wall parameter", gain, count) for gain in gains), strict=True)
@@ -193,7 +207,10 @@ def _brake(
     inward: Component,
     owed: Component | None,
 ) -> tuple[Component, Component | None]:
-    """Return the pulse on top of the PD force, and what the limit leaves for the samples to come."""
+    """Return the added pulse and the impulse left over.
+
+    The pulse is added to the PD force; the force limit leaves the rest for later samples.
+    """
     pulse, some, limit, _ = braking
     wanted = (entered & some) * (-(pulse * speed + damping_force) - force)
     if owed is not None:

@@ -1,4 +1,4 @@
-"""Plants: what a controller can be put in front of, behind one contract."""
+"""Plants behind one interface, simulated or real."""
 
 from typing import TYPE_CHECKING
 

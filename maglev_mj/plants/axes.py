@@ -1,4 +1,4 @@
-"""Driver lag, a hand and dry friction on the exact plant's axes."""
+"""Driver lag, hand and dry friction of the exact plant."""
 
 from __future__ import annotations
 
@@ -18,11 +18,16 @@ __all__ = ["Amendment", "DryFriction", "Forces", "HeldAxis", "Lag", "Motion"]
 _MOST_KEPT = 64
 
 Motion: TypeAlias = tuple[list[Component], list[Component], list[Component]]
-"""Position [m, rad], velocity [m/s, rad/s] and force of the actuators [N, N m], which trails the command where the
-drivers lag; six components each."""
+"""Position, velocity and actuator force, six components each.
+
+In [m, rad], [m/s, rad/s] and [N, N m]. The actuator force trails the command if the drivers lag.
+"""
 
 Forces: TypeAlias = tuple[Sequence[Component], Sequence[Component]]
-"""Wrench commanded and wrench of a hand's muscles, six components each [N, N m]."""
+"""Commanded wrench and hand muscle wrench [N, N m].
+
+Six components each.
+"""
 
 
 class Amendment(Protocol):
@@ -33,7 +38,7 @@ class Amendment(Protocol):
 
         Args:
             duration: Duration [s].
-            forces: Wrenches commanded and of a hand's muscles.
+            forces: Commanded wrench and wrench of the hand's muscles.
             before: Motion at the beginning.
             after: Motion of free masses at the end.
         """
@@ -62,7 +67,7 @@ class Lag:
         fx, fy, fz, tx, ty, tz = forces[0]
         ax, ay, az, arx, ary, arz = before[2]
         place, velocity, actual = after
-        # what is missing of each force; written out, for this runs two or three times a tick
+        # command error of each force; written out because this runs two or three times a tick
         dx, dy, dz, drx, dry, drz = ax - fx, ay - fy, az - fz, arx - tx, ary - ty, arz - tz
         place[0] += way_x * dx
         place[1] += way_y * dy
@@ -84,9 +89,10 @@ class Lag:
         actual[5] = tz + left * drz
 
     def _factors(self, duration: Component) -> tuple[Component, list[Component], list[Component]]:
-        """Return share of a missing force left after a duration [s], and its way and speed [m, m/s a newton].
+        """Return decay factor, displacement and velocity per unit force error.
 
-        Those of a number are kept because the durations return every period.
+        The last two are [m/N] and [m/s/N], six each, after a duration [s]. Results for a float duration are cached,
+        because the durations recur every period.
         """
         faded = -np.expm1(-duration / self._lag)
         faded = faded if np.ndim(faded) else float(faded)
@@ -99,14 +105,19 @@ class Lag:
 
 
 def _keep(known: dict[Any, Any], key: Any, value: Any) -> None:
-    """Keep a value; where there are many, durations do not return."""
+    """Store a value, clearing a full cache first.
+
+    A full cache means that the durations do not recur.
+    """
     if len(known) >= _MOST_KEPT:
         known.clear()
     known[key] = value
 
 
 class HeldAxis:
-    """An axis in a hand, by the transition matrix of `motion`.
+    """Axis held by a hand, solved by transition matrix.
+
+    The matrix is that of `motion`.
 
     Args:
         index: Index of the axis into AXES.
@@ -153,7 +164,10 @@ class HeldAxis:
         places[index], velocities[index], *self._others = [reduce(add, map(mul, row, known)) for row in rows]
 
     def _rows(self, duration: Component) -> list[list[Component]]:
-        """Return the rows of a transition as components, the inputs' columns first, kept because durations return."""
+        """Return a transition's rows as components, from the cache.
+
+        The input columns come first. Rows are cached because durations recur.
+        """
         key = duration if duration.__class__ is float else np.asarray(duration).tobytes()
         if (known := self._known.get(key)) is not None:
             return known
@@ -168,10 +182,10 @@ class HeldAxis:
 
 
 class DryFriction:
-    """Coulomb friction of the device: an axis may stop within a segment.
+    """Coulomb friction of the device, with stops within a segment.
 
     Args:
-        friction: Friction of the axes that have some, by index into AXES [N, N m].
+        friction: Friction of the axes with friction, by index into AXES [N, N m].
         inertia: Mass and moments of inertia, six [kg, kg m²].
         weight: Weight, six [N, N m].
         single: True for one device.
@@ -193,28 +207,28 @@ class DryFriction:
         (force, effort), (place, velocity, _), (places, velocities, _) = forces, before, after
         for index, rub, inverse, weight in self._axes:
             x, v, push = place[index], velocity[index], force[index] + (weight + effort[index])
-            # what the devices of a batch share is a number too
+            # a value common to all devices of a batch is a number too
             one = self._single or all(isinstance(part, float) for part in (push, v, x, duration, rub, inverse))
             slide = _slide if one else _slide_many
             places[index], velocities[index] = slide(duration, x, v, push, rub, inverse)
 
 
 def _slide(duration: float, x: float, v: float, push: float, rub: float, inverse: float) -> tuple[float, float]:
-    """Return position and velocity of one axis after a duration under friction.
+    """Return one axis's position and velocity after sliding.
 
     Args:
         duration: Duration [s].
         x: Position [m, rad].
         v: Velocity [m/s, rad/s].
-        push: Force, that of friction apart [N, N m].
-        rub: Friction while it moves, and largest while it rests [N, N m].
+        push: Force without friction [N, N m].
+        rub: Sliding friction, and largest static friction [N, N m].
         inverse: One over the mass or moment of inertia.
     """
     if v == 0.0 and -rub <= push <= rub:
         return x, v
     first = (push - rub if v > 0.0 or (v == 0.0 and push > 0.0) else push + rub) * inverse
     speed = v + duration * first
-    if v * speed < 0.0:  # it stops on the way
+    if v * speed < 0.0:  # it stops within the duration
         until = -v / first
         x += until * (v + 0.5 * until * first)
         if -rub <= push <= rub:
@@ -227,14 +241,14 @@ def _slide(duration: float, x: float, v: float, push: float, rub: float, inverse
 def _slide_many(
     duration: Component, x: Component, v: Component, push: Component, rub: Component, inverse: Component
 ) -> tuple[Component, Component]:
-    """Return what `_slide` does, for a batch, (...,) each."""
+    """Return the result of `_slide` for a batch, (...,)."""
     rests = v == 0.0
     first = (push - np.copysign(rub, v)) * inverse
     if np.count_nonzero(rests):
         first = np.where(rests, _beyond(push, rub) * inverse, first)
     speed = v + duration * first
     place = x + duration * (v + 0.5 * duration * first)
-    stops = v * speed < 0.0  # few do: these again
+    stops = v * speed < 0.0  # few do: these are computed again
     if np.count_nonzero(stops):
         place, speed = (np.array(part) for part in np.broadcast_arrays(place, speed))
         stops = np.nonzero(np.broadcast_to(stops, place.shape))
@@ -248,5 +262,8 @@ def _slide_many(
 
 
 def _beyond(push: Component, rub: Component) -> Component:
-    """Return what of a force is beyond friction, (...,) [N, N m]."""
+    """Return the force in excess of friction [N, N m].
+
+    (...,) for a batch.
+    """
     return push - np.clip(push, -rub, rub)

@@ -1,4 +1,7 @@
-"""The contract of a plant, and what every simulated one shares: samples, limits, sensor, meter, errors."""
+"""Plant interface and the base class of simulated plants.
+
+The base class provides sampling, limits, sensor, energy metering and errors.
+"""
 
 from __future__ import annotations
 
@@ -26,24 +29,30 @@ _NO_EFFORT: Sequence[Component] = (0.0,) * 6
 
 
 class Plant(Protocol):
-    """What a control loop asks of a plant, simulated or real."""
+    """Interface of a plant to the control loop."""
 
     @property
     def period(self) -> float:
         """Sample period [s]."""
 
     def read(self) -> Sample:
-        """Wait for the next sampling instant and return what is measured there."""
+        """Wait for the next sampling instant and return its measurement."""
 
     def write(self, command: Command) -> Command:
-        """Send the answer to the last sample; return it as applied, after every limit."""
+        """Send the answer to the last sample.
+
+        Returns the command as applied, after every limit.
+        """
 
     def close(self) -> None:
-        """Let go of the plant; safe to call at any time, and more than once."""
+        """Release the plant.
+
+        Safe at any time, and more than once.
+        """
 
 
 class PlantKeywords(TypedDict, total=False):
-    """The keywords of `SampledPlant` that its subclasses pass on."""
+    """Keywords of `SampledPlant` accepted by its subclasses."""
 
     wrench: ArrayLike
     wrench_limit: ArrayLike | None
@@ -56,37 +65,37 @@ class PlantKeywords(TypedDict, total=False):
 
 
 class SampledPlant(ABC):
-    """A simulated device under piecewise constant wrench.
+    """Simulated device under piecewise constant wrench.
 
-    A `Timeline` tells when the wrench switches; a subclass only has to carry its state from one switch to the next.
+    A `Timeline` gives the switching instants of the wrench; a subclass only advances its state from one to the next.
 
     Args:
         timing: Sample period, delay and phase.
         batch: Shape of the batch, () for one device.
-        wrench: What the actuators give at release, until the first command takes effect, (..., 6) [N, N m].
+        wrench: Actuator wrench from release until the first command takes effect, (..., 6) [N, N m].
         wrench_limit: Largest wrench, (..., 6) or a number [N, N m]; infinite entries and None for no limit.
-        sensor: How the pose is measured; None for an ideal sensor.
-        escape: Distance and angle from the centre [m, rad] beyond which the run has diverged.
+        sensor: Pose sensor; None for an ideal sensor.
+        escape: Divergence bounds: distance and angle from the centre [m, rad].
         record: Keep every switch for `trace()`.
-        longest_step: Longest stretch between two recorded or computed states [s]; None for no bound.
-        hand_force: What the muscles of a hand exert, from the first sample on: on the flotor, or on the hand's own
-            mass where its grip is soft.
-        metered: Add up the work of the actuators, for `work`.
+        longest_step: Longest time between two recorded or computed states [s]; None for no bound.
+        hand_force: Force of a hand's muscles, from the first sample on: on the flotor, or on the hand's own mass if
+            its grip is soft.
+        metered: Integrate the work of the actuators, for `work`.
 
     Attributes:
         before: Wrench of the actuators until the first command takes effect [N, N m], (..., 6).
-        given: The arguments that it was made from, by name.
+        given: Constructor arguments by name.
         hand: Impedance of the hand on the flotor; None for none.
     """
 
-    # apart from what is used on every tick: an object of more than 30 attributes is looked up in more slowly
+    # attributes not used on every tick: lookup is slower in an object of more than 30 attributes
     __slots__ = ("__dict__", "__weakref__", "_longest_step", "batch", "before", "given", "inertia", "load", "start")
 
     hand: Hand | None = None
     given: Mapping[str, Any]
 
     def __new__(cls, *timing: Any, **options: Any) -> Self:
-        """Return a plant that knows what it was made from."""
+        """Return a plant that stores its constructor arguments."""
         made = super().__new__(cls)
         made.given = {**dict(zip(("timing",), timing)), **options}
         return made
@@ -105,7 +114,7 @@ class SampledPlant(ABC):
         hand_force: HandForce | None = None,
         metered: bool = False,
     ) -> None:
-        # not more of them than needed: with more than 30 in a plant Python finds each more slowly
+        # as few attributes as possible: with more than 30, Python's lookup is slower
         self.timing = timing
         self.batch = batch
         self._limit = None if wrench_limit is None else components(self.six("wrench_limit", wrench_limit))
@@ -123,7 +132,7 @@ class SampledPlant(ABC):
         self._timeline = Timeline(timing, self._prepare(components(self.before)), compares=not batch)
         self._segments: list[Segment] = []
         self._closed = False
-        # at hand, for they are used on every tick
+        # local copies, because they are used on every tick
         self._period, self._phase = timing.period, timing.phase
         self._segments_of = self._timeline.period
         self._answer: tuple[Any, Any, float] | None = None
@@ -133,38 +142,53 @@ class SampledPlant(ABC):
 
     @abstractmethod
     def _prepare(self, force: Sequence[Component]) -> Any:
-        """Turn a wrench into what `_advance` takes."""
+        """Convert a wrench to a drive for `_advance`."""
 
     @abstractmethod
     def _advance(self, duration: Component, drive: Any, pieces: int = 1) -> None:
-        """Carry the state over `duration` [s] under a constant drive, an engine in so many steps."""
+        """Advance the state by `duration` [s] under constant drive.
+
+        An engine makes `pieces` equal steps.
+        """
 
     @abstractmethod
     def _position(self) -> list[Component]:
-        """Return the components of the true pose; raise if the state is not sound."""
+        """Return the components of the true pose.
+
+        Raises an error if the state is invalid.
+        """
 
     @abstractmethod
     def _exert(self, effort: Sequence[Component]) -> None:
-        """Let a hand's muscles exert a wrench from now on."""
+        """Apply a wrench of the hand's muscles from now on."""
 
     @abstractmethod
     def _kept(self, drive: Any) -> Any:
-        """Return the state at this instant and the drive, in a form that is cheap to make and never changes."""
+        """Return a snapshot of the present state and drive.
+
+        It is cheap to make and never changes.
+        """
 
     @abstractmethod
     def _arrays(self, kept: Sequence[Any]) -> tuple[Array, Array, Array]:
-        """Return pose, twist and the wrench on the flotor of K states of `_kept`, (K, ..., 6) each."""
+        """Return pose, twist and wrench of K snapshots.
+
+        The snapshots are those of `_kept`; the arrays are (K, ..., 6) each, the wrench that on the flotor.
+        """
 
     @abstractmethod
     def _where(self) -> Sequence[Component]:
-        """Return what `_work` takes for a place."""
+        """Return the position as an argument of `_work`."""
 
     @abstractmethod
     def _work(self, drive: Any, before: Sequence[Component], after: Sequence[Component]) -> Component:
-        """Return the work of the actuators [J] between two places under a constant drive."""
+        """Return the actuators' work [J] between two positions.
+
+        The drive is constant.
+        """
 
     def read(self) -> Sample:
-        """Carry the device to the next sampling instant and return what is measured there.
+        """Advance to the next sampling instant and return its measurement.
 
         Raises:
             DivergenceError: If the flotor has left its range by a wide margin.
@@ -197,7 +221,9 @@ class SampledPlant(ABC):
         return Sample(tick, time, position)
 
     def write(self, command: Command) -> Command:
-        """Queue the answer to the last sample; return it as applied, after the limits.
+        """Queue the answer to the last sample.
+
+        Returns the command as applied, after the limits.
 
         Raises:
             PlantError: If the command is not finite, or no sample was read.
@@ -222,21 +248,27 @@ class SampledPlant(ABC):
         return command
 
     def close(self) -> None:
-        """Let go of the plant; safe to call at any time, and more than once."""
+        """Release the plant.
+
+        Safe at any time, and more than once.
+        """
         self._closed = True
 
     def trace(self) -> Trace:
         """Return the motion recorded since release.
 
         Raises:
-            PlantError: If the plant was made without `record=True`, or nothing has happened yet.
+            PlantError: If the plant was made without `record=True`, or no sample was read.
         """
         if self._recorder is None or self._tick < 0:
             raise PlantError("nothing is recorded: make the plant with record=True and read at least one sample")
         return self._recorder.finish(self._tick, self._kept(self._timeline.now()))
 
     def state(self) -> tuple[Array, Array]:
-        """Return the true pose and twist at the last sample, whatever the sensor made of them, (..., 6) each."""
+        """Return true pose and twist at the last sample.
+
+        (..., 6) each, without sensor errors.
+        """
         pose, twist, _ = self._arrays([self._kept(self._timeline.acting)])
         return pose[0], twist[0]
 
@@ -252,12 +284,17 @@ class SampledPlant(ABC):
 
     @property
     def hand_wrench(self) -> Sequence[Component]:
-        """What the muscles of the hand exert since the last sample, six components [N, N m]."""
+        """Wrench of the hand's muscles [N, N m], six components.
+
+        It acts since the last sample.
+        """
         return self._effort
 
     @property
     def work(self) -> Component:
-        """Work of the actuators since release [J]; where drivers lag or the force falls off, of the commanded wrench.
+        """Work of the actuators since release [J].
+
+        With driver lag or force falloff it is the work of the commanded wrench.
 
         Raises:
             PlantError: If the plant was made without `metered=True`.
@@ -286,13 +323,16 @@ class SampledPlant(ABC):
         return self._advance if self._total is None else self._advance_metered
 
     def _advance_metered(self, duration: Component, drive: Any, pieces: int = 1) -> None:
-        """Advance, and add up the work: the drive is constant, so it is wrench times way, whatever else pushes."""
+        """Advance, and add the actuators' work.
+
+        The drive is constant, so the work is wrench times displacement, independent of other forces.
+        """
         before = self._where()
         self._advance(duration, drive, pieces)
         self._total = self._total + self._work(drive, before, self._where())
 
     def _run_in_pieces(self, duration: Component, drive: Any) -> None:
-        """Advance over one stretch, recorded, and in pieces where a longest step is set."""
+        """Advance over one segment with recording and step limit."""
         pieces = 1
         if self._longest_step is not None:
             whole = duration if duration.__class__ is float else float(np.max(duration))
@@ -309,7 +349,9 @@ class SampledPlant(ABC):
         self._offset = self._offset + duration
 
     def six(self, name: str, value: ArrayLike, *, at_least: float = 0.0, finite: bool = False) -> Array:
-        """Return a parameter of each axis, checked: (6,), or (..., 6) for the batch; a number serves all axes.
+        """Return a checked per-axis parameter, (6,) or (..., 6).
+
+        (..., 6) is for the batch; a number applies to all axes.
 
         Raises:
             ParameterError: If an entry is too small or the shape does not fit.
@@ -321,7 +363,7 @@ class SampledPlant(ABC):
         return np.broadcast_to(array, (6,)) if array.ndim == 0 else array
 
     def _limited(self, command: Command) -> Command:
-        """Clip the held wrench, and the wrench in the pulse, each on its own."""
+        """Clip the held wrench and the pulse wrench separately."""
         limit = self._limit
         if limit is None:
             return command
@@ -333,11 +375,17 @@ class SampledPlant(ABC):
         return Command(force, [one - other for one, other in zip(total, force)], command.pulse_width)
 
     def _sound(self, total: Any) -> bool:
-        """Return whether the sum of a command's components is finite and of this plant's shape."""
+        """Return True for a finite sum of matching shape.
+
+        `total` is the sum of a command's components; its shape must be that of the batch.
+        """
         return np.shape(total) in ((), self.batch) and bool(np.isfinite(total).all())
 
     def _check_escape(self, position: Sequence[Component]) -> Component:
-        """Raise if a flotor is far outside its range, as NaN is; otherwise return the square of its angle."""
+        """Return the squared angle [rad²] within the escape bounds.
+
+        Raises DivergenceError if a flotor is far outside its range or its pose is NaN.
+        """
         x, y, z, rx, ry, rz = position
         largest_distance, largest_angle = self._escape
         distance, angle = x * x + y * y + z * z, rx * rx + ry * ry + rz * rz
@@ -350,7 +398,10 @@ class SampledPlant(ABC):
 
 
 def _within(force: Sequence[float], limit: Sequence[float]) -> bool:
-    """Return whether a wrench of one device is within its limits [N, N m], six each."""
+    """Return True if one device's wrench is within limits.
+
+    Both are six [N, N m].
+    """
     fx, fy, fz, tx, ty, tz = force
     x, y, z, rx, ry, rz = limit
     linear = -x <= fx <= x and -y <= fy <= y and -z <= fz <= z
@@ -358,13 +409,13 @@ def _within(force: Sequence[float], limit: Sequence[float]) -> bool:
 
 
 def _refusal(force: Sequence[Component], tick: int, batch: tuple[int, ...], what: str = "a command") -> PlantError:
-    """Return the error that names the first thing that is wrong with six components.
+    """Return the error for the first invalid component.
 
     Args:
         force: Components of a wrench, not finite or of a shape that does not fit [N, N m].
-        tick: The sample that they answer.
+        tick: Index of the answered sample.
         batch: Shape of the plant's batch.
-        what: What to call them.
+        what: Name of the wrench in the message.
     """
     if len(force) != 6:
         return PlantError(f"{what} must have 6 components, not {len(force)}")
@@ -380,13 +431,13 @@ def _refusal(force: Sequence[Component], tick: int, batch: tuple[int, ...], what
 def _escaped(
     distance: Component, angle: Component, bounds: tuple[float, float], at: Component, batch: tuple[int, ...]
 ) -> DivergenceError:
-    """Return the error that names the first flotor far outside its range.
+    """Return the error for the first flotor out of range.
 
     Args:
         distance: Squares of the distances from the centre [m²].
         angle: Squares of the angles [rad²].
         bounds: Squares of the bounds of both.
-        at: When [s].
+        at: Time [s].
         batch: Shape of the plant's batch.
     """
     far, turned, time = np.broadcast_arrays(np.sqrt(distance), np.sqrt(angle), at)

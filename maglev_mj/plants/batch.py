@@ -1,4 +1,4 @@
-"""N devices in MuJoCo at once, on the engine's own threads."""
+"""N devices in one MuJoCo batch, stepped by several threads."""
 
 from __future__ import annotations
 
@@ -32,14 +32,20 @@ from maglev_mj.timeline import Timing
 __all__ = ["MuJoCoBatchPlant"]
 
 Drive: TypeAlias = tuple[Array, Array]
-"""Wrenches (N, 6) and the controls that give them, (N, 6)."""
+"""Wrenches (N, 6) and engine controls (N, 6)."""
 
 _Kept: TypeAlias = tuple[Sequence[Component], Array, Array, Array, Array | None, Array | None]
-"""x y z and a quaternion, that in the engine (N, 4), velocities (N, 6), wrenches (N, 6), currents (N, 6), their map."""
+"""Snapshot of a batch.
+
+Position x y z and quaternion, the engine's own quaternion (N, 4), velocities (N, 6), wrenches (N, 6), currents (N, 6),
+inverse coil maps.
+"""
 
 
 class MuJoCoBatchPlant(SampledPlant):
-    """N devices, each as in `MuJoCoPlant` with its coils: one engine call carries all of them on.
+    """N MuJoCo devices advanced by one engine call.
+
+    Each device is as in `MuJoCoPlant` with its coils.
 
     Args:
         timing: Sample period, delay and phase; (N,) phases go with poses (N, 6).
@@ -55,7 +61,7 @@ class MuJoCoBatchPlant(SampledPlant):
         driver_time_constant: Time constant of that lag in place of the model's [s].
         hand: A hand on each flotor, all alike.
         integrator: One of `INTEGRATORS`.
-        threads: How many threads step the devices; 0 for one a processor.
+        threads: Number of stepping threads; 0 for one per processor.
         keywords: As for `MuJoCoPlant`.
 
     Raises:
@@ -151,8 +157,11 @@ class MuJoCoBatchPlant(SampledPlant):
         return turned_work(components(drive[0]), before, after)
 
     def _corrected(self) -> list[Component]:
-        """Return x y z and a quaternion, less what the steps since the last sample are ahead; see `CorrectedSteps`."""
-        places: list[Component] = [column.copy() for column in self._qpos.T]  # a batch of one would hand out live views
+        """Return x y z and a quaternion, corrected.
+
+        The lead of the steps since the last sample is taken off; see `CorrectedSteps`.
+        """
+        places: list[Component] = [column.copy() for column in self._qpos.T]  # a batch of one would return live views
         if not self._corrects or not self._excess.any():
             return places
         over = self._excess.T
@@ -161,7 +170,7 @@ class MuJoCoBatchPlant(SampledPlant):
         return [*moved, *(turned_back(*places[3:], *over[3:]) if turned else places[3:])]
 
     def _settle(self) -> None:
-        """Move the flotors back by what the steps since the last sample are ahead."""
+        """Subtract the accumulated step error from the flotors' positions."""
         if self._corrects:
             self._qpos[:] = np.stack(self._corrected(), axis=-1)
             self._excess[:] = 0.0
@@ -190,7 +199,7 @@ class MuJoCoBatchPlant(SampledPlant):
         return _pose(self._corrected())
 
     def _rotations(self) -> Array:
-        """Return each flotor's rotation matrix, (N, 9)."""
+        """Return the flotors' rotation matrices, (N, 9)."""
         return _matrices(self._qpos[:, 3:])
 
     def _kept(self, drive: Drive) -> _Kept:
@@ -204,7 +213,10 @@ class MuJoCoBatchPlant(SampledPlant):
         return pose, twist, wrench
 
     def _parts(self, kept: _Kept) -> tuple[Array, Array, Array]:
-        """Return pose, twist and wrench of one state, (N, 6) each."""
+        """Return pose, twist and wrench of one snapshot.
+
+        (N, 6) each.
+        """
         place, turns, velocity, wrench, currents, inverse_map = kept
         spin = np.einsum("nab,nb->na", _matrices(turns).reshape(-1, 3, 3), velocity[:, 3:])
         if currents is not None:
@@ -214,13 +226,16 @@ class MuJoCoBatchPlant(SampledPlant):
 
 
 def _pose(place: Sequence[Component]) -> list[Component]:
-    """Return the components of poses from x y z and a quaternion, (N,) each."""
+    """Return pose components from x y z and a quaternion.
+
+    (N,) each.
+    """
     x, y, z, q0, q1, q2, q3 = place
     return [x, y, z, *rotation_vector(q0, q1, q2, q3, np.sqrt, np.arctan2)]
 
 
 def _matrices(turns: Array) -> Array:
-    """Return rotation matrices, (N, 9), of quaternions, (N, 4)."""
+    """Return rotation matrices (N, 9) of quaternions (N, 4)."""
     matrices = np.empty((len(turns), 9))
     for matrix, turn in zip(matrices, turns, strict=True):
         mujoco.mju_quat2Mat(matrix, turn)

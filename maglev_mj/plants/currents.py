@@ -1,4 +1,4 @@
-"""Six coils as a plant drives them: the currents of each command, computed once, within their limit."""
+"""Coil currents of commands, with a current limit."""
 
 from __future__ import annotations
 
@@ -15,14 +15,16 @@ __all__ = ["CoilDrive"]
 
 
 class CoilDrive:
-    """The way from a wrench to six currents, by the coils' map at the flotor's angle.
+    """Map from a wrench to six limited coil currents.
+
+    The map is that of the flotor's present angle.
 
     Args:
-        coils: The coils as whoever commands them knows them.
+        coils: Coil model of the commanding side.
         limit: Largest current in any coil [A]; None for no limit.
 
     Attributes:
-        inverse_map: Currents per wrench at the angle last followed [A/N, A/(N m)], (6, 6).
+        inverse_map: Currents per wrench at the last angle of `follow` [A/N, A/(N m)], (6, 6).
     """
 
     def __init__(self, coils: CoilMap, limit: float | None) -> None:
@@ -35,15 +37,17 @@ class CoilDrive:
 
     @property
     def turned(self) -> bool:
-        """True if the map is not that of the upright flotor."""
+        """True if the map is not the upright one."""
         return self.inverse_map is not self._upright
 
     def follow(self, rotation: Array | None, angle: Sequence[float] | None = None) -> bool:
-        """Renew the map for another angle; return True if the flotor was upright and still is.
+        """Update the map to another angle.
+
+        Returns True if the flotor was upright and still is.
 
         Args:
             rotation: Rotation matrix of the flotor, (9,); None for upright.
-            angle: In place of that, the rotation vector that was measured [rad], three.
+            angle: Measured rotation vector in place of the matrix [rad], three.
         """
         before = self.inverse_map
         if angle is not None:
@@ -53,9 +57,12 @@ class CoilDrive:
         return before is self._upright is self.inverse_map
 
     def currents(self, force: Sequence[float]) -> list[float]:
-        """Return the currents [A] that give a wrench [N, N m], six each."""
+        """Return the currents [A] for a wrench [N, N m].
+
+        Six each.
+        """
         known, currents = self._known
-        if force is known:  # worked out for the limit
+        if force is known:  # computed by the limiter already
             return currents
         return self._mapped(force)
 
@@ -65,7 +72,10 @@ class CoilDrive:
         return listed
 
     def limited(self, command: Command) -> Command:
-        """Return a command with its currents clipped, those of the pulse on their own."""
+        """Return a command with clipped currents.
+
+        The currents of the pulse are clipped separately.
+        """
         force, extra = command.force, command.extra
         if extra is None:
             left = self._clipped(force)

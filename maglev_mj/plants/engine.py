@@ -1,4 +1,4 @@
-"""The engine set up for a plant: integrator, gravity, the state at release, and its steps."""
+"""MuJoCo engine of a plant: integrator, initial state, steps."""
 
 from __future__ import annotations
 
@@ -37,10 +37,13 @@ __all__ = [
 ]
 
 Drive: TypeAlias = tuple[Sequence[float | None], Sequence[float], Any]
-"""The wrench commanded (or None and six currents), the engine's controls, and the map from one to the other or None."""
+"""Commanded wrench, engine controls, inverse coil map.
+
+The wrench is (None, six currents) if currents were commanded; the map is None without coils.
+"""
 
 _STOP_TIME = 0.02
-"""Time constant with which a stop slows what moves along it [s]; assumed."""
+"""Time constant of friction along a stop [s]; assumed."""
 
 _HAND_STEP, _STOP_STEP, _FALLOFF_STEP, _BEND_STEP = 5e-4, 2.5e-4, 2.5e-4, 5e-5
 
@@ -57,14 +60,16 @@ _PASSIVE = (
 )
 
 NOTHING = 1e-12
-"""Angle [rad] that is rounding."""
+"""Largest angle [rad] treated as rounding error."""
 
 
 @contextmanager
 def engine_warnings_silenced() -> Iterator[None]:
-    """Keep the engine's warnings off the terminal and out of its log file; a plant raises them as errors anyway.
+    """Suppress the engine's warnings on terminal and log file.
 
-    The engine has one warning handler for the whole process, which is put back at the end.
+    A plant raises them as errors anyway.
+
+    The engine has one warning handler for the whole process; it is restored at the end.
     """
     handler = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(lambda _: None)
@@ -78,7 +83,10 @@ _KINDS = mujoco.mjtIntegrator.__members__
 INTEGRATORS = {name.removeprefix("mjINT_").lower(): kind for name, kind in _KINDS.items()} | {
     "corrected": mujoco.mjtIntegrator.mjINT_EULER
 }
-"""Integrators by name: the engine's, and "corrected", Euler's with a half-step correction (see `CorrectedSteps`)."""
+"""Integrators by name.
+
+Those of the engine, and "corrected": Euler with a half-step correction (see `CorrectedSteps`).
+"""
 
 
 def prepared(
@@ -90,7 +98,7 @@ def prepared(
     force_falloff: float = 0.0,
     **device: Any,
 ) -> Device:
-    """Load a device and set its model up for a plant.
+    """Load a device with its model configured for a plant.
 
     Args:
         model: See `load`.
@@ -102,7 +110,7 @@ def prepared(
 
     Raises:
         ParameterError: If a value is outside its bounds.
-        ModelError: If the model cannot be used, or has no stops where they are needed.
+        ModelError: If the model cannot be used, or lacks the stops that are needed.
     """
     if integrator not in INTEGRATORS:
         raise ParameterError(not_one_of("integrator", INTEGRATORS, integrator))
@@ -128,14 +136,19 @@ def prepared(
 
 
 def _has_passive_forces(model: mujoco.MjModel) -> bool:
-    """Return whether joints, tendons, a fluid, flexes or plugins of a model may push by themselves."""
+    """Return True if a model may exert passive forces.
+
+    Sources are joints, tendons, a fluid, flexes and plugins.
+    """
     springs = (getattr(model, name) for name in _PASSIVE)
     options = model.opt
     return bool(any(map(np.any, springs)) or options.density or options.viscosity or model.nflex or model.nplugin)
 
 
 def start_state(device: Device, pose: Array, twist: Array, hand: Hand | None) -> tuple[Array, Array]:
-    """Return qpos and qvel of a device at release; a hand in a soft grip starts in balance, as fast as the flotor.
+    """Return qpos and qvel of a device at release.
+
+    A hand in a soft grip starts in equilibrium, at the flotor's velocity.
 
     Args:
         device: The device.
@@ -159,7 +172,10 @@ def start_state(device: Device, pose: Array, twist: Array, hand: Hand | None) ->
 
 
 def effort_addresses(device: Device, hand: Hand | None) -> tuple[int, int, int]:
-    """Return the indices into qvel on which a hand's muscles act along x, y and z: its own where its grip is soft."""
+    """Return indices into qvel of the hand's muscle forces.
+
+    They are for x, y and z; they are the hand's own if its grip is soft, otherwise the flotor's.
+    """
     first, second, third = (
         int(device.model.joint(f"hand_{axis}").dofadr[0])
         if hand is not None and hand.soft and index in hand.indices
@@ -178,7 +194,9 @@ def longest_step(
     force_falloff: float = 0.0,
     flexible: bool = False,
 ) -> float | None:
-    """Return the integration step [s] that a device needs beyond its switches; None for none.
+    """Return the longest integration step of a device [s].
+
+    None if it needs steps at force switches only.
 
     Args:
         device: The device, for its drivers' time constant.
@@ -199,14 +217,19 @@ def longest_step(
 
 
 _FIERCEST, _FIERCEST_TURN = 60.0, 2500.0
-"""Half the largest acceleration that coils and a hand give the flotor [m/s², rad/s²]."""
+"""Half the largest acceleration [m/s², rad/s²].
+
+It is that of the flotor under coils and hand.
+"""
 
 
 def near_stops(reach: Sequence[float], position: Sequence[float], velocity: Sequence[float], period: float) -> bool:
-    """Return whether a flotor may meet a stop within a period, which takes short steps; elsewhere they are waste.
+    """Return True if a flotor may reach a stop.
+
+    That is within one period. Contact needs short steps; elsewhere they are wasted.
 
     Args:
-        reach: Least displacement and least angle at which there is a stop [m, rad].
+        reach: Least displacement and least angle of a stop [m, rad].
         position: x y z [m] and the first part of a quaternion.
         velocity: Linear and angular [m/s, rad/s].
         period: Sample period [s].
@@ -220,7 +243,7 @@ def near_stops(reach: Sequence[float], position: Sequence[float], velocity: Sequ
 
 
 class Steps:
-    """The engine's steps for one device under constant controls.
+    """Engine steps of one device under constant controls.
 
     Args:
         device: The device.
@@ -229,7 +252,7 @@ class Steps:
         stop_damping: See `MuJoCoPlant`.
 
     Attributes:
-        look: Returns x y z [m] and a quaternion, and changes nothing.
+        look: Function that returns x y z [m] and a quaternion, without a change of state.
         settle: The same at a sample.
     """
 
@@ -248,7 +271,10 @@ class Steps:
         self.settle: Callable[[], Sequence[float]] = self.look
 
     def advance(self, duration: float, drive: Drive, pieces: int = 1) -> None:
-        """Carry the state over `duration` [s] under a drive in so many equal steps."""
+        """Advance the state by `duration` [s] under a drive.
+
+        The engine makes `pieces` equal steps.
+        """
         if drive is not self._drive:
             self._drive = drive
             self._control(*drive[1])
@@ -259,12 +285,12 @@ class Steps:
 
 
 class CorrectedSteps(Steps):
-    """Euler's step made exact under a constant force: the cheapest engine for what it gives.
+    """Euler steps corrected to be exact under constant force.
 
-    A semi-implicit step of h moves the flotor by h times the velocity at its end, where a constant force moves it by h
-    times the mean: (h/2) dv too far. That is taken off at each sample. Translation is exact to rounding, as with
-    RK4, and a step costs a third of its. What changes within a step, a hand's force, lagging drivers, the torques of
-    turning about several axes, leaves an error of first order in the step.
+    A semi-implicit step of h moves the flotor by h times the velocity at its end. Under a constant force the exact
+    motion is h times the mean velocity, so the step is (h/2) dv too far. This excess is subtracted at each sample.
+    Translation is exact to rounding, as with RK4, at a third of the cost per step. Forces that change within a step
+    (of a hand, lagging drivers, rotation about several axes) leave an error of first order in the step.
     """
 
     def __init__(self, device: Device, data: mujoco.MjData, falloff: float = 0.0, stop_damping: bool = False) -> None:
@@ -275,7 +301,7 @@ class CorrectedSteps(Steps):
         self._put = partial(struct.pack_into, "7d", self._position.data, 0)
         # with damping in the engine the velocity gains something else than the step times the acceleration
         self._damped = bool(device.model.dof_damping.any() or device.model.tendon_damping.any())
-        # how far each segment since the last correction went too far: a factor, and what it is a factor of
+        # excess of each segment since the last correction: a factor, and the velocity gain or acceleration
         self._excess: list[tuple[float, Sequence[float]]] = []
 
     def advance(self, duration: float, drive: Drive, pieces: int = 1) -> None:
@@ -309,7 +335,10 @@ class CorrectedSteps(Steps):
         return x, y, z, w, a, b, c
 
     def _settle(self) -> Sequence[float]:
-        """Move the flotor back by what the steps since the last correction are ahead; return where it is then."""
+        """Subtract the accumulated step error; return the position.
+
+        The position is x y z and a quaternion.
+        """
         pose = self._look()
         self._excess.clear()
         self._put(*pose)
@@ -319,7 +348,10 @@ class CorrectedSteps(Steps):
 def turned_back(
     w: Component, a: Component, b: Component, c: Component, rx: Component, ry: Component, rz: Component
 ) -> tuple[Component, Component, Component, Component]:
-    """Return a unit quaternion turned by a small angle (rx, ry, rz) [rad] about its own axes, backward."""
+    """Rotate a unit quaternion backward by a small angle.
+
+    The angle (rx, ry, rz) [rad] is about the quaternion's own axes.
+    """
     # the engine normalizes what it reads
     p, q, r = -0.5 * rx, -0.5 * ry, -0.5 * rz
     one = 1.0 - 0.5 * (p * p + q * q + r * r)
@@ -332,7 +364,9 @@ def turned_back(
 
 
 def turned_work(force: Sequence[Component], before: Sequence[Component], after: Sequence[Component]) -> Component:
-    """Return the work [J] of a constant wrench between two places, x y z [m] and a quaternion each.
+    """Return a constant wrench's work [J] between two positions.
+
+    A position is x y z [m] and a quaternion.
 
     Exact for the translations, to second order in the angle for the rotations.
     """
@@ -347,9 +381,9 @@ def turned_work(force: Sequence[Component], before: Sequence[Component], after: 
 
 
 class _DampedStops:
-    """A step of the engine in which a stop that is touched slows motion along it too.
+    """Engine step with friction along touched stops.
 
-    A joint's limit acts across itself only: a flotor that turns with its angle at the stop would never come to rest.
+    A joint limit acts along its own coordinate only: a flotor rotating at its angle limit would never come to rest.
     """
 
     def __init__(self, device: Device, data: mujoco.MjData) -> None:
@@ -360,16 +394,16 @@ class _DampedStops:
         self._touching = self._free + np.append([device.mass] * 3, device.inertia) / _STOP_TIME
 
     def __call__(self, steps: int = 1) -> None:
-        """Make some steps."""
+        """Make `steps` steps."""
         for _ in range(steps):
             self._damping[:] = self._touching if self._data.nl else self._free
             mujoco.mj_step(self._model, self._data)
 
 
 class _Falloff:
-    """A step of the engine with coils that push the less the further they are from their magnets' centre.
+    """Engine step with coil force decreasing with stroke.
 
-    The force constants of a step are those half way through it, so that the error is of second order in the step.
+    The force constants of a step are those at its middle, so that the error is of second order in the step.
     """
 
     def __init__(self, device: Device, data: mujoco.MjData, falloff: float, step: Callable[[], object]) -> None:
@@ -381,7 +415,7 @@ class _Falloff:
         self._range = float(device.range[:3].max())
 
     def __call__(self, steps: int = 1) -> None:
-        """Make some steps."""
+        """Make `steps` steps."""
         model, data, coils = self._model, self._data, slice(len(COILS))
         gains, length, speed = (
             model.actuator_gainprm[coils, 0],
@@ -396,7 +430,7 @@ class _Falloff:
             self._step()
 
     def share(self) -> Array:
-        """Return what share of its force each coil gives where the flotor is, (6,)."""
+        """Return each coil's present force share, (6,)."""
         mujoco.mj_fwdPosition(self._model, self._data)
         length: Array = self._data.actuator_length[: len(COILS)]
         return self._share(length)
@@ -409,10 +443,12 @@ class _Falloff:
 def one_step(
     integrator: str, mass: float, step: float, hand: Hand | None = None, driver_lag: bool = False
 ) -> tuple[Array, Array]:
-    """Return the map of one step of the engine along z, from steps that each begin with one unit of one state.
+    """Return the state transition of one engine step along z.
+
+    It is found from steps that each begin with one unit of one state.
 
     The state is that of `motion`: position and velocity of the flotor, then those of a hand in a soft grip, then the
-    force of the drivers where they lag. That of "corrected" is Euler's: the correction comes at the sample.
+    force of the drivers if they lag. For "corrected" it is Euler's: the correction is made at the sample.
 
     Args:
         integrator: One of `INTEGRATORS`.
@@ -422,7 +458,7 @@ def one_step(
         driver_lag: Switch the current drivers' first-order lag on.
 
     Returns:
-        State after it from that before, (n, n), and from the force commanded, (n,).
+        Transition matrix, (n, n), and input vector of the commanded force, (n,).
 
     Raises:
         ParameterError: If there is no such integrator.

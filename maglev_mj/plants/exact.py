@@ -1,4 +1,4 @@
-"""The exact plant: a rigid body on six decoupled axes, closed form from switch to switch."""
+"""Exact plant: decoupled rigid-body axes in closed form."""
 
 from __future__ import annotations
 
@@ -22,22 +22,27 @@ __all__ = ["ExactPlant"]
 
 
 Drive: TypeAlias = tuple[Sequence[Component], Sequence[Component]]
-"""Acceleration of each axis, gravity included [m/s², rad/s²], and the force behind it [N, N m]."""
+"""Accelerations with gravity [m/s², rad/s²], and forces [N, N m].
+
+Six components each.
+"""
 
 _Kept: TypeAlias = tuple[Sequence[Component], Sequence[Component], Sequence[Component]]
-"""Position, velocity, and the force of the actuators, six components each."""
+"""Position, velocity and actuator force, six components each."""
 
 
 class ExactPlant(SampledPlant):
-    """One device or N of them, each coordinate a mass under a constant force: no integrator at all.
+    """One or N devices with closed-form motion, without integrator.
+
+    Each coordinate is a mass under a constant force.
 
     Exact for translation, and for rotation about one principal axis; the coupling between rotations, of
     second order in the angle, is left out. Driver lag, a hand and dry friction have closed forms too.
 
     Args:
         timing: Sample period, delay and phase; (N,) delays and phases go with a pose (N, 6).
-        model: The device whose mass, moments and drivers these are, as for `MuJoCoPlant`; None for the published one.
-        mass: Mass of the flotor with its handle in place of the model's [kg]; (N,) for N devices that differ.
+        model: Source of mass, moments of inertia and drivers, as for `MuJoCoPlant`; None for the published device.
+        mass: Mass of the flotor with its handle in place of the model's [kg]; (N,) for N different devices.
         inertia: Moments of inertia about x, y, z in place of the model's [kg m²], (3,).
         pose: Pose at release [m, rad], (..., 6).
         twist: Velocity at release [m/s, rad/s], (..., 6).
@@ -93,7 +98,7 @@ class ExactPlant(SampledPlant):
         self._place, self._velocity = _shared(components(start)), _shared(components(motion))
         self._lag = lag if flag("driver_lag", driver_lag) else 0.0
         if keywords.get("record") and self._lag:
-            # only the recorded curve needs the pieces: the state itself is exact over any stretch
+            # only the recorded curve needs the pieces: the state itself is exact over any time
             keywords["longest_step"] = 0.25 * self._lag
         special = driver_lag or hand is not None or dry_friction is not None
         self._uses_force = special or bool(keywords.get("record") or keywords.get("metered"))
@@ -103,7 +108,7 @@ class ExactPlant(SampledPlant):
         self._amendments = tuple(self._amended(body, hand, dry_friction)) if special else ()
 
     def _amended(self, body: list[Component], hand: Hand | None, dry_friction: ArrayLike | None) -> Iterator[Amendment]:
-        """Yield what sets the axes apart from free masses."""
+        """Yield the corrections to the motion of free masses."""
         rub = None if dry_friction is None else self.six("dry_friction", dry_friction, finite=True)
         held = hand.indices if hand is not None else ()
         if hand is not None and hand.shape not in ((), self.batch):
@@ -125,7 +130,7 @@ class ExactPlant(SampledPlant):
     def _prepare(self, force: Sequence[Component]) -> Drive:
         fx, fy, fz, tx, ty, tz = force
         one, by_x, by_y, by_z, fall = self._body
-        if self._uses_force:  # later, when the caller may have used its list or arrays again
+        if self._uses_force:  # copied, because the caller may reuse its list or arrays
             force = [part if part.__class__ is float else np.array(part) for part in force]
         return (fx * one, fy * one, fz * one + fall, tx * by_x, ty * by_y, tz * by_z), force
 
@@ -185,7 +190,7 @@ class ExactPlant(SampledPlant):
         return pose, twist, wrench
 
     def _stacked(self, rows: Sequence[Sequence[Component]]) -> Array:
-        """Return K times six components as an array, (K, ..., 6)."""
+        """Return K rows of components as (K, ..., 6)."""
         if not self.batch:
             return np.array(rows, dtype=np.float64)
         stacked = np.empty((len(rows), *self.batch, 6))
@@ -198,7 +203,10 @@ class ExactPlant(SampledPlant):
 def _start(
     timing: Timing, pose: ArrayLike, twist: ArrayLike, mass: ArrayLike, inertia: ArrayLike
 ) -> tuple[Array, Array, list[Any]]:
-    """Return checked pose and twist at release, of one shape, and mass and moments of inertia for the six axes."""
+    """Return checked pose, twist and inertia at release.
+
+    Pose and twist have one shape; the inertia is mass and moments of inertia for the six axes.
+    """
     start, motion = numbers("pose", pose), numbers("twist", twist)
     moments = numbers("inertia", inertia, at_least=0.0)
     shapes = (start.shape, motion.shape, (*np.shape(timing.phase), 6))
@@ -218,9 +226,11 @@ def _start(
 
 
 def _shared(parts: list[Component]) -> list[Component]:
-    """Return components of a batch with a number for each that all devices agree on: it stays one as they move alike.
+    """Replace components common to all devices by numbers.
 
-    One of them stays an array in any case, so that a batch is seen to be one.
+    They stay numbers while the devices move alike.
+
+    One component always stays an array, so that a batch remains recognizable.
     """
     shared = [float(part.flat[0]) if np.size(part) > 1 and (part == part.flat[0]).all() else part for part in parts]
     if np.ndim(parts[0]) and not any(np.ndim(part) for part in shared):

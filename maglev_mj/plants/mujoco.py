@@ -1,4 +1,4 @@
-"""The MuJoCo plant: the device model, stepped only from force switch to force switch."""
+"""MuJoCo plant, stepped from force switch to force switch."""
 
 from __future__ import annotations
 
@@ -38,16 +38,21 @@ __all__ = ["MuJoCoPlant"]
 
 
 _Kept: TypeAlias = tuple[Sequence[float], Sequence[float], Drive]
-"""Where the flotor is, as x y z and a quaternion, its velocity in the engine's form, and the drive as it acts."""
+"""Snapshot: position and quaternion, velocity, acting drive.
+
+The velocity is in the engine's form.
+"""
 
 _ENGINE_BOUND = 1e10
 
 
 class MuJoCoPlant(SampledPlant):
-    """The device in MuJoCo, by default RK4 with a step boundary at every switch: exact to rounding in translation.
+    """One device in MuJoCo, stepped at every force switch.
 
-    It takes wrenches (`write`) and, for a host that knows the coils, currents (`drive`). Nothing is limited unless
-    asked for: the device gives 60 N along z, which takes `current_limit=10`.
+    With RK4, the default, translation is exact to rounding.
+
+    It accepts wrenches (`write`) and, for a host with its own coil model, currents (`drive`). By default nothing is
+    limited: for the device's limit of 60 N along z, give `current_limit=10`.
 
     Args:
         timing: Sample period, delay and phase (a number).
@@ -56,26 +61,25 @@ class MuJoCoPlant(SampledPlant):
         inertia: Moments of inertia about x, y, z in place of the model's [kg m²], (3,).
         pose: Pose at release [m, rad], (6,).
         twist: Velocity at release [m/s, rad/s], (6,).
-        gravity: Acceleration of free fall along -z, or in stator axes (3,) where the base is not level [m/s²].
-        coils: True sends each wrench through the six coils, by their map at the flotor's angle when the sample
-            was taken, as the sensor measured it if there is one; False applies it to the flotor itself, as an ideal
-            actuator would.
+        gravity: Acceleration of free fall along -z, or in stator axes (3,) for a tilted base [m/s²].
+        coils: True sends each wrench through the six coils, by their map at the flotor's angle at the sample, as
+            measured by the sensor if there is one; False applies it to the flotor directly, as an ideal actuator.
         coil_map: Coils in place of the model's, such as calibrated ones.
-        current_limit: Largest current in any coil [A]; None for no limit. Without coils, what it leaves of a wrench is
-            that of coils that stay upright.
+        current_limit: Largest current in any coil [A]; None for no limit. Without coils, the wrench is limited as by
+            coils at angle zero.
         driver_lag: Switch the current drivers' first-order lag on.
         driver_time_constant: Time constant of that lag in place of the model's [s].
         hand: A hand on the flotor, along x, y or z.
         integrator: One of `INTEGRATORS`.
         stops: The metal stops at the ends of the range.
-        stop_damping: A stop that is touched slows motion along it as well, within 20 ms; assumed. Without it a flotor
-            slides and turns along its stops without end.
-        force_falloff: Share of its force constant that a coil has lost when it is as far from its magnets' centre,
-            along its force, as the device's range goes; the loss goes with the square of the distance. Assumed.
+        stop_damping: A touched stop also slows motion along it, with a time constant of 20 ms; assumed. Without it a
+            flotor slides and turns along its stops without end.
+        force_falloff: Loss of a coil's force constant at the end of the device's range along its force, as a share;
+            it grows with the square of the distance from the magnets' centre. Assumed.
         flexible: The handle swings against the flotor along z; see `load`.
         keywords: Those of `SampledPlant`: wrench, wrench_limit, sensor, escape, record, hand_force, longest_step,
-            metered. The longest integration step is None for as long as the wrench is constant, and by default a
-            quarter of the drivers' time constant where their lag is on, 0.5 ms where a hand is.
+            metered. Without a longest integration step a step lasts as long as the wrench is constant; the default is
+            a quarter of the drivers' time constant with driver lag, 0.5 ms with a hand.
 
     Attributes:
         start: Pose and twist at release [m, rad; m/s, rad/s], (6,) each.
@@ -85,7 +89,7 @@ class MuJoCoPlant(SampledPlant):
         ModelError: If the model cannot be used.
     """
 
-    # as in `SampledPlant`: what is not used on every tick
+    # as in `SampledPlant`: attributes not used on every tick
     __slots__ = (
         "_angle",
         "_coil_drive",
@@ -187,7 +191,10 @@ class MuJoCoPlant(SampledPlant):
         self._warns_unseen = max(self._escape) > _ENGINE_BOUND or stops
 
     def _open(self, integrator: str, falloff: float, stop_damping: bool, hand: Hand | None) -> None:
-        """Make the engine's state, and live views of it: reaching for them on each tick costs as much as using them."""
+        """Create the engine's state and live views of it.
+
+        Looking them up on each tick would cost as much as their use.
+        """
         model, device = self.device.model, self.device
         self._data = mujoco.MjData(model)
         mujoco.mj_step(model, self._data)  # the first step fetches its memory, which would make the first tick late
@@ -218,16 +225,16 @@ class MuJoCoPlant(SampledPlant):
         *,
         after: float | None = None,
     ) -> None:
-        """Switch the currents; what was to be switched later than that is not.
+        """Switch the currents, cancelling later switches.
 
-        Where a switch of the currents falls as a wrench's would, and they are those that `write` computes, the motion
-        is the same to the last bit.
+        If the currents and their switching times equal those computed by `write`, the motion is the same to the last
+        bit.
 
         Args:
             currents: Currents from then on [A], six.
             pulsed: In place of them for the first `width` seconds [A], six.
-            width: How long [s]; 0 for no pulse.
-            after: When, since the last sample [s]; the timing's delay by default.
+            width: Duration of the pulse [s]; 0 for no pulse.
+            after: Time of the switch since the last sample [s]; the timing's delay by default.
 
         Raises:
             PlantError: If a current is not finite, no sample was read, or the plant has no coils.
@@ -241,12 +248,15 @@ class MuJoCoPlant(SampledPlant):
         self._timeline.answer(self._tick, held, ahead, width, after=after)
 
     def open_coil(self, coil: int) -> None:
-        """Let a coil, 0 to 5, give no force from now on, as one whose wire is broken."""
+        """Disable a coil (0 to 5), simulating a broken wire."""
         self._model.actuator_gainprm[coil, 0] = 0.0
 
     @cached_property
     def inertia(self) -> Array:
-        """Mass and moments of inertia of the model, handle included [kg, kg m²], (6,); to 12 digits, as it adds up."""
+        """Mass and moments of inertia [kg, kg m²], (6,).
+
+        They are those of the model with its handle, rounded to 12 digits.
+        """
         return np.array([float(f"{part:.12g}") for part in (*[self.device.mass] * 3, *self.device.inertia)])
 
     @property
@@ -257,12 +267,15 @@ class MuJoCoPlant(SampledPlant):
 
     @property
     def met_stops(self) -> bool:
-        """True if a metal stop of the model has acted since release."""
+        """True if a metal stop has acted since release."""
         return bool(self._data.maxuse_efc)
 
     @property
     def stop_wrench(self) -> Array:
-        """Wrench of the metal stops in the engine's last step [N, N m], (6,)."""
+        """Wrench of the metal stops [N, N m], (6,).
+
+        It is that of the engine's last step.
+        """
         wrench: Array = self._data.qfrc_constraint[self.device.velocity_address :][:6].copy()
         if wrench[3:].any():  # the engine turns about the flotor's axes
             wrench[3:] = self._data.xmat[self.device.flotor].reshape(3, 3) @ wrench[3:]
@@ -270,7 +283,9 @@ class MuJoCoPlant(SampledPlant):
 
     @property
     def currents(self) -> Array:
-        """Currents in the six coils at the last sample [A], (6,); those commanded where the drivers lag.
+        """Commanded coil currents at the last sample [A], (6,).
+
+        With driver lag, the actual currents trail them.
 
         Raises:
             PlantError: If the plant has no coils.
@@ -282,7 +297,10 @@ class MuJoCoPlant(SampledPlant):
 
     @property
     def segments(self) -> list[tuple[float, Sequence[float]]]:
-        """Controls from the sample before the last one to that: how long each acted [s], and six [A]."""
+        """Durations [s] and six currents [A] of the last period.
+
+        They are the engine's controls between the last two samples, in order; without coils, wrenches.
+        """
         return [(duration, drive[1]) for duration, drive in self._segments]
 
     def _limited(self, command: Command) -> Command:
@@ -344,7 +362,7 @@ class MuJoCoPlant(SampledPlant):
         return position
 
     def _follow_turn(self) -> None:
-        """Renew the coils' map for the angle at the last sample."""
+        """Update the coil map to the last sample's angle."""
         self._stale = False
         assert self._coil_drive is not None
         rotation = None
@@ -355,7 +373,10 @@ class MuJoCoPlant(SampledPlant):
         self._timeline.compares = self._coil_drive.follow(rotation, self._angle)
 
     def _noted(self, measure: Measure) -> Measure:
-        """Return the measurement with one thing more: the coils' map is renewed for the angle that is measured."""
+        """Return the measurement, extended by a coil map update.
+
+        The map is renewed for the measured angle.
+        """
 
         def measured(position: Sequence[Component]) -> list[Component]:
             known = measure(position)
@@ -365,7 +386,7 @@ class MuJoCoPlant(SampledPlant):
         return measured
 
     def _check_warnings(self) -> None:
-        """Raise what the engine warned of."""
+        """Raise PlantError for warnings of the engine."""
         counts = self._warnings.tolist()
         if any(counts):
             names = ", ".join(mujoco.mjtWarning(kind).name for kind, count in enumerate(counts) if count)
@@ -380,7 +401,10 @@ class MuJoCoPlant(SampledPlant):
         return float(turned_work(force, before, after))
 
     def _acting(self, drive: Drive) -> Drive:
-        """Return a drive as it acts now: with the currents in the coils, and no wrench where they give another."""
+        """Return a drive as it acts now.
+
+        It has the actual currents of the coils, and no wrench if these give another than the commanded one.
+        """
         _, controls, inverse = drive
         falloff = self._steps.falloff
         if self._coils is None or (inverse is not None and not self._model.na and falloff is None):
@@ -389,7 +413,10 @@ class MuJoCoPlant(SampledPlant):
         return (None,), (currents if falloff is None else currents * falloff.share()).tolist(), inverse
 
     def _wrench(self, acting: Drive, place: Sequence[float]) -> Sequence[float]:
-        """Return the wrench on the flotor, six, under a drive as it acts, at x y z and a quaternion."""
+        """Return the wrench on the flotor, six components.
+
+        `acting` is a drive of `_acting`, `place` is x y z and a quaternion.
+        """
         force, currents, inverse = acting
         if force[0] is not None:
             return cast("Sequence[float]", force)
@@ -414,5 +441,8 @@ class MuJoCoPlant(SampledPlant):
 
 
 def _of_currents(currents: Sequence[float]) -> Drive:
-    """Return the drive of currents that nobody asked for as a wrench; none of those is alike."""
+    """Return the drive of directly commanded currents.
+
+    Drives of this kind are never equal.
+    """
     return (None, *currents), tuple(currents), None

@@ -1,4 +1,4 @@
-"""What the sensor makes of the true pose: steps and noise."""
+"""Sensor models: resolution and noise."""
 
 from __future__ import annotations
 
@@ -22,24 +22,29 @@ from maglev_mj.sensing.solver import FastBeams, PoseTracker
 __all__ = ["PoseSensor", "Sensor", "SpotReader", "SpotSensor"]
 
 Measure: TypeAlias = Callable[[Sequence[Component]], list[Component]]
-"""From the components of the true pose to those measured."""
+"""Function from true to measured pose components."""
 
 
 class PoseSensor(Protocol):
-    """What a plant asks of a sensor."""
+    """Interface of a pose sensor to a plant."""
 
     def start(self) -> Measure:
-        """Return what turns the components of the true pose into those measured, from the beginning on."""
+        """Return the measurement function in its initial state.
+
+        It maps the components of the true pose to the measured ones.
+        """
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Sensor:
-    """A sensor of limited resolution with white Gaussian noise ahead of its steps.
+    """Pose sensor with limited resolution and white Gaussian noise.
+
+    The noise is added before quantization.
 
     Args:
         quantum: Resolution, (6,) or a number [m, rad]; zero for none.
         noise: Standard deviation of the noise, (6,) or a number [m, rad]; devices of a batch draw their own.
-        seed: Of the noise: the same seed gives the same run.
+        seed: Seed of the noise: the same seed gives the same run.
 
     Raises:
         ParameterError: If a value is negative or of another shape.
@@ -58,7 +63,10 @@ class Sensor:
         object.__setattr__(self, "seed", whole("seed", self.seed))
 
     def start(self) -> Measure:
-        """Return what turns the components of the true pose into those measured, from the seed on."""
+        """Return the measurement function in its initial state.
+
+        It maps the components of the true pose to the measured ones; the noise begins at the seed.
+        """
         noise, quantize = np.asarray(self.noise).tolist(), _quantizer(np.asarray(self.quantum).tolist())
         if not any(noise):
             return quantize
@@ -74,16 +82,20 @@ class Sensor:
 
 
 _WHOLE = 1.5 * 2.0**52
-"""Next to this number floats are whole numbers: x + _WHOLE - _WHOLE is x to the nearest one, halves to the even one.
+"""Offset for rounding a float to a whole number.
 
-That holds below 2**51, beyond which a float's own rounding is larger than what is added; NaN and infinity stay.
+x + _WHOLE - _WHOLE is x rounded to the nearest whole number, halves to the even one.
+
+This holds below 2**51; beyond that, a float's own rounding is larger. NaN and infinity stay.
 """
 
 
 def _quantizer(quantum: Sequence[float]) -> Callable[[Iterable[Component]], list[Component]]:
-    """Return what rounds six components to whole steps [m, rad], six; a step of 0 leaves its component.
+    """Return a function that quantizes six components.
 
-    It is np.rint to the last bit, but for the sign of a zero.
+    The steps are six [m, rad]; a step of 0 leaves its component unchanged.
+
+    The result equals np.rint to the last bit, except for the sign of a zero.
     """
     if not all(quantum):
         return lambda position: [
@@ -106,9 +118,11 @@ def _quantizer(quantum: Sequence[float]) -> Callable[[Iterable[Component]], list
 
 
 def _draws(noise: Sequence[float], seed: int, shape: tuple[int, ...] = ()) -> Iterator[list[Component]]:
-    """Return draws of noise without end, six components of shape (...,) at a time.
+    """Return an endless iterator of noise samples.
 
-    For one device many are drawn at once, the same as one by one.
+    A sample is six components of shape (...,).
+
+    For one device many samples are drawn at once, with the same values as one by one.
     """
     generator = np.random.default_rng(seed)
     if not shape:
@@ -124,13 +138,15 @@ def _draws(noise: Sequence[float], seed: int, shape: tuple[int, ...] = ()) -> It
 
 
 class SpotReader:
-    """The diodes' electronics of one device: the spots of the true pose, with noise, in steps.
+    """Simulated diode electronics of one device.
+
+    The light spots of the true pose are returned with noise and quantization.
 
     Args:
         beams: The geometry.
-        quantum: Resolution of a spot's place [m]; 0 for none.
-        noise: Standard deviation of white Gaussian noise on each coordinate of a spot, ahead of its steps [m].
-        seed: Of the noise: the same seed gives the same run.
+        quantum: Resolution of a spot's position [m]; 0 for none.
+        noise: Standard deviation of white Gaussian noise on each coordinate of a spot before quantization [m].
+        seed: Seed of the noise: the same seed gives the same run.
 
     Raises:
         ParameterError: If a value is negative.
@@ -143,7 +159,9 @@ class SpotReader:
         self._draws = _draws([spread] * 6, seed) if spread else None
 
     def __call__(self, pose: Sequence[float]) -> list[float]:
-        """Return the six coordinates of the spots [m] that are measured of the true pose, six floats [m, rad].
+        """Return six measured spot coordinates [m] of a true pose.
+
+        The pose is six floats [m, rad].
 
         Raises:
             SensingError: If a beam runs along its diode, or the pose is not finite.
@@ -154,16 +172,18 @@ class SpotReader:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SpotSensor:
-    """The device's own sensor: where three beams meet three diodes, with noise, in steps, and the pose from that.
+    """The device's own optical sensor with three light beams.
+
+    Spots of the beams on three diodes are read with noise and quantization, and the pose is computed from them.
 
     One device is measured by a `SpotReader` and a `PoseTracker`, a batch at once by `Beams`.
 
     Args:
         beams: The geometry; that of the model by default.
-        quantum: Resolution of a spot's place [m]; 0 for none.
-        noise: Standard deviation of white Gaussian noise on each coordinate of a spot, ahead of its steps [m]; devices
+        quantum: Resolution of a spot's position [m]; 0 for none.
+        noise: Standard deviation of white Gaussian noise on each coordinate of a spot before quantization [m]; devices
             of a batch draw their own.
-        seed: Of the noise: the same seed gives the same run.
+        seed: Seed of the noise: the same seed gives the same run.
 
     Raises:
         ParameterError: If a value is negative.
@@ -180,9 +200,11 @@ class SpotSensor:
         object.__setattr__(self, "seed", whole("seed", self.seed))
 
     def start(self) -> Measure:
-        """Return what turns the components of the true pose into those measured; each search begins at the last.
+        """Return the measurement function in its initial state.
 
-        What it returns raises SensingError where no pose fits the spots, for one device also beyond a quarter turn.
+        It maps the components of the true pose to the measured ones. Each search begins at the last pose found.
+
+        The function raises SensingError if no pose fits the spots, and for one device also beyond a quarter turn.
         """
         geometry = self.beams or beams()
         chosen: Measure | None = None
@@ -196,14 +218,14 @@ class SpotSensor:
         return measure
 
     def _one(self, geometry: Beams) -> Measure:
-        """Return what measures one device."""
+        """Return the measurement function of one device."""
         reader = SpotReader(geometry, self.quantum, self.noise, self.seed)
         # how far is too far is for the plant to say (its `escape`); no two poses within a quarter turn look alike
         tracker = PoseTracker(geometry, farthest=math.inf, most_turned=0.5 * math.pi)
         return lambda position: tracker(reader(position))
 
     def _many(self, geometry: Beams) -> Measure:
-        """Return what measures a batch."""
+        """Return the measurement function of a batch."""
         generator = np.random.default_rng(self.seed)
         last: Array | None = None
 

@@ -1,4 +1,4 @@
-"""Scenes: parameters, laws, start, hand and figures of what happens to the flotor."""
+"""Scenes: simulated experiments with laws, start, hand and figures."""
 
 from typing import TYPE_CHECKING
 

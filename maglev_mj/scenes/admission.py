@@ -1,4 +1,7 @@
-"""Checks of a scene: the closed loop of every axis, and the step of force where the flotor is."""
+"""Stability check of a scene, and limit of force steps.
+
+The stability check covers the closed loop of every axis; the force step is that at the flotor's present pose.
+"""
 
 from __future__ import annotations
 
@@ -20,31 +23,34 @@ from maglev_mj.theory.verdict import inertia_of, stability
 __all__ = ["STEP_FORCE", "Refusal", "check_step", "own_code_refused", "refusal", "stability_warning"]
 
 STEP_FORCE = 2.0
-"""Largest step of force that settings of other programs may make by default [N].
+"""Default limit of force steps by other programs [N].
 
-Pushed by so much through all of its 9 mm, a flotor that nobody holds gets 0.23 m/s: below what a device's host allows.
+This force accelerates a free flotor over its whole range of 9 mm to 0.23 m/s, less than a device's host allows.
 """
 
 _ARM = 0.05
-"""A torque is felt at the rim of the flotor, about so far from the axis [m]."""
+"""Lever arm that converts a torque to a force [m].
+
+It is about the distance of the flotor's rim from the axis.
+"""
 
 _ACTING = {"contact": "walls", "stuck": "friction"}
 
 
 class Refusal(NamedTuple):
-    """Refused parameters: the worst loop that they make.
+    """Unstable loop of refused parameters, on its worst axis.
 
     Attributes:
         axis: Name of its axis.
-        acting: What acts there: "walls", "friction", both, "nothing but the scene", or "the laws" where one of them
-            does not state its gains.
-        stiffness: Of all that acts together [N/m, N m/rad].
-        damping: Likewise [N s/m, N m s/rad].
+        acting: Acting laws: "walls", "friction", both, "nothing but the scene", or "the laws" if one of them does not
+            state its gains.
+        stiffness: Total stiffness [N/m, N m/rad].
+        damping: Total damping [N s/m, N m s/rad].
         modulus: Largest modulus of the loop's eigenvalues; from 1 on it is unstable.
-        largest_stable: Stiffness up to which it would be stable at that damping [N/m, N m/rad]; 0 for none, None where
-            a law does not state its gains.
+        largest_stable: Largest stable stiffness at that damping [N/m, N m/rad]; 0 for none, None if a law does not
+            state its gains.
         period: Sample period [s].
-        delay: From a sample to its command taking effect [s].
+        delay: Time from a sample to the effect of its command [s].
     """
 
     axis: str
@@ -75,10 +81,10 @@ class Refusal(NamedTuple):
 def own_code_refused() -> Iterator[None]:
     """Refuse parameters at which a user's own code fails.
 
-    A slider goes through values that nobody thought of: they end neither a session nor a flight.
+    A slider can reach unexpected values; they must end neither a session nor a flight.
 
     Raises:
-        ParameterError: If what is done meanwhile fails.
+        ParameterError: If the code in the context fails.
     """
     try:
         yield
@@ -91,9 +97,9 @@ def own_code_refused() -> Iterator[None]:
 
 
 def refusal(scene: Scene, *, inertia: ArrayLike | None = None, delay: float | None = None) -> Refusal | None:
-    """Return why a scene would be unstable; None where it would not.
+    """Return a scene's unstable loop, or None if stable.
 
-    The loop is that of a flotor that nobody holds; see `judge`. A hand mostly damps.
+    The loop is that of a free flotor; see `judge`. A hand mostly adds damping.
 
     Args:
         scene: The scene, with the present period and delay.
@@ -101,7 +107,7 @@ def refusal(scene: Scene, *, inertia: ArrayLike | None = None, delay: float | No
         delay: See `stability`.
 
     Raises:
-        ParameterError: If it is not known whether it would be.
+        ParameterError: If the stability cannot be decided.
     """
     period, delay = scene.period, scene.delay if delay is None else delay
     body = inertia_of(scene) if inertia is None else numbers("inertia", inertia)
@@ -128,9 +134,11 @@ def refusal(scene: Scene, *, inertia: ArrayLike | None = None, delay: float | No
 
 
 def check_step(present: Controller, wanted: Controller, pose: Sequence[float], step_force: float = STEP_FORCE) -> None:
-    """Refuse settings that would push the flotor where it is.
+    """Refuse settings that cause a large force step.
 
-    Both controllers are asked for their force at rest; that of the wanted one counts with its pulse and without.
+    The step is that at the present pose.
+
+    Both controllers give their force at rest; that of the wanted one counts with its pulse and without.
 
     Args:
         present: The controller in force.
@@ -153,7 +161,7 @@ def check_step(present: Controller, wanted: Controller, pose: Sequence[float], s
 
 
 def stability_warning(scene: Scene, *, inertia: ArrayLike | None = None, delay: float | None = None) -> str | None:
-    """Return one line on a scene that may be unstable; None for a stable one.
+    """Return a stability warning of one line, or None.
 
     Args:
         scene: See `refusal`.
@@ -161,12 +169,12 @@ def stability_warning(scene: Scene, *, inertia: ArrayLike | None = None, delay: 
         delay: See `stability`.
 
     Raises:
-        ParameterError: If the timing or a law's answer to the first sample is wrong, as a run would say too.
+        ParameterError: If the timing or a law's answer to the first sample is wrong, as in a run.
     """
     scene.timing()
     controller = scene.controller()
     controller.step(Sample(0, 0.0, components(numbers("pose", scene.start().pose))))
-    if not hasattr(controller.velocity, "linear"):  # no loop is its: seconds to find out for a start that goes on
+    if not hasattr(controller.velocity, "linear"):  # not linear: the check would take seconds and the run starts anyway
         return None
     try:
         wrong = refusal(scene, inertia=inertia, delay=delay)

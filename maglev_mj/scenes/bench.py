@@ -1,4 +1,4 @@
-"""What scenes on the bench share: the device's own parameters, and a wall below z = 0."""
+"""Common parts of bench scenes: device parameters, wall, hold."""
 
 from __future__ import annotations
 
@@ -31,24 +31,33 @@ def along(axis: str, value: float, elsewhere: float = 0.0) -> Array:
 
 
 def stepped(axis: str, quantum: float) -> Sensor | None:
-    """Return a sensor of some resolution on one axis [m, rad]; None for an ideal one."""
+    """Return a quantizing sensor for one axis, or None.
+
+    The resolution is [m, rad]; 0 gives None, an ideal sensor.
+    """
     return Sensor(quantum=along(axis, quantum)) if quantum else None
 
 
 def hold(scene: Scene, axes: str | Sequence[str], mass: float = Spec.moving_mass.value) -> Hold:
-    """Return a hold that keeps axes where they are, as stiff as period and delay allow with ease."""
+    """Return a soft hold of the given axes.
+
+    It is as stiff as period and delay allow with a wide margin.
+    """
     return _hold(axes if isinstance(axes, str) else tuple(axes), mass, scene.period, scene.delay)
 
 
 @lru_cache
 def _hold(axes: str | tuple[str, ...], mass: float, period: float, delay: float) -> Hold:
-    """Return a hold, which never changes: one for all scenes of a sweep."""
+    """Return a hold, cached for all scenes of a sweep."""
     inertia = [mass if index < 3 else INERTIA[index] for index in axis_indices(axes)]
     return Hold.critically_damped(axes, inertia=inertia, period=period, delay=delay)
 
 
 class WallScene(Scene):
-    """A wall that fills z <= 0, with a braking pulse; the five other axes are held."""
+    """Wall that fills z <= 0, with a braking pulse.
+
+    The five other axes are held.
+    """
 
     stiffness: float = param("wall stiffness", "N/m", default=6000.0, at_least=0.0, at_most=1e8, live=True)
     damping: float = param("wall damping", "N s/m", default=80.0, at_least=0.0, at_most=1e6, live=True)
@@ -75,7 +84,9 @@ class WallScene(Scene):
             raise ParameterError("pulse_width must be above 0 where there is a pulse, not 0.0")
 
     def wall(self, *, gate: float = 0.0, force_limit: float = math.inf) -> Wall:
-        """Return the PD wall of eq. (3) with its braking pulse.
+        """Return the PD wall with its braking pulse.
+
+        It is that of eq. (3) of Salcudean & Vlaar 1997.
 
         Args:
             gate: Least approach speed for a pulse [m/s].

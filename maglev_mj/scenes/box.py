@@ -1,4 +1,4 @@
-"""A box of stiff walls on all six axes, and nothing else: the flotor floats in it."""
+"""Scene: flotor floating in a box of stiff walls."""
 
 import math
 from typing import ClassVar
@@ -14,7 +14,7 @@ __all__ = ["Box"]
 _AIR = 1.0
 
 BOX_WALLS = (0.003,) * 3 + (math.radians(4.0),) * 3
-"""How far each wall is from the centre [m, rad]."""
+"""Distance of each wall from the centre [m, rad]."""
 
 
 class Box(InteractiveScene):
@@ -41,6 +41,6 @@ class Box(InteractiveScene):
 
     def own_laws(self) -> list[Law]:
         """See `InteractiveScene`."""
-        # a little damping, as of air, so that the flotor comes to rest within a minute
+        # slight damping, as by air: the flotor comes to rest within a minute
         soft = spring(AXES, stiffness=0.0, damping=_AIR)
         return [*weight(self), soft, *contacts(self, AXES, lower=[-edge for edge in BOX_WALLS], upper=BOX_WALLS)]

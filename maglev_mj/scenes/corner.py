@@ -1,4 +1,7 @@
-"""A corner of two walls and a stop for a rotation: three contacts at once, on axes that the device couples."""
+"""Scene: corner of two walls and a rotation stop.
+
+It has three contacts at once, on coupled axes of the device.
+"""
 
 from typing import ClassVar
 
@@ -16,7 +19,7 @@ _INTO = ("x", "z", "ry")
 
 
 class Corner(InteractiveScene):
-    """A corner of two walls and a stop for a rotation."""
+    """A corner of two walls and a rotation stop."""
 
     says: ClassVar = "drawn into a corner of two walls, and a stop for a rotation"
     model: ClassVar = "scenes/corner"

@@ -1,4 +1,7 @@
-"""The flotor dropped on a stiff wall: figures 3 and 4 of Salcudean and Vlaar (1997)."""
+"""Scene: drop of the flotor on a stiff wall.
+
+Figures 3 and 4 of Salcudean and Vlaar (1997).
+"""
 
 from __future__ import annotations
 
@@ -24,7 +27,7 @@ __all__ = ["Drop"]
 
 
 class Drop(WallScene):
-    """Drop the flotor on a stiff wall (figures 3 and 4)."""
+    """Drop the flotor on a stiff wall (figures 3, 4)."""
 
     model: ClassVar = "scenes/drop"
     figures: ClassVar = ("penetration", "rebound", "peak_force", "settling_time", "final_z")
@@ -53,8 +56,8 @@ class Drop(WallScene):
         return Start(pose=(0.0, 0.0, self.height, 0.0, 0.0, 0.0))
 
     def laws(self) -> list[Law]:
-        """Return the wall, and what holds the other axes."""
-        # a law that knows of no limit carries nothing over
+        """Return the wall and the hold of the other axes."""
+        # without a limit the law carries no impulse over
         limit = self.force_limit if self.force_limit and self.carry else math.inf
         return [self.wall(force_limit=limit), hold(self, others("z"), self.mass)]
 
@@ -75,18 +78,21 @@ class Drop(WallScene):
         return variants | {"no pulse": self.replace(pulse=0.0)}
 
     def describe(self) -> str:
-        """Return one line on what happens."""
+        """Return a one-line description."""
         pulse = f"a braking pulse of {self.pulse:g} N s/m" if self.pulse else "no pulse"
         wall = f"a wall of {self.stiffness:.6g} N/m and {self.damping:.4g} N s/m"
         return f"a drop of {self.height * 1e3:g} mm on {wall}, {pulse}"
 
     @property
     def rest(self) -> float:
-        """Where weight and wall balance [m]; NaN without stiffness."""
+        """Equilibrium height on the wall [m]; NaN without stiffness."""
         return -self.mass * GRAVITY / self.stiffness if self.stiffness > 0.0 else math.nan
 
     def analog(self, time: Array) -> tuple[Array, Array, Array]:
-        """Return z [m], velocity [m/s] and force [N] of the same drop on the ideal analog wall; see `analog_wall`."""
+        """Return z [m], velocity [m/s], force [N], analog wall.
+
+        They are of the same drop on the ideal analog wall; see `analog_wall`.
+        """
         return analog_wall(time, height=self.height, stiffness=self.stiffness, damping=self.damping, mass=self.mass)
 
     def series(self, result: Result, time: Array) -> dict[str, Array]:
@@ -96,5 +102,8 @@ class Drop(WallScene):
 
     @staticmethod
     def less_deep(penetration: float, phases: Array) -> float:
-        """Return the share of phases with less penetration than a drop."""
+        """Return the share of phases with less penetration.
+
+        `penetration` is that of the drop compared.
+        """
         return float(np.mean(phases < penetration - 1e-9))  # the two plants round differently

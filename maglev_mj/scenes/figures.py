@@ -1,4 +1,7 @@
-"""Figures of a run: each is one function of a result, with its unit and a few words of help."""
+"""Figures of a run: functions of its result.
+
+Each has a unit and a short help text.
+"""
 
 from __future__ import annotations
 
@@ -25,12 +28,12 @@ class Figure:
 
     Attributes:
         name: Its name.
-        function: From a `Result` to the figure: a number, or a list of them; of a batch (..., N).
-        unit: Unit in tables; a translation's where the axis may turn.
-        help: What it is, in a few words.
-        scale: From SI units to that unit.
-        batched: Whether the function takes a batch of devices at once, with the same bits as one by one.
-        late: Whether a figure that is missing counts as the greatest in percentiles; otherwise it is left out.
+        function: Function of a `Result` that returns a number, or a list of them; for a batch (..., N).
+        unit: Unit in tables; that of a translation if the axis may be a rotation.
+        help: Short description.
+        scale: Factor from SI units to that unit.
+        batched: True if the function takes a batch of devices at once, with the same bits as one by one.
+        late: True if a missing figure counts as the largest in percentiles; otherwise it is left out.
     """
 
     name: str
@@ -54,13 +57,13 @@ class Figure:
 
         Args:
             values: Figures of N runs, (N, ...).
-            share: Which percentile, in per cent.
+            share: Percentile in per cent.
         """
         if self.late:
             late = np.where(np.isnan(values), np.inf, values)
             if np.isinf(np.percentile(late, share, method="higher")):
                 return np.array(np.nan)
-            # a missing one keeps its rank without spoiling the interpolation
+            # a missing figure keeps its rank without an effect on the interpolation
             return np.asarray(np.percentile(np.where(np.isinf(late), np.finfo(float).max, late), share))
 
         def known(column: Array) -> float:
@@ -79,7 +82,7 @@ def figure(
     batched: bool = False,
     late: bool = False,
 ) -> Callable[[Callable[[Result], Any]], Figure]:
-    """Make a figure of a function of a result; see `Figure`."""
+    """Make a figure of a function; see `Figure`."""
     flag("batched", batched)
     flag("late", late)
 
@@ -90,10 +93,10 @@ def figure(
 
 
 def figures_named(chosen: Sequence[Figure | str] | Mapping[str, Figure | str]) -> dict[str, Figure]:
-    """Return figures by the names that they have in JSON.
+    """Return figures by their JSON names.
 
     Raises:
-        TypeError: If a name is that of no stock figure.
+        TypeError: If a name is not that of a stock figure.
     """
     if not isinstance(chosen, Mapping):
         chosen = {one if isinstance(one, str) else one.name: one for one in chosen}
@@ -106,7 +109,10 @@ def figures_named(chosen: Sequence[Figure | str] | Mapping[str, Figure | str]) -
 
 
 def _bounce(name: str) -> Callable[[Result], Any]:
-    """Return what takes one figure of a drop on a wall that fills the shown axis below 0."""
+    """Return the function of one bounce figure.
+
+    The wall fills the shown axis below 0.
+    """
 
     def made(result: Result) -> BounceSummary:
         rest = getattr(result.scene, "rest", np.nan)
@@ -116,7 +122,7 @@ def _bounce(name: str) -> Callable[[Result], Any]:
 
 
 def _press(name: str) -> Callable[[Result], Any]:
-    """Return what takes one figure of hits and a press."""
+    """Return the function of one hit or press figure."""
 
     def made(result: Result) -> PressSummary:
         scene: Any = result.scene
@@ -127,7 +133,7 @@ def _press(name: str) -> Callable[[Result], Any]:
 
 
 def changes(result: Result) -> list[int]:
-    """Return the samples at which the friction's state changes."""
+    """Return the samples of changes in the friction state."""
     stuck = result.samples["stuck"][:, 0]
     found: list[int] = (np.flatnonzero(stuck[1:] != stuck[:-1]) + 1).tolist()
     return found
@@ -190,4 +196,4 @@ STOCK: Mapping[str, Figure] = {
         ),
     )
 }
-"""Figures that a scene takes by name."""
+"""Predefined figures by name."""

@@ -1,4 +1,4 @@
-"""Scenes by name, by file, or of other packages."""
+"""Scenes by name, by file, or from other packages."""
 
 from __future__ import annotations
 
@@ -39,10 +39,10 @@ def find_scene(text: str) -> type[Scene]:
     """Return the class of a scene.
 
     Args:
-        text: NAME, FILE.py, or FILE.py:CLASS where the file has several. A file is run, as Python would run it.
+        text: NAME, FILE.py, or FILE.py:CLASS if the file has several. A file is run, as Python would run it.
 
     Raises:
-        ParameterError: If there is none, or a file cannot be read, fails, or has several.
+        ParameterError: If there is no such scene, or a file cannot be read, fails, or has several.
     """
     if text in BUILT_IN:
         return _in_module(BUILT_IN[text])
@@ -50,13 +50,16 @@ def find_scene(text: str) -> type[Scene]:
     if path != text:
         return _of_file(Path(f"{path}.py"), wanted)
     for entry in installed_scenes():
-        if entry.name == text:  # loaded when asked for: a broken package breaks its own scene alone
+        if entry.name == text:  # loaded on demand: a broken package breaks only its own scene
             return _installed(entry)
     raise ParameterError(not_one_of("scene", scene_names(), text, ", or a file such as my_scene.py"))
 
 
 def reference_of(cls: type[Scene]) -> str:
-    """Return the text by which `find_scene` finds a class again, in another process too."""
+    """Return the reference text of a scene class.
+
+    `find_scene` finds the class by it again, in another process too.
+    """
     for name, place in BUILT_IN.items():
         if place == f"{cls.__module__}:{cls.__qualname__}":
             return name
@@ -66,17 +69,22 @@ def reference_of(cls: type[Scene]) -> str:
 
 
 def source_of(cls: type[Scene]) -> str | None:
-    """Return a hash of the file of a user's own scene; None for one of a package."""
+    """Return the hash of a user scene's file, or None.
+
+    None is for a scene of a package.
+    """
     if not cls.__module__.startswith(_OWN):
         return None
     return hash_of(text_of(cls))
 
 
 def text_of(cls: type[Scene]) -> str:
-    """Return the text of the file that a scene is in; of a user's own as it was when it was run.
+    """Return the text of a scene's file.
+
+    That of a user's own scene is as it was when it was run.
 
     Raises:
-        ParameterError: If it is at the top of no file, as one that was typed in.
+        ParameterError: If the scene is not at the top level of a file, as one typed interactively.
     """
     found = file_of(cls)
     if found is None:
@@ -85,7 +93,10 @@ def text_of(cls: type[Scene]) -> str:
 
 
 def line_of(error: BaseException) -> str | None:
-    """Return file and line of a user's own scene that an error comes from; None for another's."""
+    """Return an error's file and line in user code.
+
+    None if the error is not from a user's own scene.
+    """
     found = None
     for frame, line in walk_tb(error.__traceback__):
         if frame.f_globals.get("__name__", "").startswith(_OWN):
@@ -95,7 +106,9 @@ def line_of(error: BaseException) -> str | None:
 
 @lru_cache(maxsize=16)
 def scene_of_text(text: str, name: str) -> type[Scene]:
-    """Return a class of the text of a file that need not be on this machine; it is run once a process.
+    """Return a scene class from a file's text.
+
+    The file need not be on this machine. The text is run once per process.
 
     Raises:
         ParameterError: If the text fails.
@@ -106,24 +119,28 @@ def scene_of_text(text: str, name: str) -> type[Scene]:
 
 @lru_cache(maxsize=64)
 def object_of_text(text: str, name: str, file: str) -> Any:
-    """Return a class or function of the text of a file, of which no more is executed than that needs.
+    """Return a class or function from a file's text.
+
+    Only the statements needed for it are executed.
 
     Args:
         text: The text, such as that of a script whose other lines drive a device.
-        name: Name at the top of it.
-        file: What to call the file in messages.
+        name: Name at its top level.
+        file: Name of the file in messages.
 
     Raises:
-        ParameterError: If there is none of that name, or the text fails.
+        ParameterError: If there is no such name, or the text fails.
     """
     return defined_in(_made(f"{_OWN}{hash_of(text)}_{name}", text, file, name), name, file)
 
 
 def defined_in(module: ModuleType, name: str, file: str) -> Any:
-    """Return a class or function that a module defines itself, not one that it imports.
+    """Return a class or function defined in a module.
+
+    An imported one does not count.
 
     Raises:
-        ParameterError: If there is none of that name.
+        ParameterError: If there is no such name.
     """
     found = getattr(module, name, None)
     if getattr(found, "__module__", None) != module.__name__:
@@ -132,7 +149,7 @@ def defined_in(module: ModuleType, name: str, file: str) -> Any:
 
 
 def made_again(reference: str, values: Mapping[str, Any]) -> Scene:
-    """Return a scene of a reference and its values: how one is unpickled."""
+    """Return a scene from its reference and values, for unpickling."""
     path, _, _ = reference.rpartition(":")
     cls = find_scene(reference) if reference in BUILT_IN or path.endswith(".py") else _in_module(reference)
     return cls.from_json(values)
@@ -175,9 +192,9 @@ def _of_file(path: Path, wanted: str) -> type[Scene]:
 
 @lru_cache(maxsize=16)
 def _run(path: Path, written: int) -> ModuleType:
-    """Run a file as a module, anew where it was written since."""
+    """Run a file as a module, again after each change."""
     name = _OWN + hashlib.sha256(str(path).encode()).hexdigest()[:8] + "_" + path.stem
-    sys.path.insert(0, str(path.parent))  # as `python FILE` has it, so that it finds its neighbours
+    sys.path.insert(0, str(path.parent))  # as with `python FILE`, for imports of files beside it
     try:
         return _made(name, path.read_bytes(), str(path))
     finally:
@@ -185,7 +202,10 @@ def _run(path: Path, written: int) -> ModuleType:
 
 
 def _made(name: str, text: str | bytes, file: str, only: str = "") -> ModuleType:
-    """Run the text of a file as a module of some name; only what one of its names needs, where that is told."""
+    """Run a file's text as a module.
+
+    With `only`, run just the statements which that name needs.
+    """
     module = ModuleType(name)
     module.__file__ = file
     sys.modules[name] = module
@@ -202,7 +222,10 @@ def _made(name: str, text: str | bytes, file: str, only: str = "") -> ModuleType
 
 
 def _needed(tree: ast.Module, name: str) -> Iterator[ast.stmt]:
-    """Yield the statements that a name at the top needs, and those that say how to read the others."""
+    """Yield the statements needed by a top-level name.
+
+    Statements such as `from __future__` imports are included.
+    """
     binds = [_bound(statement) for statement in tree.body]
     wanted, kept = {"*", name}, set[int]()
     while more := {place for place, names in enumerate(binds) if names & wanted} - kept:
@@ -213,7 +236,10 @@ def _needed(tree: ast.Module, name: str) -> Iterator[ast.stmt]:
 
 
 def _bound(statement: ast.stmt) -> set[str]:
-    """Return the names that a statement gives a value; * for one that may give any."""
+    """Return the names bound by a statement.
+
+    It is * for a statement that affects all others.
+    """
     if isinstance(statement, ast.FunctionDef | ast.ClassDef):
         return {statement.name}
     if isinstance(statement, ast.ImportFrom) and statement.module == "__future__":

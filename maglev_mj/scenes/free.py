@@ -1,4 +1,4 @@
-"""The body alone: turning freely, let go, or drawn back to its centre on all six axes."""
+"""Scenes without walls: free rotation, fall, soft centring."""
 
 from __future__ import annotations
 
@@ -18,7 +18,10 @@ __all__ = ["LetGo", "SixAxes", "Twist"]
 
 
 class _Body(Scene):
-    """A body whose run ends with a sample, where that meets the end."""
+    """Scene with a run that ends at a sample.
+
+    There is no extra sample if the end coincides with one.
+    """
 
     takes_phase: ClassVar[bool] = False
 
@@ -28,7 +31,10 @@ class _Body(Scene):
 
 
 class Twist(_Body):
-    """A free flotor that turns at 3.7 rad/s about all three axes."""
+    """A free flotor rotating at 3.7 rad/s.
+
+    The rotation is about all three axes.
+    """
 
     figures: ClassVar = ("peak_speed", "final_position")
     shown_axis: ClassVar[str] = "rx"
@@ -36,21 +42,24 @@ class Twist(_Body):
     duration: float = param("simulated time", "s", default=0.04, above=0.0, at_most=1e6)
 
     def laws(self) -> list[Law]:
-        """Return none."""
+        """Return no laws."""
         return []
 
     def start(self) -> Start:
-        """Return a flotor that turns, its weight compensated."""
+        """Return a rotating flotor, its weight compensated."""
         twist = (0.0, 0.0, 0.0, 2.0, -1.5, 2.7)
         return Start(pose=(0.0, 0.0, 0.0, -0.04, 0.03, -0.02), twist=twist, gravity=0.0)
 
     def describe(self) -> str:
-        """Return one line on what happens."""
+        """Return a one-line description."""
         return "a free flotor that turns at 3.7 rad/s about all three axes"
 
 
 class LetGo(_Body):
-    """The currents off at centre: the flotor falls on its stop."""
+    """The flotor falls on its stop, without currents.
+
+    It starts at the centre.
+    """
 
     figures: ClassVar = ("peak_speed", "final_position")
     tolerance: ClassVar[float] = 1e-4
@@ -59,16 +68,19 @@ class LetGo(_Body):
     duration: float = param("simulated time", "s", default=0.08, above=0.0, at_most=1e6)
 
     def laws(self) -> list[Law]:
-        """Return none."""
+        """Return no laws."""
         return []
 
     def describe(self) -> str:
-        """Return one line on what happens."""
+        """Return a one-line description."""
         return "the currents off at centre: the flotor falls on its stop"
 
 
 def _soft(gain: str) -> Callable[[Any], float]:
-    """Return what derives a gain: that of the soft hold that period and delay allow."""
+    """Return a function that derives a soft hold's gain.
+
+    The hold is that of `Hold.critically_damped`.
+    """
 
     def derived(scene: SixAxes) -> float:
         soft = Hold.critically_damped("x", inertia=INERTIA[0], period=scene.period, delay=scene.delay)
@@ -78,7 +90,7 @@ def _soft(gain: str) -> Callable[[Any], float]:
 
 
 class SixAxes(_Body):
-    """A flotor drawn back to its centre by a spring and a damper on all six axes.
+    """PD centring of the flotor on all six axes.
 
     The gains of rotations are those of translations times the square of the radius of gyration.
     """
@@ -100,10 +112,13 @@ class SixAxes(_Body):
         return [Hold(stiffness=self.stiffness * share, damping=self.damping * share)]
 
     def start(self) -> Start:
-        """Return a flotor away from the centre on all six axes, its weight compensated."""
+        """Return a flotor displaced on all six axes.
+
+        Its weight is compensated.
+        """
         return Start(pose=(0.003, -0.002, 0.003, 0.06, -0.04, 0.05), gravity=0.0)
 
     def describe(self) -> str:
-        """Return one line on what happens."""
+        """Return a one-line description."""
         gains = f"{self.stiffness:.6g} N/m and {self.damping:.4g} N s/m"
         return f"drawn back to the centre from 3 mm and 3.4 degrees on all six axes, by {gains}"

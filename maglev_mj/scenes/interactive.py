@@ -1,4 +1,4 @@
-"""What the interactive scenes share: walls, braking pulses and friction on keys."""
+"""Base of interactive scenes: walls, braking pulses, friction."""
 
 from __future__ import annotations
 
@@ -17,14 +17,17 @@ from maglev_mj.spec import RANGE, Spec
 __all__ = ["Face", "InteractiveScene"]
 
 Face: TypeAlias = tuple[str, int, float]
-"""A wall: name of its axis, its normal (1 or -1), where it begins [m, rad]; the axis is free on the normal's side."""
+"""Wall: axis name, normal (1 or -1), edge [m, rad].
+
+The axis is free on the normal's side.
+"""
 
 _UNSCRIPTED, _TAIL = 0.6, 0.4
 _PROGRAMS_ONLY = Turn()
 
 
 def _faces(walls: Any) -> tuple[Face, ...]:
-    """Return walls, checked."""
+    """Return checked walls."""
     if isinstance(walls, str) or not isinstance(walls, Sequence):
         raise ParameterError(f"walls must be a list of an axis, a normal and an edge each, not {walls!r}")
     faces: dict[tuple[str, int], Face] = {}
@@ -49,12 +52,12 @@ def _faces(walls: Any) -> tuple[Face, ...]:
 
 
 class InteractiveScene(Scene):
-    """Walls, braking pulses and friction that may be changed while the scene runs.
+    """Scene with walls, braking pulses and friction, adjustable while running.
 
     Rotations get the gains at their radius of gyration.
 
     Class attributes:
-        says: What it is, in a few words.
+        says: Short description.
         pose: Pose at the start [m, rad].
         script: Trajectory of the scripted hand; None for none.
     """
@@ -110,7 +113,10 @@ class InteractiveScene(Scene):
         raise NotImplementedError(f"{type(self).__name__} needs own_laws()")
 
     def laws(self) -> list[Law]:
-        """Return the laws, with the walls that another program may have put in place of the scene's own."""
+        """Return the laws with the present walls.
+
+        These are the scene's own, or those set by another program.
+        """
         laws = self.own_laws()
         if self.walls is None or not self.wall:
             return laws
@@ -119,18 +125,21 @@ class InteractiveScene(Scene):
         return [law for law in laws if not law.faces()] + parts.walls(gains, self.walls)
 
     def start(self) -> Start:
-        """Return a flotor at rest, carried by the currents where they do."""
+        """Return a flotor at rest.
+
+        The currents carry its weight if `weightless`.
+        """
         return Start(pose=self.pose, wrench=parts.WEIGHT if self.weightless else ZERO)
 
     def scripted_hand(self, phase: float = 0.0) -> SpringHand | None:
-        """Return a hand that is drawn along the script."""
+        """Return a hand that follows the script."""
         return None if self.script is None else SpringHand(target=self.script)
 
     def describe(self) -> str:
-        """Return one line on what happens."""
+        """Return a one-line description."""
         return self.says
 
     @property
     def end(self) -> float:
-        """When the script and its last movement are over [s]."""
+        """End of the script with its last movement [s]."""
         return _UNSCRIPTED if self.script is None else self.script.end + _TAIL

@@ -1,4 +1,7 @@
-"""The joystick: drawn softly to its centre on all six axes, in a box of walls, with stick-slip on a key."""
+"""Scene: joystick with soft centring in a box of walls.
+
+All six axes are centred; stick-slip friction is switched on by a key.
+"""
 
 import math
 from typing import ClassVar

@@ -1,4 +1,4 @@
-"""Scenes of old recordings: the drop and the press that windows showed before they were the bench's."""
+"""Scenes of old recordings: former versions of drop and press."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _OTHERS = tuple(axis for axis in AXES if axis != "z")
 
 
 class OldPress(InteractiveScene):
-    """A wall below the flotor, in gravity or not."""
+    """A wall below the flotor, with or without gravity."""
 
     name: ClassVar = "press"
     model: ClassVar = "scenes/press"
@@ -37,7 +37,7 @@ class OldPress(InteractiveScene):
 
 
 class OldDrop(OldPress):
-    """The same from a height, let go."""
+    """The same wall, with a drop from a height."""
 
     name: ClassVar = "drop"
     model: ClassVar = "scenes/drop"
@@ -51,10 +51,10 @@ _OLD: Mapping[str, type[Scene]] = {"drop": OldDrop, "press": OldPress}
 
 
 def parameters_in(setup: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return the parameters of the scene of a recording's setup.
+    """Return the scene parameters of a recording's setup.
 
     Raises:
-        ParameterError: If there are none.
+        ParameterError: If there are no parameters.
     """
     found = setup.get("settings", setup.get("parameters"))
     if not isinstance(found, dict):
@@ -63,12 +63,14 @@ def parameters_in(setup: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def recorded_scene(name: str, values: Mapping[str, Any], scene: type[Scene] | None = None) -> Scene:
-    """Return the scene that a recording or another program names; nothing of others is ever run.
+    """Return the scene named by a recording or another program.
+
+    Code of others is never run.
 
     Args:
         name: Its name.
         values: Its parameters.
-        scene: Its class where it is not of this package.
+        scene: Its class if it is not of this package.
 
     Raises:
         ParameterError: If there is no such scene here, or a value is outside its bounds.

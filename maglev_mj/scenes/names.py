@@ -1,4 +1,7 @@
-"""Names of scenes, without the scenes: of this package, and of other packages."""
+"""Names of scenes, without loading the scenes.
+
+They are those of this package and of other packages.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,7 @@ if TYPE_CHECKING:
 __all__ = ["BUILT_IN", "GROUP", "installed_scenes", "scene_names"]
 
 GROUP = "maglev_mj.scenes"
-"""Entry point group by which other packages add scenes."""
+"""Entry point group of scenes in other packages."""
 
 BUILT_IN: Mapping[str, str] = {
     "joystick": "maglev_mj.scenes.joystick:Joystick",
@@ -26,16 +29,19 @@ BUILT_IN: Mapping[str, str] = {
     "six-axes": "maglev_mj.scenes.free:SixAxes",
     "wall": "maglev_mj.studies.growth:RestingWall",
 }
-"""The scenes of this package: name -> module and class, in the order in which a key goes through them."""
+"""Built-in scenes: name -> module and class.
+
+The order is that in which a key steps through them.
+"""
 
 
 def installed_scenes() -> EntryPoints:
-    """Return the entry points of the scenes of other packages."""
-    from importlib.metadata import entry_points  # which takes as long to load as a command line takes in all
+    """Return the entry points of other packages' scenes."""
+    from importlib.metadata import entry_points  # slow to load: as long as a whole command line takes
 
     return entry_points(group=GROUP)
 
 
 def scene_names() -> list[str]:
-    """Return the names of the scenes of this package, then of other packages."""
+    """Return all scene names, those of this package first."""
     return [*BUILT_IN, *sorted(set(installed_scenes().names) - set(BUILT_IN))]

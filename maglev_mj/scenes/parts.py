@@ -1,4 +1,7 @@
-"""The laws that scenes are put together from, with a scene's gains; rotations get theirs by inertia."""
+"""Laws of the interactive scenes, with a scene's gains.
+
+Gains of rotations are scaled by inertia.
+"""
 
 from __future__ import annotations
 
@@ -36,10 +39,10 @@ MASS = Spec.moving_mass.value
 """Moving mass [kg]."""
 
 INERTIA = np.array(spec.INERTIA)
-"""Mass and moments of inertia of the six axes [kg, kg m²]."""
+"""Mass and moments of inertia [kg, kg m²], six."""
 
 WEIGHT = (0.0, 0.0, MASS * GRAVITY, 0.0, 0.0, 0.0)
-"""The wrench that carries the flotor [N, N m]."""
+"""Wrench that compensates the flotor's weight [N, N m]."""
 
 LEAST_STIFFNESS = 1.0
 """Least stiffness of walls and friction [N/m]."""
@@ -50,32 +53,39 @@ _GATE = 0.02
 
 
 def _share(axes: str | Sequence[str]) -> Array:
-    """Return inertia over mass for each axis: what scales a gain so that rotations answer like translations."""
+    """Return inertia over mass for each axis.
+
+    Gains scaled by it give rotations the same response as translations.
+    """
     share: Array = INERTIA[list(axis_indices(axes))] / MASS
     return share
 
 
 def shared(scene: InteractiveScene) -> InteractiveScene:
-    """Return the scene for walls and friction that may act on the same axis: half the gains each where both are on.
+    """Return the scene with gains shared by walls and friction.
 
-    Their stiffnesses add up, and it is the sum that the delay sets a bound to.
+    If both are on, each gets half the gains, because they may act on the same axis.
+
+    The delay limits the sum of their stiffnesses.
     """
     if not (scene.wall and scene.friction):
         return scene
-    # half of the least stiffness is less than a scene takes
+    # half of the least stiffness is below a scene's bound
     return scene.replace(stiffness=max(0.5 * scene.stiffness, LEAST_STIFFNESS), damping=0.5 * scene.damping)
 
 
 def wall(
     scene: InteractiveScene, axes: str | Sequence[str], *, lower: ArrayLike = -math.inf, upper: ArrayLike = math.inf
 ) -> Wall:
-    """Return walls with the scene's gains, and a pulse that takes up the momentum of a crossing.
+    """Return walls with the scene's gains and a braking pulse.
 
-    The pulse lasts as long in relation to the period as the paper's, 3 ms of 5 ms, and is given from 20 mm/s of
-    approach on: below that it would only rattle.
+    The pulse takes up the momentum at entry.
+
+    The pulse lasts the same share of the period as the paper's, 3 ms of 5 ms. It is given from an approach speed of
+    20 mm/s on: below that it would cause rattling.
 
     Args:
-        scene: Gains, period, and whether there is a pulse.
+        scene: Gains, period, and pulse switch.
         axes: Names from AXES.
         lower: See `Wall` [m, rad].
         upper: See `Wall` [m, rad].
@@ -96,7 +106,10 @@ def wall(
 
 
 def walls(scene: InteractiveScene, faces: Sequence[Face]) -> list[Law]:
-    """Return walls where they are told to be, with the scene's gains as for `wall`."""
+    """Return walls at given faces with the scene's gains.
+
+    See `wall`.
+    """
     lower = {axis: edge for axis, normal, edge in faces if normal > 0}
     upper = {axis: edge for axis, normal, edge in faces if normal < 0}
     axes = [axis for axis in AXES if axis in lower or axis in upper]
@@ -112,14 +125,17 @@ def walls(scene: InteractiveScene, faces: Sequence[Face]) -> list[Law]:
 def contacts(
     scene: InteractiveScene, axes: str | Sequence[str], *, lower: ArrayLike = -math.inf, upper: ArrayLike = math.inf
 ) -> list[Law]:
-    """Return walls on some axes and friction on all, as far as they are on, with gains that they share."""
+    """Return the walls and friction that are switched on.
+
+    Walls are on the given axes, friction on all; they share the gains.
+    """
     gains = shared(scene)
     walls = [wall(gains, axes, lower=lower, upper=upper)] if scene.wall else []
     return [*walls, friction(gains)] if scene.friction else [*walls]
 
 
 def friction(scene: InteractiveScene, axes: str | Sequence[str] = AXES, *, coupled: bool = False) -> StickSlip:
-    """Return stick-slip, on each axis by itself or coupled as on a table.
+    """Return stick-slip friction, independent or coupled per axis.
 
     Args:
         scene: Gains.
@@ -146,11 +162,14 @@ def friction(scene: InteractiveScene, axes: str | Sequence[str] = AXES, *, coupl
 
 
 def spring(axes: str | Sequence[str], *, stiffness: float, damping: float, target: ArrayLike = 0.0) -> Hold:
-    """Return a soft spring and damper, given for a translation [N/m, N s/m] and scaled by inertia for the others."""
+    """Return a soft spring and damper, scaled by inertia.
+
+    The gains are those of a translation [N/m, N s/m].
+    """
     share = _share(axes)
     return Hold(axes=axes, stiffness=stiffness * share, damping=damping * share, target=target)
 
 
 def weight(scene: InteractiveScene) -> list[Bias]:
-    """Return what carries the flotor, if it is to be carried."""
+    """Return the weight compensation, if switched on."""
     return [Bias(WEIGHT)] if scene.weightless else []

@@ -1,4 +1,7 @@
-"""A hand that hits the wall several times, then presses against it: figure 6 of Salcudean and Vlaar (1997)."""
+"""Scene: a hand hits a wall, then presses.
+
+Figure 6 of Salcudean and Vlaar (1997).
+"""
 
 from __future__ import annotations
 
@@ -23,20 +26,20 @@ if TYPE_CHECKING:
 
 __all__ = ["Press"]
 
-# of an interval: how long the hand stays up before the first stroke, and how long each way takes
+# as shares of an interval: wait before the first stroke, and duration of each way
 _WAIT, _WAY = 0.5, 0.25
 _LEAST_SAMPLES = 8
 _PRESSING = 1.0
 
 
 class Press(WallScene):
-    """A hand hits the wall several times, then presses against it (figure 6).
+    """Hit the wall several times, then press (figure 6).
 
-    The muscles draw the point to which the arm's spring pulls along z: from `height` down to `resting_point` and back
-    up within half an interval, once a hit, and in the end down to stay. Each way is of minimum jerk. How fast the
-    flotor then meets the wall, and how far it comes back up, is the arm's doing.
+    The muscles move the rest point of the arm's spring along z: for each hit from `height` down to `resting_point` and
+    back up within half an interval, and finally down to stay. Each way is a minimum-jerk trajectory. Impact speed and
+    rebound of the flotor follow from the arm's dynamics.
 
-    What the muscles exert is held from sample to sample; mass, damping and stiffness of the hand act all the time.
+    The muscle force is held from sample to sample; mass, damping and stiffness of the hand act continuously.
     Weight is compensated: there is no gravity. The five other axes are held.
     """
 
@@ -52,8 +55,8 @@ class Press(WallScene):
     interval: float = param("from one hit to the next", "s", default=0.4, at_most=100.0)
     height: float = param("height above the wall from which the hand hits", "m", default=0.003, above=0.0, below=ESCAPE)
     press: float = param("force with which it presses in the end", "N", default=5.0, above=0.0, at_most=1e6)
-    # an eighth of the speed of a hit, and 20 times what a step of the device's sensor (5 µm) makes of a flotor at
-    # rest: a hit gets its pulse, and a light press that noise lifts off the edge does not rattle
+    # an eighth of the speed of a hit, and 20 times the apparent speed from one step of the device's sensor (5 µm): a
+    # hit gets its pulse, and a light press that noise lifts off the edge does not rattle
     pulse_gate: float = param(
         "approach speed from which on a pulse is given", "m/s", default=0.02, at_least=0.0, at_most=1e3
     )
@@ -81,19 +84,25 @@ class Press(WallScene):
         number("duration", self.duration, above=self.down, at_most=1e5)
 
     def start(self) -> Start:
-        """Return a flotor at rest above the wall, its weight compensated."""
+        """Return a flotor at rest above the wall.
+
+        Its weight is compensated.
+        """
         return Start(pose=(0.0, 0.0, self.height, 0.0, 0.0, 0.0), gravity=0.0)
 
     def laws(self) -> list[Law]:
-        """Return the wall, and what holds the other axes."""
+        """Return the wall and the hold of the other axes."""
         return [self.wall(gate=self.pulse_gate), hold(self, others("z"), self.mass)]
 
     def timing(self, phase: Component = 0.0) -> Timing:
-        """Return samples from release on, for the hand holds all the time: it is the hand that begins at a phase."""
+        """Return a timing with samples from release on.
+
+        The phase shifts the hand's motion, because the hand holds the flotor all the time.
+        """
         return Timing(period=self.period, delay=self.delay)
 
     def scripted_hand(self, phase: float = 0.0) -> GuidedHand:
-        """Return the hand that hits and presses."""
+        """Return the hitting and pressing hand."""
         return GuidedHand(hand=self.impedance, path=self.path(phase))
 
     def plant_options(self) -> dict[str, Any]:
@@ -101,17 +110,19 @@ class Press(WallScene):
         return super().plant_options() | {"longest_step": self.longest_step}
 
     def longest_step(self, plant: object = None) -> float:
-        """Return the longest stretch between two states [s]: a tenth of a radian of what flotor and hand do fastest.
+        """Return the longest time between two states [s].
 
-        The recorded curve is then within a nanometre of the true one; without bound a stiff grip would take for ever.
+        It is a tenth of a radian of the fastest mode of flotor and hand.
+
+        The recorded curve is then within a nanometre of the true one. The step has a lower bound of 10 µs.
         """
         fastest = float(np.abs(np.linalg.eigvals(motion(self.mass, self.impedance)[0])).max())
-        # the engine integrates the hand, the exact plant has only to record it
+        # the engine integrates the hand, the exact plant only records it
         most = self.period if plant == "exact" else 5e-4
         return max(min(most, 0.1 / fastest), 1e-5)
 
     def describe(self) -> str:
-        """Return one line on what happens."""
+        """Return a one-line description."""
         wall = f"a wall of {self.stiffness:.6g} N/m and {self.damping:.4g} N s/m"
         hits = f"a hand ({self.hand}) hits {wall} from {self.height * 1e3:g} mm"
         return f"{hits}, then presses by {self.press:g} N"
@@ -125,14 +136,16 @@ class Press(WallScene):
 
     @property
     def down(self) -> float:
-        """When the hand has come to its end at the latest [s]."""
+        """Latest time of the hand's arrival for the press [s]."""
         return self.period + (_WAIT + self.hits + _WAY) * self.interval
 
     @property
     def resting_point(self) -> float:
-        """Where the arm's spring pulls to in the press [m]: -press (1 / wall + 1 / arm + 1 / grip), of stiffnesses.
+        """Rest point of the arm's spring in the press [m].
 
-        Wall, grip and arm are three springs in a row, and each carries the same force. The wall gives way by
+        It is -press (1 / wall + 1 / arm + 1 / grip), of stiffnesses.
+
+        Wall, grip and arm are three springs in series, and each carries the same force. The wall deflects by
         press / wall, a soft grip by press / grip, a rigid one by nothing; the rest is the arm's.
         """
         hand = self.impedance
@@ -140,12 +153,15 @@ class Press(WallScene):
         return -self.press * sum(1.0 / float(np.asarray(spring)) for spring in springs)
 
     def strokes(self, phase: float) -> list[float]:
-        """Return when the strokes begin [s], (hits + 1,): those of the hits, then that of the press."""
+        """Return the start times of the strokes [s].
+
+        (hits + 1,): those of the hits come first, then that of the press.
+        """
         begin = (1.0 - phase) * self.period
         return [begin + (_WAIT + place) * self.interval for place in range(self.hits + 1)]
 
     def path(self, phase: float) -> Trajectory:
-        """Return where the arm's spring pulls to."""
+        """Return the trajectory of the arm's rest point."""
         up, down = ([0.0, 0.0, z, 0.0, 0.0, 0.0] for z in (self.height, self.resting_point))
         times, poses, way = [(1.0 - phase) * self.period], [up], _WAY * self.interval
         for start in self.strokes(phase):
@@ -154,7 +170,10 @@ class Press(WallScene):
         return Trajectory(times[:-1], poses[:-1])
 
     def series(self, result: Result, time: Array) -> dict[str, Array]:
-        """Return height [m], force of the actuators [N], and the point that the hand pulls to [m]."""
+        """Return height [m], actuator force [N], and target [m].
+
+        The target is the rest point of the arm's spring.
+        """
         place, _, force = result.motion(time)
         path = self.path(result.phase)
         return {"z": place, "force": force, "target": np.array([path.at(instant)[2] for instant in time.tolist()])}

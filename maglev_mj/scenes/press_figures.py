@@ -1,4 +1,4 @@
-"""Figures of a hand that hits a wall several times and then presses against it."""
+"""Figures of hits on a wall and a press."""
 
 from __future__ import annotations
 
@@ -19,23 +19,25 @@ _TAIL = 0.2
 
 
 class PressSummary(NamedTuple):
-    """What hits and press came to; each figure of the hits (..., hits), each of the press and the energy (...,).
+    """Figures of the hits and the press.
 
-    A hit lasts from the beginning of its stroke to that of the next one, bounces included; where the run ends before
-    it begins, its figures are NaN, and so are the press's where the run ends before its time.
+    Each figure of the hits is (..., hits), each of the press and the energy (...,).
+
+    A hit lasts from the beginning of its stroke to that of the next one, bounces included. Figures of a hit or press
+    that the run does not reach are NaN.
 
     Attributes:
         penetration: Greatest depth behind the wall [m].
-        approach_speed: Speed with which the flotor first enters the wall [m/s]; NaN where it does not.
+        approach_speed: Speed at the first entry into the wall [m/s]; NaN if there is none.
         peak_force: Largest force of the actuators along z, either sign [N].
-        contact_time: How long the flotor is behind the wall [s].
-        contacts: How often it enters the wall: 1 for a clean hit, more where it bounces.
+        contact_time: Time of the flotor behind the wall [s].
+        contacts: Number of entries into the wall: 1 for a clean hit, more with bounces.
         final_force: Mean force of the actuators over the last 20 % of the press [N].
         final_depth: Mean depth over the same time [m].
         force_ripple: Force over the same time, peak to peak [N].
         ripple: Position over the same time, peak to peak [m].
-        absorbed: Energy that the wall has taken from the flotor over the whole run [J]; below 0 it has made energy.
-            What the wall's spring stores at the end is in it.
+        absorbed: Energy absorbed by the wall over the whole run [J]; below 0 the wall has generated energy. Energy
+            stored in the wall's spring at the end is included.
     """
 
     penetration: Array
@@ -51,11 +53,14 @@ class PressSummary(NamedTuple):
 
 
 HIT_FIGURES = PressSummary._fields[:5]
-"""Names of the figures that each hit has one of."""
+"""Names of the figures of a single hit."""
 
 
 class _Motion(NamedTuple):
-    """One run along z on the knots, a fine grid and the bounds of all windows together."""
+    """Motion of one run along z on a refined grid.
+
+    The grid has the knots, a fine spacing, and the bounds of all windows.
+    """
 
     time: Array
     place: Array
@@ -66,15 +71,15 @@ class _Motion(NamedTuple):
 
 
 def summarise_press(trace: Trace, strokes: Sequence[float], settled: float, end: float) -> PressSummary:
-    """Summarise one run on a wall that fills z <= 0.
+    """Summarise one run on a wall filling z <= 0.
 
     Positions are extremes of the recorded curve, not of samples of it, and speeds those at the crossing itself.
 
     Args:
         trace: The motion of one device.
-        strokes: When each stroke begins [s], in order, that of the press last.
-        settled: When the hand has come to where it presses from [s].
-        end: When the run was to end [s].
+        strokes: Start times of the strokes [s], in order, that of the press last.
+        settled: Time of the hand's arrival at its pressing position [s].
+        end: Planned end of the run [s].
     """
     tail = end - _TAIL * (end - settled)
     motion = _refined(trace, [*strokes, tail])
@@ -96,7 +101,7 @@ def _refined(trace: Trace, bounds: Sequence[float]) -> _Motion:
 
 
 def _hit(motion: _Motion, start: float, end: float) -> tuple[float, ...]:
-    """Return the figures of one hit in the order of `HIT_FIGURES`."""
+    """Return one hit's figures in the order of `HIT_FIGURES`."""
     if start >= motion.time[-1]:
         return (np.nan,) * len(HIT_FIGURES)
     place, speed, width = motion.place, motion.speed, np.diff(motion.time)
@@ -124,7 +129,7 @@ def _hit(motion: _Motion, start: float, end: float) -> tuple[float, ...]:
 
 
 def _press(motion: _Motion, start: float) -> tuple[float, ...]:
-    """Return the figures of the press: force, depth, and the ripple of both."""
+    """Return the press figures: force, depth, and their ripples."""
     piece = motion.time[:-1] >= start
     width, force = np.diff(motion.time)[piece], motion.force[piece]
     middle = 0.5 * (motion.place[:-1] + motion.place[1:])[piece]

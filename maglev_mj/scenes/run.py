@@ -1,4 +1,4 @@
-"""Runs of a scene: one device, N phases at once, or the figures over many phases."""
+"""Runs of a scene: one device, N phases, many phases."""
 
 from __future__ import annotations
 
@@ -34,15 +34,15 @@ Observe = Callable[[Sample, Command], object]
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """One run, or a batch of them.
+    """Result of one run or of a batch.
 
     Attributes:
         scene: The scene.
         plant: Name of the plant.
         phase: Phase of the samples, a number or (N,).
         trace: The motion along all axes.
-        sample_time: When each answered sample was taken [s], (K,) or (K, N).
-        samples: What the laws tell from each sample on, by name, (K, ...).
+        sample_time: Time of each answered sample [s], (K,) or (K, N).
+        samples: Law signals from each sample on, by name, (K, ...).
     """
 
     scene: Any
@@ -64,13 +64,16 @@ class Result:
         return {name: one(self) for name, one in self.scene.figures.items()}
 
     def once(self, name: str, make: Callable[[Result], Any]) -> Any:
-        """Return what several figures share, made once."""
+        """Return a cached intermediate result of several figures."""
         if name not in self._known:
             self._known[name] = make(self)
         return self._known[name]
 
     def motion(self, time: Array) -> tuple[Array, Array, Array]:
-        """Return position, velocity and force along the scene's axis at times (M,), (M, ...) each."""
+        """Return position, velocity and force along the scene's axis.
+
+        At times (M,), (M, ...) each.
+        """
         pose, twist, wrench = self.line.at(time)
         return pose[..., 0], twist[..., 0], wrench[..., 0]
 
@@ -85,7 +88,10 @@ class Result:
         return grid
 
     def series(self, step: float = _STEP) -> dict[str, Array]:
-        """Return time and the scene's series on a grid of `step` [s], by name, (M,) each."""
+        """Return time and the scene's series, by name.
+
+        On a grid of `step` [s], (M,) each.
+        """
         time = self.times(step)
         return {"time": time, **self.scene.series(self, time)}
 
@@ -101,7 +107,10 @@ class Result:
         }
 
     def __getitem__(self, device: Any) -> Result:
-        """Return the run of one device of a batch, or of several by an array of indices."""
+        """Return one device's run from a batch.
+
+        An array of indices returns the runs of several devices.
+        """
         scene = self.scene if isinstance(self.scene, Scene) else self.scene[device]
         phase = self.phase[device]
         parts = (part[:, device] for part in (self.trace.time, self.trace.pose, self.trace.twist, self.trace.wrench))
@@ -112,7 +121,7 @@ class Result:
 
 @dataclass(frozen=True, eq=False)
 class Phases:
-    """A scene at several phases.
+    """Results of a scene at several phases.
 
     Attributes:
         scene: The scene.
@@ -134,7 +143,10 @@ class Phases:
         return {name: named[name].percentile(values, share) for name, values in self.figures.items()}
 
     def as_json(self) -> dict[str, Any]:
-        """Return the figures at each phase, and their median, 5th and 95th percentile, ready for JSON."""
+        """Return the figures at each phase, ready for JSON.
+
+        Their median, 5th and 95th percentile are included.
+        """
         rows = [{name: values[place] for name, values in self.figures.items()} for place in range(len(self.phases))]
         settled = self.figures.get("settling_time")
         return {
@@ -153,13 +165,15 @@ def run(
     phase: ArrayLike = 0.0,
     observe: Observe | None = None,
 ) -> Result:
-    """Run a scene to its end, on one device or on one for each phase.
+    """Run a scene on one device or N devices.
+
+    N phases give N devices.
 
     Args:
         scene: The scene.
         plant: Name from PLANTS; the scene's usual one by default.
         phase: The samples are at (k + phase) period, in [0, 1); (N,) for N devices, on the exact plant.
-        observe: Called with each sample and the command as applied.
+        observe: Function called with each sample and the command as applied.
 
     Raises:
         ParameterError: If there is no such plant, or a phase is outside its bounds.
@@ -194,13 +208,15 @@ def run_phases(
     plant: str | None = None,
     progress: Callable[[int, int], object] | None = None,
 ) -> Phases:
-    """Run a scene at many phases: in batches on the exact plant, one after the other elsewhere.
+    """Run a scene at many phases.
+
+    On the exact plant they run in batches, elsewhere one after the other.
 
     Args:
         scene: The scene.
-        phases: How many, evenly spread over a period, or the phases themselves.
+        phases: Number of phases, evenly spread over a period, or the phases themselves.
         plant: Name from PLANTS; the scene's usual one by default.
-        progress: Called with how many phases are done, and with all of them.
+        progress: Function called with the number of phases done and the number of all.
 
     Raises:
         ParameterError: If there is no phase, or one is outside [0, 1).
@@ -226,10 +242,10 @@ def run_phases(
 
 
 def checked_plant(scene: Scene, plant: str | None) -> str:
-    """Return the name of a plant that a scene runs on.
+    """Return the checked name of a scene's plant.
 
     Raises:
-        ParameterError: If it does not.
+        ParameterError: If the scene does not run on it.
     """
     chosen = scene.plants[0] if plant is None else plant
     if chosen not in scene.plants:
@@ -238,12 +254,12 @@ def checked_plant(scene: Scene, plant: str | None) -> str:
 
 
 def checked_phase(phase: object) -> float:
-    """Return one phase, checked."""
+    """Return a checked phase."""
     return number("phase", phase, at_least=0.0, below=1.0)
 
 
 def parameters_json(scene: Scene, plant: str, phase: Any) -> dict[str, Any]:
-    """Return how a scene was run, then its own parameters, ready for JSON."""
+    """Return run and scene parameters, ready for JSON."""
     head: dict[str, Any] = {"plant": plant}
     if scene.takes_phase:
         head["phase"] = phase
@@ -251,7 +267,7 @@ def parameters_json(scene: Scene, plant: str, phase: Any) -> dict[str, Any]:
 
 
 def plain(figures: Mapping[str, Any]) -> dict[str, Any]:
-    """Return plain numbers, lists for arrays, None for what is not there."""
+    """Return plain numbers and lists, None for missing values."""
     return {name: _plain(value) for name, value in figures.items()}
 
 
@@ -279,7 +295,10 @@ def _phases(phases: Any) -> Array:
 
 
 def _figures(result: Result, count: int) -> dict[str, Array]:
-    """Return figures (N, ...): at once where the figure takes a batch, device by device elsewhere."""
+    """Return the figures of N devices, (N, ...).
+
+    Figures that accept a batch are computed at once, the others device by device.
+    """
     each = [] if all(one.batched for one in result.scene.figures.values()) else [result[k] for k in range(count)]
     return {
         name: np.asarray(one(result)) if one.batched else np.array([one(device) for device in each])
@@ -288,7 +307,7 @@ def _figures(result: Result, count: int) -> dict[str, Array]:
 
 
 class _Told:
-    """Keeps what laws tell of their states at each sample."""
+    """Recorder of the laws' signals at each sample."""
 
     def __init__(self, controller: Controller, observe: Observe | None, batch: tuple[int, ...]) -> None:
         self._controller, self._also, self._batch = controller, observe, batch
@@ -296,7 +315,7 @@ class _Told:
         self._rows: list[dict[str, Any]] = []
 
     def observe(self, sample: Sample, command: Command) -> None:
-        """Note what the laws tell of a sample."""
+        """Store the laws' signals of a sample."""
         if signals := self._controller.signals:
             row = {name: self._copied(parts) for name, parts in (("position", sample.position), *signals.items())}
             self._time.append(sample.time)
@@ -310,7 +329,7 @@ class _Told:
         return [np.broadcast_to(part, self._batch) for part in parts]
 
     def result(self, scene: Scene, plant: str, phase: Any, trace: Trace) -> Result:
-        """Return the result of what was told, up to the end of a trace."""
+        """Return the result up to the end of a trace."""
         time = np.array(self._time)
         kept = time <= float(trace.time[-1]) if time.ndim == 1 and trace.time.ndim == 1 else slice(None)
         columns = (
@@ -320,7 +339,7 @@ class _Told:
 
 
 def _escaped_later(trace: Trace, end: float) -> bool:
-    """Return whether a run that diverged was still within bounds at the end asked for [s].
+    """Return True if a run diverged after its end [s].
 
     A run goes on to the sample after its end, and escape is found at samples.
     """

@@ -1,4 +1,7 @@
-"""A scene: declared parameters, laws, a start, a hand, and the figures to compute of a run."""
+"""Base class of scenes.
+
+A scene has parameters, laws, a start, a hand, and figures of its run.
+"""
 
 from __future__ import annotations
 
@@ -29,15 +32,15 @@ if TYPE_CHECKING:
 __all__ = ["DELAY", "PLANTS", "RATE", "PlantMaker", "Scene", "SideBySide", "Start"]
 
 RATE = Turn(among=(50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0), inverse=True, word="rate")
-"""Keys on a sample period."""
+"""Key settings of a sample period."""
 
 DELAY = Turn(add=0.0005, least=0.0, most=0.02, word="delay")
-"""Keys on a delay."""
+"""Key settings of a delay."""
 
 _MOST_PERIODS = 1_000_000
 
 PlantMaker = Callable[..., SampledPlant]
-"""Makes a plant of a timing and the keywords of a plant."""
+"""Function from timing and keywords to a plant."""
 
 PLANTS: Mapping[str, PlantMaker] = {"exact": ExactPlant, "mujoco": MuJoCoPlant}
 """Plants by name."""
@@ -45,7 +48,7 @@ PLANTS: Mapping[str, PlantMaker] = {"exact": ExactPlant, "mujoco": MuJoCoPlant}
 RESERVED = frozenset(
     "version plant phase phases json out format record seconds size fps workers scheduler vary set scene plots".split()
 )
-"""Names of the options that every command has, which no parameter may take."""
+"""Option names of every command, not allowed for parameters."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,19 +69,21 @@ class Start:
 
 
 class Scene(Parameters):
-    """What happens to the flotor. Subclass it, declare parameters with `param`, and give `laws`.
+    """Base class of scenes: a simulated experiment with the flotor.
+
+    Subclass it, declare parameters with `param`, and define `laws`.
 
     Class attributes:
         name: Name on the command line; the class's own in kebab-case by default.
-        shown_axis: Axis that plots and figures look at.
+        shown_axis: Axis of plots and figures.
         figures: Figures of a run: names of stock figures, or `Figure`s; a mapping gives them other names in JSON.
-        plants: Plants that it runs on, the usual one first.
-        takes_phase: Whether the phase of the samples makes a difference that is worth a sweep.
-        tolerance: Displacement of a coil that does not matter [m], as `fidelity` takes it.
-        tolerance_reason: Where that is from.
-        model: MJCF file that shows it: a path, or the name of one of the package's.
-        plots: Pictures of its own: name of the file, without ending -> "module:function", called with results by label
-            and a path.
+        plants: Names of its plants, the default first.
+        takes_phase: True if the phase of the samples makes a difference worth a sweep.
+        tolerance: Negligible displacement of a coil [m], as in `fidelity`.
+        tolerance_reason: Reason for that value.
+        model: MJCF file for display: a path, or the name of one of the package's.
+        plots: Own plots: name of the file, without ending -> "module:function", called with results by label and a
+            path.
 
     Raises:
         ParameterError: If a parameter is outside its bounds, or a run has more than a million periods.
@@ -126,10 +131,13 @@ class Scene(Parameters):
         if self.end / self.period > _MOST_PERIODS:
             raise ParameterError(f"duration must be at most {_MOST_PERIODS} periods, not {self.end:g} s")
 
-    # --- what a scene says ---------------------------------------------------------------------
+    # --- defined by a scene ---------------------------------------------------------------------
 
     def laws(self) -> Sequence[Law | Callable[..., Any]]:
-        """Return the laws; their wrenches add up. A function f(position, velocity) is one too; see `Controller`."""
+        """Return the laws; their wrenches add up.
+
+        A function f(position, velocity) is a law too; see `Controller`.
+        """
         raise NotImplementedError(f"{type(self).__name__} needs laws()")
 
     def start(self) -> Start:
@@ -137,7 +145,10 @@ class Scene(Parameters):
         return Start()
 
     def scripted_hand(self, phase: float = 0.0) -> HandForce | None:
-        """Return the scripted hand; None for none. Its impedance is its attribute `hand`, if it has one."""
+        """Return the scripted hand; None for none.
+
+        Its impedance is its attribute `hand`, if it has one.
+        """
         return None
 
     def velocity_estimator(self) -> VelocityEstimator | None:
@@ -145,24 +156,27 @@ class Scene(Parameters):
         return None
 
     def timing(self, phase: Component = 0.0) -> Timing:
-        """Return when samples are taken and commands act."""
+        """Return the timing of samples and commands."""
         return Timing(period=self.period, delay=self.delay, phase=phase)
 
     def plant_options(self) -> dict[str, Any]:
-        """Return keywords of the plant: mass, limits, sensor; `longest_step` may be a function of the plant's name."""
+        """Return keywords of the plant: mass, limits, sensor.
+
+        `longest_step` may be a function of the plant's name.
+        """
         return {}
 
     def variants(self) -> Mapping[str, Self]:
-        """Return the scenes to compare, by label; this one first."""
+        """Return scenes to compare, by label; this one first."""
         return {self.name: self}
 
     def describe(self) -> str:
-        """Return one line on what happens."""
+        """Return a one-line description."""
         return (type(self).__doc__ or self.name).split("\n")[0].rstrip(".")
 
     @property
     def axis(self) -> str:
-        """Axis that plots and figures look at."""
+        """Axis of plots and figures."""
         return self.shown_axis
 
     @property
@@ -172,31 +186,40 @@ class Scene(Parameters):
 
     @property
     def end(self) -> float:
-        """When a run ends [s]: the parameter `duration`, or 1 s."""
+        """End of a run [s]: parameter `duration`, or 1 s."""
         return float(getattr(self, "duration", 1.0))
 
     def series(self, result: Result, time: Array) -> dict[str, Array]:
-        """Return what the JSON has on a time grid (M,): by name, (M,) each."""
+        """Return the JSON series on a time grid (M,).
+
+        By name, (M,) each.
+        """
         pose, twist, wrench = result.trace.at(time)
         index = AXES.index(self.axis)
         return {"position": pose[:, index], "velocity": twist[:, index], "force": wrench[:, index]}
 
     def extra_json(self, result: Result) -> dict[str, Any]:
-        """Return what the JSON has besides parameters, series and summary."""
+        """Return further JSON entries of a run.
+
+        They are added to parameters, series and summary.
+        """
         return {}
 
     def compared(self, result: Result) -> Mapping[str, Mapping[str, float]]:
-        """Return figures to stand beside those of a run, such as a closed form's: by label and name."""
+        """Return reference figures, by label and name.
+
+        They are shown beside those of a run, such as those of a closed form.
+        """
         return {}
 
-    # --- what follows --------------------------------------------------------------------------
+    # --- derived from it --------------------------------------------------------------------------
 
     def controller(self) -> Controller:
         """Return a new controller of the laws."""
         return Controller(self.laws(), period=self.period, velocity=self.velocity_estimator())
 
     def ticks(self, timing: Timing) -> int:
-        """Return how many samples to answer until the end."""
+        """Return the number of samples until the end."""
         return max(math.ceil(self.end / self.period - float(np.min(timing.phase)) + 1e-9), 1)
 
     def plant(
@@ -208,17 +231,19 @@ class Scene(Parameters):
         timing: Timing | None = None,
         **keywords: Any,
     ) -> SampledPlant:
-        """Return the device at release, in the scripted hand or another.
+        """Return the plant at release, with a hand.
+
+        The hand is the scripted one unless another is given.
 
         Args:
-            plant: Name from PLANTS, or what makes one.
-            phase: Of the samples, in [0, 1); (N,) for N devices.
-            hand: In place of the scripted hand.
-            timing: In place of the scene's own.
-            keywords: Further ones of the plant; they go before the scene's.
+            plant: Name from PLANTS, or a function that makes a plant.
+            phase: Phase of the samples, in [0, 1); (N,) for N devices.
+            hand: Hand in place of the scripted one.
+            timing: Timing in place of the scene's own.
+            keywords: Further keywords of the plant; they override the scene's.
 
         Raises:
-            ParameterError: If a plant that is named does not have an option of the scene.
+            ParameterError: If a plant given by name lacks an option of the scene.
         """
         scripted = self._hands(phase)
         timing = timing or self.timing(phase)
@@ -233,10 +258,12 @@ class Scene(Parameters):
         return plant(timing, hand_force=hand or scripted, **options)
 
     def plant_keywords(self, plant: str | PlantMaker, hand: HandForce | None) -> dict[str, Any]:
-        """Return the keywords of a plant at release, those of `plant_options` included.
+        """Return all keywords of a plant at release.
+
+        Those of `plant_options` are included.
 
         Args:
-            plant: Name from PLANTS, or what makes one.
+            plant: Name from PLANTS, or a function that makes a plant.
             hand: The scripted hand, whose impedance is on the flotor.
         """
         start = self.start()
@@ -256,7 +283,10 @@ class Scene(Parameters):
     def figures_together(
         cls, scenes: Sequence[Self], plant: str, phases: Sequence[float]
     ) -> Sequence[Mapping[str, Any] | None]:
-        """Return the figures of many runs by name, made as batches where that can be; None for one to run alone."""
+        """Return the figures of many runs by name.
+
+        Runs are batched if possible; None for a run that must run alone.
+        """
         from maglev_mj.scenes.together import figures_together
 
         return figures_together(scenes, plant, phases)
@@ -282,7 +312,10 @@ def _keywords(plant: str) -> frozenset[str]:
 
 
 class SideBySide:
-    """Hands that differ in their paths alone, one for each device of a batch."""
+    """N hands as one hand of a batch.
+
+    They differ in their trajectories alone.
+    """
 
     def __init__(self, hands: Sequence[HandForce]) -> None:
         self._hands, self.hand = hands, getattr(hands[0], "hand", None)

@@ -1,4 +1,7 @@
-"""The flotor pulled out of rendered friction by a virtual spring: figure 8 of Salcudean and Vlaar (1997)."""
+"""Scene: flotor pulled out of rendered friction by a spring.
+
+Figure 8 of Salcudean and Vlaar (1997).
+"""
 
 from __future__ import annotations
 
@@ -46,12 +49,17 @@ LAWS: Mapping[str, Callable[..., Friction]] = {
     "hayward-armstrong": lambda *, v_min, period, **common: HaywardArmstrong(**common),
     "kikuuwe": lambda *, v_min, period, **common: ImplicitCoulomb(period=period, **common),
 }
-"""Friction laws by name; each takes the axes and the common parameters, and drops what it has no use for."""
+"""Friction laws by name.
+
+Each accepts the axes and the common parameters, and drops those it does not use.
+"""
 
 _SLIDES_AT = {"stick-slip": 0.0, "spring-reset": 0.0, "lugre": 0.8}
-"""Friction in steady sliding that a law stands for, as a share of breakaway; 1 for the others.
+"""Nominal friction in steady sliding, as a share of breakaway.
 
-The spring that resets is meant as stick-slip; what it gives is a sawtooth.
+It is 1 for laws not listed.
+
+Spring reset is intended as stick-slip; in fact its force is a sawtooth.
 """
 
 VELOCITIES: Mapping[str, Callable[[float], VelocityEstimator]] = {
@@ -59,11 +67,14 @@ VELOCITIES: Mapping[str, Callable[[float], VelocityEstimator]] = {
     "low-pass": lambda quantum: LowPass(),
     "adaptive": lambda quantum: AdaptiveWindow(noise=(max(quantum, 1e-12),) * 6),
 }
-"""Velocity estimators by name, made for a sensor's resolution [m, rad]."""
+"""Velocity estimators by name, from a sensor resolution [m, rad]."""
 
 
 def _at_radius(value: float, power: int) -> Callable[[Any], float]:
-    """Return what derives a default, given for a translation, at the radius of gyration of the scene's axis."""
+    """Return a function that scales a default for rotations.
+
+    The default is given for a translation and scaled to the radius of gyration of the scene's axis.
+    """
 
     def derived(scene: StickSlip) -> float:
         radius = 1.0 if AXES.index(scene.axis) < 3 else math.sqrt(scene.inertia / Spec.moving_mass.value)
@@ -77,7 +88,7 @@ class StickSlip(Scene):
 
     A flotor at rest and stuck at 0 is released against a virtual spring whose far end is at `target`. On a rotation
     axis the defaults are those of a translation at the radius of gyration, so that the motion is the same in units of
-    it; what is given is in N m/rad, rad, N m s/rad, N m and rad/s there. Gravity is compensated, the other axes are
+    it; given values are then in N m/rad, rad, N m s/rad, N m and rad/s. Gravity is compensated, the other axes are
     held.
     """
 
@@ -123,14 +134,17 @@ class StickSlip(Scene):
         return Start(gravity=0.0)
 
     def laws(self) -> list[Law]:
-        """Return friction, spring, and what holds the other axes."""
+        """Return friction, spring, and hold of the other axes."""
         common = {"axes": self.axis, "stiffness": self.stiffness, "damping": self.damping, "breakaway": self.breakaway}
         friction = LAWS[self.law](v_min=self.v_min, period=self.period, **common)
         spring = Hold(axes=self.axis, stiffness=self.spring, damping=0.0, target=self.target)
         return [friction, spring, hold(self, others(self.axis))]
 
     def velocity_estimator(self) -> VelocityEstimator:
-        """Return the estimator that is asked for, made for the sensor."""
+        """Return the chosen velocity estimator.
+
+        It is made for the sensor's resolution.
+        """
         return VELOCITIES[self.velocity](self.quantize)
 
     def plant_options(self) -> dict[str, Any]:
@@ -138,23 +152,25 @@ class StickSlip(Scene):
         return {"sensor": stepped(self.axis, self.quantize)}
 
     def describe(self) -> str:
-        """Return one line on what happens."""
+        """Return a one-line description."""
         gains = f"{self.stiffness:.6g} N/m and {self.damping:.4g} N s/m while stuck"
         return f"pulled out of {self.law} friction by a spring, as in figure 8; {gains}"
 
     @property
     def inertia(self) -> float:
-        """Mass or moment of inertia on the axis [kg, kg m²]."""
+        """Inertia on the axis [kg, kg m²]."""
         return INERTIA[AXES.index(self.axis)]
 
     def exact(self, time: Array) -> KarnoppMotion:
-        """Return what the friction that the law stands for does itself with the same spring, mass and damping.
+        """Return the motion with the ideal friction rendered.
 
-        Karnopp's for the laws that slide freely; for the others Coulomb friction, which against a motion that never
-        turns back is a constant force: the spring's end moved by f / k.
+        Spring, mass and damping are the same.
+
+        It is Karnopp friction for the laws that slide freely, and Coulomb friction for the others. Against a motion in
+        one direction, Coulomb friction is a constant force: the spring's end moved by f / k.
 
         Args:
-            time: When [s], (M,).
+            time: Times [s], (M,).
         """
         target, breakaway, v_min = self.target, self.breakaway, self.v_min
         share = _SLIDES_AT.get(self.law, 1.0)
@@ -184,7 +200,7 @@ class StickSlip(Scene):
         }
 
     def compared(self, result: Result) -> Mapping[str, Mapping[str, float]]:
-        """Return the figures of the exact friction that the law stands for."""
+        """Return the figures of the ideal friction."""
         motion = self.exact(result.times(1e-4))
         sticks = [event for event in motion.events if event.kind == "stick"]
         tail = motion.position[motion.time >= self.duration - 0.05]
@@ -200,11 +216,11 @@ class StickSlip(Scene):
 
     @property
     def exact_name(self) -> str:
-        """Friction that the law stands for."""
+        """Name of the ideal friction rendered."""
         return "Coulomb" if _SLIDES_AT.get(self.law, 1.0) else "Karnopp"
 
     def events(self, result: Result) -> list[FrictionEvent]:
-        """Return the changes of the law's state, at the samples that found them."""
+        """Return the law's state changes, at their samples."""
         index, told = AXES.index(self.axis), result.samples
         return [
             FrictionEvent(
@@ -216,5 +232,5 @@ class StickSlip(Scene):
         ]
 
     def extra_json(self, result: Result) -> dict[str, Any]:
-        """Return the changes of state."""
+        """Return the state changes for JSON."""
         return {"events": [event._asdict() for event in self.events(result)]}

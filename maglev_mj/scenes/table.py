@@ -1,4 +1,7 @@
-"""A block on a table: stick-slip friction in the plane, figures 8 and 9 of Salcudean and Vlaar (1997)."""
+"""Scene: block on a table with stick-slip friction.
+
+Figures 8 and 9 of Salcudean and Vlaar (1997).
+"""
 
 from typing import ClassVar
 
@@ -14,7 +17,7 @@ __all__ = ["Table"]
 
 
 class Table(InteractiveScene):
-    """A block with dry friction on a table (figures 8 and 9)."""
+    """A block with friction on a table (figures 8, 9)."""
 
     says: ClassVar = "a block with dry friction on a table (figures 8 and 9)"
     model: ClassVar = "scenes/table"

@@ -1,4 +1,4 @@
-"""Run many scenes as batches on the exact plant."""
+"""Batched runs of many scenes on the exact plant."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from maglev_mj.scenes.scene import Scene, SideBySide
 
 __all__ = ["SceneStack", "figures_together"]
 
-_LEAST = 8  # fewer are hardly worth a batch
+_LEAST = 8  # fewer do not pay for a batch
 _MOST, _AT_ONCE = 512, 64
 _ROOM = 256e6
 _PER_KNOT = 18 * 8.0
@@ -34,7 +34,10 @@ _OWN_RUN = ("run_figures", "plant", "plant_keywords", "controller", "ticks")
 
 @dataclass(frozen=True)
 class _Member:
-    """One run ahead of its batch; those of one kind fit one batch."""
+    """One run before its batch.
+
+    Runs of one kind fit one batch.
+    """
 
     index: int
     scene: Scene
@@ -47,9 +50,11 @@ class _Member:
 
 
 class SceneStack:
-    """Scenes that differ in numbers alone, as one scene of N devices for `run`.
+    """Scenes with different numbers as one scene for `run`.
 
-    An attribute is that of the scenes where they agree, and (N,) where they do not.
+    They differ in numbers alone; each is one of N devices.
+
+    An attribute is that of the scenes if they agree, otherwise (N,).
     """
 
     def __init__(self, members: Sequence[_Member]) -> None:
@@ -63,24 +68,30 @@ class SceneStack:
         values = [getattr(one, name) for one in self.scenes]
         if all(value == values[0] for value in values[1:]):
             return values[0]
-        if any(value is None for value in values):  # which an array takes for NaN
+        if any(value is None for value in values):  # an array would make it NaN
             raise TypeError(f"{name} must be a number in all of a batch")
         return np.array(values, dtype=np.float64)
 
     def __getitem__(self, device: Any) -> Any:
-        """Return the scene of one device, or a stack of several by an array of indices."""
+        """Return one device's scene, or a stack of several.
+
+        Several are given by an array of indices.
+        """
         if np.ndim(device) == 0:
             return self.scenes[device]
         return SceneStack([self._members[index] for index in device.tolist()])
 
     def controller(self) -> Controller:
-        """Return one controller for all, with the laws stacked."""
+        """Return one controller with the stacked laws."""
         first = self.scenes[0]
         laws = [stacked(of_all) for of_all in zip(*(one.laws for one in self._members), strict=True)]
         return Controller(laws, period=first.period, velocity=first.velocity_estimator())
 
     def plant(self, plant: str, *, phase: Array, **keywords: Any) -> ExactPlant:
-        """Return the exact plant of N devices at release; none of them ends the run by leaving its range."""
+        """Return the exact plant of N devices at release.
+
+        No device ends the run by leaving its range.
+        """
         first = self._members[0]
         options = dict(first.options)
         for name in _STACKED:
@@ -92,27 +103,32 @@ class SceneStack:
         return ExactPlant(self.timing(phase), **options, **keywords)
 
     def ticks(self, timing: Timing) -> int:
-        """Return how many samples to answer until the end."""
+        """Return the number of samples until the end."""
         return self.scenes[0].ticks(timing)
 
     def timing(self, _: Array) -> Timing:
-        """Return when samples are taken and commands act, for a scene may make its own of a phase."""
+        """Return the timing of samples and commands.
+
+        The phase is ignored: each scene has its own timing already.
+        """
         phases = [one.timing.phase for one in self._members]
         alike = all(phase == phases[0] for phase in phases)  # a hand is moved by one clock
         return replace(self._members[0].timing, phase=phases[0] if alike else np.array(phases))
 
 
 def figures_together(scenes: Sequence[Scene], plant: str, phases: Sequence[float]) -> list[Mapping[str, Any] | None]:
-    """Return the figures of many runs by name; None for one to run alone.
+    """Return the figures of many runs by name.
 
-    Runs fit one batch if their laws are of the same kinds, declare which parameters may differ, and what the plant
-    does not take per device is equal. Alone go those of a scene with a run of its own, of fewer than `_LEAST` of a
-    kind, those that come near the end of their range, and all of a batch that fails.
+    None for a run that must run alone.
+
+    Runs fit one batch if their laws are of the same kinds and declare the parameters that may differ, and all plant
+    options common to a batch are equal. These run alone: runs of a scene with its own run method, fewer than `_LEAST`
+    of a kind, runs that come near the end of their range, and all of a batch that fails.
 
     Args:
         scenes: Scenes of one class.
         plant: Name from PLANTS.
-        phases: Of the samples, one for each scene.
+        phases: Phases of the samples, one for each scene.
     """
     found: list[Mapping[str, Any] | None] = [None] * len(scenes)
     cls = type(scenes[0])
@@ -120,7 +136,7 @@ def figures_together(scenes: Sequence[Scene], plant: str, phases: Sequence[float
         return found
     kinds: dict[Hashable, list[_Member]] = defaultdict(list)
     for index, (scene, phase) in enumerate(zip(scenes, phases, strict=True)):
-        with suppress(Exception):  # of a scene's own code: alone it says what it has to say
+        with suppress(Exception):  # of a scene's own code: its own run reports the error
             member = _member(index, scene, phase)
             kinds[member.kind].append(member)
     kinds.pop(None, None)
@@ -133,7 +149,7 @@ def figures_together(scenes: Sequence[Scene], plant: str, phases: Sequence[float
 
 
 def _member(index: int, scene: Scene, phase: float) -> _Member:
-    """Return a run and its kind, which is None if it fits no batch."""
+    """Return a run with its kind; None for no batch."""
     laws = scene.laws()
     kinds = [law_kind(law) for law in laws]
     hand = scene.scripted_hand(phase)
@@ -153,14 +169,20 @@ def _member(index: int, scene: Scene, phase: float) -> _Member:
 
 
 def _most_of(member: _Member) -> int:
-    """Return how many runs of a kind go together: fewer of long ones, whose recorded motion has to fit memory."""
+    """Return the largest batch size of a kind.
+
+    It is smaller for long runs, to fit the recorded motion into memory.
+    """
     step = member.options.get("longest_step") or math.inf
     knots = 3.0 * member.scene.ticks(member.timing) * max(math.ceil(member.scene.period / step), 1)
     return max(min(_MOST, int(_ROOM / (knots * _PER_KNOT))), 1)
 
 
 def _figures_of(members: Sequence[_Member]) -> list[tuple[_Member, Mapping[str, Any]]]:
-    """Return the figures of the runs of one kind that went well together; halves, where one fails."""
+    """Return the figures of the successful runs of a batch.
+
+    If one fails, the batch is split in halves.
+    """
     if len(members) < _LEAST:
         return []
     try:
@@ -172,13 +194,16 @@ def _figures_of(members: Sequence[_Member]) -> list[tuple[_Member, Mapping[str, 
         parts = [good[start : start + _AT_ONCE] for start in range(0, good.size, _AT_ONCE)]
         rows = [row for part in parts for row in _rows(result[part])]
         return [(members[device], row) for device, row in zip(good.tolist(), rows, strict=True)]
-    except Exception:  # of any of them: alone it says what it has to say
+    except Exception:  # of any of them: its own run reports the error
         half = len(members) // 2
         return [*_figures_of(members[:half]), *_figures_of(members[half:])]
 
 
 def _rows(result: Result) -> list[Mapping[str, Any]]:
-    """Return the figures of each device of a batch: at once where a figure takes a batch."""
+    """Return the figures of each device of a batch.
+
+    Figures that accept a batch are computed at once.
+    """
     figures: Mapping[str, Figure] = result.scene.figures
     at_once = {name: np.asarray(one(result)) for name, one in figures.items() if one.batched}
     others = {name: one for name, one in figures.items() if not one.batched}
@@ -193,7 +218,7 @@ def _rows(result: Result) -> list[Mapping[str, Any]]:
 
 
 class _Stays:
-    """Sees which devices stay well within the range in which a run goes on."""
+    """Observer of devices that stay well within range."""
 
     def __init__(self, members: Sequence[_Member]) -> None:
         distance, angle = members[0].options["escape"]
@@ -205,7 +230,10 @@ class _Stays:
         self.look(sample.position)
 
     def look(self, position: Sequence[Any]) -> None:
-        """Look at six components of positions; one that is no number is outside."""
+        """Check six position components against the bounds.
+
+        NaN counts as outside.
+        """
         x, y, z, rx, ry, rz = position
         distance, angle = self._bounds
         self.all_along &= (x * x + y * y + z * z < distance) & (rx * rx + ry * ry + rz * rz < angle)

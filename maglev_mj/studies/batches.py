@@ -1,4 +1,7 @@
-"""Batches of flotors that move along z: starts, walls, samples, and the hum over a coarse sensor."""
+"""Batches of flotors moving along z.
+
+Starts, walls, samples, and the force noise over a quantized sensor.
+"""
 
 from __future__ import annotations
 
@@ -22,25 +25,31 @@ __all__ = ["FAR", "along_z", "around_wall", "each_phase", "hum", "wall_controlle
 _HELD = tuple(axis for axis in AXES if axis != "z")
 
 FAR = (1e9, 1.0)
-"""Distance [m] and angle [rad] that let an unstable flotor go on to the end of its run."""
+"""Escape bounds for unstable flotors: distance [m], angle [rad].
+
+They let an unstable run go on to its end.
+"""
 
 
 class Watch:
-    """Keeps the positions along z, (ticks, N), and counts the pulses of each device, (N,)."""
+    """Observer of positions along z and of pulses.
+
+    Positions are (ticks, N), pulse counts (N,).
+    """
 
     def __init__(self, ticks: int, devices: int) -> None:
         self.places = np.zeros((ticks, devices))
         self.pulses = np.zeros(devices)
 
     def __call__(self, sample: Sample, command: Command) -> None:
-        """Keep one sample and the command that answers it."""
+        """Store one sample and its command."""
         self.places[sample.tick] = sample.position[2]
         if command.extra is not None:
             self.pulses += np.broadcast_to(np.asarray(command.extra[2]) != 0.0, self.pulses.shape)
 
 
 def watched(plant: SampledPlant, controller: Controller, duration: float, devices: int) -> Watch:
-    """Run a batch for `duration` [s] and return its samples."""
+    """Run a batch for `duration` [s]; return its samples."""
     watch = Watch(round(duration / plant.period), devices)
     with plant:
         drive(plant, controller, len(watch.places), observe=watch)
@@ -48,23 +57,28 @@ def watched(plant: SampledPlant, controller: Controller, duration: float, device
 
 
 def each_phase(values: ArrayLike, phases: int) -> tuple[Array, Array]:
-    """Return each value once for each sampling phase, and the phases."""
+    """Return each value repeated for each phase, and phases."""
     chosen = np.atleast_1d(numbers("values", values))
     return np.repeat(chosen, phases), np.tile(np.arange(phases) / phases, chosen.size)
 
 
 def along_z(values: Array) -> Array:
-    """Return (N, 6) with values along z and zero elsewhere."""
+    """Return (N, 6) with values along z.
+
+    The other components are zero.
+    """
     result = np.zeros((values.size, 6))
     result[:, 2] = values
     return result
 
 
 class Hum(NamedTuple):
-    """What a wall does to a flotor at rest in it, the worst start.
+    """Limit cycle of a flotor at rest in a wall.
+
+    It is that of the worst start.
 
     Attributes:
-        swing: Swing of the position [m].
+        swing: Peak-to-peak position [m].
         force: Standard deviation of the force [N].
     """
 
@@ -86,7 +100,9 @@ def hum(
     duration: float = 4.0,
     offsets: int = 32,
 ) -> Hum:
-    """Rest the flotor in a wall over a sensor with steps, and look at the last quarter of the time.
+    """Measure the limit cycle over a quantized sensor.
+
+    The flotor rests in a wall; the last quarter of the time is evaluated.
 
     Args:
         frictions: Coulomb friction of the device itself [N], (M,).
@@ -97,12 +113,12 @@ def hum(
         delay: Transport delay [s].
         period: Sample period [s].
         mass: Moving mass [kg].
-        hand: On the flotor; None for none.
+        hand: The hand on the flotor; None for none.
         duration: Simulated time [s].
-        offsets: How many starts over two steps of the sensor.
+        offsets: Number of starts over two steps of the sensor.
 
     Returns:
-        A figure a friction, (M,) each.
+        A figure per friction, (M,) each.
     """
     friction, offset = each_phase(frictions, offsets)
     arm = 0.0 if hand is None else float(hand.static_stiffness)
@@ -139,18 +155,20 @@ def wall_controller(
     mass: float,
     velocity: VelocityEstimator | None = None,
 ) -> Controller:
-    """Return the PD wall of eq. (3) with its braking pulse; gains are numbers, or (N,) for N devices.
+    """Return a controller of the PD wall with pulses.
+
+    The wall is that of eq. (3). Gains are numbers, or (N,) for N devices.
 
     Args:
         stiffness: Wall stiffness [N/m].
         damping: Wall damping [N s/m].
         pulse: Further damping in the braking pulse [N s/m].
-        pulse_width: How long the pulse lasts [s].
+        pulse_width: Duration of the pulse [s].
         pulse_gate: Least approach speed for a pulse [m/s].
         force_limit: See `Wall`.
         period: Sample period [s].
         delay: Transport delay [s], for the hold of the other axes.
-        mass: Moving mass [kg], likewise.
+        mass: Moving mass [kg], for the hold of the other axes.
         velocity: Velocity estimate; None for the finite difference.
     """
     gains = (_column(gain) for gain in (stiffness, damping, pulse, pulse_gate))
@@ -171,12 +189,18 @@ def wall_controller(
 def around_wall(
     law: Law, *, period: float, delay: float, mass: float, velocity: VelocityEstimator | None = None
 ) -> Controller:
-    """Return a controller of one law along z with the five other axes held."""
+    """Return a controller of one law along z.
+
+    The five other axes are held.
+    """
     hold = Hold.critically_damped(_HELD, inertia=[mass, mass, *INERTIA[3:]], period=period, delay=delay)
     return Controller([law, hold], period=period, velocity=velocity)
 
 
 def _column(gain: ArrayLike) -> ArrayLike:
-    """Return (N,) as (N, 1), one axis each; a number as it is."""
+    """Return (N,) as (N, 1), and a number unchanged.
+
+    The columns are axes.
+    """
     values = np.asarray(gain)
     return values[:, None] if values.ndim else gain

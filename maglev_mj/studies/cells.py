@@ -1,8 +1,10 @@
-"""Many cells of a study on many workers: what is done lands in a file, what is there is not done again.
+"""Cells of a study: computed by workers, kept in records.
 
-A cell is a dict of plain values that says everything its result depends on. The record is one JSON object a line,
-written by the parent alone, so a worker that dies takes nothing with it but the cells it had in hand. Each line names
-the code that made it, as programs of several versions may share one record.
+Results are written to a file; recorded cells are not computed again.
+
+A cell is a dict of plain values with everything its result depends on. The record has one JSON object per line. Only
+the parent writes it, so a dying worker loses only the cells it was computing. Each line names the version of the code,
+because programs of several versions may share one record.
 """
 
 from __future__ import annotations
@@ -29,10 +31,10 @@ _BEGINNING = '{"cell": {'
 
 
 class StudyInterrupted(KeyboardInterrupt):
-    """The study was stopped by hand.
+    """Study stopped by the user.
 
     Attributes:
-        landed: Cells and results so far.
+        landed: Cells computed so far, with their results.
     """
 
     def __init__(self, landed: list[tuple[Cell, Any]]) -> None:
@@ -41,20 +43,20 @@ class StudyInterrupted(KeyboardInterrupt):
 
 
 class Record:
-    """Results by cell: in a file if there is one, in memory in any case.
+    """Results by cell, in memory and optionally in a file.
 
     Args:
-        path: JSON lines, read now and added to later; made when the first result lands. None for memory alone.
+        path: JSON lines, read now and appended to later; created with the first result. None for memory alone.
 
     Raises:
-        ParameterError: If the file is no record.
+        ParameterError: If the file is not a record.
     """
 
     def __init__(self, path: Path | None = None) -> None:
         self.path = path
         self._results: dict[bytes, Any] = {}
-        self._others: dict[bytes, Versions] = {}  # of cells that other code made
-        self._whole = True  # whether the file ends with a line's end
+        self._others: dict[bytes, Versions] = {}  # of cells made by other versions
+        self._whole = True  # True if the file ends with a newline
         if path is not None and path.exists():
             self._read(path)
 
@@ -72,7 +74,7 @@ class Record:
                 if theirs != ours and differences(theirs, ours):
                     self._others[key] = theirs
             except (ValueError, TypeError, KeyError):
-                # half a line is what a process leaves that dies as it writes; anything else is not a record
+                # a process that dies while writing leaves half a line; anything else is not a record
                 if line.strip() and not line.startswith(_BEGINNING[: len(line)]):
                     raise ParameterError(f"record must hold one cell a line, not {line[:40]!r} in {path}") from None
 
@@ -83,10 +85,12 @@ class Record:
         return self._results[_key(cell)]
 
     def others(self, cells: Sequence[Cell]) -> list[dict[str, Any]]:
-        """Return the versions of other code, and the number of these cells it made, ready for JSON.
+        """Return other code versions with their cell counts.
+
+        Ready for JSON; only the given cells count.
 
         Returns:
-            For each such code `cells` and `versions`, which are empty where they are unknown.
+            For each such version `cells` and `versions`, which are empty if unknown.
         """
         if not self._others:
             return []
@@ -96,7 +100,7 @@ class Record:
         return [{"cells": count, "versions": json.loads(text)} for text, count in found.items()]
 
     def add(self, pairs: Sequence[tuple[Cell, Any]]) -> None:
-        """Keep results of this process's code, and write them where there is a file."""
+        """Store results of this process, in the file too."""
         self._results.update((_key(cell), result) for cell, result in pairs)
         if self.path is None:
             return
@@ -110,7 +114,7 @@ class Record:
 
 
 def _key(cell: Mapping[str, Any]) -> bytes:
-    """Return a digest of a cell: a million of them are small."""
+    """Return a short digest of a cell, to save memory."""
     return blake2b(json.dumps(cell, sort_keys=True).encode(), digest_size=16).digest()
 
 
@@ -123,22 +127,23 @@ def run_cells(
     together: int = 1,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[Any]:
-    """Return the result of each cell, computing those that the record lacks.
+    """Return each cell's result, computing those not recorded.
 
     Args:
-        function: From some cells to a result for each, all JSON; importable by name, for it runs in other processes.
+        function: Function from some cells to a result for each, all JSON; importable by name, because it runs in other
+            processes.
         cells: The study.
-        record: Where results are kept; None for memory.
-        workers: Where cells run; None for this process.
-        together: How many cells make one job.
-        progress: Told how many cells are done, and of how many.
+        record: Record of the results; None for memory.
+        workers: Workers that compute the cells; None for this process.
+        together: Number of cells in one job.
+        progress: Function called with the number of cells done and the number of all.
 
     Returns:
-        A result a cell, in order. A cell that kills its worker twice when it runs alone gets {"error": ...}, which
+        A result per cell, in order. A cell that kills its worker twice when it runs alone gets {"error": ...}, which
         is not recorded, so that a rerun tries again.
 
     Raises:
-        StudyInterrupted: On Ctrl-C, after the jobs in hand have landed. They land too where a job fails with an error.
+        StudyInterrupted: On Ctrl-C, after the running jobs have finished. They also finish if a job fails.
         WorkersError: If a cluster is gone, or one of its workers has other code.
     """
     study = _Study(function, record or Record(), workers or inline(), progress)
@@ -165,7 +170,10 @@ def run_cells(
 
 
 class _Study:
-    """The jobs of one study: waiting, in hand, and those under suspicion since a worker died."""
+    """Jobs of one study: waiting, running, suspected.
+
+    A job is suspected if it was running when a worker died.
+    """
 
     def __init__(
         self,
@@ -184,7 +192,7 @@ class _Study:
         self._pool: Executor | None = None
 
     def run(self) -> None:
-        """Run everything."""
+        """Run all jobs."""
         while self.waiting or self.suspects or self._hand:
             alone = bool(self.suspects)
             self._hand_out(alone)
@@ -194,21 +202,24 @@ class _Study:
                 self._after_death(broken, alone)
 
     def stop(self) -> None:
-        """Call back the jobs not begun, and wait for the others."""
+        """Cancel waiting jobs, and wait for the running ones."""
         for future in list(self._hand):
             if future.cancel():
                 del self._hand[future]
         wait(self._hand)
         for future in list(self._hand):
-            with suppress(Exception):  # the first failure is on its way up already
+            with suppress(Exception):  # the first failure is raised already
                 self._land(future)
 
     def landed(self, cells: Sequence[Cell]) -> list[tuple[Cell, Any]]:
-        """Return those of the cells that are done, with their results."""
+        """Return the finished cells with their results."""
         return [(cell, self.record[cell]) for cell in cells if cell in self.record]
 
     def _hand_out(self, alone: bool) -> None:
-        """Give out jobs up to the window; a suspect alone, so that a death has one culprit."""
+        """Submit jobs up to the window.
+
+        A suspect runs alone, so that a worker's death has one cause.
+        """
         if self._pool is None:
             self._pool = self.workers.make()
         while len(self._hand) < (1 if alone else self.workers.window) and (self.suspects if alone else self.waiting):
@@ -216,7 +227,10 @@ class _Study:
             self._hand[self._pool.submit(self.function, job)] = job
 
     def _land(self, future: Future[list[Any]]) -> list[Cell] | None:
-        """Keep the results of a job that is over; return the job if its worker died."""
+        """Store a finished job's results; return a lost job.
+
+        A job is lost if its worker died; otherwise None is returned.
+        """
         job = self._hand.pop(future)
         try:
             results = future.result()
@@ -232,7 +246,10 @@ class _Study:
             self.progress(self.done, self.total)
 
     def _after_death(self, broken: list[list[Cell]], alone: bool) -> None:
-        """Let the rest of what was in hand end, make a new pool, and suspect what was lost."""
+        """Recover from a worker's death.
+
+        The other running jobs end, the pool is closed, and lost jobs become suspects.
+        """
         wait(self._hand)
         broken += [job for future in list(self._hand) if (job := self._land(future)) is not None]
         self.close()
@@ -245,8 +262,8 @@ class _Study:
                 self._count(1)
 
     def close(self) -> None:
-        """Let go of the workers."""
+        """Release the workers."""
         if self._pool is not None:
-            # idle workers end at once; a program that ends meanwhile would stumble over them
+            # idle workers end at once; otherwise they could disturb a program that ends meanwhile
             self._pool.shutdown(wait=not self._hand, cancel_futures=True)
             self._pool = None

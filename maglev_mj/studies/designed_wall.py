@@ -1,4 +1,7 @@
-"""A designed wall simulated in the cases it must bear: does any motion grow, how deep, how hard, how loud."""
+"""Simulation of a designed wall in its required cases.
+
+Figures: stability, penetration, peak force, and force noise at rest.
+"""
 
 from __future__ import annotations
 
@@ -24,14 +27,14 @@ from maglev_mj.timeline import split_delay
 
 __all__ = ["Contact", "DesignResult", "evaluate_wall", "growing_cases", "hardest_contact"]
 
-_ANYWHERE = (1e150, 1.0)  # a flotor thrown ever further is a verdict, not an error
+_ANYWHERE = (1e150, 1.0)  # a flotor thrown far away is a verdict, not an error
 _TICKS, _CONTACT_TICKS = 800, 100
 _RANDOM, _PHASES = 240, 8
 _GATE_STEPS, _SETTLED_STEPS = 5.0, 20.0
 
 
 class Contact(Parameters):
-    """What else a designed wall meets.
+    """Contact conditions of a designed wall.
 
     Raises:
         ParameterError: If a value is outside its bounds.
@@ -57,31 +60,37 @@ class Contact(Parameters):
     speed: float = param("speed of approach", "m/s", default=0.2, above=0.0, at_most=10.0)
 
     def pulse_of(self, wall: DesignedWall) -> float:
-        """Return the further damping in the pulse [N s/m] that stops the lightest flotor, and no heavier one early."""
+        """Return the pulse damping [N s/m] for the lightest flotor.
+
+        It stops the lightest flotor within the pulse, and no heavier one earlier.
+        """
         if not self.pulse:
             return 0.0
         return max(wall.requirements.mass[0] / self.pulse_width - wall.damping, 0.0)
 
     def gate(self, period: float) -> float:
-        """Return the approach speed from which on a pulse is given [m/s]: five steps of the sensor a period."""
+        """Return the least approach speed for a pulse [m/s].
+
+        It is five steps of the sensor per period.
+        """
         return _GATE_STEPS * self.quantize / period
 
 
 @dataclass(frozen=True, eq=False)
 class DesignResult:
-    """A designed wall and how it does.
+    """Designed wall with its simulated figures.
 
     Attributes:
         wall: Its gains, and its figures by theory.
-        contact: What else it met.
-        reference: The PD wall for the same requirements; None where the wall is that, or no PD wall bears them.
+        contact: Contact conditions.
+        reference: PD wall for the same requirements; None if the wall is PD itself, or no PD wall meets them.
         cases: Cases simulated, in and out of contact: corners and middles of the ranges, the worst, random ones.
-        grows: True for each where the motion grows, or goes on, instead of settling, (C,).
+        grows: True for each case whose motion grows or continues instead of settling, (C,).
         depth: Greatest depth at the speed of approach over corners, hands and phases [m].
         peak: Largest force there [N].
         hum: Standard deviation of the force at rest over the sensor [N]: middle of the ranges, first hand, worst start.
-        masses: Of the map [kg], (M,).
-        delays: Of the map [s], (D,).
+        masses: Masses of the map [kg], (M,).
+        delays: Delays of the map [s], (D,).
         map: Largest modulus over the hands, (M, D).
     """
 
@@ -121,20 +130,25 @@ class DesignResult:
 
     @property
     def gate(self) -> float:
-        """Approach speed from which on a pulse is given [m/s]; 0 without a pulse."""
+        """Least approach speed for a pulse [m/s].
+
+        0 without a pulse.
+        """
         return self.contact.gate(self.wall.requirements.period) if self.contact.pulse else 0.0
 
 
 def evaluate_wall(
     wall: DesignedWall, contact: Contact, reference: DesignedWall | None = None, *, seed: int = 0
 ) -> DesignResult:
-    """Simulate a designed wall in the cases of its requirements, and at its speed of approach.
+    """Simulate a designed wall in its required cases.
+
+    Contacts at its approach speed are simulated too.
 
     Args:
         wall: The wall.
-        contact: What else it meets.
-        reference: The PD wall to stand beside it.
-        seed: Of the random cases.
+        contact: Contact conditions.
+        reference: PD wall for comparison.
+        seed: Seed of the random cases.
 
     Raises:
         ParameterError: If an observer is to give a pulse.
@@ -158,17 +172,19 @@ def evaluate_wall(
 
 
 def growing_cases(wall: DesignedWall, contact: Contact, cases: Sequence[Case], *, seed: int = 0) -> Mask:
-    """Return for each case whether its motion grows or goes on, (C,), on the exact plant over 800 samples.
+    """Return True for cases with growing or continuing motion.
 
-    Each starts at random from 1 mm behind the wall to 2 mm above it, on its way down at up to the speed of approach, at
-    a random phase of the sampler. It settles if its swing in the last quarter is below 20 steps of the sensor, or
-    below half of that in the second quarter; with a modulus near 1 allowed, below what that leaves of it.
+    (C,), on the exact plant over 800 samples.
+
+    Each starts at random from 1 mm behind the wall to 2 mm above it, moving down at up to the approach speed, at a
+    random phase of the sampler. It settles if its swing in the last quarter is below 20 steps of the sensor, or below
+    half of that in the second quarter; if a modulus near 1 is allowed, below the share that this modulus leaves.
 
     Args:
         wall: The wall, below z = 0.
         contact: Sensor, limit, pulse and speed.
         cases: The cases, (C,).
-        seed: Of the starts.
+        seed: Seed of the starts.
     """
     random, count = np.random.default_rng(seed), len(cases)
     height, speed = random.uniform(-1e-3, 2e-3, count), contact.speed * random.uniform(0.05, 1.0, count)
@@ -189,7 +205,10 @@ def growing_cases(wall: DesignedWall, contact: Contact, cases: Sequence[Case], *
 
 
 def hardest_contact(wall: DesignedWall, contact: Contact) -> tuple[float, float]:
-    """Return the greatest depth [m] and force [N] at the speed of approach, over corners, hands and 8 phases."""
+    """Return the largest penetration [m] and force [N].
+
+    At the approach speed, over corners, hands and 8 phases.
+    """
     cases = [case for case in wall.requirements.grid(2) for _ in range(_PHASES)]
     above = 1.5 * contact.speed * wall.requirements.period  # so that a sample sees it above the wall
     starts = np.full(len(cases), above), np.full(len(cases), contact.speed)
@@ -214,7 +233,7 @@ def _plants(
 ) -> Iterator[tuple[list[int], ExactPlant]]:
     """Yield exact plants with the indices of their cases.
 
-    One batch, but for hands in a rigid and in a soft grip, and delays of other whole periods.
+    Cases are separated by rigid or soft grip, and by the whole periods of the delay; the rest is one batch.
     """
     needs = wall.requirements
     groups: dict[tuple[bool, int], list[int]] = {}
@@ -261,7 +280,10 @@ def _controller(wall: DesignedWall, contact: Contact) -> Controller:
 
 
 def _hands(names: Sequence[str], soft: bool) -> Hand:
-    """Return the hands of a batch along z, "none" as one without mass."""
+    """Return the hands of a batch along z.
+
+    "none" is a hand without mass.
+    """
     hands = [hand_called(name) or Hand() for name in names]
     mass, damping, stiffness, grip_damping, grip_stiffness = np.array([hand.values for hand in hands]).T
     grip = {"grip_damping": grip_damping, "grip_stiffness": grip_stiffness} if soft else {}

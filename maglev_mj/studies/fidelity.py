@@ -1,4 +1,7 @@
-"""The least model level and the cheapest integrator step that keep a tolerance, measured over many cases."""
+"""Choice of model level and integrator step for a tolerance.
+
+The least level and the cheapest step that keep it are measured over many cases.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +35,10 @@ from maglev_mj.theory.closed_loop import SampledLoop
 __all__ = ["MARGIN", "FidelityResult", "Range", "StepResult", "measure_fidelity", "measure_steps", "stepping_name"]
 
 MARGIN = 1.25
-"""Factor by which a case never looked at may go beyond the worst that was seen."""
+"""Safety factor on the worst error seen.
+
+It covers cases not simulated.
+"""
 
 _REFERENCE_STEP = 2e-5
 
@@ -41,11 +47,14 @@ STEPPINGS: tuple[tuple[str, float | None], ...] = tuple(
     for integrator in ("corrected", "euler", "implicitfast", "rk4")
     for step in (None, 1e-3, 5e-4, 2.5e-4, 1e-4, 5e-5)
 )
-"""Integrator and longest step [s]; None for as long as the force is constant and nothing else asks for less."""
+"""Integrators and longest steps [s].
+
+None lets a step last as long as the force is constant and nothing else needs a shorter one.
+"""
 
 
 class Range(NamedTuple):
-    """What an answer is to hold for.
+    """Validity range of a fidelity result.
 
     Attributes:
         phases: Phases of the samples, evenly spread over a period; jitter seeds alone in a scene that starts at rest.
@@ -68,10 +77,10 @@ class StepResult(NamedTuple):
         step: Longest step [s]; None for as long as the force is constant.
         error: Distance of its motion from that of RK4 with a step of 20 µs in the scene itself [m]; infinite if it
             diverges.
-        cost: Of a simulated second [s].
-        shift: Relative shift of the stiffest stable wall; None where it was ruled out before.
-        missing: Distance from the motion of its level and of any above [m], in the worst case of the share asked for;
-            None where it was ruled out before.
+        cost: Computing time of a simulated second [s].
+        shift: Relative shift of the stiffest stable wall; None if it was ruled out before.
+        missing: Distance from the motion of its level and of any above [m], in the worst case of the given share;
+            None if it was ruled out before.
     """
 
     integrator: str
@@ -83,16 +92,16 @@ class StepResult(NamedTuple):
 
 
 class FidelityResult(NamedTuple):
-    """The model that a scene needs.
+    """Model level and step needed by a scene.
 
     Attributes:
-        preset: The scene, and how well it is to be known.
-        tolerance: Largest displacement of a coil that does not matter [m].
-        over: What the answer holds for.
+        preset: The scene with its tolerance.
+        tolerance: Largest negligible displacement of a coil [m].
+        over: Validity range of the answer.
         cases: Cases of the whole device.
         screened: Number of cases on the exact plant.
-        jump: Largest jump seen among them [m], where a sample just meets the wall or just misses it; 0 if none.
-        met_stops: Number of cases in which the motion meets the metal stops of the model.
+        jump: Largest jump among them [m], from a sample that just meets or just misses the wall; 0 if none.
+        met_stops: Number of cases with contact at the metal stops of the model.
         levels: From the least model to the most.
         level: The least level that keeps the tolerance, with the margin, against all above it; None if none does.
         steps: Integrators and steps on that level.
@@ -113,13 +122,19 @@ class FidelityResult(NamedTuple):
 
     @property
     def furthest(self) -> float | None:
-        """Distance that no case of the model chosen is expected to exceed, with the margin [m]; None without one."""
+        """Largest expected distance of the chosen model [m].
+
+        The margin is included; None without a choice.
+        """
         if self.level is None or self.cheapest is None:
             return None
         return MARGIN * max(self.cheapest.missing or 0.0, self.level.worst, self.jump)
 
     def as_json(self) -> dict[str, Any]:
-        """Return everything, ready for JSON; null for what is infinite or not there."""
+        """Return everything, ready for JSON.
+
+        Null for infinite or missing values.
+        """
         values = {
             "scene": self.preset.name,
             "parameters": parameters_json(self.preset.scene, self.preset.scene.plants[0], self.cases[0].phase),
@@ -147,20 +162,22 @@ def measure_fidelity(
     phase: float = 0.0,
     progress: Callable[[int, int], None] | None = None,
 ) -> FidelityResult:
-    """Choose the least model level and the cheapest step that keep a tolerance in a scene and around it.
+    """Choose the least model level and the cheapest step.
+
+    Both keep a tolerance in a scene and around it.
 
     Every level runs in every case: phases of the samples times pairs of gains, each with a jitter seed of its own.
-    The dear levels, from the drivers' filter on, run in the scene itself and the three cases that are worst without
-    them; `screen_levels` looks at 4096 further cases on the exact plant. A level keeps the tolerance if `MARGIN` times
-    its distance from every level above it does, in all cases of the whole device and the share asked for of the others.
-    No model short of the device itself keeps it in all: see `largest_jump`.
+    The expensive levels, from the drivers' filter on, run in the scene itself and the three cases that are worst
+    without them; `screen_levels` adds 4096 further cases on the exact plant. A level keeps the tolerance if `MARGIN`
+    times its distance from every level above it does, in all cases of the whole device and the given share of the
+    others. No model except the device itself keeps it in all cases: see `largest_jump`.
 
     Args:
         scene: See `preset_of`.
-        tolerance: Largest displacement of a coil that does not matter [m]; the scene's own by default.
-        over: What the answer is to hold for.
-        phase: Of the samples in the scene itself, in [0, 1).
-        progress: Told how many motions are done, and of how many.
+        tolerance: Largest negligible displacement of a coil [m]; the scene's own by default.
+        over: Validity range of the answer.
+        phase: Phase of the samples in the scene itself, in [0, 1).
+        progress: Function called with the number of motions done and the number of all.
 
     Raises:
         ParameterError: If there is no such scene, or a value is outside its bounds.
@@ -197,7 +214,7 @@ def measure_fidelity(
 
 
 class _Count:
-    """Counts motions for a progress bar."""
+    """Counter of motions for a progress bar."""
 
     def __init__(self, progress: Callable[[int, int], None] | None, total: int) -> None:
         self._progress, self._count, self._total = progress, 0, total
@@ -211,14 +228,16 @@ class _Count:
 def measure_steps(
     scene: Scene, level: str, *, phase: float = 0.0, repeats: int = 3, done: Callable[[], object] = lambda: None
 ) -> tuple[StepResult, ...]:
-    """Return error and cost of each integrator and step on a level; of the closed form alone on the lowest.
+    """Return error and cost of each integrator and step.
+
+    On the lowest level, only the closed form is measured.
 
     Args:
         scene: The scene.
         level: Name from LEVELS.
-        phase: Of the samples, in [0, 1).
-        repeats: How often each is timed.
-        done: Called after each motion.
+        phase: Phase of the samples, in [0, 1).
+        repeats: Number of timings of each.
+        done: Function called after each motion.
     """
     if level_index(level) == 0:
         (cost,) = measure_costs([partial(level_parts, scene, level, phase=phase)], [0.0], repeats)
@@ -240,7 +259,10 @@ def measure_steps(
 def _missing_of(
     scene: Scene, cases: Sequence[Case], motions: Motions, level: str, share: float, row: StepResult
 ) -> float:
-    """Return how far an integrator and its step are from the motions of a level and those above it [m]."""
+    """Return a step's distance from the level and above [m].
+
+    Distance of its motions from those of the level and of the levels above it, in the worst case of the share.
+    """
     found = []
     for index in motions[0]:
         motion = run_case(scene, level, cases[index], integrator=row.integrator, longest_step=row.step)
@@ -256,15 +278,17 @@ def _choose(
     boundary: float,
     missing: Callable[[StepResult], float],
 ) -> tuple[tuple[StepResult, ...], StepResult | None]:
-    """Return the rows in order of cost, and the first that keeps tolerance and stability boundary.
+    """Return the rows by cost, and the first suitable one.
+
+    Suitable means that tolerance and stability boundary are kept.
 
     Args:
         rows: Integrators and steps.
-        loop: The loop whose boundary is to be kept.
-        usual_step: Longest step where none is asked for [s].
-        keeps: Whether a distance is within the tolerance.
+        loop: The loop with the boundary to be kept.
+        usual_step: Default longest step [s].
+        keeps: Function that returns True for a distance within the tolerance.
         boundary: Largest relative shift of the boundary.
-        missing: Distance of one over all cases.
+        missing: Function that returns the distance of a row over all cases.
     """
     ordered = sorted(rows, key=lambda row: (row.cost, row.error))
     for place, row in enumerate(ordered):
@@ -281,5 +305,8 @@ def _choose(
 
 
 def stepping_name(integrator: str, step: float | None) -> str:
-    """Return the name of an integrator with a longest step [s]."""
+    """Return the name of an integrator with its step.
+
+    The longest step is in [s].
+    """
     return f"{integrator}, {'a step a segment' if step is None else f'{step * 1e3:g} ms'}"

@@ -1,4 +1,7 @@
-"""Cases around a scene: phases, jitter seeds and neighbouring gains; many at once on the exact plant."""
+"""Cases around a scene: phases, jitter seeds, neighbouring gains.
+
+Many are simulated at once on the exact plant.
+"""
 
 from __future__ import annotations
 
@@ -40,17 +43,20 @@ _MOST_PHASES = 1000
 _FAR = (1e9, 1e9)
 _POINTS, _SEEDS = 256, 16
 _STEPS = np.array([0.8191725133961645, 0.6710436067037893, 0.5497004779019703])
-"""Additive recurrence that fills a cube evenly: powers of the inverse of the root of x⁴ = x + 1 (Roberts 2018)."""
+"""Increments of a sequence that fills a cube evenly.
+
+Powers of the inverse of the root of x⁴ = x + 1 (Roberts 2018).
+"""
 
 
 class Preset(NamedTuple):
-    """A scene, and how well its motion is to be known.
+    """Scene with its tolerance.
 
     Attributes:
         name: Its name.
         scene: The scene.
-        tolerance: Greatest displacement of a coil that does not matter [m].
-        reason: Where that is from.
+        tolerance: Largest negligible displacement of a coil [m].
+        reason: Reason for that value.
     """
 
     name: str
@@ -70,17 +76,19 @@ _PRESETS = (
 )
 
 COMPARED = ("drop", "drop-no-pulse", "press", "stick-slip", "twist", "six-axes", "let-go")
-"""Names of the scenes that are compared in one table."""
+"""Names of the scenes in the comparison table."""
 
 
 def preset_of(scene: str | Scene | Preset) -> Preset:
-    """Return how well a scene is to be known: as its class says, but for two that are compared with other values.
+    """Return a scene's preset.
+
+    It is that of its class, except for two scenes that are compared with other values.
 
     Args:
-        scene: The scene, or what `find_scene` finds, or "drop-no-pulse".
+        scene: The scene, or a text for `find_scene`, or "drop-no-pulse".
 
     Raises:
-        ParameterError: If there is none.
+        ParameterError: If there is no such scene.
     """
     if isinstance(scene, Preset):
         return scene
@@ -95,8 +103,8 @@ class Case(NamedTuple):
     """One variation of a scene.
 
     Attributes:
-        phase: Of the samples, in [0, 1); without effect in a scene that starts at rest.
-        seed: Of the jitter.
+        phase: Phase of the samples, in [0, 1); without effect in a scene that starts at rest.
+        seed: Seed of the jitter.
         stiffness: Factor of the stiffness.
         damping: Factor of the damping.
     """
@@ -108,23 +116,28 @@ class Case(NamedTuple):
 
 
 def has_gains(scene: Scene) -> bool:
-    """Return whether stiffness and damping are among the parameters, and numbers."""
+    """Return True for a scene with stiffness and damping.
+
+    Both must be parameters with numbers.
+    """
     return all(isinstance(getattr(scene, name, None), float) for name in ("stiffness", "damping"))
 
 
 def itself(phase: float = 0.0) -> Case:
-    """Return the case of a scene as it is."""
+    """Return the case of the unchanged scene."""
     return Case(phase, 0)
 
 
 def choice_cases(scene: Scene, phases: int, around: float, phase: float = 0.0) -> tuple[Case, ...]:
-    """Return the cases that a level is chosen by, the scene itself first: phases times pairs of gains.
+    """Return the cases for the choice of a level.
 
-    Each has a jitter seed of its own. The gains are those of the scene and the corners of their neighbourhood.
+    They are phases times pairs of gains, the scene itself first.
+
+    Each has its own jitter seed. The gains are those of the scene and the corners of their neighbourhood.
 
     Args:
         scene: The scene.
-        phases: How many phases, evenly spread over a period; jitter seeds alone in a scene that starts at rest.
+        phases: Number of phases, evenly spread over a period; jitter seeds alone in a scene that starts at rest.
         around: Largest relative change of a gain, in [0, 0.5].
         phase: Phase of the scene itself.
 
@@ -142,13 +155,15 @@ def choice_cases(scene: Scene, phases: int, around: float, phase: float = 0.0) -
 
 
 def scattered_cases(scene: Scene, count: int, around: float, *, seed: int) -> tuple[Case, ...]:
-    """Return cases spread evenly over phases and neighbouring gains, each with a jitter seed of its own.
+    """Return cases spread over phases and neighbouring gains.
+
+    They are evenly spread; each has its own jitter seed.
 
     Args:
         scene: The scene.
-        count: How many.
+        count: Number of cases.
         around: Largest relative change of a gain.
-        seed: Of the first point, and first of the jitter seeds.
+        seed: Seed of the first point, and first of the jitter seeds.
     """
     share = around if has_gains(scene) else 0.0
     start = np.random.default_rng(seed).uniform(size=3)
@@ -169,19 +184,21 @@ def scene_at(scene: Scene, case: Case) -> tuple[Scene, float]:
 
 
 def screen_levels(scene: Scene, around: float) -> Array:
-    """Return the distance of each level from those above it in 4096 cases on the exact plant [m], (levels, 4096).
+    """Return each level's distance from those above it [m].
+
+    (levels, 4096): in 4096 cases on the exact plant.
 
     The exact plant has the lag, the current limit along z, the sensor's steps and the jitter, for many devices at
-    once; it lacks coils that turn, falloff, spots, stops and the handle's swing. A jump that one case in a hundred
-    makes, where a sample just meets the wall, is found here and not in a few cases of the whole device.
+    once. It lacks turning coils, falloff, spots, stops and the handle's swing. A rare jump, of a sample that just meets
+    the wall, is found here and not in a few cases of the whole device.
 
     Args:
         scene: The scene.
         around: Largest relative change of a gain.
 
     Returns:
-        The distances; infinite throughout if a case diverges, zero for one case in a scene without gains, or whose
-        laws do not take many devices at once.
+        The distances; infinite throughout if a case diverges, zero for one case in a scene without gains or with laws
+        that do not accept many devices at once.
     """
     if not has_gains(scene):  # no loop, so nothing jumps
         return np.zeros((len(LEVELS), 1))
@@ -214,12 +231,15 @@ def _screen(points: Sequence[tuple[Scene, float]]) -> Array:
 
 
 def _seen_alike(one: Level, other: Level) -> bool:
-    """Return whether two levels are the same on the exact plant."""
+    """Return True for two equal levels on the exact plant."""
     return (exact_options(one.name), *one[3:]) == (exact_options(other.name), *other[3:])
 
 
 def _distances(motions: Sequence[Array]) -> Array:
-    """Return the largest distance of each motion from those above it [m], (levels, N), from poses (K, N, 6)."""
+    """Return each motion's largest distance from those above [m].
+
+    (levels, N), from poses (K, N, 6).
+    """
     found = np.zeros((len(motions), motions[0].shape[1]))
     for place, motion in enumerate(motions):
         different = {id(above): above for above in motions[place + 1 :] if above is not motion}
@@ -228,7 +248,9 @@ def _distances(motions: Sequence[Array]) -> Array:
 
 
 def run_together(points: Sequence[tuple[Scene, float]], level: str, seed: int) -> Array:
-    """Run scenes at their phases, which differ in gains alone, as one batch of exact plants; return poses (K, N, 6).
+    """Run scenes as one batch of exact plants.
+
+    Returns poses (K, N, 6), at the scenes' phases. The scenes differ in gains alone.
 
     Raises:
         ParameterError: If their laws differ in more than gains.
@@ -260,14 +282,17 @@ def run_together(points: Sequence[tuple[Scene, float]], level: str, seed: int) -
 
 
 def _parts(scene: Scene, phase: float) -> tuple[Timing, dict[str, Any]]:
-    """Return the timing and the keywords with which a scene makes its plant."""
+    """Return the timing and plant keywords of a scene."""
     made: list[tuple[Timing, dict[str, Any]]] = []
     scene.plant(lambda timing, **own: made.append((timing, own)), phase=phase)  # type: ignore[arg-type]
     return made[0]
 
 
 def _stacked_law(laws: Sequence[Any]) -> Any:
-    """Return one law for N devices: numbers that differ become (N, axes)."""
+    """Return one law for N devices.
+
+    Numbers that differ become (N, axes).
+    """
     first: Any = laws[0]
     if not is_dataclass(first) or not hasattr(first, "axes") or any(type(law) is not type(first) for law in laws):
         raise ParameterError(f"law must be of one class with axes and declared gains, not {type(first).__name__}")

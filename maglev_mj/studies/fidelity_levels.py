@@ -1,4 +1,7 @@
-"""Distances between model levels over many cases of a scene, and what they cost."""
+"""Distances between model levels, and computing costs.
+
+They are measured over many cases of a scene.
+"""
 
 from __future__ import annotations
 
@@ -42,12 +45,14 @@ Parts = tuple[SampledPlant, Controller, int]
 
 
 def measure_costs(makers: Sequence[Callable[[], Parts]], seconds: Sequence[float], repeats: int) -> tuple[float, ...]:
-    """Return the cost of a simulated second of each closed loop [s], the controller included; see `median_times`.
+    """Return each closed loop's cost per simulated second [s].
+
+    The controller is included; see `median_times`.
 
     Args:
-        makers: Make plant, controller and number of samples.
-        seconds: Time that each took before [s]; what took long is not run again.
-        repeats: Turns.
+        makers: Functions that return plant, controller and number of samples.
+        seconds: Time of an earlier run of each [s]; a long one is not repeated.
+        repeats: Number of rounds.
     """
     quick = [place for place, taken in enumerate(seconds) if taken < _LONG]
     taken = list(seconds)
@@ -64,14 +69,14 @@ def closed_loop(make: Callable[[], Parts]) -> Callable[[], object]:
 
 
 def median_times(prepare: Sequence[Callable[[], Callable[[], object]]], repeats: int) -> tuple[float, ...]:
-    """Return how long each piece of work takes [s].
+    """Return the computing time of each task [s].
 
-    Medians over repeats in turn, so that their ratios hold on a machine that is not alone. Short work counts several
-    times a turn, after once that warms the processor's caches; what takes long has two turns only.
+    Medians over interleaved repeats, so that their ratios hold on a shared machine. A short task is timed several times
+    per round, after one run that warms the processor's caches; a long task has two rounds only.
 
     Args:
-        prepare: Each makes its work ready, which is not timed, and returns it.
-        repeats: Turns.
+        prepare: Functions that prepare a task, which is not timed, and return it.
+        repeats: Number of rounds.
     """
     times: list[list[float]] = [[] for _ in prepare]
     for turn in range(repeats):
@@ -90,15 +95,21 @@ def _timed(work: Callable[[], object]) -> float:
 
 
 DEAR = level_index("filter")
-"""Index of the first of the levels that cost ten times as much as those below."""
+"""Index of the first expensive level.
+
+Levels from it on cost ten times as much as those below.
+"""
 
 DEAR_CASES = 4
-"""How many cases the dear levels run in."""
+"""Number of cases for the expensive levels."""
 
 _JUMP = 100.0
 
 Motions: TypeAlias = Sequence[dict[int, Motion | None]]
-"""Motion of each level by the case's index; None where it diverged."""
+"""Motion of each level by case index.
+
+None for a diverged one.
+"""
 
 
 class LevelResult(NamedTuple):
@@ -109,11 +120,11 @@ class LevelResult(NamedTuple):
         adds: Description of what it adds.
         changes: Distance of its motion from that of the level below in the scene itself [m]; 0 for the lowest.
         worst: Distance from the motion of any level above in the worst case [m]; 0 for the highest.
-        missing: The same in the worst case of the share asked for [m]; the choice rests on it.
+        missing: The same in the worst case of the given share [m]; it decides the choice.
         keeps: Share of the cases that keep the tolerance with its margin.
         diverged: Cases that diverged.
         force: Change of the greatest force from the level below in the scene itself [N].
-        cost: Of a simulated second [s], the controller included.
+        cost: Computing time of a simulated second [s], the controller included.
     """
 
     level: str
@@ -127,20 +138,26 @@ class LevelResult(NamedTuple):
     cost: float
 
     def as_json(self) -> dict[str, Any]:
-        """Return its figures, ready for JSON; null for what is not finite."""
+        """Return its figures, ready for JSON.
+
+        Null for values that are not finite.
+        """
         return finite(self._asdict())
 
 
 def finite(values: dict[str, Any]) -> dict[str, Any]:
-    """Return values ready for JSON; None for numbers that are not finite."""
+    """Return values ready for JSON.
+
+    None for numbers that are not finite.
+    """
     return {
         name: None if isinstance(value, float) and not math.isfinite(value) else value for name, value in values.items()
     }
 
 
 def run_case(scene: Scene, level: str, case: Case, **options: Any) -> Motion | None:
-    """Run one case on a level; return None if it diverges."""
-    with engine_warnings_silenced(), np.errstate(all="ignore"):  # what diverges overflows before it is found out
+    """Run one case on a level; None if diverging."""
+    with engine_warnings_silenced(), np.errstate(all="ignore"):  # a diverging run overflows before it is detected
         try:
             chosen, phase = scene_at(scene, case)
             return motion_of(*level_parts(chosen, level, phase=phase, seed=case.seed, **options))
@@ -149,19 +166,24 @@ def run_case(scene: Scene, level: str, case: Case, **options: Any) -> Motion | N
 
 
 def distance(one: Motion | None, other: Motion | None) -> float:
-    """Return the greatest displacement of a coil between two motions [m]; infinite if one diverged."""
+    """Return the largest coil displacement between two motions [m].
+
+    It is infinite if one diverged.
+    """
     return math.inf if one is None or other is None else float(apart(one.pose, other.pose))
 
 
 def run_levels(
     scene: Scene, cases: Sequence[Case], *, done: Callable[[], object] = lambda: None
 ) -> list[dict[int, Motion | None]]:
-    """Run every level in every case; the dear ones in the first case and those that are worst without them.
+    """Run every level in every case.
+
+    The expensive levels run only in the first case and in the worst ones without them.
 
     Args:
         scene: The scene.
         cases: The cases.
-        done: Called after each motion.
+        done: Function called after each motion.
     """
     motions: list[dict[int, Motion | None]] = [{} for _ in LEVELS]
 
@@ -172,7 +194,7 @@ def run_levels(
     for number in range(len(cases)):
         for index in range(DEAR):
             go(index, number)
-    # by what the falloff level lacks: those below it have too much else in their sum
+    # by the distances of the falloff level: those of lower levels sum up too many other effects
     lacking = distances_above(motions, level_index("falloff"))
     ordered = sorted(range(1, len(cases)), key=lambda number: -lacking[number])
     for number in (0, *ordered[: DEAR_CASES - 1]):
@@ -182,11 +204,13 @@ def run_levels(
 
 
 def measure_levels(scene: str | Scene | Preset, *, repeats: int = 3) -> tuple[LevelResult, ...]:
-    """Return what each level changes, lacks and costs in a scene itself.
+    """Return each level's effect, error and cost.
+
+    They are those in the scene itself.
 
     Args:
         scene: See `preset_of`.
-        repeats: How often each is timed.
+        repeats: Number of timings of each.
     """
     preset, none = preset_of(scene), np.zeros((len(LEVELS), 1))
     motions = run_levels(preset.scene, [itself()])
@@ -194,7 +218,10 @@ def measure_levels(scene: str | Scene | Preset, *, repeats: int = 3) -> tuple[Le
 
 
 def distances_above(motions: Motions, index: int) -> dict[int, float]:
-    """Return the largest distance of a level from any above it in each case [m]."""
+    """Return a level's distances from those above [m].
+
+    The largest in each case.
+    """
     return {
         number: max((distance(motion, above[number]) for above in motions[index + 1 :] if number in above), default=0.0)
         for number, motion in motions[index].items()
@@ -202,15 +229,20 @@ def distances_above(motions: Motions, index: int) -> dict[int, float]:
 
 
 def worst_of(values: Sequence[float] | Array, share: float) -> float:
-    """Return the largest value of a share of the cases, the smallest first."""
+    """Return the largest value of a share of cases.
+
+    The share has the smallest values.
+    """
     return float(np.quantile(np.asarray(values), share, method="higher"))
 
 
 def largest_jump(screen: Array) -> float:
-    """Return the largest jump among cases on the exact plant [m]; 0 if none jumps.
+    """Return the largest jump on the exact plant [m].
 
-    A sample that just meets the wall or just misses it sends two levels apart as far, whatever tips it. A level jumps
-    where a case goes beyond a hundred times the median.
+    0 if no case jumps.
+
+    A sample that just meets or just misses the wall separates two levels by a fixed distance, for any small cause. A
+    level jumps if a case exceeds a hundred times the median.
 
     Args:
         screen: Distances of each level from those above it [m], (levels, cases).
@@ -223,15 +255,17 @@ def largest_jump(screen: Array) -> float:
 def level_results(
     scene: Scene, motions: Motions, screen: Array, tolerance: float, share: float = 1.0, *, repeats: int = 3
 ) -> tuple[LevelResult, ...]:
-    """Return what each level changes, lacks and costs, each with its own default step.
+    """Return each level's effect, error and cost.
+
+    Each level has its own default step.
 
     Args:
         scene: The scene.
-        motions: Of the levels.
+        motions: Motions of the levels.
         screen: Distances on the exact plant [m], (levels, cases).
-        tolerance: Largest distance that is kept [m].
+        tolerance: Largest allowed distance [m].
         share: Share of the cases that counts.
-        repeats: How often each is timed.
+        repeats: Number of timings of each.
     """
     firsts = [found[0] for found in motions]
     makers = [partial(level_parts, scene, level.name) for level in LEVELS]

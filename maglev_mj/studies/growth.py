@@ -1,4 +1,7 @@
-"""Does a simulated wall settle or grow? The flotor rests in it, is moved a little, and the samples tell."""
+"""Growth rate of simulated walls.
+
+The flotor rests in a wall and is displaced slightly; the samples tell if the motion settles or grows.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +35,7 @@ _BLOCK = 16
 _FEW = 48
 _FAR = (1e15, 1.0)
 HAND_HELP = f"{', '.join(HANDS)} or MASS,DAMPING,STIFFNESS[,GRIP_DAMPING,GRIP_STIFFNESS]"
-"""Help of a hand on the flotor."""
+"""Help text of the hand parameter."""
 
 _GAINS = "stiffness", "damping"
 _PATIENCE = (128, 512, 2048, 8192)
@@ -40,13 +43,12 @@ _BATCHES: Mapping[str, PlantMaker] = {"exact": ExactPlant, "mujoco": MuJoCoBatch
 
 
 class Growth(NamedTuple):
-    """What the samples of each loop say, (N,) each.
+    """Growth of the motion in each loop, (N,) each.
 
     Attributes:
-        stable: Whether the motion dies out.
-        rate: Factor by which it grows from one sample to the next, from its largest values; rough where a few samples
-            decide.
-        ticks: Samples it took to tell.
+        stable: True if the motion decays.
+        rate: Growth factor from one sample to the next, from the largest values; rough if only a few samples decide.
+        ticks: Number of samples until the decision.
     """
 
     stable: Mask
@@ -55,17 +57,17 @@ class Growth(NamedTuple):
 
 
 class RestingWall(Scene):
-    """Rest the flotor in a wall, and see whether it is stable.
+    """Rest the flotor in a wall and check its stability.
 
     The wall fills z <= 0, the five other axes are held. The plant "none" is theory alone; on the others the flotor
-    starts a millionth of its depth off its rest.
+    starts displaced from its equilibrium by a millionth of its depth.
     """
 
     name: ClassVar[str] = "wall"
     plants: ClassVar[Sequence[str]] = ("none", *PLANTS)
     takes_phase: ClassVar[bool] = False
 
-    # how many periods are allowed depends on the period: see `check`
+    # the bound is in periods: see `check`
     delay: float = param(
         "from a sample to its command taking effect", "s", default=Spec.transport_delay.value, at_least=0.0
     )
@@ -80,12 +82,15 @@ class RestingWall(Scene):
         hand_called(self.hand)
 
     def laws(self) -> list[Law]:
-        """Return the wall, and what holds the other axes."""
+        """Return the wall and the hold of the other axes."""
         wall = Wall(axes="z", lower=0.0, stiffness=self.stiffness, damping=self.damping)
         return [wall, hold(self, others("z"), self.mass)]
 
     def start(self) -> Start:
-        """Return a flotor a millionth off its rest, held up by the wall's force."""
+        """Return a flotor displaced slightly from its equilibrium.
+
+        The displacement is a millionth of the depth; the wall's force carries the flotor.
+        """
         pose = along("z", self.rest * (1.0 + _MOVED)).tolist()
         return Start(pose=pose, wrench=along("z", -self.stiffness * self.rest).tolist())
 
@@ -100,25 +105,31 @@ class RestingWall(Scene):
 
     @property
     def rest(self) -> float:
-        """Where weight, wall and arm balance [m]."""
+        """Equilibrium of weight, wall and arm [m]."""
         hand = self.impedance
         arm = 0.0 if hand is None else float(hand.static_stiffness)
         return -self.mass * GRAVITY / (self.stiffness + arm)
 
     @property
     def loop(self) -> LoopKeywords:
-        """Keywords of theory beside the gains."""
+        """Keywords of the theory besides the gains."""
         return {"period": self.period, "delay": self.delay, "mass": self.mass, "hand": self.impedance}
 
     def run_figures(self, plant: str, phase: float = 0.0) -> Mapping[str, Any]:
-        """Return the figures of theory, and of a simulation unless the plant is "none"."""
+        """Return the figures of theory and simulation.
+
+        There is no simulation on the plant "none".
+        """
         return self.figures_together([self], plant, [phase])[0]
 
     @classmethod
     def figures_together(
         cls, scenes: Sequence[Self], plant: str, phases: Sequence[float]
     ) -> Sequence[Mapping[str, Any]]:
-        """See `Scene`: walls that differ in their gains alone are one batch."""
+        """Return the figures of many walls; see `Scene`.
+
+        Walls that differ in their gains alone are one batch.
+        """
         found: list[dict[str, Any]] = [{}] * len(scenes)
         for indices in _alike(scenes).values():
             walls = [scenes[index] for index in indices]
@@ -141,12 +152,15 @@ class RestingWall(Scene):
 
 @lru_cache(maxsize=1024)
 def stiffest_in(period: float, delay: float, mass: float, hand: str) -> StiffestWall:
-    """Return the stiffest wall, found once for all gains."""
+    """Return the stiffest wall, cached for all gains."""
     return stiffest_wall(period=period, delay=delay, mass=mass, hand=hand_called(hand))
 
 
 def _alike(walls: Sequence[RestingWall]) -> Mapping[tuple[Any, ...], list[int]]:
-    """Return the indices of walls that differ in their gains alone, by what they agree in."""
+    """Return indices of walls, grouped by loop.
+
+    Walls of a group differ in their gains alone.
+    """
     alike: dict[tuple[Any, ...], list[int]] = defaultdict(list)
     for index, wall in enumerate(walls):
         alike[wall.period, wall.delay, wall.mass, wall.hand].append(index)
@@ -154,7 +168,10 @@ def _alike(walls: Sequence[RestingWall]) -> Mapping[tuple[Any, ...], list[int]]:
 
 
 def grow_together(walls: Sequence[RestingWall], plant: str) -> Growth:
-    """Measure the growth of walls that may differ in period, delay, mass and hand too: a batch for each of these."""
+    """Measure the growth of any walls, batched by loop.
+
+    They may differ in period, delay, mass and hand too.
+    """
     grown = [
         (indices, measure_growth([walls[index] for index in indices], plant)) for indices in _alike(walls).values()
     ]
@@ -163,16 +180,18 @@ def grow_together(walls: Sequence[RestingWall], plant: str) -> Growth:
 
 
 def measure_growth(walls: Sequence[RestingWall], plant: str = "exact", **keywords: Any) -> Growth:
-    """Simulate walls in closed loop, each with the flotor resting in it, and tell whether a small motion grows.
+    """Simulate walls with a resting flotor; measure the growth.
 
-    The flotor starts off its rest under gravity by a millionth of its depth. A loop is decided when that has become
-    ten thousand times larger or smaller, so that the wall's edge and rounding are both far away; one that takes longer
-    than 8192 samples is decided by whether its last quarter is larger than its second.
+    The growth is that of a small displacement in closed loop.
+
+    The flotor starts displaced from its equilibrium under gravity by a millionth of its depth. A loop is decided when
+    the displacement has become ten thousand times larger or smaller, so that the wall's edge and rounding are both far
+    away. A loop undecided after 8192 samples is unstable if its last quarter is not smaller than its second.
 
     Args:
         walls: The walls, which differ in their gains alone.
         plant: "exact" or "mujoco"; the latter by corrected Euler where that is exact, otherwise by RK4.
-        keywords: Further ones of `Scene.plant`, such as another timing, and of the plant.
+        keywords: Further keywords of `Scene.plant`, such as another timing, and of the plant.
 
     Raises:
         ParameterError: If there is no such plant, or a value is outside its bounds.
@@ -198,7 +217,10 @@ def measure_growth(walls: Sequence[RestingWall], plant: str = "exact", **keyword
 
 
 def _engine(walls: Sequence[RestingWall], keywords: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the cheapest engine that is exact for some walls; threads pay off for many."""
+    """Return the cheapest exact engine options for some walls.
+
+    Threads are used for many walls.
+    """
     # the force of a hand, and that of lagging drivers, changes within a step
     changes = keywords.get("driver_lag", False) or any(wall.impedance for wall in walls)
     return {"integrator": "rk4" if changes else "corrected", "threads": int(len(walls) < _FEW)}
@@ -212,7 +234,9 @@ def _controller(walls: Sequence[RestingWall]) -> Controller:
 
 
 def _sizes(plant: SampledPlant, controller: Controller, rest: Array, ticks: int) -> Array:
-    """Return the largest distance from rest in each block of samples, over that at the start, (blocks, N).
+    """Return relative displacements from equilibrium, (blocks, N).
+
+    The largest in each block of samples, divided by that at the start.
 
     The run ends when all loops are decided.
     """
@@ -236,7 +260,7 @@ def _either(sizes: Array) -> Mask:
 
 
 def _judge(sizes: Array, *, last: bool) -> tuple[Growth, Mask]:
-    """Return what the sizes of the blocks say of each loop, and where that is certain."""
+    """Return the growth by block sizes, and a decided mask."""
     either = _either(sizes)
     decided: Mask = np.any(either, axis=0)
     pick = np.where(decided, np.argmax(either, axis=0), len(sizes) - 1)

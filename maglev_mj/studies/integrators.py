@@ -1,4 +1,7 @@
-"""What an integrator's step does to stability: the boundary of the loop as MuJoCo simulates it."""
+"""Effect of an integrator's step on stability.
+
+It is the stability boundary of the loop as simulated by MuJoCo.
+"""
 
 from __future__ import annotations
 
@@ -21,15 +24,15 @@ __all__ = ["INTEGRATORS", "SteppedLoop", "boundary_shift"]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SteppedLoop(SampledLoop):
-    """A sampled loop whose flotor moves as an integrator has it.
+    """Sampled loop with the flotor moved by an integrator.
 
     The map of one step is measured on the drop model along z, without gravity; the rest is the exact loop.
 
     Args:
         integrator: One of `INTEGRATORS`.
         step: Longest time step [s].
-        aligned: True ends a step at each switch of the force, in equal steps; False steps at a fixed step, and the
-            new command is first seen by the step that begins after it takes effect, as in a plain simulation loop.
+        aligned: True ends a step at each switch of the force, in equal steps; False uses a fixed step, and a new
+            command acts from the first step that begins after its time, as in a plain simulation loop.
     """
 
     integrator: str = "rk4"
@@ -67,7 +70,10 @@ class SteppedLoop(SampledLoop):
         return phi, old, new, np.asarray(whole), int(whole) + int(before > 0)
 
     def _steps(self, step: float, count: int) -> tuple[Array, Array]:
-        """Return the map of some steps and the share of a force that acts throughout."""
+        """Return the transition of several steps and the force's share.
+
+        The force acts throughout the steps.
+        """
         lags = self.driver_lag > 0.0
         return _steps(self.integrator, float(np.asarray(self.mass)), step, count, self.hand, lags)
 
@@ -85,7 +91,9 @@ def _steps(integrator: str, mass: float, step: float, count: int, hand: Hand | N
 
 
 def boundary_shift(integrator: str, step: float, loop: SampledLoop, *, aligned: bool = True) -> float:
-    """Return the relative shift of the stiffest stable wall by an integrator and its step.
+    """Return the relative shift of the stiffest wall.
+
+    It is the shift by an integrator and its step.
 
     Args:
         integrator: As for `SteppedLoop`; 0 for "exact" and "closed form".

@@ -1,4 +1,7 @@
-"""Model levels: from six decoupled axes to the whole device, each with all that is below it."""
+"""Model levels, from six decoupled axes to the whole device.
+
+Each level includes all below it.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +41,7 @@ __all__ = [
 
 _JITTER = 1e-4
 _LAG = DRIVER_TIME_CONSTANT
-_SHORTEN = ("driver_lag", "stops", "force_falloff", "flexible")  # options that ask for shorter steps
+_SHORTEN = ("driver_lag", "stops", "force_falloff", "flexible")  # options that need shorter steps
 _STEPS, _SPOTS = Sensor(quantum=RESOLUTION), SpotSensor(quantum=Spec.spot_resolution.value)
 
 
@@ -90,18 +93,18 @@ LEVELS: tuple[Level, ...] = (
         _JITTER,
     ),
 )
-"""From the least model to the most, each with all that is below it."""
+"""Model levels in order, each including those below."""
 
 
 class Motion(NamedTuple):
-    """The answer of one run.
+    """Motion of one run.
 
     Attributes:
-        pose: At the samples [m, rad], (K, 6).
-        twist: At the samples [m/s, rad/s], (K, 6).
-        peak_force: Greatest force commanded along an axis, after the limits [N].
+        pose: Pose at the samples [m, rad], (K, 6).
+        twist: Velocity at the samples [m/s, rad/s], (K, 6).
+        peak_force: Largest force commanded along an axis, after the limits [N].
         met_stops: True if a metal stop of the model acted.
-        seconds: Time that the run took [s].
+        seconds: Computing time of the run [s].
     """
 
     pose: Array
@@ -112,7 +115,7 @@ class Motion(NamedTuple):
 
 
 def level_index(level: str) -> int:
-    """Return how many levels are below one.
+    """Return the number of levels below one.
 
     Raises:
         ParameterError: If there is no such level.
@@ -136,7 +139,9 @@ def options_of(level: str) -> dict[str, Any]:
 
 
 def exact_options(level: str) -> dict[str, Any]:
-    """Return the keywords of the exact plant nearest to a level: limit along z, sensor's steps and drivers' filter.
+    """Return the exact plant's keywords nearest to a level.
+
+    They cover the limit along z, the sensor's steps and the drivers' filter.
 
     Raises:
         ParameterError: If there is no such level.
@@ -152,7 +157,10 @@ def exact_options(level: str) -> dict[str, Any]:
 
 
 def step_of(scene: Scene, level: str) -> float:
-    """Return the longest step of a level in a scene where none is asked for [s]; the period if nothing bounds it."""
+    """Return a level's default longest step in a scene [s].
+
+    It is the period if nothing needs a shorter step.
+    """
     own = scene.plant_options().get("longest_step")
     asked = own("mujoco") if callable(own) else own
     needs = {name: value for name, value in options_of(level).items() if name in _SHORTEN}
@@ -166,9 +174,11 @@ def _hand_of(scene: Scene) -> Hand | None:
 
 
 def loop_of(scene: Scene, level: str) -> SampledLoop:
-    """Return the sampled loop of a wall with a scene's timing, mass and hand, and a level's drivers.
+    """Return a wall's sampled loop on a level.
 
-    Force falloff, jitter and the handle's swing are not in it.
+    Timing, mass and hand are the scene's; the drivers are the level's.
+
+    Force falloff, jitter and the handle's swing are not included.
 
     Raises:
         ParameterError: If there is no such level, or the delay is more than 10 periods.
@@ -184,7 +194,10 @@ def loop_of(scene: Scene, level: str) -> SampledLoop:
 
 
 def timing_of(level: Level, timing: Timing, seed: int) -> Timing:
-    """Return a scene's timing as a level has it, with less jitter where delay and period leave no room for it."""
+    """Return a scene's timing on a level.
+
+    The jitter is reduced if delay and period leave no room for it.
+    """
     delay = timing.delay + level.more_delay
     rest = Timing(period=timing.period, delay=delay).rest
     jitter = min(level.jitter, rest, timing.period - rest)
@@ -201,16 +214,16 @@ def level_parts(
     seed: int = 0,
     **keywords: Any,
 ) -> tuple[SampledPlant, Controller, int]:
-    """Return what a scene on a level is made of: the plant, the controller, and how many samples.
+    """Return plant, controller and sample count on a level.
 
     Args:
         scene: The scene.
         level: Name from LEVELS.
-        phase: Of the samples, in [0, 1).
+        phase: Phase of the samples, in [0, 1).
         integrator: One of `INTEGRATORS`; the lowest level has none.
         longest_step: Longest step [s]; None for that of the level.
-        seed: Of the jitter.
-        keywords: Further ones of the plant, in place of the scene's and the level's.
+        seed: Seed of the jitter.
+        keywords: Further keywords of the plant, in place of the scene's and the level's.
 
     Raises:
         ParameterError: If there is no such level.
@@ -236,7 +249,10 @@ def level_parts(
 
 
 def motion_of(plant: SampledPlant, controller: Controller, ticks: int) -> Motion:
-    """Run a scene's parts and return the true motion at the samples."""
+    """Run a scene's parts; return its true motion.
+
+    The motion is that at the samples.
+    """
     states: list[tuple[Array, Array]] = []
     forces: list[Array] = []
 
@@ -254,7 +270,10 @@ def motion_of(plant: SampledPlant, controller: Controller, ticks: int) -> Motion
 
 
 def apart(one: Array, other: Array) -> Array:
-    """Return the greatest displacement of a coil between two motions [m], (...,), from poses (K, ..., 6)."""
+    """Return the largest coil displacement between two motions [m].
+
+    (...,), from poses (K, ..., 6).
+    """
     difference = one - other
     moved, turned = (np.linalg.norm(part, axis=-1) for part in (difference[..., :3], difference[..., 3:]))
     return np.asarray((moved + Spec.coil_radius.value * turned).max(axis=0))

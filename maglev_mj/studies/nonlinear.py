@@ -27,22 +27,22 @@ from maglev_mj.workers import Workers
 __all__ = ["PART", "SAMPLES", "DropMap", "DropMapParameters", "Ending", "judge_drops", "run_drop_map"]
 
 PART = 10_000
-"""Walls that are simulated at once: so many stay in the cache."""
+"""Number of walls simulated at once; they fit the cache."""
 
 SAMPLES = 400
-"""Samples of a drop."""
+"""Number of samples in a drop."""
 
 _STEPS, _SHARE, _DYING = 10.0, 1e-3, 0.8
-# beyond what any wall of the grid asks for until it has swung by metres: what grows stays finite
+# larger than any wall's force until it has swung by metres, so that growing motion stays finite
 _MOST_FORCE, _FAR = 1e9, (1e30, 1.0)
 
 
 class Ending(IntEnum):
-    """How a drop on a wall ends.
+    """Ending of a drop on a wall.
 
     It settles if the samples of its last quarter swing by at most ten steps of the sensor, or a thousandth of the
-    range where that is more; or if it has not left the wall in the second half, and swings by less than 0.8 of the
-    quarter before. Of those that do not, one gains energy that is seen in the last quarter above its release.
+    range if that is more. It also settles if it has not left the wall in the second half, and swings by less than 0.8
+    of the quarter before. Otherwise it gains energy if it rises above its release height in the last quarter.
     """
 
     SETTLES = 0
@@ -78,7 +78,7 @@ class DropMapParameters(StabilityParameters):
 
     @property
     def described(self) -> str:
-        """Where the drop begins, and what acts beside a linear wall, in a few words."""
+        """Description of start and contact in a few words."""
         start = f"released at {self.height * 1e3:g} mm" if self.height else "released at the edge"
         more = [
             f"pulse {self.pulse:g} N s/m for {self.pulse_width * 1e3:g} ms" if self.pulse else "",
@@ -95,7 +95,9 @@ class DropMapParameters(StabilityParameters):
 
 @dataclass(frozen=True, eq=False)
 class DropMap:
-    """Endings of the drops on a grid of walls, and the boundary by theory.
+    """Endings of drops on a grid of walls.
+
+    The stability boundary by theory is included.
 
     Attributes:
         parameters: The grid.
@@ -125,9 +127,11 @@ class DropMap:
 
     @property
     def settles_up_to(self) -> Array:
-        """Largest stiffness before the first that does not settle [N/m], (B,); 0 for none.
+        """Largest stiffness below the first unsettled one [N/m], (B,).
 
-        Walls too soft to come to rest within the samples are passed over.
+        0 for none.
+
+        Walls too soft to settle within the samples are skipped.
         """
         settles = self.settles
         over = ~settles & np.logical_or.accumulate(settles, axis=0)
@@ -164,15 +168,16 @@ def run_drop_map(
     progress: Callable[[int, int], None] | None = None,
     part: int = PART,
 ) -> DropMap:
-    """Drop the flotor on every wall of the grid, in parts, and judge each by its samples.
+    """Simulate drops on every wall of a grid.
+
+    The grid is run in parts; each drop is judged by its samples.
 
     Args:
         parameters: The grid.
-        record: Where the parts done are kept; None for memory.
-        workers: Where parts run; None for this process.
-        progress: Told how many walls are done, and of how many.
-        part: Walls that are simulated at once. Their number changes no result but by rounding, and that only where
-            there are pulses.
+        record: Record of the finished parts; None for memory.
+        workers: Workers that compute the parts; None for this process.
+        progress: Function called with the number of walls done and the number of all.
+        part: Number of walls simulated at once. It changes results by rounding only, and only with pulses.
 
     Raises:
         ParameterError: If a value is outside its bounds.
@@ -180,7 +185,7 @@ def run_drop_map(
     """
     damping, stiffness, best = gain_axes(parameters)
     count = stiffness.size * damping.size
-    # what was derived is written into the parts, which then need nothing else
+    # derived values are written into the parts, which then need nothing else
     ranges = {"damping": _ends(damping), "stiffness": _ends(stiffness)}
     head = {"scene": "drop-map", "version": maglev_mj.__version__, **parameters.as_json(), **ranges}
     parts: list[Cell] = [head | {"first": first, "last": min(first + part, count)} for first in range(0, count, part)]
@@ -202,7 +207,7 @@ def run_drop_map(
 
 
 def _judge_parts(cells: list[Cell]) -> list[dict[str, Any]]:
-    """Return swing and ending of the walls of each part of a map."""
+    """Return swing and ending of each part's walls."""
     results = []
     for cell in cells:
         values = {one.name: cell[one.name] for one in DropMapParameters.parameters()}
@@ -215,7 +220,9 @@ def _judge_parts(cells: list[Cell]) -> list[dict[str, Any]]:
 
 
 def judge_drops(stiffness: Array, damping: Array, parameters: DropMapParameters) -> tuple[Array, Array]:
-    """Drop the flotor on N walls and return the last swing [m] and the `Ending`, (N,) each.
+    """Simulate drops on N walls and judge them.
+
+    Returns the last swing [m] and the `Ending`, (N,) each.
 
     Args:
         stiffness: Stiffness of each wall [N/m], (N,).
@@ -250,20 +257,23 @@ def judge_drops(stiffness: Array, damping: Array, parameters: DropMapParameters)
 
 
 class _Quarters:
-    """Keeps least and greatest position along z of each device in the third and the last quarter of the samples."""
+    """Observer of extreme positions along z, by quarter.
+
+    It covers the third and the last quarter of the samples.
+    """
 
     def __init__(self, devices: int) -> None:
         self._least, self._most = np.full((2, devices), np.inf), np.full((2, devices), -np.inf)
 
     def __call__(self, sample: Sample, _: Command) -> None:
-        """Look at one sample."""
+        """Process one sample."""
         if (quarter := 4 * sample.tick // SAMPLES - 2) >= 0:
             position = sample.position[2]
             np.minimum(self._least[quarter], position, out=self._least[quarter])
             np.maximum(self._most[quarter], position, out=self._most[quarter])
 
     def judge(self, p: DropMapParameters) -> tuple[Array, Array]:
-        """Return the last swing and the ending of each device, (N,) each."""
+        """Return last swing and ending, (N,) each."""
         before, swing = self._most - self._least
         inside = self._most.max(axis=0) <= 0.0
         settles = (swing <= p.band) | (inside & (swing < _DYING * before))

@@ -1,4 +1,7 @@
-"""The map of figure 2 and beyond: where theory has the wall stable, and where a simulation does."""
+"""Stability map over the gains, by theory and simulation.
+
+It includes the map of figure 2.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +33,9 @@ _AROUND = ("plant", "period", "delay", "mass", "hand")
 
 
 class StabilityParameters(Parameters):
-    """A grid of gains and the loop around them; without a range, what shows the whole stable region.
+    """Grid of gains with its loop.
+
+    Without ranges the grid covers the whole stable region.
 
     Raises:
         ParameterError: If a value is outside its bounds.
@@ -69,13 +74,13 @@ class StabilityParameters(Parameters):
 
     @property
     def loop(self) -> LoopKeywords:
-        """What theory takes beside the gains."""
+        """Keywords of the theory besides the gains."""
         return {"period": self.period, "delay": self.delay, "mass": self.mass, "hand": hand_called(self.hand)}
 
 
 @dataclass(frozen=True, eq=False)
 class StabilityMap:
-    """What theory and simulation say of each cell.
+    """Stability of each cell by theory and simulation.
 
     Attributes:
         parameters: The grid.
@@ -84,8 +89,8 @@ class StabilityMap:
         modulus: Largest eigenvalue modulus, (K, B).
         boundary: Largest stable stiffness at each damping [N/m], (B,).
         maximum: The stiffest wall over all dampings, in the grid or not.
-        simulated: Whether the simulated wall settles, (K, B); None for theory alone.
-        near: Where half a percent of a gain changes the theory's verdict, (K, B); nowhere for theory alone.
+        simulated: True if the simulated wall settles, (K, B); None for theory alone.
+        near: True if half a percent of a gain changes the theory's verdict, (K, B); False throughout for theory alone.
         others: Other code behind cells of the record; see `Record.others`.
     """
 
@@ -101,7 +106,10 @@ class StabilityMap:
 
     @property
     def misjudged(self) -> Mask | None:
-        """Cells further than half a percent from the boundary where simulation and theory differ, (K, B)."""
+        """Cells with different theory and simulation, (K, B).
+
+        Cells within half a percent of the boundary are left out.
+        """
         return None if self.simulated is None else (theory.is_stable(self.modulus) != self.simulated) & ~self.near
 
     def as_json(self) -> dict[str, Any]:
@@ -125,9 +133,9 @@ def run_stability(
     workers: Workers | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> StabilityMap:
-    """Work out the map, and simulate each cell unless theory alone is asked for.
+    """Compute a stability map, simulating each cell if wanted.
 
-    A cell without stiffness has nowhere to rest and is not simulated; it counts as not stable, as in theory.
+    A cell without stiffness has no equilibrium and is not simulated; it counts as unstable, as in theory.
 
     Raises:
         StudyInterrupted: On Ctrl-C; the cells done are in the record.
@@ -153,7 +161,10 @@ def run_stability(
 
 
 def gain_axes(p: StabilityParameters) -> tuple[Array, Array, theory.StiffestWall]:
-    """Return dampings [N s/m], (B,), and stiffnesses [N/m], (K,), of a grid, and the stiffest wall by theory."""
+    """Return a grid's dampings, stiffnesses, and stiffest wall.
+
+    Dampings [N s/m], (B,), stiffnesses [N/m], (K,), and the stiffest wall by theory.
+    """
     best = stiffest_in(p.period, p.delay, p.mass, p.hand)
     some = float(best.stiffness) > 0.0  # without a stable wall there is nothing to frame
     damping = _axis(p.damping, p.grid, 2.2 * float(best.damping) if some else p.mass / p.period)
@@ -162,7 +173,10 @@ def gain_axes(p: StabilityParameters) -> tuple[Array, Array, theory.StiffestWall
 
 
 def _moduli(stiffness: Array, damping: Array, loop: LoopKeywords, progress: Callable[[int, int], None] | None) -> Array:
-    """Return the largest modulus of each cell, a few rows at a time for the sake of the progress."""
+    """Return each cell's largest modulus, computed in groups of rows.
+
+    The groups report progress.
+    """
     rows = max(_AT_ONCE // damping.size, 1)
     parts = []
     for start in range(0, stiffness.size, rows):
@@ -173,7 +187,10 @@ def _moduli(stiffness: Array, damping: Array, loop: LoopKeywords, progress: Call
 
 
 def _cells(p: StabilityParameters, stiffness: Array, damping: Array, modulus: Array) -> list[Cell]:
-    """Return the cells to simulate, the slow ones near the boundary together and last."""
+    """Return the cells to simulate, slow ones last.
+
+    These are near the boundary and so run together.
+    """
     around = {name: getattr(p, name) for name in _AROUND}
     order = np.argsort(np.abs(np.log(np.maximum(modulus, 1e-9))).ravel())[::-1]
     places = [np.unravel_index(place, modulus.shape) for place in order]
@@ -191,7 +208,9 @@ def _cells(p: StabilityParameters, stiffness: Array, damping: Array, modulus: Ar
 
 
 def simulate_walls(cells: list[Cell]) -> list[dict[str, Any]]:
-    """Simulate cells and return for each whether it is stable, its growth a sample, and the samples it took.
+    """Simulate cells; return stability, growth and samples.
+
+    The growth is that per sample.
 
     Each cell has plant, period, delay, mass, hand, stiffness and damping; they share the plant.
     """
@@ -210,7 +229,10 @@ def _stable(result: Any) -> bool:
 
 
 def _axis(limits: tuple[float, float] | None, count: int, highest: float) -> Array:
-    """Return the values of one axis; unless told from one step above 0 to the highest."""
+    """Return the values of one axis.
+
+    By default they go from one step above 0 to the highest value.
+    """
     if limits is None:
         return np.linspace(highest / count, highest, count)
     return np.linspace(*limits, count) if limits[0] < limits[1] else np.array([limits[0]])

@@ -1,4 +1,7 @@
-"""A scene over a grid of its parameters: a cell each, kept in a record, run by many workers."""
+"""Sweep of a scene over a grid of parameters.
+
+Each point is a cell, kept in a record and run by workers.
+"""
 
 from __future__ import annotations
 
@@ -28,25 +31,25 @@ from maglev_mj.workers import Workers, inline, local_workers
 __all__ = ["MOST_CELLS", "Sweep", "run_scene_cells", "sweep", "swept_cells", "value_of"]
 
 MOST_CELLS = 1_000_000
-"""Most cells of a sweep."""
+"""Largest number of cells in a sweep."""
 
 _JOBS, _MOST_TOGETHER = 8, 50
 _LEAST_IN_BATCHES, _MOST_IN_BATCHES = 64, 512
 
 _Run: TypeAlias = tuple[Scene, str, float]
-"""A scene, the name of a plant, and a phase."""
+"""Scene, plant name, and phase."""
 
 
 @dataclass(frozen=True, eq=False)
 class Sweep:
-    """A scene over a grid.
+    """Results of a scene over a grid.
 
     Attributes:
         scene: Class of the scene.
         varied: Values of the parameters that vary, by name, as given.
-        cells: What each run depends on, the last parameter varying fastest.
+        cells: Parameters of each run, the last one varying fastest.
         results: Figures of each cell by name, or {"error": ...} of a run that failed.
-        known: How many of them the record held already.
+        known: Number of cells found in the record.
         others: Other code behind cells of the record; see `Record.others`.
     """
 
@@ -58,7 +61,10 @@ class Sweep:
     others: Sequence[Mapping[str, Any]]
 
     def figure(self, name: str) -> Array:
-        """Return a figure over the grid, a dimension for each parameter that varies; NaN where there is none."""
+        """Return a figure over the grid.
+
+        It has a dimension for each varied parameter, and NaN for missing values.
+        """
         found = [result.get(name) for result in self.results]
         values = np.array([math.nan if value is None else value for value in found], dtype=np.float64)
         return values.reshape([len(given) for given in self.varied.values()])
@@ -88,13 +94,13 @@ def sweep(
         (2, 2)
 
     Args:
-        scene: The scene, or its class. One of a user's own file needs no other file of theirs where others run it.
+        scene: The scene, or its class. On other machines a user's own scene file cannot import files beside it.
         vary: Values by parameter; "plant" and "phase" vary too.
-        plant: Name from PLANTS; the scene's usual one by default.
-        phase: Of the samples, in [0, 1).
-        workers: Where cells run: how many processes of this machine, or `dask_workers`; None for this process.
-        record: File of JSON lines that results are kept in; cells that it has are not run again.
-        progress: Told how many cells are done, and of how many.
+        plant: Name from PLANTS; the scene's default by default.
+        phase: Phase of the samples, in [0, 1).
+        workers: Number of processes on this machine, or `dask_workers`; None for this process.
+        record: File of JSON lines for the results; cells found in it are not run again.
+        progress: Function called with the number of cells done and the number of all.
 
     Raises:
         ParameterError: If there is no such parameter, a value is outside its bounds, or the grid is too large.
@@ -114,10 +120,10 @@ def sweep(
 
 
 def _cells_a_job(missing: int, window: int, batches: bool) -> int:
-    """Return how many cells make a job.
+    """Return the number of cells in a job.
 
-    Enough jobs for every worker to get several, few enough that handing them out costs nothing. Batches are dear if
-    small: their jobs are not much smaller than what a worker gets in all, or 64.
+    There are enough jobs for every worker to get several, and few enough that their overhead is negligible. Small
+    batches are expensive: their jobs are not much smaller than a worker's total share, or 64.
     """
     several = missing // (_JOBS * window)
     if batches:
@@ -128,7 +134,9 @@ def _cells_a_job(missing: int, window: int, batches: bool) -> int:
 def swept_cells(
     scene: Scene, vary: Mapping[str, Sequence[Any]], *, plant: str | None = None, phase: float = 0.0
 ) -> list[Cell]:
-    """Return the cells of a sweep: every parameter, checked, with what makes the result repeatable.
+    """Return the checked cells of a sweep.
+
+    Each has every parameter and everything that makes its result reproducible.
 
     Raises:
         ParameterError: If there is no such parameter, a value is outside its bounds, or the grid is too large.
@@ -148,11 +156,13 @@ def swept_cells(
 
 
 def run_scene_cells(cells: Sequence[Cell], text: str | None = None) -> list[dict[str, Any]]:
-    """Return the figures of each cell; {"error": ...} where the run itself failed, as one that diverges does.
+    """Return the figures of each cell.
+
+    {"error": ...} for a run that failed, such as by divergence.
 
     Args:
         cells: Cells of one scene.
-        text: Of the file that the scene is in, unless it is a package's.
+        text: Text of the scene's file; None for a scene of a package.
 
     Raises:
         ParameterError: If there is no such scene, or its file fails.
@@ -181,13 +191,16 @@ def _made(cell: Cell, text: str | None) -> _Run:
 
 
 def _together(cls: type[Scene], plant: str, runs: Sequence[_Run]) -> Sequence[Mapping[str, Any] | None]:
-    """Return the figures of runs made as batches; None for those that must be made alone."""
+    """Return the figures of runs made as batches.
+
+    None for those that must be made alone.
+    """
     try:
         found = cls.figures_together([scene for scene, _, _ in runs], plant, [phase for _, _, phase in runs])
-    except MaglevError:  # of any of them: alone it says what it has to say
+    except MaglevError:  # of any of them: its own run reports the error
         return [None] * len(runs)
     done = [index for index, figures in enumerate(found) if figures is not None]
-    # a law of somebody's own may mix devices, which its contract forbids: two runs alone must say the same
+    # a user's law may mix devices, which its interface forbids: two separate runs must give the same
     for index in () if _is_ours(cls) else {*done[:1], *done[-1:]}:
         if not _same(found[index], _alone(runs[index], True)):
             return [None] * len(runs)
@@ -195,7 +208,10 @@ def _together(cls: type[Scene], plant: str, runs: Sequence[_Run]) -> Sequence[Ma
 
 
 def _same(figures: Mapping[str, Any] | None, alone: Mapping[str, Any]) -> bool:
-    """Return whether figures are those of a run alone but for rounding."""
+    """Return True for figures equal except for rounding.
+
+    They are compared with those of a run alone.
+    """
     if figures is None or figures.keys() != alone.keys():
         return False
     pairs = [(np.array(one, dtype=float), np.array(alone[name], dtype=float)) for name, one in plain(figures).items()]
@@ -203,7 +219,10 @@ def _same(figures: Mapping[str, Any] | None, alone: Mapping[str, Any]) -> bool:
 
 
 def _alone(one: _Run, catches: bool) -> dict[str, Any]:
-    """Return the figures of one run, or its error; any error where `catches` says so, as of a user's own code."""
+    """Return the figures of one run, or its error.
+
+    Any error is caught if `catches`, as for a user's own code.
+    """
     scene, plant, phase = one
     try:
         return plain(scene.run_figures(plant, phase))
@@ -216,7 +235,10 @@ def _alone(one: _Run, catches: bool) -> dict[str, Any]:
 
 
 def _name(cls: type[Scene]) -> str:
-    """Return the name of a scene in cells: its reference, and a hash of the file that another package has it in."""
+    """Return the name of a scene in cells.
+
+    It is the reference, with a hash of the file for another package's scene.
+    """
     if _is_ours(cls):
         return reference_of(cls)
     place = f"{Path(inspect.getfile(cls)).name}:{cls.__name__}" if _text(cls) else _place(cls)
@@ -224,7 +246,10 @@ def _name(cls: type[Scene]) -> str:
 
 
 def _text(cls: type[Scene]) -> str | None:
-    """Return the text that workers are given; None for a scene of a package, which they have."""
+    """Return a scene's text for workers, or None.
+
+    None is for a scene of a package, which the workers have.
+    """
     if _is_ours(cls) or any(entry.value == _place(cls) for entry in installed_scenes()):
         return None
     return text_of(cls)
@@ -239,10 +264,12 @@ def _is_ours(cls: type[Scene]) -> bool:
 
 
 def value_of(cls: type[Scene], name: str, text: str) -> Any:
-    """Return what a word stands for as the value of a parameter, of "plant" or of "phase".
+    """Return a parameter's value from its text.
+
+    The parameter may be "plant" or "phase".
 
     Raises:
-        ParameterError: If there is no such parameter, or the word is not of its kind.
+        ParameterError: If there is no such parameter, or the text is not of its kind.
     """
     _check_name(cls, name)
     if name == "plant":

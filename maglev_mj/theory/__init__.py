@@ -1,4 +1,7 @@
-"""Stability of the rendered wall: the exact closed loop, its boundary over the gains, and walls designed by it."""
+"""Stability theory of rendered walls, and wall design.
+
+The exact closed loop, its stability boundary over the gains, and walls designed by it.
+"""
 
 from typing import TYPE_CHECKING
 

@@ -1,4 +1,4 @@
-"""Closed form of a drop on the ideal analog wall."""
+"""Closed-form drop on the ideal analog wall."""
 
 from __future__ import annotations
 
@@ -26,10 +26,12 @@ def analog_wall(
     bandwidth: float = 10e3,
     gravity: float = GRAVITY,
 ) -> tuple[Array, Array, Array]:
-    """Drop a mass on the ideal analog wall of eq. (1), its force through a first-order low-pass.
+    """Simulate a drop on the ideal analog wall.
 
-    Closed form inside the wall (three modes) and outside it (a fading force in free fall); the crossings
-    between the two are found to rounding.
+    The wall is that of eq. (1). The wall force passes a first-order low-pass.
+
+    The motion is a closed form inside the wall (three modes) and outside it (free fall with a decaying force); the
+    crossings between the two are found to rounding.
 
     Args:
         time: Times since release [s], ascending, (M,).
@@ -71,7 +73,10 @@ def analog_wall(
 
 
 Motion = Callable[[Array, Array], Array]
-"""From a state (z, v, f) and times (M,) to the states (M, 3) then."""
+"""Function from a state and times to states.
+
+From (z, v, f) and (M,) to (M, 3).
+"""
 
 
 def _in_wall(k: float, b: float, m: float, g: float, rate: float) -> Motion:
@@ -100,7 +105,10 @@ def _in_air(m: float, g: float, rate: float) -> Motion:
 
 
 def _next_crossing(motion: Motion, state: Array, scan: float, longest: float, inside: bool) -> float:
-    """Return the time until z changes sign, at most `longest`: scanned, then bisected to rounding."""
+    """Return the time until z changes sign, at most `longest`.
+
+    It is scanned, then bisected to rounding.
+    """
     sign = -1.0 if inside else 1.0
     for start in np.arange(0.0, longest, 256 * scan):
         grid = start + scan * np.arange(1, 258)

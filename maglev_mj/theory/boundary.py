@@ -1,4 +1,7 @@
-"""The boundary of stability over the gains: the stiffness up to which every wall is stable, and islands beyond."""
+"""Stability boundary over the gains.
+
+It is the largest stiffness up to which every wall is stable; stable ranges beyond it are islands.
+"""
 
 from __future__ import annotations
 
@@ -36,23 +39,28 @@ _GRID = np.geomspace(_LOWEST, _HIGHEST, 60)
 
 
 class StiffestWall(NamedTuple):
-    """The largest stable stiffness [N/m] and the damping [N s/m] at which it is reached, (...,) each."""
+    """Largest stable stiffness [N/m] and its damping [N s/m].
+
+    (...,) each.
+    """
 
     stiffness: Array
     damping: Array
 
 
 def flattened(loop: SampledLoop, damping: Array) -> tuple[SampledLoop, Array, tuple[int, ...]]:
-    """Return loop and dampings as N of each, and the shape that they had."""
+    """Return loop and dampings flattened to N, and their shape."""
     shape = common_shape("damping and loop", damping.shape, loop.shape)
     return loop.part(shape, slice(None)), np.broadcast_to(damping, shape).reshape(-1), shape
 
 
 def spans(loop: SampledLoop, damping: Array, limit: float) -> tuple[Array, Mask]:
-    """Return the stiffnesses between which the verdict cannot change, (N, c + 1), and the verdicts between, (N, c).
+    """Return stiffness ranges of constant verdict, and their verdicts.
+
+    Range edges are (N, c + 1), verdicts (N, c).
 
     Args:
-        loop: One, or N of them.
+        loop: One loop, or N of them.
         damping: (N,).
         limit: Largest modulus allowed.
     """
@@ -69,7 +77,10 @@ def spans(loop: SampledLoop, damping: Array, limit: float) -> tuple[Array, Mask]
 
 
 def ranges_of(loop: SampledLoop, damping: float, limit: float = 1.0) -> list[tuple[float, float]]:
-    """Return the ranges of stiffness that are stable: `stable_ranges` for any SampledLoop."""
+    """Return all stable stiffness ranges for any SampledLoop.
+
+    See `stable_ranges`.
+    """
     if loop.shape:
         raise ParameterError(f"loop must be one, not {loop.shape}")
     limit = number("limit", limit, above=0.0, at_most=1.0)
@@ -83,9 +94,9 @@ def ranges_of(loop: SampledLoop, damping: float, limit: float = 1.0) -> list[tup
 
 
 def stable_ranges(damping: float, *, limit: float = 1.0, **loop: Unpack[LoopKeywords]) -> list[tuple[float, float]]:
-    """Return every range of stiffness that is stable at one damping.
+    """Return all stable stiffness ranges at one damping.
 
-    The first begins at 0 unless no soft wall is stable; any other is an island, beyond walls that are not stable.
+    The first begins at 0 unless no soft wall is stable; any other is an island, beyond unstable walls.
 
     Args:
         damping: Wall damping [N s/m].
@@ -110,16 +121,16 @@ def largest_stable_stiffness(damping: None = None, **loop: Unpack[LoopKeywords])
 
 
 def largest_stable_stiffness(damping: ArrayLike | None = None, **loop: Unpack[LoopKeywords]) -> Array | StiffestWall:
-    """Return the stiffness up to which every wall is stable [N/m].
+    """Return the largest stiffness with all softer walls stable [N/m].
 
-    Stable from 0 up: an island of stable walls beyond unstable ones does not count (see `stable_ranges`).
+    An island of stable walls beyond unstable ones does not count (see `stable_ranges`).
 
     Args:
         damping: Wall damping [N s/m], (...,); None searches over all of them.
         loop: Keywords of `SampledLoop`; they broadcast with the damping.
 
     Returns:
-        The stiffness (...,), 0 where no soft wall is stable, and 8 m/T² at most; for `damping=None` stiffness and
+        The stiffness (...,), 0 if no soft wall is stable, and 8 m/T² at most; for `damping=None` stiffness and
         damping.
 
     Raises:
@@ -131,12 +142,15 @@ def largest_stable_stiffness(damping: ArrayLike | None = None, **loop: Unpack[Lo
 
 
 def boundary_of(loop: SampledLoop, damping: Array) -> Array:
-    """Return the stiffness up to which every wall is stable: `largest_stable_stiffness` for any SampledLoop."""
+    """Return the largest stable stiffness for any SampledLoop [N/m].
+
+    See `largest_stable_stiffness`.
+    """
     flat, b, shape = flattened(loop, damping)
     edges, good = spans(flat, b, 1.0)
     rough, first = first_end(edges, good)
     wide, b = flat.widened(), b[:, None]
-    # the crossing is good to rounding but for a slow one; the eigenvalues have the last word
+    # the crossing is exact to rounding except for a slow one; the eigenvalues decide
     ends = rough[:, None] * [1.0 - _NEAR, 1.0 + _NEAR]
     moduli = wide.modulus(ends, b)
     verdicts = is_stable(moduli)
@@ -147,7 +161,7 @@ def boundary_of(loop: SampledLoop, damping: Array) -> Array:
     high = np.where(verdicts[:, 1], apart[rows, last], ends[:, 1])
     found = (first > 0) & (first < good.shape[-1])
     while (found & (high - low > 1e-13 * high)).any():
-        # closely around where a straight line between the moduli is 1; evenly, for it may be none
+        # closely around the point of modulus 1 by linear interpolation; evenly, because the modulus is not linear
         with np.errstate(divide="ignore", invalid="ignore"):
             crossing = (1.0 - ROUNDING - moduli[:, 0]) / (moduli[:, -1] - moduli[:, 0])
         shares = np.where(np.isfinite(crossing), crossing, 0.5)[:, None] + _CLOSE
@@ -155,7 +169,7 @@ def boundary_of(loop: SampledLoop, damping: Array) -> Array:
         middle = low[:, None] + (high - low)[:, None] * shares
         moduli = wide.modulus(middle, b)
         steady = is_stable(moduli[:, 1:-1])
-        # the part that ends with the first that is not; the upper end never is
+        # the part that ends with the first unstable one; the upper end is always unstable
         part = np.where(steady.all(axis=-1), steady.shape[-1], np.argmin(steady, axis=-1))
         low, high = middle[rows, part], middle[rows, part + 1]
         moduli = np.stack([moduli[rows, part], moduli[rows, part + 1]], axis=-1)
@@ -163,14 +177,19 @@ def boundary_of(loop: SampledLoop, damping: Array) -> Array:
 
 
 def first_end(edges: Array, good: Mask) -> tuple[Array, Array]:
-    """Return where the stable range from 0 up ends, (N,), and the index of the first part that is not stable."""
+    """Return the end of the first stable range, (N,).
+
+    The index of the first unstable part is returned too.
+    """
     good = good | (edges[:, 1:] <= edges[:, :-1])
     first = np.where(good.all(axis=-1), good.shape[-1], np.argmin(good, axis=-1))
     return edges[np.arange(len(edges)), first], first
 
 
 def stiffest_wall(**loop: Unpack[LoopKeywords]) -> StiffestWall:
-    """Return the largest stable stiffness over all dampings, and the damping at which it is reached.
+    """Return the largest stable stiffness over all dampings.
+
+    Its damping is returned too.
 
     Args:
         loop: Keywords of `SampledLoop`.
@@ -182,18 +201,21 @@ def stiffest_wall(**loop: Unpack[LoopKeywords]) -> StiffestWall:
 
 
 def stiffest_of(loop: SampledLoop) -> StiffestWall:
-    """Return the largest stable stiffness over all dampings: `stiffest_wall` for any SampledLoop."""
+    """Return the stiffest wall for any SampledLoop.
+
+    See `stiffest_wall`.
+    """
     found = [_stiffest(loop.part(loop.shape, index)) for index in range(math.prod(loop.shape))]
     stiffness, damping = np.array(found).reshape(*loop.shape, 2).transpose(-1, *range(len(loop.shape)))
     return StiffestWall(stiffness, damping)
 
 
 def _stiffest(loop: SampledLoop) -> tuple[float, float]:
-    """Return stiffness and damping of the stiffest wall of one loop.
+    """Return stiffness and damping of one loop's stiffest wall.
 
-    Where the boundary over the damping can have its maximum: a smooth one of the explicit curve, a fold of it, where it
-    meets the line of z = -1, or an end of the range. Two parts of the curve may also cross; that is looked for
-    between the others. All by samples of the curve, good to some 1e-8; the eigenvalues have the last word.
+    The boundary over the damping can have its maximum at a smooth maximum of the explicit curve, a fold of it, its
+    intersection with the line of z = -1, or an end of the range. Two parts of the curve may also cross; crossings are
+    searched between the other points. All are found by samples of the curve to about 1e-8; the eigenvalues decide.
     """
     unit = float(scales(loop)[1])
     curve = SampledCurve(characteristic(loop, 1.0))
@@ -201,7 +223,7 @@ def _stiffest(loop: SampledLoop) -> tuple[float, float]:
     sides = np.outer(1.0 + _APART * np.array([-1.0, 0.0, 1.0]), places).ravel()
     dampings, low, high = _GRID, _LOWEST, _HIGHEST
     while True:
-        # a fold or a corner is met only at its own
+        # a fold or a corner is found only at its exact damping
         dampings = np.unique([*dampings, *sides[(low <= sides) & (sides <= high)]])
         stiffness = np.minimum(curve.reach(dampings), _HIGHEST)
         stiffness[np.isin(dampings, places)] *= 1.0 + 1e-12

@@ -1,7 +1,9 @@
-"""Published bounds on the stiffness of a sampled wall, each with the sense in which it holds.
+"""Published bounds on the stiffness of a sampled wall.
 
-All take and return numbers or arrays that broadcast. `physical_damping` is the device's and the hand's own; the
-levitated flotor has next to none, which is why no wall on it is passive and many are stable.
+Each docstring states the sense of its bound: passivity or stability.
+
+All accept and return numbers or arrays that broadcast. `physical_damping` is that of device and hand. The levitated
+flotor has almost none, so no wall on it is passive, but many are stable.
 """
 
 from __future__ import annotations
@@ -17,10 +19,12 @@ __all__ = ["abbott_okamura", "colgate", "gil", "minsky"]
 
 
 def colgate(damping: ArrayLike, *, period: ArrayLike, physical_damping: ArrayLike = 0.0) -> Array:
-    """Return the largest passive stiffness, 2 (b - |B|) / T; 0 where none is.
+    """Return the largest passive stiffness.
 
-    Passivity, and so stability with any passive hand, but for a wall without delay beyond the hold. The virtual
-    damping B lowers it: a device with b below |B| is passive with no spring at all.
+    It is 2 (b - |B|) / T, or 0 if no stiffness is passive.
+
+    The bound is that of passivity, which implies stability with any passive hand. It is for a wall without delay beyond
+    the hold. The virtual damping B lowers it: a device with b below |B| is passive with no spring at all.
 
     Args:
         damping: Virtual damping B [N s/m].
@@ -38,10 +42,12 @@ def colgate(damping: ArrayLike, *, period: ArrayLike, physical_damping: ArrayLik
 
 
 def gil(damping: ArrayLike, *, period: ArrayLike, delay: ArrayLike, physical_damping: ArrayLike = 0.0) -> Array:
-    """Return the stiffness of the linear stability condition, (b + B) / (T/2 + T_d).
+    """Return the stiffness of the linear stability condition.
 
-    Stability without a hand, to first order in B T/m and K T²/m: low damping, short delay, fast sampling. Beyond
-    some B T/m = 0.1 the exact boundary is lower.
+    It is (b + B) / (T/2 + T_d).
+
+    The bound is that of stability without a hand, to first order in B T/m and K T²/m: low damping, short delay, fast
+    sampling. Beyond about B T/m = 0.1 the exact boundary is lower.
 
     Args:
         damping: Virtual damping B [N s/m].
@@ -52,16 +58,19 @@ def gil(damping: ArrayLike, *, period: ArrayLike, delay: ArrayLike, physical_dam
     Raises:
         ParameterError: If a value is outside its bounds.
 
-    Source: Gil, Sanchez, Hulin, Preusche & Hirzinger 2009; formula recalled, its first order checked in the tests.
+    Source: Gil, Sanchez, Hulin, Preusche & Hirzinger 2009; not checked against the original, its first order checked in
+    the tests.
     """
     b, virtual, time = _checked(damping, physical_damping, period)
     return (b + virtual) / (0.5 * time + numbers("delay", delay, at_least=0.0))
 
 
 def minsky(damping: ArrayLike, *, period: ArrayLike, physical_damping: ArrayLike = 0.0) -> Array:
-    """Return the stiffness of the condition B/(K T) > 1/2 with all damping counted, 2 (b + B) / T.
+    """Return the stiffness bound 2 (b + B) / T.
 
-    Stability to first order, without delay beyond the hold: `gil` at T_d = 0.
+    It is the condition B/(K T) > 1/2 with all damping counted.
+
+    The bound is that of stability to first order, without delay beyond the hold: `gil` at T_d = 0.
 
     Args:
         damping: Virtual damping B [N s/m].
@@ -71,7 +80,8 @@ def minsky(damping: ArrayLike, *, period: ArrayLike, physical_damping: ArrayLike
     Raises:
         ParameterError: If a value is outside its bounds.
 
-    Source: of the form given by Minsky, Ouh-young, Steele, Brooks & Behensky 1990; recalled, the constant unverified.
+    Source: form after Minsky, Ouh-young, Steele, Brooks & Behensky 1990; not checked against the original, nor is the
+    constant.
     """
     return gil(damping, period=period, delay=0.0, physical_damping=physical_damping)
 
@@ -79,9 +89,11 @@ def minsky(damping: ArrayLike, *, period: ArrayLike, physical_damping: ArrayLike
 def abbott_okamura(
     *, period: ArrayLike, physical_damping: ArrayLike, dry_friction: ArrayLike, quantum: ArrayLike
 ) -> Array:
-    """Return the largest passive stiffness of a spring over a quantized sensor, min(2 b/T, 2 f_c/quantum).
+    """Return the largest passive stiffness over a quantized sensor.
 
-    Passivity of a wall without virtual damping, on a mass with viscous and Coulomb friction, without delay.
+    It is min(2 b/T, 2 f_c/quantum).
+
+    The wall has no virtual damping and no delay; the mass has viscous and Coulomb friction.
 
     Args:
         period: Sample period T [s].
@@ -104,7 +116,7 @@ def abbott_okamura(
 def _checked(
     first: ArrayLike, physical_damping: ArrayLike, period: ArrayLike, name: str = "damping"
 ) -> tuple[Array, Array, Array]:
-    """Return physical damping, the first value and the period, checked."""
+    """Return checked physical damping, first value, and period."""
     time = numbers("period", period, at_least=0.0)
     if not (time > 0.0).all():
         raise ParameterError("period must be above 0 everywhere, not 0")

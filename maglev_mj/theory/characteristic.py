@@ -1,10 +1,12 @@
-"""The characteristic polynomial of a wall's closed loop, explicit in its gains.
+"""Characteristic polynomial of a wall's closed loop.
 
-It is linear in them, p0(z) + k p1(z) + b p2(z), for every design here: PD with any linear velocity estimate or
-prediction, and the observer. Where an eigenvalue sits on the unit circle, z = exp(i theta), that is two real equations,
-so k and b are explicit in theta: ratios of polynomials in x = cos theta. All stiffnesses at which a root crosses at a
-given damping are the roots of one such polynomial: none is missed by a scan. A circle of another radius gives the
-boundary of a margin in the same way.
+It is explicit in the gains.
+
+The polynomial is linear in the gains, p0(z) + k p1(z) + b p2(z), for every design here: PD with any linear velocity
+estimate or prediction, and the observer. For an eigenvalue on the unit circle, z = exp(i theta), it gives two real
+equations, so k and b are explicit in theta: ratios of polynomials in x = cos theta. At a given damping, all stiffnesses
+of a root crossing are the roots of one such polynomial, so none is missed as in a scan. A circle of another radius
+gives the boundary of a margin in the same way.
 """
 
 from __future__ import annotations
@@ -25,16 +27,21 @@ __all__ = ["Characteristic", "SampledCurve", "characteristic", "crossings", "sca
 _LEAST, _MOST, _FAR = 1e-11, 1e3, 3.0
 _TRIM = 1e-10
 _SLOWEST, _SLOW, _EACH = 1e-4, 0.25, 20
-"""Least angle sampled [rad], that up to which they are spread by ratio, and samples a power of z beyond it."""
+"""Angles and numbers of the samples.
+
+Least angle sampled [rad], end of the geometric spacing [rad], and samples per power of z beyond it.
+"""
 _PAIRS = np.array([[0.0, 1.0, 0.0, 2.0], [0.0, 0.0, 1.0, 2.0]])
 _Series: TypeAlias = Array
 _Index: TypeAlias = NDArray[np.intp]
 
 
 class Characteristic(NamedTuple):
-    """Coefficients of p0, p1 and p2, (..., n + 1) each, lowest power first, on a circle of some radius.
+    """Coefficients of p0, p1 and p2, lowest power first.
 
-    Gains are counted in units of m/T² and m/T, so that all coefficients are of order one.
+    (..., n + 1) each, on a circle of some radius.
+
+    Gains are in units of m/T² and m/T, so that all coefficients are of order one.
     """
 
     free: Array
@@ -43,14 +50,19 @@ class Characteristic(NamedTuple):
 
 
 def scales(loop: SampledLoop) -> tuple[Array, Array]:
-    """Return the units of stiffness and damping, m/T² and m/T, (...,) each."""
+    """Return the units of stiffness and damping.
+
+    They are m/T² and m/T, (...,) each.
+    """
     period = np.asarray(loop.period)
     shape = np.broadcast_shapes(loop.shape, period.shape)
     return np.broadcast_to(loop.moving_mass / period**2, shape), np.broadcast_to(loop.moving_mass / period, shape)
 
 
 def characteristic(loop: SampledLoop, radius: float) -> Characteristic:
-    """Return the characteristic polynomial of a loop, scaled so that a circle of this radius is the unit circle.
+    """Return the scaled characteristic polynomial of a loop.
+
+    A circle of `radius` is scaled to the unit circle.
 
     Raises:
         ParameterError: If the polynomial is not linear in the gains.
@@ -67,7 +79,9 @@ def characteristic(loop: SampledLoop, radius: float) -> Characteristic:
 
 
 def crossings(parts: Characteristic, damping: Array) -> Array:
-    """Return every stiffness above 0 at which a root may cross the circle, ascending, infinity behind, (N, c).
+    """Return all stiffnesses of possible root crossings, ascending.
+
+    (N, c), above 0, filled with infinity. A crossing is that of a root through the circle.
 
     Args:
         parts: (N, n + 1) each, or (n + 1,).
@@ -79,7 +93,10 @@ def crossings(parts: Characteristic, damping: Array) -> Array:
 
 
 def _stiffness(damped: Array, stiff: Array, angles: Array) -> Array:
-    """Return the stiffness at angles of a curve, (..., A), infinity where it is not above 0."""
+    """Return the stiffness at angles of a curve, (..., A).
+
+    It is infinity if not above 0.
+    """
     powers = np.exp(1j * angles[..., None] * np.arange(damped.shape[-1]))
     held, sprung = (np.matmul(powers, part[..., None])[..., 0] for part in (damped, stiff))
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -88,10 +105,12 @@ def _stiffness(damped: Array, stiff: Array, angles: Array) -> Array:
 
 
 class SampledCurve:
-    """The gains with a root on the circle, sampled closely, for many dampings at once.
+    """Gains with a root on the circle, densely sampled.
+
+    The samples serve many dampings at once.
 
     Args:
-        parts: Of one loop, (n + 1,) each.
+        parts: Characteristic polynomial of one loop, (n + 1,) each.
 
     Attributes:
         extremes: Dampings of the curve's extremes, folds and crossings with the line of z = -1, in units of m/T.
@@ -113,7 +132,10 @@ class SampledCurve:
             self.extremes = -held / damped
 
     def reach(self, damping: Array) -> Array:
-        """Return the stiffness up to which every wall is stable at each damping, both without units, (N,)."""
+        """Return the largest stable stiffness at each damping, (N,).
+
+        Every softer wall is stable too. Both gains are without units.
+        """
         rows, angles = self._crossings(damping)
         damped = self._parts.free + damping[:, None] * self._parts.damped
         stiff = np.broadcast_to(self._parts.stiff, damped.shape)
@@ -123,9 +145,12 @@ class SampledCurve:
         return np.where(self._stable(0.5 * np.minimum(result, _MOST), damping), result, 0.0)
 
     def _crossings(self, damping: Array) -> tuple[_Index, Array]:
-        """Return the rows of dampings, and the angles between 0 and pi, at which each row's least stiffness may be."""
+        """Return row indices and angles of candidate crossings.
+
+        The rows are those of the dampings; the least stiffness of each row is at one of its angles between 0 and pi.
+        """
         sides = self._sides[:, 0] + damping[:, None] * self._sides[:, 1]
-        above = sides[:, 1:-1] > 0.0  # at the ends it always vanishes
+        above = sides[:, 1:-1] > 0.0  # it always vanishes at the ends
         rows, place = np.nonzero(above[:, 1:] != above[:, :-1])
         place = place + 1
         one, other = (self._leans[place + on, 0] + damping[rows] * self._leans[place + on, 1] for on in (0, 1))
@@ -150,7 +175,10 @@ class SampledCurve:
         return rows, angles
 
     def _stable(self, stiffness: Array, damping: Array) -> Mask:
-        """Return whether all roots are inside the circle: the polynomial then makes n half turns on half of it."""
+        """Return True for gains with all roots inside.
+
+        The polynomial then makes n half turns on half of the circle.
+        """
         gains = np.stack([np.ones_like(damping), stiffness, damping])
         real, imag = ((part @ gains).T for part in (self._real, self._imag))
         above, first, last = imag[:, 1:-1] > 0.0, real[:, 0] < 0.0, real[:, -1] < 0.0
@@ -163,7 +191,10 @@ class SampledCurve:
 
 
 def _turning_angles(parts: Characteristic) -> Array:
-    """Return the angles of the curve's extremes, folds and crossings with the line of z = -1."""
+    """Return the angles of the curve's extremes and folds.
+
+    Crossings with the line of z = -1 are included.
+    """
     # k = a / c and b = d / c along the curve, series of T_m(cos theta)
     a, d, c = (
         _chebyshev(sign * _turned(*pair))
@@ -189,7 +220,10 @@ def _turning_angles(parts: Characteristic) -> Array:
 
 
 def _chebyshev(series: _Series) -> Array:
-    """Return a series of sin((m + 1) theta) over sin(theta) as one of T_m(cos theta)."""
+    """Convert a sine series to a Chebyshev series.
+
+    From sin((m + 1) theta) over sin(theta) to T_m(cos theta).
+    """
     result = np.zeros(series.size)
     for order, value in enumerate(series):  # U_m = 2 (T_m + T_{m-2} + ...), T_0 counted once
         result[order::-2] += 2.0 * value
@@ -198,7 +232,10 @@ def _chebyshev(series: _Series) -> Array:
 
 
 def _turned(one: Array, other: Array) -> _Series:
-    """Return Im(one conj(other)) on the unit circle, as a series of sin((m + 1) theta), (..., n)."""
+    """Return Im(one conj(other)) as a sine series, (..., n).
+
+    On the unit circle, as a series of sin((m + 1) theta).
+    """
     size = max(one.shape[-1], other.shape[-1])
     terms = [
         (one[..., shift:] * other[..., : size - shift] - one[..., : size - shift] * other[..., shift:]).sum(axis=-1)
@@ -208,10 +245,12 @@ def _turned(one: Array, other: Array) -> _Series:
 
 
 def _roots(series: _Series) -> Array:
-    """Return the angles in [0, pi] at which series of sin((m + 1) theta) vanish, (N, n) to (N, n + 1), NaN for none.
+    """Return the zeros of sine series in [0, pi].
 
-    Both ends always do. Between them: eigenvalues of the comrade matrix of U_m(cos theta), for each degree that
-    occurs, and Newton's method from there.
+    The series are of sin((m + 1) theta), the angles (N, n) to (N, n + 1), NaN for none.
+
+    Both ends are always zeros. Those between are eigenvalues of the comrade matrix of U_m(cos theta), for each degree
+    that occurs, refined by Newton's method.
     """
     count, most = series.shape
     result = np.full((count, most + 1), np.nan)
@@ -238,12 +277,15 @@ def _roots(series: _Series) -> Array:
 
 @lru_cache(maxsize=32)
 def _samples(size: int) -> tuple[Array, Array, Array]:
-    """Return `_tables` of angles from 0 to pi."""
+    """Return `_tables` for the sample angles from 0 to pi."""
     slow = np.geomspace(_SLOWEST, _SLOW, 8 * _EACH, endpoint=False)
     return _tables(np.array([0.0, *slow, *np.linspace(_SLOW, np.pi - _SLOWEST, _EACH * size), np.pi]), size)
 
 
 def _tables(angles: Array, size: int) -> tuple[Array, Array, Array]:
-    """Return angles (A,), sines of their multiples (A, size - 1), and powers of z there (A, size)."""
+    """Return angles, sines of their multiples, powers of z.
+
+    (A,), (A, size - 1) and (A, size).
+    """
     powers = np.exp(1j * angles[:, None] * np.arange(size))
     return angles, powers.imag[:, 1:], powers

@@ -1,8 +1,10 @@
-"""The sampled loop inside the wall as one matrix, exact for any delay.
+"""Closed loop of a sampled wall as one matrix.
 
-Between switches of the force the flotor obeys linear equations, so the state at one sample follows from that
-at the last by a matrix: flotor (and hand, and driver) state, commands on their way, and the controller's own
-memory. The loop inside the wall is stable if all eigenvalues of that matrix are inside the unit circle.
+It is exact for any delay.
+
+Between switches of the force the flotor obeys linear equations, so a matrix maps the state at one sample to that
+at the next: flotor (and hand, and driver) state, delayed commands, and the controller's own state. The loop inside
+the wall is stable if all eigenvalues of that matrix are inside the unit circle.
 """
 
 from __future__ import annotations
@@ -39,11 +41,14 @@ MOST_PERIODS = 10
 _TOGETHER = 1 << 16
 
 Design: TypeAlias = Callable[[Array, Array, Array], LinearController]
-"""From stiffness, damping and sample period, (...,) each, to the controller inside the wall."""
+"""Function from gains and period to a wall controller.
+
+From stiffness, damping and sample period, (...,) each, to the linear controller inside the wall.
+"""
 
 
 class LoopKeywords(TypedDict, total=False):
-    """The keywords of `SampledLoop`, which the functions of `stability` take."""
+    """Keywords of `SampledLoop`, accepted by the stability functions."""
 
     period: ArrayLike
     delay: ArrayLike
@@ -60,8 +65,8 @@ def pd(velocity: VelocityEstimator | None = None, prediction: ArrayLike = 0.0) -
 
     Args:
         velocity: Linear velocity estimate; the finite difference by default.
-        prediction: How far ahead the position is carried along that velocity [s]: half a period for the
-            half-sample prediction of Gillespie & Cutkosky 1996.
+        prediction: Prediction time of the position along that velocity [s]: half a period for the half-sample
+            prediction of Gillespie & Cutkosky 1996.
 
     Raises:
         ParameterError: If the estimate is not linear.
@@ -82,7 +87,10 @@ def pd(velocity: VelocityEstimator | None = None, prediction: ArrayLike = 0.0) -
 
 
 def rendered_stiffness(controller: LinearController) -> Array:
-    """Return what a linear wall resists a slow push with [N/m], (...,): minus force over position, both still."""
+    """Return the static stiffness of a linear wall [N/m].
+
+    (...,): minus force over position, both constant.
+    """
     still = np.eye(controller.advance.shape[-1]) - controller.advance
     memory = np.linalg.solve(still, np.broadcast_to(controller.take, controller.give.shape)[..., None])
     return np.asarray(-(np.matmul(controller.give[..., None, :], memory)[..., 0, 0] + controller.direct))
@@ -90,16 +98,18 @@ def rendered_stiffness(controller: LinearController) -> Array:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SampledLoop:
-    """Everything around the gains: each value a number, or an array that broadcasts with the gains.
+    """Closed loop of a wall without its gains.
+
+    Each value is a number, or an array that broadcasts with the gains.
 
     Args:
         period: Sample period T [s].
-        delay: From a sample to its command taking effect [s], up to 10 periods.
+        delay: Time from a sample to the effect of its command [s], up to 10 periods.
         mass: Mass of the flotor with its handle [kg].
-        hand: The hand on it; None for a flotor let go.
+        hand: The hand on it; None for a free flotor.
         driver_lag: Time constant of the current drivers [s]; 0 for none.
         velocity: Linear velocity estimate of the PD wall; None for the finite difference.
-        prediction: How far ahead the PD wall carries the position along the velocity [s].
+        prediction: Prediction time of the PD wall's position along the velocity [s].
         design: Another linear controller in place of the PD wall.
 
     Raises:
@@ -115,7 +125,7 @@ class SampledLoop:
     prediction: ArrayLike = 0.0
     design: Design | None = None
     shape: tuple[int, ...] = field(init=False)
-    """What period, delay, mass, prediction and hand broadcast to."""
+    """Broadcast shape of period, delay, mass, prediction, hand."""
 
     def __post_init__(self) -> None:
         for name in ("period", "delay", "mass"):
@@ -141,7 +151,7 @@ class SampledLoop:
     def matrix(self, stiffness: ArrayLike, damping: ArrayLike) -> Array:
         """Return the closed-loop matrix (..., n, n).
 
-        Its state is that of `motion`, then the commands on their way, newest first, then the controller's.
+        Its state is that of `motion`, then the delayed commands, newest first, then the controller's state.
         """
         k, b = np.asarray(stiffness, dtype=np.float64), np.asarray(damping, dtype=np.float64)
         design = self.design or pd(self.velocity, self.prediction)
@@ -168,9 +178,11 @@ class SampledLoop:
         return m
 
     def compliances(self, stiffness: ArrayLike, damping: ArrayLike, frequencies: Sequence[float]) -> Iterator[Array]:
-        """Yield the sampled position over a hand's force at each frequency [m/N], complex, (...,).
+        """Yield position over hand force at each frequency [m/N].
 
-        The hand's force is taken as held from sample to sample.
+        Complex, (...,). The position is sampled.
+
+        The hand's force is assumed constant from sample to sample.
 
         Args:
             stiffness: Wall stiffness [N/m], (...,).
@@ -187,11 +199,13 @@ class SampledLoop:
             yield np.linalg.solve(turn * np.eye(matrix.shape[-1]) - matrix, enters)[..., 0, 0]
 
     def flotor(self) -> tuple[Array, Array, Array, Array, int]:
-        """Return the flotor's map over a period, and how old and new command enter it.
+        """Return the flotor's state transition over a period.
+
+        The effects of the old and the new command on it are returned too.
 
         Returns:
             Map (..., n, n), shares of the command in effect before and after the switch (..., n) each, whole periods
-            in the delay (...,), and how many commands are on their way at most.
+            in the delay (...,), and the largest number of delayed commands.
         """
         period, delay = np.asarray(self.period), np.asarray(self.delay)
         whole, rest = map(np.asarray, split_delay(delay, period))
@@ -215,7 +229,7 @@ class SampledLoop:
         return result.reshape(shape)
 
     def _each(self, change: Callable[[Array], Array]) -> SampledLoop:
-        """Return the loop with a change made to each of its arrays."""
+        """Return the loop with each array changed by a function."""
         hand = self.hand
         if hand is not None:
             mass, damping, stiffness, grip_damping, grip_stiffness = (change(value) for value in hand.values)
@@ -226,13 +240,19 @@ class SampledLoop:
         return replace(self, hand=hand, period=period, delay=delay, mass=mass, prediction=ahead)
 
     def part(self, shape: tuple[int, ...], part: Any) -> SampledLoop:
-        """Return the loop of some of the flattened gains: a slice of them, or their indices."""
+        """Return the loop for some of the flattened gains.
+
+        These are given by a slice, or by their indices.
+        """
         if not self.shape:
             return self
         return self._each(lambda value: np.broadcast_to(value, shape).reshape(-1)[part] if value.ndim else value)
 
     def widened(self) -> SampledLoop:
-        """Return the loop with a last dimension of 1 on each of its arrays, for a search along it."""
+        """Return the loop with a trailing dimension of 1.
+
+        It is added to each array, for a search along it.
+        """
         return self._each(lambda value: value[..., None] if value.ndim else value)
 
     @property
@@ -247,12 +267,17 @@ ROUNDING = 1e-12
 
 
 def is_stable(modulus: ArrayLike, limit: float = 1.0) -> Mask:
-    """Return whether a largest modulus is below a limit, by more than rounding."""
+    """Return True for a modulus below the limit.
+
+    The difference must exceed rounding.
+    """
     return np.asarray(modulus) < limit * (1.0 - ROUNDING)
 
 
 def largest_modulus(stiffness: ArrayLike, damping: ArrayLike, **loop: Unpack[LoopKeywords]) -> Array:
-    """Return the largest eigenvalue modulus of the closed loop inside the wall; below 1 it is stable.
+    """Return the closed loop's largest eigenvalue modulus.
+
+    Inside the wall; below 1 it is stable.
 
     Args:
         stiffness: Wall stiffness [N/m], (...,).
@@ -266,7 +291,7 @@ def largest_modulus(stiffness: ArrayLike, damping: ArrayLike, **loop: Unpack[Loo
 
 
 def critical_delay(stiffness: ArrayLike, damping: ArrayLike, **loop: Unpack[LoopKeywords]) -> Array:
-    """Return the delay [s] at which the wall stops being stable.
+    """Return the shortest delay of an unstable wall [s].
 
     Args:
         stiffness: Wall stiffness [N/m], (...,).
@@ -274,8 +299,7 @@ def critical_delay(stiffness: ArrayLike, damping: ArrayLike, **loop: Unpack[Loop
         loop: Keywords of `SampledLoop` but the delay; they broadcast with the gains.
 
     Returns:
-        The shortest delay that is too long, (...,): 0 where the wall is unstable without delay, infinity where it
-        is stable up to 3 periods.
+        The delay (...,): 0 if the wall is unstable without delay, infinity if it is stable up to 3 periods.
 
     Raises:
         ParameterError: If a value is outside its bounds, or a delay is given.
@@ -307,14 +331,16 @@ def least_dynamic_stiffness(
     frequencies: Sequence[float] | None = None,
     **loop: Unpack[LoopKeywords],
 ) -> Array:
-    """Return how much force a hand needs at least for each metre, over all frequencies [N/m]; 0 for an unstable wall.
+    """Return the least dynamic stiffness over all frequencies [N/m].
 
-    It counts stiffness and stability margin at once: a wall near its boundary gives way at its resonance.
+    It is the least hand force per metre of displacement; 0 for an unstable wall.
+
+    It covers stiffness and stability margin at once: a wall near its stability boundary is compliant at its resonance.
 
     Args:
         stiffness: Wall stiffness [N/m], (...,).
         damping: Wall damping [N s/m], (...,).
-        frequencies: Where to look [Hz]; None for 0 and 50 more up to half the sample rate.
+        frequencies: Frequencies [Hz]; None for 0 and 50 more up to half the sample rate.
         loop: Keywords of `SampledLoop`; the period is a number.
 
     Raises:

@@ -1,4 +1,7 @@
-"""The inverse of the stability map: gains of the stiffest wall that bears a range of masses, delays and hands."""
+"""Design of the stiffest wall for given requirements.
+
+The requirements are ranges of mass and delay, and hands. The design inverts the stability map.
+"""
 
 from __future__ import annotations
 
@@ -23,9 +26,15 @@ from maglev_mj.theory.closed_loop import MOST_PERIODS, Design, SampledLoop, leas
 __all__ = ["GOALS", "LAWS", "Case", "DesignedWall", "WallRequirements", "design_wall", "worst_case"]
 
 LAWS = ("pd", "observer", "disturbance-observer")
-"""Laws that a wall can be designed for: the last also estimates a constant unknown force."""
+"""Names of the wall laws for a design.
+
+The last also estimates a constant unknown force.
+"""
 GOALS = ("static", "dynamic")
-"""Stiffnesses that can be made largest: against a slow push, or the least at any frequency."""
+"""Names of the stiffness to be maximized.
+
+Static stiffness, or the least dynamic stiffness over all frequencies.
+"""
 
 _POLES = (0.0, 0.2, 0.4, 0.6)
 _DAMPINGS = np.geomspace(0.01, 6.0, 32)
@@ -34,7 +43,10 @@ _GOOD = 1e-3
 
 
 class Case(NamedTuple):
-    """One of the loops that a wall must bear: mass [kg], delay [s], and the name or numbers of the hand."""
+    """One loop of the requirements.
+
+    Mass [kg], delay [s], and the name or numbers of the hand.
+    """
 
     mass: float
     delay: float
@@ -42,7 +54,9 @@ class Case(NamedTuple):
 
 
 class WallRequirements(Parameters):
-    """Loops that a wall must bear: the product of masses, delays and hands.
+    """Loops in which a wall must be stable.
+
+    They are the product of masses, delays and hands.
 
     Raises:
         ParameterError: If a value is outside its bounds.
@@ -79,22 +93,34 @@ class WallRequirements(Parameters):
 
     @property
     def nominal(self) -> tuple[float, float]:
-        """Mass and delay in the middle of their ranges, which a law's own model has."""
+        """Mass and delay in the middle of their ranges.
+
+        A law's own model uses them.
+        """
         return 0.5 * sum(self.mass), 0.5 * sum(self.delay)
 
     def grid(self, points: int) -> list[Case]:
-        """Return cases on a grid over the masses and delays, corners included, for each hand."""
+        """Return cases on a grid, corners included.
+
+        The grid is over masses and delays, for each hand.
+        """
         masses, delays = (np.unique(np.linspace(*ends, points)) for ends in (self.mass, self.delay))
         return [Case(float(m), float(d), hand) for m, d, hand in itertools.product(masses, delays, self.hands)]
 
     def random(self, count: int, seed: int = 0) -> list[Case]:
-        """Return random cases, spread evenly over masses and delays, each hand in turn."""
+        """Return random cases.
+
+        They are uniform over masses and delays, with the hands in turn.
+        """
         random = np.random.default_rng(seed)
         drawn = zip(random.uniform(*self.mass, count), random.uniform(*self.delay, count))
         return [Case(float(m), float(d), hand) for (m, d), hand in zip(drawn, itertools.cycle(self.hands))]
 
     def map(self, stiffness: float, damping: float, design: Design | None = None) -> tuple[Array, Array, Array]:
-        """Return masses (M,), delays (D,) and the largest modulus over the hands, (M, D); a range of one value has one.
+        """Return the largest modulus over masses and delays.
+
+        Returns masses (M,), delays (D,) and the largest modulus over the hands, (M, D); a range of one value has length
+        1.
 
         Args:
             stiffness: Gain on the position [N/m].
@@ -114,7 +140,10 @@ class WallRequirements(Parameters):
         return result
 
     def loops(self, cases: Sequence[Case], design: Design | None) -> list[tuple[Array, SampledLoop]]:
-        """Return a loop (C,) for the cases of each hand, with their indices."""
+        """Return one loop per hand with its case indices.
+
+        Each loop has shape (C,).
+        """
         result = []
         for hand in dict.fromkeys(case.hand for case in cases):
             index = np.array([place for place, case in enumerate(cases) if case.hand == hand])
@@ -132,21 +161,20 @@ class WallRequirements(Parameters):
 
 @dataclass(frozen=True, kw_only=True)
 class DesignedWall:
-    """The stiffest wall for some requirements, and how it does at them.
+    """Stiffest wall for some requirements, with its figures.
 
     Attributes:
-        requirements: What it bears.
+        requirements: Requirements met by the wall.
         law: One of `LAWS`.
         stiffness: Gain on the position [N/m].
         damping: Gain on the velocity [N s/m].
-        pole: Of the observer; None for PD.
-        rendered: Stiffness against a slow push [N/m]; the gain itself for PD.
+        pole: Pole of the observer; None for PD.
+        rendered: Static stiffness [N/m]; the gain itself for PD.
         modulus: Largest modulus found over the requirements.
-        worst: The case that has it.
+        worst: Case of the largest modulus.
         dynamic_stiffness: Least dynamic stiffness over the requirements [N/m].
-        softest: The case that has it.
-        island: Least stiffness [N/m] from which on walls at this damping are stable again in some case, beyond
-            ones that are not; None where there is none.
+        softest: Case of the least dynamic stiffness.
+        island: Lower end of the first stable island at this damping in any case [N/m]; None if there is none.
     """
 
     requirements: WallRequirements
@@ -163,11 +191,14 @@ class DesignedWall:
 
     @property
     def design(self) -> Design | None:
-        """Closed loop inside the wall for any gains; None for PD."""
+        """Closed-loop design for any gains; None for PD."""
         return _design(self.requirements, self.law, self.pole)
 
     def make(self, *, force_limit: float = math.inf) -> Law | None:
-        """Return the observer's law along z, its model told of the actuators' limit [N]; None for PD."""
+        """Return the observer's law along z; None for PD.
+
+        `force_limit` is the actuators' limit in its model [N].
+        """
         if self.pole is None:
             return None
         return _observer(self.requirements, self.law, self.pole, self.stiffness, self.damping, force_limit)
@@ -202,7 +233,10 @@ def _observer(
 
 
 def _design(requirements: WallRequirements, law: str, pole: float | None) -> Design | None:
-    """Return the closed loop's design for any gains; None for PD."""
+    """Return the closed-loop design for any gains.
+
+    None for PD.
+    """
     if pole is None:
         return None
     wall = _observer(requirements, law, pole, 1.0, 1.0)
@@ -218,21 +252,21 @@ def _rendered(design: Design | None, period: float, stiffness: Array, damping: A
 def design_wall(
     requirements: WallRequirements, law: str = "pd", *, goal: str = "static", pole: float | None = None
 ) -> DesignedWall:
-    """Return the stiffest wall that every loop of the requirements bears.
+    """Return the stiffest wall that meets all requirements.
 
     Each loop's largest modulus is at most the limit, and all softer walls of that damping are stable in it. The gains
-    are found for the corners and the middle of the ranges; then the worst case over the whole product is searched for
-    (a grid, random cases, and ever smaller steps from the worst of them), and where it is too large, it is put to
-    the others and the gains are found anew.
+    are found for the corners and the middle of the ranges. Then the worst case over the whole product is searched (a
+    grid, random cases, and decreasing steps from the worst of them). If its modulus is too large, it is added to the
+    cases and the gains are found again.
 
     Args:
-        requirements: What the wall must bear.
+        requirements: Requirements on the wall.
         law: One of `LAWS`; an observer has the delay as states, and the middle of the ranges for its model.
-        goal: "static" for the largest stiffness against a slow push, "dynamic" for the largest least dynamic stiffness.
-        pole: Of the observer, in [0, 1); None for the best of a few.
+        goal: "static" for the largest static stiffness, "dynamic" for the largest least dynamic stiffness.
+        pole: Pole of the observer, in [0, 1); None for the best of a few.
 
     Raises:
-        ParameterError: If a value is outside its bounds, or no wall bears the requirements.
+        ParameterError: If a value is outside its bounds, or no wall meets the requirements.
     """
     if law not in LAWS:
         raise ParameterError(not_one_of("law", LAWS, law))
@@ -253,12 +287,18 @@ def design_wall(
 
 
 def _first_cases(requirements: WallRequirements) -> list[Case]:
-    """Return the corners and the middle of the ranges, for each hand; more are added where they are worse."""
+    """Return the corners and the middle of the ranges.
+
+    For each hand; worse cases are added during the design.
+    """
     return list(dict.fromkeys([*requirements.grid(2), *(Case(*requirements.nominal, h) for h in requirements.hands)]))
 
 
 def _bearing(requirements: WallRequirements, design: Design | None, goal: str, cases: list[Case]) -> _Gains | None:
-    """Return the best gains that all cases bear, those found to be worse added to `cases`; None for none."""
+    """Return the best gains for all cases; None for none.
+
+    Worse cases found on the way are added to `cases`.
+    """
     gains, best = _Gains(0.0, 0.0, 0.0), _Gains(0.0, 0.0, 0.0)
     grid = requirements.grid(_YIELDING)
     for _ in range(_ROUNDS):
@@ -280,7 +320,7 @@ def _bearing(requirements: WallRequirements, design: Design | None, goal: str, c
         cases.append(grid[int(np.argmin(yields))])
     if best.figure:
         return best
-    # what is left is a hair: taken off the stiffness
+    # the modulus is only slightly too large: reduce the stiffness
     for share in 1.0 - _GOOD * np.arange(1.0, 6.0):
         softer = gains._replace(stiffness=gains.stiffness * share, figure=gains.figure * share)
         if worst_case(requirements, softer.stiffness, softer.damping, design)[0] <= requirements.modulus:
@@ -289,7 +329,10 @@ def _bearing(requirements: WallRequirements, design: Design | None, goal: str, c
 
 
 def _admitted(requirements: WallRequirements, design: Design | None, cases: Sequence[Case], damping: Array) -> Array:
-    """Return the largest stiffness that all cases bear at each damping [N/m], 0 for none, (B,)."""
+    """Return the largest common stiffness at each damping [N/m].
+
+    (B,): it meets the limit in all cases; 0 for none.
+    """
     lows, highs, caps = [], [], []
     for _, loop in requirements.loops(cases, design):
         flat, b, shape = flattened(loop, damping[:, None])
@@ -315,7 +358,10 @@ def _admitted(requirements: WallRequirements, design: Design | None, cases: Sequ
 
 
 def _stiffest(requirements: WallRequirements, design: Design | None, cases: Sequence[Case]) -> _Gains | None:
-    """Return the gains of the largest static stiffness: along each damping explicit, over the damping ever finer."""
+    """Return the gains of the largest static stiffness.
+
+    The stiffness is explicit at each damping; the damping is searched on successively finer grids.
+    """
     damping = _DAMPINGS * requirements.nominal[0] / requirements.period
     while True:
         stiffness = _admitted(requirements, design, cases, damping)
@@ -330,10 +376,16 @@ def _stiffest(requirements: WallRequirements, design: Design | None, cases: Sequ
 
 
 def _least_yielding(requirements: WallRequirements, design: Design | None, cases: Sequence[Case]) -> _Gains | None:
-    """Return the gains of the largest least dynamic stiffness: a grid, then finer ones around its best places."""
+    """Return the gains of the largest least dynamic stiffness.
+
+    A grid is searched, then finer ones around its best points.
+    """
 
     def search(share: Array, damping: Array) -> tuple[Array, Array]:
-        """Return stiffnesses and their figures, (S, B), for shares of the largest stiffness at each damping."""
+        """Return stiffnesses and their figures, (S, B).
+
+        For shares of the largest stiffness at each damping.
+        """
         stiffness = share[:, None] * _admitted(requirements, design, cases, damping)
         yields = _dynamic(requirements, design, cases, stiffness, np.broadcast_to(damping, stiffness.shape))
         return stiffness, yields.min(axis=0)
@@ -344,7 +396,7 @@ def _least_yielding(requirements: WallRequirements, design: Design | None, cases
     found = _Gains(0.0, 0.0, 0.0)
     for _ in range(_STARTS):
         row, column = np.unravel_index(int(coarse.argmax()), coarse.shape)
-        coarse[max(row - 2, 0) : row + 3, max(column - 2, 0) : column + 3] = 0.0  # the next start is elsewhere
+        coarse[max(row - 2, 0) : row + 3, max(column - 2, 0) : column + 3] = 0.0  # excluded from the next start
         at, wide = np.array([shares[row], dampings[column]]), np.array([0.1, 0.2 * unit])
         best = 0.0
         for _ in range(6):
@@ -363,7 +415,10 @@ def _least_yielding(requirements: WallRequirements, design: Design | None, cases
 def _dynamic(
     requirements: WallRequirements, design: Design | None, cases: Sequence[Case], stiffness: Array, damping: Array
 ) -> Array:
-    """Return the least dynamic stiffness of each case [N/m], (C, ...); 0 where it is not below the limit."""
+    """Return each case's least dynamic stiffness [N/m], (C, ...).
+
+    It is 0 if the loop is unstable.
+    """
     result = np.zeros((len(cases), *stiffness.shape))
     for index, loop in requirements.loops(cases, design):
         wide = (slice(None), *(None,) * stiffness.ndim)
@@ -376,10 +431,10 @@ def _dynamic(
 def worst_case(
     requirements: WallRequirements, stiffness: float, damping: float, design: Design | None = None
 ) -> tuple[float, Case]:
-    """Return the largest modulus over the product of the requirements, and the case that has it.
+    """Return the largest modulus over the requirements, and its case.
 
     Args:
-        requirements: The product.
+        requirements: Requirements on the wall.
         stiffness: Gain on the position [N/m].
         damping: Gain on the velocity [N s/m].
         design: Another linear controller in place of the PD wall.
@@ -387,7 +442,7 @@ def worst_case(
     cases = [*requirements.grid(_GRID), *requirements.random(_RANDOM)]
     moduli = requirements.moduli(cases, stiffness, damping, design)
     worst, found = cases[int(np.argmax(moduli))], float(moduli.max())
-    for hand in requirements.hands:  # from the worst of each hand in ever smaller steps
+    for hand in requirements.hands:  # from the worst case of each hand in decreasing steps
         place = max((index for index, case in enumerate(cases) if case.hand == hand), key=lambda at: moduli[at])
         centre, size, modulus = cases[place], 1.0 / _GRID, float(moduli[place])
         for _ in range(12):
@@ -406,7 +461,10 @@ def worst_case(
 
 
 def _examined(requirements: WallRequirements, law: str, gains: _Gains, pole: float | None) -> DesignedWall:
-    """Return the designed wall with its figures over the whole product."""
+    """Return the designed wall with its figures.
+
+    They are over the whole product of the requirements.
+    """
     design = _design(requirements, law, pole)
     modulus, worst = worst_case(requirements, gains.stiffness, gains.damping, design)
     cases = [*requirements.grid(_YIELDING), worst]

@@ -1,4 +1,7 @@
-"""Karnopp's stick-slip friction solved exactly: closed form between events, the events found to rounding."""
+"""Exact solution of Karnopp's stick-slip friction.
+
+The motion is a closed form between events; the events are found to rounding.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,7 @@ __all__ = ["FrictionEvent", "KarnoppMotion", "karnopp"]
 
 
 class FrictionEvent(NamedTuple):
-    """A change of state: when, "stick" or "slip", and where."""
+    """Change of friction state: time, "stick" or "slip", position."""
 
     time: float
     kind: str
@@ -28,13 +31,13 @@ class FrictionEvent(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class KarnoppMotion:
-    """The exact motion at the times asked for, and every event.
+    """Exact motion at given times, with all events.
 
     Attributes:
         time: Times [s], (M,).
         position: Position [m], (M,).
         velocity: Velocity [m/s], (M,).
-        stuck: Whether the mass sticks, (M,).
+        stuck: True while the mass sticks, (M,).
         events: Changes of state, in order.
     """
 
@@ -55,15 +58,17 @@ def karnopp(
     v_min: float,
     mass: float,
 ) -> KarnoppMotion:
-    """Solve m x'' = f_ext - k_v x' + f_stick for a mass pulled by a spring, f_ext = spring (target - x).
+    """Solve the motion of a mass with Karnopp friction.
+
+    m x'' = f_ext - k_v x' + f_stick, with the spring force f_ext = spring (target - x).
 
     The mass is at rest and stuck at 0 at first. STUCK, f_stick = -f_ext, and the mass is at rest; it breaks away
-    where |f_ext| > breakaway. SLIDING, f_stick = 0; it sticks, its speed set to 0, where |x'| < v_min and
+    when |f_ext| > breakaway. SLIDING, f_stick = 0; it sticks, its speed set to 0, when |x'| < v_min and
     |f_ext| <= breakaway. Without the second condition it would stick again at the instant of breakaway.
 
     Args:
-        time: Times asked for [s], ascending, (M,).
-        targets: When the spring's far end jumps and where to [s, m], ascending; the first from time 0.
+        time: Times of the result [s], ascending, (M,).
+        targets: Times and positions of the spring's far end after each jump [s, m], ascending; the first at time 0.
         spring: Spring stiffness [N/m], above 0.
         damping: Viscous damping while sliding k_v [N s/m].
         breakaway: Breakaway force [N], above 0.
@@ -95,7 +100,7 @@ def karnopp(
     for place, (start, target) in enumerate(zip(starts, ends, strict=True)):
         if start > end:
             break
-        # samples on a jump belong to what begins there
+        # samples on a jump belong to the interval that begins there
         stop = starts[place + 1] if place + 1 < len(starts) else math.inf
         now = start
         if sticks and abs(k * (target - x)) > limit:
@@ -119,9 +124,11 @@ def karnopp(
 
 
 def _sliding(k: float, b: float, m: float) -> Callable[[float, float, Array], tuple[Array, Array]]:
-    """Return the map from offset and speed to those a time later, for m x'' = -k x - b x'.
+    """Return the sliding motion as a function of time.
 
-    Each case in its own form, none of which grows: overdamped, critically damped, underdamped.
+    It maps offset and speed to those a time later, for m x'' = -k x - b x'.
+
+    Overdamped, critically damped and underdamped motion each have their own form; no term of them grows.
     """
     decay, square = 0.5 * b / m, (0.5 * b / m) ** 2 - k / m
     rate = math.sqrt(abs(square))
@@ -148,10 +155,12 @@ def _sliding(k: float, b: float, m: float) -> Callable[[float, float, Array], tu
 def _first_rest(
     move: Callable[[Array], tuple[Array, Array]], slow: float, reach: float, scan: float, longest: float
 ) -> float:
-    """Return when the speed is first below `slow` with the offset within `reach`; infinity if not by `longest`.
+    """Return the first time of sticking, or infinity.
 
-    Scanned on a grid that resolves the motion, then bisected to rounding. A turning point between two grid points
-    is looked at on its own: the speed may be small there for much less than a grid step.
+    The speed is then below `slow` with the offset within `reach`; infinity if that is not reached by `longest`.
+
+    The motion is scanned on a grid that resolves it, then bisected to rounding. A turning point between two grid points
+    is checked separately: the speed may be small there for much less than a grid step.
     """
 
     def rests(time: Array) -> Mask:
@@ -178,12 +187,15 @@ def _first_rest(
 
 
 def _has_turned(move: Callable[[Array], tuple[Array, Array]], speed: float, time: Array) -> bool:
-    """Return whether the motion no longer goes the way that a speed points."""
+    """Return True if the velocity has changed its sign."""
     return bool(move(time)[1][0] * speed <= 0.0)
 
 
 def _bisect(holds: Callable[[Array], bool], low: float, high: float) -> float:
-    """Return where a condition that holds at `high` begins to hold, to rounding."""
+    """Return the start of a condition, by bisection to rounding.
+
+    The condition is true at `high`.
+    """
     for _ in range(60):
         middle = 0.5 * (low + high)
         if holds(np.array([middle])):

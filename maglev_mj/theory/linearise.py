@@ -1,4 +1,7 @@
-"""Any controller linearised at a pose, from its answers to a small displacement, and the closed loop that it makes."""
+"""Numerical linearisation of any controller, and its closed loop.
+
+The linearisation uses the controller's answers to a small displacement at a pose.
+"""
 
 from __future__ import annotations
 
@@ -20,25 +23,35 @@ from maglev_mj.theory.closed_loop import SampledLoop
 __all__ = ["ClosedLoop", "Linearised", "linearise", "loop_matrices"]
 
 _SPEED = np.array([2e-5] * 3 + [2e-4] * 3)
-"""Largest speed that a displacement makes [m/s, rad/s]: far below that at which friction slides or sticks."""
+"""Largest speed of a test displacement [m/s, rad/s].
+
+It is far below the speed of sticking friction.
+"""
 _LARGEST = np.array([1e-7] * 3 + [1e-6] * 3)
-"""Largest displacement [m, rad]."""
+"""Largest test displacement [m, rad]."""
 _REST, _MEMORY, _LONGEST, _QUIET = 40, 64, 512, 8
-"""Samples of rest before the displacement, recorded after it at first and at most, and without answer at the end."""
+"""Numbers of samples in a linearisation.
+
+Samples of rest before the displacement, samples recorded after it at first and at most, and samples without answer at
+the end.
+"""
 _CUT, _BENT = 1e-9, 1e-3
-"""Shares of the largest answer: below the one it counts as none; above the other it is not linear."""
+"""Relative thresholds of zero and of nonlinearity.
+
+Shares of the largest answer: below the first an answer counts as zero, above the second it is not linear.
+"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Linearised:
-    """A controller near a pose.
+    """Controller linearised at a pose.
 
     Attributes:
         pose: Pose [m, rad], (6,).
         period: Sample period [s].
         response: Wrench at sample j after a unit displacement at sample 0 alone, (M, 6, 6): [j, to, from].
-        jumps: True for axes along which the wrench jumps or bends at the pose, so that no gains describe it, (6,).
-        settled: True for axes to whose displacement the answer has died away within 512 samples, (6,).
+        jumps: True for axes with a jump or kink of the wrench at the pose, so that no gains describe it, (6,).
+        settled: True for axes whose impulse response decays within 512 samples, (6,).
     """
 
     pose: Array
@@ -49,24 +62,33 @@ class Linearised:
 
     @property
     def stiffness(self) -> Array:
-        """Stiffness against a slow displacement [N/m, N/rad, N, N m/rad], (6, 6): [to, from]."""
+        """Static stiffness, (6, 6): [to, from].
+
+        In [N/m, N/rad, N, N m/rad].
+        """
         return np.asarray(-self.response.sum(axis=0))
 
     @property
     def damping(self) -> Array:
-        """Damping of a slow motion [N s/m, N s/rad, N s, N m s/rad], (6, 6), lessened by lags such as a filter's."""
+        """Damping of slow motion, (6, 6).
+
+        In [N s/m, N s/rad, N s, N m s/rad]. Lags such as a filter's reduce it.
+        """
         age = np.arange(len(self.response))[:, None, None]
         return np.asarray(self.period * (age * self.response).sum(axis=0))
 
     def scaled(self, inertia: ArrayLike = INERTIA) -> Array:
-        """Return the response without units, T² response / sqrt(inertia inertia), (M, 6, 6)."""
+        """Return the response without units, (M, 6, 6).
+
+        It is T² response / sqrt(inertia inertia).
+        """
         root = np.sqrt(np.asarray(inertia, dtype=np.float64))
         return np.asarray(self.period**2 * self.response / np.outer(root, root))
 
     def closed_loop(
         self, *, delay: float, inertia: ArrayLike = INERTIA, axes: str | Sequence[str] | None = None
     ) -> ClosedLoop:
-        """Return the closed loop of the flotor and the linearised controller.
+        """Return the closed loop of flotor and linearised controller.
 
         Args:
             delay: Transport delay [s], up to 10 periods.
@@ -87,9 +109,11 @@ class Linearised:
         return ClosedLoop(matrix, enters, seen, self.period)
 
     def to_statespace(self) -> Any:
-        """Return the controller as python-control's StateSpace: from six positions to six wrench components.
+        """Return the controller as python-control's StateSpace.
 
-        Its states are the positions sampled before, newest first.
+        From six positions to six wrench components.
+
+        Its states are the previous positions, newest first.
 
         Raises:
             ParameterError: If python-control is not installed.
@@ -103,12 +127,14 @@ class Linearised:
 
 @dataclass(frozen=True, eq=False)
 class ClosedLoop:
-    """s[k+1] = matrix s[k] + enters w[k]; position[k] = seen s[k], with w a wrench held from sample to sample.
+    """Closed loop as a discrete-time state-space system.
+
+    s[k+1] = matrix s[k] + enters w[k]; position[k] = seen s[k], with w a wrench held from sample to sample.
 
     Attributes:
         matrix: (S, S).
-        enters: Effect of a further wrench, such as a hand's, (S, n).
-        seen: (n, S).
+        enters: Input matrix of a further wrench, such as a hand's, (S, n).
+        seen: Output matrix of the position, (n, S).
         period: Sample period [s].
     """
 
@@ -119,7 +145,7 @@ class ClosedLoop:
 
     @property
     def modulus(self) -> float:
-        """Largest modulus of the eigenvalues; below 1 the loop is stable."""
+        """Largest eigenvalue modulus; below 1 the loop is stable."""
         return float(np.abs(np.linalg.eigvals(self.matrix)).max())
 
     def to_statespace(self) -> Any:
@@ -136,13 +162,13 @@ class ClosedLoop:
 def linearise(controller: Controller, poses: ArrayLike) -> list[Linearised]:
     """Return a controller's linearisation at each pose.
 
-    Thirteen copies a pose, one left alone and two for each axis, rest there for 40 samples, so that friction sticks
-    and filters settle. Then one coordinate is displaced for one sample, by at most 0.1 µm or 1 µrad one way and half of
-    it the other way, and the difference of the answers is the impulse response, whatever laws and estimator are.
-    Braking pulses are left out: they end by themselves.
+    Thirteen copies per pose, one undisturbed and two for each axis, rest there for 40 samples, so that friction sticks
+    and filters settle. Then one coordinate is displaced for one sample, by at most 0.1 µm or 1 µrad in one direction
+    and half of it in the other. The difference of the answers is the impulse response, for any laws and estimator.
+    Braking pulses are left out, because they end by themselves.
 
     Args:
-        controller: The controller, of laws for one device; it is left as it is.
+        controller: The controller, of laws for one device; it is not changed.
         poses: Poses [m, rad], (P, 6).
 
     Raises:
@@ -155,7 +181,7 @@ def linearise(controller: Controller, poses: ArrayLike) -> list[Linearised]:
     still = np.repeat(rest, 13, axis=0)
     moved = still + np.tile(shift, (len(rest), 1))
     rows = _answers(controller, still, moved)
-    # by what a coordinate really changes, rounding included
+    # the actual change of a coordinate, rounding included
     change, axes, found = (moved - still).reshape(len(rest), 13, 6), np.arange(6), []
     for index, pose in enumerate(rest):
         forces = rows[:, index]
@@ -168,7 +194,10 @@ def linearise(controller: Controller, poses: ArrayLike) -> list[Linearised]:
 
 
 def _near(pose: Array, period: float, up: Array, down: Array) -> Linearised:
-    """Return the linearisation from the answers to a displacement and to minus half of it, by unit displacement."""
+    """Return the linearisation from two displacement answers.
+
+    They are to a displacement and to minus half of it, per unit displacement.
+    """
     finite = np.isfinite(up).all(axis=(0, 1)) & np.isfinite(down).all(axis=(0, 1))
     up, down = np.where(finite, up, 0.0), np.where(finite, down, 0.0)
     root = np.sqrt(np.asarray(INERTIA))
@@ -178,7 +207,7 @@ def _near(pose: Array, period: float, up: Array, down: Array) -> Linearised:
     gap = np.abs(up - down)
     largest = (weight * np.abs(response)).max(axis=(0, 1))
     jumps = (weight * gap).max(axis=(0, 1)) > _BENT * largest
-    # what shrinks with the displacement, such as the creep of a bristle, is nothing in the limit
+    # answers that shrink with the displacement, such as the creep of a bristle, vanish in the limit
     least = np.maximum(_CUT * largest / weight, np.where(jumps, 0.0, 2.0 * gap))
     response = np.where(np.abs(response) > least, response, 0.0)
     quiet = ~response[-_QUIET:].any(axis=(0, 1))
@@ -186,8 +215,11 @@ def _near(pose: Array, period: float, up: Array, down: Array) -> Linearised:
 
 
 def _answers(controller: Controller, still: Array, moved: Array) -> Array:
-    """Return the wrench of each pose's thirteen devices at each sample from the displaced one on, (M, P, 13, 6)."""
-    # a law may answer late: how late, the first pose tells
+    """Return the wrenches of each pose's thirteen devices.
+
+    (M, P, 13, 6): at each sample from the displaced one on.
+    """
+    # a law may answer late: the first pose gives the number of samples
     rows = _steps(controller, still[:13], moved[:13], _LONGEST)
     if len(still) == 13:
         return rows
@@ -199,21 +231,27 @@ def _answers(controller: Controller, still: Array, moved: Array) -> Array:
 
 
 def _alive(rows: Array) -> Mask:
-    """Return whether displaced devices answer otherwise than the one left alone, at each sample (M,)."""
+    """Return True for samples with a changed answer, (M,).
+
+    Compared are the displaced devices and the undisturbed one.
+    """
     with np.errstate(invalid="ignore"):
         gap = np.abs(rows - rows[:, :, :1])
         return np.asarray((~(gap <= _CUT * gap.max(axis=0))).any(axis=(1, 2, 3)))
 
 
 def _steps(controller: Controller, still: Array, moved: Array, memory: int) -> Array:
-    """Return the wrench of N devices after a rest, see `_answers`: all at once, or one by one if a law needs that."""
+    """Return the wrenches of N devices after a rest.
+
+    See `_answers`. All are computed at once, or one by one if a law needs that.
+    """
     try:
         rows = _together(controller, components(still), components(moved), memory, len(still))
         one = _together(controller, still[-1].tolist(), moved[-1].tolist(), memory, 1)
         with np.errstate(invalid="ignore"):
             apart = np.abs(rows[:, -1:] - one) > _CUT * np.abs(one).max(initial=1e-300)
         whole = not apart.any()
-    except (MaglevError, TypeError, ValueError):  # of floats alone, as with math.sin or `if`
+    except (MaglevError, TypeError, ValueError):  # a law for floats alone, as with math.sin or `if`
         whole = False
     if not whole:
         each = (_together(controller, *ends, memory, 1) for ends in zip(still.tolist(), moved.tolist(), strict=True))
@@ -234,10 +272,10 @@ def _together(controller: Controller, still: Sequence[Any], moved: Sequence[Any]
 
 
 def loop_matrices(response: Array, *, period: float, delay: float, inertia: Array) -> Array:
-    """Return closed-loop matrices of n axes together, (Q, S, S).
+    """Return closed-loop matrices of n coupled axes, (Q, S, S).
 
-    The state is the positions, the velocities, the positions sampled before, newest first, and the commands on their
-    way, newest first, n of each.
+    The state is the positions, the velocities, the previous positions, newest first, and the delayed commands, newest
+    first, n of each.
 
     Args:
         response: Impulse responses [j, to, from], (Q, M, n, n).

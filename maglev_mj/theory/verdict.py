@@ -1,4 +1,7 @@
-"""Stability of any controller: by its laws' gains where all state them, numerically otherwise."""
+"""Stability verdict on any controller.
+
+It follows from the laws' gains if all state them, otherwise from a numerical linearisation.
+"""
 
 from __future__ import annotations
 
@@ -22,30 +25,40 @@ from maglev_mj.theory.linearise import Linearised, linearise, loop_matrices
 __all__ = ["Judged", "Verdict", "inertia_of", "judge", "stability", "stated_gains"]
 
 _ROUNDING, _FREE = 1e-9, 1e-6
-"""Tolerance of a modulus; that of an axis without stiffness, whose double root at 1 is found to half of the digits."""
+"""Tolerances of a modulus, bound and free axis.
+
+The double root at 1 of an axis without stiffness is found to half of the digits.
+"""
 _POINTS, _STRIDE = 23, 0.9871
-"""Poses along each axis, and the share of the range that they span: no usual pitch divides it, so few are edges."""
+"""Number of poses along each axis, and range covered.
+
+The range is a share of the motion range, chosen so that few poses fall on an edge.
+"""
 _OFF, _DEPTHS = 1e-5, (1e-6, 1e-4)
-"""Distances from an edge [m]: of a start that is moved off it, and of poses inside a face; tenfold [rad]."""
+"""Distances from an edge [m]; ten times as many [rad].
+
+The first is for a start moved off an edge, the others for poses inside a face.
+"""
 _SCALE = np.array([1.0] * 3 + [10.0] * 3)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Verdict:
-    """The worst closed loop of a controller.
+    """Stability verdict with the worst closed loop of a controller.
 
     Attributes:
-        stable: Whether all loops are; None where that is not known.
-        modulus: Largest modulus of its eigenvalues, below 1 for a stable loop and 1 for a free axis; NaN if not known.
-        axes: Names of its axes; () if not known.
-        acting: States of the laws that act: "always", "contact", "stuck" and so on; () where gains are not stated.
-        pose: Pose at which it is [m, rad], (6,).
-        stiffness: Of all that acts there [N/m, N m/rad], (6, 6).
-        damping: Likewise [N s/m, N m s/rad], (6, 6).
-        stated: Whether all laws state their gains, so that the pose does not matter.
-        jumps: Poses at which the wrench jumps or bends, so that no gains describe it, (J, 6); they are left out.
-        unknown: Poses at which the controller remembers for longer than 512 samples, (U, 6).
-        away: Poses that the laws push away from, as the crest between two detents does, (A, 6); they are left out.
+        stable: True if all loops are stable; None if not known.
+        modulus: Largest modulus of the worst loop's eigenvalues, below 1 for a stable loop and 1 for a free axis; NaN
+            if not known.
+        axes: Names of the worst loop's axes; () if not known.
+        acting: States of the acting laws: "always", "contact", "stuck" and so on; () if gains are not stated.
+        pose: Pose of the worst loop [m, rad], (6,).
+        stiffness: Total stiffness at the pose [N/m, N m/rad], (6, 6).
+        damping: Total damping at the pose [N s/m, N m s/rad], (6, 6).
+        stated: True if all laws state their gains, so that the pose does not matter.
+        jumps: Poses with a jump or kink of the wrench, so that no gains describe it, (J, 6); they are left out.
+        unknown: Poses with a controller memory of more than 512 samples, (U, 6).
+        away: Poses of unstable equilibrium, such as the crest between two detents, (A, 6); they are left out.
     """
 
     stable: bool | None
@@ -79,7 +92,7 @@ class Verdict:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What was left out, one line each."""
+        """Remarks on omitted poses, one line each."""
         found = (
             (self.unknown, "the controller remembers for longer than 512 samples"),
             (self.jumps, "the wrench jumps or bends"),
@@ -89,7 +102,7 @@ class Verdict:
 
 
 class Judged(Protocol):
-    """What `stability` asks of a scene."""
+    """Interface of a scene for `stability`."""
 
     @property
     def delay(self) -> float:
@@ -102,14 +115,19 @@ class Judged(Protocol):
         """Return the state at release, with its `pose`."""
 
     def plant_options(self) -> Mapping[str, Any]:
-        """Return keywords of the plant; those asked for are model, mass and inertia."""
+        """Return keywords of the plant.
+
+        Those used are model, mass and inertia.
+        """
 
 
 def inertia_of(scene: Judged) -> Array:
-    """Return mass and moments of inertia of a scene's flotor [kg, kg m²], (6,).
+    """Return a scene's mass and moments of inertia, (6,).
+
+    In [kg, kg m²].
 
     Raises:
-        ModelError: If its device is a model that cannot be used.
+        ModelError: If the model of its device cannot be used.
     """
     options = scene.plant_options()
     body = np.array(INERTIA)
@@ -123,26 +141,26 @@ def inertia_of(scene: Judged) -> Array:
 
 
 def stability(scene: Judged, *, inertia: ArrayLike | None = None, delay: float | None = None) -> Verdict:
-    """Return the verdict on a scene: see `judge`.
+    """Return the stability verdict on a scene; see `judge`.
 
     Args:
         scene: The scene.
         inertia: Mass and moments of inertia in place of the scene's own [kg, kg m²], (6,).
-        delay: Transport delay in place of the scene's own [s]; the gains stay as the scene has them.
+        delay: Transport delay in place of the scene's own [s]; the gains of the scene stay unchanged.
     """
     body, late = inertia_of(scene) if inertia is None else inertia, scene.delay if delay is None else delay
     return judge(scene.controller(), delay=late, pose=scene.start().pose, inertia=body)
 
 
 def judge(controller: Controller, *, delay: float, pose: ArrayLike = ZERO, inertia: ArrayLike = INERTIA) -> Verdict:
-    """Return whether the closed loop of a flotor that nobody holds is stable.
+    """Return the stability verdict on a free flotor's loop.
 
-    Where all laws state their gains, that is a closed form in every combination of their states. Otherwise the whole
-    controller is linearised at its start, at the centre, along each axis, and inside each face, and axes that act on
-    each other are taken together.
+    If all laws state their gains, it is a closed form in every combination of their states. Otherwise the whole
+    controller is linearised at its start, at the centre, along each axis, and inside each face, and coupled axes are
+    judged together.
 
     Args:
-        controller: The controller, of laws for one device; it is left as it is.
+        controller: The controller, of laws for one device; it is not changed.
         delay: Transport delay [s], up to 10 periods.
         pose: Start of the flotor [m, rad], (6,).
         inertia: Mass and moments of inertia [kg, kg m²], (6,).
@@ -164,7 +182,9 @@ def judge(controller: Controller, *, delay: float, pose: ArrayLike = ZERO, inert
 
 
 def stated_gains(controller: Controller) -> dict[tuple[str, ...], tuple[Array, Array]] | None:
-    """Return stiffness and damping on the six axes for each combination of the laws' states.
+    """Return total gains for each combination of law states.
+
+    Stiffness and damping on the six axes.
 
     None if a law states none, one is negative, or the velocity estimate is not linear.
     """
@@ -190,14 +210,14 @@ def stated_gains(controller: Controller) -> dict[tuple[str, ...], tuple[Array, A
 def _by_gains(
     gains: dict[tuple[str, ...], tuple[Array, Array]], controller: Controller, delay: float, pose: Array, body: Array
 ) -> Verdict:
-    """Return the verdict by closed forms."""
+    """Return the verdict from stated gains, in closed form."""
     worst: tuple[bool, float] = False, -1.0
     verdict: Verdict | None = None
     for acting, (stiffness, damping) in gains.items():
         velocity: Any = controller.velocity
         loop = {"period": controller.period, "delay": delay, "mass": body, "velocity": velocity}
         modulus = largest_modulus(stiffness, damping, **loop)
-        # with no stiffness the flotor may stay anywhere, which is one root at 1
+        # without stiffness the flotor may rest anywhere, which is one root at 1
         wrong = modulus >= np.where(stiffness > 0.0, 1.0 - _ROUNDING, 1.0 + _ROUNDING)
         for index in range(len(AXES)):
             if wrong[index] > worst[0] or (wrong[index] == worst[0] and modulus[index] > worst[1] * (1.0 + _ROUNDING)):
@@ -217,13 +237,13 @@ def _by_gains(
 
 
 class _Loop(NamedTuple):
-    """Axes that act on each other, at a pose."""
+    """Coupled axes at a pose."""
 
     near: Linearised
     axes: tuple[int, ...]
     scaled: Array
     stiffness: Array
-    """Real parts of the eigenvalues of the stiffness without units."""
+    """Real eigenvalue parts of the stiffness without units."""
 
 
 def _numerically(controller: Controller, delay: float, pose: Array, body: Array) -> Verdict:
@@ -247,7 +267,7 @@ def _numerically(controller: Controller, delay: float, pose: Array, body: Array)
             else:
                 loops.append(loop)
                 judged |= set(axes)
-    # an axis with no place of rest at all is judged where it is pushed away
+    # an axis without a stable equilibrium is judged at the unstable ones
     lost = [loop for loop in away if not judged.issuperset(loop.axes)]
     nowhere = set(range(len(AXES))) - judged - {axis for loop in lost for axis in loop.axes}
     worst: tuple[bool, float, _Loop | None] = False, np.nan, None
@@ -273,7 +293,10 @@ def _numerically(controller: Controller, delay: float, pose: Array, body: Array)
 
 
 def _moduli(loops: Sequence[_Loop], delay: float, body: Array) -> Iterator[tuple[_Loop, float]]:
-    """Yield different loops with their largest modulus, those of one size at once."""
+    """Yield different loops with their largest modulus.
+
+    Loops of one size are computed at once.
+    """
     known: dict[tuple[int, ...], list[_Loop]] = {}
     sizes: dict[tuple[tuple[int, ...], int], list[_Loop]] = {}
     for loop in loops:
@@ -293,7 +316,7 @@ def _moduli(loops: Sequence[_Loop], delay: float, body: Array) -> Iterator[tuple
 
 
 def _coupled(scaled: Array) -> list[tuple[int, ...]]:
-    """Return groups of axes that act on each other."""
+    """Return groups of coupled axes."""
     size = np.abs(scaled).max(axis=0)
     linked = (size > _ROUNDING * size.max(initial=0.0)) | np.eye(len(AXES), dtype=bool)
     linked = np.linalg.matrix_power(linked.astype(float), len(AXES)) > 0.0
@@ -301,7 +324,10 @@ def _coupled(scaled: Array) -> list[tuple[int, ...]]:
 
 
 def _poses(controller: Controller, start: Array) -> Array:
-    """Return poses to judge: start, centre, along each axis, and inside each face."""
+    """Return the poses of a verdict.
+
+    Start, centre, poses along each axis, and inside each face.
+    """
     start = _off_edges(controller, start)
     rows = [start, np.zeros(6)]
     for axis, reach in enumerate(RANGE):
@@ -312,7 +338,10 @@ def _poses(controller: Controller, start: Array) -> Array:
 
 
 def _off_edges(controller: Controller, start: Array) -> Array:
-    """Return a start moved off the edges that it is on, which would make each pose of the grid a jump."""
+    """Return a start moved off edges of the wrench.
+
+    On an edge, each pose of the grid would be a jump.
+    """
     (near,) = linearise(controller, start[None])
     return start + _OFF * _SCALE * near.jumps
 

@@ -1,4 +1,7 @@
-"""Pictures and clips as files: PNG by the core alone, GIF and MP4 by imageio."""
+"""Pictures and clips as files.
+
+PNG needs only the core packages; GIF and MP4 need imageio.
+"""
 
 from __future__ import annotations
 
@@ -16,17 +19,17 @@ from maglev_mj.errors import ParameterError, require
 __all__ = ["CLIPS", "checked_name", "write_clip", "write_picture"]
 
 CLIPS = (".gif", ".mp4")
-"""Endings of files that move."""
+"""File endings of clips."""
 
 Pixels = NDArray[np.uint8]
 
 
 def checked_name(path: Path) -> Path:
-    """Return a file's name if its ending says what to write.
+    """Return a file's name with a checked ending.
 
     Raises:
-        ParameterError: If it does not.
-        MissingPackageError: If what writes it is not installed.
+        ParameterError: If the ending is not that of a picture or clip.
+        MissingPackageError: If the package that writes it is not installed.
     """
     if path.suffix not in (".png", *CLIPS):
         raise ParameterError(f"out must end in .png, .gif or .mp4, not {str(path)!r}")
@@ -43,7 +46,7 @@ def write_picture(pixels: Pixels, path: Path) -> None:
         path: The file.
     """
     height, width, _ = pixels.shape
-    rows = np.zeros((height, 1 + 3 * width), dtype=np.uint8)  # each row after its filter, which is none
+    rows = np.zeros((height, 1 + 3 * width), dtype=np.uint8)  # each row begins with its filter: 0, none
     rows[:, 1:] = pixels.reshape(height, -1)
     head = struct.pack(">2I5B", width, height, 8, 2, 0, 0, 0)
     parts = ((b"IHDR", head), (b"IDAT", zlib.compress(rows.tobytes(), 6)), (b"IEND", b""))
@@ -59,7 +62,7 @@ def write_clip(frames: Iterable[Pixels], path: Path, rate: int) -> None:
     Args:
         frames: The pictures, (height, width, 3) each, of even height and width.
         path: The file.
-        rate: Pictures a second.
+        rate: Frames per second.
 
     Raises:
         MissingPackageError: If imageio is not installed.
@@ -74,10 +77,13 @@ def write_clip(frames: Iterable[Pixels], path: Path, rate: int) -> None:
 
 
 def _write_gif(frames: Iterable[Pixels], path: Path, duration: float) -> None:
-    """Write a GIF of frames that each last so long [ms], each of 256 colours of its own."""
+    """Write a GIF of frames with own palettes.
+
+    A frame lasts `duration` [ms] and has 256 colours of its own.
+    """
     from PIL import Image  # imageio's own
 
-    # the octree keeps the colour of a small mark, which a median cut gives away for shades of a wide floor
+    # the octree keeps the colour of a small mark, which a median cut loses to shades of a large floor
     octree, plain = Image.Quantize.FASTOCTREE, Image.Dither.NONE
     few = (Image.fromarray(np.ascontiguousarray(frame)).quantize(256, octree, dither=plain) for frame in frames)
     next(few).save(path, save_all=True, append_images=few, duration=duration, loop=0)

@@ -1,4 +1,7 @@
-"""The camera: the handle in the middle of what is free, however the window changes."""
+"""Camera control: the handle centred in the free area.
+
+It stays centred for any window size.
+"""
 
 from __future__ import annotations
 
@@ -14,17 +17,24 @@ from maglev_mj.viewer.layout import Area
 __all__ = ["Framing"]
 
 _HIGH, _WIDE = 0.85, 0.95
-"""Shares of the height that the file's own camera sees which are to be in view, up and across."""
+"""Shares of the default view's height kept in view.
+
+Vertically and horizontally.
+"""
 
 _NEAR, _INSET, _ROOM = 0.45, 55, 260
-"""How far the axes are from the camera, of the way to what it looks at, and from the corner; and the room they need."""
+"""Position of the axes in the picture.
+
+Their distance from the camera as a share of the distance to its target, their distance from the corner, and the width
+they need [pixels].
+"""
 
 
 class Framing:
-    """Moves a free camera so that what its file shows is in the middle of the free part of a picture.
+    """Free camera with its target centred in a free area.
 
     Args:
-        model: The compiled model, whose file says from where it is seen.
+        model: The compiled model, whose file gives the default view.
     """
 
     def __init__(self, model: mujoco.MjModel) -> None:
@@ -32,18 +42,23 @@ class Framing:
         self._last: tuple[Area, Area] | None = None
 
     def reset(self, camera: Any) -> None:
-        """Point a camera as the file says, at the next `follow`."""
+        """Reset a camera to the default view.
+
+        The view is applied at the next `follow`.
+        """
         mujoco.mjv_defaultFreeCamera(self._model, camera)
-        camera.lookat[:2] = 0.0  # the flotor's own place
+        camera.lookat[:2] = 0.0  # the flotor's own axis
         self._last = None
 
     def follow(self, camera: Any, view: Area, free: Area) -> None:
-        """Move a camera after a change of what is free; what a person has turned and moved stays so.
+        """Move a camera after a change of the free area.
+
+        Turns and shifts by the user are kept.
 
         Args:
-            camera: The camera, which is moved.
+            camera: The camera to be moved.
             view: The picture.
-            free: What is free of it.
+            free: Its free area.
         """
         if self._last == (view, free) or camera.type != int(mujoco.mjtCamera.mjCAMERA_FREE):
             return
@@ -55,9 +70,11 @@ class Framing:
         self._last = view, free
 
     def corner(self, camera: Any, view: Area, free: Area) -> tuple[Array, float] | None:
-        """Return a place near the camera that is seen at the upper left of what is free; None where there is no room.
+        """Return a position in the free area's upper left corner.
 
-        With it the height of a pixel there. Both are in metres; the place is (3,).
+        It is near the camera; None if there is no room.
+
+        The height of a pixel there is returned too. Both are in metres; the position is (3,).
         """
         if free.width < _ROOM:
             return None
@@ -69,12 +86,15 @@ class Framing:
         return place, pixel
 
     def _pixel(self, camera: Any, view: Area) -> float:
-        """Return the height of a pixel at what a camera looks at [m]."""
+        """Return a pixel's height at the camera's target [m]."""
         half = math.radians(0.5 * float(self._model.vis.global_.fovy))
         return 2.0 * float(camera.distance) * math.tan(half) / view.height
 
     def _shift(self, camera: Any, view: Area, free: Area) -> Array:
-        """Return how far the middle of what is free is from that of the picture, at the camera's distance [m], (3,)."""
+        """Return the offset of the free area's middle [m], (3,).
+
+        It is that from the middle of the picture, at the camera's distance.
+        """
         across, up = directions(camera)
         pixel = self._pixel(camera, view)
         (x, y), (middle, level) = free.centre, view.centre
@@ -83,7 +103,7 @@ class Framing:
 
 
 def directions(camera: Any) -> tuple[Array, Array]:
-    """Return unit vectors to the right and upward in a free camera's picture, (3,) each."""
+    """Return a camera's right and upward unit vectors, (3,) each."""
     turn, lift = math.radians(camera.azimuth), math.radians(camera.elevation)
     forward = np.array([math.cos(lift) * math.cos(turn), math.cos(lift) * math.sin(turn), math.sin(lift)])
     across = np.array([math.sin(turn), -math.cos(turn), 0.0])
@@ -91,5 +111,8 @@ def directions(camera: Any) -> tuple[Array, Array]:
 
 
 def _zoom(view: Area, free: Area) -> float:
-    """Return how many times as far away a camera must be for what is free than for the whole picture."""
+    """Return the camera's distance factor for the free area.
+
+    It is relative to the distance for the whole picture.
+    """
     return max(_HIGH * view.height / max(free.height, 1), _WIDE * view.height / max(free.width, 1))

@@ -1,4 +1,4 @@
-"""Keys of the window: which there are for what can be done now, and what they are called."""
+"""Keys of the window for the actions available."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from maglev_mj.session import EMERGENCY_STOP
 __all__ = ["AXIS", "CAMERA", "HAND", "KEYS", "SCREENSHOT", "help_rows", "key_of", "keys_of"]
 
 SCREENSHOT, AXIS, CAMERA, KEYS = "screenshot", "axis of the plots", "camera", "keys"
-"""Actions of the window itself, which every one has."""
+"""Actions of every window."""
 
 
 class Key(NamedTuple):
-    """A key of the window.
+    """Key of the window.
 
     Attributes:
-        code: As the engine's viewer gives it.
-        name: As a person reads it.
-        action: What it does.
-        row: Keys of the same one share a row of the help.
-        words: What the help calls the action; its name by default.
+        code: Key code of the engine's viewer.
+        name: Name in the help.
+        action: Name of its action.
+        row: Row of the help; keys of one row share it.
+        words: Description of the action in the help; its name by default.
     """
 
     code: int
@@ -57,10 +57,12 @@ _KEYS = (
     Key(glfw.KEY_PAGE_DOWN, "Page Down", CAMERA, "camera", "camera back"),
     Key(glfw.KEY_ESCAPE, "Esc", EMERGENCY_STOP, "stop"),
 )
-"""Keys of what is there by name; of two with one code the first whose action there is counts.
+"""Keys of actions with fixed names.
 
-The engine's viewer has letters, 0 to 5, F1 to F7, Tab, brackets, Page Up and Backspace. Of its left, right, - and =
-it makes nothing in a window on a program's own simulation, and its Escape only frees a camera, which is free here.
+Of two keys with one code, the first with an available action counts.
+
+The engine's viewer uses letters, 0 to 5, F1 to F7, Tab, brackets, Page Up and Backspace. Its left, right, - and = have
+no effect in a window on a program's own simulation, and its Escape only frees the camera, which is free here.
 """
 
 _ALWAYS = SCREENSHOT, AXIS, CAMERA, KEYS
@@ -71,7 +73,10 @@ _SWITCHES: Mapping[str, tuple[int, str]] = {
     "8": (glfw.KEY_8, "friction"),
     "Backslash \\": (glfw.KEY_BACKSLASH, ""),
 }
-"""Keys that switch: name -> key, and whose it is where a scene has that; the others are for what is left."""
+"""Keys of switches: name -> key and owner.
+
+The owner is the parameter that has the key if the scene has it; keys without an owner are for other switches.
+"""
 
 _PAIRS: Mapping[tuple[str, str], tuple[int, int, str]] = {
     ("Up", "Down"): (glfw.KEY_UP, glfw.KEY_DOWN, "stiffness"),
@@ -81,19 +86,22 @@ _PAIRS: Mapping[tuple[str, str], tuple[int, int, str]] = {
     ("Home", "End"): (glfw.KEY_HOME, glfw.KEY_END, ""),
     ("Insert", "Delete"): (glfw.KEY_INSERT, glfw.KEY_DELETE, ""),
 }
-"""Keys up and down, likewise."""
+"""Keys up and down: names -> keys and owner.
+
+See `_SWITCHES`.
+"""
 
 _Name = TypeVar("_Name")
 _NAMED = {key.action for key in _KEYS}
 _CHOOSES = "scene "
 HAND = "Ctrl + right drag"
-"""How the mouse pulls the flotor."""
+"""Mouse action that pulls the flotor."""
 
 _HANDS = ((HAND, "push (Shift: level)"), ("Ctrl + left drag", "twist"))
 
 
 def _there(actions: Sequence[str]) -> list[Key]:
-    """Return the keys of some actions, in the order of the help."""
+    """Return the keys of actions, in help order."""
     own: dict[int, Key] = {}
     for key in _KEYS:
         if key.action in actions or key.action in _ALWAYS:
@@ -104,7 +112,7 @@ def _there(actions: Sequence[str]) -> list[Key]:
     free = {name: found for name, found in _PAIRS.items() if not own.keys() & {*found[:2]}}
     switched = {name: owner for name, (_, owner) in _SWITCHES.items()}
     paired = {names: owner for names, (*_, owner) in free.items()}
-    # a number is switched where its key is free for it, or it has no other
+    # a number gets a switch only if that key is its own, or it has no other key
     shared = _shared_out(switched, switches, numbers).items()
     found = [Key(_SWITCHES[name][0], name, word, "switches") for name, word in shared]
     for (up, down), word in _shared_out(paired, numbers, ()).items():
@@ -114,7 +122,10 @@ def _there(actions: Sequence[str]) -> list[Key]:
 
 
 def _shared_out(owners: Mapping[_Name, str], names: Sequence[str], others: Sequence[str]) -> Mapping[_Name, str]:
-    """Return a name for each key: its owner's, then the others in order, but for some that have keys already."""
+    """Return a name for each key, owners first.
+
+    The other names follow in order, without those in `others`.
+    """
     found = {key: owner for key, owner in owners.items() if owner in names}
     left = [name for name in names if name not in found.values() and name not in others]
     found |= dict(zip([key for key in owners if key not in found], left))
@@ -122,21 +133,21 @@ def _shared_out(owners: Mapping[_Name, str], names: Sequence[str], others: Seque
 
 
 def keys_of(actions: Sequence[str]) -> Mapping[int, str]:
-    """Return what each key does where some actions are there."""
+    """Return the action of each key."""
     return {key.code: key.action for key in _there(actions)}
 
 
 def key_of(action: str, actions: Sequence[str]) -> str:
-    """Return the name of an action's key; empty where there is none."""
+    """Return the name of an action's key, or ""."""
     return next((key.name for key in _there(actions) if key.action == action), "")
 
 
 def help_rows(actions: Sequence[str], *, hand: bool = True) -> list[tuple[str, str]]:
-    """Return keys and what they do, a row each.
+    """Return the rows of the help: keys and actions.
 
     Args:
-        actions: Names of what can be done.
-        hand: Whether the mouse moves the flotor.
+        actions: Names of the available actions.
+        hand: True if the mouse moves the flotor.
     """
     flag("hand", hand)
     rows: dict[str, tuple[list[str], list[str]]] = {}

@@ -1,4 +1,7 @@
-"""Where words, plots and the handle go in a picture of any size, so that none covers another."""
+"""Layout of text, plots and handle in a picture.
+
+None covers another, at any size.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,7 @@ from maglev_mj.parameters import flag
 __all__ = ["Area", "Font", "Layout", "Row", "Words", "arrange"]
 
 Row: TypeAlias = tuple[str, str]
-"""Name and value, or keys and what they do."""
+"""Name and value, or keys and their action."""
 
 # widths of the engine's letters from space to ~ at 100 %, in hexadecimal [pixels], and their height
 _WIDTHS = "45698ca4558845468888888888448887caaaba9bb4898cbbabbaabae9a9555885998994984484c899958488a7876868"
@@ -24,7 +27,10 @@ _LEAST_FREE, _LEAST_WORDS, _WORDS = 400, 340, 0.3
 
 
 class Area(NamedTuple):
-    """A rectangle of a picture, from its lower left corner on [pixels]."""
+    """Rectangle of a picture [pixels].
+
+    It begins at the lower left corner.
+    """
 
     left: int
     bottom: int
@@ -47,17 +53,17 @@ class Area(NamedTuple):
         return self.left + 0.5 * self.width, self.bottom + 0.5 * self.height
 
     def meets(self, other: Area) -> bool:
-        """Return whether two share a pixel."""
+        """Return True if two areas overlap."""
         across = self.left < other.right and other.left < self.right
         return across and self.bottom < other.top and other.bottom < self.top
 
 
 class Font(NamedTuple):
-    """The engine's letters.
+    """Font of the engine.
 
     Attributes:
         scale: 100 to 300 [%].
-        large: Whether they are twice as large.
+        large: True for letters of double size.
     """
 
     scale: int
@@ -65,7 +71,7 @@ class Font(NamedTuple):
 
     @property
     def size(self) -> float:
-        """How many times as large as at 100 %."""
+        """Size relative to 100 %."""
         return 0.01 * self.scale * (2.0 if self.large else 1.0)
 
     @property
@@ -94,12 +100,12 @@ class Font(NamedTuple):
 
 
 class Words(NamedTuple):
-    """A block of words.
+    """Block of text.
 
     Attributes:
-        rows: Those for which there is room.
-        font: Of the letters.
-        area: Where they are.
+        rows: Visible rows.
+        font: Font of the letters.
+        area: Position in the picture.
     """
 
     rows: Sequence[Row]
@@ -109,16 +115,16 @@ class Words(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Layout:
-    """Where everything goes.
+    """Positions of all parts of a picture.
 
     Attributes:
-        status: Words on the scene, at the upper left; None for nowhere.
-        keys: Words on the keys, at the lower left, likewise.
-        plots: Where the first plots go, as many as there is room for.
-        banner: Where a banner goes.
-        label: Where the label of the emergency stop goes; None for nowhere.
-        hint: Where the key of the keys is named, likewise.
-        handle: What is free for the handle.
+        status: Text on the scene, at the upper left; None if hidden.
+        keys: Text on the keys, at the lower left; None if hidden.
+        plots: Areas of the first plots, as many as there is room for.
+        banner: Area of a banner.
+        label: Area of the emergency stop's label; None if hidden.
+        hint: Area of the hint at the help key; None if hidden.
+        handle: Free area for the handle.
     """
 
     status: Words | None
@@ -142,18 +148,20 @@ def arrange(
     helped: bool = False,
     charted: bool = False,
 ) -> Layout:
-    """Return where everything goes: words, handle and plots side by side, or one above the other where it is narrow.
+    """Return the layout of a picture.
+
+    Text, handle and plots are side by side, or one above the other in a narrow picture.
 
     Args:
         view: The picture, or that part of a window in which the scene is drawn.
-        scale: Of the letters, 100 to 300 [%].
-        status: Words on the scene, the most important first.
-        keys: Words on the keys.
-        banner: Whether there is a banner.
-        label: Whether the emergency stop has a label.
-        shown: Whether the keys are shown; None for where there is room.
-        helped: Whether the engine's viewer shows its own help, which it does at the upper left.
-        charted: Whether it shows its own charts at the right.
+        scale: Scale of the letters, 100 to 300 [%].
+        status: Text on the scene, the most important row first.
+        keys: Text on the keys.
+        banner: True if there is a banner.
+        label: True if the emergency stop has a label.
+        shown: True to show the keys; None to show them if there is room.
+        helped: True if the engine's viewer shows its own help, at the upper left.
+        charted: True if it shows its own charts, at the right.
     """
     for name, value in (("banner", banner), ("label", label), ("helped", helped), ("charted", charted)):
         flag(name, value)
@@ -164,7 +172,7 @@ def arrange(
 
 
 class _Asked(NamedTuple):
-    """What is to be laid out; see `arrange`."""
+    """Request for a layout; see `arrange`."""
 
     view: Area
     scale: int
@@ -177,7 +185,10 @@ class _Asked(NamedTuple):
     charted: bool
 
     def columns(self, font: Font) -> Layout | None:
-        """Return words, handle and plots side by side; None where it is too narrow."""
+        """Return a layout side by side.
+
+        None if the picture is too narrow.
+        """
         view, strip, plain = self.view, self.strip, Font(self.scale)
         status = _wrapped(font, self.status, max(int(_WORDS * view.width), self.pixels(_LEAST_WORDS)))
         wide, high = font.block(status)
@@ -209,7 +220,10 @@ class _Asked(NamedTuple):
         )
 
     def rows(self) -> Layout:
-        """Return words, handle and plots one above the other; the keys, where they are asked for, beside the handle."""
+        """Return a layout one above the other.
+
+        If the keys are requested, they are beside the handle.
+        """
         view, font, strip = self.view, Font(self.scale), self.strip
         if self.helped or self.shown:
             return self.beside()
@@ -236,7 +250,10 @@ class _Asked(NamedTuple):
         )
 
     def beside(self) -> Layout:
-        """Return the keys, or the engine's help, at the left, and the handle at their right."""
+        """Return a layout with help at the left.
+
+        The help is that of the keys or of the engine; the handle is at its right.
+        """
         view, font, strip = self.view, Font(self.scale), self.strip
         most = view.width - view.width // 5
         fits = max((view.height - (strip if self.banner else 0) - 2 * _GAP) // font.row, 1)
@@ -257,12 +274,15 @@ class _Asked(NamedTuple):
 
     @property
     def pad(self) -> int:
-        """Distance between things."""
+        """Distance between parts [pixels]."""
         return math.ceil(0.06 * self.scale)
 
     @property
     def strip(self) -> int:
-        """Height of a banner: a large line and, where there is room, a small one."""
+        """Height of a banner [pixels].
+
+        It has a large line and, if there is room, a small one.
+        """
         small, large = Font(self.scale), Font(self.scale, large=True)
         high = large.row + 2 * self.pad + (small.row if self.view.height >= 15 * small.row else 0)
         return min(high, self.view.height // 2)
@@ -281,11 +301,14 @@ class _Asked(NamedTuple):
 
     @property
     def foot_height(self) -> int:
-        """Height of the emergency stop's label and of the hint, and what is around them."""
+        """Height of label and hint with their margins."""
         return Font(self.scale).row + 3 * self.pad if self.label or self.keys else 0
 
     def feet(self, left: int, right: int, bottom: int, keys: bool) -> tuple[Area | None, Area | None, int]:
-        """Return where label and hint go, and the lowest row above them."""
+        """Return the areas of label and hint.
+
+        The lowest row above them is returned too.
+        """
         font, pad, high = Font(self.scale), self.pad, self.foot_height - self.pad
         hinted = 0 if keys or self.helped or not self.keys else font.width("F11: KEYS") + 4 * pad
         wide = min(font.width("ESC: EMERGENCY STOP") + 4 * pad, right - left - 2 * pad) if self.label else 0
@@ -300,12 +323,12 @@ class _Asked(NamedTuple):
 
 
 def _cut(font: Font, rows: Sequence[Row], most: int) -> list[Row]:
-    """Return rows no wider than so much."""
+    """Return rows shortened to a width."""
     return [(name, font.cut(value, most - _names(font, rows))) for name, value in rows]
 
 
 def _wrapped(font: Font, rows: Sequence[Row], most: int) -> list[Row]:
-    """Return rows no wider than so much, in two where it takes that."""
+    """Return rows wrapped to a width, in two if necessary."""
     found, room = [], most - _names(font, rows)
     for name, value in rows:
         words, first = value.split(" "), ""
@@ -318,5 +341,8 @@ def _wrapped(font: Font, rows: Sequence[Row], most: int) -> list[Row]:
 
 
 def _names(font: Font, rows: Sequence[Row]) -> int:
-    """Return the width of the first column, and of what is around both."""
+    """Return the width of the first column with margins.
+
+    The margins are those around both columns.
+    """
     return max((font.width(name) for name, _ in rows), default=0) + 2 * _EDGE

@@ -1,4 +1,7 @@
-"""The same picture without a window: shapes, plots and words, drawn into an array."""
+"""Drawing of scene, plots and text into an array.
+
+No window is needed.
+"""
 
 from __future__ import annotations
 
@@ -27,22 +30,24 @@ _LARGE = 1500
 
 
 class DisplayError(MaglevError):
-    """There is nothing to draw with or to draw on."""
+    """Error of a missing display or drawing library."""
 
 
 class OffscreenPainter:
-    """Draws snapshots of one scene into arrays, by OSMesa or EGL as MUJOCO_GL says; by OSMesa where it says nothing.
+    """Painter of one scene's snapshots into arrays.
+
+    It draws by OSMesa or EGL as given by MUJOCO_GL, by default by OSMesa.
 
     Args:
         scene: The scene.
-        width: Of the pictures [pixels].
-        height: Likewise.
-        plots: Whether plots and words are in them.
-        backend: What to draw with: osmesa, egl, or glfw, which needs a display; None for what MUJOCO_GL says. A
-            program in which a window was opened can only use glfw.
+        width: Width of the pictures [pixels].
+        height: Height of the pictures [pixels].
+        plots: True to include plots and text.
+        backend: Drawing library: osmesa, egl, or glfw, which needs a display; None for that given by MUJOCO_GL. A
+            program that has opened a window can only use glfw.
 
     Raises:
-        DisplayError: If there is no library to draw with.
+        DisplayError: If there is no drawing library.
         ModelError: If the scene cannot be used.
     """
 
@@ -66,7 +71,7 @@ class OffscreenPainter:
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._render)
 
     def wait(self, snapshot: Snapshot) -> None:
-        """Wait until all that the plots need is known."""
+        """Wait until all data of the plots is computed."""
         if self._screen is not None:
             self._screen.wait(snapshot.scene)
 
@@ -95,7 +100,7 @@ class OffscreenPainter:
         return pixels[::-1]
 
     def close(self) -> None:
-        """Let go of what it draws with."""
+        """Release the drawing resources."""
         self._render.free()
         self._gl.free()
 
@@ -107,7 +112,7 @@ class OffscreenPainter:
 
 
 def _context(width: int, height: int, backend: str) -> Any:
-    """Return an OpenGL context without a window to be seen."""
+    """Return an OpenGL context without a visible window."""
     if backend not in _NEEDS:
         raise DisplayError(f"MUJOCO_GL must be one of {', '.join(_NEEDS)} for a picture, not {backend!r}")
     try:

@@ -1,4 +1,7 @@
-"""The words on the screen: scene, gains, rate and delay, what it costs, and where the energy went."""
+"""Status text on the screen.
+
+Scene, gains, rate, delay, computing time, and energy.
+"""
 
 from __future__ import annotations
 
@@ -19,10 +22,12 @@ _NOTHING = 5e-5
 
 
 def status_rows(snapshot: Snapshot, notes: Sequence[str] = ()) -> list[Row]:
-    """Return what a person wants to know of a session, names and values, the most important first.
+    """Return the status rows of a session.
+
+    Names and values, the most important first.
 
     Args:
-        snapshot: The picture of now.
+        snapshot: The present snapshot.
         notes: Further notes, such as the last screenshot.
     """
     scene = snapshot.scene
@@ -47,7 +52,7 @@ def status_rows(snapshot: Snapshot, notes: Sequence[str] = ()) -> list[Row]:
 
 
 def _tour(snapshot: Snapshot) -> list[Row]:
-    """Return the step of the guided tour, and what to do."""
+    """Return the step and task of the guided tour."""
     if (line := snapshot.tour) is None:
         return []
     text, deed = line.words(lambda action: HAND if action == "hand" else key_of(action, snapshot.actions))
@@ -55,20 +60,26 @@ def _tour(snapshot: Snapshot) -> list[Row]:
 
 
 def _time(snapshot: Snapshot) -> str:
-    """Return time, and how slowly it goes."""
+    """Return the time and its pace."""
     whole = "" if snapshot.duration is None else f" of {snapshot.duration:.1f}"
     return ", ".join(filter(None, (f"{snapshot.time:.1f}{whole} s", pace(snapshot))))
 
 
 def _energy(snapshot: Snapshot) -> str:
-    """Return what the hand gave, and what the rendered world took where that is known."""
+    """Return the hand's work and the environment's absorbed energy.
+
+    The latter only if it is known.
+    """
     made = snapshot.taken < -_NOTHING
     taken = f", world {'MADE' if made else 'took'} {abs(snapshot.taken) * 1e3:.1f} mJ"
     return f"hand gave {snapshot.work * 1e3:.1f} mJ" + ("" if math.isnan(snapshot.taken) else taken)
 
 
 def _shown(one: Parameter, value: float | None) -> str:
-    """Return a gain; one that is not of a wall goes by its name."""
+    """Return a gain as text, with its name if needed.
+
+    Gains of a wall have no name.
+    """
     if value is None:
         return f"{one.name} none"
     number = f"{value:.0f}" if abs(value) >= 1e3 else f"{value:.3g}"

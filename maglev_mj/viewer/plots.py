@@ -1,4 +1,7 @@
-"""The live plots: position, force, the phase plane, and the gains under their stability boundary; and labels."""
+"""Live plots and labels.
+
+Position, force, phase plane, and gains with their stability boundary.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +34,10 @@ _Range: TypeAlias = tuple[float, float]
 
 
 class Plots:
-    """Four figures of the engine's own kind, renewed from a snapshot; the most important first."""
+    """Four live plots, updated from a snapshot.
+
+    They are figures of the engine, the most important first.
+    """
 
     def __init__(self) -> None:
         self._stability = StabilityMap()
@@ -46,7 +52,7 @@ class Plots:
         Args:
             snapshot: The snapshot.
             axis: Index into AXES; the scene's own by default.
-            low: Whether there is no room for words under the plots.
+            low: True if there is no room for text under the plots.
         """
         flag("low", low)
         axis = snapshot.scene.axis_index if axis is None else axis
@@ -74,11 +80,14 @@ class Plots:
         return self.figures
 
     def wait(self, scene: Scene) -> None:
-        """Wait until the stability of a scene is known."""
+        """Wait until the stability of a scene is computed."""
         self._stability.wait(scene)
 
     def _draw_gains(self, figure: Any, found: Margin) -> None:
-        """Draw the stability boundary and a cross at the gains; the verdict alone where a law states no gains."""
+        """Draw the stability boundary with the present gains.
+
+        The gains are a cross; if a law states no gains, only the verdict is written.
+        """
         figure.textrgb[:] = _TEXT if found.stable is None else shown_colour(GOOD if found.stable else BAD)
         if not found.axis:
             _draw(figure, found.words, [], (0.0, 1.0), (0.0, 1.0))
@@ -98,11 +107,13 @@ _TEXT = 0.95, 0.96, 0.98
 
 
 class Label:
-    """A rectangle with a line of words, as a figure of the engine's own kind.
+    """Rectangle with a line of text.
+
+    It is a figure of the engine.
 
     Args:
-        colour: Of the rectangle.
-        opacity: Of the rectangle, from 0 to 1.
+        colour: Colour of the rectangle.
+        opacity: Opacity of the rectangle, from 0 to 1.
     """
 
     def __init__(self, colour: Colour, opacity: float = 1.0) -> None:
@@ -114,20 +125,26 @@ class Label:
         self.paint(colour)
 
     def paint(self, colour: Colour) -> None:
-        """Give it another colour."""
+        """Change the colour."""
         figure = self._figure
         figure.figurergba[:] = (*colour, self._opacity)
         figure.gridrgb[:] = colour
 
     def update(self, text: str, foot: str = "") -> Any:
-        """Return it with a line of words at its top, and one at its foot."""
+        """Return the figure with its text.
+
+        One line is at the top, one at the foot.
+        """
         _entitle(self._figure, text)
         self._figure.xlabel = foot
         return self._figure
 
 
 class TimeBar:
-    """Time of a recording, with marks where something happened, as a figure of the engine's own kind."""
+    """Time bar of a recording, with event marks.
+
+    It is a figure of the engine.
+    """
 
     def __init__(self) -> None:
         figure = self._figure = mujoco.MjvFigure()
@@ -137,7 +154,7 @@ class TimeBar:
     def update(self, snapshot: Snapshot) -> Any:
         """Return the bar of a snapshot that has a duration."""
         duration, now = snapshot.duration or 1.0, snapshot.time
-        # the engine draws nothing but lines, the first uppermost; one to and fro is a bar
+        # the engine draws only lines, the first uppermost; one to and fro is a bar
         levels = np.repeat(np.linspace(-0.5, 0.5, _STROKES), 2)
         ways = np.resize([0.0, 1.0, 1.0, 0.0], levels.size)
         lines: list[_Line] = [(_TEXT, [now, now], [-1.0, 1.0])]
@@ -148,7 +165,7 @@ class TimeBar:
 
 
 def shown_colour(colour: Colour) -> Colour:
-    """Return a colour light enough for letters on a dark ground."""
+    """Return a colour light enough for dark ground."""
     return tuple(0.45 + 0.55 * part for part in colour)  # type: ignore[return-value]
 
 
@@ -167,7 +184,7 @@ def _prepare(figure: Any) -> None:
 
 
 def _entitle(figure: Any, title: str) -> None:
-    # the engine looks one letter beyond the end, where that of a longer title would be
+    # the engine reads one letter beyond the end, so a rest of a longer title would be seen
     figure.title = f"{title}\0"
 
 
@@ -184,7 +201,10 @@ def _draw(figure: Any, title: str, lines: Sequence[_Line], across: _Range, up: _
 
 
 def _dot(colour: Colour, x: Array, y: Array, across: _Range, up: _Range) -> list[_Line]:
-    """Return lines that make a dot at the last point, inside the ranges; none where there is no point."""
+    """Return lines forming a dot at the last point.
+
+    It is moved inside the ranges; there are none without a point.
+    """
     if not len(x):
         return []
     wide, high = _NOW[0] * (across[1] - across[0]), _NOW[1] * (up[1] - up[0])

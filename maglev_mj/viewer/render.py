@@ -1,4 +1,7 @@
-"""A scene with its scripted hand, drawn into a file."""
+"""Rendering of a scene to a file.
+
+Its scripted hand moves the flotor.
+"""
 
 from __future__ import annotations
 
@@ -30,24 +33,26 @@ def render(
     plots: bool = True,
     progress: Callable[[int, int], object] = lambda done, total: None,
 ) -> int:
-    """Run a scene in the scripted hand and write a picture or a clip of it.
+    """Run a scene and write a picture or clip.
+
+    The scripted hand moves the flotor.
 
     Args:
         scene: The scene.
-        path: File that ends in .png, .gif or .mp4.
-        seconds: When the picture is taken, or how long the clip is [s]; None for half the run, or all of it.
-        width: Pixels.
-        height: Pixels.
-        rate: Pictures a second of a clip.
-        plots: Whether plots and words are in it.
-        progress: Called with how many pictures are drawn, and with all of them.
+        path: File with the ending .png, .gif or .mp4.
+        seconds: Time of the picture, or duration of the clip [s]; None for half the run, or all of it.
+        width: Width [pixels].
+        height: Height [pixels].
+        rate: Frames per second of a clip.
+        plots: True to include plots and text.
+        progress: Function called with the number of pictures drawn and the number of all.
 
     Returns:
-        How many pictures were drawn.
+        Number of pictures drawn.
 
     Raises:
-        DisplayError: If there is no library to draw with.
-        MissingPackageError: If a clip is asked for, and what writes it is not installed.
+        DisplayError: If there is no drawing library.
+        MissingPackageError: If a clip is requested, and the package that writes it is not installed.
     """
     flag("plots", plots)
     moving = path.suffix in CLIPS

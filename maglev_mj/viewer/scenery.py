@@ -1,4 +1,7 @@
-"""What is drawn of a scene: the device, walls, stick position, forces, and coils coloured by their current."""
+"""3D drawing of a scene.
+
+Device, walls, stick position, forces, and coils coloured by their current.
+"""
 
 from __future__ import annotations
 
@@ -27,19 +30,19 @@ _IDENTITY = np.eye(3).ravel()
 _SPHERE, _UNSEEN = int(mujoco.mjtGeom.mjGEOM_SPHERE), (0.0, 0.0, 0.0, 0.0)
 
 _Shade: TypeAlias = tuple[float, float, float, float]
-"""Red, green, blue and opacity, from 0 to 1."""
+"""Red, green, blue and opacity, 0 to 1."""
 
 
 class Scenery:
-    """The model of a scene to look at, and what is drawn over it.
+    """Displayed model of a scene, with added shapes.
 
     Args:
         scene: The scene, or its class.
 
     Attributes:
-        shown: What file that is.
+        shown: File of the model.
         model: The compiled model, with all its shapes.
-        data: Its state, which follows what is seen.
+        data: Its state, which follows the snapshots.
 
     Raises:
         ModelError: If the scene's file is missing or cannot be used.
@@ -59,11 +62,11 @@ class Scenery:
         self._handle = handle
         self._windings = self._find_windings()
         rgba: Any = self.model.vis.rgba
-        # what the engine draws of the mouse's hand: its spring, its turned box, and where it grips
+        # shapes of the mouse's hand by the engine: its spring, its turned box, and its grip
         rgba.constraint[:] = rgba.inertia[:] = rgba.selectpoint[:] = (*HAND, 1.0)
 
     def place(self, snapshot: Snapshot) -> None:
-        """Put the model where the flotor is."""
+        """Move the model to the flotor's pose."""
         qpos, first = self.data.qpos, self._address
         qpos[first : first + 3] = snapshot.pose[:3]
         qpos[first + 3 : first + 7] = quaternion(snapshot.pose[3:])
@@ -72,7 +75,10 @@ class Scenery:
         mujoco.mj_camlight(self.model, self.data)
 
     def decorate(self, scene: Any, snapshot: Snapshot) -> None:
-        """Add what the model does not have to a scene of the engine's, behind what is in it."""
+        """Add all further shapes to a scene of the engine.
+
+        They are walls, stops, coils, forces and the stick position.
+        """
         self._draw_coils(scene, snapshot)
         for face in snapshot.faces:
             touched = face[1] * (snapshot.pose[face[0]] - face[2]) <= 0.0
@@ -90,7 +96,7 @@ class Scenery:
         hand, device, stop = snapshot.hand[:3], snapshot.force[:3], snapshot.stops[:3]
         _draw_arrow(scene, knob, hand, HAND)
         _draw_arrow(scene, knob, device, DEVICE)
-        # that of a stop goes on where the device's of the same sense ends, so that what balances is of one length
+        # a stop's arrow begins at the end of the device's in the same direction, so that balanced forces look equal
         size = float(np.linalg.norm(stop)) or 1.0
         _draw_arrow(scene, knob + max(float(device @ stop) / size, 0.0) * ARROW / size * stop, stop, STOP)
 
@@ -99,7 +105,7 @@ class Scenery:
 
         Args:
             scene: The engine's scene.
-            place: Where they begin [m], (3,).
+            place: Origin of the arrows [m], (3,).
             pixel: Height of a pixel there [m].
         """
         length = _AXIS * pixel
@@ -112,7 +118,7 @@ class Scenery:
                 shape.label = name
 
     def _find_windings(self) -> list[tuple[int, int]]:
-        """Return the shapes of the coils' windings, each with the number of its coil."""
+        """Return winding shapes with their coil numbers."""
         model = self.model
         copper = model.material("copper").id
         shapes = np.flatnonzero(model.geom_matid == copper)
@@ -121,7 +127,10 @@ class Scenery:
         return list(zip(shapes.tolist(), away.argmin(axis=1).tolist(), strict=True))
 
     def _draw_coils(self, scene: Any, snapshot: Snapshot) -> None:
-        """Draw a winding over each of the model's, coloured from copper over yellow to red at the limit."""
+        """Draw the windings, coloured by their current.
+
+        The colour goes from copper over yellow to red at the limit.
+        """
         for shape, coil in self._windings:
             share = min(abs(float(snapshot.currents[coil])) / _MOST, 1.0)
             colour = _LIMIT if share > 0.999 else _COLD + share * (_WARM - _COLD)
@@ -136,19 +145,22 @@ class Scenery:
             )
 
     def _draw_plate(self, scene: Any, face: tuple[int, float, float], colour: _Shade) -> None:
-        """Draw the plane that the knob meets; a rotation has none."""
+        """Draw a wall's plane; rotations have none."""
         if (plate := wall_plate(face)) is not None:
             centre, size = plate
             _add(scene, int(mujoco.mjtGeom.mjGEOM_BOX), size, centre, _IDENTITY, colour)
 
     def _draw_ring(self, scene: Any, pose: Array, colour: _Shade) -> None:
-        """Light the rim of the knob, for a stop of a rotation."""
+        """Highlight the knob's rim, for a rotation stop."""
         turn = rotation_matrix(pose[3:])
         place = self.data.xpos[self.flotor] + turn @ [0.0, 0.0, UNDER_KNOB + 0.0012]
         _add(scene, int(mujoco.mjtGeom.mjGEOM_CYLINDER), [0.0118, 0.0012, 0.0], place, turn.ravel(), colour)
 
     def _draw_ghost(self, scene: Any, snapshot: Snapshot) -> None:
-        """Draw the handle where it sticks; along axes that do not stick it is where the handle is."""
+        """Draw the handle at its stick position.
+
+        On axes that do not stick it has the position of the handle.
+        """
         assert snapshot.anchors is not None
         if np.isnan(snapshot.anchors).all():
             return
@@ -164,7 +176,10 @@ class Scenery:
 
 
 def _draw_arrow(scene: Any, knob: Array, force: Array, colour: Colour) -> None:
-    """Draw a force to scale, from the surface of the knob on; below 0.05 N there is nothing to see."""
+    """Draw a force to scale, from the knob's surface.
+
+    A force below 0.05 N is not drawn.
+    """
     if float(np.linalg.norm(force)) >= LEAST_FORCE:
         start = arrow_start(knob, force)
         # an arrow between two points is drawn from the first on, at half the length between them
@@ -178,7 +193,7 @@ def _connect(scene: Any, start: Array, end: Array, width: float, colour: Colour)
 
 
 def _add(scene: Any, kind: int, size: Any, place: Any, matrix: Any, colour: _Shade, emission: float = 0.1) -> Any:
-    """Add a shape to a scene; return it, None where there is no room."""
+    """Add a shape; return it, or None if full."""
     if (shape := _next(scene)) is not None:
         parts = (np.asarray(part, dtype=np.float64) for part in (size, place, matrix))
         mujoco.mjv_initGeom(shape, kind, *parts, np.array(colour, np.float32))
@@ -187,7 +202,10 @@ def _add(scene: Any, kind: int, size: Any, place: Any, matrix: Any, colour: _Sha
 
 
 def _next(scene: Any) -> Any:
-    """Return the next free shape of a scene; None where it is full, and the rest is left out."""
+    """Return a scene's next free shape.
+
+    None if the scene is full; the rest is then left out.
+    """
     if scene.ngeom >= scene.maxgeom:
         return None
     scene.ngeom += 1

@@ -1,4 +1,7 @@
-"""What is over the scene, in a window and in a picture: words, plots, labels and a banner, each in its place."""
+"""Overlay of text, plots, labels and banner.
+
+It is the same in a window and in a picture.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +26,7 @@ from maglev_mj.viewer.plots import Label, Plots, TimeBar
 __all__ = ["Drawn", "Screen"]
 
 _Text: TypeAlias = tuple[int, int, str, str]
-"""Font, place in the picture, and two columns."""
+"""Font, position in the picture, and two columns."""
 
 _HELPS, _CHARTS = (glfw.KEY_F1, glfw.KEY_F2), (glfw.KEY_F3, glfw.KEY_F4)
 _RED: Colour = (0.80, 0.05, 0.05)
@@ -34,12 +37,12 @@ _WAYS = {"centre": "to start again", "pause": "to go on", "slower": "for slow mo
 
 
 class Drawn(NamedTuple):
-    """What is to be drawn over the scene.
+    """Items to be drawn over the scene.
 
     Attributes:
         figures: Rectangles and figures, the lowest first.
-        texts: Words over them, as the engine's viewer takes them.
-        layout: Where everything is.
+        texts: Text over them, in the form of the engine's viewer.
+        layout: Positions of all parts.
     """
 
     figures: list[tuple[Any, Any]]
@@ -48,10 +51,10 @@ class Drawn(NamedTuple):
 
 
 class Screen:
-    """Lays out what is over the scene, and keeps what a person has chosen of it.
+    """Overlay of the scene with the user's choices.
 
     Args:
-        keys: Whether there is anybody to press keys.
+        keys: True if a user can press keys.
     """
 
     def __init__(self, *, keys: bool = True) -> None:
@@ -65,34 +68,37 @@ class Screen:
         self._engine: set[int] = set()
 
     def wait(self, scene: Scene) -> None:
-        """Wait until all that the plots need of a scene is known."""
+        """Wait until all data of the plots is computed."""
         self._plots.wait(scene)
 
     def press(self, action: str, scene: Scene) -> None:
-        """Do what a key of the screen itself asks for."""
+        """Run a key's action on the screen itself."""
         if action == AXIS:
             self._axis = ((scene.axis_index if self._axis is None else self._axis) + 1) % len(AXES)
         elif action == KEYS:
             self._wanted = not self._shown
 
     def note_engine_key(self, code: int) -> None:
-        """Keep what the engine's viewer shows over the scene; it says so nowhere."""
+        """Track the help and charts of the engine's viewer.
+
+        The viewer does not report them.
+        """
         if code in (*_HELPS, *_CHARTS):
             self._engine ^= {code}
 
     def draw(self, snapshot: Snapshot, view: Area, scale: int, notes: Sequence[str] = ()) -> Drawn:
-        """Return what is to be drawn.
+        """Return the items to be drawn.
 
         Args:
-            snapshot: The picture of now.
-            view: Where the scene is drawn.
-            scale: Of the engine's letters, 100 to 300 [%].
-            notes: Further words for the person.
+            snapshot: The present snapshot.
+            view: Area of the scene.
+            scale: Scale of the engine's letters, 100 to 300 [%].
+            notes: Further text for the user.
         """
         if snapshot.late:
             self._late.say("late")
         said = banner(replace(snapshot, late=bool(self._late.lines)))  # ticks are given up now and then: no flicker
-        # a hand is the mouse's, but in a recording and on a device, which has one of its own
+        # the mouse is the hand, except in a recording and on a device, which have a hand of their own
         mouse = snapshot.duration is None and snapshot.state != "flying"
         layout = arrange(
             view,
@@ -139,7 +145,10 @@ class Screen:
 
 
 def _said(said: Banner, snapshot: Snapshot) -> tuple[list[str], str]:
-    """Return what a banner says, with the key that goes on, in less and less room; and why."""
+    """Return a banner's headings and its reason.
+
+    The headings name the key to continue, in decreasing length.
+    """
     title, _, why = said.text.partition(": ")
     way = key_of(said.way_on, snapshot.actions) if said.way_on else ""
     heads = [f"{title}: press {way} {_WAYS[said.way_on]}", f"{title}: press {way}"] if way else [title]
@@ -147,7 +156,10 @@ def _said(said: Banner, snapshot: Snapshot) -> tuple[list[str], str]:
 
 
 def _parted(layout: Layout, high: int) -> tuple[Layout, Area]:
-    """Return a layout with less room for the handle, and the room for a time bar under it."""
+    """Return a layout with room for a time bar.
+
+    The room is taken from the handle's area; the area of the bar is returned too.
+    """
     area = layout.handle
     handle = area._replace(bottom=area.bottom + high, height=max(area.height - high, 1))
     return replace(layout, handle=handle), area._replace(height=high)

@@ -1,4 +1,7 @@
-"""Whether frames are so slow that shadows should go, on which a processor that draws spends most of its time."""
+"""Detection of slow frames, to switch shadows off.
+
+A software renderer spends most of its time on shadows.
+"""
 
 from __future__ import annotations
 
@@ -11,17 +14,22 @@ _SLOW, _LONG = 0.05, 1.0
 
 
 class SlowFrames:
-    """Tells once when every frame of a second has taken more than 50 ms.
+    """Detector of a second of slow frames.
+
+    It reports once, when every frame of a second has taken more than 50 ms.
 
     Args:
-        clock: Returns real time [s].
+        clock: Function that returns real time [s].
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock, self._since, self._told = clock, -1.0, False
 
     def add(self, cost: float) -> bool:
-        """Return whether it is time to go without shadows, after a frame of such a cost [s]."""
+        """Return True once to switch shadows off.
+
+        `cost` is the time of the last frame [s].
+        """
         now = self._clock()
         if self._told or cost <= _SLOW:
             self._since = -1.0

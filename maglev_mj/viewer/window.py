@@ -1,4 +1,7 @@
-"""The window: MuJoCo's own viewer, with the mouse as the hand and a session behind it."""
+"""Window: MuJoCo's viewer on a session.
+
+The mouse is the hand.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +44,10 @@ _PICTURE = 1600, 1000
 
 
 class _Mouse(NamedTuple):
-    """Whether the mouse pushes or twists, where it draws the grip to [m], and how it turns the flotor, a quaternion."""
+    """State of the mouse as a hand.
+
+    Flags for pushing and twisting, the target of the grip [m], and the target rotation, a quaternion.
+    """
 
     pushes: bool
     twists: bool
@@ -73,16 +79,18 @@ def require_display() -> None:
 def show(
     session: SnapshotSource, *, folder: Path = Path(), duration: float | None = None, shadows: bool | None = None
 ) -> ShowReport:
-    """Open a window on a session and keep it in real time until the window is closed.
+    """Open a window on a session and run it.
+
+    The session runs in real time until the window is closed.
 
     Args:
-        session: What to show.
-        folder: Where screenshots go.
-        duration: Close the window after so much real time [s]; None waits for the person.
-        shadows: Whether there are shadows; None for as long as frames are not slow.
+        session: Session to show.
+        folder: Folder of screenshots.
+        duration: Real time until the window closes [s]; None waits for the user.
+        shadows: True to draw shadows; None to draw them while frames are not slow.
 
     Returns:
-        What it came to.
+        Figures of the frames and the session.
 
     Raises:
         DisplayError: If a window cannot be opened.
@@ -100,10 +108,10 @@ def show(
 
 
 class _Window:
-    """One window on a session.
+    """Window on a session.
 
-    Three threads: this one makes the control ticks, one of ours hands each snapshot to the engine's viewer, and the
-    viewer draws in its own. Handing over waits for a frame to be drawn, which must not hold up the ticks.
+    There are three threads: the calling one makes the control ticks, a second passes each snapshot to the engine's
+    viewer, and the viewer draws in its own. Passing a snapshot waits for a frame, which must not delay the ticks.
     """
 
     def __init__(self, session: SnapshotSource, folder: Path, shadows: bool | None) -> None:
@@ -120,7 +128,7 @@ class _Window:
         self._scenery = _scenery(session.snapshot().scene)
         self._framing, self._camera_back = Framing(self._scenery.model), True
         before = set(threading.enumerate())
-        # imported here: it asks for a display as soon as it is
+        # imported here, because the import needs a display
         import mujoco.viewer
 
         self._handle = mujoco.viewer.launch_passive(
@@ -139,7 +147,7 @@ class _Window:
         self._painter.start()
 
     def run(self, duration: float | None) -> ShowReport:
-        """Make the ticks, until the window is closed."""
+        """Make the ticks until the window is closed."""
         session, handle, due = self._session, self._handle, Due(_FRAME)
         ticks, wall_time = 0, 0.0
         for elapsed, passed in real_time(duration, _NAP):
@@ -163,7 +171,10 @@ class _Window:
         )
 
     def close(self) -> None:
-        """Close the window, and wait for the threads that draw: they must not outlive the program."""
+        """Close the window, and wait for the drawing threads.
+
+        They must not outlive the program.
+        """
         self._handle.close()
         end = time.monotonic() + _PATIENCE
         while self._painter.is_alive() and time.monotonic() < end:
@@ -174,7 +185,10 @@ class _Window:
             thread.join(_PATIENCE)
 
     def _press_keys(self) -> None:
-        """Do what the keys pressed since the last tick ask for."""
+        """Run the actions of the keys pressed.
+
+        They are those since the last tick.
+        """
         while not self._pressed.empty():
             code, snapshot = self._pressed.get(), self._session.snapshot()
             self._screen.note_engine_key(code)
@@ -191,11 +205,11 @@ class _Window:
             elif action is not None:
                 try:
                     self._session.act(action)
-                except (MaglevError, OSError) as error:  # such as a rate with which no controller can be made
+                except (MaglevError, OSError) as error:  # such as a rate without a possible controller
                     self._note.say(str(error))
 
     def _guide_hand(self) -> None:
-        """Let the hand pull to where the mouse is, or let go."""
+        """Move the hand's target to the mouse, or release it."""
         mouse, self._mouse = self._mouse, None
         if mouse is None:
             return
@@ -210,13 +224,13 @@ class _Window:
         hand.target = [float(part) for part in (*goal, *turned)]
 
     def _paint(self) -> None:
-        """Hand over snapshot after snapshot, until there is none."""
+        """Pass snapshots to the viewer until the end."""
         while (snapshot := self._snapshots.get()) is not None:
             begun = time.perf_counter()
             try:
                 self._draw(snapshot)
             except Exception as error:
-                if self._handle.is_running():  # otherwise the window was closed meanwhile
+                if self._handle.is_running():  # otherwise the window was closed
                     self._failed = error
                 return
             cost = time.perf_counter() - begun
@@ -264,9 +278,12 @@ class _Window:
         handle.sync()
 
     def _picture(self, snapshot: Snapshot, path: Path) -> None:
-        """Write what is to be seen, larger than the window and without its edges."""
+        """Write a picture, larger than the window.
+
+        It has no window borders.
+        """
         try:
-            # a program draws with one library only, and its window has chosen unless MUJOCO_GL had
+            # a program draws with one library only: that of its window, unless MUJOCO_GL is set
             backend = os.environ.get("MUJOCO_GL", "").lower() or "glfw"
             with (
                 self._handle.lock()
@@ -281,7 +298,7 @@ class _Window:
 
 
 def _mouse(perturb: Any) -> _Mouse:
-    """Return what the mouse does to the flotor."""
+    """Return the mouse's action on the flotor."""
     active = int(perturb.active)
     return _Mouse(
         pushes=bool(active & int(mujoco.mjtPertBit.mjPERT_TRANSLATE)),
@@ -292,7 +309,10 @@ def _mouse(perturb: Any) -> _Mouse:
 
 
 def _font_scale() -> int:
-    """Return the scale that the engine's viewer gives its letters on this screen [%]; it says so nowhere."""
+    """Return the engine's font scale on this screen [%].
+
+    The engine's viewer does not report it.
+    """
     monitor = glfw.get_primary_monitor()
     if not monitor:
         return 100
@@ -306,7 +326,7 @@ def _font_scale() -> int:
 
 
 def _scenery(scene: Scene) -> Scenery:
-    """Return a scene to look at, drawn as finely as a window needs."""
+    """Return a displayed scene, drawn finely for a window."""
     scenery = Scenery(scene)
     quality: Any = scenery.model.vis.quality
     quality.shadowsize, quality.offsamples = _SHADOWS, _SAMPLES
@@ -314,7 +334,7 @@ def _scenery(scene: Scene) -> Scenery:
 
 
 def _new_picture(folder: Path) -> Path:
-    """Return a name for a picture that no file has yet."""
+    """Return an unused file name for a picture."""
     count = 1
     while (path := folder / f"maglev-{count:03d}.png").exists():
         count += 1
