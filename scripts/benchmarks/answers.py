@@ -1,4 +1,7 @@
-"""What an answer of the theory costs: stiffest wall, boundary, a designed wall, and a setting that is checked."""
+"""Cost of the theory's answers.
+
+Stiffest wall, boundary, a designed wall, and a setting that is checked.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +40,10 @@ _APART = 1e-7
 
 
 def loops(count: int) -> list[LoopKeywords]:
-    """Return loops spread over rate, delay, hand, driver lag, velocity estimate and prediction; the hardest first."""
+    """Return loops spread over all parameters, hardest first.
+
+    Rate, delay, hand, driver lag, velocity estimate and prediction.
+    """
     product = itertools.product((0.0005, 0.005), DELAYS, HANDS, (0.0, 8e-5), ESTIMATES, (0.0, 0.5))
     found: list[LoopKeywords] = [
         {
@@ -62,7 +68,10 @@ def loops(count: int) -> list[LoopKeywords]:
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """Return seconds of each answer, over many loops the median and the worst, and the errors beside them."""
+    """Return seconds of each answer, and its errors.
+
+    Over many loops the median and the worst.
+    """
     chosen = loops(_FEW if quick else _COUNT)
     repeats = 1 if quick else _REPEATS
     stiffest, single, curve, wrong = [], [], [], 0
@@ -88,7 +97,10 @@ def measure(quick: bool) -> dict[str, Any]:
 
 
 def _settings(repeats: int) -> dict[str, Any]:
-    """Return seconds until a setting is refused or accepted, and until a margin is known, over the scenes."""
+    """Return seconds to check a setting, over the scenes.
+
+    To refuse it, to accept it, and to compute a margin.
+    """
     refused: list[float] = []
     accepted: list[float] = []
     margins = []
@@ -106,7 +118,10 @@ def _settings(repeats: int) -> dict[str, Any]:
 
 
 def _timed(answer: Callable[[], Any], repeats: int) -> tuple[float, Any]:
-    """Return the least time of some calls [s], and what the last returned."""
+    """Return the least time of several calls [s].
+
+    And the last result.
+    """
     least = float("inf")
     for _ in range(repeats):
         start = time.perf_counter()

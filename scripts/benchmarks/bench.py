@@ -1,4 +1,6 @@
-"""Run the benchmarks: every section in fresh processes, a revision before and this checkout in turn.
+"""Run the benchmarks: a revision and this checkout in turn.
+
+Every section runs in fresh processes.
 
     python scripts/benchmarks/bench.py [--before REV] [--only SECTION ...] [--repeats N] [--quick] [--out DIR]
     python scripts/benchmarks/bench.py --tables figures/bench.json        the tables of docs/explanation/speed.md
@@ -68,7 +70,7 @@ SECTIONS = {
     "speed_accuracy": Section("speed against accuracy", compared=False, repeats=1),
     "growth": Section("growth with devices, rate and workers", compared=False, repeats=1),
 }
-"""Sections by the name of their module, in the order in which they run."""
+"""Sections by module name, in the order of the run."""
 
 _CHILD = """import importlib, json, sys
 sys.path.insert(0, sys.argv[1])
@@ -84,7 +86,7 @@ class SectionFailedError(Exception):
 
 
 def run_section(name: str, package: Path, quick: bool) -> dict[str, Any]:
-    """Return what a section measures in a fresh process, with the package of a folder.
+    """Return a section's figures from a fresh process.
 
     Raises:
         SectionFailedError: If it fails, or finds another package; it has the last line of the error.
@@ -103,7 +105,7 @@ def run_section(name: str, package: Path, quick: bool) -> dict[str, Any]:
 
 
 def flat(figures: dict[str, Any], head: str = "") -> dict[str, float]:
-    """Return the numbers of nested figures, by names joined with ": "."""
+    """Return nested figures as one level, names joined by ": "."""
     found: dict[str, float] = {}
     for key, value in figures.items():
         name = f"{head}: {key}" if head else str(key)
@@ -115,12 +117,17 @@ def flat(figures: dict[str, Any], head: str = "") -> dict[str, float]:
 
 
 def spread(values: Sequence[float]) -> dict[str, Any]:
-    """Return median, least and greatest of several runs, and the runs."""
+    """Return median, least and greatest of several runs.
+
+    And the runs themselves.
+    """
     return {"median": statistics.median(values), "least": min(values), "greatest": max(values), "runs": list(values)}
 
 
 def summary(runs: dict[str, list[dict[str, Any]]]) -> dict[str, dict[str, Any]]:
-    """Return the spread of each number on each side, and of its ratio after over before pair by pair.
+    """Return spreads of both sides and of their ratio.
+
+    The ratio is after over before, pair by pair.
 
     Args:
         runs: Figures of the runs of each side, "before" and "after".
@@ -138,7 +145,9 @@ def summary(runs: dict[str, list[dict[str, Any]]]) -> dict[str, dict[str, Any]]:
 
 
 def measured(name: str, packages: dict[str, Path], repeats: int, quick: bool) -> dict[str, Any]:
-    """Return the figures of a section, its sides in turn; a side that fails is named, and left out.
+    """Return a section's figures, its sides in turn.
+
+    A side that fails is named, and left out.
 
     Args:
         name: Of the section.
@@ -171,14 +180,17 @@ def measured(name: str, packages: dict[str, Path], repeats: int, quick: bool) ->
 
 
 def _tell(what: str) -> None:
-    """Show progress on a terminal, on a line that the next replaces."""
+    """Show progress on a terminal, on one changing line."""
     if sys.stderr.isatty():
         print(f"\r{what:<79}", end="\r", file=sys.stderr, flush=True)
 
 
 @contextmanager
 def package_of(revision: str | None) -> Iterator[dict[str, Path]]:
-    """Unpack a revision in a folder of its own; yield the folder of each side, without "before" if it is not here."""
+    """Unpack a revision; yield the folder of each side.
+
+    "before" is left out if the revision is not in the repository.
+    """
     with tempfile.TemporaryDirectory() as folder:
         sides: dict[str, Path] = {}
         if revision is not None:
@@ -205,7 +217,7 @@ def add_options(parser: Parser) -> None:
 
 
 def main() -> int:
-    """Measure, print, write and draw; return 1 if a section failed."""
+    """Measure, print, write and draw; return 1 on failure."""
     options = script_options(__doc__, "little work, for a test", add_options)
     try:
         number("repeats", options.repeats, at_least=1)

@@ -1,4 +1,4 @@
-"""What the bridge costs: the host's share of a cycle, two processes in lockstep, and how late answers are.
+"""Cost of the bridge: cycles of the host, lockstep, latency.
 
     python scripts/benchmarks/bench_bridge.py [--quick] [--only host|lockstep|realtime]
 
@@ -58,7 +58,7 @@ clock = time.perf_counter_ns
 
 
 def hover() -> Controller:
-    """Return what carries the flotor at the centre, and nothing else."""
+    """Return a law that carries the flotor at the centre."""
     scene = Joystick()
     hold = Hold.critically_damped(inertia=INERTIA, period=scene.period, delay=scene.delay)
     return Controller([Bias(WEIGHT), hold], period=scene.period)
@@ -96,7 +96,7 @@ class Memory:
 
 
 class Switched:
-    """A link to a twin for the handshake, and then whichever is put in its place."""
+    """Link to a twin for the handshake, replaced afterwards."""
 
     def __init__(self, twin: Twin) -> None:
         self.wire: Link = VirtualLink(twin)
@@ -121,7 +121,7 @@ class Switched:
 
 
 def prepared(count: int, period: int) -> list[bytes]:
-    """Return STATE frames of smooth seeded motion that crosses the joystick's walls again and again."""
+    """Return STATE frames of seeded motion through the joystick's walls."""
     random = np.random.default_rng(1)
     phase, speed = random.uniform(0.0, 6.28, 6), random.uniform(0.02, 0.1, 6)
     size = np.array([Spec.translation_range.value] * 3 + [0.09] * 3)
@@ -135,7 +135,7 @@ def prepared(count: int, period: int) -> list[bytes]:
 
 
 def host(cycles: int, repeats: int) -> None:
-    """Print what a cycle costs the host, and which part of it costs what."""
+    """Print the cost of a host cycle and its parts."""
     print(f"host, six axes with walls and friction: from a STATE in to its CMD out, {repeats} times {cycles} cycles")
     for name in ("in memory", "over UDP"):
         answers, wholes = np.array([timed_cycles(cycles, name == "over UDP") for _ in range(repeats)]).swapaxes(0, 1)
@@ -152,7 +152,10 @@ def host(cycles: int, repeats: int) -> None:
 
 
 def timed_cycles(cycles: int, over_udp: bool) -> tuple[list[float], list[float]]:
-    """Return for each cycle how long until the answer had been sent, and until all was done [µs]."""
+    """Return two latencies of each cycle [µs].
+
+    Until the answer was sent, and until all was done.
+    """
     twin = Twin(TwinParameters(lockstep=True, limits=COOL), draw=lambda: SESSION)
     link = Switched(twin)
     plant, controller = RemotePlant(link, limits=WIDE), Joystick(friction=True).controller()
@@ -178,7 +181,10 @@ def timed_cycles(cycles: int, over_udp: bool) -> tuple[list[float], list[float]]
 
 
 def parts(cycles: int) -> dict[str, Callable[[], object]]:
-    """Return the parts of as many cycles, each to be done by itself on the same numbers."""
+    """Return the parts of as many cycles, as separate jobs.
+
+    On the same numbers.
+    """
     known, codec, controller = Calibration.nominal(), Codec(), Joystick(friction=True).controller()
     frames = prepared(cycles, 5_000_000)
     reports: list[Any] = [frame.body for data in frames if (frame := codec.decode(data))]
@@ -211,7 +217,7 @@ def parts(cycles: int) -> dict[str, Callable[[], object]]:
 
 
 class Polled(UdpLink):
-    """A link that looks again and again instead of sleeping, for as long as an answer usually takes."""
+    """Link that polls, for the usual time of an answer."""
 
     def receive(self, timeout: float) -> bytes | None:
         """Return the oldest frame."""
@@ -222,7 +228,7 @@ class Polled(UdpLink):
 
 
 class Answered(Twin):
-    """A twin that notes how long after each sample's instant the answer to it is there."""
+    """Twin that notes the arrival time of each answer."""
 
     def __init__(self, parameters: TwinParameters) -> None:
         super().__init__(parameters)
@@ -238,7 +244,10 @@ class Answered(Twin):
 
 
 def serve(pipe: Connection, parameters: dict[str, Any], spin: float, cpu: int | None, on_time: bool) -> None:
-    """Serve a twin until SIGTERM; say its port first, and what it came to last."""
+    """Serve a twin until SIGTERM.
+
+    Its first line tells the port, its last one the figures.
+    """
     pin(cpu)
     twin = Answered(TwinParameters(**parameters))
     with closing(TwinServer(twin, UdpServer(HOME, 0), spin=spin)) as server, engine_warnings_silenced():
@@ -248,7 +257,7 @@ def serve(pipe: Connection, parameters: dict[str, Any], spin: float, cpu: int | 
 
 
 class TwinProcess:
-    """A twin in a process of its own; its port, and what it came to once it is told to end."""
+    """Twin in a process of its own, its port and figures."""
 
     def __init__(self, parameters: dict[str, Any], spin: float = 0.0, cpu: int | None = None, on_time: bool = False):
         spawn = multiprocessing.get_context("spawn")
@@ -289,7 +298,7 @@ def lockstep(blocks: int) -> None:
 
 
 def in_real_time(seconds: float) -> None:
-    """Print how long after a sample's instant the answer to it is at the device."""
+    """Print the latency of answers at the device."""
     for rate in RATES:
         with closing(TwinProcess({"period": 1.0 / rate}, on_time=True)) as twin:
             link, scene = UdpLink(HOME, twin.port), Joystick()
@@ -307,7 +316,7 @@ def in_real_time(seconds: float) -> None:
 
 
 def histogram(latency: LatencyHistogram) -> str:
-    """Return those kept as bars, a line for each bin, within 80 columns."""
+    """Return bars, a line each bin, within 80 columns."""
     if not latency.count:
         return "latency: none yet"
     kept = latency.kept
@@ -321,7 +330,7 @@ def histogram(latency: LatencyHistogram) -> str:
 
 
 def span(duration: float) -> str:
-    """Return a duration [s] for a person."""
+    """Return a duration [s] in readable units."""
     for unit, size in (("s", 1.0), ("ms", 1e-3)):
         if duration >= 0.9995 * size:  # which is written as 1
             return f"{duration / size:.3g} {unit}"
@@ -339,7 +348,7 @@ def label(index: int) -> str:
 
 
 def bar(share: float) -> str:
-    """Return a bar; nothing is none, and little is still seen."""
+    """Return a bar; small values stay visible."""
     eighths = max(round(share * BAR * 8), 1) if share > 0.0 else 0
     return "█" * (eighths // 8) + EIGHTHS[eighths % 8].strip()
 
@@ -380,7 +389,7 @@ def no_garbage() -> Iterator[None]:
 
 
 def main() -> None:
-    """Print what was asked for."""
+    """Print the sections asked for."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="a tenth of everything")
     parser.add_argument("--only", choices=PARTS, help="one part alone")

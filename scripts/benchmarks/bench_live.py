@@ -1,4 +1,4 @@
-"""What a live server costs a flight, and how soon parameters are in force.
+"""Cost of a live server to a flight, and its latency.
 
     python scripts/benchmarks/bench_live.py [--seconds X] [--flights N] [--rate HZ ...] [--busy] [--only cost|ticks]
 
@@ -80,7 +80,7 @@ class Noted:
 
 
 def flooding(line: Connection, port: int, wishes: Sequence[Any]) -> None:
-    """Ask for parameters in turn, without waiting for answers, until the line ends."""
+    """Ask for parameters without waiting until the line ends."""
     with LiveClient(f"ws://127.0.0.1:{port}", set()) as client:
         for number in itertools.count():
             told = [{"name": name, "value": value} for name, value in wishes[number % len(wishes)].items()]
@@ -91,7 +91,7 @@ def flooding(line: Connection, port: int, wishes: Sequence[Any]) -> None:
 
 
 def hearing(line: Connection, port: int) -> None:
-    """Hear of every topic until the line ends; send how many poses of /tf and samples came, first."""
+    """Subscribe to every topic; send counts of poses and samples."""
     with LiveClient(f"ws://127.0.0.1:{port}") as client:
         line.send(None)
         counts: Counter[str] = Counter()
@@ -101,7 +101,7 @@ def hearing(line: Connection, port: int) -> None:
 
 
 def asking(line: Connection, port: int) -> None:
-    """Ask at any time for parameters that are refused every other time.
+    """Ask for parameters, every second request to be refused.
 
     Send when each was asked and answered, and from which sample on it is in force.
     """
@@ -188,7 +188,10 @@ def cost(rates: Sequence[int], seconds: float, flights: int) -> None:
 
 @contextmanager
 def asked(live: LiveServer) -> Iterator[list[Any]]:
-    """Let a client ask; yield a list whose first, put there, is called when it has, and which has then what came."""
+    """Let a client ask; yield a list of its results.
+
+    Its first item is called once the client has asked.
+    """
     came: list[Any] = []
     host = SideProcess(asking, live.port)
 
@@ -207,7 +210,7 @@ def asked(live: LiveServer) -> Iterator[list[Any]]:
 
 
 def counted(what: str, noted: Noted, came: Sequence[tuple[float, float, int | None]]) -> None:
-    """Print samples and time from asking to being in force, and time to being refused."""
+    """Print samples and latencies until in force and until refused."""
     instants, answered = [instant for _, instant in noted.rows], dict(noted.rows)
     samples, spans, refused = [], [], []
     for sent, told, tick in came:

@@ -1,4 +1,7 @@
-"""Figures of bench.py as text: a table of 80 columns for a terminal, Markdown for the documentation."""
+"""Tables of bench.py's figures for terminal and documentation.
+
+80 columns of text, or Markdown.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,7 @@ _NAME = 28
 
 
 def machine() -> dict[str, Any]:
-    """Return what the figures were measured on."""
+    """Return the machine of the measurements."""
     return {"processor": platform.machine(), "processors": os.cpu_count(), "system": platform.system()}
 
 
@@ -27,7 +30,7 @@ def heading(found: Mapping[str, Any]) -> str:
 
 
 def grouped(figures: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """Return figures by the first part of their names, and by the rest."""
+    """Return figures by first and further parts of their names."""
     groups: dict[str, dict[str, Any]] = {}
     for name, figure in figures.items():
         head, _, rest = name.partition(": ")
@@ -36,7 +39,7 @@ def grouped(figures: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
 
 
 def short(value: float) -> str:
-    """Return a number to three digits, to two where it has an exponent."""
+    """Return a number to three digits, two with an exponent."""
     if value == 0.0 or 1e-3 <= abs(value) < 100.0:
         return f"{value:.3g}"
     return f"{value:.0f}" if 100.0 <= abs(value) < 1e6 else f"{value:.1e}".replace("e-0", "e-").replace("e+0", "e")
@@ -48,13 +51,16 @@ def median(spread: Mapping[str, float] | None) -> str:
 
 
 def ends(spread: Mapping[str, float] | None, between: str = " to ") -> str:
-    """Return least and greatest of a spread; empty for none, or where both are one."""
+    """Return least and greatest of a spread.
+
+    Empty for none, or if both are equal.
+    """
     low, high = ("", "") if spread is None else (short(spread["least"]), short(spread["greatest"]))
     return "" if low == high else f"{low}{between}{high}"
 
 
 def terminal(name: str, section: Mapping[str, Any]) -> str:
-    """Return a section as a table: each number before and after with its range, and their ratio with its own."""
+    """Return a section as a table with ranges and ratios."""
     lines = ["", f"{name}: {section['title']}, {section['seconds']:.0f} s"]
     lines += [f"  {side}: {said}" for side, said in section["failed"].items()]
     compared = any("before" in figure for figure in section["figures"].values())
@@ -83,7 +89,7 @@ def times(sections: Mapping[str, Any]) -> str:
 
 
 def markdown(found: Mapping[str, Any]) -> str:
-    """Return the tables of the documentation: one a section, in the order of the run."""
+    """Return the documentation's tables, one a section."""
     parts = [heading(found).replace("\n", "; ") + "."]
     for name, section in found["sections"].items():
         if name == "options":
@@ -97,7 +103,7 @@ def markdown(found: Mapping[str, Any]) -> str:
 
 
 def compared_table(figures: Mapping[str, Any]) -> list[str]:
-    """Return a row for each number: before, after and their ratio, with their ranges."""
+    """Return rows of before, after and ratio, with ranges."""
     lines = ["| | before | after | range | after / before | range |", "|---" * 6 + "|"]
     for head, some in grouped(figures).items():
         lines += [f"| *{head}* | | | | | |"] * bool(head)
@@ -109,7 +115,10 @@ def compared_table(figures: Mapping[str, Any]) -> list[str]:
 
 
 def options_table(figures: Mapping[str, Any]) -> list[str]:
-    """Return a row for each option, a column for each plant: cost over the plain loop, before and after."""
+    """Return a row each option, a column each plant.
+
+    Cost over the plain loop, before and after.
+    """
     found: dict[str, dict[str, str]] = {}
     for name, figure in figures.items():
         plant, _, rest = name.partition(": over plain: ")
@@ -124,7 +133,10 @@ def options_table(figures: Mapping[str, Any]) -> list[str]:
 
 
 def side_by_side(figures: Mapping[str, Any]) -> list[str]:
-    """Return a row for each name, a column for each group of numbers; one column where groups share no name."""
+    """Return a row each name, a column each group.
+
+    One column if groups share no name.
+    """
     groups = grouped(figures)
     names = dict.fromkeys(label for some in groups.values() for label in some)
     if len(names) == len(figures):
@@ -140,7 +152,10 @@ def side_by_side(figures: Mapping[str, Any]) -> list[str]:
 
 
 def _spread(figure: Mapping[str, Any] | None) -> str:
-    """Return median and range of the runs after; the median alone where they agree or there is one run."""
+    """Return median and range of the runs after.
+
+    The median alone if they agree or there is one run.
+    """
     spread = None if figure is None else figure.get("after")
     if spread is None:
         return ""

@@ -1,4 +1,6 @@
-"""Frames a second of the window with shadows and without, in turns; under Xvfb the processor draws.
+"""Frame rate of the window with and without shadows.
+
+In turns; under Xvfb the processor draws.
 
 xvfb-run -a python scripts/benchmarks/bench_window.py [--seconds X] [--turns N]
 """

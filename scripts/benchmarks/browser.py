@@ -17,7 +17,7 @@ __all__ = ["FLAGS", "MISSING", "chromium", "on_screen"]
 _CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 
 MISSING = [name for name in ("viser", "playwright") if find_spec(name) is None] + ["chromium"] * (_CHROMIUM is None)
-"""What must be installed for a browser, and is not."""
+"""Missing programs that a browser test needs."""
 
 FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 """Of a Chromium that draws by software alone."""
@@ -37,7 +37,7 @@ def chromium() -> Iterator[Any]:
 
 
 def on_screen(page: Any, point: Any, view: tuple[Any, Any], field: float) -> tuple[float, float]:
-    """Return where a browser draws a point [px].
+    """Return a point's position in the browser [px].
 
     Args:
         page: Playwright's.

@@ -1,4 +1,4 @@
-"""Cost against what grows: devices at once, the sample rate, cells of a sweep and the workers that share them.
+"""Cost over devices, sample rate, cells and workers.
 
 `measure` is a section of bench.py. An estimate for many workers is worked out from what one and two show; its
 assumptions stand in `ASSUMED`.
@@ -38,7 +38,7 @@ ASSUMED = (
     "starting a hundred workers takes as long as starting two: they are started at once, each on its machine",
     "results are figures of some hundred bytes a cell, so that the network adds nothing",
 )
-"""What the estimate for many workers takes for granted."""
+"""Assumptions of the estimate for many workers."""
 
 _POSE = [0.5e-3, -0.3e-3, Spec.translation_range.value, 0.0, 0.0, 0.0]
 _TICKS = 60  # of a run: the flotor falls, hits the wall and rests in it
@@ -46,7 +46,7 @@ _SPENT = 1.5  # on the repeats of a run [s]
 
 
 def plants() -> dict[str, tuple[Callable[..., SampledPlant], Callable[..., SampledPlant], int]]:
-    """Return plants for one device and for many, each with the most devices that are measured."""
+    """Return single and batch plants with their largest batch."""
     single, batch = partial(MuJoCoPlant, coils=False), partial(MuJoCoBatchPlant, coils=False)
     euler = {"integrator": "corrected"}
     return {
@@ -57,7 +57,10 @@ def plants() -> dict[str, tuple[Callable[..., SampledPlant], Callable[..., Sampl
 
 
 def tick_cost(make: Callable[..., SampledPlant], devices: int) -> float:
-    """Return the cost of a tick of the drop's closed loop, for each device [s]: the least of some runs."""
+    """Return the least cost of a tick and device [s].
+
+    A tick of the drop's closed loop.
+    """
     pose = np.tile(_POSE, (devices, 1)) if devices > 1 else _POSE
 
     def run() -> float:
@@ -70,7 +73,10 @@ def tick_cost(make: Callable[..., SampledPlant], devices: int) -> float:
 
 
 def against_devices(quick: bool) -> dict[str, dict[int, float]]:
-    """Return the cost of a tick and device [µs] by plant and number of devices."""
+    """Return the cost of a tick and device [µs].
+
+    By plant and number of devices.
+    """
     counts = [1, 10, 100, 1000, 5000, 10_000, 20_000, 50_000, 100_000, 1_000_000]
     counts = counts[:3] if quick else counts
     return {
@@ -80,7 +86,10 @@ def against_devices(quick: bool) -> dict[str, dict[int, float]]:
 
 
 def slow_from(costs: Mapping[int, float], factor: float = 1.25) -> int | None:
-    """Return the first number of devices, beyond the cheapest, that costs `factor` times as much; None for none."""
+    """Return the batch size that first costs `factor` times more.
+
+    Beyond the cheapest; None for none.
+    """
     cheapest = min(costs, key=lambda count: costs[count])
     return next(
         (count for count in sorted(costs) if count > cheapest and costs[count] > factor * costs[cheapest]), None
@@ -88,7 +97,10 @@ def slow_from(costs: Mapping[int, float], factor: float = 1.25) -> int | None:
 
 
 def against_rate(quick: bool) -> dict[str, dict[int, float]]:
-    """Return simulated seconds a second, by plant and samples a second; the delay is three tenths of the period."""
+    """Return simulated seconds a second by plant and rate.
+
+    The delay is three tenths of the period.
+    """
     makers: dict[str, Callable[..., SampledPlant]] = {
         "exact plant": ExactPlant,
         "corrected, MuJoCo": partial(MuJoCoPlant, integrator="corrected", coils=False),
@@ -104,7 +116,7 @@ def against_rate(quick: bool) -> dict[str, dict[int, float]]:
 
 
 def _rate_run(make: Callable[..., SampledPlant], period: float, ticks: int) -> float:
-    """Return how long a flotor held at the centre takes [s]."""
+    """Return the time to hold a flotor at the centre [s]."""
     delay = 0.3 * period
     laws = (
         Wall(axes="z", lower=-1e-3, stiffness=6000, damping=20),
@@ -115,13 +127,16 @@ def _rate_run(make: Callable[..., SampledPlant], period: float, ticks: int) -> f
 
 
 def sweep_time(workers: Workers, cells: int) -> float:
-    """Return how long a sweep of the drop in the engine takes [s], the workers' start with it."""
+    """Return the time of a sweep of drops [s].
+
+    In the engine, the workers' start included.
+    """
     vary = {"stiffness": np.linspace(1000.0, 6000.0, cells // 4).tolist(), "damping": [60.0, 70.0, 80.0, 90.0]}
     return timed(lambda: sweep(find_scene("drop"), vary, plant="mujoco", workers=workers))
 
 
 def jobs_a_second(workers: Workers, count: int) -> float:
-    """Return how many empty jobs are handed out a second, by workers that have started."""
+    """Return empty jobs a second of started workers."""
     with workers.make() as executor:
         wait([executor.submit(time.sleep, 0.0) for _ in range(8)])
         taken = timed(lambda: wait([executor.submit(time.sleep, 0.0) for _ in range(count)]))
@@ -130,7 +145,7 @@ def jobs_a_second(workers: Workers, count: int) -> float:
 
 @contextmanager
 def cluster(count: int) -> Iterator[Workers]:
-    """Start a Dask cluster of this machine, of processes with a thread each; yield its workers."""
+    """Start a local Dask cluster of processes; yield its workers."""
     from distributed import LocalCluster
 
     with LocalCluster(n_workers=count, threads_per_worker=1, dashboard_address=None) as scheduler:
@@ -138,14 +153,17 @@ def cluster(count: int) -> Iterator[Workers]:
 
 
 def against_cells(workers: Workers, few: int, many: int) -> dict[str, float]:
-    """Return start [s] and rate [cells/s] of workers, from sweeps of few and of many cells."""
+    """Return start [s] and rate [cells/s] of workers.
+
+    From sweeps of few and of many cells.
+    """
     short, long = min(sweep_time(workers, few) for _ in range(2)), sweep_time(workers, many)
     rate = (many - few) / max(long - short, 1e-9)
     return {"cells a second": rate, "start (s)": max(short - few / rate, 0.0)}
 
 
 def against_workers(quick: bool) -> dict[str, Any]:
-    """Return start, rate and jobs a second of each kind of worker."""
+    """Return start, rate and jobs a second by worker kind."""
     few, many, jobs = (4, 24, 20) if quick else (40, 440, 1000)
     kinds = {"this process": inline(), "1 worker": local_workers(1), "2 workers": local_workers(2)}
     found: dict[str, Any] = {name: against_cells(workers, few, many) for name, workers in kinds.items()}
@@ -164,7 +182,9 @@ def against_workers(quick: bool) -> dict[str, Any]:
 
 
 def estimate(found: Mapping[str, Any], workers: int = MANY, cells: int = CELLS) -> dict[str, Any]:
-    """Return what a cluster of many workers should do, from what one and two do here; see `ASSUMED`.
+    """Return the extrapolated rate of a cluster of many workers.
+
+    From one and two workers here; see `ASSUMED`.
 
     Args:
         found: See `against_workers`.
@@ -192,7 +212,7 @@ def estimate(found: Mapping[str, Any], workers: int = MANY, cells: int = CELLS) 
 
 
 def caches() -> dict[str, str]:
-    """Return the sizes of the first processor's caches, as Linux tells them."""
+    """Return the first processor's cache sizes, from Linux."""
     folders = sorted(Path("/sys/devices/system/cpu/cpu0/cache").glob("index*"))
     return {
         f"L{(folder / 'level').read_text().strip()} {(folder / 'type').read_text().strip()}": (folder / "size")
@@ -203,7 +223,7 @@ def caches() -> dict[str, str]:
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """Return costs against devices, rate and workers, and the estimate for many workers.
+    """Return costs over devices, rate and workers, and the estimate.
 
     Args:
         quick: Little of each, without a cluster.
@@ -221,7 +241,7 @@ def measure(quick: bool) -> dict[str, Any]:
 
 
 def _curves(table: Mapping[str, Mapping[Any, float]]) -> list[tuple[str, list[float], list[float]]]:
-    """Return curves of a table, whose keys have become text where it was read from JSON."""
+    """Return curves of a table with text keys from JSON."""
     return [(name, [float(key) for key in values], list(values.values())) for name, values in table.items()]
 
 

@@ -1,4 +1,4 @@
-"""Cost of the closed loop, of bare steps of the engine, and of a loop written by hand.
+"""Cost of the closed loop, bare steps, a hand-written loop.
 
 `measure` is a section of bench.py; its times are medians of repeats in turn, its ratios medians of theirs pair by pair.
 """
@@ -32,7 +32,7 @@ BY_HAND = {variant.name: variant.build(TASK) for variant in mujoco_peer.variants
 
 
 def drop_controller() -> Controller:
-    """Return the drop's controller: a wall with a pulse along z, a hold on the five other axes."""
+    """Return the drop's controller: wall with pulse, hold."""
     wall = Wall(axes="z", lower=0.0, stiffness=6000, damping=80, pulse=220, pulse_width=0.003)
     others = [axis for axis in AXES if axis != "z"]
     hold = Hold.critically_damped(others, inertia=np.delete(INERTIA, 2), period=TIMING.period, delay=TIMING.delay)
@@ -40,7 +40,7 @@ def drop_controller() -> Controller:
 
 
 def full_controller() -> Controller:
-    """Return a wall on both sides, a pulse and a hold on each of the six axes."""
+    """Return walls, pulses and holds on all six axes."""
     stiffness, damping = [6000.0] * 3 + [8.0] * 3, [80.0] * 3 + [0.1] * 3
     pulse = [220.0] * 3 + [0.2] * 3
     wall = Wall(lower=-1e-3, upper=1e-3, stiffness=stiffness, damping=damping, pulse=pulse, pulse_width=0.003)
@@ -49,7 +49,7 @@ def full_controller() -> Controller:
 
 
 def samples(batch: tuple[int, ...], count: int) -> list[Sample]:
-    """Return smooth seeded motion that crosses the walls of `full_controller` again and again."""
+    """Return seeded motion that crosses all walls repeatedly."""
     random = np.random.default_rng(1)
     phase, speed = random.uniform(0, 6.28, (*batch, 6)), random.uniform(0.05, 0.3, (*batch, 6))
     poses = [1.3e-3 * np.sin(phase + speed * tick) for tick in range(count)]
@@ -64,14 +64,17 @@ def timed(work: Callable[[], object]) -> float:
 
 
 def mujoco_loop(tilt: float = 0.0, **options: Any) -> float:
-    """Return the time of one tick of the closed loop on MuJoCo [s], for a flotor released at a tilt [rad]."""
+    """Return the time of a closed-loop tick on MuJoCo [s].
+
+    For a flotor released at a tilt [rad].
+    """
     plant = MuJoCoPlant(TIMING, pose=[*START[:3], tilt, tilt, tilt], **options)
     controller = drop_controller()
     return timed(lambda: drive(plant, controller, TICKS)) / TICKS
 
 
 def bare_steps(**options: Any) -> float:
-    """Return the time of as many mj_step calls as one tick of the closed loop makes [s]."""
+    """Return the time of a tick's mj_step calls [s]."""
     model = MuJoCoPlant(TIMING, **options).device.model
     data = mujoco.MjData(model)
     model.opt.timestep = 0.5 * TIMING.period
@@ -85,12 +88,15 @@ def bare_steps(**options: Any) -> float:
 
 
 def by_hand(name: str) -> float:
-    """Return the time of one tick of a loop on bare MuJoCo as a careful user writes it, without any check [s]."""
+    """Return the tick time of a hand-written MuJoCo loop [s].
+
+    As a careful user writes it, without any check.
+    """
     return timed(BY_HAND[name]) / TASK.ticks
 
 
 def exact_loop(batch: tuple[int, ...] = ()) -> float:
-    """Return the time of one tick of the closed loop on the exact plant, for each device [s]."""
+    """Return the tick time on the exact plant, a device [s]."""
     pose = np.broadcast_to(START, (*batch, 6))
     plant = ExactPlant(TIMING, pose=pose)
     controller = drop_controller()
@@ -98,7 +104,7 @@ def exact_loop(batch: tuple[int, ...] = ()) -> float:
 
 
 def controller_tick(batch: tuple[int, ...], count: int) -> float:
-    """Return the time of one controller tick on all six axes, for each device [s]."""
+    """Return the time of a controller tick, a device [s]."""
     controller, seen = full_controller(), samples(batch, count)
     return timed(lambda: [controller.step(sample) for sample in seen]) / count / math.prod(batch)
 
@@ -129,7 +135,7 @@ RATIOS = (
 
 
 def ended_apart(**options: Any) -> float:
-    """Return how far a closed loop in the engine ends from the exact plant after the drop [m, rad]."""
+    """Return the final distance from the exact plant [m, rad]."""
     ends = []
     for plant in (MuJoCoPlant(TIMING, pose=START, **options), ExactPlant(TIMING, pose=START)):
         drive(plant, drop_controller(), TICKS)
@@ -138,7 +144,7 @@ def ended_apart(**options: Any) -> float:
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """Return times [µs], ratios of the closed loop over others, and errors [m].
+    """Return times [µs], ratios over others, and errors [m].
 
     Args:
         quick: Few repeats, for a test.

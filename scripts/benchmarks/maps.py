@@ -1,4 +1,4 @@
-"""What a map of stability costs that is simulated in the engine.
+"""Cost of stability maps simulated in the engine.
 
 The whole one takes too long for here: `maglev-mj stability --plant mujoco --grid 60`.
 """
@@ -19,7 +19,10 @@ _GRID, _QUICK, _HELD = 24, 6, 4
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """Return seconds of maps in MuJoCo and on the exact plant, and how many verdicts differ from theory."""
+    """Return seconds of maps, and verdicts that differ from theory.
+
+    In MuJoCo and on the exact plant.
+    """
     grid = _QUICK if quick else _GRID
     found = {"mujoco": _map("mujoco", grid), "exact": _map("exact", grid)}
     if not quick:

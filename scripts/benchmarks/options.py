@@ -1,4 +1,4 @@
-"""Cost of each option of a plant over the plain loop, for one device and for many, and what it changes.
+"""Cost and effect of each plant option over the plain loop.
 
 `measure` is a section of bench.py; its times are medians of repeats in turn, its ratios medians of theirs pair by pair.
 """
@@ -47,7 +47,7 @@ _LONG, _SHORT = 400, 60
 
 
 class Loop(NamedTuple):
-    """A plant, its options, how many devices, and how much of it is run.
+    """A plant with options, its number of devices and ticks.
 
     Attributes:
         make: Makes the plant.
@@ -70,7 +70,7 @@ class Loop(NamedTuple):
 
 
 def many(count: int, spread: float) -> Array:
-    """Return poses at release that differ by up to so much on each axis [m, rad], (count, 6)."""
+    """Return poses at release within a range [m, rad], (count, 6)."""
     return START + np.random.default_rng(1).uniform(-spread, spread, (count, 6))
 
 
@@ -90,7 +90,10 @@ LOOPS = {
 
 
 def run(loop: Loop, name: str, ticks: int) -> tuple[float, SampledPlant]:
-    """Return how long a drop takes [s] with an option, and its plant."""
+    """Return the time of a drop with an option [s].
+
+    And its plant.
+    """
     plant, controller = loop.make(**{"timing": Timing(), "pose": loop.pose, **loop.options[name]}), Drop().controller()
     start = perf_counter()
     drive(plant, controller, ticks)
@@ -100,7 +103,7 @@ def run(loop: Loop, name: str, ticks: int) -> tuple[float, SampledPlant]:
 
 
 def figures(loop: Loop, quick: bool) -> dict[str, Any]:
-    """Return times, ratios and the end of a motion for all options of one plant."""
+    """Return times, ratios and final positions of a plant's options."""
     taken: dict[str, list[float]] = {name: [] for name in loop.options}
     ends: dict[str, Array] = {}
     ticks = min(_SHORT, loop.ticks) if quick else loop.ticks
@@ -124,7 +127,9 @@ def figures(loop: Loop, quick: bool) -> dict[str, Any]:
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """Return times [µs], ratios to the plain loop, and heights and changes [m] at the end, by plant and option.
+    """Return times, ratios and changes by plant and option.
+
+    Times [µs], ratios to the plain loop, heights and changes [m] at the end.
 
     Args:
         quick: One short run of each, of at most 1000 devices, for a test.

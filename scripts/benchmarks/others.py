@@ -1,4 +1,6 @@
-"""The drop with this package and with what a user would take instead: the best way of each within a nanometre.
+"""The drop with this package and with other simulators.
+
+The best variant of each within a nanometre.
 
 `measure` is a section of bench.py. Every way runs in turn, so that costs are compared pair by pair.
 """
@@ -25,7 +27,7 @@ OURS: dict[str, Callable[..., Any]] = {
     "this package, RK4": partial(MuJoCoPlant, coils=False),
     "this package, exact plant": ExactPlant,
 }
-"""Plants by what a table calls them; costs are compared with the first."""
+"""This package's plants by table name; the first is the reference."""
 
 THEIRS = {
     "MuJoCo by hand, half-kick": ("mujoco", "split, Euler, half-kick, slides and ball"),
@@ -40,13 +42,16 @@ THEIRS = {
     "python-control, response": ("control", "nlsys a segment, RK23, one step"),
     "bdsim": ("bdsim", "block diagram, RK23, coarse"),
 }
-"""Peer and variant by what a table calls them."""
+"""Peer and variant by table name."""
 
 _TURNS, _DEAR_TURNS, _RUNS, _DEAR = 15, 3, 4, 0.01
 
 
 def our_run(make: Callable[..., Any], task: Task) -> Callable[[], list[Any]]:
-    """Return the closed loop of a new plant, ready to run once: it returns the poses, as a peer does."""
+    """Return a closed loop on a new plant, run once.
+
+    It returns the poses, as a peer does.
+    """
     plant = make(Timing(period=task.period, delay=task.delay), pose=task.pose)
     gains: dict[str, Any] = {name: getattr(task, name) for name in ("stiffness", "damping", "pulse", "pulse_width")}
     controller = wall_controller(**gains, period=task.period, delay=task.delay, mass=task.mass)
@@ -60,7 +65,7 @@ def our_run(make: Callable[..., Any], task: Task) -> Callable[[], list[Any]]:
 
 
 def prepared(task: Task) -> tuple[dict[str, Callable[[], Callable[[], Any]]], list[str]]:
-    """Return what makes each run ready, by what a table calls it, and a line for each peer that is not installed."""
+    """Return the runs by name, and missing peers."""
     ways: dict[str, Callable[[], Callable[[], Any]]] = {
         name: partial(our_run, make, task) for name, make in OURS.items()
     }
@@ -80,7 +85,9 @@ def _itself(simulate: Callable[[], Any]) -> Callable[[], Any]:
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """Return costs [µs a simulated ms], those over the first of OURS, and errors [m].
+    """Return costs, ratios to the first of OURS, errors [m].
+
+    Costs in µs a simulated ms.
 
     Args:
         quick: Few turns, for a test.

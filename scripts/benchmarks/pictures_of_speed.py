@@ -1,4 +1,4 @@
-"""Pictures of what bench.py measured, from its figures alone."""
+"""Charts of bench.py's figures."""
 
 from __future__ import annotations
 

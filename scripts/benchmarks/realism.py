@@ -1,4 +1,4 @@
-"""What each piece of realism costs and changes in the drop: no more than a scene needs, in one picture.
+"""Cost and effect of each piece of realism in the drop.
 
 Each piece is added alone to the plain loop of its plant. `measure` is a section of bench.py.
 """
@@ -33,7 +33,10 @@ _NOTHING = 1e-3  # a smaller change is drawn here [µm]
 
 
 class Piece(NamedTuple):
-    """A piece of realism: the plant that it is added to, its options there, and jitter of the conversions [s]."""
+    """A piece of realism.
+
+    The plant that it is added to, its options there, and jitter of the conversions [s].
+    """
 
     plant: str
     options: Mapping[str, Any]
@@ -57,13 +60,13 @@ PIECES = {
     "drivers of 2 kHz in the engine": Piece(ENGINE, {"driver_lag": True, "coils": True}),
     "a handle that swings": Piece(ENGINE, {"flexible": True, "coils": True}),
 }
-"""Pieces by what a chart calls them."""
+"""Pieces by their name in a chart."""
 
 _MAKERS: dict[str, Callable[..., SampledPlant]] = {EXACT: ExactPlant, ENGINE: partial(MuJoCoPlant, coils=False)}
 
 
 def parts(piece: Piece) -> tuple[SampledPlant, Controller, int]:
-    """Return plant, controller and number of samples of a drop with a piece."""
+    """Return plant, controller and tick count of a drop."""
     scene = Drop()
     timing = replace(scene.timing(), jitter=piece.jitter)
     options = dict(piece.options)
@@ -73,13 +76,18 @@ def parts(piece: Piece) -> tuple[SampledPlant, Controller, int]:
 
 
 def cost(piece: Piece, runs: int) -> float:
-    """Return how long a drop takes [s]: the least of some runs, of one where it is dear."""
+    """Return the least time of several drops [s].
+
+    Of one if it takes long.
+    """
     first = timed(partial(drive, *parts(piece)))
     return first if first > _DEAR else min(first, *(timed(partial(drive, *parts(piece))) for _ in range(runs - 1)))
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """Return of each piece the cost over that of the plain loop, the cost [µs a simulated ms] and the change [µm].
+    """Return ratio, cost and change of each piece.
+
+    Over the plain loop; [µs a simulated ms]; [µm].
 
     Args:
         quick: One turn of two runs, for a test.
@@ -101,7 +109,10 @@ def measure(quick: bool) -> dict[str, Any]:
 
 
 def draw(pictures: PictureFolder, found: Mapping[str, Any]) -> list[Path]:
-    """Draw cost beside change, a row for each piece, the cheapest on top; return the file."""
+    """Draw cost beside change, the cheapest on top.
+
+    Return the file.
+    """
     costs, changes = found["cost over plain"], found["change (µm)"]
     names = sorted(costs, key=lambda name: -costs[name])
     figure, axes = new_figure(1, 2, 0.24 * len(names) + 1.0, sharey=True)

@@ -1,4 +1,4 @@
-"""What recording costs the tick and its writer, and how long an hour takes to read.
+"""Cost of recording a tick, writing it and reading an hour.
 
     python scripts/benchmarks/recorder.py [--quick] [--hour FILE]
     python scripts/benchmarks/recorder.py --rate 20000 --seconds 30
@@ -45,7 +45,10 @@ TOGETHER = 1 << 10
 
 
 class Nothing:
-    """A plant that costs nothing: the flotor is pressed against the wall, and hits it once in 100 samples."""
+    """Plant without cost, pressed against the wall.
+
+    It hits the wall once in 100 samples.
+    """
 
     period = PERIOD
 
@@ -71,7 +74,10 @@ class Nothing:
 
 
 def tick_times(makers: Sequence[Callable[[Nothing], Record] | None], turns: int) -> list[list[float]]:
-    """Return the time of a tick [s] in each turn, recorded in each way; short turns, for a machine is not alone."""
+    """Return tick times [s] by way of recording.
+
+    In short turns, since a machine is not alone.
+    """
     loops = []
     for make in makers:
         plant, controller = Nothing(), Joystick().controller()
@@ -88,7 +94,10 @@ def tick_times(makers: Sequence[Callable[[Nothing], Record] | None], turns: int)
 
 
 def tick_costs(turns: int, runs: int) -> dict[str, float]:
-    """Return the time of a tick, and what each way to record adds [s]: medians of runs, each of its turns."""
+    """Return a tick's time and each recording's cost [s].
+
+    Medians of runs, each of its turns.
+    """
     found: dict[str, list[float]] = {"bare": [], "mcap": [], "npz": [], "tee": []}
     for _ in range(runs):
         ring = Ring()
@@ -104,13 +113,13 @@ def tick_costs(turns: int, runs: int) -> dict[str, float]:
 
 
 class _Opened:
-    """A ring as a file of a tee, without a writer."""
+    """A ring as a file of a tee, without writer."""
 
     def __init__(self, ring: Ring) -> None:
         self._ring = ring
 
     def begin(self, plant: Nothing, controller: Any, setup: Any = None) -> Record:
-        """Return what the loop records it to."""
+        """Return the loop's record function."""
         return self._ring.record(plant)
 
 
@@ -120,7 +129,10 @@ def _begun(file: RecordingFile, plant: Nothing) -> Record:
 
 
 def writer_costs(count: int, runs: int) -> dict[str, dict[str, float]]:
-    """Return what a sample costs the writer, by rate: time of the processor [s], and bytes."""
+    """Return the writer's cost a sample, by rate.
+
+    Time of the processor [s], and bytes.
+    """
     plant, controller = Nothing(), Joystick().controller()
     rows: list[list[float]] = []
 
@@ -145,7 +157,7 @@ def writer_costs(count: int, runs: int) -> dict[str, dict[str, float]]:
 
 
 def kept_up(rate: float, seconds: float) -> dict[str, float]:
-    """Record to a file at a rate in real time [1/s], as a session does.
+    """Record to a file in real time at a rate [1/s].
 
     Returns:
         Samples recorded and lost, and the time that the writer takes for the rest at the end [s].
@@ -171,7 +183,10 @@ def kept_up(rate: float, seconds: float) -> dict[str, float]:
 
 
 def throughput(samples: int) -> float:
-    """Return how many samples a second a writer takes that has begun, to the last one in the file."""
+    """Return samples a second of a running writer.
+
+    To the last one in the file.
+    """
     plant, controller = Nothing(), Joystick().controller()
     with TemporaryDirectory() as folder:
         path = Path(folder) / "run.mcap"
@@ -215,7 +230,10 @@ class _Totals:
 
 
 def make_file(path: Path, samples: int) -> None:
-    """Write a file of so many samples at 1 kHz, by the writer, from noise in place of a plant."""
+    """Write a file of many samples at 1 kHz.
+
+    By the writer, from noise in place of a plant.
+    """
     random, rows = np.random.default_rng(1), np.zeros(NOISY, ROW)
     for name, size in (("position", 1e-3), ("command", 10.0), ("hand", 3.0)):
         rows[name] = random.normal(size=(NOISY, 6)) * size
@@ -247,13 +265,19 @@ print(json.dumps([*found, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1
 
 
 def read_cost(path: Path, fields: str = "") -> dict[str, float]:
-    """Return time, time of the processor [s] and memory [bytes] that a file takes to read, in a process of its own."""
+    """Return time, processor time [s] and memory [bytes] of reading.
+
+    In a process of its own.
+    """
     done = subprocess.run([sys.executable, "-c", READ, str(path), *fields.split()], check=True, capture_output=True)
     return dict(zip(("samples", "seconds", "processor", "memory"), json.loads(done.stdout), strict=True))
 
 
 def read_hour(minutes: float, runs: int) -> dict[str, float]:
-    """Return the time to read an hour at 1 kHz [s], extrapolated from so many minutes."""
+    """Return the extrapolated time to read an hour [s].
+
+    At 1 kHz, from a few minutes.
+    """
     with TemporaryDirectory() as folder:
         path = Path(folder) / "minutes.mcap"
         make_file(path, round(minutes * 60_000))
@@ -285,7 +309,7 @@ def measure(quick: bool) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Print what a recorded tick costs, its writer and its reader."""
+    """Print the costs of recording, writing and reading."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="fewer turns and samples")
     parser.add_argument("--hour", metavar="FILE", type=Path, help="also read a file of an hour, made under this name")

@@ -1,4 +1,4 @@
-"""Speed against accuracy: what each way to simulate a scene costs, and how far it is off.
+"""Speed against accuracy: cost and error of each method.
 
 Draws a chart of every scene, one of the drop with what a user would take instead, and curves of what the step does
 to the stability boundary and to the energy of a bounce; writes every figure to speed_accuracy.json. Costs are medians
@@ -50,7 +50,10 @@ TITLES = {
     "six-axes": "drawn back to the centre",
 }
 BENCHED = "drop", "drop-no-pulse", "press", "six-axes"
-"""Scenes that `make bench` runs; the others say what the drop says, or what six-axes does."""
+"""Scenes of `make bench`.
+
+The others repeat the results of the drop, or of six-axes.
+"""
 
 STEPPED = {
     "mujoco": "Euler, steps of {} ms",
@@ -59,7 +62,10 @@ STEPPED = {
     "pinocchio": "free flyer, steps of {} ms",
     "scipy": "solve_ivp a period, RK45, max_step {} ms",
 }
-"""Names of a peer's ways on a fixed grid, the step left out: what its user would try first."""
+"""Names of a peer's fixed-step methods, without the step.
+
+The first choice of its user.
+"""
 
 PERIOD, DELAY = Timing().period, Timing().delay
 
@@ -72,7 +78,7 @@ def add_scenes(parser: Parser) -> None:
 
 
 class PeersDrop(Drop):
-    """Drop the flotor from the pose of the peers' task, for so many samples as they answer."""
+    """Drop from the pose and length of the peers' task."""
 
     def start(self) -> Start:
         """See `Scene`."""
@@ -84,7 +90,10 @@ class PeersDrop(Drop):
 
 
 def boundary_shifts(quick: bool) -> dict[str, Any]:
-    """Return how far each integrator shifts the stiffest stable wall, over the step, and with which power of it."""
+    """Return each integrator's shift of the stiffest stable wall.
+
+    Over the step, and with which power of it.
+    """
     steps = [1e-3, 1e-4] if quick else [2.5e-3, 1e-3, 5e-4, 2.5e-4, 1e-4]
     rows: dict[str, Any] = {"steps": steps, "shifts": {}, "orders": {}}
     for integrator in INTEGRATORS:
@@ -99,7 +108,9 @@ def boundary_shifts(quick: bool) -> dict[str, Any]:
 
 
 def sweep_of_drops(stiffnesses: int, dampings: int, repeats: int) -> dict[str, Any]:
-    """Return what a sweep of drops over the gains of the wall costs a drop [s], and how many end otherwise than exact.
+    """Return cost and wrong endings of a sweep of drops.
+
+    Over the gains of the wall; cost a drop [s].
 
     A drop counts as settled if it moves by less than a tenth of a millimetre in its last quarter.
     """
@@ -147,7 +158,9 @@ def sweep_of_drops(stiffnesses: int, dampings: int, repeats: int) -> dict[str, A
 
 
 def measure(quick: bool, scenes: Sequence[str] = BENCHED) -> dict[str, Any]:
-    """Return cost and error of every way to simulate each scene, the peers' too, and what the step does.
+    """Return cost and error of every method and scene.
+
+    The peers' too, and the effect of the step.
 
     Args:
         quick: Fewer steps and repeats.
@@ -192,7 +205,10 @@ def main() -> None:
 
 
 def merged(curves: list[tuple[str, list[Any], list[Any]]]) -> list[tuple[str, list[Any], list[Any]]]:
-    """Return curves with those that are one and the same, where both are known, named together; the longest first."""
+    """Return curves with equal ones named together, longest first.
+
+    Equal on all points where both are known.
+    """
     kept: list[tuple[str, list[Any], list[Any]]] = []
     for name, steps, values in curves:
         for place, (other, over, known) in enumerate(kept):
@@ -206,7 +222,10 @@ def merged(curves: list[tuple[str, list[Any], list[Any]]]) -> list[tuple[str, li
 
 
 def chart_points(rows: Sequence[Mapping[str, Any]]) -> list[WorkPoint]:
-    """Return the ways of a scene as points of a chart, those of raw Euler for all that are one with it."""
+    """Return a scene's methods as chart points.
+
+    Those of raw Euler for all that are one with it.
+    """
     points = []
     for row in rows:
         integrator, step, group = row["integrator"], row["step"], row["group"]
@@ -223,7 +242,7 @@ def chart_points(rows: Sequence[Mapping[str, Any]]) -> list[WorkPoint]:
 
 
 def _stem(name: str) -> str:
-    """Return the name of a way with its step left out."""
+    """Return a method's name without its step."""
     return re.sub(r"[0-9.]+ ms", "{} ms", name)
 
 
@@ -233,7 +252,10 @@ def _point(row: Mapping[str, Any], group: str, label: str, joined: bool) -> Work
 
 
 def peer_points(rows: Sequence[Mapping[str, Any]]) -> list[WorkPoint]:
-    """Return this package's plants and, of each peer, the ways that no other of its own beats."""
+    """Return this package's plants and each peer's best methods.
+
+    Those that no other of its own beats.
+    """
     ours = {"exact plant", "exact plant, 1000 at once", GROUPS["corrected"], GROUPS["rk4"]}
     points = [
         _point(row, f"this package, {row['group']}", "", False)
@@ -249,7 +271,7 @@ def peer_points(rows: Sequence[Mapping[str, Any]]) -> list[WorkPoint]:
 
 
 def step_panels(data: Mapping[str, Any]) -> list[Panel]:
-    """Return what the step does to the boundary, and to the energy of a bounce."""
+    """Return the step's effect on boundary and bounce energy."""
     boundary = data["boundary"]
     shifts = [(name, boundary["steps"], np.abs(boundary["shifts"][name]).tolist()) for name in boundary["orders"]]
     energies = []

@@ -1,4 +1,6 @@
-"""How long commands, completion and imports take to start, beside the libraries that they need.
+"""Start time of commands, completion and imports.
+
+Beside the libraries that they need.
 
     python scripts/benchmarks/start.py [--quick]
 
@@ -40,7 +42,7 @@ LINES = {"complete a command": "maglev-mj st", "complete an option": "maglev-mj 
 
 
 def _took(arguments: Sequence[str], environment: Mapping[str, str]) -> tuple[float, float]:
-    """Return wall time and time of the processor [s] of a process."""
+    """Return wall and processor time of a process [s]."""
     nowhere = environment["XDG_CACHE_HOME"]  # for -m takes a package from where it is
     start, before = time.perf_counter(), getrusage(RUSAGE_CHILDREN)
     subprocess.run([sys.executable, *arguments], env=environment, cwd=nowhere, stdout=subprocess.DEVNULL, check=True)
@@ -49,7 +51,7 @@ def _took(arguments: Sequence[str], environment: Mapping[str, str]) -> tuple[flo
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """Return times [s], and their ratios to what they are held against.
+    """Return times [s] and ratios to their references.
 
     Args:
         quick: One round in place of five.

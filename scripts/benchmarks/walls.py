@@ -1,4 +1,7 @@
-"""Cost of nonlinear walls on the exact plant, in parts and in one; of sweeps one by one and as batches."""
+"""Cost of nonlinear walls on the exact plant.
+
+In parts and in one; of sweeps one by one and as batches.
+"""
 
 import os
 import resource
@@ -25,7 +28,10 @@ AROUND: dict[str, Any] = {"period": 0.005, "delay": 0.0015, "mass": 0.7}
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """Return costs [s, µs] and how far the ways to compute the same are apart; all on one core."""
+    """Return costs [s, µs] and differences between equal computations.
+
+    All on one core.
+    """
     cores = os.sched_getaffinity(0)
     os.sched_setaffinity(0, {min(cores)})
     try:
@@ -35,7 +41,10 @@ def measure(quick: bool) -> dict[str, Any]:
 
 
 def walls(count: int) -> dict[str, float]:
-    """Return costs of walls a wall and sample [µs] and a million [s], in parts and in one, and the memory [MB]."""
+    """Return the cost of walls, whole and in parts.
+
+    A wall and sample [µs], a million [s], and the memory [MB].
+    """
     random = np.random.default_rng(0)
     stiffness, damping = random.uniform(500.0, 12_500.0, count), random.uniform(5.0, 190.0, count)
     results, costs = [], []
@@ -60,7 +69,10 @@ def walls(count: int) -> dict[str, float]:
 
 
 def swings(stiffness: Array, damping: Array) -> Array:
-    """Drop the flotor on N walls and return the swing of the last quarter of the samples [m], (N,)."""
+    """Return the final swing of N dropped flotors [m], (N,).
+
+    Over the last quarter of the samples.
+    """
     plant = ExactPlant(
         Timing(period=AROUND["period"], delay=AROUND["delay"]),
         mass=AROUND["mass"],
@@ -83,7 +95,10 @@ def swings(stiffness: Array, damping: Array) -> Array:
 
 
 def sweeps(quick: bool) -> dict[str, Any]:
-    """Return what a cell of a sweep costs [ms] one by one and together, and how far the figures are apart."""
+    """Return the cost of a sweep's cell [ms].
+
+    One by one and together, and the difference of the figures.
+    """
     grids: dict[str, dict[str, tuple[float, float]]] = {
         "drop": {"stiffness": (1000.0, 9000.0), "damping": (40.0, 100.0)},
         "press": {"stiffness": (2000.0, 8000.0), "press": (2.0, 6.0)},
@@ -125,7 +140,10 @@ def timed(function: Callable[[], Any]) -> tuple[float, Any]:
 
 
 def apart(one: dict[str, Any], other: dict[str, Any]) -> float:
-    """Return the largest difference of two runs' figures, over the figure's size and a micro-unit."""
+    """Return the largest relative difference of two runs' figures.
+
+    Over the figure's size and a micro-unit.
+    """
     pairs = [(np.array(one.get(name), dtype=float), np.array(value, dtype=float)) for name, value in other.items()]
     missing = [(np.isnan(a) != np.isnan(b)).any() for a, b in pairs]
     shares = [np.nan_to_num(np.abs(a - b) / (np.abs(b) + 1e-6)).max(initial=0.0) for a, b in pairs]
@@ -133,7 +151,10 @@ def apart(one: dict[str, Any], other: dict[str, Any]) -> float:
 
 
 def door(quick: bool) -> dict[str, Any]:
-    """Return what a million cells cost through the map of drops [s], verdicts and theory's boundary included."""
+    """Return the cost of a million cells [s].
+
+    Through the map of drops, verdicts and theory's boundary included.
+    """
     try:
         from maglev_mj.studies.nonlinear import DropMapParameters, run_drop_map
     except ImportError:

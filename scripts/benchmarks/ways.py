@@ -1,4 +1,4 @@
-"""Ways to simulate a scene, with this package and with others: what to time, and how far each is off."""
+"""Methods to simulate a scene: timed runs and their errors."""
 
 from __future__ import annotations
 
@@ -47,7 +47,10 @@ PEERS = {
 
 @dataclass
 class Way:
-    """One way to simulate a scene: what to time, for how much simulated time, and how far off it is."""
+    """A method to simulate a scene.
+
+    Its timed run, for how much simulated time, and its error.
+    """
 
     name: str
     group: str
@@ -61,21 +64,27 @@ class Way:
 
 
 def batch_of(scene: Scene, kind: Callable[..., SampledPlant], count: int, **options: Any) -> Any:
-    """Return plant, controller and number of samples of many devices in one scene."""
+    """Return plant, controller and tick count of many devices."""
     timing, pose = scene.timing(), np.tile(scene.start().pose, (count, 1))
     plant = scene.plant(kind, pose=pose, **options | {"record": False, "longest_step": None})
     return plant, scene.controller(), scene.ticks(timing)
 
 
 def energy_error(motion: Motion, truth: Motion) -> float:
-    """Return the largest error of the mechanical energy along z, as a share of that of a fall from the range's end."""
+    """Return the largest relative error of mechanical energy.
+
+    Along z, as a share of that of a fall from the range's end.
+    """
     mass, fall = Spec.moving_mass.value, Spec.translation_range.value
     kept = [0.5 * mass * one.twist[:, 2] ** 2 + mass * GRAVITY * one.pose[:, 2] for one in (motion, truth)]
     return float(np.abs(kept[0] - kept[1]).max() / (mass * GRAVITY * fall))
 
 
 def single_ways(quick: bool) -> Iterator[tuple[str, str, str, float | None]]:
-    """Yield rung, group, integrator and longest step of every single device worth looking at."""
+    """Yield the methods for one device.
+
+    Level, group, integrator and longest step.
+    """
     steps = (1e-3, 1e-4) if quick else (2.5e-3, 1e-3, 5e-4, 1e-4, 1e-5)
     for integrator in ("corrected", "rk4", *SEMI_IMPLICIT):
         yield "body", GROUPS[integrator], integrator, None
@@ -88,7 +97,7 @@ def single_ways(quick: bool) -> Iterator[tuple[str, str, str, float | None]]:
 
 
 def our_ways(name: str, scene: Scene, quick: bool) -> list[Way]:
-    """Return every way to simulate a scene of some name with this package."""
+    """Return every method of this package for a scene."""
     truths = {
         "turning": motion_of(*level_parts(scene, "turning", longest_step=2e-5)),
         "body": motion_of(
@@ -128,14 +137,14 @@ def our_ways(name: str, scene: Scene, quick: bool) -> list[Way]:
 
 
 def poses_of(plant: SampledPlant, controller: Controller, ticks: int) -> Array:
-    """Return the poses of the last device of a batch at the samples, (K, 6)."""
+    """Return the last device's sampled poses, (K, 6)."""
     poses: list[Array] = []
     drive(plant, controller, ticks, observe=lambda *_: poses.append(plant.state()[0][-1]))
     return np.array([*poses, plant.state()[0][-1]])
 
 
 def peer_ways(scene: Scene, task: Task, quick: bool) -> tuple[list[Way], list[str]]:
-    """Return the ways of those who would take another simulator, and a line for each that is not installed."""
+    """Return the peers' methods, and a line each missing."""
     truth = motion_of(*level_parts(scene, "axes", inertia=task.inertia)).pose
     variants, missing = available()
     ways = []
@@ -166,12 +175,15 @@ def take_times(ways: list[Way], repeats: int) -> None:
 
 @cache
 def boundary_shift(integrator: str, step: float, aligned: bool = True) -> float:
-    """Return the relative shift of the stiffest stable wall by an integrator and its step [s], at usual timing."""
+    """Return an integrator's relative shift of the stiffest wall.
+
+    At a step [s] and usual timing.
+    """
     return integrators.boundary_shift(integrator, step, _LOOP, aligned=aligned)
 
 
 def as_json(ways: list[Way]) -> dict[str, Any]:
-    """Return the ways of one scene and the names of those that nothing beats."""
+    """Return a scene's methods, and names of the best."""
     rows = [
         {
             "name": way.name,

@@ -1,4 +1,4 @@
-"""Work and precision: what an answer costs against how far it is off."""
+"""Work and precision: cost of an answer over its error."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from maglev_mj.plots.drawing import TITLE, new_figure, save
 __all__ = ["EXACT_ENOUGH", "WorkPoint", "pareto", "work_precision"]
 
 EXACT_ENOUGH = 1e-9
-"""Error below which ways differ in nothing but their cost [m]."""
+"""Error below which methods differ only in cost [m]."""
 
 _ROW = 0.75  # distance of two rows, in decades of the error
 _INCH = 0.27  # height of a decade
@@ -59,7 +59,7 @@ class WorkPoint:
 
 
 def pareto(points: Sequence[WorkPoint]) -> list[WorkPoint]:
-    """Return the points that no other beats in cost and error, the cheapest first."""
+    """Return the points that no other beats, cheapest first."""
     front: list[WorkPoint] = []
     for point in sorted(points, key=lambda one: (one.cost, one.error)):
         if not front or max(point.error, EXACT_ENOUGH) < max(front[-1].error, EXACT_ENOUGH):
@@ -68,7 +68,7 @@ def pareto(points: Sequence[WorkPoint]) -> list[WorkPoint]:
 
 
 def work_precision(title: str, points: Sequence[WorkPoint], path: Path) -> Path:
-    """Draw error over cost, and below it the cheapest way of each group that is exact enough, a row each.
+    """Draw error over cost, and the cheapest exact methods.
 
     What no other way beats is ringed and its row bold, among single devices and among many at once.
 
@@ -107,7 +107,7 @@ def work_precision(title: str, points: Sequence[WorkPoint], path: Path) -> Path:
 
 
 def exact_rows(points: Sequence[WorkPoint]) -> list[WorkPoint]:
-    """Return the cheapest way of each group that is exact enough, the cheapest first."""
+    """Return each group's cheapest exact method, cheapest first."""
     best: dict[str, WorkPoint] = {}
     for point in points:
         if point.error <= EXACT_ENOUGH and (point.group not in best or point.cost < best[point.group].cost):
@@ -116,7 +116,7 @@ def exact_rows(points: Sequence[WorkPoint]) -> list[WorkPoint]:
 
 
 def _decade(point: WorkPoint) -> float:
-    """Return decades of an error above what is exact enough."""
+    """Return decades of an error above the exact limit."""
     return math.log10(point.error / EXACT_ENOUGH)
 
 
@@ -132,12 +132,15 @@ def _draw(axis: Any, placed: Sequence[tuple[WorkPoint, float]], style: tuple[str
 
 
 def _words(right: float, up: float) -> dict[str, Any]:
-    """Return the style of words so far from a point [pt]."""
+    """Return the style of a label at an offset [pt]."""
     return {"xytext": (right, up), "textcoords": "offset points", "fontsize": _SMALL, "color": REFERENCE}
 
 
 def _name(figure: Any, axis: Any, points: Sequence[WorkPoint], chains: Sequence[Sequence[WorkPoint]]) -> None:
-    """Write each label at the first place beside its point, or farther with a line to it, where it covers least."""
+    """Label each point at the nearest free place.
+
+    Or farther away with a line to it.
+    """
     from matplotlib.text import Text
     from matplotlib.transforms import Bbox
 

@@ -1,4 +1,4 @@
-"""The task of `peers.task` as users of other simulators would write it, one module a simulator.
+"""The task of `peers.task` in other simulators, a module each.
 
 Each module reads as an example of its own kind, and none imports another's package.
 """
@@ -16,7 +16,7 @@ PEERS = ("mujoco", "drake", "pybullet", "scipy", "pinocchio", "control", "bdsim"
 
 
 def available(names: Iterable[str] | None = None) -> tuple[list[Variant], list[str]]:
-    """Return the variants of every peer that is installed, and a line for each that is not.
+    """Return installed peers' variants, and a line each missing.
 
     Args:
         names: Peers from PEERS; None for all.

@@ -1,4 +1,6 @@
-"""The task as a block diagram in bdsim: two integrators, a sampled block for the law and zero-order holds.
+"""The task as a block diagram in bdsim.
+
+Two integrators, a sampled block for the law and zero-order holds.
 
 Three clocks tick when commands are worked out, take effect and end their pulse, so bdsim integrates from switch to
 switch. As in `peers.control_peer` the rotation vector's second derivative is torque over moment of inertia.
@@ -31,7 +33,7 @@ def variants() -> list[Variant]:
 
 
 class _Law(SampledBlock):  # type: ignore[misc]
-    """The control law as a sampled block; its state is the wrench at first, the wrench later, and the sample's number.
+    """The control law as a sampled block.
 
     Args:
         task: The task.
@@ -60,7 +62,10 @@ class _Law(SampledBlock):  # type: ignore[misc]
         return [x]
 
     def next(self, t: float, inputs: list[Any], x: Array) -> Array:
-        """Answer a sample; bdsim calls this at the ticks of all clocks, so others are told apart by the time."""
+        """Answer a sample.
+
+        bdsim calls this at the ticks of all clocks, so others are told apart by the time.
+        """
         if abs(t - len(self.poses) * self._task.period) > 1e-9:
             return x
         self.poses.append(inputs[0].copy())
@@ -73,7 +78,10 @@ def _state(force: list[float], pulse: list[float] | None, number: int) -> Array:
 
 
 def _wrench(applied: Array, ended: Array) -> Array:
-    """Return the wrench in effect: the first of a command until its number shows up among the ended ones."""
+    """Return the wrench in effect.
+
+    The first of a command until its number shows up among the ended ones.
+    """
     return applied[6:12] if ended[12] == applied[12] else applied[:6]
 
 

@@ -1,4 +1,6 @@
-"""The task with python-control: six double integrators, or the rigid body as a nonlinear system.
+"""The task with python-control.
+
+Six double integrators, or the rigid body as a nonlinear system.
 
 The linear models take the rotation vector's second derivative to be torque over moment of inertia: exact about one
 axis, second order in the angle about several.
@@ -39,7 +41,10 @@ def variants() -> list[Variant]:
 
 
 def _closed_loop(task: Task, advance: _Advance) -> Callable[[], Array]:
-    """Return a run of the closed loop, given what takes twelve states over a segment with a constant wrench."""
+    """Return a closed-loop run with a given segment integrator.
+
+    It takes twelve states over a segment with a constant wrench.
+    """
 
     def run() -> Array:
         state = np.array([*task.pose, *[0.0] * 6])
@@ -58,7 +63,10 @@ def _closed_loop(task: Task, advance: _Advance) -> Callable[[], Array]:
 
 
 def _double_integrators(task: Task) -> Any:
-    """Return pose and its rate under seven inputs: the wrench [N, N m], and 1 for the weight."""
+    """Return double integrators of pose under seven inputs.
+
+    The wrench [N, N m], and 1 for the weight.
+    """
     body = task.body
     rates, inputs = np.zeros((12, 12)), np.zeros((12, 7))
     rates[:6, 6:] = np.eye(6)
@@ -117,7 +125,7 @@ def _forced(task: Task) -> Callable[[], Array]:
 
 
 def _sampled(task: Task, bare: bool) -> Callable[[], Array]:
-    """Sample the system once for every length of a segment, and step those systems.
+    """Sample the system at each segment length, and step.
 
     Args:
         task: The task.
@@ -157,7 +165,10 @@ class _Controller:
         self.restart()
 
     def restart(self) -> None:
-        """Forget the run before; python-control calls `update` once a step, so the law may remember."""
+        """Forget the last run.
+
+        python-control calls `update` once a step, so the law may remember.
+        """
         self._law = self._task.law()
 
     def update(self, time: float, state: Array, pose: Array, _: Any) -> Array:
@@ -174,7 +185,7 @@ class _Controller:
 
 
 def _interconnected(task: Task, step: float) -> Callable[[], Array]:
-    """Connect plant and controller, both on one grid, and respond in one call."""
+    """Connect plant and controller on one grid; respond once."""
     logic = _Controller(task, step)
     poses, wrenches = [f"pose[{axis}]" for axis in range(6)], [f"wrench[{axis}]" for axis in range(6)]
     flotor = control.sample_system(_double_integrators(task), step, method="zoh")

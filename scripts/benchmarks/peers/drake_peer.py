@@ -1,4 +1,4 @@
-"""The task in Drake: a MultibodyPlant with one free body, and the controller in Python.
+"""The task in Drake: a MultibodyPlant and a Python controller.
 
 Two ways to close the loop: a LeafSystem with periodic events in a diagram, or a script that advances the simulator from
 switch to switch of the wrench.
@@ -30,7 +30,7 @@ _JUST_BEFORE = 1e-9
 
 @dataclass(frozen=True, kw_only=True)
 class _Choice:
-    """What a user of Drake chooses.
+    """Choices of a Drake user.
 
     Attributes:
         scheme: Integration scheme; "" for the simulator's own.
@@ -85,12 +85,15 @@ def variants() -> list[Variant]:
 
 
 def _vector(*numbers: float) -> Any:
-    """Return an array of a type that Drake's stubs, which take a shape for a number, let pass."""
+    """Return an array typed loosely enough for Drake's stubs.
+
+    They take a shape for a number.
+    """
     return np.array(numbers)
 
 
 def _plant(task: Task, choice: _Choice) -> Any:
-    """Return the flotor as a plant, its joint's velocities being angular velocity and velocity in world axes."""
+    """Return the flotor as a plant in world-axis velocities."""
     plant = MultibodyPlant(choice.time_step)
     unit = UnitInertia(*(moment / task.mass for moment in task.inertia))
     body = plant.AddRigidBody("flotor", SpatialInertia(task.mass, _vector(0.0, 0.0, 0.0), unit))
@@ -110,7 +113,7 @@ def _start(task: Task, choice: _Choice) -> Array:
 
 
 def _read(state: Any, choice: _Choice) -> list[float]:
-    """Return the pose [m, rad] from positions and velocities of the joint."""
+    """Return the pose [m, rad] from the joint's state."""
     if not choice.roll_pitch_yaw:
         w, qx, qy, qz, x, y, z, *_ = state.tolist()
         return [x, y, z, *rotation_vector(w, qx, qy, qz)]
@@ -144,7 +147,7 @@ def _simulator(system: Any, choice: _Choice) -> Any:
 
 
 def _applied(plant: Any) -> Any:
-    """Return a spatial force at the centre of the flotor, to be filled in."""
+    """Return an empty spatial force at the flotor's centre."""
     applied = ExternallyAppliedSpatialForce()
     applied.body_index = plant.GetBodyByName("flotor").index()
     applied.p_BoBq_B = _vector(0.0, 0.0, 0.0)
@@ -152,7 +155,9 @@ def _applied(plant: Any) -> Any:
 
 
 class _Controller(LeafSystem):  # type: ignore[misc, unused-ignore]
-    """The sampled controller: samples, applies, and ends the pulse by periodic events; the wrench is its state.
+    """The sampled controller by periodic events.
+
+    It samples, applies, and ends the pulse; the wrench is its state.
 
     What the law remembers stays in the object, which costs less than abstract state in the context.
     """
@@ -203,7 +208,7 @@ class _Controller(LeafSystem):  # type: ignore[misc, unused-ignore]
 
 
 def _diagram(task: Task, choice: _Choice) -> Callable[[], Array]:
-    """Connect plant and controller in a diagram, and let the simulator run all of it."""
+    """Connect plant and controller, and simulate the diagram."""
     builder = DiagramBuilder()
     plant: Any = builder.AddSystem(_plant(task, choice))
     controller: Any = builder.AddSystem(_Controller(task, choice, plant))
@@ -231,7 +236,7 @@ def _diagram(task: Task, choice: _Choice) -> Callable[[], Array]:
 
 
 def _input(plant: Any, context: Any, choice: _Choice) -> Callable[[list[float]], None]:
-    """Fix the plant's input port, and return what changes its value."""
+    """Fix the plant's input port; return its setter."""
     if not choice.spatial:
         value = plant.get_applied_generalized_force_input_port().FixValue(context, np.zeros(6))
 
@@ -250,7 +255,10 @@ def _input(plant: Any, context: Any, choice: _Choice) -> Callable[[list[float]],
 
 
 def _scripted(task: Task, choice: _Choice) -> Callable[[], Array]:
-    """Advance a lone plant from switch to switch, the wrench a fixed input between them."""
+    """Advance a lone plant from switch to switch.
+
+    The wrench is a fixed input between them.
+    """
     plant = _plant(task, choice)
     simulator = _simulator(plant, choice)
     context = simulator.get_mutable_context()

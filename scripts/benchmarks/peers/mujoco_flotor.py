@@ -1,4 +1,4 @@
-"""The flotor in MuJoCo, and the ways to its numbers that cost least."""
+"""The flotor in MuJoCo, with the cheapest access to its numbers."""
 
 from __future__ import annotations
 
@@ -14,7 +14,10 @@ __all__ = ["INTEGRATORS", "JOINTS", "SEMI_IMPLICIT", "Flotor", "turned_back"]
 
 SEMI_IMPLICIT = ("Euler", "implicit", "implicitfast", "discrete")
 INTEGRATORS = (*SEMI_IMPLICIT, "RK4")
-"""The engine's integrators; the semi-implicit ones agree where nothing damps, touches or tumbles."""
+"""The engine's integrators.
+
+The semi-implicit ones agree if nothing damps, touches or tumbles.
+"""
 
 _SLIDE = '<joint type="slide" axis="{}"/>'
 JOINTS = {
@@ -101,7 +104,7 @@ class Flotor:
         self._start = start[2:3] if model.nq == 1 else start[:3] + quaternion(start[3:])
 
     def reset(self) -> None:
-        """Put the flotor back to the start, at rest and without a wrench."""
+        """Return the flotor to its start, at rest, without wrench."""
         mujoco.mj_resetData(self._model, self.data)
         self.put(*self._start)
 
@@ -112,7 +115,7 @@ def _pose(position: Callable[[], list[float]]) -> list[float]:
 
 
 def _height_among(start: list[float], position: Callable[[], list[float]]) -> list[float]:
-    """Return the height with the other numbers of the start, for the law to see six."""
+    """Return the height among the six start coordinates."""
     x, y, _, rx, ry, rz = start
     return [x, y, position()[0], rx, ry, rz]
 
@@ -120,7 +123,10 @@ def _height_among(start: list[float], position: Callable[[], list[float]]) -> li
 def turned_back(
     qw: float, qx: float, qy: float, qz: float, x: float, y: float, z: float
 ) -> tuple[float, float, float, float]:
-    """Return a quaternion turned back by a small rotation vector [rad] in the axes of the body."""
+    """Return a quaternion turned back by a small rotation vector.
+
+    [rad], in the axes of the body.
+    """
     square = x * x + y * y + z * z
     w = 1.0 - 0.125 * square  # to the fourth order of the angle, far below rounding here
     scale = square / 48.0 - 0.5

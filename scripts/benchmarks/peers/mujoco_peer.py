@@ -1,4 +1,4 @@
-"""The task in MuJoCo, as its own user writes it: a loop over mj_step, without this package.
+"""The task in bare MuJoCo: a loop over mj_step.
 
 Steps end on a grid of their own, each under the wrench that is in effect at its start, or at every switch of the
 wrench, which is then constant within a step; or the engine itself sees to the timing, by its control callback or the
@@ -78,12 +78,17 @@ def _timed_by_engine() -> list[Variant]:
 
 
 def _steps_in(duration: float, step: float) -> int:
-    """Return how many steps begin before a time is reached, rounding aside."""
+    """Return the number of steps begun before a time.
+
+    Rounding aside.
+    """
     return math.ceil(duration / step - 1e-9)
 
 
 def _stepped(task: Task, integrator: str, step: float, corrected: bool = False) -> Callable[[], Array]:
-    """Step on a fixed grid and count; a command is first seen by the step that begins as it takes effect, or next.
+    """Step on a fixed grid, counting steps.
+
+    A command is first seen by the step that begins as it takes effect, or next.
 
     Args:
         task: The task.
@@ -126,7 +131,10 @@ def _half_step_back(flotor: Flotor, half: float) -> list[float]:
 
 
 def _split(task: Task, integrator: str, joints: str = "free") -> Callable[[], Array]:
-    """Take one step from switch to switch of the wrench, and the positions as they come."""
+    """Take one step from switch to switch of the wrench.
+
+    The positions are taken as they come.
+    """
     flotor = Flotor(task, integrator, joints=joints)
     step, push, pose, options = flotor.step, flotor.push, flotor.pose, flotor.options
     delay, width, left = task.delay, task.pulse_width, task.period - task.delay
@@ -155,7 +163,10 @@ def _split(task: Task, integrator: str, joints: str = "free") -> Callable[[], Ar
 
 
 def _half_kicked(task: Task, joints: str = "free") -> Callable[[], Array]:
-    """Do as `_split` by Euler, and take off what each step was too long by; nobody looks before the period is over."""
+    """Step as `_split` by Euler, corrected at the end.
+
+    Each step's error is taken off, since nothing reads the state before the period is over.
+    """
     flotor = Flotor(task, "Euler", joints=joints)
     step, push, options, acceleration = flotor.step, flotor.push, flotor.options, flotor.acceleration
     settle = partial(_slide_settled if joints == "z alone" else _settled, flotor)
@@ -192,7 +203,7 @@ def _half_kicked(task: Task, joints: str = "free") -> Callable[[], Array]:
 
 
 def _settled(flotor: Flotor, h: float, a: list[float], k: float, b: list[float]) -> list[float]:
-    """Take h a + k b off the position of a body that moves and turns freely, and return its pose."""
+    """Correct the pose of a free body by h a + k b."""
     x, y, z, qw, qx, qy, qz = flotor.position()
     ax, ay, az, ap, aq, ar = a
     bx, by, bz, bp, bq, br = b
@@ -203,13 +214,13 @@ def _settled(flotor: Flotor, h: float, a: list[float], k: float, b: list[float])
 
 
 def _slide_settled(flotor: Flotor, h: float, a: list[float], k: float, b: list[float]) -> list[float]:
-    """Take h a + k b off the position of a single slide, and return the pose."""
+    """Correct the pose of a single slide by h a + k b."""
     flotor.put(flotor.position()[0] - h * a[0] - k * b[0])
     return flotor.pose()
 
 
 def _simulated(poses: list[list[float]], joints: str) -> Array:
-    """Return poses, with NaN for axes that a model does not have."""
+    """Return poses, NaN for axes that a model lacks."""
     table = np.array(poses)
     if joints == "z alone":
         table[:, [0, 1, 3, 4, 5]] = math.nan
@@ -217,7 +228,10 @@ def _simulated(poses: list[list[float]], joints: str) -> Array:
 
 
 def _called_back(task: Task, integrator: str, step: float) -> Callable[[], Array]:
-    """Leave the controller to the engine's control callback, which looks at the clock."""
+    """Run the controller in the engine's control callback.
+
+    It looks at the clock.
+    """
     flotor = Flotor(task, integrator, step, actuation=True)
     pose, push = flotor.pose, flotor.push
     steps = round(task.duration / step)
@@ -256,7 +270,7 @@ def _called_back(task: Task, integrator: str, step: float) -> Callable[[], Array
 
 
 def _delayed(task: Task, integrator: str, step: float) -> Callable[[], Array]:
-    """Set controls when they are sampled, and leave the delay to six motors."""
+    """Set controls when sampled; six delayed motors apply them."""
     delay = f'delay="{task.delay!r}" nsample="{_steps_in(task.delay, step)}"'
     gears = [" ".join("1" if axis == other else "0" for other in range(6)) for axis in range(6)]
     # in the parent: force and torque in world axes

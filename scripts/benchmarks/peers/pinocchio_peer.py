@@ -1,4 +1,4 @@
-"""The task with Pinocchio: articulated-body dynamics of one free body, and a loop in Python that integrates them.
+"""The task with Pinocchio: articulated-body dynamics, integrated in Python.
 
 Pinocchio has dynamics and the arithmetic of configurations, but no simulator: its users write the step. That of its
 examples is semi-implicit Euler. A step by the mean of the velocities at both ends costs no more, and is exact in
@@ -20,7 +20,10 @@ from peers.task import Array, Task, Variant, quaternion, rotation_vector
 __all__ = ["variants"]
 
 _Steps: TypeAlias = Callable[[list[float], list[float], list[float] | None], list[tuple[float, list[float]]]]
-"""From the wrench held, the wrench answered and that of a pulse to length and wrench of each step; see `Task`."""
+"""Function from wrenches to step lengths and wrenches; see `Task`.
+
+From the wrench held, the wrench answered and that of a pulse.
+"""
 
 _RAW, _MEAN = 1.0, 0.5  # shares of a step's change of velocity that the flotor moves by
 
@@ -40,7 +43,10 @@ def variants() -> list[Variant]:
 
 
 def _model(task: Task, free: bool) -> Any:
-    """Return the flotor on one joint with forces in body axes, or on three slides in world axes and a ball."""
+    """Return the flotor on one joint, or on four.
+
+    One with forces in body axes, or three slides in world axes and a ball.
+    """
     model, last = pinocchio.Model(), 0
     joints = [pinocchio.JointModelTranslation(), pinocchio.JointModelSpherical()]
     for joint in [pinocchio.JointModelFreeFlyer()] if free else joints:
@@ -52,7 +58,10 @@ def _model(task: Task, free: bool) -> Any:
 
 
 def _stepped(task: Task, step: float) -> Callable[[], Array]:
-    """Step on a fixed grid by semi-implicit Euler, with whatever wrench is in effect at the start of each step."""
+    """Step by semi-implicit Euler on a fixed grid.
+
+    With the wrench in effect at the start of each step.
+    """
     steps = round(task.period / step)
     begins = math.ceil(task.delay / step - 1e-9)
     ends = math.ceil((task.delay + task.pulse_width) / step - 1e-9)
@@ -65,7 +74,7 @@ def _stepped(task: Task, step: float) -> Callable[[], Array]:
 
 
 def _segmented(task: Task, share: float = _MEAN, free: bool = True) -> Callable[[], Array]:
-    """Take one step from switch to switch of the wrench; see `_closed_loop`."""
+    """Take one step a wrench switch; see `_closed_loop`."""
     return _closed_loop(task, task.segments, share, free)
 
 
@@ -111,6 +120,9 @@ def _closed_loop(task: Task, steps: _Steps, share: float, free: bool) -> Callabl
 def _in_body_axes(
     qw: float, qx: float, qy: float, qz: float, x: float, y: float, z: float
 ) -> tuple[float, float, float]:
-    """Return a vector of world axes in those of a body; in plain floats, at this size cheaper than a product."""
+    """Return a world vector in body axes.
+
+    In plain floats, at this size cheaper than a product.
+    """
     a, b, c = 2.0 * (qy * z - qz * y), 2.0 * (qz * x - qx * z), 2.0 * (qx * y - qy * x)
     return x - qw * a + qy * c - qz * b, y - qw * b + qz * a - qx * c, z - qw * c + qx * b - qy * a

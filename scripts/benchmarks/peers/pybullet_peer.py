@@ -68,14 +68,20 @@ class _Flotor:
         return pybullet.getBasePositionAndOrientation(self.body, physicsClientId=self.client)[0]
 
     def push(self, wrench: list[float], position: Any) -> None:
-        """Apply a wrench at the flotor's position for the next step; Bullet forgets it after each."""
+        """Apply a wrench for the next step, at the flotor.
+
+        Bullet forgets it after each.
+        """
         pybullet.applyExternalForce(
             self.body, -1, wrench[:3], position, pybullet.WORLD_FRAME, physicsClientId=self.client
         )
         self.turn(wrench)
 
     def lift(self, wrench: list[float]) -> None:
-        """Give the force of a wrench as gravity, which lasts and needs no point of attack."""
+        """Apply a force as gravity.
+
+        It lasts, and needs no point of attack.
+        """
         mass = self._task.mass
         x, y, z = wrench[:3]
         pybullet.setGravity(x / mass, y / mass, z / mass - self._task.gravity, physicsClientId=self.client)
@@ -86,7 +92,7 @@ class _Flotor:
 
 
 def _stepped(task: Task, step: float) -> Callable[[], Array]:
-    """Step on a fixed grid, with whatever wrench is in effect at the start of each step."""
+    """Step on a fixed grid with the wrench in effect."""
     flotor = _Flotor(task)
     client = flotor.client
     steps = round(task.period / step)

@@ -1,4 +1,4 @@
-"""The task with SciPy's integrators and equations of motion of one's own.
+"""The task with SciPy's integrators and hand-written equations.
 
 The state has thirteen numbers: position [m], quaternion (w first), velocity in world axes [m/s] and angular velocity in
 the flotor's axes [rad/s]. Its rates are computed in plain floats: at this size that costs a third of numpy.
@@ -57,7 +57,10 @@ def _grid(step: float) -> dict[str, Any]:
 
 
 def _rates(task: Task) -> _Rates:
-    """Return what computes the rate of the state under a wrench [N, N m] in world axes."""
+    """Return the state's rate function under a world wrench.
+
+    [N, N m].
+    """
     mass, gravity = task.mass, task.gravity
     ix, iy, iz = task.inertia
 
@@ -91,7 +94,7 @@ def _rates(task: Task) -> _Rates:
 
 
 def _closed_loop(task: Task, period: Callable[[Array, _Segments], Array]) -> Callable[[], Array]:
-    """Return a run of the closed loop, given what takes the state over the segments of a period."""
+    """Return a closed-loop run with a given period integrator."""
 
     def run() -> Array:
         state = np.array([*task.offset, *quaternion(task.pose[3:]), *[0.0] * 6])
@@ -114,7 +117,7 @@ def _pose(state: Array) -> list[float]:
 
 
 def _each(advance: _Advance) -> Callable[[Array, _Segments], Array]:
-    """Return what takes the state over a period segment by segment."""
+    """Return a period integrator from a segment integrator."""
 
     def period(state: Array, segments: _Segments) -> Array:
         for length, wrench in segments:
@@ -125,7 +128,9 @@ def _each(advance: _Advance) -> Callable[[Array, _Segments], Array]:
 
 
 def _segmented(task: Task, method: str, options: dict[str, Any], whole: bool = False) -> Callable[[], Array]:
-    """Solve once a segment: under a constant wrench there is no switch to step over.
+    """Solve each segment on its own, with a constant wrench.
+
+    There is no switch to step over.
 
     Args:
         task: The task.
@@ -147,7 +152,7 @@ def _segmented(task: Task, method: str, options: dict[str, Any], whole: bool = F
 
 
 def _stepper(task: Task, method: Any) -> Callable[[], Array]:
-    """Take one step of a solver's class a segment, without what solve_ivp does around it."""
+    """Step a solver class by segment, without solve_ivp's overhead."""
     rates = _rates(task)
 
     def advance(state: Array, length: float, wrench: list[float]) -> Array:
@@ -161,7 +166,7 @@ def _stepper(task: Task, method: Any) -> Callable[[], Array]:
 
 
 def _odeint(task: Task, options: dict[str, Any]) -> Callable[[], Array]:
-    """Solve once a segment by the older interface, whose loop is compiled."""
+    """Solve each segment by odeint, whose loop is compiled."""
     rates = _rates(task)
 
     def advance(state: Array, length: float, wrench: list[float]) -> Array:
@@ -172,7 +177,10 @@ def _odeint(task: Task, options: dict[str, Any]) -> Callable[[], Array]:
 
 
 def _ode(task: Task, options: dict[str, Any]) -> Callable[[], Array]:
-    """Solve once a segment by the oldest interface, whose loop is compiled and which is set up once."""
+    """Solve each segment by ode, set up once.
+
+    Its loop is compiled.
+    """
     rates = _rates(task)
     wrench_now = [0.0] * 6
     # a first step given need not be guessed, which costs evaluations
@@ -188,7 +196,7 @@ def _ode(task: Task, options: dict[str, Any]) -> Callable[[], Array]:
 
 
 def _periodic(task: Task, options: dict[str, Any]) -> Callable[[], Array]:
-    """Solve once a period; the right-hand side looks up which wrench is in effect."""
+    """Solve each period; the right-hand side selects the wrench."""
     rates = _rates(task)
     delay, pulse_end, length = task.delay, task.delay + task.pulse_width, task.period
 
@@ -205,7 +213,7 @@ def _periodic(task: Task, options: dict[str, Any]) -> Callable[[], Array]:
 
 
 def _eventful(task: Task, options: dict[str, Any], method: str = "RK45") -> Callable[[], Array]:
-    """Head for the end of the run every time, and let an event stop the solver at the next switch."""
+    """Solve to the end, stopped by an event each switch."""
     rates = _rates(task)
 
     def advance(state: Array, length: float, wrench: list[float]) -> Array:

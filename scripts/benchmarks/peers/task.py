@@ -1,4 +1,4 @@
-"""The task that every peer simulates, the control law that they share, and the form of a variant.
+"""The task and control law of every peer.
 
 A flotor falls from rest on a sampled wall below z = 0, the five other axes held. Commands take effect a transport delay
 after their sample; the sample that finds the flotor to have entered the wall is answered by a braking pulse first.
@@ -19,7 +19,10 @@ __all__ = ["Array", "Law", "Task", "Variant", "quaternion", "rotation_vector"]
 Array: TypeAlias = NDArray[np.float64]
 
 Law: TypeAlias = Callable[[Sequence[float]], tuple[list[float], list[float] | None]]
-"""From the six numbers of a sampled pose to the wrench held, and the whole wrench during a pulse or None."""
+"""Function from a pose to held and pulsed wrench.
+
+The pose is six numbers; the whole wrench during a pulse is None without one.
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,12 +66,12 @@ class Task:
 
     @property
     def pose(self) -> list[float]:
-        """Pose at the start: x y z [m], then a rotation vector [rad]."""
+        """Start pose: x y z [m], then a rotation vector [rad]."""
         return [*self.offset, self.tilt, 0.0, 0.0]
 
     @property
     def body(self) -> list[float]:
-        """Mass [kg] or moment of inertia [kg m²] of each of the six axes."""
+        """Mass [kg] or moment of inertia [kg m²], by axis."""
         return [self.mass] * 3 + list(self.inertia)
 
     @property
@@ -77,7 +80,10 @@ class Task:
         return self.ticks * self.period
 
     def law(self) -> Law:
-        """Return the control law at its start, in plain floats; a run takes a new one."""
+        """Return a new control law at its start.
+
+        In plain floats; a run takes a new one.
+        """
         period, stiffness, damping, braking = self.period, self.stiffness, self.damping, self.pulse + self.damping
         frequency = min(50.0, 0.25 / (self.period + self.delay))
         springs = [body * frequency**2 for body in self.body]
@@ -109,7 +115,7 @@ class Task:
     def segments(
         self, held: list[float], force: list[float], pulse: list[float] | None
     ) -> list[tuple[float, list[float]]]:
-        """Return duration [s] and wrench [N, N m] of each stretch from a sample to the next.
+        """Return segments of a period: duration [s], wrench [N, N m].
 
         Args:
             held: Wrench in effect at the sample [N, N m].
@@ -141,7 +147,10 @@ class Variant:
 
 
 def rotation_vector(w: float, x: float, y: float, z: float) -> list[float]:
-    """Convert a unit quaternion into a rotation vector [rad], of an angle below pi."""
+    """Convert a unit quaternion into a rotation vector [rad].
+
+    Of an angle below pi.
+    """
     sine = math.sqrt(x * x + y * y + z * z)
     if sine == 0.0:
         return [0.0, 0.0, 0.0]
@@ -150,7 +159,10 @@ def rotation_vector(w: float, x: float, y: float, z: float) -> list[float]:
 
 
 def quaternion(vector: Sequence[float]) -> list[float]:
-    """Convert a rotation vector [rad] into a unit quaternion, w first."""
+    """Convert a rotation vector [rad] into a unit quaternion.
+
+    w first.
+    """
     x, y, z = vector
     angle = math.sqrt(x * x + y * y + z * z)
     scale = math.sin(0.5 * angle) / angle if angle else 0.5
