@@ -105,7 +105,10 @@ def run_section(name: str, package: Path, quick: bool) -> dict[str, Any]:
 
 
 def flat(figures: dict[str, Any], head: str = "") -> dict[str, float]:
-    """Return nested figures as one level, names joined by ": "."""
+    """Return nested figures as one level, names joined.
+
+    By ": ".
+    """
     found: dict[str, float] = {}
     for key, value in figures.items():
         name = f"{head}: {key}" if head else str(key)

@@ -257,7 +257,7 @@ def serve(pipe: Connection, parameters: dict[str, Any], spin: float, cpu: int | 
 
 
 class TwinProcess:
-    """Twin in a process of its own, its port and figures."""
+    """Twin in its own process, with port and figures."""
 
     def __init__(self, parameters: dict[str, Any], spin: float = 0.0, cpu: int | None = None, on_time: bool = False):
         spawn = multiprocessing.get_context("spawn")

@@ -1,4 +1,4 @@
-"""Cost of a live server to a flight, and its latency.
+"""Cost and latency of a live server beside a flight.
 
     python scripts/benchmarks/bench_live.py [--seconds X] [--flights N] [--rate HZ ...] [--busy] [--only cost|ticks]
 

@@ -1,4 +1,4 @@
-"""Cost of a browser to the control loop, and drag latency.
+"""Cost of a browser to the control loop, and latency.
 
     python scripts/benchmarks/bench_web.py [--seconds X] [--rate HZ ...] [--size WIDTHxHEIGHT]
 
@@ -46,7 +46,7 @@ for (const name of ['drawElements', 'drawArrays']) {
 
 
 def drive(url: str, seconds: float, size: dict[str, int]) -> None:
-    """Move the knob in steps; print its latency and frame rate."""
+    """Move the knob in steps; print latency and frame rate."""
     random = np.random.default_rng(0)
     with chromium() as browser:
         tab = browser.new_context(viewport=size).new_page()

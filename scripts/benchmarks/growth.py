@@ -116,7 +116,7 @@ def against_rate(quick: bool) -> dict[str, dict[int, float]]:
 
 
 def _rate_run(make: Callable[..., SampledPlant], period: float, ticks: int) -> float:
-    """Return the time to hold a flotor at the centre [s]."""
+    """Return the time to hold a centred flotor [s]."""
     delay = 0.3 * period
     laws = (
         Wall(axes="z", lower=-1e-3, stiffness=6000, damping=20),

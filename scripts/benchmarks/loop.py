@@ -96,7 +96,7 @@ def by_hand(name: str) -> float:
 
 
 def exact_loop(batch: tuple[int, ...] = ()) -> float:
-    """Return the tick time on the exact plant, a device [s]."""
+    """Return the exact plant's tick time, a device [s]."""
     pose = np.broadcast_to(START, (*batch, 6))
     plant = ExactPlant(TIMING, pose=pose)
     controller = drop_controller()

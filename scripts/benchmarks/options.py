@@ -1,4 +1,4 @@
-"""Cost and effect of each plant option over the plain loop.
+"""Cost and effect of each option over the plain loop.
 
 `measure` is a section of bench.py; its times are medians of repeats in turn, its ratios medians of theirs pair by pair.
 """
@@ -70,7 +70,7 @@ class Loop(NamedTuple):
 
 
 def many(count: int, spread: float) -> Array:
-    """Return poses at release within a range [m, rad], (count, 6)."""
+    """Return random poses within a range [m, rad], (count, 6)."""
     return START + np.random.default_rng(1).uniform(-spread, spread, (count, 6))
 
 

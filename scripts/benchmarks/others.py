@@ -27,7 +27,7 @@ OURS: dict[str, Callable[..., Any]] = {
     "this package, RK4": partial(MuJoCoPlant, coils=False),
     "this package, exact plant": ExactPlant,
 }
-"""This package's plants by table name; the first is the reference."""
+"""This package's plants by table name, the reference first."""
 
 THEIRS = {
     "MuJoCo by hand, half-kick": ("mujoco", "split, Euler, half-kick, slides and ball"),

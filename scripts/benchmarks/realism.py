@@ -1,4 +1,4 @@
-"""Cost and effect of each piece of realism in the drop.
+"""Cost and effect of realism in the drop, by piece.
 
 Each piece is added alone to the plain loop of its plant. `measure` is a section of bench.py.
 """

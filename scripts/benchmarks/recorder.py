@@ -1,4 +1,4 @@
-"""Cost of recording a tick, writing it and reading an hour.
+"""Cost of recording a tick, writing and reading it.
 
     python scripts/benchmarks/recorder.py [--quick] [--hour FILE]
     python scripts/benchmarks/recorder.py --rate 20000 --seconds 30
@@ -157,7 +157,7 @@ def writer_costs(count: int, runs: int) -> dict[str, dict[str, float]]:
 
 
 def kept_up(rate: float, seconds: float) -> dict[str, float]:
-    """Record to a file in real time at a rate [1/s].
+    """Record to a file in real time [1/s].
 
     Returns:
         Samples recorded and lost, and the time that the writer takes for the rest at the end [s].

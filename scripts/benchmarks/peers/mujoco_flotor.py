@@ -1,4 +1,4 @@
-"""The flotor in MuJoCo, with the cheapest access to its numbers."""
+"""The flotor in MuJoCo, with cheap access to its numbers."""
 
 from __future__ import annotations
 

@@ -203,7 +203,7 @@ def _half_kicked(task: Task, joints: str = "free") -> Callable[[], Array]:
 
 
 def _settled(flotor: Flotor, h: float, a: list[float], k: float, b: list[float]) -> list[float]:
-    """Correct the pose of a free body by h a + k b."""
+    """Correct a free body's pose by h a + k b."""
     x, y, z, qw, qx, qy, qz = flotor.position()
     ax, ay, az, ap, aq, ar = a
     bx, by, bz, bp, bq, br = b
@@ -214,7 +214,7 @@ def _settled(flotor: Flotor, h: float, a: list[float], k: float, b: list[float])
 
 
 def _slide_settled(flotor: Flotor, h: float, a: list[float], k: float, b: list[float]) -> list[float]:
-    """Correct the pose of a single slide by h a + k b."""
+    """Correct a slide's pose by h a + k b."""
     flotor.put(flotor.position()[0] - h * a[0] - k * b[0])
     return flotor.pose()
 

@@ -66,7 +66,7 @@ class Task:
 
     @property
     def pose(self) -> list[float]:
-        """Start pose: x y z [m], then a rotation vector [rad]."""
+        """Start pose: x y z [m], rotation vector [rad]."""
         return [*self.offset, self.tilt, 0.0, 0.0]
 
     @property
@@ -115,7 +115,7 @@ class Task:
     def segments(
         self, held: list[float], force: list[float], pulse: list[float] | None
     ) -> list[tuple[float, list[float]]]:
-        """Return segments of a period: duration [s], wrench [N, N m].
+        """Return a period's segments: duration [s], wrench [N, N m].
 
         Args:
             held: Wrench in effect at the sample [N, N m].
