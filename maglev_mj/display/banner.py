@@ -46,7 +46,7 @@ def _known(action: str, snapshot: Snapshot) -> str:
 
 
 def pace(snapshot: Snapshot) -> str:
-    """Return the pace of time in words; empty for real time."""
+    """Return the pace of time; empty for real time."""
     if (scale := snapshot.time_scale) == 1.0:
         return ""
     return f"1/{1.0 / scale:.3g} of real time" if scale < 1.0 else f"{scale:.3g} times real time"

@@ -69,7 +69,7 @@ def curves(snapshot: Snapshot, axis: int, most: int) -> Curves:
 
 
 class SteadyRange:
-    """Range of a plot's axis that fits its data without jitter.
+    """Range of a plot's axis that follows data without jitter.
 
     Args:
         least: Smallest span, in the data's unit.
@@ -132,6 +132,6 @@ def fitted_range(values: Array, least: float) -> tuple[float, float]:
 
 
 def round_up(value: float) -> float:
-    """Return the next of 1, 2, 5 times a power of ten."""
+    """Return the next of 1, 2, 5 times 10^n."""
     step = 10.0 ** np.floor(np.log10(value))
     return float(next(step * size for size in (1.0, 2.0, 5.0, 10.0) if step * size >= 0.999 * value))

@@ -71,7 +71,7 @@ class RemoteViewer:
         self._front = SideProcess(_open, snapshot, front)
 
     def show(self, snapshot: Snapshot) -> None:
-        """Show a snapshot, or skip it if the viewer is busy."""
+        """Show a snapshot, unless the viewer is busy."""
         self._scene = snapshot.scene
         if not self._front.ready:
             return

@@ -95,7 +95,7 @@ def require() -> None:
 
 
 def new_figure(rows: int, columns: int, height: float, **options: Any) -> tuple[Any, list[Any]]:
-    """Return a figure of panels, and the panels row by row.
+    """Return a figure and its panels, row by row.
 
     It is `WIDTH` wide, `height` in inches.
     """

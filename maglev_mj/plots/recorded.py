@@ -1,4 +1,7 @@
-"""Charts of a recording beside its simulation (figures 5, 6, 9)."""
+"""Charts of a recording beside its simulation.
+
+Figures 5, 6 and 9 of the paper.
+"""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ _RELEASE = 0.5
 
 
 class Taps:
-    """Two buttons: 0 for the lower wall, 1 for the upper.
+    """Two buttons: 0 at the lower wall, 1 above.
 
     The handle taps if the force along z in a wall passes half of `force`, reaches `force`, and is below half of it
     again 0.06 to 0.15 s later. A bounce is shorter, a handle that leans on the wall longer. The button is down for one

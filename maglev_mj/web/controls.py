@@ -25,7 +25,7 @@ A control shows the value in force only then, since that comes back with a delay
 
 _SHARES, _ROOM = 200.0, 2.5
 _INSIDE = 1e-3
-"""Distance from an excluded bound, as a share of the default."""
+"""Distance from an excluded bound, a share of the default."""
 
 
 class Control:

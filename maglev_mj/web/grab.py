@@ -15,11 +15,11 @@ from maglev_mj.shapes import GRIP
 __all__ = ["Grab"]
 
 Aim = Callable[[list[float] | None], object]
-"""Takes the hand's target pose [m, rad], (6,); None on release."""
+"""Takes a target pose [m, rad], (6,); None on release."""
 
 
 class Grab:
-    """Follow drags of the knob: plain to move, Shift to tilt.
+    """Follow drags of the knob: plain moves, Shift tilts.
 
     The first browser to grab has the hand.
 

@@ -51,7 +51,7 @@ class Door:
 
     @property
     def url(self) -> str:
-        """Address for a browser, with the token if there is one."""
+        """Address for a browser, with the token, if any."""
         return f"http://{self.host}:{self.port}/" + (f"?token={self.token}" if self.token else "")
 
     @property

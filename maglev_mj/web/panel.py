@@ -35,7 +35,7 @@ _SHEET = (
     f"<style>@media(max-width:36em){{{_FIXED}{{width:100%!important;max-height:48%!important}}"
     f'{_FIXED} div[style*="width: 20em"]{{width:100%!important}}}}</style>'
 )
-"""Style of the panel on a phone: a full-width sheet below."""
+"""Style of the panel on a phone: a full-width sheet."""
 _PAUSED: Colour = (0.25, 0.28, 0.33)
 
 

@@ -175,7 +175,7 @@ class _Arrow:
         self._arrow = scene.add_arrows(f"/forces/{name}", points, _bytes(shade), visible=False, **sizes)
 
     def show(self, knob: Array, force: Array) -> None:
-        """Show a force [N], (3,), at a knob position [m], (3,)."""
+        """Show a force [N], (3,), at a position [m], (3,)."""
         size = float(np.linalg.norm(force))
         put(self._arrow, visible=size >= LEAST_FORCE)
         if size >= LEAST_FORCE:

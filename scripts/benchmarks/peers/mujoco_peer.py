@@ -203,7 +203,10 @@ def _half_kicked(task: Task, joints: str = "free") -> Callable[[], Array]:
 
 
 def _settled(flotor: Flotor, h: float, a: list[float], k: float, b: list[float]) -> list[float]:
-    """Correct a free body's pose by h a + k b."""
+    """Correct a free body's pose.
+
+    By h a + k b.
+    """
     x, y, z, qw, qx, qy, qz = flotor.position()
     ax, ay, az, ap, aq, ar = a
     bx, by, bz, bp, bq, br = b
