@@ -1,4 +1,4 @@
-"""The exact closed loop: published figures, scaling, other derivations, and three plants that move as it says."""
+"""Exact closed loop against published figures, derivations and three plants."""
 
 import itertools
 import math
@@ -81,7 +81,7 @@ def test_scaling_is_exact() -> None:
 
 
 def test_the_stable_stiffnesses_are_one_interval_from_zero() -> None:
-    """So the largest stable one is a boundary, and not the end of an island."""
+    # So the largest stable one is a boundary, and not the end of an island.
     for delay in (0.0, 0.0015, 0.005, 0.0125):
         b = np.linspace(2.0, 160.0, 40)
         k = np.geomspace(1.0, 25000.0, 400)[:, None]
@@ -150,7 +150,10 @@ RIGID = Hand(mass=0.1, damping=5.0, stiffness=500.0)
 
 
 def simulated(plant_type: Any, delay: float, gains: tuple[float, float], **options: Any) -> NDArray[np.float64]:
-    """Return the sampled heights of a flotor let go 1 mm off, held by a spring and damper."""
+    """Return the simulated heights of a released flotor.
+
+    From 1 mm off, held by a spring and damper.
+    """
     pose: Any = [0.0, 0.0, 1e-3, 0.0, 0.0, 0.0]
     velocity = options.pop("velocity")
     plant = plant_type(
@@ -207,7 +210,7 @@ def test_plants_move_as_the_matrix_says(
 
 
 def test_least_dynamic_stiffness_has_its_limits() -> None:
-    """At rest it is the stiffness, far above the resonance it is that of the mass."""
+    # At rest it is the stiffness, far above the resonance it is that of the mass.
     for frequency in (0.0, 1.0, 10.0, 50.0):
         turn = 2.0 * math.pi * frequency
         expected = abs(1000.0 + 100.0j * turn - M * turn**2)
