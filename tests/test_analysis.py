@@ -167,7 +167,10 @@ LOST = [7, 8, 20, 33, 34, 35, 50]
 
 
 def with_losses(hand: tuple[float, ...], law: Law, start: float) -> Stretch:
-    """Return 60 samples of a flotor under a law and a constant force that is not in the recording."""
+    """Return 60 samples under a law and an unrecorded force.
+
+    The force is constant.
+    """
     plant = ExactPlant(
         Timing(), pose=(0.0, 0.0, start, 0.0, 0.0, 0.0), gravity=0.0, hand_force=lambda tick, time, state: hand
     )

@@ -330,7 +330,7 @@ def test_summary_fields_are_the_public_ones() -> None:
 
 
 def test_hardness_is_that_of_the_first_contact_however_hard_later_ones_are() -> None:
-    """By hand: a soft contact, away, and one of ten times the force."""
+    # By hand: a soft contact, away, and one of ten times the force.
     time = 0.01 * np.arange(7)
     pose, twist, wrench = (np.zeros((7, 6)) for _ in range(3))
     pose[:, 2] = [1e-3, -1e-3, 1e-3, 1e-3, -1e-3, 1e-3, 1e-3]

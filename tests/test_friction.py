@@ -564,7 +564,7 @@ def test_walls_take_any_velocity_estimate(estimator: Any) -> None:
 
 @pytest.mark.parametrize("early", [1e-6, 1e-4, 2e-3])
 def test_karnopp_is_not_stopped_by_a_rest_that_a_jump_of_the_target_forestalls(early: float) -> None:
-    """The target jumps a little before the mass would stick: it slides on, from the same state."""
+    # The target jumps a little before the mass would stick: it slides on, from the same state.
     alone = karnopp([0.5], targets=[(0.0, 0.005)], **FIGURE_8)
     rest = alone.events[1].time
     assert alone.events[1].kind == "stick"
@@ -580,7 +580,7 @@ def test_karnopp_is_not_stopped_by_a_rest_that_a_jump_of_the_target_forestalls(e
 
 @pytest.mark.parametrize("noise", [1e-6, 1e-5])
 def test_adaptive_window_reaches_back_while_samples_lie_within_its_band(noise: float) -> None:
-    """A bump in the past of an axis that stands still: passed, at the end of the chord, and outside both."""
+    # A bump in the past of an axis that stands still: passed, at the end of the chord, and outside both.
     ends = {0.49: (0.0, 11), 0.99: (0.0, 11), 1.01: (1.01, 7), 1.16: (1.16, 7), 1.17: (0.0, 6), 1.9: (0.0, 6)}
     for bump, (end, length) in ends.items():
         places = np.zeros(12)

@@ -246,7 +246,7 @@ def test_samples_must_fit_the_laws() -> None:
 
 
 def test_pulses_on_one_sample_add_up() -> None:
-    """Two walls on one axis and one on another are entered at once."""
+    # Two walls on one axis and one on another are entered at once.
     laws = [
         wall(pulse=pulse, pulse_width=WIDTH, axes=axes) for pulse, axes in ((PULSE, "z"), (100.0, "z"), (50.0, "x"))
     ]

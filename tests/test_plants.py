@@ -502,7 +502,7 @@ def test_current_limit_is_that_of_the_measured_angle(seen: Sequence[float] | Non
 
 @pytest.mark.parametrize("delay", [0.0, 0.0015])
 def test_recorded_force_under_driver_lag_is_the_actual_one(delay: float) -> None:
-    """First order from the command's arrival on, also between the knots."""
+    # First order from the command's arrival on, also between the knots.
     plant = ExactPlant(Timing(period=T, delay=delay), gravity=0.0, driver_lag=True, record=True)
     for force in (10.0, -5.0):
         plant.read()

@@ -253,7 +253,7 @@ def test_bad_loops_are_refused_with_the_value() -> None:
 
 
 def test_a_hands_force_is_not_filtered_by_the_drivers() -> None:
-    """Compliance is the steady swing of a plant whose drivers lag, under a hand's force held from sample to sample."""
+    # Compliance is the steady swing of a plant whose drivers lag, under a hand's force held from sample to sample.
     lag, frequency, ticks = 20.0 * LAG, 17.0, 2000
     turns = np.exp(2j * math.pi * frequency * T * np.arange(ticks))
     plant = ExactPlant(
@@ -291,7 +291,7 @@ def test_more_gains_than_are_taken_at_once() -> None:
 
 @pytest.mark.parametrize("delay", [2.1 * T, 2.5 * T, 2.95 * T])
 def test_critical_delays_up_to_three_periods(delay: float) -> None:
-    """The stiffest wall at a delay has that delay as its critical one."""
+    # The stiffest wall at a delay has that delay as its critical one.
     wall = stiffest_wall(period=T, delay=delay)
     gains = 0.999 * float(wall.stiffness), float(wall.damping)
     found = float(critical_delay(*gains, period=T))
