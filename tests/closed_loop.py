@@ -1,4 +1,4 @@
-"""Closed-loop matrices worked out independently of the package, for tests to hold simulations against."""
+"""Closed-loop matrices derived independently of the package, for tests."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ from numpy.typing import NDArray
 
 
 def pd_matrix(stiffness: float, damping: float, *, period: float, delay: float, mass: float) -> NDArray[np.float64]:
-    """Return the exact map of (x, v, x[k-1], forces on their way) over one period, for any delay.
+    """Return the exact map over one period, for any delay.
+
+    The state is (x, v, x[k-1], forces not yet in effect).
 
     A force computed at sample k takes effect `delay` later and holds for one period.
     """

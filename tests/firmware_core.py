@@ -1,4 +1,7 @@
-"""The device's firmware in C behind the interface of the one in Python, so that the same tests hold both."""
+"""Firmware in C behind the Python firmware's interface.
+
+The same tests check both.
+"""
 
 from __future__ import annotations
 
@@ -80,7 +83,10 @@ class _Device(ctypes.Structure):
 
 @cache
 def library() -> ctypes.CDLL:
-    """Return the firmware as a library that stops at undefined behaviour; skip where there is no compiler."""
+    """Return the compiled firmware; skip without a compiler.
+
+    It stops at undefined behaviour.
+    """
     if COMPILER is None:
         pytest.skip(NEEDS_COMPILER)
     folder = Path(tempfile.mkdtemp())

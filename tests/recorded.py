@@ -1,4 +1,4 @@
-"""Small recordings of every kind for tests, and files of both kinds written as nobody's writer would."""
+"""Small recordings of every kind, valid and damaged, for tests."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from maglev_mj.session import Pacer, Session
 
 Message = dict[str, Any]
 Place = tuple[Any, ...]
-"""Where a value is: names and indices from the outside in."""
+"""Position of a value: names and indices from outside in."""
 
 
 def _drop(path: Path) -> None:
@@ -78,7 +78,10 @@ OURS = ("/maglev/stretch", "/maglev/sample", "/maglev/event")
 
 
 def decoder(schema: Any) -> Callable[[bytes], Message]:
-    """Return what decodes messages by a schema in a file, as any program does, with the package of protobuf."""
+    """Return a decoder of messages by a file's schema.
+
+    It uses the package of protobuf, as any program does.
+    """
     from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
     if schema.encoding == "jsonschema":
@@ -91,7 +94,10 @@ def decoder(schema: Any) -> Callable[[bytes], Message]:
 
 
 def plain(message: Any) -> Message:
-    """Return a message of protobuf as names and values; what is no number is None, as JSON has it."""
+    """Return a protobuf message as names and values.
+
+    NaN is None, as JSON has it.
+    """
     found: Message = {}
     for field in message.DESCRIPTOR.fields:
         value = getattr(message, field.name)
@@ -105,7 +111,7 @@ def plain(message: Any) -> Message:
 
 
 def messages_in(data: bytes, topics: Collection[str] = OURS) -> list[tuple[str, Message]]:
-    """Return topic and content of each message of a file that is about the run."""
+    """Return topic and content of each message about the run."""
     from mcap.reader import make_reader
 
     reader, decoders = make_reader(BytesIO(data)), {}
@@ -156,7 +162,10 @@ def with_messages(data: bytes, change: Callable[[str, int, bytes], bytes | None]
 
 
 def with_rows(data: bytes, change: Callable[[int, str], float | None]) -> bytes:
-    """Return a file with other numbers in its samples: of a sample and a column, or None to leave it as it is."""
+    """Return a file with other numbers in its samples.
+
+    `change` gets a sample and a column; None leaves a number as it is.
+    """
     layout = None
 
     def new(topic: str, place: int, message: bytes) -> bytes:
@@ -176,7 +185,10 @@ def with_rows(data: bytes, change: Callable[[int, str], float | None]) -> bytes:
 
 
 def mcap_of(messages: list[tuple[str, Message]], *, compressed: bool = True) -> bytes:
-    """Return a whole file of before, all in JSON, in which numbers that JSON does not know are as Python has them."""
+    """Return a complete older file, all in JSON.
+
+    Numbers outside JSON are written as Python does.
+    """
     from mcap.writer import CompressionType, Writer
 
     file = BytesIO()
@@ -209,12 +221,18 @@ def npz_of(header: Message, arrays: Mapping[str, Any], *, compressed: bool = Fal
 
 
 def command_row(command: Command) -> list[float]:
-    """Return a command as 13 numbers: held wrench, pulse, pulse width."""
+    """Return a command as 13 numbers.
+
+    Held wrench, pulse, pulse width.
+    """
     return [*command.force, *(command.extra or ZERO), command.pulse_width if command.extra else 0.0]
 
 
 def numbers_in(value: Any, place: Place = ()) -> Iterator[Place]:
-    """Yield where there are numbers, switches and nothings, but for those of the code that made it."""
+    """Yield the positions of numbers, switches and nulls.
+
+    Those of the code's versions are left out.
+    """
     if isinstance(value, dict | list):
         for key, part in value.items() if isinstance(value, dict) else enumerate(value):
             if key != "versions":
@@ -234,7 +252,7 @@ def changed(value: Any, place: Place, new: Any) -> Any:
 
 
 def load(data: bytes, folder: Path, suffix: str) -> Recording:
-    """Return what is in a file of these bytes."""
+    """Return the recording in a file of these bytes."""
     path = folder / f"changed{suffix}"
     path.write_bytes(data)
     return Recording.load(path)

@@ -1,4 +1,4 @@
-"""Settings that other programs ask for: walls of their own, and whether they would be stable."""
+"""Settings by other programs: own walls, and their stability check."""
 
 import json
 from typing import Any
@@ -70,7 +70,10 @@ class Pushing(Scene):
 
 
 class Push(Law):
-    """Pushes on one axis; with a velocity it would push by a thousand times as much."""
+    """Law that pushes on one axis.
+
+    With a velocity it would push a thousand times as hard.
+    """
 
     pulse_width = 0.001
 
@@ -88,7 +91,7 @@ class Push(Law):
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 @pytest.mark.parametrize("limit", [STEP_FORCE, 0.5])
 def test_a_step_of_force_is_at_most_the_limit(axis: str, sign: float, limit: float) -> None:
-    """On every axis, held or in a pulse, from whatever acts now; the pose counts, the speed does not."""
+    # On every axis, held or in a pulse, from whatever acts now; the pose counts, the speed does not.
     most, unit = (limit, "N") if axis in "xyz" else (0.05 * limit, "N m")
     scene = Pushing(axis_pushed=axis, held=sign * 3.0)
     present, place = scene.controller(), [1e-3] * 6
@@ -109,7 +112,7 @@ def test_a_step_of_force_is_at_most_the_limit(axis: str, sign: float, limit: flo
 
 
 def test_a_step_is_that_of_what_acts_now() -> None:
-    """Friction that holds 1.9 N would let go; a wall takes the place of one that pushes as much."""
+    # Friction that holds 1.9 N would let go; a wall takes the place of one that pushes as much.
     table = Table(breakaway=3.0)
     stuck = table.controller()
     for tick, x in enumerate((0.0, 0.0, 0.0, 0.35e-3, 0.35e-3)):
@@ -145,7 +148,7 @@ def test_breakaway_is_where_friction_lets_go() -> None:
 @pytest.mark.parametrize("delay", [0.0, 0.0015, 0.004])
 @pytest.mark.parametrize("name", ["joystick", "table", "box", "corner"])
 def test_settings_are_refused_from_the_boundary_of_theory_on(name: str, period: float, delay: float) -> None:
-    """Just below the largest stable stiffness they may be had, just above they may not, with the figures of theory."""
+    # Just below the largest stable stiffness they may be had, just above they may not, with the figures of theory.
     chosen = find_scene(name)().replace(period=period, delay=delay, pulse=False)
     assert isinstance(chosen, InteractiveScene)
     on = "friction" if chosen.friction else "walls"
@@ -164,7 +167,7 @@ def test_settings_are_refused_from_the_boundary_of_theory_on(name: str, period: 
 
 @pytest.mark.parametrize("above", [False, True])
 def test_what_is_refused_makes_energy_and_what_is_not_does_not(above: bool) -> None:
-    """In the simulation, at 1.3 and 0.8 of the boundary, pressed against the wall."""
+    # In the simulation, at 1.3 and 0.8 of the boundary, pressed against the wall.
     chosen = Drop(pulse=0.0)
     bound = float(largest_stable_stiffness(chosen.damping, period=chosen.period, delay=chosen.delay, mass=MASS))
     scene = chosen.replace(stiffness=(1.3 if above else 0.8) * bound)
@@ -323,7 +326,7 @@ def test_the_stability_plot_shows_gains_only_where_all_laws_state_them() -> None
 
 def test_the_boundary_in_the_plot_is_that_of_the_scenes_own_mass() -> None:
     def most(mass: float) -> float:
-        """Return the damping up to which a wall may be stable [N s/m], as drawn."""
+        """Return the largest damping of a stable wall [N s/m]."""
         plots, snapshot = Plots(), Snapshot(scene=Drop(mass=mass))
         plots.wait(snapshot.scene)
         figure = plots.update(snapshot)[2]

@@ -1,4 +1,7 @@
-"""MuJoCo against the exact plant: translations to rounding, rotations to a microradian."""
+"""MuJoCo against the exact plant.
+
+Translations agree to rounding, rotations to a microradian.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +33,7 @@ GAINS = {0.0: (12000.0, 110.0), 0.0015: (6000.0, 80.0), 0.005: (3000.0, 55.0)}
 def test_drops_agree_within_a_nanometre(
     delay: float, pulse: float, limit: float | None, phases: tuple[float, ...]
 ) -> None:
-    """Heights 0.5-4.5 mm, 20 phases, three delays, pulse on and off, clipped and unclipped: 1200 drops in all."""
+    # Heights 0.5-4.5 mm, 20 phases, three delays, pulse on and off, clipped and unclipped: 1200 drops in all.
     stiffness, damping = GAINS[delay]
     assert largest_modulus(stiffness, damping, period=0.005, delay=delay, mass=0.7) < 1.0
     worst = 0.0
@@ -52,7 +55,10 @@ def test_drops_agree_within_a_nanometre(
 
 
 def cross(plant: SampledPlant, axis: str, side: int, size: float, mass: float = INERTIA[0]) -> Array:
-    """Throw the flotor at a wall at 0 along one axis, the others held; return that axis over time."""
+    """Throw the flotor at a wall along one axis.
+
+    The others are held; the axis is returned over time.
+    """
     body = np.array([mass] * 3 + [*INERTIA[3:]])
     share = body[AXES.index(axis)] / INERTIA[0]
     # the same dimensionless wall for every inertia
@@ -80,7 +86,7 @@ def start(axis: str, side: int, size: float) -> dict[str, Any]:
 @pytest.mark.parametrize("side", [1, -1])
 @pytest.mark.parametrize("axis", AXES)
 def test_every_axis_and_side_behaves_as_z_does(axis: str, side: int) -> None:
-    """In units of the start and of the inertia, all twelve walls give one curve."""
+    # In units of the start and of the inertia, all twelve walls give one curve.
     size = 1e-3 if AXES.index(axis) < 3 else math.radians(1.0)
     plant = ExactPlant(Timing(phase=0.2), **start(axis, side, size))
     reference = ExactPlant(Timing(phase=0.2), **start("z", 1, 1e-3))
@@ -91,7 +97,9 @@ def test_every_axis_and_side_behaves_as_z_does(axis: str, side: int) -> None:
 
 @pytest.mark.parametrize("axis", AXES)
 def test_the_plants_as_they_come_agree_on_every_axis(axis: str) -> None:
-    """Thrown at a wall from ±2 mm or ±1 degree, at eight phases, with neither plant told what it carries.
+    """Plants agree on throws at walls on every axis.
+
+    From ±2 mm or ±1 degree, at eight phases, both with default options.
 
     Translations agree to rounding, and rotations too under an ideal wrench; through the coils, whose map is that of the
     angle at the sample, within a microradian. Corrected Euler steps are within a nanoradian.
@@ -120,7 +128,7 @@ def test_the_plants_as_they_come_agree_on_every_axis(axis: str) -> None:
 
 
 def test_rotations_about_several_axes_differ_by_the_second_order_of_the_angle() -> None:
-    """The exact plant decouples the rotations: held against the engine, its error falls with the angle squared."""
+    # The exact plant decouples the rotations: held against the engine, its error falls with the angle squared.
     gaps = []
     for size in np.radians([1.0, 0.5, 0.25]):
         pose = np.array([0.0, 0.0, 0.0, size, -0.8 * size, 0.6 * size])

@@ -1,4 +1,7 @@
-"""What a recording tells is what its experiment knows: to rounding where every force is recorded, bounded elsewhere."""
+"""Analysis of recordings against known values of the experiments.
+
+To rounding if every force is recorded, within bounds otherwise.
+"""
 
 from __future__ import annotations
 
@@ -42,7 +45,7 @@ TOUR = Trajectory(
     [0.8, 1.1, 1.4, 1.8, 2.2],
     [ZERO, (0.016, 0.004, 0, 0, 0.1, 0), (-0.016, 0.01, 0.005, 0.1, 0, 0.1), (0, -0.012, -0.016, 0.1, 0, -0.1), ZERO],
 )
-"""Where a hand draws the flotor: against walls on x, y and z."""
+"""Path of a hand against walls on three axes."""
 
 
 def recorded(scene: Scene, plant: str = "exact", phase: float = 0.0) -> Stretch:
@@ -56,7 +59,10 @@ def analysed(stretch: Stretch, **keywords: Any) -> Analysed:
 
 @cache
 def flown(mass: float = MASS, *, hand: bool = False, loss: float = 0.0, **parameters: float) -> Stretch:
-    """Return two seconds of a joystick on a virtual twin, which may weigh something else than is known of it."""
+    """Return two seconds of a joystick on a virtual twin.
+
+    Its mass may differ from the calibration's.
+    """
     truth = replace(Calibration.nominal(), mass=mass)
     holder = SpringHand(target=TOUR) if hand else None
     twin = Twin(TwinParameters(truth=truth, **parameters), hand_force=holder, draw=lambda: 7)  # type: ignore[arg-type]
@@ -69,7 +75,7 @@ def flown(mass: float = MASS, *, hand: bool = False, loss: float = 0.0, **parame
 
 @pytest.fixture(scope="module")
 def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a recording of the joystick in a hand, without friction and then with it."""
+    """Return a joystick recording without, then with friction."""
     folder = tmp_path_factory.mktemp("session")
     running = Session(
         Joystick(), folder=folder, hand=SpringHand(target=TOUR), pacer=Pacer(budget=100.0, patience=100.0)
@@ -161,7 +167,10 @@ LOST = [7, 8, 20, 33, 34, 35, 50]
 
 
 def with_losses(hand: tuple[float, ...], law: Law, start: float) -> Stretch:
-    """Return 60 samples of a flotor under a law and a constant force that is not in the recording."""
+    """Return 60 samples under a law and an unrecorded force.
+
+    The force is constant.
+    """
     plant = ExactPlant(
         Timing(), pose=(0.0, 0.0, start, 0.0, 0.0, 0.0), gravity=0.0, hand_force=lambda tick, time, state: hand
     )

@@ -1,4 +1,4 @@
-"""What is identified from recordings holds the truth in its interval, and what they do not tell is said."""
+"""Identification from recordings: intervals hold the truth, or are withheld."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def thinned(stretch: Stretch, kept: Mask) -> Stretch:
 
 
 def coverage(seeds: range) -> dict[str, list[bool]]:
-    """Return by name whether each interval that was told holds the truth."""
+    """Return by name if each interval holds the truth."""
     kept: dict[str, list[bool]] = {}
     for seed in seeds:
         case = draw(seed)
@@ -185,7 +185,7 @@ def test_friction_is_found(law: str) -> None:
 
 
 def flight(mass: float) -> Stretch:
-    """Return two seconds of a hovering joystick that is taken to weigh 0.7 kg."""
+    """Return a hovering joystick's recording with an assumed 0.7 kg."""
     twin = Twin(TwinParameters(truth=replace(Calibration.nominal(), mass=mass)), draw=lambda: 7)
     file = ArrayFile()
     with RemotePlant(VirtualLink(twin)) as plant:

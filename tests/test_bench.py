@@ -1,4 +1,4 @@
-"""The runner of the benchmarks: sections, ratios pair by pair, tables, pictures from its figures."""
+"""Benchmark runner: sections, paired ratios, tables, pictures."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The last cycles before a fault: written whatever else fails, and read back."""
+"""Black boxes: written after faults, and read back."""
 
 from __future__ import annotations
 
@@ -162,7 +162,7 @@ def test_the_table_says_what_when_and_the_last_cycles(tmp_path: Path) -> None:
 
 
 class Full:
-    """A folder whose disk is full: files begin, and end early."""
+    """Folder on a full disk: files begin, and end early."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, only: Path | None = None) -> None:
         real = Path.open

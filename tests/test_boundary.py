@@ -1,4 +1,7 @@
-"""The boundary of stability over the gains against dense scans of the eigenvalues, over random loops and margins."""
+"""Stability boundary over the gains against dense eigenvalue scans.
+
+Over random loops and margins.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +31,10 @@ ISLAND: dict[str, Any] = {
 
 
 def random_loop(random: np.random.Generator) -> SampledLoop:
-    """Return a loop drawn over rates, delays, masses, hands, lags, velocity estimates and predictions."""
+    """Return a loop with random parameters.
+
+    Rates, delays, masses, hands, lags, velocity estimates and predictions.
+    """
     period = 10.0 ** random.uniform(-3.3, -2.0)
     late = random.choice([0.0, random.uniform(0.0, 1.0), random.uniform(0.0, 4.0), 1.0])
     arm: dict[str, Any] = {

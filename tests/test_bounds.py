@@ -1,4 +1,4 @@
-"""Published bounds: derived again, held against the exact boundary, optimistic or conservative by how much."""
+"""Published bounds, derived again and compared with the exact boundary."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,10 @@ T, M = 0.005, 0.7
 
 
 def least_passive_damping(stiffness: float, damping: float) -> float:
-    """Return the b above which T/2 / (1 - cos wT) Re[(1 - e^-jwT) H(e^jwT)] stays below it, over all frequencies."""
+    """Return the least damping of a passive wall.
+
+    b above T/2 / (1 - cos wT) Re[(1 - e^-jwT) H(e^jwT)] over all frequencies.
+    """
     w = np.linspace(1e-6, np.pi, 200_001)  # times T
     z = np.exp(1j * w)
     wall = stiffness + damping * (z - 1.0) / (T * z)
@@ -33,7 +36,7 @@ def test_no_wall_on_a_bare_flotor_is_passive_and_many_are_stable() -> None:
 
 
 def test_colgate_is_conservative_wherever_it_holds() -> None:
-    """With a device that has damping of its own, and no delay."""
+    # With a device that has damping of its own, and no delay.
     for b in (5.0, 20.0, 60.0):
         virtual = np.linspace(0.0, 0.95 * b, 8)
         passive = bounds.colgate(virtual, period=T, physical_damping=b)
@@ -42,7 +45,7 @@ def test_colgate_is_conservative_wherever_it_holds() -> None:
 
 
 def test_gil_is_the_first_order_of_the_exact_boundary() -> None:
-    """The ratio of the two goes to 1 as B T/m does to 0, in proportion to it; at any delay."""
+    # The ratio of the two goes to 1 as B T/m does to 0, in proportion to it; at any delay.
     for delay in (0.0, 0.0015, 0.005, 0.01):
         b = np.array([0.1, 0.2, 0.4])
         exact = largest_stable_stiffness(b, period=T, delay=delay)
@@ -59,7 +62,7 @@ def test_gil_with_physical_damping_too() -> None:
 
 
 def test_how_optimistic_in_figures() -> None:
-    """Gil et al. twofold at the optimum, 4 % at a damping of 5 N s/m; Minsky et al. sixfold under a full period."""
+    # Gil et al. twofold at the optimum, 4 % at a damping of 5 N s/m; Minsky et al. sixfold under a full period.
     best = stiffest_wall(period=T, delay=T)
     assert bounds.gil(best.damping, period=T, delay=T) / best.stiffness == pytest.approx(1.96, abs=0.01)
     assert bounds.minsky(best.damping, period=T) / best.stiffness == pytest.approx(5.88, abs=0.01)
@@ -70,7 +73,7 @@ def test_how_optimistic_in_figures() -> None:
 
 @pytest.mark.parametrize(("stiffness", "damping"), [(6000.0, 80.0), (4000.0, 60.0), (2000.0, 30.0)])
 def test_friction_by_abbott_and_okamura_silences_the_hum_of_a_coarse_sensor(stiffness: float, damping: float) -> None:
-    """Without friction the flotor hums over two steps of the sensor; with the bound's it never does, from any start."""
+    # Without friction the flotor hums over two steps of the sensor; with the bound's it never does, from any start.
     step = 5e-6
     friction = 0.5 * stiffness * step
     bound = bounds.abbott_okamura(period=T, physical_damping=1e9, dry_friction=friction, quantum=step)

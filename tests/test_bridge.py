@@ -1,4 +1,6 @@
-"""A device behind a wire is flown as a simulated one is: bit for bit, over bad lines, and by one host at a time.
+"""Flights behind a wire equal simulated ones bitwise.
+
+Also over bad lines, and by one host at a time.
 
 Everything here is one process in virtual time: nothing depends on how fast the machine is.
 """
@@ -38,19 +40,22 @@ ZERO = (0.0,) * 6
 CENTRE = ZERO
 NOISE: dict[str, Any] = {"quantum": 8e-7, "noise": 4e-7, "seed": 3}
 REACH = 0.0015
-"""How late a command is on a line without delay [s]."""
+"""Delay of a command on a line without delay [s]."""
 BAD_REACH = 0.010
-"""How late on the bad one: there and back, and now and then a sample that is missing [s]."""
+"""Delay on the bad line, with lost samples [s]."""
 BAD = Impairment(loss=0.05, delay=0.002, jitter=0.002, duplicate=0.02, corrupt=0.01)
 TOUR = Trajectory(
     [0.7, 1.0, 1.3, 1.6, 1.9],
     [ZERO, (0.012, 0.004, 0, 0, 0.1, 0), (-0.01, 0.01, 0.005, 0.1, 0, 0.1), (0, -0.012, 0, 0.1, 0, -0.1), ZERO],
 )
-"""Where a hand draws the flotor to and fro, after takeoff, against a hold that lets it go a sixth of the way."""
+"""Path of the hand, to and fro, after takeoff.
+
+Against a hold that yields by a sixth of the way.
+"""
 
 
 class Witness:
-    """A hand that sees how the flotor truly moves, sample by sample."""
+    """Hand that records the flotor's true motion."""
 
     def __init__(self, hand: HandForce | None) -> None:
         self.hand = hand
@@ -65,15 +70,15 @@ class Witness:
 
 
 class Rig:
-    """A twin and a host at the two ends of a wire in virtual time.
+    """Twin and host at the ends of a virtual wire.
 
     Args:
-        impairment: What the wire does to frames.
-        hand: On the flotor.
-        kind: Of the host's end.
+        impairment: Impairment of the wire.
+        hand: Hand on the flotor.
+        kind: Kind of the host's end.
         host: Keywords of the host's end.
-        key: Of both ends.
-        parameters: Those of the twin.
+        key: Key of both ends.
+        parameters: Parameters of the twin.
     """
 
     def __init__(
@@ -100,7 +105,10 @@ class Rig:
     def fly(
         self, seconds: float, controller: Controller | None = None, *, observe: Callable[[], object] | None = None
     ) -> Array:
-        """Fly, by default a soft hold, for so long; return the true poses, (N, 6)."""
+        """Fly, by default a soft hold; return the true poses.
+
+        (N, 6).
+        """
         start = len(self.witness.poses)
 
         def keep(sample: Sample, command: Command) -> None:
@@ -113,14 +121,17 @@ class Rig:
         return self.poses[start:]
 
     def currents(self) -> Sequence[float]:
-        """Go on to the device's next sample; return the largest of the currents since the one before [A], (6,)."""
+        """Advance one sample; return the largest currents [A], (6,)."""
         self.twin.sample()
         flowed = [currents for _, currents in self.twin.plant.segments] + [tuple(self.twin.plant.currents)]
         return np.abs(flowed).max(axis=0).tolist()  # type: ignore[no-any-return]
 
 
 def hover(period: float, reach: float, frequency: float | None = None) -> Controller:
-    """Return a hold that carries the flotor: as soft as the time it takes to answer asks for, or critically damped."""
+    """Return a hold that carries the flotor.
+
+    As soft as the delay requires, or critically damped.
+    """
     if frequency is None:
         hold = Hold.critically_damped(inertia=INERTIA, period=period, delay=reach)
     else:
@@ -129,7 +140,7 @@ def hover(period: float, reach: float, frequency: float | None = None) -> Contro
 
 
 def rms(poses: Array) -> float:
-    """Return the root mean square of the distance from the centre [m]."""
+    """Return the rms distance from the centre [m]."""
     return float(np.sqrt((poses[:, :3] ** 2).sum(axis=1).mean()))
 
 
@@ -263,7 +274,7 @@ GAP_START, GAP = 1.0, 0.03
 
 
 def sunk_in_a_gap(period: float, seed: int = 0) -> float:
-    """Return how far the flotor goes from where it hovered when nothing passes for 30 ms [m]."""
+    """Return the displacement after 30 ms without frames [m]."""
     rig = Rig(Impairment(blackouts=((GAP_START, GAP_START + GAP),)), period=period, seed=seed)
     rig.plant.takeoff()
     rig.fly(GAP_START + 0.1 - rig.twin.tick * period)
@@ -289,7 +300,7 @@ def test_in_a_gap_of_30_ms_the_device_carries_the_flotor(period: float, monkeypa
 
 
 class Speedometer:
-    """Keeps what it estimates."""
+    """Velocity estimator that keeps its estimates."""
 
     def __init__(self) -> None:
         self.found: list[Sequence[float]] = []
@@ -321,7 +332,7 @@ def test_across_lost_samples_the_velocity_is_right() -> None:
 
 
 def offsets() -> Calibration:
-    """Return a device whose diodes read something else than the model's."""
+    """Return a device with other spot offsets than the model's."""
     return replace(Calibration.nominal(), spot_offsets=np.array([3e-4, -2e-4, 1e-4, 4e-4, -3e-4, 2e-4]))
 
 
@@ -398,7 +409,7 @@ def test_a_host_of_another_calibration_is_told_both() -> None:
 
 
 class Foreign(VirtualLink):
-    """A wire to a device that speaks protocol version 1, whatever this program speaks."""
+    """Wire to a device of protocol version 1."""
 
     def send(self, data: bytes) -> None:
         assert data[2] == 2
@@ -417,7 +428,7 @@ def test_a_host_of_another_protocol_version_is_told_both(monkeypatch: pytest.Mon
 
 
 class Newer(VirtualLink):
-    """A wire to a device that speaks version 9 and says so in a frame that this host can read."""
+    """Wire to a device of a readable version 9."""
 
     def receive(self, timeout: float) -> bytes | None:
         data = super().receive(timeout)
@@ -434,7 +445,7 @@ def test_a_refusal_for_the_version_names_the_devices() -> None:
 
 
 class Mute(VirtualLink):
-    """A wire on which all that comes back is damaged, or nothing comes."""
+    """Wire with damaged answers, or none."""
 
     def __init__(self, twin: Twin, change: Callable[[bytes], bytes]) -> None:
         super().__init__(twin)

@@ -1,4 +1,4 @@
-"""What is left when the line goes, the device does what it should not, or the host's own program fails."""
+"""Ends of flights by failures of line, device or host."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from tests.test_bridge import Rig
 
 @pytest.fixture(autouse=True)
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Let the files with the last cycles go to a folder of their own."""
+    """Let black boxes go to a folder of their own."""
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
 
 def cut(rig: Rig) -> None:
-    """Take the line away: whatever is sent or waited for from now on is an error."""
+    """Break the line: every later use is an error."""
 
     def gone(_: object) -> None:
         raise LinkError("the line is gone")
@@ -36,7 +36,7 @@ def cut(rig: Rig) -> None:
 
 
 def at_tick(rig: Rig, tick: int, act: Callable[[Rig], object]) -> Callable[[], None]:
-    """Return what does something at a sample."""
+    """Return a hook that acts at one sample."""
 
     def observe() -> None:
         if rig.plant.samples.tick == tick:
@@ -46,7 +46,10 @@ def at_tick(rig: Rig, tick: int, act: Callable[[Rig], object]) -> Callable[[], N
 
 
 def fault_of(rig: Rig, act: Callable[[Rig], object]) -> DeviceFault:
-    """Do something in mid-flight; return the fault that it ends in, which must have left a file."""
+    """Return the fault of an action in flight.
+
+    It must have left a file.
+    """
     rig.plant.takeoff()
     with pytest.raises(DeviceFault) as caught:
         rig.fly(1.0, observe=at_tick(rig, 240, act))
@@ -136,14 +139,14 @@ def test_a_program_that_fails_in_flight_leaves_a_fault_and_a_file_and_one_that_i
 
 
 class Queueing(VirtualLink):
-    """A link whose device gets every second command later and later."""
+    """Link that delivers every second command, ever later."""
 
     def __init__(self, *arguments: object) -> None:
         super().__init__(*arguments)  # type: ignore[arg-type]
         self.kept: list[bytes] = []
 
     def send(self, data: bytes) -> None:
-        """Put commands into a queue that is let out at half the rate."""
+        """Queue commands, delivered at half the rate."""
         if data[3] != 6:
             super().send(data)
             return

@@ -1,4 +1,4 @@
-"""Whatever goes wrong with a device, its line or its host ends in zero currents, a fault by name, and a file.
+"""Faults of device, line or host: zero currents, name, file.
 
 Everything here is one process in virtual time: nothing depends on how fast the machine is.
 """
@@ -37,18 +37,18 @@ from maglev_mj.scenes.parts import WEIGHT
 from tests.test_bridge import BAD, BAD_REACH, CENTRE, REACH, TOUR, ZERO, Rig, hover
 
 AWAY = Fault.FLOTOR_OVERSPEED | Fault.BOUNDARY | Fault.SENSOR_OUT_OF_RANGE
-"""What a flotor out of control is called, whoever notices first."""
+"""Fault names of a flotor out of control."""
 
 
 @pytest.fixture(autouse=True)
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Let the files with the last cycles go to a folder of their own."""
+    """Let black boxes go to a folder of their own."""
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
 
 def check_dead(rig: Rig) -> None:
-    """Check that no current flows from the next sample on, and that nothing but a reset changes that."""
+    """Check zero currents from the next sample until a reset."""
     rig.currents()
     assert tuple(rig.twin.plant.currents) == ZERO
     for _ in range(15):
@@ -60,7 +60,10 @@ def check_dead(rig: Rig) -> None:
 
 
 def check_file(rig: Rig, error: DeviceFault) -> None:
-    """Check that the file has the last cycles, up to the sample at which something was wrong."""
+    """Check that the file holds the last cycles.
+
+    Up to the faulty sample.
+    """
     assert error.path is not None and str(error.path) in str(error)
     told = json.loads(error.path.read_text())
     assert told["faults"] == fault_names(error.faults) and told["message"] in str(error)
@@ -75,7 +78,7 @@ def check_file(rig: Rig, error: DeviceFault) -> None:
 
 
 def fails(rig: Rig, act: Callable[[], object], allowed: Fault) -> DeviceFault:
-    """Do what must fail; return how, after a look at what it leaves."""
+    """Return the failure of an action, with its effects checked."""
     with pytest.raises(DeviceFault) as caught:
         act()
     error = caught.value
@@ -87,7 +90,7 @@ def fails(rig: Rig, act: Callable[[], object], allowed: Fault) -> DeviceFault:
 
 
 def fly(rig: Rig, seconds: float = 2.0, controller: Controller | None = None) -> Callable[[], object]:
-    """Return what takes off and flies."""
+    """Return a function that takes off and flies."""
 
     def act() -> None:
         rig.plant.takeoff()
@@ -194,7 +197,7 @@ SUFFERED: list[tuple[str, int, float, bool, Fault]] = [
     *(("hot-report", coil, 1.0, False, Fault.COIL_OVERTEMP) for coil in range(6)),
 ]
 ELSEWHERE = {"stuck-amplifier", "hung-firmware"}
-"""Kinds with a test of their own: what they leave is another thing."""
+"""Kinds with their own tests, for their other effects."""
 
 
 @pytest.mark.parametrize(
@@ -234,7 +237,7 @@ def test_a_clock_set_while_the_device_rests_is_no_fault(jump: int) -> None:
 
 
 class Stopped(RemotePlant):
-    """A host whose e-stop is pressed after its answer to a sample."""
+    """Host with an emergency stop after one answer."""
 
     at = -1
 
@@ -292,7 +295,7 @@ def test_an_estop_that_nobody_hears_is_not_taken_for_granted() -> None:
 
 @pytest.mark.parametrize("seed", range(4))
 def test_what_a_sample_says_from_before_a_request_is_old(seed: int) -> None:
-    """A sample that was on its way during a reset tells of the fault before it."""
+    # A sample that was on its way during a reset tells of the fault before it.
     rig = Rig(replace(BAD, seed=seed))
     for _ in range(4):
         fly(rig, 0.1, hover(0.005, BAD_REACH))()
@@ -354,7 +357,10 @@ class Cold(ThermalModel):
 
 
 LOAD = 6.0 * 6.0 - WEIGHT[2]
-"""What a hand has to weigh for three coils to carry it with 6 A each [N]: 6 N/A together, less the flotor's weight."""
+"""Weight that needs 6 A from three coils [N].
+
+6 N/A together, less the flotor's weight.
+"""
 
 
 @pytest.mark.parametrize(
@@ -392,7 +398,7 @@ def test_a_coil_with_6_A_trips_on_either_end(cold: Any, says: str, monkeypatch: 
 
 
 def test_the_host_counts_currents_that_nobody_answered_with() -> None:
-    """Where samples are lost the currents flow on, and so does the host's count of what warms the coils."""
+    # Where samples are lost the currents flow on, and so does the host's count of what warms the coils.
     rig = Rig(Impairment(loss=0.2, seed=1), hand=lambda *_: [0.0, 0.0, -10.0, 0.0, 0.0, 0.0], pose=CENTRE)
     rig.plant.arm()
     controller = Controller([*hover(0.005, BAD_REACH).laws, Bias([0.0, 0.0, 10.0, 0.0, 0.0, 0.0])], period=0.005)

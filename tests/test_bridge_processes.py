@@ -1,4 +1,7 @@
-"""Host and device as two processes: in lockstep over real sockets, and what is left when one of them dies."""
+"""Host and device as two processes over real sockets.
+
+In lockstep, and after the death of one.
+"""
 
 import io
 import json
@@ -52,7 +55,10 @@ server.run(60.0)
 
 @contextmanager
 def started(*arguments: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
-    """Start a program that says an address in its first line; kill it at the end, whatever happened."""
+    """Start a program with an address in its first line.
+
+    It is killed at the end in any case.
+    """
     child = subprocess.Popen(arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     try:
         assert child.stdout is not None
@@ -65,7 +71,7 @@ def started(*arguments: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
 
 
 def ended(child: subprocess.Popen[str], kind: int | None = signal.SIGINT) -> tuple[int, str]:
-    """Ask a program to end; return its status and what it said."""
+    """Ask a program to end; return status and output."""
     if kind is not None:
         child.send_signal(kind)
     said, complained = child.communicate(timeout=30)
@@ -79,7 +85,7 @@ def twin(*options: str) -> AbstractContextManager[tuple[subprocess.Popen[str], s
 
 @contextmanager
 def flown(address: str, folder: Path, *options: str) -> Iterator[subprocess.Popen[str]]:
-    """Fly a device; come back when it is in the air."""
+    """Fly a device; return once it is in the air."""
     record = str(folder / "run.npz")
     child = subprocess.Popen(
         [*COMMAND, "bridge", address, "--record", record, "--out", str(folder), *options],
@@ -98,7 +104,7 @@ def flown(address: str, folder: Path, *options: str) -> Iterator[subprocess.Pope
 
 
 def said_by(*arguments: str) -> tuple[int, str]:
-    """Type a command, in this process: return its status and what it said."""
+    """Run a command in this process; return status and output."""
     with redirect_stdout(io.StringIO()) as said, redirect_stderr(said):
         try:
             status = cli.main(arguments)
@@ -108,7 +114,7 @@ def said_by(*arguments: str) -> tuple[int, str]:
 
 
 def looked_at(address: str) -> StateReport:
-    """Return what a device says of itself to whoever asks."""
+    """Return a device's answer to any host."""
     with closing(Connection(open_link(address), Calibration.nominal().digest, None, 10.0)) as line:
         frame = line.state(10.0)
         assert frame is not None and isinstance(frame.body, StateReport)

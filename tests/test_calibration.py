@@ -1,4 +1,4 @@
-"""What a host knows of a device goes into a file and comes back to the last bit, or is refused in one line."""
+"""Calibrations in files: bitwise round trips, one-line refusals."""
 
 import hashlib
 import json
@@ -25,7 +25,7 @@ _BEAMS = ("leds", "directions", "diodes", "across")
 
 
 def other(seed: int) -> Calibration:
-    """Return a calibration none of whose numbers is a round one."""
+    """Return a calibration without round numbers."""
     draw = np.random.default_rng(seed)
     nominal = Calibration.nominal()
 
@@ -147,7 +147,7 @@ def test_a_file_is_written_whole_or_not_at_all(tmp_path: Path, monkeypatch: pyte
 
 
 def change(*path: Any, to: Any = None) -> Callable[[dict[str, Any]], object]:
-    """Return what changes one value, or takes it away."""
+    """Return a function that changes or removes one value."""
 
     def apply(values: dict[str, Any]) -> None:
         parent: Any = values

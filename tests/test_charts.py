@@ -1,4 +1,4 @@
-"""Every chart can be read at the width at which a page shows it, in every format."""
+"""Charts are readable at page width, in every format."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ SMALLEST = 8.0
 
 @pytest.fixture
 def figures(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
-    """Return the list that figures are added to in place of files."""
+    """Return a list that collects figures instead of files."""
     from matplotlib.figure import Figure
 
     drawn: list[Any] = []
@@ -40,7 +40,7 @@ def figures(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
 
 
 def apart(boxes: list[Any]) -> bool:
-    """Return whether no two boxes overlap, by more than what rounding makes."""
+    """Return True if no boxes overlap beyond rounding."""
     return not any(
         min(one.x1, other.x1) - max(one.x0, other.x0) > 1.0 and min(one.y1, other.y1) - max(one.y0, other.y0) > 1.0
         for index, one in enumerate(boxes)
@@ -69,7 +69,7 @@ def words_of(figure: Any) -> list[Any]:
 
 
 def complaints(figure: Any) -> list[str]:
-    """Return what cannot be read in a figure."""
+    """Return the unreadable parts of a figure."""
     from matplotlib.colors import to_rgb
 
     figure.canvas.draw()

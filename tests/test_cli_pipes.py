@@ -1,4 +1,7 @@
-"""Output that nobody reads: silent, and status 141, as a shell gives for any program that a closed pipe ends."""
+"""Closed output pipes: no message, and status 141.
+
+As a shell gives for any program that a closed pipe ends.
+"""
 
 import os
 import subprocess
@@ -16,13 +19,15 @@ CLI = [sys.executable, "-m", "maglev_mj"]
 
 
 def unread(*command: str, unbuffered: bool = False, both: bool = False, folder: Path | None = None) -> tuple[int, str]:
-    """Run a program whose output is a pipe with its other end closed; return its status and its complaints.
+    """Run a program on a closed pipe; return its outcome.
+
+    Status and error messages.
 
     Args:
         command: Program and arguments.
-        unbuffered: Whether Python hands on what it prints at once.
-        both: Whether standard error is the same pipe.
-        folder: Where to run it.
+        unbuffered: True if Python writes its output at once.
+        both: True if standard error is the same pipe.
+        folder: Working folder.
     """
     reader, writer = os.pipe()
     os.close(reader)
@@ -71,7 +76,10 @@ for line in sys.stdin:
 
 
 def test_every_command_is_silent_where_nobody_reads(tmp_path: Path) -> None:
-    """In one process, each with a pipe of its own; those that take long or open a window by their help."""
+    """Every command is silent on a closed pipe.
+
+    In one process, each with a pipe of its own. Long commands and those with a window run with --help.
+    """
     write_run(tmp_path / "run.npz", Drop(), plant="exact")
     lines = [
         "drop --json -",

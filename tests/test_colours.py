@@ -1,4 +1,4 @@
-"""The palette is told apart with every common colour vision, and its words can be read."""
+"""Palette: distinct with every common colour vision, readable words."""
 
 from __future__ import annotations
 
@@ -29,7 +29,10 @@ TO_XYZ = np.array(
 WHITE = TO_XYZ.sum(axis=1)
 PAPER = (1.0, 1.0, 1.0)
 LEAST = 15.0
-"""Distance in CIE L*a*b* between two colours that mean two things; the eye just sees 2.3."""
+"""Least CIE L*a*b* distance of two meanings.
+
+The eye just sees 2.3.
+"""
 
 SHOWN = ["HAND", "DEVICE", "STOP", "WALL", "TOUCHED", "STUCK"]
 PAIRS = [*itertools.combinations(SHOWN, 2), ("GOOD", "BAD")]
@@ -44,7 +47,7 @@ def linear(colour: colours.Colour) -> Array:
 
 
 def lab(colour: colours.Colour, vision: str = "normal") -> Array:
-    """Return CIE L*a*b* (D65) of a colour as it is seen."""
+    """Return CIE L*a*b* (D65) of a perceived colour."""
     seen = np.clip(VISIONS[vision] @ linear(colour), 0.0, 1.0)
     part = TO_XYZ @ seen / WHITE
     f = np.where(part > (6.0 / 29.0) ** 3, np.cbrt(part), part / (3.0 * (6.0 / 29.0) ** 2) + 4.0 / 29.0)
@@ -52,14 +55,13 @@ def lab(colour: colours.Colour, vision: str = "normal") -> Array:
 
 
 def contrast(first: colours.Colour, second: colours.Colour) -> float:
-    """Return the contrast ratio of WCAG 2, from 1 to 21."""
+    """Return the WCAG 2 contrast ratio, from 1 to 21."""
     low, high = sorted(float(TO_XYZ[1] @ linear(colour)) for colour in (first, second))
     return (high + 0.05) / (low + 0.05)
 
 
 def test_the_simulation_knows_what_each_vision_confuses() -> None:
-    """Red and green for two, blue and green for the third, light and dark for none."""
-
+    # Red and green for two, blue and green for the third, light and dark for none.
     def apart(first: colours.Colour, second: colours.Colour, vision: str) -> float:
         return float(np.linalg.norm(lab(first, vision) - lab(second, vision)))
 
@@ -86,7 +88,7 @@ def test_the_series_of_a_chart_are_told_apart(first: int, second: int, vision: s
 
 
 def test_curves_and_words_are_seen_on_paper() -> None:
-    """WCAG 2 asks for 4.5 of words; the two palest series are the last before black, for want of dark hues."""
+    # WCAG 2 asks for 4.5 of words; the two palest series are the last before black, for want of dark hues.
     assert contrast(colours.REFERENCE, PAPER) > 4.5 and contrast(colours.STOP, PAPER) > 4.5
     assert min(contrast(colour, PAPER) for colour in colours.SERIES[:4]) > 3.0
     assert min(contrast(colour, PAPER) for colour in colours.SERIES) > 2.2

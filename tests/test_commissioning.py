@@ -1,4 +1,4 @@
-"""A new device's coils and diodes, checked one by one on a flotor that sits in foam."""
+"""Coils and diodes of a new device, checked in foam."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ COILS = range(6)
 def device(
     truth: Calibration | None = None, *, stiffness: float = 10_000.0, period: float = 0.005
 ) -> tuple[Twin, RemotePlant]:
-    """Return a twin whose flotor sits in foam, and its host."""
+    """Return a twin in foam, and its host."""
     twin = Twin(TwinParameters(truth=truth, pose=[0.0] * 6, period=period), hand_force=foam(stiffness))
     plant = RemotePlant(VirtualLink(twin))
     for _ in range(round(0.5 / period)):
@@ -32,7 +32,10 @@ def device(
 
 
 def rewired(order: Sequence[int], signs: Sequence[float]) -> Calibration:
-    """Return a device whose coil k is what the calibration takes for coil order[k], with a sign."""
+    """Return a device with permuted and reversed coils.
+
+    Its coil k is the calibration's coil order[k], with a sign.
+    """
     coils = KNOWN.coils
     return replace(
         KNOWN,

@@ -1,4 +1,4 @@
-"""A device that keeps the protocol passes every check; one that lacks a guard fails the check of that guard."""
+"""Conformance checks pass a correct device and find missing guards."""
 
 from __future__ import annotations
 import __future__ as future
@@ -36,7 +36,7 @@ TAGS = {"no-tag", "tag"}
 
 
 class Mortal(Twin):
-    """A twin that is silent for ever after an error of its program."""
+    """Twin that is silent after an error of its program."""
 
     alive = True
 
@@ -58,7 +58,7 @@ class Mortal(Twin):
 
 
 class Elsewhere:
-    """Another address of the host; in virtual time its answers are there at once."""
+    """Second address of the host, in virtual time."""
 
     def __init__(self, device: Twin, link: VirtualLink) -> None:
         self._device, self._link = device, link
@@ -81,7 +81,7 @@ class Elsewhere:
 def results_of(
     *, key: bytes | None = None, only: Sequence[str] | None = None, **parameters: Any
 ) -> dict[str, CheckResult]:
-    """Test a twin in virtual time; return the results by name."""
+    """Test a twin in virtual time; return results by name."""
     device = Mortal(TwinParameters(**parameters), key=key)
     link = VirtualLink(device)
     results = conform([link, Elsewhere(device, link)], key=key, only=only)
@@ -353,7 +353,10 @@ GUARDS: list[tuple[str, Any, str, str, str]] = [
 
 
 def without(monkeypatch: pytest.MonkeyPatch, owner: Any, name: str, *changes: tuple[str, str]) -> None:
-    """Put texts into a function of the twin in place of others that it has exactly once."""
+    """Replace texts in a function of the twin.
+
+    Each must occur exactly once.
+    """
     if owner is Codec:  # the host keeps its own
         owner = type("DeviceCodec", (Codec,), {"__module__": Codec.__module__})
         monkeypatch.setattr(twin, "Codec", owner)

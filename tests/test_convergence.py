@@ -1,4 +1,4 @@
-"""Each integrator has the order that it is said to have, and the corrected one is exact where that is said."""
+"""Orders of the integrators, and exactness of the corrected one."""
 
 from __future__ import annotations
 
@@ -37,7 +37,9 @@ def drop_controller(**gains: Any) -> Controller:
 
 
 def free_top(time: Any, attitude: Array, spin: Array) -> Array:
-    """Return the attitude of a free symmetric top as a rotation vector, (K, 3), closed form.
+    """Return the attitude of a free symmetric top, (K, 3).
+
+    A rotation vector in closed form.
 
     It turns about its angular momentum at |L| / A and, the other way, about its own axis at (C - A) / A w_z:
     R(t) = exp(L/A t) R(0) exp(-(C - A)/A w_z t e_z).

@@ -1,4 +1,4 @@
-"""A Dask cluster of real processes: workers of other code, a scheduler that dies."""
+"""Dask cluster of real processes: other code, lost scheduler."""
 
 import json
 import os
@@ -37,7 +37,7 @@ def wait_until(condition: Callable[[], object], why: str) -> None:
 
 @contextmanager
 def dask(program: str, *arguments: str, code: Path | None = None) -> Iterator[subprocess.Popen[bytes]]:
-    """Run a Dask program; with the package from another folder if one is given."""
+    """Run a Dask program, with the package of a folder."""
     # -P: modules must not come from the folder that the test runs in
     command = [sys.executable, "-P", "-m", f"distributed.cli.dask_{program}", "--no-dashboard", *arguments]
     env = {**os.environ, **({} if code is None else {"PYTHONPATH": str(code)})}
@@ -85,7 +85,7 @@ def cluster(tmp_path: Path) -> Iterator[Cluster]:
 
 
 def copy_of_package(folder: Path, file: str, line: str) -> Path:
-    """Return a folder with the package, a line added to one of its files."""
+    """Return a copy of the package with one added line."""
     for name in ("maglev_mj", "model"):
         shutil.copytree(ROOT / name, folder / name)
     with (folder / "maglev_mj" / file).open("a") as end:
@@ -94,7 +94,7 @@ def copy_of_package(folder: Path, file: str, line: str) -> Path:
 
 
 def gravity(folder: Path) -> Path:
-    """Return a package of the same version that falls more slowly."""
+    """Return a package of this version with less gravity."""
     return copy_of_package(folder, "spec.py", "GRAVITY = 9.0")
 
 
@@ -160,7 +160,7 @@ def test_a_worker_of_other_code_that_joins_late_takes_no_cell(cluster: Cluster, 
 def test_a_scheduler_that_dies_is_one_line_and_the_record_stays_good(
     cluster: Cluster, command: str, tmp_path: Path
 ) -> None:
-    """The map is asked for no record; its cells are kept where those of one that is stopped are."""
+    # The map is asked for no record; its cells are kept where those of one that is stopped are.
     studies = {
         "sweep": ["sweep", "drop", "--vary", "phase=0:0.999:600", "--set", "plant=mujoco", "--set", "duration=2"],
         "stability": ["stability", "--grid", "40", "--plant", "mujoco"],

@@ -1,4 +1,7 @@
-"""Walls designed for a product of masses, delays and hands, held against dense samples, theory and simulation."""
+"""Designed walls against dense samples, theory and simulation.
+
+For products of masses, delays and hands.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +38,10 @@ BOXES: list[dict[str, Any]] = [
 
 
 def densely(wall: DesignedWall, seed: int, count: int = 3000) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """Return the moduli of random cases, edges of the ranges among them, that the design has not seen."""
+    """Return the moduli of random cases unknown to the design.
+
+    Edges of the ranges are among them.
+    """
     random, needs = np.random.default_rng(seed), wall.requirements
     moduli = []
     for hand in needs.hands:
@@ -72,7 +78,7 @@ def test_every_case_of_the_product_keeps_to_the_modulus(box: int, law: str) -> N
 
 
 def test_a_worst_case_inside_the_ranges_is_found() -> None:
-    """The corners of this product bear stiffer walls than its inside does."""
+    # The corners of this product bear stiffer walls than its inside does.
     needs = WallRequirements(
         period=0.00715,
         mass=(0.3, 0.559),
@@ -103,7 +109,7 @@ def test_no_stiffer_wall_bears_the_requirements(box: int) -> None:
 
 
 def test_the_dynamic_goal_is_reached_within_a_few_per_cent() -> None:
-    """Against a grid: 3448 N/m for PD and 8695 N/m for the deadbeat observer, over the product of everything."""
+    # Against a grid: 3448 N/m for PD and 8695 N/m for the deadbeat observer, over the product of everything.
     needs = WallRequirements(**EVERYTHING, modulus=1.0)
     pd, observer = (design_wall(needs, law, goal="dynamic", pole=0.0) for law in ("pd", "observer"))
     assert pd.dynamic_stiffness == pytest.approx(3448.0, rel=0.02)
@@ -114,7 +120,7 @@ def test_the_dynamic_goal_is_reached_within_a_few_per_cent() -> None:
 
 @pytest.mark.parametrize("gains", [(25731.0, 219.7), (24204.0, 209.0)])
 def test_gains_for_each_error_alone_fail_where_errors_come_together(gains: tuple[float, float]) -> None:
-    """Gains searched for over errors and over hands, but not over both at once, are not stable in an arm."""
+    # Gains searched for over errors and over hands, but not over both at once, are not stable in an arm.
     needs = WallRequirements(**EVERYTHING)
     wall = replace(design_wall(needs, "observer", pole=0.0), stiffness=gains[0], damping=gains[1])
     modulus, case = worst_case(needs, *gains, wall.design)
@@ -196,7 +202,7 @@ def test_bad_options_are_one_line(arguments: list[str], words: str, capsys: Any)
 
 
 def test_a_scene_gives_rate_delay_and_mass(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
-    """Of a file too; what is given as an option goes before."""
+    # Of a file too; what is given as an option goes before.
     text = "from maglev_mj import Scene, param\n\n\nclass Fast(Scene):\n"
     text += '    period: float = param("period", "s", default=0.002)\n'
     text += '    delay: float = param("delay", "s", default=0.001)\n\n'

@@ -1,4 +1,7 @@
-"""Plants put together from options, and devices of a user's own: model files, specifications, calibrated numbers."""
+"""Plants from options, and devices of a user's own.
+
+Model files, specifications, calibrated numbers.
+"""
 
 from __future__ import annotations
 
@@ -64,7 +67,7 @@ def test_meter_trace_and_observer_agree_on_the_work_of_a_drop(kind: Any, record:
     ids=lambda options: "+".join(options) or "plain",
 )
 def test_every_combination_of_options_runs_and_is_metered(integrator: str, options: dict[str, Any]) -> None:
-    """The flotor falls onto the wall: the work is that of the exact plant but for what the options change."""
+    # The flotor falls onto the wall: the work is that of the exact plant but for what the options change.
     plant = MuJoCoPlant(
         TIMING, pose=[0, 0, 3e-3, 0, 0, 0], integrator=integrator, metered=True, current_limit=10.0, **options
     )
@@ -75,7 +78,7 @@ def test_every_combination_of_options_runs_and_is_metered(integrator: str, optio
 
 
 def test_a_plant_is_corrected_and_metered_at_once() -> None:
-    """Work is gain in kinetic and potential energy, which raw Euler misses by a thousand times as much."""
+    # Work is gain in kinetic and potential energy, which raw Euler misses by a thousand times as much.
     errors = {}
     for integrator in ("corrected", "euler"):
         plant = MuJoCoPlant(
@@ -218,7 +221,7 @@ HEAVIER = (
 
 
 def falls(plant: SampledPlant, force: float, ticks: int = 10) -> Array:
-    """Return the acceleration along z under a constant force, from the way."""
+    """Return the acceleration along z under a constant force."""
     plant.read()
     for _ in range(ticks):
         plant.write(Command([0.0, 0.0, force, 0.0, 0.0, 0.0]))
@@ -246,7 +249,7 @@ def test_a_device_from_a_file_obeys_its_own_numbers(tmp_path: Path) -> None:
 
 
 def falls_in(spec: mujoco.MjSpec) -> float:
-    """Return where a flotor of a device is after 20 ms of falling."""
+    """Return the position after 20 ms of falling."""
     plant = MuJoCoPlant(Timing(delay=0.0), model=spec, mass=1.0, longest_step=1e-4)
     for _ in range(5):
         height = plant.read().position[2]
@@ -331,7 +334,7 @@ def test_inertia_of_ones_own_turns_the_flotor_as_it_says() -> None:
 
 @pytest.mark.parametrize("kind", [MuJoCoPlant, ExactPlant, partial(MuJoCoBatchPlant, pose=np.zeros((2, 6)))])
 def test_drivers_time_constant_of_ones_own(kind: Any) -> None:
-    """Behind a lag tau the momentum after a time t is f (t - tau (1 - exp(-t / tau)))."""
+    # Behind a lag tau the momentum after a time t is f (t - tau (1 - exp(-t / tau))).
     for constant, tau in ((None, 1.0 / (2.0 * np.pi * 2000.0)), (5e-4, 5e-4)):
         plant = kind(Timing(delay=0.0), gravity=0.0, driver_lag=True, driver_time_constant=constant)
         plant.read()

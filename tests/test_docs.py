@@ -1,4 +1,4 @@
-"""The pages keep their word: their Python runs, their commands parse, their files are there."""
+"""Pages of the docs: Python, commands and links checked."""
 
 from __future__ import annotations
 
@@ -37,26 +37,29 @@ def text_of(page: str) -> str:
 
 
 def blocks(page: str, language: str) -> list[tuple[int, str]]:
-    """Return the blocks of a page in a language, each with the number of lines before it."""
+    """Return a page's blocks of a language, with line numbers."""
     text = text_of(page)
     found = re.finditer(rf"^```{language}\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
     return [(text.count("\n", 0, match.start(1)), match[1]) for match in found]
 
 
 def own_files(page: str) -> dict[str, str]:
-    """Return the files of the reader's own that a page shows: blocks whose first line is their name."""
+    """Return the reader's files on a page.
+
+    Blocks with a name in the first line.
+    """
     found = ((re.match(r"# (\w+\.py)\n", block), block) for _, block in blocks(page, "python"))
     return {match[1]: block for match, block in found if match}
 
 
 def code_of(page: str) -> list[tuple[int, str]]:
-    """Return the blocks of a page that are typed in, not kept as a file."""
+    """Return the blocks of a page that are typed in."""
     files = own_files(page).values()
     return [(before, block) for before, block in blocks(page, "python") if block not in files]
 
 
 def write_files(page: str, folder: Path) -> None:
-    """Write the files that a page shows, and one for `my_scene.py`."""
+    """Write the files of a page, and one for `my_scene.py`."""
     for name, text in {"my_scene.py": text_of("scripts/examples/detents.py"), **own_files(page)}.items():
         (folder / name).write_text(text, encoding="utf-8")
 
@@ -66,7 +69,10 @@ def write_files(page: str, folder: Path) -> None:
 
 @contextmanager
 def device(_: list[str]) -> Iterator[dict[str, str]]:
-    """Run the twin that the README starts in a terminal; in lockstep, so that no flight waits for real time."""
+    """Run the README's twin, in lockstep.
+
+    No flight then waits for real time.
+    """
     twin = Twin(TwinParameters(lockstep=True))
     server = TwinServer(twin, UdpServer("127.0.0.1", 0))
     thread = threading.Thread(target=server.run)
@@ -99,7 +105,10 @@ BESIDE: dict[str, Callable[[list[str]], AbstractContextManager[dict[str, str]]]]
 
 
 def run_page(page: str) -> list[str]:
-    """Run the Python of a page, block after block in one namespace; return the lines that it prints."""
+    """Run the Python of a page; return its output lines.
+
+    Block after block in one namespace.
+    """
     lines: list[str] = []
     namespace: dict[str, Any] = {"__name__": page, "print": lambda *words: lines.append(" ".join(map(str, words)))}
     beside = BESIDE[page](lines) if page in BESIDE else nullcontext({})
@@ -142,7 +151,7 @@ def test_the_scene_of_ones_own_is_made_as_the_page_says(tmp_path: Path) -> None:
 
 
 def written_commands(page: str) -> Iterator[str]:
-    """Yield what follows `maglev-mj` wherever a page says to type it: on a line of its own, or in the text."""
+    """Yield the arguments of each `maglev-mj` command of a page."""
     for line in text_of(page).splitlines():
         if line.startswith("    "):
             yield from re.findall(r"maglev-mj (.*?)(?: *[#&].*| \|.*)?$", line)
@@ -151,7 +160,7 @@ def written_commands(page: str) -> Iterator[str]:
 
 
 def typed(command: str) -> list[str]:
-    """Return the arguments of a command as written in a page, with something in place of what the reader fills in."""
+    """Return a command's arguments with placeholders filled in."""
     command = re.sub(r"[\[\]]", " ", command)  # options, all at once
     command = re.sub(r"(\w+)(\|\w+)+", r"\1", command)  # the first of several
     words = [re.sub(r"^(X|N|\.\.\.)$", "1", word) for word in shlex.split(command.replace("SCENE", "drop"))]

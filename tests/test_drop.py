@@ -1,4 +1,4 @@
-"""The drop experiment against a second implementation of its semantics, and its figures."""
+"""Drop experiment against a second implementation, and its figures."""
 
 from __future__ import annotations
 
@@ -20,7 +20,10 @@ G = 9.81
 
 
 def reference(p: Drop, phase: float, times: list[float]) -> tuple[list[float], list[float]]:
-    """Return z and force at given times, by the issue of commands as a list of switches: no shared code."""
+    """Return z and force at given times, computed independently.
+
+    By the issue of commands as a list of switches.
+    """
     switches: list[tuple[float, float]] = [(0.0, 0.0)]
 
     def state(at: float) -> tuple[float, float, float]:
@@ -154,7 +157,7 @@ def test_both_readings_of_the_pulse_lessen_penetration_at_every_phase(height: fl
 
 @pytest.mark.parametrize("height", HEIGHTS)
 def test_the_pulse_in_all_fits_the_figure_of_the_paper_at_every_phase(height: float) -> None:
-    """Figure 3: a force axis from -20 to 80 N, and less oscillation with the pulse."""
+    # Figure 3: a force axis from -20 to 80 N, and less oscillation with the pulse.
     in_all, plain = pulsed(IN_ALL, height), pulsed(NONE, height)
     assert (in_all.peak_force < 71.0).all()
     assert (in_all.settling_time < plain.settling_time).all()
@@ -175,7 +178,7 @@ def test_the_pulse_further_to_the_damping_fits_it_at_no_phase() -> None:
 
 
 def test_at_the_limit_of_the_device_both_readings_are_one_drop() -> None:
-    """From 4.5 mm; unless the braking that is cut off follows later."""
+    # From 4.5 mm; unless the braking that is cut off follows later.
     in_all, further = pulsed(IN_ALL, force_limit=60.0), pulsed(FURTHER, force_limit=60.0)
     np.testing.assert_allclose(in_all.penetration, further.penetration, rtol=0.0, atol=1e-6)
     np.testing.assert_allclose(in_all.rebound, further.rebound, rtol=0.0, atol=1e-6)
@@ -186,8 +189,7 @@ def test_at_the_limit_of_the_device_both_readings_are_one_drop() -> None:
 
 @pytest.mark.parametrize("height", HEIGHTS)
 def test_hardness_of_a_pulse_is_its_damping_over_the_window(height: float) -> None:
-    """How many times as hard a pulse is, is a choice of its size and of the window."""
-
+    # How many times as hard a pulse is, is a choice of its size and of the window.
     def hard(pulse: float, **options: Any) -> list[Any]:
         trace = run(Drop(height=height, pulse=pulse, **options), plant="exact", phase=PHASES).trace
         return [perceived_hardness(trace, window).extended for window in windows]
@@ -311,7 +313,7 @@ def test_unsettled_phases_count_as_late() -> None:
 
 
 def test_a_force_that_has_not_acted_is_no_peak() -> None:
-    """The pulse takes effect at 36.5 ms: a run that ends there has not felt it."""
+    # The pulse takes effect at 36.5 ms: a run that ends there has not felt it.
     assert run(Drop(duration=0.0365), plant="exact").figures["peak_force"] == 0.0
     assert run(Drop(duration=0.0366), plant="exact").figures["peak_force"] > 90.0
 
@@ -328,7 +330,7 @@ def test_summary_fields_are_the_public_ones() -> None:
 
 
 def test_hardness_is_that_of_the_first_contact_however_hard_later_ones_are() -> None:
-    """By hand: a soft contact, away, and one of ten times the force."""
+    # By hand: a soft contact, away, and one of ten times the force.
     time = 0.01 * np.arange(7)
     pose, twist, wrench = (np.zeros((7, 6)) for _ in range(3))
     pose[:, 2] = [1e-3, -1e-3, 1e-3, 1e-3, -1e-3, 1e-3, 1e-3]

@@ -1,4 +1,4 @@
-"""The pictures of drops: what they show is what was simulated."""
+"""Pictures of drops show the simulated values."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def lines(panel: Any) -> dict[str, Any]:
 
 
 def reach(band: Any) -> tuple[float, float]:
-    """Return the least and the greatest value of a shaded band."""
+    """Return the smallest and largest value of a band."""
     vertices = np.concatenate([path.vertices for path in band.get_paths()])
     return float(vertices[:, 1].min()), float(vertices[:, 1].max())
 

@@ -1,4 +1,4 @@
-"""An emergency stop from any second process, whoever flies the device and whatever else arrives."""
+"""Emergency stops from a second process, in any situation."""
 
 from __future__ import annotations
 
@@ -33,17 +33,19 @@ CASES, ALLOWED = 20, 0.03
 
 @pytest.fixture(autouse=True)
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let the files with the last cycles go to a folder of their own."""
+    """Let black boxes go to a folder of their own."""
     monkeypatch.chdir(tmp_path)
 
 
 class Beside:
-    """A second line to a rig's device, on which time goes on while its program waits; the host's samples are kept.
+    """Second line to a rig's device.
+
+    Time goes on while its program waits; the host's samples are kept.
 
     Args:
-        rig: Whose device.
-        loss: Share of frames that are lost, each way.
-        seed: Of the loss.
+        rig: Rig with the device.
+        loss: Share of lost frames, each way.
+        seed: Seed of the loss.
     """
 
     def __init__(self, rig: Rig, loss: float = 0.0, seed: int = 0) -> None:
@@ -73,7 +75,7 @@ class Beside:
         return None
 
     def off_after(self) -> float:
-        """Return how long after the first frame's arrival currents still flowed, at most [s]."""
+        """Return the longest current flow after the first frame [s]."""
         (arrived, _), *later = self._currents
         return max([time for time, flow in later if flow] + [later[0][0]]) * 1e-9 - arrived * 1e-9
 
@@ -99,7 +101,10 @@ def flooded(rig: Rig, key: bytes | None) -> None:
 
 
 def far_ahead(rig: Rig, key: bytes | None) -> None:
-    """Let a command arrive whose number is far ahead: no later one of the host's is newer."""
+    """Send a command with a number far ahead.
+
+    No later one of the host's is newer.
+    """
     held = tuple(rig.twin.plant.currents.tolist())
     frame = Command(rig.twin.tick & 0xFFFFFFFF, 0, held, held, 0.0)
     codec, firmware = Codec(key), rig.twin.firmware
@@ -109,7 +114,7 @@ def far_ahead(rig: Rig, key: bytes | None) -> None:
 def stopped(
     seed: int, where: str, before: Callable[[Rig, bytes | None], None], loss: float, key: bytes | None
 ) -> tuple[float, EstopReport]:
-    """Stop a device from beside; return how long after its arrival no current flows [s], and what the stop says."""
+    """Stop a device; return time to zero current, and answer."""
     rig = Rig(pose=CENTRE if where == "in flight" else REST, seed=seed, key=key)
     line, reports, write = Beside(rig, loss, seed), list[EstopReport](), rig.plant.write
 
@@ -189,7 +194,7 @@ def test_a_device_that_answers_and_flies_on_has_not_stopped() -> None:
 
 
 def test_what_was_measured_before_the_stop_confirms_nothing() -> None:
-    """The sample at the stop says no current, the next one does not."""
+    # The sample at the stop says no current, the next one does not.
     rig = Rig(pose=CENTRE)
     rig.plant.read()
     link, answers = Beside(rig), []

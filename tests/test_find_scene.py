@@ -1,4 +1,4 @@
-"""Scenes by name, by file, and of other packages; and scenes that go to another process."""
+"""Scenes by name, file or package, also in other processes."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def push(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., None]]:
-    """Yield what installs a package with scenes."""
+    """Yield a function that installs a package with scenes."""
 
     def install(source: str, **entries: str) -> None:
         folder = tmp_path / "site"
@@ -226,7 +226,7 @@ print(json.dumps({**told, "figures": {name: float(value) for name, value in figu
 
 
 def elsewhere(scene: Scene, folder: Path, **changes: Any) -> dict[str, Any]:
-    """Return what another process, in another folder, finds a scene to be."""
+    """Return the scene found by a process in another folder."""
     command = [sys.executable, "-P", "-c", ELSEWHERE, json.dumps(changes)]
     done = subprocess.run(command, input=pickle.dumps(scene), capture_output=True, cwd=folder, timeout=60)
     assert done.returncode == 0, done.stderr.decode()
@@ -249,7 +249,7 @@ def test_a_scene_is_the_same_in_another_process(scene: Scene, changes: dict[str,
 def test_a_scene_of_a_file_is_the_same_in_another_process(
     push: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Which was given by a path of this process's folder, and has several scenes."""
+    # Which was given by a path of this process's folder, and has several scenes.
     push.write_text(TWO)
     monkeypatch.chdir(push.parent)
     scene = find_scene("my_push.py:Pull")(away=2e-3)  # type: ignore[call-arg]

@@ -1,4 +1,7 @@
-"""The device's side of a session, in Python and in C: states, latched faults, who may speak, and silence."""
+"""Device's side of a session, in Python and in C.
+
+States, latched faults, permitted hosts, and silence.
+"""
 
 from __future__ import annotations
 
@@ -41,11 +44,11 @@ NEVER = 0xFFFFFFFF
 
 
 class Bench:
-    """A device on a bench: amplifiers that follow at once, spots that move a little, a host that is a codec.
+    """Device on a bench with ideal amplifiers and a host.
 
     Attributes:
-        drives: What the amplifiers were told, in order.
-        cuts: How often they were cut.
+        drives: Commands to the amplifiers, in order.
+        cuts: Number of cuts.
         toggles: Instants at which the enable line changed [ns].
     """
 
@@ -87,7 +90,10 @@ class Bench:
         self.toggles.append(now)
 
     def give(self, body: Any, *, session: int | None = None, sequence: int | None = None, peer: str = "host") -> Any:
-        """Give the device a frame, a command's of the next sequence number; return the answer, or None."""
+        """Give the device a frame; return the answer, or None.
+
+        A command has the next sequence number.
+        """
         self.sequence += isinstance(body, Command)
         session = self.device.session if session is None else session
         number = sequence if sequence is not None else self.sequence * isinstance(body, Command)
@@ -168,7 +174,7 @@ class Bench:
         return self
 
     def refuses(self, fault: Fault) -> None:
-        """See that a fault is latched, that the currents are off, and that nothing but RESET leads out."""
+        """Check a latched fault, zero currents and recovery by RESET."""
         device = self.device
         assert device.state == State.FAULT and device.faults == fault
         assert self.cuts and self.currents == ZERO
@@ -191,7 +197,7 @@ def _firmware(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -
 
 
 def moving(tick: int) -> list[float]:
-    """Return spots that are never twice the same, as those of a sensor with noise."""
+    """Return spots that change at each sample, as with noise."""
     return [1e-3 + 1e-6 * (tick % 2 + place) for place in range(6)]
 
 
@@ -812,7 +818,7 @@ def test_diodes_may_be_left_unwatched() -> None:
 )
 @pytest.mark.parametrize("steps", [1, 2, 7])
 def test_a_spot_that_jumps(step: float, fault: Fault | None, steps: int) -> None:
-    """By so much for each period, of which some had no sample."""
+    # By so much for each period, of which some had no sample.
     bench = Bench(watchdog=1.0, spot=0.1).brought_to(State.ACTIVE)
     for place in (-0.5 * step * steps, 0.5 * step * steps):
         bench.command()

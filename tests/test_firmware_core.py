@@ -1,4 +1,7 @@
-"""The firmware in C: it does what the one in Python does, flies the twin, is hardened, and fits a Cortex-M4."""
+"""Firmware in C: equal to Python's, flying, hardened, small enough.
+
+It fits a Cortex-M4.
+"""
 
 from __future__ import annotations
 
@@ -41,11 +44,11 @@ pytestmark = pytest.mark.skipif(COMPILER is None, reason=NEEDS_COMPILER)
 
 
 class Amplifiers:
-    """What was told to them, in order, and the currents that flow.
+    """Amplifiers that record their commands and currents.
 
     Attributes:
-        told: Calls with their arguments.
-        currents: [A], six.
+        told: Calls with their arguments, in order.
+        currents: Flowing currents [A], six.
     """
 
     def __init__(self) -> None:
@@ -82,11 +85,13 @@ class Side:
 
 
 class Exchange:
-    """Frames and samples drawn at random, in which one thing at a time goes wrong, told to both devices.
+    """Random frames and samples for both devices.
+
+    One thing at a time goes wrong.
 
     Attributes:
-        faults: All that were ever latched.
-        frames: How often a frame of each type was answered, by its number.
+        faults: All faults latched so far.
+        frames: Number of answers to each frame type.
     """
 
     WRONGS = ("nothing", "frames", "currents", "silence", "spots", "frozen", "stopped", "measured", "hot", "disabled")
@@ -101,7 +106,7 @@ class Exchange:
         self.faults, self.frames = Fault(0), Counter[int]()
 
     def run(self, steps: int) -> None:
-        """Let so many frames and samples come, and compare after each."""
+        """Run frames and samples; compare after each."""
         for number in range(steps):
             if number % 120 == 0:
                 self.wrong = self.WRONGS[number // 120 % len(self.WRONGS)]
@@ -109,7 +114,7 @@ class Exchange:
             (self.sample if self.draw.random() < 0.5 else self.frame)()
 
     def bad(self, wrong: str, share: float) -> bool:
-        """Return whether something goes wrong now, if its turn has come."""
+        """Return True if an error is due now."""
         return self.wrong == wrong and self.draw.random() < share
 
     def compare(self, outcomes: Sequence[tuple[Any, ...]]) -> None:

@@ -1,4 +1,4 @@
-"""Friction: exact Karnopp, its emulation, the other laws and the velocity estimators, against closed forms."""
+"""Friction laws and velocity estimators against closed forms."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_exact_karnopp_on_figure_8() -> None:
 
 
 def test_exact_karnopp_satisfies_its_equation_while_sliding() -> None:
-    """M x'' = k_s (x_t - x) - k_v x' by central differences, through two jumps of the target."""
+    # M x'' = k_s (x_t - x) - k_v x' by central differences, through two jumps of the target.
     targets = [(0.0, 0.003), (0.05, -0.002), (0.6, 0.004)]
     step = 1e-6
     time = np.arange(0.001, 0.9, 1e-3) + 5e-4
@@ -81,7 +81,7 @@ def test_stuck_means_at_rest_below_breakaway() -> None:
 
 @pytest.mark.parametrize("damping", [0.0, 2.0 * math.sqrt(700.0), 20.0, 80.0, 200.0])
 def test_every_kind_of_damping_has_its_closed_form(damping: float) -> None:
-    """Undamped, critically damped, underdamped and overdamped against the matrix exponential by many small steps."""
+    # Undamped, critically damped, underdamped and overdamped against the matrix exponential by many small steps.
     options = FIGURE_8 | {"damping": damping, "breakaway": 0.1, "v_min": 1e-9}
     end, count = 0.03, 4096
     motion = karnopp([end], targets=[(0.0, 0.003)], **options)
@@ -106,7 +106,7 @@ def test_heavily_damped_motion_stays_finite_and_sticks() -> None:
 
 @pytest.mark.parametrize("v_min", [1e-2, 1e-4, 1e-6, 1e-9])
 def test_sticking_at_a_turning_point_is_found_however_small_v_min(v_min: float) -> None:
-    """Underdamped, it first rests where it turns with the spring below breakaway, between two grid points or not."""
+    # Underdamped, it first rests where it turns with the spring below breakaway, between two grid points or not.
     motion = karnopp([3.0], targets=[(0.0, 0.003)], **(FIGURE_8 | {"damping": 1.0, "v_min": v_min}))
     slip, stick = motion.events
     decay, frequency = 0.5 / 0.7, math.sqrt(1000.0 / 0.7 - (0.5 / 0.7) ** 2)
@@ -161,7 +161,7 @@ def test_emulation_breaks_away_once_and_sticks_once(plant: str) -> None:
 
 
 def test_series_and_summary_follow_the_events() -> None:
-    """State and stick position change at the very millisecond of each event, and the last stick is the one told."""
+    # State and stick position change at the very millisecond of each event, and the last stick is the one told.
     scene = StickSlipScene(period=2e-4, quantize=5e-6, delay=0.0015)
     result = run(scene, plant="exact")
     series, events = result.series(2e-4), scene.events(result)
@@ -184,7 +184,7 @@ def test_a_run_that_escapes_before_its_end_is_not_passed_off_as_one_that_did_not
 
 
 def test_a_full_period_of_delay_limit_cycles_as_the_stuck_loop_s_eigenvalues_say() -> None:
-    """Stuck, spring and law are one PD of 7000 N/m and 80 N s/m: stable at 1.5 ms, not at 5 ms; 2.96 ms between."""
+    # Stuck, spring and law are one PD of 7000 N/m and 80 N s/m: stable at 1.5 ms, not at 5 ms; 2.96 ms between.
     for delay in (0.0, 0.0015, 0.0025, 0.0033, 0.004, 0.005):
         modulus = largest_modulus(K + 1000.0, 80.0, period=T, delay=delay, mass=0.7)
         figures = run(StickSlipScene(delay=delay, duration=3.0), plant="exact").figures
@@ -202,7 +202,7 @@ def test_a_full_period_of_delay_limit_cycles_as_the_stuck_loop_s_eigenvalues_say
 
 @pytest.mark.parametrize("axis", AXES)
 def test_every_axis_sticks_and_slips_as_x_does(axis: str) -> None:
-    """In units of the radius of gyration all six axes give one curve."""
+    # In units of the radius of gyration all six axes give one curve.
     along = run(StickSlipScene(axis=axis), plant="exact")
     reference = run(StickSlipScene(), plant="exact")
     radius = math.sqrt(along.scene.inertia / 0.7)
@@ -215,7 +215,7 @@ def test_every_axis_sticks_and_slips_as_x_does(axis: str) -> None:
 @pytest.mark.parametrize("axis", AXES)
 @pytest.mark.parametrize("law", LAWS)
 def test_plants_agree_on_every_law(law: str, axis: str, period: float) -> None:
-    """Within 1e-12 m in translation, quantized or not; in rotation the coils turn by 4.7 degrees: 1e-4 rad."""
+    # Within 1e-12 m in translation, quantized or not; in rotation the coils turn by 4.7 degrees: 1e-4 rad.
     translation = AXES.index(axis) < 3
     for quantize in (0.0, 5e-6) if translation else (0.0,):
         scene = StickSlipScene(law=law, axis=axis, period=period, quantize=quantize)
@@ -238,7 +238,9 @@ def test_figure_9_breaks_away_at_breakaway_over_stiffness(plant: str) -> None:
 
 
 def resting_steps(stiffness: float, seeds: Iterable[int], phases: Iterable[float]) -> Array:
-    """Return distances between successive resting places [m], rotations at the radius of gyration.
+    """Return distances between successive resting positions [m].
+
+    Rotations are measured at the radius of gyration.
 
     Axes on which a run leaves the device's range are left out.
     """
@@ -264,14 +266,14 @@ def test_resting_places_of_figure_9_lie_further_apart_than_it_stretches() -> Non
 def test_resting_places_are_two_stretches_apart_for_every_hand_and_phase(
     stiffness: float, least: float, middle: float
 ) -> None:
-    """Seeds and phases that the documented figures do not come from: the hand pulls on after each breakaway."""
+    # Seeds and phases that the documented figures do not come from: the hand pulls on after each breakaway.
     steps = resting_steps(stiffness, range(20, 28), [0.1, 0.4, 0.85])
     assert steps.min() == pytest.approx(least, rel=0.03)
     assert np.median(steps) == pytest.approx(middle, rel=0.05)
 
 
 def test_steps_are_those_between_places_kept() -> None:
-    """By hand: nine samples at 0, one at 1 mm, seven at 3 mm, nine at 2 mm, slides between them."""
+    # By hand: nine samples at 0, one at 1 mm, seven at 3 mm, nine at 2 mm, slides between them.
     anchor = np.repeat([0.0, 9e-3, 1e-3, 9e-3, 3e-3, 9e-3, 2e-3], [9, 1, 1, 1, 7, 5, 9])
     six = np.repeat(anchor[:, None], 6, axis=1)
     time: Array = np.arange(anchor.size, dtype=np.float64) * 0.005
@@ -283,7 +285,7 @@ def test_steps_are_those_between_places_kept() -> None:
 
 @pytest.mark.parametrize("plant", ["exact", "mujoco"])
 def test_the_hand_of_figure_9_does_not_wait_for_the_delay(plant: str) -> None:
-    """It first pulls at the second sample, and the law first answers at the third: up to there no delay shows."""
+    # It first pulls at the second sample, and the law first answers at the third: up to there no delay shows.
     first = [run_six_axes(plant=plant, duration=0.015, delay=delay).position for delay in (0.0, 0.0015, 0.005)]
     assert (first[0][2] != 0.0).all()
     for other in first[1:]:
@@ -294,7 +296,7 @@ def test_the_hand_of_figure_9_does_not_wait_for_the_delay(plant: str) -> None:
 
 
 def drive(law: Friction, positions: Array, period: float = T) -> tuple[Array, Array]:
-    """Return force and stick position along x for a prescribed motion."""
+    """Return force and stick position for a prescribed motion."""
     controller = Controller([law], period=period)
     forces, anchors = [], []
     for tick, place in enumerate(positions.tolist()):
@@ -311,7 +313,7 @@ def test_stick_slip_changes_state_once_a_sample() -> None:
 
 
 def test_coupled_axes_break_away_by_their_norm() -> None:
-    """At 45 degrees each axis holds 1.7 N: more than 2 N together, less than 2 N alone."""
+    # At 45 degrees each axis holds 1.7 N: more than 2 N together, less than 2 N alone.
     pose = [1.7 / K, 1.7 / K, 0.0, 0.0, 0.0, 0.0]
     for coupled, expected in ((True, 0.0), (False, -1.7)):
         law = StickSlip(axes=("x", "y"), stiffness=K, breakaway=F, v_min=0.005, coupled=coupled)
@@ -345,7 +347,7 @@ def test_coupled_friction_is_the_same_in_every_direction() -> None:
 
 
 def test_spring_reset_is_a_sawtooth() -> None:
-    """At a slow speed the force rises to the limit and drops to 0: mean breakaway / 2."""
+    # At a slow speed the force rises to the limit and drops to 0: mean breakaway / 2.
     law = SpringReset(axes="x", stiffness=K, breakaway=F)
     force, _ = drive(law, np.arange(0.0, 5e-3, 1e-7))
     assert -force.min() == pytest.approx(F, rel=1e-3)
@@ -353,7 +355,7 @@ def test_spring_reset_is_a_sawtooth() -> None:
 
 
 def test_dahl_is_its_closed_form_for_any_sampling() -> None:
-    """Z = z_c (1 - exp(-x / z_c)) from rest, however coarse the samples."""
+    # Z = z_c (1 - exp(-x / z_c)) from rest, however coarse the samples.
     limit = F / K
     for count in (3, 30):
         positions = np.linspace(0.0, 2e-3, count)
@@ -403,7 +405,7 @@ def test_hayward_armstrong_slides_at_breakaway_and_hardly_moves_when_stuck() -> 
 
 @pytest.mark.parametrize("element_damping", [0.0, 20.0])
 def test_implicit_coulomb_is_sat_of_the_implicit_spring_damper(element_damping: float) -> None:
-    """In stretch form: f = sat(F, (K + B/T)(e + dx) - B e / T), and e' from f = K e' + B (e' - e) / T."""
+    # In stretch form: f = sat(F, (K + B/T)(e + dx) - B e / T), and e' from f = K e' + B (e' - e) / T.
     law = ImplicitCoulomb(axes="x", stiffness=K, breakaway=F, period=T, element_damping=element_damping)
     path = np.cumsum(np.random.default_rng(5).normal(scale=1e-4, size=300))
     force, _ = drive(law, path)
@@ -486,7 +488,7 @@ def test_bad_friction_is_refused_with_the_value(options: dict[str, Any], words: 
 
 
 def estimates(estimator: Any, positions: Any, period: float) -> Array:
-    """Return the velocity along x that an estimator makes of positions."""
+    """Return an estimator's velocity along x."""
     state, out = None, []
     for place in positions.tolist():
         velocity, state = estimator([place, 0.0, 0.0, 0.0, 0.0, 0.0], state, period)
@@ -503,7 +505,7 @@ def test_low_pass_follows_a_step_of_speed_exponentially() -> None:
 
 @pytest.mark.parametrize("speed", [0.003, 0.01, 0.03])
 def test_adaptive_window_reads_slow_speeds_off_a_quantized_sensor(speed: float) -> None:
-    """At 5 kHz and 5 µm the difference has steps of 25 mm/s; over 16 samples the chord's step is 1.6 mm/s."""
+    # At 5 kHz and 5 µm the difference has steps of 25 mm/s; over 16 samples the chord's step is 1.6 mm/s.
     period, quantum = 2e-4, 5e-6
     seen = np.rint(speed * period * np.arange(400) / quantum) * quantum
     steps = np.diff(seen) / period
@@ -546,7 +548,7 @@ def test_estimators_refuse_bad_parameters() -> None:
 
 @pytest.mark.parametrize("estimator", [LowPass(80.0), AdaptiveWindow(noise=(1e-7,) * 6)])
 def test_walls_take_any_velocity_estimate(estimator: Any) -> None:
-    """A wall damps by whatever velocity the controller is given, and still fires its pulse on entry."""
+    # A wall damps by whatever velocity the controller is given, and still fires its pulse on entry.
     wall = Wall(axes="x", lower=0.0, stiffness=K, damping=80.0, pulse=220.0, pulse_width=0.003)
     controller = Controller([wall], period=T, velocity=estimator)
     path = np.array([2e-3, 1.5e-3, 0.9e-3, 0.2e-3, -0.6e-3, -0.9e-3])
@@ -562,7 +564,7 @@ def test_walls_take_any_velocity_estimate(estimator: Any) -> None:
 
 @pytest.mark.parametrize("early", [1e-6, 1e-4, 2e-3])
 def test_karnopp_is_not_stopped_by_a_rest_that_a_jump_of_the_target_forestalls(early: float) -> None:
-    """The target jumps a little before the mass would stick: it slides on, from the same state."""
+    # The target jumps a little before the mass would stick: it slides on, from the same state.
     alone = karnopp([0.5], targets=[(0.0, 0.005)], **FIGURE_8)
     rest = alone.events[1].time
     assert alone.events[1].kind == "stick"
@@ -578,7 +580,7 @@ def test_karnopp_is_not_stopped_by_a_rest_that_a_jump_of_the_target_forestalls(e
 
 @pytest.mark.parametrize("noise", [1e-6, 1e-5])
 def test_adaptive_window_reaches_back_while_samples_lie_within_its_band(noise: float) -> None:
-    """A bump in the past of an axis that stands still: passed, at the end of the chord, and outside both."""
+    # A bump in the past of an axis that stands still: passed, at the end of the chord, and outside both.
     ends = {0.49: (0.0, 11), 0.99: (0.0, 11), 1.01: (1.01, 7), 1.16: (1.16, 7), 1.17: (0.0, 6), 1.9: (0.0, 6)}
     for bump, (end, length) in ends.items():
         places = np.zeros(12)

@@ -1,4 +1,4 @@
-"""Where friction laws fail, each with the case named, and what cures it."""
+"""Failures of friction laws, and their remedies."""
 
 from __future__ import annotations
 
@@ -27,11 +27,10 @@ DELAY = 0.0015
 
 @pytest.mark.parametrize("rate", [1000, 2000, 5000])
 def test_restick_test_fails_with_differences_over_a_quantized_sensor(rate: int) -> None:
-    """A difference of 0 counts reads as rest: the flotor sticks far too soon at 1 kHz and above.
-
-    Cured by the low-pass and by the adaptive window, at the cost of a few milliseconds of lag and, for the window,
-    of a longer tick.
-    """
+    # A difference of 0 counts reads as rest: the flotor sticks far too soon at 1 kHz and above.
+    #
+    # Cured by the low-pass and by the adaptive window, at the cost of a few milliseconds of lag and, for the window, of
+    # a longer tick.
     fails = StickSlip(period=1 / rate, quantize=5e-6)
     exact = fails.exact(np.array([0.3]))
     true_time = exact.events[-1].time
@@ -47,10 +46,9 @@ def test_restick_test_fails_with_differences_over_a_quantized_sensor(rate: int) 
 
 
 def test_chatter_just_above_breakaway() -> None:
-    """At 5 kHz with a quantized sensor the emulation sticks again and again as it breaks away; so does spring reset.
-
-    Cured by a low-pass for the emulation, and by laws whose force does not drop at breakaway: one change, no more.
-    """
+    # At 5 kHz with a quantized sensor the emulation sticks again and again as it breaks away; so does spring reset.
+    #
+    # Cured by a low-pass for the emulation, and by laws whose force does not drop at breakaway: one change, no more.
     hard: dict[str, Any] = {"period": 2e-4, "delay": DELAY, "quantize": 5e-6}
     assert chatter("stick-slip", **hard) >= 8
     assert chatter("spring-reset", **hard) >= 8
@@ -62,7 +60,7 @@ def test_chatter_just_above_breakaway() -> None:
 
 @pytest.mark.parametrize("cycles", [200, pytest.param(1000, marks=pytest.mark.study)])
 def test_creep_under_1000_small_load_cycles(cycles: int) -> None:
-    """Dahl and LuGre walk 20 mm under loads of at most 30 % of breakaway. The others hold."""
+    # Dahl and LuGre walk 20 mm under loads of at most 30 % of breakaway. The others hold.
     drift = {name: abs(creep(name, period=1e-3, delay=DELAY, cycles=cycles)) for name in LAWS}
     assert drift["dahl"] > 5e-6 * cycles
     assert drift["lugre"] > 5e-6 * cycles
@@ -72,10 +70,9 @@ def test_creep_under_1000_small_load_cycles(cycles: int) -> None:
 
 
 def test_spring_reset_buzzes_and_loses_its_friction_at_speed() -> None:
-    """Half the breakaway force when slow, none where one sample's travel exceeds breakaway / stiffness.
-
-    Cured by every law that slides at its limit, at any speed.
-    """
+    # Half the breakaway force when slow, none where one sample's travel exceeds breakaway / stiffness.
+    #
+    # Cured by every law that slides at its limit, at any speed.
     period = 5e-3
     hop = BREAKAWAY / (STIFFNESS * period)
     assert hop == pytest.approx(0.0667, abs=1e-4)
@@ -93,7 +90,9 @@ def test_spring_reset_buzzes_and_loses_its_friction_at_speed() -> None:
 
 
 def held_spring_gain(amplitude: float, frequency: float, *, period: float, delay: float, damping: float) -> float:
-    """Return what a spring and a damper on the last difference, both late and held, give to a sine a cycle [J].
+    """Return the energy of a held spring per cycle [J].
+
+    For a sine of the position; spring and damper on the last difference are both late and held.
 
     Summed over a cycle of 1 / (frequency T) samples, each force times the way from when it takes effect to the next.
     """
@@ -105,11 +104,10 @@ def held_spring_gain(amplitude: float, frequency: float, *, period: float, delay
 
 @pytest.mark.parametrize("delay", [0.0, DELAY])
 def test_a_held_spring_makes_energy_over_a_closed_cycle(delay: float) -> None:
-    """Stuck, every law is a spring whose force is late and held: it gives pi (T/2 + delay) K w A² a cycle to the hand.
-
-    For the pure springs that is a closed form. Dahl and LuGre lose more than that. Sliding, every law takes energy.
-    Cured by viscous damping of K (T/2 + delay): without delay the passivity bound of a sampled spring.
-    """
+    # Stuck, every law is a spring whose force is late and held: it gives pi (T/2 + delay) K w A² a cycle to the hand.
+    #
+    # For the pure springs that is a closed form. Dahl and LuGre lose more than that. Sliding, every law takes energy.
+    # Cured by viscous damping of K (T/2 + delay): without delay the passivity bound of a sampled spring.
     amplitude, frequency = 2e-4, 5.0
     for period in (5e-3, 1e-3):
         case: dict[str, Any] = {"period": period, "delay": delay}
@@ -133,14 +131,14 @@ def test_a_held_spring_makes_energy_over_a_closed_cycle(delay: float) -> None:
 
 
 def test_hayward_armstrong_loses_what_it_makes_only_without_delay() -> None:
-    """From 1 kHz on its loss outweighs half a period of lateness, but at no rate 1.5 ms more."""
+    # From 1 kHz on its loss outweighs half a period of lateness, but at no rate 1.5 ms more.
     assert cycle_work("hayward-armstrong", 2e-4, period=1e-3, delay=0.0) < 0.0
     for period in (5e-3, 1e-3, 2e-4):
         assert cycle_work("hayward-armstrong", 2e-4, period=period, delay=DELAY) > 2e-5
 
 
 def test_a_load_does_not_wait_for_the_delay() -> None:
-    """The hand's force acts from its own sample on; what the law answers to the first move comes a delay later."""
+    # The hand's force acts from its own sample on; what the law answers to the first move comes a delay later.
     period, force = 1e-3, 0.2
     for delay in (0.0, 4e-4, 1e-3):
         position = under_load("stick-slip", np.full(3, force), period=period, delay=delay).position
@@ -151,7 +149,10 @@ def test_a_load_does_not_wait_for_the_delay() -> None:
 
 
 def literal_karnopp(*, breakaway_condition: bool) -> tuple[int, float]:
-    """Return changes of state and travel in 50 ms at 10 µs, eq. (11) as printed or with the second condition."""
+    """Return state changes and travel of eq. (11).
+
+    In 50 ms at steps of 10 µs, as printed or with the second condition.
+    """
     step, mass, damping, spring, target = 1e-5, 0.7, 80.0, 1000.0, 0.003
     x, v, stuck, changes = 0.0, 0.0, True, 0
     for _ in range(5000):
@@ -169,10 +170,9 @@ def literal_karnopp(*, breakaway_condition: bool) -> tuple[int, float]:
 
 
 def test_literal_karnopp_toggles_at_breakaway() -> None:
-    """Read as printed, eq. (11) sticks again at once, because the mass has hardly moved: 5000 changes of state.
-
-    Cured by asking also for |f_ext| <= f_max before sticking: one breakaway, and the exact motion.
-    """
+    # Read as printed, eq. (11) sticks again at once, because the mass has hardly moved: 5000 changes of state.
+    #
+    # Cured by asking also for |f_ext| <= f_max before sticking: one breakaway, and the exact motion.
     changes, travel = literal_karnopp(breakaway_condition=False)
     assert changes == 5000
     assert travel < 2e-6
@@ -184,13 +184,11 @@ def test_literal_karnopp_toggles_at_breakaway() -> None:
 
 @pytest.mark.parametrize("name", ["dahl", "lugre", "stick-slip", "elasto-plastic", "kikuuwe"])
 def test_stiffness_limit_under_delay_is_the_eigenvalues(name: str) -> None:
-    """While stuck, a law is a spring: past the stiffness that eigenvalues allow at this delay it limit-cycles.
-
-    At 200 Hz, 1.5 ms and 80 N s/m that is 10 100 N/m, for Dahl and LuGre too: what they lose in a small cycle is of
-    third order in its size and stops nothing. Cured by a shorter period, at the price of the sensor's resolution
-    (see the re-stick test).
-    """
-
+    # While stuck, a law is a spring: past the stiffness that eigenvalues allow at this delay it limit-cycles.
+    #
+    # At 200 Hz, 1.5 ms and 80 N s/m that is 10 100 N/m, for Dahl and LuGre too: what they lose in a small cycle is of
+    # third order in its size and stops nothing. Cured by a shorter period, at the price of the sensor's resolution (see
+    # the re-stick test).
     def ripple(stiffness: float, period: float) -> float:
         forces = np.full(round(3.0 / period), 0.2)
         position = under_load(name, forces, period=period, delay=DELAY, stiffness=stiffness).position
@@ -207,7 +205,7 @@ def test_stiffness_limit_under_delay_is_the_eigenvalues(name: str) -> None:
 
 
 def test_rate_alone_does_not_bring_the_laws_closer_to_exact_friction() -> None:
-    """Errors at 200 Hz and 5 kHz: the coulomb laws gain a third and stop at the spring's own give."""
+    # Errors at 200 Hz and 5 kHz: the coulomb laws gain a third and stop at the spring's own give.
     for name in ("kikuuwe", "elasto-plastic", "lugre", "dahl", "hayward-armstrong"):
         slow, fast = (against_exact(name, period=period, delay=DELAY).error for period in (5e-3, 2e-4))
         assert 0.5 < fast / slow < 0.8

@@ -1,4 +1,7 @@
-"""What the commands say and write is what it was, number by number; tests/golden/README.md says how to change it."""
+"""Outputs of the commands against stored ones, number by number.
+
+tests/golden/README.md describes changes.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,7 @@ kept_once = cache(kept)
 
 
 def check(group: str, name: str, found: Any) -> None:
-    """See that a case says what is kept."""
+    """Check that a case gives the stored output."""
     lines = differences(group, kept_once(group)[name], as_kept(found), exact=is_exact())
     assert not lines, f"{len(lines)} differences:\n" + "\n".join(lines[:10])
 
@@ -42,7 +45,10 @@ def test_every_recording_is_used() -> None:
 
 
 def changed(said: Any, where: str, new: Any) -> Any:
-    """Return a copy of what a command said with one value replaced; where: names and indices with dots between."""
+    """Return a copy of an output with one value replaced.
+
+    `where` has names and indices with dots between.
+    """
     copy = deepcopy(said)
     *way, last = (int(part) if part.isdigit() else part.replace("_json", ".json") for part in where.split("."))
     inner = copy
@@ -68,7 +74,7 @@ def changed(said: Any, where: str, new: Any) -> Any:
     ],
 )
 def test_one_change_is_seen(where: str, new: Any, near: bool) -> None:
-    """To the last bit each; on another machine those that are more than rounding."""
+    # To the last bit each; on another machine those that are more than rounding.
     old = kept_once("drop")["drop/default"]
     found = changed(old, where, new)
     assert differences("drop", old, found, exact=True)

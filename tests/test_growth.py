@@ -1,4 +1,7 @@
-"""Simulated walls against the exact map: over whole grids, with hands, and with integrators that shift the boundary."""
+"""Simulated walls against the exact map.
+
+Over whole grids, with hands, and with integrators that shift the boundary.
+"""
 
 import itertools
 from dataclasses import replace
@@ -33,7 +36,10 @@ DELAYS = (0.0, 0.0015, 0.003, 0.005)
 
 
 def check_every_cell(plant: str, grid: int, delay: float) -> None:
-    """See each cell settle or grow as theory has it, but for those within half a percent of the boundary."""
+    """Check each cell against theory, except near the boundary.
+
+    Cells within half a percent of it are left out.
+    """
     result = run_stability(StabilityParameters(plant=plant, grid=grid, delay=delay))
     assert result.simulated is not None and result.misjudged is not None
     assert not result.misjudged.any()
@@ -60,7 +66,7 @@ def test_every_cell_of_the_map_settles_or_grows_as_theory_has_it(plant: str, gri
 @pytest.mark.parametrize("period", [1e-4, 1e-3, 0.1])
 @pytest.mark.parametrize("grid", [8, pytest.param(16, marks=pytest.mark.study)])
 def test_the_verdict_does_not_depend_on_the_rate(period: float, grid: int) -> None:
-    """At 10 kHz the flotor sinks in by 0.3 µm, at 10 Hz by 0.1 m: the map is the same."""
+    # At 10 kHz the flotor sinks in by 0.3 µm, at 10 Hz by 0.1 m: the map is the same.
     result = run_stability(StabilityParameters(plant="exact", grid=grid, period=period, delay=0.3 * period))
     assert result.misjudged is not None and not result.misjudged.any()
 
@@ -77,7 +83,7 @@ def test_the_rate_of_walls_that_grow_fast_is_above_one() -> None:
 
 
 def test_growth_is_the_modulus() -> None:
-    """Over a random sample, away from pairs of modes that beat."""
+    # Over a random sample, away from pairs of modes that beat.
     random = np.random.default_rng(4)
     k, b = random.uniform(500.0, 9000.0, 300), random.uniform(10.0, 100.0, 300)
     growth = measure_growth(walls(k, b))
@@ -89,7 +95,7 @@ def test_growth_is_the_modulus() -> None:
 
 @pytest.mark.parametrize("hand", ["none", "arm"])
 def test_the_engine_that_is_taken_gives_the_growth_of_rk4(hand: str) -> None:
-    """Rounding is a millionth of the motion at which a wall counts as settled."""
+    # Rounding is a millionth of the motion at which a wall counts as settled.
     some = walls([3000.0, 9000.0, 12000.0], [60.0, 100.0, 60.0], hand=hand)
     taken, reference = measure_growth(some, "mujoco"), measure_growth(some, "mujoco", integrator="rk4")
     np.testing.assert_array_equal(taken.stable, reference.stable)
@@ -98,7 +104,7 @@ def test_the_engine_that_is_taken_gives_the_growth_of_rk4(hand: str) -> None:
 
 
 def test_a_wall_s_growth_is_that_of_the_wall_alone() -> None:
-    """Runs end when the last of a batch is decided, of which one that grows 1 % too stiff takes the longest."""
+    # Runs end when the last of a batch is decided, of which one that grows 1 % too stiff takes the longest.
     edge = float(largest_stable_stiffness(80.0, period=T, delay=0.0015))
     some = walls([2000.0, 0.99 * edge, 1.01 * edge, 2.0 * edge], 80.0)
     together = measure_growth(some)
@@ -136,7 +142,10 @@ def test_few_walls_are_simulated_on_one_thread(count: int, threads: int, monkeyp
 
 
 def settles_just_below(boundary: ArrayLike, damping: float, wall: RestingWall, margin: float, **keywords: Any) -> bool:
-    """Return whether a wall settles a margin below each boundary, and grows as far above it; all in one batch."""
+    """Return True if walls settle below and grow above boundaries.
+
+    By a margin; all in one batch.
+    """
     k = np.atleast_1d(np.asarray(boundary, dtype=np.float64))
     gains = [*((1.0 - margin) * k).tolist(), *((1.0 + margin) * k).tolist()]
     stable = measure_growth([wall.replace(stiffness=gain, damping=damping) for gain in gains], **keywords).stable
@@ -153,7 +162,7 @@ EXTREME = [
 @pytest.mark.parametrize("plant", ["exact", "mujoco"])
 @pytest.mark.parametrize("hand", [*HANDS, *EXTREME])
 def test_hands_shift_the_boundary_as_the_map_says(plant: str, hand: str) -> None:
-    """Over the published range: 5 % below the boundary it settles, 5 % above it grows."""
+    # Over the published range: 5 % below the boundary it settles, 5 % above it grows.
     boundary = largest_stable_stiffness(70.0, period=T, delay=0.0015, hand=hand_called(hand))
     assert settles_just_below(boundary, 70.0, RestingWall(hand=hand), 0.05, plant=plant)
 
@@ -179,7 +188,7 @@ def test_velocity_estimates_shift_the_boundary_as_the_map_says(plant: str) -> No
 
 
 def test_driver_lag_shifts_the_boundary_as_the_map_says() -> None:
-    """By 3 %, on the exact plant; that MuJoCo moves likewise is in test_stability, to rounding."""
+    # By 3 %, on the exact plant; that MuJoCo moves likewise is in test_stability, to rounding.
     lag = 1.0 / (2.0 * np.pi * 2000.0)
     boundary = largest_stable_stiffness(30.0, period=T, delay=0.0015, driver_lag=lag)
     assert settles_just_below(boundary, 30.0, RestingWall(), 0.01, driver_lag=True)
@@ -191,7 +200,10 @@ def shifts(integrator: str, steps: NDArray[np.float64], delay: float) -> NDArray
 
 
 def check_first_order(integrator: str, steps: list[float], delay: float) -> None:
-    """See numerical damping make an unstable wall look stable, at every step, by an amount in proportion to it."""
+    """Check that numerical damping hides instability, in first order.
+
+    At every step, an unstable wall looks stable by an amount in proportion to it.
+    """
     shift = shifts(integrator, np.array(steps), delay)
     assert (shift > 0.0).all()
     slope = np.polyfit(np.log(steps), np.log(shift), 1)[0]
@@ -220,7 +232,7 @@ def test_euler_at_half_a_millisecond_is_5_percent_off_and_rk4_exact(delay: float
 
 
 def test_steps_that_miss_the_switch_lengthen_the_delay() -> None:
-    """RK4 at 1 ms sees a delay of 1.5 ms as 2 ms."""
+    # RK4 at 1 ms sees a delay of 1.5 ms as 2 ms.
     found = stiffest_of(SteppedLoop(period=T, delay=0.0015, integrator="rk4", step=1e-3, aligned=False)).stiffness
     assert found == pytest.approx(float(stiffest_wall(period=T, delay=0.002).stiffness), rel=1e-6)
 
@@ -229,7 +241,7 @@ def test_steps_that_miss_the_switch_lengthen_the_delay() -> None:
     ("dampings", "margin"), [([60.0, 110.0], 0.02), pytest.param([60.0, 90.0, 110.0], 0.005, marks=pytest.mark.study)]
 )
 def test_a_simulation_in_closed_loop_agrees_with_the_measured_shift(dampings: list[float], margin: float) -> None:
-    """MuJoCo itself, with Euler at 0.5 ms, settles in walls that are unstable."""
+    # MuJoCo itself, with Euler at 0.5 ms, settles in walls that are unstable.
     b = np.array(dampings)
     exact = largest_stable_stiffness(b, period=T, delay=0.0015)
     loop = SteppedLoop(period=T, delay=0.0015, integrator="euler", step=5e-4)
@@ -245,7 +257,12 @@ def test_a_simulation_in_closed_loop_agrees_with_the_measured_shift(dampings: li
     "above", [(1.05, 1.1, 1.2), pytest.param((1.01, 1.02, 1.05, 1.1, 1.2), marks=pytest.mark.study)]
 )
 def test_one_sample_of_delay_just_above_the_boundary_diverges_when_foretold(above: tuple[float, ...]) -> None:
-    """Ten-thousandfold after ln(10 000) / ln(modulus) samples, give or take the transient at the start."""
+    """Divergence time just above the boundary.
+
+    Alternating delays are no worse than the worse one.
+
+    Ten-thousandfold after ln(10 000) / ln(modulus) samples, give or take the transient at the start.
+    """
     best = stiffest_wall(period=T, delay=T)
     k = float(best.stiffness) * np.array(above)
     b = np.full(len(above), float(best.damping))
@@ -258,7 +275,7 @@ def test_one_sample_of_delay_just_above_the_boundary_diverges_when_foretold(abov
 
 
 def test_random_delay_acts_as_its_mean_and_not_as_its_worst() -> None:
-    """A third of the delays may be too long; only the mean being too long makes the loop grow, in the plant too."""
+    # A third of the delays may be too long; only the mean being too long makes the loop grow, in the plant too.
     k, b = 6000.0, 80.0
     critical = float(critical_delay(k, b, period=T))
     for mean, jitter in ((0.003, 0.0015), (0.003, 0.002), (0.0034, 0.001), (0.0034, 0.0015)):
@@ -272,7 +289,7 @@ def test_random_delay_acts_as_its_mean_and_not_as_its_worst() -> None:
 
 
 def test_delays_that_alternate_are_never_worse_than_the_worse_of_the_two() -> None:
-    """Over a sweep of gains and pairs of delays: no resonance between the loop and its jitter."""
+    # Over a sweep of gains and pairs of delays: no resonance between the loop and its jitter.
     for k, b in itertools.product((2000.0, 6000.0, 9500.0), (20.0, 60.0, 100.0, 140.0)):
         for low, high in itertools.combinations(np.arange(0.0005, 0.005, 0.0005), 2):
             one, other = SampledLoop(period=T, delay=np.array([low, high])).matrix(k, b)

@@ -1,4 +1,4 @@
-"""Hands: what they exert, how the plants take it, and that one can be given again."""
+"""Hands: forces, effect on the plants, and replay."""
 
 import math
 from functools import partial
@@ -32,7 +32,10 @@ def idle() -> Controller:
 
 
 def poses(plant: SampledPlant, controller: Controller, ticks: int) -> Array:
-    """Return the true poses at the samples, (ticks + 1, ..., 6)."""
+    """Return the true poses at the samples.
+
+    (ticks + 1, ..., 6).
+    """
     seen: list[Array] = []
     drive(plant, controller, ticks, observe=lambda *_: seen.append(plant.state()[0]))
     return np.array([*seen, plant.state()[0]])
@@ -54,7 +57,7 @@ def test_a_hand_acts_from_the_first_sample(phase: float) -> None:
 
 
 def test_a_torque_is_about_stator_axes() -> None:
-    """A flotor turned by a quarter about z, twisted about the stator's x."""
+    # A flotor turned by a quarter about z, twisted about the stator's x.
     start = [0.0, 0.0, 0.0, 0.0, 0.0, 0.5 * math.pi]
     plant = MuJoCoPlant(
         TIMING, gravity=0.0, pose=start, escape=(0.045, 3.0), hand_force=lambda *_: [0.0, 0.0, 0.0, 1e-3, 0.0, 0.0]
@@ -180,7 +183,9 @@ PUBLISHED_RANGE = {
     "damping": (0.0, 28.0),
     "stiffness": (40.0, 1050.0),
 }
-"""Least and greatest published mass [kg], damping [N s/m] and stiffness [N/m] of a hand.
+"""Range of published hands: mass, damping, stiffness.
+
+[kg], [N s/m] and [N/m].
 
 Source: as quoted with Fu & Cavusoglu 2012; read second-hand.
 """

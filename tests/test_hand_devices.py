@@ -1,4 +1,7 @@
-"""A gamepad or a 3D mouse as the hand: real sockets, real GLFW with a made-up gamepad, and the session behind."""
+"""Gamepads and 3D mice as hands.
+
+Real sockets, real GLFW with a made-up gamepad, and the session behind.
+"""
 
 from __future__ import annotations
 
@@ -58,7 +61,7 @@ class Stick:
 
 
 def pushed(shares: Sequence[float], **settings: Any) -> Any:
-    """Return the target of a hand whose stick is deflected so."""
+    """Return the hand's target for a stick deflection."""
     stick, hand = Stick(), SpringHand()
     stick.reading = Reading(shares)
     HandDevice(stick, hand, AxisMapping(**settings) if settings else None).show(SNAPSHOT)
@@ -110,7 +113,7 @@ def test_each_setting_does_what_it_says(settings: dict[str, Any], expected: list
 
 
 def test_no_gain_turns_a_target_round_to_the_other_side() -> None:
-    """Past half a turn a spring would pull the other way."""
+    # Past half a turn a spring would pull the other way.
     assert math.hypot(*pushed([1.0] * 6, turning_gain=100.0)[3:]) < math.pi
 
 
@@ -140,7 +143,7 @@ class Played:
         self.device.act = self.session.act
 
     def after(self, reading: Reading, seconds: float = 1.5) -> Snapshot:
-        """Return the state after the stick has been held so for a time."""
+        """Return the state after a stick was held."""
         self.stick.reading = reading
         self.device.show(self.session.snapshot())  # the session does it by the clock on the wall
         for _ in range(round(seconds / PERIOD)):
@@ -194,7 +197,7 @@ def test_the_first_buttons_are_actions_and_further_ones_are_none() -> None:
 
 @pytest.fixture
 def path(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """Return the path at which a 3D mouse is looked for, and nowhere else."""
+    """Return the only path searched for a 3D mouse."""
     with tempfile.TemporaryDirectory() as folder:
         monkeypatch.setattr(place, "_SETTINGS", Path(folder) / "spnavrc")
         monkeypatch.setattr(place, "_DAEMONS", Path(folder) / "daemon.sock")
@@ -209,7 +212,7 @@ def seen(pose: Sequence[float]) -> Snapshot:
 
 @pytest.mark.parametrize("axis", range(6))
 def test_a_mouse_is_deflected_as_the_joystick_behind_the_socket_is(path: Path, axis: int) -> None:
-    """The project's own server is the other end: along the same axis, to the same side, by the same share."""
+    # The project's own server is the other end: along the same axis, to the same side, by the same share.
     server = SpacenavServer(path)
     mouse = SpacenavMouse(path)
     try:
@@ -223,7 +226,10 @@ def test_a_mouse_is_deflected_as_the_joystick_behind_the_socket_is(path: Path, a
 
 
 class Daemon:
-    """The other end of a mouse, byte by byte, for as long as the context lasts."""
+    """Driver's end of a mouse, byte by byte.
+
+    It lasts as long as the context.
+    """
 
     def __init__(self, path: Path) -> None:
         self._path, self._open = path, ExitStack()
@@ -239,7 +245,7 @@ class Daemon:
         self._open.close()
 
     def accept(self) -> socket.socket:
-        """Return the line to who has called."""
+        """Return the connection of the caller."""
         return self._open.enter_context(self._listener.accept()[0])
 
 
@@ -367,7 +373,7 @@ def pads(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterato
 
 @pytest.mark.xdist_group("realtime")
 def test_a_gamepad_is_read_unplugged_and_plugged_in_again(pads: Pads) -> None:
-    """GLFW itself, with its own table of gamepads, beside a folder of made-up devices."""
+    # GLFW itself, with its own table of gamepads, beside a folder of made-up devices.
     pads.plug("event1")
     pads.plug()
     assert described_devices() == ["gamepad X360 Controller", "gamepad Test Stick"]  # gamepads first
@@ -391,7 +397,7 @@ def test_a_gamepad_is_read_unplugged_and_plugged_in_again(pads: Pads) -> None:
 
 @pytest.mark.xdist_group("realtime")
 def test_another_joystick_does_not_take_the_place_of_the_first(pads: Pads) -> None:
-    """Not even where the first one that there was is the hand."""
+    # Not even where the first one that there was is the hand.
     pads.plug("event1")
     pads.plug()
     with closing(open_device("auto")) as pad:
@@ -419,12 +425,12 @@ def test_an_unknown_joystick_has_its_axes_in_order_from_where_they_rest(pads: Pa
 
 
 class Shown:
-    """What `view` shows in place of a window: a session until the hand's device has moved the target.
+    """Replacement of `view`'s window: a session until the target moves.
 
     Attributes:
-        begin: Called first.
+        begin: Function called first.
         targets: Target of each session.
-        states: Its state.
+        states: State of each session.
     """
 
     def __init__(self) -> None:
@@ -443,7 +449,7 @@ class Shown:
 
 @pytest.fixture
 def shown(monkeypatch: pytest.MonkeyPatch) -> Shown:
-    """Let `view` run without a window, and without a display to find gamepads by."""
+    """Run `view` without window or display."""
     made = Shown()
     monkeypatch.setattr(window, "show", made.show)
     monkeypatch.setattr(window, "require_display", lambda: None)

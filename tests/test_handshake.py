@@ -1,4 +1,7 @@
-"""What a host takes from a device that answers, and what it refuses; the line is closed whatever goes wrong."""
+"""Handshakes: accepted and refused answers of a device.
+
+The line is closed after any failure.
+"""
 
 from __future__ import annotations
 
@@ -24,12 +27,12 @@ KEY = b"0123456789abcdef"
 
 
 class Doctored(VirtualLink):
-    """A wire that changes what the device says.
+    """Wire that changes the device's answers.
 
     Args:
         twin: The device.
-        change: From a body to another, to bytes in place of its frame, or to None for no frame.
-        key: Of the device.
+        change: Function from a body to another, to bytes in place of its frame, or to None for no frame.
+        key: Key of the device.
     """
 
     def __init__(self, twin: Twin, change: Callable[[Any], Any] = lambda body: body, key: bytes | None = None) -> None:
@@ -53,7 +56,7 @@ class Doctored(VirtualLink):
 
 
 def with_(**values: Any) -> Callable[[Any], Any]:
-    """Return what changes fields of the answer to a HELLO."""
+    """Return a function that changes fields of HELLO_ACK."""
     return lambda body: body._replace(**values) if isinstance(body, HelloAck) else body
 
 
@@ -149,14 +152,14 @@ def test_wrong_arguments_close_the_line_too(wrong: dict[str, Any]) -> None:
 
 
 def foreign() -> bytes:
-    """Return a frame of another version that nobody has tagged."""
+    """Return an untagged frame of another version."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("maglev_mj.bridge.wire.VERSION", 7)
         return Codec().encode(0, 0, 0, HelloAck(0, 1, 0, 7, 0, 0, bytes(16), *[0] * 8, *[0.0] * 6))
 
 
 class Disturbed(Doctored):
-    """A wire on which somebody puts a frame of another version before each of the device's."""
+    """Wire with a foreign frame before each of the device's."""
 
     def __init__(self, twin: Twin, key: bytes | None, mute: bool = False) -> None:
         super().__init__(twin, key=key)

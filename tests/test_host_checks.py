@@ -1,4 +1,4 @@
-"""What the host does not believe, though the device says nothing of it."""
+"""Checks by the host of unreported device errors."""
 
 from __future__ import annotations
 
@@ -22,12 +22,15 @@ from tests.test_bridge import CENTRE, Rig
 
 @pytest.fixture(autouse=True)
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let the files with the last cycles go to a folder of their own."""
+    """Let black boxes go to a folder of their own."""
     monkeypatch.chdir(tmp_path)
 
 
 def doctored(rig: Rig, change: Callable[[StateReport], StateReport]) -> None:
-    """Change what the device says at each sample from now on; the device itself believes it sound."""
+    """Change the device's report at each sample from now on.
+
+    The device itself believes it sound.
+    """
     encode = rig.twin.firmware._codec.encode
 
     def changed(session: int, sequence: int, time: int, body: Any) -> bytes:
@@ -37,7 +40,7 @@ def doctored(rig: Rig, change: Callable[[StateReport], StateReport]) -> None:
 
 
 def put(name: str, place: int, value: float) -> Callable[[StateReport], StateReport]:
-    """Return what puts a value in place of one of six."""
+    """Return a function that replaces one of six values."""
 
     def change(report: StateReport) -> StateReport:
         values = list(getattr(report, name))
@@ -48,7 +51,7 @@ def put(name: str, place: int, value: float) -> Callable[[StateReport], StateRep
 
 
 def repeated(*names: str) -> Callable[[StateReport], StateReport]:
-    """Return what says some values of the first report again and again."""
+    """Return a function that repeats values of the first report."""
     first: list[StateReport] = []
 
     def change(report: StateReport) -> StateReport:
@@ -59,7 +62,7 @@ def repeated(*names: str) -> Callable[[StateReport], StateReport]:
 
 
 def one_diode(report: StateReport, first: list[StateReport] = []) -> StateReport:  # noqa: B006 - the first one, kept
-    """Repeat what the second diode read first."""
+    """Repeat the first reading of the second diode."""
     first.append(report)
     return report._replace(spots=(*report.spots[:2], *first[0].spots[2:4], *report.spots[4:]))
 
@@ -122,7 +125,7 @@ def test_a_device_that_is_not_flown_may_say_what_it_likes(change: Callable[[Stat
 
 @pytest.mark.parametrize("missed", [1, 3])
 def test_lost_samples_are_no_speed(missed: int) -> None:
-    """Pushed to more than half of what trips; a gap makes the step look larger, not the speed."""
+    # Pushed to more than half of what trips; a gap makes the step look larger, not the speed.
     start = 0.25
     hand = lambda tick, at, state: [8.0 * (start < at < start + 0.033), *[0.0] * 5]  # noqa: E731
     gap = Impairment(blackouts=((start + 0.0315, start + 0.0315 + 0.005 * missed),))

@@ -1,4 +1,4 @@
-"""A device whose coils, mass and level differ from what is known of it is found out by shaking it a little."""
+"""Identification of coils, mass and level by small motions."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ pytestmark = pytest.mark.xdist_group("identification")  # so that each device is
 
 
 class Twin:
-    """A device whose truth is drawn, and a host that knows the nominal one; read, write and what was sent."""
+    """Device with random true values, and its nominal host."""
 
     def __init__(
         self,
@@ -88,7 +88,10 @@ class Twin:
         return np.asarray(self.coils.wrench_per_current / body[:, None])
 
     def lay_on(self, mass: float, place: Sequence[float]) -> None:
-        """Lay a weight [kg] onto the handle, at a place in flotor axes [m]."""
+        """Put a weight [kg] onto the handle.
+
+        At a position in flotor axes [m].
+        """
         model = self.plant.device.model
         handle = model.body("handle").id
         before = model.body_mass[handle]
@@ -195,7 +198,7 @@ def test_standard_errors_are_those_of_the_sensor() -> None:
 
 def test_errors_fall_with_the_root_of_the_duration_and_with_the_amplitude() -> None:
     def level(duration: float, amplitude: float) -> float:
-        """Return the standard error, of which the test above says that it is the error."""
+        """Return the standard error, as tested above."""
         studies = [study(seed, SLOW, True, duration, amplitude)[2] for seed in range(3)]
         return float(np.sqrt(np.mean([np.square(found.errors[:3]) for found in studies])))
 

@@ -1,4 +1,7 @@
-"""Imports point down, leaves do not import one another, and heavy packages stay in their rooms."""
+"""Imports point down, and heavy packages stay in place.
+
+Leaves do not import one another.
+"""
 
 from __future__ import annotations
 
@@ -85,7 +88,10 @@ ALLOWED = {
 
 
 def imports() -> list[tuple[str, str, str]]:
-    """Return (room, file, imported module) for every import, those inside functions too."""
+    """Return package, file and module of every import.
+
+    Those inside functions too.
+    """
     found = []
     for path in PACKAGE.rglob("*.py"):
         parts = path.relative_to(PACKAGE).with_suffix("").parts
@@ -136,7 +142,7 @@ def test_no_module_outgrows_its_room() -> None:
 
 
 def faces() -> list[str]:
-    """Return the packages whose names are loaded when they are asked for."""
+    """Return the packages with names loaded on request."""
     found = [path for path in PACKAGE.rglob("__init__.py") if "attach(" in path.read_text(encoding="utf-8")]
     return [".".join(("maglev_mj", *path.parent.relative_to(PACKAGE).parts)) for path in found]
 

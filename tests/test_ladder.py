@@ -1,4 +1,4 @@
-"""Each model level does what it says, and the model recommended for a scene holds in cases never looked at."""
+"""Model levels, and recommended models in unseen cases."""
 
 from __future__ import annotations
 
@@ -57,7 +57,10 @@ NEEDED = {
 
 
 def unseen_distances(result: FidelityResult, count: int) -> Array:
-    """Return how far the model chosen is from the whole device in cases not used for the choice [m], (count,)."""
+    """Return the chosen model's distances in unseen cases [m].
+
+    Distance from the whole device, (count,).
+    """
     assert result.level is not None and result.cheapest is not None
     scene, best, level = result.preset.scene, result.cheapest, result.level.level
     options = {"integrator": best.integrator, "longest_step": best.step} if level_index(level) else {}
@@ -268,7 +271,10 @@ def test_the_drivers_lag_is_so_much_delay_to_two_micrometres(pulse: float) -> No
 
 
 def steady(plant: MuJoCoPlant, force: float, ticks: int = 2) -> float:
-    """Return the acceleration along z under a held force, from where the flotor is after some ticks [m/s²]."""
+    """Return the acceleration along z under a held force [m/s²].
+
+    From the flotor's position after some ticks.
+    """
     for _ in range(ticks):
         plant.read()
         plant.write(Command([0.0, 0.0, force, 0.0, 0.0, 0.0]))
@@ -440,7 +446,7 @@ def test_bad_input_is_one_line_and_status_2(
 
 
 class Branching(AxisLaw):
-    """A wall that asks `if`, which an array does not answer."""
+    """Wall with an `if`, which arrays do not support."""
 
     stiffness: float = gain("stiffness", "N/m")
 

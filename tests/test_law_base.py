@@ -1,4 +1,4 @@
-"""Laws made of gains and one function, plain functions as laws, and how a law that is wrong is refused."""
+"""Laws from gains and functions, and refusal of wrong laws."""
 
 import itertools
 import math
@@ -38,7 +38,10 @@ FRICTION: dict[str, Any] = {**GAINS, "breakaway": 1.0}
 
 
 class Detent(AxisLaw):
-    """Sine detents: f = -stiffness pitch / 2π sin(2π x / pitch) - damping v."""
+    """Sine detents with damping.
+
+    f = -stiffness pitch / 2π sin(2π x / pitch) - damping v.
+    """
 
     pitch: ArrayLike = gain("distance between detents", "m", above=0.0)
     stiffness: ArrayLike = gain("stiffness at the bottom", "N/m")
@@ -195,7 +198,7 @@ BAD: dict[str, tuple[Callable[..., Any], str, bool]] = {
 
 @pytest.mark.parametrize("name", list(BAD))
 def test_a_law_that_is_wrong_is_refused_in_one_line(name: str) -> None:
-    """By `check`, and where that needs no batch and no second look, at the first sample."""
+    # By `check`, and where that needs no batch and no second look, at the first sample.
     body, message, first = BAD[name]
 
     class Wrong(Law):

@@ -1,4 +1,4 @@
-"""The wall, its braking pulse and the hold, against the equations written out by hand."""
+"""Wall, braking pulse and hold against equations by hand."""
 
 import math
 from typing import Any
@@ -16,7 +16,7 @@ K, B, PULSE, WIDTH = 6000.0, 80.0, 220.0, 0.003
 
 
 def answer(controller: Controller, axis: str, positions: list[float]) -> list[Command]:
-    """Return the commands for a sequence of positions along one axis."""
+    """Return the commands for positions along one axis."""
     index = AXES.index(axis)
     controller.reset()
     commands = []
@@ -50,7 +50,7 @@ def test_velocity_is_zero_at_the_first_sample_and_a_start_inside_is_no_entry() -
 
 
 def test_the_edge_itself_is_inside() -> None:
-    """The paper's rule is x[k-2] > 0 >= x[k-1]: a quantized sensor reads exactly 0 often."""
+    # The paper's rule is x[k-2] > 0 >= x[k-1]: a quantized sensor reads exactly 0 often.
     commands = answer(Controller([wall(pulse=PULSE, pulse_width=WIDTH)], period=T), "z", [1e-3, 0.0, 0.0, 1e-3])
     assert commands[1].extra is not None
     assert commands[1].force[2] == pytest.approx(B / T * 1e-3)
@@ -115,7 +115,7 @@ def test_hold_and_walls_add_up() -> None:
 
 
 def test_saturated_pulse_is_carried_over_without_losing_impulse() -> None:
-    """What a 30 N limit cuts off one pulse follows in later ones, for as long as the flotor moves inward."""
+    # What a 30 N limit cuts off one pulse follows in later ones, for as long as the flotor moves inward.
     limit = 30.0
     law = wall(stiffness=0.0, damping=0.0, pulse=PULSE, pulse_width=WIDTH, force_limit=limit)
     positions = [1e-3, -0.5e-3, -1.8e-3, -2.6e-3, -3.0e-3, -3.2e-3]
@@ -145,7 +145,7 @@ def test_carried_braking_leaves_room_for_the_pd_force() -> None:
 @pytest.mark.parametrize("every", [7, pytest.param(1, marks=pytest.mark.study)])
 @pytest.mark.parametrize("limit", [math.inf, 60.0])
 def test_batch_of_1000_equals_single_devices_bit_for_bit(limit: float, every: int) -> None:
-    """Own gains, edges and motion for each device; every axis; walls, pulses, carry and hold together."""
+    # Own gains, edges and motion for each device; every axis; walls, pulses, carry and hold together.
     count, ticks = 1000, 60
     random = np.random.default_rng(7)
     gains = {
@@ -246,7 +246,7 @@ def test_samples_must_fit_the_laws() -> None:
 
 
 def test_pulses_on_one_sample_add_up() -> None:
-    """Two walls on one axis and one on another are entered at once."""
+    # Two walls on one axis and one on another are entered at once.
     laws = [
         wall(pulse=pulse, pulse_width=WIDTH, axes=axes) for pulse, axes in ((PULSE, "z"), (100.0, "z"), (50.0, "x"))
     ]

@@ -1,4 +1,4 @@
-"""Stability of any law: linearised controllers against closed forms, and the traps on the way."""
+"""Stability of any law against closed forms."""
 
 import doctest
 import math
@@ -67,13 +67,16 @@ def along_x(force: Callable[[Any, Any], Any]) -> Callable[[Sequence[Any], Sequen
 def verdict(
     *laws: Any, period: float = T, velocity: VelocityEstimator | None = None, axes: int = 1, **how: Any
 ) -> Verdict:
-    """Return the verdict on laws along the first axes, the others held."""
+    """Return the verdict on laws, other axes held."""
     others = Hold.critically_damped(AXES[axes:], inertia=INERTIA[axes:], period=period, delay=DELAY)
     return judge(Controller([*laws, others], period=period, velocity=velocity), **{"delay": DELAY, **how})
 
 
 def at_rest(controller: Controller, delay: float) -> float:
-    """Return the largest modulus by closed forms, friction stuck where there is any: what the linearisation sees."""
+    """Return the largest modulus by closed forms.
+
+    With friction stuck, as in the linearisation.
+    """
     gains = stated_gains(controller)
     assert gains is not None
     sticks = any("stuck" in acting for acting in gains)
@@ -164,7 +167,7 @@ def test_friction_states_what_is_found_numerically(kind: type[Friction], period:
 
 @pytest.mark.parametrize("stiffness", [9870.0, 8000.0, 5000.0, 3000.0, 1000.0])
 def test_detents_are_judged_at_their_bottoms(stiffness: float) -> None:
-    """A crest is no place of rest, whatever the wall: set aside, and counted."""
+    # A crest is no place of rest, whatever the wall: set aside, and counted.
     found = verdict(Detent(axes="x", stiffness=stiffness), pose=[2e-4, 0, 0, 0, 0, 0])
     assert found.stable is (stiffness < 9000.0) and len(found.away) > 0
     assert "push away" in found.remarks[-1]
@@ -184,7 +187,7 @@ def test_the_verdict_on_detents_is_what_the_simulation_does(stiffness: float) ->
 
 
 def circulating(position: Sequence[Any], velocity: Sequence[Any]) -> Sequence[Any]:
-    """Drive x by y and y by x: no axis alone is unstable."""
+    """Couple x and y; no axis alone is unstable."""
     (x, y), (u, v) = position[:2], velocity[:2]
     return [-2000.0 * x - 30.0 * u + 1500.0 * y, -2000.0 * y - 30.0 * v - 1500.0 * x, 0.0, 0.0, 0.0, 0.0]
 
@@ -214,7 +217,7 @@ def test_walls_that_state_no_gains_are_judged_inside_their_faces() -> None:
 
 
 def test_a_start_on_an_edge_is_moved_off_it() -> None:
-    """Else each pose of the grid but those along that axis would be a jump."""
+    # Else each pose of the grid but those along that axis would be a jump.
     for side in (1.0, -1.0):
         edge = along_x(lambda x, v, side=side: (side * x < 0.0) * -(3000.0 * x + 50.0 * v))  # type: ignore[misc]
         found = verdict(edge)
@@ -223,7 +226,7 @@ def test_a_start_on_an_edge_is_moved_off_it() -> None:
 
 
 def test_an_axis_without_stiffness_is_stable() -> None:
-    """It may stay anywhere: one root at 1, or two without damping, found to half of the digits."""
+    # It may stay anywhere: one root at 1, or two without damping, found to half of the digits.
     for force in (lambda x, v: 0.0 * x, lambda x, v: -30.0 * v, lambda x, v: -1e-9 * x - 1e-12 * v):
         found = verdict(along_x(force))
         assert found.stable is True and found.modulus == pytest.approx(1.0, abs=1e-6)
@@ -231,7 +234,10 @@ def test_an_axis_without_stiffness_is_stable() -> None:
 
 
 class Washout(AxisLaw):
-    """A spring that pushes away and gives way: with no stiffness in the end, but for what is cut off its answer."""
+    """Spring that pushes away and yields, a washout.
+
+    It has no stiffness in the end, except for the cut-off part of its answer.
+    """
 
     def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
         slow = x if state is None else state + 0.05 * (x - state)
@@ -263,7 +269,10 @@ def test_an_answer_that_does_not_die_away_is_not_known() -> None:
 
 
 class Corner(AxisLaw):
-    """Integral action, with a leak or none, that only one end of the range knows of."""
+    """Integral action known to one end of the range only.
+
+    With a leak or none.
+    """
 
     leak: float = gain(default=0.0)
 

@@ -1,4 +1,7 @@
-"""What travels arrives whole: links over UDP and serial lines, lines bad on purpose, and who may be spoken to."""
+"""Links over UDP and serial lines, good and impaired.
+
+Permitted hosts too.
+"""
 
 import errno
 import math
@@ -61,7 +64,7 @@ def pair(request: pytest.FixtureRequest) -> Iterator[Pair]:
 
 
 def frames(count: int, seed: int = 3) -> list[bytes]:
-    """Return seeded frames of 1 to 300 bytes, many of them zero."""
+    """Return seeded frames of 1 to 300 bytes, many zero."""
     luck = random.Random(seed)
     return [
         bytes(luck.choice((0, 0, 255, luck.randrange(256))) for _ in range(luck.randint(1, 300))) for _ in range(count)
@@ -375,7 +378,7 @@ BAD = Impairment(loss=0.05, duplicate=0.02, corrupt=0.01, delay=2e-3, jitter=2e-
 
 
 def near(count: int, trials: int, probability: float) -> bool:
-    """Return whether a count is within four standard deviations of what is to be expected."""
+    """Return True if a count is within four standard deviations."""
     return abs(count - trials * probability) <= 4.0 * math.sqrt(trials * probability * (1.0 - probability))
 
 
@@ -448,7 +451,7 @@ def test_an_impairment_that_cannot_be_is_refused(wrong: dict[str, float]) -> Non
 
 
 def echo(link: Link, server: UdpServer, count: int) -> list[bytes]:
-    """Send numbered frames, answer those that arrive, and return the answers that arrive."""
+    """Send numbered frames; return the answers received."""
     answers = []
     for number in range(count):
         link.send(b"%d" % number)

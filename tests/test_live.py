@@ -1,4 +1,4 @@
-"""The live server: what programs see, what they may set and when it acts, and who is let in."""
+"""Live server: visible samples, settings, their effect, and access."""
 
 from __future__ import annotations
 
@@ -235,7 +235,7 @@ def test_everything_else_is_refused(asked: str, wrong: str) -> None:
 
 @contextmanager
 def guarded() -> Iterator[tuple[int, socket.socket]]:
-    """Yield the port of a guard, and the listener behind it."""
+    """Yield the port of a guard, and the listener behind."""
     with socket.create_server(("127.0.0.1", 0)) as public, socket.create_server(("127.0.0.1", 0)) as behind:
         behind.settimeout(5.0)
         threading.Thread(target=forward, args=(public, behind.getsockname()), daemon=True).start()
@@ -249,7 +249,7 @@ def asks(port: int, data: bytes) -> socket.socket:
 
 
 def test_nothing_reaches_the_server_but_what_is_let_in(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Refused, too long, cut off and never finished requests are ended by the guard itself."""
+    # Refused, too long, cut off and never finished requests are ended by the guard itself.
     monkeypatch.setattr(guard, "PATIENCE", 0.3)
     good = (request() + "\r\n\r\n").encode()
     with guarded() as (port, behind), ExitStack() as open_ones:
@@ -285,7 +285,7 @@ def test_nothing_reaches_the_server_but_what_is_let_in(monkeypatch: pytest.Monke
 
 
 def test_small_messages_are_passed_on_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """None waits until the one before it is acknowledged, for which the other end takes its time."""
+    # None waits until the one before it is acknowledged, for which the other end takes its time.
     calls: list[tuple[object, ...]] = []
     monkeypatch.setattr(TransportSocket, "setsockopt", lambda _, *option: calls.append(option))
     good = (request() + "\r\n\r\n").encode()
@@ -301,7 +301,7 @@ def test_small_messages_are_passed_on_at_once(monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_one_that_stalls_takes_nothing_from_others() -> None:
-    """It does not read: what is for it waits at the server, while another is served."""
+    # It does not read: what is for it waits at the server, while another is served.
     with guarded() as (port, behind), ExitStack() as open_ones:
         good = (request() + "\r\n\r\n").encode()
         ends = []
@@ -391,7 +391,7 @@ def test_what_rows_and_requests_wait_for_outlasts_a_process_that_hangs(monkeypat
 
 @contextmanager
 def in_service(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Any, Any]]:
-    """Yield the service of a server, and the control loop's end of its line."""
+    """Yield a server's service, and the loop's end."""
     from maglev_mj.live import service
 
     monkeypatch.setattr(service, "SideProcess", Unstarted)
@@ -404,7 +404,7 @@ def in_service(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Any, Any]]:
 
 
 def test_a_process_that_cannot_check_is_started_anew_once_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where there is none to be had, the server goes on, and says why it refuses."""
+    # Where there is none to be had, the server goes on, and says why it refuses.
     with in_service(monkeypatch) as (one, _):
         made = Unstarted.made
         for _ in range(20):
@@ -432,7 +432,7 @@ def test_a_process_that_cannot_check_is_started_anew_once_a_second(monkeypatch: 
 
 
 def test_a_request_wakes_the_server_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It waits for no row; nor does a request that cannot be checked yet keep it awake."""
+    # It waits for no row; nor does a request that cannot be checked yet keep it awake.
     woken: list[Any] = []
     monkeypatch.setattr("maglev_mj.live.service.wait", lambda lines, _: woken.append(wait(lines, 0.0)))
     with in_service(monkeypatch) as (one, _):
@@ -452,7 +452,7 @@ def test_a_request_wakes_the_server_once(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 def test_a_server_ends_with_its_line_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Not with a scene that it cannot read, whatever that raises; nor where there is nobody to hand a scene to."""
+    # Not with a scene that it cannot read, whatever that raises; nor where there is nobody to hand a scene to.
     with in_service(monkeypatch) as (one, near):
         near.send((0, "show", Nowhere(FileNotFoundError), None))
         one._turn()
@@ -491,7 +491,7 @@ def test_each_file_is_closed_where_another_cannot_be() -> None:
 
 
 class Running:
-    """A session in a thread, at about its own rate, that notes the scene of each sample."""
+    """Session in a thread that records each sample's scene."""
 
     def __init__(self, session: Session, period: float) -> None:
         self.session, self.scenes, self._period = session, list[Scene](), period
@@ -557,7 +557,7 @@ realtime = pytest.mark.xdist_group("realtime")
 
 @realtime
 def test_every_sample_is_seen_as_it_was_recorded(live: LiveServer) -> None:
-    """To a file and to programs at once, through a change of parameters; frames sixty times a second."""
+    # To a file and to programs at once, through a change of parameters; frames sixty times a second.
     kept = ArrayFile()
     hand = SpringHand(target=[0.016, 0.0, -0.01, 0.0, 0.1, 0.0])
     heard: list[Any] = []
@@ -631,7 +631,7 @@ def test_what_is_refused_changes_nothing_and_is_said_to_all(live: LiveServer) ->
 
 @realtime
 def test_parameters_are_set_as_the_app_does(live: LiveServer) -> None:
-    """The answer, at once, has the values in force; subscribers hear of others when they are in force."""
+    # The answer, at once, has the values in force; subscribers hear of others when they are in force.
     with running(live), LiveClient(url(live), set()) as client, LiveClient(url(live), set()) as other:
         other.send({"op": "subscribeParameterUpdates", "parameterNames": ["stiffness", "state"]})
 
@@ -677,7 +677,7 @@ def test_a_program_that_comes_late_to_a_pause_sees_the_scene_and_sets_it(live: L
 
 @realtime
 def test_one_that_floods_takes_nothing_from_others() -> None:
-    """Sets by the thousand, of every kind; another program hears every sample, and its own set is answered."""
+    # Sets by the thousand, of every kind; another program hears every sample, and its own set is answered.
     live, over = LiveServer(0), threading.Event()  # what is left of a flood is not for another test
 
     def flood() -> None:
@@ -732,7 +732,7 @@ def test_the_server_behind_the_guard_is_nowhere_that_a_page_could_find(live: Liv
 
 @realtime
 def test_a_port_is_had_once_and_again_at_once() -> None:
-    """It closes with programs there, one of which waits for an answer."""
+    # It closes with programs there, one of which waits for an answer.
     with closing(LiveServer(0)) as first:
         with pytest.raises(
             LiveServerError, match=rf"cannot listen at port {first.port} of 127\.0\.0\.1: Address already"
@@ -801,7 +801,7 @@ class Odd(Scene):
 def test_a_check_that_dies_or_does_not_end_is_given_up(
     live: LiveServer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The process that checks is replaced; the next request is checked as any other."""
+    # The process that checks is replaced; the next request is checked as any other.
     from maglev_mj.live import service
 
     (tmp_path / "odd.py").write_text(ODD)

@@ -1,4 +1,4 @@
-"""The control loop: what it does, and what it leaves behind when something breaks."""
+"""Control loop: its steps, and its state after errors."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from maglev_mj.laws import AdaptiveWindow, FiniteDifference, Law, LowPass, Stick
 
 
 class Recorder(ExactPlant):
-    """A plant that remembers what was written."""
+    """Plant that records its commands."""
 
     def __init__(self) -> None:
         super().__init__(Timing(), gravity=0.0, twist=[0, 0, 0.01, 0, 0, 0])
@@ -63,7 +63,7 @@ LAWS: dict[str, Callable[[], Law]] = {
 def test_a_controller_answers_another_run_only_after_a_reset(
     law: str, velocity: VelocityEstimator, batch: tuple[int, ...]
 ) -> None:
-    """What it remembers of one run would go into the answers of the next."""
+    # What it remembers of one run would go into the answers of the next.
     controller = Controller([LAWS[law]()], period=0.005, velocity=velocity)
 
     def pushes(first: float) -> list[list[float]]:

@@ -1,4 +1,4 @@
-"""The device model: Table 1, symmetry, every scene runs clean, and no more than a scene needs."""
+"""Device model: Table 1, symmetry, all scenes, no excess."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_masses(device: Device) -> None:
 
 
 def test_payload_of_table_1_contradicts_its_current(device: Device) -> None:
-    """2 kg beside the 0.65 kg flotor takes 4.33 A a coil, not 3 A."""
+    # 2 kg beside the 0.65 kg flotor takes 4.33 A a coil, not 3 A.
     coils = coil_map(device)
     lifted = coils.largest_wrench(SPEC.continuous_current.value)[2] / GRAVITY - SPEC.flotor_mass.value
     assert lifted == pytest.approx(1.185, abs=1e-3)
@@ -68,7 +68,7 @@ def test_ranges(device: Device) -> None:
 
 
 def test_range_is_a_stop_in_the_device() -> None:
-    """Pushed with 60 N against its range the flotor stays inside it but for the stop's own softness."""
+    # Pushed with 60 N against its range the flotor stays inside it but for the stop's own softness.
     device = load("maglev")
     data = mujoco.MjData(device.model)
     data.ctrl[:3] = 10.0
@@ -86,7 +86,7 @@ def test_resolution_is_what_a_plant_with_table_1_s_sensor_reads() -> None:
 
 
 def test_driver_bandwidth_is_that_of_the_text(device: Device) -> None:
-    """2 kHz (section 2), where Table 1 says more than 3 kHz: the gain of the compiled filter at 2 kHz is -3 dB."""
+    # 2 kHz (section 2), where Table 1 says more than 3 kHz: the gain of the compiled filter at 2 kHz is -3 dB.
     assert device.driver_time_constant == DRIVER_TIME_CONSTANT
     period = 5e-6
     plant = MuJoCoPlant(Timing(period=period, delay=0.0), driver_lag=True, gravity=0.0, record=True)
@@ -100,7 +100,7 @@ def test_driver_bandwidth_is_that_of_the_text(device: Device) -> None:
 
 
 def test_closed_loop_position_response() -> None:
-    """Above 30 Hz in translation and 15 Hz in rotation, with the paper's own gains, rate and delay."""
+    # Above 30 Hz in translation and 15 Hz in rotation, with the paper's own gains, rate and delay.
     loop = {"period": 1.0 / SPEC.control_rate.value, "delay": SPEC.transport_delay.value}
     for axis in ("x", "z"):
         assert position_bandwidth(axis, stiffness=6000.0, damping=80.0, **loop) > SPEC.translation_bandwidth.value
@@ -109,7 +109,7 @@ def test_closed_loop_position_response() -> None:
 
 
 def test_measured_bandwidth_is_that_of_the_sampled_loop() -> None:
-    """Against the closed-loop frequency response by z-transform, at T_d = 0: B/(A) of the PD on a double integrator."""
+    # Against the closed-loop frequency response by z-transform, at T_d = 0: B/(A) of the PD on a double integrator.
     k, b, period, mass = 3000.0, 60.0, 0.002, 0.7
     frequencies = np.linspace(1.0, 200.0, 40_000)
     z = np.exp(2j * np.pi * frequencies * period)
@@ -200,7 +200,7 @@ def test_vertical_coils_are_at_the_coil_radius(device: Device) -> None:
 def test_every_compiled_model_is_the_one_device(
     scene: str, mass: float | None, flexible: bool, hand: Hand | str | None
 ) -> None:
-    """Mass, moments, and the centre of mass at the origin: by mass matrix and weight, upright and turned."""
+    # Mass, moments, and the centre of mass at the origin: by mass matrix and weight, upright and turned.
     held = hand_called(hand) if isinstance(hand, str) else hand
     one = load(scene, mass=mass, hand=held, flexible=flexible)
     body = np.array([*[mass or INERTIA[0]] * 3, *INERTIA[3:]])
@@ -264,7 +264,7 @@ def drop_bits(scene: str = "drop", **options: Any) -> tuple[Array, ...]:
 
 @pytest.fixture
 def variant(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., tuple[Array, ...]]:
-    """Return a function that runs the drop on a changed copy of its scene."""
+    """Return a function that runs a changed drop scene."""
 
     def run_changed(*changes: tuple[str, str], lean: bool = True) -> tuple[Array, ...]:
         text = model_path("drop").read_text(encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Position and rate in one stick: what moves the slave, and that friction keeps it where a hand lets go."""
+"""Position and rate control of a slave by one stick."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ def along(x: float) -> Array:
 
 
 def stuck(anchor: float) -> Array:
-    """Return where the flotor sticks: on x there, on the others at the centre."""
+    """Return stick positions: given on x, centre on the others."""
     return along(anchor)
 
 
 def sliding(anchor: float = 0.0) -> Navigator:
-    """Return a navigator that has seen the flotor stick on all axes, at the centre."""
+    """Return a navigator with a flotor stuck at the centre."""
     navigator = Navigator()
     navigator.move(along(anchor), stuck(anchor), 0.0)
     return navigator
@@ -69,7 +69,7 @@ def test_a_pose_or_a_time_that_cannot_be_is_refused(pose: list[float], elapsed: 
 
 
 def test_the_default_give_is_that_of_the_friction_on_every_axis() -> None:
-    """What breaks away at 2 N and 6000 N/m stretches to a third of a millimetre, measured at the radius of gyration."""
+    # What breaks away at 2 N and 6000 N/m stretches to a third of a millimetre, measured at the radius of gyration.
     give = np.asarray(Navigation().give)
     radius = np.sqrt(np.array(INERTIA[3:]) / INERTIA[0])
     assert give[:3].tolist() == [GIVE] * 3
@@ -79,7 +79,7 @@ def test_the_default_give_is_that_of_the_friction_on_every_axis() -> None:
 @pytest.mark.parametrize("friction", [True, False])
 @pytest.mark.parametrize("seed", range(8))
 def test_the_slave_never_jumps_whatever_the_hand_does(seed: int, friction: bool) -> None:
-    """Each increment is its mode's to the last bit: the flotor's way, or that of the rate."""
+    # Each increment is its mode's to the last bit: the flotor's way, or that of the rate.
     random = np.random.default_rng(seed)
     chosen = Navigation(scale=random.uniform(0.2, 5.0, 6), gain=random.uniform(1.0, 30.0, 6))
     edge, scale, gain, give = (np.asarray(one) for one in (chosen.edge, chosen.scale, chosen.gain, chosen.give))
@@ -135,7 +135,7 @@ def test_the_mode_follows_the_stretch_of_the_spring_with_hysteresis(side: float)
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_what_the_device_gives_tells_how_hard_the_hand_pushes_where_it_is_known(side: float) -> None:
-    """A wall may hold the flotor, so that the friction's spring is not stretched; or a spring may pull it inward."""
+    # A wall may hold the flotor, so that the friction's spring is not stretched; or a spring may pull it inward.
     navigator = sliding(side * 0.003)
     shares = [0.0, 0.24, 0.26, 0.9, 0.2, 0.11, 0.09, 0.2, 0.26, -0.5, 0.24]
     modes = []
@@ -146,7 +146,7 @@ def test_what_the_device_gives_tells_how_hard_the_hand_pushes_where_it_is_known(
 
 
 def test_a_push_counts_where_it_lasts_for_a_tenth_of_a_second() -> None:
-    """A flotor that has been let go rings, and its spring is stretched outward for a while."""
+    # A flotor that has been let go rings, and its spring is stretched outward for a while.
     navigator, modes = sliding(0.003), []
     for share in [0.5] * 6 + [0.0] + [0.5] * 9:
         navigator.move(along(0.003 + share * GIVE), stuck(0.003), 1.0 / 64.0)
@@ -164,7 +164,7 @@ def test_sliding_outward_beyond_the_edge_is_rate_and_inward_is_position() -> Non
 
 
 def test_an_axis_that_has_never_stuck_has_no_friction_and_is_rate_beyond_the_edge() -> None:
-    """On a table there is friction on x and y alone: anchors of the others are never there."""
+    # On a table there is friction on x and y alone: anchors of the others are never there.
     table = np.array([0.0, 0.0, *[math.nan] * 4])
     navigator = Navigator()
     navigator.move(np.zeros(6), table, 0.0)
@@ -213,12 +213,12 @@ def test_a_flotor_put_elsewhere_does_not_move_the_slave() -> None:
 
 @dataclass(frozen=True)
 class Push:
-    """A hand of 1000 N/m that pulls beyond the edge, presses on, and lets go.
+    """Hand of 1000 N/m: pull, press, release.
 
     Attributes:
-        target: Where it pulls to [m].
-        press: How much further from 0.5 s on [m].
-        release: When it lets go [s].
+        target: First target [m].
+        press: Additional distance from 0.5 s on [m].
+        release: Time of release [s].
     """
 
     target: float
@@ -233,7 +233,10 @@ EVERY = 1.0 / 60.0
 def pushed(
     push: Push, scene: Joystick, navigation: Navigation | None = None, *, forces: bool = True
 ) -> dict[str, Array]:
-    """Return time, position, slave and mode along x, at 60 frames a second of the joystick's scene."""
+    """Return time, position, slave and mode along x.
+
+    At 60 frames a second of the joystick's scene.
+    """
     hand, navigator = SpringHand(stiffness=1000.0, damping=20.0), Navigator(navigation)
     plant, controller = live_plant(scene, hand), scene.controller()
     given: list[Array] = []
@@ -287,7 +290,7 @@ def test_a_hand_that_lets_go_beyond_the_edge_leaves_the_slave_where_it_is(
 
 @pytest.mark.parametrize("friction", [True, False])
 def test_without_friction_a_slave_by_position_is_returned_when_the_hand_lets_go(friction: bool) -> None:
-    """What the paper holds against a joystick with a centring spring, and what friction does about it."""
+    # What the paper holds against a joystick with a centring spring, and what friction does about it.
     by_position = Navigation(edge=1.0)
     run = pushed(Push(0.0045, 0.0005, 1.0), Joystick(friction=friction, wall=False), by_position)
     before, after = run["slave"][run["time"] < 1.0][-1], run["slave"][-1]
@@ -297,7 +300,7 @@ def test_without_friction_a_slave_by_position_is_returned_when_the_hand_lets_go(
 
 @pytest.mark.parametrize("target", [0.0055, -0.007])
 def test_a_hand_that_holds_against_a_wall_goes_on_with_the_rate_until_it_lets_go(target: float) -> None:
-    """The wall at 3.5 mm holds the flotor, and the friction's spring alone would tell nothing."""
+    # The wall at 3.5 mm holds the flotor, and the friction's spring alone would tell nothing.
     run = pushed(Push(target, 0.0, 1.0), Joystick(friction=True, wall=True))
     time, rate, slave = run["time"], run["rate"], run["slave"]
     assert rate[(time > 0.5) & (time < 1.0)].all()

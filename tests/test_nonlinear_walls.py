@@ -1,4 +1,4 @@
-"""Drops on walls with a pulse, a force limit and a sensor's steps: verdicts, parts, workers."""
+"""Drops on walls with pulse, force limit and quantized sensor."""
 
 import os
 import signal
@@ -24,7 +24,7 @@ ALL: dict[str, Any] = {"pulse": 220.0, "force_limit": 60.0, "quantize": 5e-6}
 @pytest.mark.parametrize("hand", ["none", "arm"])
 @pytest.mark.parametrize("delay", [0.0, 0.0015, 0.005])
 def test_released_at_the_edge_a_wall_settles_where_theory_has_it_stable(delay: float, hand: str) -> None:
-    """In every cell whose modulus is further than 0.005 from 1: it changes by a factor of 1.6 over a quarter."""
+    # In every cell whose modulus is further than 0.005 from 1: it changes by a factor of 1.6 over a quarter.
     found = run_drop_map(DropMapParameters(grid=40, height=0.0, delay=delay, hand=hand))
     modulus = largest_modulus(found.stiffness[:, None], found.damping, **found.parameters.loop)
     away = np.abs(modulus - 1.0) > 0.005
@@ -40,7 +40,7 @@ def ending(stiffness: float, damping: float, **values: Any) -> tuple[float, Endi
 
 
 def test_endings_of_drops_with_known_answers() -> None:
-    """The paper's wall settles, hums within a few steps of the sensor, bounces on where the damping is too low."""
+    # The paper's wall settles, hums within a few steps of the sensor, bounces on where the damping is too low.
     swing, found = ending(6000.0, 80.0)
     assert found is Ending.SETTLES and swing < 1e-12
     swing, found = ending(6000.0, 80.0, **ALL)
@@ -58,7 +58,7 @@ def test_endings_of_drops_with_known_answers() -> None:
 
 
 def test_steps_keep_walls_of_much_damping_from_resting_that_theory_has_stable() -> None:
-    """A step is much force where the damping is high: a hum of ten steps and more."""
+    # A step is much force where the damping is high: a hum of ten steps and more.
     k, b = (part.ravel() for part in np.meshgrid(np.linspace(3000.0, 8000.0, 120), np.linspace(120.0, 165.0, 60)))
     p = DropMapParameters(height=0.0)
     stable = largest_modulus(k, b, **p.loop) < 0.99
@@ -69,14 +69,14 @@ def test_steps_keep_walls_of_much_damping_from_resting_that_theory_has_stable() 
 
 
 def test_what_grows_without_bound_stays_finite_and_ends_no_other() -> None:
-    """An arm pushes the flotor back into a wall that throws it further out each time."""
+    # An arm pushes the flotor back into a wall that throws it further out each time.
     gains: dict[str, Any] = {"stiffness": (1e3, 1e8), "damping": (0.0, 1e6)}
     found = run_drop_map(DropMapParameters(grid=12, height=0.0, mass=1e-3, hand="0,0,1e6", **gains))
     assert np.isfinite(found.swing).all() and (found.ending == Ending.GAINS).any()
 
 
 def test_parts_and_workers_do_not_matter() -> None:
-    """To the last bit without pulses; with them where it settles, for a neighbour's pulse splits a period: rounding."""
+    # To the last bit without pulses; with them where it settles, for a neighbour's pulse splits a period: rounding.
     still = DropMapParameters(grid=24, quantize=5e-6, force_limit=60.0)
     whole = run_drop_map(still)
     for parts in (run_drop_map(still, part=77), run_drop_map(still, part=100, workers=local_workers(2))):

@@ -1,4 +1,4 @@
-"""A user's own scene and law, from an empty folder, in every command."""
+"""User's own scene and law in every command."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ Say = Callable[..., tuple[int, str, str]]
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Return an otherwise empty folder with the file, in which commands are typed."""
+    """Return a folder with only the scene's file."""
     place = tmp_path / "mine"
     place.mkdir()
     (place / "detents.py").write_bytes(EXAMPLE.read_bytes())
@@ -57,7 +57,10 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.fixture
 def say(folder: Path, capsys: pytest.CaptureFixture[str]) -> Say:
-    """Return what types a command: status, output, errors."""
+    """Return a function that runs a command.
+
+    It returns status, output and errors.
+    """
 
     def typed(*command: object) -> tuple[int, str, str]:
         capsys.readouterr()

@@ -1,4 +1,7 @@
-"""Sweeps of a scene in a user's own file: by two processes and by a cluster that know nothing of the file."""
+"""Sweeps of a user's scene by processes and a cluster.
+
+They do not have the scene's file.
+"""
 
 from __future__ import annotations
 
@@ -94,7 +97,7 @@ def test_a_changed_file_is_not_what_the_record_has(file: Path, tmp_path: Path) -
 
 
 def run_without_the_file(file: Path, workers: Workers) -> None:
-    """See workers that cannot have the file give the same as this process."""
+    """Check that workers without the file give equal results."""
     cls = find_scene(str(file))
     cells, text = swept_cells(cls(), GRID, plant="exact"), text_of(cls)
     here = sweep(cls, GRID, plant="exact").results

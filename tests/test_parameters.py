@@ -1,4 +1,4 @@
-"""Arguments of another type: switches that are neither True nor False, and numbers that are none."""
+"""Arguments of wrong types: switches and numbers."""
 
 import importlib
 import inspect
@@ -19,7 +19,7 @@ from maglev_mj.plants import ExactPlant
 from maglev_mj.plants.base import PlantKeywords
 
 RESULTS = {"Check", "Comparison", "FlotorGuard", "Stick", "Verdict"}
-"""What the package itself makes, hands out and calls."""
+"""Objects that the package makes or calls itself."""
 
 NEEDED: dict[str, Any] = {
     "axes": "z",
@@ -45,7 +45,10 @@ NEEDED: dict[str, Any] = {
     "v_min": 0.005,
     "value": 1.0,
 }
-"""Arguments without a default; what is not here is None, for the switches are looked at first."""
+"""Arguments without a default; None for the others.
+
+Switches are checked first.
+"""
 
 
 def calls() -> Iterator[tuple[str, Callable[..., Any]]]:
@@ -65,7 +68,7 @@ def calls() -> Iterator[tuple[str, Callable[..., Any]]]:
 
 
 def switches() -> list[tuple[str, Callable[..., Any], str]]:
-    """Return every argument that is a switch: name of what takes it, itself, and name of the argument."""
+    """Return every switch argument: owner's name, owner, argument."""
     found = []
     for name, call in calls():
         try:
@@ -83,7 +86,7 @@ SWITCHES = switches()
 
 
 def test_every_switch_is_found() -> None:
-    """The sweep below is only as good as what it goes over."""
+    # The sweep below is only as good as what it goes over.
     assert len(SWITCHES) >= 40
     assert {
         ("ExactPlant", "driver_lag"),

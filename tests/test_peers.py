@@ -1,4 +1,4 @@
-"""The peers of the chart simulate the task that this package does, each as exactly as it says."""
+"""Other simulators perform the same task with known accuracy."""
 
 from __future__ import annotations
 
@@ -33,7 +33,10 @@ EXACT = {
 
 
 def truth(task: Any) -> tuple[Array, Array]:
-    """Return poses at the samples, (81, 6), and the held and pulsed wrenches answered, (80, 2, 6)."""
+    """Return true poses and commanded wrenches.
+
+    (81, 6) and (80, 2, 6).
+    """
     plant = ExactPlant(Timing(delay=task.delay), pose=task.pose)
     gains: dict[str, Any] = {"stiffness": 6000.0, "damping": 80.0, "pulse": 220.0, "pulse_width": task.pulse_width}
     controller = wall_controller(period=0.005, delay=task.delay, mass=0.7, **gains)
@@ -49,7 +52,7 @@ def truth(task: Any) -> tuple[Array, Array]:
 
 
 def test_the_task_of_the_peers_is_the_drop_of_this_device() -> None:
-    """Its numbers are copies on purpose: the peers run without this package."""
+    # Its numbers are copies on purpose: the peers run without this package.
     task, drop = Task(), Drop()
     assert (*[task.mass] * 3, *task.inertia) == INERTIA
     assert (task.gravity, task.offset[2]) == (GRAVITY, drop.height) == (drop.start().gravity, drop.start().pose[2])

@@ -1,4 +1,4 @@
-"""Closed forms: restitution, the pulse's momentum balance, energy, eigenvalues, the analog wall."""
+"""Closed forms: restitution, momentum, energy, eigenvalues, analog wall."""
 
 from __future__ import annotations
 
@@ -20,12 +20,15 @@ M, G, T = 0.7, 9.81, 0.005
 
 
 def restitution(ratio: float) -> float:
-    """Return the energy kept in one bounce on the ideal wall of a damping ratio; section 3 of the paper."""
+    """Return the energy restitution of an ideal wall.
+
+    By damping ratio; section 3 of the paper.
+    """
     return math.exp(-2.0 * math.pi * ratio / math.sqrt(1.0 - ratio**2))
 
 
 def test_restitution_formula_not_the_remark() -> None:
-    """The paper's remark "r < 0.2 for rho > 0.1" does not follow from its formula; the formula holds."""
+    # The paper's remark "r < 0.2 for rho > 0.1" does not follow from its formula; the formula holds.
     assert restitution(0.1) == pytest.approx(0.532, abs=5e-4)
     assert restitution(0.248) == pytest.approx(0.2, abs=1e-3)
     assert restitution(0.0) == 1.0
@@ -38,7 +41,7 @@ def test_the_analog_wall_refuses_times_that_do_not_ascend() -> None:
 
 @pytest.mark.parametrize("ratio", [0.05, 0.1, 0.248, 0.5, 0.9])
 def test_restitution_of_the_ideal_wall_from_its_own_dynamics(ratio: float) -> None:
-    """Half a swing of the damped oscillator, by its eigenvalues: from v into the wall to v out of it."""
+    # Half a swing of the damped oscillator, by its eigenvalues: from v into the wall to v out of it.
     k = 6000.0
     b = 2.0 * ratio * math.sqrt(k * M)
     pole = complex(np.roots([M, b, k])[0])
@@ -48,7 +51,7 @@ def test_restitution_of_the_ideal_wall_from_its_own_dynamics(ratio: float) -> No
 
 @pytest.mark.parametrize("ratio", [0.1, 0.248, 0.4])
 def test_sampled_wall_approaches_restitution_at_first_order(ratio: float) -> None:
-    """Energy kept in one bounce on the sampled wall, mean over phases, against the formula as T falls."""
+    # Energy kept in one bounce on the sampled wall, mean over phases, against the formula as T falls.
     k = 6000.0
     b = 2.0 * ratio * math.sqrt(k * M)
     periods = np.array([1e-4, 5e-5, 2.5e-5])
@@ -74,7 +77,7 @@ def test_sampled_wall_approaches_restitution_at_first_order(ratio: float) -> Non
 @pytest.mark.parametrize("side", [1, -1])
 @pytest.mark.parametrize("axis", AXES)
 def test_pulse_with_the_stopping_gain_stops_the_flotor(plant_type: Any, axis: str, side: int) -> None:
-    """Eq. (8): without gravity and with no PD wall behind it, exactly m v goes in one pulse."""
+    # Eq. (8): without gravity and with no PD wall behind it, exactly m v goes in one pulse.
     index, width = AXES.index(axis), 0.003
     inertia = INERTIA[index]
     edge = {"lower": 0.0} if side > 0 else {"upper": 0.0}
@@ -100,7 +103,7 @@ def test_pulse_with_the_stopping_gain_stops_the_flotor(plant_type: Any, axis: st
 @pytest.mark.parametrize("plant_type", [ExactPlant, MuJoCoPlant])
 @pytest.mark.parametrize("pulse", [0.0, 220.0])
 def test_energy_books_balance(plant_type: Any, pulse: float) -> None:
-    """Kinetic energy gained = work of the actuators + work of gravity, over every stretch of a drop."""
+    # Kinetic energy gained = work of the actuators + work of gravity, over every stretch of a drop.
     plant = plant_type(Timing(phase=0.3), pose=[0, 0, 4e-3, 0, 0, 0], record=True)
     wall = Wall(axes="z", lower=0.0, stiffness=6000.0, damping=80.0, pulse=pulse, pulse_width=0.003)
     drive(plant, Controller([wall], period=T), 80)
@@ -120,7 +123,7 @@ def test_energy_books_balance(plant_type: Any, pulse: float) -> None:
 def test_growth_of_the_simulated_wall_is_its_largest_eigenvalue(
     stiffness: float, damping: float, delay: float, modulus: float
 ) -> None:
-    """A two-sided PD on the exact plant follows the matrix power step by step, stable or not."""
+    # A two-sided PD on the exact plant follows the matrix power step by step, stable or not.
     assert largest_modulus(stiffness, damping, period=T, delay=delay, mass=M) == pytest.approx(modulus, abs=5e-4)
     plant = ExactPlant(Timing(period=T, delay=delay), pose=[0, 0, 1e-6, 0, 0, 0], gravity=0.0)
     hold = Hold(axes="z", stiffness=stiffness, damping=damping)
@@ -149,7 +152,7 @@ def drop_analog(time: np.ndarray[Any, np.dtype[np.float64]], **changes: float) -
 
 
 def test_analog_wall_satisfies_its_differential_equations() -> None:
-    """Z' = v and m v' = f - m g by central differences of second order; f' = rate (wall(z, v) - f)."""
+    # Z' = v and m v' = f - m g by central differences of second order; f' = rate (wall(z, v) - f).
     step = 1e-7
     time = np.linspace(0.0, 0.4, 4001)[1:-1]
     before, now, after = (drop_analog(np.sort(time + shift)) for shift in (-step, 0.0, step))
@@ -175,7 +178,7 @@ def test_analog_wall_settles_at_its_rest_and_is_continuous() -> None:
 
 
 def test_fast_sampled_wall_converges_to_the_analog_one_at_first_order() -> None:
-    """At 1 MHz of filter bandwidth and no delay, the sampled drop approaches eq. (1) as T falls."""
+    # At 1 MHz of filter bandwidth and no delay, the sampled drop approaches eq. (1) as T falls.
     time = np.arange(0.0, 0.2, 1e-3)
     ideal = drop_analog(time, bandwidth=1e7)[0]
     periods = np.array([4e-4, 2e-4, 1e-4])

@@ -1,4 +1,4 @@
-"""Options of the plants: the fast way gives the numbers of the plain one."""
+"""Fast options of the plants equal the plain ones."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def bouncing(axes: Sequence[str] = ("z",)) -> Controller:
 
 
 def places(count: int) -> Array:
-    """Return poses that differ on all axes, along z above the wall, (count, 6)."""
+    """Return poses on all axes, above the wall, (count, 6)."""
     spread = np.random.default_rng(3).uniform(-1.0, 1.0, (count, 6)) * [3e-4, 3e-4, 1e-3, 2e-3, 2e-3, 2e-3]
     return np.array([5e-4, -3e-4, 2e-3, 0.0, 1e-3, 0.0]) + spread
 
@@ -41,7 +41,7 @@ def places(count: int) -> Array:
 
 @pytest.mark.parametrize("quantum", [QUANTUM, [0.0, *QUANTUM[1:]]])
 def test_steps_are_whole_ones_to_the_last_bit_for_one_device_and_for_many(quantum: list[float]) -> None:
-    """As np.rint, for ties, for what is beyond every step, and for what is no number."""
+    # As np.rint, for ties, for what is beyond every step, and for what is no number.
     halves = np.arange(-20.0, 20.0)[:, None] * 0.5 * np.where(np.array(quantum) > 0.0, quantum, 1.0)
     random = np.random.default_rng(1).normal(size=(500, 6)) * 10.0 ** np.arange(-6, 0)
     poses = np.concatenate([halves, random, np.full((1, 6), np.nan), np.full((1, 6), np.inf), np.full((1, 6), -np.inf)])
@@ -67,7 +67,7 @@ def test_what_all_devices_share_stays_a_number_behind_steps() -> None:
 
 @pytest.mark.parametrize("shape", [(), (7,)])
 def test_noise_is_one_stream_of_six_a_sample(shape: tuple[int, ...]) -> None:
-    """Drawn many samples at once for one device, and for axes without noise too."""
+    # Drawn many samples at once for one device, and for axes without noise too.
     noise = np.array([1e-6, 0.0, 2e-6, 1e-5, 0.0, 3e-6])
     measure, stream = Sensor(noise=noise, seed=4).start(), np.random.default_rng(4)
     for tick in range(600):
@@ -100,7 +100,7 @@ def test_jitter_is_that_of_seed_and_tick_whoever_asks_in_whatever_order() -> Non
 def test_a_jittering_answer_with_the_request_is_as_one_before_it(
     jitter: float, delay: Component, draw: float | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Where the switch falls on the sample itself too, which leaves one segment of one device."""
+    # Where the switch falls on the sample itself too, which leaves one segment of one device.
     if draw is not None:
         monkeypatch.setattr("maglev_mj.timeline._draws", lambda seed, block: (draw,) * 256)
     made = Timing(period=T, delay=delay, jitter=jitter)
@@ -156,7 +156,10 @@ def test_a_list_that_is_used_again_has_its_own_currents(coils: bool) -> None:
 
 
 def rubbed(duration: Component, x: Component, v: Component, push: Component, rub: Component, inverse: float) -> Array:
-    """Return position and speed after a stretch with dry friction, case by case for arrays."""
+    """Return position and speed after dry friction.
+
+    Case by case for arrays.
+    """
     breaks = np.where(np.abs(push) > rub, np.sign(push), 0.0)
     sense = np.where(v != 0.0, np.sign(v), breaks)
     first = np.where(sense != 0.0, push - sense * rub, 0.0) * inverse
@@ -203,7 +206,7 @@ def test_friction_slides_stops_rests_and_turns_back_to_the_last_bit() -> None:
 @pytest.mark.parametrize("lag", [0.0, 8e-5])
 @pytest.mark.parametrize("grip", [{}, {"grip_damping": 2.0, "grip_stiffness": 900.0}])
 def test_a_hand_and_lagging_drivers_are_their_transition_matrix(lag: float, grip: dict[str, Any]) -> None:
-    """Along z in the hand, and on the free axes beside it, over durations that return and others."""
+    # Along z in the hand, and on the free axes beside it, over durations that return and others.
     hand = Hand(mass=0.1, damping=5.0, stiffness=100.0, axes="z", **grip)
     amendments: list[Amendment] = [
         *([Lag(INERTIA, lag)] if lag else []),
@@ -294,7 +297,7 @@ RECORDED: dict[str, Callable[..., SampledPlant]] = {
 
 @pytest.mark.parametrize("name", RECORDED)
 def test_a_trace_is_what_each_state_was(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Bit for bit, though its arrays are made at the end: nothing that is kept changes afterwards."""
+    # Bit for bit, though its arrays are made at the end: nothing that is kept changes afterwards.
     monkeypatch.setattr("maglev_mj.plants.base.TraceRecorder", _Watched)
     plant = RECORDED[name](Timing(phase=0.3), record=True)
     drive(plant, bouncing(), 12)

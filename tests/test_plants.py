@@ -92,7 +92,7 @@ def test_a_pulse_lasts_its_width_or_until_the_next_command(
 
 @both
 def test_instants_are_counted_never_summed(plant_type: Callable[..., SampledPlant]) -> None:
-    """0.1 ms summed 20 000 times is off by far more than one rounding."""
+    # 0.1 ms summed 20 000 times is off by far more than one rounding.
     period = 1e-4
     plant = plant_type(Timing(period=period, delay=0.0, phase=0.7), gravity=0.0)
     for tick in range(20_000):
@@ -186,7 +186,7 @@ def test_the_diverged_device_of_a_batch_is_named() -> None:
 
 
 def test_angular_velocity_is_in_stator_axes_in_and_out() -> None:
-    """A small turn about stator axes adds to the pose as the twist says, at any tilt."""
+    # A small turn about stator axes adds to the pose as the twist says, at any tilt.
     tilt, spin = np.array([0.1, -0.08, 0.05]), np.array([1.0, 2.0, -1.5])
     plant = MuJoCoPlant(Timing(period=1e-6), pose=[0, 0, 0, *tilt], twist=[0, 0, 0, *spin], gravity=0.0, record=True)
     plant.read()
@@ -292,7 +292,7 @@ def bounce(plant: SampledPlant) -> Trace:
 
 
 def test_exact_batch_equals_single_devices() -> None:
-    """The same commands bit for bit; the motion to rounding, because a pulse of one splits the step of all."""
+    # The same commands bit for bit; the motion to rounding, because a pulse of one splits the step of all.
     phases, heights = np.linspace(0.0, 0.95, 20), np.linspace(1e-3, 4e-3, 20)
     pose = np.zeros((20, 6))
     pose[:, 2] = heights
@@ -304,7 +304,7 @@ def test_exact_batch_equals_single_devices() -> None:
 
 
 def test_driver_lag_in_closed_form_is_what_small_steps_converge_to() -> None:
-    """The engine's error under lag falls with the fourth power of its step, towards the exact plant."""
+    # The engine's error under lag falls with the fourth power of its step, towards the exact plant.
     options: dict[str, Any] = {"pose": [0, 0, 2e-3, 0, 0, 0], "record": True}
     exact = bounce(ExactPlant(Timing(), driver_lag=True, **options))
     times = np.arange(0.0, 0.3, 0.005)
@@ -419,7 +419,7 @@ def test_an_empty_batch_is_a_batch() -> None:
 @pytest.mark.parametrize("lag", [False, True])
 @pytest.mark.parametrize("whole", [0, 2])
 def test_devices_of_one_batch_may_differ_in_mass_delay_and_hand(whole: int, lag: bool, grip: dict[str, Any]) -> None:
-    """Each moves as it would alone, with pulses longer than what is left of the period, and lost answers."""
+    # Each moves as it would alone, with pulses longer than what is left of the period, and lost answers.
     random, count = np.random.default_rng(5), 12
     mass, hand_mass, damping = (random.uniform(0.1, most, count) for most in (1.5, 0.6, 20.0))
     rest, phase, height = (random.uniform(0.0, most, count) for most in (1.0, 0.9, 2e-3))
@@ -502,7 +502,7 @@ def test_current_limit_is_that_of_the_measured_angle(seen: Sequence[float] | Non
 
 @pytest.mark.parametrize("delay", [0.0, 0.0015])
 def test_recorded_force_under_driver_lag_is_the_actual_one(delay: float) -> None:
-    """First order from the command's arrival on, also between the knots."""
+    # First order from the command's arrival on, also between the knots.
     plant = ExactPlant(Timing(period=T, delay=delay), gravity=0.0, driver_lag=True, record=True)
     for force in (10.0, -5.0):
         plant.read()

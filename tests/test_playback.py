@@ -1,4 +1,7 @@
-"""A recording in time: one axis over all stretches, searched, stepped, looped, with its events."""
+"""Playback of a recording over time, with its events.
+
+One axis over all stretches, searched, stepped and looped.
+"""
 
 import math
 from pathlib import Path
@@ -13,12 +16,18 @@ from maglev_mj.recording import Recording
 from maglev_mj.session import Pacer, Session
 
 FIRST, SECOND = 600, 1000
-"""Samples of the two stretches at 200 Hz and at 1 kHz: 3 s and 1 s."""
+"""Samples of two stretches at 200 Hz and 1 kHz.
+
+3 s and 1 s.
+"""
 
 
 @pytest.fixture(scope="module", params=[".mcap", ".npz"])
 def recording(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Recording:
-    """Record two stretches, pulled by a hand; ticks are missed in the second, which then stops."""
+    """Record two stretches with a hand; the second stops early.
+
+    Ticks are missed in the second.
+    """
     path = tmp_path_factory.mktemp("playback") / f"run{request.param}"
     hand = SpringHand(target=[6e-3, 0.0, 0.0, 0.0, 0.0, 0.0])
     session = Session(hand=hand, record=path, pacer=Pacer(budget=60.0, patience=3600.0))

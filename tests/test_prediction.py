@@ -1,4 +1,7 @@
-"""Walls that look ahead, passivity control, perceived hardness: closed forms, sweeps of the phase, margins."""
+"""Walls with prediction, passivity control, and perceived hardness.
+
+Closed forms, sweeps of the phase, margins.
+"""
 
 import itertools
 import math
@@ -34,7 +37,10 @@ def design_of(law: ObserverWall) -> Design:
 
 
 def bounce(laws: list[Law], delay: float) -> tuple[NDArray[np.float64], PassivityObserver, Any]:
-    """Throw the flotor at a wall without gravity; return the share of its energy that comes back, at each phase."""
+    """Return the restitution of energy at each phase.
+
+    The flotor is thrown at a wall without gravity.
+    """
     timing = Timing(period=T, delay=delay, phase=np.arange(PHASES) / PHASES)
     pose, twist = np.zeros((PHASES, 6)), np.zeros((PHASES, 6))
     pose[:, 2], twist[:, 2] = 3e-3, -0.2
@@ -51,7 +57,7 @@ def plain(stiffness: float) -> Wall:
 
 @pytest.mark.parametrize("stiffness", [500.0, 1000.0, 2000.0, 4000.0])
 def test_prediction_gives_back_what_it_took(stiffness: float) -> None:
-    """The ideal spring returns all; the sampled one makes a third to four fifths more, prediction at most 4 %."""
+    # The ideal spring returns all; the sampled one makes a third to four fifths more, prediction at most 4 %.
     ahead = PredictiveWall(axes="z", stiffness=stiffness, period=T)
     predicted, sampled = bounce([ahead], 0.0)[0], bounce([plain(stiffness)], 0.0)[0]
     assert np.abs(predicted - 1.0).max() < 1e-5 * stiffness
@@ -62,14 +68,14 @@ def test_prediction_gives_back_what_it_took(stiffness: float) -> None:
 
 @pytest.mark.parametrize(("delay", "most"), [(0.0015, 1.11), (0.005, 1.49)])
 def test_prediction_over_the_delay(delay: float, most: float) -> None:
-    """At 4000 N/m, where the sampled spring returns 2.4 and 5 times what it took."""
+    # At 4000 N/m, where the sampled spring returns 2.4 and 5 times what it took.
     predicted = bounce([PredictiveWall(axes="z", stiffness=4000.0, period=T, delay=delay)], delay)[0]
     assert 1.0 < predicted.min() and predicted.max() < most
     assert bounce([plain(4000.0)], delay)[0].min() > 2.2 * predicted.max()
 
 
 def test_the_line_across_the_edge_counts_for_its_part_inside() -> None:
-    """Against the mean over the hold by quadrature, for every way of crossing, resting and missing the edge."""
+    # Against the mean over the hold by quadrature, for every way of crossing, resting and missing the edge.
     law = PredictiveWall(axes="z", lower=1e-3, stiffness=3000.0, damping=20.0, period=T, delay=0.0015)
     for place, speed in itertools.product(np.linspace(-2e-3, 4e-3, 25), (-0.4, -0.1, 0.0, 0.1, 0.4)):
         wrench: list[Any] = [0.0] * 6
@@ -83,7 +89,7 @@ def test_the_line_across_the_edge_counts_for_its_part_inside() -> None:
 @pytest.mark.parametrize(("pole", "disturbance"), [(0.0, False), (0.4, False), (0.2, True), (0.6, True)])
 @pytest.mark.parametrize("delay", [0.0, 0.0015, 0.005, 0.0125])
 def test_observer_wall_moves_and_yields_as_its_matrix_says(pole: float, disturbance: bool, delay: float) -> None:
-    """From the same state, sample for sample; and at rest it has sunk by weight over rendered stiffness."""
+    # From the same state, sample for sample; and at rest it has sunk by weight over rendered stiffness.
     law = observer(2000.0, 60.0, pole=pole, disturbance=disturbance, delay=delay)
     loop = SampledLoop(period=T, delay=delay, design=design_of(law))
     modulus = float(loop.modulus(2000.0, 60.0))
@@ -97,7 +103,7 @@ def test_observer_wall_moves_and_yields_as_its_matrix_says(pole: float, disturba
 
 
 def test_observer_poles_are_where_they_were_asked_for() -> None:
-    """With a model that is right, the closed loop's eigenvalues are those of the observer and of the state feedback."""
+    # With a model that is right, the closed loop's eigenvalues are those of the observer and of the state feedback.
     for pole, disturbance in ((0.3, False), (0.6, True)):
         law = observer(3000.0, 70.0, pole=pole, disturbance=disturbance)
         loop = SampledLoop(period=T, delay=0.0015, design=design_of(law))
@@ -109,7 +115,7 @@ def test_observer_poles_are_where_they_were_asked_for() -> None:
 
 
 def test_the_observer_wall_is_several_times_stiffer_with_errors_of_20_percent_too() -> None:
-    """By least dynamic stiffness, the best of a grid of gains for each design; mass and delay are both off."""
+    # By least dynamic stiffness, the best of a grid of gains for each design; mass and delay are both off.
     k = np.geomspace(800.0, 60000.0, 24)[:, None]
     b = np.linspace(20.0, 280.0, 24)[None, :]
     law = observer(1.0, 1.0)
@@ -133,7 +139,7 @@ def test_the_observer_wall_is_several_times_stiffer_with_errors_of_20_percent_to
 
 
 def test_saturation_throws_the_observer_wall_out_unless_its_model_knows_the_limit() -> None:
-    """It settles from low drops only; the region grows with the limit; the PD wall settles from anywhere."""
+    # It settles from low drops only; the region grows with the limit; the PD wall settles from anywhere.
     heights = np.array([3e-4, 1e-3, 2e-3, 3e-3, 4.5e-3])
     stiff = {"stiffness": 27097.0, "damping": 238.0}
 
@@ -151,7 +157,7 @@ def test_saturation_throws_the_observer_wall_out_unless_its_model_knows_the_limi
 
 
 def test_pd_gains_scaled_down_stay_stable() -> None:
-    """Why saturation alone does not undo a PD wall: it only lowers both gains, and the region is starlike."""
+    # Why saturation alone does not undo a PD wall: it only lowers both gains, and the region is starlike.
     random = np.random.default_rng(5)
     for delay in (0.0, 0.0015, 0.005):
         k, b = random.uniform(10.0, 20000.0, 2000), random.uniform(1.0, 200.0, 2000)
@@ -171,7 +177,7 @@ def test_passivity_control_takes_away_what_the_wall_makes(stiffness: float, dela
 
 
 def test_passivity_observer_is_exact() -> None:
-    """Against the work done between all switches: delay over several periods, pulse, pulse past its period."""
+    # Against the work done between all switches: delay over several periods, pulse, pulse past its period.
     paper = Wall(axes="z", lower=0.0, stiffness=6000.0, damping=80.0)
     pulsed = Wall(axes="z", lower=0.0, stiffness=6000.0, damping=80.0, pulse=220.0, pulse_width=0.003)
     for law, delay in (
@@ -199,7 +205,7 @@ def test_passivity_observer_without_inertia_is_exact_for_one_force_a_period() ->
 
 
 def test_hardness_of_an_analog_wall_is_stiffness_and_damping_over_the_window() -> None:
-    """Sampled so fast that it is analog: the force rises by some K v w + B v within a short window w."""
+    # Sampled so fast that it is analog: the force rises by some K v w + B v within a short window w.
     fast, window = 1e-5, 4e-3
     plant = ExactPlant(
         Timing(period=fast, delay=0.0),

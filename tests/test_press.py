@@ -1,4 +1,7 @@
-"""Hits and a press by a scripted hand: against a second implementation, closed forms, and the other plant."""
+"""Hits and presses by a scripted hand.
+
+Against a second implementation, closed forms, and the other plant.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +33,10 @@ def swept(press: Press, phases: int) -> Phases:
 
 
 def drawn_to(p: Press, phase: float, time: float) -> float:
-    """Return where the hand pulls to, written out: up, then down and up again every interval, then down to stay."""
+    """Return the hand's target, written out independently.
+
+    Up, then down and up again every interval, then down to stay.
+    """
     since = time - (1.0 - phase) * p.period - 0.5 * p.interval
     stroke = min(math.floor(since / p.interval), p.hits)
     way = max(since - stroke * p.interval, 0.0) / (0.25 * p.interval) if stroke >= 0 else 0.0
@@ -39,7 +45,10 @@ def drawn_to(p: Press, phase: float, time: float) -> float:
 
 
 def reference(p: Press, phase: float) -> tuple[Array, Array]:
-    """Return z and force every half millisecond, of which every switch is a multiple: no shared code."""
+    """Return z and force every 0.5 ms, computed independently.
+
+    Every switch is at a multiple of that.
+    """
     step, ticks, late, wide = 5e-4, 10, 3, 6
     total = p.mass + ARM_MASS
     values, vectors = np.linalg.eig(
@@ -110,7 +119,7 @@ def test_the_press_is_as_hard_as_asked(hand: str, press: float, stiffness: float
 
 @pytest.mark.parametrize("phase", [0.0, 0.6])
 def test_energy_adds_up(phase: float) -> None:
-    """What the muscles give is what wall, arm's spring, arm's damper and the masses have at the end."""
+    # What the muscles give is what wall, arm's spring, arm's damper and the masses have at the end.
     p, result = SHORT, exact(SHORT, phase)
     samples = np.append(np.arange(p.end / p.period), p.end / p.period) * p.period
     places = result.trace.at(samples)[0][:, 2]
@@ -127,7 +136,7 @@ def test_energy_adds_up(phase: float) -> None:
 
 
 def test_the_figures_are_those_of_the_curve() -> None:
-    """A parabola through the edge, from -0.2 m/s at 1 mm under 15 m/s² upward, twice over."""
+    # A parabola through the edge, from -0.2 m/s at 1 mm under 15 m/s² upward, twice over.
     v, h, a, m = 0.2, 1e-3, 15.0, 0.7
     lasts = 2.0 * v / a  # back at the height it came from
     entry = math.sqrt(v * v - 2.0 * a * h)
@@ -195,7 +204,7 @@ def test_the_gate_quiets_a_light_press_over_a_coarse_sensor() -> None:
 
 
 def test_a_coarse_sensor_makes_the_press_ripple() -> None:
-    """One step of the sensor, once in the position and twice in its difference."""
+    # One step of the sensor, once in the position and twice in its difference.
     step = 5e-6
     p = SHORT.replace(quantize=step, hits=1, duration=2.5)
     one_step = step * (p.stiffness + 2.0 * p.damping / p.period)
@@ -229,7 +238,7 @@ def test_percentiles_leave_out_what_is_not_there() -> None:
 
 
 def test_the_pulse_lessens_every_hit_of_an_arm() -> None:
-    """Over 100 phases and four hits; of the paper's 220 N s/m as further damping, not with the damping in it."""
+    # Over 100 phases and four hits; of the paper's 220 N s/m as further damping, not with the damping in it.
     with_pulse, without = (swept(Press(pulse=pulse), 100).figures for pulse in (220.0, 0.0))
     assert (with_pulse["penetration"] < without["penetration"]).all()
     assert (with_pulse["absorbed"] > without["absorbed"]).all()

@@ -1,4 +1,7 @@
-"""Programs that a command lets in: a live server and a 3D mouse on a device, and their options."""
+"""Live server and 3D mouse on a device.
+
+With their options.
+"""
 
 import re
 import signal
@@ -37,7 +40,7 @@ pytestmark = pytest.mark.xdist_group("realtime")
 
 @contextmanager
 def program(*arguments: str) -> Iterator[tuple[subprocess.Popen[str], list[str]]]:
-    """Start a command; return it and the lines that it says while it goes on."""
+    """Start a command; return it and its output lines."""
     child = subprocess.Popen([*COMMAND, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     said: list[str] = []
     assert child.stdout is not None
@@ -55,7 +58,7 @@ def program(*arguments: str) -> Iterator[tuple[subprocess.Popen[str], list[str]]
 
 
 def found(said: list[str], pattern: str) -> str:
-    """Wait until a line has something in it, and return that."""
+    """Wait for a line with a text; return it."""
     deadline = time.monotonic() + 60.0
     while time.monotonic() < deadline:
         for line in list(said):
@@ -66,7 +69,7 @@ def found(said: list[str], pattern: str) -> str:
 
 
 def test_a_device_is_seen_set_and_recorded_by_other_programs(tmp_path: Path) -> None:
-    """A wall on the wire is refused or taken; what was flown is in the file with both settings."""
+    # A wall on the wire is refused or taken; what was flown is in the file with both settings.
     record = tmp_path / "run.mcap"
     publishers = ("--foxglove", "0", "--spacenav", "--socket", str(tmp_path / "s"))
     with twin("--watchdog", "2") as (device, address):
@@ -103,7 +106,7 @@ def test_a_device_is_seen_set_and_recorded_by_other_programs(tmp_path: Path) -> 
 
 
 def test_a_twin_shows_its_true_pose_and_its_faults() -> None:
-    """It lies on its stop, nothing can be set there, and an emergency stop is logged."""
+    # It lies on its stop, nothing can be set there, and an emergency stop is logged.
     with program("twin", "--foxglove", "0", "--listen", "udp://127.0.0.1:0") as (device, said):
         with LiveClient(found(said, r"(ws://[\d.:]+)")) as client:
             sample = next(one.fields for one in client.messages(10.0) if one.topic == "/maglev/sample")
@@ -207,7 +210,7 @@ def test_outlets_are_told_sixty_times_a_second_and_asked_every_tick() -> None:
 
 
 class Asks:
-    """A publisher that asks for settings, and keeps what it is told."""
+    """Publisher that requests settings and keeps the answers."""
 
     def __init__(self, *wanted: Scene) -> None:
         self._waiting, self._asked = list(wanted), False
@@ -227,19 +230,25 @@ class Asks:
 
 
 def flight(**options: Any) -> tuple[Flight, RemotePlant]:
-    """Return a flight on a virtual twin, which takes off at once."""
+    """Return a flight on a virtual twin.
+
+    It takes off at once.
+    """
     plant = RemotePlant(VirtualLink(Twin(TwinParameters(), draw=lambda: 7), Impairment(jitter=0.001)))
     return Flight(plant, Joystick(period=plant.period, delay=plant.delay), **options), plant
 
 
 def slow() -> Callable[[], float]:
-    """Return a clock that goes by a frame a call, for virtual time does not wait."""
+    """Return a clock of one frame per call.
+
+    Virtual time does not wait.
+    """
     now = iter(range(10**9))
     return lambda: next(now) / 60.0
 
 
 def test_a_flight_is_recorded_through_changes_as_one_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Settings from outside: what is missed and when counts on from change to change, for a device does."""
+    # Settings from outside: what is missed and when counts on from change to change, for a device does.
     monkeypatch.setattr(Publishers.__init__, "__defaults__", ((), slow()))
     wishes = [Joystick(friction=True), Joystick(stiffness=4000.0)]
     asks, file = Asks(*wishes), open_recording(tmp_path / "run.mcap")
@@ -272,7 +281,7 @@ def test_a_flight_is_recorded_through_changes_as_one_run(tmp_path: Path, monkeyp
 
 
 def test_settings_that_would_push_the_flotor_are_refused_in_a_flight(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A wall 2 mm deep, the flotor's weight, laws that fail: each is refused with why, and the flight goes on."""
+    # A wall 2 mm deep, the flotor's weight, laws that fail: each is refused with why, and the flight goes on.
     monkeypatch.setattr(Publishers.__init__, "__defaults__", ((), slow()))
     around, good = [("z", -1, -0.002)], Joystick(stiffness=3000.0)
     asks = Asks(Joystick(walls=around), good, Unmade(), Failing(period=0.005, delay=0.0015))
@@ -297,7 +306,10 @@ def test_settings_that_would_push_the_flotor_are_refused_in_a_flight(monkeypatch
 
 @contextmanager
 def theory_called() -> Iterator[set[str]]:
-    """Yield the functions of the theory that this process calls in this thread and in new ones."""
+    """Yield the called functions of the theory.
+
+    In this thread and in new ones of this process.
+    """
     called, folder = set[str](), str(Path(theory.__file__).parent)
 
     def note(frame: FrameType, event: str, _: object) -> None:
@@ -329,7 +341,7 @@ def render(live: LiveServer, switch: StopSwitch) -> None:
 
 @pytest.mark.parametrize("run", [fly, render])
 def test_settings_are_checked_in_another_process(run: Callable[..., None], monkeypatch: pytest.MonkeyPatch) -> None:
-    """No function of the theory is called where a scene runs, whether settings are refused or accepted."""
+    # No function of the theory is called where a scene runs, whether settings are refused or accepted.
     with theory_called() as called:
         refusal(Joystick())
     assert "stability" in called

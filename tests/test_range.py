@@ -1,4 +1,7 @@
-"""Commands say in one line when a motion leaves the device's range, and only then."""
+"""Warnings of motions beyond the device's range.
+
+One line, and only then.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +26,7 @@ LINE = re.compile(r"  Beyond the range of (.*): (.*)")
 
 
 def remark(text: str) -> str | None:
-    """Return what a table says is out of range; None for nothing."""
+    """Return a table's remark on range, or None."""
     whole = re.sub(r"\n    (?=\S)", " ", text)  # a line that goes on below
     found = [match for line in whole.splitlines() if (match := LINE.fullmatch(line))]
     assert len(found) <= 1
@@ -31,7 +34,10 @@ def remark(text: str) -> str | None:
 
 
 def furthest(trace: Trace) -> Array:
-    """Return the greatest distance from the centre on each axis, looked at every 10 µs."""
+    """Return the largest distances on each axis.
+
+    Sampled every 10 µs.
+    """
     pose = trace.at(np.arange(0.0, float(trace.time[-1].min()), 1e-5))[0]
     distance: Array = np.abs(pose).max(axis=0)
     return distance
@@ -52,7 +58,7 @@ def test_the_furthest_of_a_trace_lies_between_its_knots_too() -> None:
 @pytest.mark.parametrize("limit", [8.0, 15.0, 20.0, 25.0, 26.0, 27.0, 30.0, 60.0, None])
 @pytest.mark.parametrize(("stiffness", "damping"), [(3000.0, 40.0), (6000.0, 80.0), (9000.0, 60.0)])
 def test_a_drop_says_when_it_leaves_the_range(limit: float | None, stiffness: float, damping: float) -> None:
-    """By force limit and gains, with the pulse and without, one phase and several."""
+    # By force limit and gains, with the pulse and without, one phase and several.
     drop = Drop(force_limit=limit, stiffness=stiffness, damping=damping, duration=0.3)
     variants = [drop.replace(pulse=pulse) for pulse in (220.0, 0.0)]
     labels = ["with pulse", "without pulse"]
@@ -95,7 +101,7 @@ def test_a_press_says_when_it_leaves_the_range(change: dict[str, float]) -> None
 
 @pytest.mark.parametrize("axis", AXES)
 def test_stick_slip_says_when_it_leaves_the_range_on_any_axis(axis: str) -> None:
-    """Targets around the end of the range, in m and rad."""
+    # Targets around the end of the range, in m and rad.
     reach, kind = RANGE[AXES.index(axis)], []
     for share in (0.5, 0.9, 0.97, 1.0, 1.03, 1.08, 1.15, 1.5, -0.9, -1.5):
         result = run(StickSlip(axis=axis, target=share * reach), plant="exact")

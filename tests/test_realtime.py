@@ -1,4 +1,4 @@
-"""LatencyHistogram is shown as it is, and what was asked of the system is given back."""
+"""Latency histograms, and restored real-time settings."""
 
 import ctypes
 import gc
@@ -34,7 +34,7 @@ State = tuple[object, ...]
 
 
 def state() -> State:
-    """Return what a real-time loop changes."""
+    """Return the settings changed by a real-time loop."""
     if not SCHEDULED:
         return (gc.isenabled(), gc.get_freeze_count())
     parameters = os.sched_getparam(0).sched_priority
@@ -194,7 +194,10 @@ def test_the_histogram_fits_a_terminal_and_counts_everything() -> None:
 
 
 class Sampled:
-    """A plant at a sample: when it was taken by the device's clock, when it came and how late its answer was [ns]."""
+    """Plant at one sample with given times.
+
+    Time by the device's clock, arrival, and latency of its answer [ns].
+    """
 
     def __init__(self, taken: int, came: int, answer: int, delay: float = math.nan, lockstep: bool = False) -> None:
         self.samples, self.transport = SimpleNamespace(time=taken), came - taken
@@ -253,7 +256,7 @@ def test_a_delay_longer_than_the_one_checked_is_judged_anew() -> None:
 
 @pytest.mark.parametrize("way", [0.0004, 0.0006])
 def test_a_flight_warns_only_of_a_delay_longer_than_the_one_expected(way: float) -> None:
-    """The line and the host's answer are expected to take 1 ms together, beside the device's own delay."""
+    # The line and the host's answer are expected to take 1 ms together, beside the device's own delay.
     twin = Twin(TwinParameters(), draw=lambda: 7)
     with RemotePlant(VirtualLink(twin, Impairment(delay=way))) as plant:
         assert expected_delay(plant) == plant.delay + LINE_TIME == pytest.approx(2.5e-3)
@@ -284,7 +287,7 @@ def test_the_check_before_takeoff_is_at_the_expected_delay(
 
 
 def test_the_verdict_is_on_the_gains_that_flew() -> None:
-    """A hold that is soft enough for 1 ms of delay is not made softer for the delay that it had."""
+    # A hold that is soft enough for 1 ms of delay is not made softer for the delay that it had.
     scene, timing, inertia = Table(delay=0.001, friction=False), LoopTiming(), [0.7, 0.7, 0.7, 9.3e-4, 9.3e-4, 8.2e-4]
     timing.delay.add(20_000_000)
     assert "table is UNSTABLE" in delay_check(timing, scene, inertia, scene.delay)
@@ -292,7 +295,7 @@ def test_the_verdict_is_on_the_gains_that_flew() -> None:
 
 
 def test_the_delay_of_late_answers_is_measured_too(tmp_path: Path) -> None:
-    """On a line of 4 ms each way at 200 Hz no answer is there before the next sample."""
+    # On a line of 4 ms each way at 200 Hz no answer is there before the next sample.
     twin = Twin(TwinParameters(), draw=lambda: 7)
     file = open_recording(tmp_path / "run.npz")
     with RemotePlant(VirtualLink(twin, Impairment(delay=0.004, jitter=0.0005))) as plant:

@@ -1,4 +1,7 @@
-"""Recordings: written, read, run again bit for bit, shown; and pictures of scenes without a window."""
+"""Recordings written, read, replayed bitwise and shown.
+
+Pictures of scenes without a window too.
+"""
 
 import subprocess
 import sys
@@ -50,7 +53,10 @@ def test_a_run_that_diverges_is_recorded_up_to_there(tmp_path: Path) -> None:
 
 
 def changed(stretch: Stretch, name: str, row: int) -> Stretch:
-    """Return a stretch with the last bit of one number changed."""
+    """Return a stretch with one bit changed.
+
+    The last of one number.
+    """
     values = getattr(stretch, name).copy()
     values[row, 2] = np.nextafter(values[row, 2], 1.0)
     return stretch.replace(**{name: values})
@@ -142,7 +148,7 @@ def test_a_replay_shows_what_was_recorded_in_real_time(kind: str, tmp_path: Path
 
 @pytest.mark.parametrize("ending", ["png", "gif", "mp4"])
 def test_a_scene_is_drawn_without_a_window(ending: str, tmp_path: Path) -> None:
-    """In a process of its own, as a program draws with one library only."""
+    # In a process of its own, as a program draws with one library only.
     path = tmp_path / f"scene.{ending}"
     options = ["--seconds", "0.4", "--fps", "10", "--size", "320x200"]
     done = subprocess.run(

@@ -1,4 +1,7 @@
-"""Recordings that stand alone: of a script of one's own, with each plant, law and velocity estimate."""
+"""Self-contained recordings of a user's script.
+
+With each plant, law and velocity estimate.
+"""
 
 from __future__ import annotations
 
@@ -138,14 +141,17 @@ PLANTS: Mapping[str, Callable[[], SampledPlant]] = {
 
 
 def controller_of(name: str) -> Controller:
-    """Return a controller of a law, each with another estimate of velocity, that holds what the law leaves alone."""
+    """Return a controller of a law with another velocity estimate.
+
+    It holds the axes that the law leaves alone.
+    """
     estimate = VELOCITIES[list(LAWS).index(name) % len(VELOCITIES)]
     rest = Hold(axes=AXES[3:], stiffness=0.3, damping=0.02)
     return Controller([*LAWS[name], rest, Bias(WEIGHT)], period=PERIOD, velocity=estimate)
 
 
 def record(path: Path, plants: list[str], names: list[str] | None = None, ticks: int = TICKS) -> None:
-    """Record as a script of a user's own does, each law in a stretch of its own."""
+    """Record as a user's script does, one stretch per law."""
     file = open_recording(path, wait=True)
     for name in plants:
         for law in names or LAWS:
@@ -161,7 +167,10 @@ def unwrapped(text: str) -> str:
 
 @pytest.fixture
 def say(capsys: Any) -> Callable[..., tuple[int, str, str]]:
-    """Return what types a command: its status, and what it says."""
+    """Return a function that runs a command.
+
+    It returns status and output.
+    """
 
     def typed(*words: str) -> tuple[int, str, str]:
         status = main(list(words))
@@ -206,14 +215,14 @@ def test_a_script_s_recording_is_checked_analysed_and_shown(plant: str, suffix: 
 
 
 def at(value: Any, place: tuple[Any, ...]) -> Any:
-    """Return what is at a place."""
+    """Return the value at a position."""
     for key in place:
         value = value[key]
     return value
 
 
 def unseen(plant: str, names: list[str], part: str) -> tuple[list[str], int]:
-    """Return numbers and switches that tell of a controller or plant whose change is not found, and of how many."""
+    """Return undetected changes of a setup's values, and their number."""
     file, missed, tried = ArrayFile(), [], 0
     for law in names:
         made, controller = PLANTS[plant](), controller_of(law)
@@ -243,7 +252,10 @@ def unseen(plant: str, names: list[str], part: str) -> tuple[list[str], int]:
 
 COUNTS, THRESHOLDS = ("samples", "longest", "seed"), ("pulse_gate", "v_min", "slow")
 WITHOUT_EFFECT = re.compile(r"(escape \d|record|metered|hand_force hand (mass|damping))$")
-"""What no run of these depends on: a guided hand has mass and damping by the plant's `hand`."""
+"""Values without effect on any of these runs.
+
+A guided hand has mass and damping by the plant's `hand`.
+"""
 
 
 def test_a_changed_gain_is_found() -> None:
@@ -302,7 +314,10 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def run_script(folder: Path, name: str) -> None:
-    """Record by a script with a law of its own, which leaves a mark where it is executed."""
+    """Record by a script with a law of its own.
+
+    The law leaves a mark when executed.
+    """
     (folder / "script.py").write_text(SCRIPT.replace("SQUARE", "4.0"))
     subprocess.run([sys.executable, "script.py", name], cwd=folder, check=True)
     for mark in ("executed", "law executed"):
@@ -347,7 +362,7 @@ def test_an_attached_source_that_is_not_that_of_its_hash_is_not_executed(folder:
 
 
 def test_own_code_is_no_plant(folder: Path, say: Any) -> None:
-    """Even where a person lets it be executed."""
+    # Even where a person lets it be executed.
     run_script(folder, "run.npz")
     recording = Recording.load(folder / "run.npz")
     setup: Any = recording.stretches[0].setup
@@ -377,7 +392,7 @@ class Mine(ExactPlant):
 
 
 class Odd(Law):
-    """A law that remembers what nothing tells."""
+    """Law with hidden state."""
 
     def __init__(self, force: float) -> None:
         self.hidden = force
@@ -428,12 +443,12 @@ Change = Callable[[dict[str, Any]], Any]
 
 
 def law(**values: Any) -> Change:
-    """Return what puts something else in place of a setup's first law."""
+    """Return a function that replaces a setup's first law."""
     return lambda setup: setup["controller"]["laws"].__setitem__(0, values)
 
 
 def told(*place: Any, value: Any) -> Change:
-    """Return what puts a value somewhere in a setup."""
+    """Return a function that sets a value in a setup."""
     return lambda setup: at(setup, place[:-1]).__setitem__(place[-1], value)
 
 
@@ -517,7 +532,7 @@ def test_a_scene_that_is_none_is_shown_or_refused(
 def test_a_hostile_file_executes_nothing_and_is_one_line(
     what: str, given: Any, folder: Path, say: Any, capsys: Any
 ) -> None:
-    """Whatever it names, and even where a person lets the program execute what it holds."""
+    # Whatever it names, and even where a person lets the program execute what it holds.
     header, arrays = arrays_in(kept())
     capsys.readouterr()
     HOSTILE[what](header["setups"][0])
@@ -531,7 +546,7 @@ def test_a_hostile_file_executes_nothing_and_is_one_line(
 
 
 heard: list[tuple[str, Any]] = []
-"""What was executed, imported or opened."""
+"""Names executed, imported or opened."""
 
 
 def hear(event: str, arguments: tuple[Any, ...]) -> None:
@@ -544,7 +559,7 @@ sys.addaudithook(hear)
 
 @cache
 def kept() -> bytes:
-    """Return a recording of a script, whose commands have been typed once."""
+    """Return a recording of a script with typed commands."""
     import tempfile
 
     with tempfile.TemporaryDirectory() as place:
@@ -562,7 +577,7 @@ def kept() -> bytes:
 
 @pytest.fixture
 def shown(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
-    """Return what is shown in place of a window."""
+    """Return the object shown in place of a window."""
     seen: list[Any] = []
     window = types.ModuleType("window")
     window.show = lambda source, **options: seen.append(source)  # type: ignore[attr-defined]
@@ -577,7 +592,7 @@ OTHER = {"revision": "b" * 40, "sources": "c" * 16}
 
 
 def of_other_code(monkeypatch: pytest.MonkeyPatch) -> str:
-    """Let this program be other code; return how it differs from what it was."""
+    """Simulate other code; return its differences."""
     before, now = versions(), {**versions(), **OTHER}
     monkeypatch.setattr(command, "versions", lambda: now)
     return differences(before, now)
@@ -805,7 +820,7 @@ def lift(position, velocity):
 @pytest.mark.parametrize("wanted", ["Popen", "Mark"])
 @pytest.mark.parametrize("given", ["script.py", "attached"])
 def test_leave_is_for_the_laws_that_a_file_defines(wanted: str, given: str, folder: Path, say: Any) -> None:
-    """Neither what it imports nor a class that is no law gets the arguments that a recording tells."""
+    # Neither what it imports nor a class that is no law gets the arguments that a recording tells.
     run_script(folder, "run.npz")
     (folder / "script.py").write_text(IMPORTS)
     recording = Recording.load(folder / "run.npz")

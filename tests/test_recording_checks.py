@@ -1,4 +1,4 @@
-"""Recordings that are not what they should be: every number in them, their ends, what they unpack to, their texts."""
+"""Invalid recordings: numbers, ends, sizes and texts."""
 
 import io
 import json
@@ -45,16 +45,19 @@ BAD: tuple[Any, ...] = (math.nan, math.inf, -math.inf, 1e308, -1e308, None, True
 NONE: tuple[Any, ...] = (math.nan, math.inf, -math.inf, 10**400, "1", [], {})
 SAMPLE = "/maglev/sample"
 Case = tuple[str, str, bytes]
-"""What was changed, the suffix, and the file."""
+"""Changed position, suffix, and file."""
 
 
 def check(data: bytes, folder: Path, suffix: str) -> Verdict:
-    """Return what `replay --check` finds."""
+    """Return the result of `replay --check`."""
     return verify(load(data, folder, suffix), rebuild, expect=expected)
 
 
 def with_number(kind: str, suffix: str) -> Iterator[Case]:
-    """Yield files in which one number of a setup, a sample or an event is something else; those of before too."""
+    """Yield files with one changed number.
+
+    Of a setup, a sample or an event; older files too.
+    """
     if suffix == ".mcap":
         yield from with_number_in_a_row(kind)
         messages = messages_in(made(kind, suffix))
@@ -82,7 +85,7 @@ def with_number(kind: str, suffix: str) -> Iterator[Case]:
 
 
 def with_number_in_a_row(kind: str) -> Iterator[Case]:
-    """Yield files in which one number of a sample of protobuf is something else."""
+    """Yield files with one changed number in a sample."""
     data = made(kind, ".mcap")
     last = sum(topic == SAMPLE for topic, _ in messages_in(data)) - 1
     for name, field in FIELD.items():
@@ -97,7 +100,10 @@ def with_number_in_a_row(kind: str) -> Iterator[Case]:
 
 
 def answers(path: Path, capsys: Any) -> list[int]:
-    """Return the status of each command on a file, which is one line and 2, or an answer in finite numbers."""
+    """Return each command's status on a file.
+
+    One error line and 2, or a result in finite numbers.
+    """
     found = []
     commands = (["replay", str(path), "--check"], ["analyse", str(path)])
     for command in (*commands, ["export", str(path), "--to", "csv", "--out", str(path.with_suffix(".csv"))]):
@@ -114,7 +120,7 @@ def answers(path: Path, capsys: Any) -> list[int]:
 
 
 def sweep(kind: str, suffix: str, folder: Path, capsys: Any, every: int = 1) -> list[list[int]]:
-    """Return what the commands say to every so many of the files."""
+    """Return the commands' results on every n-th file."""
     found = []
     for number, (what, _, data) in enumerate(with_number(kind, suffix)):
         if number % every == 0:
@@ -145,7 +151,7 @@ def test_every_number_that_is_none_is_refused_or_answered(kind: str, suffix: str
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_what_is_no_finite_number_is_no_number_of_a_file(kind: str, tmp_path: Path) -> None:
-    """In turn for every number of the first, a middle and the last message of each run."""
+    # In turn for every number of the first, a middle and the last message of each run.
     messages, turn = messages_in(made(kind, ".mcap")), 0
     for row in (0, len(messages) // 2, len(messages) - 1):
         topic, message = messages[row]
@@ -205,12 +211,12 @@ def bits(value: Any) -> Any:
 
 
 def field(place: Place) -> str:
-    """Return the name of the field that holds a number of a message."""
+    """Return the field of a number in a message."""
     return str(place[0])
 
 
 UNKNOWN = {"device": (), "scene": ("hand",)}
-"""What only a recording knows."""
+"""Values known to a recording alone."""
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -324,7 +330,7 @@ def test_a_message_that_is_missing_is_noticed_on_any_topic(topic: str, place: in
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_bit_that_differs_in_any_field_is_found_and_named(kind: str, tmp_path: Path) -> None:
-    """In each number of a message about the run, and of its first and last sample."""
+    # In each number of a message about the run, and of its first and last sample.
     messages = messages_in(made(kind, ".mcap"))
     samples = [row for row, (topic, _) in enumerate(messages) if topic == SAMPLE]
     starts = [row for row, (topic, _) in enumerate(messages) if topic == "/maglev/stretch"]
@@ -379,7 +385,7 @@ def test_a_bit_that_differs_in_any_array_is_found_and_named(kind: str, tmp_path:
 
 
 def test_ticks_and_missed_samples_that_are_not_so_are_found(tmp_path: Path) -> None:
-    """Shifted as a whole, which by itself would do for a device."""
+    # Shifted as a whole, which by itself would do for a device.
     for kind in KINDS:
         messages = messages_in(made(kind, ".mcap"))
         for name in ("tick", "missed"):
@@ -411,7 +417,7 @@ def test_samples_that_are_missing_at_the_end_are_noticed(tmp_path: Path) -> None
 
 
 def refusing(answer: float) -> type[Controller]:
-    """Return a controller whose eighth answer has a number that is none."""
+    """Return a controller with a NaN in its eighth answer."""
 
     class Mad(Controller):
         def step(self, sample: Sample) -> Command:
@@ -488,7 +494,7 @@ def test_the_two_widths_of_a_pulse_are_not_taken_for_one_another(tmp_path: Path)
 
 
 def test_a_file_that_ends_anywhere_is_not_passed(tmp_path: Path, capsys: Any) -> None:
-    """Only the whole one is; what is there is run again all the same."""
+    # Only the whole one is; what is there is run again all the same.
     data, path = made("scene", ".mcap"), tmp_path / "run.mcap"
     statuses = {}
     for length in [*range(0, len(data), 997), *range(len(data) - 12, len(data) + 1)]:
@@ -561,7 +567,10 @@ def zeros(size: int) -> bytes:
 
 
 def chunks(*parts: tuple[bytes, int], packed: str = "zstd", about: bool = False) -> bytes:
-    """Return a file of chunks: what is in each, what it says that this unpacks to, and whether it is of today."""
+    """Return a file of chunks with declared sizes.
+
+    Of today's format, or of an older one.
+    """
     from mcap.data_stream import RecordBuilder
     from mcap.records import Chunk, Header, Metadata
 
@@ -575,7 +584,7 @@ def chunks(*parts: tuple[bytes, int], packed: str = "zstd", about: bool = False)
 
 
 def array_file(shape: int, *, compressed: int) -> bytes:
-    """Return a file whose first array is so long, of zeros."""
+    """Return a file with a long first array of zeros."""
     header = {"format": "maglev_mj recording 1", "setups": [{"kind": "drop"}]}
     file = io.BytesIO()
     with zipfile.ZipFile(file, "w", compressed) as archive:
@@ -591,7 +600,7 @@ def array_file(shape: int, *, compressed: int) -> bytes:
 
 
 def setups_file() -> bytes:
-    """Return a file of runs whose setups are small when packed, and large as objects."""
+    """Return a file with setups small when packed, large unpacked."""
     six, ones = (
         dict.fromkeys(("x", "y", "z", "rx", "ry", "rz"), 0.0),
         dict.fromkeys(("x", "y", "z", "rx", "ry", "rz"), 1.0),
@@ -602,7 +611,7 @@ def setups_file() -> bytes:
 
 
 def large_files() -> Mapping[str, tuple[str, bytes]]:
-    """Return files of a few kilobytes that unpack to a gigabyte, by suffix, each in its way."""
+    """Return small files that unpack to a gigabyte, by suffix."""
     import zstandard
     from lz4.frame import compress  # type: ignore[import-untyped]
 
@@ -627,7 +636,7 @@ def large_files() -> Mapping[str, tuple[str, bytes]]:
 
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="what a process took is found in /proc")
 def test_what_unpacks_to_a_gigabyte_is_one_line_and_little_memory(tmp_path: Path) -> None:
-    """The first is the one that took 1.1 GB and three minutes."""
+    # The first is the one that took 1.1 GB and three minutes.
     files = large_files()
     paths = [tmp_path / f"run{place}{suffix}" for place, (suffix, _) in enumerate(files.values())]
     for path, (_, data) in zip(paths, files.values(), strict=True):
@@ -663,7 +672,7 @@ ESCAPES = "\x1b[2J\x1b]0;title\x07\x9b31m\r\n\b\u202e\ud800 81 of 81"
 
 
 def test_what_steers_a_terminal_is_escaped(tmp_path: Path, capsys: Any) -> None:
-    """In texts of events, in names of settings and kinds, whatever command shows them."""
+    # In texts of events, in names of settings and kinds, whatever command shows them.
     messages = messages_in(made("scene", ".mcap"))
     (row,) = (row for row, (topic, _) in enumerate(messages) if topic == "/maglev/event")
     event: Message = {**messages[row][1], "kind": ESCAPES, "text": ESCAPES, "missed": 3}
@@ -709,7 +718,7 @@ def test_printable_texts_stay_as_they_are() -> None:
 
 
 def test_a_stretch_that_is_loaded_says_so_with_the_error_of_parameters(tmp_path: Path) -> None:
-    """So that whoever catches either finds it."""
+    # So that whoever catches either finds it.
     (tmp_path / "run.npz").write_bytes(b"nothing")
     for kind in (RecordingError, ParameterError, ValueError):
         with pytest.raises(kind):

@@ -1,4 +1,4 @@
-"""What damage does to a recording: each row of the table in docs/reference/recording.md."""
+"""Effects of damage, by the table in docs/reference/recording.md."""
 
 import io
 import os
@@ -27,7 +27,10 @@ def parts() -> tuple[ExactPlant, Controller]:
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> bytes:
-    """Return a recording of two stretches, with an event and an attachment."""
+    """Return a recording of two stretches with attachment.
+
+    It has an event too.
+    """
     path = tmp_path_factory.mktemp("whole") / "run.mcap"
     file = open_recording(path, wait=True)
     file.attach("device.xml", "text/xml", b"<mujoco/>" * 50)
@@ -40,7 +43,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> bytes:
 
 
 def read(data: bytes, folder: Path) -> Recording | None:
-    """Return what is in a file, None where it is refused in one line."""
+    """Return the content of a file; None if refused."""
     path = folder / "run.mcap"
     path.write_bytes(data)
     try:
@@ -51,7 +54,7 @@ def read(data: bytes, folder: Path) -> Recording | None:
 
 
 def same_so_far(part: Recording, full: Recording) -> None:
-    """Check that what is there is as it was, to the last bit, and that what is not there is told of."""
+    """Check that the readable part is unchanged, the rest reported."""
     for one, other in zip(part.stretches, full.stretches, strict=False):
         assert one.rows.tobytes() == other.rows[: len(one)].tobytes()
         assert one.totals is not None and other.totals is not None
@@ -65,7 +68,7 @@ def same_so_far(part: Recording, full: Recording) -> None:
 
 
 def boundaries(data: bytes) -> list[int]:
-    """Return where the chunks of a file begin and end."""
+    """Return the boundaries of a file's chunks."""
     from mcap.reader import make_reader
 
     summary = make_reader(io.BytesIO(data)).get_summary()
@@ -78,7 +81,7 @@ def boundaries(data: bytes) -> list[int]:
 
 
 def test_cut_off_anywhere_it_is_read_up_to_its_last_whole_chunk(whole: bytes, tmp_path: Path) -> None:
-    """At every end of a chunk and some bytes around, and all over."""
+    # At every end of a chunk and some bytes around, and all over.
     full, edges = read(whole, tmp_path), boundaries(whole)
     assert full is not None and not full.damage and full.ticks == 2 * (TICKS // 2) and len(edges) > 8
     near = {edge + step for edge in edges for step in (-9, -1, 0, 1, 9)}
@@ -95,7 +98,10 @@ def test_cut_off_anywhere_it_is_read_up_to_its_last_whole_chunk(whole: bytes, tm
 
 
 def flips(whole: bytes, folder: Path, count: int) -> tuple[int, int, int]:
-    """Return how many files of one bit changed are refused, told to be damaged, and the same all the same."""
+    """Return the outcomes of single-bit changes.
+
+    Numbers of files refused, reported as damaged, and equal all the same.
+    """
     full = read(whole, folder)
     assert full is not None
     random, found = np.random.default_rng(1), [0, 0, 0]
@@ -122,7 +128,7 @@ def test_no_number_of_a_file_with_one_bit_changed_is_taken_for_true_anywhere(who
 
 
 class FullDisk(io.BytesIO):
-    """A file on a disk with room for so many bytes."""
+    """File on a disk of limited size."""
 
     def __init__(self, room: int) -> None:
         super().__init__()
@@ -138,8 +144,7 @@ class FullDisk(io.BytesIO):
 def test_a_disk_that_is_full_is_told_of_and_what_was_written_is_read(
     share: float, whole: bytes, tmp_path: Path
 ) -> None:
-    """Wherever it is: in the header, in samples, in the index at the end."""
-
+    # Wherever it is: in the header, in samples, in the index at the end.
     def write(file: Any) -> None:
         writer = McapWriter(file)
         plant, controller = parts()

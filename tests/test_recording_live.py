@@ -1,4 +1,4 @@
-"""Recordings written while they happen: what they hold, that they outlive whoever makes them, that others read them."""
+"""Recordings written during a run: content, survival, other readers."""
 
 import base64
 import json
@@ -51,7 +51,7 @@ TOTAL_NAMES = [field.name for field in TOTALS]
 
 
 def messages(path: Path) -> list[tuple[str, dict[str, Any]]]:
-    """Return what any reader of MCAP finds about the run."""
+    """Return the run's messages by a plain MCAP reader."""
     return messages_in(path.read_bytes())
 
 
@@ -111,7 +111,7 @@ def test_any_reader_finds_fields_by_name_with_units_and_what_it_was_made_from(tm
 @pytest.mark.parametrize("phase", [0.0, 0.3, 0.7])
 @pytest.mark.parametrize("delay", [0.0015, 0.007])
 def test_energy_taken_is_what_the_actuators_took_from_a_fall(phase: float, delay: float, tmp_path: Path) -> None:
-    """Against the work of the exact motion up to the last sample."""
+    # Against the work of the exact motion up to the last sample.
     path = tmp_path / "run.mcap"
     drop = Drop(delay=delay, stiffness=2000.0)
     write_run(path, drop, plant="exact", phase=phase)
@@ -134,7 +134,7 @@ def test_energy_taken_is_what_the_actuators_took_from_a_fall(phase: float, delay
     ],
 )
 def test_energy_taken_is_that_of_the_analysis(scene: Scene, phase: float, tmp_path: Path) -> None:
-    """Which puts parabolas between the samples: another way to the same figure, whatever weighs and moves."""
+    # Which puts parabolas between the samples: another way to the same figure, whatever weighs and moves.
     path = tmp_path / "run.mcap"
     write_run(path, scene, plant="exact", phase=phase)
     (stretch,) = Recording.load(path).stretches
@@ -173,14 +173,14 @@ def test_the_work_of_the_hand_is_in_it(tmp_path: Path) -> None:
 
 
 class Still:
-    """A plant that nobody holds."""
+    """Plant without a hand."""
 
     hand_wrench: Any = ZERO
     delay = 0.0
 
 
 def test_missed_samples_and_faults_are_in_it(tmp_path: Path) -> None:
-    """A device counts on from stretch to stretch: where one begins, nothing is missing yet."""
+    # A device counts on from stretch to stretch: where one begins, nothing is missing yet.
     from mcap.reader import make_reader
 
     path = tmp_path / "run.mcap"
@@ -237,7 +237,7 @@ def writers_to(folder: Path) -> list[int]:
 @pytest.mark.skipif(not Path("/proc/self/cmdline").exists(), reason="processes are found in /proc")
 @pytest.mark.parametrize("writer_too", [False, True])
 def test_a_recording_that_is_killed_opens_and_replays_to_its_last_row(writer_too: bool, tmp_path: Path) -> None:
-    """SIGKILL to the program, and to its writer at the same time; what is lost is a fraction of a second."""
+    # SIGKILL to the program, and to its writer at the same time; what is lost is a fraction of a second.
     killed(700, writer_too, tmp_path)
 
 
@@ -250,7 +250,10 @@ def test_a_recording_that_is_killed_at_any_time_opens(after: int, writer_too: bo
 
 
 def killed(after: int, writer_too: bool, tmp_path: Path) -> int:
-    """Kill a program that records after so many samples; return how many of them are lost."""
+    """Return the samples lost by killing a program.
+
+    It records until killed after some samples.
+    """
     program = subprocess.Popen([sys.executable, "-c", RUN, str(tmp_path)], stdout=subprocess.PIPE, text=True)
     assert program.stdout is not None
     made = 0
@@ -311,7 +314,7 @@ def test_of_a_damaged_file_all_before_the_damage_is_there(tmp_path: Path, capsys
 
 
 def test_rows_that_come_faster_than_they_are_written_are_counted_or_waited_for() -> None:
-    """The ring of a run in real time overwrites; that of another waits for its reader."""
+    # The ring of a run in real time overwrites; that of another waits for its reader.
     sample, command = Sample(0, 0.0, list(ZERO)), Command(list(ZERO))
 
     def put(into: Ring, times: int) -> None:
@@ -397,7 +400,7 @@ def test_a_kind_of_file_that_is_not_known_is_refused(name: str, tmp_path: Path, 
 def test_a_recording_is_exported_with_every_field_unit_event_and_attachment(
     suffix: str, tmp_path: Path, capsys: Any
 ) -> None:
-    """Of two stretches, as pandas and numpy read it without an option."""
+    # Of two stretches, as pandas and numpy read it without an option.
     import pandas
     from pyarrow import parquet
 
@@ -471,7 +474,7 @@ def test_a_recording_is_loaded_as_arrays_and_as_a_data_frame(tmp_path: Path, mon
 
 
 def test_what_is_constant_or_equal_to_another_is_kept_once(tmp_path: Path) -> None:
-    """Over many blocks: until they differ, and with the right bits behind that."""
+    # Over many blocks: until they differ, and with the right bits behind that.
     path, count = tmp_path / "run.mcap", 20_000
     file = open_recording(path, wait=True)
     record = file.begin(Still(), Controller([], period=0.001), {"kind": "test"})
@@ -620,7 +623,7 @@ for name in sys.argv[1:]:
 
 
 def test_one_more_recorded_value_is_one_more_line(tmp_path: Path) -> None:
-    """In a copy of the package: memory, .npz, MCAP and its schema, table and check follow from it."""
+    # In a copy of the package: memory, .npz, MCAP and its schema, table and check follow from it.
     import shutil
 
     import maglev_mj

@@ -1,4 +1,7 @@
-"""What other programs find in a recording: every topic by the schema in the file, frames, a scene, a log."""
+"""Contents of recordings for other programs.
+
+Every topic by the schema in the file, frames, a scene, a log.
+"""
 
 from pathlib import Path
 from typing import Any
@@ -21,7 +24,7 @@ TOPICS = ("/maglev/stretch", "/maglev/sample", "/maglev/event", "/tf", "/maglev/
 
 
 def found_in(path: Path) -> dict[str, list[dict[str, Any]]]:
-    """Return all messages of a file by topic, decoded by the schemas in it."""
+    """Return all messages by topic, decoded by their schemas."""
     found: dict[str, list[dict[str, Any]]] = {topic: [] for topic in TOPICS}
     for topic, message in messages_in(path.read_bytes(), TOPICS):
         found[topic].append(message)
@@ -33,7 +36,7 @@ def numbers(message: dict[str, float]) -> list[float]:
 
 
 def test_the_schema_is_that_of_the_package_of_protobuf() -> None:
-    """Built once more by its own means, and compared as a whole."""
+    # Built once more by its own means, and compared as a whole.
     from google.protobuf import descriptor_pb2
 
     found = descriptor_pb2.FileDescriptorSet.FromString(protobuf.descriptor())
@@ -55,7 +58,7 @@ def test_the_schema_is_that_of_the_package_of_protobuf() -> None:
 
 
 def test_a_sample_is_packed_as_the_package_of_protobuf_packs_it() -> None:
-    """To the byte, where no value is zero: that package leaves zeros out."""
+    # To the byte, where no value is zero: that package leaves zeros out.
     from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
     random, pool = np.random.default_rng(3), descriptor_pool.DescriptorPool()
@@ -221,7 +224,7 @@ def test_a_force_too_small_to_see_or_that_is_no_number_has_no_arrow(force: tuple
 
 
 def test_rerun_finds_the_flotors_transform_and_fields_by_name(tmp_path: Path) -> None:
-    """Where its package is installed; it is none that this project needs."""
+    # Where its package is installed; it is none that this project needs.
     import subprocess
     import sys
 

@@ -1,4 +1,4 @@
-"""Each guard and each limit by itself: what it finds, and what it lets pass."""
+"""Guards and limits one by one: detected and passed values."""
 
 from __future__ import annotations
 
@@ -137,7 +137,10 @@ def test_currents_and_temperatures_that_cannot_be_are_found(place: int) -> None:
 
 
 def heated(*segments: tuple[float, float]) -> float:
-    """Return how warm a cold coil gets by currents [A] for so long [s] each, by the default limits."""
+    """Return a coil's temperature rise after currents [A].
+
+    By the default limits, each for a duration [s].
+    """
     warm = 0.0
     for duration, current in segments:
         goal = (current / 3.0) ** 2

@@ -1,4 +1,7 @@
-"""Declared parameters of scenes: kinds, bounds, derived defaults, JSON, and declarations that are refused."""
+"""Declared parameters of scenes.
+
+Kinds, bounds, derived defaults, JSON, and declarations that are refused.
+"""
 
 from __future__ import annotations
 
@@ -158,7 +161,10 @@ def test_one_parameter_is_found_by_name() -> None:
 
 
 def declare(name: str, annotation: Any = float, base: type = Scene, **keywords: Any) -> type:
-    """Return a class with one parameter; without a type where the annotation is None."""
+    """Return a class with one parameter.
+
+    Without a type if the annotation is None.
+    """
     types = {} if annotation is None else {name: annotation}
     return type("Mine", (base,), {"__annotations__": types, name: param("mine", **{"default": 1.0, **keywords})})
 
@@ -187,7 +193,7 @@ HIDDEN = sorted(
 
 
 def test_methods_that_could_be_hidden_are_found() -> None:
-    """The sweep below is only as good as what it goes over."""
+    # The sweep below is only as good as what it goes over.
     assert {"laws", "scripted_hand", "velocity_estimator", "variants", "plant_options", "replace", "from_json"} <= {
         *HIDDEN
     }
@@ -221,7 +227,7 @@ def test_hand_velocity_and_another_default_are_names_of_parameters() -> None:
 
 
 def test_what_would_silently_not_be_a_parameter_is_refused() -> None:
-    """An inherited default set without `param` would not be used, and a bare field would be in no JSON."""
+    # An inherited default set without `param` would not be used, and a bare field would be in no JSON.
     for types in ({}, {"stiffness": float}):
         with pytest.raises(TypeError, match=r"Mine\.stiffness must be declared by param\(\.\.\.\), as in WallScene"):
             type("Mine", (Drop,), {"__annotations__": types, "stiffness": 5000.0})

@@ -1,4 +1,4 @@
-"""Runs of scenes: one device, many phases, batches, figures of one's own, and what they refuse."""
+"""Runs of scenes: devices, phases, batches, figures, refusals."""
 
 from __future__ import annotations
 
@@ -110,8 +110,7 @@ def test_a_class_that_looks_at_no_axis_or_at_unknown_figures_is_refused() -> Non
 
 @pytest.mark.parametrize("plant", ["exact", "mujoco"])
 def test_the_start_is_where_how_fast_and_under_what_it_is_let_go(plant: str) -> None:
-    """Thrown up with its weight carried until the first command, which is none: uniform, then a fall."""
-
+    # Thrown up with its weight carried until the first command, which is none: uniform, then a fall.
     class Thrown(Scene):
         duration: float = param("simulated time", "s", default=0.02)
 
@@ -233,7 +232,7 @@ def test_in_a_batch_whoever_observes_sees_all_devices() -> None:
 
 
 def test_what_laws_tell_is_kept_with_each_sample() -> None:
-    """A batch tells it of every device, and a device of it what that device alone tells."""
+    # A batch tells it of every device, and a device of it what that device alone tells.
     single = run(StickSlip(), plant="exact")
     assert set(single.samples) == {"position", "stick_position", "stuck"}
     assert len(single.sample_time) == len(single.samples["stuck"]) == 61
@@ -369,7 +368,7 @@ def test_a_batch_has_the_bits_of_its_runs_where_all_forces_change_together(scene
 @pytest.mark.parametrize("gains", SWITCHED.values(), ids=SWITCHED)
 @pytest.mark.parametrize("scene", [Drop(duration=0.2), SHORT], ids=["drop", "press"])
 def test_a_batch_is_its_runs_to_rounding(scene: Scene, gains: Any) -> None:
-    """Where one device has a pulse all have a knot, and a way in two parts rounds differently."""
+    # Where one device has a pulse all have a knot, and a way in two parts rounds differently.
     changed = scene.replace(**gains)
     batch = run(changed, plant="exact", phase=PHASES)
     swept = run_phases(changed, PHASES, plant="exact")
@@ -481,8 +480,7 @@ def test_every_scene_runs_on_both_plants(name: str, plant: str) -> None:
 
 @pytest.mark.parametrize("plant", ["exact", "mujoco"])
 def test_laws_add_up(plant: str) -> None:
-    """One carries the weight, the other draws down: together they hold it where the spring is stretched by nothing."""
-
+    # One carries the weight, the other draws down: together they hold it where the spring is stretched by nothing.
     class Hover(Scene):
         duration: float = param("simulated time", "s", default=0.2)
 

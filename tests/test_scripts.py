@@ -23,7 +23,7 @@ Script = Callable[..., str]
 
 @pytest.fixture(autouse=True)
 def readable(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Check that every chart that a script draws can be read."""
+    """Check that all charts of a script are readable."""
     try:
         from matplotlib.figure import Figure
     except ImportError:
@@ -43,7 +43,10 @@ def readable(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 @pytest.fixture
 def run_script(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Script:
-    """Return what runs a script as its file says, in this process, and returns what it prints."""
+    """Return a function that runs a script.
+
+    In this process; it returns the output.
+    """
 
     def run(name: str, *arguments: str) -> str:
         path = str(ROOT / "scripts" / name)

@@ -1,4 +1,4 @@
-"""Three beams on three diodes: the pose comes back from the spots, and what cannot be told is an error."""
+"""Poses from the spots of three beams, and errors."""
 
 import math
 

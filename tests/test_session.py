@@ -1,4 +1,4 @@
-"""Sessions without a window: keeping up with real time, what actions do, energy, recording."""
+"""Sessions without a window: pacing, actions, energy, recording."""
 
 import re
 from pathlib import Path
@@ -47,7 +47,7 @@ FRAME = 1.0 / 60.0
 
 
 class Clock:
-    """Real time that goes by only where a tick costs some."""
+    """Clock that advances only by the cost of ticks."""
 
     def __init__(self) -> None:
         self.now = 0.0
@@ -57,7 +57,10 @@ class Clock:
 
 
 def paced(cost: float, frames: int, *, period: float = 0.005, elapsed: float = FRAME, **limits: float) -> Any:
-    """Return a pacer after some frames whose ticks cost so much, and how many ticks each frame had."""
+    """Return a used pacer and its ticks per frame.
+
+    Each tick had the given cost.
+    """
     clock = Clock()
     pacer = Pacer(clock=clock, **limits)
 
@@ -135,7 +138,10 @@ def made(scene: str | Scene = "joystick", **options: Any) -> Session:
 
 
 def stored_at_start(scene: Scene) -> float:
-    """Return the energy in a scene's springs where it starts [J]: the corner's is drawn."""
+    """Return the initial energy in a scene's springs [J].
+
+    The corner's is drawn.
+    """
     springs = [law for law in scene.laws() if isinstance(law, Hold)]
     away = [
         np.asarray(law.target) - np.array(scene.start().pose)[[AXES.index(axis) for axis in law.axes]]
@@ -252,7 +258,7 @@ def test_drop_lets_go_with_its_weight_and_centre_undoes_it() -> None:
 
 @pytest.mark.parametrize(("share", "stops"), [(0.8, False), (1.5, True)])
 def test_a_wall_that_is_unstable_is_stopped_and_restored_by_one_key(share: float, stops: bool) -> None:
-    """Beside the boundary that the closed loop's eigenvalues give, at the press that keeps the flotor in the wall."""
+    # Beside the boundary that the closed loop's eigenvalues give, at the press that keeps the flotor in the wall.
     limit = float(largest_stable_stiffness(87.0, period=0.005, delay=0.0015))
     session = after(made(Drop(pulse=0.0, stiffness=share * limit, damping=87.0)), 8.0)
     note = session.snapshot().reason
@@ -264,7 +270,7 @@ def test_a_wall_that_is_unstable_is_stopped_and_restored_by_one_key(share: float
 
 
 def test_work_is_metered_whatever_else_pushes() -> None:
-    """Work of the actuators, of the hand and of weight against kinetic energy, on all six axes."""
+    # Work of the actuators, of the hand and of weight against kinetic energy, on all six axes.
     plant = MuJoCoPlant(
         Timing(period=0.004, delay=0.0013),
         metered=True,
@@ -322,7 +328,7 @@ def test_what_was_recorded_before_a_run_is_stopped_is_kept(tmp_path: Path) -> No
 
 
 def test_the_end_of_a_recording_never_holds_the_loop_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Three recordings within a second, each slow to close: no tick waits, none overwrites another, nothing is lost."""
+    # Three recordings within a second, each slow to close: no tick waits, none overwrites another, nothing is lost.
     gate = Event()
 
     class Slow(ArrayFile):
@@ -382,7 +388,7 @@ def test_a_recording_whose_folder_is_gone_goes_elsewhere(tmp_path: Path) -> None
 
 
 def test_walls_and_friction_on_an_axis_share_the_gains() -> None:
-    """Both together are as stiff as either alone: their sum is what the delay bounds."""
+    # Both together are as stiff as either alone: their sum is what the delay bounds.
     for name in ("joystick", "box", "corner"):
         for friction in (False, True):
             scene = find_scene(name)().replace(friction=friction)
@@ -428,7 +434,7 @@ def test_a_session_is_recorded_from_its_start_on(name: str, tmp_path: Path) -> N
 
 @pytest.fixture
 def shaft(tmp_path: Path) -> type[Scene]:
-    """Return a user's own scene, in a file of its own."""
+    """Return a user's scene in its own file."""
     (text,) = re.findall(
         r"```python\n(.*?)```", (ROOT / "docs" / "reference" / "viewer.md").read_text(encoding="utf-8"), re.S
     )
@@ -535,7 +541,7 @@ def test_keys_stop_at_the_bounds_and_leave_what_is_not_theirs() -> None:
 
 
 class Program:
-    """A program that asks for a scene, once, and keeps the answers."""
+    """Program that requests a scene once and keeps answers."""
 
     wanted: Scene | None = None
 

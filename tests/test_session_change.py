@@ -1,4 +1,7 @@
-"""Changes of a running session: parameters, slow motion, single steps, scenes, the hand's spring; and the stops."""
+"""Changes of a running session, and its stops.
+
+Parameters, slow motion, single steps, scenes, the hand's spring.
+"""
 
 from typing import Any
 
@@ -34,7 +37,7 @@ def test_a_change_is_in_force_with_the_next_tick() -> None:
 
 
 def test_changes_in_quick_succession_act_together() -> None:
-    """A slider that is dragged at 50 Hz makes ten controllers a second, and the last value is in force at the end."""
+    # A slider that is dragged at 50 Hz makes ten controllers a second, and the last value is in force at the end.
     session, begun = made(Joystick()), set()
     for frame in range(100):
         session.change({"stiffness": 3000.0 + frame})
@@ -120,7 +123,7 @@ def test_what_a_scene_of_ones_own_refuses_changes_nothing_and_ends_no_stop(
 
 @pytest.mark.parametrize("paused", [False, True])
 def test_a_change_that_is_held_back_ends_no_stop(paused: bool) -> None:
-    """A slider is let go of, and the emergency stop pressed at once."""
+    # A slider is let go of, and the emergency stop pressed at once.
     session = made(Joystick())
     if paused:
         session.act("pause")
@@ -195,7 +198,7 @@ def test_the_hand_pulls_as_stiffly_as_it_is_set() -> None:
 
 @pytest.mark.parametrize(("axis", "goal"), [(0, 9e-3), (1, -9e-3), (2, 9e-3), (3, 0.4), (4, -0.4), (5, 0.4)])
 def test_hand_device_and_stop_balance_at_rest(axis: int, goal: float) -> None:
-    """Pressed against a metal stop on any axis, turned besides: what is shown adds up to nothing."""
+    # Pressed against a metal stop on any axis, turned besides: what is shown adds up to nothing.
     target = [0.0, 0.0, 0.0, 0.02, 0.03, 0.01]
     target[axis] = goal
     hand = SpringHand(target=target, stiffness=2000.0, turning_stiffness=2.0)

@@ -1,4 +1,7 @@
-"""The firmware in C on its simulated hardware, spoken with over UDP: a flight, faults, the board, and rubbish."""
+"""Firmware in C on simulated hardware, over UDP.
+
+A flight, faults, the board, and invalid frames.
+"""
 
 from __future__ import annotations
 
@@ -53,7 +56,7 @@ pytestmark = pytest.mark.skipif(COMPILER is None, reason=NEEDS_COMPILER)
 
 
 def built(folder: Path, flags: Sequence[str]) -> Path | None:
-    """Return the program, compiled with these flags; None if they are not known here."""
+    """Return the compiled program; None for unknown flags."""
     program = folder / "simulated_device"
     sources = [str(FOLDER / name) for name in ("simulated_device.c", "maglev_firmware.c")]
     command = [str(COMPILER), *STRICT, *flags, *sources, "-o", str(program), "-lm"]
@@ -65,7 +68,7 @@ def built(folder: Path, flags: Sequence[str]) -> Path | None:
 
 @pytest.fixture(scope="module")
 def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the program, with sanitizers where the compiler has them."""
+    """Return the program, with sanitizers if available."""
     optimised = built(tmp_path_factory.mktemp("optimised"), ["-O2"])
     assert optimised is not None
     return built(tmp_path_factory.mktemp("sanitized"), SANITIZED) or optimised
@@ -80,7 +83,10 @@ def key_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def write_plant(path: Path, calibration: Calibration) -> Path:
-    """Write what the program has to know of its plant: the device linearised about its centre."""
+    """Write the program's plant: the linearised device.
+
+    About its centre.
+    """
     rows: dict[str, ArrayLike] = {
         "wrench_per_current": calibration.coils.wrench_per_current,
         "inertia": [*[calibration.mass] * 3, *calibration.inertia],
@@ -126,7 +132,7 @@ class Host:
         return frame
 
     def wait(self, body: type, timeout: float = 5.0) -> Any:
-        """Return the next frame of a type; the STATEs on the way are kept."""
+        """Return the next frame of a type, keeping STATEs."""
         end = time.monotonic() + timeout
         while (left := end - time.monotonic()) > 0:
             frame = self.receive(left)
@@ -170,7 +176,10 @@ class Host:
         self.send(Command(self.state.sequence, 0, six(held), six(pulsed), width))
 
     def answered(self, held: ArrayLike = ZERO, pulsed: ArrayLike = ZERO, width: float = 0.0) -> StateReport:
-        """Answer the last STATE, and wait for the next; the last may come again first, if this host was slow."""
+        """Answer the last STATE and wait for the next.
+
+        The last may come again first, if this host was slow.
+        """
         before = self.state.sequence
         self.command(held, pulsed, width)
         report = self.sampled()
@@ -210,7 +219,7 @@ class Device:
         return self.hosts[-1]
 
     def end(self) -> dict[str, int]:
-        """End it as an operator would, and see that it ended well; a second time does nothing."""
+        """End the program normally; idempotent."""
         for host in self.hosts:
             host.close()
         if self.process.poll() is None or not self.counts:
@@ -239,7 +248,10 @@ def start(program: Path, tmp_path: Path) -> Iterator[Starter]:
 
 
 def flying(host: Host, ticks: int) -> list[Array]:
-    """Arm and hold the flotor at the centre by springs on poses got through the slopes; return the poses."""
+    """Hold the flotor at the centre; return the poses.
+
+    By springs on poses from the linearised beams.
+    """
     assert host.ask(Operation.ARM)[2:] == (Result.DONE, State.ACTIVE, 0)
     host.answered()
     inverse = np.linalg.inv(SLOPES)
@@ -567,7 +579,7 @@ def test_it_answers_as_the_firmware_in_python_does(start: Starter, key_file: Pat
     twin = Firmware(profile, _Nothing(), codec, lambda: 1)
 
     def sampled(before: int) -> int:
-        """Let both sample after that sample, compare what they say, and return the number."""
+        """Compare the next sample of both; return its number."""
         while host.wait(StateReport).sequence == before:  # sent again, as this host was slow
             pass
         tick, report = host.state.sequence, host.state.body

@@ -1,4 +1,7 @@
-"""The joystick as a 3D mouse: its axes, its socket, and programs that are good, slow, gone or out of their mind."""
+"""Joystick as 3D mouse: axes, socket, and all clients.
+
+Good, slow, closed and faulty ones.
+"""
 
 from __future__ import annotations
 
@@ -75,7 +78,7 @@ def snapshot(
 
 
 def posed(numbers: Any) -> Array:
-    """Return the pose of which six numbers in spacenav's order are said."""
+    """Return the pose for six numbers in spacenav's order."""
     x, y, z, rx, ry, rz = numbers
     pose: Array = np.array([x, z, y, rx, rz, ry]) / FULL * FULL_POSE
     return pose
@@ -90,7 +93,10 @@ def waited(ask: Callable[[], bool]) -> bool:
 
 
 def frames(session: Session, seconds: float, late: float = 0.0) -> Iterator[Snapshot]:
-    """Yield a snapshot 60 times a second of a scene's time, tick by tick, so that no busy machine takes a tick away."""
+    """Yield 60 snapshots a second of a scene's time.
+
+    Tick by tick, independent of the machine's speed.
+    """
     period, shown = session.snapshot().scene.period, late
     for number in range(1, round(seconds / period) + 1):
         session.tick(period)
@@ -100,7 +106,7 @@ def frames(session: Session, seconds: float, late: float = 0.0) -> Iterator[Snap
 
 
 class Clock:
-    """Real time that goes on by a frame each time that somebody looks."""
+    """Clock that advances one frame per reading."""
 
     def __init__(self, step: float = FRAME) -> None:
         self.now, self.step = 0.0, step
@@ -128,7 +134,7 @@ class Clock:
 def test_a_deflection_to_the_stop_is_500_on_the_axis_that_points_there(
     axis: int, field: int, full: float, sign: float
 ) -> None:
-    """In spacenav y is up and z away, for the device the other way round."""
+    # In spacenav y is up and z away, for the device the other way round.
     pose, expected = [0.0] * 6, [0] * 6
     pose[axis], expected[field] = sign * full, round(sign * 500)
     assert PoseAxes()(snapshot(pose)) == tuple(expected)
@@ -164,7 +170,7 @@ def test_a_scene_that_begins_anew_is_no_motion() -> None:
 @pytest.mark.parametrize("friction", [True, False])
 @pytest.mark.parametrize("seed", range(4))
 def test_a_program_that_adds_up_rates_goes_the_way_of_the_slave(seed: int, friction: bool) -> None:
-    """At every moment within half a unit of it, however irregular the moments are."""
+    # At every moment within half a unit of it, however irregular the moments are.
     random = np.random.default_rng(seed)
     told, time, went, pose = RateAxes(Navigation(scale=2.0)), 0.0, np.zeros(6), np.zeros(6)
     unit = FULL_RATE / FULL
@@ -207,7 +213,10 @@ MAPPED: list[tuple[dict[str, Any], Callable[[list[int]], list[int]]]] = [
     ({"dominant": True}, lambda row: [300 * (number // 300) for number in row]),
     ({"dominant": True, "gain": 0.0}, lambda row: [0, 0, 0, *dominant(row[3:])]),
 ]
-"""Settings, and what they make of rows in which one number is 300, the next 100, and the others 0."""
+"""Settings and their effect on rows of numbers.
+
+One number of a row is 300, the next 100, and the others 0.
+"""
 
 
 def dominant(row: list[int]) -> list[int]:
@@ -215,7 +224,7 @@ def dominant(row: list[int]) -> list[int]:
 
 
 def deflected(axis: int) -> list[int]:
-    """Return six numbers, 300 on one axis and 100 on the next."""
+    """Return 300 on one axis and 100 on the next."""
     return [[300, 100, 0, 0, 0, 0][(index - axis) % 6] for index in range(6)]
 
 
@@ -297,7 +306,10 @@ WALLS = ((2, 1.0, -0.0035), (2, -1.0, 0.0035))
 
 
 def pressed(force: float, time: float, *, z: float | None = None, state: str = "running", button: int = 0) -> Snapshot:
-    """Return a snapshot of a handle that presses on the lower wall, or on the upper one."""
+    """Return a snapshot of a handle pressed on a wall.
+
+    The lower or the upper one.
+    """
     sign = -1.0 if button else 1.0
     depth = 0.0036 if z is None else z
     return dataclasses.replace(
@@ -308,7 +320,10 @@ def pressed(force: float, time: float, *, z: float | None = None, state: str = "
 
 
 def taps(forces: Iterable[float], button: int = 0, **keywords: Any) -> list[tuple[bool, ...]]:
-    """Return what 4 N of taps make of forces, one in each frame, with the handle let go after them."""
+    """Return the clicks of taps of 4 N.
+
+    One force in each frame, with the handle released after them.
+    """
     buttons = Taps(4.0)
     frames = [*forces, 0.0, 0.0]
     return [buttons(pressed(force, number * FRAME, button=button, **keywords)) for number, force in enumerate(frames)]
@@ -342,7 +357,7 @@ def test_a_press_outside_the_walls_or_of_a_scene_that_stands_still_is_no_tap() -
 
 
 def moves(scene: Joystick, hand: SpringHand, seconds: float) -> tuple[list[int], float]:
-    """Return how often each button goes down in a run, and the largest force along z."""
+    """Return button presses and the largest force along z."""
     session, buttons, counts, most = Session(scene, hand=hand), Taps(4.0), [0, 0], 0.0
     for shown in frames(session, seconds):
         counts = [count + down for count, down in zip(counts, buttons(shown))]
@@ -369,7 +384,7 @@ def test_a_hand_that_moves_up_and_down_taps_nothing(stiffness: float, reach: flo
 @pytest.mark.parametrize("start", [0.300, 0.3037, 0.3081, 0.3129])
 @pytest.mark.parametrize("stiffness", [1000.0, 2000.0])
 def test_a_hand_that_taps_a_wall_clicks_once_for_each_tap(stiffness: float, start: float, sign: float) -> None:
-    """From rest beside the wall, there and back within 0.18 s, at any phase of samples and frames."""
+    # From rest beside the wall, there and back within 0.18 s, at any phase of samples and frames.
     times, heights = [0.0], [0.003]
     for begin in (start, start + 0.5):
         times += [begin, begin + 0.09, begin + 0.18]
@@ -441,7 +456,7 @@ def test_a_sensitivity_multiplies_every_axis(sensitivity: float, expected: tuple
 
 
 def test_a_program_that_has_not_waited_for_the_answer_is_not_given_one() -> None:
-    """After 0.3 s libspnav takes the server for an old one; an answer would be an event to it."""
+    # After 0.3 s libspnav takes the server for an old one; an answer would be an event to it.
     talk = Conversation()
     assert talk.hear(struct.pack("=If", CHANGE | 1, 1.0)) == b"" and talk.version == 0
 
@@ -621,7 +636,7 @@ class Program:
         assert self.line.recv(4) == struct.pack("=I", CHANGE | 1)
 
     def events(self) -> list[tuple[int, ...]]:
-        """Return what has come."""
+        """Return the received events."""
         try:
             data = self.line.recv(1 << 20)
         except BlockingIOError:
@@ -693,7 +708,7 @@ def test_a_server_that_closes_waits_for_programs_in_motion_alone(
 
 
 def test_nothing_is_said_before_the_answer_to_the_first_request(server: SpacenavServer) -> None:
-    """The first four bytes that come are what libspnav reads as its answer."""
+    # The first four bytes that come are what libspnav reads as its answer.
     with Program(server.path) as program:
         for _ in range(5):
             server.show(snapshot(AWAY))
@@ -713,7 +728,7 @@ def test_a_program_that_never_asks_is_told_all_the_same(server: SpacenavServer) 
 
 
 def test_between_a_request_and_the_next_nothing_else_is_said_and_no_rest_is_lost(server: SpacenavServer) -> None:
-    """What comes next is what libspnav takes for its answer."""
+    # What comes next is what libspnav takes for its answer.
     with Program(server.path) as program:
         program.open(server)
         server.show(snapshot(AWAY))
@@ -736,7 +751,7 @@ def test_a_program_that_wants_no_motion_is_told_none(server: SpacenavServer) -> 
 
 
 def test_a_program_that_does_not_read_misses_events_and_the_others_none(server: SpacenavServer) -> None:
-    """One that takes long to start, as Blender does, has its 3D mouse once it reads."""
+    # One that takes long to start, as Blender does, has its 3D mouse once it reads.
     with Program(server.path) as good, Program(server.path) as stalled:
         good.open(server)
         stalled.open(server)
@@ -756,7 +771,10 @@ def test_a_program_that_does_not_read_misses_events_and_the_others_none(server: 
 
 @pytest.fixture
 def clicking(path: Path) -> Iterator[SpacenavServer]:
-    """Return a server whose buttons are down where x and y of the pose are away from the centre."""
+    """Return a server with buttons pressed away from the centre.
+
+    By x and y of the pose.
+    """
     server = SpacenavServer(
         path, clock=Clock(), buttons=lambda shown: (bool(shown.pose[0] > 0.0), bool(shown.pose[1] > 0.0))
     )
@@ -765,7 +783,7 @@ def clicking(path: Path) -> Iterator[SpacenavServer]:
 
 
 def clicks(program: Program) -> list[tuple[int, ...]]:
-    """Return what a program hears of buttons: press or release, and which."""
+    """Return a client's button events: press or release, and number."""
     return [event[:2] for event in program.events() if event[0]]
 
 
@@ -920,7 +938,7 @@ def client(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 class Running:
-    """The program in C on a server, its lines as they come."""
+    """Client in C, with its output lines."""
 
     def __init__(self, program: Path, server: SpacenavServer, *arguments: str) -> None:
         self._process = subprocess.Popen(
@@ -965,7 +983,7 @@ SAID = "protocol 1, device 'maglev_mj' (9), 6 axes, 2 buttons, type 0"
 
 
 def rows(count: int) -> list[tuple[int, ...]]:
-    """Return events of which no two are alike, nor two of their six numbers."""
+    """Return events with all different numbers."""
     return [(n + 1, -(n + 2), 2 * n + 3, -(2 * n + 4), 3 * n + 5, -(3 * n + 7)) for n in range(count)]
 
 
@@ -1059,7 +1077,7 @@ def test_libspnav_hears_each_press_and_its_release(client: Path, clicking: Space
 def test_libspnav_moves_an_object_where_the_joystick_goes(
     client: Path, server: SpacenavServer, axis: int, moved: tuple[float, ...], turned: tuple[float, ...], sign: int
 ) -> None:
-    """A unit for each thousand, a radian likewise, of which a quaternion has half the sine."""
+    # A unit for each thousand, a radian likewise, of which a quaternion has half the sine.
     pose = np.zeros(6)
     pose[axis] = sign * FULL_POSE[axis]
     program = Running(client, server, "1")
@@ -1210,7 +1228,7 @@ def test_the_scripted_hand_does_it_again() -> None:
 @pytest.mark.parametrize(("axes", "drift"), [("pose", 0.5), ("rate", 10.0)])
 @pytest.mark.parametrize("late", [0.0, 0.004])
 def test_the_scripted_hand_of_the_joystick_comes_back_on_every_axis(axes: str, drift: float, late: float) -> None:
-    """Numbers taken for speeds add up to next to nothing over a cycle, and never to much."""
+    # Numbers taken for speeds add up to next to nothing over a cycle, and never to much.
     scene, told = Joystick(friction=axes == "rate"), {"pose": PoseAxes, "rate": RateAxes}[axes]()
     session, end = Session(scene, hand=serve_spacenav._hand(scene)), serve_spacenav.tour().end
     sums, most = np.zeros(6), np.zeros(6)

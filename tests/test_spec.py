@@ -17,7 +17,10 @@ OWN = {GRAVITY, DRIVER_TIME_CONSTANT} | {
         *(Spec.spot_resolution, Spec.tilt_inertia, Spec.spin_inertia),
     )
 }
-"""Numbers that are nothing else: no float of the package or a script may be one of them."""
+"""Device numbers that no float may repeat.
+
+Neither in the package nor in a script.
+"""
 
 DEFAULTS = {
     "mass": {Spec.moving_mass.value},
@@ -29,7 +32,7 @@ DEFAULTS = {
     "quantum": {Spec.spot_resolution.value, *RESOLUTION},
     "noise": {*RESOLUTION},
 }
-"""Numbers that are others' too: no field or argument of that name may have one of them as its default."""
+"""Device numbers that no default of that name may repeat."""
 
 
 def test_the_numbers_of_the_device_are_written_once() -> None:
@@ -54,7 +57,7 @@ def numbers_in(value: ast.expr) -> list[ast.Constant]:
 
 
 def defaults(node: ast.AST) -> Iterator[tuple[str, ast.expr]]:
-    """Yield the name and default of a field, or of each argument of a function."""
+    """Yield names and defaults of fields and arguments."""
     pairs: list[tuple[str, ast.expr | None]] = []
     if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
         pairs = [(node.target.id, node.value)]

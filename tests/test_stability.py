@@ -1,4 +1,4 @@
-"""The exact closed loop: published figures, scaling, other derivations, and three plants that move as it says."""
+"""Exact closed loop against published figures, derivations and three plants."""
 
 import itertools
 import math
@@ -81,7 +81,7 @@ def test_scaling_is_exact() -> None:
 
 
 def test_the_stable_stiffnesses_are_one_interval_from_zero() -> None:
-    """So the largest stable one is a boundary, and not the end of an island."""
+    # So the largest stable one is a boundary, and not the end of an island.
     for delay in (0.0, 0.0015, 0.005, 0.0125):
         b = np.linspace(2.0, 160.0, 40)
         k = np.geomspace(1.0, 25000.0, 400)[:, None]
@@ -150,7 +150,10 @@ RIGID = Hand(mass=0.1, damping=5.0, stiffness=500.0)
 
 
 def simulated(plant_type: Any, delay: float, gains: tuple[float, float], **options: Any) -> NDArray[np.float64]:
-    """Return the sampled heights of a flotor let go 1 mm off, held by a spring and damper."""
+    """Return the simulated heights of a released flotor.
+
+    From 1 mm off, held by a spring and damper.
+    """
     pose: Any = [0.0, 0.0, 1e-3, 0.0, 0.0, 0.0]
     velocity = options.pop("velocity")
     plant = plant_type(
@@ -207,7 +210,7 @@ def test_plants_move_as_the_matrix_says(
 
 
 def test_least_dynamic_stiffness_has_its_limits() -> None:
-    """At rest it is the stiffness, far above the resonance it is that of the mass."""
+    # At rest it is the stiffness, far above the resonance it is that of the mass.
     for frequency in (0.0, 1.0, 10.0, 50.0):
         turn = 2.0 * math.pi * frequency
         expected = abs(1000.0 + 100.0j * turn - M * turn**2)
@@ -250,7 +253,7 @@ def test_bad_loops_are_refused_with_the_value() -> None:
 
 
 def test_a_hands_force_is_not_filtered_by_the_drivers() -> None:
-    """Compliance is the steady swing of a plant whose drivers lag, under a hand's force held from sample to sample."""
+    # Compliance is the steady swing of a plant whose drivers lag, under a hand's force held from sample to sample.
     lag, frequency, ticks = 20.0 * LAG, 17.0, 2000
     turns = np.exp(2j * math.pi * frequency * T * np.arange(ticks))
     plant = ExactPlant(
@@ -288,7 +291,7 @@ def test_more_gains_than_are_taken_at_once() -> None:
 
 @pytest.mark.parametrize("delay", [2.1 * T, 2.5 * T, 2.95 * T])
 def test_critical_delays_up_to_three_periods(delay: float) -> None:
-    """The stiffest wall at a delay has that delay as its critical one."""
+    # The stiffest wall at a delay has that delay as its critical one.
     wall = stiffest_wall(period=T, delay=delay)
     gains = 0.999 * float(wall.stiffness), float(wall.damping)
     found = float(critical_delay(*gains, period=T))

@@ -1,4 +1,7 @@
-"""What ends a flight: Ctrl-C once and twice, SIGTERM, SIGHUP, a window's key; and how soon the currents are zero."""
+"""Ends of flights by signals and keys.
+
+Ctrl-C once and twice, SIGTERM, SIGHUP, a window's key; and the time to zero current.
+"""
 
 import json
 import os
@@ -36,7 +39,10 @@ pytestmark = pytest.mark.xdist_group("realtime")
 
 
 class Moment(NamedTuple):
-    """A sample of the twin: when, its state, faults, largest current [A], and height [m]."""
+    """Sample of the twin for these tests.
+
+    Time, state, faults, largest current [A], and height [m].
+    """
 
     time: float
     state: State
@@ -85,12 +91,15 @@ class Watched:
         return time.monotonic()
 
     def flown(self, seconds: float) -> None:
-        """Wait until the device has been active for so long, by its own time."""
+        """Wait until the device has been active long enough.
+
+        By its own time.
+        """
         ticks = round(seconds / self.twin.parameters.period)
         self.until(lambda: sum(one.state == State.ACTIVE for one in list(self.moments)) >= ticks)
 
     def cut_after(self, when: float) -> float:
-        """Return how long after an instant the currents were zero for good [s]."""
+        """Return the time until the currents stay zero [s]."""
         flowing = [one.time for one in self.moments if one.time > when and one.current > ZERO_CURRENT]
         after = flowing[-1] if flowing else when
         return next(one.time for one in self.moments if one.time > after) - when
@@ -103,7 +112,10 @@ def flight(twin: Watched, folder: Path, *options: str) -> Iterator[subprocess.Po
 
 
 def within(seconds: float) -> list[str]:
-    """Return the command line with another time to land: a busy machine takes its own."""
+    """Return the command line with another landing time.
+
+    A busy machine needs more.
+    """
     text = f"import sys; from maglev_mj.cli import bridge, main; bridge.LANDING_TIME = {seconds}; sys.exit(main())"
     return [sys.executable, "-c", text]
 
@@ -167,7 +179,7 @@ def test_a_second_ctrl_c_cuts_now(at: float, gap: float, tmp_path: Path) -> None
 
 
 def test_landing_is_asked_for_and_cut_like_the_rest(tmp_path: Path) -> None:
-    """In a landing that has begun by itself, the first Ctrl-C changes nothing, and the second cuts."""
+    # In a landing that has begun by itself, the first Ctrl-C changes nothing, and the second cuts.
     for times, faults in ((1, Fault(0)), (2, Fault.ESTOP)):
         with Watched() as twin, flight(twin, tmp_path, "--seconds", "0.2") as host:
             twin.flown(1.0)
@@ -252,7 +264,7 @@ def test_time_cuts_once_and_is_over_with_the_flight() -> None:
 
 
 class Keys:
-    """A window whose key is pressed at a sample of the flight's."""
+    """Window with a key pressed at one sample."""
 
     def __init__(self, switch: StopSwitch, plant: RemotePlant, at: int) -> None:
         self._switch, self._plant, self._at = switch, plant, at

@@ -1,4 +1,7 @@
-"""The study engine: what lands stays, what is there is not done again, a worker's death costs its own cells only."""
+"""Study engine: kept results, no repeats, lost workers.
+
+A worker's death costs its own cells only.
+"""
 
 import json
 import os
@@ -32,7 +35,10 @@ def drop_cells(count: int) -> list[Cell]:
 
 
 def deadly(cells: list[Cell]) -> list[Any]:
-    """Kill the worker on a cell marked always, or marked once and not yet seen."""
+    """Kill the worker on a marked cell.
+
+    Marked always, or once and not yet seen.
+    """
     for cell in cells:
         if cell.get("kill") == "always":
             os.kill(os.getpid(), signal.SIGKILL)
@@ -86,7 +92,7 @@ def test_a_file_that_is_no_record_is_refused_and_left_alone(tmp_path: Path) -> N
 
 
 def test_local_processes_equal_this_one() -> None:
-    """To the last bit where no pulse splits the others' periods: then it does not matter who is in a batch."""
+    # To the last bit where no pulse splits the others' periods: then it does not matter who is in a batch.
     cells = drop_cells(16)
     assert run_cells(run_scene_cells, cells, workers=local_workers(2), together=8) == run_scene_cells(cells)
 
@@ -166,10 +172,9 @@ def test_an_interrupt_keeps_what_has_landed(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("workers", "count"), [("0", 64), ("2", 64), ("2", 32)])
 def test_ctrl_c_on_the_command_line_ends_cleanly_and_goes_on(tmp_path: Path, workers: str, count: int) -> None:
-    """One line on stderr, no traceback from any process, status 130; the rerun computes the rest.
-
-    Of 256 cells all are in hand by then, and land.
-    """
+    # One line on stderr, no traceback from any process, status 130; the rerun computes the rest.
+    #
+    # Of 256 cells all are in hand by then, and land.
     record = tmp_path / "cells.jsonl"
     command = [sys.executable, "-m", "maglev_mj", "sweep", "wall", "--vary", "delay=0:0.005:8"]
     command += ["--vary", f"damping=60:100:{count}"]
@@ -192,7 +197,7 @@ def test_ctrl_c_on_the_command_line_ends_cleanly_and_goes_on(tmp_path: Path, wor
 
 
 def test_workers_never_hear_ctrl_c() -> None:
-    """Held from the first instruction of the process: while it imports, a handler would come too late."""
+    # Held from the first instruction of the process: while it imports, a handler would come too late.
     with local_workers(1).make() as workers:
         blocked = workers.submit(signal.pthread_sigmask, signal.SIG_BLOCK, []).result(timeout=60)
     assert signal.SIGINT in blocked
@@ -246,7 +251,7 @@ def test_the_command_runs_on_a_cluster(cluster: Any, tmp_path: Path, capsys: pyt
 
 
 def slowly(cells: list[Cell]) -> list[Any]:
-    """As the drop, but long enough that both workers have cells in hand when one is killed."""
+    """Run a drop slowly enough for two busy workers."""
     time.sleep(0.1)
     return run_scene_cells(cells)
 

@@ -1,4 +1,4 @@
-"""Takeoff only from rest, landing that looks, and nothing slow while the currents flow."""
+"""Takeoff from rest, checked landing, prompt currents."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from tests.test_bridge import BAD, BAD_REACH, CENTRE, Rig, hover
 
 @pytest.fixture(autouse=True)
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let the files with the last cycles go to a folder of their own."""
+    """Let black boxes go to a folder of their own."""
     monkeypatch.chdir(tmp_path)
 
 
@@ -37,7 +37,7 @@ RATES = [0.005, 0.001, 0.00025]
 
 
 def still(rig: Rig) -> Motion:
-    """Return what a watch before takeoff sees."""
+    """Return the result of a watch before takeoff."""
     return rig.plant._watch(0.0)
 
 
@@ -56,7 +56,7 @@ def test_a_flotor_at_rest_is_seen_to_rest_whatever_the_noise(noise: float, margi
 
 
 def watched(period: float, pose: Any) -> Motion:
-    """Return the motion of a pose as a function of time."""
+    """Return the motion of a pose given over time."""
     motion = Motion(period)
     for tick in range(5000):
         if motion.full:
@@ -79,7 +79,7 @@ def test_motion_along_every_axis_and_to_and_fro_is_no_rest(axis: int, period: fl
 
 
 def pushed(axis: int, amount: float) -> Any:
-    """Return a hand that pushes a little along one axis until 0.3 s."""
+    """Return a hand that pushes one axis until 0.3 s."""
     return lambda tick, at, state: [amount * (place == axis and at < 0.3) for place in range(6)]
 
 
@@ -189,7 +189,7 @@ def test_a_landing_into_a_hand_says_so_and_disarms_all_the_same() -> None:
 
 
 def test_a_landing_waits_for_rest_before_it_disarms() -> None:
-    """A torque to and fro that ends 0.1 s after the path's end."""
+    # A torque to and fro that ends 0.1 s after the path's end.
     rig = Rig(hand=lambda tick, at, state: [1.5 * math.sin(60.0 * at) * (0.9 < at < 1.6), *[0.0] * 5])
     rig.plant.takeoff()
     rig.fly(0.2)
@@ -280,7 +280,7 @@ def test_takeoff_and_landing_have_the_default_envelope_and_the_own_speed() -> No
 
 
 def test_nothing_slow_is_made_between_arming_and_the_first_command(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The first command leaves at the first sample after ARM, and costs no more than the later ones."""
+    # The first command leaves at the first sample after ARM, and costs no more than the later ones.
     from maglev_mj.bridge import remote, takeoff
 
     rig = Rig()

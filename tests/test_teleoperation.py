@@ -1,4 +1,4 @@
-"""The teleoperation example: stable contact, forces and energies that add up, no jumps, and failure where foreseen."""
+"""Teleoperation example: contact, energy balance, continuity, foreseen failures."""
 
 from __future__ import annotations
 
@@ -210,7 +210,10 @@ def test_pressing_longer_in_rate_mode_does_not_stretch_the_coupling_further() ->
     coupling = Coupling(stiffness=1500.0, damping=25.0, bound=8.0)
 
     def pressed(seconds: float) -> tuple[float, int]:
-        """Return the force after pressing on a slave that cannot move, and how many samples it then takes to turn."""
+        """Return contact force and samples until a turn.
+
+        After pressing on a slave that cannot move.
+        """
         way = Navigation(edge=0.0025, scale=10.0, gain=50.0)
         law = CouplingLaw(coupling, lambda: np.zeros(3), period=0.005, navigator=Navigator(way))
 

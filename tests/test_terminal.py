@@ -1,4 +1,7 @@
-"""What a person meets at a terminal: help, suggestions, completion, tables and bars within 80 columns."""
+"""Terminal use: help, suggestions, completion, tables and bars.
+
+All within 80 columns.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +41,7 @@ SCENES_OF = ("view", "render", "serve-spacenav", "run", "stability", "design", "
 
 
 def said(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]:
-    """Run a command; return its status, its output and its complaints."""
+    """Run a command; return status, output and errors."""
     try:
         status = cli.main(words)
     except SystemExit as ended:
@@ -193,7 +196,7 @@ def test_a_shell_is_offered_commands_options_scenes_and_values(tmp_path: Path) -
     kept = tmp_path / "cache" / "maglev-mj" / "completion"
 
     def loaded(count: int) -> list[str]:
-        """Ask for the first lines; return for each whether numpy was loaded."""
+        """Return for each first line if numpy was loaded."""
         asked, lines = [sys.executable, "-c", ASK], [*OFFERED][:count]
         done = subprocess.run(
             asked, input="\n".join(lines), text=True, cwd=here, env=environment, capture_output=True, check=True
@@ -270,7 +273,7 @@ class Slow(Drop):
 
 
 class Screen:
-    """A stream that is a terminal or is none."""
+    """Stream that is a terminal, or not."""
 
     def __init__(self, terminal: bool) -> None:
         self.text, self.terminal = "", terminal
@@ -323,7 +326,10 @@ pty = pytest.importorskip("pty")
 
 
 def on_a_terminal(arguments: list[str], folder: Path) -> tuple[str, str]:
-    """Run a command whose standard error is a terminal; return what it printed, and what the terminal got."""
+    """Run a command with a terminal as standard error.
+
+    Standard output and the terminal's text are returned.
+    """
     ours, theirs = pty.openpty()
     with subprocess.Popen([*PROGRAM, *arguments], stderr=theirs, stdout=subprocess.PIPE, cwd=folder) as process:
         os.close(theirs)

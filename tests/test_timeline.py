@@ -1,4 +1,4 @@
-"""Which command acts from when to when: segments, pulses and their ends, delays, and recorded commands."""
+"""Times of commands: segments, pulses, delays, recorded commands."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ def test_devices_with_their_own_delays_have_their_own_switches() -> None:
 
 
 def test_a_pulse_runs_out_after_an_unanswered_sample_on_every_plant() -> None:
-    """A pulse of 9 ms from 1.5 ms on, and the next samples are not answered."""
+    # A pulse of 9 ms from 1.5 ms on, and the next samples are not answered.
     kick = Command([0.0] * 6, [0.0, 0.0, 1.0, 0.0, 0.0, 0.0], 0.009)
     times = [0.001, 0.002, 0.0064, 0.0066, 0.0104, 0.0106]
     for plant in (ExactPlant, MuJoCoPlant):
@@ -137,7 +137,7 @@ def test_a_pulse_runs_out_after_an_unanswered_sample_on_every_plant() -> None:
 
 @pytest.mark.parametrize("delay", [0.0, 0.0015, T, 0.0123])
 def test_recorded_commands_switch_as_live_ones_do(delay: float) -> None:
-    """Random commands with pulses, every fifth sample not answered: the same wrench at every instant."""
+    # Random commands with pulses, every fifth sample not answered: the same wrench at every instant.
     random = np.random.default_rng(7)
     ticks = np.flatnonzero(np.arange(60) % 5 != 3)
     held, extra = random.normal(size=(2, len(ticks), 6))
@@ -156,7 +156,7 @@ def test_recorded_commands_switch_as_live_ones_do(delay: float) -> None:
 
 
 def test_the_gate_counts_the_heat_of_a_pulse_to_its_end() -> None:
-    """A pulse of one and a half periods whose second half falls on a sample that nobody answered."""
+    # A pulse of one and a half periods whose second half falls on a sample that nobody answered.
     calibration, limits = Calibration.nominal(), Limits()
     gate, known = OutputLimiter(calibration.coils, limits, None, T), ThermalModel(limits)
     held, pulsed = [1.0] * 6, [8.0] * 6

@@ -1,4 +1,7 @@
-"""Runs that differ in numbers alone are one batch; what it says is what the runs say one by one."""
+"""Runs with different numbers as one batch.
+
+It gives the results of the single runs.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -22,7 +25,7 @@ from maglev_mj.studies.sweep import sweep as run_sweep
 
 @pytest.fixture
 def batches(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """Return a list that gets the size of each batch that is tried."""
+    """Return a list of the sizes of tried batches."""
     sizes: list[int] = []
 
     class Counted(together.SceneStack):
@@ -70,10 +73,9 @@ CASES: Mapping[str, tuple[str, dict[str, Any], dict[str, list[Any]]]] = {
 
 @pytest.mark.parametrize("case", CASES)
 def test_a_batch_says_what_its_runs_say_one_by_one(case: str, batches: list[int]) -> None:
-    """But for rounding: in a batch a neighbour's pulse splits a period in two, and the sums of the motion round anew.
-
-    In a hand the recorded curve is the true one within a nanometre only, between more knots a little nearer to it.
-    """
+    # But for rounding: in a batch a neighbour's pulse splits a period in two, and the sums of the motion round anew.
+    #
+    # In a hand the recorded curve is the true one within a nanometre only, between more knots a little nearer to it.
     tolerance = 1e-5 if case == "hands" else 1e-8
     name, fixed, vary = CASES[case]
     cells = swept_cells(find_scene(name)(**fixed), vary, plant="exact")
@@ -193,7 +195,7 @@ OWN_FIGURE = """
 def test_what_a_scene_makes_itself_is_that_of_each_run(
     tmp_path: Path, batches: list[int], own: str, offsets: list[float | None], sizes: list[int]
 ) -> None:
-    """Though first and last cell, which are made alone too, agree in it."""
+    # Though first and last cell, which are made alone too, agree in it.
     file = tmp_path / "spring.py"
     file.write_text(f"{OWN % 'pass'}{own}".replace("figure, gain", "figure, Timing, gain"))
     vary: dict[str, list[Any]] = {"stiffness": spread(200.0, 900.0, 3), "offset": [*offsets]}
@@ -225,7 +227,7 @@ def test_a_scene_with_a_run_of_its_own_is_left_to_it(tmp_path: Path, batches: li
 
 
 def test_long_runs_go_together_in_smaller_numbers(monkeypatch: pytest.MonkeyPatch, batches: list[int]) -> None:
-    """A run of 80 samples keeps about 240 knots of 144 bytes."""
+    # A run of 80 samples keeps about 240 knots of 144 bytes.
     monkeypatch.setattr(together, "_ROOM", 12 * 243 * 144.0)
     cells = swept_cells(find_scene("drop")(), {"stiffness": spread(3000.0, 6000.0, 24)}, plant="exact")
     run_scene_cells(cells)
@@ -255,7 +257,7 @@ def test_laws_are_of_one_kind_if_all_else_agrees() -> None:
 
     @dataclass(frozen=True)
     class Silent(Law):
-        """A law that does not say which of its fields may differ."""
+        """Law without a declaration of its fields."""
 
         stiffness: float
 

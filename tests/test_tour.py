@@ -1,4 +1,7 @@
-"""The guided tour, done by a scripted user: a check is true after its deed, and neither before nor after another."""
+"""Guided tour by a scripted user.
+
+A check is true after its deed, and neither before nor after another.
+"""
 
 from collections.abc import Callable
 
@@ -13,10 +16,10 @@ PUSH, WALL, PULSE, STICK, STIFF, BUZZ, DELAY, MEND = range(1, 9)
 
 
 class User:
-    """Somebody at a tour, who pulls with the hand's spring and presses keys.
+    """User at a tour with the hand's spring and keys.
 
     Args:
-        step: Where to begin.
+        step: First step.
     """
 
     def __init__(self, step: int) -> None:
@@ -38,7 +41,7 @@ class User:
                 break
 
     def pull(self, x: float, seconds: float, *, slowly: float = 0.0, y: float = 0.0) -> None:
-        """Pull to a place [m], at once or in some time."""
+        """Pull to a position [m], at once or over time."""
         begin = self.tour.snapshot().target or [0.0] * 6
         for part in range(1, round(slowly / TICK) + 1):
             share = part * TICK / slowly
@@ -102,7 +105,10 @@ def tap(user: User) -> None:
 
 
 def shake(user: User) -> None:
-    """Shake the handle in the wall as fast as a person can: 5 times a second."""
+    """Shake the handle in the wall at 5 Hz.
+
+    As fast as a person can.
+    """
     for _ in range(10):
         user.pull(0.026, 0.1)
         user.pull(0.012, 0.1)
@@ -161,7 +167,7 @@ def test_a_step_is_not_done_by_another_deed(step: int, name: str, deed: Callable
 
 
 def test_what_was_done_before_a_step_does_not_count() -> None:
-    """The handle is still in the wall, and then on its way back, when the step begins; nobody holds it any more."""
+    # The handle is still in the wall, and then on its way back, when the step begins; nobody holds it any more.
     user = User(PUSH)
     user.pull(0.014, 0.0)
     for _ in range(50):
@@ -285,7 +291,7 @@ def test_an_emergency_stop_stays() -> None:
 
 
 def test_an_emergency_stop_stays_after_a_step_is_done() -> None:
-    """The next step would begin two seconds later, and start the scene again."""
+    # The next step would begin two seconds later, and start the scene again.
     user = User(PUSH)
     user.pull(0.004, 1.0)
     assert user.line.done

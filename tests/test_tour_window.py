@@ -1,4 +1,7 @@
-"""The tour and a recording in a real window, with a mouse and keys that a script moves."""
+"""Tour and recording in a real window, by script.
+
+Mouse and keys are scripted.
+"""
 
 import json
 import subprocess
@@ -48,7 +51,10 @@ for cls in (Tour, Replay):
     cls.tick = telling(cls.tick)
 sys.exit(main(sys.argv[1:]))
 """
-"""The command line, which tells twenty times a second what is shown."""
+"""Command line that prints the window's state.
+
+Twenty times a second.
+"""
 
 
 class Shown:
@@ -91,7 +97,7 @@ class Shown:
 
     @contextmanager
     def dragged(self, force: float, step: int = 8) -> Iterator[None]:
-        """Pull to the right until the hand exerts so much [N], and release at the end."""
+        """Pull right up to a force [N], then release."""
         x, y = SIZE[0] // 3, SIZE[1] // 3
         self.screen.xdotool("mousemove", x, y, "keydown", "ctrl", "mousedown", 3)
         sleep(0.4)
@@ -126,7 +132,7 @@ def shown(*arguments: object) -> Iterator[Shown]:
 
 @pytest.mark.study  # half a minute of drags in real time
 def test_the_tour_is_done_by_mouse_and_keys(tmp_path: Path) -> None:
-    """Each step is done after its deed and not before; the next comes by itself."""
+    # Each step is done after its deed and not before; the next comes by itself.
     deeds: dict[int, tuple[list[str], float, int]] = {
         1: ([], 0.4, 8),
         2: ([], 2.2, 8),

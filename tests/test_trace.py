@@ -16,7 +16,7 @@ def bounce(**options: object) -> Trace:
 
 
 def test_curve_between_switches_is_what_smaller_steps_give() -> None:
-    """Evaluating between the engine's steps adds no error: steps of 0.1 ms pass through the same curve."""
+    # Evaluating between the engine's steps adds no error: steps of 0.1 ms pass through the same curve.
     coarse, fine = bounce(), bounce(longest_step=1e-4)
     assert len(fine.time) > 20 * len(coarse.time)
     pose, twist, _ = coarse.at(fine.time)

@@ -1,4 +1,7 @@
-"""The pose of one device from six spots at loop speed: as exact as `Beams.pose`, and never another pose in silence."""
+"""Pose of one device from six spots, fast.
+
+As exact as `Beams.pose`, and never another pose without an error.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,7 @@ QUANTUM = 8e-7
 
 
 def poses(count: int, distance: float = 4.5e-3, degrees: float = 6.0, seed: int = 1) -> Array:
-    """Return seeded poses in a cube and within an angle, in no order."""
+    """Return seeded poses in a cube and angle, unordered."""
     random = np.random.default_rng(seed)
     axis = random.normal(size=(count, 3))
     axis *= np.radians(random.uniform(0.0, degrees, (count, 1))) / np.linalg.norm(axis, axis=1, keepdims=True)
@@ -30,7 +33,10 @@ def poses(count: int, distance: float = 4.5e-3, degrees: float = 6.0, seed: int 
 
 
 def path(count: int, step: float) -> Array:
-    """Return a smooth path all over the range, each pose about so far from the last [m]."""
+    """Return a smooth path through the range.
+
+    Each pose is about a given distance from the last [m].
+    """
     random = np.random.default_rng(2)
     rates, phases = random.uniform(0.5, 1.5, 6), random.uniform(0.0, 2.0 * math.pi, 6)
     reach = np.array([4e-3] * 3 + [0.055] * 3)
@@ -43,7 +49,7 @@ def stepped(spots: Array) -> Array:
 
 
 def tracked(tracker: PoseTracker, spots: Iterable[Array]) -> Array:
-    """Return what a tracker makes of spots one after the other."""
+    """Return a tracker's poses for successive spots."""
     return np.array([tracker(one.tolist()) for one in spots])
 
 
@@ -69,7 +75,7 @@ def test_steps_of_a_spot_stay_within_the_resolution_of_table_1(share: float) -> 
 
 @pytest.mark.parametrize("share", [1, 2, 3, 4, 5, 6, 8, 10])
 def test_beyond_the_range_it_is_the_right_pose_or_an_error(share: int) -> None:
-    """Up to 45 mm along each axis and 60 degrees, by jumps from anywhere to anywhere."""
+    # Up to 45 mm along each axis and 60 degrees, by jumps from anywhere to anywhere.
     wanted = poses(1500, 4.5e-3 * share, 6.0 * share, seed=share)
     tracker = PoseTracker(beams())
     for pose, spots in zip(wanted, beams().spots(wanted)):
@@ -82,7 +88,7 @@ def test_beyond_the_range_it_is_the_right_pose_or_an_error(share: int) -> None:
 
 
 def test_of_all_poses_with_the_same_spots_one_is_near() -> None:
-    """Newton on the full equations, from anywhere, finds no second pose within the limits."""
+    # Newton on the full equations, from anywhere, finds no second pose within the limits.
     random, sensor, others = np.random.default_rng(3), beams(), 0
     for pose in poses(30, 15e-3, 40.0):
         spots = sensor.spots(pose)
@@ -100,7 +106,7 @@ def test_of_all_poses_with_the_same_spots_one_is_near() -> None:
 
 
 def test_half_a_turn_gives_the_same_spots_and_is_not_taken() -> None:
-    """The beams start from one point in one plane: half a turn about its normal puts every one back on its line."""
+    # The beams start from one point in one plane: half a turn about its normal puts every one back on its line.
     sensor, pose = beams(), np.array([1e-3, 2e-3, -1e-3, 0.02, -0.03, 0.05])
     turn = rotation_matrix(pose[3:])
     meeting = np.array([0.0, 0.0, sensor.leds[0, 2]])
@@ -222,7 +228,7 @@ def test_a_pose_that_is_none_has_no_spots(value: float, axis: int) -> None:
 
 
 def test_a_beam_along_its_diode_has_no_spot() -> None:
-    """At a quarter turn about y one does, exactly or but for rounding."""
+    # At a quarter turn about y one does, exactly or but for rounding.
     fast, angle = FastBeams(beams()), math.pi / 2.0 - 20 * math.ulp(1.5)
     for _ in range(40):
         angle = math.nextafter(angle, math.inf)
@@ -235,7 +241,7 @@ def test_a_beam_along_its_diode_has_no_spot() -> None:
 
 
 def test_a_plants_sensor_sees_as_far_as_the_plant_goes() -> None:
-    """To 45 mm and a radian, where a plant by default has escaped, by jumps."""
+    # To 45 mm and a radian, where a plant by default has escaped, by jumps.
     wanted = poses(3000, 45e-3, math.degrees(1.0))
     measure = SpotSensor(beams=beams()).start()
     np.testing.assert_allclose([measure(pose) for pose in wanted.tolist()], wanted, atol=1e-11)

@@ -1,4 +1,4 @@
-"""The simulated device: its sensors that die, its amplifier board, its stops, and the frames that wait for it.
+"""Simulated device: sensors, amplifier board, stops, waiting frames.
 
 In virtual time but for the last few, which ask for no speed.
 """
@@ -37,7 +37,7 @@ def _folder(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def pressed(kind: str, which: int, push: tuple[int, float], at: float, period: float) -> tuple[Rig, int]:
-    """Let a hand press on a hovering flotor until something goes wrong, and then let go.
+    """Press on a hovering flotor until a fault, then release.
 
     Return the rig, and the samples from there to the cut; print the flotor's speed at the cut, and the largest before.
     """
@@ -158,7 +158,7 @@ def test_a_board_whose_line_stands_lets_nothing_through() -> None:
 
 
 def test_a_board_that_opens_by_itself_is_the_watchdog() -> None:
-    """As where the wire of the enable line has come off: the firmware toggles it, and the board does not see that."""
+    # As where the wire of the enable line has come off: the firmware toggles it, and the board does not see that.
     rig = Rig(pose=CENTRE)
     rig.plant.arm()
     rig.fly(0.2)
@@ -252,7 +252,10 @@ DROPS: list[tuple[Sequence[float], Sequence[float]]] = [
 
 
 def speeds_after(pose: Sequence[float], twist: Sequence[float], seconds: float, **options: Any) -> Array:
-    """Return speed and angular speed of a flotor so long after it met its stops [m/s, rad/s]."""
+    """Return speed and angular speed after a contact.
+
+    Some time after the flotor met its stops [m/s, rad/s].
+    """
     plant = MuJoCoPlant(Timing(), pose=pose, twist=twist, stops=True, **options)
     for _ in range(round(seconds / 0.005)):
         plant.read()
@@ -281,11 +284,11 @@ def test_takeoff_after_a_rough_landing(torque: Sequence[float]) -> None:
 
 
 class Queue:
-    """A server on whose line frames wait, and come in endlessly if it is so.
+    """Server with waiting frames, endless if wanted.
 
     Attributes:
-        waiting: Those to come.
-        sent: Those that the twin sent.
+        waiting: Frames to come.
+        sent: Frames sent by the twin.
     """
 
     address = ("nowhere", 0)

@@ -1,4 +1,7 @@
-"""Which code made a result: in every JSON, recording and record."""
+"""Versions of the code in every result.
+
+In every JSON, recording and record.
+"""
 
 import json
 import os
@@ -33,7 +36,10 @@ def git(folder: Path, *arguments: str) -> str:
 
 @pytest.fixture
 def checkout(tmp_path: Path) -> Path:
-    """Return a checkout of a project named as this one, with one commit."""
+    """Return a checkout of a project of this name.
+
+    With one commit.
+    """
     folder = tmp_path / "checkout"
     for name in ("maglev_mj", "model", "scripts", "docs"):
         (folder / name).mkdir(parents=True)
@@ -97,7 +103,7 @@ def test_this_process_has_its_versions() -> None:
 
 
 def test_a_copy_has_the_same_sources_and_one_changed_byte_gives_others(tmp_path: Path) -> None:
-    """As a wheel has them: the models inside the package, no git."""
+    # As a wheel has them: the models inside the package, no git.
     shutil.copytree(ROOT / "maglev_mj", tmp_path / "maglev_mj")
     shutil.copytree(ROOT / "model", tmp_path / "maglev_mj" / "model")
 

@@ -1,4 +1,7 @@
-"""The viewer: a real window on a virtual screen, moved by xdotool; and pictures without a window."""
+"""Viewer window on a virtual screen, moved by xdotool.
+
+Pictures without a window too.
+"""
 
 import math
 import os
@@ -44,7 +47,7 @@ DRAG = 16
 """Pixels."""
 
 PATIENCE = 60.0
-"""How long a slow machine may take to do as it is told [s]."""
+"""Longest wait for a slow machine [s]."""
 
 PRESSED = {
     "7": ("pulse", False),
@@ -59,12 +62,15 @@ PRESSED = {
     "apostrophe": ("delay", 0.002),
     "semicolon": ("delay", 0.0015),
 }
-"""What each key, by xdotool's name, sets which setting to, one after the other."""
+"""Effect of each key, one after the other.
+
+Keys by xdotool's name, settings and values.
+"""
 
 
 @dataclass
 class Session:
-    """What a session by mouse and keys left behind."""
+    """Results of a session by mouse and keys."""
 
     status: int
     said: str
@@ -79,7 +85,10 @@ class Session:
 
 
 def whole(folder: Path) -> list[Path]:
-    """Return the recordings that are closed: they are there from their start on."""
+    """Return the closed recordings.
+
+    Files exist from their start on.
+    """
     found = []
     for path in folder.glob("*.mcap"):
         with suppress(RecordingError):
@@ -88,13 +97,16 @@ def whole(folder: Path) -> list[Path]:
 
 
 class Watched:
-    """The scene behind a window by its live server, so that a slow machine is waited for and not guessed."""
+    """Scene behind a window, watched by its live server.
+
+    A slow machine is waited for.
+    """
 
     def __init__(self, url: str) -> None:
         self._url = url
 
     def until(self, so: Callable[[Any], bool], samples: int = 1) -> None:
-        """Wait until so many samples in a row are as asked."""
+        """Wait until some samples in a row meet a condition."""
         row = 0
         with LiveClient(self._url, {SAMPLE}) as client:
             for message in client.messages(PATIENCE):
@@ -104,7 +116,7 @@ class Watched:
         raise AssertionError("waited in vain")
 
     def set_to(self, name: str, value: object) -> None:
-        """Wait until a parameter is what it is to be."""
+        """Wait until a parameter has a value."""
 
         def so() -> bool:
             with LiveClient(self._url, set()) as client:
@@ -113,7 +125,7 @@ class Watched:
         waited(so, PATIENCE)
 
     def later(self, seconds: float) -> None:
-        """Wait until so much time has gone by in the scene."""
+        """Wait for some time of the scene."""
         self.until(lambda _: True, round(seconds * RATE))
 
     def samples(self, seconds: float) -> int:
@@ -124,7 +136,7 @@ class Watched:
 
 @pytest.fixture(scope="module")
 def session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Session]:
-    """Drag the handle and let go, press every key, and close the window."""
+    """Drag, release, press every key, close the window."""
     folder = tmp_path_factory.mktemp("session")
     command = [sys.executable, "-m", "maglev_mj", "view", "joystick", "--no-wall", "--out", str(folder)]
     command += ["--foxglove", "0"]
@@ -203,7 +215,7 @@ def test_closing_the_window_ends_the_program(session: Session) -> None:
 
 @needs_screen
 def test_a_drag_moves_the_flotor_as_the_hands_stiffness_says(session: Session) -> None:
-    """Far end of the spring from pixels and camera alone; then two springs in balance."""
+    # Far end of the spring from pixels and camera alone; then two springs in balance.
     recording = session.recordings[0]
     position = np.concatenate([stretch.position for stretch in recording.stretches])
     hand = np.concatenate([stretch.hand for stretch in recording.stretches])
@@ -257,7 +269,10 @@ def test_a_screenshot_is_taken(session: Session) -> None:
 
 
 def camera_drag(scene: Scene, pixels: int, view: Area) -> Array:
-    """Return how far a drag to the right moves the grip [m], (3,), by the camera of a window alone."""
+    """Return the grip's motion for a drag right [m], (3,).
+
+    By the camera of a window alone.
+    """
     session, framing, camera = LiveSession(scene), Framing(Scenery(scene).model), mujoco.MjvCamera()
     framing.reset(camera)
     framing.follow(camera, view, Screen().draw(session.snapshot(), view, 100).layout.handle)
@@ -285,7 +300,7 @@ def test_every_key_is_in_the_overlay_and_none_is_the_viewers_own() -> None:
 
 
 def test_there_are_keys_only_for_what_can_be_done() -> None:
-    """A replay or a device shows only what does something there."""
+    # A replay or a device shows only what does something there.
     own = {AXIS, CAMERA, KEYS, SCREENSHOT}
     for actions in (("pause", "step", "step back"), device_actions(Joystick), (EMERGENCY_STOP,), ()):
         assert {*keys_of(actions).values()} == {*actions, *own} - {"damping"}

@@ -1,4 +1,7 @@
-"""Where a wall fails although its eigenvalues are fine, and what cures it; each claim over phases, seeds or a sweep."""
+"""Failures of walls despite stable eigenvalues, and remedies.
+
+Each claim over phases, seeds or a sweep.
+"""
 
 import numpy as np
 import pytest
@@ -19,20 +22,23 @@ T, Q = 0.005, 5e-6
 
 
 def gate(noise: float, period: float = T) -> float:
-    """Return the approach speed from which on a pulse is worth giving: five steps and deviations a period."""
+    """Return the least approach speed for a pulse.
+
+    Five steps and deviations a period.
+    """
     return 5.0 * (Q + noise) / period
 
 
 @pytest.mark.parametrize("noise", [2e-6, 5e-6])
 @pytest.mark.parametrize("press", [0.003, 0.01, 0.02])
 def test_the_pulse_chatters_under_a_light_press_over_a_noisy_sensor(press: float, noise: float) -> None:
-    """At the edge of the paper's wall, 20 phases; the gate ends it altogether."""
+    # At the edge of the paper's wall, 20 phases; the gate ends it altogether.
     open_, gated = press_at_edge(press, [0.0, gate(noise)], noise=noise, phases=20).pulses
     assert open_ > 1.0 and gated == 0.0
 
 
 def test_it_does_not_chatter_under_a_firmer_press_or_an_ideal_sensor() -> None:
-    """Noise of 2 µm moves the flotor less than it has sunk from 0.1 N on; an ideal sensor has none."""
+    # Noise of 2 µm moves the flotor less than it has sunk from 0.1 N on; an ideal sensor has none.
     for press in (0.1, 0.3, 1.0, 3.0):
         assert press_at_edge(press, 0.0, phases=20).pulses[0] == 0.0
     for press in (0.003, 0.01, 0.1, 1.0):
@@ -45,13 +51,13 @@ def test_more_noise_takes_a_firmer_press() -> None:
 
 
 def test_the_gate_does_not_cost_a_real_impact_its_pulse() -> None:
-    """Let go 0.1 mm above, 1 N: one pulse at every phase, with the gate and without."""
+    # Let go 0.1 mm above, 1 N: one pulse at every phase, with the gate and without.
     fired = press_at_edge(1.0, [0.0, gate(2e-6)], height=1e-4, phases=20).pulses
     assert fired.tolist() == [0.5, 0.5]  # one in two seconds
 
 
 def test_a_faster_sampler_needs_a_higher_gate() -> None:
-    """At 1 kHz a step of the sensor is five times the speed."""
+    # At 1 kHz a step of the sensor is five times the speed.
     for noise in (2e-6, 5e-6):
         chosen = [0.0, gate(noise), gate(noise, 1e-3)]
         open_, same, higher = press_at_edge(0.02, chosen, noise=noise, phases=20, period=1e-3).pulses
@@ -63,7 +69,7 @@ def test_a_faster_sampler_needs_a_higher_gate() -> None:
     ("noise", "quiet"), [(1e-6, 0.06), (2e-6, 0.1), (3e-6, 0.15), (5e-6, 0.3), (7e-6, 0.35), (10e-6, 0.5)]
 )
 def test_the_noisier_the_sensor_the_firmer_the_press_that_chatters(noise: float, quiet: float) -> None:
-    """Noise by force, 50 phases: it chatters from light presses up to half of `quiet`, and nowhere from that on."""
+    # Noise by force, 50 phases: it chatters from light presses up to half of `quiet`, and nowhere from that on.
     for press in quiet * np.array([0.1, 0.2, 0.5]):
         assert press_at_edge(float(press), 0.0, noise=noise, phases=50).pulses[0] > 0.1
     for press in quiet * np.array([1.0, 1.2, 1.5, 2.0, 3.0, 5.0]):
@@ -74,18 +80,24 @@ def test_the_noisier_the_sensor_the_firmer_the_press_that_chatters(noise: float,
 
 
 STOPS = 0.7 / 0.003 - 80.0
-"""The pulse that stops the flotor within its 3 ms rather than throwing it back [N s/m]."""
+"""Damping of the pulse that just stops the flotor.
+
+Within its 3 ms, rather than throwing it back [N s/m].
+"""
 
 
 def rattling(gaps: Array, pulse: float, delay: float) -> list[float]:
-    """Return the share of starts that rattle in each gap: 16 speeds and 8 phases from the middle."""
+    """Return the share of rattling starts in each gap.
+
+    16 speeds and 8 phases from the middle.
+    """
     speeds, phases = np.arange(1, 17) * 0.02, np.arange(8) / 8
     found = rattle(gaps[:, None, None], speeds[:, None], phases, pulse=pulse, delay=delay)
     return [float(share) for share in (found.speed > RATTLE).mean(axis=(1, 2))]
 
 
 def test_two_walls_rattle_by_their_pulses_from_many_starts() -> None:
-    """At 1.5 ms more often the closer they are, up to 0.2 mm; one starting speed would have shown 0.03."""
+    # At 1.5 ms more often the closer they are, up to 0.2 mm; one starting speed would have shown 0.03.
     shares = rattling(np.array([1e-5, 5e-5, 2e-4, 5e-4]), 220.0, 0.0015)
     assert shares[0] > 0.8 and 0.3 < shares[1] < 0.7 and 0.0 < shares[2] < 0.2 and shares[3] == 0.0
     assert rattling(np.array([1e-5, 2e-4]), STOPS, 0.0015) == [0.0, 0.0]
@@ -94,7 +106,10 @@ def test_two_walls_rattle_by_their_pulses_from_many_starts() -> None:
 def random_rattles(
     pulse: float, delay: float, seed: int, count: int = 4000, **options: float
 ) -> tuple[Array, Mask, Array]:
-    """Return random gaps, whether each rattles, and how far it went: any speed, phase and place between the walls."""
+    """Return random gaps, rattling, and distances.
+
+    Any speed, phase and position between the walls.
+    """
     random = np.random.default_rng(seed)
     gap = np.exp(random.uniform(np.log(1e-5), np.log(5e-3), count))
     speed = random.uniform(0.02, 0.45, count) * random.choice([-1.0, 1.0], count)
@@ -106,7 +121,7 @@ def random_rattles(
 @pytest.mark.study
 @pytest.mark.parametrize("delay", np.arange(13) * 0.25e-3)
 def test_where_two_walls_rattle(delay: float) -> None:
-    """The study's figures hold for starts that it did not choose: widest gap [mm] by delay [ms] and pulse."""
+    # The study's figures hold for starts that it did not choose: widest gap [mm] by delay [ms] and pulse.
     widest = {
         220.0: {1.25: 0.07, 1.5: 0.25, 1.75: 1.7, 2.0: 2.0, 2.25: 5.0, 2.5: 5.0, 2.75: 5.0, 3.0: 5.0},
         STOPS: {2.5: 0.7, 2.75: 1.0, 3.0: 1.5},
@@ -123,7 +138,7 @@ def test_where_two_walls_rattle(delay: float) -> None:
 
 @pytest.mark.study
 def test_without_a_pulse_it_is_the_force_limit_that_rattles() -> None:
-    """At 3 ms from one start in about a thousand, out of the device's range."""
+    # At 3 ms from one start in about a thousand, out of the device's range.
     for seed in (1, 2):
         gap, seen, furthest = random_rattles(0.0, 0.003, seed)
         assert 0.0 < seen.mean() < 0.004
@@ -140,7 +155,10 @@ def dropped_under(limit: float, seed: int, gains: tuple[Array, Array], height: A
 
 
 def stable_walls(seed: int, count: int, stiffness: tuple[float, float], damping: tuple[float, float]) -> list[Array]:
-    """Return random gains whose modulus is below 0.95, stiffness and damping."""
+    """Return random stable gains, stiffness and damping.
+
+    With a modulus below 0.95.
+    """
     random = np.random.default_rng(seed)
     k, b = random.uniform(*stiffness, count), random.uniform(*damping, count)
     stable = largest_modulus(k, b, period=T, delay=0.0015) < 0.95
@@ -148,11 +166,14 @@ def stable_walls(seed: int, count: int, stiffness: tuple[float, float], damping:
 
 
 DEPTHS = {8.0: 42.4e-3, 10.0: 16.7e-3, 12.0: 11.1e-3, 15.0: 7.75e-3, 20.0: 5.62e-3, 30.0: 4.5e-3, 60.0: 4.5e-3}
-"""How deep a drop from 4.5 mm goes at most under each force limit [N: m]; the range is 4.5 mm."""
+"""Largest depth of a drop under each force limit.
+
+From 4.5 mm [N: m]; the range is 4.5 mm.
+"""
 
 
 def test_a_force_limit_lets_the_flotor_out_of_the_device_s_range() -> None:
-    """The paper's wall, 64 phases: it settles under every limit, but within the range from 27 N on."""
+    # The paper's wall, 64 phases: it settles under every limit, but within the range from 27 N on.
     paper = Wall(axes="z", lower=0.0, stiffness=6000.0, damping=80.0)
     phases = np.arange(64) / 64
     for limit, depth in DEPTHS.items():
@@ -163,7 +184,7 @@ def test_a_force_limit_lets_the_flotor_out_of_the_device_s_range() -> None:
 
 @pytest.mark.study
 def test_from_27_newtons_on_a_full_drop_stays_within_the_range_on_every_firm_wall() -> None:
-    """Random walls of 4000 to 9000 N/m and 60 to 110 N s/m: the depth is the limit's doing, not the gains'."""
+    # Random walls of 4000 to 9000 N/m and 60 to 110 N s/m: the depth is the limit's doing, not the gains'.
     k, b = stable_walls(17, 1200, (4000.0, 9000.0), (60.0, 110.0))
     for limit, depth in [*DEPTHS.items(), (27.0, 4.5e-3), (40.0, 4.5e-3)]:
         for block in np.array_split(np.arange(k.size), 4):
@@ -175,7 +196,7 @@ def test_from_27_newtons_on_a_full_drop_stays_within_the_range_on_every_firm_wal
 @pytest.mark.study
 @pytest.mark.parametrize("limit", [8.0, 10.0, 15.0, 20.0, 30.0, 60.0])
 def test_a_force_limit_undoes_no_stable_wall(limit: float) -> None:
-    """Random stable walls, heights and phases: each settles, however deep it goes on the way."""
+    # Random stable walls, heights and phases: each settles, however deep it goes on the way.
     k, b = stable_walls(int(limit), 700, (300.0, 10_000.0), (3.0, 140.0))
     heights = np.geomspace(2e-4, 9e-3, k.size)
     for block in np.array_split(np.random.default_rng(1).permutation(k.size), 4):
@@ -192,14 +213,14 @@ def test_a_force_limit_undoes_no_stable_wall(limit: float) -> None:
     ],
 )
 def test_friction_of_abbott_and_okamura_ends_every_hum(stiffness: float, damping: float) -> None:
-    """Over a 5 µm sensor each wall hums without friction, by 1 to 28 µm, and none at K quantum / 2."""
+    # Over a 5 µm sensor each wall hums without friction, by 1 to 28 µm, and none at K quantum / 2.
     free, _, enough = hum(0.5 * stiffness * Q * np.array([0.0, 0.1, 1.0]), stiffness=stiffness, damping=damping).swing
     assert 1e-6 < free < 28e-6 and enough == 0.0
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_corner_of_two_walls_and_a_rotation_comes_to_rest(seed: int) -> None:
-    """Three pulses and contacts at once, on both plants, and at the same place."""
+    # Three pulses and contacts at once, on both plants, and at the same place.
     random = np.random.default_rng(seed)
     pose = [*random.uniform(1e-3, 4e-3, 3), 0.0, random.uniform(0.01, 0.05), 0.0]
     twist = [-0.1, 0.0, -0.15, 0.0, -random.uniform(0.3, 1.5), 0.0]
@@ -212,7 +233,7 @@ def test_a_corner_of_two_walls_and_a_rotation_comes_to_rest(seed: int) -> None:
 
 
 def test_a_hand_stiff_enough_undoes_a_stable_wall() -> None:
-    """A clamp raises the frequency until the delay turns damping into drive; hands are far softer."""
+    # A clamp raises the frequency until the delay turns damping into drive; hands are far softer.
     wall = {"stiffness": 6000.0, "damping": 80.0}
     stiff = np.array([0.0, 500.0, 1050.0, 5000.0, 12000.0, 40000.0])
     modulus = largest_modulus(wall["stiffness"], wall["damping"], period=T, delay=0.0015, hand=Hand(stiffness=stiff))
@@ -222,14 +243,14 @@ def test_a_hand_stiff_enough_undoes_a_stable_wall() -> None:
 
 
 def test_letting_go_undoes_a_wall_tuned_with_the_hand_on() -> None:
-    """9000 N/m and 130 N s/m: the hand's mass carries what is too much damping for the flotor alone."""
+    # 9000 N/m and 130 N s/m: the hand's mass carries what is too much damping for the flotor alone.
     arm = "0.554,6.45,135"
     assert largest_modulus(9000.0, 130.0, period=T, delay=0.0015, hand=hand_called(arm)) < 0.9
     assert largest_modulus(9000.0, 130.0, period=T, delay=0.0015) > 1.0
 
 
 def test_mass_alone_never_undoes_a_stable_wall() -> None:
-    """It scales both gains down; the boundary at a low damping goes up to the first-order one, and no further."""
+    # It scales both gains down; the boundary at a low damping goes up to the first-order one, and no further.
     mass = np.array([0.0, 0.2, 1.0, 5.0, 100.0])
     boundary = [float(largest_stable_stiffness(23.0, period=T, delay=0.0015, hand=Hand(mass=m))) for m in mass]
     assert np.all(np.diff(boundary) > 0.0)
@@ -242,7 +263,7 @@ def test_mass_alone_never_undoes_a_stable_wall() -> None:
 
 
 def test_clamps_and_letting_go_are_so_in_simulation_too() -> None:
-    """Both plants settle or grow as the modulus says, held, clamped and let go."""
+    # Both plants settle or grow as the modulus says, held, clamped and let go.
     arm = "0.554,6.45,135"
     cases = [
         (6000.0, 80.0, "none", True),

@@ -1,4 +1,7 @@
-"""A window on a device, in a process of its own: what it is told, what it says, and a wall felt through the mouse."""
+"""Viewer process of a device: messages both ways.
+
+A wall felt through the mouse too.
+"""
 
 import multiprocessing
 import re
@@ -62,7 +65,7 @@ def test_a_window_is_told_of_the_device_and_says_what_the_mouse_and_keys_do() ->
 
 
 class OpenedHere:
-    """A stand-in for a process, whose end of the line stays here."""
+    """Replacement of a process, with its line kept here."""
 
     def __init__(self, target: Any, args: Any) -> None:
         self.line, self.blank, _ = args
@@ -76,7 +79,7 @@ class OpenedHere:
 
 
 def test_both_ends_of_a_window_agree(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each sample's row arrives once; keys pressed between two snapshots add up; a closed window is told of once."""
+    # Each sample's row arrives once; keys pressed between two snapshots add up; a closed window is told of once.
     ends: list[OpenedHere] = []
 
     def opened(**keywords: Any) -> OpenedHere:
@@ -230,7 +233,10 @@ def test_the_emergency_stops_key_reaches_who_runs_the_device() -> None:
 
 
 class Steep(Scene):
-    """A number and a switch that keys can turn to where the scene refuses them."""
+    """Scene that refuses some values set by keys.
+
+    A number and a switch.
+    """
 
     level: float = param("level", default=1.0, above=0.0, live=Turn(add=1.0))
     fragile: bool = param("fails", default=False, live=True)
@@ -271,7 +277,10 @@ def test_a_folder_that_takes_no_recording_ends_no_session() -> None:
 
 
 def _pull(screen: VirtualScreen, window: int) -> None:
-    """Pull the handle by the mouse until it must be at a wall: a window's camera and first frames take their time."""
+    """Pull the handle by mouse until at a wall.
+
+    A window's camera and first frames take their time.
+    """
     screen.xdotool("windowfocus", window)
     left, top, width, height = _place(screen, window)
     x, y = left + width // 2, top + height // 3

@@ -1,4 +1,4 @@
-"""The page without a browser: who gets in, what is drawn, what is asked of the scene, and how a hand lets go."""
+"""Web page without a browser: access, drawing, requests, release."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def served(host: str = "127.0.0.1", token: str | None = None) -> Iterator[PageSe
 
 
 class Answer(NamedTuple):
-    """What a server answered."""
+    """Answer of a server."""
 
     status: int
     headers: dict[str, str]
@@ -78,7 +78,10 @@ class Answer(NamedTuple):
 
 
 def ask(server: PageServer, path: str = "/", **headers: str) -> Answer:
-    """Return the answer to a request as a browser makes it; Host is right unless given."""
+    """Return the answer to a browser's request.
+
+    Host is right unless given.
+    """
     with closing(http.client.HTTPConnection("127.0.0.1", server.get_port(), timeout=10.0)) as line:
         line.request("GET", path, headers={"Host": f"127.0.0.1:{server.get_port()}", **headers})
         got = line.getresponse()
@@ -86,7 +89,10 @@ def ask(server: PageServer, path: str = "/", **headers: str) -> Answer:
 
 
 def upgrade(server: PageServer, origin: str | None = "", **headers: str) -> int:
-    """Return the status of a WebSocket handshake; 101 where it is let in."""
+    """Return the status of a WebSocket handshake.
+
+    101 if accepted.
+    """
     own = f"http://127.0.0.1:{server.get_port()}"
     try:
         with connect(
@@ -144,7 +150,7 @@ def test_a_token_is_shown_once_and_kept_as_a_cookie_that_scripts_and_other_sites
 
 
 def test_a_server_that_starts_without_the_door_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As another version of viser might: the process that serves the page ends."""
+    # As another version of viser might: the process that serves the page ends.
     monkeypatch.setattr(viser.ViserServer, "__init__", lambda self, **options: None)
     with listen(0) as listener, pytest.raises(MaglevError, match="without its door"):
         PageServer(Door("127.0.0.1", listener.getsockname()[1]), listener)
@@ -162,7 +168,7 @@ def test_at_every_address_numbers_are_right_and_names_are_not() -> None:
 
 
 def test_no_browser_gets_a_public_address(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Neither through the message nor through the method: both are touched here."""
+    # Neither through the message nor through the method: both are touched here.
     opened: list[object] = []
 
     class Tunnel:
@@ -277,7 +283,7 @@ def test_a_chart_holds_its_points_and_says_no_markup() -> None:
 
 
 class Recorder:
-    """A source that does nothing and keeps what is asked of it."""
+    """Source that only records the requests."""
 
     def __init__(self, snapshot: Snapshot) -> None:
         self.hand, self.simulated, self.asked = SpringHand(), 0.0, []  # type: ignore[var-annotated]
@@ -373,7 +379,7 @@ def test_a_page_that_only_watches_has_neither_hand_nor_sliders() -> None:
 
 @pytest.mark.parametrize("watch", [True, False])
 def test_nothing_but_an_emergency_stop_is_taken_from_a_page_of_a_real_device(watch: bool) -> None:
-    """Whatever its process sends."""
+    # Whatever its process sends.
     line, far = Pipe()
     viewer: Any = RemoteViewer.__new__(RemoteViewer)
     front = SimpleNamespace(received=lambda: [line.recv() for _ in iter(line.poll, False)], ended=False)
@@ -480,7 +486,7 @@ for message in line:
 
 
 def test_the_first_browser_has_the_hand_and_one_that_does_not_answer_loses_it() -> None:
-    """A person who holds still says nothing; a browser that answers is there."""
+    # A person who holds still says nothing; a browser that answers is there.
     source = Recorder(Snapshot(scene=Joystick()))
     with served() as server, contextlib.ExitStack() as last:
         page = Page(server, source, drag=True, settings=True)
@@ -510,7 +516,7 @@ def test_the_first_browser_has_the_hand_and_one_that_does_not_answer_loses_it() 
 
 
 def test_a_browser_that_is_gone_without_a_word_has_no_hand() -> None:
-    """The end of its drag is lost where it comes after its connection."""
+    # The end of its drag is lost where it comes after its connection.
     aimed: list[object] = []
     knob = SimpleNamespace(on_drag=lambda button, modifier: lambda callback: callback)
     server = SimpleNamespace(_websock_server=SimpleNamespace(_live_connections={}))
@@ -529,7 +535,7 @@ def test_a_browser_that_is_gone_without_a_word_has_no_hand() -> None:
 
 
 def until(page: Page, done: Any) -> None:
-    """Do what the page is asked for until something is so."""
+    """Run the page's requests until a condition holds."""
     end = time.monotonic() + 20.0
     while not done():
         page._obey()

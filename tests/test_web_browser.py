@@ -1,4 +1,4 @@
-"""The page in a real browser: what a person does to the scene with a slider, the knob, a finger and buttons."""
+"""Web page in a real browser: slider, knob, touch, buttons."""
 
 from __future__ import annotations
 
@@ -114,18 +114,21 @@ def tab(browser: Any, run: Run) -> Any:
 
 @pytest.fixture(autouse=True)
 def let_go(run: Run) -> None:
-    """Begin each test with a hand that has let go."""
+    """Begin each test with a released hand."""
     run.until(lambda shown: shown.target is None)
 
 
 def knob(tab: Any, run: Run) -> tuple[float, float]:
-    """Return where the knob is drawn [px]."""
+    """Return the drawn position of the knob [px]."""
     box = tab.locator("canvas").last.bounding_box()
     return on_screen(tab, run.shown.pose[:3] + GRIP, placed("home", box["width"], box["height"]), FIELD)
 
 
 def press(tab: Any, run: Run) -> tuple[float, float]:
-    """Take hold of the knob: the mouse moves, for a click alone takes hold of nothing."""
+    """Press the knob with a moving mouse.
+
+    A click alone does not take hold.
+    """
     x, y = knob(tab, run)
     end = time.monotonic() + PATIENCE
     while run.shown.target is None:  # the device is drawn some time after the panel is there
@@ -140,7 +143,10 @@ def press(tab: Any, run: Run) -> tuple[float, float]:
 
 
 def pull(tab: Any, run: Run, x: float, y: float, done: Callable[[Snapshot], Any]) -> Snapshot:
-    """Pull the knob to a place until the scene is so: on a busy machine a browser loses hold of it now and then."""
+    """Pull the knob to a position until a condition holds.
+
+    On a busy machine a browser loses hold of it now and then.
+    """
     end = time.monotonic() + PATIENCE
     while not done(shown := run.shown):
         assert time.monotonic() < end, f"{shown.pose}, {shown.hand}"

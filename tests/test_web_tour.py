@@ -52,7 +52,10 @@ def done(number: int) -> Callable[[Any], bool]:
 
 
 def begun(run: Run, tab: Any, number: int) -> None:
-    """Wait until a step has begun; its controls show its parameters a second after the last move of one."""
+    """Wait for the beginning of a step.
+
+    Its controls show its parameters a second after the last move of one.
+    """
     run.until(lambda shown: shown.tour is not None and shown.tour.number == number)
     tab.wait_for_selector(f"text=step {number} of 8")
     time.sleep(1.2)
@@ -60,7 +63,10 @@ def begun(run: Run, tab: Any, number: int) -> None:
 
 
 def held(run: Run, tab: Any, number: int, force: float, stride: int = 4) -> None:
-    """Pull the knob with a force [N], so many pixels at a time, until a step is done."""
+    """Pull the knob with a force until a step ends.
+
+    The force is [N]; it moves some pixels at a time.
+    """
     run.until(lambda shown: np.abs(shown.pose).max() < 1e-3)
     time.sleep(1.0)  # until it is drawn there
     x, y = press(tab, run)

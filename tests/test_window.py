@@ -1,4 +1,7 @@
-"""What the window puts where: at any size words, plots and labels leave the handle and each other alone."""
+"""Layout of the window at any size.
+
+Words, plots and labels leave the handle and each other alone.
+"""
 
 from __future__ import annotations
 
@@ -53,7 +56,10 @@ KNOB = np.array(
 
 
 def made(scene: Scene, target: list[float] | None = None, seconds: float = 3.0) -> Snapshot:
-    """Return a picture of a scene after some time in a hand."""
+    """Return a picture of a scene after some time.
+
+    In a hand.
+    """
     session = Session(scene, pacer=Pacer(budget=60.0, patience=3600.0))
     session.hand.target = target
     session.tick(seconds)
@@ -79,7 +85,7 @@ def areas(layout: Layout, *, banner: bool) -> dict[str, Area]:
 @pytest.mark.parametrize("scale", [100, 150])
 @pytest.mark.parametrize("stopped", [False, True])
 def test_nothing_covers_the_handle_or_anything_else(shot: Snapshot, stopped: bool, scale: int) -> None:
-    """From 480 pixels on, beside the engine's side panel or not, with keys, without, and with the engine's own help."""
+    # From 480 pixels on, beside the engine's side panel or not, with keys, without, and with the engine's own help.
     rows, keys = status_rows(shot, ["a note that is as long as notes are: shadows are off"]), help_rows(shot.actions)
     for (width, height), panel, shown, helped, charted in product(
         SIZES, (0, 270), (None, True, False), (False, True), (False, True)
@@ -128,7 +134,7 @@ def measured(scale: int) -> tuple[list[int], list[int], int, int]:
 
 
 def seen(model: Any, camera: Any, view: Area, points: Array) -> Array:
-    """Return where points are in a picture [pixels], (N, 2)."""
+    """Return the pixels of points in a picture, (N, 2)."""
     across, up = directions(camera)
     forward = np.cross(up, across)
     away = points - (camera.lookat - camera.distance * forward)
@@ -141,7 +147,7 @@ def seen(model: Any, camera: Any, view: Area, points: Array) -> Array:
 
 @pytest.mark.parametrize("name", ["joystick", "drop", "box", "six-axes"])
 def test_the_knob_is_in_the_free_part_of_the_picture(name: str, shot: Snapshot) -> None:
-    """At each size, wherever the flotor is; and after a resize as if the window had been so from its start."""
+    # At each size, wherever the flotor is; and after a resize as if the window had been so from its start.
     model = Scenery(find_scene(name)).model
     framing, camera, fresh = Framing(model), mujoco.MjvCamera(), mujoco.MjvCamera()
     framing.reset(camera)
@@ -204,7 +210,7 @@ def test_forces_balance_at_a_metal_stop_and_it_is_named(target: list[float], wor
 
 
 def test_what_balances_is_drawn_as_long_on_both_sides() -> None:
-    """Hand to one side; device and stop, one behind the other, to the other: sums of lengths agree."""
+    # Hand to one side; device and stop, one behind the other, to the other: sums of lengths agree.
     session = Session(Joystick(wall=False), pacer=Pacer(budget=60.0, patience=3600.0))
     session.change({"hand_stiffness": 2000.0})
     session.hand.target = [8e-3, 0.0, 0.0, 0.0, 0.0, 0.0]
@@ -247,7 +253,7 @@ def test_ranges_fit_the_data_and_do_not_jitter() -> None:
 
 
 def test_the_cross_is_at_the_gains_that_act_together() -> None:
-    """Those of wall and centring, of the walls alone where there is a wall, and of the loop that is refused."""
+    # Those of wall and centring, of the walls alone where there is a wall, and of the loop that is refused.
     found, body = margin(Joystick()), inertia_of(Joystick())
     assert found.stable and found.axis == "x"
     assert found.stiffness == pytest.approx(6000.0 + CENTRING) and found.damping == pytest.approx(92.0)

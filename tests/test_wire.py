@@ -1,4 +1,7 @@
-"""Frames: the bytes and tables of docs/reference/protocol.md, round trips, damage, tags, and what fuzzing finds."""
+"""Frames: bytes and tables of docs/reference/protocol.md, damage, fuzzing.
+
+Round trips and tags too.
+"""
 
 from __future__ import annotations
 
@@ -64,7 +67,10 @@ FORMATS = {"u8": "B", "u16": "H", "u32": "I", "u64": "Q", "f32": "f", "f64": "d"
 
 
 def golden_bytes() -> dict[str, bytes]:
-    """Return the frames of the page by name; those with the key end in " keyed"."""
+    """Return the frames of the page by name.
+
+    Those with the key end in " keyed".
+    """
     (block,) = re.findall(r"```golden\n(.*?)```", PAGE, re.DOTALL)
     frames: dict[str, str] = {}
     name = ""
@@ -78,7 +84,7 @@ def golden_bytes() -> dict[str, bytes]:
 
 
 def golden_values() -> dict[str, dict[str, Any]]:
-    """Return what they say, field by field."""
+    """Return the frames' values, field by field."""
     (block,) = re.findall(r"```json\n(.*?)```", PAGE, re.DOTALL)
     return {
         name: {field: _value(field, value) for field, value in fields.items()}
@@ -96,7 +102,10 @@ def golden_frames() -> dict[str, Frame]:
 
 
 def tables(heading: str) -> list[list[str]]:
-    """Return the rows of the first table that begins so on the page, its head included."""
+    """Return the rows of a table of the page.
+
+    The first table with that beginning, its head included.
+    """
     lines = PAGE[PAGE.index(heading) :].splitlines()
     rows = []
     for line in lines[lines.index(next(one for one in lines if one.startswith("|"))) :]:
@@ -365,7 +374,10 @@ def test_newer_goes_round(start: int) -> None:
 
 
 class Watched:
-    """Amplifiers that see that nothing drives them but an active device with currents that it allows."""
+    """Amplifiers that check each drive is permitted.
+
+    Only an active device drives them, within its limits.
+    """
 
     def __init__(self) -> None:
         self.firmware: Firmware
@@ -387,7 +399,7 @@ class Watched:
 
 
 class Rig:
-    """A device that is fuzzed, and a host whose frames are damaged on purpose."""
+    """Fuzzed device, and a host with damaged frames."""
 
     CALIBRATION = bytes(range(16))
 
@@ -433,7 +445,10 @@ class Rig:
         return data
 
     def damaged(self) -> tuple[bytes, bool]:
-        """Return a frame that was not sent, or rarely one that was, and whether its CRC was made to fit."""
+        """Return a damaged frame, or rarely a sent one.
+
+        Also if its CRC was made to fit.
+        """
         draw = self.random
         kind = draw.randrange(7)
         data = bytearray(draw.choice(self.recent))
@@ -458,7 +473,7 @@ class Rig:
         return bytes(data), False
 
     def give(self, data: bytes) -> None:
-        """Give the device a frame, and see that it is sane afterwards."""
+        """Give the device a frame, and check it afterwards."""
         firmware = self.firmware
         before = firmware.state
         firmware.receive(data, self.now, "host")

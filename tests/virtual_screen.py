@@ -1,4 +1,4 @@
-"""A screen that nobody sees, with a mouse and keys that xdotool moves: for tests of the window."""
+"""Virtual screen with a mouse and keys by xdotool."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from typing import Any, Self
 __all__ = ["MISSING", "VirtualScreen"]
 
 MISSING = [tool for tool in ("Xvfb", "xdotool") if shutil.which(tool) is None]
-"""What must be installed for a virtual screen, and is not."""
+"""Programs missing for a virtual screen."""
 
 
 class VirtualScreen:
-    """An X server of its own, for as long as the context lasts."""
+    """X server for the duration of a context."""
 
     def __init__(self, width: int, height: int) -> None:
         self._size = f"{width}x{height}x24"
@@ -46,7 +46,7 @@ class VirtualScreen:
         self._server.wait(10)
 
     def xdotool(self, *arguments: object) -> str:
-        """Move the mouse or press keys; return what xdotool says."""
+        """Move the mouse or press keys; return xdotool's output."""
         done = subprocess.run(
             ["xdotool", *map(str, arguments)], env=self.environment, capture_output=True, text=True, timeout=20
         )
@@ -54,12 +54,15 @@ class VirtualScreen:
         return done.stdout.strip()
 
     def window(self, name: str, patience: float = 60.0) -> int:
-        """Wait for a window whose name holds a word; return its number."""
+        """Return the number of a window by name, once present."""
         found = waited(lambda: self.xdotool("search", "--name", name), patience)
         return int(str(found).split()[-1])
 
     def close(self, window: int) -> None:
-        """Ask a window to close, as its close button does; without a window manager that is a message to it."""
+        """Ask a window to close, as its close button does.
+
+        Without a window manager that is a message to it.
+        """
         x11 = ctypes.CDLL(ctypes.util.find_library("X11") or "libX11.so.6")
         x11.XOpenDisplay.restype = ctypes.c_void_p
         x11.XInternAtom.restype = ctypes.c_ulong

@@ -17,7 +17,7 @@ _STEPS_SHOWN = 12
 
 
 def fidelity_table(result: FidelityResult) -> str:
-    """Return the model levels, the choice and its steps as text."""
+    """Return the levels, the choice and its steps as text."""
     preset, chosen = result.preset, result.level
     own = f" ({preset.reason})" if result.tolerance == preset.tolerance else ""
     lines = [

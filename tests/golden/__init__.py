@@ -1,1 +1,1 @@
-"""Kept outputs of the commands: README.md here says how they are made and compared."""
+"""Stored outputs of the commands; see README.md here."""

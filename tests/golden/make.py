@@ -1,4 +1,7 @@
-"""Write anew what the commands of cases.json say: python -m tests.golden.make [GROUP ...]; all without any."""
+"""Store the outputs of cases.json: python -m tests.golden.make [GROUP ...].
+
+All groups without an argument.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +24,7 @@ from tests.golden.outputs import (
 
 
 def main() -> None:
-    """Run the cases, and name those that say something else than before."""
+    """Run the cases; name those with a changed output."""
     groups = list(dict.fromkeys(name.split("/")[0] for name in cases()))
     for group in sys.argv[1:] or [*groups, KEYS]:
         if group == KEYS:

@@ -1,4 +1,7 @@
-"""Run the commands of cases.json in this process, and compare what they say and write with what is kept."""
+"""Run the cases and compare their outputs with stored ones.
+
+The commands of cases.json run in this process.
+"""
 
 from __future__ import annotations
 
@@ -27,21 +30,33 @@ HERE = Path(__file__).resolve().parent
 KEYS = "keys"
 ARITHMETIC = "arithmetic"
 _RELATIVE, _ABSOLUTE = 1e-9, 1e-12
-"""Bounds where this machine computes otherwise than that of the kept files; the second in SI units."""
+"""Tolerances on another machine; the absolute one in SI units."""
 
 _ILL_CONDITIONED = {"stability", "sweep", "design", KEYS}
 _RELATIVE_THERE = 1e-4
-"""For the place of an optimum and the boundary beside it, for growth measured on 1 µm, and for 400 runs in a row."""
+"""Tolerances of ill-conditioned values.
+
+The position of an optimum and the boundary beside it, growth measured on 1 µm, and 400 runs in a row.
+"""
 
 _DECIDED_BY_ROUNDING = {"analyse", "replay"}
-"""What they print, and the status of a check, tell of equality to the last bit."""
+"""Cases with results that depend on rounding.
+
+Their text and the status of a check show bitwise equality.
+"""
 
 _CHANGING = {"versions", "version", "other_versions", "began", "cost"}
-"""Names in JSON whose values depend on revision, date or speed of the machine."""
+"""JSON names with values that change between runs.
+
+They depend on revision, date or speed of the machine.
+"""
 
 _CHOSEN_BY_COST = {"cheapest", "furthest", "steps"}
 _ROUNDING_NOISE = {"comparison", "growing", "digest", "identified"}
-"""Names in JSON of differences between equal runs, of which walls at the limit grow, of digests, of errors of fits."""
+"""JSON names of differences at rounding level.
+
+Differences between equal runs, growing walls at the limit, digests, errors of fits.
+"""
 
 _PROGRESS = re.compile(r"(\S+ ?\S*: \d+ of \d+.*)?")
 _NUMBER = re.compile(r"-?\d+(\.\d+)?(e[+-]?\d+)?")
@@ -61,7 +76,9 @@ def cases() -> dict[str, str]:
 
 
 def outcome(line: str) -> dict[str, Any]:
-    """Return status, words and files of a command run in an empty folder.
+    """Run a command in an empty folder; return its outcome.
+
+    Status, output and files.
 
     An argument @FILE is a file of recordings/, copied there.
     """
@@ -87,7 +104,7 @@ def outcome(line: str) -> dict[str, Any]:
 
 
 def content(path: Path) -> Any:
-    """Return what a file holds, without what changes from run to run."""
+    """Return a file's content without varying parts."""
     if path.suffix == ".json":
         return _lasting(json.loads(path.read_text()))
     if path.suffix == ".jsonl":
@@ -106,9 +123,11 @@ def content(path: Path) -> Any:
 
 
 def pressed(count: int = 400, seed: int = 16) -> list[dict[str, Any]]:
-    """Return ticks, parameters and samples after each of some random actions, a quarter in each of four scenes.
+    """Return results of random actions in four scenes.
 
-    They act on a session without a window: all that is used of the package besides its commands.
+    Ticks, parameters and samples after each action.
+
+    They act on a session without a window: the only use of the package besides its commands.
     """
     made = []
     for place, name in enumerate(("joystick", "table", "box", "corner")):
@@ -151,19 +170,22 @@ def _pressed(name: str, count: int, seed: int) -> list[dict[str, Any]]:
 
 
 def _rows(held: Mapping[str, Any], stretch: int) -> list[Any]:
-    """Return position, command, applied and hand at each sample of a stretch."""
+    """Return position, command, applied and hand at each sample."""
     return list(zip(*(held[f"{stretch}/{name}"] for name in ("position", "command", "applied", "hand")), strict=True))
 
 
 def kept(group: str) -> dict[str, Any]:
-    """Return what the cases of a group said, by name."""
+    """Return the stored outputs of a group by name."""
     with gzip.open(HERE / "expected" / f"{group}.json.gz", "rt") as file:
         found: dict[str, Any] = json.load(file)
     return found
 
 
 def keep(group: str, found: Mapping[str, Any]) -> None:
-    """Write what the cases of a group say: the same bytes for the same words."""
+    """Store the outputs of a group.
+
+    Equal outputs give equal bytes.
+    """
     data = json.dumps(found, separators=(",", ":")).encode()
     (HERE / "expected" / f"{group}.json.gz").write_bytes(gzip.compress(data, 9, mtime=0))
 
@@ -174,7 +196,10 @@ def as_kept(found: Any) -> Any:
 
 
 def arithmetic() -> str:
-    """Return a digest of what this machine's libm, BLAS and numpy make of some numbers."""
+    """Return a digest of this machine's arithmetic.
+
+    Of libm, BLAS and numpy on some numbers.
+    """
     values = np.random.default_rng(0).uniform(-2.0, 2.0, (60, 6, 6))
     waves = [wave(one) for one in values.ravel().tolist() for wave in (math.sin, math.cos, math.exp, math.atan)]
     arrays = [values @ values, np.linalg.eigvals(values), np.linalg.inv(values), np.exp(values), np.sin(values)]
@@ -184,14 +209,17 @@ def arithmetic() -> str:
 
 @cache
 def is_exact() -> bool:
-    """Return whether numbers are compared to the last bit: MAGLEV_GOLDEN=exact, or as here the files were made."""
+    """Return True if numbers are compared bitwise.
+
+    With MAGLEV_GOLDEN=exact, or on a machine like that of the files.
+    """
     asked = os.environ.get("MAGLEV_GOLDEN", "")
     assert asked in ("", "exact", "near"), f"MAGLEV_GOLDEN must be exact or near, not {asked!r}"
     return asked == "exact" or (not asked and kept(ARITHMETIC)["digest"] == arithmetic())
 
 
 def differences(group: str, old: Any, new: Any, *, exact: bool) -> list[str]:
-    """Return what differs between two outcomes, a line each.
+    """Return the differences between two outcomes, one per line.
 
     Args:
         group: Group of the case, on which the bounds depend.
@@ -212,7 +240,7 @@ def differences(group: str, old: Any, new: Any, *, exact: bool) -> list[str]:
 
 
 def _lasts(group: str, name: str) -> bool:
-    """Return whether a value is the same on every machine, within the bounds."""
+    """Return True if a value is machine-independent within the bounds."""
     parts = name.split(".")
     decided = group in _DECIDED_BY_ROUNDING and parts[0] in ("stdout", *(["status"] if group == "replay" else []))
     return not (decided or _ROUNDING_NOISE & set(parts))
