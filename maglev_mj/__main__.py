@@ -1,4 +1,7 @@
-"""`python -m maglev_mj`, where the script is not on the path."""
+"""Command line as `python -m maglev_mj`.
+
+It serves where the script is not on the path.
+"""
 
 import sys
 
